@@ -1,7 +1,7 @@
 """Counters of a run, tick by tick: shares by state, interruptions, time at limits. Pure.
 
-The shares of `Availability` are of the whole time, with the ticks that the loop missed. Statuses
-come five times a second, and a state between two of them is in none: so ticks are counted.
+The shares of `Availability` refer to the whole time, including the ticks that the loop missed.
+Ticks are counted because a state may begin and end between two statuses.
 """
 
 from collections import Counter
@@ -60,7 +60,7 @@ STATE_NAMES = {
     for key, (_, each) in described_fields(Availability).items()
     if each is not None and each.metric == "availability_ratio"
 }
-# A display's state → the key that it is counted under, where that is another.
+# A display's state → the key that it is counted under, if that differs.
 _KEYS = {"playing": "felt", "fault": "faulted"}
 
 
@@ -79,7 +79,7 @@ class AvailabilityCounter:
         self._missed += elapsed_ticks - 1
 
     def availability(self, played_ticks: int) -> Availability:
-        """Return the shares so far; played_ticks: how many ticks played something."""
+        """Return the shares so far; played_ticks: number of ticks in which a pulse was played."""
         if not self._all:
             return Availability()
         ticks = {_KEYS.get(state, state): count for state, count in self._ticks.items()}
@@ -96,7 +96,7 @@ def availability_text(shares: Mapping[str, Any]) -> str | None:
     known = {name: share for key, name in STATE_NAMES.items() if (share := shares.get(key))}
     if shares.get("seconds") is None or not known:
         return None
-    # Rounded down, what is missing at 100.0 % goes to those that lost most.
+    # All are rounded down; the remainder to 100.0 % is given to those that lost most.
     tenths = {name: int(1000 * share) for name, share in known.items()}
     missing = round(1000 * sum(known.values())) - sum(tenths.values())
     for name in sorted(known, key=lambda name: tenths[name] - 1000 * known[name])[:missing]:
@@ -107,7 +107,7 @@ def availability_text(shares: Mapping[str, Any]) -> str | None:
 
 @dataclass(frozen=True, slots=True)
 class Interruptions:
-    """Interruptions that are over: from one tick at full strength to the next, others between."""
+    """Ended interruptions, each from one tick at full strength to the next such tick."""
 
     count: int | None = figure(
         "Interruptions of the pulse that are over: from one tick at full strength to the next,"
@@ -191,10 +191,10 @@ def _limit(name: str, key: str) -> Any:
 class Limits:
     """Figures of each limit.
 
-    force, negative and slew bound the force to be felt (`safety`): the force limit; a force below
-    0 N by more than 1 mN, which cannot be played; the slew limit at full strength, ramps and fades
-    left out. travel: the end of the actuator's travel towards the finger, on a real bench also the
-    braking before it. film, adc: ranges of the modelled film's ADC and of the sensing node's ADC.
+    force, negative, slew: bounds of the target force (`safety`). They are the force limit; 0 N,
+    where the pulse is more than 1 mN below it; and the slew limit at full strength, without ramps
+    and fades. travel: end of the actuator's travel towards the finger, on a real bench with the
+    braking before it. film, adc: ADC ranges of the modelled film and of the sensing node.
     """
 
     force: Limited = _limit("force limit", "force")
@@ -251,7 +251,7 @@ def limit_texts(limits: Mapping[str, Mapping[str, Any]]) -> list[str]:
         )
         if times:
             held = f"{seconds:.1f} s" if seconds >= 0.1 else f"{seconds * 1e3:.3g} ms"
-            # What is more than nothing is not printed as 0.0 %.
+            # A share above 0 is not printed as 0.0 %.
             percent = "< 0.1" if 0 < share < 5e-4 else f"{100 * share:.1f}"
             text = f"{name} {count_text(times, 'time')}, {held} ({percent} % of the run)"
             found.append((seconds, text))

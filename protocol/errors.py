@@ -1,4 +1,4 @@
-"""Errors that a user can meet, and causes that refused messages and peers are counted under.
+"""Errors that a user can see, and the causes by which refused messages and peers are counted.
 
 `TelepulseError` catches all errors.
 """
@@ -7,7 +7,7 @@ from collections.abc import Mapping
 
 
 class TelepulseError(Exception):
-    """Base of all errors that this project raises on purpose."""
+    """Base of all errors that telepulse raises deliberately."""
 
 
 class SceneError(TelepulseError, ValueError):
@@ -19,7 +19,7 @@ class SceneError(TelepulseError, ValueError):
 
 
 class WireError(TelepulseError, ValueError):
-    """Bytes from a peer are not a valid message; `cause` is the name it is counted under.
+    """Bytes from a peer are not a valid message; `cause` is the name under which it is counted.
 
     Example scenarios: not msgpack, truncated, another protocol version, a NaN sample.
     """
@@ -108,15 +108,15 @@ class BenchError(TelepulseError, RuntimeError):
 
 
 class RealtimeError(TelepulseError, RuntimeError):
-    """Real-time measures cannot be taken as requested.
+    """Real-time settings cannot be applied as requested.
 
-    Example scenarios: no measure has that name, a priority above 98, a strict request by a user
-    who may not have SCHED_FIFO.
+    Example scenarios: an unknown setting, a priority above 98, a strict request by a user who may
+    not use SCHED_FIFO.
     """
 
 
 class ProcessLimitError(TelepulseError, OSError):
-    """The system's limits give this process less than a node needs.
+    """The system's limits for this process are below a node's needs.
 
     Example scenarios: `ulimit -n 14`, `ulimit -v 300000`.
     """

@@ -1,1 +1,1 @@
-"""The sensing node: sensor → calibrated force → stream."""
+"""The sensing node: from a sensor to calibrated force and its stream."""

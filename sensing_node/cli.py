@@ -53,11 +53,11 @@ def sense(
     announce: options.AnnounceOption = False,
     version: options.VersionOption = False,
 ) -> None:
-    """Stream the pulse of a source to every display that asks for it.
+    """Stream the pulse of a source to every display that requests it.
 
     The scene's **[sensing]** section names the source (synthetic, a recording, or a live sensor
-    on a serial port, a CAN bus or LSL), the batch that a frame holds, and the rubber layer at
-    the wrist. Frames go out over ZeroMQ whether or not somebody listens; displays may join, leave
+    on a serial port, a CAN bus or LSL), the batch of samples in a frame, and the rubber layer at
+    the wrist. Frames are published over ZeroMQ even without a display; displays may join, leave
     and come back at any time.
 
     On the machine at the wrist, once `telepulse keys` has made the keys:
@@ -70,7 +70,7 @@ def sense(
             --key keys/finger.key --peer keys/wrist.pub
 
     Open ports 5555 (data) and 5556 (control). Ctrl-C or SIGTERM ends the stream cleanly: every
-    display is told how many samples were sent, so that none goes unaccounted for.
+    display receives the number of samples sent, so that every sample is accounted for.
 
     Exit status: 0 at the end of the stream, 2 when the scene, the source or the address
     cannot be used; the reason is one line on stderr.

@@ -1,7 +1,7 @@
 """The sensing-side chain between the film and the frames, simulated on a source's samples.
 
 force → film volts → charge amplifier → mains notch → anti-alias filter → ADC → inverse
-calibration → + hold-down force. Each part is there when the scene names it.
+calibration → + hold-down force. Parts that the scene does not name are left out.
 """
 
 from typing import Annotated, Self
@@ -19,19 +19,20 @@ from sensing_node.feeds import LiveSource, SampleSource
 from sensing_node.sources.recorded import RecordedSource
 from sensing_node.sources.synthetic import PRESETS
 
-# The chain's delay is computed for the paper's pulse, which has next to no energy above 40 Hz.
+# The chain's delay is computed for the pulse of Dargahi et al. (2008), the paper, which has next
+# to no energy above 40 Hz.
 DELAY_BAND_HZ, DELAY_STEP_HZ = 40.0, 0.05
 
 
 class ConditioningScene(SensitivityTable):
-    """The `conditioning` table; what it leaves out is not in the chain.
+    """The `conditioning` table; stages without a key are left out.
 
-    sensitivity: of the film with its amplifier (Fig. 4: 44 mV/N), or film_radius, by eq 21.
-    charge_amplifier: the corner of its high-pass. It loses the static force; hold_down stands
-    in its place, so that the display presses at all. mains: what the notch rejects;
-    mains_quality: its frequency over its width; a wide notch rejects a grid that wanders, and
-    delays the pulse more. anti_alias: corner of a Butterworth low-pass.
-    adc_bits: resolution over ±adc_range.
+    sensitivity: that of the film with its amplifier (Fig. 4: 44 mV/N); or film_radius, with eq 21.
+    charge_amplifier: corner of its high-pass, which removes the static force. hold_down: constant
+    force added in its place, so that the display presses. mains: frequency of the notch.
+    mains_quality: the notch's frequency over its width. A wide notch rejects a varying mains
+    frequency, and delays the pulse more. anti_alias: corner of a Butterworth low-pass. adc_bits:
+    resolution over ±adc_range.
     """
 
     charge_amplifier_hz: Annotated[Hertz, Field(ge=1e-3, le=5)] | None = None
@@ -68,19 +69,19 @@ class ConditioningScene(SensitivityTable):
 class Conditioned:
     """A source with the chain applied; the filters start settled at the source's first sample.
 
-    With a charge amplifier the first sample is hold_down, and the mean approaches it within a
-    few time constants.
+    With a charge amplifier, the first sample is hold_down, and the mean approaches hold_down within
+    a few time constants.
 
     Attributes
     ----------
     group_delay_ns : int
-        Delay of the pulse by notch and low-pass (`pulse_delay_s`). The charge amplifier is not in
-        it: it tilts the slow waves and leaves the upstroke where it is.
+        Delay of the pulse by notch and low-pass (`pulse_delay_s`). The charge amplifier is not
+        included: it distorts slow waves, but does not delay the upstroke.
 
     Raises
     ------
     SceneError
-        For a corner that is not below half the source's rate.
+        If a corner is not below half the source's rate.
     """
 
     def __init__(self, source: SampleSource, scene: ConditioningScene) -> None:
@@ -111,7 +112,7 @@ class Conditioned:
         return self._calibration.newtons(volts) + self._hold_down_n
 
     def faults(self) -> list[str]:
-        """Return what went wrong in the source and in the chain, one line each."""
+        """Return the faults of the source and of the chain, one line each."""
         faults = faults_of(self._source)
         if self._clipped.ticks:
             faults.append(f"{count_text(self._clipped.ticks, 'sample')} beyond the ADC's range")
@@ -182,8 +183,8 @@ def _design(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the second-order sections of the charge amplifier, and those that delay the pulse.
 
-    Analogue filters through the prewarped bilinear transform: exact at their corner, the notch
-    at its centre and width; towards half the rate they reject more than the analogue ones.
+    They are analogue filters after the prewarped bilinear transform: exact at their corner, the
+    notch at its centre and width. Towards half the rate they reject more than analogue filters.
     """
     from scipy.signal import butter, iirnotch, tf2sos
 

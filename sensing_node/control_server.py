@@ -1,4 +1,4 @@
-"""Answers to control messages, a bound on how many are read, and the displays that sent them."""
+"""Answers to control messages, a bound on their number, and the displays that send them."""
 
 from collections import Counter
 from dataclasses import dataclass, field
@@ -24,24 +24,24 @@ REQUESTS_AT_ONCE = 4_000.0
 HELD_NS = 5_000_000
 FORGET_AFTER_NS = 5_000_000_000
 MAX_CLIENTS = 1_000
-# A display sends 50 clock requests a second, and at once all that waited while it was cut off.
+# A display sends 50 clock requests a second, and after a cut all waiting ones at once.
 ANSWERS_PER_S, ANSWERS_AT_ONCE = 200.0, 2_000.0
 # Each relay on the way adds an address to the envelope.
 MAX_HOPS = 4
-# ROUTER sockets name their peers by a zero and four bytes; no message begins with a zero. So a
-# message that was joined to the next one on the way is no envelope.
+# ROUTER sockets name their peers by a zero and four bytes, and no message begins with a zero. So
+# two messages that were joined on the way are not taken for an envelope.
 ADDRESS_BYTES = 5
 
 Sender = tuple[bytes, ...]
-"""The envelope a control message came in; a reply goes back in the same."""
+"""Envelope of a control message; the reply has the same envelope."""
 
 
 class RequestBudget:
-    """Bound on the control messages that a sensing node reads, all displays together. Pure.
+    """Bound on the control messages that a sensing node reads from all displays. Pure.
 
-    Once the budget is used up, the node reads no control message for 5 ms. The messages stay
-    where they are: a flooding peer is held up by its own full connection, and ZeroMQ reads one
-    message of each connection in turn, so that the other displays are answered. held: how often.
+    Once the budget is used up, the node reads no control message for 5 ms. Meanwhile a flooding
+    peer is blocked by its own full connection. ZeroMQ then reads one message of each connection in
+    turn, so that the other displays are answered. held: number of such pauses.
     """
 
     def __init__(self) -> None:
@@ -50,7 +50,7 @@ class RequestBudget:
         self.held = 0
 
     def expect(self, displays: int) -> None:
-        """Allow for the requests of so many displays."""
+        """Permit the requests of this number of displays."""
         self._budget.change_rate(min(MOST_PER_S, LEAST_PER_S + displays * REQUESTS_PER_S))
 
     def spend(self, now_ns: int) -> bool:
@@ -62,9 +62,9 @@ class RequestBudget:
         return False
 
     def held_for_ns(self, now_ns: int) -> int:
-        """Return for how long nothing may be read from now on; 0 where it may be."""
+        """Return the time until messages may be read; 0 if they may be read now."""
         left_ns = self._held_until_ns - now_ns
-        # A clock that has stepped back holds nothing.
+        # More than HELD_NS means that the clock has stepped back.
         return left_ns if 0 < left_ns <= HELD_NS else 0
 
 
@@ -86,12 +86,12 @@ class Client:
 
     @property
     def shown_name(self) -> str:
-        """The name in letters that every terminal has: a peer chose it."""
+        """The name in ASCII, since the peer chose it and it is printed."""
         return ascii(self.name)[1:-1] or "a display"
 
 
 class ControlServer:
-    """Server of one session's control messages, and its clients by their envelope. Pure."""
+    """Server of one session's control messages, with its clients by envelope. Pure."""
 
     def __init__(self, description: StreamDescription, session: int) -> None:
         self._description = description
@@ -139,8 +139,8 @@ class ControlServer:
     def _client(self, sender: Sender, message: Control, now_ns: int) -> Client:
         """Return the display that sent a message. Raises WireError.
 
-        A display that was forgotten, or that has connected again, continues without another
-        hello and still must receive the end of the stream.
+        A display that was forgotten, or has reconnected, continues without a new hello, and must
+        still receive the end of the stream.
         """
         match message:
             case Hello(display=name) | DisplayReport(display=name):
@@ -150,9 +150,9 @@ class ControlServer:
             case _:
                 raise WireError("unexpected", "a message that only sensing nodes send")
         client = self.clients.get(sender)
-        # Most messages are clock requests, which have no name: they must not cost a search.
+        # Most messages are clock requests without a name, for which nothing is searched.
         if name and (client is None or client.name != name):
-            # Under its old address, or because it sent a clock request before its name.
+            # The display may have an entry under an old address, or from a request before its name.
             for namesake in [k for k, other in self.clients.items() if other.name == name]:
                 del self.clients[namesake]
         if client is None:

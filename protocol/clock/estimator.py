@@ -2,14 +2,13 @@
 
 Offset is remote minus local clock. The estimate follows in five steps:
 
-1. Exchanges are grouped into blocks of 16 (`block_offset`). Which exchanges carry most
-   information depends on the jitter: with exponential delays the shortest, with Gaussian ones all
-   alike. So a block has one offset for each of five levels, from its 1, 2, 4, 8 or 16 shortest
-   delays of each direction.
+1. Exchanges are grouped into blocks of 16 (`block_offset`). With exponential delays, the shortest
+   exchanges carry most information; with Gaussian ones, all carry the same. So a block has one
+   offset for each of five levels, from its 1, 2, 4, 8 or 16 shortest delays of each direction.
 2. For each level a line is fitted through the blocks' offsets (`fit_lines`). Blocks
    with unusual round trips get a low weight.
 3. One-way messages add an estimate of the skew, where it agrees (`OneWaySkew`).
-4. The level is used whose line has the smallest error. A level that contradicts the one of the
+4. The level whose line has the smallest error is used. A level that contradicts that of the
    shortest delays has a bias, which counts as an error.
 5. The result is bounded: no delay is negative, so half the shortest round trip bounds the offset.
 
@@ -36,33 +35,33 @@ BLOCK = 16
 # Numbers of shortest delays of each direction from which a block's offset is computed.
 LEVELS = (1, 2, 4, 8, BLOCK)
 _COUNTS = np.array(LEVELS)
-# Sign with which a skew changes the delays to the remote clock, and back.
+# Sign of a skew's effect on the delays to the remote clock, and back.
 _SKEW_SIGNS = np.array([[1.0], [-1.0]])
 
 KEEP_BLOCKS = 256
 READY_AFTER = 3
-# No time is measured better than this.
+# Smallest assumed error of a measured time.
 LEAST_NOISE_NS = 2_000.0
-# Standard deviation of computers' skews; more, seen within a few seconds, is jitter.
+# Standard deviation of computers' skews; a larger value within a few seconds is jitter.
 USUAL_SKEW = 200e-6
-# Exchanges, or blocks, in a row that must contradict the estimate.
+# Number of consecutive exchanges, or blocks, that must contradict the estimate.
 STEP_AFTER = 3
-# A smaller step leaves the memory in time by itself.
+# Smaller steps are not detected; the old blocks are dropped in time.
 STEP_LEAST_NS = 1_000_000
 STEP_NOISES = 8.0
-# With fewer blocks than these, none is compared with the line.
+# Number of blocks from which on a new one is compared with the line.
 STEADY_BLOCKS = 8
 # Quantiles of the blocks' round trips and noises that serve as references.
 SHORT, RATHER_SHORT = 0.1, 0.3
-# Exponential delays in one direction alone give the shortest of a block this share of the mean's
-# bias.
+# With exponential delays in one direction only, the bias of a block's shortest delay is this share
+# of the mean's bias.
 UNSEEN_SHARE = 1 / (BLOCK - 1)
 # Weights of errors and biases, chosen for a coverage of 95 %
 # (docs/decisions/0015-clock-estimator-adapts-to-jitter.md).
 ERRORS, BIASES = 2.0, 1.5
-# In standard errors: a skew of 500 ppm occurs.
+# Possible error of the skew in standard errors, as skews of 500 ppm occur.
 SKEW_ERRORS = 3.0
-# Two skews agree within AGREE standard errors; the rest counts DISAGREE times as an error.
+# Two skews agree within AGREE standard errors; the excess, times DISAGREE, counts as an error.
 AGREE, DISAGREE = 2.0, 2.0
 
 Blocks = NDArray[np.void]
@@ -90,7 +89,7 @@ class ClockExchange(NamedTuple):
 
     @property
     def offset_ns(self) -> int:
-        """Remote minus local clock, if both directions took equally long."""
+        """Remote minus local clock, assuming equal delays of both directions."""
         return (self.t2_ns - self.t1_ns + self.t3_ns - self.t4_ns) // 2
 
     @property
@@ -102,9 +101,9 @@ class ClockExchange(NamedTuple):
 class BlockOffset(NamedTuple):
     """Offset and round trip of a block of exchanges, for each of `LEVELS`.
 
-    t_ns: middle of the block, local clock. offset_ns, round_trip_ns, shape (levels,): from the
-    means of the shortest delays of each direction. noise_ns: standard error of the mean of all
-    offsets, estimated from the shortest round trips.
+    t_ns: middle of the block on the local clock. offset_ns, round_trip_ns: shape (levels,),
+    computed from the means of the shortest delays of each direction. noise_ns: standard error of
+    the mean of all offsets, estimated from the shortest round trips.
     """
 
     t_ns: float
@@ -126,8 +125,8 @@ def block_offset(
         Times count from its t4, offsets from its offset.
     skew, skew_error : float
         Present estimate of remote over local clock, less 1, and its possible error. The skew is
-        removed from the delays, so that they can be ordered; round trips are lengthened by what the
-        error may have shortened them.
+        removed from the delays, so that they can be ordered. The error is added to the round trips,
+        which it may have shortened.
     """
     count = len(exchanges)
     # Differences of integers first: they are exact as floats, whatever the clocks show.
@@ -151,7 +150,7 @@ def block_offset(
     delays_ns.sort(axis=1)
     there_ns, back_ns = delays_ns.cumsum(axis=1)[:, counts - 1] / counts
     hidden_ns = skew_error * float(t_ns.max() - t_ns.min())
-    # Below 0 only where a clock has stepped within the block.
+    # The sum is below 0 only if a clock has stepped within the block.
     round_trip_ns = np.maximum(there_ns + back_ns + hidden_ns, 0)
     return BlockOffset(middle_ns, (there_ns - back_ns) / 2, round_trip_ns, noise_ns)
 
@@ -164,8 +163,8 @@ class ClockEstimator:
     steps : int
         Number of steps of a clock that were detected; each starts the estimate again.
     asymmetry_bound_ns : int
-        Half the shortest round trip. If one direction always takes longer than the other, which no
-        exchange can show, the offset is wrong by no more than this.
+        Half the shortest round trip. It bounds the offset's error if one direction always takes
+        longer than the other, which no exchange can show.
     """
 
     def __init__(self) -> None:
@@ -194,9 +193,9 @@ class ClockEstimator:
     def uncertainty_ns(self, local_ns: int) -> int:
         """Return a bound on the error of `offset_ns` at a local time.
 
-        It holds for 95 % of the times where both directions have equal delays but for chance, and
-        for fewer during about a minute after one of them has changed. It grows while no exchanges
-        come.
+        It holds with a probability of 95 % if the delays of both directions have the same
+        distribution, and less often for about a minute after one of them has changed. It grows
+        without exchanges.
         """
         since_ns = max(0, local_ns - self._reference_ns)
         return self._uncertainty_ns + round(ERRORS * self._skew_error * since_ns)
@@ -204,8 +203,8 @@ class ClockEstimator:
     def add(self, exchange: ClockExchange) -> bool:
         """Add an exchange; return False for one that is impossible (negative durations).
 
-        An exchange that contradicts the estimate is set aside. After three in a row a clock has
-        stepped: the estimate starts again with them.
+        An exchange that contradicts the estimate is not used. After three in a row, a clock has
+        stepped, and the estimate starts again with them.
         """
         if exchange.round_trip_ns < 0 or exchange.t3_ns < exchange.t2_ns:
             return False
@@ -265,7 +264,7 @@ class ClockEstimator:
             self._block = []
 
     def _detect_step(self, block: BlockOffset) -> None:
-        """Keep only the last blocks when chance and a changed round trip do not explain them."""
+        """Keep only the last blocks if neither noise nor a changed round trip explains them."""
         level = self._level
         since_ns = self._reference_ns - self._origin.t4_ns - block.t_ns
         line_ns = self._offset_ns - self._origin.offset_ns - self._skew * since_ns
@@ -294,7 +293,7 @@ class ClockEstimator:
         self._short_ns = ordered_ns[short]
         self._noise_ns = LEAST_NOISE_NS + float(np.sort(blocks["noise_ns"])[rather_short])
         usual_ns = ordered_ns[rather_short] - self._short_ns + 2 * self._noise_ns
-        # Both longer and shorter round trips are those of another route.
+        # Longer and shorter round trips alike belong to another route.
         weight = 1 / (1 + ((round_trip_ns - self._short_ns) / (3 * usual_ns)) ** 2)
         lines = fit_lines(blocks["t_ns"], blocks["offset_ns"], weight, self._noise_ns, USUAL_SKEW)
         self._select(_with_one_way_skew(lines, self._one_way), len(blocks), now_ns)
@@ -325,7 +324,7 @@ class ClockEstimator:
         middle_ns += self._origin.offset_ns
         bound_ns = self.asymmetry_bound_ns + round(ERRORS * self._skew_error * abs(since_ns))
         self._offset_ns = min(max(self._offset_ns, middle_ns - bound_ns), middle_ns + bound_ns)
-        # A single block may have met a stall, which its own scatter does not show.
+        # The scatter of a single block does not show a stall that affects all of it.
         certain_ns = bound_ns if len(blocks) == 1 else 0
         self._uncertainty_ns = min(max(self._uncertainty_ns, certain_ns), 2 * bound_ns)
 

@@ -1,7 +1,7 @@
 """Clocks from one-way messages: their skew, and the clock of a device that answers no requests.
 
-One direction gives no offset, and a delay that grows looks like skew. But a stream's frames come
-more often than exchanges, at no cost: `ClockEstimator` weighs both.
+One direction gives no offset, and a growing delay looks like skew. But a stream's frames come more
+often than exchanges, at no cost. `ClockEstimator` weighs both.
 """
 
 import math
@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
-# Weight of the expected noise, in points.
+# Weight of the expected noise, as a number of points.
 NOISE_POINTS = 4.0
 
 
@@ -84,7 +84,7 @@ def fit_lines(
 
 
 def contradiction(values: Floats, errors: Floats) -> Floats:
-    """Return by how much each value differs from the first beyond two of both standard errors."""
+    """Return how far each value differs from the first, beyond two standard errors of both."""
     apart: Floats = np.abs(values - values[0]) - 2 * np.hypot(errors, errors[0])
     return np.maximum(apart, 0)
 
@@ -92,16 +92,16 @@ def contradiction(values: Floats, errors: Floats) -> Floats:
 BLOCK = 64
 KEEP_BLOCKS = 256
 STEADY_BLOCKS = 8
-# Messages closer together delay each other, and add little to one of them.
+# Least time between two messages that are used: closer ones delay each other.
 APART_NS = 4_000_000
 # Numbers of shortest delays whose mean is a block's delay.
 LEVELS = np.array([4, 8, 16, 32, BLOCK])
 LEAST_NOISE_NS = 2_000.0
-# No clock is worse.
+# Upper bound of any clock's skew.
 MAX_SKEW = 0.01
 # Quantiles of the blocks' delays: reference, and scatter above it.
 SHORT, HALF = 0.1, 0.5
-# Factor on errors: neighbouring blocks are correlated, so fewer than their number count.
+# Factor on errors, because neighbouring blocks are correlated.
 CORRELATION = 1.3
 
 
@@ -115,7 +115,7 @@ class OneWaySkew:
         self.skew, self.error = 0.0, math.inf
         self._first: tuple[int, int] | None = None
         self._last_sent_ns = 0
-        # Since the first message: arrival, and by how much the delay is less than the first one.
+        # Arrival and decrease of the delay, both relative to the first message.
         self._block: list[tuple[int, int]] = []
         self._t_ns = np.zeros(KEEP_BLOCKS)
         self._lead_ns = np.zeros((KEEP_BLOCKS, len(LEVELS)))
@@ -160,7 +160,7 @@ class OneWaySkew:
         weight = 1 / (1 + ((late_ns - short_ns) / (6 * scatter_ns)) ** 2)
         lines = fit_lines(t_ns, lead_ns, weight, scatter_ns, MAX_SKEW)
         error = CORRELATION * lines.skew_error * (1 + 4 / self._known)
-        # A contradiction to the shortest delays shows a change of load.
+        # A contradiction to the shortest delays shows a change of the network's load.
         error += contradiction(lines.skew, error)
         level = int(np.argmin(error))
         self.skew, self.error = float(lines.skew[level]), float(error[level])
@@ -172,10 +172,10 @@ READY_AFTER = 2
 # Resonators of boards without a crystal are off by up to 0.5 %.
 DEVICE_SKEW = 2e-3
 DEVICE_NOISE_NS = 20_000.0
-# Arrivals before their timestamp: less is noise; more, several times in a row, is another clock.
+# An arrival this long before its timestamp, STEP_AFTER times in a row, is a step of the clock.
 STEP_MARGIN_NS = 20_000_000
 STEP_AFTER = 3
-# No cable delays so much for so many blocks.
+# A delay above this in this number of consecutive blocks is a step too; no cable is so slow.
 LATE_NS = 500_000_000
 LATE_BLOCKS = 4
 ROUNDS = 3
@@ -184,9 +184,9 @@ ROUNDS = 3
 class DeviceClock:
     """Estimator of a device's clock from its timestamps and their arrivals, in integer ns. Pure.
 
-    The device answers no requests. Its samples arrive late and in batches, never early, so arrival
-    minus device time has a lower edge, and the clock is a line along that edge. The least delay on
-    the way cannot be told from an offset of the clock; it remains in the times that are returned.
+    The device answers no requests. Its samples arrive late and in batches, never early. So arrival
+    minus device time has a lower edge, and the clock is a line along that edge. The smallest delay
+    cannot be separated from the clock's offset; it remains in the returned times.
     steps: number of steps or restarts of the device's clock; each starts the estimate again.
     """
 
@@ -196,7 +196,7 @@ class DeviceClock:
         self._base_device_ns = self._base_offset_ns = 0
         self._reference_ns = self._offset_ns = 0
         self._skew = 0.0
-        # The earliest arrivals, one a block: device time and arrival less device time.
+        # The earliest arrival of each block: device time, and arrival minus device time.
         self._edge: deque[tuple[float, float]] = deque(maxlen=KEEP)
         self._block_began_ns = self._least_late_ns = 0
         self._least = (0, 0)
@@ -204,7 +204,7 @@ class DeviceClock:
 
     @property
     def ready(self) -> bool:
-        """True after half a second, when times are good to the usual spread of the delays."""
+        """True after half a second, when times are accurate to the usual spread of the delays."""
         return len(self._edge) >= READY_AFTER
 
     @property
@@ -219,8 +219,8 @@ class DeviceClock:
     def observe(self, device_ns: int, arrival_ns: int) -> None:
         """Add a timestamp of the device and its arrival; call this in the order of arrival.
 
-        An arrival before its timestamp is set aside; after several in a row the device's clock has
-        stepped. A timestamp before the last one shows a step at once.
+        An arrival before its timestamp is not used; several in a row show a step of the device's
+        clock. A timestamp before the last one shows a step at once.
         """
         if self._last_device_ns is None:
             self._anchor(device_ns, arrival_ns)

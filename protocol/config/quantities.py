@@ -1,7 +1,7 @@
 """Quantities as people write them ("40 ms", "0.3 N", "75 /min") read into SI numbers, and counts.
 
-A scene file carries the unit in the value, the code carries it in the name: the key
-`delay = "40 ms"` becomes the field `delay_ns`.
+A scene file states the unit in the value, the code in the name: the key `delay = "40 ms"` becomes
+the field `delay_ns`.
 """
 
 import math
@@ -31,7 +31,7 @@ UNITS: dict[str, dict[str, float]] = {
     "sensitivity": {"mV/N": 1e-3, "V/N": 1.0},
     "angle": {"°": math.pi / 180, "deg": math.pi / 180, "rad": 1.0},
 }
-# Possessive throughout: a long text that is no quantity is seen to be none in one pass.
+# All quantifiers are possessive, so that a long text without a quantity is refused in one pass.
 _NUMBER = re.compile(r"\s*+([-+]?(?:\d++(?:\.\d*+)?|\.\d++)(?:[eE][-+]?\d++)?+)\s*+(\S*+)\s*+")
 _LARGEST = 1e100
 _SHOWN = 80
@@ -61,12 +61,12 @@ def parse_ratio(text: object) -> float:
 
 
 def shown(value: object) -> str:
-    """Return a value as it stands in an error's line: cut where it is long."""
+    """Return a value for an error message, cut if it is long."""
     return f"{value!r:.{_SHOWN}}"
 
 
 def in_unit_of(value: float, text: object) -> str:
-    """Return a value in the code's unit as text, in the unit that `text` has."""
+    """Return a value, given in the code's unit, as text in the unit of `text`."""
     match = _NUMBER.fullmatch(text) if isinstance(text, str) else None
     unit = match[2] if match else ""
     for dimension, units in UNITS.items():
@@ -77,7 +77,7 @@ def in_unit_of(value: float, text: object) -> str:
 
 
 def _sane(value: float, text: object) -> float:
-    """Return the value; ValueError where it is so large that the code's own unit would overflow."""
+    """Return the value. Raises ValueError if it is too large for the code's own unit."""
     if not abs(value) < _LARGEST:
         raise ValueError(f"{shown(text)} is too large")
     return value

@@ -22,9 +22,9 @@ _UNIT_SUFFIX = re.compile(
 
 
 class Section(BaseModel):
-    """Base of every table in a scene: frozen, no unknown keys, units in names only inside.
+    """Base of every table in a scene: frozen, without unknown keys.
 
-    The field `lead_m` is written `lead = "2 mm"` in the file.
+    Names of fields have units, keys of the file have none: `lead_m` is written `lead = "2 mm"`.
     """
 
     model_config = ConfigDict(
@@ -38,7 +38,7 @@ class Section(BaseModel):
     @model_validator(mode="before")
     @classmethod
     def _know_keys(cls, table: object) -> object:
-        """Refuse an unknown key before anything else, as the error can name what is known."""
+        """Refuse an unknown key before anything else, with an error that names the known keys."""
         known = [field.alias or name for name, field in cls.model_fields.items()]
         for key in table if isinstance(table, dict) else ():
             if key not in known:
@@ -105,9 +105,9 @@ def _first_error(error: ValidationError, table: Any) -> tuple[list[int | str], s
 
 
 def _follow(location: Sequence[int | str], table: Any) -> tuple[list[int | str], Any]:
-    """Return the keys of a location that lead through the table, and the value written there.
+    """Return the keys of a pydantic location that exist in the table, and the value there.
 
-    pydantic puts names of its own between them, such as which member of a union it tried.
+    pydantic inserts names of its own, such as the member of a union that it tried.
     """
     keys: list[int | str] = []
     for part in location:
@@ -119,7 +119,7 @@ def _follow(location: Sequence[int | str], table: Any) -> tuple[list[int | str],
 
 
 def _demand(error: ErrorDetails, written: object) -> str:
-    """Return what pydantic demands, with a limit in the unit that the value has in the file."""
+    """Return pydantic's demand, with limits in the unit that the value has in the file."""
     text = error["msg"].replace("Input should", "must")
     for limit in error.get("ctx", {}).values():
         if isinstance(limit, int | float):

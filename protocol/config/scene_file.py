@@ -1,8 +1,8 @@
 """Scene files: found by name, read as TOML, merged with the scenes that they extend.
 
-`extends = "radial"` takes over everything of another scene: tables merge key by key, any other
-value replaces the inherited one. A table of another `kind` replaces the inherited table whole,
-whose keys would not be its own.
+`extends = "radial"` inherits everything from another scene: tables merge key by key, any other
+value replaces the inherited one. A table of another `kind` replaces the whole inherited table,
+because its keys differ.
 """
 
 import datetime
@@ -20,12 +20,12 @@ from protocol.errors import SceneError
 
 SECTIONS = ("sensing", "display", "link")
 EXTENDS = "extends"
-# Files that a scene may consist of.
+# Number of files that a scene may consist of.
 MAX_CHAIN = 8
 Tables = dict[str, Any]
 
 _HERE = Path(__file__).parents[1]
-# Of the scenes that come with telepulse: in an installed package (pyproject.toml), in a checkout.
+# Folders of telepulse's own scenes: in an installed package (pyproject.toml), and in a checkout.
 FOLDERS = (_HERE / "scenes", _HERE.parent / "scenes")
 _BARE_KEY = re.compile(r"[A-Za-z0-9_-]+")
 _KEY_SHOWN = 80
@@ -83,7 +83,7 @@ def load_document(path: Path) -> Tables:
 
 
 def merge(inherited: Tables, own: Tables) -> Tables:
-    """Return tables in which what is `own` goes before what is `inherited`."""
+    """Return merged tables, in which `own` entries replace `inherited` ones."""
     merged = dict(inherited)
     for key, value in own.items():
         old = merged.get(key)
@@ -96,7 +96,7 @@ def merge(inherited: Tables, own: Tables) -> Tables:
 
 
 def load_toml(path: Path, what: str) -> Tables:
-    """Read a TOML file; `what` it should be is named where there is none. Raises SceneError."""
+    """Read a TOML file; the error of a missing file names `what` it is. Raises SceneError."""
     try:
         document = tomllib.loads(path.read_text(encoding="utf-8"))
         too_large = next(_too_large(document), None)
@@ -105,7 +105,7 @@ def load_toml(path: Path, what: str) -> Tables:
     except (OSError, UnicodeDecodeError) as error:
         raise SceneError(f"{path}: cannot be read: {error}") from None
     except (ValueError, RecursionError) as error:
-        # Beside TOMLDecodeError: a number of thousands of digits, thousands of nested tables.
+        # TOMLDecodeError; numbers of thousands of digits and deep nesting raise other errors.
         raise SceneError(f"{path}: not TOML: {error}") from None
     if too_large is not None:
         raise SceneError(f"{path}: {place(too_large)}: an integer of more than 64 bits")
@@ -113,17 +113,17 @@ def load_toml(path: Path, what: str) -> Tables:
 
 
 def to_toml(tables: Tables) -> str:
-    """Return tables as TOML text, each with a [header] of its own."""
+    """Return tables as TOML text, each under its own [header]."""
     return "\n\n".join(_blocks(tables)) + "\n"
 
 
 def place(keys: Iterable[int | str]) -> str:
-    """Return keys that lead to a value as one dotted key, each cut where it is long."""
+    """Return the keys of a value as one dotted key; long keys are cut."""
     return ".".join(_key(str(key)[:_KEY_SHOWN]) for key in keys)
 
 
 def suggest(key: str, known: Iterable[str]) -> str:
-    """Return the end of an error's line: the known key that is closest to `key`, or all."""
+    """Return the end of an error message: the known key closest to `key`, or all of them."""
     close = difflib.get_close_matches(key, known, n=1)
     return f"; did you mean {close[0]}?" if close else f"; known: {', '.join(known)}"
 
@@ -150,7 +150,7 @@ def _find_parent(path: Path, parent: object, files: set[Path]) -> Path:
 
 
 def _too_large(value: Any, *keys: int | str) -> Iterator[list[int | str]]:
-    """Yield where integers are that TOML does not have; Python may not print them."""
+    """Yield the keys of integers beyond TOML's 64 bits, which Python may refuse to print."""
     if isinstance(value, dict | list):
         for key, inner in value.items() if isinstance(value, dict) else enumerate(value):
             yield from _too_large(inner, *keys, key)
@@ -187,5 +187,5 @@ def _value(value: Any) -> str:
 
 
 def _string(text: str) -> str:
-    # JSON's escapes are TOML's, but for one character that TOML wants escaped as well.
+    # JSON's escapes are valid in TOML, which requires one further character to be escaped.
     return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")

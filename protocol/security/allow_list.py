@@ -15,16 +15,16 @@ logger = logging.getLogger(__name__)
 MAX_ALLOWED = 10_000
 _MAX_BYTES = 200 * MAX_ALLOWED
 POLL_EVERY_NS = 1_000_000_000
-# A list that cannot be read may be one that revokes a key.
+# Longest time for which an unreadable list, which may revoke a key, lets peers stay connected.
 UNREADABLE_AT_MOST_NS = 10_000_000_000
 
 
 class AllowList:
-    """Allow-list of a running node, read again after each change until that succeeds.
+    """Allow-list of a running node, which is read again after each change.
 
-    While a changed list cannot be read, no new peer may connect; after 10 s none may stay. The
+    While a changed list cannot be read, no new peer may connect; after 10 s, all are cut off. The
     caller cuts the connections of the keys that `poll` returns. allowed: keys that may connect,
-    with their names. Raises KeyFileError when the list cannot be used now.
+    with their names. Raises KeyFileError if the list cannot be used at the start.
     """
 
     def __init__(self, path: Path) -> None:
@@ -38,17 +38,17 @@ class AllowList:
 
     @property
     def readable(self) -> bool:
-        """True while the file's present content is the one that was read."""
+        """True unless the file has changed and could not be read."""
         return self._unreadable_since_ns is None
 
     def was_allowed(self, key: bytes) -> bool:
-        """Return whether the key was on the list at some time of this run."""
+        """Return whether the key was on the list at any time in this run."""
         return key in self._ever_allowed
 
     def poll(self, now_ns: int) -> list[bytes]:
-        """Read the list when it has changed, and return the keys that were revoked.
+        """Read the list if it has changed, and return the keys that were revoked.
 
-        Call it often: it looks at the file once a second.
+        Call it often: it checks the file once a second.
         """
         if now_ns < self._poll_ns:
             return []
@@ -60,7 +60,7 @@ class AllowList:
             allowed = self._read()
         except KeyFileError as error:
             return self._fail(str(error), now_ns)
-        # Taken before the reading: a list that is written meanwhile is read again.
+        # The stamp is older than the reading, so a list that was written meanwhile is read again.
         self._stamp = stamp
         if not self.readable:
             self._unreadable_since_ns, self._reason = None, ""
@@ -96,7 +96,7 @@ class AllowList:
 
 
 def read_allowed(path: Path) -> dict[bytes, PublicKey]:
-    """Read the allowed keys and their names; none where there is no file.
+    """Read the allowed keys and their names; none without a file.
 
     Empty lines and lines that begin with # are skipped. Raises KeyFileError.
     """
@@ -148,7 +148,7 @@ def _read(path: Path) -> list[tuple[str, PublicKey | None]]:
             except ValueError as error:
                 raise KeyFileError(f"{path}, line {number}: {error}") from None
             if public.key in keys:
-                # Otherwise revoking one of its names would leave the key allowed.
+                # With two names for one key, revoking one would leave the key allowed.
                 raise KeyFileError(f"{path}, line {number}: this key stands there already")
             keys.add(public.key)
         lines.append((line, public))
@@ -171,7 +171,7 @@ def _replace(path: Path, lines: list[str]) -> None:
 
 
 def _stamp(path: Path) -> tuple[int, ...]:
-    """Return a value that changes with the file or its mode; empty where there is no access."""
+    """Return a value that changes with the file or its mode; empty without access."""
     with suppress(OSError):
         status = os.stat(path)
         return status.st_mtime_ns, status.st_ctime_ns, status.st_size, status.st_ino

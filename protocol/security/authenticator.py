@@ -1,11 +1,11 @@
-"""Authentication of peers by the allow-list, and cutting off of those that may not stay.
+"""Authentication of peers by the allow-list, and cutting of the connections of revoked keys.
 
 libzmq authenticates a CURVE connection by ZAP (RFC 27): it sends a request with the peer's key to a
 socket of this process, once, when the connection is made. It cannot drop the connection later.
 So the authenticator records the addresses of each key. When a key is revoked, all connections
-from its addresses are cut; those whose key is still allowed reconnect by themselves.
+from its addresses are cut; peers whose key is still allowed reconnect by themselves.
 
-Strangers can open TCP connections without any key: the authenticator bounds those, too.
+TCP connections can be opened without any key, so the authenticator bounds their number too.
 `zmq.auth` does not suffice for this (docs/decisions/0031-zmq-auth-is-not-enough.md).
 """
 
@@ -29,10 +29,10 @@ logger = logging.getLogger(__name__)
 ZAP_ENDPOINT = "inproc://zeromq.zap.01"
 ZAP_DOMAIN = b"telepulse"
 ZAP_VERSION = b"1.0"
-# Refused peers that are named in the log, and addresses that are stored of a key.
+# Number of refused peers that are named in the log, and of addresses that are stored for a key.
 MAX_NAMED, MAX_ADDRESSES = 1_000, 100
 EVERYWHERE = "everywhere"
-# Requests answered in a call, each after a key exchange: some 0.3 ms of a loop.
+# Number of requests answered in a call; with the key exchanges, they take some 0.3 ms of a loop.
 MAX_ANSWERS = 16
 TOO_MANY = "too_many_connections"
 UNKNOWN_KEY, REVOKED_KEY, LIST_UNREADABLE = "unknown_key", "revoked_key", "list_unreadable"
@@ -56,7 +56,7 @@ class ZapRequest(NamedTuple):
 
 
 def decode_zap_request(parts: Sequence[bytes]) -> ZapRequest | None:
-    """Decode a ZAP request; return None unless it is a CURVE request of our domain."""
+    """Decode a ZAP request; return None unless it is a CURVE request of `ZAP_DOMAIN`."""
     if len(parts) != 7:
         return None
     version, _, domain, address, _, mechanism, key = parts
@@ -66,7 +66,7 @@ def decode_zap_request(parts: Sequence[bytes]) -> ZapRequest | None:
 
 
 def encode_zap_reply(request: Sequence[bytes], user: str | None) -> list[bytes]:
-    """Encode the reply to a ZAP request: `user` is allowed, None is refused."""
+    """Encode the reply to a ZAP request; a `user` is allowed, None is refused."""
     number = request[1] if len(request) > 1 else b""
     if user is None:
         return [ZAP_VERSION, number, b"400", b"not allowed", b"", b""]
@@ -74,17 +74,17 @@ def encode_zap_reply(request: Sequence[bytes], user: str | None) -> list[bytes]:
 
 
 class Authenticator:
-    """Authentication for all sockets that a context binds; make one before they bind.
+    """Authentication for all sockets that a context binds; create it before they bind.
 
-    With keys, the allow-list decides. Without, every peer may connect. In both cases the number
-    of connections is bounded, so that one peer that connects repeatedly costs the others nothing.
-    most: connections in all; by default as many as this process has files for. Raises KeyFileError
-    where the allow-list cannot be used.
+    With keys, the allow-list decides; without, every peer may connect. In both cases the number of
+    connections is bounded, so that a peer that connects repeatedly does not affect the others.
+    most: greatest number of connections, by default as many as this process may open. Raises
+    KeyFileError where the allow-list cannot be used.
 
     Attributes
     ----------
     sockets : list of zmq.Socket
-        Sockets to wait for, beside the protected ones.
+        Sockets to wait for, besides the protected ones.
     rejected : Counter
         Refusals by cause.
     """
@@ -98,7 +98,7 @@ class Authenticator:
         self._tables: list[ConnectionTable] = []
         self._budget = ConnectionBudget(connections_that_fit() if most is None else most)
         self._named: set[tuple[str, str, bytes]] = set()
-        # By key: the addresses from which it was accepted.
+        # Addresses from which each key was accepted.
         self._addresses: dict[bytes, set[str]] = {}
         self._to_cut: set[str] = set()
         self._keys = keys
@@ -114,7 +114,7 @@ class Authenticator:
             socket.setsockopt(zmq.CURVE_SERVER, 1)
             socket.setsockopt(zmq.CURVE_SECRETKEY, self._keys.own.secret)
             socket.setsockopt(zmq.ZAP_DOMAIN, ZAP_DOMAIN)
-            # Without a ZAP handler, refuse all.
+            # Refuse all peers if there is no ZAP handler.
             socket.setsockopt(zmq.ZAP_ENFORCE_DOMAIN, 1)
         table = ConnectionTable(self._context, socket)
         self._tables.append(table)
@@ -127,7 +127,7 @@ class Authenticator:
         """
         for table in self._tables:
             for cause, address in table.failures():
-                # Without keys none is refused, and a peer that hangs up early is no failure.
+                # Without keys no peer is refused, and an early disconnection is no failure.
                 if self._keys is not None:
                     self._refuse(cause, address)
         for address in self._budget.enforce(self._tables, now_ns):
@@ -145,7 +145,7 @@ class Authenticator:
         if self._to_cut:
             for table in self._tables:
                 table.cut(None if EVERYWHERE in self._to_cut else self._to_cut)
-            # A table that is behind may not list a connection yet that was accepted before.
+            # A table that is behind may not yet list a connection that was accepted earlier.
             if not any(table.behind for table in self._tables):
                 self._to_cut.clear()
 

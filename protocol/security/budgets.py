@@ -1,4 +1,4 @@
-"""Budgets against peers that demand too much: events per second, connections, subscriptions."""
+"""Budgets that bound what peers can use: events per second, connections, subscriptions."""
 
 import logging
 from collections import Counter
@@ -11,19 +11,19 @@ from protocol.security.connection_table import ConnectionTable, cut, network_add
 
 logger = logging.getLogger(__name__)
 
-# A socket accepts no connections while its events cannot be read for so long.
+# A socket whose events could not all be read for this time stops accepting connections.
 BEHIND_NS = 100_000_000
 MAX_CUTS = 32
 SUBSCRIPTION = "subscription"
-# Room for topics that a program of another version may subscribe to.
+# Bytes for subscriptions to topics of other versions.
 FOREIGN_BYTES = 1_000
 MAX_NAMED = 100
 
 
 class TokenBucket:
-    """Bound on how often something may happen: a rate, and a burst above it. Pure.
+    """Bound on the rate of events, with a burst above it. Pure.
 
-    rate_per_s: tokens that come back in a second. burst: most tokens, and tokens at the beginning.
+    rate_per_s: tokens added per second. burst: greatest and initial number of tokens.
     """
 
     def __init__(self, rate_per_s: float, burst: float) -> None:
@@ -32,11 +32,11 @@ class TokenBucket:
         self._now_ns: int | None = None
 
     def change_rate(self, rate_per_s: float) -> None:
-        """Change the rate at which tokens come back, without adding or removing any."""
+        """Change the rate at which tokens are added; the present number stays."""
         self._rate_per_ns = rate_per_s * 1e-9
 
     def take(self, now_ns: int, count: float = 1) -> bool:
-        """Take `count` tokens and return True; take none and return False where fewer are left."""
+        """Take `count` tokens and return True; if fewer are left, take none and return False."""
         if self._now_ns is not None and now_ns > self._now_ns:
             elapsed_ns = now_ns - self._now_ns
             self._tokens = min(self._burst, self._tokens + elapsed_ns * self._rate_per_ns)
@@ -50,13 +50,13 @@ class TokenBucket:
 class ConnectionBudget:
     """Bound on the open connections of several sockets together.
 
-    A stranger who connects again and again must use up neither the process's file descriptors
-    nor its memory nor its loop's time, and earlier connections must stay. So of pending
-    connections, the oldest from the address with most of them are cut; of established ones, the
-    newest from the address with most. One address alone never keeps the others out.
+    A peer that connects repeatedly must not exhaust the process's file descriptors, its memory or
+    its loop's time, and earlier connections must stay. So of pending connections, the oldest from
+    the address with most of them are cut. Of established ones, the newest from the address with
+    most are cut. A single address thus never blocks the others.
 
-    most: connections that may be open. Half of them may be pending (no ZeroMQ handshake yet),
-    three quarters may come from one address.
+    most: greatest number of open connections. Half of them may be pending (no ZeroMQ handshake
+    yet), three quarters may come from one address.
     """
 
     def __init__(self, most: int) -> None:
@@ -66,7 +66,7 @@ class ConnectionBudget:
         self._behind_since_ns: dict[ConnectionTable, int] = {}
 
     def enforce(self, tables: Sequence[ConnectionTable], now_ns: int) -> list[str]:
-        """Cut the connections beyond the budget; return the address of each."""
+        """Cut the connections above the budget; return the address of each."""
         for table in tables:
             if not table.behind:
                 self._behind_since_ns.pop(table, None)
@@ -107,17 +107,17 @@ class ConnectionBudget:
 class SubscriptionBudget:
     """Bound on subscriptions to topics that an XPUB socket of `sockets.bind` does not publish.
 
-    ZeroMQ stores each subscription of each peer, about 50 bytes for each letter, and has no
-    option that bounds them. `sockets.bind` makes it read one short subscription of a connection
-    at a time; here each connection has a budget of bytes, beyond which it is cut and counted in
-    `rejected`. topics: those that are published; b"" for every topic, subscribed to as a whole.
+    ZeroMQ stores each subscription of each peer, about 50 bytes per character, and has no option
+    that bounds them. `sockets.bind` makes it read one short subscription of a connection at a time.
+    Here each connection has a budget of bytes; beyond it, the connection is cut and counted in
+    `rejected`. topics: published topics; b"" stands for a subscription to everything.
     """
 
     def __init__(self, socket: sockets.Socket, topics: Sequence[bytes]) -> None:
         self._socket = socket
         self._topics = topics
         self._named: set[str] = set()
-        # By descriptor: address, and bytes of the budget that are used up.
+        # Address, and used bytes of the budget, by descriptor.
         self._spent: dict[int, tuple[str, int]] = {}
         self.rejected: Counter[str] = Counter()
 

@@ -1,8 +1,8 @@
-"""Connections of peers to a bound socket: which are open, which fail, and cutting one.
+"""Connections of peers to a bound socket: the open ones, the failed ones, and how to cut one.
 
-ZeroMQ reports connections by file descriptor, and has no call that ends one: shutting down its
-descriptor does. Nor has it a call that pauses accepting: a packet filter on the listening socket
-does (docs/decisions/0031-zmq-auth-is-not-enough.md).
+ZeroMQ reports connections by file descriptor. It has no call that ends one, so its descriptor is
+shut down. It has no call that pauses accepting either, so a packet filter is attached to the
+listening socket (docs/decisions/0031-zmq-auth-is-not-enough.md).
 """
 
 import ctypes
@@ -29,11 +29,11 @@ _EVENTS = (
     | zmq.EVENT_DISCONNECTED
     | zmq.EVENT_LISTENING
 )
-# Events that are read in a call: some 0.2 ms of a loop.
+# Number of events read in a call, which takes some 0.2 ms of a loop.
 MAX_EVENTS = 16
 _REFUSED_BY_KEY = "refused by key"
 _order = itertools.count()
-# Closing discards what is queued, so that the peer cannot read it.
+# With this, closing discards queued data, so that the peer cannot read it.
 _NO_LINGER = struct.pack("hh" if os.name == "nt" else "ii", 1, 0)
 # From <asm-generic/socket.h>; a filter of one instruction, BPF_RET 0, which drops every packet.
 _SO_ATTACH_FILTER, _SO_DETACH_FILTER = 26, 27
@@ -43,11 +43,11 @@ _DROP_ALL = ctypes.create_string_buffer(struct.pack("HBBI", 0x06, 0, 0, 0))
 class ConnectionTable:
     """Open connections of one bound socket, by descriptor, with the address of each.
 
-    ZeroMQ does not report which pending connection has succeeded, and not always which has failed:
-    the oldest pending one is assumed. So the counts are right, though not always at once.
+    ZeroMQ does not report which pending connection has succeeded, and not always which has failed;
+    the oldest one is assumed. So counts may be wrong for a moment, but not in the end.
 
     socket: readable when events wait. behind: more events may wait than the last call has read.
-    by_address: counts of open connections, without those that were cut.
+    by_address: counts of open connections that were not cut.
     """
 
     def __init__(self, context: Context, bound: Socket) -> None:
@@ -60,7 +60,7 @@ class ConnectionTable:
         self._paused = False
         self._open: dict[int, str] = {}
         self._cut: set[int] = set()
-        # Descriptor → place in the order of arrival over all tables.
+        # Descriptor → number in the order of arrival, common to all tables.
         self._pending: dict[int, int] = {}
         # Cause of a failure whose disconnection may be the next event.
         self._failure: str | None = None
@@ -96,7 +96,7 @@ class ConnectionTable:
                 self._failure = cause_of(value)
             earlier = None
         self.behind = read == MAX_EVENTS
-        # ZeroMQ keeps a connection whose message could not be opened: no disconnection follows.
+        # ZeroMQ keeps a connection whose message it could not decrypt: no disconnection follows.
         return failures + (self._report("") if earlier is not None else [])
 
     @property
@@ -106,7 +106,7 @@ class ConnectionTable:
 
     @property
     def most_pending(self) -> int:
-        """Upper bound of the number of pending connections, at no cost."""
+        """Upper bound of the number of pending connections, without a search."""
         return len(self._pending)
 
     def pending(self) -> list[tuple[int, int, str]]:
@@ -129,7 +129,7 @@ class ConnectionTable:
                 cut(descriptor, address)
 
     def cut_one(self, descriptor: int) -> None:
-        """Cut one connection. It counts no longer, though ZeroMQ closes it later."""
+        """Cut one connection. It is not counted any more, although ZeroMQ closes it later."""
         address = self._open[descriptor]
         cut(descriptor, address)
         self._cut.add(descriptor)
@@ -138,7 +138,7 @@ class ConnectionTable:
     def pause(self, paused: bool) -> None:
         """Pause or resume accepting connections (TCP on Linux); open connections stay.
 
-        Meanwhile the kernel drops requests to connect, which their senders repeat.
+        During a pause the kernel drops requests to connect, which their senders repeat.
         """
         if paused == self._paused or sys.platform != "linux":
             return
@@ -153,7 +153,7 @@ class ConnectionTable:
                 listening.setsockopt(plain.SOL_SOCKET, option, value)
 
     def _end(self, descriptor: int) -> list[tuple[str, str]]:
-        """Remove a connection that has ended; return the failure, if that is why."""
+        """Remove a connection that has ended; return its failure, if any."""
         address = self._forget(descriptor)
         if self._failure is None:
             if descriptor not in self._pending:
@@ -180,7 +180,7 @@ class ConnectionTable:
         return [] if cause in (None, _REFUSED_BY_KEY) else [(cause, address)]
 
     def _settle(self, descriptor: int | None = None) -> None:
-        """End the pending state of a connection; of the oldest, if it is not known which."""
+        """End the pending state of a connection; of the oldest one if None is given."""
         if descriptor not in self._pending:
             descriptor = next(iter(self._pending), None)
         if descriptor is not None:
@@ -188,7 +188,7 @@ class ConnectionTable:
 
 
 def network_address(address: str) -> str:
-    """Return an IP address as it is, and "" for the user and process that ZeroMQ gives over ipc."""
+    """Return an IP address unchanged, and "" for the user and process that ipc has instead."""
     with suppress(ValueError):
         ipaddress.ip_address(address)
         return address
@@ -196,10 +196,10 @@ def network_address(address: str) -> str:
 
 
 def cut(descriptor: int, address: str) -> None:
-    """End the connection of a descriptor that ZeroMQ owns; ZeroMQ notices, and closes it.
+    """Shut down the connection of a descriptor that ZeroMQ owns; ZeroMQ then closes it.
 
-    Nothing is done unless the peer's address is still `address` ("" over ipc): the number may have
-    been given to another connection.
+    It does nothing unless the peer's address is still `address` ("" over ipc), since the number may
+    belong to another connection by now.
     """
     with suppress(OSError), _socket_of(descriptor) as connection:
         if _address_of(descriptor) == address:

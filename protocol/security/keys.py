@@ -1,9 +1,9 @@
 """Key files: the identity of a node, and of its peers.
 
-A secret key is a file of one line that only its owner may read; its public key is a
-file of one line to mail or paste. The keys are CurveZMQ's (RFC 26): 32 bytes each, the public one
-computed from the secret one. `zmq.auth` has key files too, without a name, a mode or a check that
-the halves match (docs/decisions/0031-zmq-auth-is-not-enough.md).
+A secret key is a file of one line that only its owner may read. Its public key is a file of one
+line that may be sent to anybody. The keys are those of CurveZMQ (RFC 26): 32 bytes each, the public
+one computed from the secret one. The key files of `zmq.auth` have no name, no mode and no check
+that the halves match (docs/decisions/0031-zmq-auth-is-not-enough.md).
 """
 
 import os
@@ -21,7 +21,7 @@ from protocol.errors import KeyFileError
 SECRET, PUBLIC = "telepulse-secret-key", "telepulse-public-key"
 KEY_BYTES = 32
 OWNER_ONLY, READ_BY_ALL, FOLDER = 0o600, 0o644, 0o700
-# Far more than one line needs; a wrong file is not read to its end.
+# Longest file that is read; a key's line is far shorter.
 MAX_KEY_FILE_BYTES = 4096
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}")
 _HEX = re.compile(r"[0-9A-Fa-f]{64}")
@@ -42,7 +42,7 @@ class PublicKey:
 
 @dataclass(frozen=True, slots=True)
 class KeyPair:
-    """Key pair of a node; `secret`, 32 bytes, proves its identity."""
+    """Key pair of a node; `secret` (32 bytes) proves its identity."""
 
     name: str
     secret: bytes = field(repr=False)
@@ -55,7 +55,7 @@ class KeyPair:
 
 @dataclass(frozen=True, slots=True)
 class ServerKeys:
-    """Keys of a node that binds: its own pair, and its allow-list's file."""
+    """Keys of a node that binds: its own pair, and the file of its allow-list."""
 
     own: KeyPair
     allowed: Path
@@ -69,7 +69,7 @@ class ClientKeys:
     peer: PublicKey
 
     def protect(self, socket: "zmq.Socket[bytes]") -> None:
-        """Encrypt for the peer alone; call this before `socket` connects."""
+        """Make `socket` connect only to the peer, encrypted; call this before it connects."""
         socket.setsockopt(zmq.CURVE_SECRETKEY, self.own.secret)
         socket.setsockopt(zmq.CURVE_PUBLICKEY, self.own.public.key)
         socket.setsockopt(zmq.CURVE_SERVERKEY, self.peer.key)
@@ -107,7 +107,7 @@ def new_pair(folder: Path, name: str) -> tuple[Path, Path]:
 def create(path: Path, text: str, mode: int) -> None:
     """Write a new file that has its `mode` from the first byte on. Raises KeyFileError.
 
-    A file that cannot be written to its end is removed.
+    A file that cannot be written completely is removed.
     """
     try:
         number = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, mode)
@@ -162,7 +162,7 @@ def read_text(path: Path, limit_bytes: int = MAX_KEY_FILE_BYTES) -> tuple[str, i
 
 
 def parse_public(line: str) -> PublicKey:
-    """Parse a public key's line. Raises ValueError, without the line: it may hold a secret."""
+    """Parse a public key's line. Raises ValueError without the line, which may be a secret key."""
     kind, name, key = _words(line)
     if kind != PUBLIC:
         raise ValueError("a secret key, which never leaves its machine")

@@ -1,4 +1,4 @@
-"""Connection events of a ZeroMQ socket, and why a connection to another node fails."""
+"""Connection events of a ZeroMQ socket, and the causes of failed connections to another node."""
 
 import itertools
 import logging
@@ -21,13 +21,13 @@ _CAUSES: dict[int, str] = {
     zmq.PROTOCOL_ERROR_ZMTP_INVALID_SEQUENCE: REPLAYED,
 }
 FAILURES = zmq.EVENT_HANDSHAKE_FAILED_PROTOCOL | zmq.EVENT_HANDSHAKE_FAILED_NO_DETAIL
-# Event and value. `zmq.utils.monitor` makes enumerations of both, a descriptor too: 40 µs for a new
-# one (docs/decisions/0031-zmq-auth-is-not-enough.md).
+# Event and value. `zmq.utils.monitor` turns both into enumerations, even a descriptor, which takes
+# 40 µs for a new value (docs/decisions/0031-zmq-auth-is-not-enough.md).
 _EVENT = struct.Struct("=HI")
 MAX_EVENTS = 200
 _numbers = itertools.count()
 POLL_EVERY_NS = 10_000_000
-# A node that shuts down also breaks the handshake; repeated breaks have another reason.
+# Number of broken handshakes that is reported; a node that shuts down breaks one or two.
 REPEATED_BREAKS = 3
 _HANDSHAKE_EVENTS = (
     zmq.EVENT_CONNECTED | zmq.EVENT_HANDSHAKE_SUCCEEDED | zmq.EVENT_HANDSHAKE_FAILED_AUTH | FAILURES
@@ -35,7 +35,7 @@ _HANDSHAKE_EVENTS = (
 
 
 class SocketMonitor:
-    """Monitor of chosen events on one socket, from before it binds or connects.
+    """Monitor of chosen events on one socket; create it before the socket binds or connects.
 
     socket: readable when events wait.
     """
@@ -45,15 +45,15 @@ class SocketMonitor:
         watched.monitor(endpoint, events)
         self.socket = context.socket(zmq.PAIR)
         self.socket.setsockopt(zmq.LINGER, 0)
-        # At its high-water mark ZeroMQ's thread waits for a reader, and with it all connections.
-        # `Socket.get_monitor_socket` leaves the default mark of 1000.
+        # No high-water mark: at one, ZeroMQ's thread would wait for a reader, and block all
+        # connections. `Socket.get_monitor_socket` leaves the default of 1000.
         self.socket.setsockopt(zmq.RCVHWM, 0)
         self.socket.connect(endpoint)
 
     def events(self, most: int = MAX_EVENTS) -> Iterator[tuple[int, int, str]]:
         """Yield event, value and endpoint of up to `most` waiting events.
 
-        Bounded: a peer that connects as fast as it can would otherwise keep a loop here for good.
+        The bound ensures that a peer that connects repeatedly cannot hold a loop here.
         """
         for head, endpoint in receive_multipart(self.socket, most):
             event, value = _EVENT.unpack(head)
@@ -61,9 +61,9 @@ class SocketMonitor:
 
 
 def cause_of(value: int) -> str:
-    """Return the cause that one of `FAILURES` is counted under, by the event's value.
+    """Return the cause of an event in `FAILURES`, from its value.
 
-    ZeroMQ reports a message that cannot be opened as a handshake that fails.
+    ZeroMQ also reports a message that it cannot decrypt as a failed handshake.
     """
     return _CAUSES.get(value, HANDSHAKE)
 
@@ -71,7 +71,7 @@ def cause_of(value: int) -> str:
 class HandshakeMonitor:
     """Monitor of connecting sockets: counts failed handshakes and reports each reason once.
 
-    ZeroMQ itself retries for ever without a report. rejected: failed handshakes by cause.
+    ZeroMQ itself retries without end and reports nothing. rejected: failed handshakes by cause.
     """
 
     def __init__(self, context: Context, keys: ClientKeys | None) -> None:
@@ -79,7 +79,7 @@ class HandshakeMonitor:
         self._keys = keys
         self._monitors: list[tuple[Socket, SocketMonitor]] = []
         self._breaks: Counter[str] = Counter()
-        # Hosts that have accepted our key: one that refuses it later has revoked it.
+        # Hosts that have accepted this node's key; a later refusal is a revocation.
         self._accepted_by: set[str] = set()
         self._reported: set[tuple[str, str]] = set()
         self._poll_ns = 0
@@ -92,7 +92,7 @@ class HandshakeMonitor:
     def poll(self, now_ns: int) -> list[Socket]:
         """Read the waiting events; call it often.
 
-        Returns the sockets whose request to connect a host has answered, whatever comes of it.
+        Returns the sockets whose request to connect a host has answered, even with a refusal later.
         """
         if now_ns < self._poll_ns:
             return []
@@ -107,7 +107,7 @@ class HandshakeMonitor:
         return answered
 
     def _count(self, event: int, value: int, endpoint: str) -> None:
-        # Without the port: data and control of a node fail for one reason.
+        # Without the port, since data and control of a node fail for the same reason.
         host = endpoint.rpartition(":")[0]
         if event == zmq.EVENT_HANDSHAKE_SUCCEEDED:
             self._breaks[host] = 0
