@@ -1,12 +1,12 @@
-"""The compact framing of a sensor board: COBS, a sample counter, the device's time, a CRC.
+"""Binary frames of a sensor board: COBS, a sample counter, the device's time, a CRC.
 
-A frame between two zero bytes is, before COBS and in little-endian order:
+Before COBS, a frame between two zero bytes is, in little-endian order:
 
     format 1 byte | counter 4 | time 4 | samples | CRC 2
 
 format: 0x11 int16, 0x12 int32, 0x13 float32. counter: number of the first sample. time: the
-device's micros() at the last sample. CRC: CRC-16/CCITT-FALSE of all before it. Counter and time
-wrap to 0 after 2^32. At most `MAX_SAMPLES` samples a frame.
+device's micros() at the last sample. CRC: CRC-16/CCITT-FALSE of all bytes before it. Counter and
+time wrap to 0 after 2^32. A frame has at most `MAX_SAMPLES` samples.
 """
 
 import binascii
@@ -29,7 +29,7 @@ _CODES: dict[SampleFormat, int] = {"int16": 0x11, "int32": 0x12, "float32": 0x13
 _DTYPES = {code: np.dtype(name).newbyteorder("<") for name, code in _CODES.items()}
 _HEAD = struct.Struct("<BII")
 _CRC_BYTES = 2
-# COBS adds one byte in 254, and one.
+# COBS adds one byte, and one more for each 254 bytes.
 MAX_ENCODED_BYTES = (_HEAD.size + 4 * MAX_SAMPLES + _CRC_BYTES) * 255 // 254 + 1
 
 
@@ -64,10 +64,10 @@ class FrameEncoder:
 
 
 class FrameDecoder:
-    """Decoder of a board's frames, however their bytes are cut. Pure.
+    """Decoder of a board's frames, from chunks of any size. Pure.
 
-    Noise costs the frame that it touches; if it hides the zero byte between two, the next one
-    too. Bytes before the first zero byte may be the end of a frame that was not received whole.
+    Noise costs the frame that it corrupts; if it hits the zero byte between two frames, both are
+    lost. Bytes before the first zero byte may be the end of a partly received frame.
 
     Parameters
     ----------
@@ -87,14 +87,14 @@ class FrameDecoder:
         self.reset()
 
     def reset(self) -> None:
-        """Forget the stream so far, as after the cable was unplugged."""
+        """Start anew with the next bytes, for example after the cable was unplugged."""
         self._buffer = b""
         self._skipping = self._synchronised = False
         self._time = DeviceTime()
         self._counter = SampleCounter(1 << 32, self._period_ns)
 
     def feed(self, data: bytes) -> list[SampleBlock]:
-        """Return the blocks that end in these bytes."""
+        """Return the blocks that these bytes complete."""
         *whole, rest = (self._buffer + data).split(b"\0")
         blocks = []
         for encoded in whole:
@@ -139,5 +139,5 @@ class FrameDecoder:
 
 
 def crc(data: bytes) -> int:
-    """Return the CRC-16/CCITT-FALSE: polynomial 0x1021, from 0xFFFF on, not reflected."""
+    """Return the CRC-16/CCITT-FALSE: polynomial 0x1021, initial value 0xFFFF, not reflected."""
     return binascii.crc_hqx(data, 0xFFFF)

@@ -1,4 +1,4 @@
-"""A sensor on a CAN bus: a signal of a DBC database, through any interface of python-can."""
+"""A sensor on a CAN bus: a signal of a DBC database, over any interface of python-can."""
 
 from collections import Counter
 from collections.abc import Iterable
@@ -22,10 +22,10 @@ WAIT_S = 0.1
 class CanScene(SensorTable):
     """The `source` table of kind "can".
 
-    interface, channel, bitrate: python-can's; options: what else the interface takes. database:
-    a .dbc (or another kind that cantools reads), from the scene's folder; signal: the force's
-    name in it; counter: of a signal that counts samples, if there is one; message: needed when
-    several messages have the signal.
+    interface, channel, bitrate: those of python-can. options: further settings of the interface.
+    database: a .dbc (or another kind that cantools reads), relative to the scene's folder. signal:
+    name of the force in it. counter: name of a signal that counts samples, if there is one.
+    message: name of the message, required when several messages have the signal.
     """
 
     kind: Literal["can"]
@@ -40,7 +40,7 @@ class CanScene(SensorTable):
 
 
 class CanBus:
-    """Port to the messages of one id; see `pulse_sensors.sensor.Port`."""
+    """Port that receives the messages of one id; see `pulse_sensors.sensor.Port`."""
 
     def __init__(self, scene: CanScene, frame_id: int, extended: bool) -> None:
         self.name = f"{scene.interface} {scene.channel}"
@@ -55,16 +55,16 @@ class CanBus:
 
     def open(self) -> None:
         """Open the bus. Raises SourceError when it cannot be used."""
-        # The import takes 0.1 s, which scenes without CAN save.
+        # Imported here, since it takes 0.1 s, which scenes without CAN save.
         import can
 
         try:
             self._bus = can.Bus(**self._settings)
-        except Exception as error:  # each interface raises what its driver does
+        except Exception as error:  # each interface raises its driver's errors
             raise SourceError(f"{self.name}: cannot be opened: {error}") from None
 
     def read(self) -> "can.Message | None":
-        """Return the next message; None after 0.1 s without one. Raises when the bus is gone."""
+        """Return the next message; None after 0.1 s without one. Raises if the bus is gone."""
         message: can.Message | None = self._bus.recv(WAIT_S)
         return message
 
@@ -76,10 +76,10 @@ class CanBus:
 
 
 class CanDecoder:
-    """Decoder of a signal's values; their time is the interface's.
+    """Decoder of a signal's values; their times are those of the interface.
 
-    `folder` is the scene file's. Raises SourceError for a database that cannot be read or does not
-    fit the scene. frame_id, extended: of the message that carries the signal.
+    folder: folder of the scene's file. frame_id, extended: id and kind of the message with the
+    signal. Raises SourceError if the database cannot be read or does not fit the scene.
     """
 
     def __init__(self, scene: CanScene, folder: Path) -> None:
@@ -89,7 +89,7 @@ class CanDecoder:
             database = database_library.load_file(path)
         except FileNotFoundError:
             raise SourceError(f"{path}: no such database") from None
-        except Exception as error:  # damaged, it raises whatever its parsers stumble over
+        except Exception as error:  # parsers raise many kinds for a damaged file
             reason = (str(error).splitlines() or [type(error).__name__])[0]
             raise SourceError(f"{path}: cannot be read: {reason:.200}") from None
         self._message = _find_message(scene, path, database.messages)
@@ -112,12 +112,12 @@ class CanDecoder:
         self.reset()
 
     def reset(self) -> None:
-        """Forget the stream so far, as after the bus was gone."""
+        """Start anew with the next message, for example after the bus was gone."""
         self._last_ns: int | None = None
         self._counter = SampleCounter(self._modulus, self._period_ns)
 
     def feed(self, message: "can.Message") -> list[SampleBlock]:
-        """Return the block in a message; none where a multiplexed message has another signal."""
+        """Return the block in a message; none if a multiplexed message has another signal."""
         if message.is_error_frame:
             return self._reject("bus_error")
         try:

@@ -1,4 +1,4 @@
-"""Scale from a sensor's unit to newtons, and the keys of it that tables of sensors share."""
+"""Scale from a sensor's unit to newtons, and the keys for it that all sensor tables have."""
 
 from collections.abc import Mapping
 from typing import Annotated, Literal, Self
@@ -11,10 +11,10 @@ from protocol.config.quantities import Hertz, Metres, Newtons, Volts, VoltsPerNe
 from protocol.config.scene import Section
 from protocol.tactile import FIG_4_VOLTS_PER_NEWTON, Calibration, Film
 
-# Units of a scene, in N and in V.
+# Units that a scene may use, in N and in V.
 FORCES = {"N": 1.0, "mN": 1e-3}
 VOLTAGES = {"V": 1.0, "mV": 1e-3}
-# The keys that belong to some units only, in the order of their check.
+# Keys that are valid with some units only, in the order of their check.
 UNITS_OF: Mapping[str, tuple[str, ...]] = {
     **dict.fromkeys(("film_radius", "offset", "sensitivity"), tuple(VOLTAGES)),
     **dict.fromkeys(("newtons_per_count", "zero"), ("counts",)),
@@ -23,7 +23,10 @@ UNITS_OF: Mapping[str, tuple[str, ...]] = {
 
 
 class SensitivityTable(Section):
-    """Base of tables with a film: sensitivity, as Fig. 4's 44 mV/N, or film_radius, by eq 21."""
+    """Base of tables with a film: sensitivity (Fig. 4: 44 mV/N), or film_radius with eq 21.
+
+    Figures and equations are those of Dargahi et al. (2008).
+    """
 
     sensitivity_v_per_n: Annotated[VoltsPerNewton, Field(ge=1e-6, le=1e6)] | None = None
     film_radius_m: Annotated[Metres, Field(ge=1e-6, le=1)] | None = None
@@ -40,13 +43,13 @@ class SensitivityTable(Section):
         return self
 
     def refuse_keys_beside(self, unit: str) -> None:
-        """Raise ValueError for a given key that means nothing in a unit."""
+        """Raise ValueError for a given key that is not valid with a unit."""
         for key, units in UNITS_OF.items():
             if key in self.given and unit not in units:
                 raise ValueError(f'{key} is for unit {" or ".join(units)}, not "{unit}"')
 
     def calibration(self, offset_volts: float = 0.0) -> Calibration:
-        """Return the line from newtons to volts, by Fig. 4 where the scene sets nothing."""
+        """Return the line from newtons to volts, by default that of Fig. 4."""
         if self.film_radius_m is not None:
             return Calibration(Film(self.film_radius_m).volts_per_newton, offset_volts)
         return Calibration(self.sensitivity_v_per_n or FIG_4_VOLTS_PER_NEWTON, offset_volts)
@@ -55,10 +58,10 @@ class SensitivityTable(Section):
 class SensorTable(SensitivityTable):
     """The keys common to the tables of all live sensors.
 
-    rate: samples a second, nominally; the true one is measured. unit: N or mN as they are; V or
-    mV by the film's calibration: sensitivity (Fig. 4: 44 mV/N) or film_radius (eq 21), with
-    `offset` at no force; counts by newtons_per_count, with `zero` at no force. preload is added:
-    a film cannot tell a static force.
+    rate: nominal samples a second; the true rate is measured. unit: N or mN are used unchanged. V
+    or mV are converted by the film's calibration, sensitivity or film_radius, with `offset` as the
+    voltage at no force. Counts are converted by newtons_per_count, with `zero` at no force.
+    preload: added force, because a film does not measure a static force.
     """
 
     rate_hz: Annotated[Hertz, Field(ge=1, le=20_000)]

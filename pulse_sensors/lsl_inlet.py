@@ -14,12 +14,12 @@ from pulse_sensors.samples import SampleBlock, one_channel
 RESOLVE_S = 3.0
 WAIT_S = 0.1
 BUFFER_S = 10
-# More than any clock shows, whatever year it counts from.
+# Largest valid time; no clock shows more, whatever its epoch.
 LARGEST_TIME_S = 1e10
 
 
 class LslScene(SensorTable):
-    """The `source` table of kind "lsl": the stream's name, and which of its channels, from 0."""
+    """The `source` table of kind "lsl": name of the stream, and number of the channel from 0."""
 
     kind: Literal["lsl"]
     stream: Annotated[str, Field(min_length=1)]
@@ -27,7 +27,7 @@ class LslScene(SensorTable):
 
 
 class Chunk(NamedTuple):
-    """Samples as an inlet gives them: a list of values each, and their times in s."""
+    """Samples as an inlet returns them: a list of values for each, and their times in s."""
 
     samples: list[list[float]]
     times_s: list[float]
@@ -36,7 +36,7 @@ class Chunk(NamedTuple):
 class LslInlet:
     """Port to one stream, found by its name; see `pulse_sensors.sensor.Port`.
 
-    Raises SourceError without the pylsl package, or the library that it loads.
+    Raises SourceError without the pylsl package, or without the library that pylsl loads.
     """
 
     def __init__(self, scene: LslScene) -> None:
@@ -46,7 +46,7 @@ class LslInlet:
         self._inlet: Any = None
 
     def open(self) -> None:
-        """Find the stream. Raises SourceError when it, its channel or its rate is not there."""
+        """Find the stream. Raises SourceError if stream or channel is missing or does not fit."""
         found = self._lsl.resolve_byprop("name", self._scene.stream, 1, RESOLVE_S)
         if not found:
             raise SourceError(f"{self.name}: not found within {RESOLVE_S:g} s")
@@ -61,7 +61,7 @@ class LslInlet:
         self._inlet = self._lsl.StreamInlet(info, max_buflen=BUFFER_S, recover=False)
 
     def read(self) -> Chunk | None:
-        """Return what has come, or None after 0.1 s. Raises when the stream is lost."""
+        """Return the waiting samples; None after 0.1 s. Raises if the stream is lost."""
         first, time_s = self._inlet.pull_sample(timeout=WAIT_S)
         if first is None:
             return None
@@ -76,7 +76,7 @@ class LslInlet:
 
 
 class LslDecoder:
-    """Decoder of one channel of chunks; their time is the sending host's LSL clock."""
+    """Decoder of one channel of chunks; their times are on the sending host's LSL clock."""
 
     def __init__(self, channel: int) -> None:
         self._channel = channel
@@ -84,13 +84,13 @@ class LslDecoder:
         self.reset()
 
     def reset(self) -> None:
-        """Forget the stream so far, as after it was lost: another host may send it now."""
+        """Start anew, for example after the stream was lost: another host may send it now."""
         self._restarted = True
         self._unreadable = 0
 
     def feed(self, chunk: Chunk) -> list[SampleBlock]:
-        """Return the chunk as one block, or as several around samples that are no numbers."""
-        # Of each run of usable samples: values, last time, missing.
+        """Return the chunk as one block, or as several if unusable samples interrupt it."""
+        # For each run of usable samples: values, last time, missing.
         runs: list[tuple[list[float], float, int]] = []
         for sample, time_s in zip(chunk.samples, chunk.times_s, strict=True):
             value = sample[self._channel]

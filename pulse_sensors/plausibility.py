@@ -1,10 +1,10 @@
-"""The one place that decides whether a reading can be true.
+"""Plausibility of readings: all checks whether they can be true.
 
 - A decoder's number: `is_usable`.
-- What a device states of itself: `unit_contradiction`, `rate_contradiction`.
+- Unit and rate that a device states: `unit_contradiction`, `rate_contradiction`.
 - The rate of a live sensor: `RateCheck`.
-- A recording, which is known whole when it is opened: `constant_column`, `examine`.
-- Forces that are known only when they come: `SampleCheck`.
+- A recording, which is completely known when it is opened: `constant_column`, `examine`.
+- Forces of a running source: `SampleCheck`.
 
 All forces are in N. Pure.
 """
@@ -23,28 +23,28 @@ from pulse_sensors.force_scale import FORCES, VOLTAGES
 
 logger = logging.getLogger(__name__)
 
-# In every unit of a sensor, a larger value is a force that no frame can carry.
+# Largest value in any unit of a sensor; larger ones are forces that no frame can hold.
 LARGEST = 1e30
-# Twice the highest `preload` and `peak_to_peak`: no pulse presses so, at a wrist or a finger.
+# Greatest force of a pulse, at a wrist or a finger: twice the highest `preload` or `peak_to_peak`.
 MOST_N = 20.0
-# A pulse lower than this from peak to peak is far below what a finger feels.
+# Smallest peak-to-peak force of a pulse, far below what a finger feels.
 LEAST_PULSE_N = 1e-3
-# Below 0 N by no more than this is rounding and noise.
+# Forces less than this below 0 N are rounding and noise.
 NEGLIGIBLE_N = 1e-3
-# Up to this share below 0 N may be intended: noise, a base line that drifts.
+# Greatest share of samples below 0 N that may be intended: noise, a drifting base line.
 MOST_BELOW = 0.1
-# A pulse whose height varies is at its very highest value for less; one that was cut is not.
+# Greatest share of samples at the very highest value, unless the pulse was clipped.
 MOST_TOPMOST = 0.02
 # Values that differ by less are equal, and cannot be scaled.
 SMALLEST = 1e-100
-# Fewer samples may rise by chance, and are too few for a rate.
+# Least number of samples for a check: fewer may rise by chance, and are too few for a rate.
 FEW_SAMPLES = 16
 RATE_TOLERANCE = 0.02
-# A rate that a stream declares is often rounded.
+# Tolerance of a rate that a stream declares, which is often rounded.
 DECLARED_RATE_TOLERANCE = 0.1
 # Range of the time between two samples.
 SHORTEST_S, LONGEST_S = 1e-7, 1e3
-# A step between two times is a gap from so many ordinary ones on.
+# A longer step between two times than this multiple of the usual one is a gap.
 GAP_STEPS = 5
 SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 _UNIT = re.compile(r"(?:^|[\s_(\[,])(s|sec|seconds|ms|us|µs|ns)[)\]]?$", re.IGNORECASE)
@@ -53,14 +53,14 @@ SETTLED_S, STILL_S = 2.0, 5.0
 
 
 def is_usable(value: float) -> bool:
-    """Return whether a value, in any unit, is a number whose force a frame can carry."""
+    """Return whether a value, in any unit, is a number whose force a frame can hold."""
     return abs(value) <= LARGEST
 
 
 def unit_contradiction(stated: str | None, unit: str) -> str | None:
-    """Return that a device states another unit than the scene, and what to set; else None.
+    """Return the contradiction of a device's stated unit to the scene's, and advice; or None.
 
-    Counts are not compared: their scale is a calibration of its own.
+    Counts are not compared, since the scene has their scale.
     """
     known = FORCES | VOLTAGES
     if stated not in known or unit not in known or stated == unit:
@@ -69,7 +69,7 @@ def unit_contradiction(stated: str | None, unit: str) -> str | None:
 
 
 def rate_contradiction(stated_hz: float, rate_hz: float) -> str | None:
-    """Return that a stream declares another rate than the scene, 0 Hz being none; else None."""
+    """Return the contradiction of a stream's stated rate (0 Hz: none) to the scene's, or None."""
     if not stated_hz or abs(rate_hz / stated_hz - 1) <= DECLARED_RATE_TOLERANCE:
         return None
     return f"its rate is {stated_hz:g} Hz, the scene says {rate_hz:g}"
@@ -81,13 +81,13 @@ class RateCheck:
     def __init__(self, nominal_hz: float) -> None:
         self._nominal_hz = self._measured_hz = nominal_hz
         self._samples = self._arrived_ns = 0
-        # Samples and time from which on the measured rate has differed from the nominal one.
+        # Samples and time since which the measured rate differs from the nominal one.
         self._off_since: tuple[int, int] | None = None
 
     def add(self, samples: int, arrival_ns: int, measured_hz: float, whole: bool) -> None:
-        """Take the count of all samples so far, and the rate as they arrived.
+        """Take the number of all samples so far, and their measured rate.
 
-        whole: no sample is missing right before the last ones.
+        whole: no sample is missing right before the newest ones.
         """
         self._samples, self._arrived_ns, self._measured_hz = samples, arrival_ns, measured_hz
         if not self._is_off:
@@ -96,19 +96,19 @@ class RateCheck:
             self._off_since = (samples, arrival_ns)
 
     def fault(self, name: str) -> str | None:
-        """Return that the last measured rate is not the nominal one, once it can be known."""
+        """Return the fault of a wrong measured rate, once that has settled; or None."""
         settled = self._samples > SETTLED_S * self._nominal_hz
         return self._text(name, self._measured_hz) if settled and self._is_off else None
 
     def lasting_fault(self, name: str) -> str | None:
-        """Return that the rate has not been the nominal one for 2 s."""
+        """Return the fault of a rate that has been wrong for 2 s, or None."""
         if self._off_since is None:
             return None
         first, since_ns = self._off_since
         count, span_ns = self._samples - first, self._arrived_ns - since_ns
         if count <= SETTLED_S * self._nominal_hz or span_ns <= 0:
             return None
-        # Counted: far off the nominal rate, the measured one takes longer than this to settle.
+        # The rate is counted, because a measured one that is far off takes longer to settle.
         return self._text(name, count * 1e9 / span_ns)
 
     @property
@@ -124,9 +124,9 @@ class RateCheck:
 class RecordedColumn:
     """One column of a recording's file.
 
-    values: in the file's unit, shape (samples,). number: its place, from 0. name: empty where the
-    file has none. others: names of the other columns. rising: columns beside it whose values never
-    fall, as times do not, by name or number.
+    values: samples in the file's unit, shape (samples,). number: its index from 0. name: empty if
+    the file has no names. others: names of the other columns. rising: other columns whose values
+    never fall, like times, by name or number.
     """
 
     values: NDArray[np.float64]
@@ -142,7 +142,7 @@ class RecordedColumn:
 
 
 def unusable_values(values: NDArray[np.float64]) -> str | None:
-    """Return why the values of a file are not samples of a signal; None where they are."""
+    """Return the reason why a file's values are not samples of a signal, or None."""
     if len(values) < 2:
         return f"number of samples is {len(values)}; it must be 2 or more"
     bad = np.flatnonzero(~(np.abs(values) <= LARGEST))
@@ -154,7 +154,7 @@ def unusable_values(values: NDArray[np.float64]) -> str | None:
 
 
 def constant_column(column: RecordedColumn) -> str | None:
-    """Return that a column has one value alone; None where it has more."""
+    """Return the fault of a column whose values are all equal, or None."""
     if np.ptp(column.values) >= SMALLEST:
         return None
     return f"{column.title}: all values are equal, {column.values[0]:g}; it has no pulse"
@@ -168,9 +168,9 @@ def examine(
     Returns
     -------
     refusal : str or None
-        Why they cannot be a pulse's, and what to set.
+        Reason why they cannot be a pulse, and advice.
     warnings : list of str
-        What is doubtful about them, where they are not refused.
+        Doubtful properties of forces that are not refused.
     """
     refusal = (
         constant_column(column)
@@ -184,10 +184,10 @@ def examine(
 
 
 def _refuse_times(column: RecordedColumn) -> str | None:
-    """Return that a column only rises, as times do, and what to set."""
+    """Return the fault of a column that only rises, as times do, and advice; or None."""
     values = column.values
     steps = np.diff(values)
-    # Times rounded to whole seconds, say, seldom rise; so does a force that steps.
+    # Few steps rise in times that are rounded, for example to seconds, and in a force with steps.
     often = np.count_nonzero(steps) >= len(steps) / 2 or _TIME_NAME.search(column.name)
     if len(values) < FEW_SAMPLES or not often or not np.all(steps >= 0):
         return None
@@ -199,9 +199,9 @@ def _refuse_times(column: RecordedColumn) -> str | None:
 
 
 def _refuse_rate(column: RecordedColumn, rate_hz: float) -> str | None:
-    """Return how the file's own times contradict the scene's rate.
+    """Return the contradiction of the file's own times to the scene's rate, or None.
 
-    Where the name of a column does not state the unit, the one that comes closest is assumed.
+    If the name of a column does not state the unit, the one that fits best is assumed.
     """
     for name, step, _, rounding in _time_columns(column):
         found = _UNIT.search(name)
@@ -211,7 +211,7 @@ def _refuse_rate(column: RecordedColumn, rate_hz: float) -> str | None:
         if not rates_hz:
             continue
         own_hz = min(rates_hz, key=lambda own: abs(math.log(own / rate_hz)))
-        # Rounded times, to whole seconds say, determine the rate no better than this.
+        # Rounded times, for example in whole seconds, determine the rate only within `rounding`.
         if abs(own_hz / rate_hz - 1) <= RATE_TOLERANCE + rounding:
             return None
         return (
@@ -231,10 +231,10 @@ def _warn_of_gaps(column: RecordedColumn) -> Iterator[str]:
 
 
 def _time_columns(column: RecordedColumn) -> Iterator[tuple[str, float, int, float]]:
-    """Yield the columns that hold times, by their name or their even steps.
+    """Yield the columns that are times by their name or their even steps.
 
-    Each has its name, its mean step without gaps, the number of gaps, and the usual step as a
-    share of the whole time. Steps of exactly 1 may as well number the samples.
+    Yields name, mean step without gaps, number of gaps, and the usual step as a share of the whole
+    time. Columns with steps of exactly 1 are left out, as they may number the samples.
     """
     for name, times in column.rising.items():
         steps = np.diff(times)
@@ -252,7 +252,7 @@ def _time_columns(column: RecordedColumn) -> Iterator[tuple[str, float, int, flo
 
 
 def _refuse_forces(force_n: NDArray[np.float64], unit: str, rest_n: float) -> str | None:
-    """Return why forces cannot be a pulse's, and which key to set."""
+    """Return the reason why forces cannot be a pulse, and the key to set; or None."""
     lowest_n, highest_n = float(force_n.min()), float(force_n.max())
     largest_n = max(-lowest_n, highest_n)
     if largest_n > MOST_N:
@@ -293,12 +293,12 @@ def _share_below(force_n: NDArray[np.float64]) -> float:
 
 
 def _preload(needed_n: float) -> float:
-    """Return a preload that suffices, in whole steps of 50 mN."""
+    """Return a sufficient preload, in whole steps of 50 mN."""
     return round(math.ceil(needed_n / 0.05) * 0.05, 2)
 
 
 class SampleCheck:
-    """Count of samples that cannot be a pulse's; the first of each kind is logged."""
+    """Count of implausible samples of a pulse; the first of each kind is logged."""
 
     def __init__(self, period_ns: int) -> None:
         self._period_s = period_ns * 1e-9
@@ -313,7 +313,7 @@ class SampleCheck:
             return
         lowest_n, highest_n = float(values.min()), float(values.max())
         self._samples += len(values)
-        # Each condition also holds for NaN.
+        # Both conditions are also true for NaN.
         if not -MOST_N <= lowest_n <= highest_n <= MOST_N:
             self._beyond += int(np.count_nonzero(~(np.abs(values) <= MOST_N).all(axis=1)))
         if not lowest_n >= -NEGLIGIBLE_N:
@@ -328,7 +328,7 @@ class SampleCheck:
                 logger.warning(fault)
 
     def faults(self) -> list[str]:
-        """Return what was implausible so far, one line each."""
+        """Return the faults so far, one line each."""
         return [fault for _, fault in self._faults()]
 
     def _faults(self) -> Iterator[tuple[str, str]]:

@@ -1,8 +1,8 @@
-"""Samples of a live sensor on their way from a decoder to the host's clock.
+"""Samples of a live sensor: from decoded blocks to forces at times on the host's clock.
 
-A decoder makes `SampleBlock`s of a device's bytes. `DeviceTime` and `SampleCounter` follow the
-numbers that the device sends, `Timeline` finds an even time for every sample, and `Timestamper`
-converts whole blocks.
+A decoder makes `SampleBlock`s from a device's bytes. `DeviceTime` and `SampleCounter` follow the
+device's time and sample count, `Timeline` computes evenly spaced times, and `Timestamper` converts
+whole blocks.
 """
 
 import math
@@ -20,21 +20,21 @@ from pulse_sensors.plausibility import RateCheck
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SampleBlock:
-    """Consecutive samples: the one container between a decoder or a source and the frames.
+    """Consecutive samples: the container between a decoder or a source and the frames.
 
     Attributes
     ----------
     values : ndarray, shape (samples, channels)
         At least one sample, in N; before `Timestamper` in the sensor's own unit.
     missing : int
-        Samples lost right before these, at least 0.
+        Number of samples lost right before these, at least 0.
     first_ns, end_ns : int
-        Host's clock at the first sample, and when the sample after the last is due; 0 before
-        `Timestamper`.
+        Time of the first sample, and time at which the sample after the last is due, on the host's
+        clock; 0 before `Timestamper`.
     device_ns : int, optional
-        Device's clock at the last sample; None where the device sends no time.
+        Time of the last sample on the device's clock; None if the device sends no time.
     restarted : bool
-        True where the device's clock does not continue that of the block before.
+        True if the device's clock does not continue that of the previous block.
     """
 
     values: NDArray[np.float64]
@@ -71,14 +71,14 @@ def one_channel(
 
 
 _TURN_US = 1 << 32
-# No running device is silent for longer: its clock has stepped, or it has restarted.
+# After a longer pause, the device's clock has stepped, or the device has restarted.
 LONGEST_PAUSE_NS = 10_000_000_000
 
 
 class DeviceTime:
-    """Continuous time from a device's count of µs, of which the low 32 bits are used. Pure.
+    """Continuous time from the low 32 bits of a device's count of µs. Pure.
 
-    millis() in µs fits too: where it wraps to 0, 1000 whole turns of 2^32 have passed.
+    millis(), converted to µs, fits too: its wrap to 0 is 1000 whole turns of 2^32.
     """
 
     def __init__(self) -> None:
@@ -86,16 +86,16 @@ class DeviceTime:
         self._last_ns = 0
 
     def since_last_ns(self, now_us: int) -> int | None:
-        """Return the time since the last count; None where the two do not belong together."""
+        """Return the time since the last count; None after a restart or a step."""
         if self.last_us is None:
             return None
         passed_ns = (now_us - self.last_us) % _TURN_US * 1_000
         return passed_ns if 0 < passed_ns <= LONGEST_PAUSE_NS else None
 
     def take(self, now_us: int) -> int:
-        """Return a count's time in ns, which continues the last one where the two belong together.
+        """Return a count's time in ns, which continues the last one.
 
-        It begins with the count itself otherwise.
+        After a restart or a step, it is the count itself.
         """
         passed_ns = self.since_last_ns(now_us)
         restart_ns = now_us % _TURN_US * 1_000
@@ -104,7 +104,7 @@ class DeviceTime:
         return self._last_ns
 
 
-# A jump of the counter must fit the time that passed within this and half of that time.
+# Tolerance between a jump of the counter and the time passed, besides half of that time.
 COUNTER_TOLERANCE_NS = 50_000_000
 
 
@@ -122,14 +122,14 @@ class SampleCounter:
         Parameters
         ----------
         first : int
-            In 0 to modulus - 1.
+            Number of the first new sample, 0 to modulus - 1.
         passed_ns : int, optional
-            Time from the last sample before to the last of these; None where unknown.
+            Time from the last sample before to the last of these; None if unknown.
 
         Returns
         -------
         int or None
-            At least 0; None where count and time contradict each other.
+            At least 0; None if count and time contradict each other.
         """
         jump = (first - self._next) % self._modulus
         self._next = first + count
@@ -140,22 +140,22 @@ class SampleCounter:
         return jump if fits else None
 
 
-# Bandwidth of the loop once it has settled; until then, what the time so far allows.
+# Bandwidth of the settled loop; before, it is SETTLING over the time so far.
 BANDWIDTH_HZ = 0.2
 SETTLING = 0.5
 LARGEST_OMEGA = 0.3
-# More stretch would be felt, and displays accept half to double.
+# Greatest change of the time between samples: more would be felt. Displays accept half to double.
 LARGEST_STRETCH = 0.2
 LARGEST_RATE_ERROR = 0.5
-# A larger error is no jitter: samples are missing, or the time is wrong.
+# Greatest jitter; a larger error means that samples are missing, or the time is wrong.
 JUMP_NS = 250_000_000
 
 
 class Timeline:
     """Even times for samples whose measured times jitter. Pure.
 
-    A delay-locked loop predicts the time of the next sample; each measured time corrects
-    prediction and period by a part of the error. The resulting times never step back.
+    A delay-locked loop predicts the time of the next sample. Each measured time corrects prediction
+    and period by a part of the error. The resulting times never go back.
 
     References
     ----------
@@ -180,12 +180,12 @@ class Timeline:
         Parameters
         ----------
         missing : int
-            Samples known to be lost before them, at least 0; a jump of the time reveals more.
+            Number of samples known to be lost before them; a jump of the time may show more.
 
         Returns
         -------
         first_ns, end_ns, missing : int
-            As in `SampleBlock`; None in place of all three where their time has passed.
+            As in `SampleBlock`; or None if the samples are earlier than the last ones.
         """
         if self._origin_ns is None:
             self._origin_ns = last_ns - (count - 1) * self._nominal_ns
@@ -206,10 +206,10 @@ class Timeline:
         return origin_ns + round(first_ns), origin_ns + round(self._next_ns), missing
 
     def _correct(self, first_ns: float, count: int, error_ns: float) -> float:
-        """Correct the period; return the time between the samples that corrects the next one's."""
+        """Correct the period; return the time between samples that corrects the next block."""
         period_ns = self._period_ns
         end_ns = first_ns + count * period_ns
-        # A short block after a long one that was corrected forward may end before that one.
+        # A short block may end before a long one whose times were corrected forward.
         passed_ns = max(end_ns - self._measured_ns, period_ns)
         self._measured_ns = end_ns
         bandwidth_hz = max(BANDWIDTH_HZ, SETTLING * 1e9 / end_ns)
@@ -221,7 +221,7 @@ class Timeline:
 
 
 def _bounded(value: float, share: float, of: float) -> float:
-    """Return the value, or the nearest that differs from `of` by no more than a share of it."""
+    """Return the value, bounded to a share of `of` above and below `of`."""
     return min(max(value, of * (1 - share)), of * (1 + share))
 
 
@@ -231,9 +231,9 @@ class Timestamper:
     Attributes
     ----------
     samples, missing : int
-        Samples timestamped so far, and samples lost before them.
+        Number of samples so far, and of samples lost before them.
     restarts, behind : int
-        Restarts of the device's clock, and blocks refused because their time has passed.
+        Number of restarts of the device's clock, and of blocks refused as earlier than the last.
     """
 
     def __init__(self, table: SensorTable) -> None:
@@ -245,18 +245,18 @@ class Timestamper:
 
     @property
     def skew_ppm(self) -> float:
-        """Rate error of the device's clock against the host's, in ppm; 0 where it sends no time."""
+        """Rate error of the device's clock against the host's, in ppm; 0 without device times."""
         return self._clock.skew_ppm
 
     def timestamp(self, block: SampleBlock, arrival_ns: int) -> SampleBlock | None:
-        """Return a decoder's block in N at its time; None where its time has passed."""
+        """Return a decoder's block in N with its times; None if it is earlier than the last."""
         last_ns = arrival_ns
         if block.device_ns is not None:
             if block.restarted:
                 self.restarts += self.samples > 0
                 self._clock = DeviceClock()
             self._clock.observe(block.device_ns, arrival_ns)
-            # Nothing arrives before it was taken, whatever the device's clock says.
+            # No sample arrives before it is taken, so the arrival bounds the device's time.
             last_ns = min(self._clock.host_ns(block.device_ns), arrival_ns)
         count = len(block.values)
         times_ns = self._timeline.timestamp(count, block.missing, last_ns)
@@ -271,11 +271,11 @@ class Timestamper:
         return replace(block, values=values, missing=missing, first_ns=first_ns, end_ns=end_ns)
 
     def lasting_rate_fault(self, name: str) -> str | None:
-        """Return that the sensor's rate is not the scene's, once it has been so for 2 s."""
+        """Return the fault of a rate that has differed from the scene's for 2 s, or None."""
         return self._rate.lasting_fault(name)
 
     def faults(self, name: str) -> list[str]:
-        """Return what went wrong with the sensor of that name, one line each."""
+        """Return the faults of a sensor, which they name, one line each."""
         if not self.samples:
             return [f"no sample came from {name}"]
         faults = []

@@ -1,7 +1,7 @@
-"""A live sensor: a thread that reads the device, and the conversion of what it received.
+"""A live sensor: a thread that reads the device, and the conversion of the data.
 
-The thread waits for data, stamps their arrival, and opens the device again after it was gone.
-All else happens in the caller's thread, in `Sensor.poll`.
+The thread waits for data, records the time of arrival, and reopens a device that was gone. The
+caller's thread does the rest in `Sensor.poll`.
 
 To add a sensor type:
 
@@ -46,12 +46,12 @@ class Port(Protocol):
         """Name for people."""
 
     def open(self) -> None:
-        """Open the device. Raises SourceError when it is not there or cannot be used."""
+        """Open the device. Raises SourceError if it is missing or cannot be used."""
 
     def read(self) -> Any:
-        """Wait for data and return it for the decoder; returns a falsy value on timeout.
+        """Wait for data and return it for the decoder; return a false value on timeout.
 
-        Raises driver-specific exceptions when the device is gone.
+        Raises driver-specific exceptions if the device is gone.
         """
 
     def close(self) -> None:
@@ -59,7 +59,7 @@ class Port(Protocol):
 
 
 class Decoder(Protocol):
-    """Conversion of a port's data to blocks of samples; counts what it cannot use. Pure."""
+    """Conversion of a port's data to blocks of samples; unusable data is counted. Pure."""
 
     @property
     def rejected(self) -> Counter[str]:
@@ -69,14 +69,14 @@ class Decoder(Protocol):
         """Return the blocks completed by this data, before timestamps and scale are applied."""
 
     def reset(self) -> None:
-        """Forget the stream so far, as after the cable was unplugged."""
+        """Start anew with the next data, for example after the cable was unplugged."""
 
 
 class Sensor:
     """A live sensor. Reading starts on construction and ends with `close`.
 
-    settings: rate and scale of the sensor. clock: the host's, in ns. Raises SourceError when the
-    device is not there.
+    settings: rate and scale of the sensor. clock: the host's, in ns. Raises SourceError if the
+    device cannot be opened.
     """
 
     def __init__(
@@ -103,7 +103,7 @@ class Sensor:
         self._thread.start()
 
     def poll(self) -> list[SampleBlock]:
-        """Return the calibrated, timestamped samples received since the last call. Never waits."""
+        """Return the calibrated, timestamped samples since the last call. Never waits."""
         blocks = []
         while self._received:
             at_ns, data = self._received.popleft()
@@ -123,7 +123,7 @@ class Sensor:
 
     @property
     def rejected(self) -> Counter[str]:
-        """Count of what could not be used, by cause."""
+        """Count of data that could not be used, by cause."""
         rejected = Counter(self._decoder.rejected)
         rejected["behind"] += self._timestamper.behind
         rejected["backlog"] += self._dropped
@@ -131,11 +131,11 @@ class Sensor:
 
     @property
     def skew_ppm(self) -> float:
-        """Rate error of the device's clock against the host's, in ppm; 0 where it sends no time."""
+        """Rate error of the device's clock against the host's, in ppm; 0 without device times."""
         return self._timestamper.skew_ppm
 
     def faults(self) -> list[str]:
-        """Return what went wrong so far, one line each."""
+        """Return the faults so far, one line each."""
         faults = self._timestamper.faults(self._port.name)
         if self._losses:
             gone_ns = self._gone_for_ns
@@ -152,7 +152,7 @@ class Sensor:
         self._port.close()
 
     def _note_connection(self, at_ns: int, gone: Exception | None) -> None:
-        """Log and count that the device is gone, or back."""
+        """Log and count the loss or the return of the device."""
         if gone is not None:
             self._losses += 1
             self._gone_since_ns = at_ns
@@ -170,7 +170,7 @@ class Sensor:
                 data = self._port.read()
             except Exception as error:  # exception types differ by driver
                 self._received.append((self._clock(), error))
-                # A device that is gone may fail again when it is closed.
+                # Closing a device that is gone may fail as well.
                 with suppress(Exception):
                     self._port.close()
                 self._reopen()

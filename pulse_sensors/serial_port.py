@@ -1,4 +1,4 @@
-"""A sensor on a serial port, or on what stands for one: pyserial's URLs."""
+"""A sensor on a serial port, or on a URL of pyserial in its place."""
 
 import io
 import os
@@ -21,9 +21,9 @@ WAIT_S = 0.1
 class SerialScene(SensorTable):
     """The `source` table of kind "serial".
 
-    port: a device, or a pyserial URL such as socket://host:port. framing: "text", lines of
-    numbers, or "binary" (`binary_frames.py`). device_time: unit of the first number of a
-    line, when that is the device's time; column: which number after it is the value, from 0.
+    port: a device, or a pyserial URL such as socket://host:port. framing: "text", which is lines of
+    numbers, or "binary" (`binary_frames.py`). device_time: unit of a line's first number, if that
+    is the device's time. column: index of the value among the numbers after it, from 0.
     """
 
     kind: Literal["serial"]
@@ -41,14 +41,14 @@ class SerialScene(SensorTable):
         return self
 
     def decoder(self) -> FrameDecoder | TextDecoder:
-        """Return the decoder of the framing. Raises SourceError when a library is missing."""
+        """Return the decoder of the framing. Raises SourceError if a library is missing."""
         if self.framing == "binary":
             return FrameDecoder(self.period_ns)
         return TextDecoder(self.period_ns, self.column, self.device_time)
 
 
 class SerialPort:
-    """Port to the bytes of a serial line; see `pulse_sensors.sensor.Port`."""
+    """Port that receives the bytes of a serial line; see `pulse_sensors.sensor.Port`."""
 
     def __init__(self, scene: SerialScene) -> None:
         self.name = scene.port
@@ -57,7 +57,7 @@ class SerialPort:
         self._waitable = False
 
     def open(self) -> None:
-        """Open the port. Raises SourceError, with a list of ports, when it is not there."""
+        """Open the port. Raises SourceError, with a list of ports, if it cannot be opened."""
         try:
             self._port = serial.serial_for_url(
                 self.name, self._baud, timeout=WAIT_S, exclusive=True
@@ -66,7 +66,7 @@ class SerialPort:
             self._waitable = os.name == "posix" and _descriptor(self._port) >= 0
             if self._waitable:
                 self._port.timeout = 0
-        except Exception as error:  # of the port, the system, the address, the terminal
+        except Exception as error:  # pyserial passes on errors of many kinds
             number = getattr(error, "errno", None)
             reason = os.strerror(number) if number else str(error)
             known = ", ".join(sorted(port.device for port in list_ports.comports()))
@@ -75,7 +75,7 @@ class SerialPort:
             ) from None
 
     def read(self) -> bytes:
-        """Return what has come, nothing after 0.1 s. Raises when the port is gone."""
+        """Return the waiting bytes; none after 0.1 s without any. Raises if the port is gone."""
         if self._waitable:
             ready = select.select([self._port], [], [], WAIT_S)[0]
             return bytes(self._port.read(READ_BYTES)) if ready else b""

@@ -1,7 +1,7 @@
 """Lines of text as an Arduino sketch prints them: a value, or the device's time and a value.
 
-Numbers stand between blanks, commas or semicolons; a name before a colon, as plotters
-expect it, is skipped. Lines have no checksum: a wrong digit is detected in a time, not in a value.
+Numbers are separated by blanks, commas or semicolons; a name before a colon, as for a plotter, is
+skipped. Lines have no checksum: a wrong digit is detected in a time, but not in a value.
 """
 
 import math
@@ -16,8 +16,8 @@ from pulse_sensors.samples import DeviceTime, SampleBlock, one_channel
 TimeUnit = Literal["us", "ms", "s"]
 
 MAX_LINE_BYTES = 256
-# Length of each unit in µs and resolution of its times in ns: micros() of slow boards counts in
-# 10 µs, times in ms are whole, times in s have three decimals.
+# Each unit's length in µs, and the resolution of times in it, in ns. The micros() of slow boards
+# counts in 10 µs, times in ms are whole, times in s have three decimals.
 _UNITS: dict[TimeUnit, tuple[float, int]] = {
     "us": (1.0, 10_000),
     "ms": (1e3, 1_000_000),
@@ -95,7 +95,7 @@ class TextDecoder:
         self.reset()
 
     def reset(self) -> None:
-        """Forget the stream so far, as after the cable was unplugged."""
+        """Start anew with the next bytes, for example after the cable was unplugged."""
         self._buffer = b""
         self._skipping = self._synchronised = False
         # Rejected lines since the last accepted one.
@@ -105,10 +105,10 @@ class TextDecoder:
     def feed(self, data: bytes) -> list[SampleBlock]:
         """Return the blocks that these bytes complete.
 
-        Consecutive lines form one block with the time of the last line, which waited least.
+        Consecutive lines form one block with the time of the last line, which has waited least.
         """
         *whole, rest = (self._buffer + data).replace(b"\r", b"\n").split(b"\n")
-        # Of each block: values, time, missing and restarted.
+        # For each block: values, time, missing and restarted.
         blocks: list[tuple[list[float], int | None, int, bool]] = []
         for line in whole:
             if line and not self._skipping and not self._synchronised:

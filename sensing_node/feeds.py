@@ -1,7 +1,7 @@
 """From a source to frames: blocks of samples as they fall due, numbered and cut into batches.
 
 A source whose samples are known in advance has `take`; `PacedSource` releases them when due.
-A live sensor and an earlier session give blocks of themselves.
+`LiveSource` and `ReplaySource` yield blocks of a live sensor and of a recorded session.
 """
 
 from collections import Counter, deque
@@ -19,7 +19,7 @@ from pulse_sensors.sensor import Sensor
 
 
 class SampleSource(Protocol):
-    """A source that gives its samples in order."""
+    """A source whose samples are known in advance."""
 
     @property
     def period_ns(self) -> int:
@@ -27,14 +27,14 @@ class SampleSource(Protocol):
 
     @property
     def channels(self) -> tuple[Channel, ...]:
-        """What the columns are."""
+        """Channels of the columns."""
 
     def take(self, count: int) -> NDArray[np.float64]:
         """Return the next samples in N, shape (at most count, channels); fewer only at the end."""
 
 
 class PacedSource:
-    """Feed of a source's samples: sample i falls due at start_ns + i · period_ns."""
+    """Feed of a source's samples: sample i is due at start_ns + i · period_ns."""
 
     def __init__(self, samples: SampleSource, start_ns: int) -> None:
         self._samples = samples
@@ -43,11 +43,11 @@ class PacedSource:
         self.exhausted = False
 
     def due_ns(self, count: int) -> int:
-        """Return when `count` further samples will be due."""
+        """Return the time at which `count` further samples will be due."""
         return self._start_ns + (self._taken + count - 1) * self._samples.period_ns
 
     def read(self, now_ns: int) -> SampleBlock | None:
-        """Return all samples due by now that were not read yet; None when there are none."""
+        """Return all samples that are due and were not read yet; None without any."""
         count = (now_ns - self._start_ns) // self._samples.period_ns + 1 - self._taken
         if count <= 0 or self.exhausted:
             return None
@@ -61,10 +61,10 @@ class PacedSource:
 
 
 class LiveSource:
-    """Feed of a live sensor's samples, as they come.
+    """Feed of a live sensor's samples as they arrive; it never ends by itself.
 
-    A gap begins a new block, whose `missing` samples keep their sequence numbers, so that
-    displays count them as lost. It never ends by itself.
+    A gap begins a new block. The `missing` samples keep their sequence numbers, so that displays
+    count them as lost.
     """
 
     channels = (Channel("pulse"),)
@@ -77,11 +77,11 @@ class LiveSource:
         self._read_ns = 0
 
     def due_ns(self, count: int) -> int:
-        """Return when `count` further samples may have been taken since the last read."""
+        """Return the time at which `count` samples may have been taken since the last read."""
         return self._read_ns + count * self.period_ns
 
     def read(self, now_ns: int) -> SampleBlock | None:
-        """Return samples that have come by now, up to a gap; None when none has."""
+        """Return the samples that have arrived, up to a gap; None without any."""
         self._read_ns = now_ns
         self._blocks.extend(self._sensor.poll())
         if not self._blocks:
@@ -94,7 +94,7 @@ class LiveSource:
 
     @property
     def rejected(self) -> Counter[str]:
-        """Count of what the sensor sent and could not be used, by cause."""
+        """Count of the sensor's data that could not be used, by cause."""
         return self._sensor.rejected
 
     def faults(self) -> list[str]:
@@ -103,15 +103,15 @@ class LiveSource:
 
 
 class ReplaySource:
-    """Feed of an earlier session's frames: the same samples, as far apart in time as they were.
+    """Feed of an earlier session's frames: the same samples at the same intervals.
 
-    Samples that the recording lacks between two frames keep their sequence numbers: displays
-    count them as lost.
+    Samples that the recording lacks between two frames keep their sequence numbers, so that
+    displays count them as lost.
 
     Parameters
     ----------
     frames : iterable of Frame
-        Of one session, ordered by first_sample; samples that one repeats are left out.
+        Frames of one session, ordered by first_sample; repeated samples are left out.
     """
 
     def __init__(self, description: StreamDescription, frames: Iterable[Frame]) -> None:
@@ -128,19 +128,19 @@ class ReplaySource:
         return self._next is None
 
     def begin(self, start_ns: int) -> None:
-        """Let the first sample fall due at `start_ns`."""
+        """Shift all times so that the first sample is due at `start_ns`."""
         if self._next is not None:
             self._shift_ns = start_ns - self._next.t_first_ns
 
     def due_ns(self, count: int) -> int:
-        """Return when the next frame's last sample will be due; the frame decides the count."""
+        """Return the time at which the next frame's last sample is due; `count` is ignored."""
         frame = self._next
         if frame is None:
             return self._shift_ns
         return frame.t_first_ns + (len(frame.values) - 1) * frame.period_ns + self._shift_ns
 
     def read(self, now_ns: int) -> SampleBlock | None:
-        """Return the next frame's samples if they are due; None when they are not."""
+        """Return the next frame's samples if they are due, else None."""
         while (frame := self._next) is not None and self.due_ns(1) <= now_ns:
             self._next = next(self._frames, None)
             known = max(0, self._expected - frame.first_sample)
@@ -159,7 +159,7 @@ Source = SampleSource | LiveSource | ReplaySource
 
 
 def feed_of(source: Source, start_ns: int) -> PacedSource | LiveSource | ReplaySource:
-    """Return the feed of a source, whose first sample falls due at `start_ns` where it can."""
+    """Return the feed of a source; unless it is live, its first sample is due at `start_ns`."""
     if isinstance(source, ReplaySource):
         source.begin(start_ns)
     if isinstance(source, LiveSource | ReplaySource):
@@ -168,9 +168,9 @@ def feed_of(source: Source, start_ns: int) -> PacedSource | LiveSource | ReplayS
 
 
 class Framer:
-    """Numbering of one session's samples, and their cut into frames of at most `batch` samples.
+    """Numbering of one session's samples, and division into frames of at most `batch` samples.
 
-    samples_sent: of the session so far, with those that are missing.
+    samples_sent: number of the session's samples so far, including missing ones.
     """
 
     def __init__(self, description: StreamDescription, session: int) -> None:

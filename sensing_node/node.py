@@ -26,26 +26,27 @@ from sensing_node.feeds import Framer, LiveSource, Source, feed_of
 logger = logging.getLogger(__name__)
 
 SILENCE_CHECK_NS = 1_000_000_000
-# Python goes on waiting after a signal: this bounds the time until Ctrl-C takes effect.
+# Longest wait, and so the longest time until Ctrl-C takes effect: a wait continues after a signal.
 MAX_WAIT_NS = 50_000_000
 FOREVER_NS = 1 << 62
-# Room for the source's first samples to be ready before they are due.
+# Time from the start of the loop until the source's first sample is due.
 START_NS = 20_000_000
-# Answers between two batches, however late the next one is: no display starves among many.
+# Messages that are answered between two batches even if the next batch is late, so that each of
+# many displays is answered.
 LEAST_ANSWERED = 50
-# At its end TCP may have to repeat what a bad link has lost, and what queued behind it.
+# Longest wait at the end, in which TCP can repeat what a bad link has lost.
 FAREWELL_NS = 3_000_000_000
 STATUS_EVERY_NS = 1_000_000_000
 MAX_READERS = 32
-# What queues for a display beyond a second is older than anybody could feel it
+# Frames that queue for longer than a second are too old to be played
 # (docs/decisions/0022-a-backlog-is-bounded-by-time.md).
 BACKLOG_NS = 1_000_000_000
 LEAST_FRAMES = 16
-# What a frame costs besides its samples: as a message, and as a packet under way.
+# Size of a frame besides its samples: as a message, and as a packet in the kernel.
 HEADER_BYTES = 50
 PACKET_BYTES = 1_024
-# The most that Linux accepts by default; it doubles it. Left alone it allows up to 4 MB, which
-# suits the streams that need more.
+# Largest size that Linux accepts by default (and doubles). For streams that need more, the option
+# is not set; Linux then permits up to 4 MB.
 MOST_BYTES = 212_992
 
 
@@ -96,9 +97,9 @@ class SensingNode:
     clock : callable
         Clock of the stream in ns.
     keys : ServerKeys, optional
-        Keys of displays that may connect; None admits everybody.
+        This node's pair and its allow-list; None admits every display.
     telemetry_address : str, optional
-        Where a status is published every second; None: nowhere.
+        Address at which a status is published every second; None publishes none.
 
     Raises
     ------
@@ -135,7 +136,7 @@ class SensingNode:
 
     @property
     def telemetry_address(self) -> str:
-        """Address at which statuses are published; empty where none are."""
+        """Address at which statuses are published; empty without telemetry."""
         return "" if self._telemetry is None else self._telemetry.address
 
     def stop(self) -> None:
@@ -143,7 +144,7 @@ class SensingNode:
         self._stopping = True
 
     def run(self, seconds: float | None = None) -> Summary:
-        """Stream until stopped, the source has ended, or the samples of `seconds` are sent."""
+        """Stream until `stop`, the end of the source, or the samples of `seconds` are sent."""
         start_ns = self._clock() + START_NS
         feed = feed_of(self._source, start_ns)
         last_ns = start_ns + (FOREVER_NS if seconds is None else round(seconds * 1e9)) - 1
@@ -169,7 +170,7 @@ class SensingNode:
             self._context.destroy(linger=sockets.LINGER_MS)
 
     def _serve_until(self, due_ns: int) -> None:
-        """Answer displays until the next batch is due, and once where it is due already."""
+        """Answer displays until the next batch is due; answer once if it is due already."""
         while not self._stopping:
             self._answer_all(due_ns)
             if self._telemetry is not None and self._telemetry.due(self._clock()):
@@ -179,7 +180,7 @@ class SensingNode:
                 return  # the batch goes out before further answers
 
     def _wait(self, timeout_ns: int) -> None:
-        """Sleep until a message waits that may be read, at most `timeout_ns`."""
+        """Sleep until a message may be read, at most `timeout_ns`."""
         waited_for = self._authenticator.sockets
         longest_ns = self._requests.held_for_ns(self._clock())
         if not longest_ns:
@@ -187,7 +188,7 @@ class SensingNode:
         sockets.wait_readable(waited_for, min(timeout_ns, longest_ns))
 
     def _answer_all(self, until_ns: int) -> None:
-        """Answer what waits; what is left then waits until the next batch was sent."""
+        """Answer waiting messages until a time; the rest waits until the next batch is sent."""
         self._authenticator.poll(time.monotonic_ns())
         if self._requests.held_for_ns(self._clock()):
             return
@@ -221,10 +222,9 @@ class SensingNode:
             )
 
     def _finish(self) -> None:
-        """Send every display the end of the stream, and stay until each has all of it.
+        """Send every display the end of the stream, and wait until each has received all of it.
 
-        Where a socket is closed before its peer has everything, whatever the peer sends makes TCP
-        drop the rest.
+        If a socket is closed too early, any message of its peer makes TCP drop the unsent rest.
         """
         bye = encode_control(Bye(self._session, self._framer.samples_sent))
         informed: set[Sender] = set()

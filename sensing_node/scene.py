@@ -25,7 +25,7 @@ _WIDTHS: dict[str, Literal[4, 8]] = {"float32": 4, "float64": 8}
 
 
 class SensingScene(Section):
-    """What the sensing node does. `batch`: how much time one frame covers, rounded to samples."""
+    """The `sensing` table. batch: time that one frame covers, rounded to whole samples."""
 
     source: Annotated[
         SyntheticScene | RecordingScene | SensorScene,
@@ -48,9 +48,9 @@ class SensingScene(Section):
 
 @contextmanager
 def open_source(scene: SensingScene, folder: Path) -> Iterator[Source]:
-    """Open the source that the scene names; a live sensor is read until the context is left.
+    """Open the source that the scene names; a live sensor is read until the `with` ends.
 
-    `folder` is the scene file's; Raises SourceError or SceneError.
+    folder: folder of the scene's file. Raises SourceError or SceneError.
     """
     if not isinstance(scene.source, SensorTable):
         source = build_source(scene, folder)
@@ -68,8 +68,8 @@ def open_source(scene: SensingScene, folder: Path) -> Iterator[Source]:
 def build_source(scene: SensingScene, folder: Path, plausible: bool = True) -> SampleSource:
     """Build the source that the scene names, behind its conditioning chain if it has one.
 
-    `folder` is the scene file's. plausible: refuse a recording that cannot be a pulse. Raises
-    SourceError or SceneError, as for a live sensor: it gives its samples to a sensing node alone.
+    folder: folder of the scene's file. plausible: refuse a recording that cannot be a pulse. Raises
+    SourceError or SceneError, the latter also for a live sensor, which `open_source` opens.
     """
     source: SampleSource
     if isinstance(scene.source, SyntheticScene):
@@ -85,7 +85,7 @@ def build_source(scene: SensingScene, folder: Path, plausible: bool = True) -> S
 
 
 def describe_stream(scene: SensingScene, source: Source) -> StreamDescription:
-    """Return the description that travels to the displays. Raises SceneError."""
+    """Return the description that is sent to the displays. Raises SceneError."""
     batch = max(1, round(scene.batch_ns / source.period_ns))
     if batch > 4096:
         raise SceneError(f"[sensing] batch: {batch} samples a frame; at most 4096 fit")

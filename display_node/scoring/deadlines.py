@@ -1,4 +1,4 @@
-"""Alarm on missed ticks: by their rate, and by the longest gap. Pure."""
+"""Alarm on missed ticks, by their share and by the longest gap. Pure."""
 
 import math
 from collections import deque
@@ -10,7 +10,7 @@ from protocol.summary_tables import Deadlines
 WINDOW_NS = 5_000_000_000
 # Above this share of the window's ticks the alarm begins; it ends below half of it.
 ALARM_SHARE = 0.01
-# The default watchdog of a drive; a display without a drive is judged by it as well.
+# Longest gap without an alarm: the default watchdog of a drive, also for displays without one.
 GAP_NS = 50_000_000
 
 
@@ -20,23 +20,23 @@ def deadline_alarm(loop: Mapping[str, Any]) -> str | None:
         return None
     last = loop.get("last_5s", {})
     missed, gap_ms = last.get("missed"), last.get("gap_ms")
-    # What another program publishes may lack them.
+    # Statuses of other programs may lack these figures.
     share = "too many" if missed is None else f"{100 * missed:.1f} %"
     gap = "" if gap_ms is None else f", longest gap {gap_ms:.0f} ms"
     return f"{share} of the ticks of the last 5 s missed{gap}"
 
 
 class DeadlineWatch:
-    """Judge of a loop's missed ticks over the last 5 s, by its period and the longest gap allowed.
+    """Alarm on a loop's missed ticks over the last 5 s.
 
     A single missed tick is not felt. The alarm is on while more than 1 % of the ticks of the last
-    5 s were missed, and for 5 s after a gap longer than a drive's watchdog.
+    5 s were missed, and for 5 s after a gap longer than `gap_ns`, a drive's watchdog.
     """
 
     def __init__(self, tick_ns: int, gap_ns: int = GAP_NS) -> None:
         self._tick_ns = tick_ns
         self._gap_ns = gap_ns
-        # Time of each late tick of the window, in ns, and how many ticks it came after the last.
+        # Late ticks of the window: time in ns, and ticks since the one before.
         self._late: deque[tuple[int, int]] = deque()
         self._missed = self._most_missed = self._longest_ticks = 0
         self._stood_still_ns = -math.inf

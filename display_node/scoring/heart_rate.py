@@ -4,22 +4,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 SHORTEST_BEAT_S = 0.3
-# A hole in time that is longer may hold a part of a beat.
+# Longest gap in time within one stretch; a longer one may hide part of a beat.
 LONGEST_HOLE_S = 0.25
 
 
 def heart_rate_per_min(t_s: NDArray[np.float64], force_n: NDArray[np.float64]) -> float | None:
-    """Return the beats per minute at the end of a pulse, by the median interval of its peaks.
+    """Return the beats per minute at the end of a pulse, from the median interval of its peaks.
 
-    Only the newest stretch in one piece counts: no interval spans a NaN, a hole in time above
-    `LONGEST_HOLE_S` or a time that falls.
+    Only the newest uninterrupted stretch is used: without NaN, without a gap longer than
+    `LONGEST_HOLE_S`, and with rising times.
 
     Parameters
     ----------
     t_s : ndarray, shape (n,)
-        Times in s, evenly spaced but for holes.
+        Times in s, evenly spaced except for gaps.
     force_n : ndarray, shape (n,)
-        Force of the pulse in N; NaN where it is not felt or not known.
+        Force of the pulse in N; NaN where it is not felt or unknown.
 
     Returns
     -------

@@ -1,11 +1,11 @@
 """Errors of the felt force: running RMSE, aligned and in phase (eqs 23-25), and roughness.
 
-Reference and felt force are added as they become known, both on the sensing clock; a felt force is
-scored once the reference around its instant is there. The display scores against what it received,
-a demo or simulation against what was really sensed.
+Reference and felt force are added as they become known, both on the sensing clock. A felt force is
+scored once the reference around its instant is known. A display compares with the received force, a
+demo or simulation with the sensed one. Equations are those of Dargahi et al. (2008).
 
-Roughness is the energy of the felt force above 25 Hz, beside that of the sensed one. The pulse
-itself ends below; above are noise, and the jumps that prediction adds.
+Roughness is the energy of the felt force above 25 Hz, compared with that of the sensed force. The
+pulse itself ends below 25 Hz; above are noise, and jumps caused by prediction.
 """
 
 import math
@@ -19,14 +19,14 @@ from protocol.summary_tables import AlignedErrors, Roughness
 from protocol.wire.messages import Frame
 
 ABOVE_HZ = 25.0
-# Half the filter's length; its edge is ±14 Hz wide, and a pulse's slow part 70 dB down.
+# Half the filter's length. Its edge is ±14 Hz wide, and it attenuates slow parts by 70 dB.
 REACH_S = 0.1
 Floats = NDArray[np.float64]
 Times = NDArray[np.int64]
 
 
 class RoughnessMeter:
-    """Sums the energy above 25 Hz of felt and sensed force over the same ticks."""
+    """Sums of the energy above 25 Hz of felt and sensed force over the same ticks."""
 
     def __init__(self) -> None:
         self._kernel = np.empty(0)
@@ -39,12 +39,12 @@ class RoughnessMeter:
     def add(self, now_ns: Times, felt_n: Floats, sensed_n: Floats) -> None:
         """Add consecutive ticks, shape (n,); each call continues the last one.
 
-        Nothing is counted around NaN, an unknown force, and where ticks are missing.
+        Ticks close to an unknown force (NaN) or to missing ticks are not counted.
         """
         if len(now_ns) < 2:
             return
         period_ns = int(np.median(np.diff(now_ns)))
-        # Ticks are read on a clock that is corrected now and then.
+        # The tick's period on the sensing clock varies slightly, as that clock is corrected.
         if abs(period_ns - self._period_ns) > 0.1 * self._period_ns:
             self._period_ns, self._kernel = period_ns, high_pass(period_ns * 1e-9)
             self._felt_n = self._sensed_n = np.empty(0)
@@ -68,7 +68,7 @@ class RoughnessMeter:
 
     @property
     def roughness(self) -> Roughness:
-        """So far; nothing before 0.2 s in one piece, or with ticks too slow for 25 Hz."""
+        """Roughness so far; None before an uninterrupted 0.2 s, or if ticks are too slow."""
         ratio = self._felt / self._sensed if self._sensed else None
         return Roughness(_root(self._felt, self._count), _root(self._sensed, self._count), ratio)
 
@@ -76,7 +76,7 @@ class RoughnessMeter:
 def high_pass(period_s: float) -> Floats:
     """Return a symmetric high-pass above 25 Hz: an all-pass minus a windowed sinc (Blackman).
 
-    Empty where samples `period_s` apart hold nothing above 25 Hz.
+    It is empty if the sampling period is too long for 25 Hz.
     """
     if 2 * ABOVE_HZ * period_s >= 1:
         return np.empty(0)
@@ -89,19 +89,22 @@ def high_pass(period_s: float) -> Floats:
 
 
 BLOCK = 256
-# Felt forces wait this many ticks for the reference of their instant to arrive.
+# Number of ticks for which felt forces wait for the reference of their instant.
 PATIENCE = 2_048
-# A reference without a felt force (a display at fault) is removed after this.
+# Time after which a reference without a felt force (of a display at fault) is removed.
 KEEP_NS = 30_000_000_000
 MAX_PIECES = 1_024
-# A reference further apart (a cut link) is not interpolated: nothing is scored there.
+# Largest gap of the reference that is interpolated; a larger one (a cut link) is not scored.
 MAX_GAP_NS = 60_000_000
 JND = 0.10
 SPAN_NS = 2_000_000_000
 
 
 class TrackingError:
-    """Accumulator of both errors and the roughness; strain_per_newton is the local layer's."""
+    """Accumulator of both errors and of the roughness.
+
+    strain_per_newton: strain of the layer under the finger per force, in 1/N.
+    """
 
     def __init__(self, strain_per_newton: float) -> None:
         self._strain_per_newton = abs(strain_per_newton)
@@ -114,7 +117,7 @@ class TrackingError:
         self._roughness = RoughnessMeter()
 
     def add_reference_force(self, t_ns: Times, target_n: Floats) -> None:
-        """Add the force wanted at the finger, of consecutive samples, shape (n,); may be late."""
+        """Add the target force at the finger for consecutive samples, shape (n,), even late."""
         self._t_ns.append(t_ns)
         self._target_n.append(target_n)
         if len(self._t_ns) > MAX_PIECES:
@@ -128,7 +131,7 @@ class TrackingError:
     ) -> None:
         """Add a frame of the pulse, whose samples are `group_delay_ns` behind it.
 
-        force_ratio: the right force at the finger for a unit of force at the wrist.
+        force_ratio: target force at the finger per force at the wrist.
         """
         first_ns = frame.t_first_ns - group_delay_ns
         end_ns = first_ns + len(frame.values) * frame.period_ns
@@ -136,13 +139,13 @@ class TrackingError:
         self.add_reference_force(t_ns, frame.values[:, channel].astype(np.float64) * force_ratio)
 
     def add_output(self, now_ns: int, instant_ns: int, force_n: float) -> None:
-        """Add the force at `now_ns`, when the pulse of `instant_ns` is played; NaN if unknown."""
+        """Add the felt force at `now_ns`, when the pulse of `instant_ns` is played; or NaN."""
         self._felt.append((now_ns, instant_ns, force_n))
         if len(self._felt) >= PATIENCE + BLOCK:
             self._score_oldest()
 
     def finish(self) -> None:
-        """Score what is left."""
+        """Score the remaining felt forces."""
         while self._felt:
             self._score_oldest()
 
@@ -155,7 +158,7 @@ class TrackingError:
 
     @property
     def strain_rmse(self) -> AlignedErrors:
-        """RMSE of the strain: the force's by the local layer."""
+        """RMSE of the strain: that of the force, converted by the local layer."""
         force, factor = self.force_rmse_n, self._strain_per_newton
         errors = (force.aligned, force.in_phase)
         return AlignedErrors(*(None if error is None else error * factor for error in errors))
@@ -196,7 +199,7 @@ class TrackingError:
         self._within += int(np.count_nonzero(np.abs(aligned) < JND * np.ptp(target_n)))
 
     def _gathered(self, until_ns: int) -> tuple[Times, Floats]:
-        """Return the reference in order of time, and remove what is older than `until_ns`."""
+        """Return the reference in order of time, after removing what is older than `until_ns`."""
         t_ns, target_n = np.concatenate(self._t_ns), np.concatenate(self._target_n)
         if np.any(t_ns[1:] < t_ns[:-1]):
             order = np.argsort(t_ns, kind="stable")

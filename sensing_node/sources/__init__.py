@@ -1,1 +1,1 @@
-"""Sources whose samples are known in advance, one file a kind: synthetic pulses and recordings."""
+"""Sources whose samples are known in advance: synthetic pulses and recordings."""

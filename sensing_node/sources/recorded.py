@@ -1,4 +1,4 @@
-"""A recording as a source: one column of a CSV or NumPy file, looped or once."""
+"""A recording as a source: one column of a CSV or NumPy file, played once or in a loop."""
 
 import csv
 import math
@@ -21,11 +21,11 @@ from sensing_node.sources.synthetic import SyntheticScene
 class RecordingScene(SensitivityTable):
     """The `source` table of kind "recording".
 
-    path: .csv, .npy or .npz, from the scene's folder. column: a name in the CSV's first line
-    (or an array's name in the .npz), or a number from 0. unit: N or mN as they are; V or mV
-    through the film (eq 21 with film_radius, or sensitivity, as Fig. 4's 44 mV/N); raw, scaled to
-    `peak_to_peak` with the mean on `preload`. inverted: the pulse presses where the values fall.
-    preload: added; without, 0.3 N for raw, as for a synthetic pulse, else 0 N.
+    path: .csv, .npy or .npz, relative to the scene's folder. column: a name in the CSV's first line
+    (or an array's name in the .npz), or a number from 0. unit: N or mN are used unchanged. V or mV
+    are converted by the film: by film_radius with eq 21, or by sensitivity, such as 44 mV/N. "raw"
+    is scaled to peak_to_peak, with the mean at preload. inverted: the values fall where the pulse
+    presses. preload: added force; by default 0.3 N for "raw", as for a synthetic pulse, else 0 N.
     """
 
     kind: Literal["recording"]
@@ -51,7 +51,7 @@ class RecordingScene(SensitivityTable):
 
     @property
     def rest_n(self) -> float:
-        """Force in N that is added, or on which a raw recording's mean is put."""
+        """Force in N that is added, or that a raw recording's mean becomes."""
         if self.preload_n is not None:
             return self.preload_n
         return SyntheticScene(kind="synthetic").preload_n if self.unit == "raw" else 0.0
@@ -69,19 +69,19 @@ class RecordingScene(SensitivityTable):
 
 
 class RecordedSource:
-    """A recorded pulse in N, with one channel; `warnings` has what is doubtful about it.
+    """A recorded pulse in N, with one channel; `warnings` lists its doubtful properties.
 
     Parameters
     ----------
     folder : Path
         Folder of the scene file.
     plausible : bool
-        Refuse values that cannot be a pulse's by this scene.
+        Refuse values that cannot be a pulse with this scene.
 
     Raises
     ------
     SourceError
-        For a file that cannot be read or scaled, or whose values are refused.
+        If the file cannot be read or scaled, or its values are refused.
     """
 
     channels = (Channel("pulse"),)
@@ -124,7 +124,7 @@ def load_column(path: Path, column: int | str) -> RecordedColumn:
     Raises
     ------
     SourceError
-        Where the file cannot be read, or the column is missing or holds no usable numbers.
+        If the file cannot be read, or the column is missing or has no usable numbers.
     """
     try:
         match path.suffix.lower():
@@ -138,7 +138,7 @@ def load_column(path: Path, column: int | str) -> RecordedColumn:
         raise
     except FileNotFoundError:
         raise SourceError(f"{path}: no such recording") from None
-    except Exception as error:  # damaged, it raises whatever NumPy, zipfile or csv stumble over
+    except Exception as error:  # NumPy, zipfile and csv raise many kinds for a damaged file
         lines = str(getattr(error, "strerror", None) or error).splitlines()
         reason = lines[0] if lines else type(error).__name__
         raise SourceError(f"{path}: cannot be read: {reason}") from None
@@ -160,7 +160,7 @@ def _load_csv(path: Path, column: int | str) -> RecordedColumn:
         if number >= len(first):
             raise SourceError(f"{path}: no column {column}; it has {len(first)}")
         has_header = isinstance(column, str) or _number(first[number]) is None
-        # The other columns while they have never fallen; a pulse's leaves within a beat.
+        # Other columns whose values have not fallen yet; a pulse falls within a beat.
         rising: dict[int, list[float]] = {at: [] for at in range(len(first)) if at != number}
         values: list[float] = []
 
@@ -213,7 +213,7 @@ def _time(text: str) -> float | None:
 
 
 def _load_numpy(path: Path, column: int | str) -> RecordedColumn:
-    """Return a column of an .npy, or one of an .npz's arrays, as the file's first bytes decide."""
+    """Return a column of an .npy or an array of an .npz; the file's first bytes decide which."""
     with path.open("rb") as file:
         loaded = np.load(file, allow_pickle=False)
         if isinstance(loaded, np.ndarray):
@@ -240,7 +240,7 @@ def _column_of(array: NDArray[Any], column: int | str, path: Path) -> RecordedCo
     table = array[:, np.newaxis] if array.ndim == 1 else array
     if not isinstance(column, int) or column >= table.shape[1]:
         raise SourceError(f"{path}: no column {column!r}; it has {table.shape[1]}")
-    # NumPy warns of signalling NaN, which are refused with the others.
+    # NumPy warns of signalling NaN, which are refused later like other NaN.
     with np.errstate(invalid="ignore"):
         values = np.ascontiguousarray(table[:, column], dtype=np.float64)
         beside = {str(at): table[:, at] for at in range(table.shape[1]) if at != column}
@@ -249,7 +249,7 @@ def _column_of(array: NDArray[Any], column: int | str, path: Path) -> RecordedCo
 
 
 def _rising(arrays: dict[str, NDArray[Any]], length: int) -> dict[str, NDArray[np.float64]]:
-    """Return those of the arrays that have that length and never fall."""
+    """Return the arrays that have a given length and never fall."""
     return {
         name: array.astype(np.float64)
         for name, array in arrays.items()

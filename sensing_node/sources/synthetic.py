@@ -1,7 +1,7 @@
 """A synthetic pulse: a sum of Gaussians over each beat.
 
-Percussion, tidal and dicrotic wave; heart-rate variability, respiration, ectopic beats, noise
-and mains hum as options. The same seed gives the same samples, however they are taken.
+A beat has a percussion, a tidal and a dicrotic wave. Heart-rate variability, respiration, ectopic
+beats, noise and mains hum are options. The same seed gives the same samples, in blocks of any size.
 """
 
 import math
@@ -19,7 +19,7 @@ from protocol.wire.stream import Channel
 
 @dataclass(frozen=True, slots=True)
 class Wave:
-    """One Gaussian of a beat; times in seconds at a beat interval of 0.8 s."""
+    """One Gaussian of a beat; times in s, for a beat interval of 0.8 s."""
 
     amplitude: float
     centre_s: float
@@ -28,14 +28,14 @@ class Wave:
 
 NOMINAL_BEAT_S = 0.8
 PRESETS: dict[str, tuple[Wave, ...]] = {
-    # Reproduces the energy shares of the paper's Welch spectrum at 75 beats/min.
+    # Reproduces the energy shares of the Welch spectrum of Dargahi et al. (2008) at 75 beats/min.
     "paper": (Wave(1.0, 0.12, 0.0162), Wave(0.689, 0.2361, 0.0325), Wave(0.3384, 0.394, 0.0356)),
     "wide": (Wave(1.0, 0.14, 0.045), Wave(0.5, 0.28, 0.055), Wave(0.3, 0.45, 0.06)),
 }
 # A wave is drawn this many widths to either side; beyond, it is below 1e-9 of its amplitude.
 REACH = 6.5
 SLOW_RHYTHM_HZ = 0.1
-# Share of the beat interval's variance that the two slow rhythms have; the rest is chance.
+# Share of the two slow rhythms in the beat interval's variance; the rest is random.
 RHYTHMIC = 0.8
 ECTOPIC_EARLY, ECTOPIC_PAUSE, ECTOPIC_AMPLITUDE = 0.6, 1.4, 0.6
 
@@ -43,9 +43,9 @@ ECTOPIC_EARLY, ECTOPIC_PAUSE, ECTOPIC_AMPLITUDE = 0.6, 1.4, 0.6
 class SyntheticScene(Section):
     """The `source` table of kind "synthetic".
 
-    heart_rate_variability: standard deviation of the beat interval over its mean;
-    respiration: its RMS over the beat's standard deviation; ectopic: share of premature beats.
-    hum: amplitude of what the mains adds, a sine of hum_rate.
+    heart_rate_variability: standard deviation of the beat interval over its mean. respiration: RMS
+    of its wave over the beat's standard deviation. ectopic: share of premature beats. hum:
+    amplitude of the mains hum, a sine of hum_rate.
     """
 
     kind: Literal["synthetic"]
@@ -76,7 +76,7 @@ class SyntheticSource:
         self.period_ns = round(1e9 / scene.rate_hz)
         self._period_s = self.period_ns * 1e-9
         self._waves = PRESETS[scene.preset]
-        # Mean and deviation of an endless row of nominal beats, and newtons per unit.
+        # Mean and deviation of an endless series of nominal beats, and newtons per unit.
         beat_s = 1 / scene.heart_rate_hz
         t_s, stretch = np.arange(0, beat_s, 1e-4), math.sqrt(beat_s / NOMINAL_BEAT_S)
         beats = [_beat(self._waves, t_s - shift * beat_s, stretch) for shift in range(-3, 4)]
@@ -84,7 +84,7 @@ class SyntheticSource:
         self._mean, self._deviation = float(row.mean()), float(row.std())
         self._scale_n = scene.peak_to_peak_n / float(np.ptp(row))
         widest = max(wave.width_s for wave in self._waves)
-        # A beat's first wave may begin before the beat; samples are final this long before it.
+        # A beat's first wave may begin before the beat; earlier samples than this are final.
         lead_s = max(0.0, *(REACH * w.width_s - w.centre_s for w in self._waves))
         self._lead = math.ceil(1.5 * (lead_s + widest) / self._period_s)
         self._pending = np.zeros(0)
@@ -114,7 +114,7 @@ class SyntheticSource:
             + math.sin(2 * math.pi * scene.respiration_rate_hz * onset_s) * math.sqrt(RHYTHMIC)
             + self._rng.standard_normal() * math.sqrt(1 - RHYTHMIC)
         )
-        # More beats fall where the rhythms make them short: longer ones keep the mean rate.
+        # More beats occur while the rhythms shorten them, so the mean interval is lengthened.
         mean_s = (1 + RHYTHMIC * variability**2) / scene.heart_rate_hz
         return mean_s * max(0.4, 1 + variability * unit)
 
@@ -126,10 +126,10 @@ class SyntheticSource:
             amplitude, self._early = ECTOPIC_AMPLITUDE, False
             interval_s *= ECTOPIC_PAUSE
         elif scene.ectopic and self._rng.random() < scene.ectopic / (1 - scene.ectopic):
-            # Drawn for the beats that are not premature themselves, hence the odds.
+            # Only beats that are not premature are followed by one, hence the odds.
             self._early = True
             interval_s *= ECTOPIC_EARLY
-        # Systole shortens less than the interval: times go with its square root.
+        # Systole shortens less than the interval: its times scale with the square root.
         stretch = math.sqrt(min(interval_s, 1 / scene.heart_rate_hz) / NOMINAL_BEAT_S)
         onset = round(self._beat_onset_s / self._period_s)
         end_s = max(w.centre_s + REACH * w.width_s for w in self._waves) * stretch
