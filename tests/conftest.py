@@ -7,6 +7,7 @@ from typing import Any
 
 import pytest
 import zmq
+from coverage import Coverage
 from hypothesis import settings
 
 from protocol.host.output import OUR_LOGGERS, StderrHandler
@@ -19,7 +20,7 @@ settings.load_profile("telepulse")
 
 FIRST_NICENESS = -10
 TESTS = Path(__file__).parent
-# Minutes of computing, which a tracer would triple; what they run is covered by other tests.
+# Minutes of computing, which a tracer would triple. Other tests cover what they run.
 NOT_TRACED = (
     *("golden", "unit/telepulse", "unit/soak", "unit/benchmarks", "unit/documentation"),
     *("system/accuracy", "system/commissioning", "system/documentation", "system/experiment"),
@@ -29,12 +30,29 @@ NOT_TRACED = (
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mark what lies in tests/system, and what does not count towards the core's coverage."""
+    """Mark what lies in tests/system."""
     for item in items:
         if item.path.is_relative_to(TESTS / "system"):
             item.add_marker(pytest.mark.system)
-        if any(item.path.is_relative_to(TESTS / folder) for folder in NOT_TRACED):
-            item.add_marker(pytest.mark.no_cover)
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_protocol(item: pytest.Item) -> Iterator[None]:
+    """Run a test of `NOT_TRACED`, and its fixtures, without coverage.
+
+    pytest-cov's marker `no_cover` has no effect in a worker of pytest-xdist, where pytest-cov
+    starts two measurements and pauses one.
+    """
+    paused = []
+    if any(item.path.is_relative_to(TESTS / folder) for folder in NOT_TRACED):
+        while (coverage := Coverage.current()) is not None:
+            coverage.stop()
+            paused.append(coverage)
+    try:
+        return (yield)
+    finally:
+        for coverage in reversed(paused):
+            coverage.start()
 
 
 @pytest.fixture

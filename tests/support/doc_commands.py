@@ -1,5 +1,6 @@
 """Check that a command could be run: its program accepts the words, and the named files exist."""
 
+import os
 import re
 import shlex
 import subprocess
@@ -22,6 +23,8 @@ APPLICATIONS = {
     "sensing-node": sensing_node.cli.app,
     "display-node": display_node.cli.app,
 }
+# What `make test-all ARGS=…` exports to the tests, and thereby to the `make` that they run.
+OF_MAKE = {"ARGS", "MAKEFLAGS", "MFLAGS", "MAKEOVERRIDES", "MAKELEVEL"}
 # Words that stand for a reader's own value.
 PLACEHOLDERS = {"PORT": "5600", "PRIORITY": "40", "SECONDS": "1"}
 RECIPES = {*OTHERS, "ruff", "mypy", "lint-imports", "touch", "rm", "mkdir"}
@@ -56,9 +59,11 @@ def _check(command: str) -> None:
 
 def recipes(arguments: list[str]) -> list[str]:
     """Return the commands that `make` would run, without installation."""
+    environment = {name: value for name, value in os.environ.items() if name not in OF_MAKE}
     made = subprocess.run(
         ["make", "--dry-run", "--no-print-directory", *arguments],
         cwd=ROOT,
+        env=environment,
         capture_output=True,
         text=True,
         check=False,
