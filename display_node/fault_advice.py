@@ -29,6 +29,7 @@ ADVICE = (
     ("loop overrun", "this host stopped the loop: display-node --doctor names what helps"),
     ("no command", "this host stopped the loop: display-node --doctor names what helps"),
     ("no answer", "check the drive's power, cable, address and bit rate"),
+    ("no position", "the drive's answers come late: check its line, address and bit rate"),
     ("unplugged", "check the drive's cable and port"),
     ("garbled", "check the drive's cable, shield and bit rate"),
     ("not homed", "check the home switch and `homing` in the scene"),
