@@ -27,7 +27,7 @@ class Step:
 
     `more` is appended; otherwise only the places of `Session` are replaced. `at` is the folder in
     which it is run. With `shows`, it keeps running beside the next steps once it has printed that
-    pattern, and is ended by Ctrl-C.
+    pattern, and is ended by Ctrl-C. `statuses`: the exit statuses that it may have.
     """
 
     command: str
@@ -35,6 +35,7 @@ class Step:
     at: str = "."
     shows: str | None = None
     says: str = ""
+    statuses: tuple[int, ...] = (0,)
 
 
 @dataclass(frozen=True)
@@ -66,7 +67,7 @@ class Session:
         }
         for scene in (folder / "scenes").glob("*.toml"):
             scene.write_text(self.placed(scene.read_text(encoding="utf-8")), encoding="utf-8")
-        self._running: dict[str, tuple[subprocess.Popen[str], Path]] = {}
+        self._running: dict[str, tuple[subprocess.Popen[str], Path, Step]] = {}
 
     def placed(self, text: str) -> str:
         """Return a command with this session's ports, hosts and folders."""
@@ -105,7 +106,7 @@ class Session:
                 env={**os.environ, "PYTHONUNBUFFERED": "1", "COLUMNS": "200"},
                 text=True,
             )
-        self._running[step.command] = child, heard
+        self._running[step.command] = child, heard, step
         until_the_end.callback(self._stop, step.command)
         if step.shows is None:
             child.wait(LONGEST_S)
@@ -118,10 +119,10 @@ class Session:
             assert _has(heard, pattern), _said(line, heard)
 
     def _stop(self, command: str) -> None:
-        """End it by Ctrl-C if it still runs; its exit status must be 0."""
+        """End it by Ctrl-C if it still runs, and check its exit status."""
         if command not in self._running:
             return
-        child, heard = self._running.pop(command)
+        child, heard, step = self._running.pop(command)
         if child.poll() is None:
             child.send_signal(signal.SIGINT)
         try:
@@ -130,7 +131,7 @@ class Session:
             if child.poll() is None:
                 child.kill()
                 child.wait()
-        assert status == 0, _said(f"{command}: exit status {status}", heard)
+        assert status in step.statuses, _said(f"{command}: exit status {status}", heard)
 
 
 def _has(heard: Path, pattern: str) -> bool:
