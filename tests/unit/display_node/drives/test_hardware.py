@@ -64,7 +64,7 @@ def test_the_pulse_is_followed_through_drive_and_film(
 def test_missed_ticks_cost_little(pulse_n: Pulse) -> None:
     bench = VirtualBench(pulse_n)
     bench.command_late_ns = lambda ms: MS
-    bench.run(2_000)
+    bench.run(1_200)
     for _ in range(40):
         bench.stall(4 * TICK_MS)
         bench.run(100)
@@ -119,7 +119,7 @@ def hang(bench: VirtualBench) -> None:
     ],
     ids=["feedback lost", "stale stream", "drive fault", "process hangs"],
 )
-@pytest.mark.parametrize("from_ms", [2_000, 2_130, 2_311, 2_502, 2_777])
+@pytest.mark.parametrize("from_ms", [1_200, 1_330, 1_511, 1_702, 1_977])
 def test_after_a_fault_the_tip_rests_or_is_off_the_finger_within_100_ms(
     pulse_n: Pulse, happens: Event, pressing: bool, fault: str | None, from_ms: int
 ) -> None:
@@ -161,7 +161,7 @@ def test_each_tick_reads_the_drives_status_once_before_and_after_a_fault(
 
 @pytest.mark.parametrize("loop_first", [False, True], ids=["the drive's thread", "the loop"])
 @pytest.mark.parametrize("stalled_ms", [70, 100, 400, 1_000, 10_000])
-@pytest.mark.parametrize("from_ms", [2_000, 2_311, 2_777])
+@pytest.mark.parametrize("from_ms", [1_200, 1_511, 1_977])
 def test_after_a_stall_the_tip_withdraws_whichever_thread_wakes_first(
     pulse_n: Pulse, loop_first: bool, stalled_ms: int, from_ms: int
 ) -> None:
@@ -180,7 +180,7 @@ def test_after_a_stall_the_tip_withdraws_whichever_thread_wakes_first(
 
 def test_a_loop_that_hangs_alone_leaves_the_withdrawal_to_the_drives_thread(pulse_n: Pulse) -> None:
     bench = VirtualBench(pulse_n)
-    bench.run(2_000)
+    bench.run(1_200)
     bench.loop_runs = False
     bench.run(500)
     assert bench.moments[-1].force_n == 0
@@ -188,7 +188,7 @@ def test_a_loop_that_hangs_alone_leaves_the_withdrawal_to_the_drives_thread(puls
 
 def test_a_long_overrun_is_a_fault_whatever_the_drive_reports(pulse_n: Pulse) -> None:
     bench = VirtualBench(pulse_n)
-    bench.run(2_000)
+    bench.run(1_200)
     bench.drive.motor.set_watchdog(0)
     bench.loop_first = True
     bench.stall(300)
@@ -224,13 +224,13 @@ def test_no_peer_presses_harder_or_faster_than_safety_allows(force_n: Pulse) -> 
 
 def test_a_sensing_node_that_is_started_anew_is_felt_by_a_ramp(pulse_n: Pulse) -> None:
     bench = VirtualBench(lambda ms: 0.5)
-    bench.run(2_000)
+    bench.run(1_200)
     bench.sending = False
     bench.run(1_000)
     assert bench.moments[-1].force_n == 0
     bench.sender, bench.sending = Sender(session=8), True
     bench.run(3_000)
-    felt_n = np.array([moment.force_n for moment in bench.moments])[2_900:]
+    felt_n = np.array([moment.force_n for moment in bench.moments])[2_100:]
     begins, full = np.argmax(felt_n > 0.02), np.argmax(felt_n > 0.48)
     assert felt_n[-1] == pytest.approx(0.5, abs=2e-3)
     # From 4 % to 96 %.
@@ -241,7 +241,7 @@ def test_a_sensing_node_that_is_started_anew_is_felt_by_a_ramp(pulse_n: Pulse) -
 @pytest.mark.parametrize("happens", [lose_the_film, overheat, hang])
 def test_after_a_fault_and_a_restart_the_force_comes_back_by_a_ramp(happens: Event) -> None:
     bench = VirtualBench(lambda ms: 0.5)
-    bench.run(2_000)
+    bench.run(1_200)
     happens(bench)
     bench.run(200)
     bench.loop_runs = bench.thread_runs = True
@@ -270,7 +270,7 @@ def test_errors_are_counted_and_named() -> None:
 
 def test_closing_takes_the_tip_off_the_finger(monkeypatch: pytest.MonkeyPatch) -> None:
     bench = VirtualBench(lambda ms: 0.5)
-    bench.run(2_000)
+    bench.run(1_200)
     assert bench.moments[-1].force_n > 0.4
 
     def sleep(seconds: float) -> None:
@@ -320,7 +320,7 @@ def test_a_bench_starts_with_the_films_first_sample(scene: DisplayScene, first: 
 
 def test_without_a_sensor_the_drives_position_gives_the_force(scene: DisplayScene) -> None:
     bench = VirtualBench(lambda ms: 0.5)
-    bench.run(2_000)
+    bench.run(1_200)
     found = scene.hardware(bench.drive, sensor=None)
     found.read()
     found.read()
