@@ -3,12 +3,13 @@
 import sys
 import threading
 import time
+from collections.abc import Iterator
 from types import ModuleType
 from typing import Any
 
 import pytest
 
-from tests.support.virtual_time import VirtualThread, VirtualTime
+from tests.support.virtual_time import VirtualTime
 
 MS = 1_000_000
 
@@ -19,12 +20,14 @@ def world() -> VirtualTime:
 
 
 @pytest.fixture
-def here(monkeypatch: pytest.MonkeyPatch) -> Any:
-    """A module that looks at the clock and starts threads."""
+def here(world: VirtualTime, monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
+    """A module that reads the clock and starts threads, in virtual time."""
     module: Any = ModuleType("here")
     module.time, module.threading = time, threading
     monkeypatch.setitem(sys.modules, "here", module)
-    return module
+    with world.substituted(("here",)):
+        yield module
+    assert module.time is time
 
 
 def test_threads_run_when_their_waits_are_over(world: VirtualTime) -> None:
@@ -45,33 +48,28 @@ def test_threads_run_when_their_waits_are_over(world: VirtualTime) -> None:
 
 def test_an_event_ends_a_wait_before_its_timeout(world: VirtualTime, here: Any) -> None:
     seen: list[int] = []
-    with world.substituted(("here",)):
-        event = here.threading.Event()
-        started = here.threading.Thread(
-            target=lambda: (event.wait(1.0), seen.append(here.time.monotonic_ns()))
-        )
-        started.start()
-        world.at(70 * MS, event.set)
-        started.join()
+    event = here.threading.Event()
+    started = here.threading.Thread(
+        target=lambda: (event.wait(1.0), seen.append(here.time.monotonic_ns()))
+    )
+    started.start()
+    world.at(70 * MS, event.set)
+    started.join()
     assert seen == [70 * MS]
-    assert here.time is time
 
 
-@pytest.mark.parametrize("first", [0, 1])
+@pytest.mark.parametrize("step", [1, -1])
 def test_stalled_threads_wake_together_in_the_order_that_is_chosen(
-    world: VirtualTime, first: int
+    world: VirtualTime, step: int
 ) -> None:
     seen: list[tuple[int, str]] = []
 
-    def ticker() -> None:
-        thread = world.current
-        assert thread is not None
+    def ticker(name: str) -> None:
         while True:
             world.sleep(10e-3)
-            seen.append((world.now_ns // MS, thread.name))
+            seen.append((world.now_ns // MS, name))
 
-    threads = [world.thread(ticker, name=name) for name in ("loop", "drive")]
-    order: list[VirtualThread] = [threads[first], threads[1 - first]]
+    order = [world.thread(ticker, name, name=name) for name in ("loop", "drive")][::step]
     world.run(15 * MS)
     world.stall(order, 55 * MS)
     world.run(60 * MS)
@@ -79,24 +77,25 @@ def test_stalled_threads_wake_together_in_the_order_that_is_chosen(
     assert {ms for ms, _ in seen} == {10, 55}
 
 
-def test_a_stall_may_begin_between_a_look_at_the_clock_and_its_use(world: VirtualTime) -> None:
+def test_a_stall_may_begin_between_a_reading_of_the_clock_and_its_use(world: VirtualTime) -> None:
     seen: list[tuple[int, int]] = []
 
-    def looker() -> None:
+    def reader() -> None:
         while True:
             world.sleep(1e-3)
-            looked_ns = world.monotonic_ns()
-            seen.append((looked_ns // MS, world.now_ns // MS))
+            read_ns = world.monotonic_ns()
+            seen.append((read_ns // MS, world.now_ns // MS))
 
-    thread = world.thread(looker)
+    thread = world.thread(reader)
     world.interrupt(3, lambda: world.stall([thread], 500 * MS))
     world.run(501 * MS)
     assert seen == [(1, 1), (2, 2), (3, 500), (501, 501)]
 
 
-def test_who_waits_for_a_lock_waits_for_a_stalled_holder(world: VirtualTime, here: Any) -> None:
-    with world.substituted(("here",)):
-        lock = here.threading.Lock()
+def test_a_thread_that_waits_for_a_lock_waits_for_a_stalled_holder(
+    world: VirtualTime, here: Any
+) -> None:
+    lock = here.threading.Lock()
     seen: list[tuple[str, int]] = []
 
     def holder() -> None:
