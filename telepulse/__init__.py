@@ -1,1 +1,1 @@
-"""What runs both nodes: scenes, virtual-time simulation, the demo, the command line."""
+"""Programs around the two nodes: simulation, demo, emulation, recordings, reports, commands."""

@@ -1,8 +1,8 @@
-"""Check of HTTP requests to a server of ours by their Host and Origin headers.
+"""Check of HTTP requests to one of our servers by their Host and Origin headers.
 
-A page of another site may let its own name resolve to this machine (DNS rebinding). A browser then
-takes our server for that site's, and lets the page read its answers. The name stays in the
-request's headers, so a request is served only under a name or address of this server.
+Another site can let its own name resolve to this machine (DNS rebinding). A browser then treats our
+server as part of that site, and lets the site's pages read our responses. The request's headers
+still contain the site's name, so only requests to a name or address of this server are served.
 """
 
 import ipaddress
@@ -19,8 +19,8 @@ SHOWN_CHARACTERS = 60
 class Site:
     """The names under which one server is served.
 
-    names: in lower case, without ports. any_address: every IP address is one of them, where the
-    server is bound to all addresses of its machine. A rebound name is never an address.
+    names: in lower case, without ports. any_address: the server is bound to all addresses of its
+    machine, and every IP address is accepted as its name: DNS rebinding needs a name.
     """
 
     names: frozenset[str]
@@ -39,8 +39,8 @@ class Site:
     def refusal(self, host: str, origin: str | None) -> str | None:
         """Return why a request is refused, in one line; None where it is served.
 
-        host, origin: the request's headers. A browser sends Origin with what a page asks for; it
-        has to be the page that this server itself has sent.
+        host, origin: the request's headers. A browser sends Origin with the requests of a page, and
+        that page must come from this server.
         """
         if not self._is_own(host):
             return f"{_ascii(host)} is not this server's name; open it by its own address"
@@ -58,7 +58,7 @@ class Site:
 
 
 def in_url(host: str) -> str:
-    """Return a host as it stands in a URL."""
+    """Return a host in the notation of a URL."""
     return f"[{host}]" if ":" in host else host
 
 

@@ -1,6 +1,6 @@
 """Outlet of a display's telemetry as Lab Streaming Layer (LSL) streams.
 
-What cannot be forwarded is counted. Labels, units and types of the streams stand in
+Messages that cannot be forwarded are counted. Labels, units and types of the streams are in
 `desc/channels/channel`, the maker in `desc/acquisition`, as LabRecorder and XDF need them
 (https://github.com/sccn/xdf/wiki/Meta-Data).
 """
@@ -25,9 +25,9 @@ from telepulse.telemetry.schema import EVENT, FRAME, TICK
 
 logger = logging.getLogger(__name__)
 
-# Longer than a link that reorders delays a frame; later ones count as lost.
+# A frame is held back for longer than reordering usually delays one; later ones count as lost.
 HOLD_NS = 500_000_000
-# Readings of both clocks, of which the quickest is taken.
+# Number of comparisons of the two clocks; the one that took the least time is used.
 TRIES = 9
 
 
@@ -43,7 +43,7 @@ class FrameReorderer:
         self.lost = 0
 
     def take(self, frame: Frame, now_ns: int) -> Iterator[Frame]:
-        """Add a frame; yield the frames whose turn it is."""
+        """Add a frame; yield the frames that can be passed on, in order."""
         if self._next_sample is None:
             self._next_sample = frame.first_sample
         if frame.first_sample >= self._next_sample:
@@ -128,7 +128,7 @@ class LslStreams:
     def push_finger(self, forces_n: Sequence[tuple[float, float]], times_s: list[float]) -> None:
         """Push target and felt force of ticks with their times."""
         if self._finger is None:
-            # Ticks come at a real loop's pace, with those that were missed left out.
+            # Irregular rate: a real loop's ticks come late, and missed ones are left out.
             channels = [("target", "N"), ("felt", "N")]
             self._finger = self._open("finger", "Force", 0.0, "double64", channels)
         self._finger.push_chunk(np.array(forces_n), times_s)
@@ -189,7 +189,7 @@ class LslForwarder:
         """Forward the entries of one telemetry message."""
         ticks = [entry for entry in entries if entry.topic == TICK]
         if ticks:
-            # Where the force felt is unknown, LSL gets a NaN.
+            # An unknown felt force is sent as NaN.
             forces_n = [
                 (entry.fields["target_n"], entry.fields.get("felt_n", math.nan)) for entry in ticks
             ]
@@ -270,7 +270,7 @@ class LslOutlet:
             self._client.close()
         passed, decoder = self._forwarder.passed, self._client.decoder
         if not decoder.started:
-            logger.warning(f"{self._address}: no telemetry came from it")
+            logger.warning(f"{self._address}: no telemetry came; is a display running there?")
             return False
         counts = [count_text(passed[f"{name}s"], name) for name in ("sample", "tick", "event")]
         missing = f"{count_text(self._forwarder.lost, 'sample')} missing"

@@ -21,10 +21,10 @@ from protocol.run_summary import Summary
 logger = logging.getLogger(__name__)
 
 HOST = "127.0.0.1"
-# Below the ports that systems give to outgoing connections: a node that connects to one of those
-# before its peer has bound it can be given that very port, and then connects to itself.
+# Below the range of ephemeral ports: a node that connects to a port of that range before its peer
+# has bound it may get the same port for its own end, and is then connected to itself.
 PORTS = range(15_000, 32_000, 2)
-# None is returned again soon: its first user need not have bound it yet.
+# A port is returned again only after all others, since its user binds it some time later.
 _ports = itertools.cycle(random.SystemRandom().sample(PORTS, len(PORTS)))
 
 
@@ -45,7 +45,8 @@ def free_addresses(count: int) -> list[str]:
 
 
 _SUMMARY = TypeAdapter(Summary)
-# A record of a process's log that its user should see; a fault is named where the run ends.
+# Log lines of a process that its user should see. Faults are excluded: the end of the run names
+# them.
 _WARNING = re.compile(
     r"^\d\d:\d\d:\d\d\.\d{3} (WARNING|ERROR|CRITICAL) (?!fault: )(.*)$", re.MULTILINE
 )
@@ -60,9 +61,9 @@ def log_warnings(name: str, errors: str) -> None:
 class NodeProcess(ChildProcess):
     """A node's process, which writes its closing summary to a file.
 
-    name: its name in errors. module: the node's command line: "sensing_node.cli" or
-    "display_node.cli". arguments: of that command. summary: the file of its summary (`--json`).
-    options: of `ChildProcess`: its streams, environment and current folder.
+    name: its name in errors. module: the node's command line, "sensing_node.cli" or
+    "display_node.cli". arguments: arguments of that command. summary: file for its summary
+    (`--json`). options: options of `ChildProcess`: streams, environment and current folder.
     """
 
     def __init__(

@@ -28,9 +28,9 @@ logger = logging.getLogger(__name__)
 
 _SUBSCRIBED = b"\1"
 STATISTICS = struct.Struct("=Q")
-# The proxy answers at once, unless the machine gives its thread no time.
+# The proxy answers at once, unless its thread gets no processor time.
 ANSWER_MS = 5_000
-# Interval between decoded frames, from which the duration of a frame is taken.
+# Interval at which a frame is decoded, to get the duration that a frame covers.
 READ_EVERY_NS = 100_000_000
 # Timeout of a stream whose frames have an unknown length, and the longest of any stream.
 MAX_SILENT_NS = 10_000_000_000
@@ -62,7 +62,7 @@ class Proxy:
         self._thread: threading.Thread | None = None
 
     def start(self) -> None:
-        """Begin to pass messages on."""
+        """Start passing messages on."""
         address = f"inproc://proxy-{next(_numbers)}"
         self._steering = self._context.socket(zmq.PAIR)
         self._steering.setsockopt(zmq.RCVTIMEO, ANSWER_MS)
@@ -70,7 +70,7 @@ class Proxy:
         steered = self._context.socket(zmq.PAIR)
         steered.connect(address)
         self._last_counts = (0, 0, 0)
-        # A daemon thread cannot keep the program from ending, should it ever hang.
+        # A daemon thread, so that the program can end even if the proxy hangs.
         self._thread = threading.Thread(target=self._run, args=(steered,), daemon=True)
         self._thread.start()
 
@@ -215,8 +215,8 @@ class Relay:
     """Passes one stream on, and the control messages between its displays and its sensing node.
 
     Control messages are not decoded. The first display that subscribes makes the relay subscribe
-    to the frames, once for all displays. A display too slow for them loses the newest, as on the
-    sensing node.
+    to the frames, once for all displays. A display that reads too slowly loses the newest frames,
+    as it does at the sensing node.
 
     connect, bind: address of the sensing node, and the address for displays. client_keys: keys
     towards the sensing node. server_keys: keys towards displays, with the allow-list.

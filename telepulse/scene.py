@@ -1,4 +1,4 @@
-"""A whole scene: the sections of both nodes and of the link, for runs of both."""
+"""A whole scene: the sections of both nodes and of the link, for programs that run both nodes."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""`telepulse bench`, `calibrate` and `tune`: before a finger is on a bench."""
+"""`telepulse bench`, `calibrate` and `tune`: putting a bench into service."""
 
 from dataclasses import replace
 from enum import Enum
@@ -56,7 +56,7 @@ class Side(Enum):
 def bench(
     scene: SceneArgument = DEFAULT_SCENE,
     only: Annotated[Side, typer.Option(help="The end that is on this machine.")] = Side.BOTH,
-    force: Annotated[str, typer.Option(help="Press with no more than this.")] = "0.3 N",
+    force: Annotated[str, typer.Option(help="Largest force of the press.")] = "0.3 N",
     seconds: Annotated[
         float, typer.Option(min=1, max=3600, help="How long each sensor is recorded.")
     ] = 5.0,
@@ -64,15 +64,17 @@ def bench(
     out: PageOption = None,
     write: Annotated[
         Path | None,
-        typer.Option(metavar="SCENE.toml", help="Write the scene here, with the found keys."),
+        typer.Option(
+            metavar="SCENE.toml", help="Write a copy of the scene here, with the identified keys."
+        ),
     ] = None,
     json: TablesOption = None,
     log_level: LogLevelOption = None,
 ) -> None:
     """Check sensors and drive before a finger is on them, and identify the actuator.
 
-    Without [display.drive] the scene's models are checked, in virtual time. Every check ends in
-    ok, warn or fail; exit status 1 when one failed.
+    Without [display.drive] the scene's models are checked, in virtual time. The result of each
+    check is ok, warn or fail; the exit status is 1 when a check failed.
     """
     # Imported here: scipy takes long to import, and other commands do without.
     from telepulse.commissioning import bench_check
@@ -148,20 +150,32 @@ def calibrate(
         ),
     ] = None,
     scene: Annotated[str | None, typer.Option(help="Read this scene's sensor instead.")] = None,
-    at: Annotated[Place, typer.Option(help="Which of its sensors.")] = Place.WRIST,
+    at: Annotated[
+        Place, typer.Option(help="The sensor of that scene: at the wrist or under the finger.")
+    ] = Place.WRIST,
     loads: Annotated[
-        str, typer.Option(metavar="'0, 0.5, 1 N'", help="What will be put on it, in this order.")
+        str,
+        typer.Option(
+            metavar="'0, 0.5, 1 N'",
+            help="The reference loads, in the order in which you put them on.",
+        ),
     ] = "0, 0.5, 1, 1.5, 2, 2.5, 2, 1.5, 1, 0.5, 0 N",
     load_unit: Annotated[
-        LoadUnit | None, typer.Option(help="Of the file; g and kg are weights. Else N.")
+        LoadUnit | None,
+        typer.Option(
+            help="Unit of the loads in the file; g and kg are weights. Default: the header's, or N."
+        ),
     ] = None,
-    reading_unit: Annotated[ReadingUnit | None, typer.Option(help="Of the file. Else mV.")] = None,
+    reading_unit: Annotated[
+        ReadingUnit | None,
+        typer.Option(help="Unit of the readings in the file. Default: the header's, or mV."),
+    ] = None,
     out: PageOption = None,
     json: TablesOption = None,
 ) -> None:
     """Fit the straight line of Fig. 4 from reference loads, with residuals and R².
 
-    From a file, or from a sensor under loads that you put on one by one.
+    The readings come from a file, or from a sensor under loads that you put on one by one.
     """
     found: list[str] = []
 
@@ -172,7 +186,7 @@ def calibrate(
         elif table is not None:
             name, taken = table.stem, read_loads(table, load_unit, reading_unit)
         else:
-            raise SceneError("what shall be calibrated? Give a file of loads, or --scene")
+            raise SceneError("nothing to calibrate: give a file of loads, or --scene")
         line = fit_line(taken.load_n, taken.reading)
         found.append(calibration_keys(taken, line))
         return report_calibration(name, taken, line)
@@ -185,7 +199,9 @@ def _sensor(path: Path, at: Place) -> SensorScene:
     if at is Place.FINGER:
         film = load_section(path, "display", DisplayScene).feedback
         if film is None:
-            raise SceneError(f"{path}: [display.feedback] is missing: which sensor reads the film?")
+            raise SceneError(
+                f"{path}: [display.feedback] is missing: describe the film's sensor there"
+            )
         return film
     source = load_section(path, "sensing", SensingScene).source
     if not isinstance(source, SensorTable):
@@ -198,9 +214,9 @@ def _ask_for(load_n: float) -> None:
 
 
 def tune(scene: SceneArgument = DEFAULT_SCENE, json: TablesOption = None) -> None:
-    """Print the margins of a scene's force loop, and gains by design with theirs.
+    """Print the margins of a scene's force loop, and those of proposed gains.
 
-    Exit status 2 when the scene's own loop is not stable: no node would run it.
+    Exit status 2 when the scene's own loop is not stable: a display refuses to run it.
     """
     # Imported here: scipy takes long to import, and other commands do without.
     from telepulse.commissioning.tuning import as_toml, design, judge, report_design
@@ -216,5 +232,5 @@ def tune(scene: SceneArgument = DEFAULT_SCENE, json: TablesOption = None) -> Non
         print_tables(report, console)
         console.print(as_toml(proposed.controller), markup=False)
         if present.worst.unfit is not None:
-            reason = f"the force loop {present.worst.unfit}: take the design above"
+            reason = f"the force loop {present.worst.unfit}: use the proposed gains above"
             raise SceneError(f"{loaded.path}: [display] controller: {reason}")

@@ -1,7 +1,7 @@
 """`telepulse demo` and `simulate`: run both nodes, as real processes or in virtual time.
 
-On one machine both ends can be measured: the demo subscribes to the sensing node and to the
-display's telemetry, and scores the felt force against the sensed one.
+Both ends are on one machine, so the demo can compare them: it subscribes to the sensing node and to
+the display's telemetry, and scores the felt force against the sensed one.
 """
 
 import logging
@@ -87,7 +87,9 @@ def demo(
     json: JsonOption = None,
     ui: Annotated[
         bool,
-        typer.Option(help="Show the live state: a panel in a terminal, else a line a second."),
+        typer.Option(
+            help="Show the live state: as a panel in a terminal, otherwise one line per second."
+        ),
     ] = True,
     page: Annotated[
         bool | None,
@@ -130,8 +132,8 @@ def run_demo(
 ) -> Summary:
     """Run both nodes for `seconds` of pulse, over the scene's link.
 
-    page: True: serve the live page; None: if `draw` is set, and only warn where it cannot be
-    served. Raises SceneError, SourceError, ProcessError, or OutputError where a page that is
+    page: True serves the live page; None serves it if `draw` is set, and only warns where it cannot
+    be served. Raises SceneError, SourceError, ProcessError, or OutputError where a page that is
     required cannot be served.
     """
     path = scene.path

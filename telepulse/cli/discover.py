@@ -15,14 +15,14 @@ COLUMNS = ("name", "stream", "address", "key", "node")
 
 
 def discover(
-    seconds: Annotated[float, typer.Option(min=0.1, max=3600, help="How long to look.")] = 4.0,
+    seconds: Annotated[float, typer.Option(min=0.1, max=3600, help="How long to search.")] = 4.0,
     json: TablesOption = None,
 ) -> None:
     """List the sensing nodes that announce themselves on the local network.
 
     A display connects to one by display-node --discover --named NAME. A node keeps the id after
-    "node" when it is started again; its key is shown as a fingerprint. Anybody can announce
-    anything: only its key proves which node it is (display-node --peer).
+    "node" when it is started again; its key is shown as a fingerprint. Announcements are not
+    authenticated: only its key proves which node it is (display-node --peer).
     """
     console = plain_console(json=json)
     with one_line_errors(PROGRAM):
@@ -45,4 +45,10 @@ def discover(
 
 def _row(one: Announcement) -> tuple[str, ...]:
     addresses = " ".join(f"tcp://{address}:{one.port}" for address in one.addresses)
-    return one.name, one.stream, addresses, one.fingerprint or "none: lets everybody in", one.node
+    return (
+        one.name,
+        one.stream,
+        addresses,
+        one.fingerprint or "none: any display may connect",
+        one.node,
+    )

@@ -1,4 +1,4 @@
-"""`telepulse emulate`: hardware that is not there, one command a piece."""
+"""`telepulse emulate`: emulated hardware, one command for each device."""
 
 import threading
 import time
@@ -48,22 +48,24 @@ CIA402_FAULTS = (*MOTOR_FAULTS, FILM_SILENT, "silent", "unplugged")
 UNREPORTED: tuple[str, ...] = tuple(kind.value for kind in FaultKind)
 SceneT = TypeVar("SceneT", bound=DriveScene)
 
-app = typer.Typer(no_args_is_help=True, help="Hardware that is not there, speaking its real bytes.")
+app = typer.Typer(
+    no_args_is_help=True, help="Emulated hardware that sends and receives the real devices' bytes."
+)
 
 
 DriveArgument = Annotated[
     str, typer.Argument(help="A scene whose [display.drive] is of this kind, as file or name.")
 ]
-_TO_PORT = "Make this link to the port, for a scene to name."
+_TO_PORT = "Create this symbolic link to the port, for the scene's `port`."
 BoardLink = Annotated[Path | None, typer.Option(metavar="PATH", help=_TO_PORT)]
 _TO_DRIVE = (
-    "Make PATH the serial port, of the module or of an slcan adapter with the drive behind it, for"
-    " the scene to name."
+    "Create PATH as a link to the serial port of the module, or of an slcan adapter with the drive"
+    " behind it, for the scene's `port` or `channel`."
 )
 DriveLink = Annotated[Path | None, typer.Option(metavar="PATH", help=_TO_DRIVE)]
 _TO_FILM = (
-    "Make PATH a serial port on which a sensor board sends the force under the finger, in"
-    ' framing = "binary".'
+    "Create PATH as a link to a serial port on which a sensor board sends the force under the"
+    ' finger, in framing = "binary".'
 )
 FilmLink = Annotated[Path | None, typer.Option(metavar="PATH", help=_TO_FILM)]
 _SIZE = (
@@ -71,11 +73,11 @@ _SIZE = (
     " --size 0.3."
 )
 SizeOption = Annotated[str | None, typer.Option("--size", help=_SIZE)]
-_AFTER = "Begin of the fault, from the first press on the finger."
+_AFTER = "Time from the first press on the finger to the fault."
 AfterOption = Annotated[float, typer.Option("--fault-after", min=0, metavar="SECONDS", help=_AFTER)]
 _FROM_START = "Begin the fault at the start, in place of --fault-after."
 FromStartOption = Annotated[bool, typer.Option("--fault-from-start", help=_FROM_START)]
-_TRACE = "Write a CSV line every ms: place, speed, force under the finger, fault."
+_TRACE = "Write a CSV line every ms: position, speed, force under the finger, fault."
 TraceOption = Annotated[Path | None, typer.Option(metavar="FILE", help=_TRACE)]
 
 
@@ -99,27 +101,35 @@ def sensor(
         typer.Option(help="Frames, lines of time and value, or lines of a value alone."),
     ] = "binary",
     samples: Annotated[
-        SampleFormat, typer.Option(help="Of binary frames; integers count 0.1 mN.")
+        SampleFormat, typer.Option(help="Format in binary frames; integers count 0.1 mN.")
     ] = "float32",
-    frame: Annotated[int, typer.Option(min=1, max=MAX_SAMPLES, help="Samples a frame.")] = 4,
+    frame: Annotated[int, typer.Option(min=1, max=MAX_SAMPLES, help="Samples in a frame.")] = 4,
     delivery_ms: Annotated[
-        float, typer.Option(min=0, max=1000, help="USB delivers after 1/4 of this to all of it.")
+        float,
+        typer.Option(
+            min=0,
+            max=1000,
+            help="Longest time between two deliveries by USB; the shortest is a quarter of it.",
+        ),
     ] = 16.0,
     skew_ppm: Annotated[
-        float, typer.Option(min=-10_000, max=10_000, help="By how much its crystal is fast.")
+        float,
+        typer.Option(
+            min=-10_000, max=10_000, help="Deviation of the board's crystal; positive is fast."
+        ),
     ] = 50.0,
     noise: Annotated[
-        float, typer.Option(min=0, max=1, help="Share of bytes that arrive as another.")
+        float, typer.Option(min=0, max=1, help="Share of bytes that noise alters.")
     ] = 0.0,
-    seed: Annotated[int, typer.Option(min=0, help="Of deliveries and noise.")] = 1,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of deliveries and noise.")] = 1,
     seconds: StopAfterOption = None,
     log_level: LogLevelOption = None,
 ) -> None:
-    """Be a sensor board on a pseudo-terminal that sends a scene's source.
+    """Emulate a sensor board on a pseudo-terminal that sends a scene's source.
 
-    Prints the table with which a scene reads it. Samples go by the board's own crystal, USB
-    delivers them in batches, noise spoils bytes. Stopping it pulls the cable; started again with
-    the same --link, it is plugged in again.
+    Prints the table with which a scene reads it. The board samples by its own crystal, USB
+    delivers in batches, and noise alters bytes. Stopping the program disconnects the board;
+    started again with the same --link, it is connected again.
     """
     console = plain_console()
     stopped = threading.Event()
@@ -161,12 +171,12 @@ def tmcl(
     seconds: StopAfterOption = None,
     log_level: LogLevelOption = None,
 ) -> None:
-    """Be a TMCL stepper module: on a serial port of its own, or on the scene's CAN bus.
+    """Emulate a TMCL stepper module on a serial port of its own, or on the scene's CAN bus.
 
     A physical model of the scene's [display.actuator] turns under a finger, with a home switch,
     the module's heartbeat, its limits and its faults.
     """
-    # python-can brings its import time; other commands do without.
+    # Imported here: python-can takes long to import, and other commands do without.
     from telepulse.emulators.tmcl import EmulatedCanLine, EmulatedSerialLine, EmulatedTmclModule
 
     with one_line_errors(PROGRAM), ExitStack() as open_things:
@@ -207,7 +217,7 @@ def tmcl(
 def cia402(
     scene: DriveArgument,
     interface: Annotated[
-        str | None, typer.Option(help="CAN interface as python-can names it; else the scene's.")
+        str | None, typer.Option(help="CAN interface as python-can names it; default: the scene's.")
     ] = None,
     channel: Annotated[str | None, typer.Option(help="Channel of the CAN interface.")] = None,
     link: DriveLink = None,
@@ -220,10 +230,11 @@ def cia402(
     seconds: StopAfterOption = None,
     log_level: LogLevelOption = None,
 ) -> None:
-    """Be a CANopen drive of profile CiA 402 on a CAN bus.
+    """Emulate a CANopen drive of profile CiA 402 on a CAN bus.
 
     A physical model of the scene's [display.actuator] turns under a finger, with a home switch,
-    software limits, heartbeat monitoring and faults. --fault silent: it receives and sends nothing.
+    software limits, heartbeat monitoring and faults. With --fault silent it receives and sends
+    nothing.
     """
     from telepulse.emulators.cia402 import EmulatedCia402Node
 
@@ -255,7 +266,7 @@ def cia402(
 def _injected_fault(
     fault: str | None, size: str | None, names: tuple[str, ...]
 ) -> InjectedFault | None:
-    """Return the fault of a name that nothing reports; None for any other. Raises SceneError."""
+    """Return the named fault if the drive does not report it, or None. Raises SceneError."""
     if fault in UNREPORTED:
         return parse_fault(FaultKind(fault), size)
     if fault is not None and fault not in names:

@@ -40,7 +40,7 @@ def _threshold(text: str) -> float:
 
 @app.command()
 def new(path: SessionArgument) -> None:
-    """Write an example of a session file, to be changed; nothing is overwritten."""
+    """Write an example of a session file for you to change; nothing is overwritten."""
     text = files("telepulse.experiment").joinpath("example.toml").read_text(encoding="utf-8")
     with one_line_errors(PROGRAM):
         create_file(path, text)
@@ -52,7 +52,8 @@ def new(path: SessionArgument) -> None:
 def run(
     session: SessionArgument,
     log: Annotated[
-        Path, typer.Option(metavar="FILE.jsonl", help="Write the trials here, each at once.")
+        Path,
+        typer.Option(metavar="FILE.jsonl", help="Write each trial here as soon as it is answered."),
     ],
     resume: Annotated[bool, typer.Option("--resume", help="Continue an existing log.")] = False,
     observer: Annotated[
@@ -78,9 +79,9 @@ def run(
 ) -> None:
     """Run a session: the subject feels A, B and X on the scene's actuator, and answers by keys.
 
-    A scene with a [display.drive] is felt on the real bench. One without is refused for a person,
-    who would feel nothing, unless --without-drive is given. The report at the end of the session
-    shows what A, B and X were.
+    A scene with a [display.drive] runs on the real bench. A scene without one is refused for a
+    person, who would feel nothing, unless --without-drive is given. The report at the end
+    of the session shows what A, B and X were.
 
     Exit status: 0 when it has ended or was stopped by q, 2 when it cannot be run or a fault ends
     it; the reason is one line on stderr.
@@ -105,7 +106,7 @@ def run(
         plan = load_plan(session)
         if observer is None and not without_drive and plan.direct.display.drive is None:
             raise SceneError(
-                f"{plan.direct.path}: names no [display.drive], so nobody would feel anything:"
+                f"{plan.direct.path}: has no [display.drive], so nobody would feel anything:"
                 " --without-drive runs its models, to try a session"
             )
         file, header, done = open_log(log, plan, observer, resume)
@@ -122,7 +123,7 @@ def run(
                 if keyboard.await_key() != "y":
                     raise SystemExit(1)
             freeze_objects()
-            # Last, so that everything that can fail without the drive fails before it moves.
+            # Started last: everything that can fail without the drive fails before it moves.
             bench = start_bench(scene.display, scene.path.parent)
             hardware = stack.enter_context(bench)
             if hardware is not None:
@@ -141,9 +142,7 @@ def run(
 def report(
     logs: Annotated[list[Path], typer.Argument(metavar="LOG...", show_default=False)],
     out: FolderOption = Path("out/experiment"),
-    spoilt: Annotated[
-        bool, typer.Option("--spoilt", help="Count the spoilt trials with the others.")
-    ] = False,
+    spoilt: Annotated[bool, typer.Option("--spoilt", help="Include the spoilt trials.")] = False,
     json: TablesOption = None,
 ) -> None:
     """Report the results of logs: proportions with exact intervals, thresholds, objective errors.

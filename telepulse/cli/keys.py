@@ -16,24 +16,28 @@ app = typer.Typer(
     " key never leaves its machine; its public key goes to the machine it connects to.",
 )
 
-NameArgument = Annotated[str, typer.Argument(metavar="NAME", help="Of the node: wrist, finger.")]
-FolderOption = Annotated[Path, typer.Option(help="Where the keys are.")]
+NameArgument = Annotated[
+    str, typer.Argument(metavar="NAME", help="Name of the node, such as wrist or finger.")
+]
+FolderOption = Annotated[Path, typer.Option(help="Folder of the keys.")]
 ListOption = Annotated[
     Path | None,
-    typer.Option("--list", metavar="FILE", help="The allow-list; else 'allowed' in the folder."),
+    typer.Option(
+        "--list", metavar="FILE", help="Path of the allow-list; default: 'allowed' in the folder."
+    ),
 ]
 FOLDER = Path("keys")
 
 
 @app.command()
 def new(name: NameArgument, folder: FolderOption = FOLDER) -> None:
-    """Make a key pair: NAME.key, which only you may read, and NAME.pub, to give away."""
+    """Make a key pair: NAME.key, which only you may read, and NAME.pub, for other machines."""
     with one_line_errors(PROGRAM):
         secret, public = new_pair(folder, name)
     plain_console().print(
         f"{secret}: secret, stays on this machine: --key {secret}\n"
         f"{public}: public, one line; copy it to the other machine. There\n"
-        f"  a sensing node lets {name} in by: telepulse keys allow {public.name}\n"
+        f"  a sensing node allows {name} by: telepulse keys allow {public.name}\n"
         f"  a display connects to {name} with: --peer {public.name}"
     )
 
@@ -44,7 +48,7 @@ def allow_command(
     folder: FolderOption = FOLDER,
     allowed: ListOption = None,
 ) -> None:
-    """Allow a node: add its public key to the allow-list; running nodes notice within 1 s."""
+    """Allow a node: add its public key to the allow-list; running nodes follow within 1 s."""
     path = allowed or folder / ALLOWED
     with one_line_errors(PROGRAM):
         peer = read_public(public)
@@ -56,11 +60,11 @@ def allow_command(
 def revoke_command(
     name: NameArgument, folder: FolderOption = FOLDER, allowed: ListOption = None
 ) -> None:
-    """Allow a node no longer; running nodes cut its connections within 2 s."""
+    """Revoke a node's permission; running nodes cut its connections within 2 s."""
     path = allowed or folder / ALLOWED
     with one_line_errors(PROGRAM):
         revoke(path, name)
-    plain_console().print(f"{path} allows {name} no more")
+    plain_console().print(f"{path} no longer allows {name}")
 
 
 @app.command(name="list")

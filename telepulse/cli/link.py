@@ -1,4 +1,4 @@
-"""`telepulse link` and `relay`: pass a stream on, over a worse link or to many displays."""
+"""`telepulse link` and `relay`: forward a stream, over a worsened link or to many displays."""
 
 import logging
 import threading
@@ -45,9 +45,9 @@ def link(
     insecure: InsecureOption = False,
     log_level: LogLevelOption = None,
 ) -> None:
-    """Pass a stream on between two nodes over a worse link.
+    """Forward a stream between two nodes over a worsened link.
 
-    Delays, jitters and drops data frames on their way to the displays; control messages are
+    Delays and drops data frames on their way to the displays; control messages are
     delayed both ways and never dropped.
     """
     with one_line_errors(PROGRAM):
@@ -70,9 +70,7 @@ def link(
 def relay(
     connect: Annotated[
         str,
-        typer.Option(
-            help="Address of the sensing node or of a further relay; it need not be there yet."
-        ),
+        typer.Option(help="Address of the sensing node or of another relay; it may start later."),
     ],
     bind: Annotated[
         str,
@@ -87,12 +85,12 @@ def relay(
     allow: AllowOption = None,
     insecure: InsecureOption = False,
 ) -> None:
-    r"""Pass one sensing node's stream on to many displays, on another machine.
+    r"""Forward one sensing node's stream to many displays.
 
-    The sensing node sends each frame once to a relay, however many displays are behind it.
+    The sensing node sends each frame to a relay once, whatever the number of its displays.
     Displays connect to the relay as they would to the sensing node, and exchange clock requests and
-    status with the sensing node itself. Up to three relays may follow one another; any number may
-    stand side by side.
+    status with the sensing node itself. A stream may pass up to three relays; any number of relays
+    may run side by side.
 
         telepulse relay --connect tcp://SENSING:5555 --bind tcp://*:5655 \
             --key keys/relay.key --peer keys/wrist.pub

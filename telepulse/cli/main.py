@@ -16,7 +16,7 @@ from telepulse.cli.paper import paper
 from telepulse.cli.record import export, record, replay, report
 from telepulse.cli.view import lsl, view
 
-# Those that run beside nodes or as one: a terminal that does not read must not hold them up.
+# Commands that run beside nodes or as one: a terminal that is not read must not delay them.
 LIVE: tuple[Callable[..., None], ...] = (demo, link, bench, relay, record, replay, view, lsl)
 OTHERS = (simulate, paper, tune, calibrate, discover, export, report)
 GROUPS = (scenes, study, emulate, experiment, keys)

@@ -42,7 +42,10 @@ logger = logging.getLogger(__name__)
 
 def record(
     address: AddressArgument,
-    file: Annotated[Path, typer.Argument(metavar="FILE.mcap", help="It must not be there yet.")],
+    file: Annotated[
+        Path,
+        typer.Argument(metavar="FILE.mcap", help="The recording; the file must not exist yet."),
+    ],
     seconds: StopAfterOption = None,
     until_silent: SilenceOption = None,
     quiet: QuietOption = False,
@@ -54,11 +57,11 @@ def record(
 ) -> None:
     """Record all that a display receives and does into an MCAP file, which Foxglove opens.
 
-    Every frame as it came, every tick, the statuses, the stream's description, clock replies and
-    events. Ends with the display. Killed, it loses at most its last second; on a full disk it waits
-    for space. `display-node --record FILE` starts this beside the display.
+    Records every frame as received, every tick, statuses, stream description, clock replies and
+    events. Ends with the display. If killed, it loses at most its last second; on a full disk it
+    waits for space. `display-node --record FILE` starts this command beside the display.
 
-    With --key alone, the key is the display's own.
+    Give the display's own key as --key; with another key, give --peer as well.
 
     Exit status: 0 when all was written, 1 when something is missing, which it prints, 2 when it
     cannot begin.
@@ -76,7 +79,7 @@ def record(
 
 def replay(
     file: FileArgument,
-    bind: Annotated[str, typer.Option(help="Address to stream from, as of a sensing node.")] = (
+    bind: Annotated[str, typer.Option(help="Address to stream from, as a sensing node does.")] = (
         "tcp://127.0.0.1:5555"
     ),
     seconds: StopAfterOption = None,
@@ -87,10 +90,10 @@ def replay(
     allow: AllowOption = None,
     insecure: InsecureOption = False,
 ) -> None:
-    """Play a recording as a sensing node: the same samples, as far apart as they were.
+    """Play a recording as a sensing node would: the same samples at the same intervals.
 
     The stream's name, rate, layer and frames are the recorded ones; samples that the recording
-    lacks count as lost. Of several sessions, the longest is played. Any display can listen.
+    lacks count as lost. Of several sessions, the longest is played. Any display can connect.
 
     Exit status: 0 at the end of the recording, 2 when it cannot be read or the address not be
     used; the reason is one line on stderr.
@@ -123,20 +126,22 @@ def export(
     to: Annotated[
         Literal["csv", "parquet", "edf", "mcap"],
         typer.Option(
-            help="csv, parquet: a table a topic; edf: the forces as signals; mcap: a whole file."
+            help="csv, parquet: one table per topic; edf: forces as signals; mcap: a repaired file."
         ),
     ],
     out: Annotated[
         Path | None,
-        typer.Option(metavar="PATH", help="A folder for tables, else a file; not there yet."),
+        typer.Option(
+            metavar="PATH", help="A folder for tables, otherwise a file; it must not exist yet."
+        ),
     ] = None,
     log_level: LogLevelOption = None,
 ) -> None:
-    """Write a recording as tables, as signals, or one that was cut short as a whole file.
+    """Write a recording as tables or signals, or repair one that was cut short.
 
-    csv, parquet: samples, ticks, clock and events in a new folder. edf: force at the wrist and
-    force felt of the longest session as EDF+, events and losses as annotations. mcap: what can be
-    read of a recording whose recorder was killed, with the index that Foxglove needs.
+    csv, parquet: samples, ticks, clock and events in a new folder. edf: wrist force and felt
+    force of the longest session as EDF+, events and losses as annotations. mcap: the readable part
+    of a recording whose recorder was killed, with the index that Foxglove needs.
     """
     from telepulse.recording.edf import export_edf
     from telepulse.recording.export import export_csv, export_mcap, export_parquet
@@ -155,14 +160,15 @@ def export(
 def report(
     file: FileArgument,
     out: Annotated[
-        Path | None, typer.Option(metavar="FOLDER", help="Write it here; else beside the file.")
+        Path | None,
+        typer.Option(metavar="FOLDER", help="Write the report here; default: beside the file."),
     ] = None,
     json: TablesOption = None,
 ) -> None:
     """Write a report of a recording: figures, forces, delays, loss, clocks, loop, heart rate.
 
-    A page with plots, by default in the folder FILE-report, and its tables in the terminal. The
-    figures are computed from what was recorded, and stand beside the display's own.
+    Writes a page with plots, by default to the folder FILE-report, and prints its tables. The
+    figures are computed from the recorded messages and shown beside the display's own.
     """
     from telepulse.recording.report import build_recording_report
 

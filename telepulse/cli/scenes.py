@@ -29,10 +29,13 @@ def copy(
     scene: SceneArgument,
     file: Annotated[
         Path | None,
-        typer.Argument(metavar="FILE.toml", help="Else its name here; nothing is overwritten."),
+        typer.Argument(
+            metavar="FILE.toml",
+            help="Default: the scene's name, in this folder; nothing is overwritten.",
+        ),
     ] = None,
 ) -> None:
-    """Copy a scene's file, to be changed."""
+    """Copy a scene's file for you to change."""
     with one_line_errors(PROGRAM):
         path = find_scene(scene)
         load_document(path)

@@ -1,4 +1,4 @@
-"""`telepulse study`: one command a study."""
+"""`telepulse study`: one command for each study."""
 
 from pathlib import Path
 from typing import Annotated
@@ -14,14 +14,14 @@ SchedulerOption = Annotated[
         help="Compute on the Dask cluster of this scheduler, not on this machine's cores.",
     ),
 ]
-app = typer.Typer(no_args_is_help=True, help="Questions about the system, answered by computing.")
+app = typer.Typer(no_args_is_help=True, help="Studies of the system by computation.")
 
 
 @app.command()
 def integrators(out: FolderOption = Path("out/integrators"), json: TablesOption = None) -> None:
     """Compare integration methods of the paper's actuator in its loop: cost per step against error.
 
-    Takes about half a minute. python-control takes part where it is installed.
+    Takes about half a minute. python-control is included if it is installed.
     """
     # Imported here: matplotlib and scipy take long to import, and other commands do without.
     from telepulse.reports.studies import integrator_study as study
@@ -59,7 +59,7 @@ def prediction(
 ) -> None:
     """Compare the predictors: error against horizon, and cost, on pulses and recordings.
 
-    Uses all cores; takes about a minute on two. Recordings take part where heartpy is installed.
+    Uses all cores; takes about a minute on two. Recordings are included if heartpy is installed.
     """
     from telepulse.reports.studies import prediction_study as study
 
@@ -79,7 +79,7 @@ def link(
 ) -> None:
     """Compare buffering with prediction by the error of the felt force over several links.
 
-    Uses all cores; takes about three minutes on two. A recording takes part where heartpy is
+    Uses all cores; takes about three minutes on two. A recording is included if heartpy is
     installed.
     """
     from telepulse.reports.studies import link_scores

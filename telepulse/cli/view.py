@@ -24,7 +24,7 @@ from protocol.host.output import configure_logging
 from protocol.host.process import stop_on_signals
 from telepulse.cli.options import NOT_WHOLE, PROGRAM, AddressArgument, SilenceOption
 
-# The display's loop goes first.
+# Lower priority than the display's loop, which may be on the same machine.
 NICENESS = 10
 
 
@@ -86,13 +86,13 @@ def view(
 
 
 def _check_host(host: str, insecure: bool) -> None:
-    """Raise AddressError for what is no address, ProtectionError for one that others can reach."""
+    """Raise AddressError for an invalid address, ProtectionError for one beyond loopback."""
     try:
         address = ipaddress.ip_address("127.0.0.1" if host == "localhost" else host)
     except ValueError:
         raise AddressError(f"--host {host}: give an IP address of this machine") from None
     if address.is_unspecified:
-        raise AddressError(f"--host {host}: name the one address that browsers will use")
+        raise AddressError(f"--host {host}: give the address that browsers will use")
     if not (address.is_loopback or insecure):
         raise ProtectionError(
             f"--host {host} shows the page to all who reach this machine; --insecure allows it"

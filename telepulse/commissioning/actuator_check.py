@@ -95,7 +95,7 @@ def check_actuator(
             pressed, command, identified, None, (_check_fit(identified),), changes
         )
     press_stepper(pressed, actuator, force_n)
-    # Filtered from the begin of the press, so that the filter is settled when the stairs begin.
+    # Filtered from the beginning of the press, so that the filter has settled by the staircase.
     begin_s = pressed.commanded_s[0]
     travel = pressed.command(PressPhase(begin_s, pressed.stairs.end_s))
     first = round((pressed.stairs.begin_s - begin_s) / travel.tick_s)
@@ -174,7 +174,7 @@ def _check_fit(identified: IdentifiedModel) -> Check:
         identified.nrmse,
         UNEXPLAINED_WARN,
         UNEXPLAINED_FAIL,
-        "the actuator is not of second order, or loses steps: look at the plot",
+        "the actuator is not of second order, or loses steps: see the plot",
     )
     if check.verdict == "ok" and identified.undetermined:
         names = ", ".join(identified.undetermined)

@@ -43,11 +43,12 @@ from telepulse.reports.document import Chapter, Plot, Report, Table
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-# A design keeps Ms at the limit itself; a rounding above it is no reason for a warning.
+# A design may have Ms at the limit itself: rounding errors above it are no reason for a warning.
 ROUNDING = 1.01
-# A press commands the drive once in this many exchanges on its line, so that answers keep up.
+# During a press one command is sent in this many exchanges, so that the line carries all answers.
 EXCHANGES_PER_TICK = 2.5
-# The loop compensates a known age, but no scene's `latency` may be longer than the second.
+# Age of the film's readings. The loop compensates a known age, but a scene's `latency` is at most
+# the second value.
 FILM_AGE_WARN_S, FILM_AGE_FAIL_S = 0.02, 0.05
 
 
@@ -55,10 +56,10 @@ FILM_AGE_WARN_S, FILM_AGE_FAIL_S = 0.02, 0.05
 class BenchFindings:
     """The results of the checks.
 
-    checks: each with the part of the bench that it is of. still: sensor records while nothing
-    pressed, by part. changes: keys of the scene that were found. designs: the scene's own gains
-    and the proposed ones, on the identified actuator. modelled: the scene names no drive, so that
-    its models were checked.
+    checks: pairs of a part of the bench and its check. still: sensor records while nothing
+    pressed, by part. changes: identified keys of the scene. designs: the scene's own gains and the
+    proposed ones, with the identified actuator. modelled: the scene names no drive, so its models
+    were checked.
     """
 
     checks: list[tuple[str, Check]] = field(default_factory=list)
@@ -75,25 +76,25 @@ class BenchFindings:
 
     @property
     def note(self) -> str:
-        """Comment for the written scene: eq 22 as identified; "" where its keys have it."""
+        """Comment with the identified eq 22 for the written scene; "" if its keys hold eq 22."""
         if self.actuator is None or self.actuator.contact is None:
             return ""
         m, c, k, _ = self.actuator.identified.values
         return f"# Eq 22 from commanded to felt force: m = {m:.4g} s², c = {c:.4g} s, k = {k:.4g}"
 
     def add(self, part: str, *checks: Check) -> None:
-        """Keep checks of a part."""
+        """Add checks of a part."""
         self.checks += [(part, check) for check in checks]
 
     def add_actuator(self, actuator: ActuatorFindings) -> None:
-        """Keep the checks and the changes of an identified actuator."""
+        """Add the checks and the changes of an identified actuator."""
         self.actuator = actuator
         self.add("actuator", *actuator.checks)
         for table, keys in actuator.changes.items():
             self.changes.setdefault(table, {}).update(keys)
 
     def add_still(self, part: str, record: SensorRecord, nominal_hz: float, live: bool) -> float:
-        """Keep the checks of a sensor; return the age of its newest sample at worst, in s."""
+        """Add the checks of a sensor; return the largest age of its newest sample, in s."""
         self.still[part] = record
         figures = measure(record)
         self.add(part, *judge_sensor(figures, nominal_hz, live))
@@ -127,7 +128,7 @@ def _still_source(scene: SensingScene, folder: Path, seconds: float) -> SensorRe
     Raises BenchError for a recording: there is no sensor to check.
     """
     if not isinstance(scene.source, SyntheticScene):
-        raise BenchError("a recording cannot be still")
+        raise BenchError("[sensing.source] is a recording: there is no sensor to check")
     still = {"peak_to_peak_n": 0.0, "preload_n": 0.0}
     changes: dict[str, object] = {"source": scene.source.model_copy(update=still)}
     if scene.conditioning is not None:
@@ -152,7 +153,7 @@ def check_display(
     with findings.part("actuator"):
         film_age_s = scene.film.latency_ns * 1e-9
         actuator = check_actuator(ModelRig(scene), scene, force_n, film_age_s)
-        # The modelled film before anything moved, a sample a batch.
+        # Readings of the modelled film before the first motion, as batches of one sample.
         at_s, read_n = actuator.pressed.film(actuator.pressed.still)
         times_ns = np.round(at_s * 1e9).astype(np.int64)
         record = SensorRecord(times_ns, read_n, times_ns, np.ones(len(at_s), np.int64))
@@ -171,7 +172,9 @@ def _check_drive(
     actuator, film, tick_s = scene.actuator, scene.feedback, scene.tick_ns * 1e-9
     drive = build_drive(table, actuator, scene.layer.layer(), scene.safety.force_limit_n)
     if film is None or not isinstance(actuator, StepperScene):
-        raise SceneError("[display.feedback] is missing: a drive is checked by what it presses")
+        raise SceneError(
+            "[display.feedback] is missing: a drive is checked by the force on the film"
+        )
     findings.add("drive", check_line(table, tick_s))
     line_s = exchange_s(table)
     with findings.part("film"), closing(open_sensor(film, folder)) as sensor:
@@ -182,24 +185,24 @@ def _check_drive(
             age_s = findings.add_still("film", record, film.rate_hz, live=True)
             findings.add("film", _check_age(age_s))
             findings.add("drive", check_answers(drive))
-            # A command superseded before it was sent is travel that is not made.
+            # Slow enough that no command is superseded: the recorded travel would lack it.
             rig = HardwareRig(drive, sensor, max(tick_s, EXCHANGES_PER_TICK * line_s))
             try:
                 found = check_actuator(rig, scene, force_n, 0.0, line_latency_s=line_s / 2)
             except KeyboardInterrupt:
                 rig.withdraw()
                 raise
-            # Read at this age, a sample is there when the loop asks for it.
+            # Whole ticks: at this age a sample has always arrived when the loop reads it.
             latency_s = min(math.ceil(age_s / tick_s) * tick_s, FILM_AGE_FAIL_S)
             findings.changes["display.film"] = {"latency": f'"{latency_s * 1e3:g} ms"'}
             findings.add_actuator(found)
-        # A line slower than the loop makes superseded commands; they are no fault.
+        # Superseded commands are normal on a line that is slower than the loop.
         for name, count in sorted((drive.counts - Counter(superseded=sys.maxsize)).items()):
             findings.add("drive", Check(name, f"{count} times", "warn", "on the way to the drive"))
 
 
 def _newest_n(sensor: Sensor) -> float | None:
-    """Return the newest reading in N since the last call; None where none came."""
+    """Return the newest reading in N since the last call; None if there is none."""
     readings = sensor.poll()
     return readings[-1].force_n[-1] if readings else None
 
@@ -209,7 +212,7 @@ def _check_age(age_s: float) -> Check:
     if age_s < 0:
         reason = "younger than 0: the device's times are ahead of this machine's clock"
         return Check(name, text, "fail", reason)
-    reason = "let the device send smaller batches; on USB look at the adapter's latency timer"
+    reason = "let the device send smaller batches; on USB lower the adapter's latency timer"
     return grade(name, text, age_s, FILM_AGE_WARN_S, FILM_AGE_FAIL_S, reason)
 
 
@@ -221,7 +224,7 @@ def check_loop(findings: BenchFindings, path: Path) -> None:
     try:
         found = validate(changed["display"], DisplayScene, f"{path}: [display]")
     except SceneError as error:
-        # A value that was found is outside a scene's bounds; the other checks are valid.
+        # An identified value is outside a scene's bounds; the other checks remain valid.
         findings.add("loop", Check("margins", "", "fail", str(error)))
         return
     present, proposed = judge(found, found.controller), design(found)
@@ -232,7 +235,7 @@ def check_loop(findings: BenchFindings, path: Path) -> None:
     most = MOST_SENSITIVITY * ROUNDING
     check = grade("margins", shown, worst.peak_sensitivity, most, math.inf, reason)
     if worst.unfit is not None:
-        check = Check("margins", shown, "fail", f"{worst.unfit}: take the gains below")
+        check = Check("margins", shown, "fail", f"{worst.unfit}: use the gains below")
     findings.add("loop", check)
 
 
@@ -242,7 +245,7 @@ def report_bench(name: str, findings: BenchFindings) -> Report:
         (part, check.name, check.text, check.verdict, check.reason)
         for part, check in findings.checks
     )
-    modelled = ": its models, as it names no [display.drive]" if findings.modelled else ""
+    modelled = ": its models, since it has no [display.drive]" if findings.modelled else ""
     checks = Table(f"bench of {name}{modelled}", ("part", "check", "found", "verdict", "why"), rows)
     still = tuple(_noise_plot(part, record) for part, record in findings.still.items())
     chapters = [Chapter("Checks", tables=(checks,), plots=still)]
@@ -273,8 +276,8 @@ def _actuator_chapter(actuator: ActuatorFindings) -> Chapter:
     note = (
         "from the voltage to the force; the film's filter is compensated"
         if actuator.contact is None
-        else "from the force that the commanded place presses with at rest, by the contact found"
-        " here, to the felt force: c in s, m in s²; the film's filter is compensated"
+        else "from the static force at the commanded position, by the contact identified here, to"
+        " the felt force: c in s, m in s²; the film's filter is compensated"
     )
     table = Table(
         "actuator, g(s) = 1 / (m s² + c s + k) (eq 22)",

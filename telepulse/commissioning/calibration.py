@@ -37,7 +37,7 @@ COLUMNS = (
     ("reading", ("reading", "voltage", "volts", "output", "counts"), READINGS),
 )
 _HEADER = re.compile(r"\s*([A-Za-z]+)(?:[\s_]*[\[(]?([A-Za-z]+)[\])]?)?\s*")
-# A number above this may become infinite by its unit's factor.
+# A larger number could become infinite when multiplied by its unit's factor.
 LARGEST = 1e30
 LEAST_LOADS = 3
 AVERAGE_S = 2.0
@@ -75,7 +75,7 @@ def read_loads(
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise SourceError(f"{path}: cannot be read: {error}") from None
     if not rows:
-        raise SourceError(f"{path}: it is empty")
+        raise SourceError(f"{path}: the file is empty")
     columns, units = (0, 1), ("", "")
     if not _is_number(rows[0][1][0]):
         columns, units = _read_header(path, *rows.pop(0))
@@ -294,8 +294,8 @@ def report_calibration(name: str, loads: LoadReadings, line: CalibrationLine) ->
         ("slope", f"{line.slope * scale:.5g} ± {line.slope_error * scale:.2g} {unit}/N"),
         ("offset", f"{line.offset * scale:.4g} ± {line.offset_error * scale:.2g} {unit}"),
         ("R²", f"{line.r_squared:.6f}"),
-        ("off the line, RMS", milli(line.rms_n)),
-        ("off the line, largest", milli(float(np.max(np.abs(line.residual_n))))),
+        ("residual, RMS", milli(line.rms_n)),
+        ("residual, largest", milli(float(np.max(np.abs(line.residual_n))))),
         ("hysteresis", milli(line.hysteresis_n)),
         ("repeatability", milli(line.repeatability_n)),
     )

@@ -64,7 +64,7 @@ class SecondOrderModel:
 
 @dataclass(frozen=True, slots=True)
 class ActuatorInput:
-    """Commanded values, one a tick from time 0.
+    """Commanded values, one per tick from time 0.
 
     held: each value holds until the next one (zero-order hold, as a voltage does). Otherwise the
     input runs straight to the next value, as the travel of a screw does at a held speed.
@@ -184,7 +184,7 @@ def identify(
     Parameters
     ----------
     command : ActuatorInput
-        Where the readings are behind a filter, the command behind the same filter.
+        Commands; if the readings passed a filter, commands that passed the same filter.
     at_s, force_n : NDArray, shape (n,)
         Times and values of the film's readings.
     max_latency_s : float
@@ -249,7 +249,9 @@ def _starts(
                 model = SecondOrderModel(unit.m / gain, unit.c / gain, 1 / gain, latency_s)
                 found.append((float(off @ off), model, mean_n - gain * float(answer.mean())))
     if not found:
-        raise BenchError("the film falls where the command rises: turn the drive's direction round")
+        raise BenchError(
+            "the film's reading falls while the command rises: change `inverted` of the drive"
+        )
     found.sort(key=lambda each: each[0])
     return [(model, zero_n) for _, model, zero_n in found[:STARTS]]
 

@@ -1,8 +1,8 @@
-"""A gentle press by plan: a slow ramp up and down, then a staircase of small steps.
+"""A planned press: a slow ramp up and down, then a staircase of small steps.
 
-The steps go one way, so that no backlash is crossed between them, at irregular times, so that they
-excite all frequencies. The film guards every tick: beyond the guard the press ends at once. The
-ramp gives the contact: stiffness, first touch and backlash.
+All steps have one direction, so that they cross no backlash, and irregular dwells, so that they
+excite all frequencies. The film is checked at every tick: above a limit the press ends at once. The
+ramp determines the contact: stiffness, first touch and backlash.
 """
 
 import math
@@ -21,23 +21,23 @@ from telepulse.commissioning.identification import DEVIATIONS_95, ActuatorInput,
 from telepulse.commissioning.rig import Rig
 
 STILL_S = 1.0
-# Speed of the slow ramp, by the scene's stiffness of the finger.
+# Rate of the slow ramp; the finger's stiffness in the scene converts it to a speed.
 RAMP_N_PER_S = 0.2
-# Travel of the slow ramp at most.
+# Largest travel of the slow ramp.
 SEARCH_M = 3e-3
-# Share of the largest force below which the film does not show where the tip is.
+# Readings below this share of the largest force are not used: the contact is uncertain there.
 LOWEST_SHARE = 0.1
 STEPS = 12
 DWELL_S = (0.08, 0.2)
 SEED = 1
-# In ticks: a drive follows each speed a little early or late, which a longer rise averages.
+# Shortest rise of a step in ticks: it averages the small timing errors of a drive's commands.
 LEAST_RISE = 3
 # Dwell in periods of the second-order model, and the smallest stiffness for its period.
 SLOW_DWELL = (0.2, 1.0)
 LEAST_K = 1e-3
-# The press ends at this multiple of the force that is pressed on purpose.
+# The press ends at this multiple of the largest planned force.
 GUARD = 1.5
-# Readings over this time are averaged for one place of the ramp: a film's noise is no place.
+# Readings over this time are averaged to one point of the ramp, which reduces the film's noise.
 PLACE_S = 0.01
 LEAST_PLACES = 8
 
@@ -71,7 +71,7 @@ class PressRecorder:
     stairs: PressPhase = field(init=False)
 
     def run(self, outputs: Iterable[float]) -> None:
-        """Command one output a tick."""
+        """Command one output per tick."""
         for output in outputs:
             commanded_s, samples = self.rig.tick(output)
             self.commanded_s.append(commanded_s)
@@ -113,8 +113,8 @@ class PressRecorder:
     def command(self, phase: PressPhase, held: bool = False) -> ActuatorInput:
         """Return the commands of a phase, one a tick.
 
-        held: the output itself, as of a voltage; otherwise the travel of the screw in m, which
-        runs straight under a held speed.
+        held: return the outputs, such as voltages; otherwise the travel of the screw in m, which is
+        linear in time between two commands.
         """
         tick_s = self.rig.tick_s
         count = round((phase.end_s - phase.begin_s) / tick_s) + 1
@@ -127,7 +127,7 @@ class PressRecorder:
 
     def _stop(self, reason: str) -> None:
         self.rig.withdraw()
-        raise BenchError(f"stopped pressing and went back: {reason}")
+        raise BenchError(f"the press was stopped and the tip went back: {reason}")
 
 
 def press_stepper(recorder: PressRecorder, scene: StepperScene, force_n: float) -> None:
@@ -175,7 +175,7 @@ def press_voltage(recorder: PressRecorder, scene: SecondOrderScene, force_n: flo
 
 
 def profile(travel_m: float, acceleration_m_per_s2: float, tick_s: float) -> list[float]:
-    """Return speeds in m/s, one a tick, for a travel from rest to rest: up and down evenly."""
+    """Return speeds in m/s, one per tick, for a travel from rest to rest (triangular profile)."""
     rise = max(LEAST_RISE, math.ceil(math.sqrt(abs(travel_m) / acceleration_m_per_s2) / tick_s))
     shape = [*range(1, rise + 1), *range(rise - 1, 0, -1)]
     return [travel_m / (sum(shape) * tick_s) * part for part in shape]
@@ -204,7 +204,7 @@ def _ramp(recorder: PressRecorder, speed_m_per_s: float, until_n: float) -> Pres
     where = "nothing was touched" if speed_m_per_s > 0 else "the film is still pressed"
     raise BenchError(
         f"{where} on {SEARCH_M * 1e3:.0f} mm of travel: the film reads"
-        f" {recorder.force_n * 1e3:.0f} mN; look at film, drive direction and first touch"
+        f" {recorder.force_n * 1e3:.0f} mN; check the film, the drive's direction and `touch`"
     )
 
 
@@ -270,7 +270,7 @@ def fit_contact(
     touch_m, backlash_m, softness = found.tolist()
     half_widths = DEVIATIONS_95 * np.sqrt(np.diag(covariance))
     if softness <= 0:
-        raise BenchError("the tip presses harder than the scene's rubber alone can; look at layer")
+        raise BenchError("the force is larger than the scene's rubber layer allows: check `layer`")
     return ContactFit(
         finger_n_per_m=1 / softness,
         finger_half_width=float(half_widths[2] / softness**2),

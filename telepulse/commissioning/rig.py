@@ -1,4 +1,4 @@
-"""The bench that is pressed with, tick by tick: the scene's models, or its drive and film."""
+"""The bench that a press drives, tick by tick: the scene's models, or its drive and film."""
 
 import time
 from typing import NamedTuple, Protocol
@@ -28,7 +28,8 @@ POLL_S = 2e-4
 ANSWER_SPEED_M_PER_S = 1e-3
 ANSWERS = 20
 ANSWER_WITHIN_S = 0.2
-# A loop whose drive reports later than this sees its motion by the film alone.
+# Time from a command to the report of its speed: with later reports, only the film shows a motion
+# in time.
 ANSWER_WARN_S, ANSWER_FAIL_S = 0.03, 0.1
 
 
@@ -139,7 +140,9 @@ def listen(sensor: Sensor, seconds: float) -> SensorRecord:
             arrivals_ns.append(time.monotonic_ns())
             readings.append(reading)
     if not readings:
-        raise BenchError(f"no sample came in {seconds:g} s: " + "; ".join(sensor.faults()))
+        raise BenchError(
+            f"no sample came from the sensor in {seconds:g} s: " + "; ".join(sensor.faults())
+        )
     return SensorRecord(
         taken_ns=np.array([t for reading in readings for t in reading.times_ns], np.int64),
         force_n=np.array([f for reading in readings for f in reading.force_n]),
@@ -165,12 +168,14 @@ def exchange_s(scene: TmclScene | Cia402Scene) -> float:
 
 
 def check_line(scene: TmclScene | Cia402Scene, tick_s: float) -> Check:
-    """Check that the line can carry a command a tick, or at least one a `period`."""
+    """Check that the line can carry one command per tick, or at least one per `period`."""
     busy_s, period_s = exchange_s(scene), scene.period_ns * 1e-9
     found = f"{busy_s * 1e3:.2f} ms each: at most {1 / busy_s:.0f} commands a second"
     reason = f"slower than the loop's {1 / tick_s:.0f} Hz: only the newest command is sent"
     if busy_s > period_s:
-        reason = f"the drive's period is {period_s * 1e3:g} ms: a faster line, or a longer period"
+        reason = (
+            f"the drive's period is {period_s * 1e3:g} ms: use a faster line, or a longer period"
+        )
     return grade("line", found, busy_s, tick_s, period_s, reason)
 
 

@@ -15,8 +15,8 @@ Changes = dict[str, dict[str, str]]
 def set_keys(text: str, changes: Changes) -> str:
     """Return the text of a scene with keys set.
 
-    A key that is there is changed in its place; a new one goes to the end of its table, a new
-    table to the end of the text. Raises SceneError where a table has no [header] of its own.
+    An existing key is changed in place; a new key is added at the end of its table, a new table at
+    the end of the text. Raises SceneError where a table has no [header] of its own.
     """
     lines = text.splitlines()
     for table, keys in changes.items():

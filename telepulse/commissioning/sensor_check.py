@@ -12,7 +12,7 @@ Verdict = Literal["ok", "warn", "fail"]
 LEAST_SAMPLES = 200
 MAINS_HZ = (50.0, 60.0)
 HARMONICS = 3
-# A pulse has 0.3 N; a tenth of it is just felt (the summary's within_jnd).
+# A pulse has about 0.3 N; a tenth of it is the just noticeable difference (within_jnd).
 NOISE_WARN_N, NOISE_FAIL_N = 5e-3, 30e-3
 MAINS_WARN = 0.5
 
@@ -28,7 +28,7 @@ class Check:
 
 
 def with_warning(check: Check, reason: str) -> Check:
-    """Return an "ok" check as "warn" for the reason; any other check, or no reason, unchanged."""
+    """Return an "ok" check as "warn" with the reason, if there is one; other checks unchanged."""
     if not reason or check.verdict != "ok":
         return check
     return replace(check, verdict="warn", reason=reason)
@@ -62,8 +62,8 @@ class SensorRecord:
 class SensorFigures:
     """Figures of a sensor record.
 
-    jitter_s, arrival_jitter_s: RMS deviation of the times from an even row. age_s: of the newest
-    sample just before the next batch, at 99 % of all batches. lost: share of samples that are
+    jitter_s, arrival_jitter_s: RMS deviation of the times from equal intervals. age_s: age of the
+    newest sample just before the next batch, 99th percentile. lost: share of samples that are
     missing. mains_hz, mains: 50 or 60 Hz, and the share of the noise's power in it and two
     harmonics.
     """
@@ -83,15 +83,17 @@ def measure(record: SensorRecord) -> SensorFigures:
     """Return the figures of a record. Raises BenchError for one that is too short."""
     count = len(record.force_n)
     if count < LEAST_SAMPLES:
-        raise BenchError(f"{count} samples came; at least {LEAST_SAMPLES} are needed")
+        raise BenchError(
+            f"{count} samples came from the sensor; at least {LEAST_SAMPLES} are needed"
+        )
     taken_s = (record.taken_ns - record.taken_ns[0]) * 1e-9
     period_s, deviation_s = _fit_line(np.arange(count), taken_s)
     if not period_s > 0:
-        raise BenchError("the samples' times do not advance: look at the device's clock")
+        raise BenchError("the samples' times do not advance: check the device's clock")
     last = np.cumsum(record.batch_sizes) - 1
     arrival_s = (record.arrival_ns - record.taken_ns[0]) * 1e-9
     _, arrival_deviation_s = _fit_line(last, arrival_s)
-    # Just before a batch comes, the newest sample is the last one of the batch before it.
+    # Just before a batch arrives, the newest sample is the last one of the previous batch.
     ages_s = arrival_s[1:] - taken_s[last[:-1]] if len(last) > 1 else arrival_s - taken_s[last]
     _, noise_n = _fit_line(taken_s, record.force_n)
     mains_hz, mains = _mains(noise_n, period_s)
@@ -109,7 +111,7 @@ def measure(record: SensorRecord) -> SensorFigures:
 
 
 def judge_sensor(figures: SensorFigures, nominal_hz: float, live: bool = False) -> list[Check]:
-    """Judge the figures against the scene's rate; live: of a real sensor, which has noise."""
+    """Judge the figures against the scene's rate; live: the sensor is real, so it has noise."""
     f, period_s = figures, 1 / nominal_hz
     # Name, finding, value, bounds of "warn" and "fail", and the reason.
     table = (

@@ -29,7 +29,7 @@ from telepulse.reports.document import Chapter, Report, Table
 # at least 3.5 and a phase margin of at least 42°), and the drive may answer 5 ticks late.
 MOST_SENSITIVITY = 1.4
 LEAST_DELAY_TICKS = 5
-# Wander of a finger under the tip in 1 s, where the scene names none.
+# Wander of a finger under the tip in 1 s, for a scene without `wander`.
 WANDER_M = 2e-5
 KP_RANGE = (1.0, 2_000.0)
 BISECTIONS = 20
@@ -61,7 +61,7 @@ _ROWS: dict[str, Callable[[Design], str]] = {
     "phase margin": lambda design: f"{design.worst.phase_deg:.0f}°",
     "delay margin": lambda design: f"{design.worst.delay_s * 1e3:.3g} ms",
     "peak sensitivity Ms": lambda design: f"{design.worst.peak_sensitivity:.3f}",
-    "felt of wander and noise": lambda design: (
+    "felt force by wander and noise": lambda design: (
         "–" if design.felt_n is None else f"{design.felt_n * 1e3:.2f} mN RMS"
     ),
 }
@@ -98,13 +98,13 @@ def report_design(name: str, present: Design, proposed: Design) -> Report:
         f"force loop of {name}",
         ("", "scene", "design"),
         rows,
-        note="margins: the worst of hardly touching, a pulse's usual mean and the force limit",
+        note="margins: the worst of light touch, a pulse's usual mean force and the force limit",
     )
     return Report(f"Force loop of {name}", (Chapter("Margins", tables=(table,)),))
 
 
 def as_toml(controller: ControllerScene) -> str:
-    """Return the controller's table as a scene has it, with each key that a parent may set."""
+    """Return the controller's table in TOML, with each key that a parent scene may set."""
     lines = ["[display.controller]", f'error = "{controller.error}"']
     lines.append(f"feed_forward = {str(controller.feed_forward).lower()}")
     lines += [f"{name} = {getattr(controller, name):g}" for name in ("kp", "ki", "kd")]
@@ -132,7 +132,7 @@ def _design_stepper(scene: DisplayScene, actuator: StepperScene) -> Design:
         kp = _two_digits(math.exp(log_kp))
         changes = fixed | {"kp": kp, "dead_band": 0.0}
         if observer is None:
-            # Without one, a reference between two microsteps reverses the motor at every tick.
+            # Without a dead band, a target between two microsteps reverses the motor at every tick.
             changes["dead_band"] = float(f"{1.01 * actuator.step_m / 2:.2g}")
         return scene.controller.model_copy(update=changes)
 

@@ -1,4 +1,4 @@
-"""Hardware that speaks its real bytes and is not there: sensor boards and drives.
+"""Emulated hardware, byte for byte: sensor boards and drives.
 
 Their serial ports are pseudo-terminals.
 """
@@ -13,15 +13,14 @@ from protocol.errors import OutputError
 class PtyPort:
     """One end of a pseudo-terminal in place of a serial port.
 
-    `path` is the other end's, which another program opens, or a link to it.
-
-    Unread bytes are dropped once the kernel's buffer is full, as by a board on USB. A link of an
-    earlier run is replaced. Raises OutputError where the link cannot be made.
+    `path` is the path of the other end, which another program opens, or a link to it. Unread bytes
+    are dropped once the kernel's buffer is full, as on a board with USB. A link of an earlier run
+    is replaced. Raises OutputError where the link cannot be made.
     """
 
     def __init__(self, link: Path | None) -> None:
         self._ours, self._theirs = os.openpty()
-        # Kept open: the terminal would otherwise end with the first reader that closes it.
+        # Kept open: otherwise the terminal would end when its first reader closes it.
         tty.setraw(self._theirs)
         os.set_blocking(self._ours, False)
         self._link = link

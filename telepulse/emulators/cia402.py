@@ -34,7 +34,7 @@ ALL_MODES = (Mode.PROFILE_VELOCITY, Mode.CYCLIC_VELOCITY)
 TPDO_S = 0.01
 NOTIFIER_CYCLE_S = 0.1
 LAST_SYNC_TYPE = 240
-# Objects that change by themselves, by the drive's attributes.
+# Objects whose values change without a write, and the attributes of the drive that they show.
 _OBJECTS = {
     0x603F: "error_code",
     0x6041: "statusword",
@@ -63,9 +63,9 @@ NEGATIVE_LIMIT, POSITIVE_LIMIT = 1, 2
 class EmulatedCia402Drive:
     """The state machine around a motor: controlwords in, statuswords out. Pure.
 
-    modes: the supported velocity modes; any other mode but homing is ignored. error_code: 0
-    without an error. abort_option: reaction to a missing heartbeat; 3 is a quick stop, 0 nothing,
-    any other value a fault.
+    modes: the supported velocity modes; other modes except homing are ignored. error_code: 0
+    without an error. abort_option: reaction to a missing heartbeat: 3 is a quick stop, 0 none, any
+    other value a fault.
     """
 
     def __init__(self, scene: Cia402Scene, motor: EmulatedMotor, modes: tuple[Mode, ...]) -> None:
@@ -84,7 +84,7 @@ class EmulatedCia402Drive:
 
     @property
     def statusword(self) -> int:
-        """Statusword of the present state, with the homing bits in that mode."""
+        """Statusword of the present state, with the homing bits in homing mode."""
         word: int = self.state.value[1]
         if self.state not in (State.FAULT, State.SWITCH_ON_DISABLED):
             word |= VOLTAGE_ENABLED
@@ -94,7 +94,7 @@ class EmulatedCia402Drive:
 
     @property
     def position(self) -> int:
-        """The counter in the drive's units."""
+        """The position counter in the drive's units."""
         return round(self._direction * self._motor.position_steps * self._scene.position_scale)
 
     @property
@@ -195,7 +195,7 @@ class _FaultyNetwork(canopen.Network):
         self._injector = injector
 
     def send_message(self, can_id: int, data: bytes, remote: bool = False) -> None:
-        """Send a frame, as far as the injected fault lets it pass."""
+        """Send a frame, unless the injected fault drops or delays it."""
         self._injector.queue_answer(
             _IDENTIFIER.pack(can_id) + bytes(data), time.monotonic_ns(), header=_IDENTIFIER.size
         )
@@ -227,7 +227,7 @@ class EmulatedCia402Node:
         self._supported = sum(mode.supported_bit for mode in (*modes, Mode.HOMING))
         self._lock = RLock()
         self._waiting: tuple[int, int] | None = None
-        # True once the PDOs are as the host wrote them, a little after the node's own state.
+        # True once the PDO mapping that the host wrote is in use, shortly after the NMT state.
         self._operational = False
         self._heartbeat_id = 0
         self._last_sent = (0, 0)
@@ -269,7 +269,7 @@ class EmulatedCia402Node:
         self._network.disconnect()
 
     def _value(self, index: int) -> int | None:
-        """Return the value of an object of the drive that changes by itself."""
+        """Return the present value of an object in `_OBJECTS`; None for any other."""
         name = _OBJECTS.get(index, "")
         value: int | None = self._supported if index == 0x6502 else getattr(self.drive, name, None)
         return value
@@ -291,7 +291,7 @@ class EmulatedCia402Node:
                 case 0x6007, _:
                     self.drive.abort_option = value
                 case 0x1016, 1:
-                    # A heartbeat is monitored from the first one that comes.
+                    # Monitoring starts with the first heartbeat that is received.
                     self._heartbeat_id = HEARTBEAT + (value >> 16 & 0x7F)
                     self._network.subscribe(self._heartbeat_id, self._on_heartbeat)
                     self._heartbeat_ns = (value & 0xFFFF) * 1_000_000

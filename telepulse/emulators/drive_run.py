@@ -17,7 +17,7 @@ from telepulse.emulators.sensor_board import binary
 FRAME = 4
 TRACE_HEADER = "time_ns,tip_m,speed_m_per_s,force_n,trouble\n"
 FILM_SILENT = "film-silent"
-# From this force on the tip presses; at first touch the film may read a little.
+# The tip presses from this force on; a smaller one is possible at first touch.
 PRESSING_N = 0.01
 MOTOR_FAULTS: dict[str, MotorFault] = {
     "overtemperature": "overtemperature",
@@ -26,7 +26,7 @@ MOTOR_FAULTS: dict[str, MotorFault] = {
 
 
 class EmulatedFilm:
-    """Sends the force under the finger, in float32 newtons at 1 kHz, four samples a frame.
+    """Sends the force under the finger, in float32 newtons at 1 kHz, four samples in a frame.
 
     Raises SourceError without the cobs package.
     """

@@ -1,7 +1,7 @@
 """Faults injected between an emulated drive's motor, its bus and the film. Pure.
 
-Nothing reports such a fault: the drive goes on answering, and supervision has to find it. Not
-modelled: two faults at once, faults that come and go.
+The drive does not report such a fault and continues to answer: supervision has to detect it. Not
+modelled: two faults at once, intermittent faults.
 """
 
 import random
@@ -17,9 +17,9 @@ _GAIN = (_RATIO, "0.3", "3", "2")
 
 
 class FaultKind(Enum):
-    """The wrong quantity; and dimension, bounds and default of its size, as text, if it has one.
+    """A kind of fault; the value of a kind with a size: its dimension, bounds and default, as text.
 
-    "-encoder": the reported position is the shaft's, not the command's.
+    "-encoder": the reported position is the shaft's instead of the commanded one.
     """
 
     size: tuple[str, ...]
@@ -52,7 +52,7 @@ class FaultKind(Enum):
 
 @dataclass(frozen=True, slots=True)
 class InjectedFault:
-    """One fault. size: in the SI unit of its kind's dimension; a share or factor without one."""
+    """One fault. size: in SI units, or a share or factor, as its kind requires."""
 
     kind: FaultKind
     size: float = 0.0
@@ -114,7 +114,7 @@ class FaultInjector:
         return max(0.0, rate_hz) if self._kind is FaultKind.NO_RETRACTION else rate_hz
 
     def position_steps(self, steps: int, now_ns: int) -> int:
-        """Return the position that the bus reports for the counter's."""
+        """Return the position to report on the bus for a counter of `steps`."""
         size_steps = self._size / self._step_m
         match self._kind:
             case FaultKind.POSITION_FROZEN:
@@ -150,7 +150,7 @@ class FaultInjector:
     def queue_answer(self, data: bytes, now_ns: int, header: int = 0) -> None:
         """Queue an answer of the drive, to be sent when it is due.
 
-        header: length of the beginning that garbage leaves as it is, such as an identifier.
+        header: number of leading bytes that garbage leaves unchanged, such as an identifier.
         """
         if self._kind is None or self._kind is FaultKind.DELAYED:
             self._answers.append((now_ns + round(self._size * 1e9), data))

@@ -1,6 +1,6 @@
 """The motor of an emulated drive: the physical stepper, its home switch, watchdog and faults. Pure.
 
-Time is an argument. The motor advances in whole milliseconds; a command in between counts from
+Time is an argument. The motor advances in whole milliseconds; a command in between takes effect at
 its own time. Not modelled: electrical dynamics, torque over speed, temperature, single lost steps.
 """
 
@@ -22,9 +22,9 @@ MotorFault = Literal["overtemperature", "following error", "stall"]
 
 
 class MotorState(NamedTuple):
-    """The motor's state at a time; place and speed are positive into the finger.
+    """The motor's state at a time; position and speed are positive into the finger.
 
-    tip_m: from first touch. force_n: under the tip.
+    tip_m: position of the tip from first touch. force_n: force under the tip.
     """
 
     time_ns: int
@@ -36,25 +36,25 @@ class MotorState(NamedTuple):
 class EmulatedMotor:
     """A stepper over a finger that begins `touch_m` below its home switch.
 
-    At the start, the tip is half way between the two, and the drive's counter is 0 there until it
-    has homed.
+    At the start the tip is half way between them, and the drive's counter is 0 at that place until
+    the drive has homed.
 
     Attributes
     ----------
     rate_hz : float
         Step rate of the shaft, positive towards the finger.
     tip_m : float
-        Place of the tip, from first touch.
+        Position of the tip from first touch.
     rested_ns : int
         Time at which the motor came to rest last.
     tripped : bool
         True after the watchdog has stopped the motor.
     forces_n : deque of float
-        Forces that the film sends, one a millisecond, until a reader takes them.
+        Forces for the film to send, one per millisecond, until a reader takes them.
     trace : callable or None
         Called with the state every millisecond.
     injector : FaultInjector
-        Faults between motor, bus and film that nothing reports.
+        Applies the faults that the drive does not report.
     """
 
     def __init__(self, scene: StepperScene, law: ContactLaw, touch_m: float, now_ns: int) -> None:
@@ -71,7 +71,7 @@ class EmulatedMotor:
         self._search_hz = self._leave_hz = 0.0
         self._watchdog_ns = 0
         self._fed_ns = self._now_ns = self._command_ns = self.rested_ns = now_ns
-        # Steps times ns by which the next tick moves further than its last command alone would.
+        # Correction, in steps times ns, for a command that arrived within the present tick.
         self._carry = 0.0
         self._zero_steps = 0
         self._least_steps, self._most_steps = -math.inf, math.inf
@@ -118,7 +118,7 @@ class EmulatedMotor:
         self._carry += (before_hz - self._target_hz) * max(0, self._command_ns - self._now_ns)
 
     def home(self, search_hz: float, leave_hz: float) -> None:
-        """Search the home switch; the counter's zero is where it opens again."""
+        """Search the home switch; the counter is set to 0 where the switch opens again."""
         if not self.fault:
             self._homing = "seek"
             self._search_hz, self._leave_hz = search_hz, leave_hz

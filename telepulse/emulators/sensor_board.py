@@ -1,4 +1,4 @@
-"""An emulated sensor board: samples by its own crystal, framed, over a USB that batches.
+"""An emulated sensor board: it samples by its own crystal, and USB delivers frames in batches.
 
 Not modelled: a crystal whose rate changes, lost bytes, control lines, a board that restarts by
 itself, the electrical noise of a real front end.
@@ -16,7 +16,7 @@ from sensing_node.feeds import SampleSource
 from sensing_node.scene import SensingScene, build_source
 from telepulse.emulators import PtyPort
 
-# Force of one count of an integer sample: an int16 reaches 3.2 N.
+# Force of one count of an integer sample; the range of an int16 is then ±3.2 N.
 NEWTONS_PER_COUNT = 1e-4
 
 Encode = Callable[[Sequence[float], int], bytes]
@@ -51,15 +51,15 @@ class BoardBehaviour:
     Attributes
     ----------
     frame : int
-        Samples a frame or line.
+        Samples in a frame or line.
     skew : float
         Relative error of the crystal; above 0 it is fast.
     begins_us : int
         micros() at the start.
     delivery_ns : int
-        USB delivers after a quarter of this time to all of it, at random.
+        Longest time between two deliveries by USB; the shortest is a quarter of it.
     noise : float
-        Share of the bytes that arrive as another.
+        Share of the bytes that noise alters.
     """
 
     frame: int
@@ -71,7 +71,7 @@ class BoardBehaviour:
 
 
 class SensorBoard:
-    """Plays a source as a board would sense and send it. Pure: time is an argument."""
+    """Sends the samples of a source as a board would. Pure: time is an argument."""
 
     def __init__(
         self, samples: SampleSource, encode: Encode, behaviour: BoardBehaviour, start_ns: int

@@ -22,9 +22,10 @@ LONGEST = 1 + 8 + 1 + 16
 
 
 class SlcanAdapter:
-    """The adapter's lines: the host's in, answers and frames out. Pure.
+    """The adapter: lines of the host in, answers and frames out. Pure.
 
-    Frames pass only while the host has opened the adapter. refused: lines answered by a bell.
+    Frames pass only while the host has opened the adapter. refused: number of lines answered by a
+    bell character, the error answer.
     """
 
     def __init__(self) -> None:
@@ -35,7 +36,7 @@ class SlcanAdapter:
     def feed(self, data: bytes) -> tuple[bytes, list[can.Message]]:
         """Return the answers to these bytes, and the frames for the bus."""
         *lines, rest = (self._line + data).split(b"\r")
-        # Of noise without an end, only enough is kept to make its line too long.
+        # Of an endless line, only enough is kept to recognise it as too long.
         self._line = rest[: LONGEST + 1]
         answers, frames = b"", []
         for line in lines:
@@ -72,7 +73,7 @@ class SlcanAdapter:
                 return OK, None
             case "t" | "T" | "r" | "R" if self.is_open:
                 return (b"z\r" if text[0] in "tr" else b"Z\r"), _frame(text)
-        raise ValueError("not known, or not now")
+        raise ValueError("unknown command, or not allowed now")
 
 
 def _frame(text: str) -> can.Message:
@@ -82,7 +83,7 @@ def _frame(text: str) -> can.Message:
     length = int(text[1 + digits : 2 + digits])
     data = bytes.fromhex(text[2 + digits :])
     if len(data) != (0 if remote else length):
-        raise ValueError("not as many bytes as it says")
+        raise ValueError("the number of data bytes differs from the length")
     return can.Message(
         arbitration_id=int(text[1 : 1 + digits], 16),
         is_extended_id=extended,

@@ -1,8 +1,8 @@
 """An emulated TMCL stepper module, on a pseudo-terminal or a CAN bus.
 
-The module itself is pure: it gives the replies that the firmware would. Modelled are the commands,
-parameters and flags that our driver uses. Not modelled: TMCL programs, positioning, currents, the
-other motors of a module, and the time that a real line takes for a datagram.
+The module itself is pure: it returns the replies that the firmware would send. Modelled are the
+commands, parameters and flags that our driver uses. Not modelled: TMCL programs, positioning,
+currents, the other motors of a module, and the time that a real line takes for a datagram.
 """
 
 import select
@@ -62,10 +62,10 @@ class DatagramSplitter:
 
 
 class EmulatedTmclModule:
-    """Answers requests and moves the motor; the motor's injector has the answers to be sent.
+    """Answers requests and moves the motor; answers are queued in the motor's fault injector.
 
-    answer_mode: "right", or a fault for the driver to find. late_s: delay of an answer where they
-    are late.
+    answer_mode: "right", or a fault for the driver to detect. late_s: delay of answers in mode
+    "late".
     """
 
     def __init__(self, scene: TmclScene, motor: EmulatedMotor) -> None:
@@ -86,13 +86,13 @@ class EmulatedTmclModule:
         self.late_s = 0.03
 
     def receive(self, request: bytes, now_ns: int) -> None:
-        """Take 9 bytes of request, and queue the answer at the fault injector."""
+        """Execute a request of 9 bytes, and queue the answer in the fault injector."""
         if reply := self.reply(request, now_ns):
             late_s = self.late_s if self.answer_mode == "late" else 0.0
             self.injector.queue_answer(reply, now_ns + round(late_s * 1e9))
 
     def reply(self, request: bytes, now_ns: int) -> bytes:
-        """Return the 9 bytes of reply to 9 bytes of request; none to another module's."""
+        """Return 9 bytes of reply to 9 bytes of request; empty for another module's request."""
         address, command, kind, motor, value, check = DATAGRAM.unpack(request)
         self._motor.advance(now_ns)
         if address != self._scene.module or self.answer_mode == "none":
@@ -182,7 +182,7 @@ class EmulatedTmclModule:
             case Search.START:
                 on_right = self._axis[Parameter.SEARCH_MODE] & (LEFT_SWITCH ^ RIGHT_SWITCH)
                 if bool(on_right) != self._scene.inverted:
-                    # The other side has no switch.
+                    # Only the side away from the finger has a switch.
                     return INVALID_VALUE, 0
                 speeds = (self._axis[Parameter.SEARCH_SPEED], self._axis[Parameter.SWITCH_SPEED])
                 search_hz, leave_hz = (abs(self._rate_hz(speed)) for speed in speeds)
@@ -227,7 +227,7 @@ class EmulatedSerialLine:
 
 
 class EmulatedCanLine:
-    """Frames of 7 bytes to the module's identifier, answered from the host's."""
+    """CAN frames of 7 bytes to the module's identifier, answered with the host's identifier."""
 
     def __init__(self, module: EmulatedTmclModule, scene: TmclScene, bus: "can.BusABC") -> None:
         self._module = module

@@ -1,9 +1,9 @@
 """An interval of a trial: the pulse is felt while a gate in the display's safety is open.
 
-The stream runs, over its link or none, to the display as in every node. While the gate is closed,
-the actuator rests. Safety ramps up when the gate opens and fades when it closes, as for a stream
-that begins and ends. The display's clock alone opens and closes the gate, so that the begin of
-the pulse shows neither the link's delay nor the time to join.
+The stream runs to the display, over a link or directly. While the gate is closed, the actuator
+rests. Safety ramps up when the gate opens and fades when it closes, as for a stream that begins and
+ends. Only the display's clock opens and closes the gate, so that the beginning of the pulse reveals
+neither the link's delay nor the time to join.
 """
 
 import math
@@ -22,7 +22,8 @@ from telepulse.experiment.session import Letter, SessionPlan, Trial
 from telepulse.scene import Scene
 from telepulse.simulation.virtual_time import Simulation
 
-# Longer than a beat: the gate opens at any phase of it.
+# The gate opens after a random time up to this. It is longer than a beat, so that the pulse can
+# begin at any phase.
 FOREPERIOD_NS = 1_000_000_000
 # Time after the fade until the layer is at rest.
 REST_NS = 150_000_000
@@ -32,7 +33,7 @@ MOST_MISSED = 0.01
 
 @dataclass(frozen=True, slots=True)
 class Interval:
-    """One interval to be felt. foreperiod_ns: from the begin until the gate opens."""
+    """One interval to be felt. foreperiod_ns: time from its start until the gate opens."""
 
     letter: Letter
     scene: Scene
@@ -50,7 +51,7 @@ class PlayedInterval(BaseModel):
     felt_s : float
         Time at full strength.
     aligned_n, in_phase_n : float or None
-        Force RMSE against the pulse of the instant played, and of the present.
+        Force RMSE against the pulse at the instant that is played, and at the present.
     pulse_n : float
         Reference pulse from peak to peak.
     ticks : int
@@ -80,7 +81,7 @@ class PlayedInterval(BaseModel):
 
     @property
     def stale(self) -> str:
-        """Description of the stream's staleness while it was felt, "" where it was not stale."""
+        """Why the pulse was not fully felt: a stale stream, or never full strength; or ""."""
         if self.stale_ticks:
             percent = 100 * self.stale_ticks / self._tick_count
             return f"the stream stale for {percent:.1f} % of the ticks"
@@ -88,11 +89,10 @@ class PlayedInterval(BaseModel):
 
     @property
     def spoilt(self) -> str:
-        """Reason why the machine spoilt the interval, "" where it did not.
+        """Reason why the machine spoilt the interval; "" where it did not.
 
-        A stream that is stale over the link is an effect of the condition, which is under test:
-        the only link between source and display is the model, whose times do not depend on the
-        machine. A slow machine shows as missed ticks.
+        A stale stream is an effect of the link model, which is under test and does not depend on
+        the machine. A slow machine shows as missed ticks.
         """
         if self.deadline_misses > MOST_MISSED * self._tick_count:
             return f"{100 * self.deadline_misses / self._tick_count:.1f} % of the ticks missed"
@@ -144,7 +144,7 @@ class GatedSafety(Safety):
 
 
 class IntervalPlayback:
-    """An interval that is being felt. Pure: the caller has the clock and the bench.
+    """An interval that is being felt. Pure: the caller provides the clock and the bench.
 
     Raises SceneError or SourceError.
     """

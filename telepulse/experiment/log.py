@@ -1,7 +1,7 @@
 """The log of a session, and the results of one log or several.
 
-A log has a JSON line for the session, then one for each trial, each on the disk at once. An
-incomplete last line, as after a crash, is ignored.
+A log has a JSON line for the session, then one for each trial. Each line is written to the disk at
+once. An incomplete last line, as after a crash, is ignored.
 """
 
 import os
@@ -47,9 +47,9 @@ class _Line(BaseModel):
 class SessionHeader(_Line):
     """The first line.
 
-    tables: session file and scene as written; threshold: of the simulated observer, None for a
-    person. felt_on: "drive", or "models", on which nobody feels anything. provenance: of the run.
-    Logs of older versions have neither of these two.
+    tables: session file and scene as written. threshold: threshold of the simulated observer; None
+    for a person. felt_on: "drive", or "models" without a drive, where nobody feels anything.
+    provenance: provenance of the run. Logs of older versions lack the last two.
     """
 
     line: Literal["session"] = "session"
@@ -73,8 +73,8 @@ class SessionHeader(_Line):
 class AnsweredTrial(_Line):
     """A trial.
 
-    response_s: from the begin of the trial, None of a simulated observer; played: every interval
-    felt, in order.
+    response_s: time from the trial's start to the answer; None for a simulated observer. played:
+    every interval that was felt, in order.
     """
 
     line: Literal["trial"] = "trial"
@@ -99,7 +99,7 @@ _LINE: TypeAdapter[LogLine] = TypeAdapter(LogLine)
 
 
 class SessionLog(NamedTuple):
-    """A log that was read. whole_bytes: length up to the end of its last whole line."""
+    """A log that was read. whole_bytes: length of the file up to its last complete line."""
 
     path: Path
     header: SessionHeader
@@ -133,7 +133,7 @@ def read_log(path: Path) -> SessionLog:
     answered = tuple(line for line in lines if isinstance(line, AnsweredTrial))
     indices = [line.index for line in answered]
     if indices != list(range(len(header.trials)))[: len(indices)]:
-        raise LogError(f"{path}: its trials are not in order; was it edited?")
+        raise LogError(f"{path}: the trials are not in order: the file was edited")
     session = validate(header.tables.get("session"), SessionTable, where=f"{path}: session:")
     return SessionLog(path, header, session, answered, whole_bytes)
 
@@ -199,7 +199,9 @@ def open_log(
         return file, header, 0
     log = read_log(path)
     if (log.header.tables, log.header.threshold) != (plan.tables, threshold):
-        raise LogError(f"{path}: session, scene or observer differ from those of its begin")
+        raise LogError(
+            f"{path}: session, scene or observer differ from those in the log's first line"
+        )
     file = SessionLogFile(path, log.whole_bytes)
     made = scene_provenance(plan.direct, {"session": log.header.seed}).to_dict()
     file.write(ResumedSession(version=version("telepulse"), time=now(), provenance=made))
@@ -226,12 +228,12 @@ class TrialOutcome:
 
     @property
     def spoilt(self) -> str:
-        """Reason why the machine spoilt the trial, "" where it did not."""
+        """Reason why the machine spoilt the trial; "" where it did not."""
         return next((why for played in self.answered.played if (why := played.spoilt)), "")
 
     @property
     def stale(self) -> bool:
-        """True where the link left the stream stale in an interval."""
+        """True where the stream was stale over the link in an interval."""
         return any(played.on_link and played.stale for played in self.answered.played)
 
     @property
@@ -251,8 +253,8 @@ class TrialOutcome:
 class SessionResults:
     """All outcomes that count, in order, and the conditions in the order of the session file.
 
-    spoilt: outcomes in which ticks were missed or a direct stream was stale; pooled: True where
-    they are among the outcomes as well. who: the kind of subject; kinds are never pooled.
+    spoilt: outcomes in which ticks were missed or a direct stream was stale. pooled: True where the
+    spoilt outcomes are included in `outcomes`. who: the kind of subject; kinds are never pooled.
     """
 
     kind: Kind
@@ -284,15 +286,17 @@ class SessionResults:
 def gather(logs: Sequence[SessionLog], with_spoilt: bool = False) -> SessionResults:
     """Pool logs of one kind of subject, session and scene. Raises LogError.
 
-    with_spoilt: count spoilt trials with the others. They count as well where there are no others.
+    with_spoilt: include spoilt trials. They are also included if there are no others.
     """
     first = logs[0]
     for log in logs[1:]:
         mine, theirs = log.session, first.session
         if (mine.kind, mine.conditions) != (theirs.kind, theirs.conditions):
-            raise LogError(f"{log.path}: other conditions than in {first.path}; report them apart")
+            raise LogError(
+                f"{log.path}: other conditions than in {first.path}; report them separately"
+            )
         if what := _difference(log, first):
-            raise LogError(f"{log.path}: {what}; report them apart")
+            raise LogError(f"{log.path}: {what}; report them separately")
     found = tuple(
         TrialOutcome(log.path.stem, log.header.trials[answered.index], answered)
         for log in logs

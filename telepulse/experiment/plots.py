@@ -43,8 +43,8 @@ def shares(results: SessionResults) -> Plot:
 
     return Plot(
         "experiment-shares",
-        "Share of trials in which X was identified; below, the paper's four of six, who were"
-        " asked something else: whether it was close to a direct touch.",
+        "Share of trials in which X was identified. The lowest row has the paper's four of six"
+        " subjects, who were asked whether it was close to a direct touch.",
         draw,
     )
 
@@ -74,8 +74,9 @@ def psychometric(results: SessionResults, threshold: Threshold | None) -> Plot:
 
     return Plot(
         "experiment-psychometric",
-        "Share right against how much further off the link's intervals were than the direct ones,"
-        " a point a condition, and the differencing observer that fits the answers best.",
+        "Share of right answers against the difference in force error between the intervals over"
+        " the link and the direct ones, one point for each condition; and the best-fitting"
+        " differencing observer.",
         draw,
     )
 
@@ -140,8 +141,8 @@ def course(results: SessionResults) -> Plot:
 
     return Plot(
         "experiment-course",
-        "In the order of the trials: the share of right answers so far, or the ratings; and of a"
-        " person how long each answer took.",
+        "In the order of the trials: the share of right answers so far, or the ratings; and, for a"
+        " person, the time to each answer.",
         draw,
     )
 

@@ -72,17 +72,17 @@ def mean_of(values: Sequence[float]) -> Mean:
 
 
 def hits_needed(trials: int) -> int:
-    """Return the least hits that are beyond guessing, p ≤ 5 %; trials + 1 where none are."""
+    """Return the fewest hits with p ≤ 5 % by guessing; trials + 1 if no number suffices."""
     return int(binom.isf(LEVEL, trials, CHANCE)) + 1
 
 
 def power(trials: int, share: float) -> float:
-    """Return the probability of passing for more than guessing with a true share of hits."""
+    """Return the probability of a result beyond guessing (p ≤ 5 %) with a true share of hits."""
     return float(binom.sf(hits_needed(trials) - 1, trials, share))
 
 
 def trials_needed(share: float, wanted_power: float) -> int | None:
-    """Return the number of trials from which on the power is never less; None: above 5000."""
+    """Return the number of trials from which the power stays sufficient; None: above 5000."""
     trials = np.arange(1, MOST_TRIALS + 1)
     hits = binom.isf(LEVEL, trials, CHANCE)
     short = np.flatnonzero(binom.sf(hits, trials, share) < wanted_power)
@@ -126,7 +126,7 @@ def d_prime(share: float) -> float:
 class Threshold(NamedTuple):
     """The error at which d' is 1, with its 95 % profile likelihood interval.
 
-    low and high are 0 and infinity where the answers set no bound.
+    low is 0, or high infinite, if the answers do not bound the threshold on that side.
     """
 
     value: float
@@ -137,7 +137,7 @@ class Threshold(NamedTuple):
 def fit_threshold(trials: Sequence[tuple[IntervalErrors, bool]]) -> Threshold | None:
     """Return the maximum likelihood threshold of trials: their errors, and whether X was A.
 
-    None where the answers set no bound on either side, as for few answers or guesses.
+    None if the answers bound it on neither side, as with few answers or guesses.
     """
     largest = max((abs(errors.a - errors.b) for errors, _ in trials), default=0.0)
     if largest == 0:

@@ -35,7 +35,7 @@ DIRECT = "no link (catch)"
 
 
 def build_report(logs: Sequence[SessionLog], with_spoilt: bool = False) -> Report:
-    """Report one subject or several; with_spoilt: count spoilt trials with the others.
+    """Report one subject or several; with_spoilt: include spoilt trials.
 
     Raises LogError.
     """
@@ -48,11 +48,11 @@ def build_report(logs: Sequence[SessionLog], with_spoilt: bool = False) -> Repor
             for o in results.spoilt
         ]
         others.append(Table("Spoilt trials", ("subject", "trial", "condition", "why"), spoilt))
-    # A terminal shows tables alone: the labels stand under the first one as well.
+    # A terminal shows only tables: the labels are repeated under the first one.
     first = replace(first, note=" ".join([*labels, first.note]))
     paragraphs = (*labels, *answers.paragraphs)
     answers = replace(answers, paragraphs=paragraphs, tables=(first, *others))
-    # What produced each session, where its log has it.
+    # Provenance of each session whose log has it.
     made = [
         provenance_table(log.path.stem, log.header.provenance)
         for log in logs
@@ -64,7 +64,7 @@ def build_report(logs: Sequence[SessionLog], with_spoilt: bool = False) -> Repor
 
 
 def _labels(results: SessionResults) -> list[str]:
-    """Return remarks on the answers that a reader needs first."""
+    """Return remarks on the answers, to be printed before the results."""
     labels = []
     if results.thresholds:
         shown = ", ".join(f"{100 * threshold:g} %" for threshold in results.thresholds)
@@ -77,7 +77,7 @@ def _labels(results: SessionResults) -> list[str]:
     if results.spoilt:
         trials = count_text(len(results.spoilt), "answered trial")
         verb = "is" if len(results.spoilt) == 1 else "are"
-        fate = "counted all the same" if results.pooled else "left out of all figures but theirs"
+        fate = "included" if results.pooled else "left out of all figures but their own"
         labels.append(
             f"{trials} {verb} spoilt by missed ticks, or by a stale stream without a link, and"
             f" {verb} {fate}."
@@ -89,8 +89,8 @@ def _labels(results: SessionResults) -> list[str]:
     ]
     if stale:
         labels.append(
-            "Trials in which the link left the stream stale, which is the condition's own, so that"
-            f" they are counted: {', '.join(stale)}."
+            "Trials in which the stream was stale over the link. They are included, since this is"
+            f" an effect of the condition: {', '.join(stale)}."
         )
     if len(results.versions) > 1:
         labels.append(f"The logs are of several versions: {', '.join(results.versions)}.")

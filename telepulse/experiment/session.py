@@ -80,8 +80,8 @@ class SessionTable(Section):
 class SessionPlan(NamedTuple):
     """A session file that was read.
 
-    tables: the file's and its scene's, by name, for the log. direct: the scene without a link;
-    impaired: the scenes by the condition's name.
+    tables: tables of the file and of its scene, for the log. direct: the scene without a link.
+    impaired: a scene for each condition, by the condition's name.
     """
 
     session: SessionTable
@@ -136,7 +136,7 @@ def draw_trials(session: SessionTable, seed: int) -> tuple[Trial, ...]:
     """Return all trials in their order: the wanted number for each condition, shuffled.
 
     A and X are drawn for each trial independently, not balanced over the trials. Only then is a
-    guess right with a probability of exactly one half, whatever was noticed before.
+    guess right with a probability of exactly one half, whatever the subject has noticed before.
     """
     random = Random(f"trials {seed}")
     names: list[str | None] = [c.name for c in session.conditions for _ in range(session.trials)]

@@ -42,7 +42,7 @@ HELP: dict[str, str] = {
     "rating": "a: feel the direct touch.  x: feel X.  How close is X to A?"
     "  5: the same, 4: close, 3: somewhat off, 2: far, 1: nothing like it.  q: stop.",
 }
-# Escape sequences, as of an arrow key, contain letters.
+# Escape sequences, such as those of arrow keys, contain letters that are no keys of the dialogue.
 ESCAPED = re.compile(r"\x1b(\[[0-9;]*[A-Za-z~]|O[A-Za-z]|.)?")
 KEY_WAIT_S = 0.1
 FILM_WITHIN_S = 2.0
@@ -149,7 +149,7 @@ class Keyboard:
     def _read(self, wait_s: float) -> None:
         if not select.select([self._descriptor], [], [], wait_s)[0]:
             return
-        # One byte of a pipe at a time: the rest stays there for later.
+        # A pipe is read one byte at a time, so that later keys stay in it.
         data = os.read(self._descriptor, 64 if self._is_terminal else 1)
         if not data:
             self._typed.append(STOP_KEY)
@@ -264,9 +264,9 @@ class Person:
 
 
 def _await_film(hardware: Hardware) -> None:
-    """Read the film until it is current again: nothing ticked while a display was built.
+    """Read the film until its readings are current: nothing was read while the display was built.
 
-    A film that stays silent is left for the display to report.
+    If the film stays silent, return: the display reports that fault.
     """
     until_s = time.monotonic() + FILM_WITHIN_S
     while not hardware.feedback.alive(time.monotonic_ns()) and time.monotonic() < until_s:

@@ -20,7 +20,7 @@ def main() -> None:
     if node is not None:
         threading.Thread(target=server.follow, args=(node["address"], node["key"])).start()
         receive()
-    # The threads have nothing to finish, and some wait for slow peers.
+    # Ends without waiting for threads that serve slow peers.
     os._exit(0)
 
 

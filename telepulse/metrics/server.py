@@ -44,7 +44,7 @@ except ImportError as error:
     ) from None
 
 PREFIX = "telepulse_"
-# A node may be held up for that long.
+# A node counts as silent after this time: short stalls are not reported.
 SILENT_AFTER_NS = 5_000_000_000
 STATES = ("waiting", "starting", "playing", "stale", "ended", "fault", "streaming")
 _NUMBER = re.compile(r"\d+(\.\d+)?")
@@ -62,7 +62,7 @@ class NodeState:
 def families(
     program: str, node: NodeState | None, now_ns: int, unreadable: int = 0
 ) -> Iterator[Metric]:
-    """Yield the metrics at `now_ns`; of a silent node only the age of its last status."""
+    """Yield the metrics at `now_ns`; for a silent node only the age of its last status."""
     silent = node is None or now_ns - node.sent_ns > SILENT_AFTER_NS
     yield _gauge("up", "1: the node sends statuses; 0: silent for 5 s.", not silent)
     misread = Metric(PREFIX + "unreadable_statuses", "Statuses that could not be read.", "counter")
@@ -73,7 +73,7 @@ def families(
     status, rate_per_min = node.status, node.heart_rate_per_min
     yield _gauge("status_age_seconds", "Age of the figures.", (now_ns - node.sent_ns) * 1e-9)
     words = {"program": program, "version": version("telepulse"), "stream": status.stream}
-    # As text: a number of 63 bits is none of Prometheus's.
+    # As text: Prometheus's numbers are floats, which cannot represent 63 bits.
     words["session"] = "" if status.session is None else f"{status.session:x}"
     yield InfoMetricFamily(PREFIX + "node", "The node and its stream.", words)
     if silent:
@@ -85,7 +85,7 @@ def families(
         yield _gauge("heart_rate_hertz", text, rate_per_min / 60)
     if status.displays is not None:
         yield _gauge("displays", "Displays that are connected.", status.displays)
-    # Figures of one name stand together, under the first's help.
+    # Prometheus requires all samples of a name in one group, with one help text.
     found: dict[str, Metric] = {}
     help_texts: dict[str, str] = {}
     for figure in REGISTRY.on(Surface.METRICS):
@@ -108,7 +108,7 @@ def _samples(figure: Figure, summary: Mapping[str, Any]) -> Iterator[tuple[dict[
             yield {figure.label: name}, count
     elif isinstance(value, str | list):
         texts = [value] if value and isinstance(value, str) else list(value)
-        # Their numbers, each a label of its own, stay in the summary.
+        # Without their numbers, each of which would be a new label.
         for text in sorted({_NUMBER.sub("#", text) for text in texts}):
             yield {figure.label: text}, 1
     elif value is not None:
@@ -125,7 +125,7 @@ WAIT_NS = 1_000_000_000
 
 
 def parse_address(text: str) -> tuple[str, int]:
-    """Return host and port; without a host, this machine alone. Raises AddressError."""
+    """Return host and port; default host: loopback. Raises AddressError."""
     match = _WHERE.fullmatch(text)
     if match is None or int(match["port"]) > MAX_PORT:
         raise AddressError(
@@ -135,9 +135,9 @@ def parse_address(text: str) -> tuple[str, int]:
 
 
 class MetricsHTTPServer(ThreadingMixIn, WSGIServer):
-    """HTTP server that answers requests that name this server, each in a thread.
+    """HTTP server for requests that name this server, each served in a thread.
 
-    A request beyond `MAX_REQUESTS` at a time is closed unanswered.
+    While `MAX_REQUESTS` are being served, further connections are closed.
     """
 
     request_queue_size = 128
@@ -198,7 +198,7 @@ def for_own_site(app: WSGIApplication, site: Site) -> Callable[..., Iterable[byt
 
 
 class MetricsServer(Collector):
-    """Server that answers from its creation on; `follow` gives it a node to report.
+    """Server of metrics, which answers as soon as it is created; `follow` reads the node.
 
     url: address of the metrics.
     """

@@ -1,6 +1,6 @@
-"""Emulated links for real programs: kernel TCP between two network namespaces, impaired between.
+"""Emulated links for real programs: kernel TCP between two network namespaces, with impairments.
 
-Needs root and /dev/net/tun. Namespaces and devices vanish with the process that made them.
+They need root and /dev/net/tun. Namespaces and devices end with the process that made them.
 """
 
 from telepulse.netem.emulated_link import EmulatedLink, NodesOutcome, emulate, run_nodes

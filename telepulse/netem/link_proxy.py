@@ -21,8 +21,8 @@ IDLE_NS = 50_000_000
 class LinkProxy:
     """Proxy between a sensing node at `connect` and displays that connect to `bind`.
 
-    client_keys: keys towards the sensing node. server_keys: keys towards displays, with those that
-    may connect.
+    client_keys: keys towards the sensing node. server_keys: keys towards displays, with the
+    allow-list.
 
     Raises AddressError or KeyFileError.
     """

@@ -1,7 +1,7 @@
 """Network namespaces with TUN devices, whose packets a program reads and writes.
 
-A namespace has no name, and goes when no process or descriptor holds it any more. Requests and
-flags are those of <linux/if_tun.h>, <linux/if.h> and <linux/sockios.h>.
+A namespace has no name, and the kernel removes it when no process or descriptor uses it. Requests
+and flags are those of <linux/if_tun.h>, <linux/if.h> and <linux/sockios.h>.
 """
 
 import ctypes
@@ -24,10 +24,10 @@ _NETMASK = "255.255.255.252"
 
 
 def open_tun(name: str, address: str) -> int:
-    """Make a TUN device in the present network namespace and bring it up; IPv4 packets only.
+    """Make a TUN device for IPv4 in the present network namespace, and bring it up.
 
-    address: its own, in a network of four. Returns the non-blocking descriptor of its packets; the
-    device goes when it is closed. Raises OSError.
+    address: address of the device, in a network of four addresses. Returns a non-blocking
+    descriptor for its packets; closing it removes the device. Raises OSError.
     """
     descriptor = os.open(TUN_PATH, os.O_RDWR | os.O_NONBLOCK | os.O_CLOEXEC)
     try:

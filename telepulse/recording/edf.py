@@ -1,7 +1,7 @@
 """Export of a recording as an EDF+ file, for the viewers and tools of physiology.
 
-EDF (Kemp et al. 1992, https://www.edfplus.info) stores 16-bit samples at a constant rate. So
-the recording's longest session is resampled on an even grid of the sensing clock. The log gives the
+EDF (Kemp et al. 1992, https://www.edfplus.info) stores 16-bit samples at a constant rate, so the
+recording's longest session is resampled to a constant rate of the sensing clock. The log gives the
 quantisation step of each signal; losses and events become annotations.
 """
 
@@ -147,7 +147,7 @@ def _signal(edfio: Any, label: str, force_n: Floats, rate_hz: int) -> Any:
 
 
 def _range(force_mn: Floats) -> tuple[float, float]:
-    """Return limits just outside the values; each fits the 8 characters of the header."""
+    """Return limits just outside the values, each in the 8 characters of an EDF header."""
     if not len(force_mn):
         return -1.0, 1.0
     low, high = float(force_mn.min()), float(force_mn.max())

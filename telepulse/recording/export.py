@@ -1,4 +1,4 @@
-"""Export of a recording as tables in CSV or Parquet, or as a whole MCAP file again."""
+"""Export of a recording as tables in CSV or Parquet, or as a repaired MCAP file."""
 
 import csv
 import json
@@ -22,7 +22,7 @@ from telepulse.telemetry.schema import CLOCK, EVENT, FRAME, SCHEMAS, TICK
 logger = logging.getLogger(__name__)
 
 TABLES = {FRAME: "samples", TICK: "ticks", CLOCK: "clock", EVENT: "events"}
-# Columns of each table by name, with what they hold; samples have a column for each channel, too.
+# Columns of each table and their descriptions. The table of samples also has one for each channel.
 COLUMNS = {
     FRAME: {
         "arrived_ns": "when its frame arrived, on the display's clock",
@@ -34,11 +34,11 @@ COLUMNS = {
     TICK: {
         "now_ns": "when the tick was due, on the display's clock",
         "instant_ns": "instant of the pulse that was played, on the sensing clock",
-        "target_n": "force wanted at the finger",
+        "target_n": "target force at the finger",
         "felt_n": "force felt at the finger; none where it is unknown",
         "scored": "the pulse was played at its full strength",
-        "predictor_error_n": "RMSE that the predictor expects; none where it expects none",
-        "trusted": "the predictor was trusted with all of the delay",
+        "predictor_error_n": "RMSE that the predictor expects; none without an estimate",
+        "trusted": "the predictor was trusted with the whole delay",
     },
     CLOCK: {
         "session": "session of the sensing node",
@@ -56,7 +56,7 @@ COLUMNS = {
         "message": "the event in words",
     },
 }
-UNIX = "Unix time at which the display received or did it, by its own clock: the same in all tables"
+UNIX = "Unix time of the message or tick by the display's clock; comparable across all tables"
 UNITS = {"_ns": "ns", "_n": "N", "_ms": "ms"}
 Row = list[Any]
 
@@ -70,12 +70,12 @@ class TableColumn(NamedTuple):
 
     @property
     def unit(self) -> str:
-        """The unit by the end of the name; empty without one."""
+        """The unit, from the suffix of the name; empty without one."""
         return next((unit for end, unit in UNITS.items() if self.name.endswith(end)), "")
 
 
 def columns(message: RecordedMessage) -> list[TableColumn]:
-    """Return the columns of a table, by its first message. Raises KeyError or ValueError."""
+    """Return the columns of a table from its first message. Raises KeyError or ValueError."""
     topic = message.topic
     properties = SCHEMAS[topic][1]["properties"]
     found = [
@@ -123,7 +123,7 @@ class CsvTable:
         self._writer.writerow(row)
 
     def describe(self, described: dict[str, Any]) -> None:
-        """Do nothing: CSV has no place for it."""
+        """Do nothing: CSV has no metadata."""
 
     def close(self) -> None:
         """Close the file. Raises OSError."""
@@ -197,7 +197,7 @@ class ParquetTable:
 
 
 def export_csv(path: Path, folder: Path) -> str:
-    """Write a recording's tables into a new folder; return how many rows, in a line.
+    """Write a recording's tables into a new folder; return the numbers of rows, as text.
 
     Raises SourceError or OutputError.
     """
@@ -278,10 +278,10 @@ MESSAGES_A_CHUNK = 5_000
 
 
 def export_mcap(path: Path, copy: Path) -> str:
-    """Write what can be read of a recording as a whole one. Raises SourceError or OutputError."""
+    """Write the readable part of a recording as a new one. Raises SourceError or OutputError."""
     reader = RecordingReader(path)
     messages = (message for message in reader if message.topic in SCHEMAS)
-    # Read before the file is made: a recording that cannot be read leaves none behind.
+    # Read before the file is created: an unreadable recording leaves no file behind.
     first = next(messages, None)
     if first is None:
         raise SourceError(f"{path}: holds no message")

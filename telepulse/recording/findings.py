@@ -36,7 +36,7 @@ class RunFindings:
     Attributes
     ----------
     gaps, provenance
-        As of `RecordingReader`.
+        See `RecordingReader`.
     display_summary : Summary or None
         The summary in the display's last recorded status.
     is_final_summary : bool
@@ -67,7 +67,7 @@ class RunFindings:
         self._offset_ms = 0.0
         self._steps: tuple[int | None, int | None] = (None, None)
         self._misses = self._scored = self._played = self._tick_ns = 0
-        # Until the display's first status.
+        # The default, until the display's first status is read.
         self._stale_after_ns = SafetyScene().stale_after_ns
         self._last_now_ns: int | None = None
         self._batch: dict[str, list[tuple[float, float]]] = {}
@@ -194,7 +194,7 @@ class RunFindings:
         clock = new.clock
         if clock.offset_ms is not None:
             if (self._session, clock.steps) != self._steps:
-                # Another session or a clock step: offsets before do not compare.
+                # Offsets are not comparable across sessions and clock steps.
                 self._steps, self._offset_ms = (self._session, clock.steps), clock.offset_ms
             self._add("offset_ms", t_s, clock.offset_ms - self._offset_ms)
             self._add("uncertainty_ms", t_s, clock.uncertainty_ms)
@@ -221,7 +221,7 @@ class RunFindings:
 
 
 def read_findings(path: Path) -> RunFindings:
-    """Read a recording to its end, whole or not. Raises SourceError."""
+    """Read a recording, complete or not, to its end. Raises SourceError."""
     reader, findings = RecordingReader(path), RunFindings()
     try:
         for entry in in_tick_order(reader):

@@ -1,6 +1,6 @@
-"""Course of values over a whole recording: trends in fixed memory, and the forces at both ends.
+"""Values over a whole recording: trends in fixed memory, and the forces at both ends.
 
-Of the forces: errors, stretches and heart rates. Pure.
+From the forces follow errors, stretches for plots, and heart rates. Pure.
 """
 
 from collections.abc import Iterator
@@ -17,7 +17,7 @@ from protocol.wire.stream import StreamDescription
 # Ticks wait for the samples around their instants, as in the display.
 BLOCK = PATIENCE = 2_048
 MAX_FRAMES = 20_000
-# Heart rates use every tenth tick: enough points a beat.
+# Heart rates use every tenth tick: enough points in a beat.
 THIN = 10
 HEART_WINDOW_S = 6.0
 # A window with a longer hole has no heart rate.
@@ -27,7 +27,7 @@ STRETCH_BLOCKS = 3
 # Bins of a trend, and the narrowest of them.
 BINS = 1_000
 NARROWEST_S = 0.1
-# Least, greatest, sum and count of a bin: how values join it, and what an empty bin holds.
+# Least, greatest, sum and count of a bin: the function that adds values, and its initial value.
 STATISTICS = ((np.minimum, np.inf), (np.maximum, -np.inf), (np.add, 0.0), (np.add, 0.0))
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -44,7 +44,7 @@ class TrendPoints(NamedTuple):
 
 
 class Trend:
-    """Statistics of values in equal bins of time, which double their width as time goes on."""
+    """Statistics of values in equal bins of time; the bins double their width when they run out."""
 
     def __init__(self, width_s: float = NARROWEST_S) -> None:
         """Begin with bins of a width."""
@@ -52,7 +52,7 @@ class Trend:
         self._bins: list[Floats] = [np.full(BINS, empty) for _, empty in STATISTICS]
 
     def add(self, t_s: Floats, values: Floats) -> None:
-        """Add values at times from the begin; what is NaN or infinite is left out."""
+        """Add values at times since the start; NaN and infinite values are ignored."""
         known = np.isfinite(values)
         t_s, values = np.maximum(t_s[known], 0), values[known]
         if not len(values):
@@ -96,7 +96,7 @@ class AlignedBlock(NamedTuple):
 class ForceAlignment:
     """Alignment of felt force with the pulse at the wrist, session by session, in blocks.
 
-    errors: the display's own measure of errors. ratio: wanted force at the finger per force at the
+    errors: errors as the display computes them. ratio: target force at the finger per force at the
     wrist; None before the first status.
     """
 
@@ -112,12 +112,12 @@ class ForceAlignment:
         self._values: list[Floats] = []
 
     def begin(self) -> Iterator[AlignedBlock]:
-        """Begin another session; yield what is left of the last one."""
+        """Begin another session; yield the remaining blocks of the last one."""
         yield from self.finish()
         self._begin()
 
     def set_playback(self, channel: int, ratio: float) -> None:
-        """Set what the display plays, at its first status; score what came before."""
+        """Set channel and ratio from the first status; score the ticks before it."""
         if self.ratio is not None:
             return
         self.channel, self.ratio = channel, ratio

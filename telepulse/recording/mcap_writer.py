@@ -1,4 +1,4 @@
-"""Writer of an MCAP recording, and the file beneath, which retries while the disk is full."""
+"""Writer of an MCAP recording, and its file, which retries while the disk is full."""
 
 import json
 import math
@@ -15,15 +15,15 @@ from telepulse.telemetry.schema import SCHEMAS
 
 
 class RetryingFile:
-    """File of whole pieces that keeps what the disk refuses, in order, and retries it.
+    """File that is written in pieces; pieces that the disk refuses are kept in order and retried.
 
-    A piece that is written in part is truncated again, so the file always ends with a whole piece.
+    A partly written piece is removed again, so the file always ends with a whole piece.
 
     waiting_bytes, waiting: bytes and messages that are not on the disk.
     """
 
     def __init__(self, path: Path) -> None:
-        """Create the file. Raises OutputError, also where one is there already."""
+        """Create the file. Raises OutputError, also if it exists."""
         flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0)
         try:
             self._file = os.open(path, flags, 0o666)
@@ -56,7 +56,7 @@ class RetryingFile:
         Returns
         -------
         str or None
-            Why something waits; None when nothing does.
+            Why pieces still wait to be written; None when none do.
         """
         if self._unsealed:
             self._pieces.append((bytes(self._unsealed), messages))
@@ -75,7 +75,7 @@ class RetryingFile:
         return None
 
     def close(self) -> None:
-        """Close the file and drop what waits."""
+        """Close the file and drop the waiting pieces."""
         os.close(self._file)
 
     def _append(self, data: bytes) -> None:
@@ -85,7 +85,7 @@ class RetryingFile:
             os.lseek(self._file, self._on_disk_bytes, os.SEEK_SET)
             while left:
                 left = left[os.write(self._file, left) :]
-            # So the piece outlives a loss of power, and a late failure shows here.
+            # The piece survives a loss of power, and write errors are raised here.
             os.fsync(self._file)
         except OSError:
             with suppress(OSError):
@@ -94,7 +94,7 @@ class RetryingFile:
         self._on_disk_bytes += len(data)
 
 
-# While the disk is full: some seven minutes of a stream of 1 kHz.
+# Limit of the waiting pieces while the disk is full: some seven minutes of a stream of 1 kHz.
 MAX_WAITING_BYTES = 32 * 1024 * 1024
 PROVENANCE = "telepulse.provenance"
 # Runs of a display in one recording whose provenance is kept.
@@ -133,7 +133,7 @@ class McapWriter:
         self.put(entry.topic, entry.t_ns, as_json(entry.fields))
 
     def put(self, topic: str, t_ns: int, data: bytes) -> None:
-        """Add a message that is JSON already to the present chunk."""
+        """Add a message with JSON data to the present chunk."""
         if self._file.waiting_bytes > MAX_WAITING_BYTES:
             self.dropped += 1
             return
@@ -148,7 +148,7 @@ class McapWriter:
         self._in_chunk += 1
 
     def describe(self, provenance: dict[str, str]) -> None:
-        """Add what produced the recording; more than `MAX_RUNS` times it counts as dropped."""
+        """Add a run's provenance; after `MAX_RUNS` of them, further ones count as dropped."""
         self._runs += 1
         if self._runs > MAX_RUNS or self._file.waiting_bytes > MAX_WAITING_BYTES:
             self.dropped += 1
@@ -156,12 +156,12 @@ class McapWriter:
         self._writer.add_metadata(PROVENANCE, provenance)
 
     def flush(self) -> str | None:
-        """End the chunk and write it; return why it waits, if it does."""
+        """End the chunk and write it; return why it could not be written yet, or None."""
         self._writer.flush()
         return self._commit()
 
     def close(self) -> str | None:
-        """End the recording; return why some of it, counted as dropped, could not be written."""
+        """End the recording; return why messages, counted as dropped, were not written, or None."""
         self._writer.finish()
         reason = self._commit()
         self.dropped += self._file.waiting

@@ -1,4 +1,4 @@
-"""Reader of a recording, also of one whose end is missing because its recorder was killed."""
+"""Reader of a recording, also of one without its end because its recorder was killed."""
 
 import json
 import os
@@ -18,7 +18,7 @@ _MAGIC = b"\x89MCAP0\r\n"
 
 
 class RecordedMessage(NamedTuple):
-    """A message as it stands in the file: topic, Unix time, and its fields as JSON."""
+    """A message of the file: topic, Unix time, and its fields as JSON."""
 
     topic: str
     t_ns: int
@@ -47,7 +47,7 @@ class RecordingReader:
     """
 
     def __init__(self, path: Path) -> None:
-        """Open nothing yet. Raises SourceError without the mcap package."""
+        """Set the path; the file is opened when it is read. Raises SourceError without mcap."""
         try:
             from mcap import stream_reader
         except ImportError as error:
@@ -67,14 +67,14 @@ class RecordingReader:
         self.provenance: list[dict[str, str]] = []
 
     def gaps(self) -> list[str]:
-        """Return what could not be read, one line each; complete once all was read."""
+        """Return a line for each part that could not be read; complete once all was read."""
         lines = []
         if not self.whole:
             seconds = 0.0 if self.begin_ns is None else (self.end_ns - self.begin_ns) * 1e-9
             lines.append(
-                f"breaks off after {seconds:.1f} s, as of a recorder that was killed:"
+                f"breaks off after {seconds:.1f} s, as when the recorder was killed:"
                 f" {count_text(self.cut_bytes, 'byte')} at its end cannot be read,"
-                " and what was to come is missing"
+                " and everything after is missing"
             )
         if self.damaged:
             lines.append(f"{count_text(self.damaged, 'damaged chunk')} left out")
@@ -136,7 +136,7 @@ class RecordingReader:
                 return
             except OSError:
                 raise
-            except Exception:  # at a file's broken end it raises whatever the bytes lead it to
+            except Exception:  # the exceptions for a broken end depend on its bytes
                 return
             kind = type(record).__name__
             if kind == "DataEnd":
@@ -154,7 +154,7 @@ class RecordingReader:
 
 
 class _BoundedFile:
-    """File that reads no more than it holds: damaged lengths would allocate gigabytes."""
+    """File that limits reads to its size: a damaged length would allocate gigabytes."""
 
     def __init__(self, file: IO[bytes]) -> None:
         self._file = file
@@ -166,15 +166,15 @@ class _BoundedFile:
 
 # Time at which the display received a message, on its clock.
 _RECEIVED = {FRAME: "arrived_ns", STREAM: "arrived_ns", REFUSED: "arrived_ns", CLOCK: "t4_ns"}
-# Received messages without a tick after them.
+# Most received messages that are held back until the next tick.
 MAX_WAITING = 10_000
 
 
 def in_tick_order(messages: Iterable[RecordedMessage]) -> Iterator[Entry]:
     """Yield each received message before the first tick that was due after it arrived.
 
-    A recording has ticks by twenties, after what was received meanwhile. Raises KeyError or
-    ValueError for a message that is not one of a telepulse recording.
+    A recording has ticks in groups of 20, after the messages that were received during them.
+    Raises KeyError or ValueError for a message that is not one of a telepulse recording.
     """
     waiting: deque[tuple[int, Entry]] = deque()
     for message in messages:

@@ -13,7 +13,7 @@ from telepulse.telemetry.schema import TOPIC_NAMES
 
 logger = logging.getLogger(__name__)
 
-# A recorder that is killed loses what came since; half of what it may.
+# A recorder that is killed loses the messages since the last flush: at most 1 s is acceptable.
 FLUSH_EVERY_NS = 500_000_000
 
 
@@ -44,8 +44,8 @@ class McapRecorder:
         Returns
         -------
         bool
-            Whether all that the display published is on the disk. A file without a message is
-            removed.
+            Whether everything that the display published is on the disk. A file without any
+            message is removed.
         """
         provenance = None
         flush_ns = time.monotonic_ns() + FLUSH_EVERY_NS
@@ -66,7 +66,7 @@ class McapRecorder:
             self._client.close()
 
     def _report_disk(self, reason: str | None) -> None:
-        """Warn once when the disk accepts nothing more, and when it does again."""
+        """Warn once when writing fails, and once when it succeeds again."""
         if (reason is None) == (self._reason is None):
             return
         self._reason = reason

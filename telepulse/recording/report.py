@@ -36,13 +36,15 @@ def build_recording_report(path: Path) -> Report:
     drawn = _Plots(findings)
     delays = (
         Plot("delays", "Delays over time: mean, and from the least to the greatest.", drawn.delays),
-        Plot("delay-distribution", "Which share had at most which delay.", drawn.distribution),
-        Plot("loss", "Samples that came too late or never, by the display's count.", drawn.loss),
+        Plot(
+            "delay-distribution", "Share of frames and ticks up to each delay.", drawn.distribution
+        ),
+        Plot("loss", "Samples that came too late or never, as the display counted.", drawn.loss),
     )
     clock = Plot(
         "clock",
-        "The sensing clock against the display's: how far its offset has moved from where it was"
-        " first known, with the uncertainty that the display gives it; skew; round trips.",
+        "The sensing clock against the display's: change of the offset since it was first known,"
+        " with the display's uncertainty; skew; round trips.",
         drawn.clock,
     )
     loop = Plot("loop", "The display's real-time loop, by its own count.", drawn.loop)
@@ -50,7 +52,7 @@ def build_recording_report(path: Path) -> Report:
         (f"{t_s:.2f}", LEVELS.get(level, str(level)), name, text)
         for t_s, level, name, text in findings.events
     )
-    more = f"{findings.more_events} further ones are not shown." if findings.more_events else ""
+    more = f"{findings.more_events} further events are not shown." if findings.more_events else ""
     chapters = [
         Chapter("In short", tuple(_paragraphs(findings)), (_summary(findings),)),
         _force(findings, drawn),
@@ -105,9 +107,9 @@ def _summary(findings: RunFindings) -> Table:
         ("", "from the recording", "the display's own"),
         tuple(row for row in rows if row[1:] != (NONE, NONE)),
         note=f"Its own: by {last}. From the recording: computed from frames, clock replies and"
-        " ticks with the display's own modules. A tick is recorded with when it was due, not when"
-        " it began: what came in between counts as late there. Ticks missed before the first one"
-        " and a loss after the last frame are not seen.",
+        " ticks with the display's own modules. A tick is recorded with the time at which it was"
+        " due, not at which it began: samples that arrived in between count as late there. Ticks"
+        " missed before the first one and losses after the last frame are not included.",
     )
 
 
@@ -140,7 +142,7 @@ def _force(findings: RunFindings, drawn: "_Plots") -> Chapter:
 def _stretch(blocks: list[AlignedBlock]) -> "Callable[[Figure], None]":
     """Plot force at wrist and finger over some seconds, and their difference in its JND band."""
     t_s, *forces_n = map(np.concatenate, zip(*blocks, strict=True))
-    # A NaN in every hole in time, over which no line is drawn then.
+    # A NaN in every gap in time interrupts the line.
     holes = np.flatnonzero(np.diff(t_s) > HOLE_S) + 1
     t_s = np.insert(t_s, holes, t_s[holes])
     wrist_mn, felt_mn = (1e3 * np.insert(force_n, holes, np.nan) for force_n in forces_n)
@@ -203,14 +205,14 @@ class _Plots:
         _legend(axes)
 
     def distribution(self, figure: "Figure") -> None:
-        """Plot how many frames and ticks had at most which delay."""
+        """Plot the cumulative distributions of the delays of frames and ticks."""
         axes, findings = figure.subplots(), self._findings
         for histogram, label in (
             (findings.one_way_delay_ms, "one way, of frames"),
             (findings.playout_ms, "playout, of ticks"),
         ):
             if histogram.count:
-                # Values beyond the range are counted without their place: the line ends before.
+                # Values beyond the histogram's range are only counted: the line ends there.
                 shares = [share for share in SHARES.tolist() if not histogram.beyond(it=share)]
                 values: Any = [histogram.quantile(share) for share in shares]
                 axes.plot(values, 100 * np.array(shares), label=label)
@@ -240,7 +242,7 @@ class _Plots:
         figure.align_ylabels()
 
     def loop(self, figure: "Figure") -> None:
-        """Plot ticks missed, and how late ticks began."""
+        """Plot missed ticks and the lateness of ticks."""
         missed, late = figure.subplots(2, 1, sharex=True)
         self._counts(missed, "misses")
         missed.set_ylabel(f"ticks missed\nin {self._trends['misses'].width_s:g} s")

@@ -63,7 +63,7 @@ def test_the_lines_are_valid_in_a_sensors_table(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "reason"),
     [
-        ("", "it is empty"),
+        ("", "the file is empty"),
         ("load,reading\n0,0\n1,x\n", ":3: 'x' is not a number"),
         ("load,reading\n0,0\n1\n", ":3: 1 columns"),
         ("load,reading\n0,0\n1,nan\n", ":3: 'nan' is not a number"),
@@ -84,7 +84,7 @@ def test_a_bad_file_is_one_line_with_its_place(text: str, reason: str, tmp_path:
 
 def test_a_missing_file_and_no_file_are_named(tmp_path: Path) -> None:
     assert "cannot be read" in calibrate(str(tmp_path / "none.csv"))[2]
-    assert "Give a file of loads, or --scene" in calibrate()[2]
+    assert "give a file of loads, or --scene" in calibrate()[2]
     assert 'kind "synthetic" is not a live sensor' in calibrate("--scene", "radial")[2]
 
 

@@ -134,7 +134,7 @@ def test_a_record_in_which_nothing_moves_is_refused() -> None:
         identify(ActuatorInput(np.zeros(400), 1e-3, held=False), at_s, at_s, 0.02)
     with pytest.raises(BenchError, match="at least 50"):
         identify(command, at_s[:49], at_s[:49], 0.02)
-    with pytest.raises(BenchError, match="turn the drive's direction round"):
+    with pytest.raises(BenchError, match="change `inverted` of the drive"):
         identify(command, at_s, -respond(STIFF, command, at_s), 0.02)
 
 

@@ -250,7 +250,7 @@ def test_a_log_goes_on_with_its_own_session_alone(tmp_path: Path) -> None:
     other = write(tmp_path / "s.toml", trials=2)
     result = experiment("run", other, "--log", log, "--observer", "5 %", "--resume")
     assert result.exit_code == 2
-    assert "session, scene or observer differ from those of its begin" in result.stderr
+    assert "session, scene or observer differ from those in the log's first line" in result.stderr
 
 
 def test_the_example_and_the_plan_are_printed(tmp_path: Path) -> None:

@@ -30,7 +30,7 @@ def test_a_node_is_made_let_in_listed_and_revoked() -> None:
     public = Path("keys/finger.pub").read_text().split()[2]
     assert keys("list") == f"{public}  finger\n"
     assert [peer.name for peer in read_allowed(Path("keys/allowed")).values()] == ["finger"]
-    assert keys("revoke", "finger") == "keys/allowed allows finger no more\n"
+    assert keys("revoke", "finger") == "keys/allowed no longer allows finger\n"
     assert keys("list") == "keys/allowed allows nobody\n"
 
 

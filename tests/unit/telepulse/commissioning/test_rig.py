@@ -83,7 +83,7 @@ def test_a_press_that_is_given_up_goes_back_off_the_finger(
         film.silent = silent and film.peak_n > 0.05
 
     bench.clock.every(MS, watch)
-    with pytest.raises(BenchError, match="stopped pressing and went back"):
+    with pytest.raises(BenchError, match="the press was stopped and the tip went back"):
         press_stepper(PressRecorder(rig, 0.1, 0.3), ACTUATOR, 0.3)
     assert film.peak_n > 0.05
     assert bench.fault == "stopped"
@@ -123,7 +123,9 @@ def test_a_record_has_every_samples_time(rig: HardwareRig, film: Film) -> None:
 
 def test_a_sensor_that_sends_nothing_is_named(bench: Bench, film: Film) -> None:
     film.silent = True
-    with pytest.raises(BenchError, match=r"no sample came in 0\.1 s: it is unplugged"):
+    with pytest.raises(
+        BenchError, match=r"no sample came from the sensor in 0\.1 s: it is unplugged"
+    ):
         listen(film, 0.1)  # type: ignore[arg-type]
 
 

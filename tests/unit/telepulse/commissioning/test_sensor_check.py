@@ -85,7 +85,7 @@ def test_a_drift_is_no_noise() -> None:
 def test_too_short_a_record_is_refused() -> None:
     record = samples()
     short = replace(record, taken_ns=record.taken_ns[:100], force_n=record.force_n[:100])
-    with pytest.raises(BenchError, match="100 samples came"):
+    with pytest.raises(BenchError, match="100 samples came from the sensor"):
         measure(short)
 
 

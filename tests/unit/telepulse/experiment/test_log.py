@@ -142,6 +142,6 @@ def test_a_person_is_refused_a_scene_that_nobody_feels(tmp_path: Path) -> None:
     session, out = write(tmp_path / "s.toml"), tmp_path / "log.jsonl"
     result = CliRunner().invoke(app, ["experiment", "run", str(session), "--log", str(out)])
     assert result.exit_code == 2
-    assert "names no [display.drive]" in result.stderr
+    assert "has no [display.drive]" in result.stderr
     assert "--without-drive" in result.stderr
     assert not out.exists()
