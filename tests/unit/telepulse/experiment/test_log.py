@@ -135,7 +135,7 @@ def test_a_stream_that_its_own_link_leaves_stale_is_named_and_counted(tmp_path: 
     made = log(cut, "anna", [[*CLEAN[:2], broken.model_copy(update={"letter": "X"})]])
     assert gather([made]).spoilt == ()
     text = " ".join(build_report([made]).chapters[0].paragraphs)
-    assert "they are counted: plain: 1." in text
+    assert "an effect of the condition: plain: 1." in text
 
 
 def test_a_person_is_refused_a_scene_that_nobody_feels(tmp_path: Path) -> None:
