@@ -1,9 +1,8 @@
-"""Provenance: what produced a figure, for summaries, recordings and reports.
+"""Provenance: the origin of figures in summaries, recordings and reports.
 
-It names the scene as it was in effect, the version, the host and the command. Of keys it holds the
-paths that the command line names, never what is in them. A scene may name an adapter by an address
-with a password, or give its interface a token among its options: both are left out, since results
-are passed on to people who are to have neither.
+It contains the scene in effect, the version, the host and the command. Of key files it has only the
+paths on the command line. A scene may contain an address with a password, or a token among an
+interface's options. Both are redacted, because results are passed on to others.
 """
 
 import dataclasses
@@ -29,9 +28,9 @@ _SECRET = (
     r"(?:password|passwd|passphrase|passwort|pwd|secret|token|credentials?|auth|authorization"
     r"|(?:api|access|private|secret|shared|licen[cs]e)[_-]?key)"
 )
-# A name of which one word, or two, are secret: "token", "cloud_token", "API-Key".
+# A name that contains a word (or two) for a secret: "token", "cloud_token", "API-Key".
 _SECRET_NAME = re.compile(rf"(?:.*[_\W])?{_SECRET}(?:[_\W].*)?", re.IGNORECASE | re.DOTALL)
-# Whatever stands before the @ of an address's host.
+# The part of an address before the @ and the host.
 _USER = re.compile(r"(\b[a-z][a-z0-9+.-]*://)[^/\s?#]*@", re.IGNORECASE)
 _NAMED_VALUE = re.compile(
     rf"((?:^|[\s?&;,{{-])(?:[\w-]*[_-])?{_SECRET}(?:[_-][\w-]*)?\s*=\s*)[^&;,\s]+", re.IGNORECASE
@@ -41,8 +40,8 @@ _NAMED_VALUE = re.compile(
 def redact(value: Any) -> Any:
     """Return a value of plain types without the secrets in it.
 
-    Of a table's entries with a secret's name the value is replaced; in text, the user and password
-    of an address, and `name=value` with a secret's name.
+    Replaced are: values of a table under a secret's name; in text, the user and password of an
+    address, and the value of `name=value` with a secret's name.
     """
     if isinstance(value, Mapping):
         return {
@@ -65,7 +64,7 @@ def redact_text(text: str) -> str:
 def redact_command(arguments: list[str]) -> list[str]:
     """Return a command line's arguments without the secrets in them.
 
-    Of an option with a secret's name, the value after it is replaced as well.
+    The value after an option with a secret's name is replaced as well.
     """
     found: list[str] = []
     follows = False
@@ -76,7 +75,7 @@ def redact_command(arguments: list[str]) -> list[str]:
     return found
 
 
-# The topic of telemetry under which a display publishes its own.
+# Topic of telemetry under which a display publishes its provenance.
 PROVENANCE = b"provenance"
 MAX_BYTES = 1 << 20
 _ROOT = Path(__file__).parents[1]
@@ -87,10 +86,10 @@ _GIT_WITHIN_S = 2.0
 class Provenance:
     """The origin of a run's results.
 
-    command: the command line as given. commit: of the checkout that runs, with "-dirty" where it
-    was changed; None outside a checkout. start_utc: when the command began, ISO 8601. scene: its
-    path, the files that it extends and all their tables, merged, as written. effective: the
-    sections that are used, with all defaults. seeds: of what is random, by what they are of.
+    command: the command line, redacted. commit: commit of the running checkout, with "-dirty" after
+    changes; None outside a checkout. start_utc: start of the command, ISO 8601. scene: its path,
+    the files that it extends, and their merged tables as written. effective: the sections in use,
+    with all defaults. seeds: random seeds by their subject.
     """
 
     version: str
@@ -106,16 +105,16 @@ class Provenance:
 
     @property
     def actuator(self) -> dict[str, Any]:
-        """The display's actuator as it was in effect; empty without a display."""
+        """The display's actuator in effect; empty without a display."""
         return dict(self.effective.get("display", {}).get("actuator", {}))
 
     @property
     def gains(self) -> dict[str, Any]:
-        """The display's controller as it was in effect; empty without a display."""
+        """The display's controller in effect; empty without a display."""
         return dict(self.effective.get("display", {}).get("controller", {}))
 
     def to_dict(self) -> dict[str, Any]:
-        """Return plain types for JSON; what does not apply is left out."""
+        """Return plain types for JSON, without empty fields."""
         table = dataclasses.asdict(self) | {"actuator": self.actuator, "gains": self.gains}
         return {key: value for key, value in table.items() if value not in (None, {}, [])}
 
@@ -131,7 +130,7 @@ def collect(
 ) -> Provenance:
     """Collect the provenance of this process; call it once, before a loop.
 
-    sections: those of the scene as validated, by name. Raises SceneError where its file cannot be
+    sections: validated sections of the scene, by name. Raises SceneError if its file cannot be
     read.
     """
     written: dict[str, Any] = {}
@@ -160,7 +159,7 @@ def collect(
 
 
 def read_provenance(data: bytes) -> dict[str, str]:
-    """Return the fields of a telemetry message as text, tables among them as JSON.
+    """Return the fields of a telemetry message as text, tables as JSON.
 
     Raises WireError.
     """
@@ -179,7 +178,7 @@ _TABLE: TypeAdapter[dict[str, Any]] = TypeAdapter(dict[str, Any])
 
 
 def _commit() -> str | None:
-    """Return the commit of the checkout that runs, None outside one or without git."""
+    """Return the commit of the running checkout; None outside a checkout or without git."""
     if not (_ROOT / ".git").exists():
         return None
     describe = ("describe", "--always", "--dirty", "--abbrev=40", "--exclude=*")

@@ -62,7 +62,7 @@ LARGEST = 1e15
 
 @dataclass(frozen=True, slots=True)
 class Summary:
-    """The figures of a run; `protocol.figures` says how people and programs read them."""
+    """The figures of a run; `protocol.figures` explains their fields."""
 
     samples: SampleCounts = table(
         SampleCounts, "samples", absent=absent("The page has the share that is lost.", Surface.PAGE)
@@ -78,8 +78,8 @@ class Summary:
         PlayoutDelay, "playout delay", MILLISECONDS, "playout_delay_seconds"
     )
     covered_delay_ms: float | None = figure(
-        "Mean of the larger of perceived delay and the newest sample's age, plus"
-        " the sensing chain's group delay",
+        "Mean age of the data behind the felt force: the larger of perceived delay and the newest"
+        " sample's age, plus the sensing chain's group delay",
         "{} from the wrist to the force at the finger",
         MILLISECONDS,
         metric="covered_delay_mean_seconds",
@@ -88,7 +88,7 @@ class Summary:
     )
     compensation: Compensation = table(Compensation)
     clock: Clock = table(
-        Clock, "clock", absent=absent("The view is of what is felt.", Surface.TERMINAL)
+        Clock, "clock", absent=absent("The view shows the felt pulse.", Surface.TERMINAL)
     )
     force_rmse_n: AlignedErrors = table(
         AlignedErrors, "force RMSE", NEWTONS, "force_rmse_newtons", absent=BY_THE_PAGE
@@ -134,7 +134,7 @@ class Summary:
         "{} times real time",
         RATIO._replace(form=".0f"),
         row="speed",
-        absent=absent("Of a simulation, which nothing reads while it runs.", but=Surface.SUMMARY),
+        absent=absent("A simulation is not watched while it runs.", but=Surface.SUMMARY),
     )
     rejected: dict[str, int] = figure(
         "Messages and peers refused, by cause",
@@ -148,7 +148,7 @@ class Summary:
         factory=dict,
     )
     hardware: dict[str, int] = figure(
-        "On a real bench: what went wrong on the way to drive and film and was made good",
+        "On a real bench: errors of the links to drive and film that the next message corrected",
         metric="hardware_events_total",
         row="hardware",
         show=lambda counts: texts(f"{n} {name}" for name, n in sorted(counts.items())),
@@ -157,8 +157,8 @@ class Summary:
         factory=dict,
     )
     faults: list[str] = figure(
-        "What safety latched, what a real film's sensor missed, and what is"
-        " implausible about the source",
+        "Faults that safety latched, samples that a real film's sensor missed, and implausible"
+        " properties of the source",
         metric="fault",
         row="faults",
         show=lambda faults: "; ".join(faults) or "none",
@@ -167,16 +167,16 @@ class Summary:
         factory=list,
     )
     finger: str | None = figure(
-        "What is measured at the finger, in one sentence; without a drive, by the model",
+        "Measured state of the finger in one sentence; without a drive, that of the model",
         metric="finger",
         row="finger",
         show=lambda finger: finger or None,
         label="name",
-        absent=absent("Stands beside the state, which it is of.", Surface.TERMINAL, Surface.PAGE)
-        | absent("Of the last moment; the plots show the course.", Surface.REPORT),
+        absent=absent("It is shown beside the state.", Surface.TERMINAL, Surface.PAGE)
+        | absent("It is the last state; the plots show the course.", Surface.REPORT),
     )
     finger_stiffness: float | None = figure(
-        "Finger's stiffness as the observer learns it, over the scene's"
+        "Finger's stiffness that the observer has learnt, over the scene's"
         " `fingertip`; null until it is learnt",
         "{} times the scene's fingertip",
         RATIO,
@@ -186,7 +186,7 @@ class Summary:
     )
 
     def to_dict(self) -> dict[str, Any]:
-        """Return plain types for JSON and msgpack; NaN and what is beyond `LARGEST` become None."""
+        """Return plain types for JSON and msgpack; NaN and numbers beyond `LARGEST` are None."""
 
         def measured(value: Any) -> Any:
             if isinstance(value, dict):
@@ -203,17 +203,17 @@ REGISTRY = Registry(Summary)
 
 
 def write_json(summary: Summary, path: Path, provenance: Provenance | None = None) -> None:
-    """Write the summary as JSON, with what produced it beside it. Raises OutputError."""
+    """Write the summary as JSON, together with its provenance. Raises OutputError."""
     origin = {} if provenance is None else {"provenance": provenance.to_dict()}
     write_whole(path, json.dumps(summary.to_dict() | origin, indent=2) + "\n")
 
 
 def print_summary(summary: Summary, title: str, console: Console) -> None:
-    """Print the summary for people, one line a row; a row without a value is left out."""
+    """Print the summary for people, one line for each row that has a value."""
     lines = Table(
         title=escape(title), show_header=False, title_justify="left", box=None, pad_edge=False
     )
     for row in REGISTRY.rows(summary.to_dict(), Surface.SUMMARY):
-        # As Text, for a fault may name a [section], which is markup to rich.
+        # As Text, because rich would take a [section] in a fault for markup.
         lines.add_row(row.name, Text(row.text))
     console.print(lines)

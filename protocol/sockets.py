@@ -36,7 +36,7 @@ _OPTIONS: dict[int, int] = {
     # than the 2 s after which a display replaces a silent connection.
     zmq.TCP_MAXRT: 5_000,
     zmq.RECONNECT_IVL: RECONNECT_MS,
-    # Above the decoders' limit, so that an oversized message is counted, not only cut off.
+    # Above the decoders' limit, so that oversized messages reach a decoder and are counted.
     zmq.MAXMSGSIZE: 4 * MAX_FRAME_BYTES,
 }
 # A publisher receives subscriptions only (protocol/security/budgets.py).
@@ -57,7 +57,7 @@ Context = zmq.Context[zmq.Socket[bytes]]
 Socket = zmq.Socket[bytes]
 _TCP = re.compile(r"tcp://(?P<host>[^\s/]+):(?P<port>\d{1,5})")
 _LOOPBACK = re.compile(r"(127\.\d+\.\d+\.\d+|localhost|\[::1\])")
-# As numbers: combining pyzmq's enums costs more than sending.
+# Plain integers, since combining pyzmq's enums costs more than sending.
 _MORE, _POLLIN = int(zmq.NOBLOCK | zmq.SNDMORE), int(zmq.POLLIN)
 _HINTS = {
     zmq.EADDRINUSE: "; another program holds it",
@@ -86,7 +86,7 @@ def control_address(address: str) -> str:
 
 
 def beyond_loopback(address: str) -> bool:
-    """Return whether an address reaches, or is reachable from, another machine."""
+    """Return whether an address leads to, or can be reached from, another machine."""
     if address.startswith(("ipc://", "inproc://")):
         return False
     host = address.removeprefix("tcp://").rpartition(":")[0]
@@ -118,8 +118,8 @@ def bind(
         socket.setsockopt(option, value)
     if security is not None:
         security.protect(socket)
-    # The file of an ipc address is its user's alone: libzmq 4.3.5 ends the process when it has no
-    # file descriptor for an ipc connection (ipc_listener.cpp), which any other user could cause.
+    # Only the same user may open the file of an ipc address. libzmq 4.3.5 aborts the process if it
+    # has no descriptor for an ipc connection (ipc_listener.cpp), which other users could cause.
     mask = os.umask(0o077) if address.startswith("ipc://") else None
     try:
         socket.bind(address)
@@ -150,7 +150,7 @@ def connect(
 
 
 def unconnected(context: Context, kind: int, security: LinkSecurity | None = None) -> Socket:
-    """Return a socket of `kind` for `reconnect` to connect."""
+    """Return a socket of `kind` without an address, for `reconnect`."""
     socket = context.socket(kind)
     if security is not None:
         security.protect(socket)
@@ -188,10 +188,10 @@ def has_message(socket: Socket) -> bool:
 def receive_multipart(socket: Socket, most: int = MAX_MESSAGES) -> Iterator[list[bytes]]:
     """Yield up to `most` waiting messages without blocking; a message is its list of parts.
 
-    Bounded, so that a flood cannot keep a loop from its ticks.
+    The bound ensures that a flood cannot delay a loop's ticks.
     """
     for _ in range(most):
-        # Mostly nothing waits, and an exception takes twice as long.
+        # Usually nothing waits, and an exception would take twice as long as this check.
         if not has_message(socket):
             return
         yield socket.recv_multipart(zmq.NOBLOCK)
@@ -211,7 +211,7 @@ def receive_parts(socket: Socket) -> Iterator[bytes]:
 
 
 def send(socket: Socket, *parts: bytes) -> bool:
-    """Send a message without blocking; return False when the peer cannot take it now."""
+    """Send a message without blocking; return False if the peer cannot take it now."""
     try:
         for part in parts[:-1]:
             socket.send(part, _MORE)
@@ -224,18 +224,18 @@ def send(socket: Socket, *parts: bytes) -> bool:
 def wait_readable(sockets: Sequence[Socket], timeout_ns: int) -> None:
     """Wait until a socket may be readable, or for `timeout_ns`.
 
-    ZeroMQ's own poll counts whole milliseconds, too coarse for a 1 kHz loop. Its descriptors are
-    edge-triggered, and sending uses the edge up too: so each socket is checked first.
+    ZeroMQ's own poll counts whole milliseconds, which is too coarse for a 1 kHz loop. Its
+    descriptors are edge-triggered, and sending consumes the edge too, so each socket is checked
+    first.
     """
     if timeout_ns > 0 and not any(has_message(socket) for socket in sockets):
         wait_on_descriptors(descriptors(sockets), timeout_ns)
 
 
 def wait_on_descriptors(numbers: Sequence[int], timeout_ns: int) -> None:
-    """Wait as `wait_readable` does, for `descriptors` of sockets that are known to be drained.
+    """Wait as `wait_readable` does, for `descriptors` of sockets that were read completely.
 
-    All must have been read to their end since the last send: a message that was left waits for
-    the next one or for the timeout.
+    All must have been read since the last send. A message that is left does not end the wait.
     """
     if timeout_ns > 0:
         select.select(numbers, (), (), timeout_ns * 1e-9)
@@ -256,7 +256,7 @@ def _socket_for(
 ) -> Socket:
     match = _TCP.fullmatch(address)
     if match and int(match["port"]) > MAX_PORT:
-        # ZeroMQ takes it modulo 65536.
+        # ZeroMQ would take the port modulo 65536.
         raise AddressError(f"{address}: there is no such port; the highest is {MAX_PORT}")
     socket = unconnected(context, kind, security)
     socket.setsockopt(zmq.IPV6, "[" in address)

@@ -1,4 +1,4 @@
-"""Tables of a run's summary: each field with the figure that it is (`protocol.figures`)."""
+"""Tables of a run's summary: each field describes one figure (`protocol.figures`)."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -17,20 +17,20 @@ from protocol.figures import (
     texts,
 )
 
-# Reasons of figures that a surface leaves out.
+# Reasons why surfaces omit figures.
 _LIVE = Surface.TERMINAL, Surface.PAGE
-AT_THE_END = absent("Part of the account at the end, which a live view does not need.", *_LIVE)
+AT_THE_END = absent("It belongs to the account at the end, not to a live view.", *_LIVE)
 FOR_24_LINES = absent("A terminal has 24 lines; the live page shows it.", Surface.TERMINAL)
 IN_ALERTS = absent("Live views show it as an alert.", *_LIVE)
 BY_THE_PAGE = absent("The page computes it over the window that it shows.", Surface.PAGE)
-NOT_RECORDED = absent("Of the process, which a recording does not compare.", Surface.REPORT)
+NOT_RECORDED = absent("It describes the process, not the recorded pulse.", Surface.REPORT)
 
 
 def _bounds() -> Any:
     return figure(
-        "Quantiles that are lower bounds: they are beyond what is counted",
+        "Quantiles that are lower bounds, because they are beyond the counted range",
         factory=list,
-        absent=absent('Stands as "> " before the quantile.'),
+        absent=absent('It is shown as "> " before the quantile.'),
     )
 
 
@@ -62,8 +62,8 @@ class SampleCounts:
         metric='samples_total{outcome="late"}',
         separator=" + ",
     )
-    # Falls when a sample comes after all, so it is a gauge; so is the next one, which a frame out
-    # of order may move.
+    # A gauge, because it falls when a missing sample arrives. So is the next figure, which a frame
+    # out of order may change.
     lost: int | None = figure(
         "Samples that have not arrived", "{} lost", metric="samples_lost", separator=" + "
     )
@@ -109,7 +109,8 @@ class Compensation:
     """Shares of the time played (`Availability.played`)."""
 
     predicted: float | None = figure(
-        "Share of the time played in which no sample was there yet of what was felt",
+        "Share of the time played in which the played instant was later than the newest sample"
+        " that had arrived",
         metric="predicted_ratio",
         row="concealed",
         unit=SHARE,
@@ -117,12 +118,12 @@ class Compensation:
     )
     trusted: float | None = figure(
         "Share of the time played in which the predictor was trusted with all of the delay;"
-        " null where it has no say (a fixed E, `hold`, `linear`)",
+        " null where trust is not used (a fixed E, `hold`, `linear`)",
         metric="trusted_ratio",
         row="prediction trusted",
         unit=SHARE,
         share_of="played",
-        absent=FOR_24_LINES | absent("Ticks are recorded with it one by one.", Surface.REPORT),
+        absent=FOR_24_LINES | absent("Each recorded tick has it.", Surface.REPORT),
     )
 
 
@@ -146,19 +147,19 @@ class Clock:
         "How much faster the sensing clock runs", "skew {}", PPM, metric="clock_skew_ratio"
     )
     uncertainty_ms: float | None = figure(
-        "Bound of the offset's error about 95 times of 100, where the two"
-        " directions differ by chance alone",
+        "Bound of the offset's error with a probability of about 95 %, if the delays of the two"
+        " directions differ only randomly",
         "uncertainty {}",
         MILLISECONDS._replace(form=".3f"),
         metric="clock_uncertainty_seconds",
     )
     asymmetry_ms: float | None = figure(
-        "Half the shortest round trip: bound of the offset's further error where"
+        "Half the shortest round trip: bound of the offset's further error if"
         " one direction always takes longer",
         "asymmetry at most {}",
         MILLISECONDS,
         metric="clock_asymmetry_seconds",
-        absent=absent("A bound, not a measured figure: for who analyses.", Surface.SUMMARY, *_LIVE),
+        absent=absent("It is a bound for analysis, not measured.", Surface.SUMMARY, *_LIVE),
     )
     steps: int | None = figure(
         "How often a clock has jumped",
@@ -170,16 +171,16 @@ class Clock:
 
 @dataclass(frozen=True, slots=True)
 class AlignedErrors:
-    """RMSE of what is felt against what should be felt."""
+    """RMSE of the felt force against the pulse."""
 
     aligned: float | None = figure(
-        "RMSE of what is felt against the pulse when it was sampled",
+        "RMSE of the felt force against the pulse one playout delay earlier",
         "aligned {}",
         metric='{against="aligned"}',
-        help="Felt against what should be felt.",
+        help="RMSE of the felt force against the pulse.",
     )
     in_phase: float | None = figure(
-        "RMSE of what is felt against the pulse at that very instant",
+        "RMSE of the felt force against the pulse at the same instant",
         "in phase {}",
         metric='{against="in_phase"}',
     )
@@ -187,7 +188,7 @@ class AlignedErrors:
 
 @dataclass(frozen=True, slots=True)
 class Roughness:
-    """The part above 25 Hz, where touch is keenest."""
+    """The part above 25 Hz, where touch is most sensitive."""
 
     felt_n: float | None = figure(
         "RMS above 25 Hz of the force felt",
@@ -273,7 +274,7 @@ class Loop:
         " (50 ms without a drive)",
         metric="deadline_alarm",
         absent=absent(
-            "An alarm for now: live views show it as an alert, the rest shows the worst 5 s.",
+            "It is the present alarm: live views show an alert, the others the worst 5 s.",
             but=Surface.METRICS,
         ),
     )
@@ -282,7 +283,7 @@ class Loop:
         "last 5 s",
         metric='{over="5s"}',
         absent=absent(
-            "Live views show it as an alert where it is much; an ended run has its worst 5 s.",
+            "Live views show an alert for high values; an ended run shows its worst 5 s.",
             but=Surface.METRICS,
         ),
     )
@@ -290,21 +291,21 @@ class Loop:
         Deadlines, "worst 5 s", metric='{over="worst_5s"}', absent=AT_THE_END
     )
     realtime: list[str] = figure(
-        "Real-time measures that were asked for and granted",
+        "Real-time measures that were requested and granted",
         row="real-time measures",
         show=texts,
-        absent=AT_THE_END | NOT_RECORDED | absent("Words.", Surface.METRICS),
+        absent=AT_THE_END | NOT_RECORDED | absent("It is text.", Surface.METRICS),
         factory=list,
     )
 
 
 @dataclass(frozen=True, slots=True)
 class FrameCounts:
-    """Frames of the stream as they came."""
+    """Frames of the stream as they arrived."""
 
-    received: int | None = figure("Frames taken", "{} received", metric="frames_total")
+    received: int | None = figure("Frames accepted", "{} received", metric="frames_total")
     reordered: int | None = figure(
-        "Frames that came after a later one", "{} out of order", metric="frames_reordered_total"
+        "Frames that came after a newer one", "{} out of order", metric="frames_reordered_total"
     )
     copies: int | None = figure(
         "Copies of frames over further paths",
@@ -313,7 +314,7 @@ class FrameCounts:
         show_zero=False,
     )
     first: dict[str, int] = figure(
-        "With several addresses: how many frames came first over each of them",
+        "With several addresses: number of frames whose first copy came over each of them",
         metric="frames_first_total",
         show=lambda first: texts((f"{count} first over {name}" for name, count in first.items())),
         label="path",
@@ -333,7 +334,7 @@ class Reconnections:
         help="Connections made while one was silent.",
     )
     kept: int | None = figure(
-        "Of those, how many delivered first and took the silent one's place",
+        "Second connections that delivered first and replaced the silent one",
         "{} of them kept",
         metric='reconnections_total{kind="kept"}',
         show_zero=False,

@@ -1,9 +1,8 @@
 """The tactile model: PVDF film and elastic half-space (Dargahi, Xie and Ji 2008, eqs 1-21).
 
 Forces are in newtons and positive when they press; strains follow eq 16, so compression is
-negative. Every function takes a number or an array and keeps its shape; a number stays a Python
-float, as the display's loop reads one a tick. A film is read through a straight calibration line
-and an ADC.
+negative. Functions take a number or an array and keep its shape; a number stays a Python float, for
+the speed of the display's loop. A film is read through a straight calibration line and an ADC.
 """
 
 import math
@@ -20,9 +19,9 @@ Floats = TypeVar("Floats", float, NDArray[np.float64])
 class Film:
     """A biaxial PVDF film loaded round its rim (eqs 1-8, 21).
 
-    radius_m: contact radius r_pv. g31, g32: voltage coefficients in V·m/N; Table 1 prints g32
-    with the unit of a charge coefficient, so g32 = g31 as eq 2 asks of a biaxial film.
-    The film's thickness cancels between eqs 2 and 4.
+    radius_m: contact radius r_pv. g31, g32: voltage coefficients in V·m/N. Table 1 prints g32 with
+    the unit of a charge coefficient; here g32 = g31, as eq 2 requires for a biaxial film. The
+    film's thickness cancels between eqs 2 and 4.
     """
 
     radius_m: float
@@ -45,9 +44,9 @@ class Film:
 class ElasticLayer:
     """The rubber layer: an elastic half-space under a line load (eqs 9-20, Table 3).
 
-    young_modulus_pa above 0; thickness_m: depth d at which the strain is taken, above 0;
-    poisson_ratio in [0, 0.5]; contact_length_m: the length over which a force spreads into the
-    line load P of eq 9. The paper's numbers imply 1 m, which is the default.
+    young_modulus_pa: above 0. thickness_m: depth d at which the strain is computed, above 0.
+    poisson_ratio: 0 to 0.5. contact_length_m: length over which a force is distributed as the line
+    load P of eq 9. The paper's numbers imply 1 m, which is the default.
     """
 
     young_modulus_pa: float = 0.05e9
@@ -68,7 +67,7 @@ class ElasticLayer:
     @property
     def strain_per_newton(self) -> float:
         """On-axis strain εz of 1 N: 2 (ν² − 1) / (E π d L), in 1/N (eq 16)."""
-        # One division after the other: the product of small divisors could be 0.
+        # Separate divisions, since the product of small divisors could be 0.
         pressed = 2 * (self.poisson_ratio**2 - 1) / (math.pi * self.young_modulus_pa)
         return pressed / self.thickness_m / self.contact_length_m
 
@@ -103,7 +102,7 @@ def matching_force_ratio(sensing: ElasticLayer, display: ElasticLayer) -> float:
     return sensing.strain_per_newton / display.strain_per_newton
 
 
-# Fig. 4 of the paper: a straight line through about 110 mV at 2.5 N. Eq 21 says 118 times more.
+# Fig. 4 of the paper: a straight line through about 110 mV at 2.5 N. Eq 21 gives 118 times more.
 FIG_4_VOLTS_PER_NEWTON = 0.110 / 2.5
 
 
@@ -138,9 +137,9 @@ class Calibration:
 class Adc:
     """An ideal converter of `bits` bits over ±range_volts, in two's complement.
 
-    Code c, from −2^(bits−1) to 2^(bits−1) − 1, stands for c · step_volts: the range's lower end
-    has a code, its upper end lies one step above the last. Raises ValueError for bits outside
-    2 to 32 and for a range that is not above 0.
+    Code c, from −2^(bits−1) to 2^(bits−1) − 1, means c · step_volts. The range's lower end has a
+    code; its upper end is one step above the last code. Raises ValueError for bits outside 2 to 32
+    and for a range that is not above 0.
     """
 
     bits: int
@@ -160,7 +159,7 @@ class Adc:
     def quantise(self, volts: Floats) -> Floats:
         """Return the nearest code's voltage in V; beyond the range, the last code's.
 
-        Raises ValueError for NaN: no converter gives one, so what feeds it is at fault.
+        Raises ValueError for NaN, which is a fault of the caller: no converter has a code for it.
         """
         step, half = self.step_volts, 1 << (self.bits - 1)
         if np.isnan(volts).any() if isinstance(volts, np.ndarray) else math.isnan(volts):
@@ -170,7 +169,7 @@ class Adc:
         return round(min(max(volts / step, -half), half - 1)) * step
 
     def clips(self, volts: NDArray[np.float64]) -> NDArray[np.bool_]:
-        """Return which of the voltages have no code near them: they are beyond the range."""
+        """Return which voltages are beyond the range, with no code next to them."""
         half = 1 << (self.bits - 1)
         codes = np.rint(volts / self.step_volts)
         return (codes < -half) | (codes > half - 1)

@@ -1,9 +1,9 @@
-"""Output of a program: its log, standard streams that never hold it up, result files.
+"""Output of a program: its log, standard streams that never block it, result files.
 
-A terminal stopped by Ctrl-S, a pager that does not read on or a full pipe blocks whoever writes;
-a closed pipe or a full disk raises. Neither may meet a node: while its main thread is in a write,
-nothing is served, no drive is commanded and no signal is obeyed. So what a node prints and logs
-passes through a bounded queue (`unblocked_output`), and a thread of its own writes it out.
+A write blocks at a terminal stopped by Ctrl-S, a pager that does not read on, or a full pipe. It
+raises at a closed pipe or a full disk. While a node's main thread is blocked, no display is served,
+no drive is commanded and no signal is handled. So a node's output passes through a bounded queue
+(`unblocked_output`), and a separate thread writes it.
 """
 
 import io
@@ -26,18 +26,18 @@ from typing import TextIO, cast
 from protocol.errors import OptionError, OutputError
 
 LEVELS = ("debug", "info", "warning", "error")
-# A module that is run by `python -m` logs as `__main__`.
+# A module run by `python -m` logs as `__main__`.
 OUR_LOGGERS = ("protocol", "pulse_sensors", "sensing_node", "display_node", "telepulse", "__main__")
-# Some seconds of a terminal panel, and far more than a summary.
+# Greatest number of queued characters: some seconds of a terminal panel, many summaries.
 MAX_QUEUED = 65_536
-# At the end: how long to wait for what is queued while nothing of it is taken, and in all.
+# Longest waits for queued text at the end: without progress, and in all.
 STUCK_S = 1.0
 CLOSE_WITHIN_S = 5.0
 _LOOK_EVERY_S = 0.02
 
 
 class LineFormatter(logging.Formatter):
-    """Format a record as one line, whatever its message holds."""
+    """Format a record as one line of printable characters."""
 
     def format(self, record: logging.LogRecord) -> str:
         """Return `HH:MM:SS.mmm LEVEL message` in local time; control characters are escaped."""
@@ -46,7 +46,7 @@ class LineFormatter(logging.Formatter):
         if record.exc_info is not None:
             kind, error, trace = record.exc_info
             text += f": {getattr(kind, '__name__', kind)}: {error}"
-            # The innermost line that raised it.
+            # The innermost line of the traceback.
             for frame in traceback.extract_tb(trace)[-1:]:
                 text += f" ({frame.filename}:{frame.lineno})"
         printable = "".join(
@@ -60,7 +60,7 @@ class StderrHandler(logging.Handler):
     """Write records to the present `sys.stderr`."""
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Write one line; a reader that has gone is no error of the program's."""
+        """Write one line; errors, for example of a reader that has gone, are ignored."""
         with suppress(OSError, ValueError):
             sys.stderr.write(self.format(record) + "\n")
 
@@ -68,8 +68,8 @@ class StderrHandler(logging.Handler):
 def configure_logging(level: str | None = None, quiet: bool = False) -> None:
     """Log to standard error, one line a record; call it again to change the level.
 
-    level: one of `LEVELS`; None: "warning" where the program is to be quiet, else "info". Raises
-    OptionError where there is no such level.
+    level: one of `LEVELS`; None stands for "warning" with `quiet`, else for "info". Raises
+    OptionError for an unknown level.
     """
     name = level or ("warning" if quiet else "info")
     if name not in LEVELS:
@@ -83,32 +83,32 @@ def configure_logging(level: str | None = None, quiet: bool = False) -> None:
         root.addHandler(handler)
     # Some libraries set the level of their own logger when they are imported.
     handler.setLevel(number)
-    # Libraries log by their own terms: only what is wrong is of use here.
+    # Of libraries, only warnings and errors are shown.
     root.setLevel(max(number, logging.WARNING))
-    # What canopen logs, the drive raises or counts.
+    # The drive raises or counts what canopen logs.
     logging.getLogger("canopen").setLevel(logging.CRITICAL)
     for ours in OUR_LOGGERS:
         logging.getLogger(ours).setLevel(number)
 
 
 class QueuedStream(io.TextIOBase):
-    """A text stream whose `write` returns at once, whatever becomes of the text.
+    """A text stream whose `write` always returns at once.
 
-    Text that finds the queue full, or that cannot be written, is dropped and its lines are counted.
-    The count is written as a line of its own as soon as output is possible again. Of `target`, file
-    descriptor, encoding and terminal are used. Its own buffer is not: a buffer with text left in it
-    would block the interpreter's end.
+    If the queue is full or the text cannot be written, it is dropped and its lines are counted. The
+    count is written as a separate line when output is possible again. Only the target's descriptor
+    and encoding are used. Its buffer is not, since a buffer with text would block the interpreter's
+    end.
     """
 
     def __init__(self, target: TextIO) -> None:
         self._target = target
         self._number = target.fileno()
         self._queue: queue.SimpleQueue[str | None] = queue.SimpleQueue()
-        # Reentrant, as a signal handler may print in the midst of a print.
+        # Reentrant, because a signal handler may print during a print.
         self._lock = threading.RLock()
-        # In characters. The first changes under the lock, the second in the writing thread alone.
+        # Characters. The first changes under the lock, the second only in the writing thread.
         self._given = self._taken = 0
-        # In lines, likewise.
+        # Lines; the first changes under the lock, the others only in the writing thread.
         self._refused = self._lost = self._reported = 0
         self._at_line_start = True
         self._thread = threading.Thread(target=self._write_all, name="output", daemon=True)
@@ -137,8 +137,8 @@ class QueuedStream(io.TextIOBase):
         return self._number
 
     def write(self, text: str, /) -> int:
-        """Queue `text`, or drop it where too much is queued already."""
-        # click tries bytes to find out whether a stream takes them.
+        """Queue `text`, or drop it if too much is queued already."""
+        # click tests whether a stream accepts bytes.
         if not isinstance(text, str):
             raise TypeError(f"text is written, not {type(text).__name__}")
         with self._lock:
@@ -153,7 +153,7 @@ class QueuedStream(io.TextIOBase):
         """Do nothing: the writing thread writes as soon as it can."""
 
     def finish(self) -> None:
-        """Wait until all is written; give up where nothing can be, and after 5 s in any case."""
+        """Wait until all text is written, at most 1 s without progress and 5 s in all."""
         self._queue.put(None)
         begin_s = progress_s = time.monotonic()
         taken = self._taken
@@ -181,14 +181,14 @@ class QueuedStream(io.TextIOBase):
             self._reported = dropped
 
     def _write(self, text: str) -> bool:
-        """Write text, however long that takes; return False where it cannot be written."""
+        """Write text, blocking; return False if it cannot be written."""
         data = text.encode(self.encoding, "backslashreplace")
         try:
             while data:
                 try:
                     data = data[os.write(self._number, data) :]
                 except BlockingIOError:
-                    # Another process that shares the descriptor has made it non-blocking.
+                    # Another process has made the shared descriptor non-blocking.
                     select.select((), (self._number,), ())
         except (OSError, ValueError):
             return False
@@ -203,15 +203,15 @@ def _lines(text: str) -> int:
 
 @contextmanager
 def unblocked_output() -> Iterator[None]:
-    """Have everything that is printed within the `with` queued and written by threads of its own.
+    """Queue everything that is printed within the `with`; separate threads write it.
 
-    For the main thread of a program that must go on whoever reads its output. What replaces
-    `sys.stdout` already, as a test's capture does, is left alone.
+    Use it in the main thread of a program that must not block on its output. A replaced
+    `sys.stdout`, as in a test's capture, is left alone.
     """
-    if sys.platform == "win32":  # whose consoles take text by another way than a descriptor
+    if sys.platform == "win32":  # its consoles do not take text by a descriptor
         yield
         return
-    # Else a shell's `stty tostop` stops a program that prints in the background.
+    # With `stty tostop`, SIGTTOU would stop a program that prints in the background.
     tostop = signal.signal(signal.SIGTTOU, signal.SIG_IGN)
     with ExitStack() as until_the_end:
         until_the_end.callback(signal.signal, signal.SIGTTOU, tostop)
@@ -225,7 +225,7 @@ def unblocked_output() -> Iterator[None]:
         try:
             yield
         except Exception:
-            # Here, as the interpreter would write it straight to where nobody reads.
+            # Printed here, since the interpreter would write it directly, and might block.
             sys.excepthook(*sys.exc_info())
             raise SystemExit(1) from None
 
@@ -235,10 +235,9 @@ STDOUT = Path("-")
 
 
 def check_writable(path: Path | None) -> None:
-    """Check before a run that its result can be written to `path`; None is no file.
+    """Check before a run that its result can be written to `path`; None and `STDOUT` pass.
 
-    `STDOUT` always can.
-    A file of that name is left as it is. Raises OutputError.
+    An existing file is not changed. Raises OutputError.
     """
     if path is None or path == STDOUT:
         return
@@ -254,9 +253,9 @@ def check_writable(path: Path | None) -> None:
 
 
 def write_whole(path: Path, text: str) -> None:
-    """Write a text file in one step: a reader finds the old file or the whole new one.
+    """Write a text file in one step: readers see either the old file or the whole new one.
 
-    A pipe or a device is written to directly, and `STDOUT` printed. Raises OutputError.
+    A pipe or a device is written directly; text for `STDOUT` is printed. Raises OutputError.
     """
     if path == STDOUT:
         print(text, end="")
@@ -278,7 +277,7 @@ def write_whole(path: Path, text: str) -> None:
 
 
 def create_file(path: Path, text: str) -> None:
-    """Write a new text file. Raises OutputError, also where there is a file of that name."""
+    """Write a new text file. Raises OutputError, also if the file exists."""
     with _refusals(path):
         try:
             with path.open("x", encoding="utf-8") as file:
@@ -299,7 +298,7 @@ def _refusals(path: Path) -> Iterator[None]:
 
 
 def _is_special(path: Path) -> bool:
-    """Return whether there is a pipe or a device. Raises OSError for a folder."""
+    """Return whether the path is a pipe or a device. Raises OSError for a folder."""
     with suppress(FileNotFoundError):
         mode = path.stat().st_mode
         if stat.S_ISDIR(mode):

@@ -4,12 +4,12 @@ Data goes from the sensing node to its displays as frames, one msgpack array eac
 
     [version, session, first_sample, t_first_ns, period_ns, channels, bytes_per_sample, payload]
 
-`payload` holds consecutive samples as little-endian floats, sample by sample. `first_sample` is
-the sequence number: how many samples of the session came before this frame, so that a display
-counts what is missing in samples. Times are the sensing node's clock.
+`payload` contains consecutive samples as little-endian floats, sample by sample. `first_sample` is
+a sequence number: the number of earlier samples of the session, so that a display counts missing
+samples and not frames. Times are on the sensing node's clock.
 
-Control goes both ways as msgpack arrays [version, kind, ...]. Whatever a peer sends, decoding
-returns a valid message or raises WireError with the cause it is counted under.
+Control messages go both ways as msgpack arrays [version, kind, ...]. For any bytes, decoding
+returns a valid message or raises WireError with the cause under which it is counted.
 """
 
 import math
@@ -29,12 +29,12 @@ MAX_FRAME_BYTES = 65_536
 MAX_CONTROL_BYTES = 65_536
 MAX_CHANNELS = 64
 MAX_PERIOD_NS = 10_000_000_000
-# Sample counts are whole in a float as well, and never wrap: 285 years at 1 MHz. Times leave room
-# to add and to extrapolate within 64 bits: clocks within 146 years of their zero.
+# Sample counts are exact in a float, and suffice for 285 years at 1 MHz. Times, up to 146 years
+# from a clock's zero, can be added and extrapolated within 64 bits.
 TIME_RANGE = range(-(1 << 62), 1 << 62)
 COUNT_RANGE = range(1 << 53)
 _SESSION, _COUNT, _TIME = range(1 << 63), COUNT_RANGE, TIME_RANGE
-# No force of a pulse is larger, whatever its unit; figures computed from it stay finite.
+# Bound of a sample, far above any pulse; figures computed from it stay finite.
 LARGEST_N = 1e6
 _FORMATS: dict[int, np.dtype[Any]] = {4: np.dtype("<f4"), 8: np.dtype("<f8")}
 
@@ -51,7 +51,7 @@ class Frame(NamedTuple):
     first_sample : int
         Sequence number of the first sample, 0 to 2^53 - 1.
     t_first_ns : int
-        Its time on the sensing node's clock, within ±2^62.
+        Time of that sample on the sensing node's clock, within ±2^62.
     period_ns : int
         Time between samples, 1 to 10^10.
     values : ndarray, shape (samples, channels)
@@ -112,7 +112,7 @@ def decode_frame(data: bytes) -> Frame:
         raise WireError("malformed", f"{len(payload)} bytes are not whole samples")
     values = np.frombuffer(payload, _FORMATS[width])
     numbers = values.tolist()
-    # `max` may skip a NaN; the sum does not.
+    # `max` may miss a NaN, the sum does not.
     if not math.isfinite(sum(numbers)) or max(numbers) > LARGEST_N or min(numbers) < -LARGEST_N:
         raise WireError("not_finite", f"a sample is NaN, infinite or beyond {LARGEST_N:.0e} N")
     return Frame(session, first_sample, t_first_ns, period_ns, values.reshape(-1, channels))
@@ -144,7 +144,7 @@ class Bye:
 
 @dataclass(frozen=True, slots=True)
 class ClockRequest:
-    """Request of a display for the sensing clock, sent at its own time t1."""
+    """Request of a display for the sensing clock, sent at the display's time t1."""
 
     t1_ns: int
 
@@ -161,7 +161,7 @@ class ClockReply:
 
 @dataclass(frozen=True, slots=True)
 class DisplayReport:
-    """Report of a display on how the stream arrives; NaN for what is unknown."""
+    """Report of a display on the received stream; unknown figures are NaN."""
 
     session: int
     display: str
@@ -176,7 +176,7 @@ class DisplayReport:
 
 Control = Hello | Welcome | Bye | ClockRequest | ClockReply | DisplayReport
 
-# Each kind with what its fields hold: a type, or the range of an int; float admits int and NaN.
+# Class and fields of each kind: types, or ranges of an int. The type float admits int and NaN.
 _KINDS: dict[str, tuple[type[Control], tuple[type | range, ...]]] = {
     "hello": (Hello, (str,)),
     "welcome": (Welcome, (_SESSION, _COUNT, dict)),
@@ -221,7 +221,7 @@ def _fits(value: object, expected: type | range) -> bool:
     if expected is float:
         return type(value) in (float, int)
     if expected is str:
-        # Names are printed on terminals.
+        # Names are printed on terminals, so control characters are refused.
         return isinstance(value, str) and len(value) <= MAX_NAME and value.isprintable()
     return type(value) is expected
 
@@ -231,8 +231,8 @@ def _unpack(data: bytes, limit: int) -> list[Any]:
     if len(data) > limit:
         raise WireError("oversized", f"{len(data)} bytes, at most {limit} are taken")
     try:
-        # msgpack allocates a container before it reads the content: without the limits, nested
-        # empty containers would take hundreds of megabytes.
+        # msgpack allocates a container before it reads its content. Without limits, nested empty
+        # containers would take hundreds of megabytes.
         fields = msgpack.unpackb(
             data, raw=False, max_array_len=MAX_CHANNELS, max_map_len=MAX_CHANNELS
         )
@@ -242,10 +242,10 @@ def _unpack(data: bytes, limit: int) -> list[Any]:
     if type(fields) is not list or not fields:
         raise WireError("malformed", "a message is a msgpack array")
     if type(fields[0]) is not int or fields[0] != VERSION:
-        raise WireError("version", f"protocol version {VERSION} is spoken, got {_shown(fields[0])}")
+        raise WireError("version", f"protocol version must be {VERSION}, got {_shown(fields[0])}")
     return fields
 
 
 def _shown(field: object) -> str:
-    """Return a field for an error; of a container its type: nesting may be too deep to print."""
+    """Return a field for an error message; for a container, which may be too deep, its type."""
     return f"{field!r:.40}" if isinstance(field, int | str) else type(field).__name__

@@ -1,6 +1,6 @@
-"""Description of a stream, which a display needs to turn frames into strain.
+"""Description of a stream, which a display needs to convert frames to strain.
 
-The sensing node sends it in its welcome, so that a display that joins late has it too.
+The sensing node sends it in its welcome, so that displays which join late receive it too.
 """
 
 import dataclasses
