@@ -51,7 +51,7 @@ class RequestBudget:
 
     def expect(self, displays: int) -> None:
         """Permit the requests of this number of displays."""
-        self._budget.change_rate(min(MOST_PER_S, LEAST_PER_S + displays * REQUESTS_PER_S))
+        self._budget.rate_per_s = min(MOST_PER_S, LEAST_PER_S + displays * REQUESTS_PER_S)
 
     def spend(self, now_ns: int) -> bool:
         """Count a message that was read; return whether the next one may be read as well."""

@@ -55,7 +55,7 @@ class Endpoint:
 
     def expect(self, messages_per_s: float) -> None:
         """Permit twice this rate of messages, within the least and the highest rate."""
-        self._budget.change_rate(min(MOST_PER_S, max(LEAST_PER_S, 2 * messages_per_s)))
+        self._budget.rate_per_s = min(MOST_PER_S, max(LEAST_PER_S, 2 * messages_per_s))
 
     def flooded(self, now_ns: int) -> bool:
         """Return whether more messages have come than is permitted; call it each tick."""

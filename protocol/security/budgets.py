@@ -3,6 +3,7 @@
 import logging
 from collections import Counter
 from collections.abc import Iterator, Sequence
+from statistics import mode
 
 import zmq
 
@@ -23,23 +24,19 @@ MAX_NAMED = 100
 class TokenBucket:
     """Bound on the rate of events, with a burst above it. Pure.
 
-    rate_per_s: tokens added per second. burst: greatest and initial number of tokens.
+    rate_per_s: tokens added per second; it may be changed. burst: greatest and initial number of
+    tokens.
     """
 
     def __init__(self, rate_per_s: float, burst: float) -> None:
-        self._rate_per_ns = rate_per_s * 1e-9
+        self.rate_per_s = rate_per_s
         self._burst = self._tokens = burst
-        self._now_ns: int | None = None
-
-    def change_rate(self, rate_per_s: float) -> None:
-        """Change the rate at which tokens are added; the present number stays."""
-        self._rate_per_ns = rate_per_s * 1e-9
+        self._now_ns = 0
 
     def take(self, now_ns: int, count: float = 1) -> bool:
         """Take `count` tokens and return True; if fewer are left, take none and return False."""
-        if self._now_ns is not None and now_ns > self._now_ns:
-            elapsed_ns = now_ns - self._now_ns
-            self._tokens = min(self._burst, self._tokens + elapsed_ns * self._rate_per_ns)
+        earned = max(0, now_ns - self._now_ns) * (self.rate_per_s * 1e-9)
+        self._tokens = min(self._burst, self._tokens + earned)
         self._now_ns = now_ns
         if count > self._tokens:
             return False
@@ -79,12 +76,11 @@ class ConnectionBudget:
         if sum(table.most_pending for table in tables) <= self._most_pending:
             return []
         pending = [(*one, table) for table in tables for one in table.pending()]
-        beyond = len(pending) - self._most_pending
+        beyond = min(len(pending) - self._most_pending, MAX_CUTS)
         if beyond <= 0:
             return []
-        (most_of, _), *_ = Counter(address for _, _, address, _ in pending).most_common(1)
-        oldest = sorted((one for one in pending if one[2] == most_of), key=lambda one: one[0])
-        oldest = oldest[: min(beyond, MAX_CUTS)]
+        most_of = mode(address for _, _, address, _ in pending)
+        oldest = sorted(one for one in pending if one[2] == most_of)[:beyond]
         for _, descriptor, _, table in oldest:
             table.cut_one(descriptor)
         return [most_of] * len(oldest)
