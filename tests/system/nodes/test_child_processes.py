@@ -1,8 +1,6 @@
-"""What nodes and commands start beside themselves, in a folder with modules of our names."""
+"""Child processes: in a folder with modules of our names, silent, failing and endless ones."""
 
-import json
-import os
-from contextlib import ExitStack
+from collections.abc import Iterator
 from pathlib import Path
 from subprocess import PIPE
 
@@ -19,8 +17,8 @@ NAMES = ("protocol", "telepulse", "sensors", "pulse_sensors", "sensing_node", "d
 
 
 @pytest.fixture
-def hostile(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Return the current folder, whose modules leave a trace where they are imported."""
+def hostile(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """Change to a folder with modules of our names, none of which may be imported."""
     folder = tmp_path / "hostile"
     folder.mkdir()
     for name in NAMES:
@@ -28,52 +26,42 @@ def hostile(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         (folder / f"{name}.py").write_text(text, encoding="utf-8")
     monkeypatch.chdir(folder)
     monkeypatch.setenv("PYTHONPATH", str(ROOT))
-    return folder
-
-
-def assert_clean(folder: Path) -> None:
+    yield
     assert not (folder / "imported").exists(), (folder / "imported").read_text()
 
 
-def test_the_demo_with_link_and_page_imports_nothing_of_the_current_folder(
-    hostile: Path, tmp_path: Path
-) -> None:
+@pytest.mark.usefixtures("hostile")
+def test_the_demo_with_link_and_page_imports_nothing_of_the_current_folder(tmp_path: Path) -> None:
     out = tmp_path / "demo.json"
     options = ("--seconds", "2", "--link", "delay=5ms", "--json", str(out))
     command = ("-m", "telepulse", "demo", str(RADIAL), *options)
     with ChildProcess("demo", *command, stdout=PIPE, stderr=PIPE) as demo:
         demo.await_end(PATIENCE_S)
-    assert_clean(hostile)
     assert_accounted(read_json(out)["samples"])
 
 
-def test_the_processes_beside_a_display_import_nothing_of_the_current_folder(
-    hostile: Path, tmp_path: Path
-) -> None:
+@pytest.mark.usefixtures("hostile")
+def test_the_processes_beside_a_node_import_nothing_of_the_current_folder(tmp_path: Path) -> None:
     """Metrics, recorder and screen of a display; the metrics of a sensing node."""
     address, recording = free_address(), tmp_path / "a.mcap"
-    shared = ("--metrics", "0")
-    play = ("--connect", address, "--once", "--record", str(recording), *shared)
-    sense = ("--bind", address, "--seconds", "2", *shared)
-    with ExitStack() as stack:
-        display, sensing = (
-            stack.enter_context(
-                ChildProcess(module, "-m", module, str(RADIAL), *more, stdout=PIPE, stderr=PIPE)
-            )
-            for module, more in (("display_node.cli", play), ("sensing_node.cli", sense))
-        )
+    play = ("--connect", address, "--once", "--record", str(recording), "--metrics", "0")
+    sense = ("--bind", address, "--seconds", "2", "--metrics", "0")
+    piped = {"stdout": PIPE, "stderr": PIPE}
+    with (
+        ChildProcess("display", "-m", "display_node.cli", str(RADIAL), *play, **piped) as display,
+        ChildProcess("sensing", "-m", "sensing_node.cli", str(RADIAL), *sense, **piped) as sensing,
+    ):
         sensing.await_end(PATIENCE_S)
         display.await_end(PATIENCE_S)
-    assert_clean(hostile)
     assert recording.stat().st_size > 0
 
 
 @pytest.mark.skipif(unavailable() is not None, reason=str(unavailable()))
-def test_the_relay_of_an_emulated_link_imports_nothing_of_the_current_folder(hostile: Path) -> None:
+@pytest.mark.usefixtures("hostile")
+def test_the_relay_of_an_emulated_link_imports_nothing_of_the_current_folder() -> None:
     with emulate(parse_link("delay=1ms")) as link:
         pass
     assert link.carried is not None
-    assert_clean(hostile)
 
 
 def test_a_line_that_does_not_come_ends_the_wait() -> None:
@@ -107,10 +95,9 @@ def test_a_process_that_ignores_sigterm_is_killed() -> None:
 
 
 def test_lines_pass_both_ways_until_the_input_is_closed() -> None:
-    code = "import sys, json\nfor line in sys.stdin: print(json.dumps(line), flush=True)"
+    code = "import sys\nfor line in sys.stdin: print(repr(line), flush=True)"
     with ChildProcess("echo", "-c", code, stdin=PIPE, stdout=PIPE) as child:
         child.write_line("one")
-        assert json.loads(child.read_line(PATIENCE_S)) == "one\n"
+        assert child.read_line(PATIENCE_S) == r"'one\n'"
         child.close_input()
         child.await_end(PATIENCE_S)
-    assert os.waitstatus_to_exitcode(0) == child.returncode

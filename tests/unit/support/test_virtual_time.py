@@ -92,9 +92,7 @@ def test_a_stall_may_begin_between_a_reading_of_the_clock_and_its_use(world: Vir
     assert seen == [(1, 1), (2, 2), (3, 500), (501, 501)]
 
 
-def test_a_thread_that_waits_for_a_lock_waits_for_a_stalled_holder(
-    world: VirtualTime, here: Any
-) -> None:
+def test_a_lock_is_waited_for_while_its_holder_is_stalled(world: VirtualTime, here: Any) -> None:
     lock = here.threading.Lock()
     seen: list[tuple[str, int]] = []
 

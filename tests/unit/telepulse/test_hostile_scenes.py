@@ -2,7 +2,6 @@
 
 import copy
 import datetime
-import tomllib
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -21,23 +20,18 @@ from protocol.config.scene_file import load_document
 from protocol.errors import SceneError, SourceError
 from sensing_node.scene import SensingScene, build_source, describe_stream
 from telepulse.simulation.link_model import LinkScene, parse_link
-from tests.support.nodes import ROOT
+from tests.support.nodes import RADIAL, ROOT
 from tests.unit.documentation.test_docs import keys
 
 SCHEMAS: dict[str, Any] = {"sensing": SensingScene, "display": DisplayScene, "link": LinkScene}
 SHIPPED = [load_document(path) for path in (ROOT / "scenes").glob("*.toml")]
 KEYS = sorted({key for schema in SCHEMAS.values() for key in keys(schema)})
-EVERY_UNIT = ["", "%", *(unit for units in UNITS.values() for unit in units)]
 
+units = st.sampled_from(["", "%", *(unit for units in UNITS.values() for unit in units)])
 written = st.one_of(
     st.sampled_from([True, 0, 1, -1, 2**63 - 1, 0.0, 1e308, 5e-324, "", "auto", "x\n", [], {}]),
     st.sampled_from([float("nan"), float("inf"), datetime.date(2008, 1, 1), [{"kind": "x"}]]),
-    st.builds(
-        "{}e{} {}".format,
-        st.sampled_from([-1, 0, 0.5, 1, 7]),
-        st.integers(-99, 99),
-        st.sampled_from(EVERY_UNIT),
-    ),
+    st.builds("{}e{} {}".format, st.sampled_from([-1, 0, 0.5, 1, 7]), st.integers(-99, 99), units),
     st.floats(),
     st.text(max_size=5),
 )
@@ -145,8 +139,7 @@ def test_a_key_is_a_table_or_a_value(text: str) -> None:
     ],
 )
 def test_numbers_that_no_bench_has_are_refused(name: str, key: str, value: object) -> None:
-    path = ROOT / "scenes" / "radial.toml"
-    table = copy.deepcopy(tomllib.loads(path.read_text("utf-8"))["display"])
+    table = load_document(RADIAL)["display"]
     table[name][key] = value
     with pytest.raises(SceneError, match=f"{name}.*{key}: must be"):
         validate(table, DisplayScene, where="scene")
