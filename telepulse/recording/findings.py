@@ -1,6 +1,7 @@
 """Findings about a recorded run, gathered in one pass, in bounded memory."""
 
 import math
+from collections import defaultdict
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -17,15 +18,11 @@ from protocol.summary_tables import Loop, PlayoutDelay
 from telepulse.recording.forces import AlignedTick, ForceHistory, Trend
 from telepulse.recording.reader import RecordingReader, in_tick_order
 from telepulse.telemetry.decoder import Entry, PassiveReceiver
-from telepulse.telemetry.schema import EVENT, STATUS, STREAM, TICK
+from telepulse.telemetry.schema import EVENT, STATUS, TICK
 
 MAX_EVENTS = 500
 # Values are added to a trend in batches of this size.
 BATCH = 1_000
-VALUES = (
-    *("one_way_ms", "playout_ms", "offset_ms", "uncertainty_ms", "skew_ppm", "round_trip_ms"),
-    *("late_p99_us", "late_max_us"),
-)
 COUNTS, COUNT_WIDTH_S = ("late", "lost", "misses"), 1.0
 _SUMMARY = TypeAdapter(Summary)
 
@@ -57,12 +54,14 @@ class RunFindings:
         self.streams: list[str] = []
         self.display_summary: Summary | None = None
         self.is_final_summary = False
-        self.trends = {name: Trend() for name in VALUES}
-        self.trends |= {name: Trend(COUNT_WIDTH_S) for name in COUNTS}
+        counts = {name: Trend(COUNT_WIDTH_S) for name in COUNTS}
+        self.trends: defaultdict[str, Trend] = defaultdict(Trend, counts)
         self.forces = ForceHistory()
         self.events: list[tuple[float, int, str, str]] = []
         self.playout_ms = Histogram(0.5, 8_000)
         self._receiver = PassiveReceiver()
+        # Of all frames, as the display counts them.
+        self.one_way_delay_ms = self._receiver.one_way_delay_ms
         self._session: int | None = None
         self._offset_ms = 0.0
         self._steps: tuple[int | None, int | None] = (None, None)
@@ -70,12 +69,7 @@ class RunFindings:
         # The default, until the display's first status is read.
         self._stale_after_ns = SafetyScene().stale_after_ns
         self._last_now_ns: int | None = None
-        self._batch: dict[str, list[tuple[float, float]]] = {}
-
-    @property
-    def one_way_delay_ms(self) -> Histogram:
-        """One-way delays of all frames, as the display counts them."""
-        return self._receiver.one_way_delay_ms
+        self._batch: defaultdict[str, list[tuple[float, float]]] = defaultdict(list)
 
     @property
     def seconds(self) -> float:
@@ -120,19 +114,17 @@ class RunFindings:
 
     def _received(self, t_s: float, entry: Entry) -> None:
         receiver, fields = self._receiver, entry.fields
-        frame = receiver.take(entry.topic, fields)
-        if entry.topic == STREAM and receiver.session != self._session:
+        frame, description = receiver.take(entry.topic, fields), receiver.description
+        self._add("round_trip_ms", t_s, fields.get("round_trip_ms"))
+        if description is not None and receiver.session != self._session:
             self._session = receiver.session
-            assert receiver.description is not None
-            self.streams.append(receiver.description.name)
+            self.streams.append(description.name)
             self.forces.take(self.forces.alignment.begin())
-        if frame is not None:
-            assert receiver.description is not None
+        if description is not None and frame is not None:
             last_ns = frame.t_first_ns + (len(frame.values) - 1) * frame.period_ns
             one_way_ns = receiver.clock.remote_ns(fields["arrived_ns"]) - last_ns
             self._add("one_way_ms", t_s, one_way_ns * 1e-6)
-            self.forces.alignment.add_frame(frame, receiver.description)
-        self._add("round_trip_ms", t_s, fields.get("round_trip_ms"))
+            self.forces.alignment.add_frame(frame, description)
 
     def _tick(self, t_s: float, fields: dict[str, Any]) -> None:
         now_ns, instant_ns, receiver = fields["now_ns"], fields["instant_ns"], self._receiver
@@ -142,8 +134,14 @@ class RunFindings:
         if not receiver.ready:
             return
         sensing_now_ns, target_n = receiver.clock.remote_ns(now_ns), float(fields["target_n"])
-        # Nothing is played before the first sample.
-        if target_n and self._alive(sensing_now_ns, instant_ns):
+        newest_ns, link_ns = receiver.buffer.newest_ns, receiver.delay.delay_ns
+        # Nothing is played before the first sample, nor from a stale stream, as the display judges.
+        if (
+            target_n
+            and newest_ns is not None
+            and link_ns is not None
+            and min(instant_ns, sensing_now_ns - link_ns) <= newest_ns + self._stale_after_ns
+        ):
             self._played += 1
             delay_ms = (sensing_now_ns - instant_ns) * 1e-6
             self.playout_ms.add(delay_ms)
@@ -153,15 +151,6 @@ class RunFindings:
             felt_n = float(fields.get("felt_n", math.nan))
             tick = AlignedTick(t_s, sensing_now_ns, instant_ns, felt_n)
             self.forces.take(self.forces.alignment.add_tick(tick))
-
-    def _alive(self, sensing_now_ns: int, instant_ns: int) -> bool:
-        """Return whether the stream was not stale, as the display judges that."""
-        receiver = self._receiver
-        newest_ns, delay_ns = receiver.buffer.newest_ns, receiver.delay.delay_ns
-        if newest_ns is None or delay_ns is None:
-            return False
-        due_ns = newest_ns + self._stale_after_ns
-        return instant_ns <= due_ns or sensing_now_ns - delay_ns <= due_ns
 
     def _count_misses(self, now_ns: int) -> None:
         """Count missed ticks: those due at multiples of the period that are not there."""
@@ -178,17 +167,14 @@ class RunFindings:
             self._stale_after_ns = int(playing["stale_after_ns"])
             channel, ratio = int(playing["channel"]), float(playing["force_ratio"])
             self.forces.alignment.set_playback(channel, ratio)
-        last, self.display_summary, self.is_final_summary = (
-            self.display_summary or Summary(),
-            new,
-            fields["final"],
+        last = self.display_summary or Summary()
+        self.display_summary, self.is_final_summary = new, fields["final"]
+        before, now = (
+            (each.samples.late or 0, each.samples.lost or 0, each.loop.deadline_misses or 0)
+            for each in (last, new)
         )
-        for name, now, before in (
-            ("late", new.samples.late, last.samples.late),
-            ("lost", new.samples.lost, last.samples.lost),
-            ("misses", new.loop.deadline_misses, last.loop.deadline_misses),
-        ):
-            self._add(name, t_s, (now or 0) - (before or 0))
+        for name, count, earlier in zip(COUNTS, now, before, strict=True):
+            self._add(name, t_s, count - earlier)
         self._add("late_p99_us", t_s, new.loop.late_us.p99)
         self._add("late_max_us", t_s, new.loop.late_us.max)
         clock = new.clock
@@ -208,12 +194,10 @@ class RunFindings:
             self.more_events += 1
 
     def _add(self, name: str, t_s: float, value: float | None) -> None:
-        if value is None:
-            return
-        batch = self._batch.setdefault(name, [])
-        batch.append((t_s, value))
-        if len(batch) >= BATCH:
-            self._flush(name)
+        if value is not None:
+            self._batch[name].append((t_s, value))
+            if len(self._batch[name]) >= BATCH:
+                self._flush(name)
 
     def _flush(self, name: str) -> None:
         t_s, values = np.array(self._batch.pop(name), float).T
