@@ -1,4 +1,4 @@
-"""What the perceived delay E is made of: the chain's group delay, the loop's horizon."""
+"""The parts of the perceived delay E: the chain's group delay, the loop's horizon."""
 
 import math
 
@@ -21,8 +21,7 @@ def playing(under_test: Display, group_delay_ms: int = 0) -> list[tuple[float, f
 
     A sample holds the pulse of group_delay_ms before it; 5 samples arrive every 5 ms.
     """
-    stream = description(group_delay_ns=group_delay_ms * MS, bytes_per_sample=8)
-    sender = Sender(stream=stream)
+    sender = Sender(stream=description(group_delay_ns=group_delay_ms * MS, bytes_per_sample=8))
     felt = []
     for ms in range(RUN_MS):
         now_ns = ms * MS
@@ -43,26 +42,17 @@ def test_the_pulse_that_is_felt_is_e_old_however_slow_its_chain(
 ) -> None:
     under_test = display("bench", compensation_ns=compensation_ns)
     felt = playing(under_test, group_delay_ms)
+    # The pulse of now − E is in the sample that was taken at now − E + 12 ms.
     for at_ms, delay_ms, felt_n in felt:
-        # The pulse of now − E is in the sample that was taken at now − E + 12 ms.
         assert felt_n == pytest.approx(pulse_n(at_ms - delay_ms), abs=0.7e-3)
     if compensation_ns is not None:
         assert felt[-1][1] == pytest.approx(40, abs=0.01)
-    # Its own account knows of the chain's delay as well.
+    # Its own account includes the chain's delay.
     assert under_test.fidelity is not None
     under_test.fidelity.finish()
     summary = under_test.summary()
     assert summary.force_rmse_n.aligned == pytest.approx(0.2e-3, abs=0.2e-3)
     assert summary.samples.late == 0
-
-
-def test_auto_covers_the_chains_delay_too() -> None:
-    prompt, slow = display("bench"), display("bench")
-    (*_, (_, prompt_ms, _)), (*_, (_, slow_ms, _)) = playing(prompt), playing(slow, GROUP_DELAY_MS)
-    assert slow_ms - prompt_ms == pytest.approx(GROUP_DELAY_MS, abs=0.01)
-    for under_test, delay_ms in ((prompt, prompt_ms), (slow, slow_ms)):
-        # Nothing is predicted: what is covered is all of E.
-        assert under_test.summary().covered_delay_ms == pytest.approx(delay_ms, abs=0.01)
 
 
 def test_what_no_sample_holds_yet_is_predicted_and_not_counted_as_covered() -> None:
@@ -77,19 +67,25 @@ def test_what_no_sample_holds_yet_is_predicted_and_not_counted_as_covered() -> N
     assert 1e-3 < off_n < 0.03 * 0.1 * 2
 
 
-@pytest.mark.parametrize(("name", "horizon"), [("bench", 1), ("paper", 1), ("real_bench", 3)])
-def test_auto_reserves_the_loops_horizon(name: str, horizon: int) -> None:
+@pytest.mark.parametrize(
+    ("name", "group_delay_ms", "horizon"),
+    [("bench", 0, 1), ("bench", GROUP_DELAY_MS, 1), ("paper", 0, 1), ("real_bench", 0, 3)],
+)
+def test_auto_covers_the_chains_delay_and_reserves_the_loops_horizon(
+    name: str, group_delay_ms: int, horizon: int
+) -> None:
     under_test = display(name)
-    delay_ms = playing(under_test)[-1][1]
-    link_ns = under_test.receiver.delay.delay_ns
-    assert link_ns is not None
-    # The sample after the horizon's end lets the last tick be interpolated.
-    assert delay_ms == pytest.approx(link_ns / MS + horizon + 1, abs=0.01)
-    assert under_test.summary().samples.late == 0
+    delay_ms = playing(under_test, group_delay_ms)[-1][1]
+    # The link's: frames of 5 ms. The sample after the horizon's end lets the last tick be
+    # interpolated.
+    assert under_test.receiver.delay.delay_ns == 5 * MS
+    assert delay_ms == pytest.approx(5 + group_delay_ms + horizon + 1, abs=0.01)
+    # Nothing is predicted: what is covered is all of E.
+    summary = under_test.summary()
+    assert summary.covered_delay_ms == pytest.approx(delay_ms, abs=0.01)
+    assert summary.samples.late == 0
 
 
 def test_a_horizon_that_is_known_needs_no_prediction() -> None:
-    felt_by = {}
-    for predictor in ("hold", "linear"):
-        felt_by[predictor] = playing(display("real_bench", predictor=predictor))
-    assert felt_by["hold"] == felt_by["linear"]
+    hold, linear = (playing(display("real_bench", predictor=name)) for name in ("hold", "linear"))
+    assert hold == linear
