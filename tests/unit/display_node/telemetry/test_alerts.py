@@ -8,19 +8,18 @@ MS, SECOND_NS = 1_000_000, 1_000_000_000
 HOUR_NS = 3600 * SECOND_NS
 
 
-def followed(age: StatusAge, ahead_ns: int, from_ns: int, to_ns: int, delay_ns: int = MS) -> int:
-    """Receive a trace and a status every 100 ms; `ahead_ns`: the display's clock before ours."""
-    for now_ns in range(from_ns, to_ns, 100 * MS):
+def receive(age: StatusAge, ahead_ns: int, from_ns: int, to_ns: int = 0, delay_ns: int = MS) -> int:
+    """Receive trace and status every 100 ms until `to_ns`, stamped `ahead_ns` before our clock."""
+    for now_ns in range(from_ns, to_ns or from_ns + 1, 100 * MS):
         age.take_trace(now_ns + ahead_ns, now_ns + delay_ns)
         age.take_status(now_ns + delay_ns)
     return now_ns
 
 
 def test_without_a_stamp_the_age_counts_from_the_receipt() -> None:
-    age = StatusAge()
+    age, before_the_first_trace = StatusAge(), StatusAge()
     age.take_trace(0, 0)
     assert age.age_ns(HOUR_NS) is None
-    before_the_first_trace = StatusAge()
     before_the_first_trace.take_status(SECOND_NS)
     assert before_the_first_trace.age_ns(3 * SECOND_NS) == 2 * SECOND_NS
 
@@ -28,8 +27,7 @@ def test_without_a_stamp_the_age_counts_from_the_receipt() -> None:
 def test_on_this_machine_queued_telemetry_is_as_old_as_its_stamp() -> None:
     """The display sent and froze while its reader was still importing."""
     age = StatusAge(local=True)
-    age.take_trace(HOUR_NS, HOUR_NS + 3 * SECOND_NS)
-    age.take_status(HOUR_NS + 3 * SECOND_NS)
+    receive(age, 0, HOUR_NS, delay_ns=3 * SECOND_NS)
     assert age.age_ns(HOUR_NS + 3 * SECOND_NS) == 3 * SECOND_NS
 
 
@@ -38,18 +36,17 @@ def test_on_this_machine_queued_telemetry_is_as_old_as_its_stamp() -> None:
 def test_over_another_clock_age_is_beyond_the_shortest_transit(local: bool, ahead_ns: int) -> None:
     """A tunnel's address is on this machine as well, and its display's clock is not."""
     age = StatusAge(local)
-    last_ns = followed(age, ahead_ns, HOUR_NS, HOUR_NS + 2 * SECOND_NS, delay_ns=30 * MS)
+    last_ns = receive(age, ahead_ns, HOUR_NS, HOUR_NS + 2 * SECOND_NS, delay_ns=30 * MS)
     assert age.age_ns(last_ns + 30 * MS) == 0
     # The reader stands still for 5 s, and what it receives then has queued for 4 s.
-    age.take_trace(last_ns + SECOND_NS + ahead_ns, last_ns + 5 * SECOND_NS)
-    age.take_status(last_ns + 5 * SECOND_NS)
+    receive(age, ahead_ns, last_ns + SECOND_NS, delay_ns=4 * SECOND_NS)
     assert age.age_ns(last_ns + 5 * SECOND_NS) == 4 * SECOND_NS - 30 * MS
 
 
 def test_a_trace_of_the_next_process_does_not_make_a_killed_ones_status_current() -> None:
     """A terminal showed "playing" of a display killed seconds before, and the next felt nothing."""
     age = StatusAge(local=True)
-    last_ns = followed(age, 0, HOUR_NS, HOUR_NS + SECOND_NS)
+    last_ns = receive(age, 0, HOUR_NS, HOUR_NS + SECOND_NS)
     back_ns = last_ns + 3 * SECOND_NS
     age.take_trace(back_ns, back_ns)
     assert age.age_ns(back_ns) == 3 * SECOND_NS
@@ -58,8 +55,7 @@ def test_a_trace_of_the_next_process_does_not_make_a_killed_ones_status_current(
 def test_clocks_that_drift_leave_the_age_of_the_newest_at_nothing() -> None:
     age = StatusAge()
     for step in range(0, 12 * HOUR_NS, 10 * SECOND_NS):
-        age.take_trace(step - step // 20_000, step)
-        age.take_status(step)
+        receive(age, -step // 20_000, step, delay_ns=0)
         found_ns = age.age_ns(step)
         assert found_ns is not None
         assert found_ns <= 2 * WINDOW_NS // 20_000
@@ -67,17 +63,16 @@ def test_clocks_that_drift_leave_the_age_of_the_newest_at_nothing() -> None:
 
 def test_another_machine_that_was_started_again_begins_anew() -> None:
     age = StatusAge()
-    last_ns = followed(age, HOUR_NS, HOUR_NS, HOUR_NS + SECOND_NS)
+    last_ns = receive(age, HOUR_NS, HOUR_NS, HOUR_NS + SECOND_NS)
     back_ns = last_ns + 60 * SECOND_NS
-    last_ns = followed(age, -back_ns, back_ns, back_ns + SECOND_NS)
+    last_ns = receive(age, -back_ns, back_ns, back_ns + SECOND_NS)
     assert age.age_ns(last_ns + MS) == 0
 
 
 def test_a_status_holds_while_traces_follow_it() -> None:
     """With ticks of 10 ms a status comes only every 2 s."""
     age = StatusAge(local=True)
-    age.take_trace(0, 0)
-    age.take_status(0)
+    receive(age, 0, 0, delay_ns=0)
     for now_ns in range(200 * MS, 2_000 * MS, 200 * MS):
         assert age.age_ns(now_ns) == 200 * MS
         age.take_trace(now_ns, now_ns)

@@ -4,18 +4,16 @@ import os
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy import signal
 
 from protocol.errors import SourceError
 from tests.support.recording_files import heartpy_recording, recording, refusal
 
 NUMBERS = [0.25, 1.5, 3.0, 2.0]
-RAW = {"unit": "raw", "peak_to_peak": "0.4 N"}
+ARCHIVE = {"time": np.arange(4), "force": np.array(NUMBERS)}
 
 
 def played(path: Path, **keys: object) -> list[float]:
@@ -25,56 +23,50 @@ def played(path: Path, **keys: object) -> list[float]:
     return list(taken[:, 0])
 
 
-def text_file(folder: Path, text: str, encoding: str = "utf-8") -> Path:
-    path = folder / "pulse.csv"
-    path.write_bytes(text.encode(encoding))
+def pulse_file(folder: Path, content: object = NUMBERS) -> Path:
+    """Write text or bytes as CSV, a table of arrays as a NumPy archive, else a NumPy array."""
+    path = folder / "pulse.npy"
+    match content:
+        case str() | bytes():
+            path = folder / "pulse.csv"
+            path.write_bytes(content.encode() if isinstance(content, str) else content)
+        case dict():
+            path = folder / "pulse.npz"
+            np.savez(path, **content)
+        case _:
+            np.save(path, np.array(content), allow_pickle=True)
     return path
 
 
-def npy_file(folder: Path, array: NDArray[Any] | list[float]) -> Path:
-    np.save(folder / "pulse.npy", np.array(array), allow_pickle=True)
-    return folder / "pulse.npy"
-
-
-@pytest.fixture
-def archive(tmp_path: Path) -> Path:
-    np.savez(tmp_path / "pulse.npz", time=np.arange(4), force=np.array(NUMBERS))
-    return tmp_path / "pulse.npz"
-
-
 @pytest.mark.parametrize(
-    ("text", "column"),
+    ("content", "keys"),
     [
-        ("0.25\n1.5\n3\n2\n", 0),
-        ("0.25\r\n1.5\r\n3\r\n2", 0),
-        ("force\n0.25\n1.5\n3\n2\n", 0),
-        ("force\n0.25\n1.5\n3\n2\n", "force"),
-        ("time, force\n0,0.25\n1,1.5\n2,3\n3,2\n", "force"),
-        ("time,force\n0,0.25\n1,1.5\n2,3\n3,2\n\n\n", 1),
-        ('"a, b","2024"\n0,"0.25"\n1,"1.5"\n2,3\n3,2\n', "2024"),
-        ("2016-11-24 13:58:58,0.25\n2016-11-24 13:58:59,1.5\nnoon,3\n,2e0\n", 1),
+        ("0.25\n1.5\n3\n2\n", {}),
+        ("0.25\r\n1.5\r\n3\r\n2", {}),
+        ("force\n0.25\n1.5\n3\n2\n", {}),
+        ("force\n0.25\n1.5\n3\n2\n", {"column": "force"}),
+        ("time, force\n0,0.25\n1,1.5\n2,3\n3,2\n", {"column": "force"}),
+        ("time,force\n0,0.25\n1,1.5\n2,3\n3,2\n\n\n", {"column": 1}),
+        ('"a, b","2024"\n0,"0.25"\n1,"1.5"\n2,3\n3,2\n', {"column": "2024"}),
+        ("2016-11-24 13:58:58,0.25\n2016-11-24 13:58:59,1.5\nnoon,3\n,2e0\n", {"column": 1}),
+        *((np.array(NUMBERS, dtype), {}) for dtype in ("f8", "f4", ">f8", "f2")),
+        (ARCHIVE, {"column": "force"}),
+        (ARCHIVE, {"column": 1}),
+        # It presses where its values fall.
+        ([-number for number in NUMBERS], {"inverted": True}),
     ],
 )
-def test_a_column_of_a_text_file(tmp_path: Path, text: str, column: int | str) -> None:
-    assert played(text_file(tmp_path, text), column=column) == NUMBERS
-    # A byte order mark is no part of the header.
-    assert played(text_file(tmp_path, text, "utf-8-sig"), column=column) == NUMBERS
-
-
-@pytest.mark.parametrize("dtype", ["f8", "f4", ">f8", "f2"])
-def test_a_numpy_array(tmp_path: Path, dtype: str) -> None:
-    assert played(npy_file(tmp_path, np.array(NUMBERS, dtype))) == NUMBERS
+def test_a_recording(tmp_path: Path, content: object, keys: dict[str, object]) -> None:
+    assert played(pulse_file(tmp_path, content), **keys) == NUMBERS
+    if isinstance(content, str):
+        # A byte order mark is no part of the header.
+        assert played(pulse_file(tmp_path, "\ufeff" + content), **keys) == NUMBERS
 
 
 def test_a_column_of_a_numpy_table_of_integers(tmp_path: Path) -> None:
-    path = npy_file(tmp_path, np.array([[1, 9], [2, 8], [3, 7]]))
+    path = pulse_file(tmp_path, [[1, 9], [2, 8], [3, 7]])
     assert played(path, column=0) == [1, 2, 3]
     assert played(path, column=1) == [9, 8, 7]
-
-
-@pytest.mark.parametrize("column", ["force", 1])
-def test_an_array_of_a_numpy_archive(archive: Path, column: int | str) -> None:
-    assert played(archive, column=column) == NUMBERS
 
 
 @pytest.mark.parametrize(
@@ -90,7 +82,7 @@ def test_an_array_of_a_numpy_archive(archive: Path, column: int | str) -> None:
 def test_units_become_newtons_on_the_preload(
     tmp_path: Path, keys: dict[str, str], newtons_per_number: float
 ) -> None:
-    path = npy_file(tmp_path, np.array(NUMBERS))
+    path = pulse_file(tmp_path)
     plain = [newtons_per_number * number for number in NUMBERS]
     assert played(path, **keys) == pytest.approx(plain)
     on_preload = played(path, preload="200 mN", **keys)
@@ -109,31 +101,26 @@ def test_units_become_newtons_on_the_preload(
 def test_raw_values_are_scaled_to_the_peak_to_peak_with_their_mean_on_the_preload(
     tmp_path: Path, keys: dict[str, object], forces_n: list[float]
 ) -> None:
-    path = npy_file(tmp_path, [100.0, 300.0, 150.0, 250.0])
-    assert played(path, **RAW, **keys) == pytest.approx(forces_n)
-
-
-def test_an_inverted_recording_presses_where_its_values_fall(tmp_path: Path) -> None:
-    path = npy_file(tmp_path, [-0.1, -0.4, -0.2])
-    assert played(path, inverted=True) == [0.1, 0.4, 0.2]
+    path = pulse_file(tmp_path, [100.0, 300.0, 150.0, 250.0])
+    assert played(path, unit="raw", peak_to_peak="0.4 N", **keys) == pytest.approx(forces_n)
 
 
 @pytest.mark.parametrize("counts", [[1] * 9, [9], [3, 6], [4, 4, 1], [2, 0, 7]])
 def test_a_loop_wraps_without_a_sample_too_many_or_too_few(
     tmp_path: Path, counts: list[int]
 ) -> None:
-    source = recording(npy_file(tmp_path, np.array(NUMBERS)))
+    source = recording(pulse_file(tmp_path))
     taken = np.concatenate([source.take(count) for count in counts])
     assert taken[:, 0].tolist() == [*NUMBERS, *NUMBERS, NUMBERS[0]]
 
 
 def test_played_once_it_ends_with_fewer_samples(tmp_path: Path) -> None:
-    source = recording(npy_file(tmp_path, np.array(NUMBERS)), repeat="once")
+    source = recording(pulse_file(tmp_path), repeat="once")
     assert [len(source.take(3)) for _ in range(4)] == [3, 1, 0, 0]
 
 
 def test_the_period_is_that_of_the_rate(tmp_path: Path) -> None:
-    path = npy_file(tmp_path, np.array(NUMBERS))
+    path = pulse_file(tmp_path)
     assert recording(path).period_ns == 10_000_000
     assert recording(path, rate="3 kHz").period_ns == 333_333
 
@@ -152,8 +139,12 @@ def test_another_suffix_is_refused(tmp_path: Path, name: str) -> None:
     assert "is not .csv, .npy or .npz" in refusal(tmp_path / name)
 
 
+REAL = "needs real numbers in one or two dimensions, has"
+FEW = "number of samples is {}; it must be 2 or more"
+
+
 @pytest.mark.parametrize(
-    ("text", "column", "message"),
+    ("content", "column", "message"),
     [
         ("time,force\n0,1\n1,2\n", "pressure", "no column 'pressure'; it has time, force"),
         ("0,1\n1,2\n", "force", "no column 'force'; it has 0, 1"),
@@ -166,49 +157,31 @@ def test_another_suffix_is_refused(tmp_path: Path, name: str) -> None:
         ("1\n-inf\nnan\n1e31\n", 0,
          "3 values are NaN or beyond 1e+30, the first is sample 1; cut or fill them"),
         ("", 0, "is empty, or its first line is"),
-        ("force\n", 0, "number of samples is 0; it must be 2 or more"),
-        ("force\n1\n", 0, "number of samples is 1; it must be 2 or more"),
+        ("force\n", 0, FEW.format(0)),
+        ("force\n1\n", 0, FEW.format(1)),
         ("9" * 200_000, 0, "cannot be read: field larger than field limit (131072)"),
-    ],
-)  # fmt: skip
-def test_a_csv_file_that_cannot_be_used_is_refused(
-    tmp_path: Path, text: str, column: int | str, message: str
-) -> None:
-    assert refusal(text_file(tmp_path, text), column=column) == message
-
-
-def test_a_csv_file_that_is_not_text_is_refused(tmp_path: Path) -> None:
-    path = text_file(tmp_path, "µ\n1\n2\n", "latin-1")
-    assert refusal(path).startswith("cannot be read: 'utf-8' codec can't decode")
-
-
-@pytest.mark.parametrize(
-    ("array", "column", "message"),
-    [
+        ("µ\n1\n2\n".encode("latin-1"), 0,
+         "cannot be read: 'utf-8' codec can't decode byte 0xb5 in position 0: invalid start byte"),
         (np.zeros((4, 2)), 2, "no column 2; it has 2"),
         (np.zeros((4, 2)), "force", "no column 'force'; it has 2"),
         (np.zeros((4, 0)), 0, "no column 0; it has 0"),
-        (np.zeros(0), 0, "number of samples is 0; it must be 2 or more"),
-        (np.zeros(1), 0, "number of samples is 1; it must be 2 or more"),
-        (np.array(1.0), 0, "needs real numbers in one or two dimensions, has float64 in 0"),
-        (np.zeros((2, 2, 2)), 0, "needs real numbers in one or two dimensions, has float64 in 3"),
-        (np.zeros(4, complex), 0, "needs real numbers in one or two dimensions, has complex128"),
-        (np.array(["1", "2"]), 0, "needs real numbers in one or two dimensions, has <U1 in 1"),
-        (np.array([1, None]), 0, "cannot be read: Object arrays cannot be loaded"),
-        (np.array([1, 2, np.nan, 4]), 0, "1 value is NaN or beyond 1e+30, the first is sample 2"),
+        ([], 0, FEW.format(0)),
+        ([0.0], 0, FEW.format(1)),
+        (1.0, 0, f"{REAL} float64 in 0"),
+        (np.zeros((2, 2, 2)), 0, f"{REAL} float64 in 3"),
+        (np.zeros(4, complex), 0, f"{REAL} complex128 in 1"),
+        (["1", "2"], 0, f"{REAL} <U1 in 1"),
+        ([1, None], 0, "cannot be read: Object arrays cannot be loaded when allow_pickle=False"),
+        ([1, 2, np.nan, 4], 0,
+         "1 value is NaN or beyond 1e+30, the first is sample 2; cut or fill them"),
+        (ARCHIVE, "pressure", "no array 'pressure'; it has time, force"),
+        (ARCHIVE, 2, "no array 2; it has time, force"),
     ],
-)
-def test_a_numpy_array_that_cannot_be_used_is_refused(
-    tmp_path: Path, array: NDArray[Any], column: int | str, message: str
+)  # fmt: skip
+def test_a_recording_that_cannot_be_used_is_refused(
+    tmp_path: Path, content: object, column: int | str, message: str
 ) -> None:
-    assert refusal(npy_file(tmp_path, array), column=column).startswith(message)
-
-
-@pytest.mark.parametrize("column", ["pressure", 2])
-def test_an_array_that_an_archive_does_not_have_is_refused(
-    archive: Path, column: int | str
-) -> None:
-    assert refusal(archive, column=column) == f"no array {column!r}; it has time, force"
+    assert refusal(pulse_file(tmp_path, content), column=column) == message
 
 
 @pytest.mark.parametrize("save", [np.save, np.savez, np.savez_compressed])
@@ -229,7 +202,7 @@ def test_a_damaged_numpy_file_is_refused_or_read_but_never_a_crash(
 
 
 def test_an_array_too_large_for_memory_is_refused(tmp_path: Path) -> None:
-    path = npy_file(tmp_path, np.zeros(8))
+    path = pulse_file(tmp_path, np.zeros(8))
     data = path.read_bytes()
     shape, huge = b"(8,), }" + b" " * 16, b"(1000000000000000,), }"
     path.write_bytes(data.replace(shape, huge.ljust(len(shape))))
