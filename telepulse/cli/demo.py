@@ -148,9 +148,8 @@ def run_demo(
     time_limit = ("--seconds", str(seconds + ENDS_WITHIN_S))
     with tempfile.TemporaryDirectory(prefix="telepulse-") as folder, ExitStack() as stack:
         # The page is started first, so that it shows the beginning.
-        page_process = None
-        if page or (page is None and draw):
-            page_process = _open_page(stack, telemetry_address, bool(page), console)
+        wanted = page or (page is None and draw)
+        page_process = _open_page(stack, telemetry_address, bool(page), console) if wanted else None
         display = NodeProcess(
             *("display node", "display_node.cli", str(path), "--connect", display_address),
             *("--telemetry", telemetry_address, "--once", "--quiet", *time_limit),
@@ -180,13 +179,17 @@ def run_demo(
         stack.callback(sensing.stop)
         # Ctrl-C ends the pulse; samples that were sent are still played and counted.
         stop_on_signals(sensing.terminate)
-        with _Scorer(scene, truth, sensing_address) as scorer:
+        context: sockets.Context = zmq.Context()
+        stack.callback(context.destroy, linger=0)
+        scorer = _Scorer(scene, truth, sockets.connect(context, zmq.SUB, sensing_address))
 
-            def keep_watching() -> bool:
-                scorer.add_sent()
-                return display.poll() is None and not sensing.poll()
+        def keep_watching() -> bool:
+            scorer.add_sent()
+            return display.poll() is None and not sensing.poll()
 
-            watch(telemetry_address, console, scorer.add_felt, draw, keep_watching)
+        watch(telemetry_address, console, scorer.add_felt, draw, keep_watching)
+        scorer.add_sent()
+        scorer.tracking_error.finish()
         if page_process is not None and page_process.poll() is not None:
             logger.warning("the live page ended before the demo did")
         if link_process is not None:
@@ -223,22 +226,13 @@ def _open_page(
 class _Scorer:
     """Compares the pulse that the sensing node sends with the force that the display reports."""
 
-    def __init__(self, scene: Scene, truth: ReferenceForce, sensing_address: str) -> None:
+    def __init__(self, scene: Scene, truth: ReferenceForce, data: sockets.Socket) -> None:
         layer = scene.display.layer.layer()
         self._channel, self._truth = scene.display.channel, truth
         self._ratio = matching_force_ratio(scene.sensing.layer.layer(), layer)
-        self._context: sockets.Context = zmq.Context()
-        self._data = sockets.connect(self._context, zmq.SUB, sensing_address)
+        self._data = data
         self._data.subscribe(b"")
         self.tracking_error = TrackingError(layer.strain_per_newton)
-
-    def __enter__(self) -> "_Scorer":
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.add_sent()
-        self.tracking_error.finish()
-        self._context.destroy(linger=0)
 
     def add_sent(self) -> None:
         """Add the frames that the sensing node has sent."""
