@@ -121,11 +121,11 @@ def display(
     from the telemetry, which other programs may read as well (`--telemetry`). If ticks are late,
     `--doctor` prints what helps on this host, and `--realtime` requests it.
 
-    Exit status: 0 when stopped or at the stream's end (`--once`), 1 when something is missing in
-    the recording (`--record`), 2 when the scene, an address or that file cannot be used, 3 when
-    a fault was latched before the end; the reason is a line on stderr. A latched fault does not
-    end the program: the tip is withdrawn, and the fault and what to do are shown until the
-    program is stopped.
+    Exit status: 0 when stopped or at the stream's end (`--once`); 1 when the recording is
+    incomplete (`--record`); 2 when the scene, an address or a file cannot be used; 3 when a fault
+    was latched before the end. The reason is a line on stderr. A latched fault does not end the
+    program: the tip is withdrawn, and the fault and what to do are shown until the program is
+    stopped.
     """
     console = options.plain_console(quiet, json)
     with options.one_line_errors(PROGRAM):

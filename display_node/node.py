@@ -190,7 +190,7 @@ class DisplayNode:
                 captured.add(now_ns, path, message)
                 if now_ns >= until_ns and number >= LEAST_READ:
                     break
-            route.won += receiver.frames[0] - before
+            route.frames_first += receiver.frames[0] - before
         for number, message in enumerate(connection.control.messages()):
             now_ns, sessions = time.monotonic_ns(), receiver.sessions
             display.on_control(message, now_ns)
@@ -253,7 +253,7 @@ class DisplayNode:
                 faults=summary.faults + [f"{FILM_NOTE}{note}" for note in hardware.faults()],
             )
         if len(connection.routes) > 1:
-            first = {route.address: route.won for route in connection.routes}
+            first = {route.address: route.frames_first for route in connection.routes}
             summary = replace(summary, frames=replace(summary.frames, first=first))
         return summary
 

@@ -1,4 +1,4 @@
-"""A sensor on a serial port, or on a URL of pyserial in its place."""
+"""A sensor on a serial port, or behind a URL that pyserial opens like one."""
 
 import io
 import os

@@ -1,7 +1,7 @@
 """Controllers: from the reference's next samples and the film's reading to an output.
 
-The output is a signed speed in m/s for a stepper, and a voltage in V for the second-order actuator
-of Dargahi et al. (2008), the paper.
+The output is a signed speed in m/s for a stepper. For the second-order actuator of Dargahi et al.
+(2008), the paper, it is a voltage in V.
 """
 
 import math
@@ -26,8 +26,8 @@ class ControllerScene(Section):
     """The `controller` table.
 
     error: quantity of the PID's error. "force" is in N. "millivolts" is the film's voltage by
-    eq 21, the unit in which the paper's gains follow a pulse. "position" is in m through the
-    inverse contact law, with which the loop's gain is the same at every force. feed_forward: drive
+    eq 21, the unit in which the paper's gains follow a pulse. "position" is in m, by the inverse
+    contact law; the loop's gain is then the same at every force. feed_forward: drive
     the reference's own motion without waiting for an error (stepper only). observer: estimate the
     felt force by a model of actuator and film (stepper only, error "position").
     derivative_filter: corner of the derivative's low-pass. dead_band: an error within ±dead_band,

@@ -96,7 +96,7 @@ class DriveDevice(Protocol):
         """Find the zero of positions; blocks. `guard` is called repeatedly, and may raise."""
 
     def end_search(self) -> None:
-        """Come to rest, and take speeds again."""
+        """Stop, and switch back to speed commands."""
 
     def arm_watchdog(self) -> None:
         """Make the drive stop by itself when commands stop, from the next command on."""
@@ -111,7 +111,7 @@ class Drive(ABC):
     Attributes
     ----------
     counts
-        Errors on the bus that the next message made good, by name.
+        Errors on the bus that the next message corrected, by name.
     """
 
     # Greatest time between two steps of the drive's own thread.

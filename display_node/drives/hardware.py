@@ -173,7 +173,7 @@ class Hardware:
 
     @property
     def counts(self) -> Counter[str]:
-        """Errors on the lines of drive and film that the next message made good, by name."""
+        """Errors on the lines of drive and film that the next message corrected, by name."""
         counts = Counter({f"drive {name}": n for name, n in self._drive.counts.items()})
         if self._sensor is not None:
             counts.update({f"film {name}": n for name, n in self._sensor.rejected.items()})

@@ -58,7 +58,7 @@ class FilmTable(Section):
         return math.hypot(self.noise_n, step_n / math.sqrt(12))
 
     def low_pass(self, tick_s: float) -> LowPass | None:
-        """Return a filter like the one behind the film; None where there is none."""
+        """Return the model of the filter behind the film; None without a filter."""
         return LowPass(self.filter_hz, self.filter_order, tick_s) if self.filter_hz else None
 
 

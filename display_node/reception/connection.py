@@ -155,7 +155,7 @@ class Route:
     ----------
     lookup
         Look-up of the address's host name.
-    won
+    frames_first
         Number of frames whose first copy came over this address.
     """
 
@@ -166,7 +166,7 @@ class Route:
         self.address = address
         self.paths = [DataPath(context, keys) for _ in range(paths)]
         self.lookup = Lookup(address)
-        self.won = 0
+        self.frames_first = 0
 
     def messages(self) -> Iterator[bytes]:
         """Yield the messages that wait."""

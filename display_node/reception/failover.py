@@ -1,6 +1,6 @@
 """Opening of a second connection beside a silent one, and the choice of the one to keep.
 
-After a cut, TCP may take as long again as the cut has lasted until it repeats the lost data. A new
+TCP may repeat lost data only after a wait as long as the cut itself. A new
 connection takes a few round trips. But on a link that is merely lossy, the old one may recover
 first, and it delivers what was sent meanwhile. So a second connection is opened beside the silent
 one (as RFC 8305 does with addresses), and both are read. One is closed as soon as the other has
@@ -93,15 +93,15 @@ class Failover:
         self._known = False
         self._first_ns, self._due_ns = now_ns, now_ns + self._silence_ns
 
-    def first_received(self, now_ns: int, had: bool, count: int) -> Keep | None:
+    def first_received(self, now_ns: int, behind: bool, count: int) -> Keep | None:
         """Note that the first connection has delivered; return which to keep, if that is clear.
 
-        had: among the `count` messages was one that the second has delivered already. Then the
+        behind: among the `count` messages was one that the second has delivered already. Then the
         second is ahead, and the first is not needed.
         """
         if not self.racing:
             self._expect_next(now_ns, count)
-        elif had:
+        elif behind:
             return self._keep(Keep.SECOND, now_ns)
         else:
             if self._back_ns is None or now_ns - self._first_ns >= self._silence_ns:
@@ -123,15 +123,15 @@ class Failover:
         if self._owed > 0:
             self._due_ns = min(self._due_ns, self._caught_up_ns)
 
-    def second_received(self, now_ns: int, had: bool) -> Keep | None:
+    def second_received(self, now_ns: int, behind: bool) -> Keep | None:
         """Note that the second connection has delivered; return which to keep, if that is clear.
 
-        had: among the messages was one that the first has delivered already. Then the first is
+        behind: among the messages was one that the first has delivered already. Then the first is
         ahead, and the second is not needed.
         """
         if not self.racing:
             return None
-        if had:
+        if behind:
             return self._keep(Keep.FIRST, now_ns)
         if self._second_ns is None:
             self._second_ns = now_ns
@@ -236,7 +236,7 @@ class DataPath:
             for message in endpoint.messages():
                 number = hash(message)
                 if number in other:
-                    self._had.add(endpoint)
+                    self._behind.add(endpoint)
                     continue
                 if number in self._before:
                     continue
@@ -266,9 +266,9 @@ class DataPath:
         from_first, from_second = first.received(now_ns), second.received(now_ns)
         keep = None
         if from_first:
-            keep = failover.first_received(now_ns, first in self._had, from_first)
+            keep = failover.first_received(now_ns, first in self._behind, from_first)
         if from_second and keep is None:
-            keep = failover.second_received(now_ns, second in self._had)
+            keep = failover.second_received(now_ns, second in self._behind)
         keep = keep or failover.settle(now_ns)
         if keep is Keep.SECOND:
             self.first, self._second = second, first
@@ -278,7 +278,7 @@ class DataPath:
         return from_first + from_second > 0
 
     def poll(self, now_ns: int, found: str | None) -> bool:
-        """Open the connections that are due; call each tick, after `take_received`.
+        """Open the connections that are due; call it each tick, after `take_received`.
 
         found: the numeric address, where it has just been looked up. Returns whether to look it up.
         """
@@ -324,4 +324,4 @@ class DataPath:
         self._of_first: set[int] = set()
         self._of_second: set[int] = set()
         self._before = set(before)
-        self._had: set[Endpoint] = set()
+        self._behind: set[Endpoint] = set()

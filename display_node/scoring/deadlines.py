@@ -29,8 +29,8 @@ def deadline_alarm(loop: Mapping[str, Any]) -> str | None:
 class DeadlineWatch:
     """Alarm on a loop's missed ticks over the last 5 s.
 
-    A single missed tick is not felt. The alarm is on while more than 1 % of the ticks of the last
-    5 s were missed, and for 5 s after a gap longer than `gap_ns`, a drive's watchdog.
+    A single missed tick is not felt. The alarm is on while more than 1 % of the last 5 s' ticks
+    were missed, and for 5 s after a gap longer than `gap_ns` (a drive's watchdog).
     """
 
     def __init__(self, tick_ns: int, gap_ns: int = GAP_NS) -> None:

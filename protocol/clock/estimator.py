@@ -194,8 +194,8 @@ class ClockEstimator:
         """Return a bound on the error of `offset_ns` at a local time.
 
         It holds with a probability of 95 % if the delays of both directions have the same
-        distribution, and less often for about a minute after one of them has changed. It grows
-        without exchanges.
+        distribution. After a change of one of them, it holds less often for about a minute. It
+        grows without exchanges.
         """
         since_ns = max(0, local_ns - self._reference_ns)
         return self._uncertainty_ns + round(ERRORS * self._skew_error * since_ns)

@@ -259,7 +259,7 @@ class DeviceClock:
         self._late_blocks = self._late_blocks + 1 if self.ready and late_ns > LATE_NS else 0
         if self._late_blocks >= LATE_BLOCKS:
             self._step(device_ns, arrival_ns)
-        # Differences are exact as floats, whatever the clocks show.
+        # Differences are exact as floats, large times are not.
         since_ns = float(device_ns - self._base_device_ns)
         drift_ns = float(arrival_ns - device_ns - self._base_offset_ns)
         self._edge.append((since_ns, drift_ns))

@@ -1,7 +1,7 @@
 """Child processes: Python programs that run on their own, and processes beside a node (sidecars).
 
 A child does not search the current folder for modules (`python -P`): a `protocol.py` there would
-be imported in place of ours. A sidecar does work that would hold up a node's loop. It is ready
+be imported in place of ours. A sidecar does work that would delay a node's loop. It is ready
 before a drive moves, and ends with the node, even after `kill -9`, which closes its standard input.
 The two exchange lines of JSON over pipes; the first reports that the sidecar is ready, or why it
 cannot start.

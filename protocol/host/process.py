@@ -212,7 +212,7 @@ def freeze_objects() -> None:
     """Exclude all objects that exist from garbage collection (`gc.freeze`).
 
     Call it once before a loop, and before a drive moves: it takes some 20 ms. Without it, a full
-    collection would take as long in the middle of a stream, which delays 20 samples.
+    collection in the middle of a stream would delay 20 samples.
     """
     gc.collect()
     gc.freeze()

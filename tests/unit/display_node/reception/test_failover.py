@@ -205,29 +205,29 @@ def test_a_peer_that_stalls_is_reconnected_less_and_less_often() -> None:
             failover.answered(ms * MS)
     assert 30 <= failover.opened <= 40
     # Then it goes on: the first delivers what has queued, down to what the second has, too.
-    assert failover.first_received(60_000 * MS, had=False, count=1) is None
-    assert failover.second_received(60_001 * MS, had=False) is None
-    assert failover.first_received(60_002 * MS, had=True, count=1) is Keep.SECOND
+    assert failover.first_received(60_000 * MS, behind=False, count=1) is None
+    assert failover.second_received(60_001 * MS, behind=False) is None
+    assert failover.first_received(60_002 * MS, behind=True, count=1) is Keep.SECOND
     assert not failover.due(60_003 * MS)
 
 
 def test_where_the_first_is_up_to_date_before_the_second_it_is_kept() -> None:
     failover = racing()
     failover.answered(540 * MS)
-    assert failover.first_received(600 * MS, had=False, count=1) is None
-    assert failover.second_received(650 * MS, had=True) is Keep.FIRST
+    assert failover.first_received(600 * MS, behind=False, count=1) is None
+    assert failover.second_received(650 * MS, behind=True) is Keep.FIRST
     assert (failover.racing, failover.opened, failover.kept) == (False, 1, 0)
 
 
 def test_where_one_alone_delivers_the_other_is_given_a_second() -> None:
     failover = racing()
     for ms in range(700, 1_700, FRAME_MS):
-        assert failover.second_received(ms * MS, had=False) is None
+        assert failover.second_received(ms * MS, behind=False) is None
         assert failover.settle(ms * MS) is None
     assert failover.settle(1_700 * MS) is Keep.SECOND
     failover = racing()
     for ms in range(2_000, 3_000, FRAME_MS):
-        assert failover.first_received(ms * MS, had=False, count=1) is None
+        assert failover.first_received(ms * MS, behind=False, count=1) is None
         assert failover.settle(ms * MS) is None
     assert failover.settle(3_000 * MS) is Keep.FIRST
     assert not failover.due(3_319 * MS)
@@ -247,9 +247,9 @@ def test_rare_frames_are_waited_for_and_a_stalled_process_waits_less() -> None:
     assert failover.due(30_000 * MS)
     failover = Failover()
     failover.start(0)
-    failover.first_received(1_000 * MS, had=False, count=1)
+    failover.first_received(1_000 * MS, behind=False, count=1)
     failover.mark_suspect(1_000 * MS)
-    failover.first_received(1_010 * MS, had=False, count=1)
+    failover.first_received(1_010 * MS, behind=False, count=1)
     assert not failover.due(1_159 * MS)
     assert failover.due(1_160 * MS)
 
@@ -257,7 +257,7 @@ def test_rare_frames_are_waited_for_and_a_stalled_process_waits_less() -> None:
 def test_after_the_end_of_a_stream_silence_is_no_cut() -> None:
     failover = started()
     # From when it was asked for to the first frame, none is owed.
-    failover.first_received(1_000 * MS, had=False, count=1)
+    failover.first_received(1_000 * MS, behind=False, count=1)
     assert not failover.due(1_319 * MS)
     failover.set_timeouts(1_000 * MS, ANSWER_MS * MS)
     assert not failover.due(3_999 * MS)
@@ -266,15 +266,15 @@ def test_after_the_end_of_a_stream_silence_is_no_cut() -> None:
 
 def test_a_first_that_is_back_but_far_behind_is_not_waited_for() -> None:
     failover = started()
-    failover.first_received(0, had=False, count=1)
-    failover.first_received(300 * MS, had=False, count=1)
-    failover.first_received(340 * MS, had=False, count=2)
-    failover.first_received(380 * MS, had=False, count=4)
+    failover.first_received(0, behind=False, count=1)
+    failover.first_received(300 * MS, behind=False, count=1)
+    failover.first_received(340 * MS, behind=False, count=2)
+    failover.first_received(380 * MS, behind=False, count=4)
     assert not failover.due(399 * MS)
     assert failover.due(400 * MS)
     # Up to date at once, it is let be.
     failover = started()
-    failover.first_received(0, had=False, count=1)
-    failover.first_received(300 * MS, had=False, count=60)
+    failover.first_received(0, behind=False, count=1)
+    failover.first_received(300 * MS, behind=False, count=60)
     assert not failover.due(619 * MS)
     assert failover.due(620 * MS)
