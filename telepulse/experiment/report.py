@@ -147,7 +147,7 @@ def _right_table(results: SessionResults) -> Table:
         at, low, high = (d_prime(share) for share in (found.share, *found.interval))
         above = "∞" if math.isinf(high) else f"{high:.1f}"
         d = f"over {low:.1f}" if math.isinf(at) else f"{at:.1f} ({low:.1f}–{above})"
-        rows.append((name, *_cells(found), d, f"{direct:.2f}", f"{link:.2f}"))
+        rows.append((name, *_cells(found), d, direct, link))
     return Table(
         "X identified",
         ("condition", "right", "share", "95 %", "p", "d' (95 %)", "direct mN", "link mN"),
@@ -219,7 +219,7 @@ def _rating_chapter(results: SessionResults) -> Chapter:
     for name, outcomes in groups:
         mean, close = mean_of([o.rating for o in outcomes]), _cells(share_close(outcomes))
         interval = f"{mean.value:.2f} ({mean.low:.2f} to {mean.high:.2f})"
-        link_mn = _milli(_mean(o.force_mn(True, "aligned_n") for o in outcomes))
+        link_mn = _mean(o.force_mn(True, "aligned_n") for o in outcomes)
         rows.append((name, str(len(outcomes)), interval, *close[:3], link_mn))
     table = Table(
         "How close X was to the direct touch, 5 (the same) to 1",
@@ -259,7 +259,7 @@ def _errors_chapter(results: SessionResults) -> Chapter:
                 for field in ("aligned_n", "in_phase_n", "roughness_felt_n", "roughness_sensed_n")
             ]
             misses = sum(p.deadline_misses for p in played)
-            rows.append((f"{name}: {what}", str(len(played)), *map(_milli, milli), str(misses)))
+            rows.append((f"{name}: {what}", str(len(played)), *milli, str(misses)))
     table = Table(
         "What was played, mean of its intervals in mN",
         ("intervals", "count", "aligned", "in phase", "over 25 Hz", "sensed", "misses"),
@@ -271,13 +271,9 @@ def _errors_chapter(results: SessionResults) -> Chapter:
     return Chapter("Objective errors", (), (table,), (plots.errors(results),))
 
 
-def _mean(values: Iterable[float]) -> float:
+def _mean(values: Iterable[float]) -> str:
     found = [value for value in values if not math.isnan(value)]
-    return float(np.mean(found)) if found else math.nan
-
-
-def _milli(value: float) -> str:
-    return NONE if math.isnan(value) else f"{value:.2f}"
+    return f"{np.mean(found):.2f}" if found else NONE
 
 
 def _paper_chapter() -> Chapter:
