@@ -22,36 +22,30 @@ from tests.support.nodes import assert_accounted, free_address, process, read_js
 pytestmark = pytest.mark.usefixtures("goes_first")
 
 
-def relay_arguments(connect: str, bind: str, *more: str) -> tuple[str, ...]:
-    return ("relay", "--connect", connect, "--bind", bind, *more)
-
-
 def test_two_relays_feed_a_display_each_and_every_sample_is_accounted_for(
     context: Context, tmp_path: Path
 ) -> None:
     address, *relays = (free_address() for _ in range(3))
     telemetry = [free_address() for _ in relays]
     screens = [subscribe(context, one) for one in telemetry]
-    sensing_sum, *relay_sums = (tmp_path / f"{number}.json" for number in range(3))
-    display_sums = [tmp_path / f"display{number}.json" for number in range(2)]
+    sensing_sum, *sums = (tmp_path / f"{number}.json" for number in range(5))
     with ExitStack() as stack:
 
-        def start(module: str, *arguments: str) -> Popen[str]:
-            return stack.enter_context(process(module, *arguments))
+        def start(module: str, *arguments: str, summary: Path) -> Popen[str]:
+            return stack.enter_context(process(module, *arguments, "--json", str(summary)))
 
         # The second is behind the first.
         nodes = [
-            start("telepulse", *relay_arguments(connect, bind, "--json", str(path)))
-            for connect, bind, path in zip((address, relays[0]), relays, relay_sums, strict=True)
+            start("telepulse", "relay", "--connect", connect, "--bind", bind, summary=summary)
+            for connect, bind, summary in zip((address, relays[0]), relays, sums[:2], strict=True)
         ]
         displays = [
-            start("display_node.cli", *display_arguments(*ends, "--once", "--json", str(path)))
-            for *ends, path in zip(relays, telemetry, display_sums, strict=True)
+            start("display_node.cli", *display_arguments(*ends, "--once"), summary=summary)
+            for *ends, summary in zip(relays, telemetry, sums[2:], strict=True)
         ]
         for screen in screens:
             await_state(screen, "waiting")
-        arguments = (*sensing_arguments(address, 60), "--json", str(sensing_sum))
-        sensing = start("sensing_node.cli", *arguments)
+        sensing = start("sensing_node.cli", *sensing_arguments(address, 60), summary=sensing_sum)
         for screen in screens:
             await_state(screen, "playing")
         sensing.send_signal(signal.SIGTERM)
@@ -64,9 +58,9 @@ def test_two_relays_feed_a_display_each_and_every_sample_is_accounted_for(
             warnings = [line for line in unusual(errors).splitlines() if "is silent" not in line]
             assert (node.returncode, warnings) == (0, [])
             assert "frames" in errors
-    relayed = [read_json(path)["frames"]["received"] for path in relay_sums]
+    relayed = [read_json(path)["frames"]["received"] for path in sums[:2]]
     sent = read_json(sensing_sum)["samples"]["sent"]
-    for path, frames in zip(display_sums, relayed, strict=True):
+    for path, frames in zip(sums[2:], relayed, strict=True):
         summary = read_json(path)
         samples = summary["samples"]
         assert_accounted(samples)
@@ -78,20 +72,20 @@ def test_two_relays_feed_a_display_each_and_every_sample_is_accounted_for(
 
 
 @pytest.mark.parametrize(
-    ("connect", "bind"),
+    ("option", "address"),
     [
-        ("tcp://192.0.2.1:5555", "tcp://127.0.0.1:5655"),
-        ("tcp://127.0.0.1:5555", "tcp://*:5655"),
-        ("wrist", "tcp://127.0.0.1:5655"),
-        ("tcp://127.0.0.1:5555", "tcp://127.0.0.1:70000"),
+        ("--connect", "tcp://192.0.2.1:5555"),
+        ("--bind", "tcp://*:5655"),
+        ("--connect", "wrist"),
+        ("--bind", "tcp://127.0.0.1:70000"),
     ],
 )
 def test_what_cannot_be_used_is_one_line(
-    connect: str, bind: str, capsys: pytest.CaptureFixture[str]
+    option: str, address: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    local = ("--connect", "tcp://127.0.0.1:5555", "--bind", "tcp://127.0.0.1:5655")
     with pytest.raises(SystemExit) as ended:
-        app(relay_arguments(connect, bind), standalone_mode=False)
-    assert ended.value.code == 2
+        app(("relay", *local, option, address), standalone_mode=False)
     error = capsys.readouterr().err
-    assert error.count("\n") == 1
-    assert (connect if connect != "tcp://127.0.0.1:5555" else bind) in error
+    assert (ended.value.code, error.count("\n")) == (2, 1)
+    assert address in error

@@ -1,4 +1,3 @@
-import tomllib
 from pathlib import Path
 
 import pytest
@@ -25,24 +24,21 @@ latency = "9 ms"
 
 # the end
 """
+FILM: Changes = {"display.film": {"latency": '"8 ms"'}}
 
 
-def test_a_key_is_set_in_its_place_and_all_else_stays() -> None:
-    edited = set_keys(SCENE, {"display.actuator": {"latency": '"4.2 ms"'}})
-    assert edited == SCENE.replace('"1 ms"', '"4.2 ms"')
-
-
-def test_a_new_key_goes_to_the_end_of_its_table() -> None:
-    edited = set_keys(SCENE, {"display.actuator": {"backlash": '"9 µm"'}})
-    assert edited == SCENE.replace("# guessed\n", '# guessed\nbacklash = "9 µm"\n')
-    empty = set_keys(SCENE, {"display.film": {"latency": '"8 ms"'}})
-    assert tomllib.loads(empty)["display"]["film"] == {"latency": "8 ms"}
-
-
-def test_a_new_table_goes_to_the_end() -> None:
-    edited = set_keys(SCENE, {"display.safety": {"force_limit": '"1 N"'}})
-    assert edited.startswith(SCENE)
-    assert tomllib.loads(edited)["display"]["safety"] == {"force_limit": "1 N"}
+@pytest.mark.parametrize(
+    ("table", "keys", "edited"),
+    [
+        ("display.actuator", {"latency": '"4.2 ms"'}, SCENE.replace('"1 ms"', '"4.2 ms"')),
+        ("display.actuator", {"k": "9"}, SCENE.replace("# guessed\n", "# guessed\nk = 9\n")),
+        ("display.film", {"latency": '"8 ms"'}, f'{SCENE}latency = "8 ms"\n'),
+        ("display.safety", {"k": "1"}, f"{SCENE}\n[display.safety]\nk = 1\n"),
+    ],
+    ids=["key in its place", "key at the end of its table", "key of an empty table", "table"],
+)
+def test_a_key_is_set_and_all_else_stays(table: str, keys: dict[str, str], edited: str) -> None:
+    assert set_keys(SCENE, {table: keys}) == edited
 
 
 def test_every_shipped_scene_can_be_edited(tmp_path: Path) -> None:
@@ -59,11 +55,10 @@ def test_a_scene_that_extends_a_file_beside_it_is_written_beside_it(tmp_path: Pa
     (tmp_path / "parent.toml").write_text(SCENE, encoding="utf-8")
     child = tmp_path / "child.toml"
     child.write_text('extends = "parent.toml"\n', encoding="utf-8")
-    changes: Changes = {"display.film": {"latency": '"8 ms"'}}
     with pytest.raises(SceneError, match="by a relative path; write the copy to the folder"):
         check_editable(child, tmp_path / "far" / "found.toml")
     check_editable(child, tmp_path / "found.toml")
-    write_scene(child, tmp_path / "found.toml", changes)
+    write_scene(child, tmp_path / "found.toml", FILM)
     assert load_document(tmp_path / "found.toml")["display"]["film"]["latency"] == "8 ms"
 
 
@@ -80,14 +75,14 @@ def test_a_table_written_otherwise_is_refused(text: str, tmp_path: Path) -> None
     source, target = tmp_path / "odd.toml", tmp_path / "found.toml"
     source.write_text(text, encoding="utf-8")
     with pytest.raises(SceneError, match="by hand"):
-        write_scene(source, target, {"display.film": {"latency": '"8 ms"'}})
+        write_scene(source, target, FILM)
     assert not target.exists()
 
 
 def test_a_comment_goes_to_the_end_of_the_written_scene(tmp_path: Path) -> None:
     source, target = tmp_path / "scene.toml", tmp_path / "found.toml"
     source.write_text(SCENE, encoding="utf-8")
-    write_scene(source, target, {"display.film": {"latency": '"8 ms"'}}, "# found")
+    write_scene(source, target, FILM, "# found")
     assert target.read_text(encoding="utf-8").endswith("# found\n")
     with pytest.raises(OutputError, match="cannot be written"):
         write_scene(source, tmp_path / "no" / "found.toml", {})
