@@ -101,19 +101,17 @@ class CanLine:
                 return bytes([frame.arbitration_id, *frame.data])
         return b""
 
-    def discard(self) -> int:
+    def discard(self, wait_s: float = 0.0) -> int:
         """See `SerialLine.discard`."""
         for discarded in range(DRAIN_FRAMES):
-            if self._bus.recv(0.0) is None:
+            if self._bus.recv(wait_s) is None:
                 return discarded
         return DRAIN_FRAMES
 
     def drain(self) -> None:
         """See `SerialLine.drain`."""
         discard_spoilt_line(self._bus)
-        for _ in range(DRAIN_FRAMES):
-            if self._bus.recv(self._timeout_s) is None:
-                break
+        self.discard(self._timeout_s)
 
     def close(self) -> None:
         """Close the bus."""
@@ -176,20 +174,18 @@ class TmclLine:
         Waiting replies, and replies to other requests, are counted and ignored: the previous
         request may have been answered twice. A reply with a wrong checksum ends the exchange.
         """
-        reply, stray = None, self.carrier.discard()
-        try:
-            self.carrier.send(request.to_buffer())
-            for _ in range(MOST_STRAY + 1):
-                data = self.carrier.receive()
-                if not data:
-                    break
-                reply = TMCLReply.from_buffer(data)
-                if not reply.is_checksum_correct() or self._answers(reply, request.command):
-                    break
-                stray += 1
-        finally:
-            if stray:
-                self.counts["wrong"] += stray
+        reply, waiting = None, self.carrier.discard()
+        if waiting:
+            self.counts["wrong"] += waiting
+        self.carrier.send(request.to_buffer())
+        for _ in range(MOST_STRAY + 1):
+            data = self.carrier.receive()
+            if not data:
+                break
+            reply = TMCLReply.from_buffer(data)
+            if not reply.is_checksum_correct() or self._answers(reply, request.command):
+                break
+            self.counts["wrong"] += 1
         return reply
 
     def _answers(self, reply: TMCLReply, command: int) -> bool:
