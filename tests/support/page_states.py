@@ -81,8 +81,8 @@ class SimulatedDisplay:
         }
         self.take(FRAME, self.at_ns, **(fields | changes))
 
-    def go(self, seconds: float, state: str = "playing") -> None:
-        """Run for some seconds: a tick each ms, a frame each 5, a status each 200."""
+    def go(self, seconds: float, state: str = "playing", **changes: Any) -> None:
+        """Run for some seconds: a tick each ms, a frame each 5, a status with changes each 200."""
         playing = state == "playing"
         for _ in range(round(seconds * 1000)):
             self.at_ns += MS
@@ -101,7 +101,7 @@ class SimulatedDisplay:
                 trusted=False,
             )
             if self.at_ns // MS % 200 == 0:
-                self.status(state)
+                self.status(state, **changes)
 
 
 def without_none(fields: dict[str, Any]) -> dict[str, Any]:
