@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager, suppress
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -53,11 +54,17 @@ def server(serve: Callable[[socket.socket, threading.Event], None]) -> Iterator[
             thread.join(PATIENCE_S)
 
 
-def test_a_pseudo_terminal_is_read() -> None:
+def test_a_pseudo_terminal_is_read_by_one_sensor_and_garbage_is_counted() -> None:
     with closing(PtyPort(None)) as board, opened(scene(board.path)) as sensor:
         board.write(b"\n0.1\n0.2\n0.3\n")
         assert forces(received(sensor, 3)) == [0.1, 0.2, 0.3]
         assert (sensor.faults(), sensor.rejected) == ([], {})
+        with pytest.raises(SourceError, match="cannot be opened"):
+            SerialPort(scene(board.path)).open()
+        board.write(b"\n0.1\nx\n\xff\xfe\n0.2\n")
+        assert forces(received(sensor, 2)) == [0.1, 0.2]
+        assert sensor.rejected == {"not_a_number": 2}
+        assert sensor.faults() == [f"2 samples missing from {board.path}"]
 
 
 def test_a_socket_is_read_and_its_end_is_named(logged: list[str]) -> None:
@@ -101,14 +108,9 @@ def test_a_sensing_node_reports_the_wrong_unit_once(tmp_path: Path) -> None:
 @pytest.mark.filterwarnings("ignore:set:DeprecationWarning")  # pyserial's own
 def test_rfc2217_is_read() -> None:
     def serve(connection: socket.socket, over: threading.Event) -> None:
-        class Client:
-            """The writer of the port manager's own replies."""
-
-            def write(self, data: bytes) -> None:
-                connection.sendall(data)
-
         with serial_for_url("loop://", timeout=0) as device:
-            manager = PortManager(device, Client())
+            # It writes replies of its own.
+            manager = PortManager(device, SimpleNamespace(write=connection.sendall))
             connection.settimeout(0.02)
             while not over.is_set():
                 try:
@@ -173,30 +175,12 @@ def test_a_port_that_cannot_be_opened_is_refused_in_one_line(
     assert "\n" not in str(caught.value)
 
 
-def test_a_port_is_not_shared(tmp_path: Path) -> None:
-    with (
-        closing(PtyPort(None)) as board,
-        opened(scene(board.path)),
-        pytest.raises(SourceError, match="cannot be opened"),
-    ):
-        SerialPort(scene(board.path)).open()
-
-
 def test_a_closed_sensor_releases_its_port() -> None:
     with closing(PtyPort(None)) as board:
         for _ in range(3):
             before = len(os.listdir("/proc/self/fd"))
-            with opened(scene(board.path)):
-                pass
+            open_sensor(scene(board.path), Path()).close()
             assert len(os.listdir("/proc/self/fd")) == before
-
-
-def test_garbage_is_counted_and_the_stream_goes_on() -> None:
-    with closing(PtyPort(None)) as board, opened(scene(board.path)) as sensor:
-        board.write(b"\n0.1\nx\n\xff\xfe\n0.2\n")
-        assert forces(received(sensor, 2)) == [0.1, 0.2]
-        assert sensor.rejected == {"not_a_number": 2}
-        assert sensor.faults() == [f"2 samples missing from {board.path}"]
 
 
 @pytest.mark.parametrize("read_at", [9_600, 57_600, 74_880, 230_400])
@@ -204,9 +188,9 @@ def test_garbage_is_counted_and_the_stream_goes_on() -> None:
 def test_at_a_wrong_baud_rate_nothing_is_a_sample_and_noise_is_counted(
     framing: str, read_at: int
 ) -> None:
-    said = binary("float32") if framing == "binary" else timed_line
-    sent = b"".join(said([0.3 + 1e-3 * number], 1_000 * number) for number in range(400))
-    noise = misheard(sent, 115_200, read_at)
+    encode = binary("float32") if framing == "binary" else timed_line
+    sent = b"".join(encode([0.3 + 1e-3 * number], 1_000 * number) for number in range(400))
+    noise = misread(sent, 115_200, read_at)
     with closing(PtyPort(None)) as board, opened(scene(board.path, framing=framing)) as sensor:
         found = []
         for begin in range(0, len(noise), 256):
@@ -218,14 +202,14 @@ def test_at_a_wrong_baud_rate_nothing_is_a_sample_and_noise_is_counted(
         assert sensor.faults() == [f"no sample came from {board.path}"]
 
 
-def misheard(data: bytes, sent_at: int, read_at: int) -> bytes:
+def misread(data: bytes, sent_at: int, read_at: int) -> bytes:
     """Return what a UART reads of bytes (8N1) that were sent at another rate."""
     bits = [bit for byte in data for bit in (0, *((byte >> i) & 1 for i in range(8)), 1)]
-    step, at, heard_bytes = sent_at / read_at, 0.0, bytearray()
+    step, at, found = sent_at / read_at, 0.0, bytearray()
     while at + 10 * step < len(bits):
         if bits[int(at)]:
             at += step / 16
-            continue
-        heard_bytes.append(sum(bits[int(at + (i + 1.5) * step)] << i for i in range(8)))
-        at += 9.5 * step
-    return bytes(heard_bytes)
+        else:
+            found.append(sum(bits[int(at + (i + 1.5) * step)] << i for i in range(8)))
+            at += 9.5 * step
+    return bytes(found)
