@@ -66,8 +66,8 @@ def start_bench(
     if scene.feedback is None and not without_film:
         raise SceneError(
             "[display.feedback] is missing: without a film nothing measures the force, and a drive"
-            " that turns further than it counts is not noticed; add the film, or give"
-            " --without-film where no person's finger is pressed"
+            " that turns further than it counts is not detected; add the film, or give"
+            " --without-film if no person's finger is pressed"
         )
     layer, force_limit_n = scene.layer.layer(), scene.safety.force_limit_n
     drive = build_drive(scene.drive, scene.actuator, layer, force_limit_n)

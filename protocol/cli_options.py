@@ -231,7 +231,7 @@ def _check_insecure(keyed: bool, addresses: Sequence[str], insecure: bool, optio
         if beyond_loopback(address) and not keyed and not insecure:
             raise ProtectionError(
                 f"{address} reaches beyond this machine without keys; make them by"
-                f" 'telepulse keys new NAME' and give {options}, or do without by --insecure"
+                f" 'telepulse keys new NAME' and give {options}, or give --insecure"
             )
 
 

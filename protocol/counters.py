@@ -16,7 +16,7 @@ from protocol.config.quantities import count_text
 from protocol.figures import SECONDS, SHARE, Surface, absent, described_fields, figure, table
 
 _LAST = "Of the last interruption, in s of the run"
-_IN_EVENTS = absent("An instant, not an amount: it is in the events.")
+_IN_EVENTS = absent("It is an instant, which the events show.")
 
 
 def _state(meaning: str, key: str, text: str = "") -> Any:
@@ -110,8 +110,8 @@ class Interruptions:
     """Ended interruptions, each from one tick at full strength to the next such tick."""
 
     count: int | None = figure(
-        "Interruptions of the pulse that are over: from one tick at full strength to the next,"
-        " with others between",
+        "Ended interruptions of the pulse, each from one tick at full strength to the next"
+        " such tick",
         metric="interruptions_total",
     )
     seconds: float | None = figure(

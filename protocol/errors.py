@@ -142,9 +142,9 @@ CAUSE_MEANINGS = {
     "version": "messages of another protocol version: run the same version on both nodes",
     "malformed": "messages with fields that do not fit; the peer is no node, or of another version",
     "not_finite": "samples that are NaN or infinite: check the sensor",
-    "description": "a stream description that cannot be: check the sensing node's scene",
+    "description": "an invalid stream description: check the sensing node's scene",
     "before_welcome": "frames that came before the stream's description; usual while joining",
-    "session": "messages of an earlier session; usual after a sensing node was started anew",
+    "session": "messages of an earlier session; usual after a restart of the sensing node",
     "before_clock": "frames that came before the clock offset was known; usual while joining",
     "mismatch": "frames that do not match the stream's description",
     "timestamp": "frames whose time is far from the present or does not fit their number:"
@@ -153,8 +153,9 @@ CAUSE_MEANINGS = {
     "overlap": "samples that had arrived already, in a frame cut differently",
     "too_old": "samples older than the buffer keeps",
     "overflow": "samples too far ahead of what is played",
-    "implausible": "clock replies before their request, or an end there was no time for",
-    "unasked": "clock replies to no request of this node",
+    "implausible": "clock replies before their request,"
+    " or an end after more samples than there was time for",
+    "unasked": "clock replies to an unknown or already answered request",
     "unexpected": "messages that only the other kind of node sends: check the address",
     "flood": "messages dropped because a peer sent far more than it should:"
     " it is broken or hostile",
@@ -163,7 +164,7 @@ CAUSE_MEANINGS = {
     "too_many_displays": "displays beyond the 1 000 that a sensing node serves: use a relay",
     "subscription": "subscriptions to topics that are not published here; the connection was cut",
     "too_many_connections": "connections beyond what this node has files for, which were cut:"
-    " a peer connects again and again; or raise the limit by ulimit -n",
+    " a peer connects repeatedly, or the limit is too low (ulimit -n)",
     # Connections, where keys are used.
     "no_key": "connections without a key to a node with one, or the reverse:"
     " give both --key and --peer",

@@ -39,7 +39,7 @@ class SensitivityTable(Section):
     @model_validator(mode="after")
     def _has_one_sensitivity(self) -> Self:
         if {"sensitivity", "film_radius"} <= self.given:
-            raise ValueError("sensitivity and film_radius both say it; give one of them")
+            raise ValueError("sensitivity and film_radius both set the scale; give one of them")
         return self
 
     def refuse_keys_beside(self, unit: str) -> None:

@@ -225,8 +225,8 @@ def _warn_of_gaps(column: RecordedColumn) -> Iterator[str]:
     for name, _, gaps, _ in _time_columns(column):
         if gaps:
             yield (
-                f'column "{name}" has {count_text(gaps, "gap")}; what comes after one is played'
-                " right after what was before it"
+                f'column "{name}" has {count_text(gaps, "gap")}; samples after a gap are played'
+                " right after those before it"
             )
 
 
@@ -279,7 +279,7 @@ def _warn_of_forces(force_n: NDArray[np.float64], unit: str, rest_n: float) -> I
     span_n = float(np.ptp(force_n))
     if span_n < LEAST_PULSE_N:
         larger = f': is unit = "{unit.removeprefix("m")}" right?' if unit in ("mN", "mV") else ""
-        yield f"is {span_n * 1e3:.3g} mN from peak to peak, which nobody feels{larger}"
+        yield f"is {span_n * 1e3:.3g} mN from peak to peak, too small to feel{larger}"
     if share := _share_below(force_n):
         preload_n = _preload(rest_n - float(force_n.min()))
         yield (

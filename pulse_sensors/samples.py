@@ -282,6 +282,6 @@ class Timestamper:
         if self.missing:
             faults.append(f"{count_text(self.missing, 'sample')} missing from {name}")
         if self.restarts:
-            faults.append(f"{name} began its clock anew {count_text(self.restarts, 'time')}")
+            faults.append(f"{name} restarted its clock {count_text(self.restarts, 'time')}")
         rate_fault = self._rate.fault(name)
         return faults if rate_fault is None else [*faults, rate_fault]

@@ -199,7 +199,7 @@ class SensingNode:
                 if self._requests.held == 1:
                     logger.warning(
                         f"{count_text(len(self._server.clients), 'display')} here, which send far"
-                        " more than displays do; what is too much is left unread"
+                        " more than displays do; excess messages are left unread"
                     )
                 return
             if number >= LEAST_ANSWERED and now_ns >= until_ns:

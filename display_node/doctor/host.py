@@ -22,7 +22,7 @@ EXTRA = re.compile(r"([\w.-]+).*extra == ['\"]([\w-]+)['\"]")
 EXTRAS = ("sensors", "drives", "record")
 SLOW_WAKE_US = 100
 QUICK_CLOCKS = ("tsc", "arch_sys_counter", "kvm-clock", "riscv_clocksource", "timebase")
-UNKNOWN = "no word of it"
+UNKNOWN = "not reported"
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,13 +107,13 @@ def describe(host: Host) -> list[tuple[str, str]]:
         limits.append(f"{name} {'unlimited' if limit is None else shown}")
     missing = [f"{name} (without {', '.join(gone)})" for name, gone in host.extras.items() if gone]
     return [
-        ("system", f"{host.system}, {host.preemption or 'no word of preemption'}"),
+        ("system", f"{host.system}, {host.preemption or 'preemption unknown'}"),
         ("inside", ", ".join(host.virtual) or "neither a virtual machine nor a container"),
         ("may run on", cpus),
         ("power", ", ".join(power) or UNKNOWN),
         ("clock", f"{host.clocksource or 'unknown'}, in {host.clock_resolution_ns:g} ns"),
         ("swap", f"{host.swap_kib >> 10} MiB" if host.swap_kib else "none"),
-        ("limits", ", ".join(limits) or "no word of them"),
+        ("limits", ", ".join(limits) or "not reported"),
         ("real-time share", share),
         ("python", host.python),
         ("zeromq", f"{host.zeromq}, {'CURVE' if host.curve else 'without CURVE'}"),
@@ -139,7 +139,7 @@ def advice_on(host: Host) -> Iterator[str]:
             " boot with processor.max_cstate=1, or cpupower idle-set -D 50"
         )
     if host.clocksource is not None and host.clocksource not in QUICK_CLOCKS:
-        yield f"each look at the clock is a slow one ({host.clocksource}, not tsc)"
+        yield f"reading the clock is slow ({host.clocksource}, not tsc)"
     if not host.curve:
         yield "this ZeroMQ cannot encrypt: install pyzmq's own wheel, or libsodium"
 

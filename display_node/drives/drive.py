@@ -72,7 +72,7 @@ def bound_search(axis: Axis, began_m: float, position_m: float) -> None:
     if abs(position_m - began_m) > most_m:
         raise DriveError(
             WRONG_WAY,
-            f"no home switch on {most_m * 1e3:.1f} mm, from wherever the tip stood;"
+            f"no home switch found within {most_m * 1e3:.1f} mm;"
             f" {ADVICE}, and at touch and furthest",
         )
 
@@ -293,6 +293,6 @@ class Drive(ABC):
             if not size and not status.moving:
                 return
             if time.monotonic() > deadline_s:
-                text = f"{left_m * 1e3:.3f} mm before first touch, and no nearer"
+                text = f"the tip stays {left_m * 1e3:.3f} mm before first touch"
                 raise DriveError("not there", text)
             time.sleep(PERIOD_S)

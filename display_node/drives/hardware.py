@@ -82,7 +82,7 @@ class Hardware:
             if time.monotonic() > deadline_s:
                 raise SourceError(
                     f"[display.feedback] no sample within {FIRST_SAMPLE_WITHIN_S:g} s:"
-                    " is the film's sensor the right one, and on?"
+                    " check that the film's sensor is the right one, and on"
                 )
             time.sleep(POLL_S)
         self._drive.start(self._film_n)

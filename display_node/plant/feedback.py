@@ -22,7 +22,7 @@ class FilmFault(StrEnum):
     RISING = "felt force rises by {slope:.0f} N/s at {force:.2f} N, faster than commanded"
     TOO_LOW = "the film reads {mn:.0f} mN where the tip presses with {least_mn:.0f} mN at least"
     OFF_FINGER = "the film reads {mn:.0f} mN where the tip is {off_mm:.1f} mm off the finger"
-    FROZEN = "the film reads {mn:.0f} mN all along {travel_mm:.2f} mm of the tip's way"
+    FROZEN = "the film reads {mn:.0f} mN unchanged over {travel_mm:.2f} mm of the tip's travel"
 
 
 def refuse_reading(reading_n: float, overforce_n: float) -> str | None:

@@ -75,7 +75,7 @@ def discovered(name: str | None, peer: Path | None, seconds: float | None) -> li
         one = only_match(matching(look.found, name, known))
         refused = look.refused.total()
     if refused:
-        logger.warning(f"{refused} announcements were not a sensing node's")
+        logger.warning(f"{refused} announcements were not valid")
     if one.fingerprint is not None and peer is None:
         raise ProtectionError(
             f"{one.name!r} requires keys; give --key keys/NAME.key --peer keys/PEER.pub"
@@ -118,7 +118,7 @@ class Lookup:
             self._thread.start()
         except RuntimeError:
             # The system refuses another thread: the loop continues and tries again.
-            self._warn(f"{self._address} cannot be looked up: no thread can be started; trying on")
+            self._warn(f"{self._address} cannot be looked up: no thread can be started; retrying")
 
     def take(self) -> str | None:
         """Return the address with an IP address as its host, once for each successful look-up."""
@@ -133,7 +133,7 @@ class Lookup:
         try:
             found = socket.getaddrinfo(host.strip("[]"), port, type=socket.SOCK_STREAM)
         except OSError as error:
-            self._warn(f"{host} is not found: {error.strerror}; trying on")
+            self._warn(f"{host} is not found: {error.strerror}; retrying")
             time.sleep(LOOK_UP_AGAIN_S)
             return
         # A name may have several IP addresses, not all of them reachable: they are tried in turn.

@@ -183,7 +183,7 @@ class Sidecar:
         status = self._process.wait()
         if not self._ending:
             logger.warning(
-                f"the {self._name} has ended with status {status}; the node goes on without"
+                f"the {self._name} has ended with status {status}; the node continues without it"
             )
 
     def _close(self) -> None:

@@ -283,7 +283,7 @@ def create_file(path: Path, text: str) -> None:
             with path.open("x", encoding="utf-8") as file:
                 file.write(text)
         except FileExistsError:
-            raise OutputError(f"{path}: is there already; name another file") from None
+            raise OutputError(f"{path}: exists already; name another file") from None
 
 
 @contextmanager

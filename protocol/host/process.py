@@ -160,7 +160,7 @@ def pin(cpus: frozenset[int]) -> Iterator[str]:
         os.sched_setaffinity(0, cpus)
         if os.sched_getaffinity(0) != cpus:
             # The kernel leaves out processors that do not exist, without an error.
-            raise NotGrantedError("not all of these processors are there", advice)
+            raise NotGrantedError("not all of these processors exist", advice)
     except OSError as error:
         raise NotGrantedError(f"sched_setaffinity: {error.strerror}", advice) from None
     except NotGrantedError:
@@ -322,7 +322,7 @@ def _capable(number: int) -> bool:
 def _raise_limit(item: str, value: str, systemd: str, docker: str) -> str:
     """Return advice on raising a resource limit: at a login, in a systemd unit, in a container."""
     return (
-        f'put "USER - {item} {value}" into {LIMITS_FILE} and log in anew'
+        f'put "USER - {item} {value}" into {LIMITS_FILE} and log in again'
         f" (systemd: Limit{item.upper()}={systemd}; docker run --ulimit {item}={docker})"
     )
 

@@ -67,7 +67,7 @@ class AllowList:
             logger.info(f"{self._path} is read again")
         gone = [public for key, public in self.allowed.items() if key not in allowed]
         for public in gone:
-            logger.warning(f"{public.name} is allowed no more")
+            logger.warning(f"{public.name} is no longer allowed")
         self.allowed = allowed
         self._ever_allowed |= allowed.keys()
         return [public.key for public in gone]
@@ -149,7 +149,7 @@ def _read(path: Path) -> list[tuple[str, PublicKey | None]]:
                 raise KeyFileError(f"{path}, line {number}: {error}") from None
             if public.key in keys:
                 # With two names for one key, revoking one would leave the key allowed.
-                raise KeyFileError(f"{path}, line {number}: this key stands there already")
+                raise KeyFileError(f"{path}, line {number}: this key is on the list already")
             keys.add(public.key)
         lines.append((line, public))
     return lines
@@ -160,7 +160,7 @@ def _replace(path: Path, lines: list[str]) -> None:
     new = path.with_name(path.name + ".new")
     if new.exists():
         raise KeyFileError(
-            f"{new} is there: another command changes the list; if none does, remove it"
+            f"{new} exists: another command is changing the list; if none is, remove the file"
         )
     create(new, "".join(line + "\n" for line in lines), READ_BY_ALL)
     try:

@@ -42,7 +42,7 @@ REASONS = {
     REPLAYED: "its messages came twice or in another order",
     HANDSHAKE: "it made no ZeroMQ connection",
     UNKNOWN_KEY: "key {} is not allowed",
-    REVOKED_KEY: "key {} is allowed no more",
+    REVOKED_KEY: "key {} is no longer allowed",
     LIST_UNREADABLE: "the allow-list cannot be read, so that no new peer may connect",
     TOO_MANY: "more connections than this node has files for; it keeps the earlier ones",
 }

@@ -119,7 +119,7 @@ def create(path: Path, text: str, mode: int) -> None:
                 path.unlink()
             raise
     except FileExistsError:
-        raise KeyFileError(f"{path} is there already, and is not overwritten") from None
+        raise KeyFileError(f"{path} exists already and is not overwritten") from None
     except OSError as error:
         raise KeyFileError(f"{path}: cannot write: {error.strerror}") from None
 

@@ -136,8 +136,8 @@ class HandshakeMonitor:
         own, peer = self._keys.own.name, self._keys.peer.name
         return {
             REFUSED_KEY: f"does not allow the key of {own}; there: telepulse keys allow {own}.pub",
-            REVOKED: f"has revoked the key of {own}: this node was connected and is allowed no"
-            f" more; to undo that, there: telepulse keys allow {own}.pub",
+            REVOKED: f"has revoked the key of {own}: this node was connected and is no"
+            f" longer allowed; to undo that, there: telepulse keys allow {own}.pub",
             NO_KEY: "has no keys; start it with --key, or this node with --insecure",
             NOT_AUTHENTIC: f"sends messages that {peer} has not encrypted, or that were altered",
             REPLAYED: "sends messages twice or in another order",

@@ -313,11 +313,11 @@ def read_capture(data: bytes) -> CapturedMessages:
         *head, messages = unpack(data, MAX_PART_MESSAGES)
         heard = CapturedMessages._make((*head, [CapturedMessage(*message) for message in messages]))
     except (ValueError, TypeError) as error:
-        raise WireError("malformed", f"not what was heard: {error}") from None
+        raise WireError("malformed", f"not a capture: {error}") from None
     numbers = [*head, *(number for message in heard.messages for number in message[:2])]
     texts = [message.data for message in heard.messages]
     if not (all(type(n) is int for n in numbers) and all(type(t) is bytes for t in texts)):
-        raise WireError("malformed", "a field of what was heard has the wrong type")
+        raise WireError("malformed", "a field of a capture has the wrong type")
     if not all(number in TIME_RANGE for number in numbers):
-        raise WireError("malformed", "a number of what was heard is out of range")
+        raise WireError("malformed", "a number of a capture is out of range")
     return heard

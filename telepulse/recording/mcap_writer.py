@@ -28,7 +28,7 @@ class RetryingFile:
         try:
             self._file = os.open(path, flags, 0o666)
         except FileExistsError:
-            raise OutputError(f"{path}: is there already; name another file") from None
+            raise OutputError(f"{path}: exists already; name another file") from None
         except OSError as error:
             raise OutputError(f"{path}: cannot be written: {error.strerror}") from None
         self._unsealed = bytearray()

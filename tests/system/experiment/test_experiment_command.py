@@ -226,7 +226,7 @@ def test_a_report_of_ratings(tmp_path: Path) -> None:
         (("run", "s.toml", "--log", "x", "--observer", "-1"), "'-1' must be more than 0"),
         (("report", "there"), "there: not a log"),
         (("report", "garbage"), "garbage: line 1: not a line of a session's log"),
-        (("new", "s.toml"), "s.toml: is there already; name another file"),
+        (("new", "s.toml"), "s.toml: exists already; name another file"),
     ],
 )
 def test_what_cannot_be_done_is_refused_in_one_line(

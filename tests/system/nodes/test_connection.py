@@ -261,7 +261,7 @@ def test_an_unknown_name_is_logged_once(monkeypatch: pytest.MonkeyPatch, logged:
     monkeypatch.setattr(time, "sleep", lambda _: None)
     lookup = Lookup("tcp://nowhere:5555")
     assert [looked_up(lookup) for _ in range(3)] == [None] * 3
-    assert logged == ["nowhere is not found: Name or service not known; trying on"]
+    assert logged == ["nowhere is not found: Name or service not known; retrying"]
 
 
 def test_the_numbers_of_a_name_are_tried_one_after_the_other(

@@ -165,7 +165,7 @@ def test_on_other_systems_than_linux_each_measure_is_refused() -> None:
     assert child.stdout.splitlines() == [
         "",
         "lock slack cpu=0 fifo=40",
-        "this system has no such thing",
+        "this system does not have it",
         "any",
     ]
 

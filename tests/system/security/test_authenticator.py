@@ -182,8 +182,8 @@ def test_a_revoked_key_is_cut_off_and_the_others_go_on(
     publisher.poll_until(lambda: stays.received[-1] > back)
     publisher.poll_for(QUIET_S)
     assert len(goes.received) == before
-    assert logged[0] == "thumb is allowed no more"
-    assert len([line for line in logged if line.endswith(" is allowed no more")]) == 2
+    assert logged[0] == "thumb is no longer allowed"
+    assert len([line for line in logged if line.endswith(" is no longer allowed")]) == 2
     # A cut may meet one that just connects anew.
     assert set(publisher.rejected) <= {"revoked_key", "handshake"}
 
@@ -229,7 +229,7 @@ def test_a_revocation_in_an_unreadable_list_counts_once_the_list_is_readable(
     publisher.poll_until(lambda: publisher.rejected["list_unreadable"])
     keyring.allowed.chmod(0o644)
     publisher.poll_until(lambda: publisher.rejected["revoked_key"])
-    assert "thumb is allowed no more" in logged
+    assert "thumb is no longer allowed" in logged
     assert late.received == []
 
 

@@ -134,7 +134,7 @@ def test_a_revoked_display_is_cut_off_and_reports_it_while_the_other_goes_on(
     assert read_json(jsons["thumb"])["frames"]["received"] == received
     assert display_log.count(" has revoked the key of thumb: ") == 1
     assert "revoked: the other node allowed this node's key" in output
-    assert sensing_log.count("thumb is allowed no more") == 1
+    assert sensing_log.count("thumb is no longer allowed") == 1
     assert sensing_log.count("refused 127.0.0.1: key ") == 1
     rejected = read_json(sensed)["rejected"]
     assert "revoked_key" in rejected

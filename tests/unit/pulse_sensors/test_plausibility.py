@@ -102,7 +102,7 @@ def test_a_recording_that_cannot_be_a_pulse_is_refused(
     ("columns", "keys", "text"),
     [
         ({"force": PULSE_N}, {"unit": "mN"},
-         'is 0.3 mN from peak to peak, which nobody feels: is unit = "N" right?'),
+         'is 0.3 mN from peak to peak, too small to feel: is unit = "N" right?'),
         (
             {"force": DIPPING_N},
             {},
@@ -118,8 +118,8 @@ def test_a_recording_that_cannot_be_a_pulse_is_refused(
         (
             {"time": TIMES_S + 3.0 * (TIMES_S > 2) + 60.0 * (TIMES_S > 7), "force": PULSE_N},
             FORCE,
-            'column "time" has 2 gaps; what comes after one is played right after what was before'
-            " it",
+            'column "time" has 2 gaps; samples after a gap are played right after'
+            " those before it",
         ),
     ],
 )  # fmt: skip

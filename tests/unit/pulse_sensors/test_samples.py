@@ -124,7 +124,7 @@ def test_a_restarted_board_is_followed_and_named() -> None:
     assert (under_test.samples, under_test.missing, under_test.restarts) == (4000, 1000, 1)
     assert under_test.faults("the board") == [
         "1000 samples missing from the board",
-        "the board began its clock anew 1 time",
+        "the board restarted its clock 1 time",
     ]
 
 

@@ -143,7 +143,7 @@ def test_the_kind_decides_the_source(tmp_path: Path, logged: list[str]) -> None:
     recording = scene(source=RECORDING)
     with open_source(recording, tmp_path) as opened:
         assert isinstance(opened, RecordedSource)
-    assert logged == [f"{path}: is 0.1 mN from peak to peak, which nobody feels"]
+    assert logged == [f"{path}: is 0.1 mN from peak to peak, too small to feel"]
     assert isinstance(build_source(scene(), tmp_path), SyntheticSource)
     chain = scene(conditioning={"mains": "50 Hz"})
     assert isinstance(build_source(chain, tmp_path), Conditioned)

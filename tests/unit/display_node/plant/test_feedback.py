@@ -100,7 +100,7 @@ def test_a_film_that_does_not_change_while_the_tip_goes_is_frozen() -> None:
             if film is right:
                 assert fault is None
             found = found or fault
-    assert "the film reads 550 mN all along" in str(found)
+    assert "the film reads 550 mN unchanged" in str(found)
 
 
 def test_a_film_off_the_finger_may_read_the_same_for_ever() -> None:

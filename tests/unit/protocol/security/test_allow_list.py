@@ -71,7 +71,7 @@ def test_a_name_that_is_not_listed_cannot_be_revoked(path: Path) -> None:
         (WRIST.line + " more", "line 2: it is not"),
         (WRIST.line.replace("public", "secret"), "line 2: a secret key, which never leaves"),
         ("\x00", "line 2: it is not"),
-        (PublicKey("other", FINGER.key).line, "line 2: this key stands there already"),
+        (PublicKey("other", FINGER.key).line, "line 2: this key is on the list already"),
         ("ö", "is not a file of keys"),
         ("#" * 2_000_000, "is not a file of keys"),
     ],
@@ -98,7 +98,7 @@ def test_two_commands_do_not_undo_each_other(path: Path) -> None:
     allow(path, WRIST)
     lock = path.with_name("allowed.new")
     lock.write_text("")
-    with pytest.raises(KeyFileError, match="another command changes the list"):
+    with pytest.raises(KeyFileError, match="another command is changing the list"):
         revoke(path, "wrist")
     assert read_allowed(path) == {WRIST.key: WRIST}
     lock.unlink()
@@ -123,7 +123,7 @@ def test_a_change_is_read_once(path: Path, polled: AllowList, logged: list[str])
     revoke(path, "wrist")
     assert run(polled, 3) == [WRIST.key]
     assert list(polled.allowed) == [FINGER.key]
-    assert logged == ["wrist is allowed no more"]
+    assert logged == ["wrist is no longer allowed"]
 
 
 def test_a_list_is_read_until_it_can_be(path: Path, polled: AllowList, logged: list[str]) -> None:
@@ -139,7 +139,7 @@ def test_a_list_is_read_until_it_can_be(path: Path, polled: AllowList, logged: l
     assert polled.readable
     assert len(logged) == 3
     assert "until it can be read no new peer may connect" in logged[0]
-    assert logged[1:] == [f"{path} is read again", "wrist is allowed no more"]
+    assert logged[1:] == [f"{path} is read again", "wrist is no longer allowed"]
 
 
 def test_a_list_that_cannot_be_opened_just_then_is_read_later(

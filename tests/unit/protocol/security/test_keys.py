@@ -57,7 +57,7 @@ def test_only_the_owner_may_ever_read_a_secret_key(
 @pytest.mark.parametrize("there", ["wrist.key", "wrist.pub"])
 def test_nothing_is_overwritten_and_nothing_is_left_half_done(tmp_path: Path, there: str) -> None:
     (tmp_path / there).write_text("mine")
-    with pytest.raises(KeyFileError, match=r"is there already, and is not overwritten"):
+    with pytest.raises(KeyFileError, match=r"exists already and is not overwritten"):
         new_pair(tmp_path, "wrist")
     assert [path.name for path in tmp_path.iterdir()] == [there]
     assert (tmp_path / there).read_text() == "mine"

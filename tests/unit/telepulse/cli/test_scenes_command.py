@@ -27,7 +27,7 @@ def test_a_copy_is_equal_and_overwrites_nothing(
     assert load_document(tmp_path / "wan.toml") == load_document(find_scene("wan"))
     refused = run("copy", "radial", "wan.toml")
     assert refused.exit_code == 2
-    assert refused.stderr == "telepulse: wan.toml: is there already; name another file\n"
+    assert refused.stderr == "telepulse: wan.toml: exists already; name another file\n"
     assert "[link]" in (tmp_path / "wan.toml").read_text()
 
 
