@@ -62,10 +62,9 @@ class Cia402Drive(Drive):
         if node.received_ns > supervisor.position_ns:
             supervisor.add_position(node.position_m, node.received_ns)
         state = node.state
-        if state in (State.FAULT, State.REACTING):
-            supervisor.fail(f"fault: {node.error}", now_ns)
-        elif state is not State.ENABLED:
-            supervisor.fail(f"fault: {state.text}, {node.error}", now_ns)
+        if state is not State.ENABLED:
+            known = "" if state in (State.FAULT, State.REACTING) else f"{state.text}, "
+            supervisor.fail(f"fault: {known}{node.error}", now_ns)
 
     def _send(self, now_ns: int) -> None:
         """Send the present velocity, or the next step to enable a drive that is not enabled."""

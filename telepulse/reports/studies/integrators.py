@@ -25,7 +25,6 @@ from telepulse.reports.paper.published import ACTUATOR, EXPERIMENT, FILM_MV
 DERIVATIVE_FILTER_HZ = 200.0
 Number = TypeVar("Number", float, Decimal)
 Step = Callable[[Number], Number]
-Matrix = list[list[Decimal]]
 Floats = NDArray[np.float64]
 
 
@@ -111,34 +110,28 @@ def exact_hold(plant: Plant[Decimal], tick_s: Decimal) -> Step[Decimal]:
     return step
 
 
-def held_matrix(plant: Plant[Decimal], tick_s: Decimal) -> Matrix:
+def held_matrix(plant: Plant[Decimal], tick_s: Decimal) -> list[list[Decimal]]:
     """Return the 3 × 3 map of (force, rate, held voltage) over a tick, in the context's digits.
 
     The exponential of eq 22's matrix, by scaling and squaring of a Taylor series.
     """
     zero, (m, c, k) = Decimal(0), plant
-    system = [[zero, tick_s, zero], [-k / m * tick_s, -c / m * tick_s, tick_s / m], [zero] * 3]
-    halvings = 0
-    while max(abs(x) for row in system for x in row) > 1:
-        system = [[x / 2 for x in row] for row in system]
+    rows = [[zero, tick_s, zero], [-k / m * tick_s, -c / m * tick_s, tick_s / m], [zero] * 3]
+    system = np.array(rows, object)
+    halvings = order = 0
+    while abs(system).max() > 1:
+        system = system / 2
         halvings += 1
-    term = total = [[Decimal(int(i == j)) for j in range(3)] for i in range(3)]
+    term = total = np.eye(3, dtype=object)
     smallest = Decimal(10) ** -(getcontext().prec + 10)
-    order = 0
-    while max(abs(x) for row in term for x in row) > smallest:
+    while abs(term).max() > smallest:
         order += 1
-        term = [[x / order for x in row] for row in _product(term, system)]
-        total = [[total[i][j] + term[i][j] for j in range(3)] for i in range(3)]
+        term = term @ system / order
+        total = total + term
     for _ in range(halvings):
-        total = _product(total, total)
-    return total
-
-
-def _product(a: Matrix, b: Matrix) -> Matrix:
-    def dot(row: Sequence[Decimal], column: Sequence[Decimal]) -> Decimal:
-        return sum((x * y for x, y in zip(row, column, strict=True)), Decimal(0))
-
-    return [[dot(row, column) for column in zip(*b, strict=True)] for row in a]
+        total = total @ total
+    held: list[list[Decimal]] = total.tolist()
+    return held
 
 
 Solver = Literal["RK45", "DOP853", "Radau"]
