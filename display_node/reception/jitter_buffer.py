@@ -61,7 +61,6 @@ class JitterBuffer:
         self._values: list[float] = []
         # The instant of the samples before this list position has passed.
         self._settled = 0
-        self._settled_index: int | None = None
         self._instant_ns: int | None = None
         # The latest instant ever played; it stays when the playout jumps back.
         self._passed_ns = NEVER_NS
@@ -89,9 +88,7 @@ class JitterBuffer:
         Raises WireError: "duplicate", "overlap", "timestamp", "too_old", "overflow".
         """
         count, first, period_ns = len(frame.values), frame.first_sample, frame.period_ns
-        position = len(self._indices)
-        if position and first <= self._indices[-1]:
-            position = bisect_left(self._indices, first)
+        position = bisect_left(self._indices, first)
         self._check(frame, position, count)
         times = list(range(frame.t_first_ns, frame.t_first_ns + count * period_ns, period_ns))
         if position < len(self._indices):
@@ -107,9 +104,6 @@ class JitterBuffer:
             late = bisect_right(times, self._passed_ns)
             self._late += late
             self._settled += late
-            last = self._indices[position] + late - 1
-            if self._settled_index is None or last > self._settled_index:
-                self._settled_index = last
         if len(self._times) > 2 * KEEP_SAMPLES:
             self._trim()
 
@@ -152,14 +146,9 @@ class JitterBuffer:
         if instant_ns <= self._passed_ns:
             return
         self._passed_ns = instant_ns
-        times, settled = self._times, self._settled
-        length = len(times)
-        while settled < length and times[settled] <= instant_ns:
-            settled += 1
-        if settled > self._settled:
-            self._played += settled - self._settled
-            self._settled = settled
-            self._settled_index = self._indices[settled - 1]
+        settled = bisect_right(self._times, instant_ns, self._settled)
+        self._played += settled - self._settled
+        self._settled = settled
 
     def known(self, step_ns: int, count: int) -> list[float]:
         """Return `count` values from the played instant on, `step_ns` apart.
@@ -222,7 +211,7 @@ class JitterBuffer:
         first = self._first_index
         if first is None:
             return SampleAccount(before_joining=self._end_index or 0)
-        settled_end = first if self._settled_index is None else self._settled_index + 1
+        settled_end = self._indices[self._settled - 1] + 1 if self._settled else first
         if self._end_index is not None and not self.waiting:
             settled_end = max(settled_end, self._end_index)
         before_joining = first if self._joining else 0
@@ -233,10 +222,9 @@ class JitterBuffer:
 
         Waiting samples are lost, and so are earlier ones that come later.
         """
-        account = self.account()
-        if self._first_index is None:
-            return JitterBuffer(self._channel)
-        return JitterBuffer(self._channel, self._first_index + account.sent)
+        first = self._first_index
+        begin_index = None if first is None else first + self.account().sent
+        return JitterBuffer(self._channel, begin_index)
 
 
 def _check_gap(gap_ns: int, expected_ns: int) -> None:

@@ -240,20 +240,19 @@ def braille_plot(
             for part in share.tolist()
         ]
 
-    cells = [[0] * PLOT_COLUMNS for _ in range(PLOT_ROWS)]
+    marked = np.zeros((rows, columns), int)
     line_y, dots_y = heights(line), heights(dots)
     for x, (here, dot) in enumerate(zip(line_y, dots_y, strict=True)):
-        marked = set[int]()
         if here is not None:
             # A vertical stroke joins the line to its end in the column before.
             before = line_y[max(x - 1, 0)]
             before = here if before is None else before
-            marked.update(range(min(before + 1, here), max(before, here + 1)))
+            marked[min(before + 1, here) : max(before, here + 1), x] = 1
         if x % 3 == 0 and dot is not None:
-            marked.add(dot)
-        for y in marked:
-            cells[y // 4][x // 2] |= BRAILLE_BITS[x % 2][y % 4]
-    return ["".join(chr(0x2800 + cell) for cell in row) for row in cells]
+            marked[dot, x] = 1
+    cells = marked.reshape(PLOT_ROWS, 4, PLOT_COLUMNS, 2)
+    characters = 0x2800 + np.einsum("rycx,xy->rc", cells, BRAILLE_BITS)
+    return ["".join(map(chr, row)) for row in characters.tolist()]
 
 
 def _millinewtons(force_n: float | None) -> str:
