@@ -76,15 +76,15 @@ def read_loads(
         raise SourceError(f"{path}: cannot be read: {error}") from None
     if not rows:
         raise SourceError(f"{path}: the file is empty")
-    columns, units = (0, 1), ("", "")
+    found = [(0, ""), (1, "")]
     if not _is_number(rows[0][1][0]):
-        columns, units = _read_header(path, *rows.pop(0))
-    load_in, reading_in = load_unit or units[0] or "N", reading_unit or units[1] or "mV"
+        found = _read_header(path, *rows.pop(0))
+    load_in, reading_in = load_unit or found[0][1] or "N", reading_unit or found[1][1] or "mV"
     pairs = np.empty((len(rows), 2))
     for pair, (number, row) in zip(pairs, rows, strict=True):
-        if len(row) <= max(columns):
+        if len(row) <= max(found)[0]:
             raise SourceError(f"{path}:{number}: {len(row)} columns; load and reading are needed")
-        for i, column in enumerate(columns):
+        for i, (column, _) in enumerate(found):
             if not _is_number(row[column]):
                 raise SourceError(
                     f"{path}:{number}: {row[column].strip()!r:.40} is not a number that can be used"
@@ -97,9 +97,7 @@ def read_loads(
     )
 
 
-def _read_header(
-    path: Path, number: int, row: list[str]
-) -> tuple[tuple[int, int], tuple[str, str]]:
+def _read_header(path: Path, number: int, row: list[str]) -> list[tuple[int, str]]:
     """Return the columns of load and reading, and their units where the header names them."""
     cells = [_HEADER.fullmatch(cell) for cell in row]
     found = []
@@ -112,8 +110,7 @@ def _read_header(
             allowed = ", ".join(known)
             raise SourceError(f"{path}:{number}: unknown unit {unit!r}; known: {allowed}")
         found.append((column, unit))
-    load, reading = found
-    return (load[0], reading[0]), (load[1], reading[1])
+    return found
 
 
 def _is_number(cell: str) -> bool:
