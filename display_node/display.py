@@ -163,7 +163,7 @@ class Display:
         On a real bench, the drive is sent the controller's output, or after a fault the command to
         withdraw.
         """
-        hardware, safety, felt, loop = self._hardware, self.safety, self.tick_state, self._loop
+        hardware, safety, state, loop = self._hardware, self.safety, self.tick_state, self._loop
         if hardware is not None:
             fault = hardware.read() or hardware.overrun(elapsed_ticks)
             if fault is not None and not safety.faults:
@@ -188,22 +188,22 @@ class Display:
         loop.tick(reference_n, reading_n)
         self.ticks += 1
         target_n = reference_n[0]
-        felt.target_n = target_n if self._target is None else self._target.step(target_n)
-        felt.felt_n = felt_n
-        felt.scored = alive and safety.gain == 1.0
+        state.target_n = target_n if self._target is None else self._target.step(target_n)
+        state.felt_n = felt_n
+        state.scored = alive and safety.gain == 1.0
         self._availability.add(self.state, elapsed_ticks)
-        self._interruptions.add(felt.scored, elapsed_ticks)
-        if felt.scored and self.fidelity is not None:
+        self._interruptions.add(state.scored, elapsed_ticks)
+        if state.scored and self.fidelity is not None:
             # A real film's reading is this old.
             before_ns = self._scene.film.latency_ns if self.feedback is not None else 0
             self.fidelity.add_output(
-                felt.sensing_now_ns - before_ns, felt.instant_ns - before_ns, felt_n
+                state.sensing_now_ns - before_ns, state.instant_ns - before_ns, felt_n
             )
         if hardware is not None and (
             (fault := hardware.command(loop.output, safety.faults)) is not None
         ):
             safety.fault(fault)
-        return felt
+        return state
 
     def _build_concealment(self) -> Concealment:
         scene = self._scene
@@ -212,9 +212,9 @@ class Display:
 
     def _reference(self, now_ns: int) -> tuple[list[float], bool]:
         """Return the target force until the loop's horizon, and whether the stream is alive."""
-        receiver, felt, count = self.receiver, self.tick_state, self._loop.horizon + 1
-        felt.now_ns, felt.predictor_error_n = now_ns, math.nan
-        felt.trusted = bool(self._concealment.trusted)
+        receiver, state, count = self.receiver, self.tick_state, self._loop.horizon + 1
+        state.now_ns, state.predictor_error_n = now_ns, math.nan
+        state.trusted = bool(self._concealment.trusted)
         delay_ns = receiver.delay.delay_ns
         if not receiver.ready or delay_ns is None:
             return [0.0] * count, False
@@ -222,9 +222,9 @@ class Display:
         wanted_delay_ns = self._scene.compensation_ns
         if wanted_delay_ns is None:
             carried_ns = delay_ns + self._reserve_ns
-            wanted_delay_ns = auto_delay_ns(carried_ns, felt.trusted)
+            wanted_delay_ns = auto_delay_ns(carried_ns, state.trusted)
         instant_ns = self._playout.instant(now_ns, sensing_now_ns - wanted_delay_ns)
-        felt.sensing_now_ns, felt.instant_ns = sensing_now_ns, instant_ns
+        state.sensing_now_ns, state.instant_ns = sensing_now_ns, instant_ns
         # The sensing chain delays the pulse by its group delay, so the sample taken that much later
         # shows the pulse of `instant_ns`. The actuator's lag is compensated in the same way.
         sampled_ns = instant_ns + self._lead_ns
@@ -241,13 +241,13 @@ class Display:
         predicted_ns = 0 if wrist_n else sampled_ns - newest_ns
         if not wrist_n:
             error_n = self._concealment.error_n(predicted_ns)
-            felt.predictor_error_n = math.nan if error_n is None else ratio * error_n
+            state.predictor_error_n = math.nan if error_n is None else ratio * error_n
         wrist_n = self._concealment.complete(wrist_n, count, sampled_ns, newest_ns)
         # With a small E the newest sample is older than the instant even when it is on time.
         due_ns = newest_ns + self._scene.safety.stale_after_ns
         alive = sampled_ns <= due_ns or sensing_now_ns - delay_ns <= due_ns
         if alive:
-            self._delays.add(sensing_now_ns - instant_ns, predicted_ns, felt.trusted)
+            self._delays.add(sensing_now_ns - instant_ns, predicted_ns, state.trusted)
         return [ratio * force_n for force_n in wrist_n], alive
 
     def _report(self, session: int) -> DisplayReport:

@@ -207,7 +207,7 @@ class DisplayNode:
             connection.subscribe(frame_ns, round_trip_ns, time.monotonic_ns())
 
     def _tick(self, now_ns: int, elapsed_ticks: int) -> None:
-        felt = self._display.tick(now_ns, elapsed_ticks)
+        state = self._display.tick(now_ns, elapsed_ticks)
         faults = self._display.safety.faults
         if len(faults) > self._named_faults:
             for fault in faults[self._named_faults :]:
@@ -218,7 +218,7 @@ class DisplayNode:
         control = self._connection.control.socket
         for message in self._display.requests(time.monotonic_ns()):
             sockets.send(control, encode_control(message))
-        if self._telemetry.add(felt):
+        if self._telemetry.add(state):
             self._telemetry.status(self._status(final=False))
 
     def _summary(self) -> Summary:

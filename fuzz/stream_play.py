@@ -3,7 +3,7 @@
 import numpy as np
 
 from display_node.reception.jitter_buffer import MAX_AHEAD_SAMPLES
-from display_node.reception.receiver import MAX_ASKED, Receiver
+from display_node.reception.receiver import MAX_OPEN_REQUESTS, Receiver
 from fuzz.refusals import check_causes
 from protocol.tactile import ElasticLayer
 from protocol.wire.messages import (
@@ -108,4 +108,4 @@ class StreamPlay:
         assert 0 <= waiting <= MAX_AHEAD_SAMPLES
         assert receiver.rejected.total() <= self._said
         check_causes(receiver.rejected)
-        self._asked_ns = self._asked_ns[-MAX_ASKED:]
+        self._asked_ns = self._asked_ns[-MAX_OPEN_REQUESTS:]

@@ -24,7 +24,7 @@ CLOCK_FAST_NS = 20_000_000
 CLOCK_FAST_COUNT = 3_000
 CLOCK_EVERY_NS = 50_000_000
 # Number of unanswered requests that are remembered.
-MAX_ASKED = 256
+MAX_OPEN_REQUESTS = 256
 SILENT_AFTER_NS = 1_000_000_000
 FUTURE_NS = 1_000_000_000
 OLDEST_NS = 60_000_000_000
@@ -63,10 +63,10 @@ class Receiver:
         self._channel, self._late_target = channel, late_target
         self._closed = SampleAccount()
         self._next_hello_ns = self._next_clock_ns = 0
-        self._in_doubt = False
+        self._hello_due = False
         self._clock_requests = 0
         # Times of sending of the requests that may still be answered, oldest first.
-        self._asked_ns: deque[int] = deque(maxlen=MAX_ASKED)
+        self._open_requests_ns: deque[int] = deque(maxlen=MAX_OPEN_REQUESTS)
         self._received_ns = 0
         self.copies = 0
         self.rejected: Counter[str] = Counter()
@@ -78,7 +78,7 @@ class Receiver:
         self.clock = ClockEstimator()
         self.delay = DelayEstimator(late_target)
         self.buffer = JitterBuffer(channel)
-        self._farewell: wire.Bye | None = None
+        self._last_bye: wire.Bye | None = None
 
     def on_frame(self, data: bytes, now_ns: int) -> wire.Frame | None:
         """Take a data message; return the frame if it is new and valid."""
@@ -112,28 +112,28 @@ class Receiver:
 
     def introduce(self) -> None:
         """Send hello with the next requests, because control has a new connection."""
-        self._in_doubt = True
+        self._hello_due = True
         self._next_hello_ns = 0
 
     def requests(self, now_ns: int) -> list[wire.Control]:
         """Return the messages to send to the sensing node now: hello, clock request, final bye."""
         wanted: list[wire.Control] = []
         silent = self.silent(now_ns)
-        lost = self.session is None or silent or self._in_doubt
+        lost = self.session is None or silent or self._hello_due
         if lost and now_ns >= self._next_hello_ns:
             self._next_hello_ns = now_ns + HELLO_EVERY_NS
-            self._in_doubt = False
+            self._hello_due = False
             wanted.append(wire.Hello(self._name))
         if self.session is not None and not silent and now_ns >= self._next_clock_ns:
             fast = self._clock_requests < CLOCK_FAST_COUNT
             self._clock_requests += 1
             if self._clock_requests >= READY_AFTER:
                 self._next_clock_ns = now_ns + (CLOCK_FAST_NS if fast else CLOCK_EVERY_NS)
-            self._asked_ns.append(now_ns)
+            self._open_requests_ns.append(now_ns)
             wanted.append(wire.ClockRequest(now_ns))
-        if self._farewell is not None and self.buffer.complete:
-            wanted.append(self._farewell)
-            self._farewell = None
+        if self._last_bye is not None and self.buffer.complete:
+            wanted.append(self._last_bye)
+            self._last_bye = None
         return wanted
 
     def account(self) -> SampleAccount:
@@ -182,7 +182,7 @@ class Receiver:
         if description is None:
             raise WireError("before_welcome", "a frame before the stream's description")
         if frame.session != self.session:
-            self._in_doubt = True
+            self._hello_due = True
             raise WireError("session", "a frame of another session")
         values = frame.values
         if (
@@ -216,9 +216,9 @@ class Receiver:
                     self.session, self.description = session, description
                     self.sessions += 1
                     self._clock_requests = self._next_clock_ns = 0
-                    self.clock, self._farewell = ClockEstimator(), None
+                    self.clock, self._last_bye = ClockEstimator(), None
             case wire.ClockReply() if message.session != self.session:
-                self._in_doubt = True
+                self._hello_due = True
                 raise WireError("session", "a clock reply of another session")
             case wire.ClockReply(t1_ns=t1_ns, t2_ns=t2_ns, t3_ns=t3_ns):
                 self._follow_clock(ClockExchange(t1_ns, t2_ns, t3_ns, now_ns))
@@ -227,7 +227,7 @@ class Receiver:
             case wire.Bye(samples_sent=samples_sent):
                 sensing_now_ns = self.clock.remote_ns(now_ns) if self.clock.ready else None
                 self.buffer.end(samples_sent, sensing_now_ns)
-                self._farewell = message
+                self._last_bye = message
                 # A stream that is too short for a good delay estimate is played as well.
                 self.ready = self.ready or self.buffer.newest_ns is not None
             case _:
@@ -235,9 +235,9 @@ class Receiver:
 
     def _follow_clock(self, exchange: ClockExchange) -> None:
         """Take a clock reply; after a clock step, begin the stream anew. Raises WireError."""
-        if exchange.t1_ns not in self._asked_ns:
+        if exchange.t1_ns not in self._open_requests_ns:
             raise WireError("unasked", "a clock reply to an unknown or already answered request")
-        self._asked_ns.remove(exchange.t1_ns)
+        self._open_requests_ns.remove(exchange.t1_ns)
         clock, now_ns = self.clock, exchange.t4_ns
         steps, expected_ns = clock.steps, clock.remote_ns(now_ns)
         if not clock.add(exchange):

@@ -44,9 +44,9 @@ class Publisher:
         self.captured = CaptureWriter(run)
         self.address = socket.getsockopt_string(zmq.LAST_ENDPOINT)
 
-    def add(self, felt: TickState) -> bool:
+    def add(self, state: TickState) -> bool:
         """Add a tick; return whether a status is due."""
-        trace = self._trace.add(felt)
+        trace = self._trace.add(state)
         if trace is None:
             return False
         self._publish_trace(trace)

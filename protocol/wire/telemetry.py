@@ -168,11 +168,11 @@ class TraceWriter:
         self._ints: list[int] = []
         self._forces: list[float] = []
 
-    def add(self, felt: TickState) -> bytes | None:
+    def add(self, state: TickState) -> bytes | None:
         """Add a tick; return a trace message when one is full."""
         ints = self._ints
-        ints += (felt.now_ns, felt.instant_ns, felt.scored, felt.trusted)
-        self._forces += (felt.target_n, felt.felt_n, felt.predictor_error_n)
+        ints += (state.now_ns, state.instant_ns, state.scored, state.trusted)
+        self._forces += (state.target_n, state.felt_n, state.predictor_error_n)
         return self.rest() if len(ints) >= 4 * TRACE_TICKS else None
 
     def rest(self) -> bytes | None:

@@ -153,7 +153,7 @@ class SessionLogFile:
                 self._file.truncate(append_at)
         except FileExistsError:
             raise OutputError(
-                f"{path}: is there already; continue it by --resume, or name another file"
+                f"{path}: exists already; continue it by --resume, or name another file"
             ) from None
         except OSError as error:
             raise OutputError(f"{path}: cannot be written: {error.strerror}") from None

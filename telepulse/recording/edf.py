@@ -40,7 +40,7 @@ def export_edf(path: Path, file: Path) -> str:
             " pip install 'telepulse[analysis]'"
         ) from None
     if file.exists():
-        raise OutputError(f"{file}: is there already; name another by --out")
+        raise OutputError(f"{file}: exists already; name another by --out")
     session = longest_session(path)
     description = session.description
     period_ns = description.period_ns

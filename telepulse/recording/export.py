@@ -244,7 +244,7 @@ def _export_tables(path: Path, folder: Path, kind: type[CsvTable] | type[Parquet
                     table.describe(described)
                 write_whole(folder / "provenance.json", json.dumps(described, indent=2) + "\n")
     except FileExistsError:
-        raise OutputError(f"{folder}: is there already; name another by --out") from None
+        raise OutputError(f"{folder}: exists already; name another by --out") from None
     except (SourceError, OutputError):
         raise
     except OSError as error:

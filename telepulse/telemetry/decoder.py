@@ -12,7 +12,7 @@ from dataclasses import asdict
 from typing import Any, NamedTuple
 
 from display_node.reception.playout import LATE_TARGET
-from display_node.reception.receiver import MAX_ASKED, Receiver
+from display_node.reception.receiver import MAX_OPEN_REQUESTS, Receiver
 from protocol.config.quantities import count_text
 from protocol.errors import WireError
 from protocol.provenance import PROVENANCE, read_provenance
@@ -195,7 +195,7 @@ class PassiveReceiver(Receiver):
         # More than one path: a frame that came twice is a copy then, never refused.
         super().__init__("listener", 0, LATE_TARGET, paths=2)
         # Each reply is accepted once, as in the display.
-        self._requests_ns: deque[int] = deque(maxlen=MAX_ASKED)
+        self._requests_ns: deque[int] = deque(maxlen=MAX_OPEN_REQUESTS)
 
     def take(self, topic: str, fields: Fields) -> wire.Frame | None:
         """Process an entry; return the frame in it, if the display accepted it.
@@ -211,7 +211,7 @@ class PassiveReceiver(Receiver):
             reply = wire.ClockReply(session, *times_ns)
             if reply.t1_ns not in self._requests_ns:
                 self._requests_ns.append(reply.t1_ns)
-                self._asked_ns.append(reply.t1_ns)
+                self._open_requests_ns.append(reply.t1_ns)
             self.on_control(wire.encode_control(reply), fields["t4_ns"])
         return None
 

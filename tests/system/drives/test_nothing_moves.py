@@ -137,7 +137,7 @@ def cases(bench: EmulatedBench, taken: str) -> dict[str, Case]:
     no_file = str(folder / "nowhere")
     return {
         "json": Case((*display, "--json", no_file), "cannot be written"),
-        "recording is there": Case((*display, "--record", str(there)), "is there already"),
+        "recording is there": Case((*display, "--record", str(there)), "exists already"),
         "recording": Case((*display, "--record", str(folder / NO_FILE)), "cannot be written"),
         "telemetry": Case((*display, "--telemetry", taken), "cannot bind"),
         "metrics": Case((*display, "--metrics", port), "cannot bind"),
@@ -162,7 +162,7 @@ def cases(bench: EmulatedBench, taken: str) -> dict[str, Case]:
         "demo's source": Case(
             ("demo", no_source, "--no-ui", "--seconds", "1"), "no-board: cannot be opened"
         ),
-        "session's log": Case(("experiment", "run", session, "--log", no_file), "is there already"),
+        "session's log": Case(("experiment", "run", session, "--log", no_file), "exists already"),
         "session's loop": Case(
             ("experiment", "run", unstable_session, "--log", str(folder / "1.jsonl"), "--yes"),
             "stable",

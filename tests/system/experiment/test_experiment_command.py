@@ -215,7 +215,7 @@ def test_a_report_of_ratings(tmp_path: Path) -> None:
         (("run", "none.toml", "--log", "x"), "none.toml: no such session file"),
         (
             ("run", "s.toml", "--log", "there", "--without-drive"),
-            "is there already; continue it by --resume",
+            "exists already; continue it by --resume",
         ),
         (("run", "s.toml", "--log", "none", "--resume", "--without-drive"), "none: cannot be read"),
         (

@@ -256,7 +256,7 @@ def test_nothing_is_written_over(recording: Path, tmp_path: Path) -> None:
     there = tmp_path / "there.edf"
     there.write_bytes(b"precious")
     line = refused(MODULE, "export", str(recording), "--to", "edf", "--out", str(there))
-    assert "is there already" in line
+    assert "exists already" in line
     assert there.read_bytes() == b"precious"
 
 

@@ -296,7 +296,7 @@ def test_silence_ends_it_with_the_option(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("address", "name", "word"),
     [
-        ("tcp://127.0.0.1:5557", "there.mcap", "is there already"),
+        ("tcp://127.0.0.1:5557", "there.mcap", "exists already"),
         ("tcp://192.0.2.1:5557", "a.mcap", "--insecure"),
     ],
 )

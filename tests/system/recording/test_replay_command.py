@@ -118,4 +118,4 @@ def test_a_display_does_not_begin_without_its_recorder(tmp_path: Path) -> None:
     path = tmp_path / "there.mcap"
     path.write_bytes(b"precious")
     line = refused("display_node.cli", str(RADIAL), "--no-screen", "--record", str(path))
-    assert "is there already" in line
+    assert "exists already" in line

@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from display_node.reception.receiver import MAX_ASKED, Receiver
+from display_node.reception.receiver import MAX_OPEN_REQUESTS, Receiver
 from protocol.wire.messages import (
     Bye,
     ClockReply,
@@ -199,11 +199,11 @@ def test_unanswered_requests_are_forgotten_and_a_clock_reply_counts_once() -> No
             kept += [data] if data is not None else []
     for data in kept:
         receiver.on_control(data, 20_000 * MS)
-    assert receiver.rejected == {"unasked": len(kept) - MAX_ASKED}
+    assert receiver.rejected == {"unasked": len(kept) - MAX_OPEN_REQUESTS}
     # A reply counts once.
     for _ in range(4):
         receiver.on_control(kept[-1], 20_000 * MS)
-    assert receiver.rejected == {"unasked": len(kept) - MAX_ASKED + 4}
+    assert receiver.rejected == {"unasked": len(kept) - MAX_OPEN_REQUESTS + 4}
 
 
 @pytest.mark.parametrize("step_ms", [-3_600_000, 3_600_000])

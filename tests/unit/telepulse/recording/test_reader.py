@@ -94,7 +94,7 @@ def test_a_cut_one_is_made_whole(
     with copy.open("rb") as file:
         assert make_reader(file).get_summary() is not None
     assert "breaks off" in logged[0]
-    with pytest.raises(OutputError, match="is there already"):
+    with pytest.raises(OutputError, match="exists already"):
         export_mcap(path, copy)
 
 
