@@ -52,8 +52,8 @@ def test_hostile_peers_on_every_port_cost_the_nodes_little_and_the_pulse_nothing
         rig.await_played(felt, 500)
         sent, summary = sensing.end(), display.summary()
     assert unaccounted(sent, summary) == summary.samples.lost == 0
-    assert sent.faults == summary.faults == []
     if garbage:
+        assert sent.faults == summary.faults == []
         assert summary.rejected == {}
         # What arrived on the control port was distinguished from displays' messages, and counted.
         assert sum(sent.rejected.values()) > MESSAGES / 2
