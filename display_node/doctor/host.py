@@ -67,9 +67,7 @@ def read_host() -> Host:
         quota=_quota(),
         governors=sorted({kernel_text(path) for path in CPU.glob("cpu*/cpufreq/scaling_governor")}),
         idle_us=max((int(text) for text in idle if text.isdigit()), default=None),
-        clocksource=kernel_text(
-            Path("/sys/devices/system/clocksource/clocksource0/current_clocksource")
-        )
+        clocksource=kernel_text(CPU.parent / "clocksource/clocksource0/current_clocksource")
         or None,
         clock_resolution_ns=time.get_clock_info("monotonic").resolution * 1e9,
         swap_kib=int(swap[1]) if swap else 0,
@@ -171,9 +169,7 @@ def _quota() -> float | None:
             quota, _, period = kernel_text(CGROUP / path.strip("/") / "cpu.max").partition(" ")
         elif "cpu" in controllers.split(","):
             folder = CGROUP / "cpu" / path.strip("/")
-            quota, period = (
-                kernel_text(folder / f"cpu.cfs_{key}_us") for key in ("quota", "period")
-            )
+            quota, period = (kernel_text(folder / f"cpu.cfs_{x}_us") for x in ("quota", "period"))
         else:
             continue
         if quota.isdigit() and period.isdigit():
