@@ -35,8 +35,8 @@ from telepulse.recording.mcap_writer import as_json
 from telepulse.telemetry.decoder import TelemetryDecoder
 from telepulse.view.live import LiveState
 from telepulse.view.page import padded
-from telepulse.view.picture import picture
 from telepulse.view.text import alarms, figures, state
+from telepulse.view.window_data import window_data
 
 MS = 1_000_000
 SECOND_NS = 1000 * MS
@@ -76,7 +76,7 @@ class TelemetryReaders:
         console.print(self.screen.panel(3 * SECOND_NS), self.screen.line(3 * SECOND_NS))
         assert console.file.tell() < MOST_CHARACTERS
         for window_ns in (SECOND_NS, 10 * SECOND_NS):
-            drawn = picture(self.live, window_ns)
+            drawn = window_data(self.live, window_ns)
             for low, high in drawn.limits.values():
                 assert math.isfinite(low)
                 assert math.isfinite(high)

@@ -1,1 +1,1 @@
-"""Reports: the document, the chapters on the paper, and the studies."""
+"""Reports: their document, the chapters on the paper, and the studies."""

@@ -1,7 +1,7 @@
 """Reports: chapters of text, tables and plots, as a folder with a web page, as JSON, as text.
 
 The page needs the extra `report` (matplotlib and Jinja). Every plot is drawn twice, light and
-dark, and the browser shows the one that suits its theme.
+dark, and the browser shows the one of its theme.
 """
 
 import json
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 PAGE = "index.html"
-# Cells longer than this are words, aligned left in the terminal.
+# Cells longer than this are taken for words and aligned left in the terminal.
 LONGEST_NUMBER = 16
 
 
@@ -29,7 +29,7 @@ LONGEST_NUMBER = 16
 class Table:
     """A table of text; the first column names the row.
 
-    A terminal shows `summary`, where there is one, in place of a table that is too long for it.
+    If `summary` is given, a terminal shows it in place of the table, which is too long for it.
     """
 
     title: str
@@ -109,7 +109,7 @@ def provenance_table(title: str, provenance: Mapping[str, Any]) -> Table:
 
 
 class Theme(NamedTuple):
-    """Colours of a plot. Line colours differ in lightness, too."""
+    """Colours of a plot. Line colours also differ in lightness."""
 
     name: str
     ground: str
@@ -132,7 +132,7 @@ def text_colour() -> str:
 
 
 def check_can_report(folder: Path) -> None:
-    """Refuse a report that could not be written, before the work. Raises OutputError."""
+    """Check, before a report is computed, that it can be written. Raises OutputError."""
     try:
         import jinja2  # noqa: F401
         import matplotlib  # noqa: F401
@@ -195,7 +195,7 @@ def print_tables(report: Report, console: Console) -> None:
             for position, column in enumerate(table.columns):
                 longest = max((len(row[position]) for row in table.rows), default=0)
                 words = position == 0 or longest > LONGEST_NUMBER
-                # Names wrap between words, numbers not at all.
+                # Words may wrap, numbers may not.
                 width = min(longest, LONGEST_NUMBER) if words else longest
                 width = max(width, *map(len, column.split()), 1)
                 shown.add_column(column, justify="left" if words else "right", min_width=width)

@@ -59,14 +59,14 @@ class Reorder(Section):
 
 
 class RouteChange(Section):
-    """A change of the delay by `by`, which may be negative, `at` a time since the link began."""
+    """A change of the delay by `by`, which may be negative, at the time `at`."""
 
     at_ns: LinkTime
     by_ns: Annotated[Nanoseconds, Field(ge=-10_000_000_000, le=10_000_000_000)]
 
 
 class Cut(Section):
-    """An outage that begins at `from` since the link began and lasts `for`."""
+    """An outage that begins at the time `from` and lasts for the time `for`."""
 
     from_ns: LinkTime
     for_ns: LinkTime
@@ -258,12 +258,15 @@ class Direction:
 class TcpStream:
     """A TCP connection over one direction of a link, with one packet for each message.
 
-    No message is lost and none overtakes another. A lost packet is retransmitted when the
-    acknowledgement of a later packet reveals the loss: the time between messages, a round trip and
-    a reordering window after it was sent (RACK, RFC 8985). If the retransmission timeout ends
-    earlier, the packet is sent then, and the timeout doubles (RFC 6298). The same holds for a lost
-    retransmission. After a retransmission by timeout has arrived, packets lost before it are sent
-    a round trip later. Every message after a gap waits for it.
+    No message is lost and none overtakes another: every message after a lost one waits for it. A
+    lost packet is retransmitted at the earlier of two times (RFC 8985 and RFC 6298):
+
+    - when the acknowledgement of the next packet reveals the loss. This is one time between
+      messages, one round trip and a reordering window after the packet was sent (RACK).
+    - at the retransmission timeout, which then doubles.
+
+    The same holds for a lost retransmission. Once a retransmission by timeout has arrived, packets
+    that were lost before it are sent again one round trip later.
 
     The time to the next message is assumed to be the time since the last one, and the round trip
     twice the link's delay. Not modelled: lost acknowledgements, congestion window, slow start,

@@ -1,4 +1,4 @@
-"""Both nodes and the link between them in virtual time: the same modules, no sockets, no sleep.
+"""Both nodes and the link between them in virtual time: the nodes' modules, without sockets.
 
 source → frames → wire bytes → link → display, one event after the other. With ticks from a real
 clock, a simulation runs a display in real time over the modelled link.
@@ -27,7 +27,7 @@ from sensing_node.sources.synthetic import SyntheticScene
 from telepulse.scene import Scene
 from telepulse.simulation.link_model import MessageLink
 
-# The sensing clock of a simulation runs this far ahead, so that mixed-up clocks are obvious.
+# The sensing clock is ahead by this, so that a confusion of the two clocks shows at once.
 SENSING_CLOCK_AHEAD_NS = 3_600_000_000_000
 STREAM_BEGINS_NS = 500_000_000
 SENDER = (b"simulated display",)
@@ -91,7 +91,7 @@ class Simulation:
         self._now_ns = begin_ns
         self._stream_ns = begin_ns + STREAM_BEGINS_NS
         self._scored_from_ns = self._stream_ns
-        # Age of a real film's reading.
+        # Age at which a real film is read; the modelled film has its own delay.
         self._film_age_ns = scene.display.film.latency_ns if hardware is not None else 0
         self._paced = PacedSource(self._source, self._stream_ns + SENSING_CLOCK_AHEAD_NS)
         self._session = seed + 1

@@ -23,12 +23,12 @@ POLL_EVERY_NS = 100_000_000
 
 
 class TelemetryClient:
-    """Client of all that a display publishes.
+    """Client of everything that a display publishes.
 
     Attributes
     ----------
     decoder : TelemetryDecoder
-        State of the telemetry so far, and counts of what was missed.
+        Decoder with the state of the telemetry and counts of missed messages.
     """
 
     def __init__(self, address: str, keys: ClientKeys | None) -> None:
@@ -48,7 +48,7 @@ class TelemetryClient:
         self.decoder = TelemetryDecoder()
 
     def subscribe(self) -> None:
-        """Subscribe to all topics; a display that waits for its recorder begins then."""
+        """Subscribe to all topics; a display that waits for its recorder then continues."""
         for topic in (PROVENANCE, TRACE, STATUS, CAPTURE):
             self._socket.subscribe(topic)
 
@@ -81,7 +81,7 @@ class TelemetryClient:
         Parameters
         ----------
         name : str
-            Names the reader in the warning that it ended for silence.
+            Name of the reader in the warning that it ended after silence.
         seconds : float or None
             Time after which to end.
         silence_s : float or None

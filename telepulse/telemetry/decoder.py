@@ -1,7 +1,7 @@
 """Decoder of a display's telemetry into the messages of a recording. Pure: bytes in, fields out.
 
-Each message carries the Unix time at which the display received or did it: the display's own clock,
-mapped to Unix time once when a run begins, so that distances in time stay exact.
+Each message has the Unix time of the display's event. The display's monotonic clock is mapped to
+Unix time once, when a run begins, so that time differences stay exact.
 """
 
 import math
@@ -53,7 +53,7 @@ class TelemetryDecoder:
 
     @property
     def started(self) -> bool:
-        """Whether a run of the display has begun here."""
+        """True once captured messages have announced a run of the display."""
         return self._run is not None
 
     def decode(self, topic: bytes, data: bytes) -> list[Entry]:
@@ -145,7 +145,7 @@ class TelemetryDecoder:
     def _ticks(self, trace: telemetry.Trace) -> Iterator[Entry]:
         for values in zip(*(column.tolist() for column in trace), strict=True):
             named = zip(telemetry.Trace._fields, values, strict=True)
-            # JSON has no NaN: a field without a value is left out.
+            # JSON has no NaN: fields without a value are left out.
             fields = {name: value for name, value in named if not math.isnan(value)}
             self._now_ns = fields["now_ns"]
             yield self._entry(TICK, fields)
@@ -161,7 +161,7 @@ class TelemetryDecoder:
 
 
 def _frame_fields(frame: wire.Frame) -> Fields:
-    """Return what a frame holds; samples in N, those of an instant side by side."""
+    """Return the fields of a frame; samples in N, all channels of one instant after another."""
     fields = frame._asdict()
     values = fields.pop("values")
     fields |= {"channels": values.shape[1], "bytes_per_sample": values.itemsize}
@@ -187,12 +187,12 @@ def _without_none(fields: Fields) -> Fields:
 class PassiveReceiver(Receiver):
     """The display's own receiver, fed with the entries of its telemetry or of a recording.
 
-    Clock, delays and sample counts come out as in the display. It sends nothing: the display sent
-    the clock requests.
+    Clock, delays and sample counts have the same values as in the display. It sends nothing: the
+    clock requests were the display's.
     """
 
     def __init__(self) -> None:
-        # More than one path: a frame that came twice is a copy then, never refused.
+        # With more than one path, a frame that arrives twice is a copy and not a refusal.
         super().__init__("listener", 0, LATE_TARGET, paths=2)
         # Each reply is accepted once, as in the display.
         self._requests_ns: deque[int] = deque(maxlen=MAX_OPEN_REQUESTS)

@@ -1,4 +1,4 @@
-"""Events of a display, from one status to the next and from its frames. Pure."""
+"""Events of a display, detected from successive statuses and from frames. Pure."""
 
 from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple
@@ -8,12 +8,13 @@ from protocol.counters import LIMIT_NAMES
 from protocol.errors import explain_causes
 from protocol.security.socket_monitor import REVOKED
 
-# As long as a display waits for a sensing node.
+# A cut is reported after the time that a display waits for a sensing node.
 CUT_AFTER_NS = 1_000_000_000
 CUT, FAULT, INTERRUPTED = "link cut", "fault", "felt again"
-# Counts of the bench are an event from so many within one status on; "superseded" ones are usual.
+# Counts of the bench are an event when they grow by more than this within one status; superseded
+# commands are usual.
 MANY, USUAL = 20, "drive superseded"
-# Alerts that the events of the state and of each cause of refusal cover.
+# Alerts that other events report already: those of the state and of each cause of refusal.
 OTHER_EVENTS = {"stale", NOT_CONNECTED}
 
 
@@ -39,19 +40,19 @@ class EventDetector:
         self._joined = self._ended = False
         # When the last frame arrived; None before the first.
         self._frame_ns: int | None = None
-        # When what lasts now began, by its name.
+        # Begin of each condition that lasts, by its name.
         self._began_ns: dict[str, int] = {}
         self._steps = 0
-        # How many interruptions were named, and their seconds; None before the first status.
+        # Number and length in s of the reported interruptions; None before the first status.
         self._interruptions: tuple[int, float] | None = None
         self._limited: set[str] = set()
         self._refused: set[str] = set()
-        # Counts of the bench at the last status, and those that were named.
+        # Counts of the bench at the last status, and the names of those that were reported.
         self._hardware: dict[str, int] = {}
         self._frequent: set[str] = {USUAL}
 
     def begin_session(self) -> None:
-        """Expect a stream to be joined and its frames to arrive."""
+        """Note that the display joins a stream, whose frames are to arrive."""
         self._joined = self._ended = False
         self._frame_ns = None
 
@@ -65,7 +66,7 @@ class EventDetector:
         yield from self._over(CUT, now_ns)
 
     def take(self, state: str, summary: Mapping[str, Any], now_ns: int) -> Iterator[Event]:
-        """Yield the events since the last status; now_ns: of this one, on the display's clock."""
+        """Yield the events since the last status; now_ns: time of this one, display's clock."""
         if state != self._state:
             seconds = (now_ns - self._state_ns) * 1e-9
             before = f", was {self._state} for {seconds:.1f} s" if self._state else ""
@@ -81,7 +82,7 @@ class EventDetector:
         yield from self._counted(summary)
 
     def _interrupted(self, known: Mapping[str, Any]) -> Iterator[Event]:
-        """Yield the interruptions that ended since the last status; one may lie between two."""
+        """Yield the interruptions that ended since the last status, also short ones."""
         count, seconds = known.get("count") or 0, known.get("seconds") or 0.0
         named = self._interruptions
         self._interruptions = count, seconds
@@ -97,9 +98,10 @@ class EventDetector:
         yield Event("WARNING", INTERRUPTED, text)
 
     def _counted(self, summary: Mapping[str, Any]) -> Iterator[Event]:
-        """Yield what was counted first, and what goes wrong often at the bench.
+        """Yield an event for each count that is new, and for frequent errors of the bench.
 
-        The statuses hold how often and for how long each clock step, limit or refusal was.
+        The statuses contain the number, and where it applies the time, of each clock step, limit
+        and refusal.
         """
         steps = summary["clock"].get("steps") or 0
         if steps > self._steps:

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from telepulse.view import text
 from telepulse.view.live import LiveState
-from telepulse.view.picture import MUTED, PLOTS, Columns, PagePlot, Picture, picture
+from telepulse.view.window_data import MUTED, PLOTS, Columns, PagePlot, WindowData, window_data
 
 REDRAW_MS = 200
 WINDOWS_S = (5, 10, 30, 60)
@@ -43,7 +43,7 @@ class Plots:
     """Plots of one viewer; roots: their Bokeh models, each named by its id."""
 
     def __init__(self) -> None:
-        # One source, so that a picture is one message and each plot is painted once.
+        # One source, so that an update is one message and each plot is drawn once.
         empty: dict[str, list[float]] = {
             f"{name}_{axis}": [] for name in _CURVES for axis in ("t", "y")
         }
@@ -55,13 +55,13 @@ class Plots:
         )
         self.roots = [self._draw(plot) for plot in PLOTS]
 
-    def show(self, picture: Picture, window_s: float) -> None:
-        """Draw a picture."""
+    def show(self, data: WindowData, window_s: float) -> None:
+        """Draw the curves of a window."""
         self._times.start = -window_s
-        self._source.data = padded(picture.columns)
-        for plot, (low, high) in picture.limits.items():
+        self._source.data = padded(data.columns)
+        for plot, (low, high) in data.limits.items():
             self._limits[plot].update(start=low, end=high)
-        jnd_mn = (picture.scores.jnd_n or 0.0) * 1e3
+        jnd_mn = (data.scores.jnd_n or 0.0) * 1e3
         self._band.update(bottom=-jnd_mn, top=jnd_mn)
 
     def _draw(self, plot: PagePlot) -> figure:
@@ -113,7 +113,7 @@ def padded(columns: dict[str, Columns]) -> dict[str, NDArray[np.float32]]:
 class LivePage:
     """Page of one viewer, drawn five times a second.
 
-    silent_ns: returns for how long nothing came from the display.
+    silent_ns: returns the time in ns since the last message from the display.
     """
 
     def __init__(self, document: Document, live: LiveState, silent_ns: Callable[[], int]) -> None:
@@ -129,7 +129,7 @@ class LivePage:
         # `SERVER_LOST` replaces Bokeh's own notice.
         document.config.update(notify_connection_status=False, reconnect_session=False)
         self._texts.js_on_change("data", update)
-        # Sources without a plot need a model that refers to them.
+        # A source without a plot is sent only if some model refers to it.
         self._plots.roots[0].tags = [self._texts, self._choices]
         for root in self._plots.roots:
             document.add_root(root)
@@ -145,14 +145,14 @@ class LivePage:
         self._figures: dict[str, text.PageFigure] = {}
         self._number = 0
         self.draw()
-        # Bokeh ends it with the viewer's session.
+        # Bokeh removes this callback with the viewer's session.
         document.add_periodic_callback(self.draw, REDRAW_MS)
 
     def draw(self) -> None:
         """Draw the present state; on a paused page only state and alarms.
 
-        A browser that has not shown the last picture gets no other. On a slow one pictures would
-        queue, and it would show the past.
+        A browser that has not drawn the last update gets no further one: on a slow browser updates
+        would queue, and it would show the past.
         """
         live, choices = self._live, self._choices.data
         if choices["seen"][0] != self._number:
@@ -162,7 +162,7 @@ class LivePage:
         if not choices["paused"][0]:
             (choice,) = choices["window_s"]
             window_s = choice if choice in WINDOWS_S else WINDOW_S
-            shown = picture(live, window_s * SECOND_NS)
+            shown = window_data(live, window_s * SECOND_NS)
             self._plots.show(shown, window_s)
             self._figures = text.figures(live, shown, silent_ns)
         state, note = text.state(live, silent_ns)

@@ -34,8 +34,8 @@ from telepulse.view.page import LivePage
 
 logger = logging.getLogger(__name__)
 
-# One thread draws for all: a picture takes it some 10 to 20 ms, five times a second at most, and a
-# new page half a second.
+# One thread draws for all pages. An update takes it some 10 to 20 ms, at most five times a second,
+# and a new page half a second.
 MAX_VIEWERS = 8
 OPENED_PER_S, OPENED_AT_ONCE = 0.5, 4
 # Paths that open a page; images and scripts of an open one are always served.
@@ -43,10 +43,10 @@ OPENING = ("", "/", "/autoload.js")
 
 
 class AdmittingRouter(Router):
-    """Router that passes requests on to the pages' routes, or answers why not in one line.
+    """Router that serves the pages, or answers in one line why a request is refused.
 
-    Served are requests under this server's own name, and few enough viewers. The first refusal of
-    each kind is logged, not each: a flood would fill the terminal.
+    A request must name this server, and the number of viewers is limited. Only the first refusal
+    of each kind is logged: a flood would fill the terminal.
     """
 
     def __init__(self, pages: BokehTornado, site: Site) -> None:
@@ -64,7 +64,7 @@ class AdmittingRouter(Router):
             status, reason = HTTPStatus.FORBIDDEN, stranger
         elif request.path in OPENING:
             if len(self._pages.get_sessions("/")) >= MAX_VIEWERS:
-                reason = f"{MAX_VIEWERS} pages are open already, which is the most; close one"
+                reason = f"{MAX_VIEWERS} pages are open, the largest number allowed; close one"
             elif not self._opened.take(time.monotonic_ns()):
                 reason = "too many pages were opened at once; try again in a few seconds"
         if reason is None:
@@ -90,11 +90,11 @@ class _Refused(RequestHandler):
 
 PORT = 5006
 POLL_EVERY_MS = 50
-# The session of a viewer that has left ends within the sum of both.
+# The session of a viewer that has left ends within the sum of these two times.
 UNUSED_MS, CHECK_UNUSED_MS = 1_000, 1_000
 # A peer that misses a ping is closed within 10 s, and 5 s for the closing handshake.
 PING_EVERY_S = 5
-# Viewers see how it ended.
+# Time before the server closes, in which viewers receive the final state.
 LINGER_S = 0.5
 TRIES = 5
 
@@ -175,7 +175,7 @@ class PageServer:
         LivePage(document, self._live, self._silent_ns)
 
     def _silent_ns(self) -> int:
-        """Return the age of the display's last status; before it, how long there was none."""
+        """Return the age of the display's last status; before the first, the time without one."""
         now_ns = time.monotonic_ns()
         age_ns = self._age.age_ns(now_ns)
         return now_ns - self._began_ns if age_ns is None else age_ns

@@ -14,13 +14,13 @@ from protocol.run_summary import REGISTRY
 from telepulse.telemetry.decoder import Fields
 from telepulse.telemetry.events import CUT, CUT_AFTER_NS
 from telepulse.view.live import LiveState
-from telepulse.view.picture import Picture, PictureScores
+from telepulse.view.window_data import WindowData, WindowScores
 
 SECOND_NS = 1_000_000_000
 # An alarm for a single occurrence is shown for this long.
 SHOWN_NS = 5 * SECOND_NS
 MUCH_LOSS = 5.0
-# Columns of the statuses.
+# Indices of columns in `LiveState.statuses`.
 LOST, LATE, REFUSED, LIMITED = 3, 4, 6, 7
 NOTHING = "–"
 # Statuses come five times a second; an older one is not current.
@@ -67,7 +67,7 @@ def age(live: LiveState, silent_ns: int) -> str:
 def state(live: LiveState, silent_ns: int = 0) -> tuple[str, str]:
     """Return the display's state in a word, and a note: its meaning or its age.
 
-    silent_ns: for how long nothing came from the display.
+    silent_ns: time since the last message from the display.
     """
     word = live.state or "waiting"
     old = age(live, silent_ns)
@@ -77,14 +77,14 @@ def state(live: LiveState, silent_ns: int = 0) -> tuple[str, str]:
     return ("ended" if live.display_ended and word != "fault" else word), note
 
 
-def figures(live: LiveState, picture: Picture, silent_ns: int = 0) -> dict[str, PageFigure]:
-    """Return each figure with a note: of the window, or of the whole run.
+def figures(live: LiveState, data: WindowData, silent_ns: int = 0) -> dict[str, PageFigure]:
+    """Return each figure with a note that says whether it is of the window or of the whole run.
 
-    silent_ns: for how long nothing came from the display.
+    silent_ns: time since the last message from the display.
     """
-    scores = picture.scores
-    window = f"the last {picture.window_s:g} s"
-    heart_rate = None if age(live, silent_ns) else picture.heart_rate_per_min
+    scores = data.scores
+    window = f"the last {data.window_s:g} s"
+    heart_rate = None if age(live, silent_ns) else data.heart_rate_per_min
     shown = dict.fromkeys(FIGURES, PageFigure(NOTHING)) | {
         "heart": PageFigure(
             NOTHING if heart_rate is None else f"{heart_rate:.0f} /min",
@@ -106,7 +106,7 @@ def _percent(share: float | None, digits: int = 1) -> str:
     return NOTHING if share is None else f"{100 * share:.{digits}f} %"
 
 
-def _error(error_n: float | None, scores: PictureScores, window: str) -> PageFigure:
+def _error(error_n: float | None, scores: WindowScores, window: str) -> PageFigure:
     if error_n is None or not scores.jnd_n:
         return PageFigure(NOTHING, f"RMS of {window}")
     share = JND * error_n / scores.jnd_n
@@ -114,8 +114,8 @@ def _error(error_n: float | None, scores: PictureScores, window: str) -> PageFig
     return PageFigure(f"{error_n * 1e3:.2f} mN", note)
 
 
-def _within(scores: PictureScores, window: str) -> PageFigure:
-    """Return the share within the JND, with what part of the window it is of."""
+def _within(scores: WindowScores, window: str) -> PageFigure:
+    """Return the share within the JND, and the share of the window that it refers to."""
     if scores.within_jnd is None or scores.judged is None:
         return PageFigure(NOTHING, f"of {window}, none of which could be judged")
     note = f"of the {_percent(scores.judged)} of {window} that could be judged"
@@ -134,14 +134,14 @@ def _loss(samples: Fields) -> PageFigure:
 
 
 def alarms(live: LiveState, silent_ns: int) -> list[Alert]:
-    """Return the alarms of now; silent_ns: for how long nothing came from the display."""
+    """Return the present alarms; silent_ns: time since the last message from the display."""
     if not live.state:
         return []
     found = alerts(live.state, live.summary, live.display_ended, silent_ns)
     if live.display_ended or silent_ns > SILENT_AFTER_NS:
         return found
     if live.frame_ns and not live.stream_ended and live.now_ns - live.frame_ns > CUT_AFTER_NS:
-        found.append(Alert(CUT, "no frame comes from the sensing node"))
+        found.append(Alert(CUT, "no frame arrives from the sensing node"))
     return found + _counted(live)
 
 
@@ -159,7 +159,7 @@ def _counted(live: LiveState) -> list[Alert]:
         if missing > MUCH_LOSS:
             found.append(Alert("loss", f"{missing:.0f} % of the samples are lost or late"))
     if live.now_ns - live.stepped_ns < SHOWN_NS:
-        found.append(Alert("clock step", "a clock has jumped; it is estimated afresh"))
+        found.append(Alert("clock step", "a clock has jumped; its offset is estimated again"))
     if live.now_ns - live.telemetry_missed_ns < SHOWN_NS:
         found.append(Alert("missed", "this page is too slow for the display's telemetry"))
     return found

@@ -47,11 +47,11 @@ def chapter() -> Chapter:
     simulated_s = np.arange(len(wanted_n)) / gain_units.RATE_HZ
     paragraphs = (
         "Dargahi, Xie and Ji, “An experimental teletaction system for sensing and teleperception of"
-        " human pulse”, Mechatronics 18 (2008) 195–207. Every figure of it that can be computed is"
+        " human pulse”, Mechatronics 18 (2008) 195–207. Each of its figures that can be computed is"
         " computed here from its equations and tables, with the nodes' own models of film, layer,"
         " pulse and force loop.",
         "Every error depends on three things that the paper does not give: the pulse's height in"
-        " newtons, the unit in which the controller saw its error, and the recorded pulse itself."
+        " newtons, the unit of the controller's error, and the recorded pulse itself."
         f" We chose a height of {height_n:g} N from peak to peak, an error in millivolts of the"
         " film by eq 21 (the only unit with which the gains follow a pulse, as “Five units for the"
         " gains” shows), and a synthetic pulse. No choice gives all three printed errors. Only the"
@@ -154,8 +154,8 @@ def _error_rows(strain_rmse: float, force_rmse_n: float, height_n: float) -> Row
             " rest on the preload; in continuous time, starting without force,"
             f" {1e3 * film_mv.experiment * height_n:.2f} mN. The printed error would need a pulse"
             f" of {film_mv.peak_to_peak_n(MEASURED_FORCE):.2f} N, beyond the"
-            f" {published.CALIBRATION_FORCE_N} N of Fig. 4. More likely eq 22 is not what was"
-            " driven: a stepping motor has steps, a speed and a contact that eq 22 leaves out.",
+            f" {published.CALIBRATION_FORCE_N} N of Fig. 4. More likely the experiment did not"
+            " drive eq 22: a stepping motor has steps, a speed and a contact that are not in it.",
         ),
         (
             "Figs 19–20, strain RMSE of the experiment",
@@ -171,7 +171,7 @@ def _error_rows(strain_rmse: float, force_rmse_n: float, height_n: float) -> Row
             f"{published.SUBJECTS} subjects, {100 * published.FELT_CLOSE_TO_TOUCH:.0f} % felt it"
             " close to a direct touch",
             "–",
-            "Needs people; nothing here can compute it.",
+            "An experiment with people; it cannot be computed.",
         ),
     ]
 
@@ -245,7 +245,7 @@ def _layer_rows() -> Rows:
             "Simulation's strain RMSE as a force",
             SIMULATED_STRAIN.text,
             f"{1e3 * SIMULATED_STRAIN.force_n:.3f} mN",
-            "The chapter on the gains' units gives the pulse it would need.",
+            "The chapter on the gains' units gives the pulse that this requires.",
         ),
         (
             "Experiment's strain RMSE as a force",
@@ -290,7 +290,7 @@ def _film_rows() -> Rows:
             "Film's sensitivity",
             f"about {slope:g} mV/N (Fig. 4)",
             f"{film_mv:.0f} mV/N (eq 21)",
-            f"A factor of {film_mv / slope:.0f}: “mV” has two meanings for the gains.",
+            f"A factor of {film_mv / slope:.0f}: the gains' “mV” has two possible meanings.",
         ),
         (
             "Radii r_pv of the films",
@@ -303,7 +303,7 @@ def _film_rows() -> Rows:
             "Film's thickness",
             f"{table_um:g} µm (Table 1), {abstract_um:g} µm (abstract)",
             f"{thin:.0f} and {thick:.0f} mV under 1 N",
-            "It cancels between eqs 2 and 4: either may be true.",
+            "The thickness cancels between eqs 2 and 4, so either may be true.",
         ),
         (
             "g32 (Table 1)",

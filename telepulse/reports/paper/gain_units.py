@@ -1,4 +1,4 @@
-"""Table 5's gains have no units: five units of the error, each in a loop closed over eq 22.
+"""Five units for the gains of Table 5, which has none: each in a loop closed over eq 22.
 
 The loops are in continuous time with a pure derivative, so that only the unit makes a difference.
 """
@@ -35,7 +35,7 @@ from telepulse.scene import load_scene
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-# Fine enough for the fastest pole, at −4056 /s.
+# Sampling rate in Hz, high enough for the fastest pole, at −4056 /s.
 RATE_HZ = 50_000.0
 # A loop follows the pulse when its error is below this share of the error of doing nothing.
 FOLLOWING = 0.5
@@ -122,12 +122,12 @@ def rmse_without_the_start(unit: ErrorUnit, gains: Gains) -> float:
 
 
 def chapter() -> Chapter:
-    """Compute what each unit makes of the printed errors, and how fast its loop must run."""
+    """Compare the errors of each unit with the printed ones, and give its least sampling rate."""
     film_mv = film_millivolts()
     shares = [errors.simulation / errors.experiment for errors in unit_errors()]
     simulated_n = film_mv.peak_to_peak_n(SIMULATED_STRAIN)
     paragraphs = (
-        "Table 5 gives gains without units. The controller may have seen its error as strain, in"
+        "Table 5 gives gains without units. The controller's error may have been a strain, or in"
         " newtons, in volts of the film by eq 21, in millivolts by Fig. 4 or in millivolts by eq"
         f" 21: an error of 1 N has a size from {scientific(published.STRAIN.per_newton, 1)} to"
         f" {FILM_MV.per_newton:.0f}. Here each loop is closed over eq 22 in continuous time with a"
@@ -173,14 +173,14 @@ def chapter() -> Chapter:
 def _errors_table() -> Table:
     doing_nothing = deviation_n("paper")
     first_s = rmse(beats("paper", RATE_HZ, FIRST_S))
-    columns = ("error as", "seen of 1 N", "simulation's gains", "experiment's gains")
+    columns = ("error as", "value for 1 N", "simulation's gains", "experiment's gains")
     rows = []
     for unit, simulation, experiment in unit_errors():
         size, follows = unit.per_newton, "no"
         if max(simulation, experiment) < FOLLOWING * doing_nothing:
             follows = "yes"
         elif simulation < doing_nothing:
-            follows = "no; simulation's gains are a little better than nothing"
+            follows = "no; simulation's gains are a little better than none"
         seen = f"{size:.4g}" if size >= 1 else scientific(size, 4)
         rows.append((unit.name, seen, f"{simulation:.3g}", f"{experiment:.3g}", follows))
     whole = f"over whole beats; {first_s:.3f} over the first {FIRST_S:g} s, which end within a beat"
@@ -229,7 +229,7 @@ def _rates_table() -> Table:
                 gains, MATLAB_FILTER_RAD_PER_S
             ),
             f"filter of {filter_hz:g} Hz, as ours": least_rate_hz(gains, 2 * math.pi * filter_hz),
-            "backward difference, one more sample of delay": least_rate_hz(gains, delay_ticks=1),
+            "backward difference, a delay of one sample": least_rate_hz(gains, delay_ticks=1),
         }
         row = {
             "gains of the": name,
@@ -237,7 +237,7 @@ def _rates_table() -> Table:
         }
         rows.append(row | {column: f"{least:.0f} Hz" for column, least in least_hz.items()})
     return Table.of(
-        "How fast the loop must be sampled, error in mV by eq 21",
+        "Least sampling rate of the loop, error in mV by eq 21",
         rows,
         "The lowest rate at which the sampled loop's largest pole is inside the unit circle: eq 22"
         " by the exact zero-order hold, integral and derivative (and its filter) by backward"

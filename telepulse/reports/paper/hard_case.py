@@ -1,7 +1,7 @@
-"""Hard cases for the shipped force loop: how one is run, and how its result is judged.
+"""Hard cases for the shipped force loop: a case, its run, and the verdict on it.
 
 The verdict is computed from the felt force, from the fault that Safety reports, or from the
-SceneError by which the loop is refused. A case does not state an expected verdict.
+SceneError of a refused loop. A case does not state an expected verdict.
 """
 
 import math
@@ -104,7 +104,7 @@ class LoopSetup:
         law, film = self.actuator.contact(self.layer), self.film
         x_m, step_m = law.position(force_n), microsteps * self.actuator.step_m
         unit = {"force": 1.0, "millivolts": film.millivolts_per_newton}.get(self.controller.error)
-        # Of the controller's error per metre of travel.
+        # Controller's error per metre of travel.
         per_m = unit * law.stiffness(force_n) if unit else 1.0
         step_m += self.controller.dead_band / per_m
         off_n = NOISE_DEVIATIONS * film.noise_n
@@ -169,11 +169,11 @@ class HardCase:
     explanation
         Reason printed with the verdict STABLE; the others take theirs from the run.
     reference
-        The wanted force in N at a tick.
+        Returns the target force in N at a tick.
     reading
-        The reading in N that the controller gets, from the tick and the film's own reading.
+        Returns the reading in N for the controller, from the tick and the film's own reading.
     with_safety
-        Whether Safety bounds the reference and watches the reading.
+        Safety bounds the reference and checks the reading.
     target_n, tolerance_microsteps
         Final target force, and distance from it within which a stepper has settled.
     ticks
@@ -256,7 +256,7 @@ def judge(case: HardCase, run: CaseRun) -> tuple[CaseVerdict, str]:
 
 
 def refusal_reason(error: Exception) -> str:
-    """Return the reason in an error's line, without the leading key and the trailing advice."""
+    """Return the reason in an error's text, without the leading key and the trailing advice."""
     return str(error).removeprefix("[display] controller: ").split(": lower its")[0]
 
 

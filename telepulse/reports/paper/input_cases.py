@@ -49,7 +49,7 @@ EXACT = 1e-9
 
 
 def odd_samples() -> Iterator[CaseResult]:
-    """Put one sample that is no usable force into the reference, and into the film's reading.
+    """Put one sample that is not a usable force into the reference, and into the film's reading.
 
     One row has all samples with the same verdict and reason.
     """

@@ -46,7 +46,7 @@ SETTLING = 4000
 SLOW_M_PER_S = 2e-3
 # About halfway between two microsteps of the scenes' steppers.
 BETWEEN_N = 0.3003
-# A cycle of at most so many microsteps is reported as a cycle, not as a loop that never settles.
+# A cycle up to this size is reported as a cycle; a larger one means that the loop does not settle.
 CHATTER_MICROSTEPS = 20.0
 ROUNDING_N = 1e-12
 
@@ -62,8 +62,8 @@ def stiff_contact() -> Iterator[CaseResult]:
     films = (("film as it is", None), ("film of 40 Hz", SLOW_FILM))
     controllers = (("force", ON_FORCE), ("position", ON_POSITION))
     why = (
-        "within a microstep of the wanted force; the PID has the contact's stiffness and solves"
-        " for the tick's end"
+        "within a microstep of the target force; the PID uses the contact's stiffness and solves"
+        " for the error at the tick's end"
     )
     for parts in product(contacts, films, controllers):
         (contact, actuator, layer), (film_name, film), (error, controller) = parts
@@ -129,7 +129,7 @@ def saturated_steps() -> Iterator[CaseResult]:
 
 
 def _saturated(name: str, slow: LoopSetup, fast: LoopSetup) -> CaseResult:
-    """Compare undershoots: an integral that ran on in saturation would undershoot further."""
+    """Compare undershoots: an integral that grows in saturation would undershoot further."""
 
     def swing(tick: int) -> float:
         if not SWING_FROM <= tick < SWING_TO:
@@ -141,7 +141,7 @@ def _saturated(name: str, slow: LoopSetup, fast: LoopSetup) -> CaseResult:
         "saturated step rate",
         f"{name}, at most {1e3 * SLOW_M_PER_S:g} mm/s",
         slow,
-        "the integral stands still in saturation",
+        "the integral does not grow in saturation",
         reference=swing,
         ticks=SWING_TO + SETTLING,
     )
@@ -191,10 +191,9 @@ def force_step() -> Iterator[CaseResult]:
 
 
 class Chatter(NamedTuple):
-    """Motion that is left on a constant reference.
+    """Remaining motion at a constant reference.
 
-    Travel of the felt force from peak to peak, in microsteps and in N, and reversals of its
-    direction in 1/s.
+    Range of the felt force in microsteps and in N, and reversals of its direction in 1/s.
     """
 
     microsteps: float
@@ -250,7 +249,7 @@ def _at_rest(name: str, setup: LoopSetup) -> CaseResult:
         "direction chatter",
         name,
         setup,
-        "at most the one microstep that lies across the wanted force",
+        "at most the one microstep around the target force",
         reference=lambda _: BETWEEN_N,
         target_n=BETWEEN_N,
         tolerance_microsteps=CHATTER_MICROSTEPS,

@@ -1,4 +1,4 @@
-"""Values that the paper publishes, and the units in which its controller may have seen an error.
+"""Values that the paper publishes, and possible units of its controller's error.
 
 Dargahi, Xie and Ji, Mechatronics 18 (2008) 195-207. A comment marks each misprint and how it is
 interpreted here; everything else is as printed.
@@ -52,7 +52,7 @@ FELT_CLOSE_TO_TOUCH = 0.66
 
 
 class ErrorUnit(NamedTuple):
-    """A unit in which the controller may have seen its error, and the size of 1 N in it."""
+    """A possible unit of the controller's error, and the value of 1 N in it."""
 
     name: str
     per_newton: float

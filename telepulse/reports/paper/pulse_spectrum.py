@@ -1,7 +1,7 @@
 """The synthetic pulse of this report and its Welch spectrum (Figs 15 and 16).
 
-The pulse has 75 beats/min and 1 N from peak to peak. Where errors are compared it has no mean:
-a PVDF film passes none, and a preload of unknown size would only add to the errors.
+The pulse has 75 beats/min and 1 N from peak to peak. Where errors are compared its mean is removed:
+a PVDF film does not pass it, and an unknown preload would only add to the errors.
 """
 
 from dataclasses import dataclass
@@ -26,8 +26,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 Preset = Literal["paper", "wide"]
-# Slow parts of the spectrum's pulse, over the standard deviation of its beats. They are fitted, as
-# the waves' widths and heights are, to the energy shares that the paper prints.
+# Slow parts of the pulse, as multiples of the standard deviation of its beats. Like the waves'
+# widths and heights, they are fitted to the energy shares that the paper prints.
 SLOW_DC = 0.034
 SLOW_RESPIRATION = 0.256
 SLOW_RESPIRATION_HZ = 0.25
@@ -98,9 +98,9 @@ def welch(force_n: NDArray[np.float64]) -> Spectrum:
 
 @cache
 def spectra() -> dict[str, Spectrum]:
-    """Return the spectra of our pulse, and of those that might have been used instead."""
+    """Return the spectra of our pulse, and of possible alternatives."""
     bare_n = beats("paper", RATE_HZ, SECONDS)
-    # Between two beats the bare waves are all but 0, so their mean is what lifts that floor.
+    # Between two beats the waves are almost 0, so the lowest value is minus their mean.
     raw_mean_n = -beats("paper", 1e4, NOMINAL_BEAT_S).min()
     return {
         "ours": welch(beats("paper", RATE_HZ, SECONDS, slow_parts=True)),

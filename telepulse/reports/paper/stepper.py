@@ -1,8 +1,8 @@
 """The paper's pulse on a physical stepper: scenes bench and real_bench, and variations of them.
 
-The chapter shows what each imperfection of a real bench adds to the error, and what each part of
-the controller changes.
-The paper's own experiment (section 5, Figs 17 to 20) is run the same way for the first chapter.
+The chapter shows the error that each imperfection of a real bench adds, and that each part of the
+controller removes. The paper's own experiment (section 5, Figs 17 to 20) is run the same way for
+the first chapter.
 """
 
 from collections.abc import Mapping
@@ -34,7 +34,7 @@ SHOWN_S = (3.0, 4.8)
 
 @dataclass(frozen=True, slots=True)
 class TrackingRun:
-    """Wanted and felt force in N at times in s; the felt force at the beginning of each tick."""
+    """Target and felt force in N at times in s; the felt force at the beginning of each tick."""
 
     t_s: Floats
     wanted_n: Floats
@@ -49,8 +49,8 @@ class TrackingRun:
 def run_scene(scene: Scene, actual: StepperScene | None = None) -> TrackingRun:
     """Run the first 6 s of a pulse after the loop has settled at the pulse's first force.
 
-    The scene's link and playout are left out, since the paper had none. `actual` is the real
-    stepper, where it differs from the one that the controller assumes.
+    The scene's link and playout are left out, since the paper had none. `actual` is the simulated
+    stepper, if it differs from the one that the controller assumes.
 
     Raises
     ------
@@ -106,7 +106,7 @@ def real_bench() -> Scene:
 
 
 def microstep_rmse_n(scene: Scene) -> float:
-    """Return the RMSE in N of the nearest microstep at every tick, the bound of any controller."""
+    """Return the RMSE in N of the nearest microstep at each tick: no controller can be better."""
     actuator = _stepper(scene)
     law, step_m = actuator.contact(scene.display.layer.layer()), actuator.step_m
     wanted_n = build_source(scene.sensing, scene.path.parent).take(6000)[:, 0]
@@ -115,7 +115,7 @@ def microstep_rmse_n(scene: Scene) -> float:
 
 
 def run_controllers(scene: Scene) -> list[BenchResult]:
-    """Run the scene's bench under controllers that model more and more of it."""
+    """Run the scene's bench under controllers that model more of it, step by step."""
     ours = scene.display.controller
     on_film: dict[str, object] = {"observer": None, "feed_forward": False}
     paper_gains: dict[str, object] = {"kp": 15.0, "ki": 0.15, "kd": 0.03, "error": "millivolts"}
@@ -229,9 +229,9 @@ def _stepper(scene: Scene) -> StepperScene:
 def chapter() -> Chapter:
     """Run the benches. Raises SceneError or SourceError."""
     paragraphs = (
-        "Eq 22 is not a stepping motor. Here a stepping motor presses the paper's pulse, 0.3 N"
-        " peak to peak on an offset of 0.3 N: 1/16 microsteps on a lead of 2 mm, a rigid tip of"
-        " 5 mm on 2 mm of rubber, a fingertip of 1 N/mm behind it. The clean bench has nothing"
+        "Eq 22 does not describe a stepping motor. Here a stepping motor presses the paper's pulse,"
+        " 0.3 N peak to peak on an offset of 0.3 N: 1/16 microsteps on a lead of 2 mm, a rigid tip"
+        " of 5 mm on 2 mm of rubber, a fingertip of 1 N/mm behind it. The clean bench has nothing"
         " else. The real bench adds 10 µm of backlash, a rotor that rings at 100 Hz"
         " (ζ 0.2), 1 mN of noise on the film, its 40 Hz filter, and a converter of 16 bits"
         " over ±10 V, which at Fig. 4's 44 mV/N is 6.9 mN a step. All errors are force RMSE"
@@ -240,9 +240,9 @@ def chapter() -> Chapter:
         f" leave {1e3 * microstep_rmse_n(clean_bench()):.2f} mN. The paper's experiment printed"
         f" {1e3 * published.EXPERIMENT_FORCE_RMSE_N:.1f} mN.",
         "Three things reduce the error. Feed-forward: the reference's next samples are known,"
-        " so the screw is driven to where contact, rotor and backlash will need it, before any"
-        " error appears. An observer: models of drive and film are stepped along, so that the"
-        " film's lag is not mistaken for an error. Adaptation: the finger's place and softness"
+        " so the screw moves to the position that contact, rotor and backlash require, before any"
+        " error appears. An observer: models of drive and film run in step with them, so that the"
+        " film's lag is not taken for an error. Adaptation: the finger's position and compliance"
         " are states of the observer's Kalman filter.",
         "Feed-forward alone makes the real bench worse than a plain gain does: the slow film"
         " reports the motion late, and the gain works against it.",

@@ -1,1 +1,1 @@
-"""Studies: questions about the system that a computation answers, each as a report."""
+"""Studies: computations about the system, each with a report."""

@@ -54,7 +54,7 @@ ROTOR_TICKS_S = (1e-4, 1e-3, 1e-2)
 ROUNDING = 1e-14
 # A trajectory further from the reference than this many times the pulse has diverged.
 GROWN = 10.0
-# Markers and lines, so that families that lie on each other can still be distinguished.
+# Markers and lines, by which overlapping families can be distinguished.
 STYLES = ("o-", "s-", "x--", "^-", "v-", "P-", "<-", ">-")
 
 
@@ -194,13 +194,13 @@ def costs_us(
     """Return the median cost of a step of each stepper in µs of processor time.
 
     The steppers take turns with the same voltages, so that a busy moment of the machine affects
-    all alike. Making a stepper is not in its cost.
+    all equally. The cost does not include making a stepper.
     """
     costs: list[list[float]] = [[] for _ in makes]
     for _ in range(rounds):
         for make, taken_us in zip(makes, costs, strict=True):
             step = make()
-            # The processor's time: other work on the machine is not in it.
+            # Processor time, which excludes other work on the machine.
             runs, elapsed_s, began_s = 0, 0.0, time.process_time()
             while elapsed_s < LEAST_RUN_S:
                 for volts in voltages:
@@ -214,9 +214,10 @@ def costs_us(
 def score_rotor(
     method: Method, damping: float, scene: SyntheticScene, effort: IntegratorEffort
 ) -> list[float]:
-    """Return the errors over peak to peak, one a tick, of a resonant rotor driven by the pulse.
+    """Return the errors over peak to peak of a resonant rotor driven by the pulse, by tick length.
 
-    m = 1, 100 Hz, the voltage k times the pulse: a controller would add a stability of its own.
+    m = 1, 100 Hz; the voltage is k times the pulse, without a controller, which could stabilise
+    the rotor.
     """
     omega = 2 * math.pi * ROTOR_HZ
     plant = Plant(1.0, 2 * damping * omega, omega**2)
@@ -242,7 +243,7 @@ def largest_error(forces_n: Sequence[Decimal], truth_n: Sequence[Decimal]) -> fl
 def report_integrators(scores: IntegratorScores, effort: IntegratorEffort) -> Report:
     """Return the report on scores that took this effort."""
     return Report(
-        "Integration methods on the paper's loop: cost a step against error",
+        "Integration methods on the paper's loop: cost per step against error",
         (_loop_chapter(scores, effort), _rotor_chapter(scores, effort)),
     )
 
@@ -265,7 +266,7 @@ def _loop_chapter(scores: IntegratorScores, effort: IntegratorEffort) -> Chapter
         " the actuator's step alone, without the controller and in one thread, on the voltages"
         f" of the loop's first beat; median of {effort.rounds} rounds taken in turns.",
         "Where all voltages are known beforehand, one call of lsim for the whole run costs"
-        f" {scores.whole_us:.2g} µs a tick; a loop cannot be closed that way.",
+        f" {scores.whole_us:.2g} µs per tick; a loop cannot be closed that way.",
     )
     caption = (
         "Largest error against cost of a step. The star is the default; libraries are"
@@ -290,7 +291,7 @@ def _loop_tables(scores: IntegratorScores) -> tuple[Table, Table]:
     if CONTROL not in {point.name for point in points}:
         rows.append(dict.fromkeys(rows[0], "") | {"integrator": f"{CONTROL}: {NOT_INSTALLED}"})
     note = (
-        f"{verdict(default, points)} × n: n sub-steps a tick. On the frontier: no other row"
+        f"{verdict(default, points)} × n: n sub-steps per tick. On the frontier: no other row"
         f" is both as accurate and as fast, where errors below {ROUNDING:g} are rounding and count"
         " as equal."
     )
@@ -302,7 +303,7 @@ def _loop_tables(scores: IntegratorScores) -> tuple[Table, Table]:
     columns = ("the whole loop in exact zero-order hold and decimals", "difference")
     reference = "Over the pulse's peak to peak, as the errors above."
     return (
-        Table.of("Cost a step against error", rows, note),
+        Table.of("Cost per step against error", rows, note),
         Table("Error of the reference", columns, differences, reference),
     )
 
@@ -332,9 +333,9 @@ def _rotor_chapter(scores: IntegratorScores, effort: IntegratorEffort) -> Chapte
 
 
 def beaten_by(point: IntegratorPoint, points: Sequence[IntegratorPoint]) -> list[IntegratorPoint]:
-    """Return the points at least as accurate and as fast, and better in one of the two.
+    """Return the points that are at least as accurate and as fast, and better in one of the two.
 
-    Where there are none, the point is on the frontier.
+    If there are none, the point is on the frontier.
     """
 
     def figures(of: IntegratorPoint) -> tuple[float, float]:

@@ -1,12 +1,12 @@
 """Integration methods for the paper's actuator, eq 22, under a voltage held over each tick.
 
-m f'' + c f' + k f = u, at rest at first. Each function returns a stepper: it takes a voltage in V
-and returns the force in N at the tick's end. Those written out here work in floats and in decimals
-alike, so that a reference can have as many digits as it needs. Those of libraries call the library
-once a tick with their (force, rate), as a closed loop must.
+m f'' + c f' + k f = u, at first at rest. Each function returns a stepper: it takes a voltage in V
+and returns the force in N at the tick's end. Steppers that are written out here also work in
+decimals, so that a reference can have any number of digits. Steppers of libraries call the library
+once per tick with their (force, rate), as a closed loop requires.
 
-The loop around them is the paper's pulse and a discrete PID, which is written out here, apart from
-the display's, so that it also runs in decimals.
+The loop around them has the paper's pulse and a discrete PID, which is written out here so that it
+also works in decimals.
 """
 
 import math
@@ -21,7 +21,7 @@ from display_node.plant.second_order import SecondOrder, SecondOrderScene
 from sensing_node.sources.synthetic import SyntheticScene, SyntheticSource
 from telepulse.reports.paper.published import ACTUATOR, EXPERIMENT, FILM_MV
 
-# The filter of our scene; the paper gives none.
+# Corner of the derivative's filter in scenes/paper.toml; the paper gives none.
 DERIVATIVE_FILTER_HZ = 200.0
 Number = TypeVar("Number", float, Decimal)
 Step = Callable[[Number], Number]

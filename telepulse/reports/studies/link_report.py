@@ -18,7 +18,7 @@ from telepulse.reports.studies.link_scores import (
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-# Stands for buffering alone: it is never trusted, so that auto plays what has arrived.
+# The predictor of the cases with buffering alone: auto never trusts it, and plays arrived samples.
 BUFFERED: PredictorName = "hold"
 BEST: PredictorName = "stack"
 
@@ -76,9 +76,9 @@ def _choice_chapter(scores: LinkScores, effort: LinkEffort) -> Chapter:
             rows.append(_choice(link, predictor, f"{delay_ms:g}", best))
             rows.append(_choice(link, predictor, f"auto: {auto.delay_ms:.1f}", auto))
     paragraphs = (
-        "With the perceived delay E the finger feels the pulse of E ago. Samples that have arrived"
-        " by then are played, the rest is predicted from the newest one. In phase: error against"
-        " the pulse at that very instant; aligned: against the pulse of E ago.",
+        "With the perceived delay E the finger feels the pulse at the time E before the present."
+        " Samples that have arrived by then are played, the rest is predicted from the newest one."
+        " In phase: error against the present pulse; aligned: against the pulse E before.",
         *(advice(scores, link) for link in scores.results),
         f"Both nodes in virtual time, a radial pulse with heart-rate variability in frames of"
         f" 5 ms, {len(effort.seeds)} times {effort.seconds:g} s by another seed, after"
@@ -91,8 +91,8 @@ def _choice_chapter(scores: LinkScores, effort: LinkEffort) -> Chapter:
         "The delay with the least error in phase, and the choice of auto",
         rows,
         "Predicted: mean age of the newest sample over the played instant, and share of ticks."
-        " Above 25 Hz: energy of the felt force over the pulse's. Felt: share of the time; the rest"
-        " was faded out for want of samples.",
+        " Above 25 Hz: energy of the felt force over the pulse's. Felt: share of the time; in the"
+        " rest the force was faded out, since samples were missing.",
     )
     return Chapter("Choice of the perceived delay", paragraphs, (table,))
 
@@ -171,7 +171,7 @@ def _policies_chapter(scores: LinkScores) -> Chapter:
         for pulse, name, delay, errors in printed + ours
     ]
     words = (
-        "Fresh is the display's policy: a late sample is never discarded but feeds the predictor."
+        "Fresh is the display's policy: a late sample is not discarded but used by the predictor."
         " A classic jitter buffer delivers every sample after one fixed delay and discards the 1 %"
         " that come later; the same predictor continues from there."
         f" Over the link “{TCP}” as for the prototype, whose own link and recording are not here."

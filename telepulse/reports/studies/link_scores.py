@@ -4,13 +4,13 @@ The perceived delay E is the part of a link's delay that is buffered; the rest i
 case runs both nodes in virtual time. Three policies for late samples are compared over TCP:
 
 fresh
-    At time t the pulse of t − E is played; what has not arrived is predicted from the newest
-    sample that has.
+    At time t the pulse of t − E is played. Samples that have not arrived are predicted from the
+    newest one that has.
 classic buffer
-    A jitter buffer delivers every sample one fixed delay after it was taken and discards the 1 %
-    that come later; what E requires before that is predicted from the delivered samples.
+    A jitter buffer delivers every sample one fixed delay after it was taken, and discards the 1 %
+    that come later. If E is shorter than this delay, the rest is predicted from delivered samples.
 hold
-    As fresh, but the newest value is held instead of a prediction.
+    As fresh, but the newest value is held instead of predicting.
 """
 
 import math
@@ -103,9 +103,9 @@ class LinkResult(NamedTuple):
     Attributes
     ----------
     in_phase_n, aligned_n
-        RMS difference in N from the pulse at that very instant, and from the pulse of E ago.
+        RMS difference in N from the present pulse, and from the pulse E before.
     deviation_n, peak_to_peak_n
-        Of the pulse itself, as felt, in N.
+        Standard deviation and height of the pulse itself, scaled as felt, in N.
     delay_ms
         Mean perceived delay E, which is buffered.
     horizon_ms, longest_ms
@@ -113,11 +113,11 @@ class LinkResult(NamedTuple):
     predicted
         Share of the ticks without a sample.
     felt
-        Share of the time in which the pulse was felt, not faded out for want of samples.
+        Share of the time in which the pulse was felt; in the rest missing samples had faded it out.
     roughness
         Energy of the felt force above 25 Hz over the pulse's.
     lost
-        Share of the samples.
+        Share of the samples that were lost.
     """
 
     in_phase_n: float
@@ -134,12 +134,12 @@ class LinkResult(NamedTuple):
 
     @property
     def in_phase(self) -> float:
-        """NRMSE against the pulse at that very instant."""
+        """NRMSE against the present pulse."""
         return self.in_phase_n / self.deviation_n
 
     @property
     def aligned(self) -> float:
-        """NRMSE against the pulse of E ago."""
+        """NRMSE against the pulse E before."""
         return self.aligned_n / self.deviation_n
 
     @property
@@ -197,13 +197,13 @@ def score_links(
     results = {
         name: {each: curve(link, each) for each in PREDICTORS} for name, link in links.items()
     }
-    # The prototype played an arterial recording; heartpy's first is what we have.
+    # The prototype used an arterial recording, which is not available; heartpy's first replaces it.
     sets = [each for each in pulses(60.0, seed=1) if each.name in ("variability", "heartpy data")]
     policies = sweep(partial(run_policies, link=LINKS[TCP].text), sets, scheduler)
     return LinkScores(
         results,
         {pulse.name: each for pulse, each in zip(sets, policies, strict=True)},
-        # Alone on the machine, after the others have ended.
+        # Measured after all other cases have ended, so that nothing else runs.
         in_one_thread(costs_us, effort),
     )
 
@@ -307,7 +307,7 @@ def arrivals_ms(frames: int, link: str, seed: int) -> NDArray[np.int64]:
     for frame in range(frames):
         arrival_ns = model.data_arrival_ns((frame * FRAME + FRAME - 1) * TICK_NS, FRAME_BYTES)
         if arrival_ns is None:
-            raise ValueError(f"{link}: frames are lost, so that they have no delay")
+            raise ValueError(f"{link}: the link loses frames, which then have no delay")
         arrived_ns.append(arrival_ns)
     return -(-np.array(arrived_ns) // TICK_NS)
 

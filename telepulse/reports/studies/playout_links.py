@@ -57,20 +57,20 @@ def route_change(rng: np.random.Generator, count: int) -> Milliseconds:
 
 
 def drift(rng: np.random.Generator, count: int, ppm: float) -> Milliseconds:
-    """Let the sensing node's clock, assumed to be in step, drift by this many µs a second.
+    """Let the sensing node's clock drift by this many µs per second.
 
-    Counted up from 0 or down to 0, so that the mean of the added delay is the same.
+    The added delay rises from 0 or falls to 0, so that its mean does not depend on the sign.
     """
     drift_ms = np.arange(count) * (FRAME_NS * 1e-6) * ppm * 1e-6
     return gaussian(rng, count) + drift_ms - min(float(drift_ms[-1]), 0.0)
 
 
 def bursts(rng: np.random.Generator, count: int, good_s: float, bad_s: float) -> Milliseconds:
-    """Add Markov (Gilbert) bursts: a state that adds 30 ms comes and goes.
+    """Add Markov (Gilbert) bursts of 30 ms additional delay.
 
-    It lasts `bad_s` on average and stays away for `good_s`, both geometrically distributed.
+    Bursts last `bad_s` and pauses `good_s` on average, both geometrically distributed.
     """
-    # Durations in turns, good first; more than enough of them.
+    # Alternating durations, a pause first; more than are needed.
     pairs = 2 + int(2 * count / (_frames(good_s) + _frames(bad_s)) + 40)
     durations = np.empty(2 * pairs, dtype=np.int64)
     durations[0::2] = rng.geometric(1 / _frames(good_s), pairs)
@@ -82,8 +82,8 @@ def bursts(rng: np.random.Generator, count: int, good_s: float, bad_s: float) ->
 def random_spikes(rng: np.random.Generator, count: int, rate_hz: float) -> Milliseconds:
     """Delay frames at random, `rate_hz` times a second.
 
-    By at least 10 ms, Pareto-distributed with a tail index of 1.5 (mean 30 ms) and cut at
-    500 ms. The frames sent meanwhile wait with them.
+    The delay is at least 10 ms, Pareto-distributed with a tail index of 1.5 (mean 30 ms) and
+    limited to 500 ms. Frames sent meanwhile wait with them.
     """
     delay_ms = gaussian(rng, count)
     held = rng.random(count) < rate_hz * FRAME_NS * 1e-9
@@ -92,11 +92,11 @@ def random_spikes(rng: np.random.Generator, count: int, rate_hz: float) -> Milli
 
 
 def tcp_stalls(rng: np.random.Generator, count: int) -> Milliseconds:
-    """Stall as TCP does at 0.5 % segment loss on a round trip of 40 ms, a segment a frame.
+    """Stall as TCP does at 0.5 % segment loss on a round trip of 40 ms, one segment for each frame.
 
-    A lost frame is sent again after three duplicate acknowledgements: one round trip and
-    three frames, 55 ms. When that is lost too, after the usual smallest timeout of 200 ms
-    (Linux; RFC 6298 says 1 s). Frames sent meanwhile wait for it: head-of-line blocking.
+    A lost frame is sent again after three duplicate acknowledgements: one round trip and three
+    frames, 55 ms. If that is lost too, it is sent again after the smallest timeout of 200 ms
+    (Linux; 1 s in RFC 6298). Frames sent meanwhile wait for it: head-of-line blocking.
     """
     loss, round_trip_ms, timeout_ms = 0.005, 2 * DELAY_MS, 200.0
     fast_ms = round_trip_ms + 3 * FRAME_NS * 1e-6
@@ -108,8 +108,8 @@ GAUSSIAN, SPIKES, ROUTE = "Gaussian", "100 ms spikes", "+60 ms route"
 FAST, SLOW = "+200 ppm", "−200 ppm"
 BURSTS, RANDOM, TCP = "Markov bursts", "random spikes", "TCP stalls"
 SHORT_BURSTS, DENSE = "short bursts", "dense spikes"
-# The targets name the links but not these figures: they are ours, and the random ones decide what
-# is possible. The last two are harder ones of the same kinds, and have no target.
+# The targets name the links but not their figures, which are our choice; the random ones determine
+# what is possible. The last two links are harder ones of the same kinds, without a target.
 LINKS: dict[str, Draw] = {
     GAUSSIAN: gaussian,
     SPIKES: spikes,
@@ -143,7 +143,7 @@ def _frames(seconds: float) -> int:
 
 
 SLEW = 0.05
-# Levels of 0.5 ms: at 5 % and a frame every 5 ms, one up or down every two frames.
+# Levels are 0.5 ms apart: at 5 % and a frame every 5 ms, the delay moves one level in two frames.
 FRAMES_A_STEP = 2
 # The bisection searches between these prices of lateness, down to this ratio.
 LEAST_MS, MOST_MS = 10.0, 1e5
@@ -151,7 +151,7 @@ RESOLUTION = 1.05
 
 
 class MovingDelay(NamedTuple):
-    """A delay for every frame, shape (frames,), its mean in ms and the share late."""
+    """A delay for every frame, shape (frames,), its mean in ms and the late share."""
 
     path_ms: Milliseconds
     delay_ms: float
@@ -159,9 +159,9 @@ class MovingDelay(NamedTuple):
 
 
 class Optimum(NamedTuple):
-    """Bound on the mean of every moving delay within the late share, and the best path found.
+    """Lower bound on the mean of all moving delays within the late share, and the best path found.
 
-    The two differ where the costs' hull is not reached by any one path (a duality gap).
+    The two may differ, since the bound comes from a Lagrangian dual (duality gap).
     """
 
     bound_ms: float
@@ -177,8 +177,9 @@ def best_constant_ms(delay_ms: Milliseconds, late: float) -> float:
 def best_moving(delay_ms: Milliseconds, late: float, frame_ms: float) -> Optimum:
     """Find the smallest mean delay with at most this late share and a slew of at most 5 %.
 
-    A Lagrangian makes lateness a price; its bisection finds the price at which the cheapest path
-    is late just often enough. Any price p gives the bound min(mean + p · share) − p · late.
+    The cost of a path is its mean delay plus a price times its late share (Lagrangian). Bisection
+    finds the price at which the cheapest path has the permitted late share. Each price p gives the
+    bound min(mean + p · share) − p · late.
     """
     low, high = LEAST_MS, MOST_MS
     best = cheapest(delay_ms, high, frame_ms)
@@ -198,9 +199,8 @@ def best_moving(delay_ms: Milliseconds, late: float, frame_ms: float) -> Optimum
 def cheapest(delay_ms: Milliseconds, price_ms: float, frame_ms: float) -> MovingDelay:
     """Find the moving delay of least mean + price · late share, by dynamic programming.
 
-    Levels are as far apart as the slew reaches in a step of two frames; a step costs its level
-    and its late frames, and the next step is at the same level or a neighbour.
-    Frames after the last whole step are left out.
+    A step is two frames. Levels are as far apart as the slew allows in one step, so the next step
+    is at the same or a neighbouring level. Frames after the last whole step are left out.
     """
     level_ms = SLEW * FRAMES_A_STEP * frame_ms
     lowest = int(np.floor(delay_ms.min() / level_ms))

@@ -1,7 +1,7 @@
-"""Published rules for the playout delay, and how a trace is played by a rule.
+"""Published rules for the playout delay, and the playing of a trace by a rule.
 
-Speech is only adjusted between talkspurts; a pulse has none, so here each rule sets a delay after
-every frame. Written from the papers' equations. Delays and times in ns.
+For speech, delays change between talkspurts only. A pulse has no such pauses, so each rule sets a
+delay after every frame. Written from the papers' equations. Delays and times are in ns.
 """
 
 from bisect import bisect_left, insort
@@ -39,7 +39,7 @@ class PlayedTrace(NamedTuple):
 def play(rule: DelayRule, trace: DelayTrace, warped: bool = False) -> PlayedTrace:
     """Play a trace by the delay that a rule sets as the frames arrive.
 
-    With `warped` the delay changes as the display's does, by 2 % at most; otherwise at once.
+    With `warped` the delay changes by at most 2 % of time, as in a display; otherwise at once.
     """
     arrived_ns = trace.arrived_ns.tolist()
     set_ns: list[int] = []
@@ -52,7 +52,7 @@ def play(rule: DelayRule, trace: DelayTrace, warped: bool = False) -> PlayedTrac
             now_ns - clock.instant(now_ns, now_ns - before_ns)
             for now_ns, before_ns in zip(arrived_ns, before, strict=False)
         ]
-        # The delay in use from one arrival to the next is that of the slew at the next.
+        # With a slew, the delay in use until the next arrival is the one reached at that arrival.
         set_ns = [*set_ns[1:], set_ns[-1]]
     felt_ns = felt_delays_ns(trace, np.array(set_ns, dtype=np.int64))
     return PlayedTrace(float(felt_ns.mean()) * 1e-6, float((trace.delay_ns > felt_ns).mean()))
@@ -61,9 +61,9 @@ def play(rule: DelayRule, trace: DelayTrace, warped: bool = False) -> PlayedTrac
 def felt_delays_ns(trace: DelayTrace, set_ns: Nanoseconds) -> Nanoseconds:
     """Return the delay at which each frame's instant was played, shape (frames,).
 
-    set_ns[i] is the delay in use from arrival i until the next. An instant is played once, when
-    it is first `delay` ago. So a delay that grows because a frame came late cannot save that
-    frame, and a delay that shrinks plays the instants it skips at once.
+    set_ns[i] is the delay in use from arrival i until the next. Each instant is played once, as
+    soon as its age reaches the delay in use. So a delay that grows because a frame came late cannot
+    save that frame, and when the delay shrinks, the skipped instants are played at once.
     """
     arrived_ns = trace.arrived_ns
     # The newest instant played by the time of the next arrival.

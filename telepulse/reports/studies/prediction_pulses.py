@@ -25,12 +25,12 @@ NOISE = 0.01
 # Errors and standard deviation are computed from this time on: before it, predictors learn.
 SCORED_FROM_S = 20.0
 BREATHS_HZ = 0.25
-# RMS of respiration over that of the pulse, where there is any.
+# RMS of the respiration over the RMS of the pulse, in pulses with respiration.
 BREATH = 0.1
 
 
 class Beats(NamedTuple):
-    """Intervals in s from each beat to the next, and amplitudes over the usual one."""
+    """Intervals in s from each beat to the next, and amplitudes relative to a normal beat."""
 
     intervals_s: Floats
     amplitudes: Floats
@@ -157,7 +157,7 @@ RECORDED = {
     "heartpy data3, early": RecordedStretch("data3.csv", 1, 100.4, 20.0),
     "heartpy data3, late": RecordedStretch("data3.csv", 1, 100.4, 330.0),
 }
-"""Stretches without movement; rates by their time stamps, for the first by heartpy's manual."""
+"""Stretches without movement; rates from their time stamps, or from heartpy's manual (first)."""
 
 
 def recorded_pulses(seconds: float) -> dict[str, Floats]:

@@ -33,10 +33,10 @@ if TYPE_CHECKING:
 HORIZONS_MS = (20, 50, 100, 200)
 HORIZON_COLUMNS = tuple(f"{horizon_ms} ms" for horizon_ms in HORIZONS_MS)
 TICK_NS = 1_000_000
-# A frame has 5 samples, one a tick; the sensing clock begins at an arbitrary time.
+# A frame has 5 samples, one for each tick; the sensing clock begins at an arbitrary time.
 FRAME = 5
 BEGIN_NS = 3_600_000_000_000
-# Earlier ticks are a predictor's warm-up, which costs less.
+# Costs are measured after this time: while a predictor warms up, a tick costs less.
 COSTLY_FROM_S = 10.0
 TICK_BOUND_US = 150.0
 CHEAP: tuple[PredictorName, ...] = ("hold", "linear")
@@ -92,7 +92,7 @@ def score_predictors(effort: PredictionEffort, scheduler: str | None = None) -> 
     errors, errors_without_shape_cue = (
         {each.name: next(found) for each in part} for part in (sets, silent)
     )
-    # Alone on the machine, after the others have ended.
+    # Measured after all other cases have ended, so that nothing else runs.
     costs = in_one_thread(all_costs, sets[1].sensed[: round(effort.cost_seconds * RATE_HZ)])
     return PredictionScores(errors, errors_without_shape_cue, costs)
 
@@ -135,7 +135,7 @@ def score(pulse: Pulse) -> Errors:
 
 
 def cost(name: PredictorName, sensed: Floats) -> PredictorCost:
-    """Measure the processor time of a predictor that predicts once a tick, as in a display."""
+    """Measure the processor time of a predictor that predicts once per tick, as in a display."""
     predictor = build_predictor(name, TICK_NS)
     taken_us = []
     for frame in range(len(sensed) // FRAME):
@@ -342,12 +342,12 @@ def _costs_chapter(scores: PredictionScores) -> Chapter:
         }
         for name, cost in scores.costs.items()
     ]
-    note = "Error: median over the sets; of the analogues the one of the shortest memory."
+    note = "Error: median over the sets; analogue: the expert with the shortest memory."
     high_us = scores.costs["stack"].tick_p99_us
     words = (
         f"Processor time of one thread, after {COSTLY_FROM_S:g} s, at ticks of 1 ms with one piece"
         " of work and one prediction each; a step is 5 ms. The stack's 99th percentile is"
-        f" {high_us:.0f} µs a tick, {'within' if high_us <= TICK_BOUND_US else 'above'} the"
+        f" {high_us:.0f} µs per tick, {'within' if high_us <= TICK_BOUND_US else 'above'} the"
         f" {TICK_BOUND_US:g} µs that it may take; a busy machine makes it more."
     )
     caption = "Median NRMSE at 100 ms against the cost of 5 ms of samples."

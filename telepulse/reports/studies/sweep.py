@@ -1,7 +1,7 @@
 """One function over many cases: on all cores of this machine, or on a Dask cluster.
 
-Every process has one thread of linear algebra. Matrices of a few rows gain nothing from threads,
-and on a busy machine the threads wait for each other far longer than they work.
+Every process uses one thread for linear algebra. Matrices of a few rows gain nothing from threads,
+and on a busy machine the threads wait for each other far longer than they compute.
 """
 
 import asyncio
@@ -18,12 +18,12 @@ from protocol.errors import SweepError
 Case = TypeVar("Case")
 Result = TypeVar("Result")
 CONNECT_S = 10
-# OpenBLAS and its like read it once, when they are loaded: hence processes of their own.
+# OpenBLAS and similar libraries read it only when they are loaded, so new processes are needed.
 THREADS = "OMP_NUM_THREADS"
 
 
 def in_one_thread(function: Callable[[Case], Result], case: Case) -> Result:
-    """Call a function of a module in a fresh process, and return or raise what it does."""
+    """Call a module-level function in a new process; return its result or raise its error."""
     with _one_thread_pool(1) as pool:
         return pool.submit(function, case).result()
 
@@ -50,12 +50,12 @@ def sweep(
     Parameters
     ----------
     function
-        A pure function of a module, where other processes can import it.
+        A pure module-level function, which other processes can import.
     cases
-        Its arguments. An error names the case by its `str`.
+        Arguments of the function, one for each case. Errors name a case by its `str`.
     scheduler
-        Address of a Dask scheduler such as `tcp://HOST:8786`, whose workers have this telepulse
-        installed. Without one, every core of this machine works; the results are the same.
+        Address of a Dask scheduler such as `tcp://HOST:8786`, whose workers have this version
+        of telepulse. Without one, all cores of this machine are used; the results are the same.
 
     Raises
     ------
@@ -79,9 +79,9 @@ def _result(job: Future[Result], case: object) -> Result:
     try:
         return job.result()
     except BrokenProcessPool:
-        raise SweepError(f"{case}: a worker died, maybe for want of memory") from None
+        raise SweepError(f"{case}: a worker process died, perhaps for lack of memory") from None
     except CancelledError:
-        raise SweepError(f"{case}: the scheduler went away") from None
+        raise SweepError(f"{case}: the connection to the Dask scheduler was lost") from None
     except Exception as error:
         raise SweepError(f"{case}: {type(error).__name__}: {error}") from error
 
@@ -98,7 +98,7 @@ def _cluster(scheduler: str) -> Iterator[Executor]:
     try:
         asyncio.run(_check_reachable(scheduler))
     except (OSError, ValueError) as error:
-        raise SweepError(f"{scheduler}: no Dask scheduler there: {error}") from None
+        raise SweepError(f"{scheduler}: no Dask scheduler answers: {error}") from None
     with Client(scheduler, timeout=CONNECT_S, set_as_default=False) as client:
         try:
             client.wait_for_workers(1, timeout=CONNECT_S)

@@ -126,5 +126,5 @@ def test_every_swept_study_takes_a_scheduler(name: str, tmp_path: Path) -> None:
     result = study(name, "--out", tmp_path, "--scheduler", "nowhere")
     assert result.exit_code == 2
     assert result.stdout == ""
-    assert result.stderr.startswith("telepulse: nowhere: no Dask scheduler there: ")
+    assert result.stderr.startswith("telepulse: nowhere: no Dask scheduler answers: ")
     assert result.stderr.count("\n") == 1

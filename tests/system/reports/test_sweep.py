@@ -100,7 +100,7 @@ def test_a_worker_that_dies_is_reported() -> None:
 
 def test_no_scheduler_is_one_line(monkeypatch: pytest.MonkeyPatch, address: str) -> None:
     monkeypatch.setattr(sweep_module, "CONNECT_S", 0.3)
-    with pytest.raises(SweepError, match=f"^{address}: no Dask scheduler there: .*connect") as e:
+    with pytest.raises(SweepError, match=f"^{address}: no Dask scheduler answers: .*connect") as e:
         sweep(math.sqrt, [4], address)
     assert "\n" not in str(e.value)
 

@@ -6,8 +6,8 @@ import pytest
 from protocol.counters import Availability, Limited, Limits
 from protocol.summary_tables import Clock, Deadlines, Loop, SampleCounts
 from telepulse.view.live import LiveState
-from telepulse.view.picture import picture
 from telepulse.view.text import FIGURES, age, alarms, figures, state
+from telepulse.view.window_data import window_data
 from tests.support.page_states import AHEAD_NS, MS, SECOND_NS, SimulatedDisplay
 
 LATE = Loop(3000, 411, late=True, last_5s=Deadlines(0.0822, 412.0))
@@ -26,7 +26,7 @@ def names(display: SimulatedDisplay, silent_ns: int = 0) -> list[str]:
 
 def test_an_unknown_figure_is_a_dash() -> None:
     live = LiveState()
-    shown = figures(live, picture(live, SECOND_NS))
+    shown = figures(live, window_data(live, SECOND_NS))
     assert shown.keys() == FIGURES.keys()
     assert {figure.value for figure in shown.values()} == {"–"}
     assert state(live) == ("waiting", "no telemetry from a display yet")
@@ -34,7 +34,7 @@ def test_an_unknown_figure_is_a_dash() -> None:
 
 def test_figures_have_their_units(display: SimulatedDisplay) -> None:
     # A display of another host, that runs for an hour and a half less.
-    shown = figures(display.live, picture(display.live, 5 * SECOND_NS))
+    shown = figures(display.live, window_data(display.live, 5 * SECOND_NS))
     assert shown["heart"] == ("75 /min", "of the force felt, last 6 s")
     assert shown["within"] == ("100.0 %", "of the 100.0 % of the last 5 s that could be judged")
     assert shown["loss"].value == "0.00 %"
@@ -51,7 +51,7 @@ def test_a_share_stands_beside_the_part_that_it_is_of(display: SimulatedDisplay)
     whole = Availability(60.0, 0.16, 0.01, 0.83, 0.0, 0.0, 0.0, 0.0, played=0.17, judged=0.16)
     compensation = {"predicted": 0.012, "trusted": None}
     display.status("stale", availability=asdict(whole), compensation=compensation)
-    shown = figures(display.live, picture(display.live, SECOND_NS))
+    shown = figures(display.live, window_data(display.live, SECOND_NS))
     parts = "felt 16.0 %, starting 1.0 %, stale 83.0 % of 60.0 s"
     assert shown["availability"] == ("16.0 %", parts)
     assert shown["concealed"] == ("1.2 %", "of the time played, which is 17.0 % of the run")
@@ -62,7 +62,7 @@ def test_old_figures_have_their_age_and_no_heart_rate(display: SimulatedDisplay)
     assert (age(display.live, now), age(display.live, late)) == ("", "2.3 s ago")
     assert state(display.live, now) == ("playing", "the pulse is felt")
     assert state(display.live, late) == ("playing", "2.3 s ago")
-    shown = picture(display.live, SECOND_NS)
+    shown = window_data(display.live, SECOND_NS)
     assert figures(display.live, shown, now)["heart"].value == "75 /min"
     assert figures(display.live, shown, late)["heart"].value == "–"
     display.status("ended", final=True)
@@ -71,10 +71,12 @@ def test_old_figures_have_their_age_and_no_heart_rate(display: SimulatedDisplay)
 
 def test_how_long_the_pulse_was_held_at_a_limit_is_a_figure(display: SimulatedDisplay) -> None:
     display.status("playing", limited=asdict(Limits(force=Limited(0, 0.0, 0.0))))
-    assert figures(display.live, picture(display.live, SECOND_NS))["at-a-limit"].value == "never"
+    assert (
+        figures(display.live, window_data(display.live, SECOND_NS))["at-a-limit"].value == "never"
+    )
     limits = Limits(force=Limited(312, 4.1, 0.205), slew=Limited(2, 0.2, 0.01))
     display.status("playing", limited=asdict(limits))
-    assert figures(display.live, picture(display.live, SECOND_NS))["at-a-limit"] == (
+    assert figures(display.live, window_data(display.live, SECOND_NS))["at-a-limit"] == (
         "4.1 s",
         "force limit 312 times, 4.1 s (20.5 % of the run); slew limit 2 times, 0.2 s"
         " (1.0 % of the run)",

@@ -1,4 +1,4 @@
-"""Curves and scores of the page at one instant. Pure: no browser, no clock."""
+"""Curves and scores of the page for the last seconds. Pure: no browser, no clock."""
 
 import math
 from typing import NamedTuple
@@ -10,12 +10,12 @@ from display_node.scoring.tracking_error import JND, MAX_GAP_NS, SPAN_NS, interp
 from telepulse.view.live import Floats, LiveState, TableSlice, Times, thin
 
 SECOND_NS = 1_000_000_000
-# Ten seconds at 1 kHz: of each 16 ms the least and the greatest.
+# Points of a curve: for ten seconds at 1 kHz the least and the greatest value of each 16 ms.
 POINTS = 1_280
 HEART_NS, HEART_APART_NS = 6 * SECOND_NS, SECOND_NS // 100
-# Statuses come five times a second.
+# Statuses come five times a second: a longer gap interrupts their curves.
 STATUS_GAP_NS = SECOND_NS
-# Of a plot's axis, about.
+# Approximate number of steps of a plot's axis.
 STEPS = 4
 Columns = dict[str, Floats]
 
@@ -24,7 +24,7 @@ SENSED, FELT, MUTED = "#e8740c", "#2f7fd6", "#8a94a0"
 
 
 class Curve(NamedTuple):
-    """A curve; name: of its columns in a picture; words: in the legend."""
+    """A curve; name: name of its columns; words: its text in the legend."""
 
     name: str
     words: str
@@ -33,7 +33,7 @@ class Curve(NamedTuple):
 
 
 class PagePlot(NamedTuple):
-    """A plot; id: on the page; axis: label, and what it shows at least; note: a line beneath."""
+    """A plot; id: its element on the page; axis: label and least range; note: text below it."""
 
     id: str
     title: str
@@ -58,7 +58,7 @@ PLOTS = (
             Curve("aligned", "aligned: against the instant that is played", FELT),
         ),
         "Grey band: the just noticeable difference of force, here 10 % of the pulse's peak to peak."
-        " A finger notices differences from 7 to 10 % on.",
+        " A finger notices differences of 7 to 10 %.",
         wide=True,
     ),
     PagePlot(
@@ -95,8 +95,8 @@ PLOTS = (
 )
 
 
-class PictureScores(NamedTuple):
-    """Scores over the window, None where there is none yet.
+class WindowScores(NamedTuple):
+    """Scores over the window; None if there is none yet.
 
     in_phase_n, aligned_n: RMS errors. within_jnd: share of the time judged with an error below the
     just noticeable difference jnd_n. judged: share of the window that could be judged.
@@ -109,17 +109,17 @@ class PictureScores(NamedTuple):
     judged: float | None
 
 
-class Picture(NamedTuple):
-    """Curves of a window; columns: t in s before now and values of each; limits: of each axis."""
+class WindowData(NamedTuple):
+    """Data of a window. columns: times in s before now and values, by curve; limits: by axis."""
 
     window_s: float
     columns: dict[str, Columns]
     limits: dict[str, tuple[float, float]]
-    scores: PictureScores
+    scores: WindowScores
     heart_rate_per_min: float | None
 
 
-def picture(live: LiveState, window_ns: int) -> Picture:
+def window_data(live: LiveState, window_ns: int) -> WindowData:
     """Return the curves and scores of the last `window_ns`."""
     begin_ns = live.now_ns - window_ns
     ticks, wrist, delays, statuses = (
@@ -159,8 +159,8 @@ def picture(live: LiveState, window_ns: int) -> Picture:
     known_n = aligned_n[~np.isnan(aligned_n)]
     within = float(np.mean(np.abs(known_n) < jnd_n)) if jnd_n and len(known_n) else None
     judged = _judged(ticks, len(known_n), begin_ns, live.now_ns)
-    scores = PictureScores(_rms(in_phase_n), _rms(aligned_n), within, jnd_n, judged)
-    return Picture(
+    scores = WindowScores(_rms(in_phase_n), _rms(aligned_n), within, jnd_n, judged)
+    return WindowData(
         window_ns / SECOND_NS, columns, _limits(columns, jnd_n), scores, _heart_rate(live)
     )
 
@@ -194,9 +194,9 @@ def _rms(error_n: Floats) -> float | None:
 
 
 def _judged(ticks: TableSlice, known: int, begin_ns: int, now_ns: int) -> float | None:
-    """Return which share of the window could be judged: of its time, not of the ticks that came.
+    """Return the share of the window's time that could be judged.
 
-    With less telemetry than the window, the window is as long as the telemetry.
+    If the telemetry is shorter than the window, the share is taken of the telemetry's time.
     """
     tick_ns = float(np.median(np.diff(ticks.t_ns))) if len(ticks.t_ns) > 1 else 0.0
     if not tick_ns:
@@ -206,13 +206,13 @@ def _judged(ticks: TableSlice, known: int, begin_ns: int, now_ns: int) -> float 
 
 
 def _heart_rate(live: LiveState) -> float | None:
-    """Return the heart rate of what is felt at full strength now."""
+    """Return the heart rate of the pulse that is felt at full strength now, or None."""
     ticks = live.ticks.since(live.now_ns - HEART_NS)
     if len(ticks.t_ns) < 2:
         return None
     tick_ns = float(np.median(np.diff(ticks.t_ns)))
     thin_by = max(1, round(HEART_APART_NS / max(tick_ns, 1.0)))
-    # From the newest tick back, which shows whether a pulse is felt now.
+    # Every `thin_by`-th tick, including the newest, which shows whether a pulse is felt now.
     newest = slice((len(ticks.t_ns) - 1) % thin_by, None, thin_by)
     felt_n = np.where(np.isnan(ticks.values[:, 2]), math.nan, ticks.values[:, 0])
     t_s = (ticks.t_ns[newest] - live.now_ns).astype(np.float64) * 1e-9
@@ -230,7 +230,7 @@ def _limits(columns: dict[str, Columns], jnd_n: float | None) -> dict[str, tuple
 
 
 def nice(values: Floats) -> tuple[float, float]:
-    """Round limits around values, which change seldom while a curve moves; not all may be NaN."""
+    """Return round limits around values, which seldom change; not all values may be NaN."""
     low, high = float(np.nanmin(values)), float(np.nanmax(values))
     rough = (high - low) / STEPS
     power = 10.0 ** math.floor(math.log10(rough))

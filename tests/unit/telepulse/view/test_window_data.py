@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from telepulse.view.live import LiveState
-from telepulse.view.picture import POINTS, nice, picture
+from telepulse.view.window_data import POINTS, nice, window_data
 from tests.support.page_states import (
     BEATS_A_SECOND,
     FINGER,
@@ -31,7 +31,7 @@ def display() -> SimulatedDisplay:
 
 
 def test_what_lags_is_wrong_in_phase_and_right_aligned(display: SimulatedDisplay) -> None:
-    scores = picture(display.live, WINDOW_NS).scores
+    scores = window_data(display.live, WINDOW_NS).scores
     lag_rad = 2 * math.pi * BEATS_A_SECOND * PLAYOUT_NS * 1e-9
     peak_n = 2 * RATIO * SWING_N * math.sin(lag_rad / 2)
     assert scores.in_phase_n is not None
@@ -43,7 +43,7 @@ def test_what_lags_is_wrong_in_phase_and_right_aligned(display: SimulatedDisplay
 
 
 def test_two_layers_have_equal_strains_at_different_forces(display: SimulatedDisplay) -> None:
-    columns = picture(display.live, WINDOW_NS).columns
+    columns = window_data(display.live, WINDOW_NS).columns
     peak_n = MEAN_N + SWING_N
     assert columns["wrist"]["y"].max() == pytest.approx(1e3 * peak_n, rel=1e-3)
     assert columns["finger"]["y"].max() == pytest.approx(RATIO * 1e3 * peak_n, rel=1e-3)
@@ -54,7 +54,7 @@ def test_two_layers_have_equal_strains_at_different_forces(display: SimulatedDis
 
 
 def test_each_force_stands_at_its_own_instant(display: SimulatedDisplay) -> None:
-    columns = picture(display.live, WINDOW_NS).columns
+    columns = window_data(display.live, WINDOW_NS).columns
     newest_s = {name: columns[name]["t"][-1] for name in ("wrist", "finger")}
     assert newest_s["finger"] == pytest.approx(0.0, abs=5e-3)
     assert newest_s["wrist"] == pytest.approx(-ONE_WAY_NS * 1e-9, abs=6e-3)
@@ -62,7 +62,7 @@ def test_each_force_stands_at_its_own_instant(display: SimulatedDisplay) -> None
 
 
 def test_delays_and_clocks_are_what_they_were_made(display: SimulatedDisplay) -> None:
-    shown = picture(display.live, WINDOW_NS)
+    shown = window_data(display.live, WINDOW_NS)
     assert shown.columns["one_way"]["y"] == pytest.approx(ONE_WAY_NS / MS)
     playout_ms = shown.columns["playout"]["y"]
     assert playout_ms[~np.isnan(playout_ms)] == pytest.approx(PLAYOUT_NS / MS)
@@ -75,13 +75,13 @@ def test_delays_and_clocks_are_what_they_were_made(display: SimulatedDisplay) ->
 def test_a_minute_has_as_few_points_as_five_seconds_and_every_peak() -> None:
     display = SimulatedDisplay(LiveState())
     display.go(20)
-    long = picture(display.live, 60 * SECOND_NS).columns
+    long = window_data(display.live, 60 * SECOND_NS).columns
     assert all(len(column["t"]) <= 1.1 * POINTS for column in long.values())
     assert np.nanmax(long["wrist"]["y"]) == pytest.approx(1e3 * (MEAN_N + SWING_N), rel=1e-4)
 
 
-def test_without_telemetry_the_picture_is_empty() -> None:
-    shown = picture(LiveState(), WINDOW_NS)
+def test_without_telemetry_the_window_is_empty() -> None:
+    shown = window_data(LiveState(), WINDOW_NS)
     assert all(len(column["t"]) == 0 for column in shown.columns.values())
     assert shown.scores == (None,) * 5
     assert all(low < high for low, high in shown.limits.values())
@@ -90,23 +90,23 @@ def test_without_telemetry_the_picture_is_empty() -> None:
 def test_a_share_of_the_window_counts_all_of_it(display: SimulatedDisplay) -> None:
     display.linked = False
     display.go(4, "stale")
-    scores = picture(display.live, WINDOW_NS).scores
+    scores = window_data(display.live, WINDOW_NS).scores
     assert scores.within_jnd == 1.0
     assert scores.judged == pytest.approx(0.2, abs=0.02)
 
 
 def test_a_heart_rate_is_of_what_is_felt_now_and_never_of_a_gap(display: SimulatedDisplay) -> None:
-    assert picture(display.live, WINDOW_NS).heart_rate_per_min == pytest.approx(75, rel=0.02)
+    assert window_data(display.live, WINDOW_NS).heart_rate_per_min == pytest.approx(75, rel=0.02)
     display.linked = False
     display.go(0.2, "stale")
-    assert picture(display.live, WINDOW_NS).heart_rate_per_min is None
+    assert window_data(display.live, WINDOW_NS).heart_rate_per_min is None
     display.go(3, "stale")
     display.linked = True
     # One beat since: the one before the cut makes no interval with it.
     display.go(0.9)
-    assert picture(display.live, WINDOW_NS).heart_rate_per_min is None
+    assert window_data(display.live, WINDOW_NS).heart_rate_per_min is None
     display.go(2)
-    assert picture(display.live, WINDOW_NS).heart_rate_per_min == pytest.approx(75, rel=0.02)
+    assert window_data(display.live, WINDOW_NS).heart_rate_per_min == pytest.approx(75, rel=0.02)
 
 
 def test_a_cut_link_is_a_gap_in_the_curve() -> None:
@@ -116,7 +116,7 @@ def test_a_cut_link_is_a_gap_in_the_curve() -> None:
     display.go(0.5, "stale")
     display.linked = True
     display.go(2)
-    columns = picture(display.live, WINDOW_NS).columns
+    columns = window_data(display.live, WINDOW_NS).columns
     assert np.isnan(columns["wrist"]["y"]).sum() == 1
     in_gap = (columns["aligned"]["t"] > -2.4) & (columns["aligned"]["t"] < -2.1)
     assert in_gap.any()
