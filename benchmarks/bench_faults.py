@@ -1,7 +1,7 @@
-"""Faults on the whole emulated bench: time until the finger is at peace.
+"""Faults on the whole emulated bench: time until the tip rests or presses no more.
 
-It is at peace when the tip stays at rest, or stays almost off the finger, whichever came first.
-The time is read in the emulated motor's own record, on the clock on which the fault is made.
+The time ends when the tip stays at rest or stays almost off the finger, whichever is first. It is
+read from the emulated motor's own record, on the clock by which the fault is made.
 """
 
 import signal
@@ -21,7 +21,7 @@ REPEATS = 2
 TRIES = 3
 BAR_MS = 100.0
 AFTER_S = 1.0
-# Of a fault of the emulator, from the first contact: by then the pulse is felt.
+# Time from first contact to a fault of the emulator: by then the pulse is felt.
 TROUBLE_AFTER_S = 2.0
 STOPPED_S = 0.3
 STILL_M_PER_S = 1e-6
@@ -29,13 +29,13 @@ STILL_M_PER_S = 1e-6
 LIGHT_N = 0.01
 FORCE_LIMIT_N = 2.5
 SLEW_N_PER_S = 50.0
-# Slopes are taken over so long, beyond single microsteps.
+# Slopes are taken over this time, which is longer than single microsteps.
 STRETCH_MS = 10
 
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """Result of a fault: ms until peace, and the fault's names in the summary."""
+    """Result of a fault: ms until the tip rests or is off, and the fault's names in the summary."""
 
     peace_ms: float
     named: tuple[str, ...]
@@ -45,7 +45,7 @@ def main() -> None:
     """Print both tables; the bar is 100 ms."""
     kinds = ("TMCL, ms", "CiA 402, ms")
     show(
-        f"From a fault to a finger at peace, most of {REPEATS}; the bar is {BAR_MS:g} ms",
+        f"From a fault until the tip rests or is off, most of {REPEATS}; the bar is {BAR_MS:g} ms",
         ("fault", "what is done", *kinds, "named"),
         [row(*fault) for fault in FAULTS],
     )
@@ -74,7 +74,7 @@ def row(name: str, done: str, once: Callable[[str, Path], Outcome]) -> tuple[str
 def tried(once: Callable[[Path], Outcome]) -> Outcome | None:
     """Return the result of a fault on a bench that played until then.
 
-    None where a busy machine stopped every attempt before.
+    None if on a busy machine every attempt failed before the fault.
     """
     for _ in range(TRIES):
         with TemporaryDirectory(prefix="telepulse-") as folder:
@@ -107,9 +107,9 @@ def trouble(word: str, kind: str, folder: Path) -> Outcome:
 
 
 def ended(bench: EmulatedBench, at_ns: int | None) -> Outcome:
-    """Stop the bench, and return what the motor's record shows since a fault.
+    """Stop the bench, and return the result from the motor's record since a fault.
 
-    at_ns: its time; None for the emulator's own.
+    at_ns: time of the fault; None: as the emulator recorded it.
     """
     last_ns = time.monotonic_ns()
     summary = bench.end()
@@ -117,7 +117,7 @@ def ended(bench: EmulatedBench, at_ns: int | None) -> Outcome:
     at_ns = at_ns or motor.trouble_ns
     if at_ns is None or not pressed(motor, at_ns):
         raise BenchFailedError(f"no pulse when the fault came: {summary.get('faults')}")
-    # Until it is ended, which moves it as well.
+    # Up to the end of the display, which also moves the tip.
     seen = (motor.time_ns >= at_ns) & (motor.time_ns < last_ns)
     moves = seen & (np.abs(motor.speed_m_per_s) > STILL_M_PER_S)
     presses = seen & (motor.force_n > LIGHT_N)
@@ -126,7 +126,7 @@ def ended(bench: EmulatedBench, at_ns: int | None) -> Outcome:
 
 
 def pressed(motor: MotorTrace, at_ns: int) -> bool:
-    """Return whether the pulse was felt in the 100 ms before."""
+    """Return whether the pulse was felt in the 100 ms before a time."""
     before = (motor.time_ns < at_ns) & (motor.time_ns > at_ns - 100_000_000)
     return bool(before.any() and motor.force_n[before].min() > 0.05)
 

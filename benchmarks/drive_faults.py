@@ -1,6 +1,6 @@
-"""Faults of real drives: how long the emulated motor continues after each, in its own time.
+"""Faults of real drives: time for which the emulated motor continues after each.
 
-It runs at 5 mm/s, a fast pulse's speed, and its watchdog is the default, 50 ms.
+The motor runs at 5 mm/s, a fast pulse's speed, and its watchdog is the default, 50 ms.
 """
 
 import time
@@ -65,20 +65,20 @@ def row(
             bench.drive.start()
             press(bench, BEFORE_S)
             if bench.drive.status().fault is not None:
-                continue  # On a busy machine the watchdog has expired already.
+                continue  # on a busy machine the watchdog has expired before the fault
             happened_ns = time.monotonic_ns()
             happens(bench)
             press(bench, AFTER_S if event != NO_COMMAND else 0.0)
             while bench.motor.rate_hz or bench.drive.status().fault is None:
                 time.sleep(PERIOD_S)
-            # The motor's time is of whole ms, and may lie just before the fault's.
+            # The motor's time is in whole ms and may be just before the fault's.
             times_ms.append(max(0.0, (bench.motor.rested_ns - happened_ns) / 1e6))
             named = str(bench.drive.status().fault).split(":")[0]
     return kind, event, f"{max(times_ms):.0f}", named
 
 
 def press(bench: Bench, seconds: float) -> None:
-    """Command a speed for so long, as a force loop does that detects no fault."""
+    """Command a speed for a time, as a force loop that has detected no fault does."""
     end_s = time.monotonic() + seconds
     while time.monotonic() < end_s:
         bench.drive.command(PRESS_M_PER_S)
@@ -154,7 +154,7 @@ def unplug(bench: Bench) -> None:
 
 
 def nothing(bench: Bench) -> None:
-    """Give no more commands, as a process that hangs or is killed."""
+    """Send no more commands, as a process that hangs or is killed."""
 
 
 NO_COMMAND = "no further command"

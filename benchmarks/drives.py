@@ -44,7 +44,7 @@ LAYER = LayerTable().layer()
 ACTUATOR = StepperScene.model_validate({"kind": "stepper"})
 FORCE_LIMIT_N = 2.5
 CAN_BUS = {"interface": "virtual", "channel": "benchmark"}
-# Homed where it stands, at first touch: the drive starts at once.
+# Without homing, and with first touch at the present position, the drive starts at once.
 HERE = {"homing": "none", "touch": "0 m", "watchdog": "1 s"}
 TMCL = {"kind": "tmcl", "reply_timeout": "200 ms", **HERE}
 # One step per second.
@@ -62,17 +62,17 @@ def main() -> None:
             **open_things.enter_context(slcan_calls()),
             **open_things.enter_context(tmcl_calls()),
         }
-        # Interleaved, so that all meet the same machine.
+        # Interleaved, so that a busy moment of the machine affects all equally.
         runs = [{name: percentiles(call) for name, call in calls.items()} for _ in range(RUNS)]
     show(
         f"One velocity command in µs, median of {RUNS} interleaved runs of {CALLS};"
-        f" the bar for a PDO is a p99 of {BAR_US:g}. CPU: of the caller, whoever else runs",
+        f" the bar for a PDO is a p99 of {BAR_US:g}. CPU: of the calling thread only",
         ("what", "p50", "p99", "CPU p50", "CPU p99"),
         [(name, *(median([run[name][k] for run in runs]) for k in range(4))) for name in calls],
     )
     show(
-        "What a serial line allows a TMCL module: request and reply are 9 bytes each",
-        ("baud", "there and back, ms", "commands a second, at most"),
+        "Commands to a TMCL module on a serial line: request and reply are 9 bytes each",
+        ("baud", "request and reply, ms", "commands a second, at most"),
         [line_row(2e3 * TMCL_BITS / baud, baud) for baud in BAUDS],
     )
 
@@ -102,7 +102,7 @@ def median(values: list[float]) -> str:
 
 @contextmanager
 def pdos_to_nobody() -> Iterator[dict[str, Call]]:
-    """Provide the cost of sending alone: no thread reads the bus of the second member."""
+    """Provide the cost of sending alone: no thread reads the other end of the bus."""
     bus = {**CAN_BUS, "channel": "nobody"}
     scene = Cia402Scene.model_validate({"kind": "cia402", **bus})
     node = Cia402Node(scene, build_axis(scene, ACTUATOR, LAYER, FORCE_LIMIT_N), Counter())

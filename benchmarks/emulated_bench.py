@@ -1,8 +1,8 @@
 """The whole emulated bench against the same scene on the in-process model.
 
-Scored is the force in the emulated motor's own record against the pulse, once the playout delay has
-settled, each half second at its best shift: a delay that moves is no error of the drive's path
-through bytes and processes. The display's own figure, of the whole run, stands beside it.
+The score compares the force in the emulated motor's own record with the pulse, once the playout
+delay has settled. Each half second is shifted in time to fit best: a changing delay is no error of
+the drive. The display's own figure for the whole run is printed beside it.
 """
 
 import time
@@ -25,7 +25,7 @@ Forces = NDArray[np.float64]
 SECONDS = 15.0
 RUNS = 2
 BAR_RATIO = 1.5
-# From the first contact, and until the end, when the tip leaves.
+# Times left out after first contact, and before the end, when the tip leaves the finger.
 SETTLED_MS, LEAVING_MS = 5000, 1000
 WINDOW_MS = 500
 # Five beats are a breath: the pulse repeats itself.

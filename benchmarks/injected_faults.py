@@ -60,7 +60,7 @@ STREAMS: dict[str, Callable[[], Callable[[int], float]]] = {
 
 @dataclass(frozen=True, slots=True)
 class Run:
-    """One run of the table; case None: without a fault."""
+    """One run of the table; case: None for a run without a fault."""
 
     case: FaultCase | None
     kind: str

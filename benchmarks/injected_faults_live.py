@@ -16,7 +16,7 @@ from benchmarks.measure import show
 from tests.support.emulated_bench import BenchFailedError, EmulatedBench, MotorTrace, playing
 from tests.support.fault_runs import KINDS, LIMIT_N, TOUCH_N
 
-# From the first contact: by then the pulse is felt.
+# Time from first contact to the fault: by then the pulse is felt.
 BEGIN_S = "2"
 AFTER_S = 2.5
 FAULT_WITHIN_S = 8.0
@@ -46,7 +46,7 @@ def main() -> None:
 
 
 def stopped_row(kind: str, seconds: float) -> tuple[str, ...]:
-    """Stop the display's process for so long, and return the table's row."""
+    """Stop the display's process for `seconds`, and return the table's row."""
 
     def stop(bench: EmulatedBench) -> int:
         display = bench.processes["display"]

@@ -21,7 +21,7 @@ PATIENCE_S = 10.0
 
 
 class Reader:
-    """A listener, and when it received which number."""
+    """A listener, and the times at which it received the numbers."""
 
     def __init__(self, context: sockets.Context, keys: ClientKeys, address: str) -> None:
         self.socket = sockets.connect(context, zmq.SUB, address, keys)
@@ -77,7 +77,7 @@ def main() -> None:
         cost_us = _look_round_us(pairs["wrist"], allowed)
     columns = ("", "median", "most")
     texts = (
-        "let in: from connecting to the first frame, ms",
+        "admission: from connecting to the first frame, ms",
         "revoked: from the command to its last frame, ms",
         "revoked: frames of 5 ms another reader at its address misses",
         "  the same, ms of the stream",
@@ -88,7 +88,7 @@ def main() -> None:
         (text, f"{statistics.median(values):.0f}", f"{max(values):.0f}")
         for text, values in zip(texts, (let_in_ms, cut_ms, missed, missed_ms), strict=True)
     ]
-    table.append(("a look round when nobody knocks, µs", f"{cost_us:.1f}", ""))
+    table.append(("a poll without connection requests, µs", f"{cost_us:.1f}", ""))
     show(f"Keys, {ROUNDS} rounds over loopback", columns, table)
 
 
@@ -96,7 +96,7 @@ def _revoke(pairs: dict[str, KeyPair], allowed: Path, phase_s: float) -> tuple[f
     """Admit a key and revoke it.
 
     Returns the ms until the first frame and to the last, and the frames missed by the others.
-    phase_s: when, within the second between two checks of the list.
+    phase_s: time of the revocation within the second between two checks of the list.
     """
     allow(allowed, pairs["goes"].public)
     context: sockets.Context = zmq.Context()

@@ -1,6 +1,6 @@
-"""Ticks that a display misses without metrics, with a scrape a second, and with 20 busy scrapers.
+"""Ticks that a display misses without metrics, with a scrape per second, and with 20 scrapers.
 
-Runs take turns, so that all meet the same state of the machine.
+Runs take turns, so that a busy moment of the machine affects all equally.
 """
 
 import re
@@ -98,7 +98,7 @@ def _scraping(url: str, threads: int) -> Iterator[Callable[[], int]]:
             try:
                 with urlopen(url, timeout=5) as answer:
                     answer.read()
-            except OSError:  # it ends with the display
+            except OSError:  # the server ends with the display
                 time.sleep(0.1)
             else:
                 counts[number] += 1

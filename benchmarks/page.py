@@ -1,4 +1,4 @@
-"""Rate of pictures of the live page while others open it and do not read."""
+"""Rate of updates of a live page while other viewers open it and do not read."""
 
 import base64
 import itertools
@@ -48,8 +48,8 @@ class Viewer:
             pass
         self._wishes = ""
 
-    def pictures(self) -> Iterator[float]:
-        """Yield the time of each picture in s, and acknowledge it as the page's script does."""
+    def updates(self) -> Iterator[float]:
+        """Yield the time of each update in s, and acknowledge it as the page's script does."""
         self._message()
         self._send({"msgid": "1", "msgtype": "PULL-DOC-REQ"}, {})
         content: Any = None
@@ -109,7 +109,7 @@ class Viewer:
 
 
 def _wishes_in(content: Any) -> str:
-    """Return the id of the data source by which a page acknowledges pictures."""
+    """Return the id of the data source by which a page acknowledges updates."""
     if isinstance(content, dict):
         if "seen" in json.dumps(content.get("attributes", {}).get("data", "")):
             return str(content["id"])
@@ -142,7 +142,7 @@ def main() -> None:
 
     def watch(viewer: Viewer) -> None:
         with suppress(OSError, ValueError):
-            for time_s in viewer.pictures():
+            for time_s in viewer.updates():
                 times_s.append(time_s)
 
     def note(name: str, seconds: float) -> None:
@@ -174,7 +174,7 @@ def main() -> None:
             viewer.close()
         watching.join(PATIENCE_S)
     show(
-        f"s from picture to picture at one page ({len(others)} of {OTHERS} others were served)",
+        f"s from update to update at one page ({len(others)} of {OTHERS} others were served)",
         ("pages", "median", "most"),
         rows,
     )

@@ -22,7 +22,7 @@ SECONDS = 30.0
 LOSS_FREE = "delay=20ms,jitter=3ms"
 LOSSY = LOSS_FREE + ",loss=1%"
 BAR = 1.1
-# The link begins a second before the sensing node is started.
+# Times count from the link's start, a second before the sensing node starts.
 CUT = LOSS_FREE + ",cut.from=10s,cut.for=5s"
 CUT_FOR_GOOD = LOSS_FREE + ",cut.from=10s,cut.for=60min"
 CONGESTION_CONTROL = Path("/proc/sys/net/ipv4/tcp_congestion_control")
@@ -116,7 +116,7 @@ def simulated(folder: Path) -> Summary:
 
 
 def scene_of(folder: Path, paths: int) -> Path:
-    """Return the default scene in frames of 10 ms over so many paths."""
+    """Return the default scene with frames of 10 ms and this number of paths."""
     text = find_scene("radial").read_text(encoding="utf-8")
     text = text.replace('batch = "5 ms"', 'batch = "10 ms"')
     scene = folder / f"{paths}.toml"

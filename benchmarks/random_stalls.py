@@ -1,6 +1,6 @@
 """Random stalls of the display's process, in virtual time: how many leave the tip pressed.
 
-`python -m benchmarks.random_stalls HOURS` runs another time than three hours.
+`python -m benchmarks.random_stalls HOURS` runs for HOURS instead of three hours.
 """
 
 import math
@@ -14,7 +14,7 @@ from tests.support.fault_runs import KINDS
 from tests.support.stall_runs import LONGEST_S, SHORTEST_S, StallCounts, StallRun
 
 HOURS = 3.0
-# Virtual time of one seed.
+# Virtual time that is run with one seed.
 CHUNK_S = 300.0
 
 

@@ -1,8 +1,8 @@
 """Tick lateness and missed ticks of a real display node, by its real-time measures.
 
-Each measure, four of them together, and none; alone, and beside as many busy processes as there
-are processors. Runs take turns, so that all meet the same state of the machine.
-Measures that are not granted are left out.
+It runs with each measure, with four together, and with none; alone, and beside as many busy
+processes as there are processors. Runs take turns, so that a busy moment of the machine affects all
+equally. Measures that are not granted are left out.
 """
 
 import os
@@ -51,8 +51,8 @@ def main() -> None:
             ]
     show(
         f"A display at 1 kHz beside nothing and beside a load of {processors} busy processes,"
-        f" {ROUNDS} rounds of {SECONDS:g} s: how late ticks began in µs (medians of the rounds, and"
-        " the latest of all); in how many rounds fewer ticks were missed than bare",
+        f" {ROUNDS} rounds of {SECONDS:g} s: lateness of ticks in µs (medians of the rounds, and"
+        " the latest of all); number of rounds with fewer missed ticks than bare",
         ("with", "beside", "p50", "p99", "p99.9", "max", "missed", "of", "better in"),
         rows,
     )
@@ -65,7 +65,7 @@ def row(name: str, beside: str, found: Sequence[Loop], bare: Sequence[Loop]) -> 
     better = sum(
         mine < (other.deadline_misses or 0) for mine, other in zip(missed, bare, strict=True)
     )
-    # A priority that was given up meanwhile does not belong to the row.
+    # In these rounds the priority was given up, so they do not measure it throughout.
     given_up = sum(GIVEN_UP in "".join(loop.realtime) for loop in found)
     return (
         name + (f", given up in {given_up}" if given_up else ""),

@@ -41,7 +41,7 @@ def main() -> None:
         size_bytes = full.stat().st_size
     rows.append(("a recorder reads", *summed_up(cost_us)))
     columns = ("telemetry of a tick", "mean µs", "p50 µs", "p50 of every 20th, µs", "p99 µs")
-    show("What the real-time loop spends on its telemetry", columns, rows)
+    show("Time that the real-time loop spends on its telemetry", columns, rows)
     long_s = TICKS * TICK_NS * 1e-9
     share, hourly = (work_s - start_s) / long_s, size_bytes / long_s * 3600e-6
     print(f"The recorder: {share:.1%} of a core once it has started, {hourly:.0f} MB an hour")

@@ -34,7 +34,7 @@ from telepulse.processes import free_addresses
 SECONDS, SETTLED_S = 60, 5
 SKEW = 200e-6
 NODE_S = 10
-# A run of this length is subtracted: it is the interpreter and the imports.
+# The cost of a run of this length is subtracted: interpreter, imports and start.
 SHORT_S = 1
 TABLE = {"kind": "serial", "port": "none", "rate": "1 kHz", "unit": "N"}
 

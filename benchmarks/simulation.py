@@ -1,4 +1,4 @@
-"""Speed of `telepulse simulate` in times real time, on one core."""
+"""Speed of `telepulse simulate` as a multiple of real time, on one core."""
 
 import statistics
 from dataclasses import replace

@@ -31,4 +31,4 @@ def main() -> None:
             )
         )
     columns = ("samples × channels", "bytes", "encode µs", "decode µs", "both µs", "of the bar")
-    show("Data frames: median cost a frame", columns, rows)
+    show("Data frames: median cost per frame", columns, rows)

@@ -20,9 +20,9 @@ _WRITTEN = re.compile(r"Test unit written to (\S+)")
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """Result of one target. features: paths through its code that were reached.
+    """Result of one target. features: number of paths through its code that were reached.
 
-    failed: it did not end well; crash: the input it failed at, if known.
+    failed: it did not end normally. crash: the input at which it failed, if known.
     """
 
     name: str
@@ -36,7 +36,7 @@ class Outcome:
 
 
 def run_target(name: str, seconds: int, folder: Path) -> Outcome:
-    """Fuzz a target for so long; `folder` keeps its corpus, its log and its crash."""
+    """Fuzz a target for `seconds`; `folder` keeps its corpus, its log and its crash."""
     corpus, log = folder / "corpus", folder / "log.txt"
     corpus.mkdir(parents=True, exist_ok=True)
     command = [

@@ -42,7 +42,7 @@ class StreamPlay:
         self._taken = self._given_up = 0
 
     def pass_time(self, off: int) -> None:
-        """Advance by so many ms, and play what is due."""
+        """Advance by `off` ms, and play the samples that are due."""
         self._now_ns += abs(off) * MS
         for request in self.receiver.requests(self._now_ns):
             if isinstance(request, ClockRequest):

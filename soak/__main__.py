@@ -25,19 +25,19 @@ from telepulse.netem import unavailable
 from telepulse.scene import DEFAULT_SCENE, load_scene
 
 PROGRAM = "soak"
-# Nodes end by themselves so long after the soak's time.
+# Nodes end by themselves this long after the soak's time.
 OVERTIME_S = 300.0
 
 
 def soak(
     minutes: Annotated[float, typer.Option(min=0.2, max=10_000, help="How long.")] = 20.0,
-    seed: Annotated[int, typer.Option(min=0, help="Which faults, and when.")] = 1,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the faults and their times.")] = 1,
     scene: Annotated[
         str, typer.Option(help="A scene file, or the name of one that comes with telepulse.")
     ] = DEFAULT_SCENE,
     on_loopback: Annotated[
         bool,
-        typer.Option("--loopback", help="Links by a proxy on loopback, as where there is no root."),
+        typer.Option("--loopback", help="Emulate links by a proxy on loopback, as without root."),
     ] = False,
     keys: Annotated[
         bool,
@@ -53,7 +53,7 @@ def soak(
             min=0,
             max=1000,
             metavar="ROUNDS",
-            help="At the end so many troubles on an emulated bench, some 15 s each; 0: none.",
+            help="Number of faults on an emulated bench at the end, some 15 s each; 0: none.",
         ),
     ] = 6,
     json: JsonOption = None,
@@ -75,7 +75,7 @@ def soak(
         check_writable(json)
         loaded = load_scene(find_scene(scene))
         mark()
-        # Both signals end a soak in the background as well, or its nodes would remain.
+        # A soak in the background must also end its nodes on both signals.
         signal.signal(signal.SIGINT, signal.default_int_handler)
         signal.signal(signal.SIGTERM, lambda *_: signal.raise_signal(signal.SIGINT))
         with (

@@ -1,18 +1,17 @@
 """Check that every sample is accounted for: those sent against a display's counts.
 
-A display counts over all sessions of its process. It is judged where a session is known to be over
-and the display has been told so (state "ended"): from one such moment to the next its count must
-grow by exactly the samples sent. The tail of a session may be missing where its end was not
-announced (a sensing node killed with SIGKILL, an end lost in a cut): samples sent since shortly
-before the fault began.
+A display counts over all sessions of its process. Its count is checked whenever it has received the
+end of a session (state "ended"): between two such times it must grow by exactly the samples sent.
+If the end was not announced (a sensing node killed with SIGKILL, an end lost in a cut), the samples
+sent since shortly before the fault may be missing.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-# Samples of so long before a fault may be in transit, buffered, or not yet reported.
+# Samples of this time before a fault may be in transit, buffered, or not yet reported.
 GRACE_NS = 1_000_000_000
-# The effects of a fault last so long after its end: name look-up, connection.
+# The effects of a fault last up to this time after its end: name look-up, connection.
 AFTERMATH_NS = 3_000_000_000
 
 
@@ -44,7 +43,7 @@ class Mark:
 class Reckoning:
     """A display's count over one or more sessions, which must be between `least` and `most`.
 
-    exact: the bounds are equal, since the display was told of every end.
+    exact: the bounds are equal, since the display received every end.
     """
 
     counted: int
@@ -58,7 +57,7 @@ class Reckoning:
 
     @property
     def off(self) -> int:
-        """Return the samples unaccounted for if positive, or counted too often if negative."""
+        """Return the number of samples unaccounted for; negative: counted too often."""
         return max(0, self.least - self.counted) or min(0, self.most - self.counted)
 
 
@@ -67,8 +66,8 @@ def reckon(
 ) -> list[Reckoning]:
     """Return a display's counts from one reported end to the next, and to its own end.
 
-    marks: its states, in order. sessions: all during its process, in order. faults: from and to
-    when each lasted.
+    marks: its states, in order. sessions: all sessions during its process, in order. faults: begin
+    and end of each.
     """
     if not marks or not marks[-1].total:
         return []  # it never joined

@@ -17,7 +17,7 @@ from tests.support.emulated_bench import BenchFailedError, EmulatedBench, playin
 
 # Longer than the scene's, so that a busy machine does not end each round by a fault.
 WATCHDOG_MS = round(BENCH_WATCHDOG_S * 1e3)
-# Until the tip is off, and several statuses have reported it.
+# Time until the tip is off the finger, and several statuses have reported it.
 AFTER_S = 3.0
 POLL_MS = 50
 
@@ -25,7 +25,7 @@ POLL_MS = 50
 def play_rounds(
     folder: Path, seed: int, count: int, log: Callable[[str], None]
 ) -> tuple[list[Round], list[str]]:
-    """Play rounds of one trouble each; return them, and why others could not be played."""
+    """Play rounds of one trouble each; return them, and the reasons of failed ones."""
     rounds, failures = list[Round](), list[str]()
     for number, trouble in enumerate(islice(troubles(seed), count)):
         (here := folder / f"bench-{number}").mkdir()
@@ -77,7 +77,7 @@ def _listen(
     found, until_s = list[FingerClaim](), time.monotonic() + seconds
     while time.monotonic() < until_s:
         if until_ended is not None and until_ended.poll() is not None:
-            until_s = 0.0  # what it sent is still to be read
+            until_s = 0.0  # the statuses it has sent are still read
         while socket.poll(POLL_MS):
             _, data = socket.recv_multipart()
             status = read_status(data)

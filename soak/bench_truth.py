@@ -1,7 +1,7 @@
-"""Judge what the display on a bench reported of the finger, against the motor's force.
+"""Compare a display's reports about the finger with the force in the motor's record.
 
-The reference is the emulated drive's own record of the force under its tip. The display has no
-access to it: it has the film's readings and the positions that the drive reports.
+The display has no access to this record of the emulated drive: it has the film's readings and the
+positions that the drive reports.
 """
 
 from collections.abc import Iterator, Sequence
@@ -35,8 +35,9 @@ class FingerClaim:
 class Round:
     """One trouble on the bench.
 
-    trouble: its name and length. claims: until the display ended. status, faults, finger: of its
-    end. time_ns, force_n: the motor's record, one value a millisecond.
+    trouble: its name and length. claims: statuses until the display ended. status, faults, finger:
+    exit status, faults and sentence about the finger at its end. time_ns, force_n: the motor's
+    record, one value per millisecond.
     """
 
     trouble: str
@@ -71,7 +72,7 @@ def judge_bench(rounds: Sequence[Round], failures: Sequence[str]) -> list[Check]
 
 
 def finger_errors(claim: FingerClaim, of: Round) -> Iterator[str]:
-    """Yield what is wrong in a status' sentence about the finger."""
+    """Yield the errors in a status' sentence about the finger."""
     window = of.force_n[
         (of.time_ns >= claim.read_ns - SEEN_WITHIN_NS) & (of.time_ns <= claim.read_ns)
     ]
@@ -93,7 +94,7 @@ def finger_errors(claim: FingerClaim, of: Round) -> Iterator[str]:
 
 
 def end_errors(of: Round) -> Iterator[str]:
-    """Yield what is wrong with a display's end, and whether it left the finger pressed."""
+    """Yield the errors at a display's end, such as a finger that is left pressed."""
     expected = FAULT_STATUS if latched(of.faults) else 0
     if of.status != expected:
         yield f"exit status {of.status} with the faults {list(of.faults)}"

@@ -19,8 +19,9 @@ STATES = ("waiting", "starting", "playing", "stale", "ended", "fault")
 class StatusClaim:
     """One status, with the record at that moment.
 
-    heard_ns, tick_ns: when it arrived, and the newest tick before it. felt_n, full: of that tick.
-    ticks, full_ticks: recorded so far. no_figures: keys of the status that hold NaN or infinity.
+    heard_ns, tick_ns: arrival of the status, and time of the newest tick before it. felt_n, full:
+    felt force and full strength at that tick. ticks, full_ticks: numbers recorded until then.
+    no_figures: keys of the status with NaN or infinity.
     """
 
     heard_ns: int
@@ -84,7 +85,7 @@ def read_line(text: str, read_ns: int) -> LineClaim | None:
 
 
 def no_figures(value: Any, key: str = "") -> Iterator[str]:
-    """Yield the keys of a message that hold NaN or infinity."""
+    """Yield the keys of a message whose values are NaN or infinite."""
     if isinstance(value, Mapping):
         for name, inner in value.items():
             yield from no_figures(inner, f"{key}.{name}" if key else str(name))

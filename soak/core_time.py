@@ -18,8 +18,8 @@ _STEAL_FIELD = 8
 class CoreTime:
     """One reading, at_ns on this machine's clock; both in ns since the process or host began.
 
-    waited_ns: the loop's thread was ready to run, and another one ran (`schedstat`, run delay).
-    stolen_ns: by the hypervisor, from the processor that the thread was on.
+    waited_ns: time in which the loop's thread was ready, but another one ran (`schedstat`, run
+    delay). stolen_ns: time that the hypervisor took from the processor of the thread.
     """
 
     at_ns: int
@@ -30,7 +30,7 @@ class CoreTime:
 
 @dataclass(frozen=True, slots=True)
 class Excused:
-    """Missed ticks that are the machine's: while the loop waited, and while time was stolen."""
+    """Missed ticks caused by the machine: while the loop waited, and while time was stolen."""
 
     waited: int = 0
     stolen: int = 0
@@ -48,9 +48,9 @@ NONE_EXCUSED = Excused()
 
 
 def read_core_time(pid: int, at_ns: int) -> CoreTime | None:
-    """Return how long the main thread of a process has waited so far.
+    """Return the time that the main thread of a process has waited for a processor.
 
-    None where it has ended, or where this kernel keeps no such figure.
+    None if it has ended, or if this kernel does not record it.
     """
     task = Path("/proc", str(pid), "task", str(pid))
     with suppress(OSError, IndexError, ValueError):
@@ -68,18 +68,18 @@ def read_core_time(pid: int, at_ns: int) -> CoreTime | None:
 def excuse(
     misses: Sequence[tuple[int, int, int]], readings: Sequence[CoreTime], tick_ns: int
 ) -> Excused:
-    """Return how many missed ticks were the machine's.
+    """Return the numbers of missed ticks that the machine caused.
 
-    Between the readings around a gap, as many ticks as the thread waited are excused, less its
-    usual waiting in that time. Of the others as many are excused as were stolen. Gaps between the
-    same two readings share the waiting time.
+    For each gap, the ticks in the thread's waiting time are excused, less its usual waiting in that
+    time; of the others, the ticks in stolen time. Both are taken between the readings around the
+    gap. Gaps between the same two readings share these times.
 
     Parameters
     ----------
     misses
-        Of each gap: the ticks before and after it in ns, and the number missed.
+        For each gap: times of the ticks before and after it in ns, and the number missed.
     readings
-        Of the loop's thread, in order.
+        Readings of the loop's thread, in order.
     tick_ns
         Length of a tick in ns.
     """
@@ -104,7 +104,7 @@ def _spans(
     for from_ns, until_ns, missed in sorted(misses):
         begin, end = bisect_right(times_ns, from_ns) - 1, bisect_left(times_ns, until_ns)
         if begin < 0 or end >= len(times_ns):
-            continue  # nobody read it then
+            continue  # no reading at that time
         if spans and begin < spans[-1][1]:
             before, after, count = spans[-1]
             spans[-1] = before, max(after, end), count + missed

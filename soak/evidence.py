@@ -30,17 +30,17 @@ from soak.verdict import (
     judge_usage,
 )
 
-# Until buffers and histograms are full, and the fragmentation of Python's arenas is steady.
+# Time until buffers and histograms are full, and the fragmentation of Python's arenas is steady.
 WARM_UP_S = 480.0
 ROLES = (CALM_SENSING, CALM_DISPLAY, SENSING, CONTINUOUS, RESTARTED)
-# The last frame of a killed node, or of an impostor, may be received so long after its end.
+# The last frame of a killed node, or of an impostor, may be received up to this time after its end.
 HEARD_WITHIN_NS = 100_000_000
 
 
 def verdict(run: Run, scene: DisplayScene, wrist_per_min: float | None) -> list[Check]:
-    """Return all checks of a soak but that of its leftovers.
+    """Return all checks of a soak except that of its leftovers.
 
-    wrist_per_min: heart rate of the source; None where it has none, and none is judged.
+    wrist_per_min: heart rate of the source; None if it is unknown, and heart rates are not judged.
     """
     safety, felt = scene.safety, run.taps.felt
     nodes = {

@@ -1,4 +1,4 @@
-"""The faults: each is made on the nodes, and its end is reported."""
+"""The faults, made on the nodes; each returns its end."""
 
 import asyncio
 import time
@@ -24,7 +24,7 @@ class Done:
 
 
 async def do(fault: Fault, scenario: Scenario, seed: int) -> Done:
-    """Make a fault, and return when it ended."""
+    """Make a fault, and return the time of its end."""
     await asyncio.sleep(fault.after_s)
     began_ns = time.monotonic_ns()
     over_ns = await _do(fault, scenario, seed)

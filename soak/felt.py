@@ -1,4 +1,4 @@
-"""Log of the force felt at a display, from its telemetry: when, and within which bounds."""
+"""Log of the felt force of a display, from its telemetry: times and bounds."""
 
 from dataclasses import dataclass, field
 
@@ -9,7 +9,7 @@ from protocol.wire.telemetry import Trace
 
 # Ticks further apart belong to two spells: a tick or a trace may be late.
 GAP_NS = 50_000_000
-# The pulse counts as felt again when it is felt for so long.
+# The pulse counts as felt again when it has been felt for this time.
 HOLD_NS = 200_000_000
 # The effect of a missed tick is corrected within this time.
 SETTLED_NS = 100_000_000
@@ -21,10 +21,10 @@ Floats = NDArray[np.float64]
 class FeltLog:
     """The times and bounds of the force of one display.
 
-    spells: from and to when the pulse was felt at full strength, on this machine's clock. Forces in
-    N: least and greatest of the target and of the felt force; slews in N/s: the largest.
-    catching_up: of the felt force soon after missed ticks. The actuator keeps its last speed during
-    these, and the resulting error is corrected faster than a target moves.
+    spells: begin and end of each time with the pulse at full strength, on this machine's clock.
+    Forces in N: least and greatest of the target and of the felt force; slews in N/s: the largest.
+    catching_up: slew of the felt force soon after missed ticks. The actuator keeps its last speed
+    during these, and the resulting error is corrected faster than a target moves.
     """
 
     tick_ns: int
@@ -64,7 +64,7 @@ class FeltLog:
         for end_ns, step_ns, target_step_n, felt_step_n in zip(
             now_ns[1:].tolist(), apart_ns.tolist(), targets.tolist(), felts.tolist(), strict=True
         ):
-            # Another process, or two ticks at one time: no slew in between.
+            # No slew across a change of process, or between two ticks at one time.
             if not 0 < step_ns < GAP_NS:
                 self._missed_ns = end_ns
                 continue
@@ -95,9 +95,9 @@ def _spread(spread: tuple[float, float], values: Floats) -> tuple[float, float]:
 
 
 def felt_again_ns(spells: list[tuple[int, int]], over_ns: int, until_ns: int) -> int | None:
-    """Return how long after `over_ns` the pulse was felt again, steadily.
+    """Return the time in ns from `over_ns` until the pulse was felt again, steadily.
 
-    None when not before `until_ns`.
+    None if it was not felt before `until_ns`.
     """
     for begin_ns, end_ns in spells:
         begin_ns = max(begin_ns, over_ns)

@@ -1,4 +1,4 @@
-"""Check what a soak leaves behind: processes, namespaces, sockets, files."""
+"""Check that a soak leaves nothing behind: processes, namespaces, sockets, files."""
 
 import os
 import socket
@@ -21,9 +21,9 @@ def namespaces_of(pids: list[int]) -> set[int]:
 
 
 def left_behind(namespaces: set[int], addresses: list[str], folder: str) -> list[str]:
-    """Return what remains of a finished soak, one line each.
+    """Return a line for each thing that remains of a finished soak.
 
-    namespaces: those it made. addresses: those it used in this process's namespace.
+    namespaces: namespaces that it made. addresses: addresses that it used in this namespace.
     """
     return [*_processes(namespaces), *_sockets(addresses), *_files(folder)]
 
@@ -49,7 +49,7 @@ def _sockets(addresses: list[str]) -> Iterator[str]:
         host, _, port = address.removeprefix("tcp://").rpartition(":")
         for number in (int(port), int(port) + 1):
             with socket.socket() as probe:
-                # As the nodes bind: a socket in TIME_WAIT does not count.
+                # As the nodes do when they bind: a socket in TIME_WAIT does not count.
                 probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
                 try:
                     probe.bind((host, number))

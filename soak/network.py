@@ -26,8 +26,8 @@ STARTS_WITHIN_S = 30.0
 class Network:
     """The links of a soak.
 
-    kind: its description. bind: the sensing node's address; near: where it is reached without a
-    link; addresses: where a display reaches it over each link.
+    kind: its description. bind: address that the sensing node binds. near: address to reach it
+    without a link. addresses: address to reach it over each link.
     """
 
     kind: str

@@ -41,8 +41,8 @@ class Usage:
 class SoakProcess:
     """One process of a node. ending: "stopped" or "killed" by the soak, else None.
 
-    Of a display: claims are its statuses, misses its gaps by its traces, and core_times how long
-    its loop has waited for a processor.
+    For a display: claims has its statuses, misses the gaps in its traces, and core_times the times
+    that its loop has waited for a processor.
     """
 
     role: str
@@ -60,7 +60,7 @@ class SoakProcess:
     claims: list[StatusClaim] = field(default_factory=list)
     misses: list[tuple[int, int, int]] = field(default_factory=list)
     core_times: list[CoreTime] = field(default_factory=list)
-    # Of a display's last status; None without one.
+    # Summary in a display's last status; None without one.
     summary: dict[str, Any] | None = None
     frozen_ns: int = 0
 
@@ -72,7 +72,7 @@ class SoakProcess:
         return self.over_ns is None
 
     async def up(self) -> int:
-        """Wait until its loop runs, and return when; a node that does not start has ended."""
+        """Wait until its loop runs, and return the time; a node that does not start has ended."""
         until_ns = time.monotonic_ns() + round(UP_WITHIN_S * 1e9)
         while self.up_ns is None and self.running and time.monotonic_ns() < until_ns:
             if self.up_text in self.errors.read_text(encoding="utf-8"):
@@ -130,7 +130,7 @@ class SoakProcess:
         return None if table is None else table["samples"]["sent"]
 
     def complaint(self) -> str | None:
-        """Return what was wrong with its end, once it is over; None when nothing was."""
+        """Return the error at its end, once it has ended; None without one."""
         status = self.process.returncode
         wrong = {"stopped": status != 0, "killed": status != -signal.SIGKILL}
         if self.ending is None or wrong[self.ending]:

@@ -1,9 +1,9 @@
 """Links over the loopback interface, without root: `python -m soak.proxy SEED NEAR ADDRESS...`.
 
-A proxy of TCP connections: bytes read from one are written to the other when the link's model says
-so. Lost bytes arrive later, as after TCP's retransmission; a cut holds everything up. A line on
-standard input, a link's number and its new properties, changes that link; the end of standard input
-ends the proxy.
+A proxy of TCP connections: bytes read from one are written to the other at the time given by the
+link's model. Lost bytes arrive later, as after TCP's retransmission; a cut delays everything. A
+line on standard input, a link's number and its new properties, changes that link; the end of
+standard input ends the proxy.
 """
 
 import asyncio
@@ -33,7 +33,7 @@ class Link:
         self._there, self._back = (Direction(scene, self._seed + way) for way in (0, 1))
 
     def due_ns(self, back: bool, size_bytes: int) -> int:
-        """Return when so many bytes that are sent now arrive, unless lost for good."""
+        """Return the arrival of bytes that are sent now, retransmissions included."""
         now_ns = sent_ns = time.monotonic_ns()
         way = self._back if back else self._there
         while (due_ns := way.arrival_ns(sent_ns, size_bytes)) is None:

@@ -1,4 +1,4 @@
-"""Times without the pulse: after each fault, and of displays that were not disturbed."""
+"""Times without the pulse: after each fault, and at displays that were not disturbed."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -19,7 +19,7 @@ class Played:
     until_ns: int
 
     def over_ns(self, role: str) -> int | None:
-        """Return when the last fault of a display ended; None without one."""
+        """Return the end of the last fault of a display; None without one."""
         return max((done.over_ns for done in self.done if role in done.displays), default=None)
 
     def kind(self, role: str) -> str:
@@ -32,7 +32,7 @@ def recoveries(
 ) -> dict[str, list[float | None]]:
     """Return, by kind of fault, the times in s from its end until the pulse was felt again.
 
-    None where it was not felt before the next fault.
+    None if it was not felt before the next fault.
     """
     table: dict[str, list[float | None]] = {}
 
@@ -58,9 +58,9 @@ def recoveries(
 
 
 def beside(episodes: Sequence[Played], felt: Mapping[str, FeltLog]) -> list[float]:
-    """Return the longest times in s without the pulse of displays that were not disturbed.
+    """Return the longest times in s without the pulse at displays that were not disturbed.
 
-    One of each display and episode.
+    There is one for each display and episode.
     """
     return [
         gap_s

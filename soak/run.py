@@ -15,7 +15,7 @@ from soak.taps import Taps
 from soak.terminals import Terminals
 
 SAMPLE_EVERY_S = 2.0
-# All nodes run and are felt before the first fault.
+# Time in which all nodes start, and the pulse is felt at all displays, before the first fault.
 HEAD_START_S = 4.0
 ENDED_WITHIN_S = 6.0
 MINUTE_S = 60.0
@@ -23,7 +23,7 @@ MINUTE_S = 60.0
 
 @dataclass(slots=True)
 class Run:
-    """One soak. log: receives a line a minute. namespaces: of its nodes."""
+    """One soak. log: receives one line per minute. namespaces: namespaces of its nodes."""
 
     scenario: Scenario
     seed: int
@@ -76,7 +76,7 @@ class Run:
             self.played.append(Played(tuple(done), began_ns, time.monotonic_ns()))
 
     async def _end(self) -> None:
-        """End the sensing nodes, which every display is told of, then the displays."""
+        """End the sensing nodes, whose end reaches every display, then the displays."""
         nodes = self.scenario.nodes
         sensing = [nodes[SENSING], nodes[CALM_SENSING]]
         displays = [nodes[CONTINUOUS], nodes[RESTARTED], nodes[CALM_DISPLAY]]
@@ -86,7 +86,7 @@ class Run:
             if all(node.marks and node.marks[-1].state == "ended" for node in displays):
                 break
             await asyncio.sleep(0.1)
-        # The last samples are played, and a status reports them.
+        # Until the last samples are played, and a status reports them.
         await asyncio.sleep(1.0)
         await asyncio.gather(*(node.stop() for node in displays))
         await asyncio.sleep(0.2)

@@ -22,9 +22,9 @@ LINKS = {CONTINUOUS: (0, 1), RESTARTED: (2,), TEMPORARY: (3,)}
 class Scenario:
     """The nodes of a soak.
 
-    nodes: the latest of each role. all_nodes: in order of their start. complaints: failures that
-    the soak did not cause. longest_s: nodes end by themselves after it, should the soak be killed.
-    keys: None for nodes without any. options: of all nodes.
+    nodes: the latest node of each role. all_nodes: all nodes in order of their start. complaints:
+    failures that the soak did not cause. longest_s: time after which nodes end by themselves, if
+    the soak is killed. keys: None for nodes without keys. options: options of all nodes.
     """
 
     network: Network

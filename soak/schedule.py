@@ -1,8 +1,8 @@
 """Schedule of a soak's faults, from a seed.
 
-Kinds are drawn from a deck that is shuffled anew when it is empty, so that each kind is made
-equally often. The same holds for the bench's troubles. From the fourth deck on the sensing node is
-not ended any more: the resources of a process that runs for seconds show no trend.
+Kinds are drawn from a shuffled deck, which is refilled when it is empty, so that each kind is made
+equally often; so are the faults of the bench. From the fourth deck on, the sensing node is no
+longer ended: a process that runs for seconds shows no trend in its resources.
 """
 
 import itertools
@@ -17,7 +17,7 @@ SENSING, PORTS = "sensing", "ports"
 FLOODS = ("bytes", "messages", "connections", "telemetry")
 # Share of episodes with two faults.
 PAIRED_SHARE = 0.25
-# Every display is felt again before the next fault, and has reported it.
+# Rest between faults, in which the pulse is felt again at every display, and reported.
 REST_S = (3.0, 4.5)
 SENSING_ENDS = ("kill sensing", "restart sensing", "impostor")
 DISPLAY_ENDS = ("kill display", "restart display")
@@ -51,10 +51,10 @@ BENCH_KINDS = tuple(_BENCH_LENGTHS_S)
 
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """One fault, `after_s` from its episode's begin, for `for_s`.
+    """One fault, `after_s` after the start of its episode, for `for_s`.
 
     target: a node by its role, a display's "link", or the "ports". detail: the link's changes, or
-    how a temporary display leaves.
+    the way in which a temporary display leaves.
     """
 
     kind: str
@@ -68,8 +68,8 @@ class Fault:
 class Trouble:
     """One fault on the bench.
 
-    kind: "cut", the sensing node is killed; "short stall" or "long stall", the display is stopped
-    for `for_s`. after_s: from when the pulse is felt.
+    kind: "cut": the sensing node is killed; "short stall", "long stall": the display is stopped for
+    `for_s`. after_s: time from the moment at which the pulse is felt.
     """
 
     kind: str
@@ -103,7 +103,7 @@ def episodes(seed: int) -> Iterator[Episode]:
         chosen = [first]
         if random.random() < PAIRED_SHARE:
             second = next(faults)
-            # Two faults of one part follow each other.
+            # Two faults of one part are made one after the other.
             if second.target == first.target:
                 held = second
             else:

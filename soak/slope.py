@@ -2,8 +2,8 @@
 
 Theil (1950) and Sen (1968). A restarted process gives several series: pairs are made within each,
 and Kendall's S is summed over them (Helsel and Frans 2006, the regional test). Its variance is
-increased by the dependence of neighbouring samples (Yue and Wang 2004): a process' memory stays
-where it was, so that a hundred samples of it carry as much information as a few.
+increased by the dependence of neighbouring samples (Yue and Wang 2004): a process's memory changes
+slowly, so that a hundred samples of it may carry as much information as a few.
 """
 
 import math
@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-# Fewer samples do not show their dependence.
+# From fewer samples, their dependence cannot be estimated.
 MIN_SAMPLES = 30
 Z_95 = 1.959964
 Floats = NDArray[np.float64]
@@ -60,7 +60,7 @@ def _variance_of_s(values: Floats) -> float:
 
 
 def _dependence(residuals: Floats) -> float:
-    """Return how many samples carry the information of one, by the correlation of neighbours."""
+    """Return the number of samples with the information of one, by neighbours' correlation."""
     count = len(residuals)
     centred = residuals - residuals.mean()
     power = float(centred @ centred)

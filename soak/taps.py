@@ -1,7 +1,7 @@
 """Taps of a soak: every display's telemetry, and every frame that a sensing node sends.
 
-The frames are received beside the sensing node, where no link delays or loses them. Of a killed
-node they alone show how many samples it had sent.
+The frames are received beside the sensing node, where no link delays or loses them. For a killed
+node, only they show the number of samples that it had sent.
 """
 
 import asyncio
@@ -31,7 +31,7 @@ HIGH_WATER = 10_000
 
 @dataclass(slots=True)
 class SessionFrames:
-    """Frames of a session: time of its first sample, samples a frame, samples and time so far."""
+    """Frames of a session: time of its first sample, samples per frame, samples and last time."""
 
     began_ns: int
     period_ns: int
@@ -53,7 +53,7 @@ class Taps:
     def follow_display(
         self, role: str, address: str, nodes: dict[str, SoakProcess], tick_ns: int
     ) -> None:
-        """Record a display's telemetry, for the process that its role has then."""
+        """Record a display's telemetry, for the present process of its role."""
         self.felt[role] = FeltLog(tick_ns)
         self.records[role] = TickRecord(tick_ns)
         socket = self._subscribe(address, (TRACE, STATUS))
@@ -140,7 +140,7 @@ class Taps:
 
 
 def _take_status(data: bytes, node: SoakProcess, record: TickRecord, now_ns: int) -> None:
-    """Store a status, with the record until then."""
+    """Store a status, with the record up to its arrival."""
     status = read_status(data)
     samples = status.summary["samples"]
     total = (samples["sent"] or 0) + (samples["before_joining"] or 0)

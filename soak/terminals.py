@@ -14,7 +14,7 @@ AGAIN_AFTER_S = 0.2
 
 @dataclass(slots=True)
 class Terminals:
-    """Terminals of displays. lines: shown, by a display's role."""
+    """Terminals of displays. lines: the lines shown, by the display's role."""
 
     lines: dict[str, list[LineClaim]] = field(default_factory=dict)
     _tasks: list[asyncio.Task[None]] = field(default_factory=list)

@@ -16,8 +16,8 @@ GAP_NS = 50_000_000
 class Stretch:
     """The force felt in an interval.
 
-    low_n, high_n: least and greatest felt force in N; None where no tick has one. full, less: ticks
-    at which the pulse was felt at full strength, and the others.
+    low_n, high_n: least and greatest felt force in N; None if no tick has one. full, less: numbers
+    of ticks at full strength, and of the others.
     """
 
     low_n: float | None
@@ -30,10 +30,11 @@ class Stretch:
 class TickRecord:
     """The ticks of one display, in blocks of at most a trace; times on this machine's clock in ns.
 
-    ticks, full: ticks so far, and those at full strength. interruptions: from and to when the
-    strength was not full, and in how many ticks, within one process. misses: the ticks before and
-    after, and the number missed. gaps: from and to when there was no tick for more than 50 ms, and
-    whether the next one was at full strength. last_ns, last_n, last_full: the newest tick.
+    ticks, full: numbers of ticks, and of those at full strength. interruptions: begin and end of
+    each time without full strength within one process, and its number of ticks. misses: times of
+    the ticks before and after, and the number missed. gaps: begin and end of each time of more than
+    50 ms without a tick, and whether the next tick was at full strength. last_ns, last_n,
+    last_full: the newest tick.
     """
 
     tick_ns: int
@@ -52,7 +53,7 @@ class TickRecord:
     _less: int = 0
 
     def begin_process(self) -> None:
-        """Expect the ticks of another process: no interruption lies between the two."""
+        """Expect the ticks of another process: the time between the two is no interruption."""
         self.last_ns, self._full_ns, self.last_full, self._less = None, None, False, 0
 
     def add(self, trace: Trace) -> None:

@@ -1,4 +1,4 @@
-"""Judge what a display reported of itself, against the record of its ticks."""
+"""Compare a display's reports about itself with the record of its ticks."""
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
@@ -12,7 +12,7 @@ from soak.tick_record import TickRecord
 from soak.verdict import Check
 from telepulse.telemetry.events import INTERRUPTED, EventDetector
 
-# A status follows its tick: the forces agree but for rounding to 1 mN.
+# A status follows its tick: the forces agree except for rounding to 1 mN.
 ROUNDING_N = 0.6e-3
 # A line shows the last status, up to 0.2 s old, and is read some time after it was written.
 SEEN_WITHIN_NS = 1_200_000_000
@@ -21,10 +21,10 @@ FORCE_SHARE, FORCE_MORE_N = 0.2, 0.01
 CURRENT_S, BUSY_S = 1.0, 1.0
 SHARE_BAR, SHARE_MORE_S = 0.01, 0.05
 HEART_RATE_TIMES = 1.5
-# An event states an interruption to 0.01 s, from tick to tick.
+# Events give the length of an interruption in units of 0.01 s, from tick to tick.
 NAMED_TO_S = 0.02
 _WITHOUT = re.compile(r"after (\d+\.\d+) s ")
-# The window of the heart rate, after which forces that no wrist has no longer count.
+# Window of the heart rate: after this time an impostor's forces no longer affect it.
 FORGOTTEN_NS = 8_000_000_000
 # Errors quoted in a verdict.
 QUOTED = 2
@@ -65,7 +65,7 @@ def judge_statuses(
 
 
 def state_errors(claim: StatusClaim) -> Iterator[str]:
-    """Yield what is wrong in a status' state: "playing" is felt at full strength."""
+    """Yield the errors in a status' state: "playing" means full strength."""
     if claim.state == "playing" and not claim.full:
         yield "playing, and not felt at full strength"
     # Before the last status a display may have received the end of the pulse.
@@ -77,7 +77,7 @@ def state_errors(claim: StatusClaim) -> Iterator[str]:
 
 
 def finger_errors(claim: StatusClaim) -> Iterator[str]:
-    """Yield what is wrong in a status' sentence about the finger."""
+    """Yield the errors in a status' sentence about the finger."""
     finger = claim.summary["finger"] or ""
     force_n, felt_n = pressed_n(finger), claim.felt_n
     if force_n is not None:
@@ -91,7 +91,7 @@ def finger_errors(claim: StatusClaim) -> Iterator[str]:
 
 
 def figure_errors(claim: StatusClaim) -> Iterator[str]:
-    """Yield what is wrong in a status' figures by themselves."""
+    """Yield the inconsistencies between the figures of a status."""
     for key in claim.no_figures:
         yield f"{key} is NaN or infinite"
     samples, shares = claim.summary["samples"], claim.summary["availability"]
@@ -154,7 +154,7 @@ def judge_lines(
     wrist_per_min
         Heart rate of the source, in beats per minute; None where it is not known.
     impostors
-        From and to when, in ns, forces without a heart rate were sent.
+        Begin and end in ns of each time in which forces without a heart rate were sent.
     """
     known = [
         line
@@ -172,7 +172,7 @@ def judge_lines(
 
 
 def line_errors(line: LineClaim, record: TickRecord) -> Iterator[str]:
-    """Yield what is wrong in a line's state and forces, at its time."""
+    """Yield the errors in a line's state and forces, at its time."""
     from_ns = line.read_ns - round((line.age_s or 0.0) * 1e9) - SEEN_WITHIN_NS
     felt = record.between(from_ns, line.read_ns)
     if line.state == "playing" and not felt.full:
@@ -194,7 +194,7 @@ def line_errors(line: LineClaim, record: TickRecord) -> Iterator[str]:
 
 
 def age_errors(line: LineClaim, record: TickRecord) -> Iterator[str]:
-    """Yield what is wrong in a line's age: a silent display must be shown as silent."""
+    """Yield the errors in a line's age: a silent display must be shown as silent."""
     newest_ns = record.newest_ns(line.read_ns)
     if newest_ns is None:
         return
@@ -219,7 +219,7 @@ def age_errors(line: LineClaim, record: TickRecord) -> Iterator[str]:
 def heart_rate_errors(
     line: LineClaim, record: TickRecord, wrist_per_min: float | None
 ) -> Iterator[str]:
-    """Yield what is wrong in a line's heart rate: it is the source's, of a pulse that is felt."""
+    """Yield the errors in a line's heart rate: it must be the source's, of a felt pulse."""
     rate = line.heart_rate_per_min
     if rate is None:
         return
@@ -246,7 +246,7 @@ def judge_events(
     processes
         The statuses of each of its processes, in order.
     interruptions
-        From and to when in ns the pulse was not felt at full strength, and in how many ticks.
+        Begin and end in ns of each time without full strength, and its number of ticks.
     """
     errors = [error for process in processes for error in _event_errors(process, interruptions)]
     return judge_claims(f"interruptions of {role}", len(interruptions) or len(errors), errors)
@@ -267,12 +267,12 @@ def judge_stalls(
     processes
         The statuses of each of its processes, in order.
     gaps
-        From and to when in ns there was no tick, and whether the next one was at full strength.
+        Begin and end in ns of each time without a tick, and whether the next was at full strength.
     faded_ns
-        Without samples for so long, the pulse has faded to zero, in ns.
+        Time in ns without samples after which the pulse has faded to zero.
     """
     stalls = [gap for gap in gaps if gap[1] - gap[0] > faded_ns]
-    # Where a trace is missing there were ticks.
+    # Gaps with a missing trace are left out: there were ticks.
     spans = [
         (before.tick_ns, claim.tick_ns)
         for process in processes
@@ -290,9 +290,9 @@ def judge_stalls(
 def _event_errors(
     process: Sequence[StatusClaim], interruptions: Sequence[tuple[int, int, int]]
 ) -> Iterator[str]:
-    """Yield what is wrong in the events of one process, from each status to the next.
+    """Yield the errors in the events of one process, from each status to the next.
 
-    Where a trace did not arrive between the two, the felt force is not known.
+    Statuses between which a trace is missing are left out: the felt force is not known.
     """
     watch, before = EventDetector(), None
     for claim in process:
@@ -333,7 +333,7 @@ def judge_ends(
     Parameters
     ----------
     ends
-        Of each: its name, exit status, the summary that it wrote, and its last status.
+        For each: its name, exit status, the summary that it wrote, and its last status.
     """
     errors = []
     for role, status, summary, last in ends:

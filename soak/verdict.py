@@ -24,7 +24,7 @@ AGAIN_BAR_S = 1.0
 UNTOUCHED_BAR_S = 0.1
 TICK_P99_TIMES, TICK_P99_MORE_US = 2.0, 100.0
 CALM_MISSES = MISSES_MORE = 0.01
-# Above this share of the machine's misses the loop's own cannot be separated.
+# If the machine causes more than this share of misses, the loop's own cannot be separated.
 MOST_EXCUSED = 0.1
 # One microstep per tick.
 SLEW_MARGIN = 1.05
@@ -45,7 +45,7 @@ class Check:
 class Line:
     """Samples of one process: memory in MB, descriptors, threads.
 
-    warm: how many of the first samples belong to its warm-up.
+    warm: number of first samples that belong to its warm-up.
     """
 
     times_s: Floats
@@ -59,8 +59,8 @@ class Line:
 class LoopFigures:
     """A display's loop over all its processes.
 
-    ticks, misses except while it was stopped, and the 99 % cost of a tick in its longest process.
-    excused: misses that are the machine's.
+    misses: missed ticks, except while it was stopped. tick_p99_us: cost of a tick, 99th percentile,
+    in its longest process. excused: misses caused by the machine.
     """
 
     ticks: int
@@ -69,7 +69,7 @@ class LoopFigures:
     excused: Excused = NONE_EXCUSED
 
     def share(self, misses: int) -> float:
-        """Return so many missed ticks as a share of all."""
+        """Return a number of missed ticks as a share of all."""
         return misses / max(1, self.ticks + self.misses)
 
     @property
@@ -105,9 +105,9 @@ def _growth(
 
 
 def judge_recovery(again_s: Mapping[str, Sequence[float | None]]) -> list[Check]:
-    """Judge how soon after its end each kind of fault is over at the finger, and all together.
+    """Judge the times from the end of a fault until the pulse is felt, by kind and together.
 
-    None: it was not.
+    None: it was not felt again.
     """
     checks = []
     together = {"any fault": [after_s for all_s in again_s.values() for after_s in all_s]}
@@ -127,7 +127,7 @@ def judge_recovery(again_s: Mapping[str, Sequence[float | None]]) -> list[Check]
 
 
 def judge_untouched(gaps_s: Sequence[float], calm_s: Sequence[float]) -> list[Check]:
-    """Judge how long a display felt nothing while a fault was made on another one."""
+    """Judge the longest time without the pulse at a display while another one had a fault."""
     control_s, worst_s = max(calm_s, default=0.0), max(gaps_s, default=0.0)
     bar_s = max(UNTOUCHED_BAR_S, control_s)
     return [

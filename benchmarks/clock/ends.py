@@ -89,7 +89,7 @@ def lsl_outlet(peer: str, seconds: str) -> None:
 
 
 def lsl_inlet(peer: str, seconds: str) -> None:
-    """Follow it: both ends have this machine's monotonic clock, the true correction is 0."""
+    """Follow the stream; both ends use this machine's clock, so the true correction is 0."""
     pylsl = _lsl(peer)
     found = pylsl.resolve_byprop("source_id", "clock", timeout=RESOLVE_S)
     if not found:

@@ -1,7 +1,7 @@
-"""The clock in virtual time: many seeds of many kinds of link, two minutes' worth in a second.
+"""The clock in virtual time: many seeds of many kinds of link.
 
-Delays are those of the models in `telepulse/simulation/link_model`, TCP's included; the kernel's
-own are left out.
+Delays are those of the models in `telepulse/simulation/link_model`, with TCP's; delays of the
+kernel itself are left out.
 """
 
 import itertools
@@ -40,7 +40,7 @@ class Exponential:
     random: random.Random
 
     def arrival_ns(self, now_ns: int, _: int) -> int | None:
-        """Return when a message that is sent now arrives."""
+        """Return the arrival of a message that is sent now."""
         return now_ns + 20_000_000 + round(self.random.expovariate(1 / self.mean_ns))
 
 
@@ -48,10 +48,10 @@ class Way(Protocol):
     """One direction of a link."""
 
     def arrival_ns(self, now_ns: int, size_bytes: int, /) -> int | None:
-        """Return when a message that is sent now arrives; None when it is lost."""
+        """Return the arrival of a message that is sent now; None when it is lost."""
 
 
-# Both directions; "tcp" before a TCP connection, a number for exponential delays of so many ms.
+# Both directions. "tcp": messages on a TCP connection; a number: mean of exponential delays in ms.
 LINKS: dict[str, tuple[str, str]] = {
     "20±3 ms, 1 % loss, TCP": (f"tcp {BAR}", f"tcp {BAR}"),
     "the same, datagrams": (BAR, BAR),
@@ -99,7 +99,7 @@ def row(name: str, with_frames: bool) -> tuple[str, ...]:
 
 @dataclass(frozen=True, slots=True)
 class Trial:
-    """Errors at `MARKS_S` and at the end; cost_us: of an exchange, on average."""
+    """Errors at `MARKS_S` and at the end; cost_us: mean cost of an exchange."""
 
     errors_ms: list[float]
     within: float

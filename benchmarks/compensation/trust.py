@@ -1,7 +1,7 @@
 """Trust in the predictor: on predictable pulses, and on pulses that become unpredictable.
 
-A pulse of 0.3 N on a static force, with 0.5 mN of noise, as in `telepulse study prediction`. Those
-that change do so after `TURN_S`, and all are scored from then on.
+The pulses are those of `telepulse study prediction`, with 0.3 N on a static force and 0.5 mN of
+noise. Pulses that change do so after `TURN_S`; all are scored from then on.
 """
 
 import tempfile
@@ -54,8 +54,8 @@ class Case:
 class Score:
     """Figures from the turn on.
 
-    trusted: share of the time; lost_s: when trust was first lost, None if never or not given at the
-    turn; errors_n: in phase, while trusted and E is 0.
+    trusted: share of the time with trust. lost_s: time at which trust was first lost; None if
+    never, or if there was none at the turn. errors_n: errors in phase while trusted with E = 0.
     """
 
     trusted: float

@@ -30,7 +30,7 @@ def backlogs() -> None:
 
 
 def row(samples: int) -> tuple[str, ...]:
-    """Return the table's row for frames of so many samples."""
+    """Return the table's row for frames of `samples` samples."""
     period_ns = round(FRAME_S * 1e9 / samples)
     stream = StreamDescription("s", period_ns, samples, (Channel("c"),), ElasticLayer())
     frame = bytes(HEADER_BYTES + samples * stream.bytes_per_sample)
@@ -42,12 +42,12 @@ def row(samples: int) -> tuple[str, ...]:
 
 
 def queued(frame: bytes, options: Mapping[int, int]) -> int:
-    """Return how many frames a publisher accepts.
+    """Return the number of frames that a publisher accepts.
 
-    They are sent slowly enough for the kernel to see each one by itself.
+    They are sent so slowly that the kernel does not join them.
     """
     context: sockets.Context = zmq.Context()
-    # The publisher then reports a full queue, where a PUB would drop frames.
+    # With this option the publisher reports a full queue instead of dropping frames.
     options = {**options, zmq.XPUB_NODROP: 1}
     publisher = sockets.bind(context, zmq.XPUB, "tcp://127.0.0.1:*", limits=options)
     port = port_of(publisher.getsockopt_string(zmq.LAST_ENDPOINT))

@@ -34,9 +34,9 @@ STREAM_ENDS_WITHIN_S = 30.0
 class FaultResult:
     """Figures of one fault, over all the times it was made.
 
-    back_ms: from its end until the pulse was felt again, each time; felt: the share of the time
-    it was felt while the fault lasted, where it should be. unaccounted: samples that no count
-    names. peaks: of `FeltForce.peaks`.
+    back_ms: times from the fault's end until the pulse was felt again. felt: share of the fault's
+    time in which the pulse was felt, where it should be. unaccounted: samples that are in no count.
+    peaks: see `FeltForce.peaks`.
     """
 
     unaccounted: int
@@ -51,9 +51,9 @@ Case = Callable[[Path, int, random.Random], FaultResult]
 def repeat(
     felt: FeltForce, times: int, rng: random.Random, fault: Callable[[], int]
 ) -> tuple[float, ...]:
-    """Make a fault several times; return how long the pulse took to be back, in ms.
+    """Make a fault several times; return the times in ms until the pulse was felt again.
 
-    fault: returns when it ended, in ns.
+    fault: makes the fault and returns the time of its end in ns.
     """
     back_ms = []
     for _ in range(times):
@@ -163,7 +163,7 @@ def display_stopped_in_a_cut(folder: Path, times: int, rng: random.Random) -> Fa
 
 
 def one_of_two_networks_cut(folder: Path, times: int, rng: random.Random) -> FaultResult:
-    """Cut the two networks in turns, for 0.5 to 3 s."""
+    """Cut the two networks alternately, for 0.5 to 3 s."""
     with emulate(WHOLE, WHOLE) as link, node_rig(folder, link) as rig:
         sensing, display, felt = rig.play()
         began_ns = time.monotonic_ns()
@@ -171,7 +171,7 @@ def one_of_two_networks_cut(folder: Path, times: int, rng: random.Random) -> Fau
             link.change(CUT, number % 2)
             time.sleep(rng.uniform(0.5, 3.0))
             link.change(WHOLE, number % 2)
-            # Until it carries frames again; at worst it must be reconnected.
+            # Time until the network carries frames again; it may have to be reconnected.
             time.sleep(3.0)
         share = felt.share(began_ns, time.monotonic_ns())
         missing = unaccounted(sensing.end(), display.summary())
@@ -214,7 +214,7 @@ def one_of_twenty_never_reads(folder: Path, times: int, rng: random.Random) -> F
         share = felt.share(began_ns, time.monotonic_ns())
         sent, summary = sensing.end(), display.summary()
         output, _ = listeners.communicate(timeout=STREAM_ENDS_WITHIN_S)
-        # Of the listeners, samples that are counted as lost are missing as well.
+        # For a listener, samples that it counts as lost are unaccounted for, too.
         total = sent.samples.sent or 0
         missing = unaccounted(sent, summary) + sum(
             abs(total - received - before) + lost

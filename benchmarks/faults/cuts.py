@@ -3,8 +3,8 @@
 `--thrash` counts how often a display reconnects where nothing is cut.
 
 One pair of nodes serves all cuts of a kind: fifty take some three minutes. Each cut begins at a
-random instant. The time counts from its end until the pulse is felt again at full strength, and
-for 0.3 s from then on. Needs root, for the link emulator.
+random instant. The time counts from its end until the pulse is felt again at full strength for at
+least 0.3 s. Needs root, for the link emulator.
 """
 
 import argparse
@@ -49,7 +49,7 @@ SYN = PacketFilter(syn_only=True)
 
 @dataclass(frozen=True, slots=True)
 class Cut:
-    """One kind of cut: the filters of each of its phases, and how long each lasts, in s."""
+    """One kind of cut: for each of its phases the filters and the range of its length in s."""
 
     phases: Sequence[tuple[Sequence[PacketFilter], tuple[tuple[float, float], ...]]]
 

@@ -22,7 +22,7 @@ FLOODED_S = 8.0
 PATIENCE_S = 30.0
 # Under a flood the pulse may never be felt.
 HOSTILE_WAIT_S = 4.0
-# Of the display's scene.
+# Tick of the display's scene.
 TICK_NS = 1_000_000
 # Share of ticks that a flood may cost by the display's own core time.
 OWN_BAR = 0.01
@@ -44,8 +44,8 @@ class FloodRun:
 def run(alteration: str, flood: Callable[[str], object], realtime: str | None) -> FloodRun:
     """Run both nodes, the display on a processor of its own.
 
-    alteration: of the sensing node. flood: runs while the nodes do, with the sensing node's
-    address. realtime: the display's measures.
+    alteration: alteration of the sensing node. flood: called with the sensing node's address while
+    the nodes run. realtime: the display's measures.
     """
     first, *others = sorted(os.sched_getaffinity(0))
     with TemporaryDirectory(prefix="telepulse-") as folder, node_rig(Path(folder)) as rig:
@@ -84,7 +84,7 @@ def main() -> None:
     name = f"display beside one that sends {counts[0] / FLOODED_S:.0f} requests/s"
     rows.append((name, *_figures(flooded)))
     show(
-        f"{FLOODED_S:g} s of a flood: ticks that were missed, and by the display's own core time"
+        f"{FLOODED_S:g} s of a flood: missed ticks, and those missed by the display's own core time"
         f" (bar {OWN_BAR:.0%}); share of the samples played in time, what was refused",
         ("flood", "missed", "own", "tick p99 µs", "in time", "p99 delay ms", "refused"),
         rows,

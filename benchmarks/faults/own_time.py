@@ -1,4 +1,4 @@
-"""Missed ticks of a display by its own core time, without those by the machine's."""
+"""Ticks that a display missed because of its own core time, not the machine's load."""
 
 import os
 import threading
@@ -48,7 +48,7 @@ class OwnTime:
         self._over.set()
 
     def own_misses(self, felt: FeltForce, tick_ns: int) -> tuple[int, int]:
-        """Return how many ticks were missed by the traces, and how many by the process itself."""
+        """Return the number of missed ticks in the traces, and of those that the process caused."""
         now_ns = felt.trace().now_ns
         missed = np.rint(np.diff(now_ns) / tick_ns).astype(int) - 1
         gaps = [
@@ -69,7 +69,7 @@ class OwnTime:
 
 
 def _beside_ns(pid: int) -> int:
-    """Return how long all threads but the loop's have run, in ns."""
+    """Return the processor time in ns of all threads except the loop's."""
     total_ns = 0
     for thread in os.listdir(f"/proc/{pid}/task"):
         if int(thread) != pid:

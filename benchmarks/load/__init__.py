@@ -1,8 +1,8 @@
 """Number of displays that one sensing node feeds at 1 kHz, their cost, and the effect of relays.
 
-Many light displays (`many_displays.py`) share the machine with the sensing node, which feeds more
-on a machine of its own. CPU is user and system time in % of one core; TCP's part in a frame is
-charged to the sender. It takes six minutes.
+Many light displays (`many_displays.py`) share the machine with the sensing node, which would feed
+more displays on a machine of its own. CPU is user and system time in % of one core; TCP's work on a
+frame counts for the sender. It takes six minutes.
 """
 
 import os
@@ -77,7 +77,7 @@ def show_kinds() -> None:
         figures = run(load)
         rows.append((name, *row(SOME, figures)[1:], f"{100 * figures.sensing / SOME:.2f}"))
     show(
-        f"What {SOME} displays cost the sensing node, {named(BATCHED)}",
+        f"Cost of {SOME} displays for the sensing node, {named(BATCHED)}",
         ("with", *COLUMNS[1:], "each"),
         rows,
     )

@@ -47,7 +47,7 @@ def main() -> None:
 
 
 def ask(relays: int) -> list[ClockExchange]:
-    """Return exchanges through so many relays."""
+    """Return exchanges through a row of relays."""
     addresses = free_addresses(1 + relays)
     with ExitStack() as stack:
         stack.enter_context(process(sense, Stream(batch=5), addresses[0]))

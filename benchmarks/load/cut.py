@@ -57,7 +57,7 @@ class Display:
         self._control = sockets.connect(context, zmq.DEALER, sockets.control_address(address))
 
     def live(self, seconds: float) -> None:
-        """Receive and request for so long."""
+        """Receive and request for `seconds`."""
         end_s = time.monotonic() + seconds
         while time.monotonic() < end_s:
             self._ask()

@@ -76,11 +76,11 @@ class ManyDisplays:
         self._data.send(b"\1")
         while not any(len(arrivals) == self._count for _, _, arrivals in self._frames.values()):
             if time.monotonic() > end_s:
-                raise TimeoutError("not every display hears the stream")
+                raise TimeoutError("not every display receives the stream")
             self._live(50 * SLOT_NS)
 
     def listen(self, seconds: float) -> DisplayTimings:
-        """Return the timings of frames whose first sample is within the next so many seconds."""
+        """Return the timings of frames whose first sample is within the next `seconds`."""
         self._frames.clear()
         begin_ns = time.monotonic_ns()
         self._live(round((seconds + GRACE_S) * 1e9))
@@ -95,7 +95,7 @@ class ManyDisplays:
         lost = 0
         next_sample = measured[0][0].first_sample
         for frame, arrivals in measured:
-            # Frames that reached no display are known by their samples alone.
+            # Frames that reached no display are counted by the gap in the sample numbers.
             lost += math.ceil((frame.first_sample - next_sample) / len(frame.values)) * self._count
             lost += self._count - len(arrivals)
             next_sample = frame.first_sample + len(frame.values)
@@ -107,7 +107,7 @@ class ManyDisplays:
         self._context.destroy(linger=0)
 
     def _live(self, duration_ns: int) -> None:
-        """Receive and request for so long."""
+        """Receive and request for `duration_ns`."""
         end_ns = time.monotonic_ns() + duration_ns
         descriptors = sockets.descriptors([self._data])
         while (now_ns := time.monotonic_ns()) < end_ns:

@@ -30,8 +30,8 @@ _spawn = get_context("spawn")
 class Load:
     """The parts of a run.
 
-    displays: their number; clock_ms: interval of their clock requests, 0 never; relays: their
-    number; stream: of the sensing node; keys: the link has keys.
+    displays, relays: their numbers. clock_ms: interval of the displays' clock requests; 0: never.
+    stream: stream of the sensing node. keys: the link has keys.
     """
 
     displays: int

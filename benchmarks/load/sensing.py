@@ -1,4 +1,4 @@
-"""The sensing node under load: its own code, with a source of so many channels."""
+"""The sensing node under load: its own code, with a source of any number of channels."""
 
 from dataclasses import dataclass
 

@@ -1,10 +1,10 @@
 """One-way latency at 1 kHz on loopback, process to process, of telepulse and its alternatives.
 
-All peers stamp a message right before they encode it, and its arrival when its value can be used:
-for telepulse when it is in the jitter buffer, decoded, checked and not a duplicate. "done" is when
-the subscriber has finished with it: for telepulse, after the update of the delay estimate. "Decoded
-only" is the part of telepulse that every display needs. Peers run in turns, in rounds of
-alternating order. pyzmq comes with msgpack.
+All peers take the time of a message right before they encode it, and again when its value can be
+used: for telepulse when it is in the jitter buffer, decoded, checked and not a duplicate. "done" is
+when the subscriber has finished with it: for telepulse, after the update of the delay estimate.
+"Decoded only" is the part of telepulse that every display needs. Peers run in turns, in rounds of
+alternating order. pyzmq is used with msgpack.
 """
 
 from dataclasses import dataclass
@@ -106,7 +106,7 @@ def verdict(peer: Peer, other: Peer, bar: float, runs: dict[Peer, list[Run]]) ->
     """Return whether the peer's p50 is at most `bar` times the other's, as text."""
     found = ratio(peer, other, runs)
     if found is None:
-        return f"{peer.name}: nothing to hold against {other.name}"
+        return f"{peer.name}: cannot be compared with {other.name}"
     met = "met" if found <= bar else "missed"
     return f"{peer.name}: p50 {found:.2f} times that of {other.name}; the bar is {bar:g}: {met}"
 

@@ -1,4 +1,4 @@
-"""pyzmq and msgpack alone: PUB to SUB, one blocking receive a message."""
+"""pyzmq and msgpack alone: PUB to SUB, one blocking receive for each message."""
 
 import time
 from collections.abc import Iterable, Iterator

@@ -1,4 +1,4 @@
-"""The least of telepulse that yields a sample: wait as a display, receive, decode; no session."""
+"""The smallest part of telepulse that yields a sample: wait, receive and decode, no session."""
 
 import time
 from collections.abc import Iterator

@@ -20,7 +20,7 @@ SESSION = 1
 PERIOD_NS = 1_000_000
 DESCRIPTION = StreamDescription("peer", PERIOD_NS, 1, (Channel("pulse"),), ElasticLayer())
 LATE_TARGET = 0.01
-# Requests may be sent so much later than they are due.
+# Longest wait, by which requests may be sent late.
 WAIT_NS = 10_000_000
 
 

@@ -155,7 +155,7 @@ def _error_rows(strain_rmse: float, force_rmse_n: float, height_n: float) -> Row
             f" {1e3 * film_mv.experiment * height_n:.2f} mN. The printed error would need a pulse"
             f" of {film_mv.peak_to_peak_n(MEASURED_FORCE):.2f} N, beyond the"
             f" {published.CALIBRATION_FORCE_N} N of Fig. 4. More likely the experiment did not"
-            " drive eq 22: a stepping motor has steps, a speed and a contact that are not in it.",
+            " drive eq 22: a stepping motor has steps, a speed and a contact that eq 22 lacks.",
         ),
         (
             "Figs 19–20, strain RMSE of the experiment",

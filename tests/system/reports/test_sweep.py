@@ -94,7 +94,7 @@ def test_a_case_that_fails_is_named(cluster: str) -> None:
 
 
 def test_a_worker_that_dies_is_reported() -> None:
-    with pytest.raises(SweepError, match=r"^3: a worker died"):
+    with pytest.raises(SweepError, match=r"^3: a worker process died"):
         sweep(os._exit, [3])
 
 
