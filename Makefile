@@ -3,9 +3,6 @@ PYTHON ?= python3
 BIN := .venv/bin
 ARGS ?=
 
-PRODUCT := protocol pulse_sensors sensing_node display_node telepulse
-CORE := protocol pulse_sensors sensing_node display_node
-
 .PHONY: install demo test test-all check size report bench soak fuzz docs clean
 
 install: .venv/installed
@@ -20,9 +17,9 @@ test test-all: export OPENBLAS_NUM_THREADS := 1
 test: check
 	$(BIN)/python -m pytest -m "smoke or not system" $(ARGS)
 
-# Every test. Coverage is of the core, by unit tests and by system tests inside their own process.
+# Every test, with the coverage of the core.
 test-all: check
-	$(BIN)/python -m pytest $(CORE:%=--cov=%) --cov-report=term:skip-covered $(ARGS)
+	$(BIN)/python -m tests.run_all $(ARGS)
 
 check: .venv/installed-test
 	$(BIN)/ruff check .
