@@ -152,17 +152,13 @@ class FaultInjector:
 
         header: number of leading bytes that garbage leaves unchanged, such as an identifier.
         """
-        if self._kind is None or self._kind is FaultKind.DELAYED:
-            self._answers.append((now_ns + round(self._size * 1e9), data))
-            return
-        hit = self._random.random() < self._size
-        if self._kind is FaultKind.LOST and hit:
-            return
-        if self._kind is FaultKind.GARBAGE and hit:
+        delayed = self._kind in (None, FaultKind.DELAYED)
+        hit = not delayed and self._random.random() < self._size
+        due_ns = now_ns + (round(self._size * 1e9) if delayed else 0)
+        if hit and self._kind is FaultKind.GARBAGE:
             data = data[:header] + self._random.randbytes(len(data) - header)
-        self._answers.append((now_ns, data))
-        if self._kind is FaultKind.DUPLICATED and hit:
-            self._answers.append((now_ns, data))
+        copies: dict[FaultKind | None, int] = {FaultKind.LOST: 0, FaultKind.DUPLICATED: 2}
+        self._answers.extend([(due_ns, data)] * (copies.get(self._kind, 1) if hit else 1))
 
     def due_answers(self, now_ns: int) -> list[bytes]:
         """Return the answers that are to be sent by now, in their order."""
