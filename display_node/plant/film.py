@@ -40,9 +40,7 @@ class FilmTable(Section):
     @property
     def volts_per_newton(self) -> float:
         """Voltage at the ADC per newton."""
-        if self.sensitivity_v_per_n is not None:
-            return self.sensitivity_v_per_n
-        return Film(self.radius_m).volts_per_newton
+        return self.sensitivity_v_per_n or Film(self.radius_m).volts_per_newton
 
     @property
     def millivolts_per_newton(self) -> float:
