@@ -271,8 +271,8 @@ def _parts(figure: Figure, summary: Mapping[str, Any]) -> tuple[RowPart, ...]:
         shown = limit + (figure.unit or COUNT).text(value)
     if figure.share_of:
         share = _value_at(summary, f"availability.{figure.share_of}")
-        run = "" if share is None else f", which is {100 * share:.1f} % of the run"
-        detail = f" of the time {figure.share_of}{run}"
+        of_run = "" if share is None else f" ({figure.share_of}: {100 * share:.1f} % of the run)"
+        detail = f" of the time {figure.share_of}{of_run}"
     return (RowPart(figure, shown, detail),) if shown else ()
 
 

@@ -1,6 +1,7 @@
 """Binary frames of a sensor board: COBS, a sample counter, the device's time, a CRC.
 
-Before COBS, a frame between two zero bytes is, in little-endian order:
+Frames are COBS-encoded and separated by zero bytes. Before encoding, a frame is, in little-endian
+order:
 
     format 1 byte | counter 4 | time 4 | samples | CRC 2
 
@@ -129,7 +130,7 @@ class FrameDecoder:
         count = payload_bytes // dtype.itemsize
         values = np.frombuffer(body, dtype, count, _HEAD.size).tolist()
         if not all(map(is_usable, values)):
-            raise WireError("not_finite", "a sample is NaN, infinite or beyond all units")
+            raise WireError("not_finite", "a sample is NaN, infinite or too large in any unit")
         passed_ns = self._time.since_last_ns(last_us)
         missing = self._counter.missing(counter, count, passed_ns)
         if missing is None:

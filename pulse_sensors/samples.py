@@ -78,7 +78,7 @@ LONGEST_PAUSE_NS = 10_000_000_000
 class DeviceTime:
     """Continuous time from the low 32 bits of a device's count of µs. Pure.
 
-    millis(), converted to µs, fits too: its wrap to 0 is 1000 whole turns of 2^32.
+    An Arduino's millis() times 1000 works too: it wraps after 1000 wraps of 2^32 µs.
     """
 
     def __init__(self) -> None:
@@ -104,7 +104,7 @@ class DeviceTime:
         return self._last_ns
 
 
-# Tolerance between a jump of the counter and the time passed, besides half of that time.
+# The time passed may differ from the counted time by half of the latter plus this.
 COUNTER_TOLERANCE_NS = 50_000_000
 
 
@@ -140,11 +140,12 @@ class SampleCounter:
         return jump if fits else None
 
 
-# Bandwidth of the settled loop; before, it is SETTLING over the time so far.
+# Bandwidth of the settled loop. Until then it is SETTLING over the time since the first sample.
 BANDWIDTH_HZ = 0.2
 SETTLING = 0.5
 LARGEST_OMEGA = 0.3
-# Greatest change of the time between samples: more would be felt. Displays accept half to double.
+# Greatest change of the time between samples. A larger one would be felt; displays accept half to
+# twice the nominal period.
 LARGEST_STRETCH = 0.2
 LARGEST_RATE_ERROR = 0.5
 # Greatest jitter; a larger error means that samples are missing, or the time is wrong.
@@ -206,7 +207,7 @@ class Timeline:
         return origin_ns + round(first_ns), origin_ns + round(self._next_ns), missing
 
     def _correct(self, first_ns: float, count: int, error_ns: float) -> float:
-        """Correct the period; return the time between samples that corrects the next block."""
+        """Correct the period; return the time between this block's samples."""
         period_ns = self._period_ns
         end_ns = first_ns + count * period_ns
         # A short block may end before a long one whose times were corrected forward.
@@ -275,7 +276,7 @@ class Timestamper:
         return self._rate.lasting_fault(name)
 
     def faults(self, name: str) -> list[str]:
-        """Return the faults of a sensor, which they name, one line each."""
+        """Return the faults of a sensor, one line each, which names the sensor."""
         if not self.samples:
             return [f"no sample came from {name}"]
         faults = []

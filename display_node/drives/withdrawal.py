@@ -8,7 +8,8 @@ ends after a commanded travel. Pure: times are arguments in ns on the monotonic 
 from dataclasses import dataclass
 from enum import Enum
 
-# Speeds before and after the confirmation. The second ends a usual pulse in some 30 ms.
+# Speeds before and after the confirmation. At the second, the force of a usual pulse is gone after
+# some 30 ms.
 SLOW_M_PER_S = 10e-3
 FAST_M_PER_S = 20e-3
 # At the start, delayed reports may show a motion towards the finger for this time.
@@ -19,21 +20,22 @@ CONFIRMED_M = 30e-6
 WRONG_WAY_M = 100e-6
 CONFIRMED_N = 0.02
 WRONG_WAY_N = 0.05
-# Added to these limits as a share of the highest reading, as noise grows with the sensor's range.
+# CONFIRMED_N and WRONG_WAY_N are widened by this share of the highest reading, as noise grows with
+# the sensor's range.
 SHARE = 0.1
 # Number of consecutive reports or readings that are needed, as a single one may be wrong.
 IN_A_ROW = 3
 # A longer pause between commands is a stall of the host. The drive keeps its last command until its
 # own watchdog stops it, and must then reverse again.
 PAUSE_NS = 30_000_000
-# Wait for a confirmation, after which the commanded travel decides; and margin of that travel.
+# Without a confirmation for this time, the commanded travel decides. MARGIN_M is added to it.
 PATIENCE_NS = 150_000_000
 MARGIN_M = 0.5e-3
 # After a longer time without a report, commands may not have reached the drive.
 SILENT_NS = 50_000_000
 # Above this reading after the commanded travel, the film is still pressed.
 PRESSED_N = 0.05
-# Below this a finger feels nothing, and a film's noise is no press.
+# A force below this is not felt and may be the film's noise: it does not count as a press.
 TOUCH_N = 0.01
 
 
@@ -192,7 +194,7 @@ _DURING = {
 
 
 def describe_finger(state: FingerState) -> str:
-    """Describe the finger's measured state in the sentence that every surface shows.
+    """Describe the finger's measured state in the sentence that terminal, page and reports show.
 
     Examples: "withdrawn"; "pressed with 245 mN, the drive does not answer"; "force unknown since
     3 s, withdrawing".

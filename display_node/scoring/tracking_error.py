@@ -89,7 +89,7 @@ def high_pass(period_s: float) -> Floats:
 
 
 BLOCK = 256
-# Number of ticks for which felt forces wait for the reference of their instant.
+# A felt force waits this many ticks for the reference of its instant to arrive.
 PATIENCE = 2_048
 # Time after which a reference without a felt force (of a display at fault) is removed.
 KEEP_NS = 30_000_000_000
@@ -117,7 +117,7 @@ class TrackingError:
         self._roughness = RoughnessMeter()
 
     def add_reference_force(self, t_ns: Times, target_n: Floats) -> None:
-        """Add the target force at the finger for consecutive samples, shape (n,), even late."""
+        """Add the target force at the finger for consecutive samples, late ones too; shape (n,)."""
         self._t_ns.append(t_ns)
         self._target_n.append(target_n)
         if len(self._t_ns) > MAX_PIECES:
@@ -139,7 +139,7 @@ class TrackingError:
         self.add_reference_force(t_ns, frame.values[:, channel].astype(np.float64) * force_ratio)
 
     def add_output(self, now_ns: int, instant_ns: int, force_n: float) -> None:
-        """Add the felt force at `now_ns`, when the pulse of `instant_ns` is played; or NaN."""
+        """Add the felt force at `now_ns`, when `instant_ns` is played; NaN where it is unknown."""
         self._felt.append((now_ns, instant_ns, force_n))
         if len(self._felt) >= PATIENCE + BLOCK:
             self._score_oldest()

@@ -1,4 +1,4 @@
-"""Traces, statuses and, on request, captured messages of a display, over one socket."""
+"""Traces, statuses and, on request, copies of received messages of a display, over one socket."""
 
 import time
 

@@ -7,7 +7,8 @@ Offset is remote minus local clock. The estimate follows in five steps:
    offset for each of five levels, from its 1, 2, 4, 8 or 16 shortest delays of each direction.
 2. For each level a line is fitted through the blocks' offsets (`fit_lines`). Blocks
    with unusual round trips get a low weight.
-3. One-way messages add an estimate of the skew, where it agrees (`OneWaySkew`).
+3. One-way messages add an estimate of the skew, used where it agrees with that of the exchanges
+   (`OneWaySkew`).
 4. The level whose line has the smallest error is used. A level that contradicts that of the
    shortest delays has a bias, which counts as an error.
 5. The result is bounded: no delay is negative, so half the shortest round trip bounds the offset.
@@ -46,10 +47,10 @@ LEAST_NOISE_NS = 2_000.0
 USUAL_SKEW = 200e-6
 # Number of consecutive exchanges, or blocks, that must contradict the estimate.
 STEP_AFTER = 3
-# Smaller steps are not detected; the old blocks are dropped in time.
+# Smaller steps are not detected. Their effect ends when the blocks before the step are dropped.
 STEP_LEAST_NS = 1_000_000
 STEP_NOISES = 8.0
-# Number of blocks from which on a new one is compared with the line.
+# From this number of blocks on, each new block is compared with the fitted line.
 STEADY_BLOCKS = 8
 # Quantiles of the blocks' round trips and noises that serve as references.
 SHORT, RATHER_SHORT = 0.1, 0.3
@@ -59,7 +60,7 @@ UNSEEN_SHARE = 1 / (BLOCK - 1)
 # Weights of errors and biases, chosen for a coverage of 95 %
 # (docs/decisions/0015-clock-estimator-adapts-to-jitter.md).
 ERRORS, BIASES = 2.0, 1.5
-# Possible error of the skew in standard errors, as skews of 500 ppm occur.
+# Largest error of the skew, in standard errors: with USUAL_SKEW it covers the 500 ppm that occur.
 SKEW_ERRORS = 3.0
 # Two skews agree within AGREE standard errors; the excess, times DISAGREE, counts as an error.
 AGREE, DISAGREE = 2.0, 2.0
@@ -124,9 +125,9 @@ def block_offset(
     origin : ClockExchange
         Times count from its t4, offsets from its offset.
     skew, skew_error : float
-        Present estimate of remote over local clock, less 1, and its possible error. The skew is
-        removed from the delays, so that they can be ordered. The error is added to the round trips,
-        which it may have shortened.
+        Present estimate of remote over local clock rate, less 1, and its possible error. The skew
+        is removed from the delays, so that they can be ordered. The error is added to the round
+        trips, which it may have shortened.
     """
     count = len(exchanges)
     # Differences of integers first: they are exact as floats, whatever the clocks show.

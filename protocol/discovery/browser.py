@@ -57,7 +57,7 @@ class Browser:
 
     @property
     def found(self) -> list[Announcement]:
-        """Announced nodes that can be reached; `addresses` are only those that reach them."""
+        """Announced nodes that can be reached, each with the `addresses` that can."""
         return list(self._found.values())
 
     def _on_change(
@@ -99,7 +99,7 @@ class Browser:
 
 
 def own_addresses() -> tuple[list[IPv4Interface], dict[str, list[str]]]:
-    """Return this machine's IPv4 addresses with their networks, and those of each interface."""
+    """Return this machine's IPv4 addresses with their networks, and the addresses by interface."""
     own: list[IPv4Interface] = []
     names: dict[str, list[str]] = {}
     for adapter in ifaddr.get_adapters():

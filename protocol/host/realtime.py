@@ -193,7 +193,7 @@ def apply_realtime(request: RealtimeRequest) -> Iterator[RealtimeGrant]:
         for name, setting in settings.items():
             try:
                 if sys.platform != "linux":
-                    raise NotGrantedError("this system does not have it", "Linux has")
+                    raise NotGrantedError("this system does not have it", "only Linux does")
                 grant.granted[name] = applied.enter_context(setting)
             except NotGrantedError as error:
                 grant.refused.append(RefusedSetting(name, *error.args))

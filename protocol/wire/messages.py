@@ -198,7 +198,7 @@ def encode_control(message: Control) -> bytes:
 
 
 def decode_control(data: bytes) -> Control:
-    """Decode a control message. Raises WireError, as `decode_frame` or with "description"."""
+    """Decode a control message. Raises WireError, also with the cause "description"."""
     fields = _unpack(data, MAX_CONTROL_BYTES)
     name = fields[1] if len(fields) > 1 else None
     if not isinstance(name, str) or name not in _KINDS:

@@ -133,7 +133,7 @@ def test_shares_of_time_say_of_what_part_of_the_whole_time_they_are() -> None:
     assert times.stale == pytest.approx(10 / seconds, abs=0.03)
     parts = [getattr(times, name) for name in STATE_NAMES]
     assert sum(parts) == pytest.approx(1.0)
-    assert f"of the time judged, which is {100 * judged:.1f} % of the run" in shown(summary)
+    assert f"of the time judged (judged: {100 * judged:.1f} % of the run)" in shown(summary)
 
 
 def shown(summary: Summary) -> str:

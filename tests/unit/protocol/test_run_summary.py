@@ -159,15 +159,15 @@ def test_the_printed_rows() -> None:
         "one-way delay": "p50 20.12 ms, p99 35.50 ms, max 41.00 ms",
         "playout delay": "mean 42.00 ms, p99 45.00 ms",
         "covered delay": "44.50 ms from the wrist to the force at the finger",
-        "concealed": "25.0 % of the time played, which is 17.2 % of the run",
-        "prediction trusted": "12.5 % of the time played, which is 17.2 % of the run",
+        "concealed": "25.0 % of the time played (played: 17.2 % of the run)",
+        "prediction trusted": "12.5 % of the time played (played: 17.2 % of the run)",
         "clock": "offset -12.346 ms, skew 50.2 ppm, uncertainty 0.125 ms, 1 step",
         "force RMSE": "aligned 0.250 mN, in phase 30.100 mN",
         "strain RMSE": "aligned 9.425e-09, in phase 5.780e-08",
         "availability": "felt 16.7 %, starting 0.5 %, stale 80.5 %, faulted 2.2 %, waiting 0.1 %"
         " of 60.5 s",
         "interruptions": "3 times, 4.25 s in all, the longest 2.60 s",
-        "within JND": "87.5 % of the time judged, which is 16.7 % of the run",
+        "within JND": "87.5 % of the time judged (judged: 16.7 % of the run)",
         "above 25 Hz": "felt 0.600 mN, sensed 0.500 mN, energy ratio 1.44",
         "at a limit": "force limit 312 times, 4.1 s (20.5 % of the run);"
         " slew limit 1 time, 20 ms (< 0.1 % of the run)",
