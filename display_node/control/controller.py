@@ -26,10 +26,10 @@ class ControllerScene(Section):
     """The `controller` table.
 
     error: quantity of the PID's error. "force" is in N. "millivolts" is the film's voltage by
-    eq 21, the unit in which the paper's gains follow a pulse. "position" is in m, by the inverse
-    contact law; the loop's gain is then the same at every force. feed_forward: drive
-    the reference's own motion without waiting for an error (stepper only). observer: estimate the
-    felt force by a model of actuator and film (stepper only, error "position").
+    eq 21, with which the paper's gains make the force follow a pulse. "position" is in m, by the
+    inverse contact law; the loop's gain is then the same at every force. feed_forward: drive the
+    reference's own motion without waiting for an error (stepper only). observer: estimate the felt
+    force by a model of actuator and film (stepper only, error "position").
     derivative_filter: corner of the derivative's low-pass. dead_band: an error within ±dead_band,
     in the error's unit, counts as 0.
     """
@@ -131,7 +131,7 @@ class StepperController:
     slew_limit_n_per_s
         Greatest slope of the force that is commanded.
     observer_gains
-        Fixed gains of an observer with a linear model, for the loop's linear model.
+        Gains of the observer where `linear_loop` linearises the loop; its twin is linear then.
 
     Attributes
     ----------

@@ -59,7 +59,7 @@ def run_ticks(
     """Wait for ticks as a display does, and call `work` in each."""
     pacer = Pacer(tick_ns, time.monotonic_ns())
     end_ns = pacer.due_ns + round(seconds * 1e9)
-    # The loop ends only when no tick is due: a wait that ends too late is the worst lateness.
+    # A tick that was due before the end but begins after it counts: it may be the latest.
     while pacer.due_ns <= end_ns:
         now_ns = time.monotonic_ns()
         tick = pacer.begin(now_ns)
@@ -144,7 +144,7 @@ def judge(host: Host, findings: HostFindings) -> HostVerdict:
     share = best.missed / best.due if best.due else 1.0
     latest_ms = (best.late_us.maximum or 0.0) * 1e-3
     status = "ok" if share <= OK_MISSED else "warn" if share <= ALARM_SHARE else "fail"
-    how = f"with --realtime {findings.option}" if best is not bare else "with no measure"
+    how = f"with --realtime {findings.option}" if best is not bare else "without --realtime"
     reason = f"beside a load, {how}, {best.missed} of {best.due} ticks were missed"
     if best is not bare:
         reason += f" (bare {bare.missed} of {bare.due})"

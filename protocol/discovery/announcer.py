@@ -51,7 +51,7 @@ def start_announcer(
 
 
 def main() -> None:
-    """Announce the node from its first message until it ends; then withdraw the announcement."""
+    """Announce the node from its first line on the pipe until it ends; then withdraw that."""
     node = json.loads(sys.argv[1])
     with run_as_sidecar() as ready:
         from protocol.discovery import browser

@@ -96,7 +96,8 @@ class ConnectionTable:
                 self._failure = cause_of(value)
             earlier = None
         self.behind = read == MAX_EVENTS
-        # ZeroMQ keeps a connection whose message it could not decrypt: no disconnection follows.
+        # ZeroMQ keeps a connection whose message it could not decrypt: no disconnection
+        # follows. So a failure that is still open since the last call has no address.
         return failures + (self._report("") if earlier is not None else [])
 
     @property
@@ -188,7 +189,7 @@ class ConnectionTable:
 
 
 def network_address(address: str) -> str:
-    """Return an IP address unchanged, and "" for the user and process that ipc has instead."""
+    """Return an IP address unchanged, and "" for what ipc gives instead (user and process)."""
     with suppress(ValueError):
         ipaddress.ip_address(address)
         return address

@@ -95,8 +95,8 @@ def replay(
     The stream's name, rate, layer and frames are the recorded ones; samples that the recording
     lacks count as lost. Of several sessions, the longest is played. Any display can connect.
 
-    Exit status: 0 at the end of the recording, 2 when it cannot be read or the address not be
-    used; the reason is one line on stderr.
+    Exit status: 0 at the end of the recording, 2 when the recording cannot be read or the
+    address cannot be used; the reason is one line on stderr.
     """
     from sensing_node.feeds import ReplaySource
     from sensing_node.node import SensingNode

@@ -1,4 +1,7 @@
-"""The session file, and the trials drawn for it: link, A, B and X of each, in order."""
+"""The session file, and the trials drawn for it, in order.
+
+In an ABX trial a subject feels A, B and X, and answers which of A and B the last one was.
+"""
 
 from dataclasses import replace
 from pathlib import Path
@@ -114,7 +117,7 @@ LETTERS: dict[str, tuple[Letter, ...]] = {"abx": ("A", "B", "X"), "rating": ("A"
 
 
 class Trial(BaseModel):
-    """One trial. direct: the one of A and B that has no link; x: the one that X is.
+    """One trial. direct: which of A and B has no link; x: which of them X is.
 
     condition: None in a catch trial, which has no link. In a rating, A is the open reference,
     always direct, and X is B.
@@ -135,8 +138,8 @@ class Trial(BaseModel):
 def draw_trials(session: SessionTable, seed: int) -> tuple[Trial, ...]:
     """Return all trials in their order: the wanted number for each condition, shuffled.
 
-    A and X are drawn for each trial independently, not balanced over the trials. Only then is a
-    guess right with a probability of exactly one half, whatever the subject has noticed before.
+    `direct` and `x` are drawn for each trial independently, not balanced over the trials. Only then
+    is a guess right with a probability of one half, whatever the subject has noticed before.
     """
     random = Random(f"trials {seed}")
     names: list[str | None] = [c.name for c in session.conditions for _ in range(session.trials)]

@@ -135,7 +135,7 @@ def parse_address(text: str) -> tuple[str, int]:
 
 
 class MetricsHTTPServer(ThreadingMixIn, WSGIServer):
-    """HTTP server for requests that name this server, each served in a thread.
+    """HTTP server that answers requests whose Host header names it, each in a thread.
 
     While `MAX_REQUESTS` are being served, further connections are closed.
     """
@@ -153,7 +153,7 @@ class MetricsHTTPServer(ThreadingMixIn, WSGIServer):
         self.set_app(for_own_site(app, Site.at(host)))
 
     def server_bind(self) -> None:
-        """Bind without looking up the host's name, which may take as long as a name server."""
+        """Bind without looking up the host's name, which may wait for a name server."""
         self.socket.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         self.socket.bind(self.server_address)
         self.server_address = self.socket.getsockname()
@@ -186,7 +186,7 @@ def for_own_site(app: WSGIApplication, site: Site) -> Callable[..., Iterable[byt
     """Return an application that answers 403 to requests for another site."""
 
     def guarded(environ: WSGIEnvironment, start_response: StartResponse) -> Iterable[bytes]:
-        # HTTP/1.0 requests have no name; no browser sends them.
+        # HTTP/1.0 requests may lack a Host header; no browser sends them.
         host = environ.get("HTTP_HOST")
         refusal = host and site.refusal(host, environ.get("HTTP_ORIGIN"))
         if not refusal:

@@ -106,9 +106,9 @@ def _summary(findings: RunFindings) -> Table:
         "the run",
         ("", "from the recording", "the display's own"),
         tuple(row for row in rows if row[1:] != (NONE, NONE)),
-        note=f"Its own: by {last}. From the recording: computed from frames, clock replies and"
-        " ticks with the display's own modules. A tick is recorded with the time at which it was"
-        " due, not at which it began: samples that arrived in between count as late there. Ticks"
+        note=f"The display's own: by {last}. From the recording: computed from frames, clock"
+        " replies and ticks with the display's own modules. A tick is recorded with the time at which it was"
+        " due, not at which it began: samples that arrived in between count as late. Ticks"
         " missed before the first one and losses after the last frame are not included.",
     )
 
@@ -123,7 +123,7 @@ def _force(findings: RunFindings, drawn: "_Plots") -> Chapter:
         Plot("force-worst", "Around the largest difference.", worst),
         Plot(
             "error",
-            "Force felt minus force at the wrist, over the whole time, in the band of the just"
+            "Force felt minus force at the wrist, over the whole time. The band is the just"
             " noticeable difference: 10 % of the pulse's peak to peak.",
             drawn.error,
         ),
@@ -140,7 +140,7 @@ def _force(findings: RunFindings, drawn: "_Plots") -> Chapter:
 
 
 def _stretch(blocks: list[AlignedBlock]) -> "Callable[[Figure], None]":
-    """Plot force at wrist and finger over some seconds, and their difference in its JND band."""
+    """Plot force at wrist and finger over some seconds, and their difference over the JND band."""
     t_s, *forces_n = map(np.concatenate, zip(*blocks, strict=True))
     # A NaN in every gap in time interrupts the line.
     holes = np.flatnonzero(np.diff(t_s) > HOLE_S) + 1
@@ -246,9 +246,9 @@ class _Plots:
         missed, late = figure.subplots(2, 1, sharex=True)
         self._counts(missed, "misses")
         missed.set_ylabel(f"ticks missed\nin {self._trends['misses'].width_s:g} s")
-        for name, label in (("late_p99_us", "99 of 100"), ("late_max_us", "the latest")):
+        for name, label in (("late_p99_us", "99th percentile"), ("late_max_us", "maximum")):
             points = self._trends[name].points()
-            late.plot(points.t_s, points.mean, label=f"{label}, so far")
+            late.plot(points.t_s, points.mean, label=f"{label} so far")
         late.set(xlabel=TIME, ylabel="began late by, µs", yscale="log")
         least, most = late.get_ylim()
         late.set_ylim(10 ** np.floor(np.log10(least)), 10 ** np.ceil(np.log10(most)))
@@ -260,7 +260,7 @@ class _Plots:
         bottom: dict[float, float] = {}
         for name in names:
             points = self._trends[name].points()
-            # Lost samples that come after all are late then.
+            # A sample that was counted as lost and still arrives is late: the losses fall.
             counts = np.maximum(points.total, 0)
             below = np.array([bottom.get(at, 0.0) for at in points.t_s.tolist()])
             axes.bar(points.t_s, counts, self._trends[name].width_s, bottom=below, label=name)

@@ -110,7 +110,7 @@ def _cluster(scheduler: str) -> Iterator[Executor]:
 
 
 async def _check_reachable(scheduler: str) -> None:
-    """Connect once: a Dask client that cannot connect keeps trying while it is discarded."""
+    """Raise where the scheduler cannot be reached: a Dask client would retry in the background."""
     from distributed import Security, connect
 
     arguments = Security().get_connection_args("client")
