@@ -69,7 +69,7 @@ def test_the_measures_granted_are_judged_and_compared_with_none() -> None:
     )
     bare = verdict(ticks(900, 100))
     assert bare.status == "fail"
-    assert "with no measure, 100 of 1000" in bare.reason
+    assert "without --realtime, 100 of 1000" in bare.reason
 
 
 @pytest.mark.parametrize(
