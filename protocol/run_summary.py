@@ -1,4 +1,7 @@
-"""Summary of a run: the same keys from every command and node, null where one does not apply."""
+"""Summary of a run: the same keys from every command and node, null where one does not apply.
+
+To add a figure, add a field here, or to its table in `summary_tables.py`.
+"""
 
 import dataclasses
 import json

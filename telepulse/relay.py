@@ -287,7 +287,7 @@ class Relay:
         for line in self._path.endpoints if answered else ():
             line.take_answer(answered)
         self._authenticator.poll(now_ns)
-        # `running` is read first: the result of a look-up that ends in between is taken next time.
+        # `running` is read first: a look-up that ends in between would otherwise be started again.
         looking, address = self._lookup.running, self._lookup.take()
         if address is not None:
             self._connect_control(address)

@@ -158,9 +158,9 @@ class Stepper:
     """A stepper that counts microsteps and presses with its tip.
 
     A soft stop holds the screw where the tip would press with the force limit. A rotor that
-    oscillates moves the tip beyond it, and backlash may keep the tip there; safety's fault on the
-    felt force bounds that. Lost steps below the thrust limit and the screw's elasticity are not
-    modelled.
+    oscillates moves the tip beyond it, and backlash may keep the tip there; the overforce fault
+    of `Safety` bounds the force. Lost steps below the thrust limit and the screw's elasticity are
+    not modelled.
 
     Parameters
     ----------
@@ -201,8 +201,8 @@ class Stepper:
             self._whole = float
             self._max_rate_hz = self._max_change_hz = math.inf
         else:
-            # The screw may move by the backlash beyond the soft stop and below home, so that the
-            # backlash can be taken up there.
+            # To take up the backlash, the screw may move half of it beyond the soft stop, and
+            # all of it below home.
             furthest_m = min(scene.stroke_m, law.position(min(scene.thrust_n, force_limit_n)))
             self._first_step = -math.ceil(scene.backlash_m / scene.step_m)
             self._last_step = math.floor((furthest_m + scene.backlash_m / 2) / scene.step_m)

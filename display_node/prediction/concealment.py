@@ -45,8 +45,8 @@ class Blend:
         Parameters
         ----------
         path_n
-            Force in N at `instant_ns` and at the ticks after it. Some of it is predicted, unless
-            `busy`.
+            Force in N at `instant_ns` and at the ticks after it. At least a part of it
+            is predicted, except while `busy`.
         newest_ns
             Time of the newest sample in ns.
         """
@@ -129,8 +129,8 @@ class Trust:
     """Decision whether the predictor's error would go unnoticed at E = 0.
 
     The criterion is the RMS of the expected error over the last 1.5 s, as a share of the pulse's
-    height. Every tick counts, a stall thus by its duration; an unknown error counts as 0.3. Trust
-    is lost at once from 4 % on, and gained below 2.5 %, at the earliest 10 s after a loss.
+    height. A tick counts by the time since the last one; an unknown error counts as 0.3. Trust is
+    lost at once from 4 % on, and gained below 2.5 %, at the earliest 10 s after a loss.
     """
 
     def __init__(self) -> None:
@@ -182,7 +182,7 @@ class Concealment:
 
     @property
     def trusted(self) -> bool | None:
-        """Whether the predictor is trusted with all of the delay; None where trust is not used."""
+        """Whether the predictor's error is small enough to reduce E; None where E is fixed."""
         return None if self._trust is None else self._trust.trusted
 
     def observe(self, frame: Frame) -> None:
@@ -202,7 +202,7 @@ class Concealment:
     def complete(
         self, path_n: list[float], count: int, instant_ns: int, newest_ns: int
     ) -> list[float]:
-        """Return the force at `count` instants a tick apart from instant_ns on, without a jump.
+        """Return the force at `count` instants, one a tick from instant_ns on, without a jump.
 
         Parameters
         ----------

@@ -1,10 +1,11 @@
 """Opening of a second connection beside a silent one, and the choice of the one to keep.
 
-TCP may repeat lost data only after a wait as long as the cut itself. A new
-connection takes a few round trips. But on a link that is merely lossy, the old one may recover
-first, and it delivers what was sent meanwhile. So a second connection is opened beside the silent
-one (as RFC 8305 does with addresses), and both are read. One is closed as soon as the other has
-everything that it could still deliver. `Failover` decides and is pure; `DataPath` has the sockets.
+TCP may repeat lost data only after a wait as long as the cut itself. A new connection takes a few
+round trips. But on a link that is merely lossy, the old one may recover first, and it delivers what
+was sent meanwhile. So a second connection is opened beside the silent one (as RFC 8305 does with
+addresses), and both are read. A connection is closed as soon as the other one has delivered
+everything that the first could still deliver. `Failover` decides and is pure; `DataPath` has the
+sockets.
 """
 
 from collections.abc import Iterable, Iterator
@@ -17,8 +18,8 @@ from protocol import sockets
 from protocol.security.budgets import TokenBucket
 from protocol.security.keys import ClientKeys
 
-# TCP repeats lost data after 0.2 s and a round trip; the wait doubles each time that is lost as
-# well. A longer silence than the first wait is treated as a cut: a new connection is faster.
+# TCP repeats lost data after 0.2 s and a round trip; the wait doubles each time the repetition is
+# lost. A longer silence than the first wait is treated as a cut: a new connection is faster.
 REPEATED_NS = 200_000_000
 # After a stall of this process, queued messages arrive within the first of these times. The
 # connection is dead if nothing follows them within the second.
@@ -33,7 +34,8 @@ UNANSWERED_NS = 2_000_000_000
 STALLED_NS = 250_000_000
 STALLED_ANSWERS = 2
 # When TCP resumes after a silence, queued data comes as one packet, then two, then four, a round
-# trip apart. Unless MOST of it has come after this time, a new connection is faster.
+# trip apart. If less than the share MOST of it has come within this time, a new
+# connection is faster.
 CAUGHT_UP_NS = 100_000_000
 MOST = 0.8
 LEAST_OWED = 8
@@ -300,7 +302,7 @@ class DataPath:
             return False
         # The first attempt uses the address that worked; later ones use the newest look-up.
         address = self._found if second.address is not None else first.address
-        # Frames of the last attempt count as copies, but not as delivered by the next attempt.
+        # A frame of the last attempt that comes again is a copy, and no success of the next one.
         if len(self._before) > MAX_REMEMBERED:
             self._before.clear()
         self._before |= self._of_second
@@ -314,7 +316,7 @@ class DataPath:
         return first.flooded(now_ns) | second.flooded(now_ns)
 
     def close(self, until_ns: int) -> int:
-        """Close both connections until a time; return how many messages were dropped."""
+        """Keep both connections closed until a time; return how many messages were dropped."""
         self.failover.abandon()
         self._forget()
         return sum(endpoint.close(until_ns) for endpoint in self.endpoints)

@@ -60,7 +60,7 @@ UNSEEN_SHARE = 1 / (BLOCK - 1)
 # Weights of errors and biases, chosen for a coverage of 95 %
 # (docs/decisions/0015-clock-estimator-adapts-to-jitter.md).
 ERRORS, BIASES = 2.0, 1.5
-# Largest error of the skew, in standard errors: with USUAL_SKEW it covers the 500 ppm that occur.
+# Largest error of the skew, in standard errors. Before any fit that is 600 ppm; clocks reach 500.
 SKEW_ERRORS = 3.0
 # Two skews agree within AGREE standard errors; the excess, times DISAGREE, counts as an error.
 AGREE, DISAGREE = 2.0, 2.0
@@ -265,7 +265,7 @@ class ClockEstimator:
             self._block = []
 
     def _detect_step(self, block: BlockOffset) -> None:
-        """Keep only the last blocks if neither noise nor a changed round trip explains them."""
+        """Drop the earlier blocks if the last ones are off the line by more than noise explains."""
         level = self._level
         since_ns = self._reference_ns - self._origin.t4_ns - block.t_ns
         line_ns = self._offset_ns - self._origin.offset_ns - self._skew * since_ns

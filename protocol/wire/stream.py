@@ -1,6 +1,7 @@
 """Description of a stream, which a display needs to convert frames to strain.
 
 The sensing node sends it in its welcome, so that displays which join late receive it too.
+The frames are in `messages.py`.
 """
 
 import dataclasses

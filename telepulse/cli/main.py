@@ -1,4 +1,8 @@
-"""The command line of telepulse, assembled from its commands."""
+"""The command line of telepulse, assembled from its commands.
+
+To add a command, write its function in a module of this package and name it in `LIVE` or `OTHERS`;
+name a module of sub-commands in `GROUPS`.
+"""
 
 from collections.abc import Callable
 

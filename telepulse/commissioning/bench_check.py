@@ -76,7 +76,7 @@ class BenchFindings:
 
     @property
     def note(self) -> str:
-        """Comment with the identified eq 22 for the written scene; "" if its keys hold eq 22."""
+        """Comment with the identified eq 22 for the scene; "" where m, c and k are its keys."""
         if self.actuator is None or self.actuator.contact is None:
             return ""
         m, c, k, _ = self.actuator.identified.values
@@ -102,7 +102,7 @@ class BenchFindings:
 
     @contextmanager
     def part(self, part: str) -> Iterator[None]:
-        """Add an error that ends a part's checks early as a failed check."""
+        """If an error ends a part's checks early, add it as a failed check."""
         try:
             yield
         except (BenchError, DriveError, SourceError) as error:
@@ -185,7 +185,7 @@ def _check_drive(
             age_s = findings.add_still("film", record, film.rate_hz, live=True)
             findings.add("film", _check_age(age_s))
             findings.add("drive", check_answers(drive))
-            # Slow enough that no command is superseded: the recorded travel would lack it.
+            # Slow enough that no command is superseded; its travel would be missing in the record.
             rig = HardwareRig(drive, sensor, max(tick_s, EXCHANGES_PER_TICK * line_s))
             try:
                 found = check_actuator(rig, scene, force_n, 0.0, line_latency_s=line_s / 2)
@@ -276,8 +276,8 @@ def _actuator_chapter(actuator: ActuatorFindings) -> Chapter:
     note = (
         "from the voltage to the force; the film's filter is compensated"
         if actuator.contact is None
-        else "from the static force at the commanded position, by the contact identified here, to"
-        " the felt force: c in s, m in s²; the film's filter is compensated"
+        else "from the static force at the commanded position (by the contact law identified here)"
+        " to the felt force; c in s, m in s²; the film's filter is compensated"
     )
     table = Table(
         "actuator, g(s) = 1 / (m s² + c s + k) (eq 22)",

@@ -1,5 +1,7 @@
 """The page as a Bokeh document, one for each viewer, and its plots.
 
+`window_data.py` has the plots' curves and limits.
+
 Colours of axes and grids come from the page's style sheet, light or dark; those of the curves are
 legible on both.
 """
