@@ -21,7 +21,10 @@ test: check
 test-all: check
 	$(BIN)/python -m tests.run_all $(ARGS)
 
+# The tests start a thousand processes. Where PYTHONDONTWRITEBYTECODE is set, as in many containers, each
+# would compile the packages anew.
 check: .venv/installed-test
+	$(BIN)/python -m compileall -q protocol pulse_sensors sensing_node display_node telepulse
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy

@@ -28,17 +28,13 @@ NOT_TRACED = (
     *("system/view", "unit/display_node/drives/test_hardware.py"),
     "unit/display_node/control/test_controller.py",
 )
-# Folders of tests/system that compute; the others run in real time and mostly wait.
-COMPUTING = ("accuracy", "commissioning", "reports")
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mark what lies in tests/system, and what of it runs in real time."""
+    """Mark what lies in tests/system."""
     for item in items:
         if item.path.is_relative_to(TESTS / "system"):
             item.add_marker(pytest.mark.system)
-            if item.path.relative_to(TESTS / "system").parts[0] not in COMPUTING:
-                item.add_marker(pytest.mark.realtime)
 
 
 @pytest.hookimpl(wrapper=True)

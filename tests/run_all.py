@@ -6,19 +6,26 @@ and computing beside them would disturb them.
 
 import subprocess
 import sys
+from pathlib import Path
 
+TESTS = Path(__file__).parent
 CORE = ("protocol", "pulse_sensors", "sensing_node", "display_node")
 COVERAGE = [f"--cov={package}" for package in CORE]
-COMPUTING = ("-m", "not realtime", *COVERAGE, "--cov-report=", "--cov-fail-under=0")
-REAL_TIME = ("-m", "realtime", "--numprocesses=3", *COVERAGE, "--cov-append")
+COMPUTING = [TESTS / "golden", TESTS / "unit"]
+COMPUTING += [TESTS / "system" / name for name in ("accuracy", "commissioning", "reports")]
+REAL_TIME = sorted({path.parent for path in TESTS.glob("system/*/test_*.py")} - {*COMPUTING})
+PARTS = (
+    (*COMPUTING, "--cov-report=", "--cov-fail-under=0"),
+    (*REAL_TIME, "--numprocesses=3", "--cov-append"),
+)
 NO_TESTS_MATCHED = 5
 
 if __name__ == "__main__":
     statuses = [
         subprocess.run(
-            [sys.executable, "-m", "pytest", *part, *sys.argv[1:]], check=False
+            [sys.executable, "-m", "pytest", *COVERAGE, *part, *sys.argv[1:]], check=False
         ).returncode
-        for part in (COMPUTING, REAL_TIME)
+        for part in PARTS
     ]
     matched = [status for status in statuses if status != NO_TESTS_MATCHED]
     sys.exit(max(matched, default=NO_TESTS_MATCHED))

@@ -115,7 +115,7 @@ def _check_module(words: list[str]) -> None:
         assert all(word in text for word in rest if word.startswith("-")), rest
     elif module == "tests.size":
         assert rest == []
-    elif module == "tests.run_all":
+    elif module in ("tests.run_all", "compileall"):
         _check_module(["-m", "pytest", *rest])
     elif module in ("soak", "fuzz"):
         app = typer.Typer()

@@ -51,7 +51,7 @@ def test_the_demo_carries_the_pulse_and_accounts_for_every_sample(tmp_path: Path
 def test_the_demo_over_a_bad_link_counts_what_is_late_and_lost(tmp_path: Path) -> None:
     out = tmp_path / "out.json"
     link = "delay=40ms,jitter=10ms,loss=5%"
-    arguments = ("--seconds", "6", "--json", str(out), "--link", link, "--no-ui")
+    arguments = ("--seconds", "4", "--json", str(out), "--link", link, "--no-ui")
     result = run(MODULE, "demo", *arguments)
     assert result.returncode == 0, result.stderr
     summary = read_json(out)
@@ -102,7 +102,7 @@ def test_in_a_terminal_the_demo_draws_a_panel_with_a_pulse_trace() -> None:
     leader, follower = pty.openpty()
     environment = os.environ | {"COLUMNS": "100", "LINES": "40", "TERM": "xterm"}
     child = subprocess.Popen(
-        [sys.executable, "-m", MODULE, "demo", "--seconds", "8", "--no-page"],
+        [sys.executable, "-m", MODULE, "demo", "--seconds", "5", "--no-page"],
         cwd=ROOT,
         stdin=follower,
         stdout=follower,
