@@ -36,7 +36,7 @@ StopAfterOption = Annotated[
 DurationOption = Annotated[float, typer.Option(min=1, max=LONGEST_S, help="Seconds of pulse.")]
 JsonOption = Annotated[
     Path | None,
-    typer.Option(metavar="FILE", help="Write the closing summary here as JSON; -: print only it."),
+    typer.Option(metavar="FILE", help="Write the closing summary here as JSON; -: print it alone."),
 ]
 
 
@@ -67,7 +67,7 @@ RealtimeOption = Annotated[
     str | None,
     typer.Option(
         metavar="fifo=40,lock,cpu=1,slack",
-        help="Real-time measures that keep the loop on time, or some of them. The node reports"
+        help="Real-time measures that keep the loop on time; give all or some. The node reports"
         " what is not granted and runs without it; with 'strict' it refuses to start.",
     ),
 ]

@@ -91,7 +91,7 @@ class Summary:
     )
     compensation: Compensation = table(Compensation)
     clock: Clock = table(
-        Clock, "clock", absent=absent("The view shows the felt pulse.", Surface.TERMINAL)
+        Clock, "clock", absent=absent("It shows the felt pulse only.", Surface.TERMINAL)
     )
     force_rmse_n: AlignedErrors = table(
         AlignedErrors, "force RMSE", NEWTONS, "force_rmse_newtons", absent=BY_THE_PAGE
@@ -156,7 +156,7 @@ class Summary:
         row="hardware",
         show=lambda counts: texts(f"{n} {name}" for name, n in sorted(counts.items())),
         label="event",
-        absent=AT_THE_END | absent("What is frequent is an event.", Surface.REPORT),
+        absent=AT_THE_END | absent("Frequent errors are events.", Surface.REPORT),
         factory=dict,
     )
     faults: list[str] = figure(
@@ -185,7 +185,7 @@ class Summary:
         RATIO,
         metric="finger_stiffness_ratio",
         row="finger's stiffness",
-        absent=IN_ALERTS | absent("Each doubtful one is an event.", Surface.REPORT),
+        absent=IN_ALERTS | absent("A doubtful stiffness is an event.", Surface.REPORT),
     )
 
     def to_dict(self) -> dict[str, Any]:

@@ -187,11 +187,12 @@ def _refuse_times(column: RecordedColumn) -> str | None:
     """Return the fault of a column that only rises, as times do, and advice; or None."""
     values = column.values
     steps = np.diff(values)
-    # Few steps rise in times that are rounded, for example to seconds, and in a force with steps.
+    # Where fewer than half of the steps rise, the column has rounded times or a stepped force: then
+    # its name decides.
     often = np.count_nonzero(steps) >= len(steps) / 2 or _TIME_NAME.search(column.name)
     if len(values) < FEW_SAMPLES or not often or not np.all(steps >= 0):
         return None
-    text = f"{column.title} only ever rises, as time does and no pulse"
+    text = f"{column.title} never falls, so it is a time and not a pulse"
     other = next((name for name in column.others if name and name not in column.rising), None)
     if other is not None:
         return f'{text}; set column = "{other}", or the one with the force'
@@ -258,14 +259,14 @@ def _refuse_forces(force_n: NDArray[np.float64], unit: str, rest_n: float) -> st
     if largest_n > MOST_N:
         text = f'reaches {largest_n:.4g} N in unit "{unit}", and a pulse stays below {MOST_N:g} N'
         if unit in ("N", "V") and largest_n * 1e-3 <= MOST_N:
-            return f'{text}; set unit = "m{unit}", if it is in that'
+            return f'{text}; set unit = "m{unit}" if the values are in m{unit}'
         return f'{text}; set unit, or unit = "raw" with peak_to_peak'
     share = _share_below(force_n)
     if share <= MOST_BELOW:
         return None
     text = f"is below 0 N for {100 * share:.0f} % of the samples, which no display can play"
     if highest_n <= 0:
-        return f"{text}; set inverted = true, if it is positive where the pulse pulls"
+        return f"{text}; set inverted = true if the pulse presses where the values fall"
     return f'{text}; set preload = "{_preload(rest_n - lowest_n):g} N" or more'
 
 

@@ -32,15 +32,15 @@ class DelayLine:
         return past[1] + self._part * (past[0] - past[1])
 
     def shift(self, change: float) -> None:
-        """Add a change to the newest value, which is known only now."""
+        """Add a change, known only after `step`, to the newest value."""
         self._past[-1] += change
 
 
 class LowPass:
     """Butterworth low-pass, exact for a signal that is linear between ticks.
 
-    The output at a tick depends on the input at that tick, so `output` and `advance` are two
-    calls. The matrices a, b, c and d are those of the first-order hold.
+    `output` and `advance` are two calls, as an observer needs a tick's output before it corrects
+    the state. The matrices a, b, c and d are those of the first-order hold.
 
     Parameters
     ----------

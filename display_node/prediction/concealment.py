@@ -1,4 +1,4 @@
-"""Concealment: the force where no sample has arrived, without jumps, and the predictor's trust.
+"""Concealment: the force where no sample has arrived, without jumps, and trust in the predictor.
 
 With `compensation = "auto"`, E is the delay that the link requires; while the predictor is trusted,
 E is up to 400 ms smaller. Pure: frames, errors and times are arguments.
@@ -45,8 +45,8 @@ class Blend:
         Parameters
         ----------
         path_n
-            Force in N at `instant_ns` and at the ticks after it. At least a part of it
-            is predicted, except while `busy`.
+            Force in N at `instant_ns` and at the ticks after it. Part or all of it is
+            predicted; only while `busy` all may be received.
         newest_ns
             Time of the newest sample in ns.
         """
@@ -114,8 +114,8 @@ class PulseSize:
         self._begun_ns, self._low, self._high = t_ns, low, high
 
 
-# Bounds of the RMSE as a share of the pulse's height. A finger notices differences from 7 to 10 %
-# on, and peak errors are 2.5 times the RMSE.
+# Bounds of the RMSE as a share of the pulse's height. A finger notices differences above 7 to
+# 10 %, and peak errors are 2.5 times the RMSE.
 LOST_ABOVE, GAINED_BELOW = 0.04, 0.025
 DWELL_NS = 10_000_000_000
 MEMORY_NS = 1_500_000_000
@@ -129,8 +129,8 @@ class Trust:
     """Decision whether the predictor's error would go unnoticed at E = 0.
 
     The criterion is the RMS of the expected error over the last 1.5 s, as a share of the pulse's
-    height. A tick counts by the time since the last one; an unknown error counts as 0.3. Trust is
-    lost at once from 4 % on, and gained below 2.5 %, at the earliest 10 s after a loss.
+    height. A tick is weighted by the time since the last one; an unknown error counts as 0.3. Trust
+    is lost at once from 4 % on, and gained below 2.5 %, at the earliest 10 s after a loss.
     """
 
     def __init__(self) -> None:
@@ -160,7 +160,7 @@ def auto_delay_ns(carried_ns: int, trusted: bool) -> int:
 
 
 class Concealment:
-    """One session's predictor, with smoothed jumps and a decision on its trust. Pure.
+    """One session's predictor, with smoothed jumps and a decision whether to trust it. Pure.
 
     Forces are those at the wrist, in N. Times are on the sensing clock, except now_ns.
 

@@ -121,9 +121,9 @@ class StatusAge:
     """Age of the newest status of one display: the time since it was last known to be valid.
 
     Telemetry may queue while its reader or its display stalls. So the age counts from the display's
-    time stamp, not from the receipt. A status has no stamp: it takes that of the trace before it,
-    and stays valid until the last trace that follows without a gap. The clock of another machine
-    has an unknown offset; it is estimated by the shortest transit of the last one to two minutes.
+    time stamp, not from the receipt. A status has no stamp: it takes that of the trace before it.
+    Each later trace extends its validity, up to the first gap between traces. The clock of another
+    machine has an unknown offset, estimated by the shortest transit of the last one to two minutes.
 
     local: the address is on this machine.
     """

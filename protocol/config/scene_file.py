@@ -55,7 +55,7 @@ def read_chain(path: Path) -> list[tuple[Path, Tables]]:
     """Read a scene file and those that it extends: each file and its tables, the scene first.
 
     The tables are as written, without `extends`. Raises SceneError when a file cannot be read, has
-    an unknown section, extends itself over others, or the chain has more than `MAX_CHAIN` files.
+    an unknown section, extends itself through others, or the chain has more than `MAX_CHAIN` files.
     """
     chain: list[tuple[Path, Tables]] = []
     files = set[Path]()

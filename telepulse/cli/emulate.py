@@ -59,8 +59,8 @@ DriveArgument = Annotated[
 _TO_PORT = "Create this symbolic link to the port, for the scene's `port`."
 BoardLink = Annotated[Path | None, typer.Option(metavar="PATH", help=_TO_PORT)]
 _TO_DRIVE = (
-    "Create PATH as a link to the serial port of the module, or of an slcan adapter with the drive"
-    " behind it, for the scene's `port` or `channel`."
+    "Create this symbolic link to the serial port of the module, or of an slcan adapter with the"
+    " drive on its bus, for the scene's `port` or `channel`."
 )
 DriveLink = Annotated[Path | None, typer.Option(metavar="PATH", help=_TO_DRIVE)]
 _TO_FILM = (
@@ -272,7 +272,7 @@ def _injected_fault(
     if fault is not None and fault not in names:
         raise SceneError(f"--fault: no {fault!r}; there are {', '.join((*names, *UNREPORTED))}")
     if size is not None:
-        raise SceneError(f"--size: {fault or 'no --fault'} has none")
+        raise SceneError(f"--size: {fault} has no size" if fault else "--size: needs --fault")
     return None
 
 

@@ -52,7 +52,7 @@ SilenceOption = Annotated[
 FolderOption = Annotated[Path, typer.Option(metavar="FOLDER", help="Write the report here.")]
 TablesOption = Annotated[
     Path | None,
-    typer.Option(metavar="FILE", help="Write the tables here as JSON; -: print only them."),
+    typer.Option(metavar="FILE", help="Write the tables here as JSON; -: print it alone."),
 ]
 
 

@@ -92,8 +92,9 @@ def replay(
 ) -> None:
     """Play a recording as a sensing node would: the same samples at the same intervals.
 
-    The stream's name, rate, layer and frames are the recorded ones; samples that the recording
-    lacks count as lost. Of several sessions, the longest is played. Any display can connect.
+    The stream's name, rate, elastic layer and frames are the recorded ones; samples that the
+    recording lacks count as lost. Of several sessions, the longest is played. Any display can
+    connect.
 
     Exit status: 0 at the end of the recording, 2 when the recording cannot be read or the
     address cannot be used; the reason is one line on stderr.

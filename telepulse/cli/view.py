@@ -115,7 +115,8 @@ def lsl(
     target and felt force of each tick; "telepulse events", events as markers. Ends with the
     display. Give the display's own key as --key; with another key, give --peer as well.
 
-    Exit status: 0, 1 when telemetry was missed, which it prints, 2 when it cannot begin.
+    Exit status: 0 at the end; 1 when telemetry was missed, which is printed; 2 when it cannot
+    begin.
     """
     from telepulse.lsl_outlet import LslOutlet
 

@@ -65,7 +65,7 @@ def parse_fault(kind: FaultKind, size: str | None) -> InjectedFault:
     """
     if not kind.size:
         if size is not None:
-            raise SceneError(f"--size: {kind.value} has none")
+            raise SceneError(f"--size: {kind.value} has no size")
         return InjectedFault(kind)
     dimension, *bounds, default = kind.size
     try:

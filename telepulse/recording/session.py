@@ -39,7 +39,7 @@ class RecordedForce:
 
 
 def felt_force(path: Path, session: int) -> RecordedForce:
-    """Return force felt and events of a session, by the display's clock. Raises SourceError."""
+    """Return force felt and events of a session, by the sensing clock. Raises SourceError."""
     receiver, apart_ns = PassiveReceiver(), 0
     t_ns: list[int] = []
     force_n: list[float] = []
@@ -82,7 +82,7 @@ def felt_force(path: Path, session: int) -> RecordedForce:
 class RecordedSession:
     """Frames of one session, as bytes by the number of their first sample.
 
-    cut: how the recording breaks off, empty where it is whole. provenance: of its runs.
+    cut: how the recording breaks off, empty where it is whole. provenance: of the runs in it.
     """
 
     number: int

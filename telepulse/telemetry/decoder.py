@@ -43,7 +43,7 @@ class TelemetryDecoder:
     def __init__(self) -> None:
         self._run: int | None = None
         self._unix_offset_ns = self._now_ns = 0
-        # Messages of each kind that arrived, on top of those before the run's begin here.
+        # Messages of each kind that arrived, plus those published before this decoder began.
         self._arrived: Counter[str] = Counter()
         self._session: int | None = None
         self._events = EventDetector()
@@ -161,7 +161,7 @@ class TelemetryDecoder:
 
 
 def _frame_fields(frame: wire.Frame) -> Fields:
-    """Return the fields of a frame; samples in N, all channels of one instant after another."""
+    """Return the fields of a frame; samples in N, instant by instant, each with all channels."""
     fields = frame._asdict()
     values = fields.pop("values")
     fields |= {"channels": values.shape[1], "bytes_per_sample": values.itemsize}

@@ -1,6 +1,7 @@
 """A CANopen drive of profile CiA 402, in cyclic synchronous or profile velocity mode.
 
-A command is one RPDO, and the SYNC at which it takes effect; neither waits for the drive. Our
+A command is one RPDO (process data to the drive), and the SYNC at which it takes effect; neither
+waits for the drive. Our
 heartbeat is sent only with commands. So the drive stops when commands stop, whether this process
 has ended or hangs. After a fault a thread withdraws the tip (decisions 19, 29). Decision 32
 explains why canopen's `BaseNode402` does not suffice.
@@ -83,7 +84,7 @@ class Cia402Drive(Drive):
     def _pause(self) -> None:
         super()._pause()
         self._beat_ns = 0
-        # The drive expects no heartbeat before the next one.
+        # The watchdog, armed anew, counts from our next heartbeat only.
         self._node.arm_watchdog()
 
     def _home_switch(self) -> bool | None:

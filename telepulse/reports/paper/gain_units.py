@@ -1,4 +1,4 @@
-"""Five units for the gains of Table 5, which has none: each in a loop closed over eq 22.
+"""Five units for the gains of Table 5, which gives none, each in a loop with the actuator of eq 22.
 
 The loops are in continuous time with a pure derivative, so that only the unit makes a difference.
 """
@@ -58,10 +58,11 @@ def poles(unit: ErrorUnit, gains: Gains) -> NDArray[np.complex128]:
 
 
 def follow(unit: ErrorUnit, gains: Gains, wanted_n: Floats, rate_hz: float = RATE_HZ) -> Floats:
-    """Return the felt force in N from rest, shape as `wanted_n`, straight between its samples.
+    """Return the felt force in N of a loop that begins at rest, in the shape of `wanted_n`.
 
-    Exact at the samples: each of the loop's partial fractions has its own first-order response
-    to straight lines. scipy's lsim gives the same and takes a hundred times as long.
+    The wanted force is linear between its samples. Exact at the samples: each of the loop's partial
+    fractions has its own first-order response to straight lines. scipy's lsim gives the same and
+    takes a hundred times as long.
     """
     step_s = 1 / rate_hz
     felt_n = np.zeros(len(wanted_n), np.complex128)
@@ -122,7 +123,7 @@ def rmse_without_the_start(unit: ErrorUnit, gains: Gains) -> float:
 
 
 def chapter() -> Chapter:
-    """Compare the errors of each unit with the printed ones, and give its least sampling rate."""
+    """Compare the errors of each unit with the printed ones; give the least sampling rate."""
     film_mv = film_millivolts()
     shares = [errors.simulation / errors.experiment for errors in unit_errors()]
     simulated_n = film_mv.peak_to_peak_n(SIMULATED_STRAIN)
@@ -134,16 +135,17 @@ def chapter() -> Chapter:
         " pure derivative. The reference is the paper's pulse without its mean, straight between"
         f" samples at {RATE_HZ / 1000:g} kHz, for the first {FIRST_S:g} s from rest; the error is a"
         " mean over time by trapezoids.",
-        "No unit gives all three figures. Every error is proportional to the pulse's height,"
+        "The paper prints an error of the simulation, a strain, and two of the experiment, a force"
+        " and a strain. No unit gives all three. Every error is proportional to the pulse's height,"
         " which is not printed, so every unit gives any one of them at some height. But the"
         " experiment's force and strain are two views of one error, in a fixed ratio by Table 3,"
         " and the printed pair is off that ratio by a factor of"
-        f" {MEASURED_FORCE.force_n / MEASURED_STRAIN.force_n:.2f}: with any unit the two heights"
-        " differ by that factor. Leaving one of the pair out does not help: the printed error of"
-        f" the simulation is {SIMULATED_STRAIN.force_n / MEASURED_STRAIN.force_n:.3f} of the"
-        " experiment's by the strain and"
-        f" {SIMULATED_STRAIN.force_n / MEASURED_FORCE.force_n:.3f} by the force, while the five"
-        f" units put it between {min(shares):.2f} and {max(shares):.2f}.",
+        f" {MEASURED_FORCE.force_n / MEASURED_STRAIN.force_n:.2f}: with any unit, the heights that"
+        " give the one and the other differ by that factor. Leaving one of the pair out does not"
+        " help. The simulation's printed error is"
+        f" {SIMULATED_STRAIN.force_n / MEASURED_STRAIN.force_n:.3f} times the experiment's strain"
+        f" and {SIMULATED_STRAIN.force_n / MEASURED_FORCE.force_n:.3f} times its force; the five"
+        f" units give ratios from {min(shares):.2f} to {max(shares):.2f}.",
         "Taken one at a time: a printed error is possible if the loop follows the pulse, as Figs"
         " 13–14 and 17–20 show, at a height inside the film's calibration. Only with millivolts by"
         " eq 21 does it follow; with the other four, more than half the error of doing nothing is"
@@ -212,7 +214,7 @@ def _heights_table() -> Table:
         "The pulse's height at which a unit gives a printed figure, and whether that is possible",
         columns,
         [(each.unit.name, *(cell(each, printed) for printed in PRINTED)) for each in unit_errors()],
-        "A row would need one height in all three columns.",
+        "A unit explains all three where its row has the same height in all columns.",
     )
 
 

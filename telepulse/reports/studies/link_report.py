@@ -24,7 +24,7 @@ BEST: PredictorName = "stack"
 
 
 def report_links(scores: LinkScores, effort: LinkEffort) -> Report:
-    """Return the report on scores that took this effort."""
+    """Return the report on scores of simulations of this number and length."""
     costs = [
         {"predictor": name, "tick (µs)": f"{cost_us:.0f}"}
         for name, cost_us in scores.costs_us.items()
@@ -76,21 +76,22 @@ def _choice_chapter(scores: LinkScores, effort: LinkEffort) -> Chapter:
             rows.append(_choice(link, predictor, f"{delay_ms:g}", best))
             rows.append(_choice(link, predictor, f"auto: {auto.delay_ms:.1f}", auto))
     paragraphs = (
-        "With the perceived delay E the finger feels the pulse at the time E before the present."
-        " Samples that have arrived by then are played, the rest is predicted from the newest one."
+        "With the perceived delay E the finger feels the pulse as it was E ago. Samples of that"
+        " instant that have arrived are played, the others are predicted from the newest sample."
         " In phase: error against the present pulse; aligned: against the pulse E before.",
         *(advice(scores, link) for link in scores.results),
         f"Both nodes in virtual time, a radial pulse with heart-rate variability in frames of"
-        f" 5 ms, {len(effort.seeds)} times {effort.seconds:g} s by another seed, after"
-        f" {effort.settle_seconds:g} s to learn in. NRMSE: over the pulse's standard deviation;"
-        " JND: a tenth of its peak to peak. The stack learns this one kind of pulse; arrhythmia is"
+        f" 5 ms, {len(effort.seeds)} runs of {effort.seconds:g} s, each with its own seed, after"
+        f" {effort.settle_seconds:g} s in which the predictor learns. NRMSE: over the pulse's"
+        " standard deviation; JND: a tenth of its peak to peak. The stack learns this one kind of"
+        " pulse; arrhythmia is"
         " in `telepulse study prediction`. auto trusts the stack only after some time, if at all:"
         " its mean E may still be falling to 0.",
     )
     table = Table.of(
         "The delay with the least error in phase, and the choice of auto",
         rows,
-        "Predicted: mean age of the newest sample over the played instant, and share of ticks."
+        "Predicted: mean time from the newest sample to the played instant, and share of ticks."
         " Above 25 Hz: energy of the felt force over the pulse's. Felt: share of the time; in the"
         " rest the force was faded out, since samples were missing.",
     )
@@ -173,8 +174,8 @@ def _policies_chapter(scores: LinkScores) -> Chapter:
     words = (
         "Fresh is the display's policy: a late sample is not discarded but used by the predictor."
         " A classic jitter buffer delivers every sample after one fixed delay and discards the 1 %"
-        " that come later; the same predictor continues from there."
-        f" Over the link “{TCP}” as for the prototype, whose own link and recording are not here."
+        " that come later; beyond the newest delivered sample the same predictor is used."
+        f" The link is “{TCP}”; the prototype's figures are its own, over a link of these settings."
         " heartpy's recording is included where heartpy is installed."
     )
     table = Table.of("NRMSE of the played values against the pulse of E ago", rows)

@@ -287,16 +287,16 @@ def _frontier_chapter(scores: PlayoutScores, effort: PlayoutEffort) -> Chapter:
         " that frame. Here a delay may change at once, as in the published rules. Each rule's"
         " own parameter is set for the least mean delay within the permitted late share.",
         "Both optima are computed from the whole trace. The moving one may change by at most"
-        " 50 ms per second; its row is a lower bound of all such paths (the paths that were"
-        f" found are at most {max(gaps):.1%} above it).",
+        " 50 ms per second; its row is a lower bound of the mean delay of every such course (the"
+        f" best courses found are at most {max(gaps):.1%} above it).",
     )
     rows = {optimum: partial(best, optimum) for optimum in (CONSTANT, MOVING)} | {
         name: partial(tuned, name) for name in RULES
     }
-    title = "Mean delay in ms (over the best moving delay)"
+    title = "Mean delay in ms (ratio to the best moving delay)"
     note = (
-        "Tuned to the permitted late share. Where no setting is within it, the least late share"
-        " follows the delay."
+        "Tuned to the permitted late share. Where no setting is within it, the one with the least"
+        " late share is shown, with that share after the delay."
     )
     tables = (*_tables(title, scores.links, rows, note), _targets_table(scores))
     return Chapter(f"At {effort.permitted_late:.0%} late", paragraphs, tables)
@@ -348,7 +348,8 @@ def _default_chapter(scores: PlayoutScores) -> Chapter:
         return f"{played.delay_ms:.1f} {played.late:.1%}"
 
     tables = []
-    for way, how in (("default", "changed at once"), ("warped", "with a display's slew limit")):
+    ways = {"default": "delay changes at once", "warped": "with a display's slew limit"}
+    for way, how in ways.items():
         rows = {name: partial(cell, name, way) for name in RULES}
         tables += _tables(f"Mean delay in ms and late share, {how}", scores.links, rows)
     defaults = [f"{name} {rule.parameter} {rule.default:g}" for name, rule in RULES.items()]

@@ -269,7 +269,7 @@ RECORDING = 'kind = "recording"\npath = "{}"\nrate = "1 kHz"\nunit = "N"'
             RECORDING.format("pulse.npy"),
             (),
             '{}/pulse.npy: reaches 400 N in unit "N", and a pulse stays below 20 N;'
-            ' set unit = "mN", if it is in that\n',
+            ' set unit = "mN" if the values are in mN\n',
         ),
     ],
 )

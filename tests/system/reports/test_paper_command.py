@@ -60,7 +60,7 @@ def test_every_figure_is_there_in_both_themes(written: Written) -> None:
 
 def test_the_page_states_what_is_impossible_and_why(written: Written) -> None:
     page = (written.folder / "index.html").read_text("utf-8")
-    assert "No unit gives all three figures." in page
+    assert "No unit gives all three." in page
     assert not re.search(r"\b(nan|inf|None)\b", page)
     controllers = written.table("Force RMSE by what the controller models")
     assert controllers["rows"][0]["real bench"] == "refused"

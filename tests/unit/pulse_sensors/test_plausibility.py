@@ -58,18 +58,18 @@ def test_a_plausible_recording_is_neither_refused_nor_warned_of(
 
 
 ABOVE = 'reaches 516.4 N in unit "N", and a pulse stays below 20 N; set unit'
-ONLY_RISES = "only ever rises, as time does and no pulse"
+ONLY_RISES = "never falls, so it is a time and not a pulse"
 
 
 @pytest.mark.parametrize(
     ("columns", "keys", "text"),
     [
-        ({"force": PULSE_N * 1e3}, {}, f'{ABOVE} = "mN", if it is in that'),
+        ({"force": PULSE_N * 1e3}, {}, f'{ABOVE} = "mN" if the values are in mN'),
         ({"force": PULSE_N * -1e3}, {}, ABOVE),
-        ({"force": PULSE_N * 1e3}, {"unit": "V", "film_radius": "9 mm"}, "if it is in that"),
+        ({"force": PULSE_N * 1e3}, {"unit": "V", "film_radius": "9 mm"}, "if the values are in mV"),
         ({"force": PULSE_N * 1e9}, {}, 'set unit, or unit = "raw" with peak_to_peak'),
         ({"force": PULSE_N * 1e3}, {"unit": "V", "sensitivity": "44 mV/N"},
-         'set unit = "mV", if it is in that'),
+         'set unit = "mV" if the values are in mV'),
         (
             {"force": PULSE_N - PULSE_N.mean()},
             {},

@@ -141,7 +141,7 @@ def test_every_kind_is_read_with_its_default_size_and_bounds(kind: FaultKind) ->
     fault = parse_fault(kind, None)
     assert fault.kind is kind
     if not kind.size:
-        with pytest.raises(SceneError, match="has none"):
+        with pytest.raises(SceneError, match="has no size"):
             parse_fault(kind, "1")
         return
     least, most = (parse_fault(kind, text) for text in kind.size[1:3])
