@@ -129,12 +129,16 @@ class Receiver:
             self._clock_requests += 1
             if self._clock_requests >= READY_AFTER:
                 self._next_clock_ns = now_ns + (CLOCK_FAST_NS if fast else CLOCK_EVERY_NS)
-            self._open_requests_ns.append(now_ns)
+            self.expect_reply(now_ns)
             wanted.append(wire.ClockRequest(now_ns))
         if self._last_bye is not None and self.buffer.complete:
             wanted.append(self._last_bye)
             self._last_bye = None
         return wanted
+
+    def expect_reply(self, t1_ns: int) -> None:
+        """Accept one reply to a clock request of the time `t1_ns`."""
+        self._open_requests_ns.append(t1_ns)
 
     def account(self) -> SampleAccount:
         """Return the account of all samples of all sessions so far."""

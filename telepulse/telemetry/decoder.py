@@ -211,7 +211,7 @@ class PassiveReceiver(Receiver):
             reply = wire.ClockReply(session, *times_ns)
             if reply.t1_ns not in self._requests_ns:
                 self._requests_ns.append(reply.t1_ns)
-                self._open_requests_ns.append(reply.t1_ns)
+                self.expect_reply(reply.t1_ns)
             self.on_control(wire.encode_control(reply), fields["t4_ns"])
         return None
 
