@@ -54,6 +54,10 @@ class ControllerScene(Section):
         filter_hz, dead_band = self.derivative_filter_hz, self.dead_band
         return Pid(self.kp, self.ki, self.kd, filter_hz, tick_s, limit, dead_band)
 
+    def error_per_newton(self, film: FilmTable) -> float:
+        """Return the error of 1 N in the error's unit, which is not "position"."""
+        return film.millivolts_per_newton if self.error == "millivolts" else 1.0
+
 
 # Time constants of decay: of the usual holding time, and of the worst stall and the peak force.
 USUAL_S = 0.1
@@ -178,7 +182,7 @@ class StepperController:
                 self._guard.held_s,
             )
         else:
-            unit = film.millivolts_per_newton if scene.error == "millivolts" else 1.0
+            unit = scene.error_per_newton(film)
             self._error = lambda wanted_n, reading_n: (
                 unit * (wanted_n - reading_n),
                 unit * law.stiffness(reading_n) * self._guard.held_s,
@@ -258,7 +262,7 @@ class VoltageController:
     ) -> None:
         self._pid = scene.pid(tick_s, actuator.voltage_limit)
         self._twin = SecondOrder(actuator, tick_s)
-        self._unit = film.millivolts_per_newton if scene.error == "millivolts" else 1.0
+        self._unit = scene.error_per_newton(film)
 
     def output(self, reference_n: list[float], reading_n: float) -> float:
         """Return the voltage for this tick in V; see `StepperController.output`."""

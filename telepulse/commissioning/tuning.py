@@ -149,7 +149,7 @@ def _design_stepper(scene: DisplayScene, actuator: StepperScene) -> Design:
 
 
 def _design_second_order(scene: DisplayScene, actuator: SecondOrderScene) -> Design:
-    per_volt = scene.film.millivolts_per_newton if scene.controller.error == "millivolts" else 1.0
+    per_volt = scene.controller.error_per_newton(scene.film)
 
     def placed(log_w: float) -> ControllerScene:
         # m s³ + (c + kd) s² + (k + kp) s + ki = m (s + w) (s² + 2 ζ w s + w²)

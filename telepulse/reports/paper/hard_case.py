@@ -103,10 +103,10 @@ class LoopSetup:
             return (1 - SETTLED_SHARE) * force_n, (1 + SETTLED_SHARE) * force_n
         law, film = self.actuator.contact(self.layer), self.film
         x_m, step_m = law.position(force_n), microsteps * self.actuator.step_m
-        unit = {"force": 1.0, "millivolts": film.millivolts_per_newton}.get(self.controller.error)
-        # Controller's error per metre of travel.
-        per_m = unit * law.stiffness(force_n) if unit else 1.0
-        step_m += self.controller.dead_band / per_m
+        error_per_m = 1.0
+        if self.controller.error != "position":
+            error_per_m = self.controller.error_per_newton(film) * law.stiffness(force_n)
+        step_m += self.controller.dead_band / error_per_m
         off_n = NOISE_DEVIATIONS * film.noise_n
         if film.adc_bits is not None:
             off_n += Adc(film.adc_bits, film.adc_range_v).step_volts / film.volts_per_newton
