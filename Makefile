@@ -21,7 +21,7 @@ test: check
 test-all: check
 	$(BIN)/python -m tests.run_all $(ARGS)
 
-check: .venv/installed-test compile
+check: compile
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy

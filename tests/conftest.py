@@ -12,7 +12,7 @@ from hypothesis import settings
 
 from protocol.host.output import OUR_LOGGERS, StderrHandler
 from protocol.sockets import Context, Socket
-from telepulse.processes import free_addresses
+from tests.support.nodes import free_address
 
 # A busy machine must not fail a test.
 settings.register_profile("telepulse", deadline=None)
@@ -59,7 +59,7 @@ def pytest_runtest_protocol(item: pytest.Item) -> Iterator[None]:
 @pytest.fixture
 def address() -> str:
     """Return a loopback address whose port and the next one are free."""
-    return free_addresses(1)[0]
+    return free_address()
 
 
 @pytest.fixture
