@@ -1,1 +1,1 @@
-"""What both nodes agree on: the wire, the clock, the tactile model, the scene file."""
+"""Definitions that both nodes share: the wire, the clock, the tactile model, the scene file."""

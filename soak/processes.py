@@ -66,7 +66,7 @@ class SoakProcess:
 
     @property
     def running(self) -> bool:
-        """Whether the process has not ended yet."""
+        """True until the process has ended."""
         if self.over_ns is None and self.process.poll() is not None:
             self.over_ns = time.monotonic_ns()
         return self.over_ns is None

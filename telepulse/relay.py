@@ -132,7 +132,7 @@ class FrameForwarder:
     ) -> None:
         self.received = self.received_bytes = 0
         self.rejected: Counter[str] = subscribers.rejected
-        self.sockets = [displays, *(line.socket for line in path.endpoints)]
+        self.sockets = [displays, *(endpoint.socket for endpoint in path.endpoints)]
         self._path, self._displays, self._subscribers = path, displays, subscribers
         self._subscribed = False
         self._next_read_ns = 0
@@ -241,7 +241,7 @@ class Relay:
         self._handshakes = HandshakeMonitor(context, client_keys)
         self._path = DataPath(context, client_keys)
         control_in = sockets.unconnected(context, zmq.DEALER, client_keys)
-        for socket in (control_in, *(line.socket for line in self._path.endpoints)):
+        for socket in (control_in, *(endpoint.socket for endpoint in self._path.endpoints)):
             self._handshakes.watch(socket)
         data_out = sockets.bind(context, zmq.XPUB, bind, self._authenticator)
         budget = SubscriptionBudget(data_out, (b"",))
@@ -284,8 +284,8 @@ class Relay:
         """Connect once the sensing node's address is known, and again where it is silent."""
         self._frames.poll(now_ns)
         answered = self._handshakes.poll(now_ns)
-        for line in self._path.endpoints if answered else ():
-            line.take_answer(answered)
+        for endpoint in self._path.endpoints if answered else ():
+            endpoint.take_answer(answered)
         self._authenticator.poll(now_ns)
         # `running` is read first: a look-up that ends in between would otherwise be started again.
         looking, address = self._lookup.running, self._lookup.take()

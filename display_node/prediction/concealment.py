@@ -182,7 +182,10 @@ class Concealment:
 
     @property
     def trusted(self) -> bool | None:
-        """Whether the predictor's error is small enough to reduce E; None where E is fixed."""
+        """True while the predictor's error is small enough to reduce E.
+
+        None where trust is not used: E is fixed, or the predictor does not estimate its error.
+        """
         return None if self._trust is None else self._trust.trusted
 
     def observe(self, frame: Frame) -> None:

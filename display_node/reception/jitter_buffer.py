@@ -203,7 +203,7 @@ class JitterBuffer:
 
     @property
     def complete(self) -> bool:
-        """Whether the session's last sample has come."""
+        """True once the session's last sample has arrived."""
         return bool(self._indices) and self._indices[-1] + 1 == self._end_index
 
     def account(self) -> SampleAccount:

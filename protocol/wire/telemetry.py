@@ -29,7 +29,7 @@ _SUMMARY = TypeAdapter(Summary)
 
 
 class PlaybackStatus(NamedTuple):
-    """How a display plays the stream.
+    """Channel and scale by which a display plays the stream.
 
     channel: number of the played channel. force_ratio: force at the finger per force at the wrist
     that makes both strains equal. strain_per_newton: strain of the layer under the finger per
