@@ -144,10 +144,11 @@ class SampleCounter:
 BANDWIDTH_HZ = 0.2
 SETTLING = 0.5
 LARGEST_OMEGA = 0.3
-# Greatest change of the time between samples. A larger one would be felt; displays accept half to
-# twice the nominal period.
+# Greatest change of the time between samples. A larger one would be felt.
 LARGEST_STRETCH = 0.2
 LARGEST_RATE_ERROR = 0.5
+# Shortest time between samples, in nominal periods: displays refuse less than 0.5 and more than 2.
+SHORTEST_STEP = 0.55
 # Greatest jitter; a larger error means that samples are missing, or the time is wrong.
 JUMP_NS = 250_000_000
 
@@ -218,7 +219,7 @@ class Timeline:
         corrected_ns = period_ns * (1 + omega * omega * error_ns / passed_ns)
         self._period_ns = _bounded(corrected_ns, LARGEST_RATE_ERROR, self._nominal_ns)
         step_ns = period_ns + math.sqrt(2) * omega * error_ns / count
-        return _bounded(step_ns, LARGEST_STRETCH, period_ns)
+        return max(_bounded(step_ns, LARGEST_STRETCH, period_ns), SHORTEST_STEP * self._nominal_ns)
 
 
 def _bounded(value: float, share: float, of: float) -> float:

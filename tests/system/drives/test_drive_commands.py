@@ -157,7 +157,7 @@ def wait_for(
 def test_a_fault_begins_at_its_time(tmcl_scene: Path, tmp_path: Path) -> None:
     arguments = ("--link", str(tmp_path / "drive"), "--fault", "overtemperature")
     with process(
-        "telepulse", "emulate", "tmcl", str(tmcl_scene), *arguments, "--fault-after", "0.3"
+        "telepulse", "emulate", "tmcl", str(tmcl_scene), *arguments, "--fault-after", "1.5"
     ) as child:
         child.read_line(LONGEST_S)
         drive = drive_of(tmcl_scene)
