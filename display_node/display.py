@@ -62,8 +62,7 @@ class Display:
         self._tick_ns = scene.tick_ns
         self._concealment = self._build_concealment()
         self._loop = scene.force_loop()
-        lead_ticks = self._loop.lead_ns / scene.tick_ns
-        self._target = DelayLine(lead_ticks) if lead_ticks else None
+        self._target = DelayLine(self._loop.lead_ns / scene.tick_ns)
         self._playout = PlayoutClock()
         self._beginnings = 0
         self.force_ratio = 1.0
@@ -188,7 +187,7 @@ class Display:
         loop.tick(reference_n, reading_n)
         self.ticks += 1
         target_n = reference_n[0]
-        state.target_n = target_n if self._target is None else self._target.step(target_n)
+        state.target_n = self._target.step(target_n)
         state.felt_n = felt_n
         state.scored = alive and safety.gain == 1.0
         self._availability.add(self.state, elapsed_ticks)

@@ -5,7 +5,6 @@ The output is a signed speed in m/s for a stepper. For the second-order actuator
 """
 
 import math
-from collections.abc import Callable
 from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field, model_validator
@@ -59,7 +58,7 @@ class ControllerScene(Section):
         return film.millivolts_per_newton if self.error == "millivolts" else 1.0
 
 
-# Time constants of decay: of the usual holding time, and of the worst stall and the peak force.
+# Time constants of decay, of the usual holding time and of the worst stall and the peak force.
 USUAL_S = 0.1
 WORST_S = 10.0
 # Bound of the force during a stall, as a multiple of the recent peak of the reference.
@@ -69,15 +68,15 @@ HEADROOM = 1.25
 class StallGuard:
     """Memory of recent stalls and forces, which limits each command for the next stall.
 
-    A drive keeps its last command until the next one. If a command for one tick is held for many,
-    it moves too far: corrections overshoot, and a loop designed for one tick oscillates. So each
-    command is computed for the recent usual holding time, and must not press too hard if it is held
-    for the longest recent one (decision 25).
+    A drive keeps its last command until the next one. A command that is computed for one tick and
+    held for many moves the tip too far, and the loop oscillates. So each command is computed for
+    the recent usual holding time. If held for the longest recent one, it must not press too hard
+    (decision 25).
 
     Parameters
     ----------
     half_backlash_m
-        Travel of the screw in m beyond the tip's, which takes up the backlash.
+        Travel in m by which the screw is ahead of the tip while it presses.
 
     Attributes
     ----------
@@ -112,30 +111,30 @@ class StallGuard:
         self._squares = self._usual * self._squares + hold * hold
         self.held_s = self._tick_s * self._squares / self._holds
 
-    @property
-    def limiting(self) -> bool:
-        """True while the speed is limited, because the host has stalled recently."""
-        return self._longest_s >= 2 * self._tick_s
-
     def fastest(self, screw_m: float) -> float:
-        """Return the highest speed towards the finger in m/s, for the screw's position in m."""
+        """Return the highest speed towards the finger in m/s, for the screw's position in m.
+
+        It is infinite where the host has not stalled recently.
+        """
+        if self._longest_s < 2 * self._tick_s:
+            return math.inf
         furthest_m = self._law.position(HEADROOM * self.peak_n) + self._half_backlash_m
         return max(0.0, furthest_m - screw_m) / self._longest_s
 
 
 class StepperController:
-    """The speed of a stepper, once a tick.
+    """Controller of a stepper's speed.
 
     Parameters
     ----------
     law
-        Contact law of its tip; an observer may learn the finger's compliance in it.
+        Contact law of the tip; an observer updates the finger's compliance in it.
     force_limit_n
         Greatest force of the observer's model of the actuator, in N.
     slew_limit_n_per_s
         Greatest slope of the force that is commanded.
     observer_gains
-        Gains of the observer where `linear_loop` linearises the loop; its twin is linear then.
+        Fixed gains of the observer, for `linear_loop`; its twin is linear then.
 
     Attributes
     ----------
@@ -171,22 +170,10 @@ class StepperController:
             self._observer = Observer(
                 scene.observer, twin, law, film, actuator.step_m, tick_s, lag_ticks, observer_gains
             )
-        self._last_reading_n = 0.0
-        self._late = DelayLine(lag_ticks) if lag_ticks else None
-        self._wanted_n = 0.0
+        self._last_reading_n = self._wanted_n = 0.0
+        self._late = DelayLine(lag_ticks)
         self.horizon = self._path.horizon if self._path is not None else 1
-        self._error: Callable[[float, float], tuple[float, float]]
-        if scene.error == "position":
-            self._error = lambda wanted_n, reading_n: (
-                law.position(wanted_n) - law.position(reading_n),
-                self._guard.held_s,
-            )
-        else:
-            unit = scene.error_per_newton(film)
-            self._error = lambda wanted_n, reading_n: (
-                unit * (wanted_n - reading_n),
-                unit * law.stiffness(reading_n) * self._guard.held_s,
-            )
+        self._unit = None if scene.error == "position" else scene.error_per_newton(film)
 
     def output(self, reference_n: list[float], reading_n: float) -> float:
         """Return the speed for this tick in m/s, positive into the finger.
@@ -198,30 +185,34 @@ class StepperController:
         reading_n
             The film's reading in N; NaN where it is missing or implausible.
         """
-        path, observer, guard = self._path, self._observer, self._guard
+        path, observer, guard, law = self._path, self._observer, self._guard, self._law
         guard.tick(self._missed_ticks, reference_n[0])
         self._missed_ticks = 0
         feed = path.advance(reference_n, guard.held_s) if path is not None else 0.0
         if path is not None and observer is not None:
             observer.correct(reading_n)
-            error, response = path.screw_m - observer.screw_m, guard.held_s
+            screw_m = observer.screw_m
+            error, response = path.screw_m - screw_m, guard.held_s
         else:
             if reading_n == reading_n:
                 self._last_reading_n = reading_n
+            last_n = self._last_reading_n
+            screw_m = law.position(last_n)
             # A reading is compared with the reference at the time of the command that caused it.
             self._wanted_n = reference_n[1]
-            wanted_n = self._wanted_n if self._late is None else self._late.step(self._wanted_n)
-            error, response = self._error(wanted_n, self._last_reading_n)
+            wanted_n = self._late.step(self._wanted_n)
+            if self._unit is None:
+                error, response = law.position(wanted_n) - screw_m, guard.held_s
+            else:
+                error = self._unit * (wanted_n - last_n)
+                response = self._unit * law.stiffness(last_n) * guard.held_s
         if path is not None and path.further_m:
             error += response / guard.held_s * path.further_m
         # The slew limit also holds while the loop catches up. A reading above the reference may
         # mean a stiffer contact, so it counts, but at most up to the recent peak.
         stiffest_n = max(reference_n[0], min(reading_n, guard.peak_n))
-        fastest = self._slew_limit_n_per_s / (self._law.stiffness(stiffest_n) or 1e-9)
-        pressing = fastest
-        if guard.limiting:
-            screw_m = observer.screw_m if observer else self._law.position(self._last_reading_n)
-            pressing = min(fastest, guard.fastest(screw_m))
+        fastest = self._slew_limit_n_per_s / (law.stiffness(stiffest_n) or 1e-9)
+        pressing = min(fastest, guard.fastest(screw_m))
         speed_m_per_s = self._pid.step(error, response, feed, -fastest, pressing)
         if observer is not None:
             observer.move(self._step_rate.rate_hz(speed_m_per_s))
@@ -240,7 +231,7 @@ class StepperController:
         if self._observer is not None:
             self._observer.skip()
             self._observer.move(self._step_rate.rate_hz(speed_m_per_s))
-        elif self._late is not None:
+        else:
             self._late.step(self._wanted_n)
 
     def shift(self, travel_m: float) -> None:
@@ -252,7 +243,7 @@ class StepperController:
 
 
 class VoltageController:
-    """The voltage of the second-order actuator in V, once a tick, with a model of that actuator."""
+    """Controller of the second-order actuator's voltage, with a model of that actuator."""
 
     STATE: ClassVar = ("_pid", "_twin")
     horizon, finger_stiffness = 1, None
@@ -267,8 +258,7 @@ class VoltageController:
     def output(self, reference_n: list[float], reading_n: float) -> float:
         """Return the voltage for this tick in V; see `StepperController.output`."""
         twin, unit = self._twin, self._unit
-        # Without a reading, the model's own force is used.
-        if reading_n == reading_n:
+        if reading_n == reading_n:  # else the model's own force is used
             twin.force_n = reading_n
         error = unit * (reference_n[1] - twin.force_n - twin.drift())
         volts = self._pid.step(error, unit * twin.response)

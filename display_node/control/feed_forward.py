@@ -1,8 +1,8 @@
 """Feed-forward: the screw's path with which the tip follows a reference known in advance.
 
 It inverts the contact law, the rotor's resonance and the backlash (decision 9). The playout buffer
-holds the reference's next samples. So derivatives need no filter, and the gap of the backlash is
-crossed where the reference turns, not after.
+holds the reference's next samples. So derivatives need no filter, and the backlash is crossed where
+the reference turns, not after.
 """
 
 import math
@@ -11,7 +11,7 @@ from collections import deque
 from display_node.plant.contact import ContactLaw
 from display_node.plant.stepper import StepperScene
 
-# For a turn smaller than this share of the backlash, the gap is not crossed.
+# A turn smaller than this share of the backlash is not followed to the other flank.
 TURN_SHARE = 0.25
 
 
@@ -93,9 +93,8 @@ class Gap:
         self._least_turn_m = scene.backlash_m * TURN_SHARE
         self._extreme_m = -math.inf
         self._direction = 1
-        self._shares: tuple[float, float, float] | None = None
-        # The steps begin this many ticks before the turn, so that the turn lies between them.
-        self.lead = 0
+        # Shares of the offset now, `delay` ticks later and one tick after that.
+        self._shares = 1.0, 0.0, 0.0
         damping, delay = scene.rotor_damping, 0
         if scene.rotor_resonance_hz is not None and damping < 1:
             damped = math.sqrt(1 - damping * damping)
@@ -104,7 +103,8 @@ class Gap:
             delay, part = int(half_period), half_period % 1.0
             late = kept / (1 + kept)
             self._shares = 1 - late, late * (1 - part), late * part
-            self.lead = 1 if delay else 0
+        # The steps begin this many ticks before the turn, so that the turn lies between them.
+        self.lead = 1 if delay else 0
         self._past: deque[int] = deque([self._direction] * (delay + 2), delay + 2)
 
     def cross(self, tip_m: list[float]) -> float:
@@ -112,8 +112,6 @@ class Gap:
         self._turn(tip_m[self.lead :])
         past = self._past
         past.append(self._direction)
-        if self._shares is None:
-            return self._half_m * self._direction
         at_once, late, later = self._shares
         return self._half_m * (at_once * past[-1] + late * past[1] + later * past[0])
 

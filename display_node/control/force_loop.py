@@ -75,14 +75,10 @@ class ForceLoop:
 
     def coast(self, ticks: int) -> None:
         """Run missed ticks: the actuator keeps its last output until its watchdog stops it."""
-        held = min(ticks, self._watchdog_ticks)
-        self._miss(held)
-        if ticks > held:
-            self.output = 0.0
-            self._miss(min(ticks - held, self._watchdog_ticks))
-
-    def _miss(self, ticks: int) -> None:
-        for _ in range(ticks):
+        # After as many ticks again without a command, the loop is at rest.
+        for missed in range(min(ticks, 2 * self._watchdog_ticks)):
+            if missed == self._watchdog_ticks:
+                self.output = 0.0
             self.read_film()
             self._controller.skip(self.output)
             self.felt_n = self._actuator(self.output)
@@ -144,8 +140,8 @@ def build_force_loop(
     SceneError
         Where the parts do not fit, or the loop is not stable enough.
     """
-    second_order = isinstance(actuator, SecondOrderScene)
-    if second_order and (controller.feed_forward or controller.error == "position"):
+    needs_law = controller.feed_forward or controller.error == "position"
+    if needs_law and isinstance(actuator, SecondOrderScene):
         raise SceneError(
             "[display] controller: feed_forward and error = 'position' need a stepper's contact"
             " law; this actuator is second_order"
@@ -162,7 +158,7 @@ def build_force_loop(
     speed = StepperController(
         controller, actuator, law, film, force_limit_n, tick_s, slew_limit_n_per_s
     )
-    # The rate is that of the scene's actuator; the actual one may move differently at it.
+    # The step rate is computed for the scene's actuator; the actual one may move differently.
     rate_hz = actuator.step_rate().rate_hz
 
     def move(speed_m_per_s: float) -> float:

@@ -6,7 +6,7 @@ limits, the film's noise and ADC, the curve of the contact law. An observer has 
 """
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -132,12 +132,11 @@ def _linear(
         return output
 
     def states() -> Array:
-        return np.array([value for part in parts for value in _states(part)])
+        return np.array([values[key] for values, key in _states(parts)])
 
-    def set_states(values: Array) -> None:
-        left = iter(values.tolist())
-        for part in parts:
-            _set_states(part, left)
+    def set_states(state: Array) -> None:
+        for (values, key), value in zip(_states(parts), state.tolist(), strict=True):
+            values[key] = value
 
     def column(state: Array, push: float = 0.0, noise: float = 0.0) -> tuple[Array, float]:
         set_states(PROBE * state)
@@ -161,33 +160,21 @@ def _linear(
     return LinearLoop(tick_s, a, pushed, c, noise, through, np.array(tips), states(), counts)
 
 
-# A part's `STATE` names its state variables: numbers, sequences of numbers, or parts with a `STATE`
-# of their own. None is no state.
-def _states(part: Any) -> Iterator[float]:
-    for name in part.STATE:
-        value = getattr(part, name)
-        if value is None:
-            continue
-        if hasattr(value, "STATE"):
-            yield from _states(value)
-        elif isinstance(value, float):
-            yield value
-        else:
-            yield from value
+def _states(parts: Iterable[Any]) -> Iterator[tuple[Any, Any]]:
+    """Yield each state variable as a container and the key of its value in it.
 
-
-def _set_states(part: Any, values: Iterator[float]) -> None:
-    for name in part.STATE:
-        value = getattr(part, name)
-        if value is None:
-            continue
-        if hasattr(value, "STATE"):
-            _set_states(value, values)
-        elif isinstance(value, float):
-            setattr(part, name, next(values))
-        else:
-            for index in range(len(value)):
-                value[index] = next(values)
+    A part's `STATE` names its state variables: numbers, sequences of numbers, or parts with a
+    `STATE` of their own. None is no state.
+    """
+    for part in parts:
+        for name in part.STATE:
+            value = getattr(part, name)
+            if hasattr(value, "STATE"):
+                yield from _states([value])
+            elif isinstance(value, float):
+                yield vars(part), name
+            elif value is not None:
+                yield from ((value, index) for index in range(len(value)))
 
 
 # Forces at which a loop is checked, as shares of the force limit: slight touch, a pulse's usual

@@ -126,7 +126,7 @@ class Observer:
         self._twin = twin
         self._law = law
         self._gains = gains
-        self._late = DelayLine(latency_ticks) if latency_ticks else None
+        self._late = DelayLine(latency_ticks)
         self._delayed_tip_m = 0.0
         self._low_pass = low_pass = film.low_pass(tick_s)
         self._scene_m_per_n = compliance = law.finger_m_per_n
@@ -188,20 +188,17 @@ class Observer:
     def move(self, rate_hz: float) -> None:
         """Run the twin for one tick at a signed step rate in Hz."""
         tip_m = self._twin.move(rate_hz)
-        self._delayed_tip_m = tip_m if self._late is None else self._late.step(tip_m)
+        self._delayed_tip_m = self._late.step(tip_m)
         self.force_n = self._law.force(tip_m + self._offset_m)
 
     def shift(self, travel_m: float) -> None:
         """Add a travel of the screw in m that the last command did not include."""
         self._twin.shift(travel_m)
-        if self._late is not None:
-            self._late.shift(travel_m)
+        self._late.shift(travel_m)
 
     @property
     def _delayed_force_n(self) -> float:
         """Expected reading before the filter: from the delayed tip and the present finger."""
-        if self._late is None:
-            return self.force_n
         return self._law.force(self._delayed_tip_m + self._offset_m)
 
     def _changes(self, error_n: float, force_n: float) -> list[float]:

@@ -85,16 +85,11 @@ class Pid:
         wanted = feed_forward + (self._gain * fed_error + past) / (
             1 + error_drop_per_output * self._gain
         )
-        limit = self._limit
-        highest = limit if limit < upper else upper
-        lowest = -limit if -limit > lower else lower
-        if lowest <= wanted <= highest:
-            output, free = wanted, True
-        else:
-            output = highest if wanted > highest else lowest
-            free = (error > 0) != (wanted > output)
+        highest, lowest = min(self._limit, upper), max(-self._limit, lower)
+        # In this order, NaN (an overflow) becomes the lower bound.
+        output = min(highest, max(lowest, wanted))
         remaining = error - error_drop_per_output * output
-        if free:
+        if output == wanted or (error > 0) != (wanted > output):
             self._integral += self._ki_tick * remaining
         if self._kd_tick:
             change = self._kd_tick * (remaining - last)

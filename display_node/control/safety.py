@@ -56,8 +56,6 @@ class Safety:
         self._stale_ticks = scene.stale_after_ns // tick_ns
         self._overforce_n = scene.force_limit_n * scene.overforce
         self._last_n = 0.0
-        # Whether a bound changed the last tick's force; without one, ticks need no counting.
-        self._differed = False
         self.gain = 0.0
         self.faults: list[str] = []
         self.at_force_limit, self.below_zero = LimitCounter(), LimitCounter()
@@ -98,31 +96,17 @@ class Safety:
         gain, limit_n, slew_n, last_n = self.gain, self._limit_n, self._slew_n, self._last_n
         bounded = []
         for force_n in reference_n:
-            wanted_n = gain * force_n
-            if wanted_n > limit_n:
-                wanted_n = limit_n
-            elif not wanted_n >= 0.0:  # a NaN as well: overflow of two enormous samples
-                wanted_n = 0.0
-            if wanted_n > last_n + slew_n:
-                wanted_n = last_n + slew_n
-            elif wanted_n < last_n - slew_n:
-                wanted_n = last_n - slew_n
-            last_n = wanted_n
-            bounded.append(wanted_n)
-        first_n = gain * reference_n[0]
-        if first_n != bounded[0] or self._differed:
-            self._count(first_n, bounded[0])
-            self._differed = first_n != bounded[0]
+            # In this order, NaN (two enormous samples overflow) becomes 0 N.
+            within_n = min(max(0.0, gain * force_n), limit_n)
+            last_n = min(max(within_n, last_n - slew_n), last_n + slew_n)
+            bounded.append(last_n)
+        wanted_n = gain * reference_n[0]
         self._last_n = bounded[0]
+        self.at_force_limit.add(wanted_n > limit_n)
+        self.below_zero.add(not wanted_n >= -NEGLIGIBLE_N)
+        within_n = min(max(0.0, wanted_n), limit_n)
+        self.at_slew_limit.add(gain == 1.0 and bounded[0] != within_n)
         return bounded
-
-    def _count(self, wanted_n: float, bounded_n: float) -> None:
-        """Count the bounds that make this tick's force differ from the wanted one."""
-        below = not wanted_n >= -NEGLIGIBLE_N
-        within_n = 0.0 if below else min(max(wanted_n, 0.0), self._limit_n)
-        self.at_force_limit.add(wanted_n > self._limit_n)
-        self.below_zero.add(below)
-        self.at_slew_limit.add(self.gain == 1.0 and bounded_n != within_n)
 
     def fault(self, name: str) -> None:
         """Latch a fault: the target falls to 0 N until a new start."""

@@ -18,12 +18,12 @@ class DelayLine:
         Delay in ticks, at least 0, not necessarily whole.
     """
 
-    STATE: ClassVar = ("_past",)
-
     def __init__(self, ticks: float) -> None:
         whole = int(ticks)
         self._part = ticks - whole
         self._past: deque[float] = deque([0.0] * (whole + 2), whole + 2)
+        # Without a delay the past has no effect, and would add poles at 0 to a linear model.
+        self.STATE = ("_past",) if ticks else ()
 
     def step(self, value: float) -> float:
         """Take this tick's value and return the delayed one."""

@@ -210,7 +210,7 @@ class Stepper:
         self._rotor: Rotor | None = None
         if scene.rotor_resonance_hz is not None:
             self._rotor = Rotor(scene.rotor_resonance_hz, scene.rotor_damping, tick_s)
-        self._late = DelayLine(scene.latency_ns * 1e-9 / tick_s) if scene.latency_ns else None
+        self._late = DelayLine(scene.latency_ns * 1e-9 / tick_s)
         # Cache: on whole microsteps, the tip returns to the same positions.
         self._forces_n: dict[float, float] = {}
         self._phase = 0.0
@@ -237,14 +237,9 @@ class Stepper:
 
     def move(self, rate_hz: float) -> float:
         """Run one tick without the contact; return the tip's position in m at its end."""
-        rate_hz = max(-self._max_rate_hz, min(rate_hz, self._max_rate_hz))
-        if self._late is not None:
-            rate_hz = self._late.step(rate_hz)
-        limit_hz = self._max_change_hz
-        if rate_hz > self._rate_hz + limit_hz:
-            rate_hz = self._rate_hz + limit_hz
-        elif rate_hz < self._rate_hz - limit_hz:
-            rate_hz = self._rate_hz - limit_hz
+        rate_hz = self._late.step(max(-self._max_rate_hz, min(rate_hz, self._max_rate_hz)))
+        last_hz, change_hz = self._rate_hz, self._max_change_hz
+        rate_hz = min(max(rate_hz, last_hz - change_hz), last_hz + change_hz)
         before, phase = self._phase, self._phase + rate_hz * self._tick_s
         self.at_end.add(phase > self._last_step)
         if not self._first_step <= phase <= self._last_step:

@@ -28,42 +28,31 @@ def controller(**table: object) -> StepperController:
     return StepperController(scene, STEPPER, LAW, FilmTable(), 2.5, TICK_S)
 
 
-MILLIVOLTS_PER_NEWTON = 1e3 * 0.3 / (2 * math.pi * 9e-3)
+MILLIVOLTS_PER_NEWTON = 5305  # eq 21
 
 
 @pytest.mark.parametrize(
     ("error", "expected", "response"),
     [
-        ("force", 0.5 - 0.3, TICK_S * LAW.stiffness(0.3)),
+        ("force", 0.2, TICK_S * LAW.stiffness(0.3)),
         (
             "millivolts",
-            (0.5 - 0.3) * MILLIVOLTS_PER_NEWTON,
+            0.2 * MILLIVOLTS_PER_NEWTON,
             TICK_S * LAW.stiffness(0.3) * MILLIVOLTS_PER_NEWTON,
         ),
         ("position", LAW.position(0.5) - LAW.position(0.3), TICK_S),
     ],
 )
-def test_the_error_is_taken_in_its_kind(error: str, expected: float, response: float) -> None:
-    under_test = controller(kp=2, error=error)
-    output = under_test.output([0.9, 0.5], 0.3)
-    # What is left of the error when the tick is over is what the gain acts on.
-    assert output == pytest.approx(2 * (expected - response * output))
-
-
-def test_millivolts_by_eq_21_are_5305_a_newton() -> None:
-    # Where nothing touches there is no stiffness, and the law is explicit.
-    under_test = controller(kp=1, error="millivolts")
-    assert under_test.output([1.0, 1.0], 0.0) == pytest.approx(5305, abs=0.5)
-
-
-@pytest.mark.parametrize("error", ["force", "millivolts", "position"])
-def test_no_error_is_no_output(error: str) -> None:
-    under_test = controller(kp=100, ki=10, kd=1, error=error)
+def test_the_error_is_in_the_scenes_unit(error: str, expected: float, response: float) -> None:
+    output = controller(kp=2, error=error).output([0.9, 0.5], 0.3)
+    # The gain acts on the error at the tick's end.
+    assert output == pytest.approx(2 * (expected - response * output), rel=1e-4)
+    at_rest = controller(kp=100, ki=10, kd=1, error=error)
     for _ in range(10):
-        assert under_test.output([0.4, 0.4], 0.4) == pytest.approx(0, abs=1e-9)
+        assert at_rest.output([0.4, 0.4], 0.4) == pytest.approx(0, abs=1e-9)
 
 
-def test_feed_forward_is_the_references_speed_and_without_it_the_ticks_end_counts() -> None:
+def test_the_feed_forward_is_the_speed_of_the_reference() -> None:
     under_test = controller(kp=100, error="position", feed_forward=True)
     wanted = (LAW.position(0.35) - LAW.position(0.3)) / TICK_S
     assert under_test.output([0.3, 0.35], 0.3) == pytest.approx(wanted, abs=1e-9)
@@ -76,10 +65,10 @@ SCENES = ("radial", "real_bench", "tmcl_bench")
 
 @pytest.mark.parametrize("name", SCENES)
 @pytest.mark.parametrize(("longest_stall_ticks", "bar_mn"), [(6, 50.0), (20, 150.0), (45, 200.0)])
-def test_a_host_that_stalls_again_and_again_does_not_press_far_beyond_the_pulse(
+def test_repeated_stalls_do_not_press_far_beyond_the_pulse(
     name: str, longest_stall_ticks: int, bar_mn: float
 ) -> None:
-    """Without the guard it is the force limit, 2.5 N, and an RMSE of over 800 mN."""
+    """Without the guard, the force reaches the limit, 2.5 N, and the RMSE exceeds 800 mN."""
     scene = load_scene(find_scene(name)).display
     most_n, rmse_n = press(scene, stalls_always(longest_stall_ticks), 20.0)
     assert 0.5 * PEAK_N < most_n < HEADROOM * PEAK_N
@@ -87,14 +76,14 @@ def test_a_host_that_stalls_again_and_again_does_not_press_far_beyond_the_pulse(
 
 
 @pytest.mark.parametrize("name", SCENES)
-def test_stalls_that_were_not_foreseen_stay_within_the_beats_own_rise(name: str) -> None:
+def test_the_first_stalls_after_quiet_time_add_at_most_the_beats_own_rise(name: str) -> None:
     scene = load_scene(find_scene(name)).display
-    most_n, _ = press(scene, stalls_at_times(45), 30.0)
+    most_n, _ = press(scene, stalls_at_times(45), 14.0)
     rise_n = PEAK_N * math.pi / BEAT_S * 45 * scene.tick_ns * 1e-9
     assert most_n < HEADROOM * PEAK_N + rise_n
 
 
-def test_a_host_that_keeps_its_time_is_not_slowed(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_host_without_stalls_is_not_slowed(monkeypatch: pytest.MonkeyPatch) -> None:
     scene = load_scene(find_scene("radial")).display
     guarded = press(scene, stalls_always(0), 3.0)
     monkeypatch.setattr(StallGuard, "tick", lambda *_: None)
@@ -102,7 +91,7 @@ def test_a_host_that_keeps_its_time_is_not_slowed(monkeypatch: pytest.MonkeyPatc
 
 
 @given(st.floats(0.05, 2.0), st.floats(0.0, 1.0), st.integers(2, 100), st.integers(0, 5000))
-def test_a_speed_held_for_as_long_as_a_stall_of_late_stays_below_the_headroom(
+def test_a_speed_held_for_the_longest_recent_stall_ends_at_the_headroom(
     peak_n: float, share: float, ticks: int, later_ticks: int
 ) -> None:
     guard = StallGuard(LAW, TICK_S, 0.0)
@@ -111,12 +100,14 @@ def test_a_speed_held_for_as_long_as_a_stall_of_late_stays_below_the_headroom(
         guard.tick(0, peak_n)
     screw_m = LAW.position(share * peak_n)
     remembered_s = (ticks + 1) * TICK_S * math.exp(-later_ticks * TICK_S / WORST_S)
-    assert guard.limiting == (remembered_s >= 2 * TICK_S)
-    reached_n = LAW.force(screw_m + guard.fastest(screw_m) * remembered_s)
-    assert reached_n == pytest.approx(HEADROOM * peak_n, rel=1e-6)
+    if remembered_s < 2 * TICK_S:
+        assert guard.fastest(screw_m) == math.inf
+    else:
+        reached_n = LAW.force(screw_m + guard.fastest(screw_m) * remembered_s)
+        assert reached_n == pytest.approx(HEADROOM * peak_n, rel=1e-6)
 
 
-def test_beyond_the_headroom_it_may_only_go_back_and_play_is_taken_up_before_first_touch() -> None:
+def test_beyond_the_headroom_the_tip_only_retracts_and_backlash_is_taken_up_before_touch() -> None:
     guard = StallGuard(LAW, TICK_S, 0.0)
     guard.tick(10, 0.5)
     assert guard.fastest(LAW.position(0.7)) == 0.0
@@ -125,8 +116,8 @@ def test_beyond_the_headroom_it_may_only_go_back_and_play_is_taken_up_before_fir
     assert guard.fastest(0.0) == pytest.approx(1e-5 / 10e-3)
 
 
-def test_a_command_is_made_for_as_long_as_it_is_held_on_average_in_time() -> None:
-    """An instant meets a hold of 9 ticks as often as nine of one."""
+def test_the_holding_time_is_the_mean_over_time() -> None:
+    """One hold of 9 ticks counts as much as nine holds of one tick."""
     guard = StallGuard(LAW, TICK_S, 0.0)
     assert guard.held_s == TICK_S
     for _ in range(100):

@@ -59,10 +59,10 @@ def rmse_n(loop: ForceLoop) -> float:
     return float(np.sqrt(np.mean(error_n[2000:] ** 2)))
 
 
-def test_with_feed_forward_a_stepper_is_off_by_quantisation() -> None:
+def test_with_feed_forward_a_steppers_error_is_that_of_quantisation() -> None:
     law, step_m = STEPPER.contact(ElasticLayer()), STEPPER.step_m
     nearest_n = [law.force(round(law.position(n) / step_m) * step_m) for n in PULSE_N.tolist()]
-    # No drive of 0.625 µm microsteps can do better than 0.18 mN here.
+    # The least RMSE of any drive with microsteps of 0.625 µm.
     floor_n = np.sqrt(np.mean((np.array(nearest_n) - PULSE_N) ** 2))
     assert floor_n == pytest.approx(0.18e-3, abs=0.01e-3)
     assert rmse_n(force_loop(FOLLOWING)) <= 0.25e-3
@@ -76,7 +76,7 @@ def test_with_feed_forward_a_stepper_is_off_by_quantisation() -> None:
         ({"kp": 300, "error": "position"}, STEPPER, 5e-3, 50e-3),
         ({"kp": 0.1}, STEPPER, 5e-3, 50e-3),
         ({"kp": 0.1, "ki": 0.15, "kd": 1e-4}, STEPPER, 5e-3, 50e-3),
-        # The paper's gains in millivolts follow on its actuator, and do not as newtons.
+        # On its actuator, the paper's gains follow the pulse in millivolts, but not in newtons.
         (PAPERS_EXPERIMENT, SECOND_ORDER, 0, 2e-3),
         (PAPERS_EXPERIMENT | {"error": "force"}, SECOND_ORDER, 20e-3, math.inf),
     ],
@@ -95,7 +95,7 @@ def test_the_voltage_is_limited() -> None:
     loop = force_loop(PAPERS_EXPERIMENT, weak)
     for _ in range(20_000):
         tick(loop, 2.0, 2.0)
-    # 1 V is 1/k newtons; what is above is the model's own ringing.
+    # 1 V gives 1/k newtons; the model's own ringing exceeds this.
     assert 0.1 < loop.felt_n < 2 / 4.23
 
 
@@ -108,36 +108,36 @@ def test_no_reference_presses_harder_than_the_limit(limit_n: float) -> None:
 
 
 @pytest.mark.parametrize("gains", [{"kp": 1, "feed_forward": True}, {"kp": 1, "error": "position"}])
-def test_what_needs_a_contact_law_is_refused_without_one(gains: dict[str, object]) -> None:
+def test_gains_that_need_a_contact_law_are_refused_without_one(gains: dict[str, object]) -> None:
     with pytest.raises(SceneError, match="need a stepper's contact law") as caught:
         force_loop(gains, SECOND_ORDER)
     assert "\n" not in str(caught.value)
 
 
-def test_at_rest_it_stays_at_rest() -> None:
+def test_a_loop_at_rest_stays_at_rest() -> None:
     for loop in (force_loop(FOLLOWING), force_loop(PAPERS_EXPERIMENT, SECOND_ORDER)):
         assert [tick(loop, 0.0, 0.0) for _ in range(100)] == [0.0] * 100
 
 
 def rising(loop: ForceLoop) -> ForceLoop:
-    """Let a loop's drive go at a steady 1 N/s."""
+    """Return the loop after 0.5 s of a ramp of 1 N/s."""
     for milli in range(500):
         tick(loop, milli * 1e-3, (milli + 1) * 1e-3)
     return loop
 
 
-def test_nothing_moves_without_a_missed_tick_or_before_the_first_command() -> None:
-    for loop, missed in ((force_loop(FOLLOWING), 10), (rising(force_loop(FOLLOWING)), 0)):
-        before_n = loop.felt_n
-        loop.coast(missed)
-        assert loop.felt_n == before_n
+def test_before_the_first_command_nothing_moves() -> None:
+    loop = force_loop(FOLLOWING)
+    loop.coast(10)
+    assert loop.felt_n == 0.0
 
 
-@pytest.mark.parametrize("ticks", [1, 10, WATCHDOG_TICKS])
-def test_missed_ticks_go_on_with_the_last_command(ticks: int) -> None:
+@pytest.mark.parametrize("ticks", [0, 1, 10, WATCHDOG_TICKS])
+def test_the_last_command_holds_during_missed_ticks(ticks: int) -> None:
     loop = rising(force_loop(FOLLOWING))
     before_n = loop.felt_n
     loop.coast(ticks)
+    assert ticks or loop.felt_n == before_n
     assert loop.felt_n - before_n == pytest.approx(ticks * 1e-3, abs=1e-3 + 0.03e-3 * ticks)
 
 
@@ -150,8 +150,7 @@ def test_a_long_stall_is_stopped_by_the_watchdog(ticks: int) -> None:
     assert stopped_n - before_n == pytest.approx(WATCHDOG_S * 1.0, rel=0.05)
     loop.coast(50)
     assert loop.felt_n == stopped_n
-    # It follows again.
-    for _ in range(300):
+    for _ in range(300):  # the loop follows the reference again
         felt_n = tick(loop, 0.5, 0.5)
     assert felt_n == pytest.approx(0.5, abs=0.7e-3)
 
@@ -159,7 +158,7 @@ def test_a_long_stall_is_stopped_by_the_watchdog(ticks: int) -> None:
 @pytest.mark.parametrize(
     ("ticks", "least_n", "most_n"), [(200, 0, 0), (WATCHDOG_TICKS + 1, 0.3, math.inf)]
 )
-def test_a_fast_drive_brakes_within_a_stall_that_is_longer_than_the_watchdog(
+def test_a_fast_drive_brakes_in_a_stall_beyond_the_watchdog(
     ticks: int, least_n: float, most_n: float
 ) -> None:
     loop = force_loop({"kp": 1000}, limit_n=100.0)
@@ -172,16 +171,16 @@ def test_a_fast_drive_brakes_within_a_stall_that_is_longer_than_the_watchdog(
     assert least_n <= loop.felt_n - stopped_n <= most_n
 
 
-def test_making_up_for_a_lag_rises_no_faster_than_the_slew_limit() -> None:
+def test_a_loop_that_catches_up_rises_no_faster_than_the_slew_limit() -> None:
     slew_n_per_s = 5.0
     loop = force_loop(FOLLOWING, slew_limit_n_per_s=slew_n_per_s)
     felt_n = [tick(loop, 1.0, 1.0) for _ in range(400)]
-    # Bounded where the finger is as stiff as at the reference, and to a microstep.
+    # The bound holds for the finger's stiffness at the reference, and up to a microstep.
     assert np.diff(felt_n).max() <= slew_n_per_s * TICK_S + 1.1e3 * STEPPER.step_m
     assert felt_n[-1] == pytest.approx(1.0, abs=1e-3)
 
 
-def test_a_slow_film_goes_on_while_ticks_are_missed() -> None:
+def test_a_slow_films_model_advances_in_missed_ticks() -> None:
     film = FilmTable.model_validate({"filter": "40 Hz"})
     loop = rising(force_loop(FOLLOWING | {"observer": {"wander": "20 µm"}}, film=film))
     loop.coast(20)
@@ -189,5 +188,5 @@ def test_a_slow_film_goes_on_while_ticks_are_missed() -> None:
     for milli in range(520, 570):
         errors_n.append(loop.felt_n - milli * 1e-3)
         tick(loop, milli * 1e-3, (milli + 1) * 1e-3)
-    # 20 mN were pressed meanwhile; a film taken to have stood still would be off by as much.
+    # The force rose by 20 mN meanwhile; without the advance the error would be as large.
     assert max(map(abs, errors_n)) < 3e-3

@@ -1,4 +1,5 @@
 import math
+from contextlib import nullcontext
 from pathlib import Path
 
 import control
@@ -69,9 +70,8 @@ def tips(loop: LinearLoop, noise: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 @every_case
-def test_it_moves_as_the_shipped_loop_does(case: Case) -> None:
-    # An impulse, a step and noise; in the loop's unit, and so little that the contact law is
-    # straight.
+def test_the_linear_loop_moves_as_the_shipped_one(case: Case) -> None:
+    # An impulse, a step and noise in the loop's unit, small enough for a straight contact law.
     noise = np.zeros(400)
     noise[0], noise[100:200] = 1.0, 1.0
     noise[200:300] = np.random.default_rng(1).normal(0, 1, 100)
@@ -87,7 +87,7 @@ def test_it_moves_as_the_shipped_loop_does(case: Case) -> None:
 
 
 @pytest.mark.parametrize("case", UNFILTERED.values(), ids=UNFILTERED.keys())
-def test_a_displaced_finger_is_a_jump_of_the_reference(case: Case) -> None:
+def test_a_displaced_finger_equals_a_jump_of_the_reference(case: Case) -> None:
     loop = case.linear()
     state, moved = loop.displaced, []
     jumped, left_alone = Shipped(case).settled(), Shipped(case).settled()
@@ -101,12 +101,12 @@ def test_a_displaced_finger_is_a_jump_of_the_reference(case: Case) -> None:
 
 
 @every_case
-def test_left_alone_it_comes_to_rest_after_a_displacement(case: Case) -> None:
+def test_after_a_displacement_the_loop_comes_to_rest(case: Case) -> None:
     loop = case.linear()
     assert np.abs(loop.poles()).max() < 1 - 1e-6
     assert loop.tip @ loop.displaced == 1.0
     state = np.linalg.matrix_power(loop.closed, 6000) @ loop.displaced
-    # The paper's gains read as newtons let the actuator swing on for seconds.
+    # With the paper's gains in newtons, the actuator swings for seconds.
     assert abs(loop.tip @ state) < 0.05
 
 
@@ -117,13 +117,13 @@ def test_a_plain_position_loop_has_the_pole_of_backward_euler(kp: float) -> None
 
 
 @every_case
-def test_poles_are_what_a_response_is_made_of(case: Case) -> None:
+def test_a_response_consists_of_the_poles(case: Case) -> None:
     loop = case.linear()
     response = tips(loop, np.array([1.0] + [0.0] * 400))
-    # A sequence made of these poles alone is annihilated by their polynomial.
+    # The poles' polynomial, as a filter, removes a sequence that consists of these poles only.
     polynomial = np.real(np.poly(loop.poles()))
-    left = np.convolve(response, polynomial)[len(polynomial) : len(response)]
-    assert np.abs(left).max() < 1e-9 * np.abs(response).max()
+    remainder = np.convolve(response, polynomial)[len(polynomial) : len(response)]
+    assert np.abs(remainder).max() < 1e-9 * np.abs(response).max()
 
 
 def test_the_loop_gain_of_a_force_error_grows_with_the_force() -> None:
@@ -132,19 +132,19 @@ def test_the_loop_gain_of_a_force_error_grows_with_the_force() -> None:
     assert actuator.kind == "stepper"
     law = actuator.contact(LAYER)
     gentle, firm = (case.linear(force_n) for force_n in (0.01, 1.0))
-    # The output for a displacement of 1, before the implicit law takes its share.
+    # Outputs for a displacement of 1; the implicit law reduces the ratio.
     ratio = (firm.c @ firm.displaced) / (gentle.c @ gentle.displaced)
     assert 1 < ratio < law.stiffness(1.0) / law.stiffness(0.01)
-    same = [CASES["position"].linear(force_n).c for force_n in (0.01, 1.0)]
-    assert (same[0] == same[1]).all()
+    gentle, firm = (CASES["position"].linear(force_n) for force_n in (0.01, 1.0))
+    assert (gentle.c == firm.c).all()
 
 
 def looped(z_domain: control.TransferFunction) -> LinearLoop:
-    """A textbook loop: negative feedback of 1 round a transfer function of z."""
+    """Return a transfer function of z with negative feedback of 1."""
     system = control.ss(z_domain)
     a, b, c = system.A, system.B[:, 0], system.C[0]
-    nothing = np.zeros(len(a))
-    return LinearLoop(TICK_S, a, b, -c, nothing, -1.0, c, displaced=nothing)
+    zeros = np.zeros(len(a))
+    return LinearLoop(TICK_S, a, b, -c, zeros, -1.0, c, displaced=zeros)
 
 
 def tf(num: list[float], den: list[float]) -> control.TransferFunction:
@@ -174,7 +174,7 @@ def test_margins_are_those_of_python_control(system: control.TransferFunction) -
     found = margins(looped(system))
     assert found.gain == pytest.approx(gain, rel=1e-3)
     assert found.phase_deg == pytest.approx(phase_deg, abs=0.02)
-    # As exact as the step from one frequency to the next.
+    # The step from one frequency to the next limits the accuracy.
     assert found.delay_s == pytest.approx(math.radians(phase_deg) / gain_cut, rel=6e-3)
     assert found.peak_sensitivity == pytest.approx(1 / nearest, rel=2e-3)
     assert found.pole_radius == pytest.approx(np.abs(control.feedback(system).poles()).max())
@@ -186,7 +186,7 @@ def test_margins_are_those_of_python_control(system: control.TransferFunction) -
 @pytest.mark.parametrize("gain", [0.01, 0.1, 0.5])
 def test_an_integrators_margins_are_known_in_closed_form(gain: float) -> None:
     found = margins(looped(tf([gain], [1, -1])))
-    # |1 − e^(jωT)| = gain, and half a tick's delay on top of the integrator's 90°.
+    # |1 − e^(jωT)| = gain; half a tick's delay adds to the integrator's 90°.
     wt = 2 * math.asin(gain / 2)
     assert found.pole_radius == pytest.approx(1 - gain)
     assert found.phase_deg == pytest.approx(90 - math.degrees(wt / 2), abs=1e-3)
@@ -198,7 +198,7 @@ def test_an_integrators_margins_are_known_in_closed_form(gain: float) -> None:
 
 
 def response(case: Case, travel: float) -> NDArray[np.float64]:
-    """The force that the shipped loop of an actuator with so much more travel settles to."""
+    """Return the force of the shipped loop, in 4 s, whose actuator moves `travel` times as far."""
     shipped = Shipped(case, travel)
     return np.array([shipped.tick() for _ in range(4000)])
 
@@ -211,7 +211,7 @@ def test_the_shipped_loop_becomes_unstable_at_its_gain_margin(case: Case) -> Non
 
 
 @judged
-def test_it_becomes_unstable_at_its_delay_margin(case: Case) -> None:
+def test_the_linear_loop_becomes_unstable_at_its_delay_margin(case: Case) -> None:
     loop = case.linear()
     ticks = margins(loop).delay_s / TICK_S
 
@@ -237,8 +237,8 @@ def test_felt_noise_is_that_of_a_long_noisy_run(name: str, wander: float, noise:
     readings_off = noise * rng.standard_normal(ticks)
     finger_moves = wander * math.sqrt(TICK_S) * rng.standard_normal(ticks)
     state, squares = np.zeros(len(closed)), 0.0
-    for off, way in zip(readings_off.tolist(), finger_moves.tolist(), strict=True):
-        state = closed @ state + off * loop.closed_noise + way * loop.displaced
+    for error, moved in zip(readings_off.tolist(), finger_moves.tolist(), strict=True):
+        state = closed @ state + error * loop.closed_noise + moved * loop.displaced
         squares += float(loop.tip @ state) ** 2
     assert felt_noise(loop, wander, noise) == pytest.approx(math.sqrt(squares / ticks), rel=0.05)
 
@@ -263,7 +263,7 @@ def refuse(scene: DisplayScene) -> None:
 
 
 @pytest.mark.parametrize("path", sorted(SCENES.glob("*.toml")), ids=lambda path: path.stem)
-def test_no_scene_of_ours_is_refused(path: Path) -> None:
+def test_no_shipped_scene_is_refused(path: Path) -> None:
     refuse(display_scene(path.stem))
 
 
@@ -280,16 +280,13 @@ def test_an_unstable_loop_is_refused_in_one_line() -> None:
 def test_a_loop_is_refused_where_its_margins_are_unfit(kp: float) -> None:
     case = Case(POSITION | {"kp": kp}, ROTOR, SLOW)
     controller, actuator, film = case.scenes
-    refused = False
-    try:
+    with pytest.raises(SceneError) if kp > 400 else nullcontext():
         refuse_unstable(controller, actuator, LAYER, film, LIMIT_N, TICK_S)
-    except SceneError:
-        refused = True
-    assert refused == (margins(case.linear()).unfit is not None) == (kp > 400)
+    assert (margins(case.linear()).unfit is not None) == (kp > 400)
 
 
-def test_a_force_error_is_judged_up_to_the_limit() -> None:
-    # On a hard finger the contact is stiffer the harder it presses: so is the loop.
+def test_a_force_error_is_checked_up_to_the_limit() -> None:
+    # On a hard finger, contact and loop become stiffer with the force.
     case = Case({"kp": 0.016}, ROTOR | {"fingertip": "1000 N/mm"}, SLOW)
     found = [margins(case.linear(share * LIMIT_N)) for share in FORCE_SHARES]
     assert [each.unfit is None for each in found] == [True, True, False]
@@ -298,7 +295,7 @@ def test_a_force_error_is_judged_up_to_the_limit() -> None:
         refuse_unstable(controller, actuator, LAYER, film, LIMIT_N, TICK_S)
 
 
-def test_a_loop_next_to_instability_is_refused_too() -> None:
+def test_a_loop_near_instability_is_refused() -> None:
     margin = 0.01 * margins(looped(tf([0.01], [1, -1, 0, 0]))).gain
     fits = [margins(looped(tf([share * margin], [1, -1, 0, 0]))) for share in (0.7, 0.95, 1.05)]
     assert [each.stable for each in fits] == [True, True, False]

@@ -15,16 +15,16 @@ from display_node.control.observer import (
 )
 from display_node.plant.contact import ContactLaw
 from display_node.plant.film import FeedbackFilm, FilmTable
-from display_node.plant.stepper import Stepper, StepperScene, StepRate
+from display_node.plant.stepper import Stepper, StepperScene
 from protocol.tactile import ElasticLayer
 
 TICK_S = 1e-3
 SCENE = StepperScene.model_validate({"kind": "stepper", "rotor_resonance": "100 Hz"})
-# The finger is as soft as the scene says, or it is learnt how soft it is.
+# A finger of the scene's compliance, and one whose compliance is learnt.
 KNOWN = ObserverScene.model_validate({"wander": "0.1 mm", "softening": 0})
 LEARNING = ObserverScene.model_validate({"wander": "0.1 mm"})
 SLOW = FilmTable.model_validate({"filter": "40 Hz"})
-# As the gains are designed for it; the film of the bench itself is then without noise.
+# The noise for which the gains are designed; the bench's film itself has none.
 NOISY = FilmTable.model_validate({"filter": "40 Hz", "noise": "2 mN"})
 
 
@@ -40,86 +40,82 @@ def stepper() -> Stepper:
 class Bench:
     """A stepper, a film without noise and an observer of both.
 
-    The finger is `displaced_m` nearer than the observer takes it to be.
+    The finger is `displaced_m` nearer than in the observer's model.
     """
 
     def __init__(
         self, film: FilmTable = NOISY, scene: ObserverScene = KNOWN, fingertip_n_per_m: float = 1e3
     ) -> None:
         quiet = film.model_copy(update={"noise_n": 0.0})
-        # What the observer learns it writes into its own law.
-        self.believed = contact()
-        self.observer = Observer(scene, stepper(), self.believed, film, SCENE.step_m, TICK_S)
+        self.learnt = contact()
+        self.observer = Observer(scene, stepper(), self.learnt, film, SCENE.step_m, TICK_S)
         self.law = contact(fingertip_n_per_m)
         self.displaced_m = 0.0
         self._film = FeedbackFilm(quiet, TICK_S)
         self._stepper = stepper()
-        self._drive = StepRate(1 / SCENE.step_m, 1e9)
+        self._rate_hz = SCENE.step_rate().rate_hz
         self.felt_n = self.reading_n = 0.0
 
-    def tick(self, speed_m_per_s: float, film_says: float | None = None) -> None:
+    def tick(self, speed_m_per_s: float, reading_n: float | None = None) -> None:
         self.reading_n = self._film.read(self.felt_n)
-        self.observer.correct(self.reading_n if film_says is None else film_says)
-        rate_hz = self._drive.rate_hz(speed_m_per_s)
+        self.observer.correct(self.reading_n if reading_n is None else reading_n)
+        rate_hz = self._rate_hz(speed_m_per_s)
         self.observer.move(rate_hz)
         self.felt_n = self.law.force(self._stepper.move(rate_hz) + self.displaced_m)
 
     def swing(self, ticks: int) -> None:
-        """Press and let go a little, five times a second."""
+        """Press and release a little, five times a second."""
         for tick in range(ticks):
             self.tick(0.003 * math.cos(2 * math.pi * 5 * tick * TICK_S))
 
     @property
-    def missed_m(self) -> float:
-        """By how much it does not know yet where the finger is."""
+    def error_m(self) -> float:
+        """Error of the estimated position of the finger."""
         return self.law.position(self.felt_n) - self.law.position(self.observer.force_n)
 
 
-def pressing(bench: Bench, force_n: float = DESIGN_FORCE_N) -> Bench:
-    """The bench at rest with a force that it knows."""
-    way_m = bench.law.position(force_n)
-    for _ in range(100):
-        bench.tick(way_m / 0.1)
-    for _ in range(200):
-        bench.tick(0.0)
+def pressing(bench: Bench) -> Bench:
+    """Return the bench at rest at the design force, without an error."""
+    travel_m = bench.law.position(DESIGN_FORCE_N)
+    for tick in range(300):
+        bench.tick(travel_m / 0.1 if tick < 100 else 0.0)
     return bench
 
 
 @pytest.mark.parametrize("order", [1, 2, 4])
-def test_without_noise_it_estimates_the_felt_force_behind_a_slow_film(order: int) -> None:
+def test_without_noise_the_felt_force_is_estimated_despite_a_slow_film(order: int) -> None:
     bench = pressing(Bench(NOISY.model_copy(update={"filter_order": order})))
     lag_n = []
     for tick in range(500):
         bench.tick(0.005 * math.cos(2 * math.pi * 5 * tick * TICK_S))
         assert bench.observer.force_n == pytest.approx(bench.felt_n, rel=1e-9)
         lag_n.append(bench.felt_n - bench.reading_n)
-    # The film itself is late by 4 ms and more, at up to 3 N/s.
+    # The film itself is at least 4 ms late, at up to 3 N/s.
     assert max(lag_n) > 5e-3
 
 
 @pytest.mark.parametrize("displaced_m", [50e-6, -50e-6])
-def test_it_finds_a_finger_that_is_elsewhere_at_rest_and_in_motion(displaced_m: float) -> None:
-    bench = pressing(Bench())
-    bench.displaced_m = displaced_m
+def test_a_displaced_finger_is_found_at_rest_and_in_motion(displaced_m: float) -> None:
+    bench, moving = pressing(Bench()), pressing(Bench())
+    bench.displaced_m = moving.displaced_m = displaced_m
     bench.tick(0.0)
-    assert bench.missed_m == pytest.approx(displaced_m, rel=1e-6)
+    assert bench.error_m == pytest.approx(displaced_m, rel=1e-6)
     for _ in range(1000):
         bench.tick(0.0)
-    assert bench.missed_m == pytest.approx(0, abs=1e-9)
+    assert bench.error_m == pytest.approx(0, abs=1e-9)
     expected_m = bench.law.position(bench.felt_n)
     assert bench.observer.screw_m == pytest.approx(expected_m, abs=SCENE.step_m)
-    moving = pressing(Bench())
-    moving.displaced_m = displaced_m
     moving.swing(1000)
-    assert moving.missed_m == pytest.approx(0, abs=20e-9)
+    assert moving.error_m == pytest.approx(0, abs=20e-9)
 
 
-def gains(film: FilmTable, wander_n: float = 0.05) -> tuple[float, list[float]]:
-    return observer_gains(film, wander_n, 1e-4, TICK_S)
+def gain(film: FilmTable, wander_n: float = 0.05) -> float:
+    """Return the gain of the offset."""
+    return observer_gains(film, wander_n, 1e-4, TICK_S)[0]
 
 
 def error_dynamics(film: FilmTable) -> NDArray[np.float64]:
-    """What a tick leaves of an error in (offset, filter states), by the gains."""
+    """Return the matrix of a tick for errors in (offset, filter states), by the gains."""
     low_pass = film.low_pass(TICK_S)
     assert low_pass is not None
     stiffness = contact().stiffness(DESIGN_FORCE_N)
@@ -127,34 +123,34 @@ def error_dynamics(film: FilmTable) -> NDArray[np.float64]:
         film, KNOWN.wander_m * stiffness, SCENE.step_m * stiffness / math.sqrt(12), TICK_S
     )
     a = np.block([[np.ones((1, 1)), np.zeros((1, len(low_pass.a)))], [low_pass.b, low_pass.a]])
-    gain = np.array([offset_gain, *filter_gains])
-    left: NDArray[np.float64] = a - np.outer(gain, np.hstack([low_pass.d, low_pass.c]))
-    return left
+    gains = np.array([offset_gain, *filter_gains])
+    closed: NDArray[np.float64] = a - np.outer(gains, np.hstack([low_pass.d, low_pass.c]))
+    return closed
 
 
 @pytest.mark.parametrize("order", [1, 3])
 @pytest.mark.parametrize("noise_n", [0.2e-3, 2e-3, 20e-3])
-def test_it_finds_it_as_fast_as_its_gains_say(noise_n: float, order: int) -> None:
+def test_an_error_decays_as_the_stationary_gains_predict(noise_n: float, order: int) -> None:
     film = NOISY.model_copy(update={"noise_n": noise_n, "filter_order": order})
-    bench, left = pressing(Bench(film)), error_dynamics(film)
-    # So little that the contact law is straight.
+    bench, closed = pressing(Bench(film)), error_dynamics(film)
+    # Small enough for a straight contact law.
     bench.displaced_m = 1e-9
     error = np.array([1e-9] + [0.0] * order)
     for _ in range(100):
         bench.tick(0.0)
-        assert bench.missed_m == pytest.approx(error[0], abs=2e-12)
-        error = left @ error
+        assert bench.error_m == pytest.approx(error[0], abs=2e-12)
+        error = closed @ error
     assert abs(error[0]) < 20e-12
 
 
 @pytest.mark.parametrize("reading_n", [math.nan, math.inf, -math.inf])
-def test_a_reading_that_is_no_number_is_passed_over(reading_n: float) -> None:
+def test_a_reading_that_is_no_number_is_ignored(reading_n: float) -> None:
     bench, undisturbed = pressing(Bench()), pressing(Bench())
     for tick in range(300):
         speed = 0.005 * math.cos(2 * math.pi * 5 * tick * TICK_S)
-        bench.tick(speed, film_says=reading_n if 50 <= tick < 80 else None)
+        bench.tick(speed, reading_n if 50 <= tick < 80 else None)
         undisturbed.tick(speed)
-        # What the film has missed meanwhile its model has followed.
+        # Meanwhile the model of the film has advanced.
         assert bench.observer.force_n == pytest.approx(undisturbed.observer.force_n, rel=1e-9)
         assert bench.observer.force_n == pytest.approx(bench.felt_n, rel=1e-9)
 
@@ -162,20 +158,19 @@ def test_a_reading_that_is_no_number_is_passed_over(reading_n: float) -> None:
 @pytest.mark.parametrize("filter_hz", [None, 40.0])
 def test_the_gain_rises_with_wander_and_falls_with_noise(filter_hz: float | None) -> None:
     film = NOISY.model_copy(update={"filter_hz": filter_hz})
-    offset_gains = [gains(film, wander_n)[0] for wander_n in (0.005, 0.05, 0.5, 5.0)]
-    assert offset_gains[0] > 0
-    assert offset_gains == sorted(offset_gains)
-    assert offset_gains[-1] > 5 * offset_gains[0]
-    noises_n = (0.2e-3, 2e-3, 20e-3, 200e-3)
-    offset_gains = [gains(film.model_copy(update={"noise_n": n}))[0] for n in noises_n]
-    assert offset_gains == sorted(offset_gains, reverse=True)
-    assert offset_gains[0] > 5 * offset_gains[-1] > 0
+    by_wander = [gain(film, wander_n) for wander_n in (0.005, 0.05, 0.5, 5.0)]
+    assert by_wander == sorted(by_wander)
+    assert by_wander[-1] > 5 * by_wander[0] > 0
+    noises_n = (200e-3, 20e-3, 2e-3, 0.2e-3)
+    by_noise = [gain(film.model_copy(update={"noise_n": n})) for n in noises_n]
+    assert by_noise == sorted(by_noise)
+    assert by_noise[-1] > 5 * by_noise[0] > 0
 
 
-def test_a_coarse_converter_counts_as_noise() -> None:
+def test_a_coarse_adc_counts_as_noise() -> None:
     table = {"filter": "40 Hz", "sensitivity": "44 mV/N"}
     coarse, fine = (FilmTable.model_validate(table | {"adc_bits": bits}) for bits in (12, 16))
-    assert gains(coarse)[0] < 0.5 * gains(fine)[0]
+    assert gain(coarse) < 0.5 * gain(fine)
 
 
 @pytest.mark.parametrize("wander_n", [0.005, 0.05, 0.5])
@@ -193,55 +188,54 @@ def test_without_a_filter_the_gain_is_that_of_a_scalar_kalman_filter(wander_n: f
 @pytest.mark.parametrize(("reading_n", "bound_m"), [(1e3, MAX_OFFSET_M), (-1e3, -MAX_OFFSET_M)])
 def test_no_reading_moves_the_finger_beyond_its_bounds(reading_n: float, bound_m: float) -> None:
     bench = Bench(SLOW, LEARNING)
-    softness = bench.believed.finger_m_per_n
+    softness = bench.learnt.finger_m_per_n
+    least, most = SOFTNESS_RANGE
     for _ in range(3000):
         bench.observer.correct(reading_n)
         assert abs(bench.observer.screw_m) <= MAX_OFFSET_M
-        assert math.isfinite(bench.believed.finger_m_per_n)
+        assert least * softness <= bench.learnt.finger_m_per_n <= most * softness
     assert bench.observer.screw_m == bound_m
-    least, most = SOFTNESS_RANGE
-    assert least * softness <= bench.believed.finger_m_per_n <= most * softness
 
 
 @pytest.mark.parametrize("glitch_n", [1.0, 100.0, -100.0])
 def test_one_wild_reading_counts_no_more_than_an_outlier(glitch_n: float) -> None:
     bench, mildly = pressing(Bench()), pressing(Bench())
     before_m = bench.observer.screw_m
-    bench.tick(0.0, film_says=DESIGN_FORCE_N + glitch_n)
-    mildly.tick(0.0, film_says=DESIGN_FORCE_N + math.copysign(10.0, glitch_n))
+    bench.tick(0.0, DESIGN_FORCE_N + glitch_n)
+    mildly.tick(0.0, DESIGN_FORCE_N + math.copysign(10.0, glitch_n))
     moved_m = bench.observer.screw_m - before_m
     assert math.copysign(1.0, moved_m) == math.copysign(1.0, glitch_n)
     assert moved_m == mildly.observer.screw_m - before_m
-    # A settled Kalman filter moves a random walk by its own step at every standard deviation.
+    # A settled Kalman filter moves a random walk by the walk's own step per standard deviation.
     step_m = KNOWN.wander_m * math.sqrt(TICK_S)
     assert abs(moved_m) == pytest.approx(OUTLIER * step_m, rel=1e-3)
 
 
-def test_a_light_touch_does_not_throw_it_off() -> None:
-    # Where nothing touches there is no stiffness to divide by.
+def test_a_light_touch_does_not_disturb_the_estimate() -> None:
+    # Without touch the stiffness, which is a divisor, is 0.
     bench = Bench(SLOW)
     bench.observer.correct(1e-4)
     assert 0 < bench.observer.screw_m < 10e-6
 
 
 @pytest.mark.parametrize("fingertip_n_per_m", [500.0, 1200.0])
-def test_it_learns_how_soft_the_finger_is(fingertip_n_per_m: float) -> None:
-    learning = pressing(Bench(NOISY, LEARNING, fingertip_n_per_m))
-    taking_it_as_it_is = pressing(Bench(NOISY, KNOWN, fingertip_n_per_m))
-    for bench in (learning, taking_it_as_it_is):
-        bench.swing(6000)
-    assert learning.believed.finger_m_per_n == pytest.approx(1 / fingertip_n_per_m, rel=0.02)
-    assert taking_it_as_it_is.believed.finger_m_per_n == 1e-3
-    missed_n: dict[str, list[float]] = {"learning": [], "not": []}
-    for tick in range(200):
-        for name, bench in (("learning", learning), ("not", taking_it_as_it_is)):
+def test_the_finger_stiffness_is_learnt(fingertip_n_per_m: float) -> None:
+    learnt, deviations_n = [], []
+    for scene in (LEARNING, KNOWN):
+        bench = pressing(Bench(NOISY, scene, fingertip_n_per_m))
+        bench.swing(5000)
+        learnt.append(bench.learnt.finger_m_per_n)
+        errors_n = []
+        for tick in range(200):
             bench.tick(0.003 * math.cos(2 * math.pi * 5 * tick * TICK_S))
-            missed_n[name].append(bench.felt_n - bench.observer.force_n)
-    assert np.std(missed_n["learning"]) < 0.2 * np.std(missed_n["not"])
+            errors_n.append(bench.felt_n - bench.observer.force_n)
+        deviations_n.append(np.std(errors_n))
+    assert learnt == [pytest.approx(1 / fingertip_n_per_m, rel=0.02), 1e-3]
+    assert deviations_n[0] < 0.2 * deviations_n[1]
 
 
-def test_at_rest_the_force_is_found_whatever_the_softness() -> None:
-    # Where and how soft are one number there: it finds the force all the same.
+def test_at_rest_the_force_is_found_with_any_stiffness() -> None:
+    # At rest, place and stiffness of the finger cannot be told apart.
     bench = pressing(Bench(NOISY, LEARNING, 500.0))
     for _ in range(2000):
         bench.tick(0.0)
@@ -249,6 +243,6 @@ def test_at_rest_the_force_is_found_whatever_the_softness() -> None:
 
 
 @pytest.mark.parametrize("table", [{"wander": "0 mm"}, {"wander": "1 mm", "softening": 2}])
-def test_what_no_finger_does_is_refused(table: dict[str, object]) -> None:
+def test_impossible_motions_of_a_finger_are_refused(table: dict[str, object]) -> None:
     with pytest.raises(ValueError, match="validation error"):
         ObserverScene.model_validate(table)

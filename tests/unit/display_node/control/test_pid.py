@@ -22,7 +22,7 @@ def pid(limit: float = ENDLESS, tick_s: float = TICK_S, **table: object) -> Pid:
 def outputs_by_sums(
     errors: NDArray[np.float64], kp: float, ki: float, kd: float, corner_hz: float
 ) -> NDArray[np.float64]:
-    """An unbounded PID without recursion: each output a sum over the whole past."""
+    """Return the outputs of an unbounded PID, each as a sum over the whole past."""
     filter_s = 1 / (2 * math.pi * corner_hz)
     fading = (filter_s / (filter_s + TICK_S)) ** np.arange(len(errors))
     changes = np.diff(errors, prepend=errors[0])
@@ -56,14 +56,14 @@ def test_a_long_saturation_leaves_no_windup(gains: dict[str, float], sign: int) 
         saturated = under_test.step(sign * 0.5)
     assert sign * saturated == pytest.approx(1.0, abs=0.3)
     assert sign * under_test.step(-sign * 0.5) < 1.0
-    # At the limit of its own the integral is worked off again in limit / (ki error).
+    # An integral at the limit unloads within limit / (ki error).
     ticks = 2 + round(1 / (gains["ki"] * TICK_S * 0.5))
     for _ in range(ticks):
         back = under_test.step(-sign * 0.5)
     assert sign * back < 0
 
 
-def test_saturation_does_not_charge_the_integral_nor_keep_it_from_unloading() -> None:
+def test_under_saturation_the_integral_may_only_unload() -> None:
     under_test = pid(limit=1.0, kp=10, ki=100)
     for _ in range(1000):
         assert under_test.step(5.0) == 1.0
@@ -118,7 +118,7 @@ def test_the_law_holds_for_the_error_at_the_ticks_end(
     outputs = np.array([under_test.step(error, response, feed) for error, feed in steps])
     errors, feeds = np.array(steps).T
     remaining = errors - response * outputs
-    # The first error before anything was done about it is the past that the derivative sees.
+    # The derivative's past begins with the first error, before the first output.
     past_and_remaining = np.concatenate([errors[:1], remaining])
     expected = outputs_by_sums(past_and_remaining, kp, ki, kd, float(f"{corner_hz:.6f}"))[1:]
     expected -= ki * TICK_S * errors[0]
@@ -127,13 +127,13 @@ def test_the_law_holds_for_the_error_at_the_ticks_end(
 
 
 @pytest.mark.parametrize("response", [1e-6, 1e-3, 1.0])
-def test_an_endless_gain_leaves_no_error_and_does_no_more(response: float) -> None:
+def test_a_very_high_gain_removes_the_error_within_a_tick(response: float) -> None:
     output = pid(kp=1e12).step(0.3, response)
     assert output == pytest.approx(0.3 / response, rel=1e-5)
 
 
 @pytest.mark.parametrize("response", [1e-3, 0.05])
-def test_what_was_saturated_goes_on_as_if_it_had_only_begun(response: float) -> None:
+def test_after_saturation_the_response_is_that_of_a_fresh_start(response: float) -> None:
     def from_afar(error: float) -> list[float]:
         """Return the error of a plant that integrates its commands, after each tick."""
         under_test, errors = pid(limit=1.0, kp=5, ki=20), []
@@ -144,7 +144,7 @@ def test_what_was_saturated_goes_on_as_if_it_had_only_begun(response: float) -> 
 
     far = 2 + 500 * response
     all_the_way = from_afar(far)
-    # Of 500 ticks at the bound none has charged the integral.
+    # None of the 500 ticks at the bound has charged the integral.
     at_bound = [far - response * tick for tick in range(1, 501)]
     assert all_the_way[:500] == pytest.approx(at_bound)
     assert all_the_way[500:] == pytest.approx(from_afar(at_bound[-1])[:-500], abs=1e-9)
@@ -157,14 +157,14 @@ def test_what_was_saturated_goes_on_as_if_it_had_only_begun(response: float) -> 
     st.lists(st.tuples(st.floats(-1e6, 1e6), st.floats(-1e6, 1e6)), max_size=60),
     st.just(0.0) | st.floats(0, 1e6),
 )
-def test_no_response_passes_its_limit(steps: list[tuple[float, float]], response: float) -> None:
+def test_no_output_exceeds_the_limit(steps: list[tuple[float, float]], response: float) -> None:
     under_test = pid(limit=0.4, kp=15, ki=100, kd=0.5)
     for error, feed in steps:
         assert abs(under_test.step(error, response, feed)) <= 0.4
 
 
 @pytest.mark.parametrize("response", [0.0, 1e-3])
-def test_an_error_that_is_no_number_retracts_and_leaves_no_trace(response: float) -> None:
+def test_an_error_that_is_no_number_retracts_and_is_not_remembered(response: float) -> None:
     errors = np.random.default_rng(4).normal(0, 1, 50).tolist()
     under_test = pid(limit=1e4, kp=15, ki=100, kd=0.5)
     undisturbed = pid(limit=1e4, kp=15, ki=100, kd=0.5)
@@ -199,7 +199,7 @@ def test_the_papers_gains_are_stable_at_every_rate(
         volts = under_test.step(error_mv, MILLIVOLTS_PER_NEWTON * actuator.response)
         forces_n.append(actuator.step(volts))
     assert min(forces_n) > 0
-    # The experiment's gains overshoot by a third when they meet a jump.
+    # With the experiment's gains, a jump overshoots by a third.
     assert max(forces_n) < 1.35 * WANTED_N
     assert max(abs(force_n - WANTED_N) for force_n in forces_n[rate_hz // 2 :]) < 1e-3
 
@@ -216,12 +216,12 @@ def test_with_a_backward_difference_the_simulations_gains_diverge_at_1_khz() -> 
 
 
 @pytest.mark.parametrize("response", [0.0, 1e-3])
-def test_an_error_within_the_dead_band_is_none_and_the_feed_is_left_alone(response: float) -> None:
+def test_an_error_within_the_dead_band_counts_as_zero_besides_the_feed(response: float) -> None:
     under_test = pid(kp=100, ki=50, kd=0.1, dead_band=0.01)
     assert [under_test.step(error, response) for error in (0.01, -0.01, 0.004)] == [0.0] * 3
     assert under_test.step(0.011, response) > 0
     under_test = pid(kp=100, dead_band=0.01)
-    # What is fed makes an error of 2 within the tick and answers it: nothing is left over.
+    # The feed-forward removes an error of 2 within the tick; the rest is within the dead band.
     for error in (2.0, 2.005):
         assert under_test.step(error, 1e-3, feed_forward=2000.0) == pytest.approx(2000.0)
     assert under_test.step(2.5, 1e-3, feed_forward=2000.0) > 2000.0

@@ -18,7 +18,7 @@ def safety(tick_ns: int = TICK_NS, **table: object) -> Safety:
 
 
 def at_full_strength() -> Safety:
-    """A safety whose ramp is over, at rest."""
+    """Return a safety at 0 N after its ramp."""
     ready = safety()
     while ready.gain < 1.0:
         ready.bound([0.0, 0.0], alive=True)
@@ -36,7 +36,7 @@ def ticked(under_test: Safety, force_n: float, ticks: int, alive: bool = True) -
         max_size=100,
     )
 )
-def test_no_sequence_passes_the_limit_or_the_slew(
+def test_no_sequence_exceeds_force_or_slew_limit(
     ticks: list[tuple[float, float, bool, float]],
 ) -> None:
     under_test = at_full_strength()
@@ -71,14 +71,14 @@ def test_a_force_is_limited(force_n: float, expected_n: float) -> None:
     assert ticked(at_full_strength(), force_n, 100)[-1] == expected_n
 
 
-def test_slew_is_that_of_the_tick() -> None:
+def test_the_slew_limit_does_not_depend_on_the_tick() -> None:
     for tick_ns in (100_000, 1_000_000, 10_000_000):
         under_test = safety(tick_ns, ramp="1 ms")
         ticked(under_test, 0.0, 20)
         assert under_test.bound([2.0, 2.0], True)[0] == pytest.approx(50 * tick_ns * 1e-9)
 
 
-def test_a_jump_of_the_reference_is_climbed_and_descended_at_the_slew_limit() -> None:
+def test_jumps_of_the_reference_are_followed_at_the_slew_limit() -> None:
     under_test = at_full_strength()
     rising_n = ticked(under_test, 1.0, 21)
     assert rising_n[:20] == pytest.approx([SLEW_N * tick for tick in range(1, 21)])
@@ -86,21 +86,20 @@ def test_a_jump_of_the_reference_is_climbed_and_descended_at_the_slew_limit() ->
     falling_n = ticked(under_test, 0.2, 17)
     assert falling_n[:16] == pytest.approx([1 - SLEW_N * tick for tick in range(1, 17)])
     assert falling_n[16] == pytest.approx(0.2)
-    # Between the two values of one reference as well.
+    # The limit also holds between the two values of one reference.
     assert under_test.bound([0.2, 1.0], alive=True)[1] == pytest.approx(0.2 + SLEW_N)
     assert under_test.bound([0.2, 0.0], alive=True)[1] == pytest.approx(0.2 - SLEW_N)
 
 
-def test_it_begins_at_rest_and_ramps_up() -> None:
+def test_the_force_starts_at_rest_and_ramps_up() -> None:
     under_test = safety(ramp="500 ms")
     assert under_test.gain == 0.0
     felt_n = ticked(under_test, 1.0, 501)
-    assert felt_n[:500] == pytest.approx([tick / 500 for tick in range(1, 501)])
-    assert felt_n[500] == 1.0
-    assert under_test.gain == 1.0
+    assert felt_n == pytest.approx([tick / 500 for tick in range(1, 501)] + [1.0])
+    assert felt_n[500] == under_test.gain == 1.0
 
 
-def test_a_stale_stream_fades_to_nothing() -> None:
+def test_a_stale_stream_fades_to_zero() -> None:
     under_test = at_full_strength()
     ticked(under_test, 1.0, 100)
     fading_n = ticked(under_test, 1.0, 45, alive=False)
@@ -109,7 +108,7 @@ def test_a_stale_stream_fades_to_nothing() -> None:
     assert under_test.gain < 1.0
 
 
-def test_a_short_gap_costs_only_what_was_faded() -> None:
+def test_after_a_short_gap_the_ramp_starts_where_the_fade_ended() -> None:
     under_test = at_full_strength()
     ticked(under_test, 1.0, 100)
     assert ticked(under_test, 1.0, 10, alive=False)[-1] == pytest.approx(0.75)
@@ -118,63 +117,62 @@ def test_a_short_gap_costs_only_what_was_faded() -> None:
     assert back_n[-1] == 1.0
 
 
-@pytest.mark.parametrize("feedback_n", [math.nan, math.inf, -math.inf])
-def test_feedback_that_is_no_number_is_a_fault(feedback_n: float) -> None:
+TOO_HIGH, NO_NUMBER = "felt force above 2.7 N", "feedback is not a number"
+
+
+@pytest.mark.parametrize(
+    ("feedback_n", "faults"),
+    [
+        (math.nan, [NO_NUMBER]), (math.inf, [NO_NUMBER]), (-math.inf, [NO_NUMBER]),
+        (2.7, []), (2.71, [TOO_HIGH]), (-2.71, [TOO_HIGH]), (-0.5, []),
+    ],
+)  # fmt: skip
+def test_an_implausible_reading_is_a_fault(feedback_n: float, faults: list[str]) -> None:
     under_test = at_full_strength()
     under_test.watch(feedback_n)
-    assert under_test.faults == ["feedback is not a number"]
+    assert under_test.faults == faults
 
 
-@pytest.mark.parametrize(("feedback_n", "faults"), [(2.7, 0), (2.71, 1), (-2.71, 1), (-0.5, 0)])
-def test_felt_force_far_above_the_limit_is_a_fault(feedback_n: float, faults: int) -> None:
-    under_test = at_full_strength()
-    under_test.watch(feedback_n)
-    assert under_test.faults == ["felt force above 2.7 N"] * faults
-
-
-def test_a_fault_brings_the_actuator_to_rest_for_good() -> None:
+def test_a_fault_keeps_the_target_at_zero() -> None:
     under_test = at_full_strength()
     ticked(under_test, 1.0, 100)
     for feedback_n in (9.0, 9.0, math.nan, 1.0):
         under_test.watch(feedback_n)
-    assert under_test.faults == ["felt force above 2.7 N", "feedback is not a number"]
+    assert under_test.faults == [TOO_HIGH, NO_NUMBER]
     assert ticked(under_test, 1.0, 45)[-1] == 0.0
     assert max(ticked(under_test, 1.0, 2000)) == 0.0
 
 
 def counted(under_test: Safety) -> dict[str, tuple[int, int]]:
-    """Times and ticks of each bound that has held."""
-    counters = {
-        "force": under_test.at_force_limit,
-        "negative": under_test.below_zero,
-        "slew": under_test.at_slew_limit,
-    }
+    """Return times and ticks of each bound that was in effect."""
+    names = ("at_force_limit", "below_zero", "at_slew_limit")
+    counters = {name: getattr(under_test, name) for name in names}
     return {name: (c.times, c.ticks) for name, c in counters.items() if c.times}
 
 
-def test_a_force_that_is_cut_is_counted_each_time_and_for_as_long() -> None:
+def test_each_time_and_tick_at_a_limit_is_counted() -> None:
     under_test = at_full_strength()
     ticked(under_test, LIMIT_N - 0.02, 100)
-    assert counted(under_test) == {"slew": (1, 49)}
+    assert counted(under_test) == {"at_slew_limit": (1, 49)}
     for _ in range(3):
         ticked(under_test, LIMIT_N + 0.01, 10)
         ticked(under_test, LIMIT_N, 5)
-    assert counted(under_test) == {"slew": (1, 49), "force": (3, 30)}
+    assert counted(under_test) == {"at_slew_limit": (1, 49), "at_force_limit": (3, 30)}
 
 
 @pytest.mark.parametrize(("force_n", "ticks"), [(-0.2, 7), (math.nan, 7), (-1e-4, 0), (0.0, 0)])
-def test_what_would_pull_and_what_is_no_number_is_counted(force_n: float, ticks: int) -> None:
+def test_negative_forces_and_nan_are_counted(force_n: float, ticks: int) -> None:
     under_test = at_full_strength()
     ticked(under_test, force_n, 7)
-    assert counted(under_test) == ({"negative": (1, ticks)} if ticks else {})
+    assert counted(under_test) == ({"below_zero": (1, ticks)} if ticks else {})
 
 
-def test_ramp_and_fade_are_no_limit() -> None:
+def test_ramp_and_fade_do_not_count_as_limits() -> None:
     under_test = safety()
     for _ in range(5):
         ticked(under_test, 2.0, 400)
-        # A stream that is gone leaves no reference: the slew limit brings the tip to rest.
+        # Without a stream there is no reference: the slew limit brings the tip to rest.
         ticked(under_test, 0.0, 60, alive=False)
-    under_test.fault("no matter what")
+    under_test.fault("any")
     ticked(under_test, 0.0, 60)
     assert counted(under_test) == {}
