@@ -242,9 +242,8 @@ class Display:
             error_n = self._concealment.error_n(predicted_ns)
             state.predictor_error_n = math.nan if error_n is None else ratio * error_n
         wrist_n = self._concealment.complete(wrist_n, count, sampled_ns, newest_ns)
-        # With a small E the newest sample is older than the instant even when it is on time.
-        due_ns = newest_ns + self._scene.safety.stale_after_ns
-        alive = sampled_ns <= due_ns or sensing_now_ns - delay_ns <= due_ns
+        stale_after_ns = self._scene.safety.stale_after_ns
+        alive = receiver.live(sampled_ns, sensing_now_ns, stale_after_ns)
         if alive:
             self._delays.add(sensing_now_ns - instant_ns, predicted_ns, state.trusted)
         return [ratio * force_n for force_n in wrist_n], alive

@@ -110,6 +110,17 @@ class Receiver:
         """Return whether no valid message has come for a second."""
         return now_ns - self._received_ns > SILENT_AFTER_NS
 
+    def live(self, sampled_ns: int, sensing_now_ns: int, stale_after_ns: int) -> bool:
+        """Return whether the stream is not stale when a sample of `sampled_ns` is played.
+
+        With a small perceived delay the newest sample is older than `sampled_ns` even when it is on
+        time. So the age of the newest sample counts only from the link's delay on.
+        """
+        newest_ns, delay_ns = self.buffer.newest_ns, self.delay.delay_ns
+        if newest_ns is None or delay_ns is None:
+            return False
+        return min(sampled_ns, sensing_now_ns - delay_ns) <= newest_ns + stale_after_ns
+
     def introduce(self) -> None:
         """Send hello with the next requests, because control has a new connection."""
         self._hello_due = True

@@ -130,18 +130,11 @@ class RunFindings:
         now_ns, instant_ns, receiver = fields["now_ns"], fields["instant_ns"], self._receiver
         self.ticks += 1
         self._count_misses(now_ns)
-        receiver.play(instant_ns)
+        sampled_ns = receiver.play(instant_ns)
         if not receiver.ready:
             return
         sensing_now_ns, target_n = receiver.clock.remote_ns(now_ns), float(fields["target_n"])
-        newest_ns, link_ns = receiver.buffer.newest_ns, receiver.delay.delay_ns
-        # Nothing is played before the first sample, nor from a stale stream, as the display judges.
-        if (
-            target_n
-            and newest_ns is not None
-            and link_ns is not None
-            and min(instant_ns, sensing_now_ns - link_ns) <= newest_ns + self._stale_after_ns
-        ):
+        if target_n and receiver.live(sampled_ns, sensing_now_ns, self._stale_after_ns):
             self._played += 1
             delay_ms = (sensing_now_ns - instant_ns) * 1e-6
             self.playout_ms.add(delay_ms)

@@ -215,8 +215,15 @@ class PassiveReceiver(Receiver):
             self.on_control(wire.encode_control(reply), fields["t4_ns"])
         return None
 
-    def play(self, instant_ns: int) -> None:
-        """Advance the buffer to an instant of the pulse that a tick played."""
+    def play(self, instant_ns: int) -> int:
+        """Advance the buffer to an instant of the pulse that a tick played.
+
+        Returns
+        -------
+        int
+            Time of the sample that shows this instant: later by the sensing chain's group delay.
+        """
+        late_ns = 0 if self.description is None else self.description.group_delay_ns
         if self.ready:
-            late_ns = 0 if self.description is None else self.description.group_delay_ns
             self.buffer.advance(instant_ns + late_ns)
+        return instant_ns + late_ns

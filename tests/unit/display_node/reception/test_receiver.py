@@ -55,6 +55,20 @@ def test_plays_nothing_before_enough_of_the_stream_has_come() -> None:
     assert ready[-1]
 
 
+def test_a_stream_is_live_until_its_newest_sample_is_too_old() -> None:
+    receiver, stale_ns = joined(sender := Sender()), 60 * MS
+    assert not receiver.live(0, 0, stale_ns)
+    for ms in range(100, 400, 5):
+        receiver.on_frame(sender.frame(ms * MS, 0.3), ms * MS)
+    newest_ns, delay_ns = receiver.buffer.newest_ns, receiver.delay.delay_ns
+    assert newest_ns is not None
+    assert delay_ns is not None
+    last_ns = newest_ns + stale_ns
+    assert receiver.live(last_ns, last_ns + delay_ns + 1, stale_ns)
+    assert receiver.live(last_ns + 1, last_ns + delay_ns, stale_ns)
+    assert not receiver.live(last_ns + 1, last_ns + delay_ns + 1, stale_ns)
+
+
 def bad_frames(sender: Sender) -> dict[str, tuple[bytes, str]]:
     good = sender.frame(200 * MS, 0.3)
     fields = msgpack.unpackb(good)
