@@ -1,9 +1,9 @@
 """An interval of a trial: the pulse is felt while a gate in the display's safety is open.
 
-The stream runs to the display, over a link or directly. While the gate is closed, the actuator
-rests. Safety ramps up when the gate opens and fades when it closes, as for a stream that begins and
-ends. Only the display's clock opens and closes the gate, so that the beginning of the pulse reveals
-neither the link's delay nor the time to join.
+The stream runs to the display over a link, or directly. The actuator rests while the gate is
+closed. Safety ramps up when the gate opens, and fades when it closes, as for a stream that begins
+and ends. Only the display's clock moves the gate, so the beginning of the pulse reveals neither the
+link's delay nor the time to join.
 """
 
 import math
@@ -18,6 +18,7 @@ from display_node.display import Display
 from display_node.drives.hardware import Hardware
 from display_node.scoring.deadlines import GAP_NS
 from sensing_node.sources.synthetic import SyntheticScene
+from telepulse.experiment.psychometrics import IntervalErrors
 from telepulse.experiment.session import Letter, SessionPlan, Trial
 from telepulse.scene import Scene
 from telepulse.simulation.virtual_time import Simulation
@@ -25,7 +26,7 @@ from telepulse.simulation.virtual_time import Simulation
 # The gate opens after a random time up to this. It is longer than a beat, so that the pulse can
 # begin at any phase.
 FOREPERIOD_NS = 1_000_000_000
-# Time after the fade until the layer is at rest.
+# Time from the end of the fade until the layer is at rest.
 REST_NS = 150_000_000
 # An interval with a larger share of missed ticks does not represent its condition.
 MOST_MISSED = 0.01
@@ -33,7 +34,7 @@ MOST_MISSED = 0.01
 
 @dataclass(frozen=True, slots=True)
 class Interval:
-    """One interval to be felt. foreperiod_ns: time from its start until the gate opens."""
+    """An interval to be felt. foreperiod_ns: time from its start until the gate opens."""
 
     letter: Letter
     scene: Scene
@@ -81,7 +82,7 @@ class PlayedInterval(BaseModel):
 
     @property
     def stale(self) -> str:
-        """Why the pulse was not fully felt: a stale stream, or never full strength; or ""."""
+        """Reason why the pulse was not fully felt, a stale stream or no full strength; or ""."""
         if self.stale_ticks:
             percent = 100 * self.stale_ticks / self._tick_count
             return f"the stream stale for {percent:.1f} % of the ticks"
@@ -89,7 +90,7 @@ class PlayedInterval(BaseModel):
 
     @property
     def spoilt(self) -> str:
-        """Reason why the machine spoilt the interval; "" where it did not.
+        """Reason why the machine spoilt the interval, or "".
 
         A stale stream is an effect of the link model, which is under test and does not depend on
         the machine. A slow machine shows as missed ticks.
@@ -220,15 +221,17 @@ def play_in_virtual_time(interval: Interval) -> PlayedInterval:
     return playing.played()
 
 
-def error_share(played: Sequence[PlayedInterval], letter: Letter) -> float:
-    """Return the mean aligned force error of a letter over the direct pulse from peak to peak.
+def interval_errors(played: Sequence[PlayedInterval]) -> IntervalErrors:
+    """Return the mean aligned force errors of A, B and X over the direct pulse from peak to peak.
 
-    An interval that was never felt at full strength counts as 1. NaN without any interval.
+    An interval that was never felt at full strength counts as 1. NaN for a letter without any
+    interval.
     """
     pulse_n = max((p.pulse_n for p in played if not p.on_link), default=0.0)
-    shares = [
-        1.0 if p.aligned_n is None else p.aligned_n / pulse_n
-        for p in played
-        if p.letter == letter and pulse_n > 0
-    ]
-    return sum(shares) / len(shares) if shares else math.nan
+
+    def share(letter: str) -> float:
+        errors_n = [p.aligned_n for p in played if p.letter == letter and pulse_n > 0]
+        shares = [1.0 if error_n is None else error_n / pulse_n for error_n in errors_n]
+        return sum(shares) / len(shares) if shares else math.nan
+
+    return IntervalErrors(share("A"), share("B"), share("X"))

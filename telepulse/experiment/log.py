@@ -1,7 +1,7 @@
 """The log of a session, and the results of one log or several.
 
-A log has a JSON line for the session, then one for each trial. Each line is written to the disk at
-once. An incomplete last line, as after a crash, is ignored.
+The first line of a log describes the session; each further one is a trial. The lines are JSON, and
+each is written to the disk at once. An incomplete last line, as after a crash, is ignored.
 """
 
 import os
@@ -18,7 +18,7 @@ from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
 from protocol.config.scene import validate
 from protocol.errors import OutputError, TelepulseError
-from telepulse.experiment.interval import PlayedInterval, error_share
+from telepulse.experiment.interval import PlayedInterval, interval_errors
 from telepulse.experiment.psychometrics import IntervalErrors, Proportion
 from telepulse.experiment.session import Kind, SessionPlan, SessionTable, Trial, draw_trials
 from telepulse.scene import scene_provenance
@@ -47,9 +47,9 @@ class _Line(BaseModel):
 class SessionHeader(_Line):
     """The first line.
 
-    tables: session file and scene as written. threshold: threshold of the simulated observer; None
-    for a person. felt_on: "drive", or "models" without a drive, where nobody feels anything.
-    provenance: provenance of the run. Logs of older versions lack the last two.
+    tables: session file and scene as written. threshold: of the simulated observer; None for a
+    person. felt_on: "models" where there is no drive, so that nobody feels anything. provenance: of
+    the run. Logs of older versions lack the last two.
     """
 
     line: Literal["session"] = "session"
@@ -71,7 +71,7 @@ class SessionHeader(_Line):
 
 
 class AnsweredTrial(_Line):
-    """A trial.
+    """The line of an answered trial.
 
     response_s: time from the trial's start to the answer; None for a simulated observer. played:
     every interval that was felt, in order.
@@ -86,7 +86,7 @@ class AnsweredTrial(_Line):
 
 
 class ResumedSession(_Line):
-    """The session was resumed."""
+    """The line at which a session was resumed."""
 
     line: Literal["resumed"] = "resumed"
     version: str
@@ -99,7 +99,7 @@ _LINE: TypeAdapter[LogLine] = TypeAdapter(LogLine)
 
 
 class SessionLog(NamedTuple):
-    """A log that was read. whole_bytes: length of the file up to its last complete line."""
+    """A log that was read. whole_bytes: length of the file up to the last complete line."""
 
     path: Path
     header: SessionHeader
@@ -109,7 +109,7 @@ class SessionLog(NamedTuple):
 
     @property
     def version(self) -> str:
-        """Version that wrote the log, with its commit where it is known."""
+        """Version that wrote the log, with its commit if that is known."""
         commit = self.header.provenance.get("commit")
         return f"{self.header.version} ({commit})" if commit else self.header.version
 
@@ -218,7 +218,7 @@ class TrialOutcome:
 
     @property
     def correct(self) -> bool:
-        """True where X was identified correctly; without meaning in a catch trial."""
+        """True if X was identified correctly; meaningless in a catch trial."""
         return self.answered.answer == self.trial.x
 
     @property
@@ -228,19 +228,18 @@ class TrialOutcome:
 
     @property
     def spoilt(self) -> str:
-        """Reason why the machine spoilt the trial; "" where it did not."""
+        """Reason why the machine spoilt the trial, or ""."""
         return next((why for played in self.answered.played if (why := played.spoilt)), "")
 
     @property
     def stale(self) -> bool:
-        """True where the stream was stale over the link in an interval."""
+        """True if the stream over the link was stale in an interval."""
         return any(played.on_link and played.stale for played in self.answered.played)
 
     @property
     def errors(self) -> IntervalErrors:
         """Aligned force errors of A, B and X as shares of the pulse; NaN where not felt."""
-        played = self.answered.played
-        return IntervalErrors(*(error_share(played, letter) for letter in ("A", "B", "X")))
+        return interval_errors(self.answered.played)
 
     def force_mn(self, on_link: bool, field: str) -> float:
         """Return the mean force error of the intervals over the link, or the direct ones, in mN."""
@@ -253,8 +252,8 @@ class TrialOutcome:
 class SessionResults:
     """All outcomes that count, in order, and the conditions in the order of the session file.
 
-    spoilt: outcomes in which ticks were missed or a direct stream was stale. pooled: True where the
-    spoilt outcomes are included in `outcomes`. who: the kind of subject; kinds are never pooled.
+    spoilt: outcomes in which ticks were missed or a direct stream was stale. pooled: True if
+    `outcomes` includes them. who: the kind of subject; kinds are never pooled.
     """
 
     kind: Kind
@@ -286,7 +285,7 @@ class SessionResults:
 def gather(logs: Sequence[SessionLog], with_spoilt: bool = False) -> SessionResults:
     """Pool logs of one kind of subject, session and scene. Raises LogError.
 
-    with_spoilt: include spoilt trials. They are also included if there are no others.
+    with_spoilt: include spoilt trials; without any other trials they are always included.
     """
     first = logs[0]
     for log in logs[1:]:
@@ -305,7 +304,6 @@ def gather(logs: Sequence[SessionLog], with_spoilt: bool = False) -> SessionResu
     if all(o.trial.condition is None for o in found):
         raise LogError(f"{first.path}: no trial of a condition is answered yet")
     clean = tuple(outcome for outcome in found if not outcome.spoilt)
-    # Without a clean trial, the spoilt ones are reported, as spoilt.
     pooled = with_spoilt or all(o.trial.condition is None for o in clean)
     return SessionResults(
         kind=first.session.kind,
@@ -343,6 +341,6 @@ def share_correct(outcomes: Iterable[TrialOutcome]) -> Proportion:
 
 def share_close(outcomes: Iterable[TrialOutcome]) -> Proportion:
     """Return the proportion rated close to a direct touch, or the same."""
-    # The paper asked whether it was "close to a direct touch", which is the rating of 4.
+    # The paper asked whether X was "close to a direct touch", which is the rating 4.
     hits = [o.rating >= 4 for o in outcomes]
     return Proportion(sum(hits), len(hits))

@@ -1,8 +1,9 @@
 """Statistics of blinded trials: proportions, the differencing observer, the number of trials.
 
-The observer's percept of an interval is one number: its force error in units of the threshold,
-with noise of deviation 1. X is identified as the nearer one of A and B. This is the differencing
-strategy of Macmillan and Creelman, *Detection Theory*, ch. 9. At the threshold d' is 1.
+The observer's percept of an interval is one number: the force error in units of the threshold,
+plus noise of standard deviation 1. X is identified as the nearer one of A and B. This is the
+differencing strategy of Macmillan and Creelman, *Detection Theory*, ch. 9. At the threshold, d' is
+1.
 """
 
 import math
@@ -65,7 +66,7 @@ class Mean(NamedTuple):
 
 
 def mean_of(values: Sequence[float]) -> Mean:
-    """Return the mean of one value or more; the same values give the same interval."""
+    """Return the mean of at least one value; the same values give the same interval."""
     drawn = np.random.default_rng(0).choice(np.asarray(values), (10_000, len(values)))
     low, high = np.quantile(drawn.mean(axis=1), (LEVEL / 2, 1 - LEVEL / 2))
     return Mean(float(np.mean(values)), float(low), float(high))
@@ -82,7 +83,7 @@ def power(trials: int, share: float) -> float:
 
 
 def trials_needed(share: float, wanted_power: float) -> int | None:
-    """Return the number of trials from which the power stays sufficient; None: above 5000."""
+    """Return the number of trials from which on the power suffices; None if above 5000."""
     trials = np.arange(1, MOST_TRIALS + 1)
     hits = binom.isf(LEVEL, trials, CHANCE)
     short = np.flatnonzero(binom.sf(hits, trials, share) < wanted_power)
@@ -101,8 +102,8 @@ class IntervalErrors(NamedTuple):
 def probability_of_a(errors: IntervalErrors, threshold: float | Floats) -> Floats:
     """Return the probability that X is identified as A.
 
-    |x − a| < |x − b| where a − b and x − (a + b)/2 have the same sign; with noise of deviation 1
-    they are independent, of variances 2 and 3/2.
+    |x − a| < |x − b| where a − b and x − (a + b)/2 have the same sign. With noise of variance 1
+    these two are independent, with variances 2 and 3/2.
     """
     apart = (errors.a - errors.b) / np.asarray(threshold) / math.sqrt(2)
     aside = (errors.x - (errors.a + errors.b) / 2) / np.asarray(threshold) / math.sqrt(1.5)
@@ -137,7 +138,7 @@ class Threshold(NamedTuple):
 def fit_threshold(trials: Sequence[tuple[IntervalErrors, bool]]) -> Threshold | None:
     """Return the maximum likelihood threshold of trials: their errors, and whether X was A.
 
-    None if the answers bound it on neither side, as with few answers or guesses.
+    None if the answers bound it on neither side, as few answers or guesses do.
     """
     largest = max((abs(errors.a - errors.b) for errors, _ in trials), default=0.0)
     if largest == 0:
@@ -155,10 +156,10 @@ def fit_threshold(trials: Sequence[tuple[IntervalErrors, bool]]) -> Threshold | 
 
 
 class SimulatedObserver:
-    """Answers by the differencing strategy.
+    """Observer that answers by the differencing strategy.
 
     threshold: the difference in force error whose d' is 1, as a share of the pulse from peak to
-    peak. Errors have the same unit and are aligned: a finger alone cannot detect a delay.
+    peak. Errors have the same unit, and are aligned because a finger alone cannot detect a delay.
     """
 
     def __init__(self, threshold: float, seed: int) -> None:

@@ -48,11 +48,10 @@ def build_report(logs: Sequence[SessionLog], with_spoilt: bool = False) -> Repor
             for o in results.spoilt
         ]
         others.append(Table("Spoilt trials", ("subject", "trial", "condition", "why"), spoilt))
-    # A terminal shows only tables: the labels are repeated under the first one.
+    # A terminal shows only tables, so the labels are repeated under the first one.
     first = replace(first, note=" ".join([*labels, first.note]))
     paragraphs = (*labels, *answers.paragraphs)
     answers = replace(answers, paragraphs=paragraphs, tables=(first, *others))
-    # Provenance of each session whose log has it.
     made = [
         provenance_table(log.path.stem, log.header.provenance)
         for log in logs

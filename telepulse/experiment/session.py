@@ -43,12 +43,12 @@ class Condition(Section):
 
 
 class SessionTable(Section):
-    """One subject's session.
+    """The session of one subject.
 
     trials: number for each condition. catch: number of further trials without a link. interval:
-    time at full strength; settle: time that the stream plays before it is felt. replays: how often
-    each letter of a trial may be felt, the first time included. seed: without one, each run draws
-    its own.
+    time at full strength. settle: time for which the stream plays before it is felt. replays: limit
+    of the playings of each letter in a trial. seed: of all random numbers; by default each run
+    draws its own.
     """
 
     scene: str
@@ -97,7 +97,7 @@ def load_plan(path: Path) -> SessionPlan:
     """Read a session file and its scene. Raises SceneError."""
     written = load_toml(path, "session file")
     session = validate(written, SessionTable, where=f"{path}:")
-    # By name, or by a path from the folder of the session file.
+    # A scene's name, or its path from the folder of the session file.
     scene_path = path.parent / find_scene(session.scene)
     scene = load_scene(scene_path)
     document = load_document(scene_path)
@@ -117,9 +117,9 @@ LETTERS: dict[str, tuple[Letter, ...]] = {"abx": ("A", "B", "X"), "rating": ("A"
 
 
 class Trial(BaseModel):
-    """One trial. direct: which of A and B has no link; x: which of them X is.
+    """A trial. direct: the one of A and B that has no link; x: the one that X is.
 
-    condition: None in a catch trial, which has no link. In a rating, A is the open reference,
+    condition: None in a catch trial, which has no link. In a rating, A is the open reference and
     always direct, and X is B.
     """
 
@@ -138,8 +138,8 @@ class Trial(BaseModel):
 def draw_trials(session: SessionTable, seed: int) -> tuple[Trial, ...]:
     """Return all trials in their order: the wanted number for each condition, shuffled.
 
-    `direct` and `x` are drawn for each trial independently, not balanced over the trials. Only then
-    is a guess right with a probability of one half, whatever the subject has noticed before.
+    `direct` and `x` are drawn for each trial independently, and are not balanced over the trials.
+    So a guess is right with a probability of one half, whatever the subject noticed before.
     """
     random = Random(f"trials {seed}")
     names: list[str | None] = [c.name for c in session.conditions for _ in range(session.trials)]

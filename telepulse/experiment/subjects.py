@@ -1,6 +1,6 @@
 """The subjects of a session, a person at the bench or a simulated observer, and the session's run.
 
-A person feels intervals in real time and answers by keys.
+A person feels intervals in real time, and answers by keys.
 """
 
 import os
@@ -24,11 +24,11 @@ from telepulse.experiment.interval import (
     IntervalPlayback,
     PlayedInterval,
     draw_interval,
-    error_share,
+    interval_errors,
     play_in_virtual_time,
 )
 from telepulse.experiment.log import Answer, AnsweredTrial, SessionHeader, SessionLogFile, now
-from telepulse.experiment.psychometrics import IntervalErrors, SimulatedObserver
+from telepulse.experiment.psychometrics import SimulatedObserver
 from telepulse.experiment.session import LETTERS, Kind, Letter, SessionPlan
 
 NAME = "experiment"
@@ -42,16 +42,16 @@ HELP: dict[str, str] = {
     "rating": "a: feel the direct touch.  x: feel X.  How close is X to A?"
     "  5: the same, 4: close, 3: somewhat off, 2: far, 1: nothing like it.  q: stop.",
 }
-# Escape sequences, such as those of arrow keys, contain letters that are no keys of the dialogue.
+# Escape sequences, such as those of arrow keys, contain letters that must not act as keys.
 ESCAPED = re.compile(r"\x1b(\[[0-9;]*[A-Za-z~]|O[A-Za-z]|.)?")
 KEY_WAIT_S = 0.1
 FILM_WITHIN_S = 2.0
 POLL_S = 1e-3
 
 DrawInterval = Callable[[Letter, int], Interval]
-"""Returns the nth playing of a letter."""
+"""Function that returns the nth playing of a letter."""
 Subject = Callable[[int, DrawInterval], AnsweredTrial | None]
-"""Answers a trial by its index and intervals; None ends the session."""
+"""Function that answers a trial, given its index and intervals; None ends the session."""
 
 
 class Action(NamedTuple):
@@ -75,7 +75,7 @@ class Dialogue:
         self._presented: Counter[str] = Counter()
 
     def press(self, key: str) -> Action | None:
-        """Return the action of a key, None where it ends the session."""
+        """Return the action of a key; None if it ends the session."""
         letters = {letter.lower(): letter for letter in LETTERS[self._kind]}
         answers = ANSWERS[self._kind]
         if key == STOP_KEY:
@@ -97,9 +97,9 @@ class Dialogue:
 
 
 class Keyboard:
-    """Keys of standard input, a terminal or a pipe, without echo or Enter, within a `with`.
+    """Context in which keys are read from standard input, a terminal or a pipe.
 
-    Raises SourceError where there are no POSIX terminals.
+    Keys need no Enter and are not shown. Raises SourceError on a system without POSIX terminals.
     """
 
     def __init__(self) -> None:
@@ -124,12 +124,12 @@ class Keyboard:
 
     def __exit__(self, *_: object) -> None:
         if self._is_terminal:
-            # TCSANOW: the other modes wait for pending output, for ever on a terminal that is
-            # stopped by Ctrl-S.
+            # TCSANOW, because the other modes wait for pending output: for ever on a terminal
+            # that is stopped by Ctrl-S.
             self._termios.tcsetattr(self._descriptor, self._termios.TCSANOW, self._before)
 
     def key(self, wait_s: float = 0.0) -> str | None:
-        """Return the next key in lower case; None if none comes in time; q at the input's end."""
+        """Return the next key in lower case: None if none comes in time, q at the input's end."""
         if not self._typed:
             self._read(wait_s)
         return self._typed.popleft() if self._typed else None
@@ -141,7 +141,7 @@ class Keyboard:
         return key
 
     def wants_to_stop(self) -> bool:
-        """Return whether q was typed on a terminal; the keys of a pipe wait for their turn."""
+        """Return whether q was typed on a terminal; the keys of a pipe are read one by one."""
         if self._is_terminal:
             self._read(0.0)
         return self._is_terminal and STOP_KEY in self._typed
@@ -158,9 +158,9 @@ class Keyboard:
 
 
 class Person:
-    """Answers trials by keyboard, on the real bench or the scene's models.
+    """Person who answers trials by keyboard, on the real bench or on the scene's models.
 
-    Nothing printed before the end of the session depends on what A, B and X are. Raises
+    The output before the end of the session does not depend on what A, B and X are. Raises
     SceneError for a force loop that is not stable.
     """
 
@@ -185,7 +185,7 @@ class Person:
         self._stopping = True
 
     def answer(self, index: int, draw: DrawInterval) -> AnsweredTrial | None:
-        """Run a trial until its answer; None when the session ends. Raises BenchError."""
+        """Run a trial until its answer; return None if the session ends. Raises BenchError."""
         session = self._plan.session
         dialogue, played = Dialogue(session.kind, session.replays), list[PlayedInterval]()
         count = len(session.conditions) * session.trials + session.catch
@@ -214,7 +214,7 @@ class Person:
         return None
 
     def _await_key(self) -> str | None:
-        """Return the next key, None when the session ends; the bench rests meanwhile."""
+        """Return the next key, or None if the session ends; the bench rests meanwhile."""
         keys: list[str] = []
 
         def listen(wait_s: float) -> bool:
@@ -237,7 +237,7 @@ class Person:
         return None if self._stopping else keys[0]
 
     def _play(self, interval: Interval) -> PlayedInterval | None:
-        """Play an interval to its end; None when the session ends."""
+        """Play an interval to its end; return None if the session ends."""
         hardware = self._hardware
         playing = IntervalPlayback(interval, time.monotonic_ns(), hardware)
         if hardware is not None:
@@ -264,9 +264,9 @@ class Person:
 
 
 def _await_film(hardware: Hardware) -> None:
-    """Read the film until its readings are current: nothing was read while the display was built.
+    """Read the film until its readings are current; return also if it stays silent.
 
-    If the film stays silent, return: the display reports that fault.
+    Building a display takes a while, in which nothing is read. The display reports a silent film.
     """
     until_s = time.monotonic() + FILM_WITHIN_S
     while not hardware.feedback.alive(time.monotonic_ns()) and time.monotonic() < until_s:
@@ -317,8 +317,8 @@ def simulated_subject(plan: SessionPlan, threshold: float, seed: int) -> Subject
         # An observer for each trial: a resumed session has the same answers as an unbroken one.
         observer = SimulatedObserver(threshold, seed * 100_000 + index)
         played = [play_in_virtual_time(draw(letter, 1)) for letter in LETTERS[kind]]
-        a, b, x = (error_share(played, letter) for letter in ("A", "B", "X"))
-        value = observer.identify(IntervalErrors(a, b, x)) if kind == "abx" else observer.rate(a, x)
+        errors = interval_errors(played)
+        value = observer.identify(errors) if kind == "abx" else observer.rate(errors.a, errors.x)
         return AnsweredTrial.model_validate(
             {"time": now(), "index": index, "answer": value, "response_s": None, "played": played}
         )

@@ -1,12 +1,12 @@
 """Export of a recording as an EDF+ file, for the viewers and tools of physiology.
 
-EDF (Kemp et al. 1992, https://www.edfplus.info) stores 16-bit samples at a constant rate, so the
-recording's longest session is resampled to a constant rate of the sensing clock. The log gives the
-quantisation step of each signal; losses and events become annotations.
+EDF (Kemp et al. 1992, https://www.edfplus.info) stores 16-bit samples at a constant rate. So the
+recording's longest session is resampled at a constant rate on the sensing clock. Losses and events
+become annotations, and the log gives the quantisation step of each signal.
 """
 
 import math
-from datetime import UTC, datetime, timedelta
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +19,7 @@ from protocol.errors import OutputError, SourceError
 from telepulse.recording.session import RecordedSession, felt_force, longest_session
 
 SECOND_NS = 1_000_000_000
-# The lowest code marks a missing value. The margin, a share of the range, keeps values above it.
+# The lowest code marks a missing value. A margin, as a share of the range, keeps values above it.
 LOWEST_CODE, HIGHEST_CODE = -32_768, 32_767
 RANGE_MARGIN = 0.02
 LABEL_CHARACTERS = 16
@@ -74,9 +74,8 @@ def export_edf(path: Path, file: Path) -> str:
         if key in run
     ]
     notes = [edfio.EdfAnnotation(*note) for note in (*losses, *events, *cut, *origin)]
-    start = datetime(1970, 1, 1, tzinfo=UTC) + timedelta(
-        microseconds=felt.unix_ns(begin_ns) // 1000
-    )
+    unix_us = (begin_ns - felt.sensing_minus_unix_ns) // 1000
+    start = datetime.fromtimestamp(unix_us / 1e6, UTC)
     edf = edfio.Edf(
         signals,
         recording=edfio.Recording(
@@ -113,7 +112,7 @@ def _samples(session: RecordedSession) -> tuple[Ints, Ints, Floats]:
 
 
 def _losses(t_ns: Ints, numbers: Ints, period_ns: int) -> list[tuple[float, float, str]]:
-    """Return begin and length in s of each gap in the sequence numbers, and its text."""
+    """Return start and length in s of each gap in the sequence numbers, and its text."""
     return [
         (
             (int(t_ns[at] - t_ns[0]) + period_ns) * 1e-9,
@@ -128,7 +127,7 @@ def _losses(t_ns: Ints, numbers: Ints, period_ns: int) -> list[tuple[float, floa
 def _resampled(grid_ns: Ints, t_ns: Ints, force_n: Floats) -> Floats:
     """Interpolate linearly; NaN outside, and between values that are too far apart."""
     on_grid_n = interpolate(grid_ns, t_ns, force_n)
-    # `interpolate` gives NaN at a sample that a gap follows: its own value is used there.
+    # At a sample before a gap `interpolate` returns NaN; the sample's own value is used.
     at = np.minimum(np.searchsorted(t_ns, grid_ns), len(t_ns) - 1)
     return np.where(t_ns[at] == grid_ns, force_n[at], on_grid_n)
 
@@ -147,7 +146,7 @@ def _signal(edfio: Any, label: str, force_n: Floats, rate_hz: int) -> Any:
 
 
 def _range(force_mn: Floats) -> tuple[float, float]:
-    """Return limits just outside the values, each in the 8 characters of an EDF header."""
+    """Return limits just outside the values; each fits the 8 characters of an EDF header."""
     if not len(force_mn):
         return -1.0, 1.0
     low, high = float(force_mn.min()), float(force_mn.max())

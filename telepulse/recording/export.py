@@ -2,7 +2,6 @@
 
 import csv
 import json
-import logging
 from base64 import b64decode
 from collections import Counter
 from collections.abc import Iterator
@@ -19,8 +18,6 @@ from telepulse.recording.mcap_writer import McapWriter
 from telepulse.recording.reader import RecordedMessage, RecordingReader
 from telepulse.telemetry.schema import CLOCK, EVENT, FRAME, SCHEMAS, TICK
 
-logger = logging.getLogger(__name__)
-
 TABLES = {FRAME: "samples", TICK: "ticks", CLOCK: "clock", EVENT: "events"}
 # Columns of each table and their descriptions. The table of samples also has one for each channel.
 COLUMNS = {
@@ -36,7 +33,7 @@ COLUMNS = {
         "instant_ns": "instant of the pulse that was played, on the sensing clock",
         "target_n": "target force at the finger",
         "felt_n": "force felt at the finger; none where it is unknown",
-        "scored": "the pulse was played at its full strength",
+        "scored": "the pulse was played at full strength",
         "predictor_error_n": "RMSE that the predictor expects; none without an estimate",
         "trusted": "the predictor was trusted with the whole delay",
     },
@@ -251,7 +248,7 @@ def _export_tables(path: Path, folder: Path, kind: type[CsvTable] | type[Parquet
         raise OutputError(f"{folder}: cannot be written: {error.strerror or error}") from None
     except (LookupError, ValueError, TypeError, ArithmeticError) as error:
         raise SourceError(f"{path}: a message is not telepulse's: {error!r:.80}") from None
-    _log_gaps(path, reader)
+    reader.log_gaps()
     return f"{folder}: " + ", ".join(f"{counts[topic]} {name}" for topic, name in TABLES.items())
 
 
@@ -263,7 +260,7 @@ def _description(
         "recording": str(path),
         "whole": reader.whole,
         "gaps": reader.gaps(),
-        "runs": [dict(run) for run in reader.provenance],
+        "runs": reader.provenance,
         "columns": {
             table.name: {
                 column.name: {"unit": column.unit, "description": column.description}
@@ -295,10 +292,5 @@ def export_mcap(path: Path, copy: Path) -> str:
     reason = writer.close()
     if reason is not None or writer.dropped:
         raise OutputError(f"{copy}: cannot be written: {reason or 'the disk was full'}")
-    _log_gaps(path, reader)
+    reader.log_gaps()
     return f"{copy}: {count_text(sum(writer.written.values()), 'message')}"
-
-
-def _log_gaps(path: Path, reader: RecordingReader) -> None:
-    for line in reader.gaps():
-        logger.warning(f"{path}: {line}")

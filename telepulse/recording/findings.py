@@ -1,4 +1,4 @@
-"""Findings about a recorded run, gathered in one pass, in bounded memory."""
+"""Findings about a recording, gathered in one pass and in bounded memory."""
 
 import math
 from collections import defaultdict
@@ -37,13 +37,13 @@ class RunFindings:
     display_summary : Summary or None
         The summary in the display's last recorded status.
     is_final_summary : bool
-        Whether that status was the display's final one.
+        True if that status was the display's final one.
     trends : dict of Trend
         Values over the time of the recording, in the units of their names.
     forces : ForceHistory
         Forces at wrist and finger.
     events : list
-        Time in s, level, name, text; further ones are counted in `more_events`.
+        Time in s, level, name and text of the first events; `more_events` counts the others.
     """
 
     def __init__(self) -> None:
@@ -60,13 +60,12 @@ class RunFindings:
         self.events: list[tuple[float, int, str, str]] = []
         self.playout_ms = Histogram(0.5, 8_000)
         self._receiver = PassiveReceiver()
-        # Of all frames, as the display counts them.
         self.one_way_delay_ms = self._receiver.one_way_delay_ms
         self._session: int | None = None
         self._offset_ms = 0.0
         self._steps: tuple[int | None, int | None] = (None, None)
         self._misses = self._scored = self._played = self._tick_ns = 0
-        # The default, until the display's first status is read.
+        # The default applies until the display's first status.
         self._stale_after_ns = SafetyScene().stale_after_ns
         self._last_now_ns: int | None = None
         self._batch: defaultdict[str, list[tuple[float, float]]] = defaultdict(list)
@@ -77,13 +76,13 @@ class RunFindings:
         return 0.0 if self.begin_ns is None else (self.end_ns - self.begin_ns) * 1e-9
 
     def summary(self) -> Summary:
-        """Return the figures of a display's summary that follow from the recording."""
+        """Return those figures of a display's summary that the recording determines."""
         delay, ticks, availability = self.playout_ms, self.ticks + self._misses, Availability()
         if ticks:
             counts = (self._scored, self._misses, self._played)
             felt, missed, played = (count / ticks for count in counts)
             seconds = ticks * self._tick_ns * 1e-9
-            # The other shares are not in a recording: only the display counts them.
+            # Only the display counts the other shares.
             availability = Availability(seconds, felt, missed=missed, played=played)
         summary = replace(
             self._receiver.summary(self._last_now_ns or 0),
@@ -146,7 +145,7 @@ class RunFindings:
             self.forces.take(self.forces.alignment.add_tick(tick))
 
     def _count_misses(self, now_ns: int) -> None:
-        """Count missed ticks: those due at multiples of the period that are not there."""
+        """Count missed ticks: multiples of the period at which no tick is recorded."""
         last_ns, self._last_now_ns = self._last_now_ns, now_ns
         if last_ns is None or now_ns <= last_ns:
             return
@@ -198,7 +197,7 @@ class RunFindings:
 
 
 def read_findings(path: Path) -> RunFindings:
-    """Read a recording, complete or not, to its end. Raises SourceError."""
+    """Read a recording to its end, also one that was cut short. Raises SourceError."""
     reader, findings = RecordingReader(path), RunFindings()
     try:
         for entry in in_tick_order(reader):

@@ -1,6 +1,6 @@
 """Values over a whole recording: trends in fixed memory, and the forces at both ends.
 
-From the forces follow errors, stretches for plots, and heart rates. Pure.
+Errors, stretches for plots, and heart rates are computed from the forces. Pure.
 """
 
 from collections.abc import Iterator
@@ -14,27 +14,27 @@ from display_node.scoring.tracking_error import JND, TrackingError, interpolate
 from protocol.wire.messages import Frame
 from protocol.wire.stream import StreamDescription
 
-# Ticks wait for the samples around their instants, as in the display.
+# This many ticks wait for the samples around their instants, as in the display.
 BLOCK = PATIENCE = 2_048
 MAX_FRAMES = 20_000
-# Heart rates use every tenth tick: enough points in a beat.
+# Heart rates use every tenth tick, which gives enough points in a beat.
 THIN = 10
 HEART_WINDOW_S = 6.0
-# A window with a longer hole has no heart rate.
-MAX_HOLE_S = 0.25
+# A window with a longer gap has no heart rate.
+MAX_GAP_S = 0.25
 # Blocks in the first stretch.
 STRETCH_BLOCKS = 3
-# Bins of a trend, and the narrowest of them.
+# Bins of a trend, and their initial width.
 BINS = 1_000
 NARROWEST_S = 0.1
-# Least, greatest, sum and count of a bin: the function that adds values, and its initial value.
+# Least, greatest, sum and count of a bin: the function that adds a value, and the initial value.
 STATISTICS = ((np.minimum, np.inf), (np.maximum, -np.inf), (np.add, 0.0), (np.add, 0.0))
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 
 class TrendPoints(NamedTuple):
-    """Bins that hold values: their middles in s, and least, greatest, mean and sum of each."""
+    """Bins that hold values: middle in s, least, greatest, mean and sum of each."""
 
     t_s: Floats
     low: Floats
@@ -77,7 +77,7 @@ class Trend:
 
 
 class AlignedTick(NamedTuple):
-    """A tick at full strength; t_s: from the recording's begin, sensing_now_ns: sensing clock."""
+    """A tick at full strength. t_s: since the recording's start; the clocks are the sensing node's."""
 
     t_s: float
     sensing_now_ns: int
@@ -86,7 +86,7 @@ class AlignedTick(NamedTuple):
 
 
 class AlignedBlock(NamedTuple):
-    """Consecutive ticks; wrist_n: force that should be felt, NaN where nothing was sensed."""
+    """Consecutive ticks; wrist_n: target of the felt force, NaN where nothing was sensed."""
 
     t_s: Floats
     wrist_n: Floats
@@ -94,7 +94,7 @@ class AlignedBlock(NamedTuple):
 
 
 class ForceAlignment:
-    """Alignment of felt force with the pulse at the wrist, session by session, in blocks.
+    """Alignment of felt force with the pulse at the wrist, in blocks of one session each.
 
     errors: errors as the display computes them. ratio: target force at the finger per force at the
     wrist; None before the first status.
@@ -112,12 +112,12 @@ class ForceAlignment:
         self._values: list[Floats] = []
 
     def begin(self) -> Iterator[AlignedBlock]:
-        """Begin another session; yield the remaining blocks of the last one."""
+        """Begin a session; yield the remaining blocks of the one before."""
         yield from self.finish()
         self._begin()
 
     def set_playback(self, channel: int, ratio: float) -> None:
-        """Set channel and ratio from the first status; score the ticks before it."""
+        """Set channel and ratio by the first status, and score the ticks before it."""
         if self.ratio is not None:
             return
         self.channel, self.ratio = channel, ratio
@@ -171,7 +171,7 @@ class ForceHistory:
     """Forces of a recording: errors over time, two stretches, heart rates.
 
     first, worst: the first stretch at full strength, and the one around the largest error. heart:
-    time in s, heart rates per minute at the wrist and at the finger.
+    time in s, and heart rate per minute at wrist and finger, None for a window with a gap.
     """
 
     def __init__(self) -> None:
@@ -210,7 +210,7 @@ class ForceHistory:
         self._before = [block]
 
     def _add_heart_rates(self, block: AlignedBlock) -> None:
-        """Add the heart rates of each window without a hole."""
+        """Add the heart rates of a window once it is complete."""
         self._beats.append(AlignedBlock(*(values[::THIN] for values in block)))
         t_s, *forces_n = (np.concatenate(parts) for parts in zip(*self._beats, strict=True))
         if t_s[-1] - t_s[0] < HEART_WINDOW_S:
@@ -223,7 +223,7 @@ class ForceHistory:
 def _heart_rate_per_min(t_s: Floats, force_n: Floats) -> float | None:
     known = ~np.isnan(force_n)
     t_s, force_n = t_s[known], force_n[known]
-    if len(t_s) < 2 or np.diff(t_s).max() > MAX_HOLE_S:
+    if len(t_s) < 2 or np.diff(t_s).max() > MAX_GAP_S:
         return None
     even_s = np.linspace(t_s[0], t_s[-1], len(t_s))
     return heart_rate_per_min(even_s, np.interp(even_s, t_s, force_n))

@@ -1,4 +1,4 @@
-"""Writer of an MCAP recording, and its file, which retries while the disk is full."""
+"""Writer of an MCAP recording. Its file keeps what a full disk refuses, and tries again."""
 
 import json
 import math
@@ -19,7 +19,7 @@ class RetryingFile:
 
     A partly written piece is removed again, so the file always ends with a whole piece.
 
-    waiting_bytes, waiting: bytes and messages that are not on the disk.
+    waiting_bytes, waiting: size of the pieces that are not on the disk, and messages in them.
     """
 
     def __init__(self, path: Path) -> None:
@@ -34,18 +34,16 @@ class RetryingFile:
         self._unsealed = bytearray()
         # Bytes and number of messages of each piece.
         self._pieces: deque[tuple[bytes, int]] = deque()
-        self._size_bytes = self._on_disk_bytes = 0
-        self.waiting_bytes = self.waiting = 0
+        self._on_disk_bytes = self.waiting_bytes = self.waiting = 0
 
     def write(self, data: bytes) -> int:
         """Add bytes to the next piece."""
         self._unsealed += data
-        self._size_bytes += len(data)
         return len(data)
 
     def tell(self) -> int:
         """Return the position of the next byte in the file."""
-        return self._size_bytes
+        return self._on_disk_bytes + self.waiting_bytes + len(self._unsealed)
 
     def flush(self) -> None:
         """Do nothing: only `commit` writes."""
@@ -56,7 +54,7 @@ class RetryingFile:
         Returns
         -------
         str or None
-            Why pieces still wait to be written; None when none do.
+            Reason why pieces still wait; None when all are on the disk.
         """
         if self._unsealed:
             self._pieces.append((bytes(self._unsealed), messages))
@@ -94,17 +92,17 @@ class RetryingFile:
         self._on_disk_bytes += len(data)
 
 
-# Limit of the waiting pieces while the disk is full: some seven minutes of a stream of 1 kHz.
+# Limit of the waiting pieces while the disk is full: about seven minutes of a 1 kHz stream.
 MAX_WAITING_BYTES = 32 * 1024 * 1024
 PROVENANCE = "telepulse.provenance"
-# Runs of a display in one recording whose provenance is kept.
+# Limit of the runs of a display in one recording whose provenance is kept.
 MAX_RUNS = 100
 
 
 class McapWriter:
-    """Writer of one recording. A full disk raises nothing: it is retried, and drops are counted.
+    """Writer of one recording. A full disk raises no error: it is retried, and drops are counted.
 
-    written: messages accepted, by topic. dropped: messages that fitted neither on the disk nor in
+    written: accepted messages by topic. dropped: messages that fitted neither on the disk nor in
     memory.
     """
 
@@ -156,12 +154,12 @@ class McapWriter:
         self._writer.add_metadata(PROVENANCE, provenance)
 
     def flush(self) -> str | None:
-        """End the chunk and write it; return why it could not be written yet, or None."""
+        """End the chunk and write it; return the reason if it could not be written yet."""
         self._writer.flush()
         return self._commit()
 
     def close(self) -> str | None:
-        """End the recording; return why messages, counted as dropped, were not written, or None."""
+        """End the recording; return the reason if messages, counted as dropped, are missing."""
         self._writer.finish()
         reason = self._commit()
         self.dropped += self._file.waiting

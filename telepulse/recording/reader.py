@@ -1,6 +1,7 @@
-"""Reader of a recording, also of one without its end because its recorder was killed."""
+"""Reader of a recording, whole or cut short because its recorder was killed."""
 
 import json
+import logging
 import os
 from collections import deque
 from collections.abc import Iterable, Iterator
@@ -12,6 +13,8 @@ from protocol.errors import SourceError
 from telepulse.recording.mcap_writer import PROVENANCE
 from telepulse.telemetry.decoder import Entry
 from telepulse.telemetry.schema import CLOCK, FRAME, REFUSED, SCHEMAS, STREAM, TICK
+
+logger = logging.getLogger(__name__)
 
 MAX_RECORD_BYTES = 1 << 28
 _MAGIC = b"\x89MCAP0\r\n"
@@ -41,9 +44,9 @@ class RecordingReader:
 
     The attributes are complete once all messages were read.
 
-    whole: the recording has its end. damaged, cut_bytes: chunks with a wrong checksum, which are
-    left out, and bytes at the end of the file that cannot be read. begin_ns, end_ns: Unix time of
-    the first and last message. provenance: of each run of the display, as text by key.
+    whole: the recording has its end. damaged: chunks with a wrong checksum, which are left out.
+    cut_bytes: bytes at the end of the file that cannot be read. begin_ns, end_ns: Unix time of the
+    first and last message. provenance: of each run of the display, as text by key.
     """
 
     def __init__(self, path: Path) -> None:
@@ -79,6 +82,11 @@ class RecordingReader:
         if self.damaged:
             lines.append(f"{count_text(self.damaged, 'damaged chunk')} left out")
         return lines
+
+    def log_gaps(self) -> None:
+        """Warn of each part that could not be read."""
+        for line in self.gaps():
+            logger.warning(f"{self._path}: {line}")
 
     def __iter__(self) -> Iterator[RecordedMessage]:
         """Read from the beginning. Raises SourceError for a file that is no recording."""
@@ -123,7 +131,7 @@ class RecordingReader:
             raise SourceError(f"{self._path}: holds no telepulse recording; {held}")
 
     def _records(self, file: IO[bytes]) -> Iterator[Any]:
-        """Yield the records of the data section, those in chunks too, as far as the file goes."""
+        """Yield the records of the data section, also those in chunks, until one is unreadable."""
         records = self._mcap.StreamReader(
             _BoundedFile(file), emit_chunks=True, record_size_limit=MAX_RECORD_BYTES
         ).records
@@ -164,9 +172,9 @@ class _BoundedFile:
         return self._file.read(min(count, max(0, self._size - self._file.tell())))
 
 
-# Time at which the display received a message, on its clock.
+# Field with the time at which the display received a message, on its clock.
 _RECEIVED = {FRAME: "arrived_ns", STREAM: "arrived_ns", REFUSED: "arrived_ns", CLOCK: "t4_ns"}
-# Most received messages that are held back until the next tick.
+# Limit of the received messages that are held back until the next tick.
 MAX_WAITING = 10_000
 
 

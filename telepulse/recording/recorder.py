@@ -44,7 +44,7 @@ class McapRecorder:
         Returns
         -------
         bool
-            Whether everything that the display published is on the disk. A file without any
+            True if everything that the display published is on the disk. A file without any
             message is removed.
         """
         provenance = None

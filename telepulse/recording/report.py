@@ -1,7 +1,7 @@
 """The report of a recording: its chapters in their order, and their plots."""
 
 from collections.abc import Callable, Iterable
-from datetime import UTC, datetime, timedelta
+from datetime import UTC, datetime
 from pathlib import Path
 from statistics import median
 from typing import TYPE_CHECKING, Any
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 NONE = "–"
 LEVELS = {2: "", 3: "warning", 4: "error"}
 FAINT = 0.3
-HOLE_S = 0.1
+GAP_S = 0.1
 SHARES = np.concatenate([np.linspace(0.001, 0.99, 150), np.linspace(0.9905, 1, 20)])
 TIME = "time in s"
 Floats = NDArray[np.float64]
@@ -69,9 +69,7 @@ def build_recording_report(path: Path) -> Report:
 
 
 def _paragraphs(findings: RunFindings) -> Iterable[str]:
-    begin = datetime(1970, 1, 1, tzinfo=UTC) + timedelta(
-        microseconds=(findings.begin_ns or 0) // 1000
-    )
+    begin = datetime.fromtimestamp((findings.begin_ns or 0) // 1_000_000_000, UTC)
     streams = ", ".join(f"“{name}”" for name in dict.fromkeys(findings.streams)) or "no stream"
     yield (
         f"{streams}, {begin:%Y-%m-%d %H:%M:%S} UTC, {findings.seconds:.1f} s,"
@@ -142,10 +140,10 @@ def _force(findings: RunFindings, drawn: "_Plots") -> Chapter:
 def _stretch(blocks: list[AlignedBlock]) -> "Callable[[Figure], None]":
     """Plot force at wrist and finger over some seconds, and their difference over the JND band."""
     t_s, *forces_n = map(np.concatenate, zip(*blocks, strict=True))
-    # A NaN in every gap in time interrupts the line.
-    holes = np.flatnonzero(np.diff(t_s) > HOLE_S) + 1
-    t_s = np.insert(t_s, holes, t_s[holes])
-    wrist_mn, felt_mn = (1e3 * np.insert(force_n, holes, np.nan) for force_n in forces_n)
+    # A NaN in every gap interrupts the line.
+    gaps = np.flatnonzero(np.diff(t_s) > GAP_S) + 1
+    t_s = np.insert(t_s, gaps, t_s[gaps])
+    wrist_mn, felt_mn = (1e3 * np.insert(force_n, gaps, np.nan) for force_n in forces_n)
     jnd_mn = JND * float(np.nanmax(wrist_mn) - np.nanmin(wrist_mn))
 
     def draw(figure: "Figure") -> None:
@@ -212,7 +210,7 @@ class _Plots:
             (findings.playout_ms, "playout, of ticks"),
         ):
             if histogram.count:
-                # Values beyond the histogram's range are only counted: the line ends there.
+                # Of values beyond its range a histogram has only the count: the line ends there.
                 shares = [share for share in SHARES.tolist() if not histogram.beyond(it=share)]
                 values: Any = [histogram.quantile(share) for share in shares]
                 axes.plot(values, 100 * np.array(shares), label=label)
@@ -256,11 +254,11 @@ class _Plots:
         figure.align_ylabels()
 
     def _counts(self, axes: "Axes", *names: str) -> None:
-        """Draw counts as bars on one another."""
+        """Draw counts as stacked bars."""
         bottom: dict[float, float] = {}
         for name in names:
             points = self._trends[name].points()
-            # A sample that was counted as lost and still arrives is late: the losses fall.
+            # A sample that arrives after it was counted as lost becomes late: the losses decrease.
             counts = np.maximum(points.total, 0)
             below = np.array([bottom.get(at, 0.0) for at in points.t_s.tolist()])
             axes.bar(points.t_s, counts, self._trends[name].width_s, bottom=below, label=name)

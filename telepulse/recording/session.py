@@ -6,6 +6,7 @@ from base64 import b64decode
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,11 +22,10 @@ from telepulse.telemetry.schema import EVENT, FRAME, STREAM, TICK
 logger = logging.getLogger(__name__)
 
 
-@dataclass(frozen=True, slots=True)
-class RecordedForce:
-    """Force felt in a session, and its events, both in order of the sensing clock.
+class RecordedForce(NamedTuple):
+    """Force felt in a session in N, and its events, both by the sensing clock in ns.
 
-    sensing_minus_unix_ns: sensing clock minus Unix time, as at the session's first tick.
+    sensing_minus_unix_ns: sensing clock minus Unix time at the session's first tick.
     """
 
     t_ns: NDArray[np.int64]
@@ -33,56 +33,43 @@ class RecordedForce:
     events: list[tuple[int, str]]
     sensing_minus_unix_ns: int
 
-    def unix_ns(self, sensing_ns: int) -> int:
-        """Return the Unix time of an instant of the sensing clock."""
-        return sensing_ns - self.sensing_minus_unix_ns
-
 
 def felt_force(path: Path, session: int) -> RecordedForce:
-    """Return force felt and events of a session, by the sensing clock. Raises SourceError."""
-    receiver, apart_ns = PassiveReceiver(), 0
-    t_ns: list[int] = []
-    force_n: list[float] = []
-    events: list[tuple[int, str]] = []
-    # Before the clock is known.
-    early: list[tuple[int, str]] = []
+    """Return force felt and events of a session. Raises SourceError."""
+    receiver = PassiveReceiver()
+    # Of each tick: sensing clock, this clock minus Unix time, and force.
+    t_ns, ahead_ns, force_n = list[int](), list[int](), list[float]()
+    # Of each event: Unix time, text, and number of the tick before it, 0 for an earlier one.
+    events: list[tuple[int, str, int]] = []
     try:
         for message in RecordingReader(path):
             fields, topic = message.fields, message.topic
-            if topic == TICK:
-                if receiver.session != session or not receiver.clock.ready:
-                    continue
-                sensing_ns = receiver.clock.remote_ns(fields["now_ns"])
-                if not t_ns:
-                    apart_ns = sensing_ns - message.t_ns
-                    events += [(at_ns + apart_ns, text) for at_ns, text in early]
-                unix_minus_display_ns = message.t_ns - fields["now_ns"]
-                t_ns.append(sensing_ns)
+            if topic == EVENT:
+                if receiver.session == session:
+                    text = f"{fields['name']}: {fields['message']}"
+                    events.append((message.t_ns, text, max(0, len(t_ns) - 1)))
+            elif topic != TICK:
+                receiver.take(topic, fields)
+            elif receiver.session == session and receiver.clock.ready:
+                t_ns.append(receiver.clock.remote_ns(fields["now_ns"]))
+                ahead_ns.append(t_ns[-1] - message.t_ns)
                 force_n.append(float(fields.get("felt_n", math.nan)))
                 receiver.play(fields["instant_ns"])
-            elif topic != EVENT:
-                receiver.take(topic, fields)
-            elif receiver.session == session:
-                text = f"{fields['name']}: {fields['message']}"
-                if t_ns:
-                    at_ns = receiver.clock.remote_ns(message.t_ns - unix_minus_display_ns)
-                    events.append((at_ns, text))
-                else:
-                    early.append((message.t_ns, text))
         times_ns = np.array(t_ns, np.int64)
     except (LookupError, ValueError, TypeError, ArithmeticError) as error:
         raise SourceError(f"{path}: a message is not telepulse's: {error!r:.80}") from None
     if not t_ns:
         raise SourceError(f"{path}: holds no tick while the sensing clock was known")
     order = np.argsort(times_ns, kind="stable")
-    return RecordedForce(times_ns[order], np.array(force_n)[order], events, apart_ns)
+    at_ns = [(unix_ns + ahead_ns[tick], text) for unix_ns, text, tick in events]
+    return RecordedForce(times_ns[order], np.array(force_n)[order], at_ns, ahead_ns[0])
 
 
 @dataclass
 class RecordedSession:
     """Frames of one session, as bytes by the number of their first sample.
 
-    cut: how the recording breaks off, empty where it is whole. provenance: of the runs in it.
+    cut: description of the recording's missing end, or "". provenance: of the runs in it.
     """
 
     number: int
@@ -99,9 +86,9 @@ class RecordedSession:
 
 
 def longest_session(path: Path) -> RecordedSession:
-    """Return the session with most samples; log what else there is and what is missing.
+    """Return the session with the most samples, and log gaps and further sessions.
 
-    Raises SourceError without any.
+    Raises SourceError if there is no session with samples.
     """
     reader = RecordingReader(path)
     sessions: dict[int, RecordedSession] = {}
@@ -111,8 +98,7 @@ def longest_session(path: Path) -> RecordedSession:
             unfit += not _take(message, sessions)
         except (WireError, ValueError, KeyError, TypeError):
             unfit += 1
-    for line in reader.gaps():
-        logger.warning(f"{path}: {line}")
+    reader.log_gaps()
     if unfit:
         logger.warning(f"{path}: left out: {count_text(unfit, 'frame')} unfit for their stream")
     longest = max(sessions.values(), key=lambda session: session.samples, default=None)
@@ -136,12 +122,10 @@ def _take(message: RecordedMessage, sessions: dict[int, RecordedSession]) -> boo
         data = b64decode(message.fields["data"])
         frame = decode_frame(data)
         session, values = sessions.get(frame.session), frame.values
-        if session is None:
+        if session is None or len(values) > session.description.batch:
             return False
         stream = session.description
         if (values.shape[1], values.itemsize) != (len(stream.channels), stream.bytes_per_sample):
-            return False
-        if len(values) > stream.batch:
             return False
         if frame.first_sample not in session.data:
             session.data[frame.first_sample] = data
