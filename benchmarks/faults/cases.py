@@ -77,6 +77,7 @@ def sensing_node_killed(folder: Path, times: int, rng: random.Random) -> FaultRe
         def kill() -> int:
             nonlocal sensing
             sensing.kill()
+            sensing.wait()
             sensing = rig.sense()
             return sensing.listening_ns
 
@@ -95,6 +96,7 @@ def display_killed(folder: Path, times: int, rng: random.Random) -> FaultResult:
         def kill() -> int:
             nonlocal display
             display.kill()
+            display.wait()
             display = rig.display()
             return display.listening_ns
 
@@ -126,6 +128,7 @@ def display_killed_in_a_cut(folder: Path, times: int, rng: random.Random) -> Fau
             nonlocal display
             link.change(CUT)
             display.kill()
+            display.wait()
             display = rig.display()
             time.sleep(rng.uniform(0.0, 8.0))
             link.change(WHOLE)

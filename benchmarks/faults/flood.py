@@ -53,11 +53,11 @@ def run(alteration: str, flood: Callable[[str], object], realtime: str | None) -
         display = rig.display("display", "", *(("--realtime", realtime) if realtime else ()))
         sensing = rig.sense(alteration)
         # Every other process, this one included, shares the remaining processors.
-        pin(display.process.pid, first)
-        for pid in (os.getpid(), sensing.process.pid):
+        pin(display.pid, first)
+        for pid in (os.getpid(), sensing.pid):
             pin(pid, others[0] if others else first)
         try:
-            with own_time_of(display.process.pid) as own:
+            with own_time_of(display.pid) as own:
                 wait_s = HOSTILE_WAIT_S if alteration else PATIENCE_S
                 if felt.first_ns(0, wait_s) is None and not alteration:
                     raise RigError("the pulse was not felt")

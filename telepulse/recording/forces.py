@@ -77,7 +77,7 @@ class Trend:
 
 
 class AlignedTick(NamedTuple):
-    """A tick at full strength. t_s: since the recording's start; the clocks are the sensing node's."""
+    """A tick at full strength; t_s: since the recording's start. Others: on the sensing clock."""
 
     t_s: float
     sensing_now_ns: int

@@ -20,56 +20,49 @@ from telepulse.netem import EmulatedLink
 from telepulse.processes import NodeProcess, free_addresses
 from tests.support.altered_node import STEP
 from tests.support.felt_force import POLL_MS, FeltForce, recording
+from tests.support.waiting import until
 
 PORT = 5555
 STARTS_WITHIN_S = 30.0
 ENDS_WITHIN_S = 20.0
-LOOK_AGAIN_S = 0.02
 
 
 class RigError(RuntimeError):
     """A node did not start, or the pulse was not felt."""
 
 
-@dataclass
-class Node:
+class Node(NodeProcess):
     """A node's process. listening_ns: when it printed its first line, on the monotonic clock."""
 
-    process: NodeProcess
-    listening_ns: int = 0
+    listening_ns = 0
 
     def await_listening(self) -> None:
         """Wait for its first line."""
         try:
-            self.process.read_line(STARTS_WITHIN_S, from_stderr=True)
+            self.read_line(STARTS_WITHIN_S, from_stderr=True)
         except ProcessError as error:
             raise RigError(str(error)) from None
         self.listening_ns = time.monotonic_ns()
 
-    def kill(self) -> None:
-        """Kill it as by `kill -9`."""
-        self.process.kill()
-        self.process.communicate()
-
     def pause(self) -> None:
-        self.process.send_signal(signal.SIGSTOP)
+        self.send_signal(signal.SIGSTOP)
 
     def resume(self) -> None:
-        self.process.send_signal(signal.SIGCONT)
+        self.send_signal(signal.SIGCONT)
 
     def step_clock(self) -> None:
         """Step its clock, where it was started with the alteration `step=SECONDS`."""
-        self.process.send_signal(STEP)
+        self.send_signal(STEP)
 
     def end(self) -> Summary:
-        self.process.terminate()
+        self.terminate()
         return self.summary()
 
     def summary(self) -> Summary:
-        return self.process.await_summary(ENDS_WITHIN_S)
+        return self.await_summary(ENDS_WITHIN_S)
 
     def rss_bytes(self) -> int:
-        return rss_bytes(self.process.pid)
+        return rss_bytes(self.pid)
 
 
 def rss_bytes(pid: int) -> int:
@@ -115,14 +108,13 @@ class NodeRig:
 
     def await_played(self, felt: FeltForce, samples: int) -> None:
         """Wait until a display has played so many more samples."""
-        counts: list[int] = []
-        end_s = time.monotonic() + STARTS_WITHIN_S
-        while not counts or counts[-1] < counts[0] + samples:
-            if time.monotonic() > end_s:
-                raise RigError(f"no {samples} samples were played in {STARTS_WITHIN_S:g} s")
-            if felt.status is not None:
-                counts.append(felt.status.summary["samples"]["played"])
-            time.sleep(LOOK_AGAIN_S)
+
+        def played() -> int:
+            return 0 if felt.status is None else int(felt.status.summary["samples"]["played"])
+
+        until(lambda: felt.status)
+        wanted = played() + samples
+        until(lambda: played() >= wanted, STARTS_WITHIN_S)
 
     def telemetry(self, name: str = "display") -> str:
         """Return a display's telemetry address: by default a file, which namespaces share."""
@@ -143,8 +135,8 @@ class NodeRig:
                 sensing = module.startswith("sensing")
                 namespace = self.link.sensing if sensing else self.link.display
                 entered.enter_context(namespace.entered())
-            process = NodeProcess(name, *command, summary=summary, stdout=PIPE, stderr=PIPE)
-        node = Node(self.stack.enter_context(process))
+            node = Node(name, *command, summary=summary, stdout=PIPE, stderr=PIPE)
+        self.stack.enter_context(node)
         node.await_listening()
         return node
 

@@ -5,6 +5,7 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 
 import pytest
 
@@ -14,6 +15,13 @@ PORT = 5000
 PATIENCE_S = 20.0
 reason = unavailable()
 needs_emulator = pytest.mark.skipif(reason is not None, reason=str(reason))
+
+
+def retransmissions(pid: int, port: int) -> int:
+    """Return how often TCP has repeated the unacknowledged data of a process's port."""
+    lines = Path(f"/proc/{pid}/net/tcp").read_text(encoding="ascii").splitlines()[1:]
+    sockets = [line.split() for line in lines]
+    return max((int(s[6], 16) for s in sockets if s[1].endswith(f":{port:04X}")), default=0)
 
 
 @contextmanager

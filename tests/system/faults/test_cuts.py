@@ -12,7 +12,7 @@ from telepulse.netem import PacketFilter, emulate
 from telepulse.simulation.link_model import parse_link
 from tests.support.felt_force import PATIENCE_S, assert_back_within_a_second, assert_limits_kept
 from tests.support.node_rig import PORT, node_rig, unaccounted
-from tests.support.tcp import needs_emulator
+from tests.support.tcp import needs_emulator, retransmissions
 from tests.support.waiting import until
 
 WHOLE = parse_link("delay=20ms,jitter=3ms")
@@ -47,6 +47,7 @@ def test_after_a_cut_the_pulse_is_felt_again_and_every_sample_is_accounted_for(
         def restart() -> None:
             nonlocal display
             display.kill()
+            display.wait()
             display = rig.display()
 
         def await_unfelt() -> None:
@@ -88,9 +89,10 @@ def test_after_a_cut_the_pulse_is_felt_again_and_every_sample_is_accounted_for(
 def test_after_a_cut_of_the_data_port_alone_the_display_does_not_wait_for_tcp(
     tmp_path: Path,
 ) -> None:
-    # TCP retransmits some 1.3 s after the end of such a cut, and the display has no reason of its
-    # own to reconnect before 2 s. Cuts in quick succession are jitter to a display, and a longer
-    # playout delay would cover them: this scene's covers only the shorter half of all delays.
+    # After two retransmissions TCP waits for about 1 s, and the display has no reason of its own to
+    # reconnect before 2 s of silence. Cuts in quick succession are jitter to a display, and a
+    # longer playout delay would cover them: this scene's covers only the shorter half of all
+    # delays.
     with emulate(WHOLE, seed=5) as link, node_rig(tmp_path, link) as rig:
         text = find_scene("radial").read_text(encoding="utf-8")
         rig.scene = tmp_path / "scene.toml"
@@ -99,9 +101,9 @@ def test_after_a_cut_of_the_data_port_alone_the_display_does_not_wait_for_tcp(
         sensing, display, felt = rig.play()
 
         def cut() -> int:
-            time.sleep(1.2)
+            rig.await_played(felt, 1_000)
             link.drop(PacketFilter(port=PORT))
-            time.sleep(1.16)
+            until(lambda: retransmissions(sensing.pid, PORT) >= 2)
             link.drop()
             return time.monotonic_ns()
 

@@ -38,6 +38,7 @@ def test_a_killed_sensing_node_is_felt_again_and_its_sessions_are_accounted_for(
             time.sleep(rng.uniform(0, 0.4))
             killed, killed_ns = killed + 1, time.monotonic_ns()
             sensing.kill()
+            sensing.wait()
             assert felt.first_ns(killed_ns, PATIENCE_S, felt=False) is not None
             sensing = rig.sense()
             return sensing.listening_ns
@@ -66,6 +67,7 @@ def test_a_restarted_display_feels_the_stream_that_continued_meanwhile(tmp_path:
             nonlocal display
             time.sleep(rng.uniform(0, 0.4))
             display.kill()
+            display.wait()
             # The counts of its last status add up.
             assert felt.status is not None
             last = felt.status.summary["samples"]
