@@ -160,7 +160,7 @@ def nothing(bench: Bench) -> None:
 NO_COMMAND = "no further command"
 TMCL_EVENTS = {
     "over-temperature": break_motor,
-    "no replies": answer("none"),
+    "no replies": answer("silent"),
     "garbled replies": answer("garbled"),
     "replies to something else": answer("wrong"),
     "cable pulled": unplug,

@@ -5,6 +5,7 @@ from collections.abc import Iterator
 from typing import Any
 
 import typer
+from typer.core import TyperGroup
 
 from ext.from_code import load
 
@@ -21,12 +22,12 @@ def write(target: str, program: str) -> str:
 
 def _chapter(command: Any, name: str, level: str) -> Iterator[str]:
     context = command.context_class(command, info_name=name)
-    inner = getattr(command, "commands", {})
     yield f"{level} {name}\n"
     yield f"{command.help}\n"
-    if inner:
-        for inner_name, inner_command in inner.items():
-            yield from _chapter(inner_command, f"{name} {inner_name}", "###")
+    if isinstance(command, TyperGroup):
+        for inner_name in command.list_commands(context):
+            inner = command.get_command(context, inner_name)
+            yield from _chapter(inner, f"{name} {inner_name}", "###")
         return
     usage = " ".join(command.get_usage(context).removeprefix("Usage: ").split())
     yield f"```text\n{usage}\n```\n"

@@ -1,16 +1,15 @@
 """`telepulse bench`, `calibrate` and `tune`: putting a bench into service."""
 
 from dataclasses import replace
-from enum import Enum
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
 from display_node.scene import DisplayScene
 from protocol.cli_options import BENCH_IS_CLEAR, LogLevelOption, one_line_errors, plain_console
 from protocol.config.quantities import parse_quantity
-from protocol.config.scene import load_section
+from protocol.config.scene import Section, load_section
 from protocol.config.scene_file import find_scene
 from protocol.errors import SceneError
 from protocol.host.output import check_writable, configure_logging
@@ -40,22 +39,17 @@ from telepulse.reports.document import Report, print_tables, write_json
 from telepulse.scene import DEFAULT_SCENE, load_scene
 
 WARNING = (
-    "The drive will move and press with up to {force}. Keep fingers away: put a dummy of rubber"
-    " in the finger's place."
+    "The drive will move and press with up to {force}."
+    " Keep fingers away: put a dummy of rubber in the finger's place."
 )
-
-
-class Side(Enum):
-    """The end of the system that is on this machine."""
-
-    SENSING = "sensing"
-    DISPLAY = "display"
-    BOTH = "both"
 
 
 def bench(
     scene: SceneArgument = DEFAULT_SCENE,
-    only: Annotated[Side, typer.Option(help="The end that is on this machine.")] = Side.BOTH,
+    only: Annotated[
+        Literal["sensing", "display", "both"],
+        typer.Option(help="The end that is on this machine."),
+    ] = "both",
     force: Annotated[str, typer.Option(help="Largest force of the press.")] = "0.3 N",
     seconds: Annotated[
         float, typer.Option(min=1, max=3600, help="How long each sensor is recorded.")
@@ -87,21 +81,19 @@ def bench(
         configure_logging(log_level)
         check_writable(write)
         path, force_n = find_scene(scene), _force_n(force)
-        sensing, display = None, None
-        if only is not Side.DISPLAY:
-            sensing = load_section(path, "sensing", SensingScene)
-        if only is not Side.SENSING:
-            display = load_section(path, "display", DisplayScene)
+        sections: dict[str, Section] = {}
+        if only != "display":
+            sections["sensing"] = sensing = load_section(path, "sensing", SensingScene)
+        if only != "sensing":
+            sections["display"] = display = load_section(path, "display", DisplayScene)
             if force_n > (limit_n := display.safety.force_limit_n):
                 reason = f"{force_n:g} N is above the scene's force_limit, {limit_n:g} N"
                 raise SceneError(f"--force: {reason}")
             check_editable(path, write)
-        sections = {"sensing": sensing, "display": display}
-        used = {name: section for name, section in sections.items() if section is not None}
-        provenance = collect(path, used)
-        if sensing is not None:
+        provenance = collect(path, sections)
+        if only != "display":
             bench_check.check_wrist(findings, sensing, path.parent, seconds)
-        if display is not None:
+        if only != "sensing":
             if display.drive is not None and not yes:
                 print(WARNING.format(force=force))
                 if not typer.confirm(BENCH_IS_CLEAR):
@@ -135,13 +127,6 @@ def _force_n(text: str) -> float:
     return force_n
 
 
-class Place(Enum):
-    """Which of a scene's sensors is calibrated."""
-
-    WRIST = "wrist"
-    FINGER = "finger"
-
-
 def calibrate(
     table: Annotated[
         Path | None,
@@ -151,8 +136,9 @@ def calibrate(
     ] = None,
     scene: Annotated[str | None, typer.Option(help="Read this scene's sensor instead.")] = None,
     at: Annotated[
-        Place, typer.Option(help="The sensor of that scene: at the wrist or under the finger.")
-    ] = Place.WRIST,
+        Literal["wrist", "finger"],
+        typer.Option(help="The sensor of that scene: at the wrist or under the finger."),
+    ] = "wrist",
     loads: Annotated[
         str,
         typer.Option(
@@ -179,10 +165,13 @@ def calibrate(
     """
     found: list[str] = []
 
+    def ask_for(load_n: float) -> None:
+        typer.prompt(f"Put {load_n:g} N on, then press Enter", default="", show_default=False)
+
     def fit() -> Report:
         if scene is not None:
             path, loads_n = find_scene(scene), parse_loads(loads)
-            name, taken = scene, measure_loads(_sensor(path, at), path.parent, loads_n, _ask_for)
+            name, taken = scene, measure_loads(_sensor(path, at), path.parent, loads_n, ask_for)
         elif table is not None:
             name, taken = table.stem, read_loads(table, load_unit, reading_unit)
         else:
@@ -195,8 +184,8 @@ def calibrate(
     plain_console(json=json).print("\nfor the sensor's table in a scene:\n\n" + found[0])
 
 
-def _sensor(path: Path, at: Place) -> SensorScene:
-    if at is Place.FINGER:
+def _sensor(path: Path, at: str) -> SensorScene:
+    if at == "finger":
         film = load_section(path, "display", DisplayScene).feedback
         if film is None:
             raise SceneError(
@@ -207,10 +196,6 @@ def _sensor(path: Path, at: Place) -> SensorScene:
     if not isinstance(source, SensorTable):
         raise SceneError(f'{path}: [sensing] source: kind "{source.kind}" is not a live sensor')
     return source
-
-
-def _ask_for(load_n: float) -> None:
-    typer.prompt(f"Put {load_n:g} N on, then press Enter", default="", show_default=False)
 
 
 def tune(scene: SceneArgument = DEFAULT_SCENE, json: TablesOption = None) -> None:

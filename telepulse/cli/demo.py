@@ -12,7 +12,7 @@ from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 from subprocess import PIPE
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 import zmq
@@ -52,6 +52,7 @@ logger = logging.getLogger(__name__)
 
 STARTS_WITHIN_S = 30.0
 ENDS_WITHIN_S = 10.0
+PIPES: dict[str, Any] = {"stdout": PIPE, "stderr": PIPE}
 # Time for the display to start before the sensing node does.
 HEAD_START_S = 0.7
 
@@ -132,30 +133,29 @@ def run_demo(
 ) -> Summary:
     """Run both nodes for `seconds` of pulse, over the scene's link.
 
-    page: True serves the live page; None serves it if `draw` is set, and only warns where it cannot
-    be served. Raises SceneError, SourceError, ProcessError, or OutputError where a page that is
-    required cannot be served.
+    page: True serves the live page; None serves it if `draw` is set, and only logs a warning where
+    that fails. Raises SceneError, SourceError, ProcessError, or OutputError where a required page
+    cannot be served.
     """
     path = scene.path
     truth = ReferenceForce(scene.sensing, path.parent)
     # The source is checked before the display starts, since a display may move a drive.
     with open_source(scene.sensing, path.parent):
         pass
-    sensing_address, display_address, telemetry_address = free_addresses(3)
+    sensing_address, telemetry_address, link_address = free_addresses(3)
     impaired = scene.link != LinkScene()
-    if not impaired:
-        display_address = sensing_address
+    display_address = link_address if impaired else sensing_address
     time_limit = ("--seconds", str(seconds + ENDS_WITHIN_S))
     with tempfile.TemporaryDirectory(prefix="telepulse-") as folder, ExitStack() as stack:
-        # The page is started first, so that it shows the beginning.
-        wanted = page or (page is None and draw)
-        page_process = _open_page(stack, telemetry_address, bool(page), console) if wanted else None
+        live_page = None
+        if page or (page is None and draw):
+            # Started first, so that it shows the beginning.
+            live_page = _open_page(stack, telemetry_address, bool(page), console)
         display = NodeProcess(
             *("display node", "display_node.cli", str(path), "--connect", display_address),
             *("--telemetry", telemetry_address, "--once", "--quiet", *time_limit),
             summary=Path(folder, "display.json"),
-            stdout=PIPE,
-            stderr=PIPE,
+            **PIPES,
         )
         stack.callback(display.stop)
         link_process = None
@@ -164,8 +164,7 @@ def run_demo(
                 *("link between the nodes", "-m", "telepulse", "link", *time_limit),
                 *("--connect", sensing_address, "--bind", display_address),
                 *("--link", scene.link.text()),
-                stdout=PIPE,
-                stderr=PIPE,
+                **PIPES,
             )
             stack.callback(link_process.stop)
         time.sleep(HEAD_START_S)
@@ -173,8 +172,7 @@ def run_demo(
             *("sensing node", "sensing_node.cli", str(path), "--bind", sensing_address),
             *("--seconds", str(seconds), "--quiet"),
             summary=Path(folder, "sensing.json"),
-            stdout=PIPE,
-            stderr=PIPE,
+            **PIPES,
         )
         stack.callback(sensing.stop)
         # Ctrl-C ends the pulse; samples that were sent are still played and counted.
@@ -190,7 +188,7 @@ def run_demo(
         watch(telemetry_address, console, scorer.add_felt, draw, keep_watching)
         scorer.add_sent()
         scorer.tracking_error.finish()
-        if page_process is not None and page_process.poll() is not None:
+        if live_page is not None and live_page.poll() is not None:
             logger.warning("the live page ended before the demo did")
         if link_process is not None:
             # A link process that has failed before keeps its exit status.
@@ -204,15 +202,13 @@ def run_demo(
 def _open_page(
     stack: ExitStack, telemetry: str, required: bool, console: Console
 ) -> ChildProcess | None:
-    """Start the live page until `stack` closes, and print its address.
+    """Serve the live page until `stack` closes, and print its address; None where that fails.
 
-    Where it cannot be served, log the reason, or with `required` raise OutputError or ProcessError.
+    With `required`, raise OutputError or ProcessError instead.
     """
     try:
         check_bokeh()
-        page = ChildProcess(
-            *("live page", "-m", "telepulse", "view", telemetry), stdout=PIPE, stderr=PIPE
-        )
+        page = ChildProcess(*("live page", "-m", "telepulse", "view", telemetry), **PIPES)
         stack.callback(page.stop)
         console.print(page.read_line(STARTS_WITHIN_S))
     except TelepulseError as error:
@@ -227,25 +223,25 @@ class _Scorer:
     """Compares the pulse that the sensing node sends with the force that the display reports."""
 
     def __init__(self, scene: Scene, truth: ReferenceForce, data: sockets.Socket) -> None:
+        data.subscribe(b"")
         layer = scene.display.layer.layer()
-        self._channel, self._truth = scene.display.channel, truth
+        self._channel, self._truth, self._data = scene.display.channel, truth, data
         self._ratio = matching_force_ratio(scene.sensing.layer.layer(), layer)
-        self._data = data
-        self._data.subscribe(b"")
         self.tracking_error = TrackingError(layer.strain_per_newton)
 
     def add_sent(self) -> None:
-        """Add the frames that the sensing node has sent."""
+        """Add the frames that have arrived from the sensing node."""
         for (message,) in sockets.receive_multipart(self._data):
             true_frame = self._truth.of(decode_frame(message))
             self.tracking_error.add_reference(true_frame, self._channel, self._ratio)
 
     def add_felt(self, trace: Trace) -> None:
         """Add the felt force of a trace of the display."""
-        columns = (trace.now_ns, trace.instant_ns, trace.felt_n, trace.scored)
-        for *tick, scored in zip(*(column.tolist() for column in columns), strict=True):
-            if scored:
-                self.tracking_error.add_output(*tick)
+        columns = (
+            column[trace.scored] for column in (trace.now_ns, trace.instant_ns, trace.felt_n)
+        )
+        for tick in zip(*(column.tolist() for column in columns), strict=True):
+            self.tracking_error.add_output(*tick)
 
 
 def _compose(sensing: Summary, display: Summary, tracking_error: TrackingError) -> Summary:
@@ -258,9 +254,8 @@ def _compose(sensing: Summary, display: Summary, tracking_error: TrackingError) 
         raise ProcessError("the display received nothing from the sensing node")
     accounted = (display.samples.sent or 0) + (display.samples.before_joining or 0)
     if sent != accounted:
-        raise ProcessError(
-            f"the sensing node sent {sent} samples, the display accounts for {accounted}"
-        )
+        reason = f"the sensing node sent {sent} samples, the display accounts for {accounted}"
+        raise ProcessError(reason)
     return replace(
         tracking_error.scored(display),
         rejected=dict(Counter(display.rejected) + Counter(sensing.rejected)),

@@ -6,7 +6,6 @@ from typing import Annotated
 import typer
 
 from protocol.cli_options import one_line_errors, plain_console
-from protocol.discovery.announcement import Announcement
 from protocol.host.output import check_writable
 from telepulse.cli.options import PROGRAM, TablesOption
 from telepulse.reports.document import Chapter, Report, Table, write_json
@@ -33,22 +32,17 @@ def discover(
         with Browser() as look:
             time.sleep(seconds)
             found, refused = sorted(look.found, key=lambda one: one.name), look.refused
+        rows = []
+        for one in found:
+            addresses = " ".join(f"tcp://{address}:{one.port}" for address in one.addresses)
+            key = one.fingerprint or "none: any display may connect"
+            rows.append((one.name, one.stream, addresses, key, one.node))
+            console.print(
+                f"{one.name!r} at {addresses}: stream {one.stream!r}, key {key}, node {one.node}"
+            )
         causes = ", ".join(f"{count} {cause}" for cause, count in sorted(refused.items()))
         title = f"{len(found)} sensing nodes announced; refused: {causes or 'nothing'}"
-        table = Table(title, COLUMNS, tuple(_row(one) for one in found))
-        for name, stream, addresses, key, node in table.rows:
-            console.print(f"{name!r} at {addresses}: stream {stream!r}, key {key}, node {node}")
         console.print(title)
         if json is not None:
-            write_json(Report("sensing nodes", (Chapter("found", tables=(table,)),)), json)
-
-
-def _row(one: Announcement) -> tuple[str, ...]:
-    addresses = " ".join(f"tcp://{address}:{one.port}" for address in one.addresses)
-    return (
-        one.name,
-        one.stream,
-        addresses,
-        one.fingerprint or "none: any display may connect",
-        one.node,
-    )
+            chapter = Chapter("found", tables=(Table(title, COLUMNS, tuple(rows)),))
+            write_json(Report("sensing nodes", (chapter,)), json)

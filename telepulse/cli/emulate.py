@@ -27,23 +27,20 @@ from telepulse.emulators.drive_run import FILM_SILENT, MOTOR_FAULTS, DriveRun
 from telepulse.emulators.fault_injection import FaultKind, InjectedFault, parse_fault
 from telepulse.emulators.motor import EmulatedMotor
 from telepulse.emulators.sensor_board import BoardBehaviour, build_board, play, source_table
+from telepulse.emulators.tmcl import (
+    ANSWER_FAULTS,
+    EmulatedCanLine,
+    EmulatedSerialLine,
+    EmulatedTmclModule,
+)
 from telepulse.scene import DEFAULT_SCENE
 
 if TYPE_CHECKING:
     import can
 
-    from telepulse.emulators.tmcl import AnswerMode
-
 FOREVER_S = 1e9
 POLL_S = 0.001
-# Faults of the line to a TMCL module, by how it answers.
-ANSWERS: dict[str, "AnswerMode"] = {
-    "silent": "none",
-    "late": "late",
-    "wrong": "wrong",
-    "garbled": "garbled",
-}
-TMCL_FAULTS = (*MOTOR_FAULTS, FILM_SILENT, *ANSWERS, "unplugged")
+TMCL_FAULTS = (*MOTOR_FAULTS, FILM_SILENT, *ANSWER_FAULTS, "unplugged")
 CIA402_FAULTS = (*MOTOR_FAULTS, FILM_SILENT, "silent", "unplugged")
 UNREPORTED: tuple[str, ...] = tuple(kind.value for kind in FaultKind)
 SceneT = TypeVar("SceneT", bound=DriveScene)
@@ -129,10 +126,9 @@ def sensor(
 
     Prints the table with which a scene reads it. The board samples by its own crystal, USB
     delivers in batches, and noise alters bytes. Stopping the program disconnects the board;
-    started again with the same --link, it is connected again.
+    starting it with the same --link connects the board again.
     """
-    console = plain_console()
-    stopped = threading.Event()
+    console, stopped = plain_console(), threading.Event()
     behaviour = BoardBehaviour(
         frame=frame if framing == "binary" else 1,
         skew=skew_ppm * 1e-6,
@@ -176,9 +172,6 @@ def tmcl(
     A physical model of the scene's [display.actuator] turns under a finger, with a home switch,
     the module's heartbeat, its limits and its faults.
     """
-    # Imported here: python-can takes long to import, and other commands do without.
-    from telepulse.emulators.tmcl import EmulatedCanLine, EmulatedSerialLine, EmulatedTmclModule
-
     with one_line_errors(PROGRAM), ExitStack() as open_things:
         configure_logging(log_level)
         injected = _injected_fault(fault, size, TMCL_FAULTS)
@@ -197,8 +190,8 @@ def tmcl(
 
         def begin_fault(name: str) -> None:
             nonlocal serve
-            if name in ANSWERS:
-                module.answer_mode = ANSWERS[name]
+            if name in ANSWER_FAULTS:
+                module.answer_mode = name
             else:
                 serve = time.sleep
                 cable.close()
@@ -236,6 +229,7 @@ def cia402(
     software limits, heartbeat monitoring and faults. With --fault silent it receives and sends
     nothing.
     """
+    # Imported here: it needs a library that the other emulators do without.
     from telepulse.emulators.cia402 import EmulatedCia402Node
 
     with one_line_errors(PROGRAM), ExitStack() as open_things:

@@ -71,10 +71,6 @@ def revoke_command(
 def list_command(folder: FolderOption = FOLDER, allowed: ListOption = None) -> None:
     """Print the name and public key of each node that may connect."""
     path = allowed or folder / ALLOWED
-    console = plain_console()
     with one_line_errors(PROGRAM):
-        peers = read_allowed(path).values()
-    for peer in peers:
-        console.print(f"{peer.key.hex()}  {peer.name}")
-    if not peers:
-        console.print(f"{path} allows nobody")
+        lines = [f"{peer.key.hex()}  {peer.name}" for peer in read_allowed(path).values()]
+    plain_console().print("\n".join(lines or [f"{path} allows nobody"]))

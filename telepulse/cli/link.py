@@ -1,7 +1,6 @@
 """`telepulse link` and `relay`: forward a stream, over a worsened link or to many displays."""
 
 import logging
-import threading
 from typing import Annotated
 
 import typer
@@ -47,8 +46,8 @@ def link(
 ) -> None:
     """Forward a stream between two nodes over a worsened link.
 
-    Delays and drops data frames on their way to the displays; control messages are
-    delayed both ways and never dropped.
+    Delays and drops data frames on their way to the displays. Delays control messages both ways,
+    and drops none of them.
     """
     with one_line_errors(PROGRAM):
         configure_logging(log_level)
@@ -59,12 +58,8 @@ def link(
         model = parse_link(link) if link else LinkScene()
         proxy = LinkProxy(model, connect, bind, seed, upstream, downstream)
     stop_on_signals(proxy.stop)
-    if seconds is not None:
-        timer = threading.Timer(seconds, proxy.stop)
-        timer.daemon = True
-        timer.start()
     freeze_objects()
-    proxy.run()
+    proxy.run(seconds)
 
 
 def relay(

@@ -1,37 +1,51 @@
 """The command line of telepulse, assembled from its commands.
 
-To add a command, write its function in a module of this package and name it in `LIVE` or `OTHERS`;
-name a module of sub-commands in `GROUPS`.
+To add a command, write its function in a module of this package and name the module in `LIVE` or
+`OTHERS`; name a module of sub-commands in `GROUPS`.
 """
 
-from collections.abc import Callable
+from importlib import import_module
+from typing import Any
 
 import typer
+from typer.core import TyperGroup
 
 from protocol.cli_options import VersionOption
 from protocol.host.output import configure_logging, unblocked_output
-from telepulse.cli import emulate, experiment, keys, scenes, study
-from telepulse.cli.commissioning import bench, calibrate, tune
-from telepulse.cli.demo import demo, simulate
-from telepulse.cli.discover import discover
-from telepulse.cli.link import link, relay
 from telepulse.cli.options import PROGRAM
-from telepulse.cli.paper import paper
-from telepulse.cli.record import export, record, replay, report
-from telepulse.cli.view import lsl, view
 
 # Commands that run beside nodes or as one: a terminal that is not read must not delay them.
-LIVE: tuple[Callable[..., None], ...] = (demo, link, bench, relay, record, replay, view, lsl)
-OTHERS = (simulate, paper, tune, calibrate, discover, export, report)
-GROUPS = (scenes, study, emulate, experiment, keys)
+LIVE = {"demo": "demo", "link": "link", "bench": "commissioning", "relay": "link"}
+LIVE |= {"record": "record", "replay": "record", "view": "view", "lsl": "view"}
+OTHERS = {"simulate": "demo", "paper": "study", "tune": "commissioning"}
+OTHERS |= {"calibrate": "commissioning", "discover": "discover"}
+OTHERS |= {"export": "record", "report": "record"}
+GROUPS = {name: name for name in ("scenes", "study", "emulate", "experiment", "keys")}
+MODULES = LIVE | OTHERS | GROUPS
 
-app = typer.Typer(rich_markup_mode="markdown", no_args_is_help=True)
-for live in LIVE:
-    app.command()(unblocked_output()(live))
-for command in OTHERS:
-    app.command()(command)
-for group in GROUPS:
-    app.add_typer(group.app, name=group.__name__.rpartition(".")[2])
+
+class LazyGroup(TyperGroup):
+    """Group that imports a command's module when the command is used; all take half a second."""
+
+    def __init__(self, **settings: Any) -> None:
+        super().__init__(**settings)
+        self.commands = dict.fromkeys(MODULES)  # type: ignore[assignment]
+
+    def get_command(self, ctx: Any, cmd_name: str) -> Any:
+        """Return the command; None where there is none of that name."""
+        if cmd_name not in MODULES:
+            return None
+        module = import_module(f"{__package__}.{MODULES[cmd_name]}")
+        loaded = typer.Typer(rich_markup_mode="markdown")
+        if cmd_name in GROUPS:
+            loaded.add_typer(module.app, name=cmd_name)
+        else:
+            function = getattr(module, cmd_name)
+            loaded.command()(unblocked_output()(function) if cmd_name in LIVE else function)
+        return typer.main.get_group(loaded).commands[cmd_name]
+
+
+app = typer.Typer(cls=LazyGroup, rich_markup_mode="markdown", no_args_is_help=True)
 
 
 @app.callback(

@@ -16,8 +16,7 @@ app = typer.Typer(no_args_is_help=True, help="The scenes that come with telepuls
 @app.command("list")
 def list_scenes() -> None:
     """List each scene's name and title."""
-    console = plain_console()
-    names = scene_names()
+    console, names = plain_console(), scene_names()
     width = max(map(len, names))
     with one_line_errors(PROGRAM):
         for name in names:

@@ -1,4 +1,4 @@
-"""`telepulse study`: one command for each study."""
+"""`telepulse paper` and `study`: compute the chapters on the paper, and the studies."""
 
 from pathlib import Path
 from typing import Annotated
@@ -6,6 +6,7 @@ from typing import Annotated
 import typer
 
 from telepulse.cli.options import FolderOption, TablesOption, publish
+from telepulse.reports.document import Report
 
 SchedulerOption = Annotated[
     str | None,
@@ -17,13 +18,36 @@ SchedulerOption = Annotated[
 app = typer.Typer(no_args_is_help=True, help="Studies of the system by computation.")
 
 
+def paper(out: FolderOption = Path("out/paper"), json: TablesOption = None) -> None:
+    """Recompute the results of Dargahi et al. 2008, and explain where they differ from the paper.
+
+    Prints the tables and writes a page with all plots.
+    """
+    publish(build_paper, out, json)
+
+
+def build_paper() -> Report:
+    """Compute every chapter on the paper, in order. Raises SceneError or SourceError."""
+    # Imported here: matplotlib and scipy take long to import, and other commands do without.
+    from telepulse.reports.paper import comparison, gain_units, pulse_spectrum, stability, stepper
+
+    chapters = (
+        comparison.chapter,
+        comparison.contradictions,
+        gain_units.chapter,
+        pulse_spectrum.chapter,
+        stepper.chapter,
+        stability.chapter,
+    )
+    return Report("Dargahi, Xie and Ji (2008), recomputed", [chapter() for chapter in chapters])
+
+
 @app.command()
 def integrators(out: FolderOption = Path("out/integrators"), json: TablesOption = None) -> None:
     """Compare integration methods of the paper's actuator in its loop: cost per step against error.
 
     Takes about half a minute. python-control is included if it is installed.
     """
-    # Imported here: matplotlib and scipy take long to import, and other commands do without.
     from telepulse.reports.studies import integrator_study as study
     from telepulse.reports.studies.sweep import in_one_thread
 
@@ -82,9 +106,11 @@ def link(
     Uses all cores; takes about three minutes on two. A recording is included if heartpy is
     installed.
     """
-    from telepulse.reports.studies import link_scores
-    from telepulse.reports.studies.link_report import report_links
-    from telepulse.reports.studies.link_scores import LinkEffort
+    from telepulse.reports.studies import link_report, link_scores
 
-    effort = LinkEffort()
-    publish(lambda: report_links(link_scores.score_links(effort, scheduler), effort), out, json)
+    effort = link_scores.LinkEffort()
+    publish(
+        lambda: link_report.report_links(link_scores.score_links(effort, scheduler), effort),
+        out,
+        json,
+    )

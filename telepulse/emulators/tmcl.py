@@ -8,7 +8,7 @@ currents, the other motors of a module, and the time that a real line takes for 
 import select
 import struct
 import time
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 from display_node.drives.scene import TmclScene
 from display_node.drives.tmcl.module import (
@@ -35,7 +35,7 @@ VERSION = 9999 << 16 | 1 << 8
 # After a pause this long in the middle of a datagram, the next byte begins a new one.
 PAUSE_NS = 5_000_000
 
-AnswerMode = Literal["right", "wrong", "garbled", "late", "none"]
+ANSWER_FAULTS = ("silent", "late", "wrong", "garbled")
 
 
 def checksum(data: bytes) -> int:
@@ -64,8 +64,8 @@ class DatagramSplitter:
 class EmulatedTmclModule:
     """Answers requests and moves the motor; answers are queued in the motor's fault injector.
 
-    answer_mode: "right", or a fault for the driver to detect. late_s: delay of answers in mode
-    "late".
+    answer_mode: "right", or one of `ANSWER_FAULTS` for the driver to detect. late_s: delay of
+    answers in mode "late".
     """
 
     def __init__(self, scene: TmclScene, motor: EmulatedMotor) -> None:
@@ -82,7 +82,7 @@ class EmulatedTmclModule:
             Parameter.MICROSTEPS: 4,
         }
         self._global = {int(Global.SERIAL_HEARTBEAT): 0, int(Global.CAN_HEARTBEAT): 0}
-        self.answer_mode: AnswerMode = "right"
+        self.answer_mode = "right"
         self.late_s = 0.03
 
     def receive(self, request: bytes, now_ns: int) -> None:
@@ -95,7 +95,7 @@ class EmulatedTmclModule:
         """Return 9 bytes of reply to 9 bytes of request; empty for another module's request."""
         address, command, kind, motor, value, check = DATAGRAM.unpack(request)
         self._motor.advance(now_ns)
-        if address != self._scene.module or self.answer_mode == "none":
+        if address != self._scene.module or self.answer_mode == "silent":
             return b""
         if checksum(request[:-1]) != check:
             status = WRONG_CHECKSUM

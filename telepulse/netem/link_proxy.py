@@ -1,10 +1,8 @@
-"""A proxy between two real nodes that delays or loses messages by a `MessageLink`.
-
-Data frames can be lost, control messages only delayed.
-"""
+"""Proxy between two real nodes that delays or loses messages by a `MessageLink`."""
 
 import heapq
 import itertools
+import math
 import time
 
 import zmq
@@ -37,32 +35,38 @@ class LinkProxy:
         server_keys: ServerKeys | None = None,
     ) -> None:
         now_ns = time.monotonic_ns()
-        self._down, self._up = (MessageLink(scene, seed + i, now_ns) for i in (0, 1))
+        down, up = (MessageLink(scene, seed + i, now_ns) for i in (0, 1))
         self._stopping = False
         self._waiting: list[tuple[int, int, sockets.Socket, list[bytes]]] = []
         self._order = itertools.count()
-        self._context: sockets.Context = zmq.Context()
-        context = self._context
+        context: sockets.Context = zmq.Context()
+        self._context = context
         control_in, control_out = (sockets.control_address(a) for a in (connect, bind))
-        self._data_in = sockets.connect(context, zmq.SUB, connect, client_keys)
-        self._data_in.subscribe(b"")
-        self._control_in = sockets.connect(context, zmq.DEALER, control_in, client_keys)
+        data = sockets.connect(context, zmq.SUB, connect, client_keys)
+        data.subscribe(b"")
+        answers = sockets.connect(context, zmq.DEALER, control_in, client_keys)
         self._authenticator = Authenticator(context, server_keys)
-        self._data_out = sockets.bind(context, zmq.XPUB, bind, self._authenticator)
-        self._subscribers = SubscriptionBudget(self._data_out, (b"",))
-        self._control_out = sockets.bind(context, zmq.ROUTER, control_out, self._authenticator)
+        displays = sockets.bind(context, zmq.XPUB, bind, self._authenticator)
+        self._subscribers = SubscriptionBudget(displays, (b"",))
+        requests = sockets.bind(context, zmq.ROUTER, control_out, self._authenticator)
+        # By receiving socket: the socket that its messages go to, and their arrival by the model.
+        self._paths = {
+            data: (displays, down.data_arrival_ns),
+            answers: (requests, down.control_arrival_ns),
+            requests: (answers, up.control_arrival_ns),
+        }
 
     def stop(self) -> None:
         """Make `run` return after the present message."""
         self._stopping = True
 
-    def run(self) -> None:
-        """Pass messages on until stopped."""
-        inputs = (self._data_in, self._control_in, self._control_out)
-        readable = [*inputs, *self._authenticator.sockets]
+    def run(self, seconds: float | None = None) -> None:
+        """Pass messages on until stopped, or for `seconds`."""
+        end_ns = math.inf if seconds is None else time.monotonic_ns() + seconds * 1e9
+        readable = [*self._paths, *self._authenticator.sockets]
         try:
-            while not self._stopping:
-                self._authenticator.poll(time.monotonic_ns())
+            while not self._stopping and (now_ns := time.monotonic_ns()) < end_ns:
+                self._authenticator.poll(now_ns)
                 self._receive()
                 sockets.wait_readable(readable, self._deliver())
         finally:
@@ -70,12 +74,8 @@ class LinkProxy:
 
     def _receive(self) -> None:
         self._subscribers.poll()
-        for from_, onto, arrival_ns in (
-            (self._data_in, self._data_out, self._down.data_arrival_ns),
-            (self._control_in, self._control_out, self._down.control_arrival_ns),
-            (self._control_out, self._control_in, self._up.control_arrival_ns),
-        ):
-            for parts in sockets.receive_multipart(from_):
+        for source, (onto, arrival_ns) in self._paths.items():
+            for parts in sockets.receive_multipart(source):
                 due_ns = arrival_ns(time.monotonic_ns(), sum(map(len, parts)))
                 if due_ns is not None:
                     heapq.heappush(self._waiting, (due_ns, next(self._order), onto, parts))

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from protocol.config.scene_file import find_scene
-from telepulse.cli.paper import build_report
+from telepulse.cli.study import build_paper
 from telepulse.scene import load_scene
 from telepulse.simulation.link_model import parse_link
 from telepulse.simulation.virtual_time import simulate
@@ -71,7 +71,7 @@ def read_paper_numbers() -> dict[str, list[str]]:
 
 
 if __name__ == "__main__":
-    numbers = paper_numbers(build_report().to_dict())
+    numbers = paper_numbers(build_paper().to_dict())
     PAPER_FILE.write_text(
         json.dumps(numbers, indent=1, ensure_ascii=False) + "\n", encoding="utf-8"
     )

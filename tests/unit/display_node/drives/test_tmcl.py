@@ -42,8 +42,8 @@ def answer_otherwise(bench: Bench, command: int, kinds: tuple[int, ...], reply: 
 @pytest.mark.parametrize(
     ("kind", "answers", "named"),
     [
-        ("tmcl", "none", "no answer"), ("tmcl", "late", "no answer"), ("tmcl", "wrong", "wrong"),
-        ("tmcl", "garbled", "garbled"), ("tmcl-can", "none", "no answer"),
+        ("tmcl", "silent", "no answer"), ("tmcl", "late", "no answer"), ("tmcl", "wrong", "wrong"),
+        ("tmcl", "garbled", "garbled"), ("tmcl-can", "silent", "no answer"),
         ("tmcl-can", "late", "no answer"), ("tmcl-can", "wrong", "wrong"),
     ],
 )  # fmt: skip
@@ -87,7 +87,7 @@ def test_a_few_missing_answers_are_counted_and_nothing_else(bench: Bench) -> Non
 
 
 def test_a_module_that_is_not_ready_yet_is_asked_again(bench: Bench) -> None:
-    bench.emulator.answer_mode = "none"
+    bench.emulator.answer_mode = "silent"
     ready_ns = bench.clock.now_ns + 200_000_000
     bench.clock.at(ready_ns, lambda: setattr(bench.emulator, "answer_mode", "right"))
     bench.start(RATE_HZ)
