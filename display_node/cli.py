@@ -95,7 +95,7 @@ def display(
         bool,
         typer.Option(
             "--doctor",
-            help="Play nothing: print which real-time measures this host grants, and how late"
+            help="Play nothing: print the real-time measures that this host grants, and how late"
             " ticks are with and without them. SCENE may be left out.",
         ),
     ] = False,
@@ -195,7 +195,7 @@ def _run(
     key: Path | None,
     request: RealtimeRequest,
 ) -> Summary:
-    """Run the node, and a process that draws its state; `key` lets that read the telemetry."""
+    """Run the node, and a process that draws its state and reads the telemetry with `key`."""
     stop_on_signals(node.stop)
     logger.info(f"waiting for {', '.join(connect)}; telemetry on {node.telemetry_address}")
     watcher = None

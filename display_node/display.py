@@ -1,4 +1,4 @@
-"""The display as one pure machine: bytes and ticks in, force at the finger out.
+"""The display without I/O: received bytes and ticks in, force at the finger out.
 
 The live node and the virtual-time simulation drive this same class; time is an argument.
 """
@@ -34,8 +34,7 @@ class Display:
     score
         Whether to compute the running errors of the felt force against the received one.
     feedback
-        Readings of a real film, which replace those of the scene's models. It may be set until the
-        first tick.
+        Readings of a real film, which replace those of the scene's models.
 
     Attributes
     ----------
@@ -64,14 +63,14 @@ class Display:
         self._loop = scene.force_loop()
         self._target = DelayLine(self._loop.lead_ns / scene.tick_ns)
         self._playout = PlayoutClock()
-        self._beginnings = 0
+        self._resets = 0
         self.force_ratio = 1.0
         self._group_delay_ns = self._lead_ns = self._reach_ns = self._reserve_ns = 0
         self._next_report_ns = 0
         self._delays = PlayedDelays()
         self._availability = AvailabilityCounter(scene.tick_ns * 1e-9)
         self._interruptions = InterruptionCounter(scene.tick_ns * 1e-9)
-        self.fidelity = TrackingError(self._layer.strain_per_newton) if score else None
+        self.tracking_error = TrackingError(self._layer.strain_per_newton) if score else None
         self.receiver = Receiver(name, scene.channel, scene.late_target, scene.paths)
         self.safety = Safety(scene.safety, scene.tick_ns)
         self.tick_state = TickState()
@@ -104,10 +103,13 @@ class Display:
         """Channel, force ratio and predictor that are in use; None before there is a stream."""
         if self.receiver.description is None:
             return None
-        scene, strain_per_newton = self._scene, self._layer.strain_per_newton
-        ratio, stale_after_ns = self.force_ratio, scene.safety.stale_after_ns
+        scene = self._scene
         return PlaybackStatus(
-            scene.channel, ratio, strain_per_newton, scene.predictor, stale_after_ns
+            scene.channel,
+            self.force_ratio,
+            self._layer.strain_per_newton,
+            scene.predictor,
+            scene.safety.stale_after_ns,
         )
 
     def pack_status(self, summary: Summary, final: bool) -> bytes:
@@ -119,9 +121,8 @@ class Display:
     @property
     def over(self) -> bool:
         """True when the session has ended and all of it was played."""
-        if not self.receiver.buffer.ended:
-            return False
-        return self.receiver.over(self.tick_state.now_ns, self.tick_state.playout_delay_ns)
+        receiver, state = self.receiver, self.tick_state
+        return receiver.buffer.ended and receiver.over(state.now_ns, state.playout_delay_ns)
 
     def on_frame(self, data: bytes, now_ns: int) -> None:
         """Take a data message."""
@@ -129,23 +130,25 @@ class Display:
         if frame is None:
             return
         self._concealment.observe(frame)
-        if self.fidelity is not None:
+        if self.tracking_error is not None:
             channel = self._scene.channel
-            self.fidelity.add_reference(frame, channel, self.force_ratio, self._group_delay_ns)
+            self.tracking_error.add_reference(
+                frame, channel, self.force_ratio, self._group_delay_ns
+            )
 
     def on_control(self, data: bytes, now_ns: int) -> None:
         """Take a control message."""
         self.receiver.on_control(data, now_ns)
-        beginnings, description = self.receiver.beginnings, self.receiver.description
-        if beginnings != self._beginnings and description is not None:
-            self._beginnings = beginnings
+        resets, description = self.receiver.resets, self.receiver.description
+        if resets != self._resets and description is not None:
+            self._resets = resets
             self.force_ratio = matching_force_ratio(description.layer, self._layer)
             self._group_delay_ns = description.group_delay_ns
             self._lead_ns = description.group_delay_ns + self._loop.lead_ns
             self._playout = PlayoutClock()
             self._concealment = self._build_concealment()
             self._reach_ns = self._lead_ns + self._loop.horizon * self._tick_ns
-            # "auto" adds this delay for the loop itself: up to the sample after the horizon's end.
+            # "auto" adds this delay for the loop: up to the sample after the end of its horizon.
             self._reserve_ns = self._reach_ns + description.period_ns
 
     def requests(self, now_ns: int) -> list[Control]:
@@ -159,7 +162,7 @@ class Display:
     def tick(self, now_ns: int, elapsed_ticks: int = 1) -> TickState:
         """Advance the force loop to `now_ns`, `elapsed_ticks` ticks after the last one.
 
-        On a real bench, the drive is sent the controller's output, or after a fault the command to
+        On a real bench, the drive receives the controller's output, or after a fault the command to
         withdraw.
         """
         hardware, safety, state, loop = self._hardware, self.safety, self.tick_state, self._loop
@@ -192,16 +195,16 @@ class Display:
         state.scored = alive and safety.gain == 1.0
         self._availability.add(self.state, elapsed_ticks)
         self._interruptions.add(state.scored, elapsed_ticks)
-        if state.scored and self.fidelity is not None:
-            # A real film's reading is this old.
-            before_ns = self._scene.film.latency_ns if self.feedback is not None else 0
-            self.fidelity.add_output(
-                state.sensing_now_ns - before_ns, state.instant_ns - before_ns, felt_n
+        if state.scored and self.tracking_error is not None:
+            # Age of a reading of a real film.
+            age_ns = self._scene.film.latency_ns if self.feedback is not None else 0
+            self.tracking_error.add_output(
+                state.sensing_now_ns - age_ns, state.instant_ns - age_ns, felt_n
             )
-        if hardware is not None and (
-            (fault := hardware.command(loop.output, safety.faults)) is not None
-        ):
-            safety.fault(fault)
+        if hardware is not None:
+            fault = hardware.command(loop.output, safety.faults)
+            if fault is not None:
+                safety.fault(fault)
         return state
 
     def _build_concealment(self) -> Concealment:
@@ -224,8 +227,8 @@ class Display:
             wanted_delay_ns = auto_delay_ns(carried_ns, state.trusted)
         instant_ns = self._playout.instant(now_ns, sensing_now_ns - wanted_delay_ns)
         state.sensing_now_ns, state.instant_ns = sensing_now_ns, instant_ns
-        # The sensing chain delays the pulse by its group delay, so the sample taken that much later
-        # shows the pulse of `instant_ns`. The actuator's lag is compensated in the same way.
+        # The sensing chain delays the pulse by its group delay: the pulse of `instant_ns` is in the
+        # sample taken that much later. The actuator's lag is compensated in the same way.
         sampled_ns = instant_ns + self._lead_ns
         buffer = receiver.buffer
         buffer.advance(sampled_ns)
@@ -249,20 +252,16 @@ class Display:
         return [ratio * force_n for force_n in wrist_n], alive
 
     def _report(self, session: int) -> DisplayReport:
-        account = self.receiver.account()
-        delay = self.receiver.one_way_delay_ms
-        aligned = self.fidelity.force_rmse_n.aligned if self.fidelity is not None else None
-        return DisplayReport(
-            session=session,
-            display=self._name,
-            played=account.played,
-            late=account.late,
-            lost=account.lost,
-            one_way_delay_p50_ms=_or_nan(delay.quantile(0.5)),
-            one_way_delay_p99_ms=_or_nan(delay.quantile(0.99)),
-            playout_delay_ms=_or_nan(self._delays.playout_delay_ms.mean),
-            force_rmse_n=_or_nan(aligned),
+        counts, delay_ms = self.receiver.account(), self.receiver.one_way_delay_ms
+        errors = self.tracking_error
+        figures = (
+            delay_ms.quantile(0.5),
+            delay_ms.quantile(0.99),
+            self._delays.playout_delay_ms.mean,
+            None if errors is None else errors.force_rmse_n.aligned,
         )
+        numbers = (math.nan if figure is None else figure for figure in figures)
+        return DisplayReport(session, self._name, counts.played, counts.late, counts.lost, *numbers)
 
     def summary(
         self, deadline_misses: int | None = None, tick_us: TickTime | None = None
@@ -284,7 +283,7 @@ class Display:
             finger=describe_finger(finger) if self.feedback is None else None,
             finger_stiffness=self._loop.finger_stiffness,
         )
-        return self.fidelity.scored(summary) if self.fidelity is not None else summary
+        return self.tracking_error.scored(summary) if self.tracking_error is not None else summary
 
     def _limits(self) -> Limits:
         """Return how often and how long each limit has held, in ticks that were run.
@@ -304,7 +303,3 @@ class Display:
         if loop.at_end is not None:
             limits = replace(limits, travel=loop.at_end.limited(*run))
         return limits
-
-
-def _or_nan(value: float | None) -> float:
-    return float("nan") if value is None else value

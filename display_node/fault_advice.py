@@ -1,6 +1,6 @@
-"""Advice on latched faults: one table for every surface, and the exit status.
+"""Advice on latched faults and on drives that refuse to start, and the exit status for faults.
 
-Advice on a drive that cannot be started: one table for every command that starts one.
+Every output that names a fault, and every command that starts a drive, uses these tables.
 """
 
 import sys
@@ -11,10 +11,10 @@ from protocol.errors import DriveError
 
 # Exit status of a display, or of a demo, that ended at a latched fault.
 FAULT_STATUS = 3
-# Entries of a summary's `faults` that name what a sensor missed; nothing is latched by them.
+# Prefixes of those entries of a summary's `faults` that are notes on a sensor and latch nothing.
 FILM_NOTE, SENSING_NOTE = "film's sensor: ", "sensing node: "
+# Words of a fault's text, and advice: the first entry that fits.
 ADVICE = (
-    # The first entry whose words are in the fault's text.
     ("withdrawal", "the tip may still press: switch the drive's power off, take the finger away"),
     ("wrong way", "check `inverted` in the scene and the motor's wires: telepulse bench"),
     ("following error", "the tip does not move as commanded: check that it moves freely, then the"
@@ -38,7 +38,6 @@ ADVICE = (
     ("fault", "the drive stopped itself: remove the cause, then switch its power off and on"),
 )  # fmt: skip
 OTHERWISE = "see docs/drives.md"
-AGAIN = "then start the display again"
 
 
 def latched(faults: Iterable[str]) -> list[str]:
@@ -47,9 +46,9 @@ def latched(faults: Iterable[str]) -> list[str]:
 
 
 def advise(fault: str) -> str:
-    """Return what to do about a latched fault, in one line."""
-    what = next((advice for words, advice in ADVICE if words in fault), OTHERWISE)
-    return f"{what}; {AGAIN}"
+    """Return advice on a latched fault, in one line."""
+    advice = next((advice for words, advice in ADVICE if words in fault), OTHERWISE)
+    return f"{advice}; then start the display again"
 
 
 def end_at_faults(program: str, faults: Iterable[str]) -> None:
@@ -64,7 +63,7 @@ def end_at_faults(program: str, faults: Iterable[str]) -> None:
 _IN_USE = "another program uses it: end that one (fuser names it)"
 _NO_WATCHDOG = "without this watchdog the drive would not stop by itself: use "
 
-# Kind of DriveError, words of its text, and what to do: the first entry that fits.
+# Kind of DriveError, words of its text, and advice: the first entry that fits.
 START_ADVICE = (
     ("unplugged", "pip install", ""),
     ("unplugged", "No such file", "check `port` in [display.drive] and the cable: ls"
@@ -97,21 +96,23 @@ START_ADVICE = (
     ("not there", "", "check that the tip moves freely, then the motor's current and"
      " `microsteps`"),
     ("fault", "", "remove the cause, then switch the drive's power off and on"),
-    # Its own text says what to look at.
+    # The text of this error is its advice.
     ("wrong way", "", ""),
 )  # fmt: skip
 
 
 def start_advice(error: DriveError) -> str:
-    """Return advice on a drive that refused to start; empty where the error's text holds it."""
+    """Return advice on a drive that refused to start; empty where the error's text has it."""
     text = str(error)
-    fitting = (what for kind, words, what in START_ADVICE if error.kind == kind and words in text)
+    fitting = (
+        advice for kind, words, advice in START_ADVICE if error.kind == kind and words in text
+    )
     return next(fitting, OTHERWISE)
 
 
 @contextmanager
 def advised() -> Iterator[None]:
-    """Add to a DriveError what to do about it, within a `with`."""
+    """Add advice to the text of a DriveError, within a `with`."""
     try:
         yield
     except DriveError as error:

@@ -48,17 +48,9 @@ def start_bench(
 ) -> Iterator[Hardware | None]:
     """Start the real bench of a scene within a `with`; yield None if the scene names no drive.
 
-    Parameters
-    ----------
-    folder
-        Folder of the scene's file.
-    without_film
-        Whether the drive may press although no film measures the force.
-
-    Raises
-    ------
-    SceneError, SourceError, DriveError
-        A part is missing in the scene; the film's sensor, or the drive, does not answer.
+    folder: of the scene's file. without_film: whether the drive may press although no film measures
+    the force. Raises SceneError, SourceError or DriveError where a part is missing in the scene, or
+    the film's sensor or the drive does not answer.
     """
     if scene.drive is None:
         yield None
@@ -223,9 +215,9 @@ class DisplayNode:
 
     def _summary(self) -> Summary:
         display, connection, hardware = self._display, self._connection, self._hardware
-        deadlines, tick_us = self._deadlines, self._tick_us
-        beyond = tick_us.beyond(p50=0.5, p99=0.99)
-        times = TickTime(tick_us.quantile(0.5), tick_us.quantile(0.99), beyond)
+        deadlines, late_us = self._deadlines, self._late_us
+        lateness = late_us.quantiles(p50=0.5, p99=0.99, p999=0.999)
+        times = TickTime(**self._tick_us.quantiles(p50=0.5, p99=0.99))
         summary = display.summary(self._pacer.missed, times)
         rejected = Counter(summary.rejected) + connection.rejected + self._telemetry.rejected
         rejected += self._readers.rejected
@@ -233,7 +225,7 @@ class DisplayNode:
             summary,
             loop=replace(
                 summary.loop,
-                late_us=_lateness(self._late_us),
+                late_us=Lateness(**lateness, max=late_us.maximum),
                 late=deadlines.alarm,
                 last_5s=deadlines.last_5s,
                 worst_5s=deadlines.worst_5s,
@@ -263,13 +255,7 @@ class DisplayNode:
     def _finish(self) -> Summary:
         if self._hardware is not None:
             self._hardware.withdraw()
-        if self._display.fidelity is not None:
-            self._display.fidelity.finish()
+        if self._display.tracking_error is not None:
+            self._display.tracking_error.finish()
         self._telemetry.finish(self._status(final=True))
         return self._summary()
-
-
-def _lateness(late_us: Histogram) -> Lateness:
-    shares = {"p50": 0.5, "p99": 0.99, "p999": 0.999}
-    quantiles = {name: late_us.quantile(share) for name, share in shares.items()}
-    return Lateness(**quantiles, max=late_us.maximum, beyond=late_us.beyond(**shares))

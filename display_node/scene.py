@@ -39,10 +39,10 @@ class DisplayScene(Section):
     compensation: the perceived delay E as a time, or "auto" (stored as None) for the smallest
     delay at which at most `late_target` of the samples are late; with a predictor that learns, E is
     reduced while the predictor's error is small. predictor: name of the predictor that supplies
-    missing samples. channel: channel of the stream that is felt. paths: count of parallel TCP
+    missing samples. channel: channel of the stream that is felt. paths: number of parallel TCP
     connections to the sensing node; the first copy of a frame is used.
 
-    drive and feedback: the real bench, in place of the models of actuator and film; without
+    drive and feedback: the real bench, which replaces the models of actuator and film; without
     feedback, the force is computed from the position that the drive reports.
     """
 
@@ -67,7 +67,7 @@ class DisplayScene(Section):
         return self
 
     def force_loop(self, actual: SecondOrderScene | StepperScene | None = None) -> ForceLoop:
-        """Build the force loop, as `build_force_loop` does."""
+        """Build the force loop; it drives the actuator `actual`, or the scene's where None."""
         return build_force_loop(
             self.controller,
             self.actuator,

@@ -92,10 +92,10 @@ class StreamPlay:
 
     def _hear(self, message: Control) -> None:
         receiver = self.receiver
-        waiting, beginnings = receiver.buffer.waiting, receiver.beginnings
+        waiting, resets = receiver.buffer.waiting, receiver.resets
         self._said += 1
         receiver.on_control(encode_control(message), self._now_ns)
-        if receiver.beginnings != beginnings:
+        if receiver.resets != resets:
             self._given_up += waiting
         self._check()
 

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Collection
+from typing import Any
 
 
 class Histogram:
@@ -49,12 +50,11 @@ class Histogram:
     def quantile(self, share: float) -> float | None:
         """Return the quantile for a share of 0 to 1: the middle of its bin.
 
-        Returns `end`, a lower bound, for a quantile beyond the range (see `beyond`); None without
-        values.
+        Returns `end`, a lower bound, where the quantile `is_beyond` the range; None without values.
         """
         if self.maximum is None:
             return None
-        if self._is_beyond(share):
+        if self.is_beyond(share):
             return self.end
         wanted, seen = share * self.count, 0
         for position, count in enumerate(self._counts):
@@ -63,14 +63,16 @@ class Histogram:
                 return min((position + 0.5) * self._bin_width, self.maximum)
         return self.end
 
-    def beyond(self, **shares: float) -> list[str]:
-        """Return the names of the quantiles beyond the range: `beyond(p50=0.5, p99=0.99)`.
+    def quantiles(self, **shares: float) -> dict[str, Any]:
+        """Return quantiles by name, and as "beyond" the names of those beyond the range.
 
-        It does not iterate over the bins, because a status is built between two ticks.
+        `quantiles(p50=0.5, p99=0.99)` has the fields of a group of the summary.
         """
-        return [name for name, share in shares.items() if self._is_beyond(share)]
+        beyond = [name for name, share in shares.items() if self.is_beyond(share)]
+        return {name: self.quantile(share) for name, share in shares.items()} | {"beyond": beyond}
 
-    def _is_beyond(self, share: float) -> bool:
+    def is_beyond(self, share: float) -> bool:
+        """Return whether a quantile is beyond the range."""
         within = self.count - self._counts[-1]
         return self.count > 0 and (not within or within < share * self.count)
 

@@ -7,6 +7,7 @@ import dataclasses
 import json as json_format
 from collections.abc import Iterable
 from pathlib import Path
+from typing import Any
 
 from rich.console import Console
 from rich.table import Table
@@ -25,6 +26,7 @@ from protocol.host.realtime import RealtimeGrant, apply_realtime, parse_realtime
 SECONDS = 30.0
 TICKS_WIDTH = 72
 QUANTILES = {"p50": 0.5, "p99": 0.99, "p99.9": 0.999}
+COLUMNS = ("ticks", "missed", *QUANTILES, "max")
 
 
 def run_doctor(
@@ -36,14 +38,14 @@ def run_doctor(
     """
     seconds = seconds or SECONDS
     tick_ns: int = DisplayScene.model_fields["tick_ns"].default
-    work: Work = lambda due_ns, elapsed: None  # noqa: E731
+    work: Work = lambda *_: None  # noqa: E731
     if scene is not None:
         section = load_section(scene, "display", DisplayScene)
         # The work of a tick while a display waits for its stream.
         tick_ns, work = section.tick_ns, Display(section, "doctor").tick
     host = read_host()
     _print_rows("this host", describe(host), console)
-    held = _try(host)
+    held = _try_settings(host)
     refused = ((refusal.name, "not granted") for refusal in held.refused)
     _print_rows("\n--realtime", [*held.granted.items(), *refused], console)
     processors = len(host.cpus) or 1
@@ -67,9 +69,7 @@ def run_doctor(
         "refused": [dataclasses.asdict(refusal) for refusal in held.refused],
         "tick_ms": findings.tick_ns * 1e-6,
         "late_us": [
-            {"with": name, "beside": beside}
-            | _figures(ticks)
-            | {"beyond": ticks.late_us.beyond(**QUANTILES)}
+            {"with": name, "beside": beside} | _figures(ticks)
             for (name, beside), ticks in findings.ticks.items()
         ],
         "stolen": findings.stolen,
@@ -78,7 +78,7 @@ def run_doctor(
     write_whole(json, json_format.dumps(report, indent=2) + "\n")
 
 
-def _try(host: Host) -> RealtimeGrant:
+def _try_settings(host: Host) -> RealtimeGrant:
     """Apply each setting for a moment; return which were granted and which refused."""
     settings = ["slack", "lock", "fifo"]
     if host.isolated:
@@ -104,21 +104,19 @@ def _print_rows(title: str, rows: Iterable[tuple[str, str]], console: Console) -
 def _print_ticks(findings: HostFindings, console: Console) -> None:
     title = "how late ticks began, in µs"
     table = Table(title=title, title_justify="left", box=None, pad_edge=False)
-    for position, column in enumerate(("with", "beside", *_figures(Ticks()))):
+    for position, column in enumerate(("with", "beside", *COLUMNS)):
         table.add_column(column, justify="left" if position < 2 else "right")
     for (name, beside), ticks in findings.ticks.items():
-        beyond = ticks.late_us.beyond(**QUANTILES)
-        figures = (
-            "–" if value is None else f"{bound(key, beyond)}{value:.0f}"
-            for key, value in _figures(ticks).items()
+        figures = _figures(ticks)
+        texts = (
+            "–" if figures[key] is None else f"{bound(key, figures['beyond'])}{figures[key]:.0f}"
+            for key in COLUMNS
         )
-        table.add_row(name, beside, *figures)
+        table.add_row(name, beside, *texts)
     # The table is not cut, however narrow the terminal is.
     console.print(table, width=max(console.width, TICKS_WIDTH), crop=False)
 
 
-def _figures(ticks: Ticks) -> dict[str, float | None]:
-    quantiles = {name: ticks.late_us.quantile(share) for name, share in QUANTILES.items()}
-    return {
-        "ticks": ticks.due, "missed": ticks.missed, **quantiles, "max": ticks.late_us.maximum,
-    }  # fmt: skip
+def _figures(ticks: Ticks) -> dict[str, Any]:
+    late_us, counts = ticks.late_us, {"ticks": ticks.due, "missed": ticks.missed}
+    return counts | late_us.quantiles(**QUANTILES) | {"max": late_us.maximum}

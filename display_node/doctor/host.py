@@ -29,9 +29,10 @@ UNKNOWN = "not reported"
 class Host:
     """Properties of a host; None or empty where they could not be read.
 
-    cpus: processors that this process may use. quota: processors' time that its control group
-    allows. idle_us: time to wake from the deepest sleep. limits: resource limits of this process by
-    name; None for no limit.
+    cpus: numbers of the processors that this process may use. quota: number of processors whose
+    whole time its control group allows. idle_us: time to wake from the deepest sleep. limits:
+    resource limits of this process by name; None for no limit. realtime_share: share of a
+    processor's time for threads with a real-time priority. extras: missing packages by extra.
     """
 
     system: str
@@ -87,7 +88,7 @@ def preemption_of(version: str) -> str | None:
 
 
 def describe(host: Host) -> list[tuple[str, str]]:
-    """Return the host in rows for people."""
+    """Return the host as rows of a table, each a name and a text."""
     cpus = spans(frozenset(host.cpus)) or "any"
     if host.quota is not None:
         cpus += f", for the time of {host.quota:g}"
@@ -111,7 +112,7 @@ def describe(host: Host) -> list[tuple[str, str]]:
         ("power", ", ".join(power) or UNKNOWN),
         ("clock", f"{host.clocksource or 'unknown'}, in {host.clock_resolution_ns:g} ns"),
         ("swap", f"{host.swap_kib >> 10} MiB" if host.swap_kib else "none"),
-        ("limits", ", ".join(limits) or "not reported"),
+        ("limits", ", ".join(limits) or UNKNOWN),
         ("real-time share", share),
         ("python", host.python),
         ("zeromq", f"{host.zeromq}, {'CURVE' if host.curve else 'without CURVE'}"),
@@ -162,7 +163,7 @@ def _virtual() -> list[str]:
 
 
 def _quota() -> float | None:
-    """Return the processors' time that a control group of either version allows."""
+    """Return the number of processors whose time a control group of either version allows."""
     for line in kernel_text(Path("/proc/self/cgroup")).splitlines():
         _, controllers, path = line.split(":", 2)
         if not controllers:
@@ -197,7 +198,7 @@ def _limits() -> dict[str, int | None]:
 
 
 def _missing(requirements: list[str]) -> dict[str, list[str]]:
-    """Return by extra which of its packages are not installed."""
+    """Return the packages of each extra that are not installed."""
     missing: dict[str, list[str]] = {}
     for requirement in requirements:
         found = EXTRA.match(requirement)
@@ -211,7 +212,7 @@ def _missing(requirements: list[str]) -> dict[str, list[str]]:
 
 
 def kernel_text(path: Path) -> str:
-    """Return the text of a kernel's file; empty where it cannot be read."""
+    """Return the text of a file of the kernel; empty where it cannot be read."""
     try:
         return path.read_text(encoding="utf-8", errors="replace").strip()
     except OSError:

@@ -42,7 +42,7 @@ Work = Callable[[int, int], object]
 
 @dataclass(slots=True)
 class Ticks:
-    """late_us: lateness of ticks; missed: number of ticks that did not begin in their period."""
+    """Lateness of ticks in µs, and number of ticks that did not begin in their period."""
 
     late_us: Histogram = field(default_factory=lambda: Histogram(2.0, 5_000))
     missed: int = 0
@@ -84,8 +84,8 @@ def busy_processes(count: int) -> Iterator[None]:
 class HostFindings:
     """Findings of a doctor's run.
 
-    ticks: by setting, and by what ran beside them. option: the value to pass to --realtime, None
-    where nothing is granted. stolen: share of the time that a hypervisor took away.
+    ticks: by setting and load. option: the value to pass to --realtime, None where nothing is
+    granted. stolen: share of the time that a hypervisor took away.
     """
 
     tick_ns: int
@@ -130,7 +130,7 @@ def measure(
 
 @dataclass(frozen=True, slots=True)
 class HostVerdict:
-    """status: ok, warn or fail; reason: a line; advice: lines, the most effective first."""
+    """Verdict ok, warn or fail; its reason in a line; lines of advice, most effective first."""
 
     status: str
     reason: str
@@ -138,7 +138,7 @@ class HostVerdict:
 
 
 def judge(host: Host, findings: HostFindings) -> HostVerdict:
-    """Judge whether this host keeps a loop on time, and what would help."""
+    """Judge whether this host keeps a loop on time; add advice."""
     bare = findings.ticks[BARE, LOADED]
     best = findings.ticks.get((TOGETHER, LOADED), bare)
     share = best.missed / best.due if best.due else 1.0

@@ -1,7 +1,7 @@
 """Concealment: the force where no sample has arrived, without jumps, and trust in the predictor.
 
-With `compensation = "auto"`, E is the delay that the link requires; while the predictor is trusted,
-E is up to 400 ms smaller. Pure: frames, errors and times are arguments.
+With `compensation = "auto"`, the perceived delay E is the delay that the link requires; while the
+predictor is trusted, E is up to 400 ms smaller. Pure: frames, errors and times are arguments.
 """
 
 import math
@@ -21,12 +21,8 @@ class Blend:
     """Continuous transition from each tick's path of predicted force to the next tick's.
 
     A new frame corrects the prediction, so the force for the present instant jumps. The jump is
-    removed by an offset that decays.
-
-    Attributes
-    ----------
-    busy
-        Whether the last path was predicted, or an offset is still in effect.
+    removed by an offset that decays. busy: whether the last path was predicted, or an offset is
+    still in effect.
     """
 
     def __init__(self, tick_ns: int) -> None:
@@ -45,8 +41,8 @@ class Blend:
         Parameters
         ----------
         path_n
-            Force in N at `instant_ns` and at the ticks after it. Part or all of it is
-            predicted; only while `busy` all may be received.
+            Force in N at `instant_ns` and at the ticks after it. While not `busy`, at least the
+            last value is a prediction.
         newest_ns
             Time of the newest sample in ns.
         """
@@ -69,7 +65,7 @@ class Blend:
         return joined_n
 
     def _offset_at(self, force_n: float, instant_ns: int) -> float:
-        """Return the rest of the offset, plus the jump from the last path to this force."""
+        """Return what remains of the offset, plus the jump from the last path to this force."""
         path_n = self._path_n
         ticks = (instant_ns - self._instant_ns) / self._tick_ns
         # After missed ticks or a jump of the playout, the paths do not overlap.
@@ -90,10 +86,7 @@ WINDOWS = 5
 class PulseSize:
     """The pulse's height from foot to peak: the median over the last windows of 2 s.
 
-    Attributes
-    ----------
-    size
-        Height in N; None before the first window has ended.
+    size: height in N; None before the first window has ended.
     """
 
     def __init__(self) -> None:
@@ -126,7 +119,7 @@ MOST_NS = 400_000_000
 
 
 class Trust:
-    """Decision whether the predictor's error would go unnoticed at E = 0.
+    """Judgement that the predictor's error would go unnoticed at E = 0.
 
     The criterion is the RMS of the expected error over the last 1.5 s, as a share of the pulse's
     height. A tick is weighted by the time since the last one; an unknown error counts as 0.3. Trust
@@ -160,19 +153,14 @@ def auto_delay_ns(carried_ns: int, trusted: bool) -> int:
 
 
 class Concealment:
-    """One session's predictor, with smoothed jumps and a decision whether to trust it. Pure.
+    """One session's predictor, with smoothed jumps and a judgement of its error. Pure.
 
-    Forces are those at the wrist, in N. Times are on the sensing clock, except now_ns.
-
-    Parameters
-    ----------
-    auto
-        Whether the perceived delay follows the link, so that trust may reduce it.
+    Forces are those at the wrist, in N. Times are on the sensing clock, except now_ns. auto:
+    whether the perceived delay follows the link, so that trust may reduce it.
     """
 
     def __init__(self, predictor: PredictorName, channel: int, tick_ns: int, auto: bool) -> None:
-        self._channel = channel
-        self._tick_ns = tick_ns
+        self._channel, self._tick_ns = channel, tick_ns
         self._predictor = build_predictor(predictor, tick_ns)
         self._blend = Blend(tick_ns)
         self._size = PulseSize()

@@ -1,7 +1,6 @@
 """Experts and their stack as one predictor, whose work is divided among ticks.
 
-Samples → grid → history → experts → stack → a path over the next 250 ms, which `predict`
-interpolates.
+Samples → grid → history → experts → stack → a path over the next 250 ms, interpolated by `predict`.
 """
 
 import math
@@ -19,9 +18,8 @@ from display_node.prediction.experts import (
     Expert,
     Fir,
     Harmonic,
-    Rhythm,
 )
-from display_node.prediction.grid import STEP_NS, Grid, GridCell, History
+from display_node.prediction.grid import STEP_NS, Grid, GridCell, History, Rhythm
 
 Floats = NDArray[np.float64]
 FORGET = 1 - 1 / 2_000
@@ -33,12 +31,8 @@ HORIZON = np.arange(HORIZONS)
 class Stack:
     """Combination of n trajectories, with least-squares weights for every horizon.
 
-    The weights are updated by recursive least squares when the predicted value arrives.
-
-    Parameters
-    ----------
-    trust
-        Shape (n,): the initial weights.
+    The weights are updated by recursive least squares when the predicted value arrives. trust:
+    initial weights, shape (n,).
     """
 
     def __init__(self, trust: Floats) -> None:
@@ -98,7 +92,8 @@ class Stack:
 
 
 CAPACITY = 8_192
-# Steps in the first 2 s, which give the signal's level and size; no prediction before.
+# Steps in the first 2 s, which determine the signal's level and size; until then nothing is
+# predicted.
 WARM_UP = 400
 # A step's work has four pieces. One piece a millisecond leaves one in five free to catch up.
 SPACING_NS = SPACING * STEP_NS
@@ -110,17 +105,8 @@ RECENT, MARGIN = 1_000, 0.25
 class Ensemble:
     """Predictor of a stream of force in N; it holds the newest value during its warm-up.
 
-    Parameters
-    ----------
-    kind
-        "stack" of all experts, or the name of a single one.
-    tick_ns
-        Time between two calls of `work`, in ns.
-
-    Attributes
-    ----------
-    names
-        Names of the combined trajectories, then "stack".
+    kind: "stack" of all experts, or the name of a single one. tick_ns: time between two calls of
+    `work`. names: of the combined trajectories, then "stack".
     """
 
     def __init__(self, kind: str, tick_ns: int) -> None:
@@ -133,16 +119,11 @@ class Ensemble:
 
     def _begin(self) -> None:
         self._rhythm = rhythm = Rhythm()
-        self._experts: list[Expert]
-        match self._kind:
-            case "fir":
-                self._experts = [Fir()]
-            case "analogue":
-                self._experts = [Analogue()]
-            case "harmonic":
-                self._experts = [Harmonic(rhythm)]
-            case _:
-                self._experts = [Analogue(), Fir(), Harmonic(rhythm)]
+        experts: dict[str, Expert] = {
+            "analogue": Analogue(), "fir": Fir(), "harmonic": Harmonic(rhythm)
+        }  # fmt: skip
+        chosen = experts if self._kind == "stack" else (self._kind,)
+        self._experts = [experts[name] for name in chosen]
         self._stack = Stack(np.array([e.trust for e in self._experts for _ in e.names]))
         self._history = History(CAPACITY)
         self._warm_up: list[float] = []
@@ -155,7 +136,7 @@ class Ensemble:
         self._path: list[float] = []
 
     def observe(self, times_ns: list[int], values: list[float]) -> None:
-        """Take new samples in N, in order among themselves; times on the sensing clock."""
+        """Take new samples in N, in order of time within the call."""
         if times_ns[-1] > self._newest_ns:
             self._newest_ns, self._newest = times_ns[-1], values[-1]
         self._grid.observe(times_ns, values)
@@ -209,8 +190,8 @@ class Ensemble:
         self._number = cell.number
         # Cells that late samples corrected replace the interpolated ones.
         for late in self._grid.corrections:
-            mended = (late.value - self._level) / self._scale
-            history.rewrite(self._number - late.number, mended)
+            corrected = (late.value - self._level) / self._scale
+            history.rewrite(self._number - late.number, corrected)
         self._grid.corrections.clear()
         first, *others = self._experts
         first.observe(history)
@@ -269,7 +250,7 @@ class Ensemble:
 def _between(path: list[float], position: float) -> float:
     """Return a path's value by cubic interpolation (Catmull and Rom).
 
-    path: points a step apart, the second at position 0; the end values are held beyond its ends.
+    path: points a step apart, the second at position 0. Beyond the path, its end values are held.
     """
     last = len(path) - 2
     position = min(max(position, 0.0), last)

@@ -1,18 +1,17 @@
 """The experts of the stack: beat analogues, a long linear filter, and a harmonic oscillator.
 
-`display_node/prediction/__init__.py` lists the places to change when you add a predictor. Each
-expert predicts the history's values at `HORIZONS` common horizons up to 250 ms ahead.
+Each expert predicts the history's values at `HORIZONS` common horizons up to 250 ms ahead. The
+package's docstring lists the places to change when you add a predictor.
 """
 
 import math
-import statistics
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg.blas import dger, dsymv, dsyr
 
-from display_node.prediction.grid import History
+from display_node.prediction.grid import History, Rhythm
 
 # The horizons are 10 ms apart, up to 250 ms, and a cubic joins them: the pulse ends below 40 Hz.
 SPACING, HORIZONS = 2, 25
@@ -24,12 +23,7 @@ Trajectories = NDArray[np.float64]
 class Expert(Protocol):
     """Predictor of a history's values `AHEAD` steps after the newest, as one or more trajectories.
 
-    Attributes
-    ----------
-    names
-        Names of its trajectories.
-    trust
-        Weight of each of them at the stack's start.
+    names: of its trajectories. trust: weight of each of them at the stack's start.
     """
 
     names: tuple[str, ...]
@@ -52,7 +46,7 @@ class Expert(Protocol):
 
 
 LAGS = 8_000
-# Smallest lag. At smaller ones, the next 250 ms are not known yet, and the beat is the present one.
+# Smallest lag. At smaller ones, the next 250 ms are not known yet, or the beat is the present one.
 NEAREST = 60
 MEMORIES_S = (0.05, 0.2, 0.6)
 STEP_S = 0.005
@@ -238,55 +232,6 @@ class Fir(Expert):
         dsyr(-1.0 / power, spread, a=self._covariance, overwrite_a=1)
 
 
-BEATS, FEWEST = 9, 4
-SHARE = 0.45
-# Least distance of two beats in steps: 250 ms.
-REFRACTORY = 50
-# Before peaks are known, the threshold follows the highest slope, which fades in 3 s.
-FADE = 1 - 1 / 600
-
-
-class Rhythm:
-    """Detector of a signal's beats: the slope rises through a share of its usual peak.
-
-    Attributes
-    ----------
-    interval
-        Median of the last beats' intervals in steps of the grid; None before enough beats.
-    """
-
-    def __init__(self) -> None:
-        self.interval: float | None = None
-        self._intervals: list[int] = []
-        self._peaks: list[float] = []
-        self._peak = self._highest = self._slope = 0.0
-        self._threshold = math.inf
-        self._step = 0
-        self._beat_step: int | None = None
-
-    def push(self, slope: float) -> None:
-        """Take the slope at the next step."""
-        self._step += 1
-        rested = self._beat_step is None or self._step - self._beat_step > REFRACTORY
-        if self._slope < self._threshold <= slope and rested:
-            self._beat()
-        self._slope = slope
-        self._peak = max(self._peak, slope)
-        self._highest = max(self._highest * FADE, slope)
-        if self.interval is None and self._highest > 0:
-            self._threshold = SHARE * self._highest
-
-    def _beat(self) -> None:
-        if self._beat_step is not None:
-            self._peaks = [*self._peaks[1 - BEATS :], self._peak]
-            self._intervals = [*self._intervals[1 - BEATS :], self._step - self._beat_step]
-            if len(self._peaks) >= FEWEST:
-                self._threshold = SHARE * statistics.median(self._peaks)
-                self.interval = statistics.median(self._intervals)
-        self._peak = 0.0
-        self._beat_step = self._step
-
-
 HARMONICS = 8
 SIZE = 3 + 2 * HARMONICS
 # Order and phase of each harmonic: the cosines, then the sines as cosines with a phase of π/2.
@@ -306,12 +251,8 @@ class Harmonic(Expert):
         x(t) = m + Σ a_k cos kθ + b_k sin kθ,  θ ← θ + ω;  m, ω, a, b walk randomly.
 
     It starts at the rhythm's frequency, and is restarted when it diverges. The state changes so
-    slowly that a prediction from the state of one step before suffices.
-
-    Attributes
-    ----------
-    alive
-        Whether it has started and has not diverged.
+    slowly that a prediction from the state of one step before suffices. alive: whether it has
+    started and has not diverged.
     """
 
     names = ("harmonic",)
@@ -340,7 +281,7 @@ class Harmonic(Expert):
         if not self.alive:
             self._start(newest, interval)
         self._follow(newest)
-        self.alive = self._sane(interval)
+        self.alive = self._converges(interval)
         if self.alive:
             state = self._state
             # The values that `predict` returns at the next step.
@@ -373,7 +314,7 @@ class Harmonic(Expert):
         self._surprise += (surprise * surprise - self._surprise) / PATIENCE_STEPS
         self._age += 1
 
-    def _sane(self, interval: float) -> bool:
+    def _converges(self, interval: float) -> bool:
         if not math.isfinite(self._state.dot(self._state)):
             return False
         beats_a_turn = float(self._state[1]) * interval / (2 * np.pi)

@@ -1,9 +1,11 @@
-"""The regular grid of 5 ms on which the pulse is predicted, and the history of its newest values.
+"""The regular grid of 5 ms on which the pulse is predicted; the history and the rhythm on it.
 
 A cell's value is the mean over 5 ms of the piecewise-linear curve through the samples. At high
 rates this averages noise and aliasing; at low rates, and over short gaps, it interpolates.
 """
 
+import math
+import statistics
 from bisect import bisect_left, bisect_right, insort
 from collections import deque
 from typing import NamedTuple
@@ -18,7 +20,7 @@ KEEP_NS = 1_000_000_000
 
 
 class GridCell(NamedTuple):
-    """Number of a cell from 0, time of its end, and mean of the signal in it."""
+    """Cell of the grid: its number from 0, the time of its end, and the signal's mean in it."""
 
     number: int
     end_ns: int
@@ -31,9 +33,9 @@ class Grid:
     Attributes
     ----------
     new_cells
-        Complete cells that were not taken yet.
+        Complete cells, which the reader removes.
     corrections
-        Recomputed cells, of those that were taken.
+        Cells that late samples changed after their removal.
     """
 
     def __init__(self) -> None:
@@ -150,3 +152,50 @@ class History:
     def last(self, count: int) -> NDArray[np.float32]:
         """Return a view of the newest `count` values (at most `capacity`), valid until a push."""
         return self._values[self._end - count : self._end]
+
+
+# Number of the last beats that count, and the least number of them that is enough.
+BEATS, FEWEST = 9, 4
+SHARE = 0.45
+# Least distance of two beats in steps: 250 ms.
+REFRACTORY = 50
+# Before peaks are known, the threshold follows the highest slope, which fades in 3 s.
+FADE = 1 - 1 / 600
+
+
+class Rhythm:
+    """Detector of a signal's beats: the slope rises through a share of its usual peak.
+
+    interval: median interval of the last beats in steps of the grid; None before enough beats.
+    """
+
+    def __init__(self) -> None:
+        self.interval: float | None = None
+        self._intervals: list[int] = []
+        self._peaks: list[float] = []
+        self._peak = self._highest = self._slope = 0.0
+        self._threshold = math.inf
+        self._step = 0
+        self._beat_step: int | None = None
+
+    def push(self, slope: float) -> None:
+        """Take the slope at the next step."""
+        self._step += 1
+        rested = self._beat_step is None or self._step - self._beat_step > REFRACTORY
+        if self._slope < self._threshold <= slope and rested:
+            self._begin_beat()
+        self._slope = slope
+        self._peak = max(self._peak, slope)
+        self._highest = max(self._highest * FADE, slope)
+        if self.interval is None and self._highest > 0:
+            self._threshold = SHARE * self._highest
+
+    def _begin_beat(self) -> None:
+        if self._beat_step is not None:
+            self._peaks = [*self._peaks[1 - BEATS :], self._peak]
+            self._intervals = [*self._intervals[1 - BEATS :], self._step - self._beat_step]
+            if len(self._peaks) >= FEWEST:
+                self._threshold = SHARE * statistics.median(self._peaks)
+                self.interval = statistics.median(self._intervals)
+        self._peak = 0.0
+        self._beat_step = self._step

@@ -1,8 +1,8 @@
 """The display's connection to its sensing node: discovery, host names, sockets, reconnection.
 
-ZeroMQ would look host names up in the thread that moves all its messages, and a slow name server
-delays that thread by seconds. So each look-up runs in a thread of its own (decision 6), and ZeroMQ
-receives IP addresses only.
+ZeroMQ would look up host names in the thread that moves all its messages, which a slow name server
+delays by seconds. So each look-up runs in a thread of its own (decision 6), and ZeroMQ receives IP
+addresses only.
 """
 
 import itertools
@@ -53,7 +53,7 @@ def discovered(name: str | None, peer: Path | None, seconds: float | None) -> li
     ProtectionError
         The node requires keys and `peer` is None.
     KeyFileError
-        The file is no key file.
+        The file `peer` is no key file.
     """
     # Imported here: only this function needs the zeroconf library.
     from protocol.discovery.browser import Browser
@@ -126,10 +126,11 @@ class Lookup:
         return found
 
     def _run(self) -> None:
-        if not self._address.startswith("tcp://"):
+        scheme, _, place = self._address.partition("://")
+        if scheme != "tcp":
             self._found = self._address
             return
-        host, _, port = self._address.removeprefix("tcp://").rpartition(":")
+        host, _, port = place.rpartition(":")
         try:
             found = socket.getaddrinfo(host.strip("[]"), port, type=socket.SOCK_STREAM)
         except OSError as error:
@@ -151,12 +152,7 @@ class Lookup:
 class Route:
     """One address of the sensing node and the data paths that are connected to it.
 
-    Attributes
-    ----------
-    lookup
-        Look-up of the address's host name.
-    frames_first
-        Number of frames whose first copy came over this address.
+    frames_first: number of frames whose first copy came over this address.
     """
 
     def __init__(
@@ -187,7 +183,7 @@ ANSWER_ROUND_TRIPS = 3
 # When all endpoints together are silent for this time, data and control are connected anew.
 CUT_NS = 500_000_000
 # After a pause of this process of at least this time, the first messages may only have queued.
-STOOD_STILL_NS = 250_000_000
+STALLED_NS = 250_000_000
 
 
 class Connection:
@@ -197,20 +193,8 @@ class Connection:
     addresses. Control uses one address at a time, and moves to the next when nothing is received.
     An endpoint is one socket, of control or of a path.
 
-    Parameters
-    ----------
-    paths
-        Number of paths, at least one for each address.
-
-    Attributes
-    ----------
-    rejected
-        How often a connection was refused, by cause.
-
-    Raises
-    ------
-    AddressError
-        An address is not valid.
+    paths: number of paths, at least one for each address. rejected: number of refused connections
+    by cause. Raises AddressError for an address that is not valid.
     """
 
     def __init__(
@@ -276,15 +260,15 @@ class Connection:
         Returns whether control has a new connection, over which the display must send a hello.
         """
         answered, control = self._handshakes.poll(now_ns), self.control
-        for endpoint in self._endpoints if answered else ():
-            endpoint.take_answer(answered)
+        for endpoint in self._endpoints:
+            endpoint.answered |= endpoint.socket in answered
         self._close_floods(now_ns)
         cut = self._cut(now_ns)
         for path in self._paths if cut else ():
             path.failover.give_up()
         for route in self.routes:
             route.poll(now_ns)
-        introduce = self._ask_again(now_ns)
+        introduce = self._repeat_request(now_ns)
         if cut and control.address is not None:
             return self._connect_control(control.address, now_ns)
         return introduce or (control.silent(now_ns) and self._move_control(now_ns))
@@ -303,39 +287,40 @@ class Connection:
                     f"{name} sends far more than a stream; closed for {FLOODED_NS // 10**9} s"
                 )
 
-    def _ask_again(self, now_ns: int) -> bool:
-        """Connect again where a request went unanswered, once the other socket's is answered.
+    def _repeat_request(self, now_ns: int) -> bool:
+        """Repeat a connection request of control or data, if only the other's was answered.
 
-        The unanswered request, control's or data's, was lost while the network was cut; the kernel
-        would repeat it late (decision 27). Return whether control has a new connection.
+        The request was lost while the network was cut; the kernel would repeat it late
+        (decision 27). Return whether control has a new connection.
         """
         control = self.control
         for path in self._paths:
             data = path.first
-            if control.answered == data.answered or data.address is None:
-                continue
-            waits = control if data.answered else data
-            if now_ns - waits.asked_ns < waits.answer_ns:
-                continue
-            if sockets.control_address(data.address) != control.address:
+            pending = control if data.answered else data
+            if (
+                control.answered == data.answered
+                or now_ns - pending.asked_ns < pending.answer_ns
+                or data.address is None
+                or sockets.control_address(data.address) != control.address
+            ):
                 continue
             # A repetition may come too early for a slow network: this request gets unlimited time.
-            if waits is control:
+            if pending is control:
                 return self._connect_control(control.address, now_ns, fast_retry=False)
             data.connect(data.address, now_ns, fast_retry=False)
         return False
 
     def _cut(self, now_ns: int) -> bool:
         """Return True once in each silence of all endpoints that has lasted for too long."""
-        stood_still = self._polled_ns is not None and now_ns - self._polled_ns >= STOOD_STILL_NS
+        stalled = self._polled_ns is not None and now_ns - self._polled_ns >= STALLED_NS
         self._polled_ns = now_ns
-        for path in self._paths if stood_still else ():
+        for path in self._paths if stalled else ():
             path.failover.mark_suspect(now_ns)
         # `take_received` resets its count: one call for each path.
         received = sum(path.take_received(now_ns) for path in self._paths)
         if received + self.control.received(now_ns):
             self._received_ns = now_ns
-            self._cut_ns = FOLLOWS_WITHIN_NS if stood_still else CUT_NS
+            self._cut_ns = FOLLOWS_WITHIN_NS if stalled else CUT_NS
         elif self._received_ns is not None and now_ns - self._received_ns >= self._cut_ns:
             self._received_ns = None
             return True

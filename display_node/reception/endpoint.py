@@ -1,6 +1,6 @@
 """One socket to the sensing node, and the times at which it is connected anew."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 
 from protocol import sockets
 from protocol.security.budgets import TokenBucket
@@ -31,7 +31,7 @@ class Endpoint:
     answer_ns
         Time in ns after which an unanswered request to connect is repeated.
     asked_ns, answered
-        Time of the present request, and whether a host has answered it.
+        Time of the present request to connect, and whether a host has answered it.
     """
 
     def __init__(self, socket: sockets.Socket) -> None:
@@ -85,10 +85,6 @@ class Endpoint:
             return False
         return self.address is None or now_ns >= self._silent_ns
 
-    def take_answer(self, answered: Sequence[sockets.Socket]) -> None:
-        """Take the sockets whose request to connect a host has answered."""
-        self.answered = self.answered or self.socket in answered
-
     def connect(self, address: str, now_ns: int, fast_retry: bool = True) -> None:
         """Connect to `address` instead of the one before; the two may be the same.
 
@@ -110,5 +106,5 @@ class Endpoint:
         return self.drop()
 
     def drop(self) -> int:
-        """Drop queued messages, and let ZeroMQ finish closing; return how many were dropped."""
+        """Drop queued messages, and let ZeroMQ finish closing; return the number dropped."""
         return sum(1 for _ in sockets.receive_parts(self.socket))

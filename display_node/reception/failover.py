@@ -1,11 +1,10 @@
 """Opening of a second connection beside a silent one, and the choice of the one to keep.
 
-TCP may repeat lost data only after a wait as long as the cut itself. A new connection takes a few
-round trips. But on a link that is merely lossy, the old one may recover first, and it delivers what
-was sent meanwhile. So a second connection is opened beside the silent one (as RFC 8305 does with
-addresses), and both are read. A connection is closed as soon as the other one has delivered
-everything that the first could still deliver. `Failover` decides and is pure; `DataPath` has the
-sockets.
+After a cut, TCP may repeat lost data only after a wait as long as the cut; a new connection takes a
+few round trips. On a link that is merely lossy, the old connection may recover first, and it
+delivers what was sent meanwhile. So a second connection is opened beside the silent one (as RFC
+8305 does with addresses), and both are read. A connection is closed once the other has delivered
+everything that it could still deliver. `Failover` decides and is pure; `DataPath` has the sockets.
 """
 
 from collections.abc import Iterable, Iterator
@@ -46,7 +45,7 @@ OPENED_PER_S, OPENED_AT_ONCE = 0.5, 10
 
 
 class Keep(Enum):
-    """The one of two connections that is kept; the other is to be closed."""
+    """Connection that is kept; the other one is to be closed."""
 
     FIRST = "first"
     SECOND = "second"
@@ -60,9 +59,9 @@ class Failover:
     racing
         Whether a second connection is open.
     opened
-        How often a second connection was opened, or opened anew.
+        Number of second connections opened so far.
     kept
-        How often the second connection replaced the first.
+        Number of those that replaced the first connection.
     """
 
     def __init__(self) -> None:
@@ -96,10 +95,10 @@ class Failover:
         self._first_ns, self._due_ns = now_ns, now_ns + self._silence_ns
 
     def first_received(self, now_ns: int, behind: bool, count: int) -> Keep | None:
-        """Note that the first connection has delivered; return which to keep, if that is clear.
+        """Take `count` messages of the first connection; return which to keep, if that is clear.
 
-        behind: among the `count` messages was one that the second has delivered already. Then the
-        second is ahead, and the first is not needed.
+        behind: one of the messages had come over the second connection already. The second is then
+        ahead, and the first is not needed.
         """
         if not self.racing:
             self._expect_next(now_ns, count)
@@ -126,10 +125,9 @@ class Failover:
             self._due_ns = min(self._due_ns, self._caught_up_ns)
 
     def second_received(self, now_ns: int, behind: bool) -> Keep | None:
-        """Note that the second connection has delivered; return which to keep, if that is clear.
+        """Take messages of the second connection; return which to keep, if that is clear.
 
-        behind: among the messages was one that the first has delivered already. Then the first is
-        ahead, and the second is not needed.
+        behind: one of them had come over the first connection already, so that one is ahead.
         """
         if not self.racing:
             return None
@@ -154,17 +152,16 @@ class Failover:
         return self._keep(which, now_ns) if over else None
 
     def mark_suspect(self, now_ns: int) -> None:
-        """Expect frames sooner, because this process has stalled.
+        """Expect frames sooner after a stall of this process.
 
-        The first connection may have died meanwhile; the frames that it delivers may be old ones
-        from its queue.
+        The first connection may be dead although it delivers: its frames may have queued.
         """
         if not self.racing:
             self._suspect_until_ns = now_ns + COMES_IN_WITHIN_NS
             self._due_ns = min(self._due_ns, now_ns + self._follows_ns)
 
     def give_up(self) -> None:
-        """Stop waiting for the first connection."""
+        """Let a second connection be due at once."""
         if not self.racing:
             self._due_ns = 0
 
@@ -205,15 +202,7 @@ MAX_REMEMBERED = 20_000
 
 
 class DataPath:
-    """Two data sockets: one is used, and the second one too while the first is silent.
-
-    Attributes
-    ----------
-    first
-        The socket in use.
-    failover
-        Decides when the second is used, and which of the two is kept.
-    """
+    """Two data sockets: `first` is used, and the second one too while the first is silent."""
 
     def __init__(self, context: sockets.Context, keys: ClientKeys | None) -> None:
         self.endpoints = [Endpoint(sockets.unconnected(context, zmq.SUB, keys)) for _ in range(2)]
@@ -239,12 +228,10 @@ class DataPath:
                 number = hash(message)
                 if number in other:
                     self._behind.add(endpoint)
-                    continue
-                if number in self._before:
-                    continue
-                if len(own) < MAX_REMEMBERED:
-                    own.add(number)
-                yield message
+                elif number not in self._before:
+                    if len(own) < MAX_REMEMBERED:
+                        own.add(number)
+                    yield message
 
     def subscribe(self, now_ns: int) -> None:
         """Subscribe to everything that is published."""
@@ -282,7 +269,7 @@ class DataPath:
     def poll(self, now_ns: int, found: str | None) -> bool:
         """Open the connections that are due; call it each tick, after `take_received`.
 
-        found: the numeric address, where it has just been looked up. Returns whether to look it up.
+        found: result of a look-up of the address, once. Returns whether a look-up is needed.
         """
         self._found = found or self._found
         first, second, failover = self.first, self._second, self.failover
@@ -302,7 +289,7 @@ class DataPath:
             return False
         # The first attempt uses the address that worked; later ones use the newest look-up.
         address = self._found if second.address is not None else first.address
-        # A frame of the last attempt that comes again is a copy, and no success of the next one.
+        # A frame that the last attempt delivered must not count as a success of the next one.
         if len(self._before) > MAX_REMEMBERED:
             self._before.clear()
         self._before |= self._of_second

@@ -2,7 +2,7 @@
 
 All times are on the sensing clock. `advance` sets the played instant. A sample that is in the
 buffer when its instant passes was played; one that arrives later is late; one that never arrives is
-lost. Late samples are kept too, because the predictor uses them.
+lost. Late samples are kept as well: after a jump back of the playout they are played.
 """
 
 from bisect import bisect_left, bisect_right
@@ -48,7 +48,7 @@ class JitterBuffer:
     ----------
     frames, reordered
         Number of frames taken, and of those that came after a newer one; a receiver adds those of
-        the buffers before.
+        the buffers before this one.
     ended
         Whether the session's end is known.
     """

@@ -19,8 +19,8 @@ BINS = 11_000
 class ExponentialQuantile:
     """Quantile of a stream of values in which older values have exponentially less weight.
 
-    The histogram has bins of 1 ms from 0 to 11 s. The quantile's bin is remembered, so that
-    counting a value takes only a step or two. share_above: share of the weight above the quantile.
+    The histogram has bins of 1 ms from 0 to 11 s. The quantile's bin is stored, so that counting a
+    value takes only a step or two. share_above: share of the weight above the quantile.
     """
 
     def __init__(self, share_above: float) -> None:
@@ -37,7 +37,7 @@ class ExponentialQuantile:
 
         forgetting: factor by which the weight of earlier values shrinks, above 0 and at most 1.
         """
-        # A growing weight of new values has the effect of shrinking the weights of all old ones.
+        # The weight of new values grows, which has the effect of shrinking those of all old ones.
         self._weight /= forgetting
         if self._weight > 1e100:
             scale = 1 / self._weight
@@ -72,22 +72,17 @@ WARP_PARTS = 50
 RELEASE_PER_NS = 0.02
 # The playout jumps over larger differences, so the delay does too.
 JUMP_NS = 500_000_000
-# On a longer path the delays stay high for this time; those of a queue that empties fall.
+# Delays that are far above the base for this time, and do not fall, are those of a longer path.
 LONGER_AFTER_NS = 50_000_000
 FALLING_NS = 10_000_000
 FAR_ABOVE = 2
 
 
 class LongerPath:
-    """Detector of delays that stay above a limit for some time without falling.
+    """Detector of delays that stay above a limit for `after_ns` without falling.
 
     The delays of queued frames fall from each frame to the next, back to the earlier level. Those
-    of frames on a longer path stay.
-
-    Attributes
-    ----------
-    since_ns
-        Time since which delays are above the limit, while that is too short; else None.
+    of frames on a longer path stay. since_ns: start of the present stay above the limit, or None.
     """
 
     def __init__(self, after_ns: int) -> None:
@@ -108,7 +103,7 @@ class LongerPath:
 
 
 class DelayTracker:
-    """The delay that a link requires: its base plus a quantile of the delay above the base.
+    """Delay that a link requires: its base plus a quantile of the delay above the base.
 
     The base is the smallest delay of the last 2 s. The result rises at once and falls by 20 ms a
     second.
@@ -116,16 +111,15 @@ class DelayTracker:
     Parameters
     ----------
     follows_longer_path
-        Whether a burst of long delays is a longer path, not jitter: the base is then raised after
-        50 ms in which all delays were more than twice as far above it as usual.
+        Whether a burst of long delays is taken for a longer path, not for jitter: the base is then
+        raised after 50 ms in which all delays were more than twice as far above it as usual.
     max_slew
-        Greatest rate of change of the playout delay, in seconds a second, for computing
-        `late_share`.
+        Greatest rate of change of the playout delay, in seconds a second.
 
     Attributes
     ----------
     late_share
-        Share of late frames if the playout follows this tracker.
+        Share of frames that are late in a playout that follows this tracker.
     mean_ns
         Mean of the required delay.
     """
@@ -208,12 +202,12 @@ OUTAGE_ENDS_NS = 1_000_000_000
 
 
 class DelayEstimator:
-    """The smallest delay that keeps late samples below a target share.
+    """Estimator of the smallest delay that keeps late samples below a target share.
 
-    Two trackers (`DelayTracker`) interpret a burst of long delays. One covers it with a longer
-    delay, as jitter; the other follows it, as a longer path. The second is used where its mean
-    delay is smaller and the playout is fast enough to follow. Frames that queued during a cut are
-    left out, as their delays are not jitter.
+    One tracker takes a burst of long delays for jitter and covers it with a longer delay; the other
+    takes it for a longer path and follows it. The second is used where its mean delay is smaller
+    and the playout is fast enough to follow. Frames that queued during a cut are left out, as their
+    delays are not jitter.
 
     Parameters
     ----------
@@ -285,12 +279,7 @@ class PlayoutClock:
     """The played instant, which advances at most 2 % faster or slower than real time.
 
     Changes of E and corrections of the clock offset are slewed, so the finger feels no jump. A
-    difference above 0.5 s (after a clock step, in a new session) is a jump, and is counted.
-
-    Attributes
-    ----------
-    jumps
-        Number of jumps.
+    difference above 0.5 s (after a clock step, in a new session) is a jump, counted in `jumps`.
     """
 
     def __init__(self) -> None:
@@ -327,17 +316,9 @@ class PlayedDelays:
         self.ticks = 0
 
     def add(self, playout_delay_ns: int, predicted_ns: int, trusted: bool) -> None:
-        """Add a tick.
+        """Add a tick; playout_delay_ns is E, trusted whether the predictor was.
 
-        Parameters
-        ----------
-        playout_delay_ns
-            Playout delay E in ns.
-        predicted_ns
-            Time from the newest sample to the played instant, which is predicted; 0 where samples
-            are there.
-        trusted
-            Whether the predictor was trusted.
+        predicted_ns: time from the newest sample to the played instant; 0 if that is not predicted.
         """
         self._playout_delay_ms.add(playout_delay_ns * 1e-6)
         self._covered_ns += playout_delay_ns + predicted_ns
@@ -349,7 +330,7 @@ class PlayedDelays:
     def playout_delay_ms(self) -> PlayoutDelay:
         """Playout delay E, in ms."""
         delay_ms = self._playout_delay_ms
-        return PlayoutDelay(delay_ms.mean, delay_ms.quantile(0.99), delay_ms.beyond(p99=0.99))
+        return PlayoutDelay(delay_ms.mean, **delay_ms.quantiles(p99=0.99))
 
     @property
     def covered_delay_ms(self) -> float | None:
@@ -357,7 +338,7 @@ class PlayedDelays:
         return self._covered_ns / self.ticks * 1e-6 if self.ticks else None
 
     def compensation(self, may_trust: bool) -> Compensation:
-        """Return shares of the ticks; `trusted` is None where the scene does not use trust."""
+        """Return shares of the ticks; `trusted` is None unless the scene lets trust reduce E."""
         if not self.ticks:
             return Compensation()
         trusted = self._trusted / self.ticks if may_trust else None

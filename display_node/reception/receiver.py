@@ -1,7 +1,7 @@
-"""The receiving half of a display: session, clock, jitter buffer, delay estimate.
+"""Reception in a display: session, clock, jitter buffer, delay estimate.
 
-Bytes and their arrival times are the input, requests to the sensing node the output. A message that
-cannot be used is counted under its cause. Pure: no sockets.
+Messages and their arrival times are the input, requests to the sensing node the output. A message
+that cannot be used is counted under its cause. Pure: no sockets.
 """
 
 from collections import Counter, deque
@@ -47,9 +47,9 @@ class Receiver:
 
     Attributes
     ----------
-    beginnings
-        Number of sessions, and of clock steps within them. At each, everything learnt from earlier
-        samples is discarded.
+    resets
+        Number of new sessions and of clock jumps. At each, everything learnt from earlier samples
+        is discarded.
     clock_steps
         Number of clock steps in all sessions so far.
     ready
@@ -71,7 +71,7 @@ class Receiver:
         self.copies = 0
         self.rejected: Counter[str] = Counter()
         self.one_way_delay_ms = Histogram(0.1, 20_000)
-        self.sessions = self.beginnings = self.clock_steps = 0
+        self.sessions = self.resets = self.clock_steps = 0
         self.session: int | None = None
         self.ready = False
         self.description: StreamDescription | None = None
@@ -157,7 +157,7 @@ class Receiver:
 
     @property
     def frames(self) -> tuple[int, int]:
-        """Frames received, and how many of them came after a newer one."""
+        """Number of frames received, and of those that came after a newer one."""
         return self.buffer.frames, self.buffer.reordered
 
     def summary(self, now_ns: int) -> Summary:
@@ -168,12 +168,7 @@ class Receiver:
                 account.sent, account.played, account.late, account.lost, account.before_joining
             ),
             frames=FrameCounts(*self.frames, self.copies),
-            one_way_delay_ms=OneWayDelay(
-                delay.quantile(0.5),
-                delay.quantile(0.99),
-                delay.maximum,
-                delay.beyond(p50=0.5, p99=0.99),
-            ),
+            one_way_delay_ms=OneWayDelay(**delay.quantiles(p50=0.5, p99=0.99), max=delay.maximum),
             clock=Clock(
                 clock.offset_ns(now_ns) * 1e-6 if clock.ready else None,
                 clock.skew_ppm if clock.ready else None,
@@ -184,7 +179,7 @@ class Receiver:
         )
 
     def over(self, now_ns: int, playout_delay_ns: int) -> bool:
-        """Return whether a session that has ended need not be waited for any longer."""
+        """Return whether no more samples of a session that has ended are awaited."""
         end_ns = self.buffer.end_ns
         if end_ns is None:
             return True
@@ -226,7 +221,7 @@ class Receiver:
             case wire.Welcome(session=session, description=description):
                 self._received_ns = now_ns
                 if session != self.session:
-                    # Its samples, times and clock are unrelated to the last one's.
+                    # Samples, times and clock of two sessions are unrelated.
                     self._restart(JitterBuffer(self._channel))
                     self.session, self.description = session, description
                     self.sessions += 1
@@ -270,5 +265,5 @@ class Receiver:
         self._closed = self.account()
         buffer.frames, buffer.reordered = self.frames
         self.buffer, self.delay = buffer, DelayEstimator(self._late_target)
-        self.beginnings += 1
+        self.resets += 1
         self.ready = False

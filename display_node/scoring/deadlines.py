@@ -29,8 +29,8 @@ def deadline_alarm(loop: Mapping[str, Any]) -> str | None:
 class DeadlineWatch:
     """Alarm on a loop's missed ticks over the last 5 s.
 
-    A single missed tick is not felt. The alarm is on while more than 1 % of the last 5 s' ticks
-    were missed, and for 5 s after a gap longer than `gap_ns` (a drive's watchdog).
+    A single missed tick is not felt. The alarm is on from more than 1 % of missed ticks in the last
+    5 s until less than 0.5 %, and for 5 s after a gap longer than `gap_ns` (a drive's watchdog).
     """
 
     def __init__(self, tick_ns: int, gap_ns: int = GAP_NS) -> None:
@@ -39,7 +39,7 @@ class DeadlineWatch:
         # Late ticks of the window: time in ns, and ticks since the one before.
         self._late: deque[tuple[int, int]] = deque()
         self._missed = self._most_missed = self._longest_ticks = 0
-        self._stood_still_ns = -math.inf
+        self._gap_at_ns = -math.inf
         self.alarm = False
 
     def add(self, now_ns: int, elapsed_ticks: int) -> None:
@@ -50,15 +50,15 @@ class DeadlineWatch:
             self._missed += elapsed_ticks - 1
             self._longest_ticks = max(self._longest_ticks, elapsed_ticks)
             if elapsed_ticks * self._tick_ns > self._gap_ns:
-                self._stood_still_ns = now_ns
+                self._gap_at_ns = now_ns
         elif not late:
             return
         while late and late[0][0] <= now_ns - WINDOW_NS:
             self._missed -= late.popleft()[1] - 1
         self._most_missed = max(self._most_missed, self._missed)
-        bar = ALARM_SHARE / 2 if self.alarm else ALARM_SHARE
-        stood_still = now_ns - self._stood_still_ns < WINDOW_NS
-        self.alarm = stood_still or self._share(self._missed) > bar
+        limit = ALARM_SHARE / 2 if self.alarm else ALARM_SHARE
+        after_gap = now_ns - self._gap_at_ns < WINDOW_NS
+        self.alarm = after_gap or self._share(self._missed) > limit
 
     @property
     def last_5s(self) -> Deadlines:

@@ -1,8 +1,8 @@
 """Errors of the felt force: running RMSE, aligned and in phase (eqs 23-25), and roughness.
 
 Reference and felt force are added as they become known, both on the sensing clock. A felt force is
-scored once the reference around its instant is known. A display compares with the received force, a
-demo or simulation with the sensed one. Equations are those of Dargahi et al. (2008).
+scored once the reference around its instant is known. The reference is the received force in a
+display, the sensed force in a demo or simulation. Equations are those of Dargahi et al. (2008).
 
 Roughness is the energy of the felt force above 25 Hz, compared with that of the sensed force. The
 pulse itself ends below 25 Hz; above are noise, and jumps caused by prediction.
@@ -26,7 +26,7 @@ Times = NDArray[np.int64]
 
 
 class RoughnessMeter:
-    """Sums of the energy above 25 Hz of felt and sensed force over the same ticks."""
+    """Meter of the energy above 25 Hz of felt and sensed force over the same ticks."""
 
     def __init__(self) -> None:
         self._kernel = np.empty(0)

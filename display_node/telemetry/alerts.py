@@ -1,6 +1,6 @@
-"""Alerts for the person at a display, computed from one status message, and the age of that status.
+"""Alerts for the person at a display, computed from one status message, and the age of a status.
 
-Terminal, page and metrics share them. Pure.
+Terminal, live page and metrics share them. Pure.
 """
 
 from collections.abc import Mapping
@@ -22,18 +22,13 @@ from protocol.security.socket_monitor import (
 # A display without telemetry for this long counts as silent.
 SILENT_AFTER_NS = 2_000_000_000
 NOT_CONNECTED, STIFFNESS = "not connected", "finger's stiffness"
-# Ratios to the scene's fingertip stiffness. Human fingers are 0.3 to 3 times, the estimate is
-# within 10 %, so a ratio beyond these bounds is not a finger's.
+# Ratios to the scene's fingertip stiffness. Those of human fingers are 0.3 to 3, and the estimate
+# is within 10 %, so a ratio beyond these bounds is not a finger's.
 LEAST_STIFFNESS, MOST_STIFFNESS = 0.25, 4.0
 # Counts from which a link counts as refused; HANDSHAKE needs several, since a node that shuts down
 # also breaks the handshake.
-CONNECTION_CAUSES = {
-    REFUSED_KEY: 1,
-    NO_KEY: 1,
-    NOT_AUTHENTIC: 1,
-    REPLAYED: 1,
-    HANDSHAKE: REPEATED_BREAKS,
-}
+CONNECTION_CAUSES = dict.fromkeys((REFUSED_KEY, NO_KEY, NOT_AUTHENTIC, REPLAYED), 1)
+CONNECTION_CAUSES[HANDSHAKE] = REPEATED_BREAKS
 
 
 class Alert(NamedTuple):
@@ -46,17 +41,10 @@ class Alert(NamedTuple):
 def alerts(
     state: str, summary: Mapping[str, Any], is_last_status: bool = False, silent_ns: int = 0
 ) -> list[Alert]:
-    """Return the alerts for a status.
+    """Return the alerts for a status, whose fields `state` and `summary` are.
 
-    Parameters
-    ----------
-    state, summary
-        Fields of the status.
-    is_last_status
-        True for the last status; then only latched faults are reported.
-    silent_ns
-        Time without telemetry from the display, in ns. After 2 s without telemetry, only latched
-        faults and the silence are reported.
+    silent_ns: time without telemetry from the display. After 2 s of it, only latched faults and the
+    silence are reported; for the last status of a display, only latched faults.
     """
     faults, rejected = summary.get("faults", []), summary.get("rejected", {})
     silent = silent_ns > SILENT_AFTER_NS and not is_last_status
@@ -66,8 +54,8 @@ def alerts(
         known = summary.get("finger")
         before = f", before that: {known}" if known else ""
         text = f"since {silent_ns * 1e-9:.0f} s; finger: unknown{before}"
-        return [*found, Alert("no telemetry", text)]
-    if is_last_status:
+        found.append(Alert("no telemetry", text))
+    if silent or is_last_status:
         return found
     for prefix in (FILM_NOTE, SENSING_NOTE):
         notes = [fault.removeprefix(prefix) for fault in faults if fault.startswith(prefix)]
@@ -110,8 +98,8 @@ def finger_note(summary: Mapping[str, Any]) -> str:
 # The shortest transit is searched in windows of this length. Longer ones would add the clocks'
 # drift against each other, some 50 µs/s.
 WINDOW_NS = 60_000_000_000
-# A display on this machine stamps with this machine's clock, unless a tunnel leads to another one.
-# Telemetry that seems older than this, or newer than now, is stamped by another clock.
+# A display on this machine stamps with this machine's clock, unless the address is that of a tunnel
+# to another machine. Telemetry that seems older than this, or newer than now, has another clock.
 LONGEST_QUEUED_NS = 10_000_000_000
 # A larger gap between two traces is a stall, or the start of another process.
 BREAK_NS = 500_000_000
@@ -125,7 +113,7 @@ class StatusAge:
     Each later trace extends its validity, up to the first gap between traces. The clock of another
     machine has an unknown offset, estimated by the shortest transit of the last one to two minutes.
 
-    local: the address is on this machine.
+    local: whether the display's address is on this machine.
     """
 
     def __init__(self, local: bool = False) -> None:
@@ -168,8 +156,8 @@ class StatusAge:
         if self._status_ns is None:
             return max(0, now_ns - self._received_ns)
         # This clock minus the display's, plus the shortest transit; 0 where they share one clock.
-        known = [least for least in (self._least_ns, self._before_ns) if least is not None]
-        offset_ns = min(known, default=0)
+        known_ns = [ns for ns in (self._least_ns, self._before_ns) if ns is not None]
+        offset_ns = min(known_ns, default=0)
         if self._local and 0 <= offset_ns <= LONGEST_QUEUED_NS:
             offset_ns = 0
         return max(0, now_ns - self._status_ns - offset_ns)

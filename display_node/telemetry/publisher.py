@@ -24,8 +24,8 @@ LOOK_EVERY_S = 0.01
 class Publisher:
     """Publisher of a display's telemetry over one bound XPUB socket.
 
-    run: random number of this run of the display. authenticator: authenticates the readers.
-    provenance: sent to readers that request it. rejected: refusals of readers, by cause.
+    run: random number of this run of the display. authenticator: of the readers. provenance: sent
+    to readers that request it. rejected: number of refused subscriptions by cause.
     """
 
     def __init__(
@@ -35,8 +35,7 @@ class Publisher:
         authenticator: Authenticator | None = None,
         provenance: bytes = b"",
     ) -> None:
-        self._socket = socket
-        self._authenticator = authenticator
+        self._socket, self._authenticator = socket, authenticator
         self._subscriptions = SubscriptionBudget(socket, (TRACE, STATUS, CAPTURE, PROVENANCE))
         self._provenance = provenance
         self.rejected = self._subscriptions.rejected

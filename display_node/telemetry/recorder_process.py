@@ -22,7 +22,7 @@ SILENT_AFTER_S = 5.0
 
 
 class RecorderProcess:
-    """The outcome of a recording: whole, unless the recorder named what is missing."""
+    """Outcome of a recording: whole, unless the recorder named what is missing."""
 
     whole = True
 
@@ -40,9 +40,9 @@ def start_recorder(
     The recorder has subscribed when the `with` begins, so the first tick is recorded. The outcome
     is known when the `with` has ended. A display that fails before its first tick leaves no file.
 
-    await_recorder: waits for a recorder for a time in s, and returns whether one has subscribed.
-    Raises SystemExit, OutputError or SidecarError where the recorder refuses to begin, does not
-    subscribe in time, or is not installed.
+    await_recorder: function that waits up to a time in s for a recorder, and returns whether one
+    has subscribed. Raises SystemExit, OutputError or SidecarError where the recorder refuses to
+    begin, does not subscribe in time, or is not installed.
     """
     recording = RecorderProcess()
     if path is None:
@@ -59,7 +59,7 @@ def start_recorder(
         if process.poll() is not None:
             raise SystemExit(process.returncode or USAGE_ERROR)
         if time.monotonic() > until_s:
-            _kill(process)
+            process.stop(within_s=0)
             raise OutputError(f"{path}: the recorder does not start")
     try:
         yield recording
@@ -71,11 +71,6 @@ def start_recorder(
         try:
             recording.whole = process.wait(ENDS_WITHIN_S) == 0
         except subprocess.TimeoutExpired:
-            _kill(process)
+            process.stop(within_s=0)
             recording.whole = False
             logger.warning(f"{path}: the recorder did not end")
-
-
-def _kill(process: ChildProcess) -> None:
-    process.kill()
-    process.wait()

@@ -1,4 +1,4 @@
-"""The live state in a terminal, drawn from the telemetry in a process of its own.
+"""Live state of a display in a terminal, drawn from the telemetry in a process of its own.
 
 `python -m display_node.telemetry.terminal ADDRESS [KEY]` shows a display's telemetry: a panel in a
 terminal, a line a second elsewhere. It ends with the display, or with the process that started it.
@@ -45,7 +45,7 @@ BRAILLE_BITS = ((0x01, 0x02, 0x04, 0x40), (0x08, 0x10, 0x20, 0x80))
 LINE_WIDTH = 120
 # Characters for the alerts in a status line; each alert is printed in full when it begins.
 ALERTS_WIDTH = 45
-# Figures in the order in which they get room in a line: first what the finger feels.
+# Figures of this moment, in the order in which they get room in a line.
 IMPORTANCE = ("force felt", "finger", "force target", "heart rate")
 # Statuses come five times a second; an older one is not shown as current.
 CURRENT_NS = 1_000_000_000
@@ -61,9 +61,9 @@ class TerminalTick(NamedTuple):
 
 
 class TerminalView:
-    """The state of a display as a line or a panel.
+    """State of a display as a line or a panel.
 
-    local: the display's address is on this machine. unreadable: messages that could not be read.
+    local: whether its address is on this machine. unreadable: number of unreadable messages.
     """
 
     def __init__(self, local: bool = False) -> None:
@@ -95,15 +95,15 @@ class TerminalView:
 
     def add_trace(self, trace: Trace) -> None:
         """Take ticks; where their clock goes back, the earlier ticks are removed."""
+        ticks = self._ticks
         columns = (trace.now_ns, trace.target_n, trace.felt_n, trace.scored)
-        for row in zip(*(column.tolist() for column in columns), strict=True):
-            tick, ticks = TerminalTick(*row), self._ticks
+        for tick in map(TerminalTick, *(column.tolist() for column in columns)):
             if ticks and tick.now_ns < ticks[-1].now_ns:
                 ticks.clear()
             if not ticks or tick.now_ns - ticks[-1].now_ns >= APART_NS:
                 ticks.append(tick)
-        while self._ticks and self._ticks[0].now_ns < self._ticks[-1].now_ns - KEEP_NS:
-            self._ticks.popleft()
+        while ticks and ticks[0].now_ns < ticks[-1].now_ns - KEEP_NS:
+            ticks.popleft()
 
     @property
     def heart_rate_per_min(self) -> float | None:
@@ -115,7 +115,7 @@ class TerminalView:
     def line(self, now_ns: int = 0) -> str:
         """Return the state at `now_ns` in one line of at most `LINE_WIDTH` characters.
 
-        Alerts are shortened to leave room for the figures. The figures follow by importance, then
+        Alerts are shortened to leave room for the figures: those of this moment by importance, then
         those of the run, as many as fit.
         """
         if self.status is None:
@@ -156,11 +156,10 @@ class TerminalView:
         current = self._age_ns(now_ns) < CURRENT_NS
         value_style = "bold" if current else "dim"
         now, run = (Table(show_header=False, box=None, pad_edge=False) for _ in range(2))
-        rows = self._now_rows(now_ns)
+        rows = [(name, Text(value, value_style)) for name, value in self._now_rows(now_ns)]
         half = (len(rows) + 1) // 2
         for left, right in itertools.zip_longest(rows[:half], rows[half:], fillvalue=("", "")):
-            (name, value), (name_2, value_2) = left, right
-            now.add_row(name, Text(value, value_style), "  ", name_2, Text(value_2, value_style))
+            now.add_row(*left, "  ", *right)
         for name, value in self._run_rows():
             run.add_row(Text(name), Text(value, value_style))
         stream = _printable(self.status.stream) or "no stream"
@@ -225,9 +224,9 @@ class TerminalView:
 def braille_plot(
     line: Sequence[float], dots: Sequence[float], low: float, high: float
 ) -> list[str]:
-    """Draw two curves of finite values or NaN as rows of characters, each of 2 × 4 dots.
+    """Draw two curves as rows of characters, each of 2 × 4 dots; NaN is a gap.
 
-    A NaN is a gap. low, high: values of the lowest and the highest row of dots.
+    low, high: values of the lowest and the highest row of dots.
     """
     columns, rows = 2 * PLOT_COLUMNS, 4 * PLOT_ROWS
 
@@ -288,12 +287,12 @@ def watch(
 ) -> Status | None:
     """Follow a display's telemetry until it ends; return its last status, None without one.
 
-    on_trace receives every trace. keep_watching is called several times a second; the watch ends
+    on_trace: called with every trace. keep_watching: called several times a second; the watch ends
     when it returns False. A silent display does not end the watch.
     """
     if draw:
-        # Import scipy now, which takes 1 s or more. Later it would delay a status line, or
-        # telemetry would queue meanwhile.
+        # Imports scipy, which takes 1 s or more, before the first status line: later it would delay
+        # a line, and telemetry would queue.
         heart_rate_per_min(np.empty(0), np.empty(0))
     screen = TerminalView(local=not sockets.beyond_loopback(address))
     context: sockets.Context = zmq.Context()

@@ -86,7 +86,7 @@ class RunFindings:
             availability = Availability(seconds, felt, missed=missed, played=played)
         summary = replace(
             self._receiver.summary(self._last_now_ns or 0),
-            playout_delay_ms=PlayoutDelay(delay.mean, delay.quantile(0.99), delay.beyond(p99=0.99)),
+            playout_delay_ms=PlayoutDelay(delay.mean, **delay.quantiles(p99=0.99)),
             availability=availability,
             loop=Loop(self.ticks, self._misses),
         )

@@ -211,7 +211,7 @@ class _Plots:
         ):
             if histogram.count:
                 # Of values beyond its range a histogram has only the count: the line ends there.
-                shares = [share for share in SHARES.tolist() if not histogram.beyond(it=share)]
+                shares = [share for share in SHARES.tolist() if not histogram.is_beyond(share)]
                 values: Any = [histogram.quantile(share) for share in shares]
                 axes.plot(values, 100 * np.array(shares), label=label)
         axes.set(xlabel="delay in ms, at most", ylabel="share in %", ylim=(0, 102))

@@ -48,8 +48,8 @@ def test_the_pulse_that_is_felt_is_e_old_however_slow_its_chain(
     if compensation_ns is not None:
         assert felt[-1][1] == pytest.approx(40, abs=0.01)
     # Its own account includes the chain's delay.
-    assert under_test.fidelity is not None
-    under_test.fidelity.finish()
+    assert under_test.tracking_error is not None
+    under_test.tracking_error.finish()
     summary = under_test.summary()
     assert summary.force_rmse_n.aligned == pytest.approx(0.2e-3, abs=0.2e-3)
     assert summary.samples.late == 0

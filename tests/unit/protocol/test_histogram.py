@@ -40,10 +40,11 @@ def test_without_values_all_results_are_none() -> None:
 @pytest.mark.parametrize("largest", [BIN * BINS, 1e3, 5e6, 1e300, math.inf])
 def test_a_quantile_beyond_the_range_is_a_lower_bound_and_named(largest: float) -> None:
     histogram = filled([1.2] * 98 + [BIN * BINS, largest])
-    assert histogram.quantile(0.5) == pytest.approx(1.2, abs=BIN)
-    assert histogram.quantile(0.99) == BIN * BINS
-    beyond = histogram.beyond(p50=0.5, p98=0.98, p99=0.99, p999=0.999)
+    found = histogram.quantiles(p50=0.5, p98=0.98, p99=0.99, p999=0.999)
+    beyond = found["beyond"]
     assert beyond == ["p99", "p999"]
+    assert found["p50"] == histogram.quantile(0.5) == pytest.approx(1.2, abs=BIN)
+    assert found["p99"] == histogram.quantile(0.99) == BIN * BINS
     assert (bound("p50", beyond), bound("p99", beyond)) == ("", "> ")
     assert histogram.maximum == largest
 
@@ -53,7 +54,7 @@ def test_a_quantile_is_exact_to_one_bin_or_named_beyond_the_range(values: list[f
     histogram = filled(values)
     for share in SHARES:
         exact = np.quantile(values, share, method="inverted_cdf")
-        assert (histogram.beyond(it=share) == ["it"]) == (exact >= BIN * BINS)
+        assert histogram.is_beyond(share) == (exact >= BIN * BINS)
         assert histogram.quantile(share) == pytest.approx(min(exact, BIN * BINS), abs=BIN)
 
 

@@ -85,8 +85,8 @@ def test_a_drive_that_is_held_back_at_the_end_of_its_travel_is_counted(pulse_n: 
 
 def rmse_n(bench: VirtualBench) -> float:
     """Return the display's own aligned force error."""
-    assert bench.display.fidelity is not None
-    bench.display.fidelity.finish()
+    assert bench.display.tracking_error is not None
+    bench.display.tracking_error.finish()
     summary = bench.display.summary()
     assert summary.faults == []
     assert summary.force_rmse_n.aligned is not None

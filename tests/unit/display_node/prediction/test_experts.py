@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
-from display_node.prediction.experts import Analogue, Fir, Harmonic, Rhythm
-from display_node.prediction.grid import MAX_GAP_NS, STEP_NS, Grid, GridCell, History
+from display_node.prediction.experts import Analogue, Fir, Harmonic
+from display_node.prediction.grid import MAX_GAP_NS, STEP_NS, Grid, GridCell, History, Rhythm
 from tests.support.pulse_signals import BEAT_S, MS, T0_NS, Floats, beats, expert_errors
 
 

@@ -230,7 +230,7 @@ def test_a_step_of_the_sensing_clock_costs_three_exchanges(step_ms: int) -> None
             frame = sender.frame(ms * MS + stepped_ns, 0.3)
             refused += receiver.on_frame(frame, ms * MS) is None
         sender.serve(receiver, ms * MS, stepped_ns)
-    assert (receiver.clock_steps, receiver.sessions, receiver.beginnings) == (1, 1, 2)
+    assert (receiver.clock_steps, receiver.sessions, receiver.resets) == (1, 1, 2)
     assert receiver.ready
     # 3 exchanges 20 ms apart.
     assert 0 < refused <= 12
@@ -245,7 +245,7 @@ def test_a_small_step_is_followed_without_a_break() -> None:
     receiver = joined(sender := Sender())
     sender.serve(receiver, 101 * MS, until_ms=500)
     sender.serve(receiver, 500 * MS, 50 * MS, until_ms=1000)
-    assert (receiver.clock_steps, receiver.beginnings) == (1, 1)
+    assert (receiver.clock_steps, receiver.resets) == (1, 1)
     assert receiver.clock.remote_ns(0) == AHEAD_NS + 50 * MS
 
 

@@ -207,8 +207,8 @@ def test_a_film_that_falls_silent_is_a_fault_and_its_force_unknown() -> None:
     felt_n = np.concatenate([read_trace(message).felt_n for message in messages if message])
     assert np.isfinite(felt_n[:2_000]).all()
     assert np.isnan(felt_n[2_100:]).all()
-    assert display.fidelity is not None
-    display.fidelity.finish()
+    assert display.tracking_error is not None
+    display.tracking_error.finish()
     status = read_status(display.pack_status(display.summary(), final=False))
     assert (status.state, status.summary["faults"]) == ("fault", ["feedback lost"])
     assert status.summary["force_rmse_n"]["aligned"] is not None
