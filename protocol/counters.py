@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from protocol.config.quantities import count_text
-from protocol.figures import SECONDS, SHARE, Surface, absent, described_fields, figure, table
+from protocol.figures import SECONDS, SHARE, Surface, absent, figure, figures_of, table
 
 _LAST = "Of the last interruption, in s of the run"
 _IN_EVENTS = absent("It is an instant, which the events show.")
@@ -56,9 +56,7 @@ class Availability:
 
 # Key of each share by state → its name for people.
 STATE_NAMES = {
-    key: each.text
-    for key, (_, each) in described_fields(Availability).items()
-    if each is not None and each.metric == "availability_ratio"
+    each.key: each.text for each in figures_of(Availability) if each.metric == "availability_ratio"
 }
 # A display's state → the key that it is counted under, if that differs.
 _KEYS = {"playing": "felt", "fault": "faulted"}
@@ -206,7 +204,7 @@ class Limits:
 
 
 # Key of `Limits` → the limit's name for people.
-LIMIT_NAMES = {key: row.row for key, (_, row) in described_fields(Limits).items() if row}
+LIMIT_NAMES = {each.key.partition(".")[0]: each.row for each in figures_of(Limits)}
 
 
 class LimitCounter:

@@ -11,17 +11,13 @@ class TelepulseError(Exception):
 
 
 class SceneError(TelepulseError, ValueError):
-    """A scene cannot be used.
-
-    Example scenarios: an unknown key, a length given in newtons, a value out of range,
-    a missing file.
-    """
+    """A scene cannot be used: an unknown key, a length in newtons, a value out of range."""
 
 
 class WireError(TelepulseError, ValueError):
-    """Bytes from a peer are not a valid message; `cause` is the name under which it is counted.
+    """Bytes from a peer are not a valid message: truncated, another protocol version, a NaN sample.
 
-    Example scenarios: not msgpack, truncated, another protocol version, a NaN sample.
+    cause: the name under which the refusal is counted.
     """
 
     def __init__(self, cause: str, message: str) -> None:
@@ -30,39 +26,30 @@ class WireError(TelepulseError, ValueError):
 
 
 class AddressError(TelepulseError, OSError):
-    """A ZeroMQ address cannot be used.
-
-    Example scenarios: the port is taken, the address has no port, the host is unknown.
-    """
+    """A ZeroMQ address cannot be used: its port is taken or missing, its host is unknown."""
 
 
 class KeyFileError(TelepulseError, ValueError):
     """A key file or an allow-list cannot be read, used or written.
 
-    Example scenarios: others may read the secret key, a public key where the secret one is meant,
-    a name that is not on the list.
+    Examples: others may read the secret key, the file has a public key in place of a secret one, a
+    name is not on the list.
     """
 
 
 class ProtectionError(TelepulseError, ValueError):
-    """A link cannot be protected as required.
-
-    Example scenarios: an address beyond this machine without keys, a key without a peer.
-    """
+    """A link cannot be protected: an address beyond this machine without keys."""
 
 
 class SourceError(TelepulseError, OSError):
-    """A source of samples cannot be opened or read.
-
-    Example scenarios: a missing recording, a column that is not there, a file with no numbers.
-    """
+    """A source of samples cannot be opened or read: no such file or column, no numbers."""
 
 
 class DriveError(TelepulseError, OSError):
-    """A drive cannot be reached, refuses, or has failed; `kind` is the fault's short name.
+    """A drive cannot be reached, refuses, or has failed.
 
-    Example scenarios: no such port, no answer, a wrong checksum, over-temperature, the home
-    switch was not found.
+    Examples: no such port, no answer, a wrong checksum, over-temperature, no home switch found.
+    kind: the fault's short name.
     """
 
     def __init__(self, kind: str, message: str) -> None:
@@ -71,62 +58,45 @@ class DriveError(TelepulseError, OSError):
 
 
 class OutputError(TelepulseError, OSError):
-    """A result cannot be written.
-
-    Example scenarios: the folder does not exist, the disk is full.
-    """
+    """A result cannot be written: its folder does not exist, the disk is full."""
 
 
 class SidecarError(TelepulseError, OSError):
-    """A process beside a node cannot start.
-
-    Example scenarios: the port of its page is taken, its library is not installed.
-    """
+    """A process beside a node cannot start: its port is taken, its library is not installed."""
 
 
 class ProcessError(TelepulseError, RuntimeError):
-    """A process that was started fails, or does not end.
-
-    Example scenarios: a node whose port is taken, a relay that was killed.
-    """
+    """A process that was started fails or does not end, such as a node whose port is taken."""
 
 
 class DiscoveryError(TelepulseError, OSError):
     """Nodes cannot be announced or found on the local network.
 
-    Example scenarios: no network that carries multicast, several nodes where one is wanted, an
-    address that cannot be announced.
+    Examples: no network carries multicast, several nodes match, an address cannot be announced.
     """
 
 
 class BenchError(TelepulseError, RuntimeError):
     """A bench cannot be measured, or a calibration fitted.
 
-    Example scenarios: the film does not move when the drive does, it reports more force than
-    allowed, all reference loads are the same.
+    Examples: the film does not respond to the drive or reports more force than allowed, all
+    reference loads are the same.
     """
 
 
 class RealtimeError(TelepulseError, RuntimeError):
     """Real-time settings cannot be applied as requested.
 
-    Example scenarios: an unknown setting, a priority above 98, a strict request by a user who may
-    not use SCHED_FIFO.
+    Examples: an unknown setting, a priority above 98, a strict request without the right to it.
     """
 
 
 class ProcessLimitError(TelepulseError, OSError):
-    """The system's limits for this process are below a node's needs.
-
-    Example scenarios: `ulimit -n 14`, `ulimit -v 300000`.
-    """
+    """The system's limits for this process are below a node's needs, such as `ulimit -n 14`."""
 
 
 class OptionError(TelepulseError, ValueError):
-    """An option of a command has no such value.
-
-    Example scenarios: a level of the log that does not exist.
-    """
+    """An option of a command has no such value, such as an unknown level of the log."""
 
 
 class SweepError(TelepulseError, RuntimeError):

@@ -106,15 +106,6 @@ class Figure:
 _METRIC = re.compile(r"(?P<name>\w*?)(?P<counter>_total)?(?:\{(?P<labels>.*)\})?")
 
 
-def _field(factory: Callable[[], Any], metric: str, **arguments: Any) -> Any:
-    match = _METRIC.fullmatch(metric)
-    assert match is not None
-    labels = dict(re.findall(r'(\w+)="([^"]*)"', match["labels"] or ""))
-    counter = match["counter"] is not None
-    described = Figure(metric=match["name"], counter=counter, labels=labels, **arguments)
-    return field(default_factory=factory, metadata={"figure": described})
-
-
 def figure(
     meaning: str,
     text: str = "{}",
@@ -128,14 +119,19 @@ def figure(
     metric: name and labels as Prometheus writes them, such as 'samples_total{outcome="played"}',
     where "_total" makes a counter. factory: returns the initial value, by default None.
     """
-    return _field(factory, metric, meaning=meaning, text=text, unit=unit, **arguments)
+    match = _METRIC.fullmatch(metric)
+    assert match is not None
+    labels = dict(re.findall(r'(\w+)="([^"]*)"', match["labels"] or ""))
+    arguments |= {"metric": match["name"], "counter": match["counter"] is not None}
+    described = Figure(meaning, text, unit, labels=labels, **arguments)
+    return field(default_factory=factory, metadata={"figure": described})
 
 
 def table(
     kind: type, row: str = "", unit: Unit | None = None, metric: str = "", **arguments: Any
 ) -> Any:
     """Return the field of a dataclass of figures; the arguments apply to all of them."""
-    return _field(kind, metric, row=row, unit=unit, **arguments)
+    return figure("", unit=unit, metric=metric, factory=kind, row=row, **arguments)
 
 
 def figures_of(kind: type, shared: Figure = Figure(), prefix: str = "") -> Iterator[Figure]:
@@ -143,12 +139,14 @@ def figures_of(kind: type, shared: Figure = Figure(), prefix: str = "") -> Itera
 
     Raises TypeError for a field without a figure.
     """
-    for name, (value, note) in described_fields(kind).items():
+    hints = get_type_hints(kind)
+    for each in dataclasses.fields(kind):
+        note, value = each.metadata.get("figure"), hints[each.name]
         if note is None:
-            raise TypeError(f"{kind.__name__}.{name} has no Figure")
+            raise TypeError(f"{kind.__name__}.{each.name} has no Figure")
         completed = replace(
             note,
-            key=prefix + name,
+            key=prefix + each.name,
             type=value,
             row=note.row or (shared.phrase or shared).row,
             unit=note.unit or shared.unit,
@@ -159,18 +157,9 @@ def figures_of(kind: type, shared: Figure = Figure(), prefix: str = "") -> Itera
         )
         if isinstance(value, type) and dataclasses.is_dataclass(value):
             phrase = shared.phrase if note.show is None else completed
-            yield from figures_of(value, replace(completed, phrase=phrase), f"{prefix}{name}.")
+            yield from figures_of(value, replace(completed, phrase=phrase), f"{prefix}{each.name}.")
         else:
             yield completed
-
-
-def described_fields(kind: type) -> dict[str, tuple[Any, Figure | None]]:
-    """Return type and `Figure` (None without one) of each field of a dataclass."""
-    hints = get_type_hints(kind)
-    return {
-        each.name: (hints[each.name], each.metadata.get("figure"))
-        for each in dataclasses.fields(kind)
-    }
 
 
 def _value_at(summary: Any, key: str) -> Any:

@@ -9,11 +9,10 @@ class Histogram:
     """Counts of values in equal bins from 0 up to `end`, and of those beyond.
 
     A quantile within the range is exact to one bin. Of a quantile beyond it, only the lower bound
-    `end` is known. Maximum (None without values) and mean are exact. NaN are counted in
-    `not_numbers` alone.
+    `end` is known. Maximum (None without values) and mean are exact. NaN are not counted.
     """
 
-    __slots__ = ("_bin_width", "_counts", "_total", "count", "end", "maximum", "not_numbers")
+    __slots__ = ("_bin_width", "_counts", "_total", "count", "end", "maximum")
 
     def __init__(self, bin_width: float, bins: int) -> None:
         self._bin_width = bin_width
@@ -21,7 +20,7 @@ class Histogram:
         self._counts = [0] * (bins + 1)
         self._total = 0.0
         self.end = bin_width * bins
-        self.count = self.not_numbers = 0
+        self.count = 0
         self.maximum: float | None = None
 
     def add(self, value: float) -> None:
@@ -32,7 +31,6 @@ class Histogram:
             # Rounding may give the number of bins itself, one too many.
             position = min(int(value / self._bin_width), len(self._counts) - 2)
         elif math.isnan(value):
-            self.not_numbers += 1
             return
         else:
             position = 0

@@ -40,7 +40,7 @@ _NAMED_VALUE = re.compile(
 def redact(value: Any) -> Any:
     """Return a value of plain types without the secrets in it.
 
-    Replaced are: values of a table under a secret's name; in text, the user and password of an
+    A secret is a table's value under a secret's name; in a text, the user and password of an
     address, and the value of `name=value` with a secret's name.
     """
     if isinstance(value, Mapping):
@@ -52,13 +52,9 @@ def redact(value: Any) -> Any:
         }
     if isinstance(value, list | tuple):
         return [redact(entry) for entry in value]
-    return redact_text(value) if isinstance(value, str) else value
-
-
-def redact_text(text: str) -> str:
-    """Return a text without the users and passwords of addresses, and without named secrets."""
-    text = _USER.sub(rf"\1{REDACTED}@", text)
-    return _NAMED_VALUE.sub(rf"\1{REDACTED}", text)
+    if isinstance(value, str):
+        return _NAMED_VALUE.sub(rf"\1{REDACTED}", _USER.sub(rf"\1{REDACTED}@", value))
+    return value
 
 
 def redact_command(arguments: list[str]) -> list[str]:
@@ -70,7 +66,7 @@ def redact_command(arguments: list[str]) -> list[str]:
     follows = False
     for argument in arguments:
         secret = follows and not argument.startswith("--")
-        found.append(REDACTED if secret else redact_text(argument))
+        found.append(REDACTED if secret else redact(argument))
         follows = argument.startswith("--") and bool(_SECRET_NAME.fullmatch(argument[2:]))
     return found
 
@@ -103,19 +99,13 @@ class Provenance:
     effective: dict[str, Any] = field(default_factory=dict)
     seeds: dict[str, int] = field(default_factory=dict)
 
-    @property
-    def actuator(self) -> dict[str, Any]:
-        """The display's actuator in effect; empty without a display."""
-        return dict(self.effective.get("display", {}).get("actuator", {}))
-
-    @property
-    def gains(self) -> dict[str, Any]:
-        """The display's controller in effect; empty without a display."""
-        return dict(self.effective.get("display", {}).get("controller", {}))
-
     def to_dict(self) -> dict[str, Any]:
-        """Return plain types for JSON, without empty fields."""
-        table = dataclasses.asdict(self) | {"actuator": self.actuator, "gains": self.gains}
+        """Return plain types for JSON, without empty fields.
+
+        The display's actuator and gains in effect are repeated under keys of their own.
+        """
+        table, display = dataclasses.asdict(self), self.effective.get("display", {})
+        table |= {"actuator": display.get("actuator"), "gains": display.get("controller")}
         return {key: value for key, value in table.items() if value not in (None, {}, [])}
 
     def to_bytes(self) -> bytes:
@@ -159,10 +149,7 @@ def collect(
 
 
 def read_provenance(data: bytes) -> dict[str, str]:
-    """Return the fields of a telemetry message as text, tables as JSON.
-
-    Raises WireError.
-    """
+    """Return the fields of a telemetry message as text, tables as JSON. Raises WireError."""
     try:
         if len(data) > MAX_BYTES:
             raise ValueError("it is too long")

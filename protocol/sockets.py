@@ -120,15 +120,14 @@ def bind(
         security.protect(socket)
     # Only the same user may open the file of an ipc address. libzmq 4.3.5 aborts the process if it
     # has no descriptor for an ipc connection (ipc_listener.cpp), which other users could cause.
-    mask = os.umask(0o077) if address.startswith("ipc://") else None
+    mask = os.umask(0o077)
     try:
         socket.bind(address)
     except zmq.ZMQError as error:
         socket.close(0)
         raise AddressError(f"cannot bind {address}: {_reason(error)}") from None
     finally:
-        if mask is not None:
-            os.umask(mask)
+        os.umask(mask)
     return socket
 
 
@@ -162,10 +161,9 @@ def unconnected(context: Context, kind: int, security: LinkSecurity | None = Non
 def reconnect(socket: Socket, old: str | None, new: str, answer_ns: int = 0) -> None:
     """Connect a socket from `unconnected` to `new`, and disconnect it from `old`, if given.
 
-    Both may be the same address.
-    ZeroMQ reconnects by itself, but not after a peer broke the protocol, for example by a message
-    above the size limit. A request to connect that is not answered within `answer_ns` is repeated;
-    0: as the kernel does.
+    Both may be the same address. ZeroMQ reconnects by itself, but not after a peer broke the
+    protocol, for example by a message above the size limit. A request to connect that is not
+    answered within `answer_ns` is repeated; 0: as the kernel does.
     """
     if old is not None:
         disconnect(socket, old)

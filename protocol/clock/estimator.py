@@ -22,14 +22,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from protocol.clock.one_way import (
-    MAX_SKEW,
-    Floats,
-    OffsetRegression,
-    OneWaySkew,
-    contradiction,
-    fit_lines,
-)
+from protocol.clock.one_way import MAX_SKEW, OffsetRegression, OneWaySkew, contradiction, fit_lines
 
 # Exchanges of a block.
 BLOCK = 16
@@ -66,7 +59,10 @@ SKEW_ERRORS = 3.0
 AGREE, DISAGREE = 2.0, 2.0
 
 Blocks = NDArray[np.void]
-_MEMORY = np.dtype(
+# t_ns: middle of a block of exchanges on the local clock. offset_ns, round_trip_ns: for each of
+# `LEVELS`, computed from the means of the shortest delays of each direction. noise_ns: standard
+# error of the mean of all offsets, estimated from the shortest round trips.
+_BLOCK = np.dtype(
     [
         ("t_ns", float),
         ("offset_ns", float, len(LEVELS)),
@@ -99,24 +95,10 @@ class ClockExchange(NamedTuple):
         return (self.t4_ns - self.t1_ns) - (self.t3_ns - self.t2_ns)
 
 
-class BlockOffset(NamedTuple):
-    """Offset and round trip of a block of exchanges, for each of `LEVELS`.
-
-    t_ns: middle of the block on the local clock. offset_ns, round_trip_ns: shape (levels,),
-    computed from the means of the shortest delays of each direction. noise_ns: standard error of
-    the mean of all offsets, estimated from the shortest round trips.
-    """
-
-    t_ns: float
-    offset_ns: Floats
-    round_trip_ns: Floats
-    noise_ns: float
-
-
 def block_offset(
     exchanges: list[ClockExchange], origin: ClockExchange, skew: float, skew_error: float
-) -> BlockOffset:
-    """Combine 1 to `BLOCK` exchanges into a block.
+) -> np.void:
+    """Combine 1 to `BLOCK` exchanges into a block, with the fields of `_BLOCK`.
 
     Parameters
     ----------
@@ -153,7 +135,7 @@ def block_offset(
     hidden_ns = skew_error * float(t_ns.max() - t_ns.min())
     # The sum is below 0 only if a clock has stepped within the block.
     round_trip_ns = np.maximum(there_ns + back_ns + hidden_ns, 0)
-    return BlockOffset(middle_ns, (there_ns - back_ns) / 2, round_trip_ns, noise_ns)
+    return np.void((middle_ns, (there_ns - back_ns) / 2, round_trip_ns, noise_ns), _BLOCK)
 
 
 class ClockEstimator:
@@ -170,7 +152,7 @@ class ClockEstimator:
 
     def __init__(self) -> None:
         self.steps = 0
-        self._blocks = np.zeros(KEEP_BLOCKS, _MEMORY)
+        self._blocks = np.zeros(KEEP_BLOCKS, _BLOCK)
         self._begin()
 
     @property
@@ -264,14 +246,14 @@ class ClockEstimator:
             self._known += 1
             self._block = []
 
-    def _detect_step(self, block: BlockOffset) -> None:
+    def _detect_step(self, block: np.void) -> None:
         """Drop the earlier blocks if the last ones are off the line by more than noise explains."""
         level = self._level
-        since_ns = self._reference_ns - self._origin.t4_ns - block.t_ns
+        since_ns = self._reference_ns - self._origin.t4_ns - block["t_ns"]
         line_ns = self._offset_ns - self._origin.offset_ns - self._skew * since_ns
-        longer_ns = abs(block.round_trip_ns[level] - self._short_ns[level])
+        longer_ns = abs(block["round_trip_ns"][level] - self._short_ns[level])
         allowed_ns = longer_ns / 2 + STEP_NOISES * self._noise_ns + STEP_LEAST_NS
-        contradicts = abs(block.offset_ns[level] - line_ns) > allowed_ns
+        contradicts = abs(block["offset_ns"][level] - line_ns) > allowed_ns
         self._against_blocks = self._against_blocks + 1 if contradicts else 0
         if self._against_blocks == STEP_AFTER:
             # The first of them may span the step.

@@ -7,12 +7,7 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
-from protocol.discovery.announcement import (
-    SERVICE,
-    Announcement,
-    announced_addresses,
-    to_txt,
-)
+from protocol.discovery.announcement import SERVICE, Announcement, announced_addresses, to_txt
 from protocol.errors import DiscoveryError
 from protocol.host.child_process import Sidecar, receive, run_as_sidecar
 from protocol.security.keys import ServerKeys
@@ -51,7 +46,7 @@ def start_announcer(
 
 
 def main() -> None:
-    """Announce the node from its first line on the pipe until it ends; then withdraw that."""
+    """Announce the node after its first message, and withdraw the announcement when it ends."""
     node = json.loads(sys.argv[1])
     with run_as_sidecar() as ready:
         from protocol.discovery import browser

@@ -21,6 +21,9 @@ from types import FrameType
 
 from protocol.errors import ProcessLimitError, RealtimeError
 
+if sys.platform != "win32":
+    import resource
+
 # Enough for a thousand displays, with a reserve.
 FILES = 4_096
 # Files besides connections: libraries, logs, sidecars, ZeroMQ's own, and connections that were
@@ -39,8 +42,6 @@ def raise_file_limit() -> None:
     """
     if sys.platform == "win32":  # which has no such limits
         return
-    import resource
-
     present, most = resource.getrlimit(resource.RLIMIT_NOFILE)
     wanted = FILES if most == resource.RLIM_INFINITY else min(FILES, most)
     if present != resource.RLIM_INFINITY and present < wanted:
@@ -67,8 +68,6 @@ def connections_that_fit() -> int:
     """Return how many connections this process may have open."""
     if sys.platform == "win32":
         return FILES - RESERVED_FILES
-    import resource
-
     limit = resource.getrlimit(resource.RLIMIT_NOFILE)[0]
     return (FILES if limit == resource.RLIM_INFINITY else limit) - RESERVED_FILES
 
@@ -158,15 +157,12 @@ def pin(cpus: frozenset[int]) -> Iterator[str]:
     advice = f"this process may use {spans(frozenset(before))}"
     try:
         os.sched_setaffinity(0, cpus)
+    except OSError as error:
+        raise NotGrantedError(f"sched_setaffinity: {error.strerror}", advice) from None
+    try:
         if os.sched_getaffinity(0) != cpus:
             # The kernel leaves out processors that do not exist, without an error.
             raise NotGrantedError("not all of these processors exist", advice)
-    except OSError as error:
-        raise NotGrantedError(f"sched_setaffinity: {error.strerror}", advice) from None
-    except NotGrantedError:
-        os.sched_setaffinity(0, before)
-        raise
-    try:
         yield f"on processor {spans(cpus)} alone"
     finally:
         os.sched_setaffinity(0, before)
@@ -188,8 +184,6 @@ def reduce_timer_slack() -> Iterator[str]:
 @contextmanager
 def lock_memory() -> Iterator[str]:
     """Keep all memory in use in RAM: neither swapped, nor dropped and read from its file again."""
-    import resource  # not on every system
-
     limit = resource.getrlimit(resource.RLIMIT_MEMLOCK)[0]
     if limit != resource.RLIM_INFINITY and not _capable(CAP_IPC_LOCK):
         # mlockall would succeed now, and later allocations beyond the limit would fail.
@@ -276,8 +270,6 @@ def _schedule(threads: set[int], policy: int, parameter: "os.sched_param") -> No
 @contextmanager
 def _watched(overrun: Callable[[int, FrameType | None], None]) -> Iterator[None]:
     """Call `overrun` when a thread with a priority runs for too long without a pause."""
-    import resource  # not on every system
-
     soft, hard = resource.getrlimit(resource.RLIMIT_RTTIME)
     if hard == resource.RLIM_INFINITY:
         hard = LONGEST_RUN_AT_ALL_US
@@ -292,8 +284,6 @@ def _watched(overrun: Callable[[int, FrameType | None], None]) -> Iterator[None]
 
 
 def _no_priority(priority: int, error: OSError) -> NotGrantedError:
-    import resource  # not on every system
-
     limit = resource.getrlimit(resource.RLIMIT_RTPRIO)[0]
     if 0 <= limit < priority and not _capable(CAP_SYS_NICE):
         advice = _raise_limit("rtprio", *[f"{priority}"] * 3)

@@ -75,19 +75,13 @@ class ClientKeys:
         socket.setsockopt(zmq.CURVE_SERVERKEY, self.peer.key)
 
 
-def check_name(name: str) -> str:
-    """Return `name` if it is valid for a key. Raises KeyFileError."""
+def new_pair(folder: Path, name: str) -> tuple[Path, Path]:
+    """Create `folder`/`name`.key and .pub. Raises KeyFileError, also when one exists."""
     if not _NAME.fullmatch(name):
         raise KeyFileError(
             f"{name!r}: not a name; use up to 64 letters, digits, dots, dashes and underscores,"
             " beginning with a letter or a digit"
         )
-    return name
-
-
-def new_pair(folder: Path, name: str) -> tuple[Path, Path]:
-    """Create `folder`/`name`.key and .pub. Raises KeyFileError, also when one exists."""
-    check_name(name)
     _, secret = zmq.curve_keypair()
     pair = KeyPair(name, z85.decode(secret))
     secret_path, public_path = folder / f"{name}.key", folder / f"{name}.pub"
@@ -146,7 +140,7 @@ def read_public(path: Path) -> PublicKey:
 
 
 def read_text(path: Path, limit_bytes: int = MAX_KEY_FILE_BYTES) -> tuple[str, int]:
-    """Return the text and mode of a small file. Raises KeyFileError."""
+    """Return the text and mode of an ASCII file of limited size. Raises KeyFileError."""
     try:
         if not path.is_file():
             reason = "it is not a file" if path.exists() else "there is no such file"

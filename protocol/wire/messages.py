@@ -14,7 +14,6 @@ returns a valid message or raises WireError with the cause under which it is cou
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import msgpack
@@ -25,8 +24,8 @@ from protocol.errors import WireError
 from protocol.wire.stream import MAX_NAME, StreamDescription, description_from_wire
 
 VERSION = 1
+# Greatest size of any message between the nodes.
 MAX_FRAME_BYTES = 65_536
-MAX_CONTROL_BYTES = 65_536
 MAX_CHANNELS = 64
 MAX_PERIOD_NS = 10_000_000_000
 # Sample counts are exact in a float, and suffice for 285 years at 1 MHz. Times, up to 146 years
@@ -76,20 +75,12 @@ def encode_frame(frame: Frame) -> bytes:
 
 
 def decode_frame(data: bytes) -> Frame:
-    """Decode a frame.
+    """Decode a frame of at most `MAX_FRAME_BYTES`.
 
-    Parameters
-    ----------
-    data : bytes
-        At most 65 536 bytes are accepted.
-
-    Raises
-    ------
-    WireError
-        With the cause "oversized", "truncated", "not_msgpack", "version", "malformed" or
-        "not_finite".
+    Raises WireError with the cause "oversized", "truncated", "not_msgpack", "version", "malformed"
+    or "not_finite".
     """
-    fields = _unpack(data, MAX_FRAME_BYTES)
+    fields = _unpack(data)
     if len(fields) != 8:
         raise WireError("malformed", f"a frame has 8 fields, this one {len(fields)}")
     _, session, first_sample, t_first_ns, period_ns, channels, width, payload = fields
@@ -118,15 +109,13 @@ def decode_frame(data: bytes) -> Frame:
     return Frame(session, first_sample, t_first_ns, period_ns, values.reshape(-1, channels))
 
 
-@dataclass(frozen=True, slots=True)
-class Hello:
+class Hello(NamedTuple):
     """Request of a display for the stream's description."""
 
     display: str
 
 
-@dataclass(frozen=True, slots=True)
-class Welcome:
+class Welcome(NamedTuple):
     """Answer of the sensing node: its session, the samples sent so far, the stream."""
 
     session: int
@@ -134,23 +123,20 @@ class Welcome:
     description: StreamDescription
 
 
-@dataclass(frozen=True, slots=True)
-class Bye:
+class Bye(NamedTuple):
     """End of the session, after `samples_sent` samples."""
 
     session: int
     samples_sent: int
 
 
-@dataclass(frozen=True, slots=True)
-class ClockRequest:
+class ClockRequest(NamedTuple):
     """Request of a display for the sensing clock, sent at the display's time t1."""
 
     t1_ns: int
 
 
-@dataclass(frozen=True, slots=True)
-class ClockReply:
+class ClockReply(NamedTuple):
     """Sensing clock when the request arrived (t2) and when this reply left (t3)."""
 
     session: int
@@ -159,8 +145,7 @@ class ClockReply:
     t3_ns: int
 
 
-@dataclass(frozen=True, slots=True)
-class DisplayReport:
+class DisplayReport(NamedTuple):
     """Report of a display on the received stream; unknown figures are NaN."""
 
     session: int
@@ -191,15 +176,14 @@ _NAMES = {kind: name for name, (kind, _) in _KINDS.items()}
 def encode_control(message: Control) -> bytes:
     """Encode a control message."""
     name = _NAMES[type(message)]
-    fields = [getattr(message, field) for field in message.__slots__]
     if isinstance(message, Welcome):
-        fields[-1] = message.description.to_wire()
-    return _pack([VERSION, name, *fields])
+        return _pack([VERSION, name, *message[:-1], message.description.to_wire()])
+    return _pack([VERSION, name, *message])
 
 
 def decode_control(data: bytes) -> Control:
     """Decode a control message. Raises WireError, also with the cause "description"."""
-    fields = _unpack(data, MAX_CONTROL_BYTES)
+    fields = _unpack(data)
     name = fields[1] if len(fields) > 1 else None
     if not isinstance(name, str) or name not in _KINDS:
         raise WireError("malformed", f"unknown kind of control message {_shown(name)}")
@@ -226,10 +210,10 @@ def _fits(value: object, expected: type | range) -> bool:
     return type(value) is expected
 
 
-def _unpack(data: bytes, limit: int) -> list[Any]:
+def _unpack(data: bytes) -> list[Any]:
     """Decode an array whose first field is the protocol version. Raises WireError."""
-    if len(data) > limit:
-        raise WireError("oversized", f"{len(data)} bytes, at most {limit} are taken")
+    if len(data) > MAX_FRAME_BYTES:
+        raise WireError("oversized", f"{len(data)} bytes, at most {MAX_FRAME_BYTES} are taken")
     try:
         # msgpack allocates a container before it reads its content. Without limits, nested empty
         # containers would take hundreds of megabytes.

@@ -8,7 +8,6 @@ import math
 from base64 import b64decode, b64encode
 from collections import Counter, deque
 from collections.abc import Iterator
-from dataclasses import asdict
 from typing import Any, NamedTuple
 
 from display_node.reception.playout import LATE_TARGET
@@ -173,7 +172,7 @@ def _clock_fields(reply: wire.ClockReply, t4_ns: int) -> Fields:
     ahead_ns = (reply.t2_ns - reply.t1_ns + reply.t3_ns - t4_ns) / 2
     round_trip_ns = t4_ns - reply.t1_ns - (reply.t3_ns - reply.t2_ns)
     in_ms = {"offset_ms": ahead_ns * 1e-6, "round_trip_ms": round_trip_ns * 1e-6}
-    return {**asdict(reply), "t4_ns": t4_ns, **in_ms}
+    return {**reply._asdict(), "t4_ns": t4_ns, **in_ms}
 
 
 def _without_none(fields: Fields) -> Fields:

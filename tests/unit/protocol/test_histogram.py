@@ -58,9 +58,9 @@ def test_a_quantile_is_exact_to_one_bin_or_named_beyond_the_range(values: list[f
         assert histogram.quantile(share) == pytest.approx(min(exact, BIN * BINS), abs=BIN)
 
 
-def test_nan_is_counted_apart() -> None:
+def test_nan_is_not_counted() -> None:
     histogram = filled([1.0, math.nan, 1.0])
-    assert (histogram.count, histogram.not_numbers, histogram.mean) == (2, 1, 1.0)
+    assert (histogram.count, histogram.mean) == (2, 1.0)
 
 
 def test_negative_values_count_in_the_first_bin() -> None:

@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 from protocol.errors import WireError
 from protocol.tactile import ElasticLayer
 from protocol.wire.messages import (
-    MAX_CONTROL_BYTES,
     MAX_FRAME_BYTES,
     VERSION,
     Bye,
@@ -175,11 +174,9 @@ def test_a_frame_as_large_as_allowed_is_taken_and_one_byte_more_is_not() -> None
     assert cause_of(decode_frame, sizes[MAX_FRAME_BYTES + 1]) == "oversized"
 
 
-@pytest.mark.parametrize(
-    ("decode", "limit"), [(decode_frame, MAX_FRAME_BYTES), (decode_control, MAX_CONTROL_BYTES)]
-)
-def test_an_oversized_message_is_refused_before_it_is_read(decode: Decoder, limit: int) -> None:
-    assert cause_of(decode, b"\xc1" * (limit + 1)) == "oversized"
+@each_decoder
+def test_an_oversized_message_is_refused_before_it_is_read(decode: Decoder) -> None:
+    assert cause_of(decode, b"\xc1" * (MAX_FRAME_BYTES + 1)) == "oversized"
 
 
 @each_message
