@@ -5,7 +5,7 @@ from contextlib import suppress
 
 from protocol.config.quantities import UNITS, in_unit_of, parse_quantity, parse_ratio
 from protocol.errors import RealtimeError, SceneError
-from protocol.host.realtime import parse_realtime
+from protocol.host.realtime import MAX_PRIORITY, parse_realtime
 from telepulse.simulation.link_model import parse_link
 
 LINKS = (
@@ -35,4 +35,4 @@ def try_one(data: bytes) -> None:
         link = parse_link(text)
         assert parse_link(link.text()) == link
     with suppress(RealtimeError):
-        parse_realtime(text)
+        assert parse_realtime(text).fifo in (None, *range(1, MAX_PRIORITY + 1))

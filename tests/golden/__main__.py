@@ -1,9 +1,8 @@
-"""Golden figures: three scenes and four seeds over a bad link, and the numbers of the paper.
+"""Golden figures: simulated runs over a bad link, the paper's numbers, keys, metrics and schemas.
 
-`python -m tests.golden` writes them anew; do that only where an equation was meant to change, and
-say so in the commit. `test_golden_summaries.py` compares a run with the summaries, and
-`tests/system/reports/test_paper_command.py` the command's tables with the paper's numbers, both to
-the last digit.
+`python -m tests.golden` writes them again. Do that only after a deliberate change, and name the
+change in the commit. `test_golden.py` compares the summaries of runs to the last digit, and the
+keys, metrics and schemas; `tests/system/reports/test_paper_command.py` compares the paper's tables.
 """
 
 import json
@@ -13,15 +12,18 @@ from pathlib import Path
 from typing import Any
 
 from protocol.config.scene_file import find_scene
+from protocol.wire.telemetry import Status
 from telepulse.cli.study import build_paper
+from telepulse.metrics.server import NodeState, families
 from telepulse.scene import load_scene
 from telepulse.simulation.link_model import parse_link
 from telepulse.simulation.virtual_time import simulate
+from telepulse.telemetry.schema import SCHEMAS
+from tests.support.full_summary import full_summary
 
-FILE = Path(__file__).with_name("summaries.json")
-PAPER_FILE = FILE.with_name("paper.json")
+FOLDER = Path(__file__).parent
 NUMBER = re.compile(r"[−-]?\d+(?:\.\d+)?(?:e[−-]?\d+)?")
-# Smaller figures are rounding errors, which another processor makes otherwise.
+# Smaller figures are rounding errors, which differ between processors.
 ROUNDING = 1e-10
 SCENES = ("radial", "wan", "conditioned")
 SEEDS = (1, 2, 3, 4)
@@ -29,10 +31,16 @@ LINK = "delay=40ms,jitter=10ms,loss=1%"
 SECONDS = 20.0
 
 
-def read() -> dict[str, Any]:
-    """Return the stored summaries by "scene seed"."""
-    summaries: dict[str, Any] = json.loads(FILE.read_text(encoding="utf-8"))
-    return summaries
+def read(name: str) -> dict[str, Any]:
+    """Return the stored "summaries" (by scene and seed), "paper" (by table) or "figures"."""
+    stored: dict[str, Any] = json.loads((FOLDER / f"{name}.json").read_text(encoding="utf-8"))
+    return stored
+
+
+def write(name: str, values: dict[str, Any], sort: bool = False) -> None:
+    """Store what `read` returns."""
+    text = json.dumps(values, indent=1, sort_keys=sort, ensure_ascii=False)
+    (FOLDER / f"{name}.json").write_text(text + "\n", encoding="utf-8")
 
 
 def run(scene: str, seed: int) -> dict[str, Any]:
@@ -46,7 +54,7 @@ def run(scene: str, seed: int) -> dict[str, Any]:
 def paper_numbers(report: dict[str, Any]) -> dict[str, list[str]]:
     """Return the numbers in each row of the tables of `telepulse paper --json`, by table.
 
-    The numbers are as printed, without the words around them, so that words may be mended.
+    The numbers are as printed, without the words around them, so that words may change.
     """
     return {
         f"chapter {chapter_number}, table {table_number}": [
@@ -64,17 +72,20 @@ def _numbers(cells: list[str]) -> list[str]:
     ]
 
 
-def read_paper_numbers() -> dict[str, list[str]]:
-    """Return the stored numbers of the paper's tables."""
-    numbers: dict[str, list[str]] = json.loads(PAPER_FILE.read_text(encoding="utf-8"))
-    return numbers
+def figures() -> dict[str, Any]:
+    """Return a full summary, its Prometheus metrics, and the schemas of recordings."""
+    summary = full_summary().to_dict()
+    node = NodeState(Status("playing", "a stream", summary, False, 1), 0, 75.0)
+    metrics = {
+        f"{sample.name} {json.dumps(sample.labels, sort_keys=True)}": [metric.type, sample.value]
+        for metric in families("display-node", node, 0)
+        for sample in metric.samples
+        if metric.name != "telepulse_node"
+    }
+    return {"summary": summary, "metrics": dict(sorted(metrics.items())), "schemas": SCHEMAS}
 
 
 if __name__ == "__main__":
-    numbers = paper_numbers(build_paper().to_dict())
-    PAPER_FILE.write_text(
-        json.dumps(numbers, indent=1, ensure_ascii=False) + "\n", encoding="utf-8"
-    )
-    summaries = {f"{scene} {seed}": run(scene, seed) for scene in SCENES for seed in SEEDS}
-    text = json.dumps(summaries, indent=1, sort_keys=True, ensure_ascii=False)
-    FILE.write_text(text + "\n", encoding="utf-8")
+    write("paper", paper_numbers(build_paper().to_dict()))
+    write("summaries", {f"{s} {n}": run(s, n) for s in SCENES for n in SEEDS}, sort=True)
+    write("figures", figures())

@@ -5,16 +5,7 @@ import math
 import numpy as np
 
 from protocol.tactile import ElasticLayer
-from protocol.wire.messages import (
-    Bye,
-    ClockReply,
-    ClockRequest,
-    Control,
-    DisplayReport,
-    Frame,
-    Hello,
-    Welcome,
-)
+from protocol.wire import messages as wire
 from protocol.wire.stream import Channel, StreamDescription
 
 DESCRIPTION = StreamDescription(
@@ -26,7 +17,7 @@ DESCRIPTION = StreamDescription(
     group_delay_ns=3,
 )
 
-FLOAT32_FRAME = Frame(
+FLOAT32_FRAME = wire.Frame(
     session=7,
     first_sample=1000,
     t_first_ns=1_700_000_000_000_000_000,
@@ -36,7 +27,7 @@ FLOAT32_FRAME = Frame(
 FLOAT32_BYTES = bytes.fromhex(
     "98 01 07 cd03e8 cf17979cfe362a0000 ce000f4240 01 04"
 ) + bytes.fromhex("c408 0000003f 0000a0bf")
-FLOAT64_FRAME = Frame(
+FLOAT64_FRAME = wire.Frame(
     session=2**62,
     first_sample=0,
     t_first_ns=-1,
@@ -47,10 +38,10 @@ FLOAT64_BYTES = bytes.fromhex("98 01 cf4000000000000000 00 ff 01 02 08") + bytes
     "c410 000000000000f03f 00000000000000c0"
 )
 
-CONTROL: dict[str, tuple[Control, bytes]] = {
-    "hello": (Hello("display-1"), b"\x93\x01\xa5hello\xa9display-1"),
+CONTROL: dict[str, tuple[wire.Control, bytes]] = {
+    "hello": (wire.Hello("display-1"), b"\x93\x01\xa5hello\xa9display-1"),
     "welcome": (
-        Welcome(7, 250, DESCRIPTION),
+        wire.Welcome(7, 250, DESCRIPTION),
         b"\x95\x01\xa7welcome\x07\xcc\xfa\x87"
         b"\xa4name\xacradial pulse"
         b"\xa9period_ns\xce\x00\x0f\x42\x40"
@@ -64,15 +55,30 @@ CONTROL: dict[str, tuple[Control, bytes]] = {
         b"\xb0bytes_per_sample\x04"
         b"\xaegroup_delay_ns\x03",
     ),
-    "bye": (Bye(7, 5000), b"\x94\x01\xa3bye\x07\xcd\x13\x88"),
-    "clock request": (ClockRequest(-5), b"\x93\x01\xa6clock?\xfb"),
-    "clock reply": (ClockReply(7, 1, 2, 3), b"\x96\x01\xa5clock\x07\x01\x02\x03"),
+    "bye": (wire.Bye(7, 5000), b"\x94\x01\xa3bye\x07\xcd\x13\x88"),
+    "clock request": (wire.ClockRequest(-5), b"\x93\x01\xa6clock?\xfb"),
+    "clock reply": (wire.ClockReply(7, 1, 2, 3), b"\x96\x01\xa5clock\x07\x01\x02\x03"),
     "report": (
-        DisplayReport(7, "display-1", 90, 6, 4, 1.5, math.nan, 40.0, 0.25),
+        wire.DisplayReport(7, "display-1", 90, 6, 4, 1.5, math.nan, 40.0, 0.25),
         b"\x9b\x01\xa6report\x07\xa9display-1\x5a\x06\x04"
         b"\xcb\x3f\xf8\x00\x00\x00\x00\x00\x00"
         b"\xcb\x7f\xf8\x00\x00\x00\x00\x00\x00"
         b"\xcb\x40\x44\x00\x00\x00\x00\x00\x00"
         b"\xcb\x3f\xd0\x00\x00\x00\x00\x00\x00",
     ),
+}
+
+HUGE = b"\xff\xff\xff\xff"
+# Messages whose containers claim more than they hold.
+FALSE_LENGTHS = {
+    "an array of 2^32 - 1, empty": b"\xdd" + HUGE,
+    "a map of 2^32 - 1, empty": b"\xdf" + HUGE,
+    "bytes of 2^32 - 1, empty": b"\xc6" + HUGE,
+    "a text of 2^32 - 1, empty": b"\xdb" + HUGE,
+    "an extension of 2^32 - 1, empty": b"\xc9" + HUGE + b"\x05",
+    "an array as long as the message": b"\xdc\xff\xf0" + bytes(wire.MAX_FRAME_BYTES - 100),
+    "nested arrays without content": b"\xdc\xff\xf0" * 1000 + bytes(62_000),
+    "nested maps without content": b"\xde\xff\xf0\xa0" * 1000 + bytes(61_000),
+    "a status with such arrays": b"\x94\xa0\xa0\x81\xa0" + b"\xdc\xff\xf0" * 1000 + bytes(61_000),
+    "nesting beyond msgpack's stack": b"\x91" * (wire.MAX_FRAME_BYTES - 1) + b"\x90",
 }

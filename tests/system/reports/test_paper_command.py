@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from tests.golden.__main__ import paper_numbers, read_paper_numbers
+from tests.golden.__main__ import paper_numbers, read
 from tests.support.nodes import read_json, run
 
 PLOTS = {
@@ -41,7 +41,7 @@ def written(tmp_path_factory: pytest.TempPathFactory) -> Written:
 
 
 def test_every_number_is_the_same_as_before(written: Written) -> None:
-    assert paper_numbers(written.report) == read_paper_numbers()
+    assert paper_numbers(written.report) == read("paper")
 
 
 def test_it_prints_its_tables_and_where_the_report_is(written: Written) -> None:

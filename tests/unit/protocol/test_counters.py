@@ -47,7 +47,7 @@ def test_a_missed_tick_counts_for_no_state() -> None:
     assert (found.felt, found.missed) == (0.5, 0.5)
 
 
-def test_what_was_not_is_not_printed_and_what_hardly_was_is_not_nothing() -> None:
+def test_a_share_of_0_is_not_printed_and_a_small_one_is_above_0() -> None:
     ticks = [("playing", 1)] * 9_999 + [("stale", 1)]
     text = availability_text(dataclasses.asdict(counted(*ticks)))
     assert text == "felt 100.0 %, stale < 0.1 % of 10.0 s"
@@ -65,13 +65,12 @@ def interrupted(*ticks: tuple[bool, int]) -> Interruptions:
     return counter.interruptions()
 
 
-def test_interruptions_are_unknown_before_the_first_tick_and_then_none() -> None:
+def test_interruptions_are_unknown_before_the_first_tick_and_then_0() -> None:
     assert interrupted() == Interruptions()
     assert interrupted((False, 1), (False, 1)) == Interruptions(0, 0.0)
-    # A start is none, and neither are missed ticks alone.
+    # Neither a start nor missed ticks alone are an interruption.
     assert interrupted((False, 1), (True, 1), (True, 50), (True, 1)) == Interruptions(0, 0.0)
-
-    # One that is not over does not count yet.
+    # One that has not ended does not count.
     assert interrupted((True, 1), (False, 500)) == Interruptions(0, 0.0)
 
 

@@ -35,7 +35,7 @@ def test_levels_are_means_of_the_shortest_delays_of_each_way() -> None:
     assert len(expected) == len(LEVELS)
 
 
-def test_a_skew_that_is_known_does_not_make_late_delays_look_short() -> None:
+def test_a_known_skew_is_removed_from_the_delays() -> None:
     skew = 500e-6
     block = [exchange(i * S, 20, 20, round(i * S * skew)) for i in range(BLOCK)]
     blind = block_offset(block, block[0], 0.0, 0.0)
@@ -90,7 +90,7 @@ MODEST = JITTERS["exponential of 5 ms"]
 
 @dataclass
 class Remote:
-    """A remote clock behind a link, asked four times a second; local time begins at 5 s."""
+    """A remote clock behind a link, with four exchanges a second; local time begins at 5 s."""
 
     offset_ns: int = HOUR
     skew: float = 0.0
@@ -122,7 +122,7 @@ class Remote:
 
 
 def follow(remote: Remote, estimator: ClockEstimator, seconds: float) -> Iterator[int]:
-    """Exchange for so long; the estimate's error after each."""
+    """Exchange for some seconds; yield the estimate's error after each exchange."""
     end_ns = remote.local_ns + seconds * S
     while remote.local_ns < end_ns:
         assert estimator.add(remote.exchange())
@@ -160,6 +160,8 @@ def test_without_jitter_offset_and_skew_are_found_exactly(skew_ppm: int, offset_
     estimator = followed(remote, 60)
     assert remote.error_ns(estimator) < 20_000
     assert estimator.skew_ppm == pytest.approx(skew_ppm, abs=0.1)
+    remote.local_ns += 60 * S
+    assert remote.error_ns(estimator) < 50_000
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -182,18 +184,11 @@ def test_the_error_shrinks_as_exchanges_come() -> None:
 
 
 @pytest.mark.parametrize("extra_ns", [0, 10 * MS, 40 * MS])
-def test_what_a_longer_way_there_costs_is_within_the_bound(extra_ns: int) -> None:
+def test_an_error_by_asymmetric_delays_is_within_the_bound(extra_ns: int) -> None:
     remote = Remote(extra_request_ns=extra_ns)
     estimator = followed(remote, 30)
     assert remote.error_ns(estimator) == pytest.approx(extra_ns / 2, abs=1000)
     assert remote.error_ns(estimator) <= estimator.asymmetry_bound_ns
-
-
-def test_the_estimate_reaches_into_the_future() -> None:
-    remote = Remote(skew=100e-6)
-    estimator = followed(remote, 60)
-    later_ns = round(remote.local_ns) + 60 * S
-    assert estimator.remote_ns(later_ns) == pytest.approx(remote.now_ns(later_ns), abs=50_000)
 
 
 @pytest.mark.parametrize(
@@ -203,9 +198,9 @@ def test_the_estimate_reaches_into_the_future() -> None:
         ClockExchange(100, 1000, 1051, 150),
         ClockExchange(100, 1001, 1000, 150),
     ],
-    ids=["answered before it was asked", "longer there than away", "sent before it came"],
+    ids=["received before sent", "longer there than away", "answered before received"],
 )
-def test_an_exchange_that_cannot_be_is_refused(exchange: ClockExchange) -> None:
+def test_an_impossible_exchange_is_refused(exchange: ClockExchange) -> None:
     estimator = followed(Remote(), 10)
     before = estimator.remote_ns(20 * S), estimator.uncertainty_ns(20 * S)
     assert not estimator.add(exchange)
@@ -221,7 +216,7 @@ def test_an_exchange_on_an_instant_link_is_taken() -> None:
 @pytest.mark.parametrize("before_s", [1, 3, 30, 90])
 @pytest.mark.parametrize("step_ns", [HOUR, -HOUR, S], ids=["1 h", "-1 h", "1 s"])
 @pytest.mark.parametrize("jitter", ["none", "exponential of 5 ms"])
-def test_a_step_is_noticed_and_followed(jitter: str, step_ns: int, before_s: int) -> None:
+def test_a_step_is_detected_and_followed(jitter: str, step_ns: int, before_s: int) -> None:
     remote = Remote(skew=50e-6, jitter=JITTERS[jitter])
     estimator = followed(remote, before_s)
     remote.offset_ns += step_ns
@@ -331,7 +326,7 @@ int64 = st.integers(-(2**63), 2**63 - 1)
 
 
 @given(st.lists(st.tuples(int64, int64, int64, st.integers(0, 30 * S)), max_size=80))
-def test_no_replies_make_it_fail(replies: list[tuple[int, int, int, int]]) -> None:
+def test_arbitrary_replies_are_used_or_refused(replies: list[tuple[int, int, int, int]]) -> None:
     estimator = ClockEstimator()
     local_ns = 0
     for t1_ns, t2_ns, t3_ns, passed_ns in replies:

@@ -12,7 +12,7 @@ EVERY_NS = 5 * MS
 
 
 def arrivals(count: int, jitter_ms: float = 0.0, seed: int = 1) -> list[tuple[int, int]]:
-    """When each message was sent and when it arrived, by one clock."""
+    """Return the times of sending and arrival of each message, by one clock."""
     rng = random.Random(seed)
     sent_ns = range(0, count * EVERY_NS, EVERY_NS)
     return [(t_ns, t_ns + 20 * MS + round(abs(rng.gauss(0, jitter_ms)) * MS)) for t_ns in sent_ns]
@@ -49,10 +49,10 @@ def test_the_skew_is_within_two_standard_errors_nine_times_of_ten() -> None:
     assert sum(beyond) <= 4
 
 
-def test_the_oldest_is_forgotten() -> None:
+def test_the_oldest_blocks_are_dropped() -> None:
     early = arrivals(KEEP_BLOCKS * BLOCK)
     end_ns = early[-1][0] + EVERY_NS
-    # From then on a quarter of a second longer on the way.
+    # Later messages take a quarter of a second longer.
     late = [(end_ns + t_ns, end_ns + at_ns + 250 * MS) for t_ns, at_ns in early]
     assert estimated(early + late[: len(late) // 2], 0).skew < -1e-4
     assert estimated(early + late, 0).skew == pytest.approx(0, abs=1e-5)
@@ -65,7 +65,10 @@ def test_messages_close_together_count_once() -> None:
 
 
 def followed(frame_skew_ppm: float | None, late_ns: int = 0) -> ClockEstimator:
-    """A minute of a clock that is 100 ppm fast; half a minute on, frames take `late_ns` longer."""
+    """Return an estimator after a minute of a clock that is 100 ppm fast.
+
+    In the second half of the minute, frames take `late_ns` longer.
+    """
     estimator, rng = ClockEstimator(), random.Random(4)
     for number, (sent_ns, arrived_ns) in enumerate(arrivals(12_000, 3)):
         if number % 4 == 0:
@@ -79,21 +82,21 @@ def followed(frame_skew_ppm: float | None, late_ns: int = 0) -> ClockEstimator:
     return estimator
 
 
-def test_frames_that_agree_make_the_offset_surer() -> None:
+def test_frames_that_agree_reduce_the_uncertainty() -> None:
     alone, together = followed(None), followed(100)
     assert together.uncertainty_ns(60 * S) < 0.85 * alone.uncertainty_ns(60 * S)
     assert together.skew_ppm == pytest.approx(100, abs=5)
 
 
 @pytest.mark.parametrize(("frame_skew_ppm", "late_ns"), [(0, 0), (600, 0), (100, 60 * MS)])
-def test_frames_that_contradict_exchanges_move_little(frame_skew_ppm: float, late_ns: int) -> None:
+def test_contradicting_frames_change_little(frame_skew_ppm: float, late_ns: int) -> None:
     alone, together = followed(None), followed(frame_skew_ppm, late_ns)
     assert together.skew_ppm == pytest.approx(alone.skew_ppm, abs=0.5)
     assert abs(together.offset_ns(60 * S) - alone.offset_ns(60 * S)) < 0.02 * MS
 
 
 class Device:
-    """A board whose clock began elsewhere and runs wrong, behind a bus that sends in batches."""
+    """A board whose clock has an offset and a skew, behind a bus that sends in batches."""
 
     def __init__(self, skew: float = 0.0, rate_hz: int = 500, batch_ms: float = 16.0) -> None:
         self.skew = skew
@@ -108,7 +111,7 @@ class Device:
         return round((host_ns - 100 * S) * (1 + self.skew)) + self.zero_ns
 
     def run(self, seconds: float) -> list[float]:
-        """For so long, how late each sample seems to have been taken, in ms."""
+        """Sample for some seconds; return the error of each sample's estimated time, in ms."""
         end_ns, waiting, late_ms = self.now_ns + seconds * S, [], []
         next_batch_ns: float = self.now_ns
         while self.now_ns < end_ns:
@@ -136,7 +139,7 @@ def test_batching_does_not_jitter_the_times(skew_ppm: int) -> None:
     assert device.clock.steps == 0
 
 
-def test_a_stall_of_a_second_moves_nothing() -> None:
+def test_a_stall_of_a_second_changes_nothing() -> None:
     device = Device(80e-6)
     device.run(10)
     held_ns = device.now_ns
@@ -149,7 +152,7 @@ def test_a_stall_of_a_second_moves_nothing() -> None:
 
 
 @pytest.mark.parametrize("jump_ns", [-5 * S, 50 * MS, 3600 * S], ids=["anew", "50 ms", "1 h"])
-def test_a_clock_that_jumps_is_followed_and_counted(jump_ns: int) -> None:
+def test_a_step_of_the_clock_is_followed_and_counted(jump_ns: int) -> None:
     device = Device(80e-6)
     device.run(10)
     device.zero_ns += jump_ns
@@ -158,10 +161,10 @@ def test_a_clock_that_jumps_is_followed_and_counted(jump_ns: int) -> None:
     assert device.clock.steps == 1
 
 
-def test_a_host_that_was_suspended_is_followed() -> None:
+def test_a_suspended_host_is_followed() -> None:
     device = Device()
     device.run(10)
-    # The host's clock stood still, or the board's lost time: all comes later than ever.
+    # The host's clock was stopped, or the board lost time: everything arrives later than before.
     device.zero_ns -= 3 * S
     device.clock.observe(device.shows_ns(device.now_ns + 4 * S), device.now_ns + 4 * S)
     device.now_ns += 4 * S
@@ -170,7 +173,7 @@ def test_a_host_that_was_suspended_is_followed() -> None:
     assert device.clock.steps == 1
 
 
-def test_it_is_ready_after_half_a_second_and_one_time_before_its_arrival_is_no_jump() -> None:
+def test_half_a_second_makes_it_ready_and_one_early_arrival_is_no_step() -> None:
     device = Device()
     device.run(0.2)
     assert not device.clock.ready

@@ -2,14 +2,12 @@ import math
 import time
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from pydantic import TypeAdapter
 
 from protocol.config import quantities
 from protocol.config.quantities import UNITS, count_text, in_unit_of, parse_quantity, parse_ratio
 
-# Written out once more, so that a slip in the product's table does not go unseen.
+# A second copy, so that a mistake in the product's table is detected.
 EACH_UNIT = {
     "time": {"ns": 1e-9, "us": 1e-6, "µs": 1e-6, "ms": 1e-3, "s": 1, "min": 60},
     "frequency": {"/min": 1 / 60, "Hz": 1, "kHz": 1e3, "MHz": 1e6},
@@ -79,7 +77,7 @@ def test_a_number_beyond_all_use_is_refused(text: str) -> None:
 
 
 @pytest.mark.parametrize("text", ["1" * 2000 + " x y", " " * 2000, "1." + "0" * 2000 + "e ? ?"])
-def test_a_long_text_is_seen_to_be_no_quantity_in_one_pass(text: str) -> None:
+def test_a_long_text_is_refused_in_one_pass(text: str) -> None:
     began_s = time.process_time()
     for parse in (parse_ratio, lambda text: parse_quantity(text, "time")):
         with pytest.raises(ValueError, match="is no") as caught:
@@ -87,15 +85,6 @@ def test_a_long_text_is_seen_to_be_no_quantity_in_one_pass(text: str) -> None:
         assert len(str(caught.value)) < 200
     # A pass takes microseconds; with its cube, half a minute.
     assert time.process_time() - began_s < 5
-
-
-@given(st.text(max_size=20))
-def test_no_text_does_anything_else(text: str) -> None:
-    try:
-        value = parse_quantity(text, "time")
-    except ValueError:
-        return
-    assert math.isfinite(value)
 
 
 @pytest.mark.parametrize(
@@ -154,10 +143,7 @@ def test_a_limit_is_written_in_the_compared_unit(value: float, like: object, tex
 
 
 def test_one_is_singular_and_all_others_are_plural() -> None:
-    assert [count_text(count, "sample") for count in (0, 1, 2)] == [
-        "0 samples",
-        "1 sample",
-        "2 samples",
-    ]
-    assert count_text(1, "deadline miss", "deadline misses") == "1 deadline miss"
-    assert count_text(5, "deadline miss", "deadline misses") == "5 deadline misses"
+    samples = [count_text(count, "sample") for count in (0, 1, 2)]
+    assert samples == ["0 samples", "1 sample", "2 samples"]
+    misses = [count_text(count, "deadline miss", "deadline misses") for count in (1, 5)]
+    assert misses == ["1 deadline miss", "5 deadline misses"]

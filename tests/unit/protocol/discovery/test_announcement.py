@@ -1,4 +1,4 @@
-"""What is announced, and what is believed of announcements: whatever the bytes, read or refused."""
+"""Encoding, decoding and selection of announcements, also of arbitrary bytes."""
 
 from ipaddress import IPv4Interface
 
@@ -33,7 +33,7 @@ names = st.text(st.characters(categories=["L", "N", "P", "Zs"]), min_size=1, max
 
 
 @given(stream=names.filter(str.isprintable), host=st.from_regex(r"[a-z0-9-]{1,60}", fullmatch=True))
-def test_what_is_announced_is_read_as_it_was_meant(stream: str, host: str) -> None:
+def test_an_announcement_is_decoded_as_it_was_encoded(stream: str, host: str) -> None:
     node = Announcement.of_node(stream, host, 5555, KEY)
     assert len(node.name.encode()) <= MAX_LABEL_BYTES
     assert all(len(f"{k}={w}".encode()) <= MAX_STRING_BYTES for k, w in to_txt(node).items())
@@ -129,15 +129,15 @@ OWN = [IPv4Interface(one) for one in ("127.0.0.1/8", "192.0.2.2/24", "172.17.0.1
     ("addresses", "used"),
     [
         (("192.0.2.7",), ["192.0.2.7"]),
-        # Two networks, of which we are on one; a bridge that both machines have for themselves.
+        # Two networks, one of which is this machine's; an address that both machines have.
         (("192.0.2.7", "198.51.100.7"), ["192.0.2.7"]),
         (("192.0.2.7", "172.17.0.1"), ["192.0.2.7"]),
-        # Over both where we are on both.
+        # Two networks that are both this machine's.
         (("192.0.2.7", "172.17.0.9"), ["192.0.2.7", "172.17.0.9"]),
-        # This very machine.
+        # This machine.
         (("192.0.2.2", "172.17.0.1"), ["192.0.2.2"]),
         (("127.0.0.1",), ["127.0.0.1"]),
-        # Nobody on this network sends us elsewhere.
+        # An address on another network.
         (("203.0.113.9",), []),
     ],
 )

@@ -27,40 +27,35 @@ def test_only_one_module_starts_processes_of_ours(package: str) -> None:
     assert found == (["protocol/host/child_process.py"] if package == "protocol" else [])
 
 
-BELOW = ("protocol", "pulse_sensors", "sensing_node", "display_node")
-
-
 @pytest.mark.parametrize("name", ["metrics", "recorder"])
-def test_what_a_node_starts_beside_itself_is_an_installed_module(name: str) -> None:
+def test_a_sidecar_is_an_installed_module(name: str) -> None:
     assert importlib.util.find_spec(sidecar_module(name)) is not None
 
 
-def test_what_is_not_installed_is_refused_in_one_line() -> None:
+def test_an_unknown_sidecar_is_refused_in_one_line() -> None:
     with pytest.raises(SidecarError, match=r"^no installed package provides 'oracle'; pip .*$"):
         sidecar_module("oracle")
 
 
-@pytest.mark.parametrize("package", BELOW)
-def test_nothing_of_telepulse_is_named_below_it(package: str) -> None:
+@pytest.mark.parametrize("package", PRODUCT[:-1])
+def test_no_lower_package_names_a_module_of_telepulse(package: str) -> None:
     named = [
-        f"{path.relative_to(ROOT)}: {text}"
+        f"{path.relative_to(ROOT)}: {node.value}"
         for path in (ROOT / package).rglob("*.py")
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
-        if isinstance(node, ast.Constant) and isinstance(text := node.value, str)
-        if is_module(text)
+        if isinstance(node, ast.Constant) and is_module(node.value)
     ]
     assert named == []
 
 
-def test_a_module_of_telepulse_is_noticed() -> None:
+def test_a_module_of_telepulse_is_recognised() -> None:
     assert is_module("telepulse.metrics")
     assert is_module("telepulse.cli.record")
     assert not is_module("telepulse.sidecars")
 
 
-def is_module(text: str) -> bool:
-    parts = text.split(".")
-    if parts[0] != "telepulse" or len(parts) == 1 or not all(map(str.isidentifier, parts)):
+def is_module(text: object) -> bool:
+    if not isinstance(text, str) or re.fullmatch(r"telepulse(\.\w+)+", text) is None:
         return False
-    path = ROOT.joinpath(*parts)
+    path = ROOT.joinpath(*text.split("."))
     return path.is_dir() or path.with_suffix(".py").exists()

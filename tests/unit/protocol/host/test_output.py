@@ -91,11 +91,15 @@ def test_a_device_is_written_to_directly() -> None:
         write_whole(Path("/dev/full"), "text")
 
 
-@pytest.mark.parametrize("name", ["no such folder/out.json", "nowhere", "x" * 300, "file/out"])
-def test_what_cannot_be_written_is_refused_before_and_after(name: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize("name", ["", "no/out.json", "nowhere", "x" * 300, "file/out"])
+def test_an_impossible_file_is_refused_before_and_after(name: str, tmp_path: Path) -> None:
     (tmp_path / "nowhere").symlink_to(tmp_path / "missing" / "file")
     (tmp_path / "file").write_text("", encoding="utf-8")
     for act in (check_writable, lambda path: write_whole(path, "text")):
-        with pytest.raises(OutputError, match="cannot be written"):
+        with pytest.raises(OutputError) as caught:
             act(tmp_path / name)
+        assert str(caught.value).startswith(f"{tmp_path / name}: cannot be written: ")
+        assert "\n" not in str(caught.value)
+    check_writable(tmp_path / "new")
+    check_writable(None)
     assert {path.name for path in tmp_path.iterdir()} == {"nowhere", "file"}

@@ -18,7 +18,7 @@ def path(tmp_path: Path) -> Path:
     return tmp_path / "allowed"
 
 
-def test_keys_are_added_and_taken_out(path: Path) -> None:
+def test_keys_are_added_and_removed(path: Path) -> None:
     assert read_allowed(path) == {}
     path.write_text("")
     assert read_allowed(path) == {}
@@ -31,7 +31,7 @@ def test_keys_are_added_and_taken_out(path: Path) -> None:
     assert read_allowed(path) == {}
 
 
-def test_every_key_of_a_name_is_taken_out_and_what_else_is_written_there_stays(path: Path) -> None:
+def test_every_key_of_a_name_is_removed_and_all_other_lines_stay(path: Path) -> None:
     second = PublicKey("wrist", b"\x03" * 32)
     path.write_text(f"# the ward\n\n{WRIST.line}\n  # spare\n{second.line}\n")
     assert list(read_allowed(path).values()) == [WRIST, second]
@@ -87,7 +87,7 @@ def test_an_invalid_list_is_one_line_without_a_key(path: Path, line: str, reason
 
 @pytest.mark.skipif(os.name != "posix", reason="modes are POSIX")
 @pytest.mark.parametrize("mode", [0o664, 0o646, 0o666])
-def test_a_list_that_others_may_write_is_refused_with_what_to_run(path: Path, mode: int) -> None:
+def test_a_list_that_others_may_write_is_refused_with_a_remedy(path: Path, mode: int) -> None:
     allow(path, WRIST)
     path.chmod(mode)
     with pytest.raises(KeyFileError, match=f"run: chmod go-w {path}"):
@@ -126,7 +126,7 @@ def test_a_change_is_read_once(path: Path, polled: AllowList, logged: list[str])
     assert logged == ["wrist is no longer allowed"]
 
 
-def test_a_list_is_read_until_it_can_be(path: Path, polled: AllowList, logged: list[str]) -> None:
+def test_a_list_is_read_until_readable(path: Path, polled: AllowList, logged: list[str]) -> None:
     path.chmod(0o664)
     assert run(polled, 1) == []
     assert not polled.readable
@@ -142,7 +142,7 @@ def test_a_list_is_read_until_it_can_be(path: Path, polled: AllowList, logged: l
     assert logged[1:] == [f"{path} is read again", "wrist is no longer allowed"]
 
 
-def test_a_list_that_cannot_be_opened_just_then_is_read_later(
+def test_a_list_that_cannot_be_opened_is_read_later(
     path: Path, polled: AllowList, monkeypatch: pytest.MonkeyPatch, logged: list[str]
 ) -> None:
     def no_descriptor(*_: object) -> None:

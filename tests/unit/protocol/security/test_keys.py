@@ -55,7 +55,7 @@ def test_only_the_owner_may_ever_read_a_secret_key(
 
 
 @pytest.mark.parametrize("there", ["wrist.key", "wrist.pub"])
-def test_nothing_is_overwritten_and_nothing_is_left_half_done(tmp_path: Path, there: str) -> None:
+def test_no_file_is_overwritten_and_no_half_of_a_pair_is_left(tmp_path: Path, there: str) -> None:
     (tmp_path / there).write_text("mine")
     with pytest.raises(KeyFileError, match=r"exists already and is not overwritten"):
         new_pair(tmp_path, "wrist")
@@ -63,7 +63,7 @@ def test_nothing_is_overwritten_and_nothing_is_left_half_done(tmp_path: Path, th
     assert (tmp_path / there).read_text() == "mine"
 
 
-def test_a_link_to_elsewhere_is_not_written_through(tmp_path: Path) -> None:
+def test_a_symbolic_link_is_not_followed(tmp_path: Path) -> None:
     (tmp_path / "wrist.key").symlink_to(tmp_path / "elsewhere")
     with pytest.raises(KeyFileError, match="is not overwritten"):
         new_pair(tmp_path, "wrist")
@@ -73,7 +73,7 @@ def test_a_link_to_elsewhere_is_not_written_through(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "name", ["", ".", "..", ".hidden", "a/b", "../a", "a b", "a\n", "ä", "-a", "a" * 65]
 )
-def test_a_name_that_is_none_is_refused(tmp_path: Path, name: str) -> None:
+def test_an_invalid_name_is_refused(tmp_path: Path, name: str) -> None:
     with pytest.raises(KeyFileError, match="not a name"):
         new_pair(tmp_path, name)
     assert list(tmp_path.iterdir()) == []
@@ -81,7 +81,7 @@ def test_a_name_that_is_none_is_refused(tmp_path: Path, name: str) -> None:
 
 @POSIX
 @pytest.mark.parametrize("mode", [0o640, 0o604, 0o660, 0o602, 0o644, 0o777])
-def test_a_secret_key_open_to_others_is_refused_with_what_to_run(tmp_path: Path, mode: int) -> None:
+def test_a_secret_key_open_to_others_is_refused_with_a_remedy(tmp_path: Path, mode: int) -> None:
     secret, _ = new_pair(tmp_path, "wrist")
     secret.chmod(mode)
     with pytest.raises(KeyFileError, match=f"run: chmod 600 {secret}"):
@@ -90,7 +90,7 @@ def test_a_secret_key_open_to_others_is_refused_with_what_to_run(tmp_path: Path,
     assert read_pair(secret).name == "wrist"
 
 
-def test_a_secret_and_a_public_key_are_not_taken_for_each_other(tmp_path: Path) -> None:
+def test_a_secret_and_a_public_key_are_not_confused(tmp_path: Path) -> None:
     secret, public = new_pair(tmp_path, "wrist")
     with pytest.raises(KeyFileError, match=r"never leaves its machine; give .* wrist\.pub") as one:
         read_public(secret)
@@ -120,7 +120,7 @@ GOOD = f"telepulse-public-key wrist {'ab' * 32}\n"
         ("\0" * 50, "not 'telepulse-public-key NAME KEY'"),
     ],
 )
-def test_a_file_that_holds_no_key_is_one_line(tmp_path: Path, text: str, reason: str) -> None:
+def test_a_file_without_a_key_is_refused(tmp_path: Path, text: str, reason: str) -> None:
     path = tmp_path / "wrist.pub"
     path.write_text(text, encoding="utf-8")
     with pytest.raises(KeyFileError) as caught:
@@ -131,13 +131,13 @@ def test_a_file_that_holds_no_key_is_one_line(tmp_path: Path, text: str, reason:
 
 
 @pytest.mark.parametrize("end", ["", "\r\n", "  \n"])
-def test_a_line_that_mail_has_changed_is_a_key_still(tmp_path: Path, end: str) -> None:
+def test_a_key_may_have_other_white_space_and_case(tmp_path: Path, end: str) -> None:
     path = tmp_path / "wrist.pub"
     path.write_bytes(("  " + GOOD.strip().replace("ab", "AB") + end).encode())
     assert read_public(path) == PublicKey("wrist", b"\xab" * 32)
 
 
-def test_no_file_or_none_that_can_be_read_is_one_line(tmp_path: Path) -> None:
+def test_a_missing_or_unreadable_file_is_refused(tmp_path: Path) -> None:
     for path, reason in (
         (tmp_path / "none.key", "no such file; make keys by: telepulse keys new NAME"),
         (tmp_path, "not a file"),
@@ -147,13 +147,13 @@ def test_no_file_or_none_that_can_be_read_is_one_line(tmp_path: Path) -> None:
                 read(path)
 
 
-def test_where_nothing_can_be_written_is_one_line(tmp_path: Path) -> None:
+def test_an_impossible_folder_is_refused(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(KeyFileError, match="cannot make the folder"):
         new_pair(tmp_path / "file", "wrist")
 
 
-def test_a_secret_does_not_show_itself() -> None:
+def test_the_text_of_a_pair_hides_its_secret() -> None:
     pair = KeyPair("wrist", b"\xcd" * 32)
     assert "cd" not in repr(pair)
     assert "205" not in repr(pair)

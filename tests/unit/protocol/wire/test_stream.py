@@ -16,7 +16,7 @@ WIRE = DESCRIPTION.to_wire()
 LAYER = WIRE["layer"]
 
 
-def test_a_description_survives_the_wire() -> None:
+def test_a_description_is_decoded_as_it_was_encoded() -> None:
     description = StreamDescription(
         name="zwei Kanäle",
         period_ns=500_000,
@@ -30,7 +30,7 @@ def test_a_description_survives_the_wire() -> None:
     assert description_from_wire(received) == description
 
 
-def test_what_may_be_left_out_has_a_value() -> None:
+def test_an_optional_field_has_a_default() -> None:
     needed = {key: WIRE[key] for key in ("name", "period_ns", "batch", "channels", "layer")}
     description = description_from_wire(needed)
     assert (description.bytes_per_sample, description.group_delay_ns) == (4, 0)
@@ -93,7 +93,7 @@ def test_an_invalid_field_is_refused_by_its_place(change: dict[str, Any], place:
 
 
 @pytest.mark.parametrize("table", [None, 5, "pulse", [], [1], True, b"x"], ids=repr)
-def test_what_is_no_table_is_no_description(table: object) -> None:
+def test_a_description_must_be_a_table(table: object) -> None:
     with pytest.raises(WireError) as caught:
         description_from_wire(table)
     assert caught.value.cause == "description"
@@ -104,7 +104,7 @@ def test_a_node_cannot_describe_what_its_displays_would_refuse() -> None:
         replace(DESCRIPTION, batch=0)
 
 
-def test_the_layer_of_a_scene_is_the_papers_where_it_has_none() -> None:
+def test_the_layer_of_a_scene_has_the_papers_values_by_default() -> None:
     table = validate({"young_modulus": "1 MPa", "thickness": "1 mm"}, LayerTable, "[layer]")
     assert table.layer() == ElasticLayer(1e6, 1e-3, 0.5, 1.0)
     assert LayerTable().layer() == ElasticLayer()
@@ -120,6 +120,6 @@ def test_the_layer_of_a_scene_is_the_papers_where_it_has_none() -> None:
         ("contact_length", "-1 m"),
     ],
 )
-def test_a_scenes_layer_that_cannot_be(key: str, value: object) -> None:
+def test_an_impossible_layer_of_a_scene_is_refused(key: str, value: object) -> None:
     with pytest.raises(SceneError, match=key):
         validate({key: value}, LayerTable, "[layer]")
