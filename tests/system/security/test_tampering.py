@@ -140,28 +140,6 @@ def test_bytes_that_are_replayed_or_reflected_to_a_display_are_refused(
             victim.close(0)
 
 
-def test_a_message_altered_on_its_way_to_the_bound_socket_is_refused(
-    context: Context, keyring: Keyring
-) -> None:
-    """ZeroMQ itself does not end the connection."""
-    bound, address = free_address(), free_address()
-    authenticator = Authenticator(context, keyring.server())
-    bound_socket = sockets.bind(context, zmq.ROUTER, bound, authenticator)
-    received: list[bytes] = []
-
-    def poll() -> None:
-        authenticator.poll(time.monotonic_ns())
-        sockets.send(peer, bytes(MESSAGE_BYTES))
-        received.extend(message for _, message in sockets.receive_multipart(bound_socket))
-
-    with middleman(port_of(address), port_of(bound)) as between:
-        peer = sockets.connect(context, zmq.DEALER, address, keyring.client("finger"))
-        until(lambda: poll() or received)
-        between.up = Once(flip_a_bit)
-        until(lambda: poll() or authenticator.rejected["not_authentic"] == 1)
-    assert set(received) == {bytes(MESSAGE_BYTES)}
-
-
 def test_messages_that_are_joined_on_the_way_are_refused(
     context: Context, keyring: Keyring, tmp_path: Path
 ) -> None:
