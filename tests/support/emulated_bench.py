@@ -19,15 +19,14 @@ from numpy.typing import NDArray
 
 from protocol.config.scene_file import find_scene, load_document, to_toml
 from protocol.host.child_process import ChildProcess
-from protocol.wire.telemetry import STATUS, read_status
 from telepulse.processes import free_addresses
+from tests.support.live_display import await_status, subscribe
 
 KINDS = ("tmcl", "cia402")
 PORTS = "/tmp/telepulse-"
 CHANNEL = "239.74.163.2"
 STATE_WITHIN_S = 40.0
 ENDS_WITHIN_S = 20.0
-POLL_MS = 200
 # The longest that a scene may allow.
 FEEDBACK_WITHIN = "80 ms"
 NICE = -15
@@ -103,20 +102,14 @@ class EmulatedBench:
 
     def await_state(self, wanted: str, within_s: float = STATE_WITHIN_S) -> dict[str, Any]:
         """Wait for a state of the display ("playing", "fault") and return its summary then."""
-        with zmq.Context() as context, context.socket(zmq.SUB) as socket:
-            socket.connect(self.telemetry)
-            socket.subscribe(STATUS)
-            deadline_s = time.monotonic() + within_s
-            state, faults = "absent", list[str]()
-            while time.monotonic() < deadline_s and state != "fault":
-                if self.processes["display"].poll() is not None:
-                    break
-                if socket.poll(POLL_MS):
-                    status = read_status(socket.recv_multipart()[1])
-                    state, faults = status.state, status.summary["faults"]
-                    if state == wanted:
-                        return status.summary
-        raise BenchFailedError(f"the display: {state} {faults}\n{self.log()}")
+        with zmq.Context() as context, subscribe(context, self.telemetry) as telemetry:
+            try:
+                status = await_status(telemetry, lambda s: s.state in (wanted, "fault"), within_s)
+            except TimeoutError as error:
+                raise BenchFailedError(f"{error}\n{self.log()}") from None
+        if status.state != wanted:
+            raise BenchFailedError(f"the display: {status.summary['faults']}\n{self.log()}")
+        return status.summary
 
     def end(self) -> dict[str, Any]:
         """Stop all processes; return the display's summary, empty if it was killed."""

@@ -1,9 +1,8 @@
-"""A display that runs as a process: how it is started, what it tells of itself."""
+"""A display that runs as a process: its arguments and its telemetry."""
 
 import time
 from collections.abc import Callable
 
-import pytest
 import zmq
 
 from protocol.sockets import Context
@@ -23,13 +22,15 @@ def subscribe(context: Context, address: str) -> zmq.Socket:
 
 
 def await_state(telemetry: zmq.Socket, state: str) -> Status:
-    """The first status in a state, within patience."""
+    """Return the first status in a state. Raises TimeoutError."""
     return await_status(telemetry, lambda status: status.state == state)
 
 
-def await_status(telemetry: zmq.Socket, wanted: Callable[[Status], bool]) -> Status:
-    """The first status that is as wanted, within patience."""
-    end_s = time.monotonic() + PATIENCE_S
+def await_status(
+    telemetry: zmq.Socket, wanted: Callable[[Status], bool], within_s: float = PATIENCE_S
+) -> Status:
+    """Return the first status that is as wanted. Raises TimeoutError."""
+    end_s = time.monotonic() + within_s
     while time.monotonic() < end_s:
         try:
             topic, data = telemetry.recv_multipart()
@@ -37,7 +38,7 @@ def await_status(telemetry: zmq.Socket, wanted: Callable[[Status], bool]) -> Sta
             continue
         if topic == STATUS and wanted(status := read_status(data)):
             return status
-    pytest.fail(f"the display was not as wanted within {PATIENCE_S} s")
+    raise TimeoutError(f"no status of the display was as wanted within {within_s:g} s")
 
 
 def display_arguments(address: str, telemetry: str, *more: str) -> tuple[str, ...]:

@@ -18,26 +18,26 @@ Figure = TypeVar("Figure")
 
 
 def free_address() -> str:
-    """A loopback address whose port and the next one are free."""
+    """Return a loopback address whose port and the next one are free."""
     return free_addresses(1)[0]
 
 
 def start(module: str, *arguments: str) -> ChildProcess:
-    """Run a module of ours as a process; its output is piped."""
+    """Start a module of ours as a process; its output is piped."""
     return ChildProcess(module, "-m", module, *arguments, cwd=ROOT, stdout=PIPE, stderr=PIPE)
 
 
 @contextmanager
 def process(module: str, *arguments: str) -> Iterator[ChildProcess]:
-    """A process that does not outlive the test; pytest shows what it said if the test fails."""
+    """Run a module until the end of the `with`; pytest shows its output if the test fails."""
     child = start(module, *arguments)
     try:
         yield child
     finally:
         if child.poll() is None:
             child.kill()
-        for said in child.communicate():
-            print(module, said)
+        for output in child.communicate():
+            print(module, output)
 
 
 def run(module: str, *arguments: str, timeout_s: float = 60) -> "subprocess.CompletedProcess[str]":
@@ -53,7 +53,7 @@ def run_python(*arguments: str, **options: Any) -> "subprocess.CompletedProcess[
 
 
 def read_json(path: Path) -> dict[str, Any]:
-    """A summary as a node wrote it."""
+    """Read the summary that a node has written."""
     table: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
     return table
 
@@ -65,5 +65,5 @@ def known(figure: Figure | None) -> Figure:
 
 
 def assert_accounted(samples: dict[str, int]) -> None:
-    """sent = played + late + lost."""
+    """Check that sent = played + late + lost."""
     assert samples["sent"] == samples["played"] + samples["late"] + samples["lost"]
