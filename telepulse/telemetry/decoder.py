@@ -151,7 +151,7 @@ class TelemetryDecoder:
 
     def _status(self, status: telemetry.Status) -> Iterator[Entry]:
         playing = status.playing and status.playing._asdict()
-        yield self._entry(STATUS, _without_none(status._asdict() | {"playing": playing}))
+        yield self._entry(STATUS, without_none(status._asdict() | {"playing": playing}))
         events = self._events.take(status.state, status.summary, self._now_ns)
         yield from map(self.event, events)
         if status.final:
@@ -175,9 +175,10 @@ def _clock_fields(reply: wire.ClockReply, t4_ns: int) -> Fields:
     return {**reply._asdict(), "t4_ns": t4_ns, **in_ms}
 
 
-def _without_none(fields: Fields) -> Fields:
+def without_none(fields: Fields) -> Fields:
+    """Return the fields of a status, and of its tables, that have a value."""
     return {
-        name: _without_none(value) if isinstance(value, dict) else value
+        name: without_none(value) if isinstance(value, dict) else value
         for name, value in fields.items()
         if value is not None
     }

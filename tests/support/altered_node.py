@@ -1,7 +1,7 @@
 """`python -m tests.support.altered_node ALTERATION MODULE ARGUMENTS`: a node with a fault in it.
 
-`step=SECONDS`: its monotonic clock steps by so much at each SIGUSR1. A host that was suspended is a
-process that was stopped, and a step back by the time it was stopped. `flood=data` or
+`step=SECONDS`: its monotonic clock steps by so much at each SIGUSR1. To simulate a suspended host,
+stop the process, and step its clock back by the time for which it was stopped. `flood=data` or
 `flood=control`: a sensing node that sends each frame, or each control answer, hundreds of times.
 """
 

@@ -1,4 +1,4 @@
-"""Pages in a browser that must not request anything of another host."""
+"""Pages in a browser, which must request nothing from another host."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -12,7 +12,7 @@ Page = Any
 
 
 class Visit:
-    """Opens pages, each as a reader of its own, and keeps what went wrong in them."""
+    """Visits of pages, each as another reader; wrong: their errors and foreign requests."""
 
     def __init__(self, browser: Any) -> None:
         self._browser = browser

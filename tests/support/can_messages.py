@@ -43,7 +43,7 @@ def can_scene(channel: str = "none", **keys: object) -> CanScene:
 
 
 def film_message(number: int, force_n: float = 0.25, at_s: float | None = None) -> can.Message:
-    """Message `number`, one a ms unless `at_s` gives its time."""
+    """Return message `number`; at_s: its time, by default one message each ms."""
     data = round(force_n * 1e4).to_bytes(2, "little", signed=True) + bytes([number % 256, 0])
     when_s = 1e9 + number * 1e-3 if at_s is None else at_s
     return can.Message(when_s, arbitration_id=291, is_extended_id=False, data=data)

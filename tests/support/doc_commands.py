@@ -1,10 +1,12 @@
 """Check that a command could be run: its program accepts the words, and the named files exist."""
 
+import importlib.util
 import os
 import re
 import shlex
 import subprocess
 import tomllib
+from pathlib import Path
 from typing import Any
 
 import typer
@@ -23,15 +25,15 @@ APPLICATIONS = {
     "sensing-node": sensing_node.cli.app,
     "display-node": display_node.cli.app,
 }
-# What `make test-all ARGS=…` exports to the tests, and thereby to the `make` that they run.
+# Variables that `make test-all ARGS=…` exports to the tests, and so to the `make` that they run.
 OF_MAKE = {"ARGS", "MAKEFLAGS", "MFLAGS", "MAKEOVERRIDES", "MAKELEVEL"}
-# Words that stand for a reader's own value.
+# Words in place of a reader's own value.
 PLACEHOLDERS = {"PORT": "5600", "PRIORITY": "40", "SECONDS": "1"}
 RECIPES = {*OTHERS, "ruff", "mypy", "lint-imports", "touch", "rm", "mkdir"}
 
 
 def check(command: str) -> None:
-    """Raise AssertionError if it could not be run as written."""
+    """Raise AssertionError if a command could not be run as written."""
     try:
         _check(command)
     except Exception as error:
@@ -106,22 +108,19 @@ def _scenes_are_there(words: list[str]) -> None:
 def _check_module(words: list[str]) -> None:
     assert words[0] == "-m", words
     module, *rest = words[1:]
+    found = importlib.util.find_spec(module)
+    assert found is not None, f"python -m {module}"
     if module == "benchmarks":
         known = {path.stem for path in (ROOT / "benchmarks").iterdir()}
         assert set(rest) <= known, f"no such benchmark: {rest}"
     elif module.startswith("benchmarks."):
-        assert (ROOT / f"{module.replace('.', '/')}.py").exists(), f"no such benchmark: {module}"
-        text = (ROOT / f"{module.replace('.', '/')}.py").read_text(encoding="utf-8")
+        assert found.origin is not None
+        text = Path(found.origin).read_text(encoding="utf-8")
         assert all(word in text for word in rest if word.startswith("-")), rest
-    elif module == "tests.size":
-        assert rest == []
     elif module in ("soak", "fuzz"):
         app = typer.Typer()
         app.command()({"soak": soak, "fuzz": fuzz}[module])
         _parse(typer.main.get_command(app), module, rest)
-    else:
-        known = {"compileall", "pytest", "sphinx", "tests.run_all", "venv"}
-        assert module in known, f"python -m {module}"
 
 
 def _check_extras(command: str) -> None:

@@ -1,4 +1,4 @@
-"""Commands on the pages: how each is run here, or why it is not."""
+"""The commands on the pages, with how each is run here, or why it is not."""
 
 import json
 import shutil
@@ -180,8 +180,8 @@ SESSIONS: dict[str, list[Step | Stop | Do]] = {
     ],
 }
 
-# The reason why it is not run here, and the test of a similar command. The real command line still
-# parses it, and the named tests must exist.
+# The reason why a command is not run here, and the test of a similar one. The real command line
+# still parses it, and the named tests must exist.
 BENCH = "half a minute; tests/system/commissioning/test_bench_command.py"
 FUZZ = "a minute and more; tests/system/hostile/test_fuzz_runner.py"
 MULTICAST = "needs a network that carries multicast; tests/system/discovery"

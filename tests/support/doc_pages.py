@@ -29,25 +29,22 @@ class Block:
 
     @property
     def place(self) -> str:
-        """Return its place, for the message of a failure."""
         return f"{self.page}:{self.line}"
 
     @property
     def is_shell(self) -> bool:
-        """Return whether it holds commands: by its language, or by a program at its begin."""
+        """Return whether it holds commands, by its language or by the program it begins with."""
         if self.language:
             return self.language in SHELLS
         return self.text.strip().removeprefix("$ ").split()[0] in (*PROGRAMS, *OTHERS)
 
 
 def pages() -> list[Path]:
-    """Return every page."""
     named = [ROOT / name for name in ("README.md", "CONTRIBUTING.md")]
     return [*(page for page in named if page.exists()), *sorted((ROOT / "docs").rglob("*.md"))]
 
 
 def blocks() -> Iterator[Block]:
-    """Yield every block of every page."""
     for page in pages():
         name = str(page.relative_to(ROOT))
         for token in MarkdownIt().parse(page.read_text(encoding="utf-8")):

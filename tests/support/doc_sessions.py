@@ -1,4 +1,4 @@
-"""Run commands as a reader would: in a folder, one after the other, some in parallel."""
+"""Sessions of commands as a reader types them: in a folder, in order, some in parallel."""
 
 import os
 import re
@@ -40,7 +40,7 @@ class Step:
 
 @dataclass(frozen=True)
 class Stop:
-    """Ctrl-C in the terminal of this command."""
+    """A Ctrl-C in the terminal of a command."""
 
     command: str
 
@@ -95,8 +95,8 @@ class Session:
         if line.startswith("make "):
             (line,) = recipes(shlex.split(line)[1:])
         program, *words = shlex.split(f"{line} {self.placed(step.more)}")
-        heard = self.folder / f"{len(list(self.folder.glob('*.heard')))}.heard"
-        with heard.open("w", encoding="utf-8") as output:
+        printed = self.folder / f"{len(list(self.folder.glob('*.printed')))}.printed"
+        with printed.open("w", encoding="utf-8") as output:
             child = subprocess.Popen(
                 [str(BIN / program), *words],
                 cwd=where,
@@ -106,23 +106,23 @@ class Session:
                 env={**os.environ, "PYTHONUNBUFFERED": "1", "COLUMNS": "200"},
                 text=True,
             )
-        self._running[step.command] = child, heard, step
+        self._running[step.command] = child, printed, step
         until_the_end.callback(self._stop, step.command)
         if step.shows is None:
             child.wait(LONGEST_S)
             self._stop(step.command)
-            assert step.says in heard.read_text(encoding="utf-8")
+            assert step.says in printed.read_text(encoding="utf-8")
         else:
             pattern = step.shows
             with suppress(AssertionError):
-                until(lambda: _has(heard, pattern) or child.poll() is not None, LONGEST_S)
-            assert _has(heard, pattern), _said(line, heard)
+                until(lambda: _has(printed, pattern) or child.poll() is not None, LONGEST_S)
+            assert _has(printed, pattern), _failure(line, printed)
 
     def _stop(self, command: str) -> None:
         """End it by Ctrl-C if it still runs, and check its exit status."""
         if command not in self._running:
             return
-        child, heard, step = self._running.pop(command)
+        child, printed, step = self._running.pop(command)
         if child.poll() is None:
             child.send_signal(signal.SIGINT)
         try:
@@ -131,12 +131,12 @@ class Session:
             if child.poll() is None:
                 child.kill()
                 child.wait()
-        assert status in step.statuses, _said(f"{command}: exit status {status}", heard)
+        assert status in step.statuses, _failure(f"{command}: exit status {status}", printed)
 
 
-def _has(heard: Path, pattern: str) -> bool:
-    return re.search(pattern, heard.read_text(encoding="utf-8")) is not None
+def _has(printed: Path, pattern: str) -> bool:
+    return re.search(pattern, printed.read_text(encoding="utf-8")) is not None
 
 
-def _said(what: str, heard: Path) -> str:
-    return f"{what}\n{heard.read_text(encoding='utf-8')[-2000:]}"
+def _failure(what: str, printed: Path) -> str:
+    return f"{what}\n{printed.read_text(encoding='utf-8')[-2000:]}"

@@ -1,6 +1,6 @@
-"""Drives and their emulators: in virtual time on lines in memory, or on real lines of one process.
+"""Drives and their emulators, in virtual time on lines in memory, or on real lines of one process.
 
-Both give a `Bench`; on a real line the emulator is polled by a thread.
+Both are a `Bench`. On a real line a thread polls the emulator.
 """
 
 import threading
@@ -29,7 +29,7 @@ from tests.support.virtual_time import VirtualTime
 
 LAYER = LayerTable().layer()
 FORCE_LIMIT_N = 2.5
-# Of a machine so busy that a thread waits for its turn: far longer than a bench's 50 ms.
+# For a machine so busy that threads wait: far longer than a bench's usual 50 ms.
 PATIENT = {"watchdog": "800 ms", "homing_speed": "20 mm/s", "touch": "0.6 mm"}
 LONGEST_WAIT_S = 20.0
 VIRTUAL = ("display_node.drives", "telepulse.emulators")
@@ -50,10 +50,10 @@ def cia402_scene(**keys: Any) -> Cia402Scene:
 
 @dataclass
 class Bench:
-    """A drive, and what is at the other end of its line.
+    """A drive, and the emulator at the other end of its line.
 
-    line: of a TMCL module in virtual time its port; of a CiA 402 drive our end of the bus; the
-    pseudo-terminal on real lines. bus: what python-can opens in virtual time.
+    line: in virtual time the port of a TMCL module, or our end of a CiA 402 drive's bus; otherwise
+    the pseudo-terminal. bus: the bus that python-can opens in virtual time.
     """
 
     scene: TmclScene | Cia402Scene
@@ -76,7 +76,7 @@ class Bench:
             self.clock.sleep(0.002)
 
     def keep(self, rate_hz: float, until: Callable[[], object]) -> None:
-        """Command a signed step rate over and over until something holds."""
+        """Repeat the command of a signed step rate until something holds."""
         speed_m_per_s = rate_hz * self.actuator.step_m
         self.wait(until, lambda: self.drive.command(speed_m_per_s))
 
@@ -96,7 +96,7 @@ class Bench:
 
 
 def drive_scene(kind: str, place: str, **keys: Any) -> TmclScene | Cia402Scene:
-    """The scene of a drive on a serial port ("tmcl") or on a CAN channel (any other kind)."""
+    """Return the scene of a drive on a serial port ("tmcl") or a CAN channel (any other kind)."""
     if kind.startswith("cia402"):
         return cia402_scene(**{"channel": place, **keys})
     if kind == "tmcl":
@@ -118,7 +118,10 @@ def virtual_bench(
     also: tuple[str, ...] = (),
     **keys: Any,
 ) -> Iterator[Bench]:
-    """A bench in virtual time; kind: "tmcl", "tmcl-can" or "cia402". also: other modules in it."""
+    """Provide a bench in virtual time.
+
+    kind: "tmcl", "tmcl-can" or "cia402". also: further modules that run in virtual time.
+    """
     keys = {"homing_speed": "20 mm/s", "touch": "0.6 mm", **keys}
     scene = drive_scene(kind, "virtual" if kind == "tmcl" else "c", **keys)
     world, actuator = VirtualTime(), actuator or stepper()
@@ -156,7 +159,10 @@ def polled(poll: Callable[[], object]) -> Iterator[None]:
 
 @contextmanager
 def real_bench(kind: str, **keys: Any) -> Iterator[Bench]:
-    """A bench on a real line; kind: "tmcl", "tmcl-can", "cia402" or one of the last by "-slcan"."""
+    """Provide a bench on a real line.
+
+    kind: "tmcl", "tmcl-can", "cia402", or one of the last two with "-slcan".
+    """
     port, channel = PtyPort(None), uuid.uuid4().hex
     bus: Any = None
     if "slcan" in kind:

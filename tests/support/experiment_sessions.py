@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from telepulse.experiment.interval import PlayedInterval
-from telepulse.experiment.session import SessionPlan, load_plan
+from telepulse.experiment.session import Letter, SessionPlan, load_plan
 
 BAD = "delay=40ms,jitter=5ms,loss=1%"
 
@@ -15,7 +15,7 @@ def condition(name: str, link: str = BAD, compensation: str = "0 ms") -> str:
 def write(
     path: Path, *conditions: str, scene: str = "radial", kind: str = "abx", **keys: object
 ) -> Path:
-    """A session file of short intervals."""
+    """Write a session file of short intervals."""
     values = {"interval": "0.1 s", "settle": "0 s", "seed": 1, "trials": 2} | keys
     lines = [f'scene = "{scene}"', f'kind = "{kind}"']
     lines += [f'{k} = "{v}"' if isinstance(v, str) else f"{k} = {v}" for k, v in values.items()]
@@ -28,20 +28,18 @@ def plan(folder: Path, *conditions: str, **keys: object) -> SessionPlan:
     return load_plan(write(folder / "session.toml", *conditions, **keys))  # type: ignore[arg-type]
 
 
-def played(letter: str, on_link: bool, error_n: float, pulse_n: float = 0.3) -> PlayedInterval:
-    """An interval with a force error."""
-    return PlayedInterval.model_validate(
-        {
-            "letter": letter,
-            "on_link": on_link,
-            "link_seed": 0,
-            "foreperiod_s": 1.0,
-            "felt_s": 1.0,
-            "aligned_n": error_n,
-            "in_phase_n": error_n,
-            "roughness_felt_n": None,
-            "roughness_sensed_n": None,
-            "pulse_n": pulse_n,
-            "deadline_misses": 0,
-        }
+def played(letter: Letter, on_link: bool, error_n: float) -> PlayedInterval:
+    """Return the record of an interval with a force error."""
+    return PlayedInterval(
+        letter=letter,
+        on_link=on_link,
+        link_seed=0,
+        foreperiod_s=1.0,
+        felt_s=1.0,
+        aligned_n=error_n,
+        in_phase_n=error_n,
+        roughness_felt_n=None,
+        roughness_sensed_n=None,
+        pulse_n=0.3,
+        deadline_misses=0,
     )

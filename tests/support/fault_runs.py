@@ -8,10 +8,10 @@ from display_node.telemetry.alerts import STIFFNESS, alerts
 from protocol.config.scene import load_section
 from protocol.config.scene_file import find_scene
 from protocol.errors import TelepulseError
-from sensing_node.sources.synthetic import SyntheticScene, SyntheticSource
 from telepulse.emulators.fault_injection import FaultKind, parse_fault
 from telepulse.emulators.motor import MotorState
 from tests.support.sender import MS
+from tests.support.streams import synthetic
 from tests.support.threaded_bench import ThreadedBench
 
 KINDS = ("tmcl", "cia402")
@@ -23,10 +23,16 @@ BAR_ABOVE_MS = 50
 BAR_OFF_MS = 1_000
 PLAYED_MS = 1_500
 AFTER_MS = 3_000
-# A tip that is off for so long stays off.
+# A tip that is off the finger for this time stays off.
 OFF_MS = 250
-# Below it the tip is off the finger.
+# The tip is off the finger below this force.
 TOUCH_N = 0.01
+# The tip has left for good if it did not touch for this time at the end of a run.
+LEFT_FOR_MS = 100
+# An excess over the faultless error that need not be reported.
+HARMLESS_N = 0.25
+# The target is felt within this time.
+FELT_WITHIN_MS = 20
 # A drive that turns the wrong way, or not at all, cannot be withdrawn by commands.
 DISOBEDIENT = (FaultKind.REVERSED, FaultKind.REVERSED_ENCODER, FaultKind.NO_RETRACTION)
 
@@ -49,11 +55,11 @@ class FaultCase:
 class FaultOutcome:
     """Result of a fault.
 
-    most_n: the greatest felt force; above_ms: time above the limit; named: the first fault the
-    display reported, empty for none; named_ms: from the begin of the fault to its report; off_ms:
-    from the report until the tip is off the finger for good, None where it stays on; error_n: the
-    greatest excess of the felt over the target force; warned: an alert that latches nothing;
-    stiffness: the learnt one of the finger.
+    most_n: the greatest felt force. above_ms: time above the limit. named: the faults that the
+    display reported. named_ms: from the start of the fault to its report. off_ms: from the report
+    until the tip is off the finger for good, None if it stays on. error_n: the greatest excess of
+    the felt over the target force. warned: an alert without a latched fault. stiffness: the
+    stiffness of the finger that the display has learnt.
     """
 
     most_n: float
@@ -66,13 +72,12 @@ class FaultOutcome:
     stiffness: float | None = None
 
     def missed(self, faultless_error_n: float, obeys: bool = True) -> list[str]:
-        """Return the bars it misses.
+        """Return the bars that it misses.
 
-        faultless_error_n: `error_n` without a fault. A fault that changes nothing at the finger
-        need not be reported, and a drive that does not obey need not leave the finger.
+        A fault that is harmless at the finger need not be reported, and a drive that does not obey
+        need not leave the finger. faultless_error_n: `error_n` without a fault.
         """
-        # Nor need an excess of less than 0.25 N over what is felt without the fault.
-        harmless = not self.named and self.error_n <= faultless_error_n + 0.25
+        harmless = not self.named and self.error_n <= faultless_error_n + HARMLESS_N
         off = self.off_ms is not None and self.off_ms <= BAR_OFF_MS
         bars = {
             "force": self.most_n <= BAR_FORCE_N,
@@ -85,8 +90,7 @@ class FaultOutcome:
 
 def paper_pulse() -> Callable[[int], float]:
     """Return the paper's pulse in N, as a function of time in ms."""
-    keys = {"preset": "paper", "rate": "1 kHz", "peak_to_peak": "0.3 N", "preload": "0.3 N"}
-    source = SyntheticSource(SyntheticScene.model_validate({"kind": "synthetic", **keys}))
+    source = synthetic(preset="paper", rate="1 kHz", peak_to_peak="0.3 N", preload="0.3 N")
     values = source.take(12_000)[:, 0].tolist()
     return lambda ms: values[ms % len(values)]
 
@@ -144,7 +148,7 @@ def run_fault(
     last_ns = max((moment.time_ns for moment in felt if moment.force_n > TOUCH_N), default=0)
     scored = [moment for moment in felt if began_ns <= moment.time_ns <= (fault_ns or end_ns)]
     off_ms = None
-    if fault_ns is not None and end_ns - last_ns > 100 * MS:
+    if fault_ns is not None and end_ns - last_ns > LEFT_FOR_MS * MS:
         off_ms = max(0, last_ns - fault_ns) // MS
     return FaultOutcome(
         most_n=max(moment.force_n for moment in felt),
@@ -161,9 +165,9 @@ def run_fault(
 def _greatest_error(felt: list[MotorState], target_n: dict[int, float]) -> float:
     error_n = 0.0
     for moment in felt:
-        # The target is felt within some ms.
         ms = moment.time_ns // MS
-        near = [target_n[there] for there in range(ms - 20, ms + 21) if there in target_n]
+        around = range(ms - FELT_WITHIN_MS, ms + FELT_WITHIN_MS + 1)
+        near = [target_n[there] for there in around if there in target_n]
         if near:
             error_n = max(error_n, moment.force_n - max(near), min(near) - moment.force_n)
     return error_n

@@ -1,4 +1,4 @@
-"""A shipped force loop at rest round a force, for tests of its linear model."""
+"""A shipped force loop at rest around a force, for tests of its linear model."""
 
 from dataclasses import dataclass, field
 
@@ -15,7 +15,7 @@ TICK_S = 1e-3
 LIMIT_N = 2.5
 LAYER = ElasticLayer()
 Table = dict[str, object]
-# A lead so fine that no microstep is seen.
+# A lead so fine that microsteps have no effect.
 FINE: Table = {"kind": "stepper", "lead": "1 nm", "microsteps": 256}
 
 
@@ -42,7 +42,7 @@ class Case:
 
     @property
     def newtons_per_unit(self) -> float:
-        """What the linear loop's unit is in newtons at the design force."""
+        """Force in N at the design force that one unit of the linear loop stands for."""
         _, actuator, _ = self.scenes
         if isinstance(actuator, SecondOrderScene):
             return 1.0
@@ -50,10 +50,10 @@ class Case:
 
 
 class Shipped:
-    """The loop that a case's scene builds, told to press with the design force.
+    """The loop that a case's scene builds, with the design force as its reference.
 
-    Its film has the case's filter, and no noise or converter. travel: the actual actuator's
-    travel over the one that the controller takes it for.
+    Its film has the case's filter, but no noise or converter. travel: the actuator's travel over
+    the travel that the controller assumes.
     """
 
     def __init__(self, case: Case, travel: float = 1.0) -> None:
@@ -68,7 +68,7 @@ class Shipped:
         self._film = FeedbackFilm(quiet, TICK_S)
 
     def tick(self, reference_n: float = DESIGN_FORCE_N, noise_n: float = 0.0) -> float:
-        """The felt force after a tick whose reading is off by `noise_n`."""
+        """Return the felt force after a tick whose reading is wrong by `noise_n`."""
         reading_n = self._film.read(self.loop.felt_n) + noise_n
         return self.loop.tick([reference_n] * (self.loop.horizon + 1), reading_n)
 

@@ -1,7 +1,7 @@
-"""What Foxglove demands of a JSON schema, and of the messages that go by it.
+"""Requirements of Foxglove on a JSON schema and on the messages that follow it.
 
-From its reader of schemas: a type is one word; objects name their properties; an array's items
-are no arrays; a choice is of numbers.
+They are those of its schema reader: a type is one word, objects name their properties, the items of
+an array are no arrays, and a choice is between numbers.
 """
 
 from base64 import b64decode
@@ -16,7 +16,7 @@ PLAIN = {
 
 
 def assert_readable(schema: dict[str, Any], where: str) -> None:
-    """Foxglove can read an object's schema."""
+    """Check that Foxglove can read an object's schema."""
     assert schema["type"] == "object", where
     for name, field in schema["properties"].items():
         place = f"{where}.{name}"
@@ -32,7 +32,7 @@ def assert_readable(schema: dict[str, Any], where: str) -> None:
 
 
 def assert_fits(value: Any, schema: dict[str, Any], where: str) -> None:
-    """A value is as its schema says. Counts under free names are numbers."""
+    """Check a value against its schema. Counts under free names are numbers."""
     if "oneOf" in schema:
         assert value in [choice["const"] for choice in schema["oneOf"]], where
     elif schema["type"] == "array":

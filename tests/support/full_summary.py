@@ -1,4 +1,4 @@
-"""A summary whose every figure is there, each with a value of its own."""
+"""A summary in which every figure has a value, each another one."""
 
 import dataclasses
 from itertools import count

@@ -1,4 +1,4 @@
-"""Peers that do harm: one that never reads, some that send garbage, one that sends nothing."""
+"""Hostile peers: they never read, send garbage, send nothing, or flood a node with requests."""
 
 import random
 import socket

@@ -1,4 +1,4 @@
-"""Keys for tests: files as `telepulse keys` makes them."""
+"""Key files for tests, as `telepulse keys` makes them."""
 
 from pathlib import Path
 
@@ -7,31 +7,29 @@ from protocol.security.keys import ClientKeys, KeyPair, ServerKeys, new_pair, re
 
 
 class Keyring:
-    """A folder of keys, made when they are asked for; wrist serves, others connect."""
+    """A folder of keys, each made at its first use; "wrist" serves, others connect."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
         self.allowed = folder / "allowed"
 
     def path(self, name: str, kind: str = "key") -> str:
-        """The file of a name, secret or public (`kind` pub)."""
+        """Return a key file; kind: "key" is secret, "pub" public."""
         self.pair(name)
         return str(self.folder / f"{name}.{kind}")
 
     def pair(self, name: str) -> KeyPair:
-        """The pair of a name."""
         if not (self.folder / f"{name}.key").exists():
             new_pair(self.folder, name)
         return read_pair(self.folder / f"{name}.key")
 
     def allow(self, name: str) -> None:
-        """Let a name in."""
         allow(self.allowed, self.pair(name).public)
 
     def server(self) -> ServerKeys:
-        """What wrist binds with."""
+        """Return the keys with which wrist binds."""
         return ServerKeys(self.pair("wrist"), self.allowed)
 
     def client(self, name: str, peer: str = "wrist") -> ClientKeys:
-        """What a name connects to `peer` with."""
+        """Return the keys with which a name connects to `peer`."""
         return ClientKeys(self.pair(name), self.pair(peer).public)

@@ -1,4 +1,4 @@
-"""The log of a program of ours, as it stands on its standard error."""
+"""The log of a program of ours, as it is on its standard error."""
 
 import re
 
@@ -9,13 +9,13 @@ USUAL = ("DEBUG", "INFO")
 
 
 def messages(errors: str) -> list[str]:
-    """The messages of the records in a standard error, in order."""
+    """Return the messages of the records in a standard error, in order."""
     found = map(_RECORD.match, errors.splitlines())
     return [record["message"] for record in found if record is not None]
 
 
 def unusual(errors: str) -> str:
-    """The lines of a standard error that are no record of level info or below."""
+    """Return the lines of a standard error that are no record of level info or below."""
     return "".join(
         line
         for line in errors.splitlines(keepends=True)
@@ -24,7 +24,7 @@ def unusual(errors: str) -> str:
 
 
 def strays(errors: str) -> str:
-    """The lines of a standard error that are no record of the log."""
+    """Return the lines of a standard error that are no record of the log."""
     return "".join(line for line in errors.splitlines(keepends=True) if _RECORD.match(line) is None)
 
 

@@ -7,10 +7,10 @@ import pytest
 
 
 def lsl_on_loopback(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
-    """pylsl, here and in processes started from here: loopback alone, and no multicast.
+    """Return pylsl, restricted to the loopback interface here and in processes started from here.
 
-    Neither may be there, nor anybody else's streams. A process reads the configuration once: it
-    must be the same for all tests.
+    So neither multicast nor the streams of others matter. A process reads the configuration once,
+    so it must be the same for all tests.
     """
     config = folder / "lsl_api.cfg"
     config.write_text(

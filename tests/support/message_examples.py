@@ -1,4 +1,4 @@
-"""One of each message with its bytes on the wire, written out so that no change goes unseen."""
+"""An example of each message, with its literal bytes, so that a test shows any change of them."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""Somebody on the network between two nodes: passes TCP on, keeps it, and alters it when told."""
+"""A man in the middle of two nodes, who forwards, records and alters TCP."""
 
 import contextlib
 import socket
@@ -8,15 +8,15 @@ from contextlib import contextmanager
 
 Alter = Callable[[bytes], bytes]
 CHUNK_BYTES = 1 << 16
-# Longer than anything of a handshake's last steps that could be taken for a frame.
+# Longer than any of a handshake's last parts that could be mistaken for a frame.
 MESSAGE_BYTES = 60
 
 
 class Middleman:
-    """Listens on one port and passes what comes on to another, both ways.
+    """A forwarder between the clients of one port and another port.
 
-    down, up: what alters bytes on their way to who connected, and from there; recorded: the
-    bytes of each connection, down and up.
+    down, up: functions that alter the bytes to and from a client. recorded: the bytes of each
+    connection, down and up.
     """
 
     def __init__(self, listen: int, onto: int) -> None:
@@ -38,7 +38,7 @@ class Middleman:
             thread.join()
 
     def cut(self) -> None:
-        """End the connections there are."""
+        """End all connections."""
         for one in self._open:
             with contextlib.suppress(OSError):
                 one.shutdown(socket.SHUT_RDWR)
@@ -87,7 +87,6 @@ class Middleman:
 
 @contextmanager
 def middleman(listen: int, onto: int) -> Iterator[Middleman]:
-    """One that does not outlive the `with`."""
     between = Middleman(listen, onto)
     try:
         yield between
@@ -96,7 +95,7 @@ def middleman(listen: int, onto: int) -> Iterator[Middleman]:
 
 
 class Once:
-    """Alters the first chunk that is long enough to hold a message."""
+    """Alteration of the first chunk that is long enough to hold a message."""
 
     def __init__(self, alter: Alter) -> None:
         self._alter = alter
@@ -110,10 +109,9 @@ class Once:
 
 
 def flip_a_bit(data: bytes) -> bytes:
-    """One bit of the last message the other value, in what is sealed of it."""
+    """Flip one bit in the sealed part of the last message."""
     return data[:-8] + bytes([data[-8] ^ 1]) + data[-7:]
 
 
 def twice(data: bytes) -> bytes:
-    """The same once more."""
     return data + data

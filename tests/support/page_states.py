@@ -1,19 +1,18 @@
-"""Telemetry of a display that plays a sine, as a recording holds it."""
+"""Telemetry of a display that plays a sine, as in a recording."""
 
 import math
-from collections.abc import Iterator
 from typing import Any
 
 from protocol.run_summary import Summary
 from protocol.summary_tables import AlignedErrors, Clock, Loop, SampleCounts
 from protocol.tactile import ElasticLayer
-from telepulse.telemetry.decoder import Entry
+from telepulse.telemetry.decoder import Entry, without_none
 from telepulse.telemetry.schema import EVENT, FRAME, LEVELS, STATUS, STREAM, TICK
 from telepulse.view.live import LiveState
 
 MS = 1_000_000
 SECOND_NS = 1000 * MS
-# Unix time where the display's clock stands at 0; what the sensing clock is ahead of that.
+# Unix time at which the display's clock is 0; sensing clock minus the display's.
 UNIX_NS, AHEAD_NS = 1_700_000_000 * SECOND_NS, 5_000 * SECOND_NS
 ONE_WAY_NS, PLAYOUT_NS = 12 * MS, 40 * MS
 MEAN_N, SWING_N, BEATS_A_SECOND = 0.3, 0.15, 1.25
@@ -25,12 +24,12 @@ SESSION = 7
 
 
 def pulse_n(t_ns: float) -> float:
-    """The pulse at the wrist, at an instant of the display's clock."""
+    """Return the pulse at the wrist, at an instant of the display's clock."""
     return MEAN_N + SWING_N * math.sin(2 * math.pi * BEATS_A_SECOND * t_ns * 1e-9)
 
 
 class SimulatedDisplay:
-    """A display whose telemetry goes to `live`, instant by instant."""
+    """A display whose telemetry goes to `live`, tick by tick."""
 
     def __init__(self, live: LiveState, at_ns: int = SECOND_NS) -> None:
         self.live = live
@@ -69,7 +68,7 @@ class SimulatedDisplay:
         self.take(STATUS, self.at_ns, **display, summary=fields)
 
     def frame(self, **changes: Any) -> None:
-        """The samples whose last one was taken ONE_WAY_NS before now."""
+        """Send the samples of which the last was taken ONE_WAY_NS before now."""
         first_ns = self.at_ns - ONE_WAY_NS - (BATCH - 1) * MS
         fields = {
             "arrived_ns": self.at_ns,
@@ -102,14 +101,3 @@ class SimulatedDisplay:
             )
             if self.at_ns // MS % 200 == 0:
                 self.status(state, **changes)
-
-
-def without_none(fields: dict[str, Any]) -> dict[str, Any]:
-    """As a recording leaves out what there is none of."""
-
-    def kept() -> Iterator[tuple[str, Any]]:
-        for name, value in fields.items():
-            if value is not None:
-                yield name, without_none(value) if isinstance(value, dict) else value
-
-    return dict(kept())

@@ -1,4 +1,4 @@
-"""Signals for predictors, and a display's way to feed them."""
+"""Signals for predictors, which are fed as in a display."""
 
 from collections.abc import Callable, Sequence
 
@@ -16,7 +16,7 @@ Floats = NDArray[np.float64]
 
 
 def beats(t_s: Floats, intervals_s: Sequence[float] = (BEAT_S,)) -> Floats:
-    """A pulse of unit size: two waves a beat, the intervals over and over."""
+    """Return a pulse of unit size with two waves in each beat, whose intervals recur."""
     onset_s, pulse, beat = -BEAT_S, np.zeros(len(t_s)), 0
     while onset_s < t_s[-1] + 1:
         for amplitude, centre_s, width_s in ((3.0, 0.14, 0.045), (1.5, 0.3, 0.055)):
@@ -29,7 +29,7 @@ def beats(t_s: Floats, intervals_s: Sequence[float] = (BEAT_S,)) -> Floats:
 def expert_errors(
     expert: Expert, signal: Floats, from_step: int, before: Callable[[int], None] | None = None
 ) -> Floats:
-    """Largest error of an expert's last trajectory at each horizon, after a step of the grid."""
+    """Return the largest error of an expert's last trajectory at each horizon, from a step on."""
     history, worst = History(8_192), np.zeros(len(AHEAD))
     for step, value in enumerate(signal.tolist()):
         history.push(value)
@@ -46,7 +46,7 @@ def expert_errors(
 def feed(
     predictor: Predictor, values: Floats, first: int = 0, period_ns: int = MS, frame: int = 5
 ) -> None:
-    """Frames of samples, a tick after each sample."""
+    """Feed frames of samples, with a tick after each sample."""
     for start in range(0, len(values) - frame + 1, frame):
         numbers = range(first + start, first + start + frame)
         times_ns = [T0_NS + number * period_ns for number in numbers]

@@ -1,5 +1,7 @@
-"""A process that holds measures, and prints as JSON its state in the kernel before, meanwhile and
-after. Given seconds, it runs on for so long without a pause, in the loop's thread or a helper's."""
+"""A process that prints its state in the kernel before, with and after real-time measures.
+
+With seconds as arguments, it also computes for so long in the loop's thread, or in a helper's.
+"""
 
 import ctypes
 import json
@@ -68,7 +70,7 @@ def main(wish: str, loop_s: float, helper_s: float) -> None:
     handler = logging.Handler()
     handler.emit = lambda record: messages.append(record.getMessage())  # type: ignore[method-assign]
     logging.getLogger().addHandler(handler)
-    # A thread that neither Python nor ZeroMQ has started, as numpy has; it sleeps for ever.
+    # A thread that neither Python nor ZeroMQ has started, as numpy starts some; it sleeps for ever.
     libc = ctypes.CDLL(None)
     assert libc.pthread_create(ctypes.byref(ctypes.c_ulong()), None, libc.pause, None) == 0
     with zmq.Context() as context, closing(context.socket(zmq.PUB)):

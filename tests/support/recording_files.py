@@ -1,4 +1,4 @@
-"""Recordings as sources: opened as a scene does, or refused."""
+"""Recorded sources, opened as by a scene."""
 
 import importlib.util
 from collections.abc import Mapping
@@ -13,18 +13,18 @@ from sensing_node.sources.recorded import RecordedSource, RecordingScene
 
 
 def table(path: Path, **keys: object) -> dict[str, object]:
-    """The scene's table of a recording in N at 100 Hz, with these keys."""
+    """Return a scene's table of a recording in N at 100 Hz, with further keys."""
     return {"kind": "recording", "path": path.name, "rate": "100 Hz", "unit": "N"} | keys
 
 
 def recording(path: Path, **keys: object) -> RecordedSource:
-    """The recording in a file, opened."""
+    """Open the recording in a file."""
     scene = validate(table(path, **keys), RecordingScene, "[sensing] source")
     return RecordedSource(scene, path.parent)
 
 
 def refusal(path: Path, **keys: object) -> str:
-    """The one line in which a file is refused, less its name at the beginning."""
+    """Return the one line that refuses a file, without the file's name."""
     with pytest.raises(SourceError) as caught:
         recording(path, **keys)
     text = str(caught.value)
@@ -34,7 +34,7 @@ def refusal(path: Path, **keys: object) -> str:
 
 
 def csv_file(folder: Path, columns: Mapping[str, Any]) -> Path:
-    """A CSV file with a header."""
+    """Write a CSV file with a header."""
     path = folder / "pulse.csv"
     rows = [list(columns), *zip(*columns.values(), strict=True)]
     text = "\n".join(",".join(map(str, row)) for row in rows) + "\n"
@@ -43,7 +43,7 @@ def csv_file(folder: Path, columns: Mapping[str, Any]) -> Path:
 
 
 def heartpy_recording() -> Path:
-    """A photoplethysmogram of 24.83 s at 100 Hz that comes with heartpy's package."""
+    """Return the file of a photoplethysmogram in heartpy's package, 24.83 s at 100 Hz."""
     found = importlib.util.find_spec("heartpy")
     assert found is not None
     assert found.origin is not None

@@ -22,9 +22,9 @@ from protocol.wire.telemetry import (
     TraceWriter,
     pack_status,
 )
-from sensing_node.sources.synthetic import SyntheticScene, SyntheticSource
 from telepulse.recording.mcap_writer import McapWriter
 from telepulse.telemetry.decoder import TelemetryDecoder
+from tests.support.streams import synthetic
 
 TICK_NS = 1_000_000
 BATCH, CLOCK_TICKS, STATUS_TICKS, DELAY_TICKS, RAMP_TICKS = 5, 50, 200, 40, 1_000
@@ -38,8 +38,7 @@ Samples = NDArray[np.float32]
 
 def record(path: Path, seconds: int, lost: Container[int] = ()) -> None:
     """Record a pulse that is felt 40 ms later, without the frames of the numbers in `lost`."""
-    pulse = SyntheticSource(SyntheticScene.model_validate({"kind": "synthetic"}))
-    force_n = pulse.take(seconds * 1000)[:, 0].astype("<f4")
+    force_n = synthetic().take(seconds * 1000)[:, 0].astype("<f4")
     writer, decoder = McapWriter(path), TelemetryDecoder()
     for number, (topic, message) in enumerate(_telemetry(force_n, lost)):
         for entry in decoder.decode(topic, message):
@@ -86,7 +85,7 @@ def _arriving(tick: int, force_n: Samples, lost: Container[int]) -> Iterator[tup
 
 
 def _felt(tick: int, force_n: Samples) -> TickState:
-    """A tick that plays what was sensed 40 ms ago, a little too strong."""
+    """Return a tick that plays the force of 40 ms ago, slightly too strong."""
     now_ns, played = BEGIN_NS + tick * TICK_NS, tick - DELAY_TICKS
     target_n = float(force_n[played]) if played >= 0 else 0.0
     instant_ns = now_ns + AHEAD_NS - DELAY_TICKS * TICK_NS

@@ -29,7 +29,7 @@ needs_rights = pytest.mark.skipif(
 
 
 def without_rights(*command: str) -> "subprocess.CompletedProcess[str]":
-    """Run Python as somebody who may have no priority and lock no memory."""
+    """Run Python as a user who may have no priority and lock no memory."""
     return run_python(*command, preexec_fn=_give_up)
 
 
@@ -38,5 +38,5 @@ def _give_up() -> None:
         resource.setrlimit(limit, (0, 0))
     libc = ctypes.CDLL(None)
     for capability in (CAP_SYS_NICE, CAP_IPC_LOCK):
-        # Fails where nobody has it anyway.
+        # It fails on a system without this capability.
         libc.prctl(PR_CAPBSET_DROP, capability, 0, 0, 0)

@@ -1,4 +1,4 @@
-"""Blocks of samples as tests compare them, and as a live sensor gives them."""
+"""Blocks of samples, in a form that tests compare, and from a live sensor."""
 
 from collections.abc import Iterable
 from typing import NamedTuple
@@ -9,7 +9,7 @@ from tests.support.waiting import until
 
 
 class Decoded(NamedTuple):
-    """What a decoder found, with one channel."""
+    """A block of samples of one channel."""
 
     values: tuple[float, ...]
     device_ns: int | None = None

@@ -1,4 +1,4 @@
-"""A sensing side for tests: makes the bytes a display receives, in virtual time."""
+"""A sensing side that makes the bytes that a display receives, in virtual time."""
 
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -28,7 +28,7 @@ SCENES = Path(__file__).parents[2] / "scenes"
 
 
 def display_scene(name: str, **changes: object) -> DisplayScene:
-    """The display of one of our scenes, with changes."""
+    """Return the display's section of a shipped scene, with changes."""
     scene = load_section(SCENES / f"{name}.toml", "display", DisplayScene)
     return scene.model_copy(update=changes)
 
@@ -39,7 +39,7 @@ def display(name: str = "radial", **changes: object) -> Display:
 
 @dataclass
 class Sender:
-    """Answers a display's requests at once and sends it frames; its clock is 5 s ahead."""
+    """Sender of frames, which answers a display's requests at once; its clock is 5 s ahead."""
 
     session: int = 7
     stream: StreamDescription = field(default_factory=description)
@@ -58,9 +58,9 @@ class Sender:
     def serve(
         self, node: Display | Receiver, now_ns: int, step_ns: int = 0, until_ms: int = 0
     ) -> None:
-        """Answer what a display asks now; the sender's clock has stepped by `step_ns`.
+        """Answer a display's requests of now, or of every ms until `until_ms`.
 
-        until_ms: go on each ms until then.
+        step_ns: by how much the sender's clock has stepped.
         """
         for at_ns in range(now_ns, max(until_ms * MS, now_ns + 1), MS):
             for request in node.requests(at_ns):
@@ -69,11 +69,11 @@ class Sender:
                     node.on_control(answer, at_ns)
 
     def frame(self, now_ns: int, force_n: float, count: int = 5) -> bytes:
-        """A frame whose last sample is taken at now_ns of the display's clock."""
+        """Return a frame of which the last sample is taken at `now_ns` on the display's clock."""
         return self.frame_of(now_ns, [force_n] * count)
 
     def frame_of(self, now_ns: int, forces_n: list[float]) -> bytes:
-        """A frame of these samples, on every channel; the last is taken at now_ns."""
+        """Return a frame of these samples on every channel, the last one taken at `now_ns`."""
         stream, count = self.stream, len(forces_n)
         t_first_ns = now_ns + AHEAD_NS - (count - 1) * stream.period_ns
         column = np.array(forces_n, f"<f{stream.bytes_per_sample}")[:, np.newaxis]
@@ -86,7 +86,7 @@ class Sender:
 def run(
     under_test: Display, sender: Sender | None, from_ms: int, to_ms: int, force_n: float = 0.3
 ) -> list[float]:
-    """Tick from one time to the other, 5 samples every 5 ms arriving; felt force by tick.
+    """Return the felt force of each tick between two times, while 5 samples arrive every 5 ms.
 
     Without a sender the link is cut.
     """

@@ -1,4 +1,4 @@
-"""A display's side of the wire, for tests of the real node."""
+"""A display's end of the sockets, for tests of the real sensing node."""
 
 import zmq
 
@@ -42,14 +42,14 @@ class Client:
         return welcome
 
     def frames_until(self, samples_sent: int) -> list[Frame]:
-        """Every frame that comes, to the one with the stream's last sample."""
+        """Return every frame up to the one with the stream's last sample."""
         frames = [decode_frame(self.data.recv())]
         while frames[-1].first_sample + len(frames[-1].values) < samples_sent:
             frames.append(decode_frame(self.data.recv()))
         return frames
 
     def bye(self) -> Bye:
-        """The sensing node's; it is said back, so that the node ends."""
+        """Return the sensing node's bye, and answer it, so that the node ends."""
         bye = decode_control(self.control.recv())
         assert isinstance(bye, Bye)
         self.control.send(encode_control(bye))

@@ -1,10 +1,17 @@
-"""A stream and a source for tests."""
+"""A stream, its frames and a source, for tests."""
 
+import numpy as np
+import pytest
+
+from display_node.reception.jitter_buffer import JitterBuffer
+from protocol.errors import WireError
 from protocol.tactile import ElasticLayer
+from protocol.wire.messages import Frame
 from protocol.wire.stream import Channel, StreamDescription
 from sensing_node.sources.synthetic import SyntheticScene, SyntheticSource
 
 MS = 1_000_000
+T0_NS = 1_700_000_000_000_000_000
 
 
 def description(**changes: object) -> StreamDescription:
@@ -19,5 +26,28 @@ def description(**changes: object) -> StreamDescription:
 
 
 def synthetic(**keys: object) -> SyntheticSource:
-    """A synthetic source from the keys of a scene's table."""
+    """Return a synthetic source with keys of a scene's table."""
     return SyntheticSource(SyntheticScene.model_validate({"kind": "synthetic"} | keys))
+
+
+def at_ns(sample: float) -> int:
+    return T0_NS + round(sample * MS)
+
+
+def frame(first: int, count: int = 5, shift_ns: int = 0) -> Frame:
+    """Return samples at 1 kHz, of which each value is half its number."""
+    values = 0.5 * np.arange(first, first + count, dtype=float)[:, np.newaxis]
+    return Frame(1, first, at_ns(first) + shift_ns, MS, values)
+
+
+def filled(*frames: Frame) -> JitterBuffer:
+    buffer = JitterBuffer(0)
+    for each in frames:
+        buffer.put(each)
+    return buffer
+
+
+def refusal(buffer: JitterBuffer, refused: Frame) -> str:
+    with pytest.raises(WireError) as caught:
+        buffer.put(refused)
+    return caught.value.cause

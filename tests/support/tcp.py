@@ -26,8 +26,7 @@ def retransmissions(pid: int, port: int) -> int:
 
 @contextmanager
 def connected(link: EmulatedLink, number: int = 0) -> Iterator[tuple[socket.socket, socket.socket]]:
-    """A TCP connection over one of the links: its end at the sensing node, its end at the
-    display."""
+    """Provide the ends of a TCP connection over a link, at the sensing node and the display."""
     with link.sensing.entered():
         listener = socket.create_server((link.sensing.addresses[number], PORT))
     with listener:
@@ -44,7 +43,7 @@ def connected(link: EmulatedLink, number: int = 0) -> Iterator[tuple[socket.sock
 def stream(
     sensing: socket.socket, display: socket.socket, messages: int, step_ms: float
 ) -> tuple[list[int], list[int]]:
-    """When each of the one-byte messages was sent, and when it was read, in ns."""
+    """Send one-byte messages; return when each was sent and when it was read, in ns."""
     sent_ns: list[int] = []
 
     def send() -> None:

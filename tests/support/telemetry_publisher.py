@@ -1,4 +1,4 @@
-"""A display's telemetry without a display: published as a test requires, over a real socket."""
+"""A display's telemetry without a display, published over a real socket."""
 
 import math
 import time
@@ -41,13 +41,13 @@ WELCOME = encode_control(Welcome(SESSION, 0, description()))
 
 
 class TelemetryPublisher:
-    """Publishes ticks of 1 ms and frames of five samples, numbered, as fast as required."""
+    """Publisher of ticks of 1 ms and of numbered frames of five samples, as fast as required."""
 
     def __init__(
         self, context: sockets.Context, address: str, keys: ServerKeys | None = None
     ) -> None:
         socket = sockets.unconnected(context, zmq.XPUB)
-        # A short queue, for a test of what happens when it is full.
+        # The queue is short, so that a test can fill it.
         socket.setsockopt(zmq.SNDHWM, QUEUE)
         socket.setsockopt(zmq.SNDBUF, 8_192)
         self.authenticator = None if keys is None else Authenticator(context, keys)
@@ -73,7 +73,7 @@ class TelemetryPublisher:
             self.publisher.captured.welcome(now_ns, data)
 
     def publish(self, ms: int, session: int = SESSION) -> None:
-        """So many ticks, with statuses."""
+        """Publish the ticks of some ms, with frames and statuses."""
         for _ in range(ms):
             if self.tick(session):
                 self.status("playing")
@@ -98,7 +98,7 @@ class TelemetryPublisher:
 
 
 def numbered_frame(number: int, session: int = SESSION) -> Frame:
-    """Samples whose values say which they are, and no float32 exactly."""
+    """Return a frame whose values follow from its number, and are no exact float32."""
     first = number * BATCH
     values = (np.arange(first, first + BATCH)[:, np.newaxis] * 0.1 + math.pi).astype("<f4")
     return Frame(session, first, 1_000 * MS + first * MS, MS, values)
@@ -121,7 +121,7 @@ def publishing(
     keys: ServerKeys | None = None,
     kind: type[Kind] = TelemetryPublisher,  # type: ignore[assignment]
 ) -> Iterator[Kind]:
-    """A publisher on a socket of its own, which is gone at the end."""
+    """Provide a publisher with a socket of its own."""
     context: sockets.Context = zmq.Context()
     try:
         yield kind(context, address, keys)
@@ -130,7 +130,7 @@ def publishing(
 
 
 class HandmadeTelemetry:
-    """A display's telemetry by hand, taken down by a decoder."""
+    """A display's telemetry, made message by message and read by a decoder."""
 
     def __init__(self, run: int = 1) -> None:
         self.decoder = TelemetryDecoder()

@@ -1,4 +1,4 @@
-"""Outputs that nobody reads: a terminal stopped by Ctrl-S, a full or closed pipe, a full disk."""
+"""Outputs that are not read: a terminal stopped by Ctrl-S, a full or closed pipe, a full disk."""
 
 import os
 import subprocess

@@ -107,7 +107,7 @@ class VirtualLock:
         self.release()
 
     def acquire(self, timeout: float | None = None) -> bool:
-        # It may be taken again before who was woken by its release runs.
+        # Another thread may take it before the one that its release has woken runs.
         while not self._free.is_set():
             if not self._free.wait(timeout) and timeout is not None:
                 return False
@@ -122,7 +122,7 @@ class VirtualTime:
     """The clock, the threads and the events of one virtual world.
 
     now_ns: the time. threads: those that run. Code outside all of them, such as a test, may wait as
-    well: the world goes on meanwhile.
+    well; the world continues meanwhile.
     """
 
     def __init__(self, now_ns: int = 1_000_000_000) -> None:
@@ -131,7 +131,7 @@ class VirtualTime:
         self.threads: list[VirtualThread] = []
         self.current: VirtualThread | None = None
         self._order = itertools.count()
-        # Time, rank, order, and a thread with the number of its wait, or what happens.
+        # Time, rank, order, and either a thread with the number of its wait, or a function.
         self._due: list[tuple[int, int, int, VirtualThread | None, Any]] = []
         self._interruption: tuple[int, Callable[[], None]] | None = None
 

@@ -35,9 +35,8 @@ TO: dict[str, Callable[[Path, Path], str]] = {
     "parquet": export_parquet,
     "edf": export_edf,
 }
-# A frame alone, and a hole of a tenth of a second.
+# A single frame, and a gap of a tenth of a second.
 LOST = {100, *range(300, 320)}
-
 
 PRINTS = {
     "csv": r"3000 ticks, 0\.\d{3} mN off at most\n",
@@ -52,7 +51,7 @@ BLOCKS = re.findall(
 
 @pytest.fixture(scope="module")
 def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A recording of 3 s with losses and its provenance."""
+    """Return a recording of 3 s with losses and provenance."""
     folder = tmp_path_factory.mktemp("recording")
     plain, path = folder / "plain.mcap", folder / "pulse.mcap"
     record(plain, 3, LOST)
@@ -70,7 +69,7 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def exports(recording: Path) -> Path:
-    """The folder with the recording, pulse.mcap, and its exports."""
+    """Return the folder with the recording, pulse.mcap, and its exports."""
     folder = recording.parent
     for kind, suffix in (("csv", ""), ("parquet", ".parquet"), ("edf", ".edf")):
         TO[kind](recording, folder / f"pulse{suffix}")
@@ -79,14 +78,14 @@ def exports(recording: Path) -> Path:
 
 @pytest.fixture
 def cut(recording: Path, tmp_path: Path) -> Path:
-    """The recording, whose recorder was killed."""
+    """Return the recording as a killed recorder leaves it."""
     path = tmp_path / "cut.mcap"
     path.write_bytes(recording.read_bytes()[: recording.stat().st_size * 2 // 3])
     return path
 
 
 def sensed_n(path: Path) -> dict[int, float]:
-    """Force by the number of its sample."""
+    """Return the force of each sample by its number."""
     return {
         message.fields["first_sample"] + at: force_n
         for message in RecordingReader(path)
@@ -95,28 +94,22 @@ def sensed_n(path: Path) -> dict[int, float]:
     }
 
 
-def test_parquet_holds_what_csv_holds_with_types_and_units(recording: Path, tmp_path: Path) -> None:
-    counts = [TO[kind](recording, tmp_path / kind).split(": ")[1] for kind in ("csv", "parquet")]
-    assert counts[0] == counts[1]
+def test_parquet_holds_what_csv_holds_with_types_and_units(exports: Path) -> None:
     for name in TABLES:
-        with (tmp_path / "csv" / f"{name}.csv").open(newline="", encoding="utf-8") as file:
+        with (exports / "pulse" / f"{name}.csv").open(newline="", encoding="utf-8") as file:
             header, *rows = csv.reader(file)
-        table = parquet.read_table(tmp_path / "parquet" / f"{name}.parquet")
+        table = parquet.read_table(exports / "pulse.parquet" / f"{name}.parquet")
         assert table.column_names == header
         columns = [column.to_pylist() for column in table.columns]
         as_text = [["" if v is None else str(v) for v in column] for column in columns]
         assert list(map(list, zip(*as_text, strict=True))) == rows
         assert len(rows) > 0
-    schema = parquet.read_schema(tmp_path / "parquet" / "samples.parquet")
-    assert (str(schema.field("t_ns").type), str(schema.field("force_0_n").type)) == (
-        "int64",
-        "float",
-    )
-    for field in schema:
-        assert field.metadata[b"description"]
-    assert schema.field("force_0_n").metadata[b"unit"] == b"N"
-    assert schema.field("t_ns").metadata[b"unit"] == b"ns"
-    ticks = parquet.read_table(tmp_path / "parquet" / "ticks.parquet")
+    schema = parquet.read_schema(exports / "pulse.parquet" / "samples.parquet")
+    assert all(field.metadata[b"description"] for field in schema)
+    for name, kind, unit in (("t_ns", "int64", b"ns"), ("force_0_n", "float", b"N")):
+        field = schema.field(name)
+        assert (str(field.type), field.metadata[b"unit"]) == (kind, unit)
+    ticks = parquet.read_table(exports / "pulse.parquet" / "ticks.parquet")
     assert ticks["predictor_error_n"].null_count == len(ticks)
     assert str(ticks.schema.field("scored").type) == "bool"
 
@@ -150,18 +143,18 @@ def test_edf_holds_forces_at_their_times_with_losses_and_events(
     at = np.array([number for number in sensed if number < len(wrist.data)])
     expected_mn = 1e3 * np.array([sensed[number] for number in at])
     np.testing.assert_allclose(wrist.data[at], expected_mn, atol=0.51 * step_mn)
-    # What was felt is there when it was felt, once the sensing clock is known.
+    # The felt force has its own time, once the sensing clock is known.
     later = at[(at + DELAY_TICKS > 200) & (at + DELAY_TICKS < 2_900)]
     expected_mn = 1e3 * GAIN * np.array([sensed[number] for number in later])
     np.testing.assert_allclose(felt.data[later + DELAY_TICKS], expected_mn, atol=2 * step_mn)
-    # A line where little is missing, no value where it is more than a line can show.
-    alone, hole = 100 * BATCH, slice(300 * BATCH, 320 * BATCH)
+    # A short loss is interpolated, a long one has no values.
+    alone, gap = 100 * BATCH, slice(300 * BATCH, 320 * BATCH)
     between = np.linspace(wrist.data[alone - 1], wrist.data[alone + BATCH], BATCH + 2)
     assert (felt.digital == LOWEST_CODE).sum() < 200
     np.testing.assert_allclose(wrist.data[alone : alone + BATCH], between[1:-1], atol=2 * step_mn)
-    assert set(wrist.digital[hole]) == {LOWEST_CODE}
+    assert set(wrist.digital[gap]) == {LOWEST_CODE}
     assert set(np.flatnonzero(wrist.digital == LOWEST_CODE)) == {
-        *range(hole.start, hole.stop),
+        *range(gap.start, gap.stop),
         *range(3_000 - BATCH, 3_000),
     }
     notes = [(note.onset, note.duration, note.text) for note in edf.annotations]
@@ -175,7 +168,9 @@ def described_in(folder: Path) -> dict[str, Any]:
     return table
 
 
-def test_every_export_carries_the_provenance(recording: Path, tmp_path: Path) -> None:
+def test_every_export_carries_the_provenance(
+    recording: Path, exports: Path, tmp_path: Path
+) -> None:
     version = collect().version
     reader = RecordingReader(recording)
     assert len(list(reader)) > 3000
@@ -184,16 +179,13 @@ def test_every_export_carries_the_provenance(recording: Path, tmp_path: Path) ->
     again = RecordingReader(tmp_path / "b.mcap")
     assert len(list(again)) > 3000
     assert again.provenance == reader.provenance
-    for kind in ("csv", "parquet"):
-        TO[kind](recording, tmp_path / kind)
-        described = described_in(tmp_path / kind)
+    for folder in ("pulse", "pulse.parquet"):
+        described = described_in(exports / folder)
         assert described["runs"] == reader.provenance
         assert described["whole"] is True
-    metadata = parquet.read_schema(tmp_path / "parquet" / "ticks.parquet").metadata
-    read = parquet.ParquetFile(tmp_path / "parquet" / "ticks.parquet").metadata.metadata
-    assert json.loads(read[b"telepulse.runs"]) == reader.provenance, metadata
-    export_edf(recording, tmp_path / "a.edf")
-    notes = [note.text for note in edfio.read_edf(tmp_path / "a.edf").annotations]
+    read = parquet.ParquetFile(exports / "pulse.parquet" / "ticks.parquet").metadata.metadata
+    assert json.loads(read[b"telepulse.runs"]) == reader.provenance
+    notes = [note.text for note in edfio.read_edf(exports / "pulse.edf").annotations]
     assert f"version {version}" in notes
     (chapter,) = [c for c in build_recording_report(recording).chapters if "Proven" in c.title]
     assert dict(chapter.tables[0].rows)["version"] == version
@@ -222,19 +214,13 @@ def test_reader_report_and_exports_name_how_much_of_the_end_is_missing(
     assert "last status, since it never ended" in short.tables[0].note
 
 
-def test_all_tables_have_one_time_base_and_each_column_names_its_clock(
-    recording: Path, tmp_path: Path
-) -> None:
-    export_csv(recording, tmp_path / "csv")
-    spans = []
-    for name in ("samples", "ticks", "clock", "events"):
-        with (tmp_path / "csv" / f"{name}.csv").open(newline="", encoding="utf-8") as file:
-            times_ns = [int(row["unix_ns"]) for row in csv.DictReader(file)]
-        spans.append((times_ns[0], times_ns[-1]))
-    begin_ns = min(begin for begin, _ in spans)
-    assert all(0 <= at - begin_ns <= 4_000_000_000 for span in spans for at in span)
-    described = described_in(tmp_path / "csv")
-    for table in described["columns"].values():
+def test_all_tables_have_one_time_base_and_each_column_names_its_clock(exports: Path) -> None:
+    times_ns: list[int] = []
+    for name in TABLES:
+        with (exports / "pulse" / f"{name}.csv").open(newline="", encoding="utf-8") as file:
+            times_ns += [int(row["unix_ns"]) for row in csv.DictReader(file)]
+    assert max(times_ns) - min(times_ns) <= 4_000_000_000
+    for table in described_in(exports / "pulse")["columns"].values():
         for name, column in table.items():
             if name.endswith("_ns"):
                 assert "clock" in column["description"] or "Unix" in column["description"], name

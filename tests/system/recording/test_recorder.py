@@ -29,7 +29,7 @@ SECOND_NS = 1_000_000_000
 
 
 def read(path: Path) -> tuple[dict[str, list[RecordedMessage]], RecordingReader]:
-    """A recording's messages by topic."""
+    """Return a recording's messages by topic, and its reader."""
     reader, by_topic = RecordingReader(path), {}
     for message in reader:
         by_topic.setdefault(message.topic, []).append(message)
@@ -37,7 +37,7 @@ def read(path: Path) -> tuple[dict[str, list[RecordedMessage]], RecordingReader]
 
 
 def frames_of(path: Path) -> list[int]:
-    """The numbers of the recorded frames; each holds what was sent, bit by bit."""
+    """Return the numbers of the recorded frames; each frame has the bytes that were sent."""
     numbers = []
     for message in read(path)[0].get(FRAME, []):
         data = b64decode(message.fields["data"])
@@ -54,7 +54,7 @@ def events_of(path: Path) -> list[str]:
 def recording(
     path: Path, *options: str, ring: Keyring | None = None
 ) -> Iterator[tuple[TelemetryPublisher, "subprocess.Popen[str]"]]:
-    """A display's telemetry, and a recorder of it."""
+    """Publish a display's telemetry and record it."""
     address = free_address()
     with (
         publishing(address, ring and ring.server()) as display,
@@ -64,7 +64,7 @@ def recording(
 
 
 def publish_for(display: TelemetryPublisher, seconds: float) -> None:
-    """A display's telemetry at its real pace, late ticks made good."""
+    """Publish a display's telemetry in real time; late ticks follow at once."""
     start_s, before = time.monotonic(), display.ticks
     while (passed_s := time.monotonic() - start_s) < seconds:
         display.publish(before + round(passed_s * 1000) - display.ticks)
@@ -97,7 +97,6 @@ def test_all_that_a_display_publishes_is_in_the_file(tmp_path: Path) -> None:
     assert events_of(path) == [
         *("begin", "session", "state", "join", "end of stream", "state", "end")
     ]
-    # Unix times, of now.
     assert abs(messages[TICK][-1].t_ns - time.time_ns()) < 60 * SECOND_NS
 
 
@@ -115,7 +114,7 @@ def test_killed_it_loses_at_most_its_last_second(seed: int, tmp_path: Path) -> N
             due = sum(sent_ns < killed_ns - SECOND_NS for sent_ns in display.sent_ns)
         numbers = frames_of(path)
         assert numbers == list(range(len(numbers)))
-        # A machine so busy that the recorder did not run for half a second proves nothing.
+        # On a machine so busy that the recorder did not run for half a second, try again.
         if len(numbers) >= due:
             return
     pytest.fail(f"{due} frames were older than a second, {len(numbers)} are in the file")
@@ -174,12 +173,12 @@ def test_a_disk_that_stays_full_leaves_what_was_written_and_the_count(tmp_path: 
 
 
 def limit(process: "subprocess.Popen[str]", size_bytes: int) -> None:
-    """Let a process write no file beyond a size: as a full disk, without rights."""
+    """Limit the size of a process's files, which acts as a full disk and needs no rights."""
     resource.prlimit(process.pid, resource.RLIMIT_FSIZE, (size_bytes, resource.RLIM_INFINITY))
 
 
 def fill_up(display: TelemetryPublisher, recorder: "subprocess.Popen[str]", path: Path) -> int:
-    """Publish until the recorder has written some, and on after it can write no more; the limit."""
+    """Publish until the recorder can write no more, and for a while longer; return the limit."""
     display.begin()
     publish_until_larger(display, path, 5_000)
     full_bytes = path.stat().st_size + 5_000
@@ -220,7 +219,7 @@ def test_a_small_disk_that_is_really_full_and_has_room_again(tmp_path: Path) -> 
         )
         display.begin()
         publish_for(display, 1.5)
-        # The mount is the recorder's own: it is seen through its process.
+        # The mount exists only in the recorder's namespace, which its process shows.
         Path(f"/proc/{recorder.pid}/root{disk}/ballast").unlink()
         publish_for(display, 0.6)
         _, errors = end(display, recorder)
@@ -286,9 +285,8 @@ def test_a_key_that_is_allowed_later_is_recorded_from_then_on(tmp_path: Path) ->
 
 
 def test_silence_ends_it_with_the_option(tmp_path: Path) -> None:
-    address, path = free_address(), tmp_path / "a.mcap"
-    arguments = ("record", address, str(path), "--until-silent", "0.3")
-    result = run(MODULE, *arguments)
+    address = free_address()
+    result = run(MODULE, "record", address, str(tmp_path / "a.mcap"), "--until-silent", "0.3")
     assert result.returncode == 1
     assert f"no telemetry came from {address}" in result.stderr
 
@@ -308,25 +306,21 @@ def test_what_cannot_begin_is_one_line(address: str, name: str, word: str, tmp_p
         list(RecordingReader(tmp_path / "a.mcap"))
 
 
-def test_beside_a_display_it_waits_for_the_first_message_however_long_a_drive_homes(
+def test_before_the_first_message_silence_ends_it_only_after_its_display_has_ended(
     tmp_path: Path,
 ) -> None:
-    path = tmp_path / "a.mcap"
-    beside = ("--until-silent", "0.3", "--display-pid", str(os.getpid()))
-    with recording(path, *beside) as (display, recorder):
+    path, left = tmp_path / "a.mcap", tmp_path / "left.mcap"
+    silent = ("--until-silent", "0.3", "--display-pid")
+    with recording(path, *silent, str(os.getpid())) as (display, recorder):
         display.begin()
-        time.sleep(1.0)
+        nobody = str(os.getpid() + 1)
+        result = run(MODULE, "record", free_address(), str(left), *silent, nobody, "--quiet")
+        assert (result.returncode, result.stderr.count("\n")) == (1, 1)
+        assert "nothing came for 0.3 s" in result.stderr
+        assert not left.exists()
+        # It has been silent for longer than the other one.
         assert recorder.poll() is None
         publish_for(display, 0.2)
         _, errors = end(display, recorder)
         assert (recorder.returncode, unusual(errors)) == (0, "")
     assert frames_of(path)
-
-
-def test_without_its_display_it_ends_and_leaves_no_empty_file(tmp_path: Path) -> None:
-    path = tmp_path / "a.mcap"
-    beside = ("--until-silent", "0.3", "--display-pid", str(os.getpid() + 1), "--quiet")
-    result = run(MODULE, "record", free_address(), str(path), *beside)
-    assert (result.returncode, result.stderr.count("\n")) == (1, 1)
-    assert "nothing came for 0.3 s" in result.stderr
-    assert not path.exists()

@@ -24,9 +24,9 @@ PATIENCE_S = 60.0
 def recorded_display(
     path: Path, address: str, room_bytes: int = resource.RLIM_INFINITY
 ) -> Iterator["subprocess.Popen[str]"]:
-    """A display that records, once its recorder is there; its summary beside the recording.
+    """Run a display that records, from when its recorder runs; its summary is beside the file.
 
-    room_bytes: what a file of theirs may have, as on a small disk.
+    room_bytes: limit of the size of its files, as on a small disk.
     """
     arguments = (str(RADIAL), "--connect", address, "--no-screen", "--once", "--seconds", "40")
     arguments += ("--record", str(path), "--json", str(path.with_suffix(".json")))
@@ -42,7 +42,7 @@ def recorded_display(
 def felt_and_recorded(
     path: Path, address: str, source: tuple[str, ...]
 ) -> tuple[dict[str, list[dict[str, object]]], dict[str, object]]:
-    """A display records what a source streams to it: the messages by topic, its summary."""
+    """Record a source at a display; return the messages by topic and the display's summary."""
     with recorded_display(path, address) as display, process(*source) as sensing:
         output, errors = display.communicate(timeout=PATIENCE_S)
         assert (display.returncode, unusual(errors)) == (0, ""), output
@@ -56,7 +56,7 @@ def felt_and_recorded(
 
 
 def samples(frames: list[dict[str, object]]) -> tuple[int, NDArray[np.float32]]:
-    """Number of the first sample, and all of them."""
+    """Return the number of the first sample, and all samples."""
     ordered = sorted(frames, key=lambda fields: fields["first_sample"])
     values = [np.array(fields["force_n"], "<f4") for fields in ordered]
     return ordered[0]["first_sample"], np.concatenate(values)
@@ -98,7 +98,7 @@ def test_a_recording_played_again_gives_the_same_samples_bit_by_bit(tmp_path: Pa
     assert run(MODULE, "export", str(first), "--out", str(tables), "--to", "csv").returncode == 2
 
 
-def test_a_full_disk_under_the_recorder_is_nothing_to_the_display(tmp_path: Path) -> None:
+def test_a_full_disk_under_the_recorder_does_not_disturb_the_display(tmp_path: Path) -> None:
     address, path, room_bytes = free_address(), tmp_path / "a.mcap", 20_000
     sensing = ("sensing_node.cli", str(RADIAL), "--bind", address, "--seconds", "2.5", "--quiet")
     with recorded_display(path, address, room_bytes) as display, process(*sensing):

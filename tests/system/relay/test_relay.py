@@ -17,9 +17,9 @@ from protocol.security.keys import ClientKeys, KeyPair, ServerKeys, new_pair, re
 from protocol.sockets import Context, Socket, control_address
 from protocol.wire.messages import encode_frame
 from telepulse.relay import Relay
-from tests.support.frames import frame
 from tests.support.middleman import middleman
 from tests.support.nodes import free_address
+from tests.support.streams import frame
 from tests.support.waiting import PATIENCE_S, until
 
 

@@ -15,7 +15,7 @@ from display_node.reception.jitter_buffer import (
 )
 from protocol.errors import WireError
 from protocol.wire.messages import Frame
-from tests.support.frames import MS, T0_NS, at_ns, filled, frame, refusal
+from tests.support.streams import MS, T0_NS, at_ns, filled, frame, refusal
 
 
 class Ledger:

@@ -1,6 +1,8 @@
-"""Writing a recording, on a disk that may be full, and what readers of MCAP need of the file:
-https://mcap.dev/spec, and Foxglove's documentation of JSON messages and of foxglove.Log.
-Foxglove itself is not run."""
+"""Writing a recording, also on a full disk, in the form that readers of MCAP need.
+
+The form is that of https://mcap.dev/spec and of Foxglove's documentation of JSON messages and of
+foxglove.Log. Foxglove itself is not run.
+"""
 
 import errno
 import json
@@ -27,7 +29,7 @@ from tests.support.recordings import record
 
 
 class Disk:
-    """Stands in for the system's calls: takes so many bytes, and may fail to keep them."""
+    """Substitute of the system's calls: it takes `room_bytes`, and may fail to keep them."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.room_bytes = 10**9
@@ -60,22 +62,14 @@ def path(tmp_path: Path) -> Path:
     return tmp_path / "a.mcap"
 
 
-def test_pieces_are_on_the_disk_once_they_are_committed(path: Path, disk: Disk) -> None:
-    file = RetryingFile(path)
-    file.write(b"01234")
-    file.write(b"56789")
-    assert (file.tell(), path.read_bytes()) == (10, b"")
-    assert file.commit(messages=2) is None
-    assert path.read_bytes() == b"0123456789"
-    assert (file.waiting, file.waiting_bytes) == (0, 0)
-    file.close()
-
-
 @pytest.mark.parametrize("trouble", ["full", "not kept"])
 def test_pieces_are_written_whole_and_in_order(trouble: str, path: Path, disk: Disk) -> None:
     file = RetryingFile(path)
-    file.write(b"first")
+    for part in (b"fir", b"st"):
+        file.write(part)
+    assert (file.tell(), path.read_bytes()) == (5, b"")
     assert file.commit(1) is None
+    assert (file.waiting, file.waiting_bytes) == (0, 0)
     disk.room_bytes, disk.keeps = (4, True) if trouble == "full" else (10**9, False)
     for number in range(3):
         file.write(b"piece%d" % number)
@@ -151,7 +145,7 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def test_messages_are_json_by_schemas_that_stand_before_them(recording: Path) -> None:
+def test_messages_are_json_and_fit_their_schemas(recording: Path) -> None:
     seen: Counter[str] = Counter()
     with recording.open("rb") as file:
         reader = SeekingReader(file, validate_crcs=True)
