@@ -124,6 +124,10 @@ THEMES = (
 )
 
 
+# Markers and dashes, by which lines that overlap can be distinguished.
+STYLES = ("o-", "s--", "^-", "v--", "P-", "x:", "D-", "*-")
+
+
 def text_colour() -> str:
     """Return the text colour of the theme that is being drawn."""
     from matplotlib import rcParams
@@ -154,13 +158,13 @@ def check_can_report(folder: Path) -> None:
 def write_report(report: Report, folder: Path) -> Path:
     """Write the page and its pictures into `folder`, and return its path. Raises OutputError."""
     check_can_report(folder)
-    written = report
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
+    write_json(report, folder / "report.json")
     if report.provenance is not None:
         made = provenance_table("how this was made", report.provenance.to_dict())
-        chapter = Chapter("Provenance of this report", tables=(made,))
-        report = replace(report, chapters=(*report.chapters, chapter))
+        last = Chapter("Provenance of this report", tables=(made,))
+        report = replace(report, chapters=(*report.chapters, last))
     for chapter in report.chapters:
         for plot in chapter.plots:
             for theme in THEMES:
@@ -174,7 +178,6 @@ def write_report(report: Report, folder: Path) -> Path:
     )
     page = folder / PAGE
     write_whole(page, environment.get_template("report.html").render(report=report))
-    write_json(written, folder / "report.json")
     return page
 
 

@@ -12,12 +12,19 @@ from sensing_node.sources.synthetic import SyntheticScene
 from telepulse.reports.document import Chapter, Plot, Table
 from telepulse.reports.paper import gain_units, published
 from telepulse.reports.paper.published import (
+    ACTUATOR,
+    CALIBRATION_FORCE_N,
+    CALIBRATION_MV,
+    CALIBRATION_MV_PER_N,
+    EXPERIMENT,
     FILM_MV,
     FINGER_FILM,
     FIRST_S,
+    LAYER,
     MEASURED_FORCE,
     MEASURED_STRAIN,
     SIMULATED_STRAIN,
+    SIMULATION,
     STRAIN,
     WRIST_FILM,
     scientific,
@@ -32,6 +39,8 @@ if TYPE_CHECKING:
 CONVERTER_V = 10.0
 # The error of the first beat, in which a simulation catches up from rest, is off the plot's scale.
 BEAT_S = 0.8
+# Strain over force of the experiment, both as forces by Table 3; they should be equal.
+PRINTED_RATIO = MEASURED_STRAIN.force_n / MEASURED_FORCE.force_n
 Rows = Sequence[tuple[str, ...]]
 
 
@@ -42,8 +51,8 @@ def chapter() -> Chapter:
     assert isinstance(source, SyntheticScene), "scenes/paper.toml names a synthetic pulse"
     height_n, run = source.peak_to_peak_n, run_scene(scene)
     wanted_n = height_n * beats("paper", gain_units.RATE_HZ, FIRST_S)
-    simulated_n = gain_units.follow(FILM_MV, published.SIMULATION, wanted_n)
-    strain_rmse = gain_units.rmse(published.LAYER.strain(simulated_n - wanted_n))
+    simulated_n = gain_units.follow(FILM_MV, SIMULATION, wanted_n)
+    strain_rmse = gain_units.rmse(LAYER.strain(simulated_n - wanted_n))
     simulated_s = np.arange(len(wanted_n)) / gain_units.RATE_HZ
     paragraphs = (
         "Dargahi, Xie and Ji, “An experimental teletaction system for sensing and teleperception of"
@@ -57,8 +66,6 @@ def chapter() -> Chapter:
         " gains” shows), and a synthetic pulse. No choice gives all three printed errors. Only the"
         " pulse's shape was fitted, to the five energy shares.",
     )
-    simulation, *others = _error_rows(strain_rmse, run.force_rmse_n, height_n)
-    rows = [_calibration_row(), simulation, *_spectrum_rows(), *others]
     plots = (
         Plot(
             "calibration",
@@ -83,22 +90,63 @@ def chapter() -> Chapter:
             lambda figure: _draw_tracking(figure, run.t_s, run.wanted_n, run.felt_n, True),
         ),
     )
-    table = Table("Paper and ours", ("figure", "paper", "ours", "why they differ"), rows)
+    columns = ("figure", "paper", "ours", "why they differ")
+    table = Table("Paper and ours", columns, _rows(strain_rmse, run.force_rmse_n, height_n))
     return Chapter("The paper beside this computation", paragraphs, (table,), plots)
 
 
-def _calibration_row() -> tuple[str, ...]:
+def _rows(strain_rmse: float, force_rmse_n: float, height_n: float) -> Rows:
     finger, wrist = (1e3 * film.volts_per_newton for film in (FINGER_FILM, WRIST_FILM))
-    slope = published.CALIBRATION_MV_PER_N
-    return (
-        "Fig. 4, calibration of the film",
-        f"about {slope:g} mV/N, {published.CALIBRATION_MV:g} mV at"
-        f" {published.CALIBRATION_FORCE_N} N",
-        f"{finger:.0f} mV/N (r = 9 mm), {wrist:.0f} mV/N (8 mm)",
-        f"Eq 21 with Table 1 gives {finger / slope:.0f} times the slope of Fig. 4. Eq 21 is a"
-        " film's open-circuit voltage; a charge amplifier, whose gain is not printed, comes"
-        " between. The line is straight in both.",
+    slope = CALIBRATION_MV_PER_N
+    simulated_n, needed_n = (
+        gain_units.height_n(FILM_MV, printed) for printed in (SIMULATED_STRAIN, MEASURED_FORCE)
     )
+    from_rest_mn = 1e3 * gain_units.relative_rmse(FILM_MV, EXPERIMENT) * height_n
+    return [
+        (
+            "Fig. 4, calibration of the film",
+            f"about {slope:g} mV/N, {CALIBRATION_MV:g} mV at {CALIBRATION_FORCE_N} N",
+            f"{finger:.0f} mV/N (r = 9 mm), {wrist:.0f} mV/N (8 mm)",
+            f"Eq 21 with Table 1 gives {finger / slope:.0f} times the slope of Fig. 4. Eq 21 is a"
+            " film's open-circuit voltage; a charge amplifier, whose gain is not printed, comes"
+            " between. The line is straight in both.",
+        ),
+        (
+            "Figs 13–14, strain RMSE of the simulation",
+            SIMULATED_STRAIN.text,
+            f"{scientific(strain_rmse, 4)} at {height_n:g} N",
+            "An RMSE is proportional to the pulse's height, which the paper does not give. With"
+            f" this unit the printed figure is that of a pulse of {simulated_n:.3f} N from peak to"
+            " peak.",
+        ),
+        *_spectrum_rows(),
+        (
+            "Figs 17–18, force RMSE of the experiment",
+            MEASURED_FORCE.text,
+            f"{force_rmse_n:.6f} N at {height_n:g} N",
+            "The experiment's gains on eq 22, as the display runs them at 1 kHz from a finger at"
+            " rest on the preload; in continuous time, starting without force,"
+            f" {from_rest_mn:.2f} mN. The printed error would need a pulse of {needed_n:.2f} N,"
+            f" beyond the {CALIBRATION_FORCE_N} N of Fig. 4. More likely the experiment did not"
+            " drive eq 22: a stepping motor has steps, a speed and a contact that eq 22 lacks.",
+        ),
+        (
+            "Figs 19–20, strain RMSE of the experiment",
+            MEASURED_STRAIN.text,
+            f"{scientific(STRAIN.per_newton * force_rmse_n, 4)} at {height_n:g} N",
+            f"By Table 3 the printed strain is {1e3 * MEASURED_STRAIN.force_n:.3f} mN and the"
+            f" printed force is {1e3 * MEASURED_FORCE.force_n:.3f} mN, of one run. No loop can"
+            f" cause this factor of {PRINTED_RATIO:.2f}, for the strain is the force times a"
+            " constant. Our two figures are consistent.",
+        ),
+        (
+            "Psychophysics",
+            f"{published.SUBJECTS} subjects, {100 * published.FELT_CLOSE_TO_TOUCH:.0f} % felt it"
+            " close to a direct touch",
+            "–",
+            "An experiment with people; it cannot be computed.",
+        ),
+    ]
 
 
 def _spectrum_rows() -> Rows:
@@ -134,55 +182,13 @@ def _spectrum_rows() -> Rows:
     ]
 
 
-def _error_rows(strain_rmse: float, force_rmse_n: float, height_n: float) -> Rows:
-    film_mv = gain_units.film_millivolts()
-    ratio = MEASURED_STRAIN.force_n / MEASURED_FORCE.force_n
-    return [
-        (
-            "Figs 13–14, strain RMSE of the simulation",
-            SIMULATED_STRAIN.text,
-            f"{scientific(strain_rmse, 4)} at {height_n:g} N",
-            "An RMSE is proportional to the pulse's height, which the paper does not give. With"
-            " this unit the printed figure is that of a pulse of"
-            f" {film_mv.peak_to_peak_n(SIMULATED_STRAIN):.3f} N from peak to peak.",
-        ),
-        (
-            "Figs 17–18, force RMSE of the experiment",
-            MEASURED_FORCE.text,
-            f"{force_rmse_n:.6f} N at {height_n:g} N",
-            "The experiment's gains on eq 22, as the display runs them at 1 kHz from a finger at"
-            " rest on the preload; in continuous time, starting without force,"
-            f" {1e3 * film_mv.experiment * height_n:.2f} mN. The printed error would need a pulse"
-            f" of {film_mv.peak_to_peak_n(MEASURED_FORCE):.2f} N, beyond the"
-            f" {published.CALIBRATION_FORCE_N} N of Fig. 4. More likely the experiment did not"
-            " drive eq 22: a stepping motor has steps, a speed and a contact that eq 22 lacks.",
-        ),
-        (
-            "Figs 19–20, strain RMSE of the experiment",
-            MEASURED_STRAIN.text,
-            f"{scientific(STRAIN.per_newton * force_rmse_n, 4)} at {height_n:g} N",
-            f"By Table 3 the printed strain is {1e3 * MEASURED_STRAIN.force_n:.3f} mN and the"
-            f" printed force is {1e3 * MEASURED_FORCE.force_n:.3f} mN, of one run. No loop can"
-            f" cause this factor of {ratio:.2f}, for the strain is the force times a constant. Our"
-            " two figures are consistent.",
-        ),
-        (
-            "Psychophysics",
-            f"{published.SUBJECTS} subjects, {100 * published.FELT_CLOSE_TO_TOUCH:.0f} % felt it"
-            " close to a direct touch",
-            "–",
-            "An experiment with people; it cannot be computed.",
-        ),
-    ]
-
-
 def _draw_calibration(figure: "Figure") -> None:
     axes = figure.subplots()
-    force_n = np.array([0.01, published.CALIBRATION_FORCE_N])
+    force_n = np.array([0.01, CALIBRATION_FORCE_N])
     for film in (WRIST_FILM, FINGER_FILM):
         name = f"eq 21, r = {1e3 * film.radius_m:g} mm"
         axes.plot(force_n, 1e3 * (force_n * film.volts_per_newton), label=name)
-    slope, end_mv = published.CALIBRATION_MV_PER_N, published.CALIBRATION_MV
+    slope, end_mv = CALIBRATION_MV_PER_N, CALIBRATION_MV
     axes.plot(force_n, slope * force_n, label=f"Fig. 4, about {slope:g} mV/N")
     axes.plot(force_n[1], end_mv, "o", label="Fig. 4, end point as printed")
     axes.set(xscale="log", yscale="log", ylim=(0.1, 1e6))
@@ -196,7 +202,7 @@ def _draw_tracking(
     """Draw wanted and felt force or strain, and 1000 times their difference below."""
     quantity, error = "force in N", "error in mN"
     if as_strain:
-        wanted, felt = (1e6 * published.LAYER.strain(force_n) for force_n in (wanted, felt))
+        wanted, felt = (1e6 * LAYER.strain(force_n) for force_n in (wanted, felt))
         quantity, error = "strain in 10⁻⁶", "error in 10⁻⁹"
     upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(3, 2))
     upper.plot(t_s, wanted, label="wanted", linewidth=3.5, alpha=0.6)
@@ -221,14 +227,13 @@ def contradictions() -> Chapter:
         ),
         (
             Table("Strain and force", columns, _layer_rows()),
-            Table("Film and actuator", columns, [*_film_rows(), *_actuator_rows()]),
+            Table("Film and actuator", columns, _film_and_actuator_rows()),
         ),
     )
 
 
 def _layer_rows() -> Rows:
-    layer, per_newton = published.LAYER, STRAIN.per_newton
-    ratio = published.EXPERIMENT_STRAIN_RMSE / published.EXPERIMENT_FORCE_RMSE_N / per_newton
+    layer, per_newton, ratio = LAYER, STRAIN.per_newton, PRINTED_RATIO
     # Eq 16 goes with (1 − ν²) / (E d).
     poisson = math.sqrt(1 - (1 - layer.poisson_ratio**2) * ratio)
     _, stress_pa = half_space_stress(1.0, np.array([0.0]), np.array([layer.thickness_m]))
@@ -272,8 +277,8 @@ def _layer_rows() -> Rows:
     ]
 
 
-def _film_rows() -> Rows:
-    film, slope = FINGER_FILM, published.CALIBRATION_MV_PER_N
+def _film_and_actuator_rows() -> Rows:
+    film, slope = FINGER_FILM, CALIBRATION_MV_PER_N
     film_mv = 1e3 * film.volts_per_newton
     thicknesses_m = (published.FILM_THICKNESS_M, published.ABSTRACT_FILM_THICKNESS_M)
     table_um, abstract_um = (1e6 * thickness_m for thickness_m in thicknesses_m)
@@ -285,6 +290,13 @@ def _film_rows() -> Rows:
     )
     gain = WRIST_FILM.volts_per_newton / film.volts_per_newton
     mismatch = (gain - 1) * deviation_n("paper")
+    # The voltage of eq 22 for the mean-free pulse of 1 N peak to peak.
+    plant, step_s = ACTUATOR, 1 / gain_units.RATE_HZ
+    force_n = beats("paper", gain_units.RATE_HZ, FIRST_S)
+    rate = np.gradient(force_n, step_s)
+    voltages = plant.m * np.gradient(rate, step_s) + plant.c * rate + plant.k * force_n
+    # The differences are one-sided at the ends.
+    volts = np.abs(voltages[2:-2]).max()
     return [
         (
             "Film's sensitivity",
@@ -319,31 +331,10 @@ def _film_rows() -> Rows:
             "A PVDF film with a charge amplifier blocks a constant: a hold-down force can be set"
             " but not measured.",
         ),
-    ]
-
-
-def volts_for_one_newton() -> float:
-    """Return the largest voltage that eq 22 needs for the mean-free pulse of 1 N peak to peak."""
-    plant, step_s = published.ACTUATOR, 1 / gain_units.RATE_HZ
-    force_n = beats("paper", gain_units.RATE_HZ, FIRST_S)
-    rate = np.gradient(force_n, step_s)
-    volts = plant.m * np.gradient(rate, step_s) + plant.c * rate + plant.k * force_n
-    # The differences are one-sided at the ends.
-    return float(np.abs(volts[2:-2]).max())
-
-
-def natural_frequency_hz() -> float:
-    """Return the undamped natural frequency of eq 22 in Hz."""
-    return math.sqrt(published.ACTUATOR.k / published.ACTUATOR.m) / (2 * math.pi)
-
-
-def _actuator_rows() -> Rows:
-    plant, volts = published.ACTUATOR, volts_for_one_newton()
-    return [
         (
             "Natural frequency of eq 22",
             f"m = {plant.m} kg, c = {plant.c} N·s/m, k = {plant.k} N/m",
-            f"{natural_frequency_hz():.2f} Hz",
+            f"{math.sqrt(plant.k / plant.m) / (2 * math.pi):.2f} Hz",
             "Eq 22 turns a voltage into a force, so kg and N/m cannot be its units; and the"
             " pulse's energy is above that frequency. It is kept as the paper's model.",
         ),

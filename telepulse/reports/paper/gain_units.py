@@ -5,7 +5,7 @@ The loops are in continuous time with a pure derivative, so that only the unit m
 
 import math
 from functools import cache
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,12 +17,15 @@ from telepulse.reports.document import Chapter, Plot, Table, text_colour
 from telepulse.reports.paper import published
 from telepulse.reports.paper.published import (
     ERROR_UNITS,
+    EXPERIMENT,
     FILM_MV,
     FIRST_S,
+    GAINS,
     MEASURED_FORCE,
     MEASURED_STRAIN,
     PRINTED,
     SIMULATED_STRAIN,
+    SIMULATION,
     ErrorUnit,
     Gains,
     PrintedRmse,
@@ -80,53 +83,30 @@ def rmse(error: Floats) -> float:
     return math.sqrt(float(np.trapezoid(error**2)) / (len(error) - 1))
 
 
-class UnitErrors(NamedTuple):
-    """RMSE over peak to peak of the paper's pulse in its first 6 s, for one unit of the error."""
-
-    unit: ErrorUnit
-    simulation: float
-    experiment: float
-
-    def under(self, gains: Gains) -> float:
-        """Return the RMSE over peak to peak with these gains of Table 5."""
-        return self.simulation if gains == published.SIMULATION else self.experiment
-
-    def peak_to_peak_n(self, printed: PrintedRmse) -> float:
-        """Return the pulse's height in N at which this unit gives the printed figure."""
-        return printed.force_n / self.under(printed.gains)
-
-
 @cache
-def unit_errors() -> tuple[UnitErrors, ...]:
-    """Return the errors of every unit."""
+def relative_rmse(unit: ErrorUnit, gains: Gains, from_rest: bool = True) -> float:
+    """Return the RMSE over peak to peak on the paper's pulse in its first 6 s.
+
+    The loop begins at rest, or on the pulse if not `from_rest`.
+    """
     wanted_n = beats("paper", RATE_HZ, FIRST_S)
-
-    def error(unit: ErrorUnit, gains: Gains) -> float:
-        return rmse(follow(unit, gains, wanted_n) - wanted_n)
-
-    return tuple(
-        UnitErrors(unit, *(error(unit, gains) for gains in published.GAINS.values()))
-        for unit in ERROR_UNITS
-    )
+    if not from_rest:
+        wanted_n = wanted_n - wanted_n[0]
+    return rmse(follow(unit, gains, wanted_n) - wanted_n)
 
 
-def film_millivolts() -> UnitErrors:
-    """Return the errors of the one unit with which the loop follows a pulse."""
-    return next(errors for errors in unit_errors() if errors.unit == FILM_MV)
-
-
-def rmse_without_the_start(unit: ErrorUnit, gains: Gains) -> float:
-    """Return the RMSE over peak to peak of a loop that starts on the pulse instead of at rest."""
-    wanted_n = beats("paper", RATE_HZ, FIRST_S)
-    moved_n = wanted_n - wanted_n[0]
-    return rmse(follow(unit, gains, moved_n) - moved_n)
+def height_n(unit: ErrorUnit, printed: PrintedRmse) -> float:
+    """Return the pulse's height in N peak to peak at which a unit gives a printed figure."""
+    return printed.force_n / relative_rmse(unit, printed.gains)
 
 
 def chapter() -> Chapter:
     """Compare the errors of each unit with the printed ones; give the least sampling rate."""
-    film_mv = film_millivolts()
-    shares = [errors.simulation / errors.experiment for errors in unit_errors()]
-    simulated_n = film_mv.peak_to_peak_n(SIMULATED_STRAIN)
+    shares = [
+        relative_rmse(unit, SIMULATION) / relative_rmse(unit, EXPERIMENT) for unit in ERROR_UNITS
+    ]
+    simulated_n = height_n(FILM_MV, SIMULATED_STRAIN)
+    left_mn = 1e3 * simulated_n * relative_rmse(FILM_MV, EXPERIMENT)
     paragraphs = (
         "Table 5 gives gains without units. The controller's error may have been a strain, or in"
         " newtons, in volts of the film by eq 21, in millivolts by Fig. 4 or in millivolts by eq"
@@ -150,26 +130,27 @@ def chapter() -> Chapter:
         " 13–14 and 17–20 show, at a height inside the film's calibration. Only with millivolts by"
         " eq 21 does it follow; with the other four, more than half the error of doing nothing is"
         f" left. {SIMULATED_STRAIN.text} is such an error, of a pulse of {simulated_n:.3f} N; the"
-        f" experiment's gains would then leave {1e3 * simulated_n * film_mv.experiment:.1f} mN, not"
+        f" experiment's gains would then leave {left_mn:.1f} mN, not"
         f" {1e3 * MEASURED_FORCE.force_n:.1f}. {MEASURED_STRAIN.text} is possible for a pulse of"
-        f" {film_mv.peak_to_peak_n(MEASURED_STRAIN):.2f} N. {MEASURED_FORCE.text} would need"
-        f" {film_mv.peak_to_peak_n(MEASURED_FORCE):.2f} N, more than the film was calibrated to: no"
-        " unit explains it. An experiment's error also contains what eq 22 leaves out: steps,"
-        " noise, friction and the delay of the computer.",
+        f" {height_n(FILM_MV, MEASURED_STRAIN):.2f} N. {MEASURED_FORCE.text} would need"
+        f" {height_n(FILM_MV, MEASURED_FORCE):.2f} N, more than the film was calibrated to: no unit"
+        " explains it. An experiment's error also contains what eq 22 leaves out: steps, noise,"
+        " friction and the delay of the computer.",
         "Where the loop follows, the start matters: the pulse does not begin at zero, and catching"
         f" up is part of the first {FIRST_S:g} s. Begun on the pulse, the simulation's error is"
-        f" {rmse_without_the_start(FILM_MV, published.SIMULATION):.5f} of the height instead of"
-        f" {film_mv.simulation:.5f}.",
+        f" {relative_rmse(FILM_MV, SIMULATION, from_rest=False):.5f} of the height instead of"
+        f" {relative_rmse(FILM_MV, SIMULATION):.5f}.",
     )
     caption = (
         "Each unit's error (level lines) and each printed figure (falling lines). Where they"
         " cross, that unit gives that figure; the right panel's two figures are of one run,"
         " yet no unit meets both at one height."
     )
-    tables = (_errors_table(), _heights_table(), _rates_table())
-    return Chapter(
-        "Five units for the gains", paragraphs, tables, (Plot("readings", caption, _draw),)
+    tables, plot = (
+        (_errors_table(), _heights_table(), _rates_table()),
+        Plot("readings", caption, _draw),
     )
+    return Chapter("Five units for the gains", paragraphs, tables, (plot,))
 
 
 def _errors_table() -> Table:
@@ -177,7 +158,8 @@ def _errors_table() -> Table:
     first_s = rmse(beats("paper", RATE_HZ, FIRST_S))
     columns = ("error as", "value for 1 N", "simulation's gains", "experiment's gains")
     rows = []
-    for unit, simulation, experiment in unit_errors():
+    for unit in ERROR_UNITS:
+        simulation, experiment = (relative_rmse(unit, gains) for gains in GAINS.values())
         size, follows = unit.per_newton, "no"
         if max(simulation, experiment) < FOLLOWING * doing_nothing:
             follows = "yes"
@@ -196,13 +178,13 @@ def _errors_table() -> Table:
 
 
 def _heights_table() -> Table:
-    def cell(errors: UnitErrors, printed: PrintedRmse) -> str:
-        height_n = errors.peak_to_peak_n(printed)
-        if errors.under(printed.gains) >= FOLLOWING * deviation_n("paper"):
-            return f"{1e3 * height_n:.1f} mN; no, does not follow"
-        if height_n > published.CALIBRATION_FORCE_N:
-            return f"{height_n:.3g} N; no, beyond Fig. 4's {published.CALIBRATION_FORCE_N} N"
-        return f"{height_n:.3g} N; possible"
+    def cell(unit: ErrorUnit, printed: PrintedRmse) -> str:
+        needed_n = height_n(unit, printed)
+        if relative_rmse(unit, printed.gains) >= FOLLOWING * deviation_n("paper"):
+            return f"{1e3 * needed_n:.1f} mN; no, does not follow"
+        if needed_n > published.CALIBRATION_FORCE_N:
+            return f"{needed_n:.3g} N; no, beyond Fig. 4's {published.CALIBRATION_FORCE_N} N"
+        return f"{needed_n:.3g} N; possible"
 
     columns = (
         "error as",
@@ -213,7 +195,7 @@ def _heights_table() -> Table:
     return Table(
         "The pulse's height at which a unit gives a printed figure, and whether that is possible",
         columns,
-        [(each.unit.name, *(cell(each, printed) for printed in PRINTED)) for each in unit_errors()],
+        [(unit.name, *(cell(unit, printed) for printed in PRINTED)) for unit in ERROR_UNITS],
         "A unit explains all three where its row has the same height in all columns.",
     )
 
@@ -221,33 +203,33 @@ def _heights_table() -> Table:
 def _rates_table() -> Table:
     display = load_scene(find_scene("paper")).display
     filter_hz, rate_hz = display.controller.derivative_filter_hz, 1e9 / display.tick_ns
+    loops: dict[str, dict[str, Any]] = {
+        "backward difference": {},
+        f"filter N = {MATLAB_FILTER_RAD_PER_S:g} /s": {"filter_rad_per_s": MATLAB_FILTER_RAD_PER_S},
+        f"filter of {filter_hz:g} Hz, as ours": {"filter_rad_per_s": 2 * math.pi * filter_hz},
+        "backward difference, a delay of one sample": {"delay_ticks": 1},
+    }
     rows = []
-    for name, gains in published.GAINS.items():
+    for name, gains in GAINS.items():
         fastest = poles(FILM_MV, gains)[0]
         imaginary = f" ± {abs(fastest.imag):.0f}i" if fastest.imag else ""
-        least_hz = {
-            "backward difference": least_rate_hz(gains),
-            f"filter N = {MATLAB_FILTER_RAD_PER_S:g} /s": least_rate_hz(
-                gains, MATLAB_FILTER_RAD_PER_S
-            ),
-            f"filter of {filter_hz:g} Hz, as ours": least_rate_hz(gains, 2 * math.pi * filter_hz),
-            "backward difference, a delay of one sample": least_rate_hz(gains, delay_ticks=1),
-        }
         row = {
             "gains of the": name,
             "fastest poles, continuous": f"−{abs(fastest.real):.0f}{imaginary} /s",
         }
-        rows.append(row | {column: f"{least:.0f} Hz" for column, least in least_hz.items()})
+        for column, loop in loops.items():
+            row[column] = f"{least_rate_hz(gains, **loop):.0f} Hz"
+        rows.append(row)
     return Table.of(
         "Least sampling rate of the loop, error in mV by eq 21",
         rows,
         "The lowest rate at which the sampled loop's largest pole is inside the unit circle: eq 22"
         " by the exact zero-order hold, integral and derivative (and its filter) by backward"
         f" Euler. At {rate_hz / 1000:g} kHz the simulation's gains are unstable (largest pole"
-        f" {spectral_radius(rate_hz, published.SIMULATION):.2f}), so Figs 13–14 cannot be run on"
+        f" {spectral_radius(rate_hz, SIMULATION):.2f}), so Figs 13–14 cannot be run on"
         " a loop of that rate. The experiment's are stable with a pure difference, but not with"
         " one more sample of delay (largest pole"
-        f" {spectral_radius(rate_hz, published.EXPERIMENT, delay_ticks=1):.4f}).",
+        f" {spectral_radius(rate_hz, EXPERIMENT, delay_ticks=1):.4f}).",
     )
 
 
@@ -255,17 +237,14 @@ def _draw(figure: "Figure") -> None:
     """Draw RMSE over peak to peak against the pulse's height, with the printed figures' lines."""
     heights_n, level = np.array([2e-3, 10.0]), 0.03
     panels = figure.subplots(1, 2, sharey=True)
-    for axes, (name, gains) in zip(panels, published.GAINS.items(), strict=True):
+    for axes, (name, gains) in zip(panels, GAINS.items(), strict=True):
         nothing = deviation_n("paper")
         axes.axhline(nothing, ls=":", color=text_colour(), zorder=3, label="doing nothing")
-        for errors in unit_errors():
-            axes.plot(heights_n, 2 * [errors.under(gains)], label=errors.unit.name)
-        for printed in PRINTED:
-            if printed.gains != gains:
-                continue
-            axes.plot(
-                heights_n, printed.force_n / heights_n, "--", color=text_colour(), linewidth=1.2
-            )
+        for unit in ERROR_UNITS:
+            axes.plot(heights_n, 2 * [relative_rmse(unit, gains)], label=unit.name)
+        for printed in (each for each in PRINTED if each.gains == gains):
+            share = printed.force_n / heights_n
+            axes.plot(heights_n, share, "--", color=text_colour(), linewidth=1.2)
             right = printed == MEASURED_FORCE
             axes.annotate(
                 printed.text,

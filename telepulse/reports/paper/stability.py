@@ -122,10 +122,7 @@ class RateResult(NamedTuple):
 
 def measure() -> list[RateResult]:
     """Run both gain sets, with and without a filter, at every rate."""
-    return [
-        _run(name, filter_hz, rate_hz)
-        for name, filter_hz, rate_hz in product(GAINS, FILTERS_HZ, RATES_HZ)
-    ]
+    return [_run(*case) for case in product(GAINS, FILTERS_HZ, RATES_HZ)]
 
 
 def _run(name: str, filter_hz: float, rate_hz: float) -> RateResult:
@@ -137,11 +134,10 @@ def _run(name: str, filter_hz: float, rate_hz: float) -> RateResult:
     setup = paper_setup(gains, filter_hz, tick_s)
     linear = linear_loop(setup.controller, setup.actuator, setup.layer, setup.film, tick_s, HELD_N)
     found = margins(linear, FREQUENCIES)
-    refused = None
+    shipped_n, late_n, refused = math.inf, math.inf, None
     try:
         shipped_n, late_n = (_shipped_rmse_n(setup, wanted_n, late) for late in (False, True))
     except SceneError as error:
-        shipped_n = late_n = math.inf
         refused = refusal_reason(error)
     return RateResult(
         name,
@@ -202,9 +198,7 @@ def _rates_summary(rates: Sequence[RateResult]) -> str:
         name: max((each.rate_hz for each in diverged if each.gains == name), default=0.0)
         for name in GAINS
     }
-    up_to = ", ".join(
-        f"{rate_hz:g} Hz with the gains of the {name}" for name, rate_hz in fastest_hz.items()
-    )
+    up_to = ", ".join(f"{hz:g} Hz with the gains of the {name}" for name, hz in fastest_hz.items())
     return (
         "The paper's gains act on the error in mV by eq 21. They drive the paper's actuator, eq 22,"
         " on the paper's pulse. The explicit PID uses the error at the tick's beginning and a"
@@ -226,21 +220,20 @@ def _rates_table(rates: Sequence[RateResult], summary: str) -> Table:
     def rmse(force_n: float) -> str:
         return "diverges" if math.isinf(force_n) else force_text(force_n)
 
-    rows = []
-    for each in rates:
-        filter_text = "none" if each.filter_hz == NO_FILTER_HZ else f"{each.filter_hz:g} Hz"
-        rows.append(
-            {
-                "gains, derivative's filter": f"{each.gains}, {filter_text}",
-                "tick rate": f"{each.rate_hz:g} Hz",
-                "explicit, pole": pole(each.explicit_radius),
-                "explicit": rmse(each.explicit_n),
-                "shipped, pole": pole(each.shipped_radius),
-                "shipped": each.refused or rmse(each.shipped_n),
-                "delay margin": f"{each.margin_ticks:.2f}",
-                "a tick late": each.refused or rmse(each.late_n),
-            }
-        )
+    filters = {hz: "none" if hz == NO_FILTER_HZ else f"{hz:g} Hz" for hz in FILTERS_HZ}
+    rows = [
+        {
+            "gains, derivative's filter": f"{each.gains}, {filters[each.filter_hz]}",
+            "tick rate": f"{each.rate_hz:g} Hz",
+            "explicit, pole": pole(each.explicit_radius),
+            "explicit": rmse(each.explicit_n),
+            "shipped, pole": pole(each.shipped_radius),
+            "shipped": each.refused or rmse(each.shipped_n),
+            "delay margin": f"{each.margin_ticks:.2f}",
+            "a tick late": each.refused or rmse(each.late_n),
+        }
+        for each in rates
+    ]
     return Table.of(
         "The paper's gains over tick rates: explicit against shipped",
         rows,

@@ -5,7 +5,6 @@ controller removes. The paper's own experiment (section 5, Figs 17 to 20) is run
 the first chapter.
 """
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -15,7 +14,6 @@ from numpy.typing import NDArray
 from display_node.control.force_loop import build_force_loop
 from display_node.plant.film import FilmTable
 from display_node.plant.stepper import StepperScene
-from protocol.config.scene import SectionT
 from protocol.config.scene_file import find_scene
 from protocol.errors import SceneError
 from sensing_node.scene import build_source
@@ -28,6 +26,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 Floats = NDArray[np.float64]
+Changes = dict[str, object]
 SETTLING_S = 2.0
 SHOWN_S = (3.0, 4.8)
 
@@ -92,17 +91,9 @@ class BenchResult:
         return "refused" if self.force_rmse_n is None else f"{1e3 * self.force_rmse_n:.2f} mN"
 
 
-def clean_bench() -> Scene:
-    """Load a physical stepper whose film is read without error. Raises SceneError."""
-    return load_scene(find_scene("bench"))
-
-
-def real_bench() -> Scene:
-    """Load a stepper with backlash, a ringing rotor and a slow, noisy, coarse film.
-
-    Raises SceneError.
-    """
-    return load_scene(find_scene("real_bench"))
+def load_bench(name: str = "real_bench") -> Scene:
+    """Load a shipped stepper bench; "bench" is the one without imperfections. Raises SceneError."""
+    return load_scene(find_scene(name))
 
 
 def microstep_rmse_n(scene: Scene) -> float:
@@ -117,54 +108,51 @@ def microstep_rmse_n(scene: Scene) -> float:
 def run_controllers(scene: Scene) -> list[BenchResult]:
     """Run the scene's bench under controllers that model more of it, step by step."""
     ours = scene.display.controller
-    on_film: dict[str, object] = {"observer": None, "feed_forward": False}
-    paper_gains: dict[str, object] = {"kp": 15.0, "ki": 0.15, "kd": 0.03, "error": "millivolts"}
-    steps: dict[str, dict[str, object]] = {
+    on_film: Changes = {"observer": None, "feed_forward": False}
+    paper_gains: Changes = {"kp": 15.0, "ki": 0.15, "kd": 0.03, "error": "millivolts"}
+    steps: dict[str, Changes] = {
         "the paper's PID gains, on the film's reading in mV": on_film | paper_gains,
         "proportional gain, on the film's reading": on_film,
         "+ feed-forward with preview": {"observer": None},
     }
     if ours.observer is not None:
-        fixed = _changed(ours.observer, {"softening": 0.0})
+        fixed = ours.observer.model_copy(update={"softening": 0.0})
         steps["+ observer instead of the film's reading"] = {"observer": fixed}
         steps["+ observer adapts to the finger (as shipped)"] = {}
-    return [
-        _run(name, _with(scene, controller=_changed(ours, changes)))
-        for name, changes in steps.items()
-    ]
+    return [_run(name, _with_controller(scene, changes)) for name, changes in steps.items()]
 
 
 def run_imperfections() -> list[tuple[BenchResult, BenchResult]]:
     """Run each part of the real bench alone: on the film's reading, and with the observer."""
-    real, ideal = real_bench(), FilmTable()
+    real, ideal = load_bench(), FilmTable()
     actuator, film = _stepper(real), real.display.film
-    no_rotor: dict[str, object] = {"rotor_resonance_hz": None}
-    no_backlash: dict[str, object] = {"backlash_m": 0.0}
-    still = _changed(actuator, no_rotor | no_backlash)
-    adc = _changed(film, {"filter_hz": None, "noise_n": 0.0})
-    benches: dict[str, tuple[StepperScene, FilmTable]] = {
+    no_rotor: Changes = {"rotor_resonance_hz": None}
+    no_backlash: Changes = {"backlash_m": 0.0}
+    still = actuator.model_copy(update=no_rotor | no_backlash)
+    benches = {
         "none of them": (still, ideal),
-        "film's filter, 40 Hz": (still, _changed(ideal, {"filter_hz": film.filter_hz})),
-        "noise, 1 mN": (still, _changed(ideal, {"noise_n": film.noise_n})),
-        "ADC, 16 bits of ±10 V at 44 mV/N": (still, adc),
-        "backlash, 10 µm": (_changed(actuator, no_rotor), ideal),
-        "rotor, 100 Hz, ζ 0.2": (_changed(actuator, no_backlash), ideal),
+        "film's filter, 40 Hz": (still, ideal.model_copy(update={"filter_hz": film.filter_hz})),
+        "noise, 1 mN": (still, ideal.model_copy(update={"noise_n": film.noise_n})),
+        "ADC, 16 bits of ±10 V at 44 mV/N": (
+            still,
+            film.model_copy(update={"filter_hz": None, "noise_n": 0.0}),
+        ),
+        "backlash, 10 µm": (actuator.model_copy(update=no_rotor), ideal),
+        "rotor, 100 Hz, ζ 0.2": (actuator.model_copy(update=no_backlash), ideal),
         "all of them": (actuator, film),
     }
-    without_observer = _changed(real.display.controller, {"observer": None})
-    return [
-        (
-            _run(name, _with(real, actuator=stepper, film=table, controller=without_observer)),
-            _run(name, _with(real, actuator=stepper, film=table)),
-        )
-        for name, (stepper, table) in benches.items()
-    ]
+    results = []
+    for name, (stepper, table) in benches.items():
+        observed = _with(real, actuator=stepper, film=table)
+        reading = _with_controller(observed, {"observer": None})
+        results.append((_run(name, reading), _run(name, observed)))
+    return results
 
 
 def run_wrong_models() -> list[BenchResult]:
     """Run the real bench with a controller whose model of it is wrong."""
-    real = real_bench()
-    wrong: dict[str, dict[str, float]] = {
+    real = load_bench()
+    wrong: dict[str, Changes] = {
         "as modelled": {},
         "fingertip 20 % softer": {"fingertip_n_per_m": 800.0},
         "fingertip 20 % stiffer": {"fingertip_n_per_m": 1200.0},
@@ -177,30 +165,31 @@ def run_wrong_models() -> list[BenchResult]:
         "rotor's ζ is 0.1": {"rotor_damping": 0.1},
         "tip of 3 mm": {"tip_radius_m": 3e-3},
     }
-    return [_run(name, real, _changed(_stepper(real), changes)) for name, changes in wrong.items()]
+    actuator = _stepper(real)
+    return [
+        _run(name, real, actuator.model_copy(update=changes)) for name, changes in wrong.items()
+    ]
 
 
 def other_benches() -> list[BenchResult]:
     """Run other films, leads and loop rates than the shipped scenes have."""
-    clean, real = clean_bench(), real_bench()
-    films: dict[str, dict[str, object]] = {
+    clean, real = load_bench("bench"), load_bench()
+    films: dict[str, Changes] = {
         "real, film by eq 21: 5305 mV/N": {"sensitivity_v_per_n": None, "adc_range_v": 15.0},
         "real, filter of two poles": {"filter_order": 2},
         "real, filter at 20 Hz": {"filter_hz": 20.0},
     }
-    benches = {
-        f"clean, lead {mm} mm": _with(
-            clean, actuator=_changed(_stepper(clean), {"lead_m": mm * 1e-3})
-        )
-        for mm in (1, 2, 6)
-    }
+    benches = {}
+    for mm in (1, 2, 6):
+        lead = _stepper(clean).model_copy(update={"lead_m": mm * 1e-3})
+        benches[f"clean, lead {mm} mm"] = _with(clean, actuator=lead)
     for rate_hz in (500, 200):
         # The pulse's samples come at the loop's rate.
-        source = _changed(real.sensing.source, {"rate_hz": float(rate_hz)})
-        slow = replace(real, sensing=_changed(real.sensing, {"source": source}))
+        source = real.sensing.source.model_copy(update={"rate_hz": float(rate_hz)})
+        slow = replace(real, sensing=real.sensing.model_copy(update={"source": source}))
         benches[f"real, {rate_hz} Hz loop"] = _with(slow, tick_ns=round(1e9 / rate_hz))
     for name, changes in films.items():
-        benches[name] = _with(real, film=_changed(real.display.film, changes))
+        benches[name] = _with(real, film=real.display.film.model_copy(update=changes))
     return [_run(name, scene) for name, scene in benches.items()]
 
 
@@ -212,11 +201,11 @@ def _run(name: str, scene: Scene, actual: StepperScene | None = None) -> BenchRe
 
 
 def _with(scene: Scene, **keys_of_display: object) -> Scene:
-    return replace(scene, display=_changed(scene.display, keys_of_display))
+    return replace(scene, display=scene.display.model_copy(update=keys_of_display))
 
 
-def _changed(section: SectionT, changes: Mapping[str, object]) -> SectionT:
-    return section.model_copy(update=dict(changes))
+def _with_controller(scene: Scene, changes: Changes) -> Scene:
+    return _with(scene, controller=scene.display.controller.model_copy(update=changes))
 
 
 def _stepper(scene: Scene) -> StepperScene:
@@ -237,8 +226,8 @@ def chapter() -> Chapter:
         " over ±10 V, which at Fig. 4's 44 mV/N is 6.9 mN a step. All errors are force RMSE"
         " over the first 6 s, as the paper's; the scenes are bench and real_bench.",
         "A stepper can do no better than one microstep: the nearest one at every tick would"
-        f" leave {1e3 * microstep_rmse_n(clean_bench()):.2f} mN. The paper's experiment printed"
-        f" {1e3 * published.EXPERIMENT_FORCE_RMSE_N:.1f} mN.",
+        f" leave {1e3 * microstep_rmse_n(load_bench('bench')):.2f} mN. The paper's experiment"
+        f" printed {1e3 * published.MEASURED_FORCE.force_n:.1f} mN.",
         "Three things reduce the error. Feed-forward: the reference's next samples are known,"
         " so the screw moves to the position that contact, rotor and backlash require, before any"
         " error appears. An observer: models of drive and film run in step with them, so that the"
@@ -251,34 +240,31 @@ def chapter() -> Chapter:
         "The real bench: force at the finger when the controller takes the film's reading for the"
         " force, and with feed-forward and observer."
     )
-    real = real_bench()
-    on_film = _changed(real.display.controller, {"observer": None, "feed_forward": False})
-    reading, shipped = run_scene(_with(real, controller=on_film)), run_scene(real)
+    real = load_bench()
+    on_film = _with_controller(real, {"observer": None, "feed_forward": False})
+    reading, shipped = run_scene(on_film), run_scene(real)
     plot = Plot("real-bench", caption, lambda figure: _draw(figure, reading, shipped))
     return Chapter("The same pulse on a physical stepper", paragraphs, _tables(), (plot,))
 
 
 def _tables() -> list[Table]:
-    on_clean = {result.name: str(result) for result in run_controllers(clean_bench())}
-    on_real = run_controllers(real_bench())
+    clean, real = load_bench("bench"), load_bench()
+    on_clean = {result.name: str(result) for result in run_controllers(clean)}
+    on_real = run_controllers(real)
     refused = [result.refused for result in on_real if result.refused]
-    wrong, others = (
-        [(each.name, str(each)) for each in results]
-        for results in (run_wrong_models(), other_benches())
-    )
     margins = []
-    for name, scene in (("clean bench", clean_bench()), ("real bench", real_bench())):
-        design = judge(scene.display, scene.display.controller)
+    for name, display in (("clean bench", clean.display), ("real bench", real.display)):
+        design = judge(display, display.controller)
         worst = design.worst
         margins.append(
-            {
-                "loop": name,
-                "kp": f"{design.controller.kp:g} /s",
-                "gain margin": f"{worst.gain:.3g}",
-                "phase margin": f"{worst.phase_deg:.0f}°",
-                "delay margin": f"{1e3 * worst.delay_s:.3g} ms",
-                "Ms": f"{worst.peak_sensitivity:.2f}",
-            }
+            (
+                name,
+                f"{design.controller.kp:g} /s",
+                f"{worst.gain:.3g}",
+                f"{worst.phase_deg:.0f}°",
+                f"{1e3 * worst.delay_s:.3g} ms",
+                f"{worst.peak_sensitivity:.2f}",
+            )
         )
     return [
         Table(
@@ -290,15 +276,21 @@ def _tables() -> list[Table]:
         Table(
             "Error that each part of the real bench adds alone",
             ("part", "with feed-forward, on the film's reading", "with the observer"),
-            [
-                (reading.name, str(reading), str(observed))
-                for reading, observed in run_imperfections()
-            ],
+            [(reading.name, str(reading), str(seen)) for reading, seen in run_imperfections()],
         ),
-        Table("A wrong model of the real bench", ("the real bench has", "force RMSE"), wrong),
-        Table("Other benches", ("bench", "force RMSE"), others),
-        Table.of(
+        Table(
+            "A wrong model of the real bench",
+            ("the real bench has", "force RMSE"),
+            [(each.name, str(each)) for each in run_wrong_models()],
+        ),
+        Table(
+            "Other benches",
+            ("bench", "force RMSE"),
+            [(each.name, str(each)) for each in other_benches()],
+        ),
+        Table(
             "Margins of the two loops, as `telepulse tune` designs them",
+            ("loop", "kp", "gain margin", "phase margin", "delay margin", "Ms"),
             margins,
             "The observer's gains solve a Riccati equation for the film's noise and a finger"
             " that wanders 20 µm in 1 s. kp minimises the effect of film noise and finger"

@@ -3,7 +3,6 @@
 Errors are against the exact zero-order hold in 40 decimal digits; costs are processor time.
 """
 
-import itertools
 import math
 import statistics
 import time
@@ -11,6 +10,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from decimal import Decimal, localcontext
 from functools import partial
+from importlib.util import find_spec
 from typing import TYPE_CHECKING, NamedTuple
 
 from protocol.config.scene import load_section
@@ -18,22 +18,9 @@ from protocol.config.scene_file import find_scene
 from protocol.errors import SceneError
 from sensing_node.scene import SensingScene
 from sensing_node.sources.synthetic import SyntheticScene
-from telepulse.reports.document import Chapter, Plot, Report, Table
+from telepulse.reports.document import STYLES, Chapter, Plot, Report, Table
 from telepulse.reports.studies import integrators
-from telepulse.reports.studies.integrators import (
-    PAPER_PLANT,
-    DiscretePid,
-    Plant,
-    Solver,
-    Step,
-    close_loop,
-    decimals,
-    exact_hold,
-    loop_radius,
-    open_loop,
-    paper_pid,
-    pulse_from_rest,
-)
+from telepulse.reports.studies.integrators import PAPER_PLANT, Plant, Solver, Step, decimals
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -43,6 +30,12 @@ LSIM = "scipy lsim"
 CONTROL = "python-control forced_response"
 NOT_INSTALLED = "not installed: pip install 'telepulse[bench]'"
 DEFAULT = "exact zero-order hold (shipped)"
+# Methods that are written out here; all others but the default call a library.
+WRITTEN_OUT = {
+    "RK4": integrators.rk4,
+    "semi-implicit Euler": integrators.semi_implicit_euler,
+    "explicit Euler": integrators.explicit_euler,
+}
 TICK_S = 1e-3
 BEAT_S = 0.8
 DIGITS, MORE_DIGITS = 40, 60
@@ -54,8 +47,6 @@ ROTOR_TICKS_S = (1e-4, 1e-3, 1e-2)
 ROUNDING = 1e-14
 # A trajectory further from the reference than this many times the pulse has diverged.
 GROWN = 10.0
-# Markers and lines, by which overlapping families can be distinguished.
-STYLES = ("o-", "s-", "x--", "^-", "v-", "P-", "<-", ">-")
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,15 +67,11 @@ class IntegratorEffort:
 
 
 class Method(NamedTuple):
-    """An integrator at one setting, for any plant and tick in s.
-
-    Methods of one family are one line of the plot.
-    """
+    """An integrator at one setting, for any plant and tick in s; a family is a line of the plot."""
 
     family: str
     name: str
     make: Callable[[Plant[float], float], Step[float]]
-    library: bool = False
 
 
 class IntegratorPoint(NamedTuple):
@@ -94,15 +81,14 @@ class IntegratorPoint(NamedTuple):
     name: str
     error: float
     cost_us: float
-    library: bool = False
 
 
 class IntegratorScores(NamedTuple):
     """One point for each method on the paper's loop; rotors' errors by damping, method and tick.
 
     Errors are over the pulse's peak to peak. digits_error compares the loop's reference with the
-    same in more digits, method_error with RK4 in as many digits. whole_us is the cost in µs per
-    tick of one lsim call for all voltages, without a loop.
+    same in more digits, method_error with RK4. whole_us is the cost in µs per tick of one lsim
+    call for all voltages, without a loop.
     """
 
     points: list[IntegratorPoint]
@@ -118,35 +104,37 @@ def score_integrators(effort: IntegratorEffort) -> IntegratorScores:
     scene = load_section(path, "sensing", SensingScene).source
     if not isinstance(scene, SyntheticScene):
         raise SceneError(f"{path}: [sensing.source]: this study needs a synthetic pulse")
-    pulse_n, plant = pulse_from_rest(scene, effort.seconds, TICK_S), PAPER_PLANT
+    pulse_n, plant = integrators.pulse_from_rest(scene, effort.seconds, TICK_S), PAPER_PLANT
 
     def true_loop(
-        stepper: Callable[[Plant[Decimal], Decimal], Step[Decimal]], digits: int
+        make: Callable[[], Step[Decimal]], digits: int
     ) -> tuple[list[Decimal], list[Decimal]]:
         with localcontext(prec=digits):
-            step = stepper(Plant(*decimals(plant)), Decimal(TICK_S))
-            return close_loop(step, DiscretePid(*decimals(paper_pid(TICK_S))), decimals(pulse_n))
+            return integrators.close_loop(make(), TICK_S, decimals(pulse_n))
 
-    truth_n, true_voltages = true_loop(exact_hold, DIGITS)
-    more_n, _ = true_loop(exact_hold, MORE_DIGITS)
-    other_n, _ = true_loop(partial(integrators.rk4, substeps=CHECK_SUBSTEPS), DIGITS)
+    hold = partial(integrators.exact_hold, plant, TICK_S)
+    exact_plant = Plant(*decimals(plant))
+    rk4 = partial(integrators.rk4, exact_plant, Decimal(TICK_S), CHECK_SUBSTEPS)
+    truth_n, true_voltages = true_loop(hold, DIGITS)
+    more_n, _ = true_loop(hold, MORE_DIGITS)
+    other_n, _ = true_loop(rk4, DIGITS)
     voltages = [float(volts) for volts in true_voltages]
     tested = methods(effort.substeps, effort.solvers)
     makes = [partial(method.make, plant, TICK_S) for method in tested]
     costs = costs_us(makes, voltages[: round(BEAT_S / TICK_S)], effort.rounds)
     points = []
     for method, make, cost_us in zip(tested, makes, costs, strict=True):
-        forces_n, _ = close_loop(make(), paper_pid(TICK_S), pulse_n)
-        error = largest_error(decimals(forces_n), truth_n) / scene.peak_to_peak_n
-        points.append(IntegratorPoint(method.family, method.name, error, cost_us, method.library))
+        forces_n, _ = integrators.close_loop(make(), TICK_S, pulse_n)
+        error = integrators.largest_error(decimals(forces_n), truth_n) / scene.peak_to_peak_n
+        points.append(IntegratorPoint(method.family, method.name, error, cost_us))
     began_s = time.process_time()
     integrators.lsim_whole(plant, TICK_S, voltages)
     whole_us = (time.process_time() - began_s) / len(voltages) * 1e6
     on_rotor = methods(substeps=(1,), solvers=(("RK45", 1e-6),))
     return IntegratorScores(
         points,
-        largest_error(more_n, truth_n) / scene.peak_to_peak_n,
-        largest_error(other_n, truth_n) / scene.peak_to_peak_n,
+        integrators.largest_error(more_n, truth_n) / scene.peak_to_peak_n,
+        integrators.largest_error(other_n, truth_n) / scene.peak_to_peak_n,
         whole_us,
         {
             damping: {each.name: score_rotor(each, damping, scene, effort) for each in on_rotor}
@@ -158,34 +146,20 @@ def score_integrators(effort: IntegratorEffort) -> IntegratorScores:
 def methods(substeps: Sequence[int], solvers: Sequence[tuple[Solver, float]]) -> list[Method]:
     """Return the default method, then the others; python-control's only where it is installed.
 
-    substeps: numbers of sub-steps in a tick for the methods that are written out here. solvers:
-    methods of solve_ivp, each with its rtol.
+    substeps: sub-steps in a tick, of the written-out methods. solvers: of solve_ivp, with rtol.
     """
     found = [Method(DEFAULT, DEFAULT, integrators.shipped)]
-    for family, stepper in (
-        ("RK4", integrators.rk4),
-        ("semi-implicit Euler", integrators.semi_implicit_euler),
-        ("explicit Euler", integrators.explicit_euler),
-    ):
+    for family, stepper in WRITTEN_OUT.items():
         for count in substeps:
             found.append(Method(family, f"{family} × {count}", partial(stepper, substeps=count)))
     for solver, rtol in solvers:
         steps = partial(integrators.solve_ivp_steps, method=solver, rtol=rtol)
         family = f"solve_ivp {solver}"
-        found.append(Method(family, f"{family} rtol {rtol:.0e}", steps, library=True))
-    found.append(Method(LSIM, LSIM, integrators.lsim_steps, library=True))
-    if has_control():
-        found.append(Method(CONTROL, CONTROL, integrators.control_steps, library=True))
+        found.append(Method(family, f"{family} rtol {rtol:.0e}", steps))
+    found.append(Method(LSIM, LSIM, integrators.lsim_steps))
+    if find_spec("control") is not None:
+        found.append(Method(CONTROL, CONTROL, integrators.control_steps))
     return found
-
-
-def has_control() -> bool:
-    """Return whether python-control can be imported."""
-    try:
-        import control  # noqa: F401
-    except ImportError:
-        return False
-    return True
 
 
 def costs_us(
@@ -223,21 +197,15 @@ def score_rotor(
     plant = Plant(1.0, 2 * damping * omega, omega**2)
     errors = []
     for tick_s in ROTOR_TICKS_S:
-        pulse_n = pulse_from_rest(scene, effort.rotor_seconds, tick_s)
+        pulse_n = integrators.pulse_from_rest(scene, effort.rotor_seconds, tick_s)
         voltages = [plant.k * force_n for force_n in pulse_n]
         with localcontext(prec=DIGITS):
-            true_step = exact_hold(Plant(*decimals(plant)), Decimal(tick_s))
-            truth_n = open_loop(true_step, decimals(voltages))
-        forces_n = open_loop(method.make(plant, tick_s), voltages)
-        errors.append(largest_error(decimals(forces_n), truth_n) / scene.peak_to_peak_n)
+            true_step = integrators.exact_hold(plant, tick_s)
+            truth_n = [true_step(volts) for volts in decimals(voltages)]
+        step = method.make(plant, tick_s)
+        forces_n = [step(volts) for volts in voltages]
+        errors.append(integrators.largest_error(decimals(forces_n), truth_n) / scene.peak_to_peak_n)
     return errors
-
-
-def largest_error(forces_n: Sequence[Decimal], truth_n: Sequence[Decimal]) -> float:
-    """Return the largest difference in N; infinite where a trajectory overflowed."""
-    if not all(force_n.is_finite() for force_n in forces_n):
-        return math.inf
-    return float(max(abs(a - b) for a, b in zip(forces_n, truth_n, strict=True)))
 
 
 def report_integrators(scores: IntegratorScores, effort: IntegratorEffort) -> Report:
@@ -249,10 +217,9 @@ def report_integrators(scores: IntegratorScores, effort: IntegratorEffort) -> Re
 
 
 def _loop_chapter(scores: IntegratorScores, effort: IntegratorEffort) -> Chapter:
-    points = scores.points
-    radius = loop_radius(PAPER_PLANT, TICK_S)
+    points, radius = scores.points, integrators.loop_radius(PAPER_PLANT, TICK_S)
     paragraphs = (
-        verdict(points[0], points),
+        verdict(points),
         f"The paper's pulse for {effort.seconds:g} s, the experiment's gains of Table 5 (on the"
         " error in millivolts by eq 21, its derivative filtered), the actuator of eq 22 with"
         f" Table 4. The controller's tick is {TICK_S * 1e3:g} ms and the voltage is held over"
@@ -273,17 +240,12 @@ def _loop_chapter(scores: IntegratorScores, effort: IntegratorEffort) -> Chapter
         " hollow; in the shaded band, errors are rounding and count as equal."
     )
     plot = Plot("work-precision", caption, lambda figure: _draw(figure, points))
-    return Chapter("The paper's loop", paragraphs, _loop_tables(scores), (plot,))
-
-
-def _loop_tables(scores: IntegratorScores) -> tuple[Table, Table]:
-    points, default = scores.points, scores.points[0]
     rows = [
         {
             "integrator": point.name,
             "error": f"{point.error:.1e}",
             "µs a step": f"{point.cost_us:.2f}",
-            "× default": f"{point.cost_us / default.cost_us:.1f}",
+            "× default": f"{point.cost_us / points[0].cost_us:.1f}",
             "frontier": "" if beaten_by(point, points) else "yes",
         }
         for point in points
@@ -291,21 +253,22 @@ def _loop_tables(scores: IntegratorScores) -> tuple[Table, Table]:
     if CONTROL not in {point.name for point in points}:
         rows.append(dict.fromkeys(rows[0], "") | {"integrator": f"{CONTROL}: {NOT_INSTALLED}"})
     note = (
-        f"{verdict(default, points)} × n: n sub-steps per tick. On the frontier: no other row"
+        f"{verdict(points)} × n: n sub-steps per tick. On the frontier: no other row"
         f" is both as accurate and as fast, where errors below {ROUNDING:g} are rounding and count"
         " as equal."
     )
     rk4 = f"{DIGITS} digits, against RK4 with {CHECK_SUBSTEPS} sub-steps in {DIGITS} digits"
-    differences = [
-        (f"{DIGITS} digits, against {MORE_DIGITS} digits", f"{scores.digits_error:.1e}"),
-        (rk4, f"{scores.method_error:.1e}"),
-    ]
-    columns = ("the whole loop in exact zero-order hold and decimals", "difference")
-    reference = "Over the pulse's peak to peak, as the errors above."
-    return (
-        Table.of("Cost per step against error", rows, note),
-        Table("Error of the reference", columns, differences, reference),
+    reference = Table(
+        "Error of the reference",
+        ("the whole loop in exact zero-order hold and decimals", "difference"),
+        [
+            (f"{DIGITS} digits, against {MORE_DIGITS} digits", f"{scores.digits_error:.1e}"),
+            (rk4, f"{scores.method_error:.1e}"),
+        ],
+        "Over the pulse's peak to peak, as the errors above.",
     )
+    tables = (Table.of("Cost per step against error", rows, note), reference)
+    return Chapter("The paper's loop", paragraphs, tables, (plot,))
 
 
 def _rotor_chapter(scores: IntegratorScores, effort: IntegratorEffort) -> Chapter:
@@ -314,7 +277,7 @@ def _rotor_chapter(scores: IntegratorScores, effort: IntegratorEffort) -> Chapte
         f"Eq 22 as a rotor that resonates at {ROTOR_HZ:g} Hz. A voltage of k times the pulse"
         f" is held over each tick for {effort.rotor_seconds:g} s, without a controller, so that"
         " any growth comes from the integrator. (The paper's gains on the paper's plant have a"
-        f" spectral radius of {loop_radius(PAPER_PLANT, last_s):.2g} at a tick of"
+        f" spectral radius of {integrators.loop_radius(PAPER_PLANT, last_s):.2g} at a tick of"
         f" {last_s * 1e3:g} ms, with any integrator.)"
     )
     tables = [
@@ -341,17 +304,19 @@ def beaten_by(point: IntegratorPoint, points: Sequence[IntegratorPoint]) -> list
     def figures(of: IntegratorPoint) -> tuple[float, float]:
         return max(of.error, ROUNDING), of.cost_us
 
-    (error, cost_us), better = figures(point), []
-    for other in points:
-        if figures(other) != (error, cost_us):
-            other_error, other_cost_us = figures(other)
-            if other_error <= error and other_cost_us <= cost_us:
-                better.append(other)
-    return better
+    error, cost_us = figures(point)
+    return [
+        other
+        for other in points
+        if figures(other) != (error, cost_us)
+        and figures(other)[0] <= error
+        and figures(other)[1] <= cost_us
+    ]
 
 
-def verdict(default: IntegratorPoint, points: Sequence[IntegratorPoint]) -> str:
-    """Return a sentence on whether the default is on the frontier of these points."""
+def verdict(points: Sequence[IntegratorPoint]) -> str:
+    """Return a sentence on whether the default, the first of the points, is on the frontier."""
+    default = points[0]
     better = beaten_by(default, points)
     if better:
         names = "; ".join(other.name for other in better)
@@ -370,9 +335,9 @@ def _draw(figure: "Figure", points: Sequence[IntegratorPoint]) -> None:
     axes.axhspan(1e-17, ROUNDING, color=rcParams["grid.color"], alpha=0.5, linewidth=0)
     families = dict.fromkeys(point.family for point in points[1:])
     axes.plot(default.cost_us, default.error, "*", markersize=16, label=default.family)
-    for style, family in zip(itertools.cycle(STYLES), families, strict=False):
+    for style, family in zip(STYLES, families, strict=False):
         line = [point for point in points if point.family == family]
-        fill = "none" if line[0].library else "full"
+        fill = "full" if family in WRITTEN_OUT else "none"
         costs_us, errors = [point.cost_us for point in line], [point.error for point in line]
         axes.plot(costs_us, errors, style, fillstyle=fill, label=family)
     axes.set(xscale="log", xlabel="cost of a step (µs)")

@@ -97,8 +97,8 @@ def shipped(plant: Plant[float], tick_s: float) -> Step[float]:
     return SecondOrder(scene, tick_s).step
 
 
-def exact_hold(plant: Plant[Decimal], tick_s: Decimal) -> Step[Decimal]:
-    """Step by the exact zero-order hold in the decimal context's digits."""
+def exact_hold(plant: Plant[float], tick_s: float) -> Step[Decimal]:
+    """Step decimals by the exact zero-order hold, in the decimal context's digits."""
     (a11, a12, b1), (a21, a22, b2), _ = held_matrix(plant, tick_s)
     force = rate = Decimal(0)
 
@@ -110,14 +110,13 @@ def exact_hold(plant: Plant[Decimal], tick_s: Decimal) -> Step[Decimal]:
     return step
 
 
-def held_matrix(plant: Plant[Decimal], tick_s: Decimal) -> list[list[Decimal]]:
+def held_matrix(plant: Plant[float], tick_s: float) -> list[list[Decimal]]:
     """Return the 3 × 3 map of (force, rate, held voltage) over a tick, in the context's digits.
 
     The exponential of eq 22's matrix, by scaling and squaring of a Taylor series.
     """
-    zero, (m, c, k) = Decimal(0), plant
-    rows = [[zero, tick_s, zero], [-k / m * tick_s, -c / m * tick_s, tick_s / m], [zero] * 3]
-    system = np.array(rows, object)
+    zero, m, c, k, h = decimals((0.0, *plant, tick_s))
+    system = np.array([[zero, h, zero], [-k / m * h, -c / m * h, h / m], [zero] * 3], object)
     halvings = order = 0
     while abs(system).max() > 1:
         system = system / 2
@@ -254,9 +253,13 @@ def pid_step(
 
 
 def close_loop(
-    step: Step[Number], pid: DiscretePid[Number], reference_n: Sequence[Number]
+    step: Step[Number], tick_s: float, reference_n: Sequence[Number]
 ) -> tuple[list[Number], list[Number]]:
-    """Follow a reference from rest; return the force in N after, and the voltage in each tick."""
+    """Follow a reference from rest under `paper_pid`, in the numbers of the reference.
+
+    Returns the force in N after, and the voltage in each tick.
+    """
+    pid = DiscretePid(*map(type(reference_n[0]), paper_pid(tick_s)))
     force_n = reference_n[0] * 0
     state = (force_n, force_n, force_n)
     forces_n, voltages = [], []
@@ -268,20 +271,22 @@ def close_loop(
     return forces_n, voltages
 
 
-def open_loop(step: Step[Number], voltages: Iterable[Number]) -> list[Number]:
-    """Return the force in N after each tick of given voltages, without a controller."""
-    return [step(volts) for volts in voltages]
-
-
 def decimals(numbers: Iterable[float]) -> list[Decimal]:
     """Convert floats to decimals, digit for digit."""
     return [Decimal(number) for number in numbers]
 
 
+def largest_error(forces_n: Sequence[Decimal], truth_n: Sequence[Decimal]) -> float:
+    """Return the largest difference in N; infinite where a trajectory overflowed."""
+    if not all(force_n.is_finite() for force_n in forces_n):
+        return math.inf
+    return float(max(abs(a - b) for a, b in zip(forces_n, truth_n, strict=True)))
+
+
 def loop_radius(plant: Plant[float], tick_s: float) -> float:
     """Return the spectral radius of the closed loop over a tick; below 1 it is stable."""
     with localcontext(prec=40):
-        held = held_matrix(Plant(*decimals(plant)), Decimal(tick_s))
+        held = held_matrix(plant, tick_s)
     pid, columns = paper_pid(tick_s), []
     # The map is linear: its columns are the images of the unit states.
     for force, rate, *state in np.eye(5).tolist():

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 FRAME_NS = 5_000_000
+FRAME_MS = FRAME_NS / 1e6
 SECONDS = 300.0
 DELAY_MS = 20.0
 JITTER_MS = 3.0
@@ -174,7 +175,7 @@ def best_constant_ms(delay_ms: Milliseconds, late: float) -> float:
     return float(np.sort(delay_ms)[::-1][allowed])
 
 
-def best_moving(delay_ms: Milliseconds, late: float, frame_ms: float) -> Optimum:
+def best_moving(delay_ms: Milliseconds, late: float) -> Optimum:
     """Find the smallest mean delay with at most this late share and a slew of at most 5 %.
 
     The cost of a path is its mean delay plus a price times its late share (Lagrangian). Bisection
@@ -182,11 +183,11 @@ def best_moving(delay_ms: Milliseconds, late: float, frame_ms: float) -> Optimum
     bound min(mean + p · share) − p · late.
     """
     low, high = LEAST_MS, MOST_MS
-    best = cheapest(delay_ms, high, frame_ms)
+    best = cheapest(delay_ms, high)
     bound_ms = best.delay_ms + high * (best.late - late)
     while high > low * RESOLUTION:
         price_ms = float(np.sqrt(low * high))
-        path = cheapest(delay_ms, price_ms, frame_ms)
+        path = cheapest(delay_ms, price_ms)
         bound_ms = max(bound_ms, path.delay_ms + price_ms * (path.late - late))
         if path.late <= late:
             high = price_ms
@@ -196,13 +197,13 @@ def best_moving(delay_ms: Milliseconds, late: float, frame_ms: float) -> Optimum
     return Optimum(bound_ms, best)
 
 
-def cheapest(delay_ms: Milliseconds, price_ms: float, frame_ms: float) -> MovingDelay:
+def cheapest(delay_ms: Milliseconds, price_ms: float) -> MovingDelay:
     """Find the moving delay of least mean + price · late share, by dynamic programming.
 
     A step is two frames. Levels are as far apart as the slew allows in one step, so the next step
     is at the same or a neighbouring level. Frames after the last whole step are left out.
     """
-    level_ms = SLEW * FRAMES_A_STEP * frame_ms
+    level_ms = SLEW * FRAMES_A_STEP * FRAME_MS
     lowest = int(np.floor(delay_ms.min() / level_ms))
     highest = int(np.ceil(delay_ms.max() / level_ms))
     levels_ms = level_ms * np.arange(lowest, highest + 1, dtype=np.float64)

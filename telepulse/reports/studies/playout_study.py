@@ -4,7 +4,6 @@ It reports mean delays at 1 % late, targets, rules at their defaults, and curves
 the late share.
 """
 
-import itertools
 import math
 from collections.abc import Callable, Container, Mapping
 from dataclasses import dataclass
@@ -12,26 +11,8 @@ from functools import partial
 from typing import TYPE_CHECKING, NamedTuple
 
 from display_node.reception.playout import LATE_TARGET, DelayEstimator
-from telepulse.reports.document import Chapter, Plot, Report, Table
-from telepulse.reports.studies.playout_links import (
-    BURSTS,
-    DENSE,
-    FAST,
-    FRAME_NS,
-    GAUSSIAN,
-    LINKS,
-    RANDOM,
-    ROUTE,
-    SECONDS,
-    SHORT_BURSTS,
-    SLOW,
-    SPIKES,
-    TCP,
-    best_constant_ms,
-    best_moving,
-    cheapest,
-    make_trace,
-)
+from telepulse.reports.document import STYLES, Chapter, Plot, Report, Table, text_colour
+from telepulse.reports.studies import playout_links as links
 from telepulse.reports.studies.playout_rules import (
     FixedDelay,
     MakeRule,
@@ -48,7 +29,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 MS = 1e6
-FRAME_MS = FRAME_NS / MS
 # Weights of lateness in the optimum's cost: ms of mean delay per unit of late share.
 PRICES_MS = (10.0, 30.0, 100.0, 300.0, 1_000.0, 3_000.0, 10_000.0, 30_000.0)
 
@@ -63,10 +43,6 @@ class TunedRule(NamedTuple):
     default: float
 
 
-def _fixed(reserve_ms: float) -> FixedDelay:
-    return FixedDelay(round(reserve_ms * MS))
-
-
 OURS = "ours"
 RULES: dict[str, TunedRule] = {
     OURS: TunedRule(
@@ -76,28 +52,29 @@ RULES: dict[str, TunedRule] = {
     "Ramjee 4": TunedRule(Ramjee4, "β", 60.0, 0.5, 4.0),
     "Moon percentile": TunedRule(MoonPercentile, "late target", 1e-4, 0.3, 0.01),
     "NetEQ-like": TunedRule(NetEqLike, "late target", 1e-4, 0.999, 0.05),
-    "fixed": TunedRule(_fixed, "reserve in ms", 600.0, 1.0, 40.0),
+    "fixed": TunedRule(
+        lambda reserve_ms: FixedDelay(round(reserve_ms * MS)), "reserve in ms", 600.0, 1.0, 40.0
+    ),
 }
 CONSTANT, MOVING = "best constant", "best moving, 5 %"
 # Greatest permitted ratio of our mean delay to the optimum's, both at 1 % late.
 TARGETS = (
-    (GAUSSIAN, CONSTANT, 1.05),
-    (SPIKES, CONSTANT, 1.05),
-    (GAUSSIAN, MOVING, 1.15),
-    (ROUTE, MOVING, 1.15),
-    (FAST, MOVING, 1.15),
-    (SLOW, MOVING, 1.15),
-    (BURSTS, MOVING, 1.2),
-    (RANDOM, MOVING, 1.6),
-    (TCP, MOVING, 1.7),
+    (links.GAUSSIAN, CONSTANT, 1.05),
+    (links.SPIKES, CONSTANT, 1.05),
+    (links.GAUSSIAN, MOVING, 1.15),
+    (links.ROUTE, MOVING, 1.15),
+    (links.FAST, MOVING, 1.15),
+    (links.SLOW, MOVING, 1.15),
+    (links.BURSTS, MOVING, 1.2),
+    (links.RANDOM, MOVING, 1.6),
+    (links.TCP, MOVING, 1.7),
 )
 # In two tables, for a terminal's width.
 GROUPS = {
-    "steady": (GAUSSIAN, SPIKES, ROUTE, FAST, SLOW),
-    "unsteady": (BURSTS, RANDOM, TCP, SHORT_BURSTS, DENSE),
+    "steady": (links.GAUSSIAN, links.SPIKES, links.ROUTE, links.FAST, links.SLOW),
+    "unsteady": (links.BURSTS, links.RANDOM, links.TCP, links.SHORT_BURSTS, links.DENSE),
 }
-CURVES = (GAUSSIAN, BURSTS, TCP)
-STYLES = ("o-", "s--", "^-", "v--", "P-", "x:", "D-")
+CURVES = (links.GAUSSIAN, links.BURSTS, links.TCP)
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,10 +85,10 @@ class PlayoutEffort:
     permitted_late: share of late frames for which rules and optima are tuned.
     """
 
-    seconds: float = SECONDS
+    seconds: float = links.SECONDS
     scan: int = 4
     bisections: int = 5
-    links: tuple[str, ...] = tuple(LINKS)
+    links: tuple[str, ...] = tuple(links.LINKS)
     curves: tuple[str, ...] = ()
     permitted_late: float = LATE_TARGET
 
@@ -120,9 +97,8 @@ class RuleScore(NamedTuple):
     """One rule on one link.
 
     `tuned` has the least delay within the permitted late share if that was `reached`, and
-    otherwise the fewest late frames. `default` is played at the rule's default setting, `warped`
-    at the same setting with the display's slew limit. `tried` holds every setting that was
-    played, in order of its late share.
+    otherwise the fewest late frames. `default` is the rule's default setting, `warped` the same
+    with the display's slew limit. `tried` holds every setting, in order of its late share.
     """
 
     tuned: PlayedTrace
@@ -135,13 +111,12 @@ class RuleScore(NamedTuple):
 class LinkScore(NamedTuple):
     """A link's smallest delay and both optima in ms, from the whole trace.
 
-    moving_ms is a lower bound of the moving optimum, found_ms the mean delay of the best path that
-    was found. `curve` holds the moving optimum for several weights of lateness.
+    optima_ms[MOVING] is a lower bound of the moving optimum, found_ms the mean delay of the best
+    path that was found. `curve` holds the moving optimum for several weights of lateness.
     """
 
     smallest_ms: float
-    constant_ms: float
-    moving_ms: float
+    optima_ms: dict[str, float]
     found_ms: float
     curve: tuple[PlayedTrace, ...]
 
@@ -169,23 +144,25 @@ def score_playout(effort: PlayoutEffort, scheduler: str | None = None) -> Playou
     Raises SweepError.
     """
     cases = [RuleOnLink(name, link) for link in effort.links for name in RULES]
-    links = sweep(partial(score_link, effort=effort), effort.links, scheduler)
+    found = sweep(partial(score_link, effort=effort), effort.links, scheduler)
     played = iter(sweep(partial(score_rule, effort=effort), cases, scheduler))
     rules = {link: {name: next(played) for name in RULES} for link in effort.links}
-    return PlayoutScores(dict(zip(effort.links, links, strict=True)), rules)
+    return PlayoutScores(dict(zip(effort.links, found, strict=True)), rules)
 
 
 def score_link(link: str, effort: PlayoutEffort) -> LinkScore:
     """Compute the optima of a link."""
-    delay_ms = make_trace(link, effort.seconds).delay_ns / MS
-    optimum = best_moving(delay_ms, effort.permitted_late, FRAME_MS)
+    delay_ms = links.make_trace(link, effort.seconds).delay_ns / MS
+    optimum = links.best_moving(delay_ms, effort.permitted_late)
     prices_ms = PRICES_MS if link in effort.curves else ()
-    paths = [cheapest(delay_ms, price_ms, FRAME_MS) for price_ms in prices_ms]
+    paths = [links.cheapest(delay_ms, price_ms) for price_ms in prices_ms]
     curve = [PlayedTrace(path.delay_ms, path.late) for path in paths]
     return LinkScore(
         float(delay_ms.min()),
-        best_constant_ms(delay_ms, effort.permitted_late),
-        optimum.bound_ms,
+        {
+            CONSTANT: links.best_constant_ms(delay_ms, effort.permitted_late),
+            MOVING: optimum.bound_ms,
+        },
         optimum.best.delay_ms,
         (PlayedTrace(optimum.bound_ms, effort.permitted_late), *curve),
     )
@@ -197,7 +174,7 @@ def score_rule(case: RuleOnLink, effort: PlayoutEffort) -> RuleScore:
     Settings are tried evenly over the parameter's logarithm, then by bisection towards the
     permitted late share.
     """
-    rule, trace = RULES[case.rule], make_trace(case.link, effort.seconds)
+    rule, trace = RULES[case.rule], links.make_trace(case.link, effort.seconds)
     few, many = math.log(rule.fewest), math.log(rule.most)
     scanned = [few + (many - few) * step / (effort.scan - 1) for step in range(effort.scan)]
     tried = [play(rule.make(math.exp(setting)), trace) for setting in scanned]
@@ -211,11 +188,9 @@ def score_rule(case: RuleOnLink, effort: PlayoutEffort) -> RuleScore:
                 few = middle
             else:
                 many = middle
+    tried.sort(key=lambda played: played.late)
     within = [played for played in tried if played.late <= effort.permitted_late]
-    if within:
-        tuned = min(within, key=lambda played: played.delay_ms)
-    else:
-        tuned = min(tried, key=lambda played: played.late)
+    tuned = min(within, key=lambda played: played.delay_ms) if within else tried[0]
     # Our estimator gets the display's slew limit; the others have no such parameter.
     follower = DelayEstimator(rule.default) if case.rule == OURS else rule.make(rule.default)
     return RuleScore(
@@ -223,7 +198,7 @@ def score_rule(case: RuleOnLink, effort: PlayoutEffort) -> RuleScore:
         reached=bool(within),
         default=play(rule.make(rule.default), trace),
         warped=play(follower, trace, warped=True),
-        tried=tuple(sorted(tried, key=lambda played: played.late)),
+        tried=tuple(tried),
     )
 
 
@@ -253,34 +228,33 @@ def compare_targets(scores: PlayoutScores) -> list[tuple[str, str, float, float]
     ]
 
 
-def _optimum_ms(score: LinkScore, optimum: str) -> float:
-    return score.constant_ms if optimum == CONSTANT else score.moving_ms
-
-
 def _ratio(scores: PlayoutScores, link: str, optimum: str, least_ms: float = 0.0) -> float:
     """Return our mean delay over the optimum's, after subtracting `least_ms` from both."""
     ours_ms = scores.rules[link][OURS].tuned.delay_ms
-    return (ours_ms - least_ms) / (_optimum_ms(scores.links[link], optimum) - least_ms)
+    return (ours_ms - least_ms) / (scores.links[link].optima_ms[optimum] - least_ms)
 
 
 def _frontier_chapter(scores: PlayoutScores, effort: PlayoutEffort) -> Chapter:
     def against(delay_ms: float, link: str) -> str:
-        return f"{delay_ms:.1f} ({delay_ms / scores.links[link].moving_ms:.2f})"
+        return f"{delay_ms:.1f} ({delay_ms / scores.links[link].optima_ms[MOVING]:.2f})"
 
     def best(optimum: str, link: str) -> str:
-        return against(_optimum_ms(scores.links[link], optimum), link)
+        return against(scores.links[link].optima_ms[optimum], link)
 
     def tuned(rule: str, link: str) -> str:
         score = scores.rules[link][rule]
         missed = "" if score.reached else f" at {score.tuned.late:.1%}"
         return against(score.tuned.delay_ms, link) + missed
 
-    gaps = [score.found_ms / score.moving_ms - 1 for score in scores.links.values()]
+    gaps = [score.found_ms / score.optima_ms[MOVING] - 1 for score in scores.links.values()]
     judged = compare_targets(scores)
     missed = [f"{link} / {optimum}" for link, optimum, target, ratio in judged if ratio > target]
-    met = f"{len(judged) - len(missed)} of {len(judged)} targets are met; missed: "
+    verdict = f"All {len(judged)} targets are met."
+    if missed:
+        met = len(judged) - len(missed)
+        verdict = f"{met} of {len(judged)} targets are met; missed: {'; '.join(missed)}."
     paragraphs = (
-        met + "; ".join(missed) + "." if missed else f"All {len(judged)} targets are met.",
+        verdict,
         f"Each link is a trace of {effort.seconds:g} s with a frame every 5 ms; every rule"
         " gets the same delays. Each instant is played once, as soon as its age reaches the"
         " delay then in use. A delay that grows because a frame came late therefore cannot save"
@@ -290,9 +264,8 @@ def _frontier_chapter(scores: PlayoutScores, effort: PlayoutEffort) -> Chapter:
         " 50 ms per second; its row is a lower bound of the mean delay of every such course (the"
         f" best courses found are at most {max(gaps):.1%} above it).",
     )
-    rows = {optimum: partial(best, optimum) for optimum in (CONSTANT, MOVING)} | {
-        name: partial(tuned, name) for name in RULES
-    }
+    rows = {optimum: partial(best, optimum) for optimum in (CONSTANT, MOVING)}
+    rows |= {name: partial(tuned, name) for name in RULES}
     title = "Mean delay in ms (ratio to the best moving delay)"
     note = (
         "Tuned to the permitted late share. Where no setting is within it, the one with the least"
@@ -323,15 +296,9 @@ def _targets_table(scores: PlayoutScores) -> Table:
     rows = []
     for link, optimum, target, ratio in compare_targets(scores):
         over_smallest = _ratio(scores, link, optimum, scores.links[link].smallest_ms)
-        rows.append(
-            (
-                f"{link} / {optimum}",
-                f"{target:.2f}",
-                f"{ratio:.3f}",
-                "met" if ratio <= target else "missed",
-                f"{over_smallest:.3f}",
-            )
-        )
+        verdict = "met" if ratio <= target else "missed"
+        figures = (f"{target:.2f}", f"{ratio:.3f}", verdict, f"{over_smallest:.3f}")
+        rows.append((f"{link} / {optimum}", *figures))
     return Table(
         "Targets",
         ("link / optimum", "bar", "ratio", "verdict", "over smallest"),
@@ -363,18 +330,16 @@ def _default_chapter(scores: PlayoutScores) -> Chapter:
 
 
 def _draw(figure: "Figure", scores: PlayoutScores, link: str) -> None:
-    from matplotlib import rcParams
-
     axes = figure.add_subplot()
     curve = sorted(scores.links[link].curve, key=lambda played: played.late)
     best_ms, late = zip(*curve, strict=True)
-    axes.plot(late, best_ms, color=rcParams["text.color"], label=MOVING)
-    for style, (name, score) in zip(
-        itertools.cycle(STYLES), scores.rules[link].items(), strict=False
-    ):
+    axes.plot(late, best_ms, color=text_colour(), label=MOVING)
+    for style, (name, score) in zip(STYLES, scores.rules[link].items(), strict=False):
         delays_ms, late = zip(*score.tried, strict=True)
         axes.plot(late, delays_ms, style, markersize=4, label=name)
     axes.set_xscale("symlog", linthresh=1e-3)
-    axes.set(xlim=(0, 0.3), ylim=(curve[-1].delay_ms * 0.9, 2.5 * scores.links[link].constant_ms))
+    axes.set(
+        xlim=(0, 0.3), ylim=(curve[-1].delay_ms * 0.9, 2.5 * scores.links[link].optima_ms[CONSTANT])
+    )
     axes.set(xlabel="share of late frames", ylabel="mean delay (ms)")
     figure.legend(loc="outside lower center", ncols=4, fontsize="small")

@@ -12,7 +12,7 @@ import numpy as np
 
 from display_node.prediction import Predictor, PredictorName, build_predictor
 from display_node.prediction.ensemble import Ensemble
-from telepulse.reports.document import Chapter, Plot, Report, Table
+from telepulse.reports.document import STYLES, Chapter, Plot, Report, Table
 from telepulse.reports.studies.prediction_pulses import (
     HIGH_PASS_HZ,
     LOW_PASS_HZ,
@@ -233,16 +233,6 @@ def report_prediction(scores: PredictionScores, effort: PredictionEffort) -> Rep
     )
 
 
-def missing_sets(scores: PredictionScores) -> str:
-    """Return a sentence on the missing recordings; empty when there are none."""
-    if set(RECORDED) <= set(scores.errors):
-        return ""
-    return (
-        f" The {len(RECORDED)} recordings are missing, so that medians are over"
-        f" {len(scores.errors)} sets: pip install 'telepulse[test]' adds heartpy, which has them."
-    )
-
-
 def _errors_chapter(scores: PredictionScores, effort: PredictionEffort) -> Chapter:
     def table(title: str, first: str, errors: Errors) -> Table:
         rows = [(name, *(f"{error:.3f}" for error in each)) for name, each in errors.items()]
@@ -250,19 +240,22 @@ def _errors_chapter(scores: PredictionScores, effort: PredictionEffort) -> Chapt
 
     def draw(figure: "Figure") -> None:
         axes = figure.add_subplot()
-        styles = ("o-", "s-", "x--", "^-", "v--", "P-", "D-", "*-")
-        for style, (name, errors) in zip(styles, scores.medians.items(), strict=False):
+        for style, (name, errors) in zip(STYLES, scores.medians.items(), strict=False):
             axes.plot(HORIZONS_MS, errors, style, label=name)
         axes.set(yscale="log", xlabel="horizon (ms)", ylabel=f"NRMSE, {MEDIAN}")
         figure.legend(loc="outside lower center", ncols=4, fontsize="small")
 
+    missing = (
+        f" The {len(RECORDED)} recordings are missing, so that medians are over"
+        f" {len(scores.errors)} sets: pip install 'telepulse[test]' adds heartpy, which has them."
+    )
     words = (
         f"Each of {len(scores.errors)} pulses of up to {effort.seconds:g} s at 1 kHz passes a"
         f" causal chain of {HIGH_PASS_HZ:g} to {LOW_PASS_HZ:g} Hz and gets white noise of"
         f" {NOISE:.0%} of its standard deviation. It comes in frames of 5 ms, and a predictor has"
         " one piece of work a millisecond, as in a display. NRMSE: RMS difference from the pulse"
         f" without noise over its standard deviation, after {SCORED_FROM_S:g} s; the horizon counts"
-        f" from the newest sample.{missing_sets(scores)}"
+        f" from the newest sample.{'' if set(RECORDED) <= set(scores.errors) else missing}"
     )
     by_set = {name: errors["stack"] for name, errors in scores.errors.items()}
     tables = (

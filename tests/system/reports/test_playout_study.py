@@ -3,6 +3,7 @@ import pytest
 from telepulse.reports.document import Report
 from telepulse.reports.studies.playout_links import GAUSSIAN, TCP
 from telepulse.reports.studies.playout_study import (
+    MOVING,
     OURS,
     RULES,
     TARGETS,
@@ -47,7 +48,7 @@ def test_a_tuned_rule_is_within_the_share_and_no_better_than_the_bound(
     for link, rules in scores.rules.items():
         for score in rules.values():
             assert not score.reached or score.tuned.late <= LITTLE.permitted_late
-            assert score.tuned.delay_ms >= scores.links[link].moving_ms
+            assert score.tuned.delay_ms >= scores.links[link].optima_ms[MOVING]
             assert score.tuned in score.tried
             within = [one.delay_ms for one in score.tried if one.late <= LITTLE.permitted_late]
             assert score.tuned.delay_ms == min(within)

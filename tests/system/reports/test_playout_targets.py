@@ -28,7 +28,7 @@ def test_our_delay_at_its_default_is_within_the_bar(link: str, optimum: str, bar
     if optimum == CONSTANT:
         best_ms = best_constant_ms(delay_ms, LATE)
     else:
-        best_ms = best_moving(delay_ms, LATE, 5.0).bound_ms
+        best_ms = best_moving(delay_ms, LATE).bound_ms
     played = play(DelayEstimator(LATE, max_slew=math.inf), trace)
     assert played.late < MOST_LATE
     assert played.delay_ms <= bar * best_ms

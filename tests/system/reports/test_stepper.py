@@ -14,7 +14,7 @@ def rmse_n(results: list[BenchResult]) -> dict[str, float]:
 
 
 def test_the_shipped_benches_are_those_of_the_bars() -> None:
-    clean, real = stepper.clean_bench().display, stepper.real_bench().display
+    clean, real = stepper.load_bench("bench").display, stepper.load_bench().display
     for display in (clean, real):
         assert display.actuator.kind == "stepper"
         assert (display.actuator.microsteps, display.actuator.lead_m) == (16, 2e-3)
@@ -27,7 +27,7 @@ def test_the_shipped_benches_are_those_of_the_bars() -> None:
 
 
 def test_the_clean_bench_is_at_the_microsteps_floor() -> None:
-    clean = stepper.clean_bench()
+    clean = stepper.load_bench("bench")
     microstep_rmse_n = stepper.microstep_rmse_n(clean)
     assert microstep_rmse_n == pytest.approx(0.18e-3, abs=0.01e-3)
     shipped_n = known(stepper.run_controllers(clean)[-1].force_rmse_n)
@@ -35,7 +35,7 @@ def test_the_clean_bench_is_at_the_microsteps_floor() -> None:
 
 
 def test_the_real_bench_is_followed_by_seeing_it_through_its_model() -> None:
-    found = stepper.run_controllers(stepper.real_bench())
+    found = stepper.run_controllers(stepper.load_bench())
     papers, *others = found
     assert papers.force_rmse_n is None
     assert "not stable" in papers.refused
@@ -47,7 +47,7 @@ def test_the_real_bench_is_followed_by_seeing_it_through_its_model() -> None:
 def test_no_mistake_about_the_real_bench_costs_the_bar() -> None:
     found = rmse_n(stepper.run_wrong_models())
     assert len(found) == 11
-    assert max(found.values()) <= REAL_BAR_N < published.EXPERIMENT_FORCE_RMSE_N
+    assert max(found.values()) <= REAL_BAR_N < published.MEASURED_FORCE.force_n
     # What is learnt costs nothing; what is not, shows.
     assert found["fingertip half as stiff"] < 1.5 * found["as modelled"]
     assert found["no backlash"] > 1.5 * found["as modelled"]

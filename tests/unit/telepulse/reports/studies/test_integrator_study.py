@@ -50,10 +50,8 @@ def test_equal_and_faster_points_are_not_beaten(other: IntegratorPoint) -> None:
 
 
 def test_the_verdict_names_better_points() -> None:
-    assert "fast, is on the frontier: of the other 3 rows" in verdict(
-        FAST, [FAST, MIDDLE, WORSE, EXACT]
-    )
-    sentence = verdict(WORSE, [WORSE, FAST, MIDDLE])
+    assert "fast, is on the frontier: of the other 3 rows" in verdict([FAST, MIDDLE, WORSE, EXACT])
+    sentence = verdict([WORSE, FAST, MIDDLE])
     assert sentence == "The default, worse, is not on the frontier; it is beaten by: middle × 2."
 
 

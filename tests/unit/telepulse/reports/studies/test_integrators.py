@@ -10,11 +10,9 @@ from scipy.linalg import expm
 
 from sensing_node.sources.synthetic import SyntheticScene
 from telepulse.reports.paper.published import EXPERIMENT, FILM_MV
-from telepulse.reports.studies.integrator_study import largest_error
 from telepulse.reports.studies.integrators import (
     DERIVATIVE_FILTER_HZ,
     PAPER_PLANT,
-    DiscretePid,
     Plant,
     Solver,
     Step,
@@ -24,10 +22,10 @@ from telepulse.reports.studies.integrators import (
     exact_hold,
     explicit_euler,
     held_matrix,
+    largest_error,
     loop_radius,
     lsim_steps,
     lsim_whole,
-    open_loop,
     paper_pid,
     pid_step,
     pulse_from_rest,
@@ -49,19 +47,19 @@ def rotor(damping: float) -> Plant[float]:
 
 def truth(plant: Plant[float], digits: int = 40) -> list[Decimal]:
     with localcontext(prec=digits):
-        step = exact_hold(Plant(*decimals(plant)), Decimal(TICK_S))
-        return open_loop(step, decimals(VOLTAGES))
+        step = exact_hold(plant, TICK_S)
+        return [step(volts) for volts in decimals(VOLTAGES)]
 
 
 def error(step: Step[float], plant: Plant[float]) -> float:
-    return largest_error(decimals(open_loop(step, VOLTAGES)), truth(plant))
+    return largest_error(decimals(map(step, VOLTAGES)), truth(plant))
 
 
 @pytest.mark.parametrize("damping", [0.0, 0.2, 0.99])
 def test_the_reference_is_the_step_response_of_theory(damping: float) -> None:
-    plant = Plant(*decimals(rotor(damping)))
+    plant = rotor(damping)
     with localcontext(prec=40):
-        forces = open_loop(exact_hold(plant, Decimal(TICK_S)), [plant.k] * 50)
+        forces = list(map(exact_hold(plant, TICK_S), decimals([plant.k]) * 50))
     t_s = TICK_S * np.arange(1, 51)
     decay, swing = damping * OMEGA, OMEGA * math.sqrt(1 - damping**2)
     expected = 1 - np.exp(-decay * t_s) * (
@@ -73,7 +71,7 @@ def test_the_reference_is_the_step_response_of_theory(damping: float) -> None:
 @pytest.mark.parametrize("tick_s", [1e-4, 1e-3, 1e-2])
 def test_the_held_matrix_is_the_exponential(tick_s: float) -> None:
     plant = rotor(0.2)
-    held = held_matrix(Plant(*decimals(plant)), Decimal(tick_s))
+    held = held_matrix(plant, tick_s)
     system = np.array([[0, 1, 0], [-plant.k, -plant.c, 1], [0, 0, 0]]) * tick_s
     assert np.array(held, dtype=float) == pytest.approx(expm(system), rel=1e-11, abs=1e-14)
 
@@ -119,7 +117,7 @@ def test_solve_ivp_keeps_its_tolerance(solver: Solver) -> None:
 def test_a_trajectory_beyond_floats_is_infinitely_wrong() -> None:
     plant = rotor(0.2)
     step = explicit_euler(plant, 1.0, 1)
-    forces = decimals(open_loop(step, [1.0] * 200))
+    forces = decimals(map(step, [1.0] * 200))
     assert largest_error(forces, [Decimal(0)] * 200) == math.inf
 
 
@@ -150,24 +148,21 @@ def test_a_constant_error_gives_the_three_terms_of_table_5() -> None:
 @pytest.mark.parametrize(("tick_s", "stable"), [(1e-4, True), (1e-3, True), (1e-2, False)])
 def test_the_loop_is_stable_at_a_spectral_radius_below_1(tick_s: float, stable: bool) -> None:
     pulse_n = pulse_from_rest(SCENE, 1.0, tick_s)
-    forces_n, _ = close_loop(shipped(PAPER_PLANT, tick_s), paper_pid(tick_s), pulse_n)
+    forces_n, _ = close_loop(shipped(PAPER_PLANT, tick_s), tick_s, pulse_n)
     assert (loop_radius(PAPER_PLANT, tick_s) < 1) == stable
     assert (np.ptp(forces_n) < 2 * SCENE.peak_to_peak_n) == stable
 
 
 def test_an_unstable_loop_grows_by_its_spectral_radius_a_tick() -> None:
-    forces_n, _ = close_loop(shipped(PAPER_PLANT, 1e-2), paper_pid(1e-2), [1.0] + [0.0] * 299)
+    forces_n, _ = close_loop(shipped(PAPER_PLANT, 1e-2), 1e-2, [1.0] + [0.0] * 299)
     early, late = (np.abs(forces_n[begin : begin + 50]).max() for begin in (50, 250))
     assert (late / early) ** (1 / 200) == pytest.approx(loop_radius(PAPER_PLANT, 1e-2), rel=0.01)
 
 
 def test_the_loop_in_decimals_is_the_loop_in_floats() -> None:
     pulse_n = pulse_from_rest(SCENE, 0.5, 1e-3)
-    forces_n, voltages = close_loop(shipped(PAPER_PLANT, 1e-3), paper_pid(1e-3), pulse_n)
+    forces_n, voltages = close_loop(shipped(PAPER_PLANT, 1e-3), 1e-3, pulse_n)
     with localcontext(prec=40):
-        step = exact_hold(Plant(*decimals(PAPER_PLANT)), *decimals([1e-3]))
-        exact_n, exact_volts = close_loop(
-            step, DiscretePid(*decimals(paper_pid(1e-3))), decimals(pulse_n)
-        )
+        exact_n, exact_volts = close_loop(exact_hold(PAPER_PLANT, 1e-3), 1e-3, decimals(pulse_n))
     assert forces_n == pytest.approx([float(force) for force in exact_n], abs=1e-14)
     assert voltages == pytest.approx([float(volts) for volts in exact_volts], abs=1e-8)

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 from telepulse.reports.studies.playout_links import (
     BURSTS,
     FAST,
+    FRAME_MS,
     FRAME_NS,
     GAUSSIAN,
     LINKS,
@@ -93,9 +94,6 @@ def test_a_lost_segment_is_here_after_a_round_trip_and_three_frames() -> None:
     assert delay_ms.max() == pytest.approx(220, abs=10)
 
 
-FRAME_MS = FRAME_NS / MS
-
-
 @pytest.fixture(params=range(24))
 def delay_ms(request: pytest.FixtureRequest) -> NDArray[np.float64]:
     """Return 12 delays between 20 and 22 ms, with odd seeds at the ends of that."""
@@ -120,7 +118,7 @@ def test_the_cheapest_path_costs_what_trying_all_finds(
     delay_ms: NDArray[np.float64], tried: NDArray[np.float64]
 ) -> None:
     for price_ms in (0.0, 0.3, 1.0, 3.0, 10.0, 1000.0):
-        found = cheapest(delay_ms, price_ms, FRAME_MS)
+        found = cheapest(delay_ms, price_ms)
         least_ms = (tried @ [1.0, price_ms]).min()
         assert found.delay_ms + price_ms * found.late == pytest.approx(least_ms)
         assert found.delay_ms == found.path_ms.mean()
@@ -132,7 +130,7 @@ def test_the_bound_and_the_best_path_enclose_what_trying_all_finds(
     delay_ms: NDArray[np.float64], tried: NDArray[np.float64], late: float
 ) -> None:
     least_ms = tried[tried[:, 1] <= late, 0].min()
-    optimum = best_moving(delay_ms, late, FRAME_MS)
+    optimum = best_moving(delay_ms, late)
     assert optimum.best.late <= late
     assert optimum.bound_ms <= least_ms + 1e-9
     assert optimum.best.delay_ms >= least_ms - 1e-9
@@ -143,7 +141,7 @@ def test_the_bound_and_the_best_path_enclose_what_trying_all_finds(
 def test_no_path_is_steeper_than_5_percent() -> None:
     delay_ms = np.random.default_rng(1).normal(20, 3, 4000)
     delay_ms[2000:] += 60
-    optimum = best_moving(delay_ms, 0.01, FRAME_MS)
+    optimum = best_moving(delay_ms, 0.01)
     path_ms = optimum.best.path_ms
     assert len(path_ms) == 4000
     assert np.abs(path_ms[2:] - path_ms[:-2]).max() <= 0.05 * 2 * FRAME_MS + 1e-9
