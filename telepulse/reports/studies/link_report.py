@@ -4,7 +4,7 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from display_node.prediction import PredictorName
-from telepulse.reports.document import Chapter, Plot, Report, Table
+from telepulse.reports.document import STYLES, Chapter, Plot, Report, Table
 from telepulse.reports.studies.link_scores import (
     DELAYS_MS,
     PREDICTORS,
@@ -25,22 +25,20 @@ BEST: PredictorName = "stack"
 
 def report_links(scores: LinkScores, effort: LinkEffort) -> Report:
     """Return the report on scores of simulations of this number and length."""
-    costs = [
-        {"predictor": name, "tick (µs)": f"{cost_us:.0f}"}
-        for name, cost_us in scores.costs_us.items()
-    ]
-    cost = Chapter(
-        "Cost",
-        (
-            "Processor time of one simulated millisecond, all of it predicted: both nodes, the link"
-            " and the scoring. The difference from hold is the predictor's cost.",
-        ),
-        (Table.of("Cost of a tick", costs),),
+    words = (
+        "Processor time of one simulated millisecond, all of it predicted: both nodes, the link"
+        " and the scoring. The difference from hold is the predictor's cost."
     )
-    chapters = (_choice_chapter(scores, effort), _curves_chapter(scores))
+    costs = [(name, f"{cost_us:.0f}") for name, cost_us in scores.costs_us.items()]
+    table = Table("Cost of a tick", ("predictor", "tick (µs)"), costs)
     return Report(
         "Links: how much to buffer and how much to predict",
-        (*chapters, _policies_chapter(scores), cost),
+        (
+            _choice_chapter(scores, effort),
+            _curves_chapter(scores),
+            _policies_chapter(scores),
+            Chapter("Cost", (words,), (table,)),
+        ),
     )
 
 
@@ -145,7 +143,7 @@ def _curves_chapter(scores: LinkScores) -> Chapter:
 
 def _draw(figure: "Figure", scores: LinkScores, link: str) -> None:
     panels = figure.subplots(1, 2, sharey=True)
-    for style, predictor in zip(("o-", "s--", "^-"), PREDICTORS, strict=True):
+    for style, predictor in zip(STYLES, PREDICTORS, strict=False):
         tried = dict(scores.results[link][predictor])
         auto = tried.pop(None)
         for axes, error in zip(panels, ("in_phase", "aligned"), strict=True):

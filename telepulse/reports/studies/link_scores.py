@@ -177,26 +177,23 @@ def score_links(
 
     Raises SweepError or SourceError.
     """
-    cases = [
-        LinkCase(link.text, predictor, delay_ms, seed)
-        for link in links.values()
+    grid = [
+        (name, predictor, delay_ms)
+        for name, link in links.items()
         for predictor in PREDICTORS
         for delay_ms in (*link.delays_ms, None)
+    ]
+    cases = [
+        LinkCase(links[name].text, predictor, delay_ms, seed)
+        for name, predictor, delay_ms in grid
         for seed in effort.seeds
     ]
-    ran = sweep(partial(run_link, effort=effort), cases, scheduler)
-    by_case = dict(zip(cases, ran, strict=True))
-
-    def curve(link: LinkSpec, predictor: PredictorName) -> Curve:
-        result: Curve = {}
-        for delay_ms in (*link.delays_ms, None):
-            cases = [LinkCase(link.text, predictor, delay_ms, seed) for seed in effort.seeds]
-            result[delay_ms] = pooled([by_case[case] for case in cases])
-        return result
-
-    results = {
-        name: {each: curve(link, each) for each in PREDICTORS} for name, link in links.items()
+    ran = iter(sweep(partial(run_link, effort=effort), cases, scheduler))
+    results: dict[str, dict[PredictorName, Curve]] = {
+        name: {predictor: {} for predictor in PREDICTORS} for name in links
     }
+    for name, predictor, delay_ms in grid:
+        results[name][predictor][delay_ms] = pooled([next(ran) for _ in effort.seeds])
     # The prototype used an arterial recording, which is not available; heartpy's first replaces it.
     sets = [each for each in pulses(60.0, seed=1) if each.name in ("variability", "heartpy data")]
     policies = sweep(partial(run_policies, link=LINKS[TCP].text), sets, scheduler)

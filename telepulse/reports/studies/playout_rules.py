@@ -107,14 +107,16 @@ class Ramjee1:
         """Add the delay of a frame that arrives now."""
         if self.delay_ns is None:
             self._mean_ns = float(delay_ns)
-        alpha = self.ALPHA
-        self._mean_ns = alpha * self._mean_ns + (1 - alpha) * delay_ns
-        off_ns = abs(delay_ns - self._mean_ns)
-        self._deviation_ns = alpha * self._deviation_ns + (1 - alpha) * off_ns
-        self.delay_ns = round(self._mean_ns + self._beta * self._deviation_ns)
+        self._set(delay_ns, self.ALPHA * self._mean_ns + (1 - self.ALPHA) * delay_ns)
+
+    def _set(self, delay_ns: int, mean_ns: float) -> None:
+        self._mean_ns = mean_ns
+        off_ns = abs(delay_ns - mean_ns)
+        self._deviation_ns = self.ALPHA * self._deviation_ns + (1 - self.ALPHA) * off_ns
+        self.delay_ns = round(mean_ns + self._beta * self._deviation_ns)
 
 
-class Ramjee4:
+class Ramjee4(Ramjee1):
     """Algorithm 4 of Ramjee et al., INFOCOM 1994: smoothing with α = 0.875, and a spike mode.
 
     A step of more than twice the deviation + 100 ms begins a spike, in which the mean follows
@@ -127,16 +129,14 @@ class Ramjee4:
     FLAT_NS = 63 * MS / 8
 
     def __init__(self, beta: float) -> None:
-        self._beta = beta
-        self._mean_ns = self._deviation_ns = self._slope_ns = 0.0
+        super().__init__(beta)
+        self._slope_ns = 0.0
         self._last_ns = self._before_ns = 0
         self._spike = False
-        self.delay_ns: int | None = None
 
     def observe(self, delay_ns: int, now_ns: int) -> None:
         """Add the delay of a frame that arrives now."""
         if self.delay_ns is None:
-            self._mean_ns = float(delay_ns)
             self._last_ns = self._before_ns = delay_ns
         last_ns, before_ns = self._last_ns, self._before_ns
         self._last_ns, self._before_ns = delay_ns, last_ns
@@ -149,14 +149,10 @@ class Ramjee4:
             if self._slope_ns <= self.FLAT_NS:
                 self._spike = False
                 return
-        alpha = self.ALPHA
         if self._spike:
-            self._mean_ns += delay_ns - last_ns
+            self._set(delay_ns, self._mean_ns + (delay_ns - last_ns))
         else:
-            self._mean_ns = alpha * self._mean_ns + (1 - alpha) * delay_ns
-        off_ns = abs(delay_ns - self._mean_ns)
-        self._deviation_ns = alpha * self._deviation_ns + (1 - alpha) * off_ns
-        self.delay_ns = round(self._mean_ns + self._beta * self._deviation_ns)
+            super().observe(delay_ns, now_ns)
 
 
 class MoonPercentile:
