@@ -1,3 +1,6 @@
+import math
+from dataclasses import replace
+
 import pytest
 
 from display_node.scene import DisplayScene
@@ -10,15 +13,15 @@ from telepulse.commissioning.actuator_check import (
 )
 from telepulse.commissioning.identification import IdentifiedModel, SecondOrderModel
 from telepulse.commissioning.press import ContactFit
-from telepulse.commissioning.rig import ModelRig
+from telepulse.commissioning.rig import FilmSample, ModelRig
 from telepulse.scene import load_scene
 from tests.unit.telepulse.commissioning.test_press import bench
 
 
-def checked(really: DisplayScene, taken_for: DisplayScene | None = None) -> ActuatorFindings:
-    """A bench that is really so, checked with a scene that may say something else."""
-    scene = taken_for or really
-    return check_actuator(ModelRig(really), scene, 0.3, scene.film.latency_ns * 1e-9)
+def checked(real: DisplayScene, scene: DisplayScene | None = None) -> ActuatorFindings:
+    """Check a bench with a scene, by default with its own."""
+    scene = scene or real
+    return check_actuator(ModelRig(real), scene, 0.3, scene.film.latency_ns * 1e-9)
 
 
 def verdicts(actuator: ActuatorFindings) -> dict[str, str]:
@@ -37,9 +40,7 @@ def test_the_papers_actuator_is_found_exactly() -> None:
 
 @pytest.mark.parametrize("latency_ms", [0.0, 4.2, 13.5])
 def test_the_latency_is_found_within_a_fifth_of_a_tick(latency_ms: float) -> None:
-    scene, _ = bench()
-    really, _ = bench(latency_ns=round(latency_ms * 1e6))
-    found = checked(really, scene)
+    found = checked(bench(latency_ns=round(latency_ms * 1e6))[0], bench()[0])
     assert number(found, "latency") == pytest.approx(latency_ms, abs=0.2)
     assert verdicts(found) == ({"drive's latency": "warn"} if latency_ms else {})
 
@@ -52,8 +53,7 @@ def test_the_films_share_of_the_latency_is_not_the_drives() -> None:
 
 
 def test_a_ringing_rotor_is_found_through_a_slow_noisy_film() -> None:
-    really, _ = bench("real_bench", backlash_m=0.0, latency_ns=4_200_000)
-    found = checked(really)
+    found = checked(bench("real_bench", backlash_m=0.0, latency_ns=4_200_000)[0])
     assert number(found, "rotor_resonance") == pytest.approx(100.0, abs=5.0)
     assert number(found, "rotor_damping") == pytest.approx(0.2, abs=0.05)
     assert number(found, "latency") == pytest.approx(4.2, abs=0.2)
@@ -61,9 +61,8 @@ def test_a_ringing_rotor_is_found_through_a_slow_noisy_film() -> None:
 
 
 def test_backlash_is_found_and_then_the_rotor_is_left_as_it_was() -> None:
-    really, _ = bench("real_bench", fingertip_n_per_m=1500.0, backlash_m=14e-6)
-    scene, _ = bench("real_bench")
-    found = checked(really, scene)
+    real, _ = bench("real_bench", fingertip_n_per_m=1500.0, backlash_m=14e-6)
+    found = checked(real, bench("real_bench")[0])
     assert number(found, "backlash") == pytest.approx(14.0, abs=1.5)
     assert number(found, "fingertip") == pytest.approx(1500.0, rel=0.02)
     assert "rotor_resonance" not in found.changes["display.actuator"]
@@ -71,64 +70,55 @@ def test_backlash_is_found_and_then_the_rotor_is_left_as_it_was() -> None:
 
 
 def test_a_drive_that_loses_steps_is_named() -> None:
-    scene, actuator = bench()
-    # It makes half of the way that it is told: wrong microsteps, or lost steps.
-    half = actuator.model_copy(update={"lead_m": actuator.lead_m / 2})
-
     class Losing(ModelRig):
-        def tick(self, output: float) -> tuple[float, list]:  # type: ignore[type-arg]
+        """A drive that makes half of the commanded travel: wrong microsteps, or lost steps."""
+
+        def tick(self, output: float) -> tuple[float, list[FilmSample]]:
             return super().tick(output / 2)
 
-    losing = Losing(scene.model_copy(update={"actuator": half}))
+    scene, actuator = bench()
+    losing = Losing(bench(lead_m=actuator.lead_m / 2)[0])
     found = check_actuator(losing, scene, 0.3, 0.0)
     assert number(found, "fingertip") == pytest.approx(500.0, rel=0.05)
     assert verdicts(found)["finger"] == "warn"
 
 
 SHARP = SecondOrderModel(2.6e-6, 1.1e-3, 1.0)
-LINE_S = 0.78e-3
-
-
-def judged(
-    latency_s: float,
-    *,
-    nrmse: float = 0.02,
-    undetermined: tuple[str, ...] = (),
-    delay_s: float = 2e-3,
-) -> tuple[str, bool]:
-    """The verdict on a latency found over a line at a tick of 2 ms, and whether it is plausible."""
-    _, actuator = bench(latency_ns=400_000)
-    found = IdentifiedModel(SHARP, (0.0,) * 4, 0.0, nrmse, undetermined, delay_s)
-    contact = ContactFit(1000.0, 2.0, 0.0, 1e-6, 0.0, 1e-6, 0.01)
-    check, plausible = check_latency(
-        actuator, found, contact, latency_s, line_latency_s=LINE_S, tick_s=2e-3
-    )
-    assert (check.reason == "") is (check.verdict == "ok")
-    return check.verdict, plausible
+FOUND = IdentifiedModel(SHARP, (0.0,) * 4, zero_n=0.0, nrmse=0.02, undetermined=(), delay_s=2e-3)
+FITTED = ContactFit(1000.0, 2.0, 0.0, 1e-6, 0.0, 1e-6, unexplained=0.01)
 
 
 @pytest.mark.parametrize(
-    ("latency_s", "verdict"),
-    [(0.9e-3, "ok"), (-0.98e-3, "warn"), (2.6e-59, "warn"), (-2.5e-3, "fail")],
+    ("latency_s", "found", "verdict"),
+    [
+        (0.9e-3, FOUND, "ok"),
+        (-0.98e-3, FOUND, "warn"),
+        (2.6e-59, FOUND, "warn"),
+        (-2.5e-3, FOUND, "fail"),
+        (math.nan, FOUND, "fail"),
+        (0.9e-3, replace(FOUND, nrmse=0.4), "warn"),
+        (0.9e-3, replace(FOUND, undetermined=("latency",)), "warn"),
+        (49.5e-3, replace(FOUND, delay_s=50e-3), "fail"),
+    ],
 )
-def test_a_latency_that_no_drive_can_have_is_not_ok(latency_s: float, verdict: str) -> None:
-    assert judged(latency_s) == (verdict, verdict == "ok")
-
-
-def test_a_latency_of_a_bad_fit_is_not_ok() -> None:
-    assert judged(0.9e-3, nrmse=0.4) == ("warn", False)
-    assert judged(0.9e-3, undetermined=("latency",)) == ("warn", False)
-    assert judged(49.5e-3, delay_s=50e-3) == ("fail", False)
-    assert judged(float("nan")) == ("fail", False)
+def test_a_latency_that_no_drive_can_have_or_of_a_bad_fit_is_not_ok(
+    latency_s: float, found: IdentifiedModel, verdict: str
+) -> None:
+    _, actuator = bench(latency_ns=400_000)
+    check, plausible = check_latency(
+        actuator, found, FITTED, latency_s, line_latency_s=0.78e-3, tick_s=2e-3
+    )
+    assert (check.verdict, plausible) == (verdict, verdict == "ok")
+    assert (check.reason == "") is plausible
 
 
 @pytest.mark.parametrize(
     ("contact", "verdicts"),
     [
-        (ContactFit(1000.0, 2.0, 0.0, 1e-6, 0.0, 1e-6, 0.01), ["ok", "ok"]),
-        (ContactFit(1000.0, 700.0, 0.0, 1e-6, 0.0, 1e-6, 0.01), ["warn", "ok"]),
-        (ContactFit(1000.0, 2.0, 0.0, 1e-6, -60e-6, 1e-6, 0.01), ["ok", "warn"]),
-        (ContactFit(1000.0, 2.0, 0.0, 1e-6, 0.0, 1e-6, 0.5), ["fail", "fail"]),
+        (FITTED, ["ok", "ok"]),
+        (replace(FITTED, finger_half_width=700.0), ["warn", "ok"]),
+        (replace(FITTED, backlash_m=-60e-6), ["ok", "warn"]),
+        (replace(FITTED, unexplained=0.5), ["fail", "fail"]),
     ],
     ids=["plausible", "not determined", "backlash below 0", "not explained"],
 )

@@ -16,6 +16,17 @@ def bench(scene: str | Path, *options: str, answers: str = "") -> tuple[int, str
     return result.exit_code, result.stdout, result.stderr
 
 
+def changed(folder: Path, *replacements: tuple[str, str], added: str = "") -> Path:
+    """Write a copy of scenes/bench.toml in which texts are replaced once, and one is added."""
+    text = (ROOT / "scenes" / "bench.toml").read_text(encoding="utf-8")
+    for old, new in replacements:
+        assert old in text
+        text = text.replace(old, new, 1)
+    scene = folder / "changed.toml"
+    scene.write_text(text + added, encoding="utf-8")
+    return scene
+
+
 def rows(path: Path) -> dict[tuple[str, str], dict[str, str]]:
     (table,) = json.loads(path.read_text(encoding="utf-8"))["chapters"][0]["tables"]
     return {(row["part"], row["check"]): row for row in table["rows"]}
@@ -23,23 +34,20 @@ def rows(path: Path) -> dict[tuple[str, str], dict[str, str]]:
 
 @pytest.mark.parametrize("name", SCENES)
 def test_the_shipped_scenes_models_pass_their_bench_check(name: str, tmp_path: Path) -> None:
-    status, _, error = bench(name, "--json", str(tmp_path / "bench.json"))
+    path = tmp_path / "bench.json"
+    status, _, error = bench(name, "--json", str(path))
     assert (status, error) == (0, "")
-    found = rows(tmp_path / "bench.json")
+    found = rows(path)
     assert {part for part, _ in found} == {"wrist", "film", "actuator", "loop"}
     looks = {key for key, row in found.items() if row["verdict"] != "ok"}
     assert looks <= {("loop", "margins")}
 
 
-def test_what_was_found_is_written_into_a_scene_that_passes(tmp_path: Path) -> None:
-    # The controller knows of no latency, and the finger is twice as stiff as it takes it for.
-    text = (ROOT / "scenes" / "bench.toml").read_text(encoding="utf-8")
-    text = text.replace('fingertip = "1 N/mm"', 'fingertip = "2 N/mm" # rubber\nlatency = "8 ms"')
-    scene, found = tmp_path / "late.toml", tmp_path / "found.toml"
-    scene.write_text(text.replace("kp = 390", "kp = 60"), encoding="utf-8")
-    status, out, _ = bench(
-        scene, "--only", "display", "--write", str(found), "--out", str(tmp_path / "page")
-    )
+def test_identified_keys_are_written_into_a_scene_that_passes(tmp_path: Path) -> None:
+    finger = ('fingertip = "1 N/mm"', 'fingertip = "2 N/mm" # rubber\nlatency = "8 ms"')
+    scene, found = changed(tmp_path, finger, ("kp = 390", "kp = 60")), tmp_path / "found.toml"
+    files = ("--write", str(found), "--out", str(tmp_path / "page"))
+    status, out, _ = bench(scene, "--only", "display", *files)
     assert status == 0
     assert f"scene: {found}" in out
     assert (tmp_path / "page" / "stairs-light.png").exists()
@@ -54,10 +62,8 @@ def test_what_was_found_is_written_into_a_scene_that_passes(tmp_path: Path) -> N
 
 
 def test_a_loop_that_would_be_unstable_fails_and_gains_are_proposed(tmp_path: Path) -> None:
-    text = (ROOT / "scenes" / "bench.toml").read_text(encoding="utf-8")
-    scene = tmp_path / "late.toml"
-    late = text.replace('fingertip = "1 N/mm"', 'fingertip = "1 N/mm"\nlatency = "12 ms"')
-    scene.write_text(late, encoding="utf-8")
+    late = ('fingertip = "1 N/mm"', 'fingertip = "1 N/mm"\nlatency = "12 ms"')
+    scene = changed(tmp_path, late)
     status, out, _ = bench(scene, "--only", "display", "--json", str(tmp_path / "bench.json"))
     assert status == 1
     margins = rows(tmp_path / "bench.json")[("loop", "margins")]
@@ -67,10 +73,8 @@ def test_a_loop_that_would_be_unstable_fails_and_gains_are_proposed(tmp_path: Pa
 
 
 def test_a_noisy_wrist_sensor_is_named(tmp_path: Path) -> None:
-    text = (ROOT / "scenes" / "bench.toml").read_text(encoding="utf-8")
-    scene, path = tmp_path / "noisy.toml", tmp_path / "bench.json"
-    source = 'kind = "synthetic"\nhum = "60 mN"\nnoise = "4 mN"'
-    scene.write_text(text.replace('kind = "synthetic"', source, 1), encoding="utf-8")
+    noisy = ('kind = "synthetic"', 'kind = "synthetic"\nhum = "60 mN"\nnoise = "4 mN"')
+    scene, path = changed(tmp_path, noisy), tmp_path / "bench.json"
     status, _, _ = bench(scene, "--only", "sensing", "--json", str(path))
     assert status == 1
     found = rows(path)
@@ -128,11 +132,8 @@ unit = "N"
 
 
 def drive_scene(folder: Path) -> Path:
-    text = (ROOT / "scenes" / "bench.toml").read_text(encoding="utf-8")
-    text = text.replace('lead = "2 mm"', 'lead = "2 mm"\nstroke = "20 mm"\nmax_speed = "50 mm/s"')
-    scene = folder / "drive.toml"
-    scene.write_text(text + DRIVE.format(folder=folder), encoding="utf-8")
-    return scene
+    limits = ('lead = "2 mm"', 'lead = "2 mm"\nstroke = "20 mm"\nmax_speed = "50 mm/s"')
+    return changed(folder, limits, added=DRIVE.format(folder=folder))
 
 
 def test_nothing_moves_before_the_bench_is_confirmed_clear(tmp_path: Path) -> None:
@@ -158,8 +159,7 @@ def test_an_emulated_drive_is_checked_over_its_real_bytes(tmp_path: Path) -> Non
     with process("telepulse", "emulate", "tmcl", str(scene), *links) as emulator:
         assert emulator.stdout is not None
         assert "TMCL module" in emulator.stdout.readline()
-        options = ("--only", "display", "--yes", "--seconds", "1", "--json", str(path))
-        bench(scene, *options)
+        bench(scene, "--only", "display", "--yes", "--seconds", "1", "--json", str(path))
     found = rows(path)
     assert "640 commands a second" in found[("drive", "line")]["found"]
     assert found[("film", "missing samples")]["found"] == "0.00 %"

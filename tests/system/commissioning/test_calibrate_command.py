@@ -129,11 +129,11 @@ def test_a_live_sensor_is_calibrated_load_by_load(
 
     def say() -> None:
         """The board: 3 mV, and 44 mV for each newton that was asked for last."""
-        number = 0
+        noise_mv = 0.01
         while not done.wait(0.01):
             load_n = float(asked[-1].split()[1]) if asked else 0.0
-            number += 1
-            os.write(board, f"{3 + 44 * load_n + 0.01 * (-1) ** number}\r\n".encode())
+            noise_mv = -noise_mv
+            os.write(board, f"{3 + 44 * load_n + noise_mv}\r\n".encode())
 
     def prompt(text: str, **_: object) -> str:
         asked.append(text)

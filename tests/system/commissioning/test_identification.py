@@ -1,4 +1,5 @@
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -37,7 +38,7 @@ def stairs(
 def trial(
     model: SecondOrderModel, command: ActuatorInput, noise: float, seed: int, colour: float = 0.0
 ) -> tuple[IdentifiedModel, NDArray[np.bool_]]:
-    """What is found, and which of m, c, k and latency lie within their intervals."""
+    """The identified model, and which of m, c, k and latency lie within their intervals."""
     at_s = np.arange(len(command.values)) * command.tick_s
     white = np.random.default_rng(seed).standard_normal(len(at_s))
     off = lfilter([math.sqrt(1 - colour**2)], [1, -colour], white)
@@ -51,9 +52,8 @@ def trial(
 def test_the_response_to_a_held_input_is_the_actuators_own() -> None:
     volts = np.random.default_rng(1).standard_normal(500)
     volts[0] = 0.0
-    actuator, forces_n = SecondOrder(SecondOrderScene(kind="second_order"), 0.01), [0.0]
-    for value in volts[:-1].tolist():
-        forces_n.append(actuator.step(value))
+    actuator = SecondOrder(SecondOrderScene(kind="second_order"), 0.01)
+    forces_n = [0.0, *map(actuator.step, volts[:-1].tolist())]
     command = ActuatorInput(volts, 0.01, held=True)
     assert respond(TABLE_4, command, np.arange(500) * 0.01) == pytest.approx(forces_n, abs=1e-12)
 
@@ -61,9 +61,7 @@ def test_the_response_to_a_held_input_is_the_actuators_own() -> None:
 def test_the_response_to_a_straight_input_is_the_rotors_own() -> None:
     places = np.cumsum(np.random.default_rng(1).standard_normal(300))
     places -= places[0]
-    rotor, turned = Rotor(100.0, 0.2, 1e-3), [0.0]
-    for before, after in zip(places[:-1].tolist(), places[1:].tolist(), strict=True):
-        turned.append(rotor.step(before, after))
+    turned = [0.0, *map(Rotor(100.0, 0.2, 1e-3).step, places[:-1].tolist(), places[1:].tolist())]
     command = ActuatorInput(places, 1e-3, held=False)
     assert respond(STIFF, command, np.arange(300) * 1e-3) == pytest.approx(turned, abs=1e-9)
 
@@ -71,7 +69,7 @@ def test_the_response_to_a_straight_input_is_the_rotors_own() -> None:
 def test_between_the_ticks_it_is_what_finer_ticks_give() -> None:
     coarse = stairs(400, (60, 90), 1, held=True, tick_s=1e-3)
     fine = ActuatorInput(np.repeat(coarse.values, 10), 1e-4, held=True)
-    late = SecondOrderModel(STIFF.m, STIFF.c, STIFF.k, latency_s=4.3e-3)
+    late = replace(STIFF, latency_s=4.3e-3)
     at_s = np.linspace(0.01, 0.39, 777)
     assert respond(late, coarse, at_s) == pytest.approx(respond(late, fine, at_s), abs=2e-3)
 
@@ -93,7 +91,7 @@ def test_true_values_lie_within_the_stated_intervals(
     colour: float,
     least: float,
 ) -> None:
-    late = SecondOrderModel(model.m, model.c, model.k, latency_s=4.3 * tick_s)
+    late = replace(model, latency_s=4.3 * tick_s)
     inside = [
         trial(late, stairs(1000, dwell, seed, held, tick_s), 0.05, seed, colour)[1]
         for seed in range(TRIALS)
@@ -109,7 +107,7 @@ def test_the_latency_is_found_within_a_fifth_of_a_tick(
     slow = model is TABLE_4
     tick_s = 0.01 if slow else 1e-3
     command = stairs(1000, (50, 200) if slow else (60, 150), 1, held=slow, tick_s=tick_s)
-    late = SecondOrderModel(model.m, model.c, model.k, latency_s=late_ticks * tick_s)
+    late = replace(model, latency_s=late_ticks * tick_s)
     found, _ = trial(late, command, 2e-3, seed=1)
     assert found.model.latency_s / tick_s == pytest.approx(late_ticks, abs=0.2)
     assert found.undetermined == ()
@@ -140,7 +138,7 @@ def test_a_record_in_which_nothing_moves_is_refused() -> None:
 
 def test_a_step_response_is_the_textbooks() -> None:
     damping = 0.2
-    ring = step_response(SecondOrderModel(STIFF.m, STIFF.c, STIFF.k, latency_s=0.005))
+    ring = step_response(replace(STIFF, latency_s=0.005))
     overshoot = math.exp(-math.pi * damping / math.sqrt(1 - damping**2))
     assert ring.overshoot == pytest.approx(overshoot, abs=0.002)
     assert 0.025 < ring.settling_s < 0.005 + 4.5 / (damping * 200 * math.pi)

@@ -14,7 +14,7 @@ from telepulse.commissioning.tuning import (
     judge,
 )
 from telepulse.scene import load_scene
-from tests.support.nodes import ROOT
+from tests.support.nodes import ROOT, known
 
 SCENES = ("radial", "wan", "bench", "real_bench", "conditioned")
 
@@ -44,17 +44,15 @@ def test_a_design_keeps_its_margins_and_gives_the_scenes_gains(name: str) -> Non
 def test_the_design_is_the_best_within_its_margins() -> None:
     display = load_scene(find_scene("real_bench")).display
     best = design(display)
-    for factor in (0.5, 0.9):
-        controller = best.controller.model_copy(update={"kp": best.controller.kp * factor})
-        felt_n = judge(display, controller).felt_n
-        assert felt_n is not None
-        assert best.felt_n is not None
-        assert felt_n > best.felt_n
-    bolder = best.controller.model_copy(update={"kp": best.controller.kp * 1.1})
-    assert judge(display, bolder).worst.peak_sensitivity > MOST_SENSITIVITY
+    timid, less, bolder = (
+        judge(display, best.controller.model_copy(update={"kp": best.controller.kp * factor}))
+        for factor in (0.5, 0.9, 1.1)
+    )
+    assert min(known(timid.felt_n), known(less.felt_n)) > known(best.felt_n)
+    assert bolder.worst.peak_sensitivity > MOST_SENSITIVITY
 
 
-def test_what_is_printed_can_be_pasted_into_the_scene(tmp_path: Path) -> None:
+def test_printed_gains_can_be_pasted_into_the_scene(tmp_path: Path) -> None:
     text = (ROOT / "scenes" / "real_bench.toml").read_text(encoding="utf-8")
     begin, end = text.index("[display.controller]"), text.index("[display.actuator]")
     proposed = design(load_scene(find_scene("real_bench")).display).controller

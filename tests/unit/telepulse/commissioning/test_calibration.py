@@ -64,7 +64,7 @@ def test_repeatability_is_the_spread_at_the_same_load_reached_the_same_way() -> 
         ([0, 1, 2], [5, 5, 5], "do not change"),
     ],
 )
-def test_what_gives_no_line_is_refused(
+def test_loads_without_a_line_are_refused(
     load_n: list[float], reading: list[float], reason: str
 ) -> None:
     with pytest.raises(BenchError, match=reason):

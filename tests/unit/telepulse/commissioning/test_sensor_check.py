@@ -23,6 +23,11 @@ def samples(
     )
 
 
+def uneven(jitter_ns: int) -> SensorRecord:
+    jitter = np.random.default_rng(2).normal(0, jitter_ns, COUNT).astype(np.int64)
+    return replace(samples(), taken_ns=samples().taken_ns + jitter)
+
+
 def verdicts(record: SensorRecord, nominal_hz: float = 1000.0) -> dict[str, str]:
     checks = judge_sensor(measure(record), nominal_hz)
     assert all(check.reason for check in checks if check.verdict != "ok")
@@ -60,20 +65,14 @@ def test_mains_is_found_with_its_share() -> None:
         (samples(zero_n=-0.1), 1000.0, {"zero": "warn"}),
         (replace(samples(), missing=1), 1000.0, {"missing samples": "warn"}),
         (replace(samples(), missing=500), 1000.0, {"missing samples": "fail"}),
+        (uneven(400_000), 1000.0, {"jitter of sample times": "warn"}),
+        (uneven(3_000_000), 1000.0, {"jitter of sample times": "fail"}),
     ],
 )
-def test_what_is_wrong_is_named(
+def test_each_defect_is_named(
     record: SensorRecord, nominal_hz: float, expected: dict[str, str]
 ) -> None:
     assert verdicts(record, nominal_hz) == expected
-
-
-@pytest.mark.parametrize(("jitter_ns", "verdict"), [(400_000, "warn"), (3_000_000, "fail")])
-def test_uneven_times_are_named(jitter_ns: int, verdict: str) -> None:
-    record = samples()
-    jitter = np.random.default_rng(2).normal(0, jitter_ns, COUNT).astype(np.int64)
-    uneven = replace(record, taken_ns=record.taken_ns + jitter)
-    assert verdicts(uneven) == {"jitter of sample times": verdict}
 
 
 def test_a_drift_is_no_noise() -> None:
@@ -82,23 +81,17 @@ def test_a_drift_is_no_noise() -> None:
     assert measure(drifting).noise_n == pytest.approx(1e-3, rel=0.05)
 
 
-def test_too_short_a_record_is_refused() -> None:
-    record = samples()
-    short = replace(record, taken_ns=record.taken_ns[:100], force_n=record.force_n[:100])
-    with pytest.raises(BenchError, match="100 samples came from the sensor"):
-        measure(short)
-
-
 def test_a_live_reading_that_never_changes_is_not_ok() -> None:
-    record = samples()
-    stuck = replace(record, force_n=np.zeros_like(record.force_n))
-    figures = measure(stuck)
+    figures = measure(replace(samples(), force_n=np.zeros(COUNT)))
     for live, verdict in ((True, "warn"), (False, "ok")):
         found = {check.name: check.verdict for check in judge_sensor(figures, 1000.0, live)}
         assert found["noise"] == verdict
 
 
-def test_times_that_do_not_advance_are_refused() -> None:
+def test_a_record_that_is_too_short_or_stands_still_is_refused() -> None:
     record = samples()
+    short = replace(record, taken_ns=record.taken_ns[:100], force_n=record.force_n[:100])
+    with pytest.raises(BenchError, match="100 samples came from the sensor"):
+        measure(short)
     with pytest.raises(BenchError, match="do not advance"):
         measure(replace(record, taken_ns=np.zeros_like(record.taken_ns)))
