@@ -20,7 +20,7 @@ from tests.support.virtual_bench import MS, TICK_MS, VirtualBench
 from tests.support.waiting import until
 
 LINK = "delay=40ms,jitter=5ms,loss=1%"
-# A busy machine brings the bench to rest by faults of its own; the session goes on after them.
+# On a busy machine the bench stops by faults of its own; the session continues after them.
 TRIES = 5
 PULSE = """kind = "synthetic"
 rate = "1 kHz"
@@ -30,7 +30,7 @@ preload = "0.3 N"
 
 
 def bench_scene(folder: Path) -> Path:
-    """The emulated bench's, patient, with a pulse that can be had again."""
+    """Write the scene of the emulated bench, with longer time-outs and a reproducible pulse."""
     text = to_toml(load_document(find_scene("tmcl_bench")))
     text = text.replace("/tmp/telepulse-", f"{folder}/")
     text = re.sub(r"(?s)(?<=\[sensing.source\]\n).*?(?=\n\[display\])", PULSE, text)
@@ -70,12 +70,12 @@ def test_one_interval_after_the_other_is_pressed_by_the_motor(tmp_path: Path) ->
         assert most_n(opened_ns, now_ns) > 0.2
         assert most_n(now_ns - 20 * MS, now_ns) < 0.01
     errors_n = [played.aligned_n or 0 for played in felt]
-    # The film says what was 8 ms ago: scored against the pulse of now it would be 10 mN off.
+    # The film's reading is 8 ms old: against the present pulse, the error would be 10 mN.
     assert max(errors_n[0], errors_n[2]) < 3e-3
     assert errors_n[1] > 10e-3
 
 
-def test_a_person_has_the_loop_judged_once_before_the_drive_moves(
+def test_the_loop_is_judged_once_before_the_drive_moves(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     bench, judged = VirtualBench(force_n=lambda _: 0.0), Mock()
@@ -88,7 +88,7 @@ def test_a_person_has_the_loop_judged_once_before_the_drive_moves(
 
 
 def run_once(session: Path, log: Path) -> str:
-    """Run the session, and return why it did not come to its end; nothing when it did."""
+    """Run the session; return the error that ended it, or ""."""
     command = ("-m", "telepulse", "experiment", "run", str(session), "--log", str(log), "--yes")
     command += ("--resume",) if log.exists() else ()
     with ChildProcess("session", *command, cwd=ROOT, stdin=PIPE, stdout=PIPE, stderr=PIPE) as child:

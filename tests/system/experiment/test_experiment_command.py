@@ -23,7 +23,7 @@ from tests.support.experiment_sessions import condition, write
 from tests.support.nodes import ROOT, known
 from tests.support.waiting import until
 
-# One that is felt, and one that nobody feels.
+# A link with a difference that is felt, and one without.
 PLAIN = condition("plain")
 NOTHING = condition("nothing", "delay=5ms", "auto")
 KEYS = b"abx1"
@@ -34,14 +34,14 @@ def experiment(*arguments: object) -> Result:
 
 
 def observed(session: Path, threshold: str, log: Path, *options: str) -> SessionLog:
-    """The log of a simulated observer."""
+    """Run a session with a simulated observer; return its log."""
     result = experiment("run", session, "--log", log, "--observer", threshold, *options)
     assert result.exit_code == 0, result.output
     return read_log(log)
 
 
 def process(session: Path, *options: str, **pipes: Any) -> "subprocess.Popen[bytes]":
-    """`telepulse experiment run` in the session's folder."""
+    """Start `telepulse experiment run` in the session's folder."""
     command = [sys.executable, "-m", "telepulse", "experiment", "run", session.name]
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     folder = session.parent
@@ -55,9 +55,9 @@ def lines(log: Path) -> list[dict[str, Any]]:
 
 
 def test_an_observer_is_right_as_often_as_its_threshold_says(tmp_path: Path) -> None:
-    """Far below the error of the link, between, and far above, where it is guessed."""
     session = write(tmp_path / "s.toml", PLAIN, trials=6)
     shares = []
+    # Far below the error of the link, about it, and far above it, where answers are guesses.
     for threshold in ("0.1 %", "7 %", "1000 %"):
         results = gather([observed(session, threshold, tmp_path / f"{len(shares)}.jsonl")])
         plain = results.of("plain")
@@ -72,7 +72,7 @@ def test_an_observer_is_right_as_often_as_its_threshold_says(tmp_path: Path) -> 
     assert low < 0.5 < high
 
 
-def test_a_session_that_was_killed_goes_on_as_if_it_had_not_been(tmp_path: Path) -> None:
+def test_a_killed_session_continues_as_if_unbroken(tmp_path: Path) -> None:
     session = write(tmp_path / "s.toml", PLAIN, trials=6)
     whole = observed(session, "5 %", tmp_path / "whole.jsonl")
     log = tmp_path / "killed.jsonl"
@@ -93,7 +93,7 @@ def test_a_session_that_was_killed_goes_on_as_if_it_had_not_been(tmp_path: Path)
 
 @contextmanager
 def terminal(session: Path, *options: str) -> Iterator[tuple["subprocess.Popen[bytes]", int]]:
-    """A session whose keyboard is a terminal; its output is a pipe."""
+    """Start a session whose keyboard is a terminal; its output is a pipe."""
     ours, theirs = pty.openpty()
     try:
         with process(session, *options, stdin=theirs, stdout=subprocess.PIPE) as child:
@@ -107,7 +107,7 @@ def terminal(session: Path, *options: str) -> Iterator[tuple["subprocess.Popen[b
 
 
 def read_until(child: "subprocess.Popen[bytes]", wanted: bytes) -> bytes:
-    """Output until some words have come."""
+    """Read the output up to some words."""
     assert child.stdout is not None
     output = b""
     while wanted not in output:
@@ -121,7 +121,7 @@ def test_a_person_answers_by_keys_and_stops_in_the_midst_of_an_interval(tmp_path
     session = write(tmp_path / "s.toml", PLAIN, kind="rating", interval="0.5 s")
     with terminal(session, "--log", "log.jsonl") as (child, keys):
         read_until(child, b"trial 1 of 2")
-        # An arrow key ends with an A, and is none.
+        # The sequence of an arrow key ends with an A, which is not the key A.
         os.write(keys, b"\x1b[A")
         os.write(keys, b"ax4")
         output = read_until(child, b"trial 2 of 2")
@@ -229,7 +229,7 @@ def test_a_report_of_ratings(tmp_path: Path) -> None:
         (("new", "s.toml"), "s.toml: exists already; name another file"),
     ],
 )
-def test_what_cannot_be_done_is_refused_in_one_line(
+def test_an_impossible_request_is_refused_in_one_line(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, arguments: tuple[str, ...], reason: str
 ) -> None:
     monkeypatch.chdir(tmp_path)
@@ -244,7 +244,7 @@ def test_what_cannot_be_done_is_refused_in_one_line(
         assert result.stderr.count("\n") == 1
 
 
-def test_a_log_goes_on_with_its_own_session_alone(tmp_path: Path) -> None:
+def test_a_log_continues_only_with_its_own_session(tmp_path: Path) -> None:
     log = tmp_path / "log.jsonl"
     observed(write(tmp_path / "s.toml", trials=1), "5 %", log)
     other = write(tmp_path / "s.toml", trials=2)

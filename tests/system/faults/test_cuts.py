@@ -75,7 +75,7 @@ def test_after_a_cut_the_pulse_is_felt_again_and_every_sample_is_accounted_for(
         sent, summary = sensing.end(), display.summary()
     assert unaccounted(sent, summary) == 0
     if "stopped" in case:
-        # Which of the two depends on whether TCP still retransmitted them.
+        # They are late if TCP still retransmitted them, and lost otherwise.
         assert summary.samples.lost + summary.samples.late > 1_000
     elif case == "a short cut":
         # TCP may still have retransmitted all of them, too late.

@@ -27,7 +27,7 @@ CONNECTIONS, MESSAGES, SILENT = 60, 400, 500
 FLOODED_S = 2.0
 SUBSCRIBING_S = 0.6
 TOPIC_BYTES = (10, 200, 900)
-# Without a limit it is hundreds of megabytes.
+# Without a limit the growth is hundreds of megabytes.
 GROWN_BYTES = 40_000_000
 
 
@@ -81,7 +81,7 @@ def test_of_endless_clock_requests_few_are_read(tmp_path: Path) -> None:
         flood_with_requests(rig.connect[0], FLOODED_S)
         summary, sent = display.end(), sensing.end()
     assert sent.rejected["held_back"] > 0
-    # Of two displays: what may arrive at once, and 1 200 a second.
+    # The budget of two displays: what may arrive at once, and 1 200 a second.
     assert sent.rejected["flood"] < REQUESTS_AT_ONCE + 2 * FLOODED_S * 1_200
     assert summary.samples.lost == 0
     assert summary.faults == []

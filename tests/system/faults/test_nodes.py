@@ -105,7 +105,7 @@ def test_a_stopped_display_resumes_at_the_present_and_another_loses_nothing(
     assert undisturbed.samples.lost == 0
     assert stopped.samples.late
     assert (stopped.loop.deadline_misses or 0) > STOPPED_S * 900
-    # By a ramp of 0.3 s, although the newest samples had queued.
+    # The pulse returned by a ramp of 0.3 s, although the newest samples had queued.
     assert (stopped.interruptions.count or 0) >= 1
     assert (stopped.interruptions.longest_s or 0.0) > STOPPED_S + 0.25
     assert_limits_kept(felt)
@@ -121,10 +121,10 @@ def test_the_pulse_of_hosts_that_were_suspended_is_felt_again(tmp_path: Path) ->
             steps[host] += 1
             node.pause()
             time.sleep(SUSPENDED_S)
-            # The signal is handled first thing after the process continues.
+            # The process handles the signal as soon as it continues.
             node.step_clock()
             node.resume()
-            # On the display's clock, as the traces are.
+            # The traces are on the display's clock.
             return time.monotonic_ns() - round(steps["display"] * SUSPENDED_S * 1e9)
 
         def steps_counted() -> int | None:

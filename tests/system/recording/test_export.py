@@ -238,7 +238,7 @@ def test_the_command_writes_beside_the_recording(recording: Path, tmp_path: Path
     }
 
 
-def test_nothing_is_written_over(recording: Path, tmp_path: Path) -> None:
+def test_no_file_is_overwritten(recording: Path, tmp_path: Path) -> None:
     there = tmp_path / "there.edf"
     there.write_bytes(b"precious")
     line = refused(MODULE, "export", str(recording), "--to", "edf", "--out", str(there))
@@ -247,7 +247,7 @@ def test_nothing_is_written_over(recording: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("library", "to"), [("pyarrow", export_parquet), ("edfio", export_edf)])
-def test_what_is_not_installed_is_named(
+def test_a_library_that_is_not_installed_is_named(
     library: str, to: Any, recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, library, None)

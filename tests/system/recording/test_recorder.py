@@ -76,7 +76,7 @@ def end(display: TelemetryPublisher, recorder: "subprocess.Popen[str]") -> tuple
     return recorder.communicate(timeout=PATIENCE_S)
 
 
-def test_all_that_a_display_publishes_is_in_the_file(tmp_path: Path) -> None:
+def test_everything_that_a_display_publishes_is_in_the_file(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
     with recording(path) as (display, recorder):
         display.begin()
@@ -120,7 +120,7 @@ def test_killed_it_loses_at_most_its_last_second(seed: int, tmp_path: Path) -> N
     pytest.fail(f"{due} frames were older than a second, {len(numbers)} are in the file")
 
 
-def test_what_a_slow_recorder_misses_is_counted_and_shown(tmp_path: Path) -> None:
+def test_messages_that_a_slow_recorder_misses_are_counted_and_shown(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
     with recording(path) as (display, recorder):
         display.begin()
@@ -298,7 +298,9 @@ def test_silence_ends_it_with_the_option(tmp_path: Path) -> None:
         ("tcp://192.0.2.1:5557", "a.mcap", "--insecure"),
     ],
 )
-def test_what_cannot_begin_is_one_line(address: str, name: str, word: str, tmp_path: Path) -> None:
+def test_a_recorder_that_cannot_begin_says_so_in_one_line(
+    address: str, name: str, word: str, tmp_path: Path
+) -> None:
     (tmp_path / "there.mcap").write_bytes(b"precious")
     assert word in refused(MODULE, "record", address, str(tmp_path / name))
     assert (tmp_path / "there.mcap").read_bytes() == b"precious"

@@ -102,7 +102,7 @@ def test_it_finds_what_is_known_to_be_in_a_recording(tmp_path: Path) -> None:
     assert names == ["begin", "session", "state", "join", "state", "end"]
 
 
-def test_one_that_never_played_is_reported(tmp_path: Path) -> None:
+def test_a_recording_that_was_never_played_is_reported(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
     record(path, 1)
     force = build_recording_report(path).chapters[1]
@@ -143,7 +143,7 @@ def test_ticks_that_were_left_out_are_missed_ones(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("command", [("replay",), ("report",), ("export", "--to", "csv")])
-def test_what_is_no_recording_is_one_line_and_nothing_is_written(
+def test_a_file_that_is_no_recording_is_refused_in_one_line(
     command: tuple[str, ...], tmp_path: Path
 ) -> None:
     path = tmp_path / "x.mcap"

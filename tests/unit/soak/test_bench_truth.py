@@ -10,7 +10,7 @@ from soak.bench_truth import FingerClaim, Round, judge_bench
 MS = 1_000_000
 LEFT = "off the finger after a fault"
 TIMES_NS = np.arange(0, 6_000 * MS, MS)
-# Pressed with 245 mN until 3 s, and off the finger then.
+# Pressed with 245 mN until 3 s, then off the finger.
 FORCES_N = np.where(TIMES_NS < 3_000 * MS, 0.245, 0.0)
 
 

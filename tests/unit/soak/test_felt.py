@@ -59,11 +59,11 @@ SPELLS = [(0, 1_000 * MS), (1_900 * MS, 1_950 * MS), (2_500 * MS, 9_000 * MS)]
 
 def test_felt_again_is_felt_for_good() -> None:
     assert felt_again_ns(SPELLS, 1_100 * MS, 9_000 * MS) == 1_400 * MS
-    # Through it all, or never.
+    # Without an interruption, or never.
     assert felt_again_ns(SPELLS, 500 * MS, 9_000 * MS) == 0
     assert felt_again_ns(SPELLS, 1_100 * MS, 2_400 * MS) is None
     assert felt_again_ns([], 0, 9_000 * MS) is None
-    # What was left of a touch when the fault was over is not long enough.
+    # The rest of a touch at the end of the fault is not long enough.
     assert felt_again_ns(SPELLS, 900 * MS, 9_000 * MS) == 1_600 * MS
 
 

@@ -39,7 +39,7 @@ def test_a_temporary_display_joins_and_the_others_must_not_notice() -> None:
     visit = Played((done("temporary display", 30.0, TEMPORARY, for_s=4.0),), 29 * S, 40 * S)
     assert recoveries([visit], FELT) == {"temporary display": [pytest.approx(0.8)]}
     assert beside([visit], FELT) == [0.0, 0.0]
-    # It left before it felt anything, which with a fault beside it proves nothing.
+    # It left before it felt anything; with another fault at the time, this proves nothing.
     brief = Played((done("temporary display", 30.0, TEMPORARY, for_s=0.5),), 29 * S, 40 * S)
     assert recoveries([brief], FELT) == {"temporary display": [None]}
     pair = Played((*brief.done, done("cut", 31.0, RESTARTED)), 29 * S, 40 * S)

@@ -32,7 +32,7 @@ def test_the_same_seed_gives_the_same_faults_and_another_one_others() -> None:
 @pytest.mark.parametrize("seed", range(20))
 def test_every_kind_has_its_turn(seed: int) -> None:
     kinds = [fault.kind for fault in faults(seed, 3 * len(KINDS))][: 3 * len(KINDS)]
-    # What was put off for its partner is one place late.
+    # A fault that was postponed for its partner is one place late.
     assert len(set(KINDS) - set(kinds[: len(KINDS) + 1])) == 0
     assert {kinds.count(kind) for kind in KINDS} <= {2, 3, 4}
 
@@ -65,7 +65,6 @@ def test_there_is_time_to_be_felt_again_after_every_episode() -> None:
 
 @pytest.mark.parametrize("seed", range(20))
 def test_every_trouble_of_the_bench_has_its_turn(seed: int) -> None:
-    """Two independent draws of seed 7 were both a cut."""
     found = list(islice(troubles(seed), 2 * len(BENCH_KINDS)))
     assert found == list(islice(troubles(seed), 2 * len(BENCH_KINDS)))
     kinds = [trouble.kind for trouble in found]

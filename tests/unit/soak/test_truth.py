@@ -75,7 +75,7 @@ def test_without_a_status_nothing_is_judged() -> None:
         (replace(claim(), no_figures=("summary.speed",)), "figures"),
         (claim(within_jnd=1.2), "figures"),
         (claim(availability=Availability(10.0, 1.1, 0, 0, 0, 0, 0, 0, 1, 1)), "figures"),
-        # Judged while nothing was felt: the share would be printed of time that was not.
+        # More was judged than felt: the share would be printed for time without a pulse.
         (claim(availability=Availability(10.0, 0.1, 0, 0.9, 0, 0, 0, 0, 0.1, 0.9)), "figures"),
     ],
 )
@@ -94,7 +94,7 @@ def test_nan_is_found_in_a_status_wherever_it_is() -> None:
     [
         (100.0, 50.0, 99.0, True),
         (100.0, 50.9, 99.0, True),
-        # The time that was cut is left out, as "felt 100 %" of a run that was cut for half of it.
+        # The cut is left out, as in "felt 100 %" of a run of which half was cut.
         (50.0, 50.0, 99.0, False),
         (100.0, 52.0, 99.0, False),
         (100.0, 48.0, 99.0, False),
@@ -110,7 +110,7 @@ def test_availability_is_by_ticks(seconds: float, felt_s: float, ran_s: float, o
 
 
 def line(text: str, at_ms: int, seen: TickRecord, *impostors: tuple[int, int]) -> list[str]:
-    """Names of the checks that a line of a terminal fails."""
+    """Return the names of the checks that a line of a terminal fails."""
     found = read_line(text, at_ms * MS)
     assert found is not None, text
     checks = judge_lines("restarted", [found], seen, WRIST_PER_MIN, impostors)
@@ -153,7 +153,7 @@ SILENT = "no telemetry: since 5 s; finger: unknown, before that: pressed with 24
         (shown("playing 5.0 s ago: ", rate="–", finger=""), 15_000, PLAYING, [AGE]),
         (shown(f"playing 5.0 s ago: {SILENT}", rate="–"), 15_000, PLAYING, [AGE]),
         (shown(f"playing 5.0 s ago: {SILENT}", finger=""), 15_000, PLAYING, [AGE, RATE]),
-        # Silent, and it is not.
+        # It reports silence, but the display is not silent.
         (shown(f"playing 5.0 s ago: {SILENT}", rate="–", finger=""), 9_900, PLAYING, [AGE]),
     ],
 )  # fmt: skip
@@ -167,7 +167,7 @@ def test_a_heart_rate_after_an_impostor_and_a_line_without_a_display_are_not_jud
 
 
 def counting(*interruptions_ms: tuple[int, int]) -> list[StatusClaim]:
-    """Statuses 0.2 s apart of a display that counts these interruptions, until 1.6 s."""
+    """Return statuses every 0.2 s until 1.6 s of a display that counts these interruptions."""
     claims, counter = [], InterruptionCounter(1e-3)
     for ms in range(1_601):
         counter.add(not any(begin < ms < end for begin, end in interruptions_ms), 1)
@@ -181,7 +181,7 @@ def counting(*interruptions_ms: tuple[int, int]) -> list[StatusClaim]:
     ("named_ms", "recorded_ms", "ok"),
     [
         ([(250, 1_000)], [(250, 1_000)], True),
-        # Two between the same statuses, and one that neither of two statuses saw.
+        # Two between the same statuses.
         ([(210, 240), (250, 390)], [(210, 240), (250, 390)], True),
         ([], [(250, 1_000)], False),
         ([], [(250, 280)], False),
@@ -204,7 +204,7 @@ def test_an_interruption_is_named_once(
         ((250, 900, True), 0, False),
         # The ticks between them were in a trace that did not arrive.
         ((250, 900, True), 20, True),
-        # Short enough to be played through.
+        # Short enough to continue without a ramp.
         ((250, 340, True), 0, None),
     ],
 )

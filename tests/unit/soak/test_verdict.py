@@ -59,7 +59,7 @@ WARMING.memory_mb[:10] -= np.linspace(20.0, 0.0, 10)
         ([], None, [None, None]),
         ([first(line(mb_per_h=1_000.0), 39)], None, [None, None]),
         ([first(line(start_mb=MEMORY_MAX_MB + 1.0), 20)], False, [None, None]),
-        # A minute of a little above the bar, beneath the noise of memory.
+        # A minute slightly above the bar is within the noise of memory.
         ([first(line(mb_per_h=1.1 * BAR), 41)], True, [True, True]),
     ],
 )
@@ -78,7 +78,9 @@ def test_growth_after_the_warm_up_and_too_large_a_size_fail(
         ([None], False),
     ],
 )
-def test_a_fault_felt_too_long_or_for_ever_fails(again_s: list[float | None], ok: bool) -> None:
+def test_a_recovery_that_takes_too_long_or_never_comes_fails(
+    again_s: list[float | None], ok: bool
+) -> None:
     cut, kill, both = judge_recovery({"kill": again_s, "cut": [0.1]})
     assert (cut.ok, kill.ok, both.ok) == (True, ok, ok)
     # A soak without a fault is not passed.

@@ -1,4 +1,4 @@
-"""The virtual time in which benches are stalled: threads, clock, stalls."""
+"""Threads, clock and stalls in the virtual time of benches."""
 
 import sys
 import threading
@@ -21,7 +21,7 @@ def world() -> VirtualTime:
 
 @pytest.fixture
 def here(world: VirtualTime, monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
-    """A module that reads the clock and starts threads, in virtual time."""
+    """Provide a module that reads the clock and starts threads, in virtual time."""
     module: Any = ModuleType("here")
     module.time, module.threading = time, threading
     monkeypatch.setitem(sys.modules, "here", module)
@@ -113,7 +113,7 @@ def test_a_lock_is_waited_for_while_its_holder_is_stalled(world: VirtualTime, he
     assert seen == [("held", 40), ("taken", 40)]
 
 
-def test_what_a_thread_raises_ends_the_world(world: VirtualTime) -> None:
+def test_an_error_of_a_thread_ends_the_world(world: VirtualTime) -> None:
     def fail() -> None:
         world.sleep(1e-3)
         raise ZeroDivisionError

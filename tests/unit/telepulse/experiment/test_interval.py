@@ -14,7 +14,7 @@ SLOW = condition("slow", "delay=200ms,jitter=10ms", "auto")
 
 
 def intervals(folder: Path, *conditions: str, **keys: object) -> dict[str, Interval]:
-    """A, B and X of a trial whose X is over the link."""
+    """Draw A, B and X of a trial in which X is over the link."""
     found = plan(folder, *conditions, **keys)
     name = found.session.conditions[0].name
     trial = Trial(condition=name, direct="A", x="B", pulse_seed=5)
@@ -23,7 +23,7 @@ def intervals(folder: Path, *conditions: str, **keys: object) -> dict[str, Inter
 
 
 def forces(interval: Interval, stop_ns: int | None = None) -> list[tuple[int, float]]:
-    """Time and force felt, tick by tick."""
+    """Play an interval; return time and felt force of each tick."""
     playing, now_ns, felt = IntervalPlayback(interval, 0), 0, []
     while playing.tick(now_ns):
         felt.append((now_ns, playing.display.tick_state.felt_n))
@@ -45,7 +45,7 @@ def test_begin_and_length_do_not_depend_on_the_link(tmp_path: Path) -> None:
         assert abs(play_in_virtual_time(interval).felt_s - 0.4) < 0.01
 
 
-def test_x_has_the_same_beats_and_other_chances(tmp_path: Path) -> None:
+def test_x_has_the_same_beats_and_other_random_numbers(tmp_path: Path) -> None:
     found = intervals(tmp_path)
     assert len({interval.scene.sensing for interval in map(found.get, "ABX") if interval}) == 1
     assert found["B"].scene == found["X"].scene

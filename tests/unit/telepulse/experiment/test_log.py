@@ -1,5 +1,4 @@
-"""Kinds of answers that are never pooled silently: simulated observers, other sessions, spoilt
-trials."""
+"""Answers that are never pooled silently: of simulated observers, other sessions, spoilt trials."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -53,7 +52,7 @@ def test_people_and_simulated_observers_are_reported_apart(tmp_path: Path) -> No
     assert "Simulated" in text
     assert "threshold 5 %" in text
     assert "by one simulated observer" in text
-    # A terminal shows tables alone.
+    # A terminal shows only tables.
     assert "Simulated" in build_report([observer]).chapters[0].tables[0].note
     assert "Nobody felt" in " ".join(build_report([models]).chapters[0].paragraphs)
     assert "imulated" not in " ".join(build_report([person]).chapters[0].paragraphs)
@@ -78,7 +77,7 @@ def test_other_sessions_and_scenes_are_reported_apart(tmp_path: Path) -> None:
         ({"ticks": 1000, "stale_ticks": 60}, "the stream stale for 6.0 % of the ticks"),
         ({"ticks": 1000, "felt_s": 0.0}, "never felt at full strength"),
         ({"ticks": 10_000, "deadline_misses": 59, "longest_gap_ms": 60.0}, "no tick for 60 ms"),
-        # A log of before ticks were in it: an interval of 1 s.
+        # Logs of older versions have no ticks; this interval is 1 s.
         ({"deadline_misses": 30}, "3.0 % of the ticks missed"),
     ],
 )
@@ -116,14 +115,13 @@ def test_a_stream_that_its_own_link_leaves_stale_is_named_and_counted(tmp_path: 
         )
         playing, now_ns, elapsed = IntervalPlayback(drawn, 0), 0, 1
         while playing.tick(now_ns, elapsed):
-            # The machine runs nothing for a while, in the middle of what is felt.
+            # The machine stalls once, in the middle of the felt time.
             elapsed = 1 + (stall_ms if now_ns == 2_000_000_000 else 0)
             now_ns += elapsed * drawn.scene.display.tick_ns
         return playing.played()
 
-    assert felt(whole).stale == ""
-    assert felt(whole).spoilt == ""
-    # Whatever the machine does is no staleness of the link's.
+    assert felt(whole).stale == felt(whole).spoilt == ""
+    # A stall of the machine does not count as a stale link.
     stalled = felt(whole, stall_ms=300)
     assert stalled.stale_ticks == 0
     assert "of the ticks missed" in stalled.spoilt
@@ -138,7 +136,7 @@ def test_a_stream_that_its_own_link_leaves_stale_is_named_and_counted(tmp_path: 
     assert "an effect of the condition: plain: 1." in text
 
 
-def test_a_person_is_refused_a_scene_that_nobody_feels(tmp_path: Path) -> None:
+def test_a_scene_without_a_drive_is_refused_for_a_person(tmp_path: Path) -> None:
     session, out = write(tmp_path / "s.toml"), tmp_path / "log.jsonl"
     result = CliRunner().invoke(app, ["experiment", "run", str(session), "--log", str(out)])
     assert result.exit_code == 2

@@ -35,7 +35,7 @@ def test_the_interval_holds_the_true_share_at_least_95_times_of_100(of: int) -> 
         assert binom.pmf(np.arange(of + 1), of, share)[held].sum() >= 0.95
 
 
-def test_the_interval_holds_what_a_simulated_observer_does() -> None:
+def test_the_interval_holds_the_share_of_a_simulated_observer() -> None:
     errors, threshold, of = IntervalErrors(0.12, 0.0, 0.12), 0.08, 40
     share, held, sessions = float(probability_of_a(errors, threshold)), 0, 400
     intervals = [Proportion(hits, of).interval for hits in range(of + 1)]
@@ -47,7 +47,7 @@ def test_the_interval_holds_what_a_simulated_observer_does() -> None:
     assert held < sessions
 
 
-def test_how_many_trials_are_needed() -> None:
+def test_power_and_the_number_of_trials() -> None:
     assert hits_needed(6) == 6
     assert hits_needed(16) == 12
     assert hits_needed(4) == 5

@@ -3,7 +3,7 @@ import pytest
 
 from protocol.wire.messages import Frame
 from protocol.wire.stream import Channel
-from telepulse.recording.forces import BINS, AlignedBlock, AlignedTick, ForceAlignment, Trend
+from telepulse.recording.forces import BINS, AlignedTick, ForceAlignment, Trend
 from tests.support.streams import description
 
 MS = 1_000_000
@@ -11,7 +11,7 @@ BATCH = 5
 
 
 def run(seconds: int, ratio: float, channel: int, group_delay_ns: int = 0) -> ForceAlignment:
-    """A pulse on one of two channels, felt 1 mN too strong and 40 ms late."""
+    """Align a pulse on one of two channels, felt 1 mN too strong and 40 ms late."""
     chance = np.random.default_rng(1)
     alignment, blocks = ForceAlignment(), []
     stream = description(
@@ -32,14 +32,10 @@ def run(seconds: int, ratio: float, channel: int, group_delay_ns: int = 0) -> Fo
                 tick = AlignedTick(t_s[at], at * MS, (at - 40) * MS, target_n + 1e-3)
                 blocks += alignment.add_tick(tick)
     blocks += alignment.finish()
-    check(blocks, len(t_s) - 40)
-    return alignment
-
-
-def check(blocks: list[AlignedBlock], ticks: int) -> None:
-    assert sum(len(block.t_s) for block in blocks) == ticks
     error_n = np.concatenate([block.felt_n - block.wrist_n for block in blocks])
+    assert len(error_n) == len(t_s) - 40
     np.testing.assert_allclose(error_n, 1e-3)
+    return alignment
 
 
 @pytest.mark.parametrize("channel", [0, 1])
@@ -62,7 +58,7 @@ def test_another_session_begins_anew() -> None:
 
 
 @pytest.mark.parametrize("hours", [0.01, 1, 30])
-def test_a_time_of_any_length_fits_and_nothing_is_lost_of_it(hours: float) -> None:
+def test_a_trend_of_any_length_fits_and_loses_no_value(hours: float) -> None:
     trend, chance = Trend(), np.random.default_rng(1)
     times_s = np.sort(chance.uniform(0, hours * 3600, 20_000))
     values = chance.normal(size=20_000)
@@ -78,7 +74,7 @@ def test_a_time_of_any_length_fits_and_nothing_is_lost_of_it(hours: float) -> No
         assert points.high[at] == values[here].max()
 
 
-def test_what_is_no_number_is_left_out() -> None:
+def test_nan_is_left_out() -> None:
     trend = Trend(1.0)
     trend.add(np.array([0.0, 1.5, 1.6]), np.array([np.nan, 2.0, np.nan]))
     points = trend.points()

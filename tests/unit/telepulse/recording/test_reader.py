@@ -31,7 +31,7 @@ def path(tmp_path: Path) -> Path:
 
 @pytest.fixture
 def ends(path: Path) -> list[int]:
-    """Where each chunk ends in the file, which holds a frame and three chunks of ticks."""
+    """Write a frame and three chunks of ticks; return the end of each chunk in the file."""
     writer, ends = McapWriter(path), []
     writer.add(Entry(FRAME, 1, {"data": ""}))
     for first in range(0, 3 * TICKS_A_CHUNK, TICKS_A_CHUNK):
@@ -55,13 +55,13 @@ def test_a_whole_recording_is_read_whole(path: Path, ends: list[int]) -> None:
     assert (reader.whole, reader.damaged) == (True, 0)
 
 
-def test_cut_anywhere_only_the_chunks_before_are_read(
+def test_of_a_recording_cut_anywhere_the_whole_chunks_are_read(
     path: Path, ends: list[int], tmp_path: Path
 ) -> None:
     cut, data = tmp_path / "cut.mcap", path.read_bytes()
     for size in range(9, ends[-1], 29):
         cut.write_bytes(data[:size])
-        # A chunk's index follows it in the file; it is whole before that has come.
+        # A chunk is whole before its index, which follows it in the file.
         whole = sum(size >= end for end in ends) * TICKS_A_CHUNK
         try:
             numbers, reader = ticks(cut)
@@ -82,7 +82,7 @@ def test_a_damaged_chunk_is_left_out_and_counted(path: Path, ends: list[int]) ->
     assert numbers == [*range(TICKS_A_CHUNK), *range(2 * TICKS_A_CHUNK, 3 * TICKS_A_CHUNK)]
 
 
-def test_a_cut_one_is_made_whole(
+def test_a_recording_that_was_cut_short_is_repaired(
     path: Path, ends: list[int], tmp_path: Path, logged: list[str]
 ) -> None:
     copy = tmp_path / "b.mcap"
@@ -120,7 +120,9 @@ def foreign() -> bytes:
         (None, "no such recording"),
     ],
 )
-def test_what_is_no_recording_is_one_line(path: Path, data: bytes | None, words: str) -> None:
+def test_a_file_that_is_no_recording_is_refused_in_one_line(
+    path: Path, data: bytes | None, words: str
+) -> None:
     if data is not None:
         path.write_bytes(data)
     with pytest.raises(SourceError) as caught:
@@ -157,7 +159,7 @@ def good(tmp_path_factory: pytest.TempPathFactory) -> list[RecordedMessage]:
 def change(
     good: list[RecordedMessage], path: Path, change: Callable[[str, int, dict[str, Any]], None]
 ) -> None:
-    """Write the recording with its fields changed: of a topic, with the number of the message."""
+    """Write a recording with changed fields; change: of a topic, a message's number and fields."""
     writer = McapWriter(path)
     for topic, t_ns, data in good:
         fields = json.loads(data)
@@ -236,7 +238,7 @@ def test_a_received_message_comes_before_the_next_due_tick() -> None:
     assert ordered == [(EVENT, 0), *due]
 
 
-def test_without_ticks_little_waits() -> None:
+def test_without_ticks_few_messages_wait() -> None:
     received = (message(FRAME, arrived_ns=number) for number in range(MAX_WAITING + 500))
     turns = in_tick_order(received)
     assert next(turns).fields["arrived_ns"] == 0
