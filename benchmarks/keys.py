@@ -26,19 +26,19 @@ class Reader:
     def __init__(self, context: sockets.Context, keys: ClientKeys, address: str) -> None:
         self.socket = sockets.connect(context, zmq.SUB, address, keys)
         self.socket.subscribe(b"")
-        self.heard: list[int] = []
+        self.received: list[int] = []
         self.last_s = 0.0
 
     def read(self) -> None:
         """Receive all numbers that have arrived."""
         for message in sockets.receive_parts(self.socket):
-            self.heard.append(int(message))
+            self.received.append(int(message))
             self.last_s = time.perf_counter()
 
     @property
     def missed(self) -> int:
         """Return the longest run of missing numbers."""
-        return int(np.diff(self.heard).max()) - 1
+        return int(np.diff(self.received).max()) - 1
 
 
 class Stream:
@@ -108,7 +108,7 @@ def _revoke(pairs: dict[str, KeyPair], allowed: Path, phase_s: float) -> tuple[f
             for name in ("stays", "goes")
         )
         stream.readers += (stays, goes)
-        stream.run_until(lambda: goes.heard and stays.heard)
+        stream.run_until(lambda: goes.received and stays.received)
         let_in_ms = (goes.last_s - began_s) * 1e3
         settled_s = time.perf_counter() + 0.5 + phase_s
         stream.run_until(lambda: time.perf_counter() > settled_s)

@@ -17,10 +17,10 @@ AFTERMATH_NS = 3_000_000_000
 
 @dataclass(frozen=True, slots=True)
 class Session:
-    """One run of a sensing node, and the bounds of the number of samples it has sent.
+    """A run of a sensing node, with bounds of the number of samples that it has sent.
 
-    began_ns: time of its first sample. least, most: equal where the node reported the number, as
-    nodes do at their end.
+    began_ns: time of its first sample. least, most: the bounds; equal if the node reported the
+    number, as nodes do at their end.
     """
 
     began_ns: int
@@ -32,7 +32,7 @@ class Session:
 
 @dataclass(frozen=True, slots=True)
 class Mark:
-    """A display at one time. total: samples sent, by its counts, with those before it joined."""
+    """A display's state at a time. total: samples sent, by its counts, also before it joined."""
 
     now_ns: int
     state: str
@@ -43,7 +43,7 @@ class Mark:
 class Reckoning:
     """A display's count over one or more sessions, which must be between `least` and `most`.
 
-    exact: the bounds are equal, since the display received every end.
+    The bounds are equal if the display received every end.
     """
 
     counted: int
@@ -52,7 +52,7 @@ class Reckoning:
 
     @property
     def exact(self) -> bool:
-        """Return whether only one count is right."""
+        """Return whether the bounds are equal."""
         return self.least == self.most
 
     @property
@@ -66,7 +66,7 @@ def reckon(
 ) -> list[Reckoning]:
     """Return a display's counts from one reported end to the next, and to its own end.
 
-    marks: its states, in order. sessions: all sessions during its process, in order. faults: begin
+    marks: its states, in order. sessions: all sessions during its process, in order. faults: start
     and end of each.
     """
     if not marks or not marks[-1].total:
@@ -106,7 +106,7 @@ def _reported(marks: Sequence[Mark], session: Session, following_ns: int | None)
 
 
 def _sent_by(now_ns: int, session: Session) -> int:
-    """Return the number of samples a session can have at a time at most."""
+    """Return the largest number of samples that a session can have at a time."""
     return (now_ns - session.began_ns) // session.period_ns + 1
 
 

@@ -24,7 +24,7 @@ LEFT_WITHIN_S = 1.0
 
 @dataclass(frozen=True, slots=True)
 class FingerClaim:
-    """One status of the display on the bench; read_ns: when it arrived."""
+    """A status of the display on the bench; read_ns: when it arrived."""
 
     read_ns: int
     state: str
@@ -33,7 +33,7 @@ class FingerClaim:
 
 @dataclass(frozen=True, slots=True)
 class Round:
-    """One trouble on the bench.
+    """A round on the bench, with one fault.
 
     trouble: its name and length. claims: statuses until the display ended. status, faults, finger:
     exit status, faults and sentence about the finger at its end. time_ns, force_n: the motor's
@@ -107,7 +107,7 @@ def end_errors(of: Round) -> Iterator[str]:
 def left_after_s(of: Round) -> float | None:
     """Return the time in s from the first status with a fault until the tip was off for good.
 
-    Infinite where it stayed on, None without such a status.
+    It is infinite if the tip stayed on, and None without such a status.
     """
     begin_ns = next((claim.read_ns for claim in of.claims if claim.state == "fault"), None)
     if begin_ns is None:

@@ -17,14 +17,14 @@ STATES = ("waiting", "starting", "playing", "stale", "ended", "fault")
 
 @dataclass(frozen=True, slots=True)
 class StatusClaim:
-    """One status, with the record at that moment.
+    """A status, with the record at its arrival.
 
-    heard_ns, tick_ns: arrival of the status, and time of the newest tick before it. felt_n, full:
+    arrived_ns, tick_ns: arrival of the status, and time of the newest tick before it. felt_n, full:
     felt force and full strength at that tick. ticks, full_ticks: numbers recorded until then.
     no_figures: keys of the status with NaN or infinity.
     """
 
-    heard_ns: int
+    arrived_ns: int
     tick_ns: int
     felt_n: float
     full: bool
@@ -38,11 +38,11 @@ class StatusClaim:
 
 @dataclass(frozen=True, slots=True)
 class LineClaim:
-    """One line of a terminal.
+    """A line of a terminal.
 
-    age_s: its stated age, None where it claims to be current. forces_n: felt forces that it
-    states, in N; 0 for "not pressed". heart_rate_per_min: None where it states none. finger: it
-    states the finger's present condition. silent: it states that no telemetry arrives.
+    age_s: the stated age; None if the line claims to be current. forces_n: the stated felt forces
+    in N. heart_rate_per_min: None if the line has none. finger: the line states the finger's
+    present condition. silent: the line states that no telemetry arrives.
     """
 
     read_ns: int

@@ -10,16 +10,17 @@ from statistics import median
 
 # Unit of /proc/stat on Linux.
 JIFFY_NS = 10_000_000
-_PROCESSOR_FIELD = 36  # of /proc/PID/stat, counted from behind the name
+_PROCESSOR_FIELD = 36  # of /proc/PID/stat, counted after the name
 _STEAL_FIELD = 8
 
 
 @dataclass(frozen=True, slots=True)
 class CoreTime:
-    """One reading, at_ns on this machine's clock; both in ns since the process or host began.
+    """A reading of two times in ns, each since the process or the host began.
 
-    waited_ns: time in which the loop's thread was ready, but another one ran (`schedstat`, run
-    delay). stolen_ns: time that the hypervisor took from the processor of the thread.
+    at_ns: time of the reading, on this machine's clock. waited_ns: time in which the loop's thread
+    was ready, but another one ran (`schedstat`, run delay). stolen_ns: time that the hypervisor
+    took from the processor of the thread.
     """
 
     at_ns: int
@@ -40,7 +41,7 @@ class Excused:
 
     @property
     def all(self) -> int:
-        """Return both together."""
+        """Return the sum of both."""
         return self.waited + self.stolen
 
 

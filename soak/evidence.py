@@ -10,7 +10,7 @@ from sensing_node.sources.synthetic import SyntheticScene
 from soak.accounts import Session, reckon
 from soak.core_time import NONE_EXCUSED, excuse
 from soak.processes import SoakProcess
-from soak.recovery import beside, gaps_s, recoveries
+from soak.recovery import gaps_s, recoveries, undisturbed_gaps_s
 from soak.run import MINUTE_S, Run
 from soak.scenario import CALM_DISPLAY, CALM_SENSING, DISTURBED
 from soak.schedule import CONTINUOUS, PORTS, RESTARTED, SENSING, TEMPORARY
@@ -34,7 +34,7 @@ from soak.verdict import (
 WARM_UP_S = 480.0
 ROLES = (CALM_SENSING, CALM_DISPLAY, SENSING, CONTINUOUS, RESTARTED)
 # The last frame of a killed node, or of an impostor, may be received up to this time after its end.
-HEARD_WITHIN_NS = 100_000_000
+RECEIVED_WITHIN_NS = 100_000_000
 
 
 def verdict(run: Run, scene: DisplayScene, wrist_per_min: float | None) -> list[Check]:
@@ -58,7 +58,7 @@ def verdict(run: Run, scene: DisplayScene, wrist_per_min: float | None) -> list[
     checks += _judge_accounts(run, nodes)
     checks += judge_recovery(recoveries(run.played, felt))
     calm_gaps = gaps_s(run.played, felt[CALM_DISPLAY])
-    checks += judge_untouched(beside(run.played, felt), calm_gaps)
+    checks += judge_untouched(undisturbed_gaps_s(run.played, felt), calm_gaps)
     checks += _judge_truth(run, nodes, scene, wrist_per_min)
     complaints = [text for node in run.scenario.all_nodes if (text := node.complaint())]
     checks.append(judge_none("bad ends", [*complaints, *run.scenario.complaints]))
@@ -102,9 +102,9 @@ def _judge_truth(
 
 def _judge_accounts(run: Run, nodes: dict[str, list[SoakProcess]]) -> Iterator[Check]:
     sessions = {role: list(_sessions(run, role, nodes[role])) for role in (SENSING, CALM_SENSING)}
-    yield judge_none("sensing nodes that miscounted what was heard", _miscounted(run, nodes))
+    yield judge_none("sensing nodes that miscounted", _miscounted(run, nodes))
     for role in (CALM_DISPLAY, *DISTURBED):
-        heard = sessions[CALM_SENSING if role == CALM_DISPLAY else SENSING]
+        streamed = sessions[CALM_SENSING if role == CALM_DISPLAY else SENSING]
         faults = [] if role == CALM_DISPLAY else _faults(run, role)
         reckonings = [
             reckoning
@@ -112,7 +112,7 @@ def _judge_accounts(run: Run, nodes: dict[str, list[SoakProcess]]) -> Iterator[C
             if node.marks
             for reckoning in reckon(
                 node.marks,
-                [x for x in heard if x.ended_ns > node.began_ns and x.began_ns < _end_ns(node)],
+                [x for x in streamed if x.ended_ns > node.began_ns and x.began_ns < _end_ns(node)],
                 faults,
             )
         ]
@@ -128,26 +128,28 @@ def _judge_accounts(run: Run, nodes: dict[str, list[SoakProcess]]) -> Iterator[C
 
 def _sessions(run: Run, role: str, nodes: Sequence[SoakProcess]) -> Iterator[Session]:
     """Yield the sessions of a sensing node's role in order, an impostor's included."""
-    for heard in sorted(run.taps.sessions[role].values(), key=lambda heard: heard.began_ns):
-        node = _node_of(heard.began_ns, nodes)
-        said = node.sent() if node is not None else None
-        if said is not None:
-            least = most = said
+    for received in sorted(
+        run.taps.sessions[role].values(), key=lambda received: received.began_ns
+    ):
+        node = _node_of(received.began_ns, nodes)
+        reported = node.sent() if node is not None else None
+        if reported is not None:
+            least = most = reported
         else:
-            end_ns = heard.last_ns + HEARD_WITHIN_NS if node is None else _end_ns(node)
-            least = heard.sent
-            most = max(least, (end_ns - heard.began_ns) // heard.period_ns + heard.batch)
-        yield Session(heard.began_ns, heard.last_ns, heard.period_ns, least, most)
+            end_ns = received.last_ns + RECEIVED_WITHIN_NS if node is None else _end_ns(node)
+            least = received.sent
+            most = max(least, (end_ns - received.began_ns) // received.period_ns + received.batch)
+        yield Session(received.began_ns, received.last_ns, received.period_ns, least, most)
 
 
 def _miscounted(run: Run, nodes: dict[str, list[SoakProcess]]) -> list[str]:
     found = []
     for role in (SENSING, CALM_SENSING):
-        for heard in run.taps.sessions[role].values():
-            node = _node_of(heard.began_ns, nodes[role])
-            said = node.sent() if node is not None else None
-            if said is not None and said != heard.sent:
-                found.append(f"{role} sent {said}, {heard.sent} were heard")
+        for received in run.taps.sessions[role].values():
+            node = _node_of(received.began_ns, nodes[role])
+            reported = node.sent() if node is not None else None
+            if reported is not None and reported != received.sent:
+                found.append(f"{role} reported {reported} samples, {received.sent} were received")
     return found
 
 

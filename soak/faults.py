@@ -1,4 +1,4 @@
-"""The faults, made on the nodes; each returns its end."""
+"""Make the faults of a schedule on the nodes, and return when each has ended."""
 
 import asyncio
 import time
@@ -11,10 +11,10 @@ from soak.schedule import CONTINUOUS, PORTS, RESTARTED, SENSING, TEMPORARY, Faul
 
 @dataclass(frozen=True, slots=True)
 class Done:
-    """A fault as it was made: its begin, its end, and its target.
+    """A fault as it was made. displays: those that it affects.
 
-    It ends when the normal state is restored: a node's loop runs again, the link is calm, the flood
-    has ended.
+    It ends when the normal state is restored: a node's loop runs again, the link is calm, or the
+    flood has ended.
     """
 
     fault: Fault
@@ -91,7 +91,7 @@ async def _flood(fault: Fault, scenario: Scenario, seed: int) -> int:
 
 
 async def _visit(fault: Fault, scenario: Scenario) -> int:
-    """Start a display that leaves later; the fault ends when the display may begin to feel."""
+    """Start a display that leaves later; the fault ends when its loop runs."""
     node = scenario.start(TEMPORARY)
     up_ns = await node.up()
     await asyncio.sleep(fault.for_s)

@@ -21,7 +21,7 @@ Floats = NDArray[np.float64]
 class FeltLog:
     """The times and bounds of the force of one display.
 
-    spells: begin and end of each time with the pulse at full strength, on this machine's clock.
+    spells: start and end of each time with the pulse at full strength, on this machine's clock.
     Forces in N: least and greatest of the target and of the felt force; slews in N/s: the largest.
     catching_up: slew of the felt force soon after missed ticks. The actuator keeps its last speed
     during these, and the resulting error is corrected faster than a target moves.

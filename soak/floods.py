@@ -18,7 +18,7 @@ import zmq
 
 from protocol import sockets
 
-# Leaves the nodes' two cores time for their own work.
+# The pause leaves the nodes processor time for their own work.
 PAUSE_S = 0.002
 ROUND = 20
 MAX_BYTES = 2_000

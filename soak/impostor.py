@@ -49,7 +49,7 @@ def main(arguments: list[str]) -> None:
             reply = server.answer(tuple(envelope), message, now_ns, first)
             if reply is not None:
                 sockets.send(control, *envelope, encode_control(reply))
-            # And one that was not requested.
+            # A further reply was not requested.
             false_ns = random.getrandbits(61), random.getrandbits(61)
             unrequested = encode_control(ClockReply(session, now_ns, *false_ns))
             sockets.send(control, *envelope, unrequested)

@@ -17,7 +17,7 @@ from telepulse.simulation.link_model import LinkScene, parse_link
 
 CALM = "delay=10ms,jitter=1ms"
 LINKS = 4
-"""Two of them lead to the enduring display, one to the mortal one, one to the guest."""
+"""Two of them lead to the continuous display, one each to the restarted and the temporary one."""
 PORT = 5555
 STARTS_WITHIN_S = 30.0
 

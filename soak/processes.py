@@ -39,9 +39,9 @@ class Usage:
 
 @dataclass(slots=True)
 class SoakProcess:
-    """One process of a node. ending: "stopped" or "killed" by the soak, else None.
+    """A process of a node. ending: "stopped" or "killed" if the soak ended it, else None.
 
-    For a display: claims has its statuses, misses the gaps in its traces, and core_times the times
+    For a display, claims has its statuses, misses the gaps in its traces, and core_times the times
     that its loop has waited for a processor.
     """
 
@@ -72,7 +72,7 @@ class SoakProcess:
         return self.over_ns is None
 
     async def up(self) -> int:
-        """Wait until its loop runs, and return the time; a node that does not start has ended."""
+        """Wait until its loop runs or it has ended, and return the time."""
         until_ns = time.monotonic_ns() + round(UP_WITHIN_S * 1e9)
         while self.up_ns is None and self.running and time.monotonic_ns() < until_ns:
             if self.up_text in self.errors.read_text(encoding="utf-8"):
@@ -86,7 +86,7 @@ class SoakProcess:
         self._end("killed", signal.SIGKILL)
 
     async def stop(self) -> None:
-        """Send SIGTERM and wait; kill a process that does not end, as its exit status shows."""
+        """Send SIGTERM and wait; kill a process that does not end, which its exit status shows."""
         self._end("stopped", signal.SIGTERM)
         until_ns = time.monotonic_ns() + round(ENDS_WITHIN_S * 1e9)
         while self.running and time.monotonic_ns() < until_ns:

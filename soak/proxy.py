@@ -21,7 +21,7 @@ WINDOW = 256
 
 
 class Link:
-    """One link, both directions, for all its connections. cut: nothing passes."""
+    """A link with both directions, for all its connections. cut: nothing passes."""
 
     def __init__(self, seed: int) -> None:
         self._seed = seed

@@ -57,7 +57,7 @@ def recoveries(
     return table
 
 
-def beside(episodes: Sequence[Played], felt: Mapping[str, FeltLog]) -> list[float]:
+def undisturbed_gaps_s(episodes: Sequence[Played], felt: Mapping[str, FeltLog]) -> list[float]:
     """Return the longest times in s without the pulse at displays that were not disturbed.
 
     There is one for each display and episode.

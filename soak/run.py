@@ -23,7 +23,7 @@ MINUTE_S = 60.0
 
 @dataclass(slots=True)
 class Run:
-    """One soak. log: receives one line per minute. namespaces: namespaces of its nodes."""
+    """A soak. log: function that receives one line per minute. namespaces: those of its nodes."""
 
     scenario: Scenario
     seed: int
@@ -44,7 +44,7 @@ class Run:
         taps.follow_sensing(CALM_SENSING, scenario.calm_address, None, keys)
         for role in (*DISTURBED, CALM_DISPLAY):
             taps.follow_display(role, scenario.telemetry(role), scenario.nodes, self.tick_ns)
-        watchers = [asyncio.create_task(self._measure()), asyncio.create_task(self._tell())]
+        watchers = [asyncio.create_task(self._measure()), asyncio.create_task(self._log_progress())]
         try:
             for role in (SENSING, CALM_SENSING, CONTINUOUS, RESTARTED, CALM_DISPLAY):
                 scenario.start(role)
@@ -54,7 +54,7 @@ class Run:
             scenario.refuse_dead()
             self.namespaces = namespaces_of([x.process.pid for x in scenario.nodes.values()])
             await asyncio.sleep(HEAD_START_S)
-            await self._torment()
+            await self._make_faults()
             await self._end()
         finally:
             for watcher in watchers:
@@ -62,7 +62,7 @@ class Run:
             await self.terminals.close()
             await taps.close()
 
-    async def _torment(self) -> None:
+    async def _make_faults(self) -> None:
         until_ns = self.began_ns + round(self.seconds * 1e9)
         for number, episode in enumerate(episodes(self.seed)):
             if time.monotonic_ns() + round(_length_s(episode) * 1e9) > until_ns:
@@ -86,7 +86,7 @@ class Run:
             if all(node.marks and node.marks[-1].state == "ended" for node in displays):
                 break
             await asyncio.sleep(0.1)
-        # Until the last samples are played, and a status reports them.
+        # The last samples are played, and a status reports them, in this time.
         await asyncio.sleep(1.0)
         await asyncio.gather(*(node.stop() for node in displays))
         await asyncio.sleep(0.2)
@@ -97,7 +97,7 @@ class Run:
                 node.measure()
             await asyncio.sleep(SAMPLE_EVERY_S)
 
-    async def _tell(self) -> None:
+    async def _log_progress(self) -> None:
         minutes = 0
         while True:
             await asyncio.sleep(MINUTE_S)

@@ -1,8 +1,8 @@
 """Schedule of a soak's faults, from a seed.
 
-Kinds are drawn from a shuffled deck, which is refilled when it is empty, so that each kind is made
-equally often; so are the faults of the bench. From the fourth deck on, the sensing node is no
-longer ended: a process that runs for seconds shows no trend in its resources.
+Kinds are drawn from a shuffled deck, which is refilled when it is empty. So each kind is made
+equally often. The faults of the bench are drawn in the same way. From the fourth deck on, the
+sensing node is no longer ended: a process that runs for seconds shows no trend in its resources.
 """
 
 import itertools
@@ -51,7 +51,7 @@ BENCH_KINDS = tuple(_BENCH_LENGTHS_S)
 
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """One fault, `after_s` after the start of its episode, for `for_s`.
+    """A fault that begins `after_s` after the start of its episode and lasts for `for_s`.
 
     target: a node by its role, a display's "link", or the "ports". detail: the link's changes, or
     the way in which a temporary display leaves.
@@ -66,10 +66,10 @@ class Fault:
 
 @dataclass(frozen=True, slots=True)
 class Trouble:
-    """One fault on the bench.
+    """A fault on the bench.
 
-    kind: "cut": the sensing node is killed; "short stall", "long stall": the display is stopped for
-    `for_s`. after_s: time from the moment at which the pulse is felt.
+    kind: "cut" (the sensing node is killed), "short stall" or "long stall" (the display is stopped
+    for `for_s`). after_s: time from when the pulse is felt until the fault.
     """
 
     kind: str
@@ -89,7 +89,7 @@ class Episode:
 
     @property
     def kind(self) -> str:
-        """Return its faults' kinds as one label."""
+        """Return the kinds of its faults as one label."""
         return " + ".join(sorted(fault.kind for fault in self.faults))
 
 

@@ -57,7 +57,7 @@ class Taps:
         self.felt[role] = FeltLog(tick_ns)
         self.records[role] = TickRecord(tick_ns)
         socket = self._subscribe(address, (TRACE, STATUS))
-        self._tasks.append(asyncio.create_task(self._hear_display(socket, role, nodes)))
+        self._tasks.append(asyncio.create_task(self._record_display(socket, role, nodes)))
 
     def follow_sensing(
         self, role: str, address: str, namespace: Namespace | None, keys: ClientKeys | None
@@ -65,7 +65,7 @@ class Taps:
         """Record all frames of a sensing node."""
         self.sessions[role] = {}
         socket = self._subscribe(address, (b"",), namespace, keys)
-        self._tasks.append(asyncio.create_task(self._hear_sensing(socket, role)))
+        self._tasks.append(asyncio.create_task(self._record_frames(socket, role)))
 
     async def close(self) -> None:
         """End recording. Raises the errors of the recording tasks."""
@@ -101,7 +101,7 @@ class Taps:
         socket.connect(address)
         return socket
 
-    async def _hear_display(
+    async def _record_display(
         self, socket: zmq.asyncio.Socket, role: str, nodes: dict[str, SoakProcess]
     ) -> None:
         record, process = self.records[role], None
@@ -122,21 +122,21 @@ class Taps:
             elif topic == STATUS:
                 _take_status(data, node, record, now_ns)
 
-    async def _hear_sensing(self, socket: zmq.asyncio.Socket, role: str) -> None:
+    async def _record_frames(self, socket: zmq.asyncio.Socket, role: str) -> None:
         sessions = self.sessions[role]
         while True:
             data = await socket.recv()
             try:
                 frame = decode_frame(data)
             except WireError:
-                continue  # an impostor's
+                continue  # of an impostor
             began_ns = frame.t_first_ns - frame.first_sample * frame.period_ns
             count = len(frame.values)
-            heard = sessions.setdefault(
+            session = sessions.setdefault(
                 frame.session, SessionFrames(began_ns, frame.period_ns, count, count, 0)
             )
-            heard.sent = max(heard.sent, frame.first_sample + len(frame.values))
-            heard.last_ns = time.monotonic_ns()
+            session.sent = max(session.sent, frame.first_sample + len(frame.values))
+            session.last_ns = time.monotonic_ns()
 
 
 def _take_status(data: bytes, node: SoakProcess, record: TickRecord, now_ns: int) -> None:

@@ -32,7 +32,7 @@ class TickRecord:
 
     ticks, full: numbers of ticks, and of those at full strength. interruptions: begin and end of
     each time without full strength within one process, and its number of ticks. misses: times of
-    the ticks before and after, and the number missed. gaps: begin and end of each time of more than
+    the ticks before and after, and the number missed. gaps: start and end of each time of more than
     50 ms without a tick, and whether the next tick was at full strength. last_ns, last_n,
     last_full: the newest tick.
     """

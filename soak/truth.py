@@ -154,7 +154,7 @@ def judge_lines(
     wrist_per_min
         Heart rate of the source, in beats per minute; None where it is not known.
     impostors
-        Begin and end in ns of each time in which forces without a heart rate were sent.
+        Start and end in ns of each time in which forces without a heart rate were sent.
     """
     known = [
         line
@@ -246,7 +246,7 @@ def judge_events(
     processes
         The statuses of each of its processes, in order.
     interruptions
-        Begin and end in ns of each time without full strength, and its number of ticks.
+        Start and end in ns of each time without full strength, and its number of ticks.
     """
     errors = [error for process in processes for error in _event_errors(process, interruptions)]
     return judge_claims(f"interruptions of {role}", len(interruptions) or len(errors), errors)
@@ -267,7 +267,7 @@ def judge_stalls(
     processes
         The statuses of each of its processes, in order.
     gaps
-        Begin and end in ns of each time without a tick, and whether the next was at full strength.
+        Start and end in ns of each time without a tick, and whether the next was at full strength.
     faded_ns
         Time in ns without samples after which the pulse has faded to zero.
     """

@@ -79,7 +79,7 @@ class LoopFigures:
 
 
 def judge_usage(role: str, lines: Sequence[Line]) -> list[Check]:
-    """Judge memory, descriptors and threads: significant growth, or too much of them, fails."""
+    """Judge memory, descriptors and threads: significant growth or too high a number fails."""
     memory = [(line.times_s, line.memory_mb, line.warm) for line in lines]
     handles = [(line.times_s, line.handles, line.warm) for line in lines]
     threads = [(line.times_s, line.threads, line.warm) for line in lines]
@@ -120,7 +120,7 @@ def judge_recovery(again_s: Mapping[str, Sequence[float | None]]) -> list[Check]
         else:
             worst, text = 0.0, f"none of {len(all_s)}"
         text += f", {never} not felt again" if never else ""
-        # A soak without a fault is not a pass.
+        # A soak without a fault does not pass.
         ok = bool(known) and not never and worst <= AGAIN_BAR_S
         checks.append(Check(f"felt again: {kind}", text, f"within {AGAIN_BAR_S:g} s", ok))
     return checks
@@ -147,10 +147,10 @@ def judge_account(role: str, reckonings: Sequence[Reckoning]) -> Check:
     exact = sum(reckoning.exact for reckoning in reckonings)
     lost = sum(max(0, reckoning.off) for reckoning in reckonings)
     invented = -sum(min(0, reckoning.off) for reckoning in reckonings)
-    untold = sum(max(0, r.most - r.counted) for r in reckonings if not r.exact)
+    unreported = sum(max(0, r.most - r.counted) for r in reckonings if not r.exact)
     text = (
         f"{counted} samples, {exact} of {len(reckonings)} spans exact, {lost} unaccounted,"
-        f" {invented} made up; at most {untold} sent and not received in the others"
+        f" {invented} made up; at most {unreported} sent and not received in the others"
     )
     ok = lost == invented == 0 if reckonings else None
     return Check(f"account of {role}", text, "0 and 0", ok)
@@ -214,7 +214,7 @@ def judge_loop(role: str, figures: LoopFigures, calm: LoopFigures) -> list[Check
 
 
 def _within(figures: LoopFigures, bar: float) -> bool | None:
-    """Return whether a loop's own misses are within their bar; None where that cannot be judged."""
+    """Return whether a loop's own misses are within a bar; None if that cannot be judged."""
     if figures.ticks and figures.share(figures.excused.all) > MOST_EXCUSED:
         return None
     return bool(figures.ticks) and figures.missed <= bar

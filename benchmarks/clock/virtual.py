@@ -74,9 +74,9 @@ def main() -> None:
     marks = [f"{q} {mark_s} s" for mark_s in MARKS_S for q in ("95 %", "worst")]
     for with_frames in (True, False):
         rows = [row(name, with_frames) for name in LINKS]
-        heard = "exchanges and frames" if with_frames else "exchanges alone"
+        used = "exchanges and frames" if with_frames else "exchanges alone"
         show(
-            f"Clock in virtual time, {heard}, {len(SEEDS)} seeds each, skew 0 and ±200 ppm: offset"
+            f"Clock in virtual time, {used}, {len(SEEDS)} seeds each, skew 0 and ±200 ppm: offset"
             " error in ms; share of exchanges when it was within the stated uncertainty; skew error"
             " in ppm at 60 s",
             ("link", *marks, "within", "ppm 95 %", "µs"),

@@ -112,10 +112,10 @@ class ManyDisplays:
         descriptors = sockets.descriptors([self._data])
         while (now_ns := time.monotonic_ns()) < end_ns:
             self._ask(now_ns)
-            self._hear()
+            self._receive_all()
             sockets.wait_on_descriptors(descriptors, SLOT_NS)
 
-    def _hear(self) -> None:
+    def _receive_all(self) -> None:
         frames, receive = self._frames, self._data.recv
         while True:
             try:

@@ -2,7 +2,7 @@ import pytest
 
 from soak.faults import Done
 from soak.felt import FeltLog
-from soak.recovery import Played, beside, gaps_s, recoveries
+from soak.recovery import Played, gaps_s, recoveries, undisturbed_gaps_s
 from soak.schedule import CONTINUOUS, RESTARTED, TEMPORARY, Fault
 
 S = 1_000_000_000
@@ -38,7 +38,7 @@ def test_each_display_is_judged_by_what_was_done_to_it() -> None:
 def test_a_temporary_display_joins_and_the_others_must_not_notice() -> None:
     visit = Played((done("temporary display", 30.0, TEMPORARY, for_s=4.0),), 29 * S, 40 * S)
     assert recoveries([visit], FELT) == {"temporary display": [pytest.approx(0.8)]}
-    assert beside([visit], FELT) == [0.0, 0.0]
+    assert undisturbed_gaps_s([visit], FELT) == [0.0, 0.0]
     # It left before it felt anything; with another fault at the time, this proves nothing.
     brief = Played((done("temporary display", 30.0, TEMPORARY, for_s=0.5),), 29 * S, 40 * S)
     assert recoveries([brief], FELT) == {"temporary display": [None]}
@@ -48,5 +48,5 @@ def test_a_temporary_display_joins_and_the_others_must_not_notice() -> None:
 
 def test_a_display_beside_a_fault_is_known_by_its_gaps() -> None:
     cut = Played((done("cut", 13.0, CONTINUOUS),), 10 * S, 17 * S)
-    assert beside([cut], FELT) == [pytest.approx(2.8)]
+    assert undisturbed_gaps_s([cut], FELT) == [pytest.approx(2.8)]
     assert gaps_s([cut], FELT[CONTINUOUS]) == [pytest.approx(3.3)]
