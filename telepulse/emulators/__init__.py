@@ -1,10 +1,8 @@
-"""Emulated hardware, byte for byte: sensor boards and drives.
-
-Their serial ports are pseudo-terminals.
-"""
+"""Emulated sensor boards and drives, byte for byte; their serial ports are pseudo-terminals."""
 
 import os
 import tty
+from contextlib import suppress
 from pathlib import Path
 
 from protocol.errors import OutputError
@@ -13,9 +11,9 @@ from protocol.errors import OutputError
 class PtyPort:
     """One end of a pseudo-terminal in place of a serial port.
 
-    `path` is the path of the other end, which another program opens, or a link to it. Unread bytes
-    are dropped once the kernel's buffer is full, as on a board with USB. A link of an earlier run
-    is replaced. Raises OutputError where the link cannot be made.
+    path: the other end, which another program opens, or `link`, a symbolic link to it that replaces
+    one of an earlier run. dropped: bytes dropped because the kernel's buffer was full, as on a
+    board with USB. Raises OutputError where the link cannot be made.
     """
 
     def __init__(self, link: Path | None) -> None:
@@ -27,22 +25,18 @@ class PtyPort:
         device = Path(os.ttyname(self._theirs))
         self.path = link or device
         self.dropped = 0
-        if link is None:
-            return
-        try:
-            if link.is_symlink():
-                link.unlink()
-            link.symlink_to(device)
-        except OSError as error:
-            raise OutputError(f"{link}: cannot be made: {error.strerror}") from None
+        if link is not None:
+            try:
+                self._remove_link()
+                link.symlink_to(device)
+            except OSError as error:
+                raise OutputError(f"{link}: cannot be made: {error.strerror}") from None
 
     def write(self, data: bytes) -> None:
         """Send bytes; those that do not fit are dropped and counted."""
-        try:
-            written = os.write(self._ours, data)
-        except BlockingIOError:
-            written = 0
-        self.dropped += len(data) - written
+        self.dropped += len(data)
+        with suppress(BlockingIOError):
+            self.dropped -= os.write(self._ours, data)
 
     def read(self) -> bytes:
         """Return the bytes that the other program has written, if any."""
@@ -57,7 +51,10 @@ class PtyPort:
 
     def close(self) -> None:
         """Unplug: the other program's reads fail from now on."""
-        if self._link is not None and self._link.is_symlink():
-            self._link.unlink()
+        self._remove_link()
         os.close(self._ours)
         os.close(self._theirs)
+
+    def _remove_link(self) -> None:
+        if self._link is not None and self._link.is_symlink():
+            self._link.unlink()

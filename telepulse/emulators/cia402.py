@@ -69,17 +69,13 @@ class EmulatedCia402Drive:
     """
 
     def __init__(self, scene: Cia402Scene, motor: EmulatedMotor, modes: tuple[Mode, ...]) -> None:
-        self._scene = scene
-        self._motor = motor
+        self._scene, self._motor, self._modes = scene, motor, modes
         self._direction = -1 if scene.inverted else 1
-        self._modes = modes
-        self._control = 0
-        self._homed: int = 0
+        self._control = self._homed = 0
         self._missed_heartbeat = False
         self._method = self._search = self._leave = 0
         self.state = State.SWITCH_ON_DISABLED
-        self.mode = 0
-        self.error_code = 0
+        self.mode = self.error_code = 0
         self.abort_option = 1
 
     @property

@@ -1,4 +1,4 @@
-"""The run of an emulated drive: its motor, the film under its finger, one fault, and a trace."""
+"""The run of an emulated drive and of the film under its finger."""
 
 import math
 import threading
@@ -17,7 +17,7 @@ from telepulse.emulators.sensor_board import binary
 FRAME = 4
 TRACE_HEADER = "time_ns,tip_m,speed_m_per_s,force_n,trouble\n"
 FILM_SILENT = "film-silent"
-# The tip presses from this force on; a smaller one is possible at first touch.
+# The tip presses from this force on; at first touch the force is smaller.
 PRESSING_N = 0.01
 MOTOR_FAULTS: dict[str, MotorFault] = {
     "overtemperature": "overtemperature",
@@ -32,9 +32,7 @@ class EmulatedFilm:
     """
 
     def __init__(self, motor: EmulatedMotor, port: PtyPort) -> None:
-        self._motor = motor
-        self._port = port
-        self._encode = binary("float32")
+        self._motor, self._port, self._encode = motor, port, binary("float32")
         self._sent = 0
 
     def deliver(self) -> None:
@@ -48,7 +46,7 @@ class EmulatedFilm:
 
 
 class DriveRun:
-    """The run of an emulated drive: its motor, the film under its finger, one fault, and a trace.
+    """The run of an emulated drive with its film on `film_link`, one fault, and a trace.
 
     Files and ports are closed by `resources`. Raises OutputError.
     """
@@ -88,14 +86,9 @@ class DriveRun:
     ) -> None:
         """Poll the drive until stopped, or for `seconds`, and begin the fault named `fault`.
 
-        Parameters
-        ----------
-        begin_fault
-            Begins a fault of the bus or serial line, by name.
-        injected
-            The fault as `FaultInjector` applies it, if it is one that the drive does not report.
-        after_s
-            Time from the tip's first press to the fault; None: the fault begins at the start.
+        begin_fault: begins a fault of the bus or serial line, by name. injected: the fault as
+        `FaultInjector` applies it, if it is one that the drive does not report. after_s: time from
+        the tip's first press to the fault; None: the fault begins at the start.
         """
         stopped = threading.Event()
         stop_on_signals(stopped.set)

@@ -17,7 +17,7 @@ _GAIN = (_RATIO, "0.3", "3", "2")
 
 
 class FaultKind(Enum):
-    """A kind of fault; the value of a kind with a size: its dimension, bounds and default, as text.
+    """A kind of fault; size: dimension, bounds and default of its size, as text.
 
     "-encoder": the reported position is the shaft's instead of the commanded one.
     """
@@ -25,7 +25,7 @@ class FaultKind(Enum):
     size: tuple[str, ...]
 
     def __new__(cls, name: str, *size: str) -> "FaultKind":
-        """Create a member whose value is its name."""
+        """Create a member whose value is the fault's name."""
         kind = object.__new__(cls)
         kind._value_, kind.size = name, size
         return kind
@@ -84,13 +84,11 @@ class FaultInjector:
     """Applies one fault between a motor with steps of step_m, its bus and the film."""
 
     def __init__(self, step_m: float, seed: int = 1) -> None:
-        self._step_m = step_m
-        self._random = random.Random(seed)
-        self._begun_ns = 0
+        self._step_m, self._random = step_m, random.Random(seed)
+        self._kind: FaultKind | None = None
+        self._size, self._begun_ns = 0.0, 0
         self._frozen: float | None = None
         self._answers: deque[tuple[int, bytes]] = deque()
-        self._kind: FaultKind | None = None
-        self._size = 0.0
 
     def begin(self, fault: InjectedFault, now_ns: int) -> None:
         """Apply a fault from now on."""

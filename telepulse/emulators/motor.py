@@ -39,33 +39,20 @@ class EmulatedMotor:
     At the start the tip is half way between them, and the drive's counter is 0 at that place until
     the drive has homed.
 
-    Attributes
-    ----------
-    rate_hz : float
-        Step rate of the shaft, positive towards the finger.
-    tip_m : float
-        Position of the tip from first touch.
-    rested_ns : int
-        Time at which the motor came to rest last.
-    tripped : bool
-        True after the watchdog has stopped the motor.
-    forces_n : deque of float
-        Forces for the film to send, one per millisecond, until a reader takes them.
-    trace : callable or None
-        Called with the state every millisecond.
-    injector : FaultInjector
-        Applies the faults that the drive does not report.
+    rate_hz: step rate of the shaft, positive towards the finger. tip_m: position of the tip from
+    first touch. rested_ns: time at which the motor came to rest last. tripped: the watchdog has
+    stopped the motor. forces_n: forces for the film to send, one per millisecond, until a reader
+    takes them. trace: called with the state every millisecond. injector: applies the faults that
+    the drive does not report.
     """
 
     def __init__(self, scene: StepperScene, law: ContactLaw, touch_m: float, now_ns: int) -> None:
         # The emulated drive limits its own travel, so the stepper has the whole stroke. Commands
         # take their own time to arrive, so the scene's latency is not added.
         free = scene.model_copy(update={"thrust_n": math.inf, "latency_ns": 0})
-        self._stepper = Stepper(free, law, math.inf, TICK_S)
-        self._law = law
-        self._thrust_n = scene.thrust_n
+        self._stepper, self._law = Stepper(free, law, math.inf, TICK_S), law
+        self._thrust_n, self._step_m = scene.thrust_n, scene.step_m
         self._touch_m = SWITCH_M + touch_m
-        self._step_m = scene.step_m
         self._target_hz = 0.0
         self._homing: Literal["seek", "leave", "rest"] | None = None
         self._search_hz = self._leave_hz = 0.0
@@ -138,8 +125,7 @@ class EmulatedMotor:
 
     def reset(self) -> None:
         """Clear the fault."""
-        self.fault = None
-        self.tripped = False
+        self.fault, self.tripped = None, False
 
     def set_watchdog(self, period_ns: int) -> None:
         """Come to rest when the watchdog is not fed for this long; 0: never."""
@@ -148,8 +134,7 @@ class EmulatedMotor:
 
     def feed(self) -> None:
         """Feed the watchdog."""
-        self._fed_ns = self._now_ns
-        self.tripped = False
+        self._fed_ns, self.tripped = self._now_ns, False
 
     def advance(self, now_ns: int) -> None:
         """Advance to the present."""
@@ -189,7 +174,7 @@ class EmulatedMotor:
             self.fail("stall")
 
     def _at_limit(self, target_hz: float) -> bool:
-        """Return whether the switch or a soft limit stops motion at this rate."""
+        """Return whether the switch or, except while homing, a soft limit stops this motion."""
         limited = not self._homing
         if target_hz < 0:
             return (limited and self._counter <= self._least_steps) or self.at_switch

@@ -48,18 +48,9 @@ def line(force_n: Sequence[float], last_us: int) -> bytes:
 class BoardBehaviour:
     """Behaviour of a board and its USB.
 
-    Attributes
-    ----------
-    frame : int
-        Samples in a frame or line.
-    skew : float
-        Relative error of the crystal; above 0 it is fast.
-    begins_us : int
-        micros() at the start.
-    delivery_ns : int
-        Longest time between two deliveries by USB; the shortest is a quarter of it.
-    noise : float
-        Share of the bytes that noise alters.
+    frame: samples in a frame or line. skew: relative error of the crystal; above 0 it is fast.
+    begins_us: micros() at the start. delivery_ns: longest time between two deliveries by USB; the
+    shortest is a quarter of it. noise: share of the bytes that noise alters.
     """
 
     frame: int
@@ -76,9 +67,7 @@ class SensorBoard:
     def __init__(
         self, samples: SampleSource, encode: Encode, behaviour: BoardBehaviour, start_ns: int
     ) -> None:
-        self._samples = samples
-        self._encode = encode
-        self._behaviour = behaviour
+        self._samples, self._encode, self._behaviour = samples, encode, behaviour
         self._start_ns = start_ns
         self._rng = np.random.default_rng(behaviour.seed)
         self.sampled = 0
@@ -96,16 +85,14 @@ class SensorBoard:
 
     def deliver(self, now_ns: int) -> bytes:
         """Return the bytes that USB delivers by now; call it at `next_delivery_ns` or later."""
-        parts = []
-        last = self.sampled + self._behaviour.frame - 1
-        while self.taken_ns(last) <= now_ns:
-            force_n = self._samples.take(self._behaviour.frame)[:, 0].tolist()
+        parts, frame = [], self._behaviour.frame
+        while self.taken_ns(self.sampled + frame - 1) <= now_ns:
+            force_n = self._samples.take(frame)[:, 0].tolist()
             if not force_n:
                 break
             self.sampled += len(force_n)
             last_ns = (self.sampled - 1) * self._samples.period_ns
             parts.append(self._encode(force_n, self._behaviour.begins_us + last_ns // 1_000))
-            last += self._behaviour.frame
         while self.next_delivery_ns <= now_ns:
             self._plan_delivery()
         noisy = np.frombuffer(b"".join(parts), np.uint8).copy()
@@ -131,9 +118,7 @@ def build_board(
 ) -> SensorBoard:
     """Build a board that plays the scene's source from now on.
 
-    framing: "text", "untimed", "binary".
-
-    Raises SceneError or SourceError.
+    framing: "text", "untimed" or "binary". Raises SceneError or SourceError.
     """
     # A real board sends its readings, plausible or not.
     source = build_source(scene, folder, plausible=False)
@@ -143,18 +128,16 @@ def build_board(
 
 def source_table(port: Path, rate_hz: float, framing: str, samples: SampleFormat) -> str:
     """Return the [sensing.source] of a scene that reads the board."""
-    unit = ['unit = "N"']
-    if framing == "binary" and samples != "float32":
-        unit = ['unit = "counts"', f"newtons_per_count = {NEWTONS_PER_COUNT:g}"]
-    lines = [
-        "[sensing.source]",
-        'kind = "serial"',
-        f'port = "{port}"',
-        f'framing = "{"binary" if framing == "binary" else "text"}"',
-        *(['device_time = "us"'] if framing == "text" else []),
-        f'rate = "{rate_hz:g} Hz"',
-        *unit,
-    ]
+    binary = framing == "binary"
+    lines = ["[sensing.source]", 'kind = "serial"', f'port = "{port}"']
+    lines.append(f'framing = "{"binary" if binary else "text"}"')
+    if framing == "text":
+        lines.append('device_time = "us"')
+    lines.append(f'rate = "{rate_hz:g} Hz"')
+    if binary and samples != "float32":
+        lines += ['unit = "counts"', f"newtons_per_count = {NEWTONS_PER_COUNT:g}"]
+    else:
+        lines.append('unit = "N"')
     return "\n".join(lines)
 
 

@@ -95,10 +95,7 @@ def _frame(text: str) -> can.Message:
 
 
 class SlcanBus(can.BusABC):
-    """A bus for a node, on the other side of the adapter's serial port.
-
-    The port is closed with the bus.
-    """
+    """Bus of a node behind an emulated adapter, whose serial port is closed with the bus."""
 
     def __init__(self, port: PtyPort) -> None:
         super().__init__(channel=str(port.path))

@@ -69,9 +69,7 @@ class EmulatedTmclModule:
     """
 
     def __init__(self, scene: TmclScene, motor: EmulatedMotor) -> None:
-        self._scene = scene
-        self._motor = motor
-        self.injector = motor.injector
+        self._scene, self._motor, self.injector = scene, motor, motor.injector
         self._direction = -1 if scene.inverted else 1
         self._axis: dict[int, int] = {
             Parameter.SEARCH_MODE: LEFT_SWITCH,
@@ -208,9 +206,7 @@ class EmulatedSerialLine:
     """Datagrams of 9 bytes on a pseudo-terminal."""
 
     def __init__(self, module: EmulatedTmclModule, port: PtyPort) -> None:
-        self._module = module
-        self._port = port
-        self._datagrams = DatagramSplitter()
+        self._module, self._port, self._datagrams = module, port, DatagramSplitter()
 
     def serve(self, wait_s: float) -> None:
         """Take the requests that come within `wait_s`, and send the answers that are due."""
@@ -230,9 +226,8 @@ class EmulatedCanLine:
     """CAN frames of 7 bytes to the module's identifier, answered with the host's identifier."""
 
     def __init__(self, module: EmulatedTmclModule, scene: TmclScene, bus: "can.BusABC") -> None:
-        self._module = module
+        self._module, self._bus = module, bus
         self._address = bytes([scene.module])
-        self._bus = bus
         bus.set_filters([{"can_id": scene.module, "can_mask": 0x7FF, "extended": False}])
 
     def serve(self, wait_s: float) -> None:

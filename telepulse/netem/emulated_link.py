@@ -5,7 +5,7 @@ import tempfile
 import time
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from subprocess import PIPE
 from typing import IO
@@ -13,7 +13,7 @@ from typing import IO
 from protocol.errors import ProcessError
 from protocol.host.child_process import ChildProcess
 from protocol.run_summary import Summary
-from telepulse.netem.forwarder import DROP, ForwarderCounts, PacketFilter, filters_to_text
+from telepulse.netem.forwarder import DROP, ForwarderCounts, PacketFilter
 from telepulse.netem.namespace import EmulatorError, Namespace
 from telepulse.processes import NodeProcess
 from telepulse.simulation.link_model import LinkScene
@@ -49,7 +49,8 @@ class EmulatedLink:
 
     def drop(self, *filters: PacketFilter, link_index: int = 0) -> None:
         """Drop the packets that match these filters on a link, in place of earlier filters."""
-        self.commands.write(f"{link_index} {DROP}{filters_to_text(filters)}\n")
+        table = json.dumps([asdict(one) for one in filters])
+        self.commands.write(f"{link_index} {DROP}{table}\n")
         self.commands.flush()
 
 
@@ -68,14 +69,10 @@ def emulate(*scenes: LinkScene, seed: int = 1) -> Iterator[EmulatedLink]:
     ):
         tuns = (*sensing.tuns, *display.tuns)
         arguments = (str(seed), *map(str, tuns), *(scene.text() for scene in scenes))
-        forwarder = ChildProcess(
-            *("forwarder of the emulated link", "-m", "telepulse.netem", *arguments),
-            stdin=PIPE,
-            stdout=PIPE,
-            stderr=PIPE,
-            pass_fds=tuns,
-        )
-        with forwarder:
+        command = ("forwarder of the emulated link", "-m", "telepulse.netem", *arguments)
+        with ChildProcess(
+            *command, stdin=PIPE, stdout=PIPE, stderr=PIPE, pass_fds=tuns
+        ) as forwarder:
             assert forwarder.stdin is not None
             link = EmulatedLink(sensing, display, _receive(forwarder)["began_ns"], forwarder.stdin)
             yield link

@@ -3,7 +3,7 @@
 It runs as a process of its own, so that the parent's garbage collector delays no packet. It prints
 the start time of the links. When its standard input closes, also because its parent ended, it
 prints its counts and ends. A line on standard input is the index of a link with its new
-impairments, or with "drop" and its new packet filters.
+impairments, or with "drop" and its new packet filters as JSON.
 """
 
 import heapq
@@ -14,7 +14,7 @@ import select
 import struct
 import sys
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass
 from typing import Literal
@@ -60,16 +60,6 @@ class PacketFilter:
         return not self.syn_only or bool(packet[header + 13] & SYN)
 
 
-def filters_to_text(filters: Iterable[PacketFilter]) -> str:
-    """Return filters as one line of text, for `filters_from_text`."""
-    return json.dumps([asdict(one) for one in filters])
-
-
-def filters_from_text(text: str) -> tuple[PacketFilter, ...]:
-    """Return the filters of a line from `filters_to_text`."""
-    return tuple(PacketFilter(**fields) for fields in json.loads(text))
-
-
 @dataclass(frozen=True, slots=True)
 class ForwarderCounts:
     """Packets written and lost, and the lateness of writing against the model in µs."""
@@ -90,12 +80,11 @@ class Forwarder:
 
     def __init__(self, pairs: Sequence[tuple[int, int]], links: Sequence[str], seed: int) -> None:
         self.began_ns = time.monotonic_ns()
-        self._pairs = pairs
-        self._seed = seed
+        self._pairs, self._seed = pairs, seed
         # By device: the direction that its packets take, and the device they come out of.
         self._paths: dict[int, tuple[Direction, int]] = {}
         # By device: the node that its packets go towards, and the filters on them.
-        self._filters: dict[int, tuple[str, tuple[PacketFilter, ...]]] = {}
+        self._filters: dict[int, tuple[str, list[PacketFilter]]] = {}
         self._waiting: list[tuple[int, int, int, bytes]] = []
         self._order = itertools.count()
         self._packets = self._lost = 0
@@ -131,7 +120,7 @@ class Forwarder:
         if not text.startswith(DROP):
             self._change(int(number), text)
             return
-        filters = filters_from_text(text.removeprefix(DROP))
+        filters = [PacketFilter(**fields) for fields in json.loads(text.removeprefix(DROP))]
         for tun, towards in zip(self._pairs[int(number)], ("display", "sensing"), strict=True):
             self._filters[tun] = towards, filters
 
@@ -145,7 +134,7 @@ class Forwarder:
 
     def _receive(self, tun: int) -> None:
         direction, other = self._paths[tun]
-        towards, filters = self._filters.get(tun, ("", ()))
+        towards, filters = self._filters.get(tun, ("", []))
         for _ in range(MAX_PACKETS):
             try:
                 packet = os.read(tun, MTU_BYTES)

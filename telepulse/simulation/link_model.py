@@ -1,7 +1,7 @@
-"""Model of a network link: the time at which each packet or message arrives, or its loss.
+"""Model of a network link: the time at which each packet or message arrives, or its loss. Pure.
 
-The model is pure. It is used for messages in virtual time, for those of a proxy between two nodes,
-and for the IP packets of the emulated link.
+It is used for messages in virtual time, for those of a proxy between two nodes, and for the IP
+packets of the emulated link.
 """
 
 import math
@@ -78,10 +78,10 @@ class LinkScene(Section):
     jitter: standard deviation of the delay, whatever its kind; a delay is never below 0.
     "gaussian" jitter may shorten or lengthen the delay; "pareto" (a heavy tail) and "bursts" (the
     link stalls, then everything arrives at once) only lengthen it. loss: share of packets that are
-    lost at random. rate: capacity of the link; a packet that would wait in its queue for too long
-    is lost. Times count from the beginning of the link; a simulation's link begins 0.5 s before the
-    stream. transport: how a simulation carries messages, as "datagram"s that may be lost or
-    reordered, or as a "tcp" stream.
+    lost at random. rate: capacity of the link; a packet that would wait in its queue for more than
+    200 ms is lost. Times count from the beginning of the link; a simulation's link begins 0.5 s
+    before the stream. transport: how a simulation carries messages, as "datagram"s that may be lost
+    or reordered, or as a "tcp" stream.
     """
 
     delay_ns: Duration = 0
@@ -98,9 +98,8 @@ class LinkScene(Section):
     @model_validator(mode="after")
     def _something_arrives(self) -> Self:
         if self.transport == "tcp" and self.loss == 1:
-            raise ValueError(
-                "over tcp nothing ever arrives where loss is 1; use a loss below 1, or a cut"
-            )
+            reason = "over tcp nothing ever arrives where loss is 1; use a loss below 1, or a cut"
+            raise ValueError(reason)
         return self
 
     def text(self) -> str:
@@ -177,8 +176,7 @@ class Direction:
     """
 
     def __init__(self, scene: LinkScene, seed: int, start_ns: int = 0) -> None:
-        self._scene = scene
-        self._random = Random(seed)
+        self._scene, self._random = scene, Random(seed)
         self._start_ns = self._idle_ns = start_ns
         self._bursts = self._stalls = None
         if scene.burst_loss is not None:
@@ -192,7 +190,7 @@ class Direction:
 
     def arrival_ns(self, now_ns: int, size_bytes: int) -> int | None:
         """Return the arrival of a packet sent now; None when it is lost."""
-        if max(0, self._idle_ns - now_ns) > QUEUE_NS:
+        if self._idle_ns - now_ns > QUEUE_NS:
             self.lost += 1
             return None
         return self.propagate(self.queue(now_ns, size_bytes))

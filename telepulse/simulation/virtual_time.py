@@ -33,8 +33,8 @@ STREAM_BEGINS_NS = 500_000_000
 SENDER = (b"simulated display",)
 DRAIN_LIMIT_NS = 15_000_000_000
 
+# Takes a message's bytes, and the time in ns.
 Handler = Callable[[bytes, int], None]
-"""Handler of a message's bytes at a time in ns."""
 
 
 class ReferenceForce:
@@ -121,9 +121,8 @@ class Simulation:
         began_s, tick_ns = time.perf_counter(), self._scene.display.tick_ns
         begin_ns, last_ns = self._now_ns, self.begin(seconds, settle_seconds)
         while not self.display.over and self._now_ns < last_ns + DRAIN_LIMIT_NS:
-            state, now_ns = self.tick(self._now_ns + tick_ns), self._now_ns
-            scored = state.scored and self._scored_from_ns <= now_ns <= last_ns
-            if watch is not None and scored:
+            state = self.tick(self._now_ns + tick_ns)
+            if watch and state.scored and self._scored_from_ns <= self._now_ns <= last_ns:
                 watch(state)
         speed = (self._now_ns - begin_ns) / 1e9 / (time.perf_counter() - began_s)
         return replace(self.end(), speed=speed)
@@ -163,8 +162,7 @@ class Simulation:
         clock = display.clock
         if clock.offset_ms is not None:
             # The true offset is known: report the error of the estimate.
-            offset_ms = clock.offset_ms - SENSING_CLOCK_AHEAD_NS * 1e-6
-            clock = replace(clock, offset_ms=offset_ms)
+            clock = replace(clock, offset_ms=clock.offset_ms - SENSING_CLOCK_AHEAD_NS * 1e-6)
         summary = replace(display, clock=clock, limited=limited, faults=faults)
         return self._tracking_error.scored(summary)
 
@@ -186,10 +184,9 @@ class Simulation:
             if block is None:
                 return self._schedule_batch(last_ns)
             self._check.add(block.values)
+            channel, ratio = self._scene.display.channel, self.display.force_ratio
             for frame in self._framer.frames(block):
-                ratio = self.display.force_ratio
-                true_frame = self._reference.of(frame)
-                self._tracking_error.add_reference(true_frame, self._scene.display.channel, ratio)
+                self._tracking_error.add_reference(self._reference.of(frame), channel, ratio)
                 data = encode_frame(frame)
                 arrival_ns = self._down.data_arrival_ns(now_ns, len(data))
                 if arrival_ns is not None:
@@ -200,9 +197,9 @@ class Simulation:
         if self._paced.exhausted or self._paced.due_ns(1) - ahead_ns > last_ns:
             bye = Bye(self._session, self._framer.samples_sent)
             self._send(self._down, last_ns, self.display.on_control, bye)
-            return
-        due_ns = min(self._paced.due_ns(self._description.batch) - ahead_ns, last_ns)
-        self._schedule(due_ns, sense, b"")
+        else:
+            due_ns = min(self._paced.due_ns(self._description.batch) - ahead_ns, last_ns)
+            self._schedule(due_ns, sense, b"")
 
     def _answer(self, data: bytes, now_ns: int) -> None:
         sensing_now_ns = now_ns + SENSING_CLOCK_AHEAD_NS

@@ -25,14 +25,10 @@ POLL_EVERY_NS = 100_000_000
 class TelemetryClient:
     """Client of everything that a display publishes.
 
-    Attributes
-    ----------
-    decoder : TelemetryDecoder
-        Decoder with the state of the telemetry and counts of missed messages.
+    decoder: has the state of the telemetry and counts of missed messages. Raises AddressError.
     """
 
     def __init__(self, address: str, keys: ClientKeys | None) -> None:
-        """Connect. Raises AddressError."""
         self._address = address
         self._context: sockets.Context = zmq.Context()
         try:
@@ -78,17 +74,10 @@ class TelemetryClient:
     ) -> Iterator[list[Entry]]:
         """Yield the entries of each message until the display ends, and an empty list in between.
 
-        Parameters
-        ----------
-        name : str
-            Name of the reader in the warning that it ended after silence.
-        seconds : float or None
-            Time after which to end.
-        silence_s : float or None
-            Time without a message after which to end.
-        display_pid : int or None
-            Process of the display, if it started this process. Its first message comes only after
-            its drive has homed: before that, silence counts only once the display has ended.
+        It also ends after `seconds`, or after `silence_s` without a message. name: of the reader,
+        for the warning that it ended after silence. display_pid: process of the display, if it
+        started this process. Its first message comes only after its drive has homed: before that,
+        silence counts only once the display has ended.
         """
         begin_ns = received_ns = time.monotonic_ns()
         longest_ns, silent_ns = (
@@ -101,10 +90,10 @@ class TelemetryClient:
             for entries in self.messages():
                 received_ns = now_ns
                 yield entries
-            if now_ns - received_ns > silent_ns:
+            silent = now_ns - received_ns > silent_ns
+            if silent:
                 logger.warning(f"{name}: ended, nothing came for {silence_s:g} s")
-                return
-            if now_ns - begin_ns > longest_ns:
+            if silent or now_ns - begin_ns > longest_ns:
                 return
             self.poll(now_ns)
             yield []

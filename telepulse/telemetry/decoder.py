@@ -35,8 +35,8 @@ class Entry(NamedTuple):
 class TelemetryDecoder:
     """Decoder of the telemetry of one display, over any number of its runs.
 
-    missed: counts, by kind, of messages that the display published and that did not arrive. ended:
-    the display has sent its last status. provenance: of the display's run; None before it arrives.
+    missed: counts by kind of messages that did not arrive or could not be read. ended: the display
+    has sent its last status. provenance: of the display's run; None before it arrives.
     """
 
     def __init__(self) -> None:
@@ -64,12 +64,12 @@ class TelemetryDecoder:
         try:
             if topic == PROVENANCE:
                 self.provenance = read_provenance(data)
-            if topic == telemetry.CAPTURE:
+            elif topic == telemetry.CAPTURE:
                 return list(self._captured(telemetry.read_capture(data)))
-            if topic == telemetry.TRACE:
+            elif topic == telemetry.TRACE:
                 self._arrived["traces"] += 1
                 return list(self._ticks(telemetry.read_trace(data))) if self.started else []
-            if topic == telemetry.STATUS:
+            elif topic == telemetry.STATUS:
                 self._arrived["statuses"] += 1
                 return list(self._status(telemetry.read_status(data))) if self.started else []
         except WireError:
@@ -89,9 +89,7 @@ class TelemetryDecoder:
 
     def _captured(self, captured: telemetry.CapturedMessages) -> Iterator[Entry]:
         self._now_ns = captured.now_ns
-        published = Counter(
-            {"traces": captured.traces_published, "statuses": captured.statuses_published}
-        )
+        published = Counter(traces=captured.traces_published, statuses=captured.statuses_published)
         published["captured messages"] = captured.before
         if captured.run != self._run:
             text = "another run of the display" if self.started else "the recording"
@@ -152,8 +150,7 @@ class TelemetryDecoder:
     def _status(self, status: telemetry.Status) -> Iterator[Entry]:
         playing = status.playing and status.playing._asdict()
         yield self._entry(STATUS, without_none(status._asdict() | {"playing": playing}))
-        events = self._events.take(status.state, status.summary, self._now_ns)
-        yield from map(self.event, events)
+        yield from map(self.event, self._events.take(status.state, status.summary, self._now_ns))
         if status.final:
             self.ended = True
             yield self.event(Event("INFO", "end", "the display has ended"))
@@ -169,10 +166,10 @@ def _frame_fields(frame: wire.Frame) -> Fields:
 
 def _clock_fields(reply: wire.ClockReply, t4_ns: int) -> Fields:
     """Return a clock exchange: t1, t4 on the display's clock, t2, t3 on the sensing node's."""
-    ahead_ns = (reply.t2_ns - reply.t1_ns + reply.t3_ns - t4_ns) / 2
-    round_trip_ns = t4_ns - reply.t1_ns - (reply.t3_ns - reply.t2_ns)
-    in_ms = {"offset_ms": ahead_ns * 1e-6, "round_trip_ms": round_trip_ns * 1e-6}
-    return {**reply._asdict(), "t4_ns": t4_ns, **in_ms}
+    offset_ms = (reply.t2_ns - reply.t1_ns + reply.t3_ns - t4_ns) / 2 * 1e-6
+    round_trip_ms = (t4_ns - reply.t1_ns - (reply.t3_ns - reply.t2_ns)) * 1e-6
+    fields = {"t4_ns": t4_ns, "offset_ms": offset_ms, "round_trip_ms": round_trip_ms}
+    return reply._asdict() | fields
 
 
 def without_none(fields: Fields) -> Fields:

@@ -126,22 +126,16 @@ LOSS_STATUSES = 5
 class LiveState:
     """State of one run of a display; another run resets it.
 
-    Attributes
-    ----------
-    ticks : RollingTable
-        felt_n (NaN where unknown), target_n, playout delay in ns (NaN where the pulse is not felt
-        at full strength), predictor_error_n (NaN without one).
-    playing : dict
-        What is played, as in the last status; empty before.
-    wrist, delays : RollingTable
-        Force in N of samples; one-way delay in ms of frames.
-    statuses : RollingTable
-        Clock offset and its uncertainty in ms, skew in ppm, samples lost and late in %; then,
-        since the run's start: deadline misses, refused messages, seconds at any limit.
-    stream_ended, display_ended : bool
-        The sensing node has ended the stream; the display has sent its final status.
-    stepped_ns, telemetry_missed_ns : float
-        Unix time of the last clock step, and of the last telemetry that was missed; −∞ before any.
+    Columns of ticks: felt_n (NaN where unknown), playout delay in ns (NaN where the pulse is not
+    felt at full strength), predictor_error_n (NaN without one). wrist: force in N of samples.
+    delays: one-way delay in ms of frames. statuses: clock offset and its uncertainty in ms, skew in
+    ppm, samples lost and late in %; then, since the run's start: refused messages, seconds at any
+    limit.
+
+    playing: the signal that is played, as in the last status; empty before. stream_ended: the
+    sensing node has ended the stream. display_ended: the display has sent its final status.
+    stepped_ns, telemetry_missed_ns: Unix time of the last clock step, and of the last telemetry
+    that was missed; −∞ before any.
     """
 
     def __init__(self) -> None:
@@ -151,10 +145,10 @@ class LiveState:
         self._begin()
 
     def _begin(self) -> None:
-        self.ticks = RollingTable(4, FAST_ROWS)
+        self.ticks = RollingTable(3, FAST_ROWS)
         self.wrist = RollingTable(1, FAST_ROWS)
         self.delays = RollingTable(1, FAST_ROWS)
-        self.statuses = RollingTable(8, SLOW_ROWS)
+        self.statuses = RollingTable(7, SLOW_ROWS)
         self._samples: deque[Fields] = deque(maxlen=LOSS_STATUSES)
         self._offset_ns: int | None = None
         self._group_delay_ns = 0
@@ -179,9 +173,8 @@ class LiveState:
         delay_ns = math.nan
         if fields["scored"] and self._offset_ns is not None:
             delay_ns = fields["now_ns"] + self._offset_ns - fields["instant_ns"]
-        error_n = fields.get("predictor_error_n", math.nan)
-        felt_n = fields.get("felt_n", math.nan)
-        self.ticks.add(entry.t_ns, felt_n, fields["target_n"], delay_ns, error_n)
+        felt_n, error_n = (fields.get(key, math.nan) for key in ("felt_n", "predictor_error_n"))
+        self.ticks.add(entry.t_ns, felt_n, delay_ns, error_n)
 
     def _frame(self, entry: Entry) -> None:
         fields, offset_ns = entry.fields, self._offset_ns
@@ -218,7 +211,6 @@ class LiveState:
             max(self.now_ns, entry.t_ns),
             *(clock.get(name, math.nan) for name in ("offset_ms", "uncertainty_ms", "skew_ppm")),
             *self._shares(),
-            self.summary["loop"].get("deadline_misses", 0),
             sum(self.summary["rejected"].values()),
             sum(limit.get("seconds", 0.0) for limit in self.summary["limited"].values()),
         )

@@ -1,7 +1,5 @@
 """The page as a Bokeh document, one for each viewer, and its plots.
 
-`window_data.py` has the plots' curves and limits.
-
 Colours of axes and grids come from the page's style sheet, light or dark; those of the curves are
 legible on both.
 """
@@ -35,8 +33,6 @@ document.getElementById("state").dataset.state = "ended";
 document.getElementById("state-note").textContent =
   "the server of this page has ended: it shows the last state";
 """
-
-
 HEIGHT = 220
 _CURVES = tuple(curve.name for plot in PLOTS for curve in plot.curves)
 

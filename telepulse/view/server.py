@@ -129,7 +129,7 @@ class PageServer:
         return len(self._server.get_sessions())
 
     def stop(self) -> None:
-        """End soon; safe in a signal handler."""
+        """Make `run` return soon; safe in a signal handler."""
         self._stopping = True
 
     def run(self, seconds: float | None = None) -> None:

@@ -21,7 +21,7 @@ SECOND_NS = 1_000_000_000
 SHOWN_NS = 5 * SECOND_NS
 MUCH_LOSS = 5.0
 # Indices of columns in `LiveState.statuses`.
-LOST, LATE, REFUSED, LIMITED = 3, 4, 6, 7
+LOST, LATE, REFUSED, LIMITED = 3, 4, 5, 6
 NOTHING = "–"
 # Statuses come five times a second; an older one is not current.
 CURRENT_NS = 1_000_000_000
@@ -36,10 +36,7 @@ STATES = {
     "fault": "latched until the display is started again",
     "final": "the display has ended; this is its last state",
 }
-
-
-# Names of the figures by their ids on the page: those of the page's window, then the rows of the
-# summary.
+# Names of the figures by their ids: those of the page's window, then the rows of the summary.
 FIGURES = {
     "heart": "heart rate",
     "aligned": "aligned error",
@@ -102,16 +99,16 @@ def figures(live: LiveState, data: WindowData, silent_ns: int = 0) -> dict[str, 
     return shown
 
 
-def _percent(share: float | None, digits: int = 1) -> str:
-    return NOTHING if share is None else f"{100 * share:.{digits}f} %"
+def _percent(share: float) -> str:
+    return f"{100 * share:.1f} %"
 
 
 def _error(error_n: float | None, scores: WindowScores, window: str) -> PageFigure:
+    note = f"RMS of {window}"
     if error_n is None or not scores.jnd_n:
-        return PageFigure(NOTHING, f"RMS of {window}")
-    share = JND * error_n / scores.jnd_n
-    note = f"RMS of {window}, {_percent(share)} of the pulse's height"
-    return PageFigure(f"{error_n * 1e3:.2f} mN", note)
+        return PageFigure(NOTHING, note)
+    share = _percent(JND * error_n / scores.jnd_n)
+    return PageFigure(f"{error_n * 1e3:.2f} mN", f"{note}, {share} of the pulse's height")
 
 
 def _within(scores: WindowScores, window: str) -> PageFigure:
@@ -128,9 +125,8 @@ def _loss(samples: Fields) -> PageFigure:
         return PageFigure(NOTHING)
     due = lost + late + samples.get("played", 0)
     share = (lost + late) / due if due else 0.0
-    return PageFigure(
-        _percent(share, 2), f"{count_text(lost, 'sample')} lost, {late} late in the run"
-    )
+    note = f"{count_text(lost, 'sample')} lost, {late} late in the run"
+    return PageFigure(f"{100 * share:.2f} %", note)
 
 
 def alarms(live: LiveState, silent_ns: int) -> list[Alert]:

@@ -18,8 +18,6 @@ STATUS_GAP_NS = SECOND_NS
 # Approximate number of steps of a plot's axis.
 STEPS = 4
 Columns = dict[str, Floats]
-
-
 SENSED, FELT, MUTED = "#e8740c", "#2f7fd6", "#8a94a0"
 
 
@@ -125,7 +123,8 @@ def window_data(live: LiveState, window_ns: int) -> WindowData:
     ticks, wrist, delays, statuses = (
         table.since(begin_ns) for table in (live.ticks, live.wrist, live.delays, live.statuses)
     )
-    felt_n, wrist_n = ticks.values[:, 0], wrist.values[:, 0]
+    felt_n, delay_ns, predictor_error_n = ticks.values.T
+    wrist_n = wrist.values[:, 0]
     finger_per_n, ratio = (
         live.playing.get(name, math.nan) for name in ("strain_per_newton", "force_ratio")
     )
@@ -140,8 +139,8 @@ def window_data(live: LiveState, window_ns: int) -> WindowData:
         "wrist_strain": (wrist, wrist_n * (-1e6 * finger_per_n * ratio)),
         "finger_strain": (ticks, felt_n * (-1e6 * finger_per_n)),
         "one_way": (delays, delays.values[:, 0]),
-        "playout": (ticks, ticks.values[:, 2] * 1e-6),
-        "predictor": (ticks, ticks.values[:, 3] * 1e3),
+        "playout": (ticks, delay_ns * 1e-6),
+        "predictor": (ticks, predictor_error_n * 1e3),
         "offset": (statuses, moved_ms),
         "offset_low": (statuses, moved_ms - uncertainty_ms),
         "offset_high": (statuses, moved_ms + uncertainty_ms),
@@ -177,7 +176,7 @@ def _errors(
         nothing = np.full(len(ticks.t_ns), math.nan)
         return nothing, nothing, None
     right_n = live.playing["force_ratio"] * wrist.values[:, 0]
-    felt_n, delay_ns = ticks.values[:, 0], ticks.values[:, 2]
+    felt_n, delay_ns, _ = ticks.values.T
     scored = ~np.isnan(delay_ns)
     played_ns: Times = ticks.t_ns - np.where(scored, delay_ns, 0).astype(np.int64)
     in_phase_n, aligned_n = (
@@ -194,10 +193,7 @@ def _rms(error_n: Floats) -> float | None:
 
 
 def _judged(ticks: TableSlice, known: int, begin_ns: int, now_ns: int) -> float | None:
-    """Return the share of the window's time that could be judged.
-
-    If the telemetry is shorter than the window, the share is taken of the telemetry's time.
-    """
+    """Return the share of the window's time, or of a shorter telemetry's, that could be judged."""
     tick_ns = float(np.median(np.diff(ticks.t_ns))) if len(ticks.t_ns) > 1 else 0.0
     if not tick_ns:
         return None
@@ -214,7 +210,8 @@ def _heart_rate(live: LiveState) -> float | None:
     thin_by = max(1, round(HEART_APART_NS / max(tick_ns, 1.0)))
     # Every `thin_by`-th tick, including the newest, which shows whether a pulse is felt now.
     newest = slice((len(ticks.t_ns) - 1) % thin_by, None, thin_by)
-    felt_n = np.where(np.isnan(ticks.values[:, 2]), math.nan, ticks.values[:, 0])
+    felt_n, delay_ns, _ = ticks.values.T
+    felt_n = np.where(np.isnan(delay_ns), math.nan, felt_n)
     t_s = (ticks.t_ns[newest] - live.now_ns).astype(np.float64) * 1e-9
     return heart_rate_per_min(t_s, felt_n[newest])
 
