@@ -92,13 +92,13 @@ class LslTime:
 
 
 class LslStreams:
-    """LSL outlets of one display; a stream with the same description keeps its outlet."""
+    """LSL outlets of one display; a stream with the same description keeps its outlet.
+
+    address: the telemetry's address, which makes source ids unique. Raises SourceError without the
+    pylsl package, or the library that it loads.
+    """
 
     def __init__(self, address: str) -> None:
-        """Open the outlet of events; the telemetry's address makes source ids unique.
-
-        Raises SourceError without the pylsl package, or the library it loads.
-        """
         self._lsl = library("pylsl", "an LSL outlet")
         self._address = address
         self._wrist: Any = None
@@ -150,15 +150,13 @@ class LslStreams:
         channels: Sequence[tuple[str, str]],
         **facts: str,
     ) -> Any:
-        source = f"telepulse {self._address} {part}"
-        name = f"telepulse {part}"
+        name, source = f"telepulse {part}", f"telepulse {self._address} {part}"
         info = self._lsl.StreamInfo(name, content, len(channels), rate_hz, kind, source)
         labels = info.desc().append_child("channels")
         for label, unit in channels:
             channel = labels.append_child("channel")
-            channel.append_child_value("label", label)
-            channel.append_child_value("unit", unit)
-            channel.append_child_value("type", content)
+            for key, value in (("label", label), ("unit", unit), ("type", content)):
+                channel.append_child_value(key, value)
         maker = info.desc().append_child("acquisition")
         for fact, value in {"manufacturer": "telepulse", **facts}.items():
             maker.append_child_value(fact, value)
@@ -166,10 +164,7 @@ class LslStreams:
 
 
 class LslForwarder:
-    """Forwarder of one display.
-
-    passed: samples of the wrist, ticks and events passed to LSL.
-    """
+    """Forwarder of one display; passed: counts of samples, ticks and events passed to LSL."""
 
     def __init__(self, outlets: LslStreams) -> None:
         self._outlets = outlets
@@ -245,10 +240,12 @@ class LslForwarder:
 
 
 class LslOutlet:
-    """Outlet that runs until the display ends, falls silent or `stop` is called."""
+    """Outlet that runs until the display ends, falls silent or `stop` is called.
+
+    Raises SourceError without LSL, or AddressError.
+    """
 
     def __init__(self, address: str, keys: ClientKeys | None = None) -> None:
-        """Connect. Raises SourceError without LSL, or AddressError."""
         self._address = address
         self._outlets = LslStreams(address)
         self._forwarder = LslForwarder(self._outlets)

@@ -1,6 +1,6 @@
-"""The one way to run a node, or another command of ours, as a process of its own.
+"""Nodes run as processes of their own, their summaries and addresses for them.
 
-It builds on `protocol.host.child_process`, which both nodes use for the processes beside them.
+`protocol.host.child_process` is beneath; both nodes use it for the processes beside them.
 """
 
 import itertools
@@ -45,8 +45,7 @@ def free_addresses(count: int) -> list[str]:
 
 
 _SUMMARY = TypeAdapter(Summary)
-# Log lines of a process that its user should see. Faults are excluded: the end of the run names
-# them.
+# Log lines of a process that its user should see. Faults are not: the end of the run names them.
 _WARNING = re.compile(
     r"^\d\d:\d\d:\d\d\.\d{3} (WARNING|ERROR|CRITICAL) (?!fault: )(.*)$", re.MULTILINE
 )
@@ -62,8 +61,8 @@ class NodeProcess(ChildProcess):
     """A node's process, which writes its closing summary to a file.
 
     name: its name in errors. module: the node's command line, "sensing_node.cli" or
-    "display_node.cli". arguments: arguments of that command. summary: file for its summary
-    (`--json`). options: options of `ChildProcess`: streams, environment and current folder.
+    "display_node.cli". arguments: those of that command. summary: file for its summary (`--json`).
+    options: those of `ChildProcess`: streams, environment and current folder.
     """
 
     def __init__(

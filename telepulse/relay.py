@@ -2,6 +2,7 @@
 
 import itertools
 import logging
+import math
 import struct
 import threading
 import time
@@ -184,11 +185,10 @@ class UnansweredDetector:
     """
 
     def __init__(self, timeout_ns: int, after_first_message: bool = False) -> None:
-        self._timeout_ns = timeout_ns
-        self._after_first_message = after_first_message
-        self._armed = not after_first_message
+        self._timeout_ns, self._after_first_message = timeout_ns, after_first_message
         self._requests = self._received = 0
         self._since_ns: int | None = None
+        self.restart()
 
     def is_silent(self, now_ns: int, requests: int, received: int) -> bool:
         """Return True where a request has had no answer for longer than the timeout.
@@ -233,10 +233,9 @@ class Relay:
     ) -> None:
         sockets.control_address(connect)
         control = sockets.control_address(bind)
-        self._connect = connect
-        self._stopping = False
-        self._context: sockets.Context = zmq.Context()
-        context = self._context
+        self._connect, self._stopping = connect, False
+        context: sockets.Context = zmq.Context()
+        self._context = context
         self._authenticator = Authenticator(context, server_keys)
         self._handshakes = HandshakeMonitor(context, client_keys)
         self._path = DataPath(context, client_keys)
@@ -264,15 +263,12 @@ class Relay:
 
     def run(self, seconds: float | None = None) -> Summary:
         """Pass messages on until stopped, or for `seconds`."""
-        end_ns = None if seconds is None else time.monotonic_ns() + round(seconds * 1e9)
+        end_ns = math.inf if seconds is None else time.monotonic_ns() + seconds * 1e9
         self._lookup.start()
         readable = [*self._frames.sockets, *self._authenticator.sockets]
         try:
             self._control.start()
-            while not self._stopping:
-                now_ns = time.monotonic_ns()
-                if end_ns is not None and now_ns >= end_ns:
-                    break
+            while not self._stopping and (now_ns := time.monotonic_ns()) < end_ns:
                 self._poll(now_ns)
                 sockets.wait_readable(readable, WAIT_NS)
         finally:

@@ -4,6 +4,7 @@ Needs the extra `view` (Bokeh), which the caller has checked (`telepulse.cli.vie
 """
 
 import logging
+import math
 import time
 from http import HTTPStatus
 from typing import Any
@@ -115,7 +116,7 @@ class PageServer:
         self._client = TelemetryClient(address, keys)
         self._client.subscribe()
         self._stopping = False
-        self._end_ns: int | None = None
+        self._end_ns = math.inf
         # A page that is closed while it is drawn is no reason to warn.
         logging.getLogger("bokeh.server").setLevel(logging.ERROR)
         self._loop = IOLoop.current()
@@ -134,7 +135,8 @@ class PageServer:
 
     def run(self, seconds: float | None = None) -> None:
         """Serve until stopped, or for `seconds`."""
-        self._end_ns = None if seconds is None else time.monotonic_ns() + round(seconds * 1e9)
+        if seconds is not None:
+            self._end_ns = time.monotonic_ns() + seconds * 1e9
         try:
             self._server.start()
             self._polling.start()
@@ -193,7 +195,6 @@ class PageServer:
                     self._age.take_status(now_ns)
                 self._live.take(entry)
         self._client.poll(now_ns)
-        over = self._end_ns is not None and now_ns >= self._end_ns
-        if self._stopping or over:
+        if self._stopping or now_ns >= self._end_ns:
             self._polling.stop()
             self._loop.call_later(LINGER_S, self._loop.stop)
