@@ -108,7 +108,7 @@ def test_no_force_or_layer_of_a_peer_passes_the_limit(force_n: float, layer: Ela
     assert max(felt) <= LIMIT_N
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(st.lists(st.floats(-1e6, 1e6), min_size=20, max_size=60))
 def test_no_sequence_of_forces_passes_the_limit_or_the_slew(forces: list[float]) -> None:
     under_test, sender = display(), Sender()
@@ -203,7 +203,7 @@ hostile_frame = st.builds(
 )
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 @given(st.integers(0, 300), st.lists(st.tuples(st.booleans(), hostile_message, hostile_frame)))
 def test_no_number_a_peer_sends_breaks_the_loop_or_its_telemetry(
     good_ms: int, messages: list[tuple[bool, bytes, bytes]]

@@ -1,7 +1,7 @@
 import math
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from display_node.prediction import REACH_NS, PredictorName, build_predictor
@@ -31,7 +31,6 @@ def test_hold_keeps_the_newest_value(ahead_ns: int) -> None:
     assert predicted("hold", times_ns, values, times_ns[-1] + ahead_ns) == values[-1]
 
 
-@settings(deadline=None)
 @given(st.floats(-1, 1), st.integers(2, 32), st.integers(10_000, 10 * MS), st.integers(0, REACH_NS))
 def test_linear_is_exact_on_a_line(
     slope_per_ms: float, count: int, period_ns: int, ahead_ns: int

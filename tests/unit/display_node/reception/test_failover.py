@@ -19,7 +19,7 @@ FRESH_MS = 60
 
 @dataclass
 class Link:
-    """Cut between instants, in ms; else each packet is lost with a probability."""
+    """Link that is cut between instants; else each packet is lost with a probability."""
 
     cuts_ms: list[tuple[int, int]] = field(default_factory=list)
     loss: float = 0.0
@@ -32,11 +32,10 @@ class Link:
 
 @dataclass
 class Tcp:
-    """A connection that frames come over: what is lost holds up all that follows, and is repeated
-    after RTO_MS, twice that, and so on.
+    """TCP connection: a lost frame delays all later ones; it is repeated after 1, 2, 4… RTO_MS.
 
-    next: the first frame that it has not delivered. window: packets in a round trip, while it
-    delivers what has queued.
+    next: first frame that it has not delivered. window: packets a round trip, while the queue
+    drains.
     """
 
     link: Link
@@ -47,7 +46,7 @@ class Tcp:
     window: int = 0
 
     def delivers(self, ms: int) -> list[int]:
-        """The frames that come now."""
+        """Return the frames that arrive now."""
         newest = ms // FRAME_MS
         if self.stuck:
             if ms < self.again_ms:
@@ -79,7 +78,7 @@ class Tcp:
 
 @dataclass
 class Opening:
-    """A connection that is being made: requests are repeated soon, what follows as TCP does."""
+    """Connection that is being opened: requests are repeated early, later packets as by TCP."""
 
     link: Link
     next_ms: int
@@ -87,7 +86,7 @@ class Opening:
     rto_ms: int = RTO_MS
 
     def step(self, ms: int) -> bool:
-        """Advance to a time, and return whether the connection is there and delivers."""
+        """Advance to a time, and return whether the connection is open and delivers."""
         if ms < self.next_ms:
             return False
         if self.link.passes(ms):
@@ -102,13 +101,13 @@ class Opening:
 
 @dataclass
 class Played:
-    """The course of a run: when each frame came first."""
+    """Course of a run: the time at which each frame arrived first."""
 
     failover: Failover
     came_ms: dict[int, int] = field(default_factory=dict)
 
     def back_ms(self, end_ms: int) -> int:
-        """Return the time from the end of a cut until a frame came while it was still fresh."""
+        """Return the time from the end of a cut to the arrival of a frame that is still fresh."""
         fresh = [ms for frame, ms in self.came_ms.items() if ms - frame * FRAME_MS <= FRESH_MS]
         return min(ms for ms in fresh if ms >= end_ms) - end_ms
 
@@ -117,15 +116,22 @@ class Played:
 
 
 def started(frame_ms: int = FRAME_MS) -> Failover:
-    """A failover that begins at 0 ms, with frames so far apart."""
+    """Return a failover that begins at 0 ms, with a frame every `frame_ms`."""
     failover = Failover()
     failover.set_timeouts(frame_ms * MS, ANSWER_MS * MS)
     failover.start(0)
     return failover
 
 
+def racing() -> Failover:
+    """Return a failover whose second connection has been opened at 320 ms."""
+    failover = started()
+    assert failover.due(320 * MS)
+    return failover
+
+
 def play(link: Link, until_ms: int) -> Played:
-    """Frames over two connections, as `DataPath` reads them."""
+    """Run frames over two connections, as `DataPath` reads them."""
     failover = started()
     played = Played(failover)
     first, second, opening = Tcp(link, 0), None, None
@@ -157,13 +163,17 @@ def play(link: Link, until_ms: int) -> Played:
     return played
 
 
-@pytest.mark.parametrize("length_ms", [(100, 600), (600, 3_000), (3_000, 30_000)])
-def test_after_any_cut_fresh_frames_come_within_half_a_second(length_ms: tuple[int, int]) -> None:
+@pytest.mark.parametrize(
+    ("least_ms", "most_ms", "seeds"), [(100, 600, 60), (600, 3_000, 30), (3_000, 30_000, 8)]
+)
+def test_fresh_frames_arrive_within_half_a_second_of_any_cut(
+    least_ms: int, most_ms: int, seeds: int
+) -> None:
     worst_ms, opened = 0, 0
-    for seed in range(60):
+    for seed in range(seeds):
         rng = random.Random(seed)
         begin_ms = rng.randrange(1_000, 1_500)
-        end_ms = begin_ms + rng.randrange(*length_ms)
+        end_ms = begin_ms + rng.randrange(least_ms, most_ms)
         played = play(Link([(begin_ms, end_ms)]), end_ms + 3_000)
         worst_ms = max(worst_ms, played.back_ms(end_ms))
         opened += played.failover.opened
@@ -176,42 +186,39 @@ def test_after_any_cut_fresh_frames_come_within_half_a_second(length_ms: tuple[i
     assert opened > 0
 
 
-def test_a_second_cut_in_the_midst_of_the_handshake_is_not_waited_for() -> None:
-    for seed in range(60):
+def test_a_second_cut_during_the_handshake_is_survived() -> None:
+    for seed in range(30):
         rng = random.Random(seed)
-        begin_ms = 1_000
-        end_ms = begin_ms + rng.randrange(600, 1_500)
+        end_ms = 1_000 + rng.randrange(600, 1_500)
         again_ms = end_ms + rng.randrange(0, 300)
         over_ms = again_ms + rng.randrange(100, 600)
-        link = Link([(begin_ms, end_ms), (again_ms, over_ms)])
+        link = Link([(1_000, end_ms), (again_ms, over_ms)])
         assert play(link, over_ms + 3_000).back_ms(over_ms) <= 700
 
 
 @pytest.mark.parametrize("loss", [0.0, 0.05, 0.2])
-def test_a_link_that_loses_much_is_not_thrashed(loss: float) -> None:
-    minutes = 5
+def test_new_connections_over_a_lossy_link_are_bounded(loss: float) -> None:
+    minutes = 2
     played = play(Link(loss=loss, rng=random.Random(1)), minutes * 60_000)
     assert len(played.came_ms) > 1_000
-    assert played.failover.opened <= 30 * minutes + 10
-    if not loss:
-        assert played.failover.opened == 0
+    assert played.failover.opened <= (30 * minutes + 10 if loss else 0)
 
 
 def test_a_peer_that_stalls_is_reconnected_less_and_less_often() -> None:
     failover = started()
     for ms in range(60_000):
         if failover.due(ms * MS):
-            # Its kernel answers.
+            # The peer's kernel answers.
             failover.answered(ms * MS)
     assert 30 <= failover.opened <= 40
-    # Then it goes on: the first delivers what has queued, down to what the second has, too.
+    # The peer resumes: the first delivers its queue, until it repeats a frame of the second.
     assert failover.first_received(60_000 * MS, behind=False, count=1) is None
     assert failover.second_received(60_001 * MS, behind=False) is None
     assert failover.first_received(60_002 * MS, behind=True, count=1) is Keep.SECOND
     assert not failover.due(60_003 * MS)
 
 
-def test_where_the_first_is_up_to_date_before_the_second_it_is_kept() -> None:
+def test_the_first_is_kept_if_it_is_up_to_date_before_the_second() -> None:
     failover = racing()
     failover.answered(540 * MS)
     assert failover.first_received(600 * MS, behind=False, count=1) is None
@@ -219,7 +226,7 @@ def test_where_the_first_is_up_to_date_before_the_second_it_is_kept() -> None:
     assert (failover.racing, failover.opened, failover.kept) == (False, 1, 0)
 
 
-def test_where_one_alone_delivers_the_other_is_given_a_second() -> None:
+def test_the_only_connection_that_delivers_is_kept_after_a_second() -> None:
     failover = racing()
     for ms in range(700, 1_700, FRAME_MS):
         assert failover.second_received(ms * MS, behind=False) is None
@@ -230,51 +237,40 @@ def test_where_one_alone_delivers_the_other_is_given_a_second() -> None:
         assert failover.first_received(ms * MS, behind=False, count=1) is None
         assert failover.settle(ms * MS) is None
     assert failover.settle(3_000 * MS) is Keep.FIRST
-    assert not failover.due(3_319 * MS)
-    assert failover.due(3_320 * MS)
+    assert_due_at(failover, 3_320)
 
 
-def racing() -> Failover:
-    """Return a failover whose second connection has been opened at 320 ms."""
-    failover = started()
-    assert failover.due(320 * MS)
-    return failover
+def assert_due_at(failover: Failover, ms: int) -> None:
+    assert not failover.due((ms - 1) * MS)
+    assert failover.due(ms * MS)
 
 
-def test_rare_frames_are_waited_for_and_a_stalled_process_waits_less() -> None:
-    failover = started(frame_ms=10_000)
-    assert not failover.due(29_999 * MS)
-    assert failover.due(30_000 * MS)
+def test_patience_is_longer_for_rare_frames_and_shorter_after_a_stall() -> None:
+    assert_due_at(started(frame_ms=10_000), 30_000)
     failover = Failover()
     failover.start(0)
     failover.first_received(1_000 * MS, behind=False, count=1)
     failover.mark_suspect(1_000 * MS)
     failover.first_received(1_010 * MS, behind=False, count=1)
-    assert not failover.due(1_159 * MS)
-    assert failover.due(1_160 * MS)
+    assert_due_at(failover, 1_160)
 
 
-def test_after_the_end_of_a_stream_silence_is_no_cut() -> None:
+def test_silence_after_the_end_of_a_stream_is_no_cut() -> None:
     failover = started()
-    # From when it was asked for to the first frame, none is owed.
+    # No frames are owed from the time before the first one.
     failover.first_received(1_000 * MS, behind=False, count=1)
     assert not failover.due(1_319 * MS)
     failover.set_timeouts(1_000 * MS, ANSWER_MS * MS)
-    assert not failover.due(3_999 * MS)
-    assert failover.due(4_000 * MS)
+    assert_due_at(failover, 4_000)
 
 
-def test_a_first_that_is_back_but_far_behind_is_not_waited_for() -> None:
+@pytest.mark.parametrize(
+    ("arrivals", "due_ms"), [([(300, 1), (340, 2), (380, 4)], 400), ([(300, 60)], 620)]
+)
+def test_a_first_connection_that_resumes_must_catch_up_soon(
+    arrivals: list[tuple[int, int]], due_ms: int
+) -> None:
     failover = started()
-    failover.first_received(0, behind=False, count=1)
-    failover.first_received(300 * MS, behind=False, count=1)
-    failover.first_received(340 * MS, behind=False, count=2)
-    failover.first_received(380 * MS, behind=False, count=4)
-    assert not failover.due(399 * MS)
-    assert failover.due(400 * MS)
-    # Up to date at once, it is let be.
-    failover = started()
-    failover.first_received(0, behind=False, count=1)
-    failover.first_received(300 * MS, behind=False, count=60)
-    assert not failover.due(619 * MS)
-    assert failover.due(620 * MS)
+    for ms, count in [(0, 1), *arrivals]:
+        failover.first_received(ms * MS, behind=False, count=count)
+    assert_due_at(failover, due_ms)

@@ -3,7 +3,7 @@ from collections.abc import Callable, Iterable
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
@@ -20,7 +20,7 @@ Draw = Callable[[np.random.Generator, int], NDArray[np.float64]]
 def watched(
     estimator: DelayEstimator, delays_ms: Iterable[float], start_s: float = 0
 ) -> NDArray[np.float64]:
-    """The estimate in ms after each frame, one every 5 ms from start_s on."""
+    """Return the estimate in ms after each frame, one every 5 ms from start_s on."""
     estimates_ms = []
     for number, delay_ms in enumerate(delays_ms):
         now_ns = T0_NS + round(start_s * SECOND_NS) + number * FRAME_NS
@@ -57,7 +57,7 @@ def test_the_share_of_late_frames_is_near_its_target(draw: Draw, late_target: fl
     assert 0.6 * late_target < late.mean() <= late_target
     constant_ms = np.quantile(delays_ms[first:], 1 - late_target)
     assert constant_ms < estimates_ms[first:].mean() < constant_ms + 2
-    # The smallest delay of 2 s, which all else is measured from, wanders by a standard deviation.
+    # The base, the smallest delay of 2 s, varies by a standard deviation.
     assert np.abs(estimates_ms[first:] - constant_ms).max() < 6
 
 
@@ -68,7 +68,7 @@ def test_a_constant_delay_is_covered_by_at_most_a_bin(delay_ms: float) -> None:
     assert delay_ms < estimates_ms[0] <= delay_ms + BIN_NS / MS
 
 
-def test_it_has_settled_after_a_quarter_second() -> None:
+def test_the_estimate_settles_after_a_quarter_second() -> None:
     estimator, settled = DelayEstimator(), []
     assert estimator.delay_ns is None
     for now_ms in range(1000, 1300, 10):
@@ -77,11 +77,10 @@ def test_it_has_settled_after_a_quarter_second() -> None:
     assert settled == [False] * 26 + [True] * 4
 
 
-def test_a_longer_path_is_followed_at_once_and_not_overshot() -> None:
+def test_a_longer_path_is_followed_after_50_ms_without_overshoot() -> None:
     estimator = DelayEstimator()
     before_ms = watched(estimator, normal_ms(20, 20))[-1]
     after_ms = watched(estimator, normal_ms(80, 100), 20)
-    # As soon as it has lasted for 50 ms.
     assert max(after_ms[: seconds(0.05)]) < before_ms + 1
     assert after_ms[seconds(0.06)] == pytest.approx(before_ms + 62, abs=3)
     # The smallest delay of 50 ms is not as small as that of 2 s.
@@ -90,7 +89,7 @@ def test_a_longer_path_is_followed_at_once_and_not_overshot() -> None:
     assert min(after_ms[seconds(5) :]) > before_ms + 58
 
 
-def test_a_path_longer_by_a_second_is_followed_when_it_lasts() -> None:
+def test_a_path_longer_by_a_second_is_followed_after_a_second() -> None:
     estimator = DelayEstimator()
     watched(estimator, [20] * seconds(10))
     longer = watched(estimator, [1020] * seconds(2), 10)
@@ -109,13 +108,13 @@ def test_a_shorter_path_is_followed_at_20_ms_a_second() -> None:
     assert took_s == pytest.approx(60 / 20, rel=0.01)
 
 
-def test_one_straggler_in_a_thousand_is_not_waited_for() -> None:
+def test_one_late_frame_in_a_thousand_does_not_raise_the_estimate() -> None:
     delays_ms = [500.0 if number % 1000 == 999 else 20.0 for number in range(seconds(60))]
     assert max(watched(DelayEstimator(), delays_ms)) == 21.0
 
 
 @pytest.mark.parametrize("silence_s", [3, 30, 3600, 86_400, 10_000_000])
-def test_a_silence_does_not_confuse_it(silence_s: int) -> None:
+def test_a_silence_does_not_change_the_estimate(silence_s: int) -> None:
     estimator = DelayEstimator()
     watched(estimator, normal_ms(20, 20))
     after_ms = watched(estimator, normal_ms(20, 20), 20 + silence_s)
@@ -123,9 +122,8 @@ def test_a_silence_does_not_confuse_it(silence_s: int) -> None:
     assert max(after_ms) < 26
 
 
-@settings(deadline=None)
 @given(st.lists(st.integers(-(2**63), 2**63), min_size=1, max_size=30))
-def test_no_delay_makes_it_leave_its_range(delays_ns: list[int]) -> None:
+def test_the_estimate_stays_within_its_range(delays_ns: list[int]) -> None:
     estimator = DelayEstimator()
     for number, delay_ns in enumerate(delays_ns):
         estimator.observe(delay_ns, number * SECOND_NS)
@@ -133,26 +131,20 @@ def test_no_delay_makes_it_leave_its_range(delays_ns: list[int]) -> None:
         assert -SECOND_NS <= estimator.delay_ns <= 10 * SECOND_NS
 
 
-def test_the_estimate_forgets_what_is_1000_s_old() -> None:
+def test_delays_older_than_1000_s_have_no_weight() -> None:
     delays_ns = (np.random.default_rng(6).normal(20, 5, 15_000) * MS).astype(int).tolist()
     old, young = DelayEstimator(), DelayEstimator()
     for number, delay_ns in enumerate(delays_ns):
         old.observe(delay_ns, number * SECOND_NS)
         if number >= 2000:
             young.observe(delay_ns, number * SECOND_NS)
-        # Nothing of what is 1000 s old counts any more.
         assert number < 3000 or old.delay_ns == young.delay_ns
 
 
-@settings(deadline=None)
-@given(
-    st.lists(
-        st.tuples(st.integers(0, 100 * MS), st.integers(-240 * MS, 240 * MS)),
-        min_size=2,
-        max_size=50,
-    )
-)
-def test_time_is_warped_by_2_percent_at_most_and_never_back(steps: list[tuple[int, int]]) -> None:
+@given(st.lists(st.tuples(st.integers(0, 100 * MS), st.integers(-240 * MS, 240 * MS)), min_size=2))
+def test_playout_is_slewed_by_at_most_2_percent_and_never_goes_back(
+    steps: list[tuple[int, int]],
+) -> None:
     clock = PlayoutClock()
     now_ns = instant_ns = clock.instant(T0_NS, T0_NS)
     for elapsed_ns, offset_ns in steps:
@@ -164,7 +156,7 @@ def test_time_is_warped_by_2_percent_at_most_and_never_back(steps: list[tuple[in
 
 
 @pytest.mark.parametrize("offset_ms", [-60, -0.01, 0, 0.01, 60, 450])
-def test_it_comes_to_the_wanted_instant_and_stays(offset_ms: float) -> None:
+def test_playout_reaches_the_wanted_instant_and_stays_there(offset_ms: float) -> None:
     clock = PlayoutClock()
     clock.instant(T0_NS, T0_NS)
     offset_ns = round(offset_ms * MS)
@@ -175,7 +167,7 @@ def test_it_comes_to_the_wanted_instant_and_stays(offset_ms: float) -> None:
         assert tick < needed or instant_ns == now_ns + offset_ns
 
 
-def test_it_follows_a_clock_that_runs_1_percent_fast_and_a_stall_is_no_jump() -> None:
+def test_playout_follows_a_clock_1_percent_fast_and_a_stall_is_no_jump() -> None:
     clock = PlayoutClock()
     for tick in (*range(10_000), 15_000):
         assert clock.instant(tick * MS, tick * (MS + MS // 100)) == tick * (MS + MS // 100)
@@ -185,7 +177,7 @@ def test_it_follows_a_clock_that_runs_1_percent_fast_and_a_stall_is_no_jump() ->
 @pytest.mark.parametrize(
     ("offset_ms", "jumps"), [(499, 0), (-499, 0), (501, 1), (-501, 1), (3_600_000, 1)]
 )
-def test_a_jump_above_half_a_second_is_taken_and_counted(offset_ms: int, jumps: int) -> None:
+def test_a_difference_above_half_a_second_is_a_counted_jump(offset_ms: int, jumps: int) -> None:
     clock = PlayoutClock()
     clock.instant(0, 0)
     instant_ns = clock.instant(MS, MS + offset_ms * MS)
@@ -195,8 +187,8 @@ def test_a_jump_above_half_a_second_is_taken_and_counted(offset_ms: int, jumps: 
     assert clock.jumps == jumps
 
 
-def released(estimator: DelayEstimator, queued_s: float, start_s: float, within_s: float) -> None:
-    """What queued for so long arrives within a time, evenly, the oldest first."""
+def drain(estimator: DelayEstimator, queued_s: float, start_s: float, within_s: float) -> None:
+    """Let a queue of `queued_s` arrive evenly within `within_s`, the oldest frame first."""
     count = seconds(queued_s)
     for number in range(count):
         since_ns = round(within_s * SECOND_NS) * number // count
@@ -205,71 +197,63 @@ def released(estimator: DelayEstimator, queued_s: float, start_s: float, within_
         estimator.observe(since_ns - sent_ns, now_ns)
 
 
-@pytest.mark.parametrize("queued_s", [0.6, 2, 5])
+@pytest.mark.parametrize(
+    ("queued_s", "cut_s"), [(0.6, 0.6), (2, 2), (5, 5), (10, 10), (0, 10)], ids=str
+)
 @pytest.mark.parametrize("within", [0.0001, 0.1, 0.5])
-def test_a_cut_leaves_no_trace_however_its_queue_drains(queued_s: float, within: float) -> None:
+def test_a_cut_does_not_change_the_estimate_however_its_queue_drains(
+    queued_s: float, cut_s: float, within: float
+) -> None:
     estimator = DelayEstimator()
     before_ms = watched(estimator, jittered_ms(10))[-1]
-    released(estimator, queued_s, 10 + queued_s, queued_s * within)
-    after_ms = watched(estimator, jittered_ms(20), 10.01 + queued_s * (1 + within))
-    assert np.abs(after_ms - before_ms).max() <= 1.5
+    drain(estimator, queued_s, 10 + cut_s, queued_s * within)
+    after_ms = watched(estimator, jittered_ms(20), 10.01 + cut_s + queued_s * within)
+    assert np.abs(after_ms - before_ms).max() <= (1.5 if cut_s < 10 else 2)
 
 
-@pytest.mark.parametrize("queued_s", [0, 10], ids=["all was lost", "all queued"])
-def test_ten_seconds_of_silence_leave_no_trace(queued_s: float) -> None:
-    estimator = DelayEstimator()
-    before_ms = watched(estimator, jittered_ms(20))[-1]
-    # Longer than any delay that is counted, so that the first of them say nothing.
-    released(estimator, queued_s, 30, 0.2)
-    after_ms = watched(estimator, jittered_ms(60), 30.3)
-    assert np.abs(after_ms - before_ms).max() <= 2
-
-
-def test_a_stall_below_an_outage_is_waited_for_and_released() -> None:
+def test_a_stall_shorter_than_an_outage_raises_the_estimate_for_a_while() -> None:
     estimator = DelayEstimator()
     before_ms = watched(estimator, jittered_ms(10))[-1]
-    released(estimator, 0.3, 10.3, 0.001)
+    drain(estimator, 0.3, 10.3, 0.001)
     after_ms = watched(estimator, jittered_ms(30), 10.305)
-    # 60 frames are 3 % of 10 s: a third of what was late would be late again.
+    # 60 frames are 3 % of 10 s: after another such stall, a third of them would be late.
     assert 100 < after_ms[0] - before_ms < 300
     assert after_ms[-1] - before_ms < 2
 
 
-def test_a_step_of_the_clock_by_an_hour_is_followed_and_left_again() -> None:
+def test_a_clock_step_by_an_hour_is_followed_in_both_directions() -> None:
     estimator = DelayEstimator()
     before_ms = watched(estimator, jittered_ms(10))[-1]
     stepped_ms = watched(estimator, jittered_ms(5) + 3_600_000, 10)
-    # A second of it could still be an outage; beyond 10 s there is no delay.
+    # Its first second could be an outage; delays are clipped to 10 s.
     assert stepped_ms[FRAMES_A_SECOND - 1] == before_ms
     assert stepped_ms[-1] == 9999
     back_ms = watched(estimator, jittered_ms(5), 15)
     assert abs(back_ms[0] - before_ms) < 5
     assert abs(back_ms[-1] - before_ms) < 2
-    # Below −1 s there is no delay either: its upper edge is the lowest bin's.
+    # They are clipped to −1 s as well.
     assert watched(estimator, jittered_ms(5) - 3_600_000, 20)[-1] < 0
     assert watched(estimator, jittered_ms(5), 25)[-1] == pytest.approx(26, abs=2)
 
 
 @pytest.mark.parametrize("ppm", [-500, 500])
 def test_a_skew_of_500_ppm_is_followed(ppm: float) -> None:
-    frames = np.arange(300 * FRAMES_A_SECOND)
+    frames = np.arange(seconds(120))
     skew_ms = frames * (FRAME_NS / MS) * ppm * 1e-6
-    over_ms = watched(DelayEstimator(), jittered_ms(300) + skew_ms) - skew_ms
-    # 150 ms in all; the base is the smallest delay of 2 s, in which the skew makes 1 ms.
-    assert np.abs(over_ms[5 * FRAMES_A_SECOND :] - 26).max() < 2
+    over_ms = watched(DelayEstimator(), jittered_ms(120) + skew_ms) - skew_ms
+    # 60 ms in all; the base is the smallest delay of 2 s, in which the skew makes 1 ms.
+    assert np.abs(over_ms[seconds(5) :] - 26).max() < 2
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_false_times_of_a_peer_are_forgotten(seed: int) -> None:
+def test_false_times_of_a_peer_lose_their_weight() -> None:
     estimator = DelayEstimator()
-    false_ms = np.random.default_rng(seed).uniform(-2000, 20_000, 10 * FRAMES_A_SECOND)
-    found_ms = watched(estimator, false_ms)
+    found_ms = watched(estimator, np.random.default_rng(0).uniform(-2000, 20_000, seconds(10)))
     assert found_ms.min() >= -1000
     assert found_ms.max() <= 10_000
     assert watched(estimator, jittered_ms(60), 10)[-1] == pytest.approx(26, abs=2)
 
 
-def test_bursts_are_followed_by_a_playout_that_can_and_covered_by_one_that_cannot() -> None:
+def test_bursts_are_followed_by_a_fast_playout_and_covered_by_a_slow_one() -> None:
     delays_ms = jittered_ms(120)
     # 2 s of every 12 s are 30 ms longer.
     delays_ms += 30 * (np.arange(len(delays_ms)) / FRAMES_A_SECOND % 12 > 10)
@@ -286,12 +270,12 @@ def test_bursts_are_followed_by_a_playout_that_can_and_covered_by_one_that_canno
     assert mean_ms[math.inf] < 40
 
 
-def test_bursts_that_are_dear_to_follow_are_covered() -> None:
+def test_bursts_are_covered_where_following_needs_more_delay() -> None:
     delays_ms = jittered_ms(120)
     at_s = np.arange(len(delays_ms)) / FRAMES_A_SECOND
     delays_ms += 30 * (at_s % 1 > 0.85)
-    # Their beginnings alone are more than 3 %: a following track asks for 30 ms in a burst and 30
-    # more for the next one's beginning.
+    # The first frames of bursts alone are more than 3 % of all. A tracker that follows requires
+    # 30 ms within a burst, and 30 ms more for the first frames of the next one.
     asked_ms = watched(DelayEstimator(late_target=0.03, max_slew=math.inf), delays_ms)
     assert asked_ms[60 * FRAMES_A_SECOND :].mean() == pytest.approx(53, abs=1.5)
 
@@ -308,8 +292,8 @@ def test_bursts_that_are_dear_to_follow_are_covered() -> None:
 )
 def test_a_longer_path_lasts_and_does_not_fall(delays_ms: list[int], base_ms: int | None) -> None:
     longer = LongerPath(50 * MS)
-    said = [
+    found = [
         longer.base_ns(delay_ms * MS, 50 * MS, T0_NS + number * FRAME_NS)
         for number, delay_ms in enumerate(delays_ms)
     ]
-    assert said == [*[None] * 10, None if base_ms is None else base_ms * MS]
+    assert found == [*[None] * 10, None if base_ms is None else base_ms * MS]

@@ -7,7 +7,7 @@ from pathlib import Path
 import msgpack
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from display_node.display import Display
@@ -49,7 +49,6 @@ def traces(felt: list[TickState]) -> list[bytes]:
     return [message for tick in felt if (message := writer.add(tick)) is not None]
 
 
-@settings(deadline=None)
 @given(st.lists(ticks, min_size=TRACE_TICKS, max_size=3 * TRACE_TICKS))
 def test_every_tick_comes_through_a_trace(felt: list[TickState]) -> None:
     felt.sort(key=lambda tick: tick.now_ns)
@@ -120,7 +119,6 @@ plain = st.recursive(
 
 
 @pytest.mark.parametrize("read", [read_trace, read_status])
-@settings(deadline=None)
 @given(
     st.binary(max_size=100)
     | plain.map(msgpack.packb)
