@@ -1,4 +1,4 @@
-"""Deadline misses in virtual time: when they are an alarm, and when they are not."""
+"""Alarms on missed ticks, in virtual time."""
 
 from display_node.scoring.deadlines import GAP_NS, WINDOW_NS, DeadlineWatch, deadline_alarm
 from protocol.run_summary import Summary
@@ -7,8 +7,8 @@ from protocol.summary_tables import Loop
 TICK_NS = 1_000_000
 
 
-class Loops:
-    """A loop in virtual time: `run` ticks on time, `late` begins a tick some periods late."""
+class VirtualLoop:
+    """Loop in virtual time: `run` begins ticks on time, `late` one tick some periods late."""
 
     def __init__(self) -> None:
         self.watch = DeadlineWatch(TICK_NS)
@@ -24,53 +24,53 @@ class Loops:
 
 
 def test_single_misses_are_no_alarm() -> None:
-    loops = Loops()
+    loop = VirtualLoop()
     for _ in range(100):
-        loops.run(0.2)
-        loops.late(2)
-        assert not loops.watch.alarm
-    assert loops.watch.worst_5s.missed == 0.005
-    assert loops.watch.worst_5s.gap_ms == 2
+        loop.run(0.2)
+        loop.late(2)
+        assert not loop.watch.alarm
+    assert loop.watch.worst_5s.missed == 0.005
+    assert loop.watch.worst_5s.gap_ms == 2
 
 
 def test_more_than_one_percent_of_five_seconds_is_an_alarm() -> None:
-    loops = Loops()
+    loop = VirtualLoop()
     for missed in range(1, 52):
-        loops.late(2)
-        assert loops.watch.alarm == (missed > 50)
-    # It stays on while the rate is about the bar, so that it is one alarm and not many.
+        loop.late(2)
+        assert loop.watch.alarm == (missed > 50)
+    # Hysteresis: the alarm stays on while the share is near 1 %.
     for _ in range(60):
-        loops.run(0.1)
-        loops.late(2)
-        assert loops.watch.alarm
-    loops.run(5)
-    assert not loops.watch.alarm
-    assert loops.watch.last_5s.missed == 0
+        loop.run(0.1)
+        loop.late(2)
+        assert loop.watch.alarm
+    loop.run(5)
+    assert not loop.watch.alarm
+    assert loop.watch.last_5s.missed == 0
 
 
 def test_a_gap_above_the_watchdog_is_an_alarm_for_five_seconds() -> None:
-    loops = Loops()
-    loops.run(1)
-    loops.late(GAP_NS // TICK_NS)
-    assert not loops.watch.alarm
-    loops.run(6)
-    loops.late(GAP_NS // TICK_NS + 1)
-    assert loops.watch.alarm
-    assert loops.watch.last_5s.gap_ms == 51
-    loops.run(WINDOW_NS * 1e-9 - 0.01)
-    assert loops.watch.alarm
-    loops.run(0.02)
-    assert not loops.watch.alarm
-    assert loops.watch.last_5s.gap_ms == 1
-    assert loops.watch.worst_5s.gap_ms == 51
+    loop = VirtualLoop()
+    loop.run(1)
+    loop.late(GAP_NS // TICK_NS)
+    assert not loop.watch.alarm
+    loop.run(6)
+    loop.late(GAP_NS // TICK_NS + 1)
+    assert loop.watch.alarm
+    assert loop.watch.last_5s.gap_ms == 51
+    loop.run(WINDOW_NS * 1e-9 - 0.01)
+    assert loop.watch.alarm
+    loop.run(0.02)
+    assert not loop.watch.alarm
+    assert loop.watch.last_5s.gap_ms == 1
+    assert loop.watch.worst_5s.gap_ms == 51
 
 
 def test_the_alarm_names_the_share_and_the_gap() -> None:
-    loops = Loops()
-    loops.late(413)
-    watch = loops.watch
-    loop = Loop(1, 412, late=watch.alarm, last_5s=watch.last_5s, worst_5s=watch.worst_5s)
-    text = deadline_alarm(Summary(loop=loop).to_dict()["loop"])
+    loop = VirtualLoop()
+    loop.late(413)
+    watch = loop.watch
+    figures = Loop(1, 412, late=watch.alarm, last_5s=watch.last_5s, worst_5s=watch.worst_5s)
+    text = deadline_alarm(Summary(loop=figures).to_dict()["loop"])
     assert text == "8.2 % of the ticks of the last 5 s missed, longest gap 413 ms"
     assert deadline_alarm({"ticks": 1, "late": False}) is None
     bare = "too many of the ticks of the last 5 s missed"
