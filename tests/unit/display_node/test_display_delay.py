@@ -1,4 +1,4 @@
-"""The parts of the perceived delay E: the chain's group delay, the loop's horizon."""
+"""Parts of the perceived delay E: the sensing chain's group delay, the loop's horizon."""
 
 import math
 
@@ -9,7 +9,7 @@ from tests.support.sender import MS, Sender, display
 from tests.support.streams import description
 
 GROUP_DELAY_MS = 12
-RUN_MS = 3000
+RUN_MS = 2000
 
 
 def pulse_n(at_ms: float) -> float:
@@ -17,7 +17,7 @@ def pulse_n(at_ms: float) -> float:
 
 
 def playing(under_test: Display, group_delay_ms: int = 0) -> list[tuple[float, float, float]]:
-    """Play a pulse that a slow chain has sensed; time, E and felt force of the last 1.5 s.
+    """Play a pulse; return time and E in ms and felt force of each tick of the last second.
 
     A sample holds the pulse of group_delay_ms before it; 5 samples arrive every 5 ms.
     """
@@ -26,7 +26,7 @@ def playing(under_test: Display, group_delay_ms: int = 0) -> list[tuple[float, f
     for ms in range(RUN_MS):
         now_ns = ms * MS
         at = under_test.tick(now_ns)
-        if ms >= RUN_MS - 1500:
+        if ms >= RUN_MS - 1000:
             felt.append((float(ms), at.playout_delay_ns / MS, at.felt_n))
         sender.serve(under_test, now_ns)
         if ms % 5 == 0:
@@ -37,7 +37,7 @@ def playing(under_test: Display, group_delay_ms: int = 0) -> list[tuple[float, f
 
 @pytest.mark.parametrize("group_delay_ms", [0, GROUP_DELAY_MS])
 @pytest.mark.parametrize("compensation_ns", [40 * MS, None], ids=["40 ms", "auto"])
-def test_the_pulse_that_is_felt_is_e_old_however_slow_its_chain(
+def test_the_felt_pulse_is_e_old_whatever_the_group_delay(
     compensation_ns: int | None, group_delay_ms: int
 ) -> None:
     under_test = display("bench", compensation_ns=compensation_ns)
@@ -47,7 +47,7 @@ def test_the_pulse_that_is_felt_is_e_old_however_slow_its_chain(
         assert felt_n == pytest.approx(pulse_n(at_ms - delay_ms), abs=0.7e-3)
     if compensation_ns is not None:
         assert felt[-1][1] == pytest.approx(40, abs=0.01)
-    # Its own account includes the chain's delay.
+    # The display's own errors include the chain's delay.
     assert under_test.tracking_error is not None
     under_test.tracking_error.finish()
     summary = under_test.summary()
@@ -55,14 +55,14 @@ def test_the_pulse_that_is_felt_is_e_old_however_slow_its_chain(
     assert summary.samples.late == 0
 
 
-def test_what_no_sample_holds_yet_is_predicted_and_not_counted_as_covered() -> None:
+def test_the_covered_delay_includes_the_group_delay_that_is_predicted() -> None:
     under_test = display("bench", compensation_ns=0)
     felt = playing(under_test, GROUP_DELAY_MS)
     summary = under_test.summary()
     # The newest sample is 0 to 5 ms old, and the pulse in it 12 ms more.
     assert summary.covered_delay_ms == pytest.approx(GROUP_DELAY_MS + 3, abs=0.6)
     assert summary.playout_delay_ms.mean == pytest.approx(0, abs=0.01)
-    # A straight line 17 ms ahead is off by (ωt)² / 2 of a swing at most, here 2 %.
+    # The error of a straight line 17 ms ahead is at most (ωt)² / 2 of the amplitude, here 2 %.
     off_n = max(abs(felt_n - pulse_n(at_ms - delay_ms)) for at_ms, delay_ms, felt_n in felt)
     assert 1e-3 < off_n < 0.03 * 0.1 * 2
 
@@ -76,16 +76,16 @@ def test_auto_covers_the_chains_delay_and_reserves_the_loops_horizon(
 ) -> None:
     under_test = display(name)
     delay_ms = playing(under_test, group_delay_ms)[-1][1]
-    # The link's: frames of 5 ms. The sample after the horizon's end lets the last tick be
-    # interpolated.
+    # Frames of 5 ms are the link's delay. One sample after the horizon's end is needed to
+    # interpolate the last tick.
     assert under_test.receiver.delay.delay_ns == 5 * MS
     assert delay_ms == pytest.approx(5 + group_delay_ms + horizon + 1, abs=0.01)
-    # Nothing is predicted: what is covered is all of E.
+    # Nothing is predicted, so the covered delay is E.
     summary = under_test.summary()
     assert summary.covered_delay_ms == pytest.approx(delay_ms, abs=0.01)
     assert summary.samples.late == 0
 
 
-def test_a_horizon_that_is_known_needs_no_prediction() -> None:
+def test_a_received_horizon_needs_no_prediction() -> None:
     hold, linear = (playing(display("real_bench", predictor=name)) for name in ("hold", "linear"))
     assert hold == linear

@@ -1,4 +1,4 @@
-"""Each fault has an advice of its own, and an exit status that names it."""
+"""Advice on each latched fault, and the exit status."""
 
 import re
 from pathlib import Path
@@ -20,7 +20,7 @@ PACKAGE = Path(__file__).parents[3] / "display_node"
 
 
 def named_faults() -> set[str]:
-    """The texts of all faults that the display's code latches, numbers left out."""
+    """Return the texts of all faults that the display's code latches, without numbers."""
     sources = "\n".join(path.read_text(encoding="utf-8") for path in PACKAGE.rglob("*.py"))
     safety = re.findall(r'\.fault\(\s*f?"([^"{]+)', sources)
     drive = re.findall(r'(?:DriveError\(|\.?_?fail\()\s*f?"([a-z][^":{]+)', sources)
@@ -28,29 +28,28 @@ def named_faults() -> set[str]:
     return {*safety, *film, *(f"drive: {kind}" for kind in drive)}
 
 
-def test_every_fault_in_the_code_has_an_advice() -> None:
+def test_every_fault_in_the_code_has_advice() -> None:
     faults = named_faults()
     assert {"feedback lost", "drive: no answer", "drive: unplugged"} <= faults
     assert {fault for fault in faults if advise(fault).startswith(OTHERWISE)} <= {
-        # These end a start, whose line says what to do, or follow a closing.
+        # These end a start, which gives its own advice, or follow the closing of a drive.
         "drive: stopped",
         "drive: not there",
     }
 
 
-def test_a_fault_ends_with_its_status_and_a_line_each(capsys: pytest.CaptureFixture[str]) -> None:
+def test_latched_faults_end_with_a_line_each_and_their_status_and_notes_of_sensors_do_not(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    notes = [f"{FILM_NOTE}3 samples missing", f"{SENSING_NOTE}2 samples beyond the ADC's range"]
+    assert latched(notes) == []
+    end_at_faults("display-node", notes)
+    assert capsys.readouterr().err == ""
     with pytest.raises(SystemExit) as ended:
-        end_at_faults("display-node", ["feedback lost", f"{FILM_NOTE}3 samples missing"])
+        end_at_faults("display-node", ["feedback lost", *notes])
     assert ended.value.code == FAULT_STATUS == 3
     (line,) = capsys.readouterr().err.splitlines()
     assert line == (
         "display-node: ended at the fault 'feedback lost': check the film's sensor and its cable;"
         " then start the display again"
     )
-
-
-def test_what_a_sensor_missed_is_no_latched_fault(capsys: pytest.CaptureFixture[str]) -> None:
-    notes = [f"{FILM_NOTE}3 samples missing", f"{SENSING_NOTE}2 samples beyond the ADC's range"]
-    assert latched(notes) == []
-    end_at_faults("display-node", notes)
-    assert capsys.readouterr().err == ""

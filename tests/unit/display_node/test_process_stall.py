@@ -1,6 +1,6 @@
-"""A display whose process stood still, in virtual time: the pulse comes back by a ramp.
+"""A display whose process stalls, in virtual time: the pulse returns by a ramp.
 
-What the sensing node sent meanwhile has queued, and comes in at once, by and by, or not at all.
+The frames of the stall have queued; they arrive at once, gradually, or not at all.
 """
 
 from collections.abc import Iterator
@@ -19,10 +19,10 @@ ALL_AT_ONCE = 10_000
 
 
 def played_after(stall_ms: int, read_a_tick: int, cut_ms: int = 0) -> Iterator[tuple[float, float]]:
-    """Stall a display that plays; yield gain and felt force of each tick of the second after it.
+    """Stall a display that plays; yield gain and felt force of each tick of the next second.
 
-    read_a_tick: messages that are received before each tick. cut_ms: of a connection that was lost
-    by the stall with all that had queued, and is made anew after so long.
+    read_a_tick: number of messages received before each tick. cut_ms: where above 0, the stall
+    loses the connection with its queue, and a new one is open after this time.
     """
     under_test, sender = display(), Sender()
     run(under_test, sender, 0, BEGIN_MS, FORCE_N)
@@ -47,13 +47,12 @@ def played_after(stall_ms: int, read_a_tick: int, cut_ms: int = 0) -> Iterator[t
 @pytest.mark.parametrize(
     ("read_a_tick", "cut_ms"), [(ALL_AT_ONCE, 0), (LEAST_READ + 1, 0), (ALL_AT_ONCE, 50)]
 )
-def test_a_stall_beyond_the_stale_limit_comes_back_by_a_ramp(
+def test_the_pulse_returns_by_a_ramp_after_a_stall_beyond_the_stale_limit(
     stall_ms: int, read_a_tick: int, cut_ms: int
 ) -> None:
-    """At full strength at once after 5 s, where all that had queued came in before a tick."""
     gains, felt_n = np.array(list(played_after(stall_ms, read_a_tick, cut_ms))).T
     faded = min(1.0, max(0.0, (stall_ms - STALE_MS) / FADE_MS))
-    # It falls no slower and comes back no faster, whatever has queued.
+    # The queue makes neither the fade slower nor the ramp faster.
     assert gains[0] <= 1.0 - faded + 1.0 / RAMP_MS + 1e-9
     assert np.diff(gains).max() <= 1.0 / RAMP_MS + 1e-9
     if faded == 1.0:

@@ -60,7 +60,7 @@ def test_the_share_of_ticks_missed_and_the_longest_gap_decide(bare: Ticks, statu
     assert found.reason.endswith("longer than the watchdog of a drive (50 ms)") == gap
 
 
-def test_the_measures_granted_are_judged_and_compared_with_none() -> None:
+def test_the_granted_settings_are_judged_and_compared_with_none() -> None:
     found = verdict(ticks(900, 100), ticks(1000, 0, latest_us=350.0))
     assert found.status == "ok"
     assert found.reason == (
@@ -83,14 +83,16 @@ def test_the_measures_granted_are_judged_and_compared_with_none() -> None:
         ({"quota": 4.0, "governors": ["performance"], "idle_us": 2}, None),
     ],
 )
-def test_what_slows_a_host_is_advised_on(changes: dict[str, object], advice: str | None) -> None:
+def test_advice_names_the_properties_that_slow_a_host(
+    changes: dict[str, object], advice: str | None
+) -> None:
     host = replace(GOOD_HOST, **changes)  # type: ignore[arg-type]
     found = verdict(ticks(1000, 0), host=host).advice
     assert len(found) == (advice is not None)
     assert advice is None or advice in found[0]
 
 
-def test_the_weightiest_advice_is_the_first() -> None:
+def test_the_most_effective_advice_is_the_first() -> None:
     host = replace(GOOD_HOST, quota=1.0)
     advice = verdict(ticks(1000, 0), None, host, ("fifo: no",), stolen_share=0.031).advice
     assert [line.split()[0] for line in advice] == ["the", "the", "fifo:"]
@@ -108,11 +110,13 @@ def test_the_weightiest_advice_is_the_first() -> None:
         ("Darwin Kernel Version 23.1.0", None),
     ],
 )
-def test_a_kernel_version_states_its_preemption(version: str, preemption: str | None) -> None:
+def test_a_kernel_version_names_its_preemption(version: str, preemption: str | None) -> None:
     assert preemption_of(version) == preemption
 
 
-def test_this_host_is_read_and_shown() -> None:
+def test_a_host_with_or_without_kernel_files_is_read_and_shown(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     host = read_host()
     rows = dict(describe(host))
     assert host.cpus
@@ -121,9 +125,6 @@ def test_this_host_is_read_and_shown() -> None:
     assert all(rows.values())
     part, whole = stolen()
     assert 0 <= part <= whole
-
-
-def test_a_host_without_any_kernel_file_is_read_and_shown(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "kernel_text", lambda path: "")
     monkeypatch.setattr(module, "CPU", Path("/no such folder"))
     host = read_host()

@@ -46,7 +46,7 @@ def pulse(seconds: float, start_s: float = 0.0) -> Trace:
 
 
 def view(state: str = "playing", seconds: float = 6, **changes: object) -> TerminalView:
-    """A view of a pulse of so many seconds, with changes to the summary of its status."""
+    """Return a view of a pulse of `seconds`, with changes to the summary of its status."""
     under_test = TerminalView()
     under_test.add_trace(pulse(seconds))
     under_test.status = Status(state, "my pulse", SUMMARY | changes, False)
@@ -71,7 +71,7 @@ def test_panel_and_line_show_the_state() -> None:
     assert line.startswith("playing: heart rate 75 /min, force target")
 
 
-def test_a_fault_is_named_with_what_to_do_in_line_and_panel() -> None:
+def test_line_and_panel_name_a_fault_with_its_advice() -> None:
     under_test = view("fault", 0, faults=["feedback lost"], finger="pressed with 245 mN")
     alert = (
         "fault: feedback lost: check the film's sensor and its cable; then start the display"
@@ -92,7 +92,7 @@ def test_a_revoked_display_is_named_until_it_plays_again() -> None:
     assert "revoked" not in view(rejected=rejected).line()
 
 
-def test_a_limit_is_shown_once_it_was_reached() -> None:
+def test_a_limit_is_shown_only_if_it_was_reached() -> None:
     assert "at a limit" not in printed(view())
     limits = Limits(force=Limited(312, 4.1, 0.205), travel=Limited(1, 0.5, 0.025))
     limited: Mapping[str, Any] = Summary(limited=limits).to_dict()["limited"]
@@ -105,13 +105,15 @@ def test_a_limit_is_shown_once_it_was_reached() -> None:
         ("waiting", {"refused_key": 1}, True),
         ("stale", {"not_authentic": 319}, True),
         ("waiting", {"handshake": 3}, True),
-        # A node that ends breaks off.
+        # A node that shuts down breaks a handshake or two.
         ("stale", {"handshake": 2}, False),
         ("playing", {"refused_key": 9}, False),
         ("waiting", {"session": 4}, False),
     ],
 )
-def test_a_refused_connection_shows_why(state: str, rejected: dict[str, int], named: bool) -> None:
+def test_the_cause_of_a_refused_connection_is_shown(
+    state: str, rejected: dict[str, int], named: bool
+) -> None:
     under_test = view(state, 0, rejected=rejected)
     ((cause, count),) = rejected.items()
     alert = f"not connected: {count} {cause}: {CAUSE_MEANINGS[cause]}"
@@ -143,7 +145,7 @@ def test_the_heart_rate_is_of_the_last_seconds_at_full_strength() -> None:
     for start_s in range(0, 120, 2):
         under_test.add_trace(pulse(2, start_s))
     assert under_test.heart_rate_per_min == pytest.approx(60 / BEAT_S, rel=0.3)
-    # A clock that falls begins the pulse again.
+    # A clock that goes back removes the earlier pulse.
     under_test.add_trace(pulse(3))
     assert under_test.heart_rate_per_min == pytest.approx(60 / BEAT_S, rel=0.02)
     trace = pulse(6)
@@ -170,7 +172,7 @@ def test_the_texts_of_a_status_cannot_draw_on_the_screen(name: str) -> None:
     assert "evil" in text or "[/]" in text
 
 
-def test_a_state_that_is_not_current_has_its_age_and_no_heart_rate() -> None:
+def test_an_old_state_is_shown_with_its_age_and_without_a_heart_rate() -> None:
     under_test = view()
     status = pack_status("playing", "my pulse", Summary(), final=False)
     under_test.take((STATUS, status), 10 * SECOND_NS)
@@ -183,7 +185,7 @@ def test_a_state_that_is_not_current_has_its_age_and_no_heart_rate() -> None:
     styled = printed(under_test, late_ns, styles=True)
     assert "\x1b[2m" in styled
     assert "\x1b[1m" not in styled
-    # A display that has ended is not old.
+    # The last status of a display has no age.
     under_test.take((STATUS, FINAL), 0)
     assert under_test.line(60 * SECOND_NS).startswith("ended: ")
 
