@@ -157,7 +157,7 @@ class StepperController:
     ) -> None:
         lag_ticks = (actuator.latency_ns + film.latency_ns) * 1e-9 / tick_s
         self._pid = scene.pid(tick_s, actuator.max_speed_m_per_s)
-        self._step_rate = actuator.step_rate()
+        self._steps_per_m = actuator.steps_per_m
         self._guard = StallGuard(law, tick_s, actuator.backlash_m / 2)
         self._missed_ticks = 0
         self._law, self._tick_s = law, tick_s
@@ -215,7 +215,7 @@ class StepperController:
         pressing = min(fastest, guard.fastest(screw_m))
         speed_m_per_s = self._pid.step(error, response, feed, -fastest, pressing)
         if observer is not None:
-            observer.move(self._step_rate.rate_hz(speed_m_per_s))
+            observer.move(speed_m_per_s * self._steps_per_m)
         return speed_m_per_s
 
     @property
@@ -230,7 +230,7 @@ class StepperController:
             self._path.shift(speed_m_per_s * self._tick_s)
         if self._observer is not None:
             self._observer.skip()
-            self._observer.move(self._step_rate.rate_hz(speed_m_per_s))
+            self._observer.move(speed_m_per_s * self._steps_per_m)
         else:
             self._late.step(self._wanted_n)
 

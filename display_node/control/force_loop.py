@@ -158,11 +158,11 @@ def build_force_loop(
     speed = StepperController(
         controller, actuator, law, film, force_limit_n, tick_s, slew_limit_n_per_s
     )
-    # The step rate is computed for the scene's actuator; the actual one may move differently.
-    rate_hz = actuator.step_rate().rate_hz
+    # Not that of the actual actuator, which may move differently.
+    steps_per_m = actuator.steps_per_m
 
     def move(speed_m_per_s: float) -> float:
-        return stepper.step(rate_hz(speed_m_per_s))
+        return stepper.step(speed_m_per_s * steps_per_m)
 
     lead_ns, at_end = actuator.latency_ns, stepper.at_end
     return ForceLoop(speed, move, reading, overforce_n, tick_s, lead_ns, at_end)

@@ -105,8 +105,8 @@ def linear_loop(
     law = LinearContact(stiffness)
     speed = StepperController(gains, endless, law, film, np.inf, tick_s, observer_gains=fixed)
     plant = Stepper(endless, law, np.inf, tick_s, linear=True)
-    hz_per_output, counts = endless.step_rate().rate_hz(1.0), int(observer is not None)
-    return _linear(speed, plant, reading, tick_s, stiffness, hz_per_output, counts)
+    counts = int(observer is not None)
+    return _linear(speed, plant, reading, tick_s, stiffness, endless.steps_per_m, counts)
 
 
 def _linear(

@@ -1,8 +1,7 @@
 """A physical stepper: microsteps on a lead screw, pressing through rubber on a fingertip.
 
-It models the path from the controller's output to the tip: step rate (VCO) and direction logic,
-screw, rotor, backlash. Defaults are those of Dargahi et al. (2008), Tables 2A and 2B: 1.8° motor,
-0.1 m stroke, 0.4 m/s, 100 N.
+It models the path from the step rate to the tip: screw, rotor, backlash. Defaults are those of
+Dargahi et al. (2008), Tables 2A and 2B: 1.8° motor, 0.1 m stroke, 0.4 m/s, 100 N.
 """
 
 import math
@@ -94,29 +93,6 @@ class Backlash:
         return self._driven_m
 
 
-class StepRate:
-    """Conversion of a speed to a signed step rate: the paper's VCO and direction logic.
-
-    The rate's magnitude is the VCO's frequency in steps a second; its sign is the direction line.
-
-    Parameters
-    ----------
-    hz_per_unit
-        Steps per unit of the controller's output, in 1/m for a speed in m/s.
-    max_rate_hz
-        Greatest magnitude of the rate.
-    """
-
-    def __init__(self, hz_per_unit: float, max_rate_hz: float) -> None:
-        self._hz_per_unit = hz_per_unit
-        self._max_rate_hz = max_rate_hz
-
-    def rate_hz(self, output: float) -> float:
-        """Return the step rate for a controller's output, positive into the finger."""
-        limit_hz = self._max_rate_hz
-        return max(-limit_hz, min(output * self._hz_per_unit, limit_hz))
-
-
 class StepperScene(Section):
     """The `actuator` table of kind "stepper".
 
@@ -144,9 +120,13 @@ class StepperScene(Section):
         """Travel of one microstep."""
         return self.lead_m * self.step_angle_rad / (2 * math.pi) / self.microsteps
 
-    def step_rate(self) -> StepRate:
-        """Return the conversion of a speed in m/s into steps, up to the highest speed."""
-        return StepRate(1 / self.step_m, self.max_speed_m_per_s / self.step_m)
+    @property
+    def steps_per_m(self) -> float:
+        """Factor from a speed in m/s to a step rate in Hz: the paper's VCO.
+
+        The rate's sign is the direction line; it is positive into the finger.
+        """
+        return 1 / self.step_m
 
     def contact(self, layer: ElasticLayer) -> ContactLaw:
         """Return the contact law of this tip on the local layer; the tip itself is rigid."""
@@ -159,8 +139,7 @@ class Stepper:
 
     A soft stop holds the screw where the tip would press with the force limit. A rotor that
     oscillates moves the tip beyond it, and backlash may keep the tip there; the overforce fault
-    of `Safety` bounds the force. Lost steps below the thrust limit and the screw's elasticity are
-    not modelled.
+    of `Safety` bounds the force. Lost steps and the screw's elasticity are not modelled.
 
     Parameters
     ----------
@@ -195,7 +174,7 @@ class Stepper:
         self._max_rate_hz = scene.max_speed_m_per_s / scene.step_m
         self._max_change_hz = scene.max_acceleration_m_per_s2 / scene.step_m * tick_s
         self._whole: Callable[[float], float] = round
-        self._backlash: Backlash | None = None
+        self._backlash = Backlash(0.0 if linear else scene.backlash_m)
         self._first_step, self._last_step = -math.inf, math.inf
         if linear:
             self._whole = float
@@ -206,7 +185,6 @@ class Stepper:
             furthest_m = min(scene.stroke_m, law.position(min(scene.thrust_n, force_limit_n)))
             self._first_step = -math.ceil(scene.backlash_m / scene.step_m)
             self._last_step = math.floor((furthest_m + scene.backlash_m / 2) / scene.step_m)
-            self._backlash = Backlash(scene.backlash_m) if scene.backlash_m else None
         self._rotor: Rotor | None = None
         if scene.rotor_resonance_hz is not None:
             self._rotor = Rotor(scene.rotor_resonance_hz, scene.rotor_damping, tick_s)
@@ -250,10 +228,8 @@ class Stepper:
         position_m = whole(phase) * self._step_m
         if self._rotor is not None:
             position_m = self._rotor.step(whole(before) * self._step_m, position_m)
-        if self._backlash is not None:
-            position_m = self._backlash.step(position_m)
-        self.tip_m = position_m
-        return position_m
+        self.tip_m = tip_m = self._backlash.step(position_m)
+        return tip_m
 
     def place(self, position_m: float) -> None:
         """Put screw, rotor and tip at rest at a position, in m from first touch."""

@@ -71,7 +71,7 @@ class ModelRig:
         else:
             law = actuator.contact(scene.layer.layer())
             self._actuator = Stepper(actuator, law, scene.safety.force_limit_n, self.tick_s)
-            self._vco = actuator.step_rate()
+            self._steps_per_m = actuator.steps_per_m
         self._ticks = 0
 
     def tick(self, output: float) -> tuple[float, list[FilmSample]]:
@@ -79,7 +79,7 @@ class ModelRig:
         if isinstance(self._actuator, SecondOrder):
             self._actuator.step(output)
         else:
-            self._actuator.step(self._vco.rate_hz(output))
+            self._actuator.step(output * self._steps_per_m)
         commanded_s = self._ticks * self.tick_s
         self._ticks += 1
         reading_n = self._film.read(self._actuator.force_n)

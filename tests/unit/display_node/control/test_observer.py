@@ -53,13 +53,12 @@ class Bench:
         self.displaced_m = 0.0
         self._film = FeedbackFilm(quiet, TICK_S)
         self._stepper = stepper()
-        self._rate_hz = SCENE.step_rate().rate_hz
         self.felt_n = self.reading_n = 0.0
 
     def tick(self, speed_m_per_s: float, reading_n: float | None = None) -> None:
         self.reading_n = self._film.read(self.felt_n)
         self.observer.correct(self.reading_n if reading_n is None else reading_n)
-        rate_hz = self._rate_hz(speed_m_per_s)
+        rate_hz = speed_m_per_s * SCENE.steps_per_m
         self.observer.move(rate_hz)
         self.felt_n = self.law.force(self._stepper.move(rate_hz) + self.displaced_m)
 

@@ -3,7 +3,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from hypothesis import assume, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from display_node.plant.contact import ContactLaw
@@ -25,19 +25,12 @@ every_law = pytest.mark.parametrize("law", LAWS.values(), ids=LAWS.keys())
 
 @every_law
 @settings(deadline=None)
-@given(exponent=st.floats(-9, 2))
-def test_force_undoes_position(law: ContactLaw, exponent: float) -> None:
-    force_n = 10**exponent
-    assert law.force(law.position(force_n)) == pytest.approx(force_n, rel=1e-11)
-
-
-@every_law
-@settings(deadline=None)
-@given(exponent=st.floats(-12, 0))
-def test_position_undoes_force(law: ContactLaw, exponent: float) -> None:
-    position_m = 10**exponent
-    assume(law.force(position_m) < 1e6)
-    assert law.position(law.force(position_m)) == pytest.approx(position_m, rel=1e-11)
+@given(exponent=st.floats(-12, 2))
+def test_force_and_position_are_inverse(law: ContactLaw, exponent: float) -> None:
+    value = 10**exponent
+    assert law.force(law.position(value)) == pytest.approx(value, rel=1e-11)
+    if value <= 1 and law.force(value) < 1e6:
+        assert law.position(law.force(value)) == pytest.approx(value, rel=1e-11)
 
 
 @every_law
@@ -93,18 +86,15 @@ def test_a_microsteps_force_at_half_a_newton(
 
 @every_law
 @pytest.mark.parametrize("value", [0.0, -0.0, -1e-300, -1.0, -math.inf])
-def test_without_touch_there_is_no_force(law: ContactLaw, value: float) -> None:
+def test_without_touch_force_and_position_are_zero(law: ContactLaw, value: float) -> None:
     assert law.force(value) == 0.0
     assert law.position(value) == 0.0
 
 
 @every_law
 @pytest.mark.parametrize("tiny", [5e-324, 1e-310, 1e-200])
-def test_the_tiniest_values_are_taken(law: ContactLaw, tiny: float) -> None:
+def test_the_smallest_numbers_are_accepted(law: ContactLaw, tiny: float) -> None:
     assert 0 < law.position(tiny) < 1e-12
     assert 0 <= law.force(tiny) < 1e-12
     assert law.force(law.position(1e-200)) == pytest.approx(1e-200)
-
-
-def test_the_tiniest_position_on_the_softest_layer_is_taken() -> None:
     assert ContactLaw(5e-3, 1e-6, 1e3).force(5e-324) == 0.0

@@ -20,7 +20,7 @@ from display_node.plant.filters import DelayLine, LowPass
         (1.5, [0, 0.5, 1.5, 3, 6]),
     ],
 )
-def test_values_come_back_so_many_ticks_later(ticks: float, expected: list[float]) -> None:
+def test_values_return_after_the_delay(ticks: float, expected: list[float]) -> None:
     delay = DelayLine(ticks)
     assert [delay.step(value) for value in (1, 2, 4, 8, 16)] == expected
 
@@ -39,9 +39,7 @@ def run(low_pass: LowPass, values: NDArray[np.float64]) -> NDArray[np.float64]:
 
 @orders
 @pytest.mark.parametrize("corner_hz", [5.0, 40.0, 2000.0])
-def test_it_is_lsims_butterworth_for_piecewise_straight_signals(
-    order: int, corner_hz: float
-) -> None:
+def test_piecewise_linear_signals_agree_with_lsim(order: int, corner_hz: float) -> None:
     values = np.random.default_rng(1).normal(0, 1, 500)
     values[0] = 0.0
     analog = butter(order, 2 * math.pi * corner_hz, analog=True)
@@ -50,7 +48,7 @@ def test_it_is_lsims_butterworth_for_piecewise_straight_signals(
 
 
 @orders
-def test_its_corner_is_3_db_down(order: int) -> None:
+def test_the_gain_at_the_corner_is_minus_3_db(order: int) -> None:
     tick_s, corner_hz = 1e-4, 40.0
     t_s = np.arange(10_000) * tick_s
     outputs = run(LowPass(corner_hz, order, tick_s), np.sin(2 * math.pi * corner_hz * t_s))
@@ -60,7 +58,7 @@ def test_its_corner_is_3_db_down(order: int) -> None:
 
 
 @orders
-def test_reading_moves_nothing(order: int) -> None:
+def test_an_output_leaves_the_state_unchanged(order: int) -> None:
     low_pass = LowPass(40.0, order, TICK_S)
     run(low_pass, np.linspace(0, 1, 30))
     first = low_pass.output(2.0)
@@ -68,7 +66,7 @@ def test_reading_moves_nothing(order: int) -> None:
 
 
 @orders
-def test_a_correction_moves_the_state(order: int) -> None:
+def test_a_correction_is_added_to_the_state(order: int) -> None:
     low_pass, untouched = LowPass(40.0, order, TICK_S), LowPass(40.0, order, TICK_S)
     start = np.linspace(0, 1, 30)
     run(low_pass, start)

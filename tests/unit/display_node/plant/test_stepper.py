@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 from scipy.signal import lsim
 
-from display_node.plant.stepper import Backlash, Rotor, Stepper, StepperScene, StepRate
+from display_node.plant.stepper import Backlash, Rotor, Stepper, StepperScene
 from protocol.tactile import ElasticLayer
 
 RESONANCE_HZ = 100.0
@@ -18,7 +18,7 @@ W = 2 * math.pi * RESONANCE_HZ
 
 
 def turned_m(rotor: Rotor, commanded_m: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The rotor's position at each instant of a command that runs straight between them."""
+    """Return the rotor's positions under a command that is linear between ticks."""
     steps = zip(commanded_m[:-1].tolist(), commanded_m[1:].tolist(), strict=True)
     return np.array([0.0] + [rotor.step(from_m, to_m) for from_m, to_m in steps])
 
@@ -49,44 +49,38 @@ def test_one_ramp_agrees_with_its_differential_equation() -> None:
 
 
 @pytest.mark.parametrize("tick_s", [1e-6, 1e-3, 0.1003])
-def test_without_damping_it_rings_for_ever_and_no_higher(tick_s: float) -> None:
+def test_without_damping_the_rotor_rings_at_a_constant_amplitude(tick_s: float) -> None:
     turned = turned_m(Rotor(RESONANCE_HZ, 0.0, tick_s), np.array([0.0] + [1e-6] * 200_000))
-    last = turned[-100_000:]
     assert 1e-6 < turned.max() <= 2e-6 * (1 + 1e-6)
     assert turned.min() >= -1e-6 * 1e-6
-    assert np.ptp(last) == pytest.approx(np.ptp(turned[1:100_000]), rel=1e-3)
+    assert np.ptp(turned[-100_000:]) == pytest.approx(np.ptp(turned[1:100_000]), rel=1e-3)
 
 
-@pytest.mark.parametrize("tick_s", [1e-6, 1e-3, 0.1])
+@pytest.mark.parametrize("tick_s", [1e-5, 1e-3, 0.1])
 @pytest.mark.parametrize("damping", [0.2, 2.0])
-def test_at_rest_it_is_at_the_commanded_microstep(tick_s: float, damping: float) -> None:
-    rotor = Rotor(RESONANCE_HZ, damping, tick_s)
-    ticks = 2 + round(0.3 / tick_s)
-    turned = turned_m(rotor, np.array([0.0] + [3e-6] * ticks))
+def test_the_rotor_settles_at_the_commanded_microstep(tick_s: float, damping: float) -> None:
+    commanded_m = np.array([0.0] + [3e-6] * (2 + round(0.3 / tick_s)))
+    turned = turned_m(Rotor(RESONANCE_HZ, damping, tick_s), commanded_m)
     assert turned[-1] == pytest.approx(3e-6, rel=1e-6)
 
 
-def test_a_jump_rings_at_the_resonance_and_fades_by_the_damping() -> None:
+def test_a_jump_rings_at_the_resonance_and_decays_by_the_damping() -> None:
     damping, tick_s = 0.05, 1e-5
     turned = turned_m(Rotor(RESONANCE_HZ, damping, tick_s), np.array([0.0] + [1.0] * 3000))
     peaks = np.flatnonzero((turned[1:-1] > turned[:-2]) & (turned[1:-1] >= turned[2:])) + 1
     damped = math.sqrt(1 - damping**2)
     assert np.diff(peaks)[:2] * tick_s == pytest.approx(1 / (RESONANCE_HZ * damped), rel=2e-3)
-    fading = (turned[peaks[1]] - 1) / (turned[peaks[0]] - 1)
-    assert fading == pytest.approx(math.exp(-2 * math.pi * damping / damped), rel=1e-3)
-
-
-ways = st.lists(st.floats(-10, 10), min_size=1, max_size=50)
+    decay = (turned[peaks[1]] - 1) / (turned[peaks[0]] - 1)
+    assert decay == pytest.approx(math.exp(-2 * math.pi * damping / damped), rel=1e-3)
 
 
 @settings(deadline=None)
-@given(ways, st.floats(0.01, 5))
-def test_play_stays_in_its_gap_and_moves_only_as_it_must(way: list[float], width: float) -> None:
+@given(st.lists(st.floats(-10, 10), min_size=1, max_size=50), st.floats(0.01, 5))
+def test_backlash_is_the_play_operator(path: list[float], width: float) -> None:
     backlash, before = Backlash(width), 0.0
-    for driving in way:
+    for driving in path:
         driven = backlash.step(driving)
-        assert abs(driven - driving) <= width / 2 * (1 + 1e-9) + 1e-12
-        # The nearest place to the last one that the gap allows: the play operator.
+        # The nearest position to the last one within the gap.
         assert driven == min(max(before, driving - width / 2), driving + width / 2)
         before = driven
 
@@ -98,24 +92,9 @@ def test_backlash_is_crossed_by_its_whole_width_after_a_reversal() -> None:
     assert [backlash.step(x) for x in (2.5, 3.5, 3.6)] == [2.5, 2.5, pytest.approx(2.6)]
 
 
-def test_magnitude_is_the_rate_and_sign_the_direction() -> None:
-    rates_hz = map(StepRate(200_000.0, 10_000.0).rate_hz, (0.002, -0.002, 0.05, 0.06, -math.inf, 0))
-    assert [*rates_hz] == pytest.approx([400.0, -400.0, 10_000.0, 10_000.0, -10_000.0, 0.0])
-
-
-@settings(deadline=None)
-@given(st.floats(allow_nan=False), st.floats(1, 1e6))
-def test_a_rate_has_the_outputs_sign_and_keeps_its_bound(output: float, max_rate_hz: float) -> None:
-    rate_hz = StepRate(1e5, max_rate_hz).rate_hz(output)
-    assert abs(rate_hz) <= max_rate_hz
-    assert (rate_hz > 0, rate_hz < 0) == (output > 0, output < 0)
-
-
 TICK_S = 1e-3
 LIMIT_N = 2.5
-FORWARD = math.inf
-BACK = -math.inf
-HALT = 0.0
+FORWARD, BACK, HALT = math.inf, -math.inf, 0.0
 
 
 def scene(**table: object) -> StepperScene:
@@ -135,12 +114,13 @@ def positions_m(under_test: Stepper, rate_hz: float, ticks: int) -> list[float]:
     return positions
 
 
-def test_the_defaults_are_the_papers_tables_and_a_microstep_is_the_lead_over_3200() -> None:
+def test_the_defaults_are_those_of_the_paper() -> None:
     default = scene()
     assert math.degrees(default.step_angle_rad) == pytest.approx(1.8)
     assert (default.stroke_m, default.max_speed_m_per_s, default.thrust_n) == (0.1, 0.4, 100.0)
     assert scene(lead="2 mm").step_m == pytest.approx(2e-3 / 3200)
     assert scene(lead="6 mm", microsteps=1).step_m == pytest.approx(6e-3 / 200)
+    assert scene(lead="2 mm").steps_per_m == pytest.approx(3200 / 2e-3)
 
 
 commands = st.tuples(
@@ -173,7 +153,7 @@ def test_no_command_presses_harder_than_the_limit_or_leaves_the_stroke(
     ("limit_n", "table", "end_n"),
     [(2.5, {}, 2.5), (0.5, {}, 0.5), (100.0, {"thrust": "5 N", "max_speed": "0.1 m/s"}, 5.0)],
 )
-def test_driven_on_and_on_it_stops_within_a_microstep_of_the_limit_and_comes_back(
+def test_the_tip_stops_within_a_microstep_of_the_limit_and_comes_back(
     limit_n: float, table: dict[str, object], end_n: float
 ) -> None:
     under_test = stepper(limit_n, **table)
@@ -183,12 +163,12 @@ def test_driven_on_and_on_it_stops_within_a_microstep_of_the_limit_and_comes_bac
     assert end_n - 1.01 * microstep_n < under_test.force_n <= end_n
     stopped_m = under_test.tip_m
     assert positions_m(under_test, FORWARD, 10) == [stopped_m] * 10
-    # It comes back at once, and rests at zero.
+    # The tip retracts at once, and rests at zero.
     assert positions_m(under_test, BACK, 3)[-1] < stopped_m
     assert (positions_m(under_test, BACK, 500)[-1], under_test.force_n) == (0.0, 0.0)
 
 
-def test_a_short_stroke_ends_it_before_the_limit() -> None:
+def test_a_short_stroke_ends_before_the_force_limit() -> None:
     under_test = stepper(stroke="1 mm")
     end_m = positions_m(under_test, FORWARD, 1000)[-1]
     assert end_m == pytest.approx(1e-3, abs=scene().step_m)
@@ -196,7 +176,7 @@ def test_a_short_stroke_ends_it_before_the_limit() -> None:
     assert under_test.force_n < 1.0
 
 
-def test_rate_times_time_is_distance_also_below_one_step_a_tick() -> None:
+def test_travel_is_rate_times_time_also_below_one_step_a_tick() -> None:
     under_test = stepper(limit_n=100.0)
     start_m = positions_m(under_test, 1000.0, 10)[-1]
     end_m = positions_m(under_test, 1000.0, 2000)[-1]
@@ -218,7 +198,7 @@ def test_acceleration_and_speed_are_limited(tick_s: float) -> None:
     assert end_m - starting[-1] == pytest.approx(0.4 * 0.1, rel=1e-3)
 
 
-def test_turning_round_takes_as_long_as_braking_to_rest() -> None:
+def test_a_reversal_brakes_as_long_as_a_halt() -> None:
     turning, halting = stepper(limit_n=100.0), stepper(limit_n=100.0)
     for under_test in (turning, halting):
         positions_m(under_test, FORWARD, 30)
@@ -231,7 +211,7 @@ def test_turning_round_takes_as_long_as_braking_to_rest() -> None:
 
 
 @pytest.mark.parametrize("table", [{}, {"rotor_resonance": "100 Hz"}, {"backlash": "20 µm"}])
-def test_its_way_is_that_of_its_rotor_and_its_backlash(table: dict[str, object]) -> None:
+def test_the_tip_moves_as_rotor_and_backlash_do(table: dict[str, object]) -> None:
     under_test, named = stepper(**table), scene(**table)
     rotor = None
     if named.rotor_resonance_hz is not None:
@@ -240,9 +220,8 @@ def test_its_way_is_that_of_its_rotor_and_its_backlash(table: dict[str, object])
     law = named.contact(ElasticLayer())
     before_m = 0.0
     for tick in range(600):
-        # To and fro at 5 Hz, well within speed and acceleration.
-        speed_hz = 20_000 * math.sin(2 * math.pi * 5 * tick * TICK_S)
-        force_n = under_test.step(speed_hz)
+        # An oscillation of 5 Hz, well within the limits of speed and acceleration.
+        force_n = under_test.step(20_000 * math.sin(2 * math.pi * 5 * tick * TICK_S))
         at_m = round(under_test.screw_m / named.step_m) * named.step_m
         driving_m = at_m if rotor is None else rotor.step(before_m, at_m)
         before_m = at_m
@@ -254,9 +233,8 @@ def test_a_rotor_rings_after_a_halt_and_comes_to_rest() -> None:
     rigid, ringing = stepper(), stepper(rotor_resonance="100 Hz")
     for under_test in (rigid, ringing):
         positions_m(under_test, 50_000, 30)
-    halted_m = positions_m(rigid, HALT, 300)
-    rung_m = positions_m(ringing, HALT, 300)
-    # Braking from 31 mm/s within 2 ms, a rotor of 100 Hz swings past its rest.
+    halted_m, rung_m = positions_m(rigid, HALT, 300), positions_m(ringing, HALT, 300)
+    # After braking from 31 mm/s within 2 ms, a rotor of 100 Hz overshoots.
     assert max(rung_m) > halted_m[-1] + 5e-6
     assert rung_m[-1] == pytest.approx(halted_m[-1], abs=1e-9)
 
@@ -265,15 +243,13 @@ def test_a_rotor_rings_after_a_halt_and_comes_to_rest() -> None:
 @pytest.mark.parametrize("backlash", ["3 µm", "20 µm", "1 mm"])
 def test_with_backlash_exactly_the_whole_range_is_reached(backlash: str, limit_n: float) -> None:
     under_test = stepper(limit_n, backlash=backlash)
-    positions_m(under_test, FORWARD, 1000)
     microstep_n = 1e3 * scene().step_m
-    assert limit_n - 1.01 * microstep_n < under_test.force_n <= limit_n * (1 + 1e-12)
-    positions_m(under_test, BACK, 1000)
-    assert under_test.tip_m <= 0
-    assert under_test.force_n == 0.0
-    # And again: what was taken up below the home position is there to be taken up above it.
-    positions_m(under_test, FORWARD, 1000)
-    assert limit_n - 1.01 * microstep_n < under_test.force_n <= limit_n * (1 + 1e-12)
+    for _ in range(2):
+        positions_m(under_test, FORWARD, 1000)
+        assert limit_n - 1.01 * microstep_n < under_test.force_n <= limit_n * (1 + 1e-12)
+        positions_m(under_test, BACK, 1000)
+        assert under_test.tip_m <= 0
+        assert under_test.force_n == 0.0
 
 
 @settings(deadline=None, max_examples=30)
@@ -283,7 +259,7 @@ def test_with_backlash_exactly_the_whole_range_is_reached(backlash: str, limit_n
     st.floats(50, 500),
     st.floats(0.2, 2),
 )
-def test_at_rest_a_rotor_never_presses_harder_than_the_limit(
+def test_a_rotor_at_rest_presses_with_at_most_the_limit(
     sequence: list[tuple[float, int]], limit_n: float, resonance_hz: float, damping: float
 ) -> None:
     resonance = f"{resonance_hz} Hz"
@@ -296,9 +272,9 @@ def test_at_rest_a_rotor_never_presses_harder_than_the_limit(
 
 @pytest.mark.parametrize("limit_n", [0.3, 2.5])
 @pytest.mark.parametrize("backlash", ["3 µm", "20 µm"])
-def test_a_rotor_with_play_rests_within_its_swing(backlash: str, limit_n: float) -> None:
+def test_a_rotor_with_backlash_rests_within_its_swing(backlash: str, limit_n: float) -> None:
     under_test = stepper(limit_n, backlash=backlash, rotor_resonance="100 Hz")
     swung_n = [under_test.step(FORWARD) for _ in range(1000)]
     positions_m(under_test, HALT, 500)
-    # Backlash keeps a little of the swing; the felt force's own fault bounds the swing.
+    # Backlash keeps a part of the overshoot; the overforce fault bounds the overshoot.
     assert limit_n < under_test.force_n <= min(max(swung_n), 1.05 * limit_n)
