@@ -4,7 +4,8 @@ import signal
 import textwrap
 import time
 import uuid
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from subprocess import PIPE
 
@@ -23,7 +24,7 @@ from tests.support.nodes import ROOT, process
 from tests.support.sample_blocks import forces
 
 LONGEST_S = 30.0
-# Of the scene's drive, 2 mm of lead in 3200 microsteps.
+# Microstep of the scene's drive: a lead of 2 mm in 3200.
 STEP_M = 2e-3 / 3200
 SCENE = """
     [display.controller]
@@ -40,7 +41,7 @@ SCENE = """
     homing_speed = "20 mm/s"
     watchdog = "400 ms"
 """
-# A driver that presses on, and never ends by itself.
+# A driver that presses until it is killed.
 PRESS_ON = """
     import sys, time
     from pathlib import Path
@@ -99,13 +100,19 @@ def tmcl_scene(tmp_path: Path) -> Path:
     return scene_with(tmp_path, f'kind = "tmcl"\nport = "{port}"\nreply_timeout = "50 ms"')
 
 
-def test_a_drive_with_its_film_is_there_until_it_is_stopped(
-    tmcl_scene: Path, tmp_path: Path
-) -> None:
+@contextmanager
+def emulated_tmcl(scene: Path, *options: str) -> Iterator[ChildProcess]:
+    """Run a module whose lines are `drive` and `film` in the scene's folder."""
+    drive, film = scene.parent / "drive", scene.parent / "film"
+    links = ("--link", str(drive), "--film-link", str(film))
+    with process("telepulse", "emulate", "tmcl", str(scene), *links, *options) as child:
+        assert child.read_line(LONGEST_S) == f"TMCL module on {drive}; film on {film}"
+        yield child
+
+
+def test_a_drive_and_its_film_run_until_they_are_stopped(tmcl_scene: Path, tmp_path: Path) -> None:
     film = tmp_path / "film"
-    arguments = ("--link", str(tmp_path / "drive"), "--film-link", str(film))
-    with process("telepulse", "emulate", "tmcl", str(tmcl_scene), *arguments) as child:
-        assert child.read_line(LONGEST_S) == f"TMCL module on {tmp_path / 'drive'}; film on {film}"
+    with emulated_tmcl(tmcl_scene) as child:
         drive = drive_of(tmcl_scene)
         drive.start()
         decoder = FrameDecoder(1_000_000)
@@ -126,21 +133,20 @@ def test_a_drive_with_its_film_is_there_until_it_is_stopped(
 
 @pytest.mark.smoke
 def test_after_a_killed_driver_the_motor_rests(tmcl_scene: Path, tmp_path: Path) -> None:
-    """Its own heartbeat stops the module: the force on the film stands still."""
-    film = tmp_path / "film"
-    arguments = ("--link", str(tmp_path / "drive"), "--film-link", str(film))
-    with process("telepulse", "emulate", "tmcl", str(tmcl_scene), *arguments) as child:
-        child.read_line(LONGEST_S)
-        press_on = ("-c", textwrap.dedent(PRESS_ON), str(tmcl_scene))
-        with ChildProcess("driver", *press_on, cwd=ROOT, stdout=PIPE) as driver:
-            assert driver.read_line(LONGEST_S) == "started"
-            decoder = FrameDecoder(1_000_000)
-            with serial.Serial(str(film), timeout=0.05) as port:
-                wait_for(decoder, port, lambda forces_n: forces_n[-1] > 0.005)
-                driver.kill()
-                driver.wait(LONGEST_S)
-                # 300 samples of the film's own clock at one force, well below the limit.
-                wait_for(decoder, port, lambda forces_n: len(set(forces_n[-300:])) == 1, 300)
+    """The module's own heartbeat stops the motor, and the force on the film stays constant."""
+    press_on = ("-c", textwrap.dedent(PRESS_ON), str(tmcl_scene))
+    with (
+        emulated_tmcl(tmcl_scene),
+        ChildProcess("driver", *press_on, cwd=ROOT, stdout=PIPE) as driver,
+    ):
+        assert driver.read_line(LONGEST_S) == "started"
+        decoder = FrameDecoder(1_000_000)
+        with serial.Serial(str(tmp_path / "film"), timeout=0.05) as port:
+            wait_for(decoder, port, lambda forces_n: forces_n[-1] > 0.005)
+            driver.kill()
+            driver.wait(LONGEST_S)
+            # 300 samples by the film's own clock.
+            wait_for(decoder, port, lambda forces_n: len(set(forces_n[-300:])) == 1, 300)
 
 
 def wait_for(
@@ -154,12 +160,8 @@ def wait_for(
         assert max(forces_n, default=0.0) < 2.5
 
 
-def test_a_fault_begins_at_its_time(tmcl_scene: Path, tmp_path: Path) -> None:
-    arguments = ("--link", str(tmp_path / "drive"), "--fault", "overtemperature")
-    with process(
-        "telepulse", "emulate", "tmcl", str(tmcl_scene), *arguments, "--fault-after", "1.5"
-    ) as child:
-        child.read_line(LONGEST_S)
+def test_a_fault_begins_at_its_time(tmcl_scene: Path) -> None:
+    with emulated_tmcl(tmcl_scene, "--fault", "overtemperature", "--fault-after", "1.5"):
         drive = drive_of(tmcl_scene)
         drive.start()
         keep(drive, 400.0, lambda: drive.status().position_m > 50e-6)
@@ -170,9 +172,7 @@ def test_a_fault_begins_at_its_time(tmcl_scene: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("interface", ["udp_multicast", "slcan"])
-def test_a_cia_402_drive_is_moved_from_another_process_and_its_end_is_named(
-    interface: str, tmp_path: Path
-) -> None:
+def test_a_cia_402_drive_is_moved_from_another_process(interface: str, tmp_path: Path) -> None:
     keys, link = f'kind = "cia402"\ninterface = "{interface}"\n', tmp_path / "can"
     options: tuple[str, ...] = ()
     if interface == "slcan":
@@ -199,23 +199,19 @@ def test_a_cia_402_drive_is_moved_from_another_process_and_its_end_is_named(
     ("command", "words"),
     [("cia402", 'kind = "cia402" is needed'), ("tmcl", "no-such: no such scene")],
 )
-def test_a_scene_that_does_not_fit_is_refused_in_one_line(
-    tmcl_scene: Path, command: str, words: str
-) -> None:
+def test_an_unfit_scene_is_refused_in_one_line(tmcl_scene: Path, command: str, words: str) -> None:
     scene = str(tmcl_scene) if command == "cia402" else "no-such"
     assert words in refused("telepulse", "emulate", command, scene)
 
 
-def test_a_silent_film_leaves_the_drive_as_it_is(tmcl_scene: Path, tmp_path: Path) -> None:
-    film, trace = tmp_path / "film", tmp_path / "motor.csv"
-    arguments = ("--link", str(tmp_path / "drive"), "--film-link", str(film))
-    arguments += ("--trace", str(trace), "--fault", "film-silent", "--fault-after", "0")
-    with process("telepulse", "emulate", "tmcl", str(tmcl_scene), *arguments) as child:
-        child.read_line(LONGEST_S)
+def test_a_silent_film_does_not_stop_the_drive(tmcl_scene: Path, tmp_path: Path) -> None:
+    trace = tmp_path / "motor.csv"
+    options = ("--trace", str(trace), "--fault", "film-silent", "--fault-after", "0")
+    with emulated_tmcl(tmcl_scene, *options) as child:
         drive = drive_of(tmcl_scene)
         drive.start()
         keep(drive, 400.0, lambda: drive.status().position_m > 50e-6)
-        with serial.Serial(str(film), timeout=0.2) as port:
+        with serial.Serial(str(tmp_path / "film"), timeout=0.2) as port:
             port.reset_input_buffer()
             assert port.read(64) == b""
         drive.close()

@@ -1,7 +1,7 @@
 """The whole emulated bench as processes: board, sensing node, display node, drive and film.
 
-A busy machine may bring it to rest by a fault of its own making: asserted is what holds then, too.
-Times from a fault to rest are in tests/unit/display_node/drives/test_hardware.py, in virtual time.
+On a busy machine a watchdog may stop the bench; the assertions hold then, too. Times from a fault
+to rest are in tests/unit/display_node/drives/test_hardware.py, in virtual time.
 """
 
 import signal
@@ -20,11 +20,11 @@ from tests.system.drives.test_drive_commands import udp_multicast_reason
 LIMIT_N = 2.5
 TRIES = 4
 PLAYED_S = 0.5
-# Of a machine that is busy with other tests; the scenes' own are in benchmarks/bench_faults.py.
+# Watchdog for a machine that is busy with other tests; benchmarks/bench_faults.py has the scenes'.
 PATIENCE_MS = 400
 REST_WITHIN_S = 0.8
 WITHDRAWN_WITHIN_S = 20.0
-# From the first press on: the ramp is over, and the pulse is felt.
+# Time from the first press until the ramp is over and the pulse is felt.
 TROUBLE_AFTER_S = "1"
 
 
@@ -35,7 +35,7 @@ def on_a_bench(
     *options: str,
     output: int | None = None,
 ) -> MotorTrace:
-    """Return the motor's course on a bench on which something happens while the pulse is felt."""
+    """Return the motor's trace of a bench on which `happens` is called while the pulse is felt."""
     if kind == "cia402" and (reason := udp_multicast_reason()) is not None:
         pytest.skip(f"udp_multicast: {reason}")
     for attempt in range(TRIES):
@@ -51,16 +51,16 @@ def on_a_bench(
     pytest.fail(f"the pulse was not felt in {TRIES} attempts: {why}")
 
 
-def assert_in_peace(motor: MotorTrace) -> None:
-    """Something was felt, never more than allowed, and at the end the motor is at rest."""
+def assert_at_rest(motor: MotorTrace) -> None:
+    """Assert that a force was felt, at most the limit, and that the motor is at rest at the end."""
     assert 0.1 < motor.force_n.max() <= LIMIT_N
     assert not motor.speed_m_per_s[-50:].any()
 
 
-def test_a_display_that_is_terminated_takes_the_tip_off_the_finger(tmp_path: Path) -> None:
-    """Before that the pulse is felt through every piece, until its stream ends, and again.
+def test_a_terminated_display_withdraws_the_tip(tmp_path: Path) -> None:
+    """Before that, the pulse is felt, its stream ends, and it is felt again.
 
-    Nobody reads what the display prints: that holds up neither its start nor the withdrawal.
+    The display's output is not read, which must not block its start or the withdrawal.
     """
     silent_ns: list[int] = []
 
@@ -74,19 +74,19 @@ def test_a_display_that_is_terminated_takes_the_tip_off_the_finger(tmp_path: Pat
         bench.await_state("playing")
         time.sleep(PLAYED_S)
         summary = bench.end()
-        # Of its own making: a busy machine has let the watchdog stop it before.
+        # On a busy machine, the watchdog may have stopped the display before.
         if summary["faults"]:
             raise BenchFailedError(summary["faults"])
         assert summary["samples"]["played"] > 0
         assert summary["force_rmse_n"]["aligned"] < 0.1
         times = {name: limit["times"] for name, limit in summary["limited"].items()}
-        # A drive that is so patient begins to brake early: how often is of the machine's making.
+        # With so long a watchdog the drive brakes early, how often depends on the machine.
         assert times.pop("travel") is not None
         assert times == {"force": 0, "negative": 0, "slew": 0, "film": None, "adc": None}
 
     with unread("pipe") as output:
         motor = on_a_bench(tmp_path, "tmcl", happens, output=output)
-    assert_in_peace(motor)
+    assert_at_rest(motor)
     assert motor.force_n[-1] == 0
     before = motor.time_ns < silent_ns[-1]
     assert motor.force_n[before][-1] == 0
@@ -94,8 +94,8 @@ def test_a_display_that_is_terminated_takes_the_tip_off_the_finger(tmp_path: Pat
 
 
 @pytest.mark.parametrize("kind", ["tmcl", "cia402"])
-def test_a_display_that_stood_still_takes_the_tip_off_the_finger(kind: str, tmp_path: Path) -> None:
-    """SIGSTOP for longer than the drive's watchdog, SIGCONT; the display goes on, and withdraws."""
+def test_a_display_that_was_stopped_withdraws_the_tip(kind: str, tmp_path: Path) -> None:
+    """SIGSTOP lasts longer than the drive's watchdog; after SIGCONT the display withdraws."""
     withdrawn_ns: list[int] = []
 
     def happens(bench: EmulatedBench) -> None:
@@ -112,7 +112,7 @@ def test_a_display_that_stood_still_takes_the_tip_off_the_finger(kind: str, tmp_
         assert summary["finger"] == "withdrawn"
 
     motor = on_a_bench(tmp_path, kind, happens)
-    assert_in_peace(motor)
+    assert_at_rest(motor)
     assert motor.force_n[motor.time_ns < withdrawn_ns[-1]][-1] == 0
 
 
@@ -121,15 +121,14 @@ def test_a_killed_display_leaves_the_motor_to_its_watchdog(tmp_path: Path) -> No
         bench.processes["display"].kill()
         time.sleep(REST_WITHIN_S)
 
-    assert_in_peace(on_a_bench(tmp_path, "tmcl", happens))
+    assert_at_rest(on_a_bench(tmp_path, "tmcl", happens))
 
 
 @pytest.mark.parametrize(
     ("word", "finger"),
     [("film-silent", "force unknown since "), ("unplugged", "the drive does not answer")],
 )
-def test_a_bench_that_breaks_reports_it_and_rests(word: str, finger: str, tmp_path: Path) -> None:
-    """And says of the finger what is measured, with an exit status that tells of the fault."""
+def test_a_bench_with_a_fault_rests_and_reports_it(word: str, finger: str, tmp_path: Path) -> None:
 
     def happens(bench: EmulatedBench) -> None:
         bench.await_state("fault")
@@ -140,11 +139,11 @@ def test_a_bench_that_breaks_reports_it_and_rests(word: str, finger: str, tmp_pa
         assert bench.processes["display"].returncode == FAULT_STATUS
 
     options = ("--fault", word, "--fault-after", TROUBLE_AFTER_S)
-    assert_in_peace(on_a_bench(tmp_path, "tmcl", happens, *options))
+    assert_at_rest(on_a_bench(tmp_path, "tmcl", happens, *options))
 
 
-def test_a_display_that_is_ended_on_its_way_home_leaves_the_drive_at_rest(tmp_path: Path) -> None:
-    """SIGTERM before it has a loop, and before the drive's own watchdog is armed."""
+def test_a_display_that_is_terminated_while_homing_leaves_the_drive_at_rest(tmp_path: Path) -> None:
+    """SIGTERM comes before the loop starts, and before the drive's own watchdog is armed."""
     printed = tmp_path / "printed"
     with printed.open("wb") as output:
         bench = EmulatedBench(tmp_path, "tmcl", watchdog_ms=PATIENCE_MS, output=output.fileno())

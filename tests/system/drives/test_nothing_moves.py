@@ -1,4 +1,4 @@
-"""Real commands on an emulated drive, each with one thing that fails: the drive never moves."""
+"""Real commands on an emulated drive, each with one failure: the drive never moves."""
 
 import socket
 import subprocess
@@ -21,7 +21,7 @@ from tests.support.nodes import ROOT, process, run_python
 from tests.support.waiting import until
 from tests.system.commissioning.test_bench_command import drive_scene
 
-# Longer than any file system takes: nobody can make such a file.
+# Longer than any file system permits, so that no such file can be created.
 NO_FILE = "x" * 300
 SOURCE = """kind = "synthetic"
 preset = "paper"
@@ -34,13 +34,16 @@ respiration_rate = "15 /min"
 """
 CLEAR = "Is the bench clear of fingers? [y/N]"
 ENDS_WITHIN_S = 60.0
-# What reaches a TMCL module; ours as well, as another test may have imported it already.
+# Modules that reach a TMCL module; ours too, as another test may have imported it already.
 LINE = ("pytrinamic.tmcl", "display_node.drives.tmcl.line")
 
 
 @dataclass
 class Case:
-    """A command line, what its input is, and what it prints on stderr; status: it ends with."""
+    """A command line, words of its stderr, its input (`answers`) and its exit status.
+
+    missing: modules that cannot be imported.
+    """
 
     arguments: tuple[str, ...]
     words: str
@@ -51,14 +54,14 @@ class Case:
 
 @dataclass
 class EmulatedBench:
-    """The scene of an emulated drive and film; `windows`: when each case ran."""
+    """The scene of an emulated drive and film; `windows`: begin and end of each case in ns."""
 
     folder: Path
     scene: Path
     windows: dict[str, tuple[int, int]] = field(default_factory=dict)
 
     def scene_with(self, old: str, new: str) -> str:
-        """A scene of this bench with a text replaced."""
+        """Return the path of a scene of this bench with a text replaced."""
         text = self.scene.read_text(encoding="utf-8")
         assert old in text
         path = self.folder / f"{abs(hash(new))}.toml"
@@ -66,16 +69,22 @@ class EmulatedBench:
         return str(path)
 
     def moved(self) -> dict[str, float]:
-        """The longest way in mm that the tip went in each case; read once the drive has ended."""
-        rows = np.genfromtxt(
-            self.folder / "motor.csv", delimiter=",", skip_header=1, usecols=(0, 1)
-        )
-        time_ns, tip_mm = rows[:, 0], rows[:, 1] * 1e3
-        ways = {}
+        """Return the tip's range in mm in each case in which it moved, once the drive has ended."""
+        trace = self.folder / "motor.csv"
+        time_ns, tip_m = np.genfromtxt(trace, delimiter=",", skip_header=1, usecols=(0, 1)).T
+        moved = {}
         for name, (begin_ns, end_ns) in self.windows.items():
-            inside = tip_mm[(time_ns >= begin_ns) & (time_ns <= end_ns)]
-            ways[name] = float(np.ptp(inside)) if len(inside) else 0.0
-        return {name: round(way_mm, 3) for name, way_mm in ways.items() if way_mm}
+            inside = tip_m[(time_ns >= begin_ns) & (time_ns <= end_ns)]
+            if len(inside) and np.ptp(inside):
+                moved[name] = round(float(np.ptp(inside)) * 1e3, 3)
+        return moved
+
+    @contextmanager
+    def window(self, name: str) -> Iterator[None]:
+        """Record begin and end of a case."""
+        begin_ns = time.monotonic_ns()
+        yield
+        self.windows[name] = begin_ns, time.monotonic_ns()
 
 
 @contextmanager
@@ -91,7 +100,7 @@ def emulated_bench(folder: Path) -> Iterator[EmulatedBench]:
 
 
 def run_in_process(case: Case, monkeypatch: pytest.MonkeyPatch) -> tuple[int, str]:
-    """Run a command without a process of its own; libraries that are missing cannot be loaded."""
+    """Run a command without a process of its own, and without the case's missing modules."""
     ours = case.arguments[0] == "display-node"
     app, arguments = (display_app, case.arguments[1:]) if ours else (telepulse_app, case.arguments)
     with monkeypatch.context() as patch:
@@ -102,9 +111,9 @@ def run_in_process(case: Case, monkeypatch: pytest.MonkeyPatch) -> tuple[int, st
 
 
 def run_without(folder: Path, library: str, *arguments: str) -> tuple[int, str]:
-    """Run the display node as a process in which a library cannot be loaded, nor in its own."""
+    """Run the display node as a process in which, with its sidecars, a library cannot be loaded."""
     hidden = folder / "hidden"
-    hidden.mkdir(exist_ok=True)
+    hidden.mkdir()
     (hidden / f"{library}.py").write_text('raise ImportError("it is hidden")\n', encoding="utf-8")
     environment = {"PYTHONPATH": f"{hidden}:{ROOT}", "PATH": "/usr/bin:/bin"}
     result = run_python("-m", "display_node.cli", *arguments, env=environment)
@@ -170,7 +179,7 @@ def cases(bench: EmulatedBench, taken: str) -> dict[str, Case]:
     }
 
 
-def test_what_fails_fails_before_the_drive_moves(
+def test_every_failure_comes_before_the_drive_moves(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
     (taken,) = free_addresses(1)
@@ -179,18 +188,15 @@ def test_what_fails_fails_before_the_drive_moves(
     with socket.create_server((host, int(port))), emulated_bench(tmp_path) as bench:
         wanted = cases(bench, taken)
         for name, case in wanted.items():
-            begin_ns = time.monotonic_ns()
-            code, text = run_in_process(case, monkeypatch)
-            # What its own processes print stands beside what it prints itself.
-            ended[name] = code, text + capfd.readouterr().err
-            bench.windows[name] = begin_ns, time.monotonic_ns()
-        begin_ns = time.monotonic_ns()
+            with bench.window(name):
+                code, text = run_in_process(case, monkeypatch)
+                # The output of the command's own processes comes after its own.
+                ended[name] = code, text + capfd.readouterr().err
         record = ("--record", str(tmp_path / "a.mcap"), "--no-screen", "--seconds", "0.5")
-        status, error = run_without(tmp_path, "mcap", str(bench.scene), *record)
-        bench.windows["recorder's library"] = begin_ns, time.monotonic_ns()
-        begin_ns = time.monotonic_ns()
-        answered = refuse_a_session(tmp_path)
-        bench.windows["session with fingers"] = begin_ns, time.monotonic_ns()
+        with bench.window("recorder's library"):
+            status, error = run_without(tmp_path, "mcap", str(bench.scene), *record)
+        with bench.window("session with fingers"):
+            answered = refuse_a_session(tmp_path)
     assert bench.moved() == {}
     for name, (code, text) in ended.items():
         assert (name, code) == (name, wanted[name].status), text

@@ -1,6 +1,6 @@
 """Drives on real lines: pseudo-terminals, CAN buses, slcan adapters, sockets, and noise on them.
 
-What a drive does apart from its line is in tests/unit/display_node/drives, in virtual time.
+tests/unit/display_node/drives has the tests that need no real line, in virtual time.
 """
 
 import os
@@ -34,7 +34,7 @@ RATE_HZ = 400.0
 
 
 @pytest.mark.parametrize("kind", ["tmcl", "tmcl-can", "tmcl-slcan", "cia402", "cia402-slcan"])
-def test_a_drive_starts_follows_and_withdraws_when_commands_end(kind: str) -> None:
+def test_a_drive_follows_commands_and_withdraws_without_them(kind: str) -> None:
     with real_bench(kind) as bench:
         bench.start()
         for rate_hz in (RATE_HZ, -RATE_HZ):
@@ -47,14 +47,14 @@ def test_a_drive_starts_follows_and_withdraws_when_commands_end(kind: str) -> No
 
 
 @pytest.mark.parametrize("kind", ["tmcl-slcan", "cia402-slcan"])
-def test_noise_from_a_can_adapter_is_counted_and_the_drive_goes_on(kind: str) -> None:
+def test_noise_from_a_can_adapter_is_only_counted(kind: str) -> None:
     with real_bench(kind) as bench:
         bench.start(RATE_HZ)
         for noise in (b"\xff\xfe\r", b"t18\r", b"t181Z\r", b"T12\a", b"t1818" + b"Q" * 40):
             counted = bench.drive.counts["garbled"]
             bench.line.write(noise)
             bench.keep(RATE_HZ / 4, lambda before=counted: bench.drive.counts["garbled"] > before)
-            # By then it has discarded what came with the noise, and is answered again.
+            # The noise has been discarded once the drive answers again.
             garbled_ns = bench.clock.monotonic_ns()
             bench.keep(RATE_HZ / 4, lambda at=garbled_ns: bench.drive.status().received_ns > at)
         bench.keep(0.0, lambda: not bench.drive.status().moving)
@@ -65,16 +65,11 @@ def test_noise_from_a_can_adapter_is_counted_and_the_drive_goes_on(kind: str) ->
     ("scene", "words"),
     [
         (tmcl_scene(port="/dev/no-such-port"), "/dev/no-such-port cannot be opened"),
-        (
-            tmcl_scene(interface="no-such-interface", channel="x"),
-            "no-such-interface x cannot be opened",
-        ),
-        (cia402_scene(interface="no-such-interface"), "no-such-interface c cannot be opened"),
+        (tmcl_scene(interface="no-such", channel="x"), "no-such x cannot be opened"),
+        (cia402_scene(interface="no-such"), "no-such c cannot be opened"),
     ],
 )
-def test_a_line_that_is_not_there_is_named_in_one_line(
-    scene: TmclScene | Cia402Scene, words: str
-) -> None:
+def test_a_missing_line_is_named_in_one_line(scene: TmclScene | Cia402Scene, words: str) -> None:
     with pytest.raises(DriveError, match=words) as error:
         build_drive(scene, stepper(), LAYER, FORCE_LIMIT_N).start()
     assert "\n" not in str(error.value)
@@ -120,9 +115,8 @@ def test_a_module_behind_a_network_port_is_reached_by_url() -> None:
         thread = threading.Thread(target=serve)
         thread.start()
         url = f"socket://127.0.0.1:{server.getsockname()[1]}"
-        with closing(
-            TmclLine(tmcl_scene(port=url, watchdog="800 ms", reply_timeout="100 ms"), Counter())
-        ) as line:
+        scene = tmcl_scene(port=url, watchdog="800 ms", reply_timeout="100 ms")
+        with closing(TmclLine(scene, Counter())) as line:
             assert line.request(Command.SET_AXIS, Parameter.MICROSTEPS, 0, 6) == 6
             assert line.request(Command.GET_AXIS, Parameter.MICROSTEPS, 0) == 6
         thread.join()

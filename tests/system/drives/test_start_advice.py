@@ -1,4 +1,4 @@
-"""Each way in which a drive refuses to start says what, where and what to do."""
+"""Messages of a drive that does not start: the failure, its place and advice."""
 
 import os
 import pty
@@ -32,7 +32,7 @@ DRIVES = ROOT / "display_node" / "drives"
 
 
 def refused(start: Callable[[], object]) -> str:
-    """The line in which a start is refused."""
+    """Return the line in which a start is refused."""
     with pytest.raises(DriveError) as error, advised():
         start()
     assert "\n" not in str(error.value)
@@ -56,7 +56,7 @@ def failing(error: Exception) -> Callable[..., None]:
         (ValueError("invalid URL, protocol 'x' not known"), "check the drive's cable"),
     ],
 )
-def test_a_serial_port_that_cannot_be_opened(
+def test_a_serial_port_that_cannot_be_opened_gets_advice(
     error: Exception, advice: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(serial, "serial_for_url", failing(error))
@@ -65,7 +65,7 @@ def test_a_serial_port_that_cannot_be_opened(
     assert advice in text
 
 
-def test_a_serial_port_that_another_program_uses() -> None:
+def test_a_serial_port_in_use_gets_advice() -> None:
     master, slave = pty.openpty()
     port = os.ttyname(slave)
     first = TmclLine(tmcl_scene(port=port), Counter())
@@ -87,7 +87,7 @@ def test_a_serial_port_that_another_program_uses() -> None:
         (can.CanInterfaceNotImplementedError("Unknown interface type 'x'"), "check `interface`"),
     ],
 )
-def test_a_can_bus_that_cannot_be_opened(
+def test_a_can_bus_that_cannot_be_opened_gets_advice(
     error: Exception, advice: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(can, "Bus", failing(error))
@@ -96,7 +96,7 @@ def test_a_can_bus_that_cannot_be_opened(
     assert advice in text
 
 
-def test_every_kind_of_refusal_in_the_code_has_an_advice() -> None:
+def test_every_kind_of_refusal_in_the_code_has_advice() -> None:
     sources = "\n".join(path.read_text(encoding="utf-8") for path in DRIVES.rglob("*.py"))
     kinds = set(re.findall(r'(?:DriveError\(|_miss\()\s*"([a-z ]+)"', sources)) | {"wrong way"}
     assert {"no answer", "garbled", "refused", "unplugged", "not there"} <= kinds
@@ -115,13 +115,13 @@ def test_every_kind_of_refusal_in_the_code_has_an_advice() -> None:
         ("unplugged", "PyTrinamic is missing; pip install 'telepulse[drives]'", ""),
     ],
 )
-def test_what_a_drive_refuses(kind: str, text: str, advice: str) -> None:
+def test_a_drives_own_refusal_gets_advice(kind: str, text: str, advice: str) -> None:
     found = start_advice(DriveError(kind, text))
     assert advice in found
     assert bool(found) == bool(advice)
 
 
-def test_display_node_names_what_where_and_what_to_do(tmp_path: Path) -> None:
+def test_display_node_prints_the_failure_with_its_advice(tmp_path: Path) -> None:
     text = drive_scene(tmp_path).read_text(encoding="utf-8")
     scene = tmp_path / "without_film.toml"
     scene.write_text(text.partition("[display.feedback]")[0], encoding="utf-8")
@@ -139,7 +139,7 @@ def bench_scene() -> DisplayScene:
     return load_section(SCENES / "tmcl_bench.toml", "display", DisplayScene)
 
 
-def test_a_node_judges_its_loop_once_before_its_drive_moves(
+def test_a_node_checks_its_loop_once_before_its_drive_moves(
     bench_scene: DisplayScene, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     judged = Mock()
@@ -151,8 +151,8 @@ def test_a_node_judges_its_loop_once_before_its_drive_moves(
     assert judged.call_count == 2
 
 
-def test_a_drive_without_a_film_is_refused_unless_that_is_wanted(bench_scene: DisplayScene) -> None:
-    """Before anything is opened: this scene's ports are not there."""
+def test_a_drive_without_a_film_needs_an_option(bench_scene: DisplayScene) -> None:
+    """The refusal comes before any port of the scene is opened."""
     blind = bench_scene.model_copy(update={"feedback": None})
     with (
         pytest.raises(SceneError, match=r"\[display\.feedback\] is missing.*--without-film"),

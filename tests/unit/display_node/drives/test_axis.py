@@ -5,14 +5,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from display_node.drives.axis import LARGEST, Axis, Units, build_axis
-from display_node.plant.stepper import StepperScene
 from telepulse.emulators.motor import TICK_NS, EmulatedMotor
 from tests.support.drive_benches import FORCE_LIMIT_N, LAYER, stepper, tmcl_scene
+from tests.support.virtual_bench import to_touch
 
 UNITS = Units(step_m=1e-6, per_step=4.0, per_step_rate=0.5, direction=-1, home_m=-2e-3)
 
 
-def test_rates_and_positions_go_to_the_drive_in_its_units_and_direction() -> None:
+def test_speeds_and_positions_are_converted_to_units_and_direction_of_the_drive() -> None:
     assert UNITS.velocity(3e-3) == -1500
     assert UNITS.speed_m_per_s(-1500) == pytest.approx(3e-3)
     # Positions count from home, and metres from first touch.
@@ -22,7 +22,7 @@ def test_rates_and_positions_go_to_the_drive_in_its_units_and_direction() -> Non
 
 
 @given(st.floats(-1e6, 1e6))
-def test_no_number_overflows_what_a_drive_can_take(value: float) -> None:
+def test_no_number_exceeds_32_bits(value: float) -> None:
     assert abs(UNITS.velocity(value)) <= LARGEST
     assert abs(UNITS.position(value)) <= LARGEST
 
@@ -32,7 +32,7 @@ WATCHDOG_NS = 50_000_000
 
 
 @given(wanted=st.floats(-1, 1), position_m=st.floats(-0.01, 0.01), age_s=st.floats(0, 0.1))
-def test_a_bounded_speed_points_the_same_way_and_is_no_faster(
+def test_a_bounded_speed_has_the_same_direction_and_is_no_faster(
     wanted: float, position_m: float, age_s: float
 ) -> None:
     bounded = AXIS.bounded(wanted, position_m, age_s)
@@ -40,7 +40,7 @@ def test_a_bounded_speed_points_the_same_way_and_is_no_faster(
     assert bounded * wanted >= 0
 
 
-def test_beyond_an_end_only_the_way_back_is_allowed() -> None:
+def test_beyond_an_end_only_the_return_is_permitted() -> None:
     assert AXIS.bounded(0.1, 0.0031, 0.0) == 0.0
     assert AXIS.bounded(-0.1, -0.0021, 0.0) == 0.0
     assert AXIS.bounded(-0.1, 0.0031, 0.0) < 0.0
@@ -56,13 +56,14 @@ def test_a_speed_or_position_that_is_no_number_is_no_motion(speed: float) -> Non
 @pytest.mark.parametrize("direction", [1, -1])
 @pytest.mark.parametrize("age_ms", [0, 10, 40])
 @pytest.mark.parametrize("killed_after_ms", [3, 10, 40, 100, 400])
-def test_whenever_the_commands_end_the_watchdog_stops_the_tip_before_the_end_of_its_travel(
+def test_the_watchdog_stops_the_tip_within_its_travel_whenever_the_commands_end(
     killed_after_ms: int, age_ms: int, direction: int
 ) -> None:
     scene = tmcl_scene(port="x", watchdog="50 ms", touch="2 mm", reply_timeout="10 ms")
     actuator = stepper()
     axis = build_axis(scene, actuator, LAYER, FORCE_LIMIT_N)
-    motor, began_ns = at_first_touch(actuator)
+    motor = EmulatedMotor(actuator, actuator.contact(LAYER), 2e-3, now_ns=0)
+    began_ns = to_touch(motor, 0)
     motor.set_watchdog(WATCHDOG_NS)
     tips_m = [motor.tip_m]
     for tick in range(1, killed_after_ms + 200):
@@ -77,17 +78,5 @@ def test_whenever_the_commands_end_the_watchdog_stops_the_tip_before_the_end_of_
     assert motor.rate_hz == 0.0
     assert axis.lowest_m - actuator.step_m <= min(tips_m)
     assert max(tips_m) <= axis.furthest_m + actuator.step_m
-    # And the limit is not so careful that nothing moves.
+    # The limit still permits a motion.
     assert max(abs(tip_m) for tip_m in tips_m) > 20e-6
-
-
-def at_first_touch(actuator: StepperScene) -> tuple[EmulatedMotor, int]:
-    """A motor that stands at first touch, as after a drive's start, and the time."""
-    motor, now_ns = EmulatedMotor(actuator, actuator.contact(LAYER), 2e-3, now_ns=0), 0
-    while motor.tip_m < 0:
-        motor.run(min(1600.0, -motor.tip_m / actuator.step_m * 50 + 100))
-        now_ns += TICK_NS
-        motor.advance(now_ns)
-    motor.run(0.0)
-    motor.advance(now_ns + 10 * TICK_NS)
-    return motor, now_ns + 10 * TICK_NS

@@ -1,6 +1,7 @@
 """A CiA 402 drive and faults on its bus, in virtual time."""
 
 from collections.abc import Iterator
+from contextlib import nullcontext
 from unittest.mock import patch
 
 import can
@@ -8,10 +9,18 @@ import pytest
 
 from display_node.drives import build_drive
 from display_node.drives.cia402 import node as cia402_node
-from display_node.drives.cia402.node import EMERGENCY, SPEED_TPDO, STATE_TPDO, TPDO1, TPDO2
+from display_node.drives.cia402.node import (
+    EMERGENCY,
+    SPEED_TPDO,
+    STATE_TPDO,
+    TPDO1,
+    TPDO2,
+    Cia402Node,
+)
 from display_node.drives.cia402.state_machine import Control, Mode, State, state_of, towards_enabled
 from display_node.drives.withdrawal import WithdrawalOutcome
 from protocol.errors import DriveError
+from telepulse.emulators.cia402 import EmulatedCia402Drive
 from telepulse.emulators.motor import EmulatedMotor
 from tests.support.drive_benches import (
     FORCE_LIMIT_N,
@@ -23,6 +32,8 @@ from tests.support.drive_benches import (
 )
 
 RATE_HZ = 400.0
+NO_STATE = 0x0001  # a statusword
+IGNORE = lambda *_: None  # noqa: E731
 
 
 @pytest.fixture
@@ -37,7 +48,7 @@ def send(bench: Bench, identifier: int, *messages: bytes) -> None:
         bench.line.far.send(can.Message(arbitration_id=identifier + 1, data=data))
 
 
-def test_every_statusword_is_one_state() -> None:
+def test_every_statusword_has_at_most_one_state() -> None:
     for word in range(1 << 16):
         assert sum(word & mask == bits for mask, bits in (s.value for s in State)) <= 1
     assert state_of(0x0637) is State.ENABLED
@@ -47,18 +58,18 @@ def test_every_statusword_is_one_state() -> None:
 
 
 def test_from_a_fault_the_controlwords_lead_to_operation_enabled() -> None:
-    led, control = [], Control.DISABLE_VOLTAGE
+    controls, control = [], Control.DISABLE_VOLTAGE
     states = [State.FAULT] * 3
     states += [State.SWITCH_ON_DISABLED, State.READY, State.SWITCHED_ON, State.ENABLED]
     for state in states:
         control = towards_enabled(state, control)
-        led.append(int(control))
-    # The reset's bit rises again where the first rise was not received.
-    assert led == [0x80, 0x00, 0x80, 0x06, 0x07, 0x0F, 0x0F]
+        controls.append(int(control))
+    # The reset's bit rises again, in case the first edge was not received.
+    assert controls == [0x80, 0x00, 0x80, 0x06, 0x07, 0x0F, 0x0F]
     assert towards_enabled(State.QUICK_STOP, Control.QUICK_STOP) == Control.DISABLE_VOLTAGE
 
 
-def test_a_silent_drive_is_a_fault_and_is_commanded_off_the_finger(bench: Bench) -> None:
+def test_a_silent_drive_is_a_fault_and_is_withdrawn(bench: Bench) -> None:
     bench.start(RATE_HZ, 0.05e-3)
     bench.emulator.silent = True
     bench.keep(RATE_HZ, lambda: bench.fault)
@@ -77,7 +88,7 @@ def test_a_silent_drive_is_a_fault_and_is_commanded_off_the_finger(bench: Bench)
 def test_a_drive_that_missed_our_heartbeat_is_enabled_again_and_withdraws(
     bench: Bench, abort_option: int, state: State
 ) -> None:
-    """Its own watchdog is first where this process stands still."""
+    """The drive's watchdog acts first while this process stalls."""
     bench.start(RATE_HZ, 0.05e-3)
     bench.emulator.drive.abort_option = abort_option
     with patch.object(bench.line, "send"):
@@ -96,50 +107,33 @@ def test_without_cyclic_velocity_the_drive_runs_in_profile_velocity() -> None:
 
 
 @pytest.mark.parametrize(
-    ("keys", "broken", "words"),
+    ("keys", "replaced", "words"),
     [
         (
-            {"modes": (Mode.PROFILE_VELOCITY,), "mode": "cyclic"},
-            "",
+            {"modes": (Mode.PROFILE_VELOCITY,), "mode": "cyclic"}, None,
             "no velocity mode that fits mode = 'cyclic'",
         ),
-        ({"homing_method": 1}, "", "homing method 1 fails"),
-        ({}, "select", "does not take mode 9"),
-        ({}, "control", "still switch on disabled, no error code"),
-        ({}, "statusword", "it sends no TPDO, no error code"),
+        ({"homing_method": 1}, None, "homing method 1 fails"),
+        ({}, (EmulatedCia402Drive, "select", IGNORE), "does not take mode 9"),
+        ({}, (EmulatedCia402Drive, "control", IGNORE), "still switch on disabled, no error code"),
+        ({}, (EmulatedCia402Drive, "statusword", NO_STATE), "it sends no TPDO, no error code"),
+        ({}, (Cia402Node, "read", lambda *_: 401), "has profile 401, not 402"),
+        ({}, (EmulatedMotor, "homing", True), "no home within 15 s"),
     ],
-)
+)  # fmt: skip
 def test_a_drive_that_cannot_be_used_is_refused(
-    keys: dict[str, object], broken: str, words: str, monkeypatch: pytest.MonkeyPatch
+    keys: dict[str, object], replaced: tuple[type, str, object] | None, words: str
 ) -> None:
-    """broken: a part of the drive that does nothing."""
-    with virtual_bench("cia402", **keys) as bench:
-        drive = bench.emulator.drive
-        if broken == "statusword":
-            # A statusword of no state.
-            monkeypatch.setattr(type(drive), "statusword", 0x0001)
-        elif broken:
-            monkeypatch.setattr(drive, broken, lambda *_: None)
+    with (
+        virtual_bench("cia402", **keys) as bench,
+        patch.object(*replaced) if replaced else nullcontext(),
+    ):
         with pytest.raises(DriveError, match=words):
             bench.drive.start()
         assert bench.fault
 
 
-@pytest.mark.parametrize(
-    ("part", "name", "found", "words"),
-    [
-        (cia402_node.Cia402Node, "read", lambda *_: 401, "has profile 401, not 402"),
-        (EmulatedMotor, "homing", True, "no home within 15 s"),
-    ],
-)
-def test_another_profile_and_a_search_without_an_end_are_refused(
-    bench: Bench, part: type, name: str, found: object, words: str
-) -> None:
-    with patch.object(part, name, found), pytest.raises(DriveError, match=words):
-        bench.drive.start()
-
-
-def test_a_drive_that_is_disabled_on_its_way_home_is_named(bench: Bench) -> None:
+def test_a_drive_that_is_disabled_while_homing_is_named(bench: Bench) -> None:
     def force_n() -> float:
         if bench.motor.homing:
             bench.motor.fail("overtemperature")
@@ -161,48 +155,39 @@ def test_an_empty_address_is_named_in_one_line(
     assert other.counts == {"not disabled: no answer": 1}
 
 
-def test_malformed_and_implausible_messages_are_counted_and_not_used(bench: Bench) -> None:
+def test_malformed_and_implausible_messages_are_counted_and_ignored(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
     bench.start()
     send(bench, TPDO1, *(bytes(size) for size in (0, 1, 2, 3, 4, 5, 7)))
     send(bench, TPDO2, bytes(5))
     send(bench, EMERGENCY, b"", b"\x10", bytes(2), bytes(5))
     bench.keep(0.0, lambda: bench.drive.counts["malformed"] == 10)
     assert bench.fault == ""
-    # A statusword of no state, a position and a speed far beyond the axis.
-    send(bench, TPDO1, STATE_TPDO.pack(0x0001, 0), STATE_TPDO.pack(0x0637, -(2**31)))
+    # A position and a speed far beyond the axis.
+    send(bench, TPDO1, STATE_TPDO.pack(NO_STATE, 0), STATE_TPDO.pack(0x0637, -(2**31)))
     send(bench, TPDO2, SPEED_TPDO.pack(2**31 - 1, 0x4310))
     bench.keep(0.0, lambda: bench.drive.counts["implausible"] == 3)
     assert bench.fault == ""
     assert not bench.drive.status().moving
-
-
-def test_nothing_but_implausible_messages_is_a_fault(
-    bench: Bench, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    bench.start()
-    monkeypatch.setattr(type(bench.emulator.drive), "statusword", 0x0001)
+    # Without any plausible message, it is a fault.
+    monkeypatch.setattr(EmulatedCia402Drive, "statusword", NO_STATE)
     bench.keep(0.0, lambda: bench.fault)
     assert bench.fault.startswith("garbled: no plausible TPDO for ")
 
 
-def test_an_emergency_names_the_fault(bench: Bench) -> None:
+def test_an_emergency_names_the_fault_and_many_are_not_stored(bench: Bench) -> None:
     bench.start()
-    send(bench, EMERGENCY, (0x1234).to_bytes(2, "little") + bytes(6))
-    send(bench, TPDO1, STATE_TPDO.pack(0x0218, 0))
-    bench.wait(lambda: bench.fault)
+    # The library's own listener would store them.
+    with patch("canopen.emcy.EmcyConsumer.on_emcy") as store:
+        send(bench, EMERGENCY, *[bytes(8)] * 200, (0x1234).to_bytes(2, "little") + bytes(6))
+        send(bench, TPDO1, STATE_TPDO.pack(0x0218, 0))
+        bench.wait(lambda: bench.fault)
+        store.assert_not_called()
     assert bench.fault == "fault: error 0x1234"
 
 
-def test_emergencies_without_end_are_not_kept(bench: Bench) -> None:
-    bench.start()
-    # Its producer is the listener of the library that would keep them.
-    with patch("canopen.emcy.EmcyConsumer.on_emcy") as kept:
-        send(bench, EMERGENCY, *[bytes(8)] * 200, b"")
-        bench.keep(0.0, lambda: bench.drive.counts["malformed"] == 1)
-        kept.assert_not_called()
-
-
-def test_noise_from_a_can_adapter_is_counted_and_the_drive_goes_on(bench: Bench) -> None:
+def test_noise_from_a_can_adapter_is_counted_and_a_lost_bus_is_a_fault(bench: Bench) -> None:
     bench.start(RATE_HZ)
     (listener, *_) = bench.line.notifier.listeners
     for error in (ValueError("an odd line"), IndexError("a short line")):

@@ -35,13 +35,6 @@ def bench(kind: str) -> Iterator[Bench]:
         yield bench
 
 
-def withdrawn(bench: Bench) -> float:
-    """Wait for the end of a withdrawal; the tip's place in m then."""
-    bench.wait(lambda: bench.drive.status().withdrawal is WithdrawalOutcome.WITHDRAWN)
-    bench.wait(lambda: bench.at_rest)
-    return bench.motor.tip_m
-
-
 @pytest.mark.parametrize(
     "keys",
     [
@@ -51,11 +44,9 @@ def withdrawn(bench: Bench) -> float:
         {"homing_method": 17},
         {"mode": "profile"},
     ],
-    ids=["defaults", "inverted, other units", "home is here", "by its method", "profile velocity"],
+    ids=["defaults", "inverted, other units", "no homing", "homing method", "profile velocity"],
 )
-def test_a_drive_homes_touches_and_runs_at_the_commanded_rate(
-    kind: str, keys: dict[str, object]
-) -> None:
+def test_a_drive_homes_and_runs_at_the_commanded_rate(kind: str, keys: dict[str, object]) -> None:
     if "tmcl" in kind and keys.keys() & {"mode", "homing_method"}:
         keys = {"homing_method": 1} if "homing_method" in keys else {}
     with virtual_bench(kind, **keys) as bench:
@@ -63,7 +54,7 @@ def test_a_drive_homes_touches_and_runs_at_the_commanded_rate(
         status, step_m = bench.drive.status(), bench.actuator.step_m
         assert (status.fault, status.moving) == (None, False)
         assert abs(status.position_m) < 1.5 * step_m
-        # Where the tip stood at the beginning, half way to the finger, is home without homing.
+        # Without homing, home is where the tip began, half way to the finger.
         home_m = 0.3e-3 if keys.get("homing") == "none" else 0.0
         # The switch is read every millisecond, at 5 mm/s: 8 steps.
         assert bench.motor.tip_m == pytest.approx(home_m, abs=10 * step_m)
@@ -74,7 +65,7 @@ def test_a_drive_homes_touches_and_runs_at_the_commanded_rate(
         assert place_m == pytest.approx(bench.motor.tip_m, abs=10 * step_m)
 
 
-def test_a_drive_does_not_move_before_start_nor_after_close(bench: Bench) -> None:
+def test_before_start_and_after_close_a_drive_does_not_move(bench: Bench) -> None:
     for fault in ("not started", "closed"):
         place_m = bench.motor.tip_m
         bench.drive.command(RATE_HZ * bench.actuator.step_m)
@@ -86,7 +77,7 @@ def test_a_drive_does_not_move_before_start_nor_after_close(bench: Bench) -> Non
         bench.wait(lambda: bench.at_rest)
 
 
-def test_the_soft_limit_holds_the_tip_back(kind: str) -> None:
+def test_the_soft_limit_stops_the_tip(kind: str) -> None:
     with virtual_bench(kind, furthest="0.2 mm") as bench:
         bench.start(1e6, 0.17e-3)
         bench.keep(1e6, lambda: bench.drive.status().held_back)
@@ -95,7 +86,7 @@ def test_the_soft_limit_holds_the_tip_back(kind: str) -> None:
 
 
 @pytest.mark.parametrize("fault", ["overtemperature", "following error", "stall"])
-def test_after_a_drive_fault_the_tip_withdraws_once_the_drive_obeys(
+def test_after_a_drive_fault_the_tip_withdraws_as_soon_as_the_drive_obeys(
     bench: Bench, fault: str
 ) -> None:
     bench.start(RATE_HZ, 0.05e-3)
@@ -110,24 +101,19 @@ def test_after_a_drive_fault_the_tip_withdraws_once_the_drive_obeys(
     bench.start(RATE_HZ)
 
 
-def test_without_commands_for_the_watchdogs_time_the_tip_withdraws(bench: Bench) -> None:
+@pytest.mark.parametrize("reason", ["stopped", "no command for 5"])
+def test_a_withdrawn_tip_stays_off_the_finger(bench: Bench, reason: str) -> None:
     bench.start(RATE_HZ, 0.05e-3)
-    bench.wait(lambda: bench.fault)
-    assert bench.fault.startswith("no command for 5")
-    assert withdrawn(bench) < -0.2e-3
-    bench.drive.command(RATE_HZ * bench.actuator.step_m)
-    assert bench.at_rest
-
-
-def test_a_withdrawn_tip_stays_off_the_finger(bench: Bench) -> None:
-    bench.start(RATE_HZ, 0.1e-3)
-    bench.drive.withdraw("stopped")
-    away_m = withdrawn(bench)
+    if reason == "stopped":
+        bench.drive.withdraw(reason)
+    bench.wait(lambda: bench.drive.status().withdrawal is WithdrawalOutcome.WITHDRAWN)
+    bench.wait(lambda: bench.at_rest)
+    away_m = bench.motor.tip_m
     assert away_m < -0.2e-3
     for _ in range(100):
         bench.drive.command(RATE_HZ * bench.actuator.step_m)
         bench.clock.sleep(0.002)
-    assert bench.fault == "stopped"
+    assert bench.fault.startswith(reason)
     assert bench.motor.tip_m == away_m
 
 
@@ -141,7 +127,7 @@ def test_the_film_confirms_a_withdrawal(bench: Bench) -> None:
 
 @pytest.mark.parametrize("film", [True, False], ids=["film", "no film"])
 def test_a_reversed_motor_is_refused_before_it_presses(kind: str, film: bool) -> None:
-    """The wires of the shaft are swapped from the start; its drive counts as commanded."""
+    """The motor's wires are swapped, and the drive's count does not show it."""
     with virtual_bench(kind, touch="2 mm") as bench:
         bench.motor.injector.begin(InjectedFault(FaultKind.REVERSED), bench.clock.now_ns)
         forces_n = [0.0]
@@ -161,24 +147,24 @@ def test_a_reversed_motor_is_refused_before_it_presses(kind: str, film: bool) ->
 
 
 def test_a_home_switch_that_stays_closed_is_the_wrong_way(kind: str) -> None:
-    """The motor turns the wrong way from the end of its search on."""
+    """The motor turns the wrong way once the search for home has ended."""
     with virtual_bench(kind, touch="0.3 mm") as bench:
-        searched = []
+        searching = False
 
-        def watch() -> None:
-            if bench.motor.homing or searched == [False]:
-                searched[:] = [not bench.motor.homing]
-                if not bench.motor.homing:
-                    fault = InjectedFault(FaultKind.REVERSED)
-                    bench.motor.injector.begin(fault, bench.clock.now_ns)
+        def reverse_after_search() -> None:
+            nonlocal searching
+            if searching and not bench.motor.homing:
+                fault = InjectedFault(FaultKind.REVERSED)
+                bench.motor.injector.begin(fault, bench.clock.now_ns)
+            searching = bench.motor.homing
 
-        bench.clock.every(1_000_000, watch)
+        bench.clock.every(1_000_000, reverse_after_search)
         with pytest.raises(DriveError, match=r"the home switch is closed 0\.15 mm from home"):
             bench.drive.start()
 
 
 @pytest.mark.parametrize("error", [KeyboardInterrupt(), DriveError("no answer", "it is off")])
-def test_a_start_that_is_ended_leaves_the_tip_in_place(bench: Bench, error: BaseException) -> None:
+def test_an_aborted_start_leaves_the_tip_in_place(bench: Bench, error: BaseException) -> None:
     places_m = []
 
     def force_n() -> float:
@@ -195,13 +181,12 @@ def test_a_start_that_is_ended_leaves_the_tip_in_place(bench: Bench, error: Base
 
 
 def test_a_drive_that_fails_on_its_way_to_first_touch_is_closed(bench: Bench) -> None:
-    looks = [0]
+    reads_after_homing = 0
 
     def force_n() -> float:
-        looks[0] += 1
-        if bench.motor.homing:
-            looks[0] = 0
-        if looks[0] == 20:
+        nonlocal reads_after_homing
+        reads_after_homing = 0 if bench.motor.homing else reads_after_homing + 1
+        if reads_after_homing == 20:
             bench.motor.fail("overtemperature")
         return 0.0
 
@@ -210,7 +195,7 @@ def test_a_drive_that_fails_on_its_way_to_first_touch_is_closed(bench: Bench) ->
     assert bench.drive.status().withdrawal is None
 
 
-def test_a_tip_that_comes_no_nearer_is_given_up(
+def test_a_tip_that_does_not_move_ends_the_start(
     bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(Supervisor, "velocity", lambda supervisor, now_ns: 0)
@@ -219,7 +204,7 @@ def test_a_tip_that_comes_no_nearer_is_given_up(
     assert error.value.kind == "not there"
 
 
-def test_a_film_that_is_pressed_before_first_touch_ends_the_motion() -> None:
+def test_a_press_before_first_touch_ends_the_motion() -> None:
     readings = iter([0.30, 0.28, 0.31, None, 0.37, 0.39])
     guard = TouchGuard(lambda: next(readings))
     for _ in range(4):
@@ -228,7 +213,7 @@ def test_a_film_that_is_pressed_before_first_touch_ends_the_motion() -> None:
         guard()
 
 
-def test_a_search_for_home_goes_no_further_than_home_can_be() -> None:
+def test_a_search_for_home_ends_where_home_cannot_be() -> None:
     axis = build_axis(tmcl_scene(port="x"), stepper(), LAYER, FORCE_LIMIT_N)
     assert -axis.lowest_m > OPENED_M
     most_m = axis.furthest_m - axis.lowest_m + SEARCH_MARGIN_M

@@ -9,7 +9,6 @@ from protocol.config.scene import validate
 from protocol.errors import SceneError
 from tests.support.drive_benches import FORCE_LIMIT_N, LAYER
 
-SECOND_ORDER = {"kind": "second_order"}
 STEPPER = {"kind": "stepper"}
 SERIAL = {"kind": "tmcl", "port": "/dev/ttyACM0"}
 
@@ -52,15 +51,14 @@ def test_an_invalid_table_is_refused_in_one_line(drive: dict[str, Any], words: s
     assert "\n" not in str(error.value)
 
 
-def test_a_drive_moves_a_stepper_and_nothing_else() -> None:
-    scene = display(SERIAL, SECOND_ORDER)
+@pytest.mark.parametrize(
+    ("actuator", "words"),
+    [({"kind": "second_order"}, "stepper"), ({**STEPPER, "microsteps": 10}, "got 10")],
+)
+def test_an_actuator_that_the_drive_cannot_move_is_refused(
+    actuator: dict[str, Any], words: str
+) -> None:
+    scene = display(SERIAL, actuator)
     assert scene.drive is not None
-    with pytest.raises(SceneError, match="stepper"):
-        build_drive(scene.drive, scene.actuator, LAYER, FORCE_LIMIT_N)
-
-
-def test_microsteps_that_a_tmcl_module_does_not_have_are_refused() -> None:
-    scene = display(SERIAL, {**STEPPER, "microsteps": 10})
-    assert scene.drive is not None
-    with pytest.raises(SceneError, match="got 10"):
+    with pytest.raises(SceneError, match=words):
         build_drive(scene.drive, scene.actuator, LAYER, FORCE_LIMIT_N)

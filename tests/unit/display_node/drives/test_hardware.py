@@ -1,4 +1,4 @@
-"""The bench behind a display: what it does with a fault, in virtual time."""
+"""A display's bench under faults, in virtual time."""
 
 import re
 import time
@@ -29,15 +29,14 @@ SLEW_N_PER_S = 50.0
 
 @pytest.fixture(scope="module")
 def pulse_n() -> Pulse:
-    """The paper's pulse, by ms."""
+    """Return the paper's pulse as a function of the time in ms."""
     samples = synthetic(preset="paper", rate="1 kHz", peak_to_peak="0.3 N", preload="0.3 N")
     values = samples.take(8_000)[:, 0].tolist()
     return lambda ms: values[max(0, int(ms)) % len(values)]
 
 
 def ended_after_ms(bench: VirtualBench, from_ms: int, pressing: bool = False) -> int:
-    """Return the time from from_ms until the tip moved or, unless it may stay pressing, pressed
-    last."""
+    """Return the time since from_ms of the last press; of the last motion if it stays pressing."""
     last_ns = from_ms * MS
     for moment in bench.moments:
         moves = abs(moment.speed_m_per_s) > STILL_MM_PER_S
@@ -54,7 +53,7 @@ def ended_after_ms(bench: VirtualBench, from_ms: int, pressing: bool = False) ->
 def test_the_pulse_is_followed_through_drive_and_film(
     pulse_n: Pulse, late_us: Callable[[int], int], most_mn: float
 ) -> None:
-    """By the commands' times the display knows where the tip has gone meanwhile."""
+    """The times of the commands determine the travel, also of late ones."""
     bench = VirtualBench(pulse_n)
     bench.command_late_ns = lambda ms: 1_000 * late_us(ms)
     bench.run(6_000)
@@ -71,7 +70,7 @@ def test_missed_ticks_cost_little(pulse_n: Pulse) -> None:
     assert rmse_n(bench) < 1.4e-3
 
 
-def test_a_drive_that_is_held_back_at_the_end_of_its_travel_is_counted(pulse_n: Pulse) -> None:
+def test_ticks_in_which_the_drive_is_slowed_at_its_end_are_counted(pulse_n: Pulse) -> None:
     gentle, hard = VirtualBench(pulse_n), VirtualBench(lambda ms: 10 * pulse_n(ms))
     for bench in (gentle, hard):
         bench.run(3_000)
@@ -79,7 +78,7 @@ def test_a_drive_that_is_held_back_at_the_end_of_its_travel_is_counted(pulse_n: 
     at_end, limited = hard.hardware.at_end, hard.display.summary().limited
     assert at_end.times > 0
     assert limited.force.share == pytest.approx(0.7, abs=0.3)
-    # The models of actuator and film are beside a real bench, and bound nothing there.
+    # On a real bench, the models of actuator and film bound nothing.
     assert (limited.travel.times, limited.film.times) == (None, None)
 
 
@@ -120,7 +119,7 @@ def hang(bench: VirtualBench) -> None:
     ids=["feedback lost", "stale stream", "drive fault", "process hangs"],
 )
 @pytest.mark.parametrize("from_ms", [1_200, 1_330, 1_511, 1_702, 1_977])
-def test_after_a_fault_the_tip_rests_or_is_off_the_finger_within_100_ms(
+def test_within_100_ms_of_a_fault_the_tip_rests_or_is_off_the_finger(
     pulse_n: Pulse, happens: Event, pressing: bool, fault: str | None, from_ms: int
 ) -> None:
     bench = VirtualBench(pulse_n)
@@ -131,7 +130,7 @@ def test_after_a_fault_the_tip_rests_or_is_off_the_finger_within_100_ms(
     bench.run(600)
     assert ended_after_ms(bench, began_ms, pressing) <= BAR_MS
     assert bench.display.safety.faults[:1] == ([fault] if fault else [])
-    # A drive that its own fault holds is named as one that does not withdraw.
+    # A drive that is held by its own fault does not withdraw.
     assert (bench.display.safety.faults[1:] == ["withdrawal: unconfirmed"]) == (happens is overheat)
 
 
@@ -197,7 +196,7 @@ def test_a_long_overrun_is_a_fault_whatever_the_drive_reports(pulse_n: Pulse) ->
     (fault,) = bench.display.safety.faults
     assert "no command for 30" in fault
     assert bench.moments[-1].force_n == 0
-    # By then it had gone on for 300 ms, up to its soft limit.
+    # During the stall, the drive moved for 300 ms, up to its soft limit.
     assert ended_after_ms(bench, began_ms) <= 3 * BAR_MS
 
 
@@ -222,7 +221,7 @@ def test_no_peer_presses_harder_or_faster_than_safety_allows(force_n: Pulse) -> 
     assert bench.display.safety.faults == []
 
 
-def test_a_sensing_node_that_is_started_anew_is_felt_by_a_ramp(pulse_n: Pulse) -> None:
+def test_a_restarted_sensing_node_is_felt_after_a_ramp() -> None:
     bench = VirtualBench(lambda ms: 0.5)
     bench.run(1_200)
     bench.sending = False
@@ -239,7 +238,7 @@ def test_a_sensing_node_that_is_started_anew_is_felt_by_a_ramp(pulse_n: Pulse) -
 
 
 @pytest.mark.parametrize("happens", [lose_the_film, overheat, hang])
-def test_after_a_fault_and_a_restart_the_force_comes_back_by_a_ramp(happens: Event) -> None:
+def test_after_a_fault_and_a_restart_the_force_returns_by_a_ramp(happens: Event) -> None:
     bench = VirtualBench(lambda ms: 0.5)
     bench.run(1_200)
     happens(bench)
@@ -268,7 +267,7 @@ def test_errors_are_counted_and_named() -> None:
     assert bench.hardware.faults() == ["the film is torn"]
 
 
-def test_closing_takes_the_tip_off_the_finger(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_closing_withdraws_the_tip(monkeypatch: pytest.MonkeyPatch) -> None:
     bench = VirtualBench(lambda ms: 0.5)
     bench.run(1_200)
     assert bench.moments[-1].force_n > 0.4
@@ -288,18 +287,18 @@ def scene() -> DisplayScene:
 
 
 class QuietFilm:
-    """A film whose first sample comes with some look at it."""
+    """A film with a sample in each poll from a given one on."""
 
     def __init__(self, world: VirtualTime, first: int) -> None:
         self._world, self._first = world, first
         self.rejected: Counter[str] = Counter()
-        self.looks = 0
+        self.polls = 0
 
     def poll(self) -> list[SampleBlock]:
-        self.looks += 1
-        now_ns = self._world.now_ns + self.looks
+        self.polls += 1
+        now_ns = self._world.now_ns + self.polls
         block = SampleBlock(np.array([[0.1]]), 0, now_ns, now_ns + MS)
-        return [block] if self.looks >= self._first else []
+        return [block] if self.polls >= self._first else []
 
 
 @pytest.mark.parametrize("first", [3, 10_000])
@@ -313,8 +312,8 @@ def test_a_bench_starts_with_the_films_first_sample(scene: DisplayScene, first: 
                 started.start()
             return
         started.start()
-    # The first sample is there before the drive moves.
-    assert film.looks == 4
+    # The first sample has come before the drive moves.
+    assert film.polls == 4
     assert started.feedback.samples == 2
 
 
@@ -326,7 +325,7 @@ def test_without_a_sensor_the_drives_position_gives_the_force(scene: DisplayScen
     found.read()
     read_n = found.feedback.read(bench.now_ms * MS)
     assert read_n == pytest.approx(bench.drive.motor.force_n, rel=1e-6)
-    # The same report, read again, is no second sample.
+    # A report that is read twice is one sample.
     assert found.feedback.samples == 1
     assert found.counts == Counter()
     finger = found.finger(bench.now_ms * MS)

@@ -29,12 +29,12 @@ def datagram(command: int, value: int, status: int = 100) -> bytes:
 
 
 def answer_otherwise(bench: Bench, command: int, kinds: tuple[int, ...], reply: bytes) -> None:
-    """Let the module answer a command about some kinds otherwise."""
+    """Replace the module's reply to a command of some types."""
     usual: Callable[[bytes, int], bytes] = bench.emulator.reply
 
     def answer(request: bytes, now_ns: int) -> bytes:
-        meant = request[1] == command and request[2] in kinds
-        return reply if meant else usual(request, now_ns)
+        replaced = request[1] == command and request[2] in kinds
+        return reply if replaced else usual(request, now_ns)
 
     bench.emulator.reply = answer
 
@@ -56,7 +56,7 @@ def test_missing_and_wrong_answers_are_a_fault_and_are_counted(
         bench.emulator.answer_mode = answers
         bench.keep(RATE_HZ, lambda: bench.fault)
         assert bench.drive.counts[named] > 0
-        # None of what a module sends late or wrongly is taken for an answer to something else.
+        # No late or wrong reply is taken for the answer to another request.
         bench.emulator.answer_mode = "right"
         bench.wait(lambda: bench.drive.status().withdrawal is not WithdrawalOutcome.UNDER_WAY)
         bench.wait(lambda: bench.at_rest)
@@ -66,8 +66,8 @@ def test_missing_and_wrong_answers_are_a_fault_and_are_counted(
 
 
 @pytest.mark.parametrize("kind", ["tmcl", "tmcl-can"])
-def test_answers_that_are_always_late_are_a_fault_although_the_module_obeys(kind: str) -> None:
-    # Each answer about a velocity comes in time for the next velocity, but none about a position.
+def test_late_answers_are_a_fault_although_the_module_obeys(kind: str) -> None:
+    # The answer to each velocity arrives in time for the next one, but no answer with a position.
     with virtual_bench(kind) as bench:
         bench.start(RATE_HZ)
         bench.emulator.late_s, bench.emulator.answer_mode = 0.03, "late"
@@ -77,7 +77,7 @@ def test_answers_that_are_always_late_are_a_fault_although_the_module_obeys(kind
         bench.wait(lambda: bench.motor.tip_m < 0 and bench.at_rest)
 
 
-def test_a_few_missing_answers_are_counted_and_nothing_else(bench: Bench) -> None:
+def test_a_few_missing_answers_are_only_counted(bench: Bench) -> None:
     bench.start(RATE_HZ)
     bench.emulator.answer_mode = "garbled"
     bench.keep(RATE_HZ, lambda: bench.drive.counts["garbled"] >= 2)
@@ -86,7 +86,7 @@ def test_a_few_missing_answers_are_counted_and_nothing_else(bench: Bench) -> Non
     assert bench.fault == ""
 
 
-def test_a_module_that_is_not_ready_yet_is_asked_again(bench: Bench) -> None:
+def test_requests_to_a_module_that_is_not_ready_are_repeated(bench: Bench) -> None:
     bench.emulator.answer_mode = "silent"
     ready_ns = bench.clock.now_ns + 200_000_000
     bench.clock.at(ready_ns, lambda: setattr(bench.emulator, "answer_mode", "right"))
@@ -95,7 +95,7 @@ def test_a_module_that_is_not_ready_yet_is_asked_again(bench: Bench) -> None:
     assert bench.fault == ""
 
 
-def test_after_a_pulled_cable_the_module_stops_by_itself(bench: Bench) -> None:
+def test_without_a_cable_the_module_stops_by_itself(bench: Bench) -> None:
     bench.start(RATE_HZ)
     bench.line.unplugged = True
     bench.keep(RATE_HZ, lambda: bench.fault)
@@ -145,7 +145,7 @@ def test_noise_from_a_can_adapter_is_counted_and_the_drive_goes_on() -> None:
         for count in range(1, 4):
             bench.bus.errors.append(ValueError("an odd line"))
             bench.keep(RATE_HZ / 4, lambda n=count: bench.drive.counts["garbled"] == n)
-        # One more while what comes with the noise is discarded.
+        # The second error comes while the line is drained after the first.
         bench.bus.errors.extend([ValueError("an odd line"), IndexError("a short line")])
         bench.keep(RATE_HZ / 4, lambda: bench.drive.counts["garbled"] == 5)
         bench.keep(0.0, lambda: not bench.drive.status().moving)
@@ -157,7 +157,7 @@ def test_noise_from_a_can_adapter_is_counted_and_the_drive_goes_on() -> None:
 
 
 class Replies:
-    """A port that has the next reply after each request."""
+    """A port with one prepared reply to each request."""
 
     in_waiting = 0
 

@@ -1,4 +1,4 @@
-"""Taking the tip off the finger, whatever position and film report; the sentence about it."""
+"""The withdrawal of the tip, with any reports of position and film, and the sentence about it."""
 
 import pytest
 
@@ -13,49 +13,43 @@ from display_node.drives.withdrawal import (
     describe_finger,
 )
 
+UNDER_WAY, WITHDRAWN, UNCONFIRMED, WRONG_WAY = WithdrawalOutcome
+
 
 @pytest.mark.parametrize(
     ("state", "sentence"),
     [
         (FingerState(0.245), "pressed with 245 mN"),
         (FingerState(0.003), "not pressed"),
-        (FingerState(0.245, measured_by="model"), "pressed with 245 mN (model)"),
+        (FingerState(0.245, 0.0, "model"), "pressed with 245 mN (model)"),
         (FingerState(None, 3.2), "force unknown since 3 s"),
+        (FingerState(0.245, 0.0, "", UNDER_WAY), "pressed with 245 mN, withdrawing"),
+        (FingerState(0.0, 0.0, "", WITHDRAWN), "withdrawn"),
+        (FingerState(0.0, 0.0, "by the drive's position", WITHDRAWN), "withdrawn"),
         (
-            FingerState(0.245, outcome=WithdrawalOutcome.UNDER_WAY),
-            "pressed with 245 mN, withdrawing",
-        ),
-        (FingerState(0.0, outcome=WithdrawalOutcome.WITHDRAWN), "withdrawn"),
-        (
-            FingerState(
-                0.0, measured_by="by the drive's position", outcome=WithdrawalOutcome.WITHDRAWN
-            ),
-            "withdrawn",
-        ),
-        (
-            FingerState(None, 3.0, outcome=WithdrawalOutcome.WITHDRAWN),
+            FingerState(None, 3.0, "", WITHDRAWN),
             "withdrawn by the drive's position, force unknown since 3 s",
         ),
         (
-            FingerState(0.245, outcome=WithdrawalOutcome.WITHDRAWN),
+            FingerState(0.245, 0.0, "", WITHDRAWN),
             "pressed with 245 mN, although the drive reports the tip withdrawn",
         ),
         (
-            FingerState(0.245, outcome=WithdrawalOutcome.UNCONFIRMED),
+            FingerState(0.245, 0.0, "", UNCONFIRMED),
             "pressed with 245 mN, the drive does not confirm its withdrawal",
         ),
         (
-            FingerState(0.5, outcome=WithdrawalOutcome.WRONG_WAY),
+            FingerState(0.5, 0.0, "", WRONG_WAY),
             "pressed with 500 mN, withdrawal stopped as it went towards the finger",
         ),
         (FingerState(0.245, answers=False), "pressed with 245 mN, the drive does not answer"),
         (
-            FingerState(None, 3.0, outcome=WithdrawalOutcome.WITHDRAWN, answers=False),
+            FingerState(None, 3.0, "", WITHDRAWN, answers=False),
             "force unknown since 3 s, the drive does not answer",
         ),
     ],
 )
-def test_the_sentence_claims_only_what_is_measured(state: FingerState, sentence: str) -> None:
+def test_the_sentence_states_only_measured_facts(state: FingerState, sentence: str) -> None:
     assert describe_finger(state) == sentence
 
 
@@ -89,7 +83,7 @@ class Tip:
         return self.withdrawal.outcome
 
 
-def test_it_is_slow_until_the_position_confirms_it_and_ends_off_the_finger() -> None:
+def test_a_withdrawal_is_slow_until_confirmed_and_ends_off_the_finger() -> None:
     tip = Tip()
     assert tip.withdrawal.speed_m_per_s(MS, 0.0) == -SLOW_M_PER_S
     assert tip.run(100) is WithdrawalOutcome.WITHDRAWN
@@ -99,16 +93,16 @@ def test_it_is_slow_until_the_position_confirms_it_and_ends_off_the_finger() -> 
 
 
 @pytest.mark.parametrize("by_film", [False, True], ids=["position", "film"])
-def test_the_wrong_way_stops_it_at_once(by_film: bool) -> None:
+def test_a_motion_towards_the_finger_is_stopped_at_once(by_film: bool) -> None:
     tip = Tip(gain=-1.0)
     tip.reports = not by_film
     assert tip.run(200, force=by_film) is WithdrawalOutcome.WRONG_WAY
-    # 0.1 mm is the bound of the position, and both may need time to turn.
+    # The position's bound is 0.1 mm; both may show a motion towards the finger for some time.
     assert tip.position_m < BEGAN_M + (0.7e-3 if by_film else 0.5e-3)
     assert tip.withdrawal.speed_m_per_s(300 * MS, tip.travel_m) == 0
 
 
-def test_one_position_or_reading_alone_stops_nothing() -> None:
+def test_a_single_position_or_reading_stops_nothing() -> None:
     tip = Tip()
     tip.run(40)
     tip.withdrawal.add_position(9e-3, 41 * MS)
@@ -123,7 +117,7 @@ def test_one_position_or_reading_alone_stops_nothing() -> None:
 
 
 @pytest.mark.parametrize("trusted", [True, False])
-def test_without_a_confirmation_it_ends_by_the_commanded_way(trusted: bool) -> None:
+def test_without_a_confirmation_the_commanded_travel_ends_it(trusted: bool) -> None:
     tip = Tip(trusted)
     tip.reports = False
     assert tip.run(1_000) is WithdrawalOutcome.UNCONFIRMED
@@ -132,16 +126,16 @@ def test_without_a_confirmation_it_ends_by_the_commanded_way(trusted: bool) -> N
     assert tip.position_m < CLEAR_M
 
 
-def test_a_film_that_shows_relief_ends_it_by_the_commanded_way() -> None:
+def test_a_relieved_film_confirms_the_commanded_travel() -> None:
     tip = Tip()
     tip.reports = False
     assert tip.run(1_000, force=True) is WithdrawalOutcome.WITHDRAWN
     assert tip.position_m < CLEAR_M
-    # The way that it makes while a position is still waited for.
+    # The travel while a position is still expected.
     assert -tip.travel_m < 1.01 * FAST_M_PER_S * PATIENCE_NS * 1e-9
 
 
-def test_commands_that_a_silent_drive_may_have_missed_are_repeated() -> None:
+def test_commands_that_a_silent_drive_has_missed_are_repeated() -> None:
     tip = Tip(gain=0.0)
     tip.reports = False
     assert tip.run(1_000) is WithdrawalOutcome.UNCONFIRMED
@@ -149,7 +143,7 @@ def test_commands_that_a_silent_drive_may_have_missed_are_repeated() -> None:
     assert tip.run(200) is WithdrawalOutcome.WITHDRAWN
 
 
-def test_a_motor_that_its_drive_holds_is_commanded_on() -> None:
+def test_a_held_motor_is_commanded_until_it_moves() -> None:
     tip = Tip(gain=0.0)
     for _ in range(500):
         tip.run(10)
@@ -159,7 +153,7 @@ def test_a_motor_that_its_drive_holds_is_commanded_on() -> None:
     assert tip.run(200) is WithdrawalOutcome.WITHDRAWN
 
 
-def test_a_film_that_is_still_pressed_keeps_an_unconfirmed_one_going() -> None:
+def test_a_pressed_film_continues_an_unconfirmed_withdrawal() -> None:
     tip = Tip(trusted=False, gain=0.0)
     assert tip.run(1_000, force=True) is WithdrawalOutcome.UNCONFIRMED
     tip.gain = 1.0
@@ -167,8 +161,8 @@ def test_a_film_that_is_still_pressed_keeps_an_unconfirmed_one_going() -> None:
     assert tip.position_m < 0.06e-3
 
 
-def test_after_a_pause_of_the_host_the_tip_may_turn_again() -> None:
-    """The drive went on towards the finger until its own watchdog stopped it."""
+def test_after_a_stall_of_the_host_the_tip_may_reverse_again() -> None:
+    """The drive moved towards the finger until its own watchdog stopped it."""
     tip = Tip()
     tip.run(3)
     tip.now_ms += 1_000
@@ -176,8 +170,8 @@ def test_after_a_pause_of_the_host_the_tip_may_turn_again() -> None:
     assert tip.run(300) is WithdrawalOutcome.WITHDRAWN
 
 
-def test_what_was_commanded_before_a_pause_is_no_way_made() -> None:
-    """The drive's watchdog ended it, while the commands seemed to lead on for 0.4 s."""
+def test_a_command_before_a_stall_does_not_count_as_travel() -> None:
+    """The drive's watchdog ended the command, which counted for 0.4 s."""
     tip = Tip()
     assert tip.withdrawal.speed_m_per_s(MS, 0.0) == -SLOW_M_PER_S
     tip.now_ms, tip.travel_m = 400, -SLOW_M_PER_S * 0.4
@@ -187,8 +181,8 @@ def test_what_was_commanded_before_a_pause_is_no_way_made() -> None:
     assert tip.position_m == pytest.approx(CLEAR_M, abs=FAST_M_PER_S * 1e-3)
 
 
-def test_readings_that_rise_before_anything_was_sent_stop_nothing() -> None:
-    """The loop reads the film while the drive's thread stands still."""
+def test_readings_that_rise_before_the_first_command_stop_nothing() -> None:
+    """The loop reads the film while the drive's thread stalls."""
     tip = Tip()
     for ms in range(1, 200, 4):
         tip.withdrawal.add_film_reading(0.3 + 1e-3 * ms, ms * MS)
