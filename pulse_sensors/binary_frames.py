@@ -92,7 +92,7 @@ class FrameDecoder:
         self._buffer = b""
         self._skipping = self._synchronised = False
         self._time = DeviceTime()
-        self._counter = SampleCounter(1 << 32, self._period_ns)
+        self._counter = SampleCounter(1 << 32, self._period_ns, self.rejected)
 
     def feed(self, data: bytes) -> list[SampleBlock]:
         """Return the blocks that these bytes complete."""
@@ -133,10 +133,7 @@ class FrameDecoder:
             raise WireError("not_finite", "a sample is NaN, infinite or too large in any unit")
         passed_ns = self._time.since_last_ns(last_us)
         missing = self._counter.missing(counter, count, passed_ns)
-        if missing is None:
-            self.rejected["counter"] += 1
-        device_ns = self._time.take(last_us)
-        return one_channel(values, device_ns, missing or 0, restarted=passed_ns is None)
+        return one_channel(values, self._time.take(last_us), missing, restarted=passed_ns is None)
 
 
 def crc(data: bytes) -> int:

@@ -114,7 +114,7 @@ class CanDecoder:
     def reset(self) -> None:
         """Start anew with the next message, for example after the bus was gone."""
         self._last_ns: int | None = None
-        self._counter = SampleCounter(self._modulus, self._period_ns)
+        self._counter = SampleCounter(self._modulus, self._period_ns, self.rejected)
 
     def feed(self, message: "can.Message") -> list[SampleBlock]:
         """Return the block in a message; none if a multiplexed message has another signal."""
@@ -136,12 +136,8 @@ class CanDecoder:
             passed_ns = device_ns - self._last_ns
             passed_ns = passed_ns if 0 < passed_ns <= LONGEST_PAUSE_NS else None
         self._last_ns = device_ns
-        missing: int | None = 0
-        if self._counter_name is not None:
-            missing = self._counter.missing(counted, 1, passed_ns)
-        if missing is None:
-            self.rejected["counter"] += 1
-        return [one_channel((value,), device_ns, missing or 0, restarted=passed_ns is None)]
+        missing = self._counter.missing(counted, 1, passed_ns) if self._counter_name else 0
+        return [one_channel((value,), device_ns, missing, restarted=passed_ns is None)]
 
     def _reject(self, cause: str) -> list[SampleBlock]:
         self.rejected[cause] += 1

@@ -9,7 +9,7 @@ from protocol.errors import SourceError
 from pulse_sensors import library
 from pulse_sensors.force_scale import SensorTable
 from pulse_sensors.plausibility import is_usable, rate_contradiction
-from pulse_sensors.samples import SampleBlock, one_channel
+from pulse_sensors.samples import SampleBlock, join_samples
 
 RESOLVE_S = 3.0
 WAIT_S = 0.1
@@ -90,23 +90,13 @@ class LslDecoder:
 
     def feed(self, chunk: Chunk) -> list[SampleBlock]:
         """Return the chunk as one block, or as several if unusable samples interrupt it."""
-        # For each run of usable samples: values, last time, missing.
-        runs: list[tuple[list[float], float, int]] = []
+        samples = []
         for sample, time_s in zip(chunk.samples, chunk.times_s, strict=True):
             value = sample[self._channel]
             if not (is_usable(value) and abs(time_s) <= LARGEST_TIME_S):
                 self.rejected["not_finite"] += 1
                 self._unreadable += 1
                 continue
-            values: list[float] = []
-            missing = self._unreadable
-            if runs and not missing:
-                values, _, missing = runs.pop()
-            values.append(value)
-            runs.append((values, time_s, missing))
-            self._unreadable = 0
-        blocks = []
-        for values, last_s, missing in runs:
-            blocks.append(one_channel(values, round(last_s * 1e9), missing, self._restarted))
-            self._restarted = False
-        return blocks
+            samples.append((value, round(time_s * 1e9), self._unreadable, self._restarted))
+            self._unreadable, self._restarted = 0, False
+        return join_samples(samples)

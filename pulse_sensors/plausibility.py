@@ -1,4 +1,4 @@
-"""Plausibility of readings: all checks whether they can be true.
+"""Plausibility of readings.
 
 - A decoder's number: `is_usable`.
 - Unit and rate that a device states: `unit_contradiction`, `rate_contradiction`.
@@ -149,8 +149,7 @@ def unusable_values(values: NDArray[np.float64]) -> str | None:
     if not len(bad):
         return None
     count = count_text(len(bad), "value is", "values are")
-    where = f"the first is sample {bad[0]}; cut or fill them"
-    return f"{count} NaN or beyond {LARGEST:g}, {where}"
+    return f"{count} NaN or beyond {LARGEST:g}, the first is sample {bad[0]}; cut or fill them"
 
 
 def constant_column(column: RecordedColumn) -> str | None:
@@ -193,9 +192,9 @@ def _refuse_times(column: RecordedColumn) -> str | None:
     if len(values) < FEW_SAMPLES or not often or not np.all(steps >= 0):
         return None
     text = f"{column.title} never falls, so it is a time and not a pulse"
-    other = next((name for name in column.others if name and name not in column.rising), None)
-    if other is not None:
-        return f'{text}; set column = "{other}", or the one with the force'
+    for other in column.others:
+        if other and other not in column.rising:
+            return f'{text}; set column = "{other}", or the one with the force'
     return f"{text}; set column to the one with the force" if column.others else text
 
 
@@ -261,8 +260,7 @@ def _refuse_forces(force_n: NDArray[np.float64], unit: str, rest_n: float) -> st
         if unit in ("N", "V") and largest_n * 1e-3 <= MOST_N:
             return f'{text}; set unit = "m{unit}" if the values are in m{unit}'
         return f'{text}; set unit, or unit = "raw" with peak_to_peak'
-    share = _share_below(force_n)
-    if share <= MOST_BELOW:
+    if (share := _share_below(force_n)) <= MOST_BELOW:
         return None
     text = f"is below 0 N for {100 * share:.0f} % of the samples, which no display can play"
     if highest_n <= 0:
@@ -349,5 +347,4 @@ class SampleCheck:
             )
         still_s = self._longest_still * self._period_s
         if still_s >= STILL_S:
-            text = f"the force did not change for {still_s:.1f} s: check the sensor"
-            yield "still", text
+            yield "still", f"the force did not change for {still_s:.1f} s: check the sensor"

@@ -6,7 +6,8 @@ whole blocks.
 """
 
 import math
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -70,6 +71,25 @@ def one_channel(
     return SampleBlock(column, missing, device_ns=device_ns, restarted=restarted)
 
 
+def join_samples(
+    samples: Iterable[tuple[float, int | None, int, bool]],
+) -> list[SampleBlock]:
+    """Return samples, each a value, `device_ns`, `missing` and `restarted`, as blocks.
+
+    Each loss and each restart begins a block. A block has the time of its last sample, which has
+    waited least.
+    """
+    blocks: list[tuple[list[float], int | None, int, bool]] = []
+    for value, device_ns, missing, restarted in samples:
+        if blocks and not missing and not restarted:
+            values, _, missing, restarted = blocks.pop()
+        else:
+            values = []
+        values.append(value)
+        blocks.append((values, device_ns, missing, restarted))
+    return [one_channel(*block) for block in blocks]
+
+
 _TURN_US = 1 << 32
 # After a longer pause, the device's clock has stepped, or the device has restarted.
 LONGEST_PAUSE_NS = 10_000_000_000
@@ -109,14 +129,18 @@ COUNTER_TOLERANCE_NS = 50_000_000
 
 
 class SampleCounter:
-    """Losses from a device's count of its samples, which wraps to 0 at `modulus`. Pure."""
+    """Losses from a device's count of its samples, which wraps to 0 at `modulus`. Pure.
 
-    def __init__(self, modulus: int, period_ns: int) -> None:
+    A count and a time that contradict each other are counted in `rejected` as "counter".
+    """
+
+    def __init__(self, modulus: int, period_ns: int, rejected: Counter[str]) -> None:
         self._modulus = modulus
         self._period_ns = period_ns
+        self._rejected = rejected
         self._next = 0
 
-    def missing(self, first: int, count: int, passed_ns: int | None) -> int | None:
+    def missing(self, first: int, count: int, passed_ns: int | None) -> int:
         """Return the number of samples lost before `count` new ones, numbered from `first` on.
 
         Parameters
@@ -125,19 +149,16 @@ class SampleCounter:
             Number of the first new sample, 0 to modulus - 1.
         passed_ns : int, optional
             Time from the last sample before to the last of these; None if unknown.
-
-        Returns
-        -------
-        int or None
-            At least 0; None if count and time contradict each other.
         """
         jump = (first - self._next) % self._modulus
         self._next = first + count
         if passed_ns is None or not jump:
             return 0
         counted_ns = (jump + count) * self._period_ns
-        fits = abs(passed_ns - counted_ns) <= COUNTER_TOLERANCE_NS + counted_ns // 2
-        return jump if fits else None
+        if abs(passed_ns - counted_ns) <= COUNTER_TOLERANCE_NS + counted_ns // 2:
+            return jump
+        self._rejected["counter"] += 1
+        return 0
 
 
 # Bandwidth of the settled loop. Until then it is SETTLING over the time since the first sample.

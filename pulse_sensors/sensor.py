@@ -111,8 +111,7 @@ class Sensor:
                 self._note_connection(at_ns, gone=data)
                 continue
             for block in self._decoder.feed(data):
-                timestamped = self._timestamper.timestamp(block, at_ns)
-                if timestamped is not None:
+                if (timestamped := self._timestamper.timestamp(block, at_ns)) is not None:
                     blocks.append(timestamped)
         if blocks and not self._rate_reported:
             fault = self._timestamper.lasting_rate_fault(self._port.name)

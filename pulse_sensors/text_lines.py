@@ -11,7 +11,7 @@ from typing import Literal
 
 from protocol.errors import WireError
 from pulse_sensors.plausibility import is_usable
-from pulse_sensors.samples import DeviceTime, SampleBlock, one_channel
+from pulse_sensors.samples import DeviceTime, SampleBlock, join_samples
 
 TimeUnit = Literal["us", "ms", "s"]
 
@@ -103,35 +103,25 @@ class TextDecoder:
         self._times = LineTimes(self._period_ns, self._unit) if self._unit else None
 
     def feed(self, data: bytes) -> list[SampleBlock]:
-        """Return the blocks that these bytes complete.
-
-        Consecutive lines form one block with the time of the last line, which has waited least.
-        """
+        """Return the blocks that these bytes complete; consecutive lines form one block."""
         *whole, rest = (self._buffer + data).replace(b"\r", b"\n").split(b"\n")
-        # For each block: values, time, missing and restarted.
-        blocks: list[tuple[list[float], int | None, int, bool]] = []
+        samples = []
         for line in whole:
             if line and not self._skipping and not self._synchronised:
                 self._reject("partial")
             elif line.strip() and not self._skipping:
                 try:
-                    value, device_ns, missing, restarted = self._decode(line)
+                    samples.append(self._decode(line))
+                    self._unreadable = 0
                 except WireError as error:
                     self._reject(error.cause)
-                else:
-                    self._unreadable = 0
-                    values: list[float] = []
-                    if blocks and not missing and not restarted:
-                        values, _, missing, restarted = blocks.pop()
-                    values.append(value)
-                    blocks.append((values, device_ns, missing, restarted))
             self._skipping, self._synchronised = False, True
         if len(rest) > MAX_LINE_BYTES:
             if not self._skipping:
                 self._reject("framing" if self._synchronised else "partial")
             self._skipping, rest = True, b""
         self._buffer = rest
-        return [one_channel(*block) for block in blocks]
+        return join_samples(samples)
 
     def _reject(self, cause: str) -> None:
         self.rejected[cause] += 1

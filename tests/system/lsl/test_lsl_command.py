@@ -23,13 +23,13 @@ from tests.support.telemetry_publisher import (
 from tests.support.waiting import until
 
 MODULE = "telepulse"
-# Of sensing time, where the publisher's first sample is.
+# Sensing time of the publisher's first sample.
 FIRST_NS = 1_000 * MS
 RESOLVE_S = 30.0
 
 
 class Source(TelemetryPublisher):
-    """A publisher whose frames have a clock, and come at its pace."""
+    """A publisher in real time, with a sensing clock."""
 
     def send_clock(self, session: int = SESSION) -> None:
         """Send replies until the clock is accepted; its first sample is now."""
@@ -46,7 +46,7 @@ class Source(TelemetryPublisher):
 
 @contextmanager
 def streaming(address: str, pylsl: Any) -> Iterator[tuple[Source, Any, Any]]:
-    """A source, an outlet process that reads it, and inlets of wrist and finger."""
+    """Run a source, an outlet process that reads it, and inlets of wrist, finger and events."""
     with publishing(address, kind=Source) as source, process(MODULE, "lsl", address) as outlet:
         source.begin()
         source.send_clock()
@@ -65,7 +65,7 @@ def inlet(pylsl: Any, address: str, part: str) -> Any:
 
 
 def pulled(stream: Any, enough: int) -> tuple[Any, Any]:
-    """Samples and times, once so many have come."""
+    """Return samples and times, once `enough` have come."""
     samples: list[Any] = []
     times_s: list[float] = []
 
@@ -79,7 +79,7 @@ def pulled(stream: Any, enough: int) -> tuple[Any, Any]:
     return np.array(samples), np.array(times_s)
 
 
-def test_an_inlet_gets_the_same_samples_as_far_apart(
+def test_an_inlet_receives_the_same_samples_at_the_same_intervals(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     pylsl, address = lsl_on_loopback(tmp_path, monkeypatch), free_address()
@@ -91,7 +91,7 @@ def test_an_inlet_gets_the_same_samples_as_far_apart(
         assert finger.info().get_channel_labels() == ["target", "felt"]
         first = source.frames
         source.publish_for(400)
-        # A frame is lost on its way to the display; those after it wait for it a while.
+        # One frame is lost on the way to the display.
         source.frames += 1
         source.ticks += BATCH
         source.publish_for(800)
@@ -103,7 +103,7 @@ def test_an_inlet_gets_the_same_samples_as_far_apart(
         gap = 400 - 1
         np.testing.assert_allclose(np.delete(apart_s, gap), 1e-3, atol=2e-5)
         assert apart_s[gap] == pytest.approx((1 + BATCH) * 1e-3, abs=2e-5)
-        # The sample's own instant, on the clock of this host that LSL shares.
+        # The sample's instant on the host's clock, which LSL uses.
         sensing_s = (FIRST_NS + first * BATCH * MS - source.ahead_ns) * 1e-9
         lsl_ahead_s = pylsl.local_clock() - time.monotonic_ns() * 1e-9
         assert times_s[0] == pytest.approx(sensing_s + lsl_ahead_s, abs=0.05)
@@ -118,7 +118,7 @@ def test_an_inlet_gets_the_same_samples_as_far_apart(
     assert f"{source.frames * BATCH - BATCH} samples" in errors
 
 
-def test_a_session_that_begins_anew_goes_on_in_the_same_stream(
+def test_a_new_session_continues_in_the_same_stream(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     pylsl, address = lsl_on_loopback(tmp_path, monkeypatch), free_address()
@@ -148,11 +148,11 @@ def test_a_session_that_begins_anew_goes_on_in_the_same_stream(
     assert "0 samples missing" in errors
 
 
-def test_what_cannot_begin_is_one_line() -> None:
+def test_a_remote_address_without_keys_is_refused_in_one_line() -> None:
     assert "--insecure" in refused(MODULE, "lsl", "tcp://192.0.2.1:5557")
 
 
-def test_silence_ends_it_with_the_option(address: str) -> None:
+def test_silence_ends_the_outlet_with_the_option(address: str) -> None:
     result = run(MODULE, "lsl", address, "--until-silent", "0.3")
     assert result.returncode == 1
     assert f"{address}: no telemetry came; is a display running there?" in result.stderr

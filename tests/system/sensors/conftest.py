@@ -3,4 +3,4 @@ import pytest
 
 @pytest.fixture(autouse=True)
 def always_goes_first(goes_first: None) -> None:
-    """A pty holds 4 kB: who is kept from reading it loses samples, as the other tests would do."""
+    """Give the processes priority: a pty holds 4 kB, and a late reader loses samples."""

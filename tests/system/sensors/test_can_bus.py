@@ -28,9 +28,7 @@ def test_a_signal_is_read_from_a_bus(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "keys", [{"interface": "guitar"}, {"interface": "socketcan", "channel": "can77"}]
 )
-def test_a_bus_that_is_not_there_is_refused_in_one_line(
-    tmp_path: Path, keys: dict[str, str]
-) -> None:
+def test_a_missing_bus_is_refused_in_one_line(tmp_path: Path, keys: dict[str, str]) -> None:
     write_database(tmp_path)
     with pytest.raises(SourceError, match="cannot be opened") as caught:
         open_sensor(can_scene(**keys), tmp_path)

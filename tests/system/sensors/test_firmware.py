@@ -1,4 +1,4 @@
-"""The sketch of docs/firmware, compiled as C++ against a board that is not there."""
+"""The sketch of docs/firmware, compiled as C++ with an emulated board."""
 
 import shutil
 import subprocess
@@ -31,16 +31,12 @@ MAIN = '#include "{sketch}"\nint main() {{ setup(); while (readings < 400) loop(
 
 
 @pytest.mark.skipif(shutil.which("g++") is None, reason="needs g++")
-def test_what_the_sketch_sends_is_decoded(tmp_path: Path) -> None:
+def test_frames_of_the_sketch_are_decoded(tmp_path: Path) -> None:
     (tmp_path / "Arduino.h").write_text(BOARD, encoding="utf-8")
     main, program = tmp_path / "main.cpp", tmp_path / "board"
     main.write_text(MAIN.format(sketch=SKETCH), encoding="utf-8")
-    compiled = subprocess.run(
-        ["g++", "-Wall", "-Wextra", "-Werror", f"-I{tmp_path}", str(main), "-o", str(program)],
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    command = ["g++", "-Wall", "-Wextra", "-Werror", f"-I{tmp_path}", str(main), "-o", str(program)]
+    compiled = subprocess.run(command, capture_output=True, text=True, check=False)
     assert compiled.returncode == 0, compiled.stderr
     sent = subprocess.run([str(program)], capture_output=True, check=True, timeout=20).stdout
     decoder = FrameDecoder(1_000_000)

@@ -18,7 +18,7 @@ def scene(**keys: object) -> LslScene:
     return validate(table | keys, LslScene, "scene")
 
 
-def test_a_stream_is_found_read_and_named_when_lost(
+def test_a_stream_is_found_and_read_and_its_loss_is_logged(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, logged: list[str]
 ) -> None:
     pylsl = lsl_on_loopback(tmp_path, monkeypatch)

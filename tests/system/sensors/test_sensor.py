@@ -48,7 +48,7 @@ class GivenPort:
 
 
 class AsIs:
-    """A decoder of values that need none."""
+    """A decoder that returns each value unchanged."""
 
     def __init__(self) -> None:
         self.rejected: Counter[str] = Counter()
@@ -67,9 +67,7 @@ def reopened_soon(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.parametrize("error", [OSError("pulled"), TypeError("driver"), RuntimeError("driver")])
-def test_after_any_error_of_a_driver_the_device_is_gone_and_comes_back(
-    error: Exception, logged: list[str]
-) -> None:
+def test_after_any_driver_error_the_device_is_reopened(error: Exception, logged: list[str]) -> None:
     port, decoder = GivenPort(0.1, error, 0.2), AsIs()
     with closing(Sensor(port, decoder, TABLE)) as sensor:
         assert forces(received(sensor, 2)) == [0.1, 0.2]
@@ -77,7 +75,7 @@ def test_after_any_error_of_a_driver_the_device_is_gone_and_comes_back(
     assert (port.openings, decoder.resets) == (2, 1)
 
 
-def test_a_device_that_stays_away_is_tried_again_until_closed() -> None:
+def test_a_missing_device_is_retried_until_closed() -> None:
     port = GivenPort(OSError("pulled"), opens=1)
     with closing(Sensor(port, AsIs(), TABLE)) as sensor:
         until(lambda: port.openings > 5)
@@ -87,9 +85,7 @@ def test_a_device_that_stays_away_is_tried_again_until_closed() -> None:
         assert gone.startswith("the port was gone 1 time, for ")
 
 
-def test_data_that_are_not_polled_are_counted_and_no_memory_grows(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_data_that_are_not_polled_are_dropped_and_counted(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "MAX_WAITING", 10)
     port = GivenPort(*range(1, 26))
     with closing(Sensor(port, AsIs(), TABLE)) as sensor:
@@ -99,7 +95,7 @@ def test_data_that_are_not_polled_are_counted_and_no_memory_grows(
         assert sensor.poll() == []
 
 
-def test_a_rate_that_lasts_and_is_not_the_scenes_is_reported_once(logged: list[str]) -> None:
+def test_a_lasting_wrong_rate_is_reported_once(logged: list[str]) -> None:
     now_ns = itertools.count(0, 1_250_000)
     port = GivenPort(*range(1, 5_001))
     with closing(Sensor(port, AsIs(), TABLE, clock=lambda: next(now_ns))) as sensor:
@@ -112,7 +108,7 @@ def test_a_rate_that_lasts_and_is_not_the_scenes_is_reported_once(logged: list[s
     assert logged == ["the port sends 800 Hz, the scene says 1000 Hz: check its rate"]
 
 
-def test_a_device_that_is_not_there_is_refused_at_once() -> None:
+def test_a_device_that_cannot_be_opened_is_refused_at_once() -> None:
     port = GivenPort(opens=0)
     with pytest.raises(SourceError, match="not now"):
         Sensor(port, AsIs(), TABLE)

@@ -1,4 +1,4 @@
-"""An emulated board, a sensing node and a display as real processes, over a real terminal."""
+"""An emulated board, a sensing node and a display as processes, on a real pseudo-terminal."""
 
 import itertools
 import signal
@@ -42,7 +42,7 @@ def board_command(folder: Path, *options: str) -> tuple[str, ...]:
 
 @contextmanager
 def board(folder: Path, *options: str) -> Iterator["subprocess.Popen[str]"]:
-    """A board that has printed where it is."""
+    """Run a board that has printed its table."""
     with process(*board_command(folder, *options)) as child:
         assert child.read_line(3 * PATIENCE_S) == "[sensing.source]"
         yield child
@@ -53,7 +53,7 @@ def frames(client: Client, count: int) -> list[Frame]:
 
 
 @pytest.mark.parametrize("framing", ["binary", "text"])
-def test_a_boards_pulse_reaches_a_display_and_every_sample_is_accounted_for(
+def test_a_boards_pulse_reaches_a_display_and_every_sample_is_counted(
     tmp_path: Path, address: str, framing: str
 ) -> None:
     scene = str(scene_file(tmp_path, framing))
@@ -93,7 +93,7 @@ def test_usb_batches_do_not_show_in_the_times_on_the_wire(
     assert residual_ms.std() < 1e6
 
 
-def test_an_unplugged_cable_is_named_and_missed_samples_count_as_lost(
+def test_an_unplugged_cable_is_reported_and_missed_samples_count_as_lost(
     tmp_path: Path, address: str, client: Client
 ) -> None:
     summary = tmp_path / "sensing.json"
@@ -146,7 +146,7 @@ def test_noise_on_the_line_is_counted_and_reported(
         assert any("samples missing from" in fault for fault in found["faults"])
 
 
-def test_the_board_prints_the_table_that_reads_it(tmp_path: Path) -> None:
+def test_the_board_prints_the_table_for_a_scene(tmp_path: Path) -> None:
     result = run(*board_command(tmp_path, "--seconds", "0.2", "--samples", "int16"))
     assert result.returncode == 0
     assert result.stdout.splitlines()[:7] == [

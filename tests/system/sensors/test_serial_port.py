@@ -36,7 +36,7 @@ def opened(scene: SerialScene) -> Any:
 
 @contextmanager
 def server(serve: Callable[[socket.socket, threading.Event], None]) -> Iterator[str]:
-    """A TCP server for one client, which serves until the context is left."""
+    """Run a TCP server for one client."""
     over = threading.Event()
     with socket.create_server(("127.0.0.1", 0)) as listening:
         listening.settimeout(PATIENCE_S)
@@ -54,7 +54,7 @@ def server(serve: Callable[[socket.socket, threading.Event], None]) -> Iterator[
             thread.join(PATIENCE_S)
 
 
-def test_a_pseudo_terminal_is_read_by_one_sensor_and_garbage_is_counted() -> None:
+def test_a_pseudo_terminal_is_read_by_one_sensor_only_and_garbage_is_counted() -> None:
     with closing(PtyPort(None)) as board, opened(scene(board.path)) as sensor:
         board.write(b"\n0.1\n0.2\n0.3\n")
         assert forces(received(sensor, 3)) == [0.1, 0.2, 0.3]
@@ -67,7 +67,7 @@ def test_a_pseudo_terminal_is_read_by_one_sensor_and_garbage_is_counted() -> Non
         assert sensor.faults() == [f"2 samples missing from {board.path}"]
 
 
-def test_a_socket_is_read_and_its_end_is_named(logged: list[str]) -> None:
+def test_a_socket_is_read_and_its_end_is_logged(logged: list[str]) -> None:
     enough = threading.Event()
 
     def serve(connection: socket.socket, over: threading.Event) -> None:
@@ -109,7 +109,7 @@ def test_a_sensing_node_reports_the_wrong_unit_once(tmp_path: Path) -> None:
 def test_rfc2217_is_read() -> None:
     def serve(connection: socket.socket, over: threading.Event) -> None:
         with serial_for_url("loop://", timeout=0) as device:
-            # It writes replies of its own.
+            # The manager writes replies of its own.
             manager = PortManager(device, SimpleNamespace(write=connection.sendall))
             connection.settimeout(0.02)
             while not over.is_set():
@@ -132,7 +132,7 @@ def test_loop_is_read() -> None:
         assert forces(received(sensor, 2)) == [0.5, 0.25]
 
 
-def test_an_unplugged_cable_is_named_and_the_stream_goes_on(
+def test_an_unplugged_cable_is_logged_and_the_stream_continues(
     tmp_path: Path, logged: list[str]
 ) -> None:
     link = tmp_path / "board"
@@ -146,7 +146,7 @@ def test_an_unplugged_cable_is_named_and_the_stream_goes_on(
         with closing(PtyPort(link)) as again:
 
             def back() -> bool:
-                # A board goes on sending; what comes before the port is open is lost.
+                # A board keeps sending; data before the port is open is lost.
                 again.write(b"\n0.3\n")
                 sensor.poll()
                 return len(logged) == 2
@@ -185,9 +185,7 @@ def test_a_closed_sensor_releases_its_port() -> None:
 
 @pytest.mark.parametrize("read_at", [9_600, 57_600, 74_880, 230_400])
 @pytest.mark.parametrize("framing", ["text", "binary"])
-def test_at_a_wrong_baud_rate_nothing_is_a_sample_and_noise_is_counted(
-    framing: str, read_at: int
-) -> None:
+def test_a_wrong_baud_rate_gives_no_samples_and_is_counted(framing: str, read_at: int) -> None:
     encode = binary("float32") if framing == "binary" else timed_line
     sent = b"".join(encode([0.3 + 1e-3 * number], 1_000 * number) for number in range(400))
     noise = misread(sent, 115_200, read_at)
@@ -203,7 +201,7 @@ def test_at_a_wrong_baud_rate_nothing_is_a_sample_and_noise_is_counted(
 
 
 def misread(data: bytes, sent_at: int, read_at: int) -> bytes:
-    """Return what a UART reads of bytes (8N1) that were sent at another rate."""
+    """Return the bytes that a UART (8N1) reads of bytes sent at another rate."""
     bits = [bit for byte in data for bit in (0, *((byte >> i) & 1 for i in range(8)), 1)]
     step, at, found = sent_at / read_at, 0.0, bytearray()
     while at + 10 * step < len(bits):

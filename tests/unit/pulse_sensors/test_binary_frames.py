@@ -17,7 +17,7 @@ TURN = 1 << 32
 
 
 def frames(count: int, first_ms: int = 0) -> list[bytes]:
-    """Frames of 4 samples, one a ms: sample i has the value i."""
+    """Return frames of 4 samples, one sample a ms: sample i has the value i."""
     encoder = FrameEncoder("int16")
     return [
         encoder.frame(range(i, i + FRAME), (first_ms + i + FRAME - 1) * 1_000)
@@ -35,17 +35,17 @@ def values(blocks: list[Decoded]) -> list[float]:
 
 
 def account(blocks: list[Decoded]) -> float:
-    """Number of the sample after the last one, by what came and what is missing."""
+    """Return the number of the next sample, by the values and the missing samples."""
     return values(blocks)[0] + len(values(blocks)) + sum(block.missing for block in blocks)
 
 
 def raw(code: int, payload: bytes, counter: int = 0, micros: int = 0) -> bytes:
-    """A frame with a right CRC, whatever its content."""
+    """Return a frame with any content and a right CRC."""
     body = struct.pack("<BII", code, counter, micros) + payload
     return b"\0" + cobs.encode(body + struct.pack("<H", crc(body))) + b"\0"
 
 
-def test_a_frame_is_these_bytes() -> None:
+def test_a_frame_has_known_bytes() -> None:
     frame = FrameEncoder("int16").frame([1, -2, 0], 0x01020304)
     assert frame.hex(" ") == "02 11 01 01 01 06 04 03 02 01 01 03 fe ff 01 03 d7 ae 00"
     assert crc(b"123456789") == 0x29B1
@@ -60,7 +60,7 @@ def test_a_frame_is_these_bytes() -> None:
         ("int32", [2**30] * MAX_SAMPLES, (2**30,) * MAX_SAMPLES),
     ],
 )
-def test_each_format_is_decoded_as_it_was_sent(
+def test_each_format_is_decoded(
     sample_format: SampleFormat, sent: list[float], read: tuple[float, ...]
 ) -> None:
     frame = FrameEncoder(sample_format).frame(sent, 7)
@@ -68,7 +68,7 @@ def test_each_format_is_decoded_as_it_was_sent(
 
 
 @given(st.lists(st.integers(1, 40), max_size=30))
-def test_however_the_bytes_are_cut_every_sample_comes_once(cuts: list[int]) -> None:
+def test_every_sample_comes_once_however_the_bytes_are_divided(cuts: list[int]) -> None:
     data, decoder, blocks = b"".join(frames(10)), FrameDecoder(MS), []
     for first, last in itertools.pairwise([0, *itertools.accumulate(cuts), len(data)]):
         blocks += plain(decoder.feed(data[first:last]))
@@ -78,9 +78,7 @@ def test_however_the_bytes_are_cut_every_sample_comes_once(cuts: list[int]) -> N
 
 
 @given(garbage=st.binary(min_size=1, max_size=40), at=st.integers(0, 10_000))
-def test_garbage_anywhere_costs_at_most_one_frame_and_its_loss_is_counted(
-    garbage: bytes, at: int
-) -> None:
+def test_garbage_costs_at_most_one_frame_and_the_loss_is_counted(garbage: bytes, at: int) -> None:
     data = b"".join(frames(8))
     at %= len(b"".join(frames(6)))
     blocks, rejected = decoded(b"\0" + data[:at] + garbage + data[at:])
@@ -104,7 +102,7 @@ def test_a_wrong_byte_at_every_offset_never_makes_a_wrong_sample() -> None:
         assert account(blocks) == 24
 
 
-def test_half_a_frame_at_either_end_is_no_sample() -> None:
+def test_a_partial_frame_at_either_end_is_no_sample() -> None:
     one, two = frames(2)
     for cut in range(1, len(one)):
         blocks, rejected = decoded(one[cut:] + two)
@@ -113,7 +111,7 @@ def test_half_a_frame_at_either_end_is_no_sample() -> None:
         assert decoded(one[: cut - 1]) == ([], {})
 
 
-def test_noise_alone_makes_no_sample_and_no_memory_grows() -> None:
+def test_noise_gives_no_sample_and_uses_bounded_memory() -> None:
     decoder = FrameDecoder(MS)
     rng = np.random.default_rng(1)
     for _ in range(50):

@@ -15,7 +15,7 @@ def test_a_chunk_is_a_block_with_the_time_of_its_last_sample() -> None:
     assert plain(decoder.feed(second)) == [Decoded((3,), 4_002_000_000, restarted=True)]
 
 
-def test_samples_that_are_no_numbers_are_counted_and_missing() -> None:
+def test_samples_that_are_no_numbers_count_as_missing() -> None:
     decoder = LslDecoder(0)
     blocks = decoder.feed(Chunk([[1], [NAN], [NAN], [2], [NAN]], [1.0, 2.0, 3.0, 4.0, 5.0]))
     blocks += decoder.feed(Chunk([[3]], [6.0]))
@@ -28,7 +28,7 @@ def test_samples_that_are_no_numbers_are_counted_and_missing() -> None:
 
 
 @pytest.mark.parametrize("time_s", [NAN, float("inf"), -1e300, 1e300])
-def test_a_time_that_no_clock_has_is_counted(time_s: float) -> None:
+def test_a_sample_with_an_impossible_time_is_rejected(time_s: float) -> None:
     decoder = LslDecoder(0)
     assert decoder.feed(Chunk([[1]], [time_s])) == []
     assert decoder.rejected == {"not_finite": 1}

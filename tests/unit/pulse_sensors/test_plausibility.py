@@ -38,22 +38,20 @@ def warnings(path: Path, **keys: object) -> list[str]:
         ({"adc": COUNTS}, {"unit": "mN"}),
         ({"force": PULSE_N - PULSE_N.mean()}, {"preload": "0.1 N"}),
         ({"force": -PULSE_N}, {"inverted": True}),
-        # Columns beside the force that are no times: numbers of samples or trials, chance.
-        ({"beside": np.arange(1000), "force": PULSE_N}, {**FORCE, "rate": "37 Hz"}),
-        ({"beside": np.zeros(1000), "force": PULSE_N}, {**FORCE, "rate": "37 Hz"}),
-        ({"beside": np.arange(1000) // 250, "force": PULSE_N}, {**FORCE, "rate": "37 Hz"}),
+        # Other columns that are no times: numbers of samples or trials, random numbers.
         *(
-            ({"beside": beside, "force": PULSE_N}, {**FORCE, "rate": "37 Hz"})
-            for beside in (
+            ({"other": other, "force": PULSE_N}, {**FORCE, "rate": "37 Hz"})
+            for other in (
+                np.arange(1000),
+                np.zeros(1000),
+                np.arange(1000) // 250,
                 np.cumsum(np.random.default_rng(1).exponential(size=1000)),
                 np.random.default_rng(1).normal(size=1000),
             )
         ),
     ],
 )
-def test_a_plausible_recording_is_neither_refused_nor_warned_of(
-    tmp_path: Path, columns: Keys, keys: Keys
-) -> None:
+def test_a_plausible_recording_has_no_warning(tmp_path: Path, columns: Keys, keys: Keys) -> None:
     assert warnings(csv_file(tmp_path, columns), **keys) == []
 
 
@@ -123,7 +121,7 @@ def test_a_recording_that_cannot_be_a_pulse_is_refused(
         ),
     ],
 )  # fmt: skip
-def test_a_doubtful_recording_is_warned_of(
+def test_a_doubtful_recording_has_a_warning(
     tmp_path: Path, columns: Keys, keys: Keys, text: str
 ) -> None:
     assert warnings(csv_file(tmp_path, columns), **keys) == [text]
@@ -167,7 +165,7 @@ def test_the_scenes_rate_is_compared_with_the_files_own_times(
         np.full(1000, math.nan),
     ],
 )
-def test_times_out_of_all_range_are_ignored(tmp_path: Path, times: NDArray[np.float64]) -> None:
+def test_impossible_times_are_ignored(tmp_path: Path, times: NDArray[np.float64]) -> None:
     assert warnings(csv_file(tmp_path, {"time": times, "force": PULSE_N}), column="force") == []
     np.savez(tmp_path / "pulse.npz", time=times, force=PULSE_N)
     assert warnings(tmp_path / "pulse.npz", column="force") == []
@@ -177,7 +175,7 @@ def test_times_out_of_all_range_are_ignored(tmp_path: Path, times: NDArray[np.fl
 def test_an_emulated_board_may_send_implausible_forces(
     tmp_path: Path, force_n: NDArray[np.float64]
 ) -> None:
-    """Emulators make the boards that a real sensing node must withstand."""
+    """A real sensing node must accept such a board."""
     path = csv_file(tmp_path, {"force": force_n})
     scene = validate(table(path), RecordingScene, "[sensing] source")
     source = RecordedSource(scene, tmp_path, plausible=False)
@@ -185,9 +183,7 @@ def test_an_emulated_board_may_send_implausible_forces(
     np.testing.assert_array_equal(source.take(100)[:, 0], force_n[:100])
 
 
-def test_live_samples_that_cannot_be_a_pulse_are_counted_and_reported_once(
-    logged: list[str],
-) -> None:
+def test_implausible_live_samples_are_counted_and_reported_once(logged: list[str]) -> None:
     check = SampleCheck(MS)
     check.add(np.full((5, 1), 0.3) + np.arange(5)[:, np.newaxis] * 1e-3)
     assert (check.faults(), logged) == ([], [])
@@ -204,7 +200,7 @@ def test_live_samples_that_cannot_be_a_pulse_are_counted_and_reported_once(
     ]
 
 
-def test_a_force_that_does_not_change_is_reported_once(logged: list[str]) -> None:
+def test_a_constant_force_is_reported_once(logged: list[str]) -> None:
     check = SampleCheck(MS)
     for force_n in itertools.chain([0.1, 0.2], itertools.repeat(0.3, 1600), [0.4]):
         check.add(np.full((5, 1), force_n))

@@ -1,4 +1,4 @@
-"""Samples from a board's bytes to times on the host, in virtual time, with known true times."""
+"""Samples of an emulated board and their times on the host, in virtual time."""
 
 from collections import Counter
 from typing import NamedTuple
@@ -29,7 +29,7 @@ def timestamper(kind: str = "untimed") -> Timestamper:
 
 
 class Transmission(NamedTuple):
-    """A board's samples as a host places them."""
+    """A board, and its samples on the host."""
 
     board: SensorBoard
     timestamper: Timestamper
@@ -41,19 +41,18 @@ class Transmission(NamedTuple):
     def samples(self) -> int:
         return len(forces(self.timestamped))
 
-    def off_ms(self, after_s: float) -> NDArray[np.float64]:
-        """Time of each block less the true one, from `after_s` on."""
-        ends = np.cumsum([block.missing + len(block.values) for block in self.timestamped])
-        firsts = [
-            end - len(b.values) for end, b in zip(ends.tolist(), self.timestamped, strict=True)
-        ]
-        true_ns = np.array([self.board.taken_ns(number) for number in firsts])
-        off_ms = (np.array([block.first_ns for block in self.timestamped]) - true_ns) * 1e-6
-        return np.asarray(off_ms[true_ns > START_NS + after_s * 1e9])
+    def errors_ms(self, after_s: float) -> NDArray[np.float64]:
+        """Return the error of each block's time, from `after_s` on."""
+        counts = [(block.missing, len(block.values)) for block in self.timestamped]
+        ends = np.cumsum([missing + count for missing, count in counts])
+        firsts = ends - [count for _, count in counts]
+        true_ns = np.array([self.board.taken_ns(number) for number in firsts.tolist()])
+        errors_ms = (np.array([block.first_ns for block in self.timestamped]) - true_ns) * 1e-6
+        return np.asarray(errors_ms[true_ns > START_NS + after_s * 1e9])
 
 
 def transmit(kind: str, seconds: float, lost: range = range(0), **behaviour: float) -> Transmission:
-    """Run a board; of its deliveries, those in `lost` do not arrive."""
+    """Run a board whose deliveries in `lost` do not arrive."""
     encode = {"binary": binary("float32"), "text": timed_line, "untimed": line}[kind]
     given = BoardBehaviour(4 if kind == "binary" else 1, **behaviour)  # type: ignore[arg-type]
     board = SensorBoard(synthetic(), encode, given, START_NS)
@@ -76,10 +75,10 @@ def transmit(kind: str, seconds: float, lost: range = range(0), **behaviour: flo
 @pytest.mark.parametrize("skew", [50e-6, -200e-6, 3e-3])
 def test_usb_batches_do_not_jitter_the_times(kind: str, skew: float) -> None:
     sent = transmit(kind, 20, skew=skew)
-    off_ms = sent.off_ms(after_s=5)
+    errors_ms = sent.errors_ms(after_s=5)
     assert np.diff(sent.arrivals_ns).max() > 14 * MS
-    assert off_ms.std() < 0.1
-    assert abs(off_ms).max() < 0.8
+    assert errors_ms.std() < 0.1
+    assert abs(errors_ms).max() < 0.8
     assert (sent.timestamper.missing, sent.samples) == (0, sent.board.sampled)
     true_n = synthetic().take(sent.samples)[:, 0]
     np.testing.assert_allclose(forces(sent.timestamped), true_n, atol=1e-6)
@@ -88,7 +87,7 @@ def test_usb_batches_do_not_jitter_the_times(kind: str, skew: float) -> None:
 
 
 def test_before_the_clock_is_known_times_are_within_one_delivery() -> None:
-    assert abs(transmit("binary", 1, skew=50e-6).off_ms(after_s=0)).max() < 16
+    assert abs(transmit("binary", 1, skew=50e-6).errors_ms(after_s=0)).max() < 16
 
 
 @pytest.mark.parametrize("kind", ["binary", "text"])
@@ -96,23 +95,23 @@ def test_before_the_clock_is_known_times_are_within_one_delivery() -> None:
 def test_lost_samples_are_counted_as_missing(kind: str, lost: range) -> None:
     sent = transmit(kind, 10, lost=lost)
     assert sent.timestamper.missing > 0
-    # Text confirms a jump of the time by the line that follows, and has no counter.
+    # Text has no counter; the next line confirms a jump of the time.
     account = sent.samples + sent.timestamper.missing
     assert account == pytest.approx(sent.board.sampled, abs=1)
-    assert abs(sent.off_ms(after_s=5)).max() < 1.5
+    assert abs(sent.errors_ms(after_s=5)).max() < 1.5
 
 
 @pytest.mark.parametrize("noise", [1e-4, 1e-2])
-def test_noise_on_the_line_costs_samples_and_not_the_account(noise: float) -> None:
+def test_samples_lost_to_noise_are_counted(noise: float) -> None:
     sent = transmit("binary", 20, noise=noise)
     assert 0 < sent.timestamper.missing < 0.6 * sent.board.sampled
     assert abs(sent.samples + sent.timestamper.missing - sent.board.sampled) <= 8 * 4
     assert sum(sent.rejected.values()) > 0
-    assert sent.off_ms(after_s=5).std() < 0.5
+    assert sent.errors_ms(after_s=5).std() < 0.5
     assert sent.timestamper.restarts == 0
 
 
-def test_a_restarted_board_is_followed_and_named() -> None:
+def test_a_restart_of_the_board_is_counted() -> None:
     under_test = timestamper("binary")
     for first_s, device_s in ((0, 900), (3, 0)):
         for ms in range(2000):
@@ -128,7 +127,7 @@ def test_a_restarted_board_is_followed_and_named() -> None:
     ]
 
 
-def test_no_sample_is_placed_after_its_arrival() -> None:
+def test_no_time_is_after_the_arrival() -> None:
     under_test = timestamper("binary")
     for ms in range(100):
         under_test.timestamp(one_channel([0.5], ms * MS, restarted=ms == 0), START_NS + ms * MS)
@@ -137,7 +136,7 @@ def test_no_sample_is_placed_after_its_arrival() -> None:
     assert ahead.first_ns == pytest.approx(START_NS + 100 * MS, abs=MS)
 
 
-def test_a_block_whose_time_has_passed_is_refused_and_counted() -> None:
+def test_a_block_before_the_last_one_is_refused_and_counted() -> None:
     under_test = timestamper()
     assert under_test.timestamp(one_channel([0.5]), START_NS) is not None
     assert under_test.timestamp(one_channel([0.5]), START_NS - SECOND_NS) is None
@@ -145,27 +144,24 @@ def test_a_block_whose_time_has_passed_is_refused_and_counted() -> None:
 
 
 @pytest.mark.parametrize("hz", [800, 1000])
-def test_a_rate_that_is_not_the_scenes_is_named_once_it_lasts(hz: int) -> None:
+def test_a_lasting_wrong_rate_is_a_fault(hz: int) -> None:
     under_test, name = timestamper(), "the board"
-    found = []
+    assert under_test.faults(name) == ["no sample came from the board"]
+    faults = []
     for number in range(5000):
         under_test.timestamp(one_channel([0.5]), START_NS + number * SECOND_NS // hz)
-        found.append(under_test.lasting_rate_fault(name))
+        faults.append(under_test.lasting_rate_fault(name))
     fault = f"{name} sends 800 Hz, the scene says 1000 Hz: check its rate" if hz == 800 else None
-    assert (found[-1], under_test.faults(name)) == (fault, [fault] if fault else [])
-    named = 5000 - found.count(None)
-    assert found[: 5000 - named] == [None] * (5000 - named)
-    assert named == 0 if hz == 1000 else 1000 < named < 3000
-
-
-def test_a_sensor_without_a_sample_is_named() -> None:
-    assert timestamper("text").faults("the board") == ["no sample came from the board"]
+    assert (faults[-1], under_test.faults(name)) == (fault, [fault] if fault else [])
+    before = faults.count(None)
+    assert faults[:before] == [None] * before
+    assert before == 5000 if hz == 1000 else 2000 < before < 4000
 
 
 def times_of(
     timeline: Timeline, count: int, period_ns: float, jitter_ns: float = 0
 ) -> list[tuple[int, int, int]]:
-    """Times of blocks of 4 samples, measured with jitter."""
+    """Return the times of blocks of 4 samples that were measured with jitter."""
     rng = np.random.default_rng(1)
     last_ns = [
         START_NS + round((first + 3) * period_ns + rng.uniform(0, jitter_ns))
@@ -179,7 +175,7 @@ def at_ms(first: float, end: float, missing: int) -> tuple[float, float, int]:
     return START_NS + first * MS, START_NS + end * MS, missing
 
 
-def test_samples_on_time_are_placed_where_they_were_measured() -> None:
+def test_even_times_are_unchanged() -> None:
     expected = [at_ms(4 * number, 4 * number + 4, 0) for number in range(250)]
     assert times_of(Timeline(MS), 1000, MS) == expected
 
@@ -187,16 +183,16 @@ def test_samples_on_time_are_placed_where_they_were_measured() -> None:
 @pytest.mark.parametrize("rate_hz", [700, 990, 1000, 1000.3, 1300])
 def test_the_true_rate_is_found_and_the_jitter_removed(rate_hz: float) -> None:
     timeline = Timeline(MS)
-    placed = times_of(timeline, 20_000, 1e9 / rate_hz, jitter_ns=8 * MS)
-    assert len(placed) == 5_000
+    times_ns = times_of(timeline, 20_000, 1e9 / rate_hz, jitter_ns=8 * MS)
+    assert len(times_ns) == 5_000
     assert timeline.rate_hz == pytest.approx(rate_hz, rel=1e-3)
-    times = np.array([first_ns for first_ns, _, _ in placed[2500:]]) - START_NS
-    off_ns = times - np.arange(4 * 2500, 20_000, 4) * 1e9 / rate_hz
-    assert off_ns.std() < 0.25 * MS  # of 2.3 ms as measured
-    assert off_ns.mean() == pytest.approx(4 * MS, abs=0.3 * MS)
+    firsts_ns = np.array([first_ns for first_ns, _, _ in times_ns[2500:]]) - START_NS
+    errors_ns = firsts_ns - np.arange(4 * 2500, 20_000, 4) * 1e9 / rate_hz
+    assert errors_ns.std() < 0.25 * MS  # measured: 2.3 ms
+    assert errors_ns.mean() == pytest.approx(4 * MS, abs=0.3 * MS)
 
 
-def test_blocks_join_and_never_step_back_whatever_is_measured() -> None:
+def test_blocks_are_contiguous_and_never_step_back_with_any_jitter() -> None:
     timeline, rng, end_before_ns = Timeline(MS), np.random.default_rng(2), None
     for number in range(2000):
         place = timeline.timestamp(1, 0, START_NS + number * MS + int(rng.normal(0, 60 * MS)))
@@ -206,14 +202,14 @@ def test_blocks_join_and_never_step_back_whatever_is_measured() -> None:
         assert end_ns > first_ns
         if end_before_ns is not None and not missing:
             assert first_ns == end_before_ns
-            # A display refuses frames of less than half or more than twice the nominal period.
+            # A display refuses frames with less than half or more than twice the nominal period.
             assert 0.5 * MS < end_ns - first_ns < 2 * MS
         end_before_ns = end_ns
 
 
-def test_blocks_that_all_come_far_too_early_are_placed() -> None:
+def test_blocks_that_are_all_far_too_early_are_accepted() -> None:
     timeline, end_before_ns = Timeline(MS), START_NS - 2 * MS
-    # By the time that was expected, nothing passes from the last but one to the last.
+    # By the predicted time, the last two blocks end at once.
     early = ((2, 0, 0), (1, 2, 0), (1, 0, 1), (3, 1, 1), (5, 0, 2), (1, 0, 3), (2, 1, 3), (2, 0, 4))
     for count, missing, ms in early:
         place = timeline.timestamp(count, missing, START_NS + ms * MS)
@@ -222,7 +218,7 @@ def test_blocks_that_all_come_far_too_early_are_placed() -> None:
         end_before_ns = place[1]
 
 
-def test_gaps_keep_their_room_and_the_past_has_none() -> None:
+def test_gaps_keep_their_time_and_past_times_are_refused() -> None:
     known, jump, behind = Timeline(MS), Timeline(MS), Timeline(MS)
     for timeline in (known, jump, behind):
         times_of(timeline, 1000, MS)

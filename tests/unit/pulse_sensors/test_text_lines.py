@@ -18,7 +18,7 @@ def untimed(data: bytes, column: int = 0) -> tuple[list[Decoded], dict[str, int]
 
 
 def timed(data: bytes, unit: TimeUnit = "us") -> tuple[list[Decoded], dict[str, int]]:
-    """Fed line by line, so that each is a block."""
+    """Decode line by line, so that each line is a block."""
     decoder = TextDecoder(MS, 0, unit)
     decoder.feed(b"\n")
     blocks = [block for line in data.split(b"\n") for block in decoder.feed(line + b"\n")]
@@ -26,7 +26,7 @@ def timed(data: bytes, unit: TimeUnit = "us") -> tuple[list[Decoded], dict[str, 
 
 
 def lines(*ranges: range) -> bytes:
-    """A line a ms: line i has the time i ms and the value i."""
+    """Return lines of which line i has the time i ms and the value i."""
     return b"".join(b"%d,%d\r\n" % (i * 1_000, i) for i in itertools.chain(*ranges))
 
 
@@ -42,7 +42,7 @@ def values(blocks: list[Decoded]) -> list[float]:
         (b"force:0.25,temperature:31\n", 0, 0.25),
     ],
 )  # fmt: skip
-def test_a_line_is_read_as_sketches_print_it(text: bytes, column: int, value: float) -> None:
+def test_lines_as_sketches_print_them_are_decoded(text: bytes, column: int, value: float) -> None:
     assert untimed(text, column) == ([Decoded((value,))], {})
 
 
@@ -54,39 +54,37 @@ def test_a_time_comes_before_the_value(unit: TimeUnit, per_second: float) -> Non
 
 
 @pytest.mark.parametrize("line", [b"x", b"0.2.5", b"nan", b"inf", b"1e31", b"\xff\xfe", b"force:"])
-def test_a_line_without_a_number_is_counted_and_missing(line: bytes) -> None:
+def test_a_line_without_a_number_counts_as_missing(line: bytes) -> None:
     blocks = [Decoded((1, 2)), Decoded((3, 4), missing=1)]
     assert untimed(b"1\n2\n" + line + b"\n3\n4\n") == (blocks, {"not_a_number": 1})
+    blocks = [Decoded((2,)), Decoded((4,), missing=1)]
+    assert untimed(b"1,2\n1," + line + b"\n1,4\n", column=1) == (blocks, {"not_a_number": 1})
+    assert untimed(b"1,2\n1\n1,4\n", column=1) == (blocks, {"not_a_number": 1})
 
 
 def test_empty_lines_and_further_columns_are_skipped() -> None:
     assert untimed(b"1\n\n2\n" + b"1," * 99 + b"\n") == ([Decoded((1, 2, 1))], {})
 
 
-def test_a_line_without_its_column_is_counted() -> None:
-    blocks = [Decoded((2,)), Decoded((4,), missing=1)]
-    assert untimed(b"1,2\n1\n1,4\n", column=1) == (blocks, {"not_a_number": 1})
-
-
 @given(st.lists(st.integers(1, 30), max_size=30))
-def test_however_the_bytes_are_cut_every_line_comes_once(cuts: list[int]) -> None:
+def test_every_line_comes_once_however_the_bytes_are_divided(cuts: list[int]) -> None:
     data, decoder, blocks = lines(range(30)), TextDecoder(MS, 0, "us"), []
     for first, last in itertools.pairwise([0, *itertools.accumulate(cuts), len(data)]):
         blocks += plain(decoder.feed(data[first:last]))
-    # Nothing shows that the first line is whole.
+    # The first line may be incomplete.
     assert values(blocks) == list(range(1, 30))
     assert decoder.rejected == {"partial": 1}
 
 
 @given(garbage=st.binary(min_size=1, max_size=40), at=st.integers(0, 10_000))
-def test_after_garbage_anywhere_the_stream_goes_on(garbage: bytes, at: int) -> None:
+def test_after_garbage_the_stream_continues(garbage: bytes, at: int) -> None:
     data = lines(range(40))
     at %= len(lines(range(20)))
     blocks, _ = timed(data[:at] + garbage + data[at:])
     assert values(blocks)[-10:] == list(range(30, 40))
 
 
-def test_lines_that_come_together_are_one_block_with_the_last_ones_time() -> None:
+def test_lines_that_arrive_together_are_one_block_with_the_last_time() -> None:
     decoder = TextDecoder(MS, 0, "us")
     text = lines(range(1, 6)) + b"x\n" + lines(range(7, 9))
     assert plain(decoder.feed(b"\n" + text)) == [
@@ -100,9 +98,9 @@ def test_lines_that_come_together_are_one_block_with_the_last_ones_time() -> Non
     [
         # A wrong time.
         (lines(range(10)) + b"9910000,10\r\n" + lines(range(11, 20)), [10], {11: 1}, [0]),
-        # A jump, which the line after it confirms.
+        # A jump, which the next line confirms.
         (lines(range(10), range(60, 70)), [60], {61: 51}, [0]),
-        # A restart, likewise.
+        # A restart, which the next line confirms.
         (lines(range(5000, 5010), range(10)), [0], {}, [5000, 1]),
     ],
 )
@@ -120,7 +118,7 @@ def test_a_time_that_does_not_follow_must_be_confirmed(
 @pytest.mark.parametrize(
     ("times", "unit", "missing"),
     [
-        # The sketch's loop is off its rate.
+        # The sketch's loop has another rate.
         *(([i * us for i in range(2_000)], "us", 0) for us in (700, 1_000, 1_300)),
         # The true period is learnt, and reveals one lost line.
         ([i * 1_400 for i in range(2_000) if i != 1_500], "us", 1),
@@ -141,7 +139,7 @@ def test_losses_follow_from_the_times(times: list[int], unit: TimeUnit, missing:
     assert rejected == {}
 
 
-def test_noise_alone_makes_no_sample_and_no_memory_grows() -> None:
+def test_noise_gives_no_sample_and_uses_bounded_memory() -> None:
     decoder = TextDecoder(MS, 0, "us")
     rng = np.random.default_rng(1)
     for _ in range(100):
@@ -155,7 +153,7 @@ def test_noise_alone_makes_no_sample_and_no_memory_grows() -> None:
     assert values(plain(decoder.feed(b"\n" + lines(range(5))))) == [0, 1, 2, 3, 4]
 
 
-def test_a_line_before_the_first_that_never_ends_is_partial() -> None:
+def test_an_endless_first_line_is_partial() -> None:
     decoder = TextDecoder(MS, 0, None)
     assert decoder.feed(b"1" * 1000) == []
     assert plain(decoder.feed(b"1\n0.26\n")) == [Decoded((0.26,))]
