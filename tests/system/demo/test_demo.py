@@ -2,13 +2,12 @@ import os
 import pty
 import re
 import signal
-import subprocess
-import sys
 import urllib.request
 from pathlib import Path
 
 import pytest
 
+from protocol.host.child_process import ChildProcess
 from tests.support.log_lines import refused
 from tests.support.nodes import RADIAL, ROOT, assert_accounted, process, read_json, run, run_python
 
@@ -101,20 +100,15 @@ def test_the_demo_scores_against_the_pulse_before_the_sensing_chain(tmp_path: Pa
 def test_in_a_terminal_the_demo_draws_a_panel_with_a_pulse_trace() -> None:
     leader, follower = pty.openpty()
     environment = os.environ | {"COLUMNS": "100", "LINES": "40", "TERM": "xterm"}
-    child = subprocess.Popen(
-        [sys.executable, "-m", MODULE, "demo", "--seconds", "5", "--no-page"],
-        cwd=ROOT,
-        stdin=follower,
-        stdout=follower,
-        stderr=follower,
-        env=environment,
-    )
-    os.close(follower)
-    output = b""
-    while chunk := read_or_end(leader):
-        output += chunk
-    os.close(leader)
-    assert child.wait(10) == 0
+    command = ("-m", MODULE, "demo", "--seconds", "5", "--no-page")
+    streams = dict.fromkeys(("stdin", "stdout", "stderr"), follower)
+    with ChildProcess("demo", *command, cwd=ROOT, env=environment, **streams) as child:
+        os.close(follower)
+        output = b""
+        while chunk := read_or_end(leader):
+            output += chunk
+        os.close(leader)
+        assert child.wait(10) == 0
     text = output.decode(errors="replace")
     for word in ("heart rate", "force felt", "strain RMSE", "playout delay", "deadline misses"):
         assert word in text
