@@ -4,29 +4,29 @@ import json
 import os
 import pty
 import signal
-import subprocess
-import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from subprocess import PIPE
 from typing import Any
 
 import pytest
 from typer.testing import CliRunner, Result
 
+from protocol.host.child_process import ChildProcess
 from telepulse.cli.main import app
 from telepulse.experiment.log import SessionLog, gather, open_log, read_log, share_correct
 from telepulse.experiment.psychometrics import probability_of_a
 from telepulse.experiment.report import build_report, threshold_of
 from telepulse.experiment.session import load_plan
 from tests.support.experiment_sessions import condition, write
-from tests.support.nodes import ROOT, known
-from tests.support.waiting import until
+from tests.support.nodes import known
+from tests.support.waiting import PATIENCE_S, until
 
 # A link with a difference that is felt, and one without.
 PLAIN = condition("plain")
 NOTHING = condition("nothing", "delay=5ms", "auto")
-KEYS = b"abx1"
+KEYS = "abx1"
 
 
 def experiment(*arguments: object) -> Result:
@@ -40,14 +40,12 @@ def observed(session: Path, threshold: str, log: Path, *options: str) -> Session
     return read_log(log)
 
 
-def process(session: Path, *options: str, **pipes: Any) -> "subprocess.Popen[bytes]":
+def process(session: Path, *options: str, **pipes: Any) -> ChildProcess:
     """Start `telepulse experiment run` in the session's folder."""
-    command = [sys.executable, "-m", "telepulse", "experiment", "run", session.name]
-    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-    folder = session.parent
+    command = ("-m", "telepulse", "experiment", "run", session.name, *options)
     if "--observer" not in options:
-        options = (*options, "--without-drive")
-    return subprocess.Popen([*command, *options], cwd=folder, env=environment, **pipes)
+        command += ("--without-drive",)
+    return ChildProcess("session", *command, cwd=session.parent, **pipes)
 
 
 def lines(log: Path) -> list[dict[str, Any]]:
@@ -92,47 +90,41 @@ def test_a_killed_session_continues_as_if_unbroken(tmp_path: Path) -> None:
 
 
 @contextmanager
-def terminal(session: Path, *options: str) -> Iterator[tuple["subprocess.Popen[bytes]", int]]:
-    """Start a session whose keyboard is a terminal; its output is a pipe."""
+def terminal(session: Path, *options: str) -> Iterator[tuple[ChildProcess, int]]:
+    """Run a session whose keyboard is a terminal; its output is a pipe."""
     ours, theirs = pty.openpty()
     try:
-        with process(session, *options, stdin=theirs, stdout=subprocess.PIPE) as child:
-            try:
-                yield child, ours
-            finally:
-                child.kill()
+        with process(session, *options, stdin=theirs, stdout=PIPE) as child:
+            yield child, ours
     finally:
         os.close(ours)
         os.close(theirs)
 
 
-def read_until(child: "subprocess.Popen[bytes]", wanted: bytes) -> bytes:
-    """Read the output up to some words."""
-    assert child.stdout is not None
-    output = b""
+def read_until(child: ChildProcess, wanted: str) -> str:
+    """Return the output up to the line with some words."""
+    output = ""
     while wanted not in output:
-        line = child.stdout.readline()
-        assert line, output
-        output += line
+        output += child.read_line(PATIENCE_S)
     return output
 
 
 def test_a_person_answers_by_keys_and_stops_in_the_midst_of_an_interval(tmp_path: Path) -> None:
     session = write(tmp_path / "s.toml", PLAIN, kind="rating", interval="0.5 s")
     with terminal(session, "--log", "log.jsonl") as (child, keys):
-        read_until(child, b"trial 1 of 2")
+        read_until(child, "trial 1 of 2")
         # The sequence of an arrow key ends with an A, which is not the key A.
         os.write(keys, b"\x1b[A")
         os.write(keys, b"ax4")
-        output = read_until(child, b"trial 2 of 2")
-        assert output.count(b"is over") == 2
+        output = read_until(child, "trial 2 of 2")
+        assert output.count("is over") == 2
         os.write(keys, b"A")
-        read_until(child, b"A ...")
+        read_until(child, "A ...")
         os.write(keys, b"q")
         output = read_until(
-            child, b"stopped; continue: telepulse experiment run s.toml --log log.jsonl"
+            child, "stopped; continue: telepulse experiment run s.toml --log log.jsonl"
         )
-        assert b"is over" not in output
+        assert "is over" not in output
         assert child.wait(20) == 0
     (answered,) = read_log(tmp_path / "log.jsonl").answered
     assert answered.answer == 4
@@ -154,18 +146,17 @@ def test_the_output_before_the_end_does_not_depend_on_what_x_is(tmp_path: Path) 
             for trial in table["trials"]:
                 trial["x"] = flip[trial["x"]]
             (folder / "log.jsonl").write_text(json.dumps(table) + "\n", encoding="utf-8")
-        pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+        pipes = {"stdin": PIPE, "stdout": PIPE, "stderr": PIPE}
         child = process(session, "--log", "log.jsonl", "--resume", **pipes)
         children.append(child)
         assert child.stdin is not None
-        child.stdin.write(KEYS + b"a1")
-        child.stdin.close()
-        child.stdin = None
+        child.stdin.write(KEYS + "a1")
+        child.close_input()
     for child in children:
         outputs.append(child.communicate(timeout=60))
         assert child.returncode == 0
     assert outputs[0] == outputs[1]
-    assert b"feel B and X first" in outputs[0][0]
+    assert "feel B and X first" in outputs[0][0]
     logs = [read_log(tmp_path / str(number) / "log.jsonl") for number in range(2)]
     assert [len(log.answered) for log in logs] == [1, 1]
     on_link = [[p.on_link for p in log.answered[0].played] for log in logs]
@@ -264,9 +255,9 @@ def test_the_example_and_the_plan_are_printed(tmp_path: Path) -> None:
 def test_a_session_ends_safely_on_sigterm(tmp_path: Path) -> None:
     session = write(tmp_path / "s.toml", interval="30 s")
     with terminal(session, "--log", "log.jsonl") as (child, keys):
-        read_until(child, b"trial 1 of 2")
+        read_until(child, "trial 1 of 2")
         os.write(keys, b"a")
-        read_until(child, b"A ...")
+        read_until(child, "A ...")
         child.send_signal(signal.SIGTERM)
-        read_until(child, b"stopped; continue")
+        read_until(child, "stopped; continue")
         assert child.wait(20) == 0
