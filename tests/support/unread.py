@@ -1,11 +1,9 @@
 """Outputs that are not read: a terminal stopped by Ctrl-S, a full or closed pipe, a full disk."""
 
 import os
-import subprocess
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
 from protocol.host.child_process import ChildProcess
 from tests.support.nodes import ROOT
@@ -56,7 +54,7 @@ def process_into(number: int, module: str, *arguments: str) -> Iterator[ChildPro
         yield child
 
 
-def obeys_sigterm(child: "subprocess.Popen[Any]") -> bool:
+def obeys_sigterm(child: ChildProcess) -> bool:
     """Return whether the process has installed its handler; fail where it has ended."""
     assert child.poll() is None, child.args
     for line in Path(f"/proc/{child.pid}/status").read_text(encoding="ascii").splitlines():

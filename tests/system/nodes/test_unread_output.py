@@ -3,17 +3,18 @@
 import fcntl
 import os
 import signal
-import subprocess
 import sys
 import termios
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
+from typing import Any
 
 import pytest
 import zmq
 
 from protocol import sockets
+from protocol.host.child_process import ChildProcess
 from protocol.sockets import Context, control_address
 from protocol.wire.messages import Hello, Welcome, decode_control, encode_control
 from tests.support.live_display import await_state, subscribe
@@ -27,7 +28,7 @@ SENSING, DISPLAY, TELEPULSE = "sensing_node.cli", "display_node.cli", "telepulse
 
 
 @contextmanager
-def started(kind: str, module: str, *arguments: str) -> Iterator["subprocess.Popen[bytes]"]:
+def started(kind: str, module: str, *arguments: str) -> Iterator[ChildProcess]:
     with unread(kind) as number, process_into(number, module, *arguments) as child:
         yield child
 
@@ -107,21 +108,12 @@ def test_programs_beside_the_nodes_end_when_their_output_is_not_read(tmp_path: P
 def test_a_node_whose_terminal_closes_ends_as_at_ctrl_c(tmp_path: Path) -> None:
     master, terminal = os.openpty()
     json = tmp_path / "sum.json"
-    node = subprocess.Popen(
-        [sys.executable, "-m", SENSING, str(RADIAL), "--bind", free_address(), "--json", str(json)],
-        cwd=ROOT,
-        stdin=terminal,
-        stdout=terminal,
-        stderr=terminal,
-        start_new_session=True,
-        preexec_fn=lambda: fcntl.ioctl(0, termios.TIOCSCTTY, 0),
-    )
-    try:
+    command = ("-m", SENSING, str(RADIAL), "--bind", free_address(), "--json", str(json))
+    options: dict[str, Any] = dict.fromkeys(("stdin", "stdout", "stderr"), terminal)
+    options["preexec_fn"] = lambda: fcntl.ioctl(0, termios.TIOCSCTTY, 0)
+    with ChildProcess("sensing node", *command, cwd=ROOT, **options) as node:
         os.close(terminal)
         until(lambda: obeys_sigterm(node))
         os.close(master)
         assert node.wait(ENDS_WITHIN_S) == 0
         assert read_json(json)["samples"]["sent"] >= 0
-    finally:
-        node.kill()
-        node.wait()
