@@ -4,17 +4,18 @@ import errno
 import os
 import signal
 import socket as plain
-import subprocess
 import sys
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
+from subprocess import PIPE
 from tempfile import TemporaryDirectory
 
 import pytest
 import zmq
 
 from protocol import sockets
+from protocol.host.child_process import ChildProcess
 from protocol.sockets import Context
 from protocol.wire.messages import Hello, encode_control
 from tests.support.hostile_peers import port_of
@@ -31,18 +32,16 @@ NOBODY = 65_534
 SENSING, DISPLAY = "sensing_node.cli", "display_node.cli"
 
 
-def limited(
-    limit: str, value: int, module: str, *arguments: str, umask: int = -1
-) -> "subprocess.Popen[str]":
+def limited(limit: str, value: int, module: str, *arguments: str, umask: int = -1) -> ChildProcess:
     """Start a module of ours under a resource limit, as `ulimit` sets it."""
     import resource
 
-    return subprocess.Popen(
-        [sys.executable, "-m", module, str(RADIAL), *arguments],
+    return ChildProcess(
+        module,
+        *("-m", module, str(RADIAL), *arguments),
         cwd=ROOT,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
+        stdout=PIPE,
+        stderr=PIPE,
         umask=umask,
         preexec_fn=lambda: resource.setrlimit(getattr(resource, limit), (value, value)),
     )
@@ -67,15 +66,13 @@ def test_strangers_do_not_end_a_node_that_has_a_priority(
     here = [at.replace("*", "127.0.0.1") for at in (address, telemetry)]
     options = ("--realtime", "fifo=40", "--key", keyring.path("wrist"))
     played = tmp_path / "played.json"
-    nodes = [
-        limited("RLIMIT_NOFILE", FEW_FILES, SENSING, "--bind", address, *options),
-        limited(
-            *("RLIMIT_NOFILE", FEW_FILES, DISPLAY, "--connect", here[0], "--telemetry", telemetry),
-            *("--no-screen", "--peer", keyring.path("wrist", "pub"), "--json", str(played)),
-            *options,
-        ),
-    ]
-    try:
+    few = ("RLIMIT_NOFILE", FEW_FILES)
+    shown = ("--no-screen", "--telemetry", telemetry, "--json", str(played))
+    wanted = ("--connect", here[0], "--peer", keyring.path("wrist", "pub"), *shown)
+    with (
+        limited(*few, SENSING, "--bind", address, *options) as sensing,
+        limited(*few, DISPLAY, *wanted, *options) as display,
+    ):
         reader = sockets.connect(context, zmq.SUB, here[1], keyring.client("finger"))
         reader.subscribe(b"")
         reader.setsockopt(zmq.RCVTIMEO, 200)
@@ -91,16 +88,12 @@ def test_strangers_do_not_end_a_node_that_has_a_priority(
             )
             asking.send(encode_control(Hello("late")))
             assert asking.poll(PATIENCE_S * 1000)
-        for node in reversed(nodes):
+        for node in (display, sensing):
             node.send_signal(signal.SIGTERM)
             output, errors = node.communicate(timeout=PATIENCE_S)
             assert node.returncode == 0, output + errors
             assert "Traceback" not in output + errors
         assert read_json(played)["samples"]["played"] > 2_000
-    finally:
-        for node in nodes:
-            node.kill()
-            node.communicate()
 
 
 @pytest.mark.parametrize("module", [SENSING, DISPLAY])
@@ -111,8 +104,8 @@ def test_strangers_do_not_end_a_node_that_has_a_priority(
 def test_a_node_does_not_start_below_its_resource_limits(
     module: str, limit: str, value: int, advice: str
 ) -> None:
-    node = limited(limit, value, module)
-    output, errors = node.communicate(timeout=PATIENCE_S)
+    with limited(limit, value, module) as node:
+        output, errors = node.communicate(timeout=PATIENCE_S)
     assert (node.returncode, output) == (2, "")
     assert errors.count("\n") == 1
     assert errors.rstrip().endswith(f"raise the limit: {advice}")
@@ -123,10 +116,9 @@ def test_another_user_does_not_end_a_node_with_few_files_over_an_ipc_address() -
     with TemporaryDirectory(prefix="telepulse-") as folder:
         Path(folder).chmod(0o755)
         path = Path(folder, "pulse")
-        node = limited("RLIMIT_NOFILE", FEW_FILES, SENSING, "--bind", f"ipc://{path}", umask=0)
-        try:
-            assert node.stderr is not None
-            node.stderr.readline()
+        bind = ("--bind", f"ipc://{path}")
+        with limited("RLIMIT_NOFILE", FEW_FILES, SENSING, *bind, umask=0) as node:
+            node.read_line(PATIENCE_S, from_stderr=True)
             found: list[int] = []
             with ExitStack() as until_the_end:
                 os.seteuid(NOBODY)
@@ -145,6 +137,3 @@ def test_another_user_does_not_end_a_node_with_few_files_over_an_ipc_address() -
             node.send_signal(signal.SIGTERM)
             output, errors = node.communicate(timeout=PATIENCE_S)
             assert node.returncode == 0, output + errors
-        finally:
-            node.kill()
-            node.communicate()
