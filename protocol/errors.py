@@ -30,7 +30,7 @@ class AddressError(TelepulseError, OSError):
 
 
 class KeyFileError(TelepulseError, ValueError):
-    """A key file or an allow-list cannot be read, used or written.
+    """A key file or an allow-list cannot be used.
 
     Examples: others may read the secret key, the file has a public key in place of a secret one, a
     name is not on the list.

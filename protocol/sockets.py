@@ -102,14 +102,8 @@ def bind(
 ) -> Socket:
     """Return a socket of `kind` bound to a tcp:// or ipc:// `address`. Raises AddressError.
 
-    Parameters
-    ----------
-    kind : int
-        The socket's type; an XPUB socket gets options for `SubscriptionBudget`.
-    security : LinkSecurity, optional
-        Authenticates the peers (`Authenticator`).
-    limits : mapping, optional
-        Socket options for the queue of each peer that replace the default ones.
+    An XPUB socket gets options for `SubscriptionBudget`. security: authenticates the peers
+    (`Authenticator`). limits: options for the queue of each peer that replace the default ones.
     """
     socket = _socket_for(context, kind, address)
     if kind == zmq.XPUB:

@@ -276,14 +276,22 @@ def write_whole(path: Path, text: str) -> None:
             raise
 
 
-def create_file(path: Path, text: str) -> None:
-    """Write a new text file. Raises OutputError, also if the file exists."""
+def create_file(path: Path, text: str, mode: int = 0o666) -> None:
+    """Write a new text file that has its `mode` from the first byte on.
+
+    A file that cannot be written completely is removed. Raises OutputError, also if it exists.
+    """
     with _refusals(path):
         try:
-            with path.open("x", encoding="utf-8") as file:
-                file.write(text)
+            number = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, mode)
         except FileExistsError:
             raise OutputError(f"{path}: exists already; name another file") from None
+        try:
+            with open(number, "w", encoding="utf-8") as file:
+                file.write(text)
+        except OSError:
+            path.unlink(missing_ok=True)
+            raise
 
 
 @contextmanager

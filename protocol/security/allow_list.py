@@ -8,7 +8,8 @@ from contextlib import suppress
 from pathlib import Path
 
 from protocol.errors import KeyFileError
-from protocol.security.keys import READ_BY_ALL, PublicKey, create, parse_public, read_text
+from protocol.host.output import create_file
+from protocol.security.keys import READ_BY_ALL, PublicKey, parse_public, read_text
 
 logger = logging.getLogger(__name__)
 
@@ -162,7 +163,7 @@ def _replace(path: Path, lines: list[str]) -> None:
         raise KeyFileError(
             f"{new} exists: another command is changing the list; if none is, remove the file"
         )
-    create(new, "".join(line + "\n" for line in lines), READ_BY_ALL)
+    create_file(new, "".join(line + "\n" for line in lines), READ_BY_ALL)
     try:
         os.replace(new, path)
     except OSError as error:

@@ -9,14 +9,14 @@ that the halves match (docs/decisions/0031-zmq-auth-is-not-enough.md).
 import os
 import re
 import stat
-from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import zmq
 from zmq.utils import z85
 
-from protocol.errors import KeyFileError
+from protocol.errors import KeyFileError, OutputError
+from protocol.host.output import create_file
 
 SECRET, PUBLIC = "telepulse-secret-key", "telepulse-public-key"
 KEY_BYTES = 32
@@ -76,7 +76,11 @@ class ClientKeys:
 
 
 def new_pair(folder: Path, name: str) -> tuple[Path, Path]:
-    """Create `folder`/`name`.key and .pub. Raises KeyFileError, also when one exists."""
+    """Create `folder`/`name`.key and .pub.
+
+    Raises KeyFileError for an invalid name or folder; OutputError where a file exists already or
+    cannot be written.
+    """
     if not _NAME.fullmatch(name):
         raise KeyFileError(
             f"{name!r}: not a name; use up to 64 letters, digits, dots, dashes and underscores,"
@@ -89,33 +93,13 @@ def new_pair(folder: Path, name: str) -> tuple[Path, Path]:
         folder.mkdir(mode=FOLDER, parents=True, exist_ok=True)
     except OSError as error:
         raise KeyFileError(f"{folder}: cannot make the folder: {error.strerror}") from None
-    create(secret_path, f"{SECRET} {name} {pair.secret.hex()}\n", OWNER_ONLY)
+    create_file(secret_path, f"{SECRET} {name} {pair.secret.hex()}\n", OWNER_ONLY)
     try:
-        create(public_path, pair.public.line + "\n", READ_BY_ALL)
-    except KeyFileError:
+        create_file(public_path, pair.public.line + "\n", READ_BY_ALL)
+    except OutputError:
         secret_path.unlink()
         raise
     return secret_path, public_path
-
-
-def create(path: Path, text: str, mode: int) -> None:
-    """Write a new file that has its `mode` from the first byte on. Raises KeyFileError.
-
-    A file that cannot be written completely is removed.
-    """
-    try:
-        number = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, mode)
-        try:
-            with open(number, "w", encoding="ascii") as file:
-                file.write(text)
-        except OSError:
-            with suppress(OSError):
-                path.unlink()
-            raise
-    except FileExistsError:
-        raise KeyFileError(f"{path} exists already and is not overwritten") from None
-    except OSError as error:
-        raise KeyFileError(f"{path}: cannot write: {error.strerror}") from None
 
 
 def read_pair(path: Path) -> KeyPair:

@@ -44,7 +44,7 @@ def test_another_folder_and_another_list() -> None:
 @pytest.mark.parametrize(
     ("arguments", "reason"),
     [
-        (("new", "finger"), "keys/finger.key exists already and is not overwritten"),
+        (("new", "finger"), "keys/finger.key: exists already; name another file"),
         (("new", "../finger"), "'../finger': not a name"),
         (("allow", "keys/finger.key"), "is a secret key, which never leaves its machine"),
         (("allow", "keys/none.pub"), "keys/none.pub: there is no such file"),
