@@ -9,13 +9,12 @@ import zmq
 
 from protocol import sockets
 from protocol.security.allow_list import revoke
-from protocol.security.keys import ClientKeys
-from protocol.sockets import Context, control_address
-from protocol.wire.messages import Hello, encode_control
+from protocol.sockets import Context
 from tests.support.keyring import Keyring
 from tests.support.live_display import await_state, await_status, subscribe
 from tests.support.log_lines import strays
 from tests.support.nodes import RADIAL, assert_accounted, free_address, process, read_json
+from tests.support.sensing_client import KeyedClient
 from tests.support.waiting import PATIENCE_S
 
 SENSING, DISPLAY = "sensing_node.cli", "display_node.cli"
@@ -55,40 +54,25 @@ def test_with_keys_over_ipc_a_display_plays_all_of_the_stream(
     assert set(read_json(sensed)["rejected"]) <= {"handshake"}
 
 
-class RawDisplay:
-    """Requests the stream, and keeps what it receives."""
-
-    def __init__(self, context: Context, address: str, keys: ClientKeys | None) -> None:
-        self.control = sockets.connect(context, zmq.DEALER, control_address(address), keys)
-        self.data = sockets.connect(context, zmq.SUB, address, keys)
-        self.data.subscribe(b"")
-        self.received: list[bytes] = []
-
-    def request(self) -> None:
-        sockets.send(self.control, encode_control(Hello("who")))
-        for socket in (self.control, self.data):
-            self.received += sockets.receive_parts(socket)
-
-
 def test_a_peer_that_is_not_allowed_gets_no_frame_and_no_answer(
     context: Context, keyring: Keyring, tmp_path: Path
 ) -> None:
     address, json = free_address(), tmp_path / "sensed.json"
-    allowed = RawDisplay(context, address, keyring.client("finger"))
+    allowed = KeyedClient(context, address, keyring.client("finger"))
     strangers = keyring.client("stranger"), keyring.client("finger", peer="stranger"), None
-    intruders = [RawDisplay(context, address, keys) for keys in strangers]
+    intruders = [KeyedClient(context, address, keys) for keys in strangers]
     with process(SENSING, *sensing(keyring, address, 3, json)) as node:
         while node.poll() is None:
             for one in (allowed, *intruders):
                 one.request()
             time.sleep(0.02)
         _, errors = node.communicate()
-    assert len(allowed.received) > 100
-    assert [one.received for one in intruders] == [[], [], []]
+    assert len(allowed.frames) > 100
+    assert all(one.answers == one.frames == [] for one in intruders)
     rejected = read_json(json)["rejected"]
     assert set(rejected) <= {"unknown_key", "not_authentic", "no_key", "handshake", "unexpected"}
-    # Data and control; a peer with a wrong key of the node tries again and again. One without may
-    # hang up before it is refused.
+    # Data and control. A peer with a wrong key of the node repeats its attempts; one without a key
+    # may disconnect before it is refused.
     assert rejected["unknown_key"] >= 2
     assert rejected["not_authentic"] > 5
     assert rejected.get("no_key", 0) + rejected.get("handshake", 0) >= 2

@@ -4,17 +4,8 @@ from pathlib import Path
 
 import pytest
 
+from protocol import errors
 from protocol.cli_options import client_keys, one_line_errors, server_keys
-from protocol.errors import (
-    AddressError,
-    KeyFileError,
-    OutputError,
-    ProtectionError,
-    SceneError,
-    SourceError,
-    TelepulseError,
-    WireError,
-)
 from protocol.host.process import stop_on_signals
 from tests.support.keyring import Keyring
 
@@ -22,18 +13,18 @@ from tests.support.keyring import Keyring
 @pytest.mark.parametrize(
     ("error", "base"),
     [
-        (TelepulseError("of any kind"), Exception),
-        (SceneError("x.toml: no such scene file"), ValueError),
-        (WireError("truncated", "the message ends too early"), ValueError),
-        (AddressError("cannot bind tcp://127.0.0.1:5555"), OSError),
-        (SourceError("x.csv: no such recording"), OSError),
-        (OutputError("x.json: cannot be written: No space left on device"), OSError),
+        (errors.TelepulseError("of any kind"), Exception),
+        (errors.SceneError("x.toml: no such scene file"), ValueError),
+        (errors.WireError("truncated", "the message ends too early"), ValueError),
+        (errors.AddressError("cannot bind tcp://127.0.0.1:5555"), OSError),
+        (errors.SourceError("x.csv: no such recording"), OSError),
+        (errors.OutputError("x.json: cannot be written: No space left on device"), OSError),
     ],
 )
 def test_an_error_of_ours_is_of_a_standard_kind_and_ends_a_command_with_one_line(
-    error: TelepulseError, base: type[Exception], capsys: pytest.CaptureFixture[str]
+    error: errors.TelepulseError, base: type[Exception], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert isinstance(error, TelepulseError)
+    assert isinstance(error, errors.TelepulseError)
     assert isinstance(error, base)
     with pytest.raises(SystemExit) as caught, one_line_errors("display-node"):
         raise error
@@ -87,12 +78,14 @@ def peer(keyring: Keyring) -> Path:
 
 @pytest.mark.parametrize("address", [FAR, "tcp://*:5555", "tcp://wrist.example:5555"])
 def test_a_link_beyond_this_machine_requires_keys_or_insecure(address: str) -> None:
-    with pytest.raises(ProtectionError, match=r"telepulse keys new NAME.*--key.*--insecure") as one:
+    with pytest.raises(
+        errors.ProtectionError, match=r"telepulse keys new NAME.*--key.*--insecure"
+    ) as one:
         server_keys(address, None, None, insecure=False)
     assert str(one.value).startswith(address)
     assert server_keys(address, None, None, insecure=True) is None
     if "*" not in address:
-        with pytest.raises(ProtectionError, match=r"--key .* --peer .*--insecure"):
+        with pytest.raises(errors.ProtectionError, match=r"--key .* --peer .*--insecure"):
             client_keys([NEAR, address], None, None, insecure=False)
         assert client_keys([NEAR, address], None, None, insecure=True) is None
 
@@ -120,18 +113,18 @@ def test_keys_that_do_not_go_together_are_one_line(own: Path, peer: Path, tmp_pa
         (lambda: server_keys(NEAR, None, peer, insecure=False), "needs this node's own key"),
         (lambda: server_keys(FAR, own, tmp_path / "no", insecure=False), "there is no such file"),
     ):
-        with pytest.raises(ProtectionError, match=reason) as caught:
+        with pytest.raises(errors.ProtectionError, match=reason) as caught:
             call()
         assert "\n" not in str(caught.value)
 
 
 def test_key_files_and_addresses_are_looked_at_at_once(own: Path, peer: Path) -> None:
-    with pytest.raises(KeyFileError, match="give the secret one"):
+    with pytest.raises(errors.KeyFileError, match="give the secret one"):
         server_keys(FAR, peer, None, insecure=False)
-    with pytest.raises(KeyFileError, match="never leaves its machine"):
+    with pytest.raises(errors.KeyFileError, match="never leaves its machine"):
         client_keys([FAR], own, own, insecure=False)
     own.with_name("allowed").write_text("nonsense\n")
-    with pytest.raises(KeyFileError, match="line 1"):
+    with pytest.raises(errors.KeyFileError, match="line 1"):
         server_keys(FAR, own, None, insecure=False)
-    with pytest.raises(AddressError, match="not an address"):
+    with pytest.raises(errors.AddressError, match="not an address"):
         client_keys(["wrist:5555"], None, None, insecure=False)

@@ -6,26 +6,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from protocol.counters import (
-    STATE_NAMES,
-    Availability,
-    AvailabilityCounter,
-    InterruptionCounter,
-    Interruptions,
-    LimitCounter,
-    Limited,
-    Limits,
-    availability_text,
-    limit_texts,
-)
+from protocol import counters
 
 TICK_S = 1e-3
 STATES = ["playing", "starting", "stale", "fault", "waiting", "ended"]
 runs = st.lists(st.tuples(st.sampled_from(STATES), st.integers(1, 50)), min_size=1, max_size=300)
 
 
-def counted(*ticks: tuple[str, int]) -> Availability:
-    counter = AvailabilityCounter(TICK_S)
+def counted(*ticks: tuple[str, int]) -> counters.Availability:
+    counter = counters.AvailabilityCounter(TICK_S)
     for state, elapsed in ticks:
         counter.add(state, elapsed)
     return counter.availability(played_ticks=0)
@@ -35,8 +24,8 @@ def counted(*ticks: tuple[str, int]) -> Availability:
 def test_the_shares_are_of_the_whole_time_and_add_up_to_it(ticks: list[tuple[str, int]]) -> None:
     found = counted(*ticks)
     assert found.seconds == pytest.approx(TICK_S * sum(elapsed for _, elapsed in ticks))
-    assert sum(getattr(found, name) for name in STATE_NAMES) == pytest.approx(1.0)
-    text = availability_text(dataclasses.asdict(found))
+    assert sum(getattr(found, name) for name in counters.STATE_NAMES) == pytest.approx(1.0)
+    text = counters.availability_text(dataclasses.asdict(found))
     assert text is not None
     printed = [float(percent) for percent in re.findall(r"(?<!< )(\d+\.\d) %", text)]
     assert sum(printed) == pytest.approx(100.0)
@@ -49,29 +38,30 @@ def test_a_missed_tick_counts_for_no_state() -> None:
 
 def test_a_share_of_0_is_not_printed_and_a_small_one_is_above_0() -> None:
     ticks = [("playing", 1)] * 9_999 + [("stale", 1)]
-    text = availability_text(dataclasses.asdict(counted(*ticks)))
+    text = counters.availability_text(dataclasses.asdict(counted(*ticks)))
     assert text == "felt 100.0 %, stale < 0.1 % of 10.0 s"
 
 
 def test_shares_are_unknown_before_the_first_tick() -> None:
-    assert counted() == Availability()
-    assert availability_text(dataclasses.asdict(Availability())) is None
+    assert counted() == counters.Availability()
+    assert counters.availability_text(dataclasses.asdict(counters.Availability())) is None
 
 
-def interrupted(*ticks: tuple[bool, int]) -> Interruptions:
-    counter = InterruptionCounter(1e-3)
+def interrupted(*ticks: tuple[bool, int]) -> counters.Interruptions:
+    counter = counters.InterruptionCounter(1e-3)
     for full, elapsed in ticks:
         counter.add(full, elapsed)
     return counter.interruptions()
 
 
 def test_interruptions_are_unknown_before_the_first_tick_and_then_0() -> None:
-    assert interrupted() == Interruptions()
-    assert interrupted((False, 1), (False, 1)) == Interruptions(0, 0.0)
+    none = counters.Interruptions(0, 0.0)
+    assert interrupted() == counters.Interruptions()
+    assert interrupted((False, 1), (False, 1)) == none
     # Neither a start nor missed ticks alone are an interruption.
-    assert interrupted((False, 1), (True, 1), (True, 50), (True, 1)) == Interruptions(0, 0.0)
+    assert interrupted((False, 1), (True, 1), (True, 50), (True, 1)) == none
     # One that has not ended does not count.
-    assert interrupted((True, 1), (False, 500)) == Interruptions(0, 0.0)
+    assert interrupted((True, 1), (False, 500)) == none
 
 
 def test_an_interruption_is_from_one_full_tick_to_the_next_and_several_add_up() -> None:
@@ -83,7 +73,7 @@ def test_an_interruption_is_from_one_full_tick_to_the_next_and_several_add_up() 
 
 @given(st.lists(st.booleans()), st.integers(1, 7))
 def test_one_at_a_time_and_in_blocks_count_the_same(limited: list[bool], length: int) -> None:
-    single, blocks = LimitCounter(), LimitCounter()
+    single, blocks = counters.LimitCounter(), counters.LimitCounter()
     for tick in limited:
         single.add(tick)
     for first in range(0, len(limited), length):
@@ -95,23 +85,23 @@ def test_one_at_a_time_and_in_blocks_count_the_same(limited: list[bool], length:
 
 
 def test_the_figures_are_times_seconds_and_the_share_of_the_run() -> None:
-    counter = LimitCounter()
+    counter = counters.LimitCounter()
     for limited in (True, True, False, True):
         counter.add(limited)
-    assert counter.limited(1e-3, 12) == Limited(2, pytest.approx(3e-3), 0.25)
-    assert LimitCounter().limited(1e-3, 0) == Limited(0, 0.0, 0.0)
+    assert counter.limited(1e-3, 12) == counters.Limited(2, pytest.approx(3e-3), 0.25)
+    assert counters.LimitCounter().limited(1e-3, 0) == counters.Limited(0, 0.0, 0.0)
 
 
 def test_each_limit_that_was_reached_is_a_phrase_the_longest_first() -> None:
-    limits = Limits(
-        force=Limited(1, 0.0041, 0.0001),
-        negative=Limited(0, 0.0, 0.0),
-        adc=Limited(312, 4.1, 0.205),
+    limits = counters.Limits(
+        force=counters.Limited(1, 0.0041, 0.0001),
+        negative=counters.Limited(0, 0.0, 0.0),
+        adc=counters.Limited(312, 4.1, 0.205),
     )
-    assert limit_texts(dataclasses.asdict(limits)) == [
+    assert counters.limit_texts(dataclasses.asdict(limits)) == [
         "ADC range 312 times, 4.1 s (20.5 % of the run)",
         "force limit 1 time, 4.1 ms (< 0.1 % of the run)",
     ]
-    assert limit_texts(dataclasses.asdict(Limits())) == []
+    assert counters.limit_texts(dataclasses.asdict(counters.Limits())) == []
     # A recording leaves out the figures that do not apply.
-    assert limit_texts({"force": {}}) == limit_texts({}) == []
+    assert counters.limit_texts({"force": {}}) == counters.limit_texts({}) == []
