@@ -92,15 +92,3 @@ def test_a_file_that_is_no_scene_is_refused(
     path.write_bytes(data)
     for app in (display_node, sensing_node):
         assert str(path) in refused(app, str(path)).replace("\n", "")
-
-
-@settings(max_examples=15)
-@given(data=st.binary(max_size=60) | st.text(",;0123456789.\n", max_size=20).map(str.encode))
-def test_a_file_of_loads_is_read_or_refused(
-    tmp_path_factory: pytest.TempPathFactory, data: bytes
-) -> None:
-    path = tmp_path_factory.getbasetemp() / "loads.csv"
-    path.write_bytes(data)
-    result = CliRunner().invoke(telepulse, ["calibrate", str(path)])
-    assert result.exit_code in (0, 2)
-    assert result.exception is None or isinstance(result.exception, SystemExit)
