@@ -30,8 +30,7 @@ ALLOWED = "allowed"
 BENCH_IS_CLEAR = "Is the bench clear of fingers?"
 
 StopAfterOption = Annotated[
-    float | None,
-    typer.Option(min=0.1, max=LONGEST_S, help="Stop after this long; else at Ctrl-C."),
+    float | None, typer.Option(min=0.1, max=LONGEST_S, help="Stop after this long; else at Ctrl-C.")
 ]
 DurationOption = Annotated[float, typer.Option(min=1, max=LONGEST_S, help="Seconds of pulse.")]
 JsonOption = Annotated[

@@ -67,10 +67,7 @@ def to_txt(announcement: Announcement) -> dict[str, str]:
 
 
 def read_announcement(
-    instance: str,
-    addresses: Sequence[bytes],
-    port: int | None,
-    txt: Mapping[bytes, bytes | None],
+    instance: str, addresses: Sequence[bytes], port: int | None, txt: Mapping[bytes, bytes | None]
 ) -> Announcement:
     """Decode the announcement of an instance of the service.
 

@@ -1,4 +1,4 @@
-"""Nodes that are announced and found: real processes, real multicast DNS."""
+"""Announcement and discovery of nodes by real processes and real multicast DNS."""
 
 import json
 import shutil
@@ -19,7 +19,7 @@ from protocol.host.child_process import ChildProcess
 from telepulse.netem import Namespace, emulate, unavailable
 from telepulse.simulation.link_model import parse_link
 from tests.support.keyring import Keyring
-from tests.support.log_lines import messages, strays
+from tests.support.log_lines import messages, refused, strays
 from tests.support.nodes import RADIAL, ROOT, assert_accounted, read_json, start
 from tests.support.tcp import needs_emulator
 from tests.support.waiting import PATIENCE_S, until
@@ -30,7 +30,7 @@ BIND = "tcp://127.0.0.1:5555"
 
 
 class Place:
-    """Where programs run: a network of their own where that can be had, or this machine's."""
+    """Network for programs: a namespace of their own if permitted, else this machine's."""
 
     def __init__(self, namespace: Namespace | None) -> None:
         self._namespace = namespace
@@ -47,12 +47,12 @@ class Place:
 
     def run(self, module: str, *arguments: str) -> tuple[int, str, str]:
         with self.process(module, *arguments) as child:
-            said, errors = child.communicate(timeout=3 * PATIENCE_S)
-            return child.returncode, said, errors
+            output, errors = child.communicate(timeout=3 * PATIENCE_S)
+            return child.returncode, output, errors
 
     @contextmanager
     def service(self, name: str, port: int, txt: dict[str, str]) -> Iterator[None]:
-        """Something announced on loopback, by whoever."""
+        """Announce a service on loopback within a `with`."""
         info = zeroconf.ServiceInfo(
             *(SERVICE, f"{name}.{SERVICE}"),
             port=port,
@@ -87,7 +87,7 @@ def display(*more: str) -> tuple[str, ...]:
     return (str(RADIAL), "--no-screen", *more)
 
 
-def test_an_announced_node_is_found_until_it_ends_however_it_ends(place: Place) -> None:
+def test_an_announced_node_is_found_until_it_is_killed(place: Place) -> None:
     with place.process(SENSING, str(RADIAL), "--bind", BIND, "--announce") as wrist:
         line = await_line(wrist, "announced as")
         assert line.endswith("at 127.0.0.1")
@@ -98,10 +98,10 @@ def test_an_announced_node_is_found_until_it_ends_however_it_ends(place: Place) 
             assert (one.addresses, one.port, one.fingerprint) == (("127.0.0.1",), 5555, None)
             wrist.send_signal(signal.SIGKILL)
             wrist.wait(PATIENCE_S)
-            # Its announcer says good-bye, or the name would be known for another hour.
+            # Without the announcer's withdrawal, the name would be valid for another hour.
             until(lambda: not look.found)
             assert not look.refused
-        # A display's loop is alone in its process.
+        # No thread of zeroconf stays beside a display's loop.
         assert not [one.name for one in threading.enumerate() if "zeroconf" in one.name]
 
 
@@ -122,14 +122,14 @@ def test_invalid_announcements_are_refused_and_several_nodes_are_listed(
             ThreadPoolExecutor() as pool,
         ):
             either = pool.submit(place.run, DISPLAY, *display("--discover"))
-            status, said, errors = place.run(*listing)
-            # Nobody is there: as with --connect, it may come.
+            status, output, errors = place.run(*listing)
+            # The display has not found the node yet, and waits for it.
             found = await_line(chosen, "found ")
         assert (status, strays(errors)) == (0, "")
         assert found.strip() == f"found 'pulse on right' at {BIND}"
         assert errors.count("not a sensing node: ") == 2
         assert "not a sensing node: older: it has another version" in errors
-        assert "2 sensing nodes announced; refused: 1 malformed, 1 version" in said
+        assert "2 sensing nodes announced; refused: 1 malformed, 1 version" in output
         (table,) = json.loads(json_path.read_text(encoding="utf-8"))["chapters"][0]["tables"]
         assert [row["name"] for row in table["rows"]] == ["pulse on left", "pulse on right"]
 
@@ -142,7 +142,7 @@ def test_invalid_announcements_are_refused_and_several_nodes_are_listed(
 def test_an_announced_node_without_the_right_key_is_refused(place: Place, tmp_path: Path) -> None:
     ring, result = Keyring(tmp_path / "keys"), tmp_path / "display.json"
     ring.allow("finger")
-    # It tells the fingerprint of wrist, at the address of who has another key, and lets us in.
+    # It announces the fingerprint of wrist at the address of a node with another key.
     spoofed = Announcement.of_node("pulse", "spoofed", 5555, ring.pair("wrist").public.key)
     keys = ("--key", ring.path("finger"), "--peer", ring.path("wrist", "pub"))
     impostor = ("--bind", BIND, "--key", ring.path("impostor"), "--quiet")
@@ -152,7 +152,7 @@ def test_an_announced_node_without_the_right_key_is_refused(place: Place, tmp_pa
     ):
         with_keys = display("--discover", *keys, "--json", str(result))
         with place.process(DISPLAY, *with_keys) as finger:
-            # Where no key is given, it is not done without.
+            # A display without keys does not connect to a node with keys.
             status, _, errors = place.run(DISPLAY, *display("--discover"))
             await_line(finger, "found 'pulse on spoofed'")
             await_line(finger, "breaks off: it is not wrist, whose public key --peer gives")
@@ -166,7 +166,7 @@ def test_an_announced_node_without_the_right_key_is_refused(place: Place, tmp_pa
 
 
 @needs_emulator
-def test_over_two_networks_with_keys_it_is_found_on_both(tmp_path: Path) -> None:
+def test_a_node_on_two_networks_is_found_on_both(tmp_path: Path) -> None:
     ring, result = Keyring(tmp_path / "keys"), tmp_path / "display.json"
     ring.allow("finger")
     wrist = ("--bind", "tcp://*:5555", "--key", ring.path("wrist"), "--announce")
@@ -193,7 +193,7 @@ def test_over_two_networks_with_keys_it_is_found_on_both(tmp_path: Path) -> None
     assert summary["rejected"] == {}
 
 
-def test_without_a_network_it_is_one_line() -> None:
+def test_discovery_without_a_network_is_refused() -> None:
     if unavailable() is not None or shutil.which("unshare") is None:
         pytest.skip("needs the right to a network namespace")
     for module, option, word in (
@@ -207,11 +207,7 @@ def test_without_a_network_it_is_one_line() -> None:
         assert word in result.stderr
 
 
-def test_what_does_not_go_together_is_one_line(place: Place, tmp_path: Path) -> None:
-    status, _, errors = place.run(DISPLAY, *display("--discover", "--connect", "tcp://h:1"))
-    assert (status, errors.count("\n")) == (2, 1)
-    assert "choose one" in errors
-    ipc = f"ipc://{tmp_path}/stream"
-    status, _, errors = place.run(SENSING, str(RADIAL), "--bind", ipc, "--announce")
-    assert (status, errors.count("\n")) == (2, 1)
-    assert "is on this machine alone" in errors
+def test_options_that_exclude_each_other_are_refused(tmp_path: Path) -> None:
+    assert "choose one" in refused(DISPLAY, *display("--discover", "--connect", "tcp://h:1"))
+    ipc = ("--bind", f"ipc://{tmp_path}/stream")
+    assert "is on this machine alone" in refused(SENSING, str(RADIAL), *ipc, "--announce")

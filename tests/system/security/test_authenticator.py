@@ -10,7 +10,6 @@ import pytest
 import zmq
 
 from protocol import sockets
-from protocol.errors import KeyFileError
 from protocol.security import authenticator as authenticator_module
 from protocol.security.allow_list import UNREADABLE_AT_MOST_NS, revoke
 from protocol.security.authenticator import TOO_MANY, Authenticator
@@ -239,21 +238,6 @@ def test_all_but_the_node_itself_are_cut_while_the_list_cannot_be_read(
     before, back = len(other.received), publisher.sent
     publisher.poll_until(lambda: own.received[-1] > back)
     assert len(other.received) == before
-
-
-def test_a_list_that_is_removed_allows_nobody(publisher: Publisher, keyring: Keyring) -> None:
-    subscriber = publisher.subscribe(keyring.client("finger"))
-    publisher.poll_until(lambda: subscriber.received)
-    keyring.allowed.unlink()
-    publisher.poll_until(lambda: publisher.rejected["revoked_key"] >= 1)
-
-
-def test_a_list_that_is_unusable_at_the_start_is_an_error(
-    context: Context, keyring: Keyring
-) -> None:
-    keyring.allowed.write_text("nonsense\n")
-    with pytest.raises(KeyFileError):
-        Authenticator(context, keyring.server())
 
 
 def test_no_peer_connects_without_an_answer_of_the_authenticator(

@@ -1,4 +1,4 @@
-"""Strangers without a key, and low resource limits: a node goes on, or does not start."""
+"""Strangers without a key, and low resource limits: a node continues, or does not start."""
 
 import errno
 import os
@@ -33,7 +33,7 @@ SENSING, DISPLAY = "sensing_node.cli", "display_node.cli"
 
 
 def limited(limit: str, value: int, module: str, *arguments: str, umask: int = -1) -> ChildProcess:
-    """Start a module of ours under a resource limit, as `ulimit` sets it."""
+    """Start a module with a scene under a resource limit, as `ulimit` sets it."""
     import resource
 
     return ChildProcess(
@@ -78,7 +78,7 @@ def test_strangers_do_not_end_a_node_that_has_a_priority(
         reader.setsockopt(zmq.RCVTIMEO, 200)
         count = await_state(reader, "playing").summary["samples"]["played"]
         with strangers(port_of(here[0])), strangers(port_of(here[1])):
-            # As long as they are there, and for some time.
+            # While the strangers are connected, and for 2 000 samples more.
             await_status(
                 reader, lambda status: status.summary["rejected"].get("too_many_connections")
             )

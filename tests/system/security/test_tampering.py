@@ -79,7 +79,7 @@ def test_altered_and_replayed_messages_are_refused_and_the_link_recovers(
 
 
 def alter_one(between: Middleman, way: str, alter: Alter) -> None:
-    """Have one message altered."""
+    """Alter one message."""
     once = Once(alter)
     setattr(between, way, once)
     until(lambda: once.done)
@@ -87,7 +87,7 @@ def alter_one(between: Middleman, way: str, alter: Alter) -> None:
 
 
 def alter_until(between: Middleman, alter: Alter, reader: zmq.Socket, cause: str) -> None:
-    """Alter messages until a status counts one: the display may just close the connection."""
+    """Alter messages until a status counts one; the display may close the connection first."""
     for _ in range(ALTERATIONS):
         alter_one(between, "down", alter)
         until_s = time.monotonic() + COUNTED_WITHIN_S
@@ -98,12 +98,12 @@ def alter_until(between: Middleman, alter: Alter, reader: zmq.Socket, cause: str
 
 
 def sent_since(between: Middleman, connections: int) -> int:
-    """Return the bytes that were sent up over the connections after the first so many."""
+    """Return the number of bytes that were sent up over the later connections."""
     return sum(len(up) for _, up in between.recorded[connections:])
 
 
 def replay(between: Middleman, onto: str) -> None:
-    """Send a node all that an allowed display has sent; it must send nothing of the stream."""
+    """Send a node all bytes of an allowed display; it must send nothing of the stream."""
     down, up = max(between.recorded, key=lambda record: len(record[0]))
     received = b""
     with socket.create_connection(("127.0.0.1", port_of(onto)), timeout=2) as again:
@@ -184,7 +184,7 @@ def test_a_nodes_bytes_reflected_to_it_get_no_frame(context: Context, keyring: K
                 back = mirror.recv(1 << 16)
                 mirror.sendall(back)
                 received += back
-    # A greeting that says nothing of the stream.
+    # Only a greeting, without data of the stream.
     assert 0 < len(received) < 100
     until(
         lambda: authenticator.poll(time.monotonic_ns()) or authenticator.rejected["handshake"] == 1
@@ -198,7 +198,7 @@ def subscribed(context: Context, address: str, keyring: Keyring) -> sockets.Sock
 
 
 class Reflector(socketserver.ThreadingTCPServer):
-    """Server that answers each request with what `answer` makes of it."""
+    """Server that answers each request with `answer(request)`."""
 
     daemon_threads = False
 

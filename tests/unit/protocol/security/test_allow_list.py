@@ -10,6 +10,7 @@ from protocol.security.allow_list import AllowList, allow, read_allowed, revoke
 from protocol.security.keys import PublicKey
 
 WRIST, FINGER = PublicKey("wrist", b"\x01" * 32), PublicKey("finger", b"\x02" * 32)
+ADD_A_KEY = "telepulse keys allow FILE.pub adds a key"
 SECONDS_NS = count(0, 1_000_000_000)
 
 
@@ -78,11 +79,12 @@ def test_a_name_that_is_not_listed_cannot_be_revoked(path: Path) -> None:
 )
 def test_an_invalid_list_is_one_line_without_a_key(path: Path, line: str, reason: str) -> None:
     path.write_text(f"{FINGER.line}\n{line}\n", encoding="utf-8")
-    with pytest.raises(KeyFileError) as caught:
-        read_allowed(path)
-    assert reason in str(caught.value)
-    assert "\n" not in str(caught.value)
-    assert WRIST.key.hex()[:16] not in str(caught.value)
+    for read in (read_allowed, AllowList):
+        with pytest.raises(KeyFileError) as caught:
+            read(path)
+        assert reason in str(caught.value)
+        assert "\n" not in str(caught.value)
+        assert WRIST.key.hex()[:16] not in str(caught.value)
 
 
 @pytest.mark.skipif(os.name != "posix", reason="modes are POSIX")
@@ -123,7 +125,10 @@ def test_a_change_is_read_once(path: Path, polled: AllowList, logged: list[str])
     revoke(path, "wrist")
     assert run(polled, 3) == [WRIST.key]
     assert list(polled.allowed) == [FINGER.key]
-    assert logged == ["wrist is no longer allowed"]
+    path.unlink()
+    assert run(polled, 3) == [FINGER.key]
+    assert logged[:2] == ["wrist is no longer allowed", f"{path} allows nobody; {ADD_A_KEY}"]
+    assert logged[2:] == ["finger is no longer allowed"]
 
 
 def test_a_list_is_read_until_readable(path: Path, polled: AllowList, logged: list[str]) -> None:

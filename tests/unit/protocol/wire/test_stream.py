@@ -2,32 +2,17 @@ import math
 from dataclasses import replace
 from typing import Any
 
-import msgpack
 import pytest
 from pydantic import ValidationError
 
 from protocol.config.scene import validate
 from protocol.errors import SceneError, WireError
 from protocol.tactile import ElasticLayer
-from protocol.wire.stream import Channel, LayerTable, StreamDescription, description_from_wire
+from protocol.wire.stream import LayerTable, description_from_wire
 from tests.support.message_examples import DESCRIPTION
 
 WIRE = DESCRIPTION.to_wire()
 LAYER = WIRE["layer"]
-
-
-def test_a_description_is_decoded_as_it_was_encoded() -> None:
-    description = StreamDescription(
-        name="zwei Kanäle",
-        period_ns=500_000,
-        batch=10,
-        channels=(Channel("proximal"), Channel("distal")),
-        layer=ElasticLayer(1e6, 1e-3, 0.45, 0.01),
-        bytes_per_sample=8,
-        group_delay_ns=7_000_000,
-    )
-    received = msgpack.unpackb(msgpack.packb(description.to_wire()))
-    assert description_from_wire(received) == description
 
 
 def test_an_optional_field_has_a_default() -> None:
