@@ -23,7 +23,7 @@ from telepulse.reports.studies.prediction_pulses import Pulse, synthetic_pulses
 LITTLE = LinkEffort(seconds=4, settle_seconds=2, seeds=(1,))
 FAR = "delay=40ms,jitter=1ms"
 STALLS = "delay=40ms,jitter=3ms,loss=1%,transport=tcp"
-OUTCOME = LinkResult(
+RESULT = LinkResult(
     in_phase_n=0.03,
     aligned_n=0.01,
     deviation_n=0.1,
@@ -44,34 +44,28 @@ def made_up() -> LinkScores:
     for predictor in PREDICTORS:
         at_once = 0.01 if predictor == "stack" else 0.06
         curves[predictor] = {
-            0.0: OUTCOME._replace(in_phase_n=at_once, horizon_ms=44.0),
-            40.0: OUTCOME,
-            None: OUTCOME._replace(in_phase_n=0.045, aligned_n=0.0002),
+            0.0: RESULT._replace(in_phase_n=at_once, horizon_ms=44.0),
+            40.0: RESULT,
+            None: RESULT._replace(in_phase_n=0.045, aligned_n=0.0002),
         }
     return LinkScores({"here": curves}, {}, dict.fromkeys(PREDICTORS, 20.0))
 
 
-def test_what_is_not_buffered_is_predicted() -> None:
+def test_the_delay_that_is_not_buffered_is_predicted_and_both_errors_follow() -> None:
     some = {
         delay_ms: run_link(LinkCase(FAR, "linear", delay_ms), LITTLE)
         for delay_ms in (0.0, 20.0, 80.0)
     }
-    for delay_ms, outcome in some.items():
-        assert outcome.delay_ms == pytest.approx(delay_ms, abs=0.5)
+    for delay_ms, result in some.items():
+        assert result.delay_ms == pytest.approx(delay_ms, abs=0.5)
     # A frame's newest sample is on average 2 ms older when it is played than when it came.
     assert some[0.0].horizon_ms == pytest.approx(42, abs=1)
     assert some[20.0].horizon_ms == pytest.approx(22, abs=1)
     assert some[0.0].predicted == 1
     assert some[80.0].horizon_ms == some[80.0].longest_ms == some[80.0].predicted == 0
-
-
-def test_both_errors_follow_the_delay() -> None:
-    hold, linear, buffered = (
-        run_link(LinkCase(FAR, predictor, delay_ms), LITTLE)
-        for predictor, delay_ms in (("hold", 0.0), ("linear", 0.0), ("linear", 80.0))
-    )
-    assert linear.in_phase < hold.in_phase < buffered.in_phase
-    assert buffered.aligned < 0.01 < linear.aligned
+    hold = run_link(LinkCase(FAR, "hold", 0.0), LITTLE)
+    assert some[0.0].in_phase < hold.in_phase < some[80.0].in_phase
+    assert some[80.0].aligned < 0.01 < some[0.0].aligned
     assert hold.in_phase == pytest.approx(hold.aligned, rel=0.01)
     assert hold.in_phase_jnd == pytest.approx(hold.in_phase_n / 0.1 / hold.peak_to_peak_n)
 
@@ -88,11 +82,11 @@ def test_a_faded_pulse_is_not_felt_and_not_scored() -> None:
 
 
 def test_seeds_are_pooled_by_mean_squares_and_the_longest_horizon() -> None:
-    both = pooled([OUTCOME, OUTCOME._replace(in_phase_n=0.04, lost=0.03, longest_ms=70.0)])
+    both = pooled([RESULT, RESULT._replace(in_phase_n=0.04, lost=0.03, longest_ms=70.0)])
     assert both.in_phase_n == pytest.approx(np.sqrt((0.03**2 + 0.04**2) / 2))
     assert both.lost == pytest.approx(0.02)
     assert both.longest_ms == 70
-    assert both.aligned_n == pytest.approx(OUTCOME.aligned_n)
+    assert both.aligned_n == pytest.approx(RESULT.aligned_n)
 
 
 def test_fresh_samples_beat_a_classic_buffer_and_holding_in_every_cell(

@@ -25,10 +25,8 @@ MOST_LATE = 1.1 * LATE
 def test_our_delay_at_its_default_is_within_the_bar(link: str, optimum: str, bar: float) -> None:
     trace = make_trace(link, BURSTS_SECONDS if link == BURSTS else SECONDS)
     delay_ms = trace.delay_ns / 1e6
-    if optimum == CONSTANT:
-        best_ms = best_constant_ms(delay_ms, LATE)
-    else:
-        best_ms = best_moving(delay_ms, LATE).bound_ms
+    constant = optimum == CONSTANT
+    best_ms = best_constant_ms(delay_ms, LATE) if constant else best_moving(delay_ms, LATE).bound_ms
     played = play(DelayEstimator(LATE, max_slew=math.inf), trace)
     assert played.late < MOST_LATE
     assert played.delay_ms <= bar * best_ms

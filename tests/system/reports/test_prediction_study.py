@@ -74,10 +74,10 @@ def test_every_target_is_judged_on_its_own_set() -> None:
     assert [result.target for result in verdicts] == list(TARGETS)
     for result in verdicts:
         assert result.ours[0] == (9.0 if result.target.where == "ramp" else 0.1)
-    without_medians = [
-        result.target for result in compare_targets(scores.errors_without_shape_cue, {})
+    without_medians = compare_targets(scores.errors_without_shape_cue, {})
+    assert [result.target for result in without_medians] == [
+        target for target in TARGETS if target.where != MEDIAN
     ]
-    assert without_medians == [target for target in TARGETS if target.where != MEDIAN]
 
 
 def test_the_report_counts_reached_targets_and_gives_the_excess_of_others() -> None:

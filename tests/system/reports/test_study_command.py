@@ -98,7 +98,7 @@ def no_work(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.usefixtures("no_work")
 @pytest.mark.parametrize("name", ["integrators", "playout"])
 @pytest.mark.parametrize("option", ["--out", "--json"])
-def test_what_cannot_be_written_is_one_line_before_the_work(
+def test_an_unwritable_path_is_one_line_before_the_work(
     name: str, option: str, tmp_path: Path
 ) -> None:
     file = tmp_path / "file"

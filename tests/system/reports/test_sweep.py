@@ -48,10 +48,11 @@ def cluster() -> Iterator[str]:
         yield address
 
 
-def test_results_come_in_the_order_of_the_cases_however_long_each_takes() -> None:
+def test_results_come_in_the_order_of_the_cases_from_workers_of_one_thread() -> None:
     # The first case takes far longer than the second.
     assert sweep(math.factorial, [60_000, 3, 2]) == [math.factorial(60_000), 6, 2]
     assert sweep(math.sqrt, []) == []
+    assert sweep(os.getenv, [THREADS] * 3) == ["1"] * 3
 
 
 def test_a_function_runs_elsewhere_with_one_thread_and_the_environment_stays(
@@ -70,18 +71,11 @@ def test_an_error_of_one_thread_is_raised_here() -> None:
         in_one_thread(find_scene, "nowhere")
 
 
-def test_every_worker_has_one_thread() -> None:
-    assert sweep(os.getenv, [THREADS] * 3) == ["1"] * 3
-
-
-def test_all_cores_and_a_cluster_find_what_one_process_finds(cluster: str) -> None:
+def test_all_cores_and_a_cluster_find_the_results_of_one_process(cluster: str) -> None:
     alone = [play_little(case) for case in CASES]
-    assert len({outcome.in_phase_n for outcome in alone}) == len(CASES)
+    assert len({result.in_phase_n for result in alone}) == len(CASES)
     assert sweep(play_little, CASES) == alone
     assert sweep(play_little, CASES, cluster) == alone
-
-
-def test_a_study_is_the_same_on_a_cluster(cluster: str) -> None:
     assert score_playout(LITTLE, cluster) == score_playout(LITTLE)
 
 
