@@ -10,7 +10,7 @@ from display_node.scene import DisplayScene
 from protocol.cli_options import BENCH_IS_CLEAR, LogLevelOption, one_line_errors, plain_console
 from protocol.config.quantities import parse_quantity
 from protocol.config.scene import Section, load_section
-from protocol.config.scene_file import find_scene
+from protocol.config.scene_file import find_scene, to_toml
 from protocol.errors import SceneError
 from protocol.host.output import check_writable, configure_logging
 from protocol.provenance import collect
@@ -72,8 +72,8 @@ def bench(
     """
     # Imported here: scipy takes long to import, and other commands do without.
     from telepulse.commissioning import bench_check
-    from telepulse.commissioning.scene_edit import as_toml, check_editable, write_scene
-    from telepulse.commissioning.tuning import as_toml as gains_as_toml
+    from telepulse.commissioning.scene_edit import check_editable, write_scene
+    from telepulse.commissioning.tuning import as_toml
 
     console, findings = plain_console(json=json), bench_check.BenchFindings()
 
@@ -104,11 +104,12 @@ def bench(
 
     publish(check, out, json)
     if findings.changes:
-        console.print("\nfound, as keys of the scene:\n\n" + as_toml(findings.changes))
+        found = to_toml({"display": findings.changes})
+        console.print("\nfound, as keys of the scene:\n\n" + found, end="")
         if write is None:
             console.print("\n--write SCENE.toml writes a copy of the scene with them")
     if findings.designs is not None and findings.designs[0].worst.unfit is not None:
-        console.print("\ngains for it:\n\n" + gains_as_toml(findings.designs[1].controller))
+        console.print("\ngains for it:\n\n" + as_toml(findings.designs[1].controller))
     if write is not None and findings.changes:
         with one_line_errors(PROGRAM):
             write_scene(find_scene(scene), write, findings.changes, findings.note)

@@ -26,7 +26,6 @@ from telepulse.commissioning.press import (
     through_film,
 )
 from telepulse.commissioning.rig import Rig
-from telepulse.commissioning.scene_edit import Changes
 from telepulse.commissioning.sensor_check import Check, grade, with_warning
 
 MAX_LATENCY_S = 0.05
@@ -54,8 +53,8 @@ class ActuatorFindings:
         Commands of the staircase, after the film's filter.
     contact : ContactFit or None
         The contact under a stepper.
-    changes : Changes
-        Keys of the scene that the press determines.
+    keys : dict
+        Keys of [display.actuator] that the press determines.
     """
 
     pressed: PressRecorder
@@ -63,7 +62,7 @@ class ActuatorFindings:
     identified: IdentifiedModel
     contact: ContactFit | None
     checks: tuple[Check, ...]
-    changes: Changes
+    keys: dict[str, float | str]
 
 
 def check_actuator(
@@ -85,15 +84,15 @@ def check_actuator(
     """
     pressed = PressRecorder(rig, GUARD * force_n, scene.safety.feedback_within_ns * 1e-9)
     actuator, film = scene.actuator, scene.film
+    keys: dict[str, float | str] = {}
     if isinstance(actuator, SecondOrderScene):
         press_voltage(pressed, actuator, force_n)
         command = through_film(pressed.command(pressed.stairs, held=True), film)
         identified = identify(command, *pressed.film(pressed.stairs), MAX_LATENCY_S)
-        keys = {key: f"{value:.4g}" for key, value in zip("mck", identified.values, strict=False)}
-        changes = {"display.actuator": keys} if _fits(identified) else {}
-        return ActuatorFindings(
-            pressed, command, identified, None, (_check_fit(identified),), changes
-        )
+        if _fits(identified):
+            values = zip("mck", identified.values, strict=False)
+            keys = {key: float(f"{value:.4g}") for key, value in values}
+        return ActuatorFindings(pressed, command, identified, None, (_check_fit(identified),), keys)
     press_stepper(pressed, actuator, force_n)
     # Filtered from the beginning of the press, so that the filter has settled by the staircase.
     begin_s = pressed.commanded_s[0]
@@ -112,16 +111,15 @@ def check_actuator(
     latency, plausible = check_latency(
         actuator, identified, contact, latency_s, line_latency_s=line_latency_s, tick_s=rig.tick_s
     )
-    changes = {}
     if _fits(identified):
-        changes = _changes(actuator, identified, contact, latency_s if plausible else None)
+        keys = _keys(actuator, identified, contact, latency_s if plausible else None)
     checks = (
         _check_fit(identified),
         _check_travel(identified),
         *check_contact(actuator, contact),
         latency,
     )
-    return ActuatorFindings(pressed, command, identified, contact, checks, changes)
+    return ActuatorFindings(pressed, command, identified, contact, checks, keys)
 
 
 def _fits(identified: IdentifiedModel) -> bool:
@@ -150,21 +148,21 @@ def _rotor_determined(identified: IdentifiedModel, contact: ContactFit) -> bool:
     return not {"m", "c"} & set(identified.undetermined) and not contact.has_backlash
 
 
-def _changes(
+def _keys(
     actuator: StepperScene,
     identified: IdentifiedModel,
     contact: ContactFit,
     latency_s: float | None,
-) -> Changes:
-    keys = {"fingertip": f'"{contact.finger_n_per_m:.4g} N/m"'}
+) -> dict[str, float | str]:
+    keys: dict[str, float | str] = {"fingertip": f"{contact.finger_n_per_m:.4g} N/m"}
     if contact.has_backlash and contact.backlash_m > actuator.step_m:
-        keys["backlash"] = f'"{contact.backlash_m * 1e6:.3g} µm"'
+        keys["backlash"] = f"{contact.backlash_m * 1e6:.3g} µm"
     if _rotor_determined(identified, contact):
-        keys["rotor_resonance"] = f'"{identified.model.resonance_hz:.4g} Hz"'
-        keys["rotor_damping"] = f"{identified.model.damping:.3g}"
+        keys["rotor_resonance"] = f"{identified.model.resonance_hz:.4g} Hz"
+        keys["rotor_damping"] = float(f"{identified.model.damping:.3g}")
     if latency_s is not None:
-        keys["latency"] = f'"{max(0.0, latency_s) * 1e3:.3g} ms"'
-    return {"display.actuator": keys}
+        keys["latency"] = f"{max(0.0, latency_s) * 1e3:.3g} ms"
+    return keys
 
 
 def _check_fit(identified: IdentifiedModel) -> Check:

@@ -2,7 +2,6 @@
 
 import math
 import sys
-import tomllib
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
@@ -35,7 +34,7 @@ from telepulse.commissioning.rig import (
     exchange_s,
     listen,
 )
-from telepulse.commissioning.scene_edit import Changes, as_toml
+from telepulse.commissioning.scene_edit import Changes
 from telepulse.commissioning.sensor_check import Check, SensorRecord, grade, judge_sensor, measure
 from telepulse.commissioning.tuning import MOST_SENSITIVITY, Design, design, judge, report_design
 from telepulse.reports.document import Chapter, Plot, Report, Table
@@ -90,8 +89,8 @@ class BenchFindings:
         """Add the checks and the changes of an identified actuator."""
         self.actuator = actuator
         self.add("actuator", *actuator.checks)
-        for table, keys in actuator.changes.items():
-            self.changes.setdefault(table, {}).update(keys)
+        if actuator.keys:
+            self.changes["actuator"] = actuator.keys
 
     def add_still(self, part: str, record: SensorRecord, nominal_hz: float, live: bool) -> float:
         """Add the checks of a sensor; return the largest age of its newest sample, in s."""
@@ -194,7 +193,7 @@ def _check_drive(
                 raise
             # Whole ticks: at this age a sample has always arrived when the loop reads it.
             latency_s = min(math.ceil(age_s / tick_s) * tick_s, FILM_AGE_FAIL_S)
-            findings.changes["display.film"] = {"latency": f'"{latency_s * 1e3:g} ms"'}
+            findings.changes["film"] = {"latency": f"{latency_s * 1e3:g} ms"}
             findings.add_actuator(found)
         # Superseded commands are normal on a line that is slower than the loop.
         for name, count in sorted((drive.counts - Counter(superseded=sys.maxsize)).items()):
@@ -220,7 +219,7 @@ def check_loop(findings: BenchFindings, path: Path) -> None:
     """Check the margins of the scene's gains on the identified actuator, where there is one."""
     if findings.actuator is None:
         return
-    changed = merge(load_document(path), tomllib.loads(as_toml(findings.changes)))
+    changed = merge(load_document(path), {"display": findings.changes})
     try:
         found = validate(changed["display"], DisplayScene, f"{path}: [display]")
     except SceneError as error:

@@ -4,12 +4,12 @@ import re
 import tomllib
 from pathlib import Path
 
-from protocol.config.scene_file import EXTENDS, load_toml, scene_names
+from protocol.config.scene_file import EXTENDS, load_toml, scene_names, to_toml
 from protocol.errors import SceneError
 from protocol.host.output import write_whole
 
-Changes = dict[str, dict[str, str]]
-"""Keys and their TOML values by table, such as {"display.film": {"latency": '"4 ms"'}}."""
+Changes = dict[str, dict[str, float | str]]
+"""Keys and values by table of [display], such as {"film": {"latency": "4 ms"}}."""
 
 
 def set_keys(text: str, changes: Changes) -> str:
@@ -21,15 +21,15 @@ def set_keys(text: str, changes: Changes) -> str:
     lines = text.splitlines()
     for table, keys in changes.items():
         for key, value in keys.items():
-            _set(lines, table, key, value)
+            text_of_value = to_toml({"x": value}).strip().removeprefix("x = ")
+            _set(lines, f"display.{table}", key, text_of_value)
     edited = "\n".join(lines) + "\n"
+    display = tomllib.loads(edited).get("display", {})
     for table, keys in changes.items():
-        found = tomllib.loads(edited)
-        for name in table.split("."):
-            found = found.get(name, {})
-        for key, value in keys.items():
-            if found.get(key) != tomllib.loads(f"x = {value}")["x"]:
-                raise SceneError(f"[{table}] is not written as a table of its own: set it by hand")
+        if not keys.items() <= display.get(table, {}).items():
+            raise SceneError(
+                f"[display.{table}] is not written as a table of its own: set it by hand"
+            )
     return edited
 
 
@@ -46,11 +46,9 @@ def check_editable(path: Path, target: Path | None) -> None:
             f"{target}: the copy would not find {parent!r}, which {path} extends by a relative"
             f" path; write the copy to the folder {path.parent}"
         )
-    latency = {"latency": '"1 ms"'}
+    tried: Changes = {"actuator": {"latency": "1 ms"}, "film": {"latency": "1 ms"}}
     try:
-        set_keys(
-            path.read_text(encoding="utf-8"), {"display.actuator": latency, "display.film": latency}
-        )
+        set_keys(path.read_text(encoding="utf-8"), tried)
     except (tomllib.TOMLDecodeError, AttributeError):
         raise _not_editable(path) from None
 
@@ -65,15 +63,6 @@ def write_scene(source: Path, target: Path, changes: Changes, note: str = "") ->
     except tomllib.TOMLDecodeError:
         raise _not_editable(source) from None
     write_whole(target, edited + (note and note + "\n"))
-
-
-def as_toml(changes: Changes) -> str:
-    """Return the changes as a scene has them."""
-    tables = (
-        "\n".join([f"[{table}]", *(f"{key} = {value}" for key, value in keys.items())])
-        for table, keys in changes.items()
-    )
-    return "\n\n".join(tables)
 
 
 def _not_editable(path: Path) -> SceneError:
@@ -97,7 +86,7 @@ def _set(lines: list[str], table: str, key: str, value: str) -> None:
     for at in range(begin + 1, end):
         match = assigned.fullmatch(lines[at])
         if match is not None:
-            lines[at] = match.group(1) + value + match.group(3)
+            lines[at] = match[1] + value + match[3]
             return
     while end > begin + 1 and not lines[end - 1].strip():
         end -= 1

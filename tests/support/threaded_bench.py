@@ -105,8 +105,7 @@ class ThreadedBench:
         world, patches = self.world, self._patches
         patches.enter_context(world.substituted(VIRTUAL))
         if isinstance(self.drive_scene, Cia402Scene):
-            line = cia402_line(world, self.drive_scene, self.motor)
-            patches.enter_context(line)
+            patches.enter_context(cia402_line(world, self.drive_scene, self.motor))
         else:
             assert isinstance(self.drive_scene, TmclScene)
             patches.enter_context(tmcl_line(world, self.drive_scene, self.motor))
@@ -202,7 +201,7 @@ class ThreadedBench:
             self._tick(tick.due_ns, tick.elapsed_ticks)
 
     def _receive(self, now_ns: int) -> None:
-        """Receive: a waiting loop when a message arrives, a stalled one when it wakes."""
+        """Receive messages when they arrive, or when a stalled loop wakes."""
         display, woke_ns = self.display, self.loop.resumes_ns if self.loop is not None else 0
         while self._frames and self._frames[0][0] <= now_ns:
             arrived_ns, data = self._frames.popleft()

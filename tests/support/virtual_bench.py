@@ -6,45 +6,37 @@ homing. `threaded_bench.py`, with the real threads, takes 1.7 times as long for 
 
 from collections import Counter
 from collections.abc import Callable
-from dataclasses import dataclass, field
-from pathlib import Path
+from dataclasses import dataclass
 
 from display_node.display import Display
 from display_node.drives.axis import Axis, build_axis
 from display_node.drives.supervisor import DriveStatus, Supervisor
 from display_node.plant.stepper import StepperScene
 from display_node.scene import DisplayScene
-from protocol.config.scene import load_section
 from protocol.wire.telemetry import TickState
 from pulse_sensors.samples import SampleBlock, Timestamper, one_channel
 from telepulse.emulators.drive_run import FRAME
 from telepulse.emulators.motor import EmulatedMotor, MotorState
-from tests.support.sender import MS, Sender
+from tests.support.sender import MS, Sender, display_scene
 
-SCENES = Path(__file__).parents[2] / "scenes"
 BATCH = 5
 TICK_MS = 2
 FIRST_MS = 20
-WAY_NS = 2 * MS
+NETWORK_NS = 2 * MS
 DELIVERY_NS = MS // 4
 # 1 mm/s of the scene's actuator.
 TOUCHING_HZ = 1_600.0
 
 
 class VirtualDrive:
-    """A drive that obeys `late_ns` after a command, supervised as the product's drives are.
-
-    obeys: commands reach it. answers: its reports are received.
-    """
+    """A drive that obeys `late_ns` after a command, supervised as the product's drives are."""
 
     def __init__(self, motor: EmulatedMotor, axis: Axis, late_ns: int, watchdog_ns: int) -> None:
         self.motor, self._axis, self._late_ns = motor, axis, late_ns
         self.now_ns = self.reaches_ns = 0
         self.supervisor = Supervisor(axis, watchdog_ns)
         self.counts: Counter[str] = Counter()
-        self.commands: list[float] = []
         self.closed = False
-        self.obeys = self.answers = True
         self.arm()
 
     def arm(self) -> None:
@@ -88,8 +80,7 @@ class VirtualDrive:
     def _read_reports(self) -> None:
         motor = self.motor
         motor.advance(self.now_ns)
-        if self.answers:
-            self.supervisor.add_position(motor.tip_m, self.now_ns)
+        self.supervisor.add_position(motor.tip_m, self.now_ns)
         if motor.fault:
             self.supervisor.fail(f"fault: {motor.fault}", self.now_ns)
 
@@ -97,16 +88,13 @@ class VirtualDrive:
         sent_ns = max(self.now_ns, self.reaches_ns)
         velocity = self.supervisor.velocity(sent_ns)
         self.supervisor.sent(velocity, sent_ns)
-        if not self.obeys:
-            return
         self.motor.advance(sent_ns + self._late_ns)
         self.motor.feed()
-        self.commands.append(velocity * self._axis.units.step_m)
         self.motor.run(velocity)
 
 
 class VirtualFilm:
-    """The film's sensor: four samples a frame, which take a while to come."""
+    """The film's sensor: four samples a frame, received `DELIVERY_NS` after the last one."""
 
     def __init__(self, motor: EmulatedMotor, timestamper: Timestamper) -> None:
         self._motor, self._timestamper = motor, timestamper
@@ -136,15 +124,14 @@ class VirtualFilm:
 
 @dataclass
 class VirtualBench:
-    """A bench on which conditions change between two runs: `sending`, `drive`, `film`, and which
-    threads of the display's process run: `loop_runs`, `thread_runs` (the drive's), and which wakes
-    first.
+    """A bench on which conditions are changed between two runs.
 
-    moments: of the motor, every ms; felt: of the display's ticks, with their times.
+    force_n: the pulse, by ms. loop_runs, thread_runs: the loop and the drive's thread are not
+    stalled. loop_first: of the two, the loop wakes first. moments: states of the motor, every ms.
+    felt: time, target and felt force of each tick.
     """
 
     force_n: Callable[[float], float]
-    changes: dict[str, object] = field(default_factory=dict)
     sending: bool = True
     loop_runs: bool = True
     thread_runs: bool = True
@@ -152,8 +139,7 @@ class VirtualBench:
     command_late_ns: Callable[[int], int] = lambda _: 0
 
     def __post_init__(self) -> None:
-        scene = load_section(SCENES / "tmcl_bench.toml", "display", DisplayScene)
-        self.scene = scene = scene.model_copy(update=self.changes)
+        self.scene = scene = display_scene("tmcl_bench")
         assert scene.feedback is not None
         motor, axis = at_touch(scene)
         self.moments: list[MotorState] = []
@@ -182,7 +168,7 @@ class VirtualBench:
             now_ns = self.now_ms * MS
             if self.sending and self.now_ms % BATCH == 0:
                 forces_n = [self.force_n(self.now_ms - BATCH + 1 + i) for i in range(BATCH)]
-                self._waiting.append((now_ns + WAY_NS, self.sender.frame_of(now_ns, forces_n)))
+                self._waiting.append((now_ns + NETWORK_NS, self.sender.frame_of(now_ns, forces_n)))
             while self._waiting and self._waiting[0][0] <= now_ns:
                 self.display.on_frame(self._waiting.pop(0)[1], now_ns)
             self.drive.motor.advance(now_ns)
@@ -229,7 +215,7 @@ class VirtualBench:
 
 
 def at_touch(scene: DisplayScene) -> tuple[EmulatedMotor, Axis]:
-    """The motor, at time 0 at rest where the tip first touches, and its axis."""
+    """Return the motor, at rest at first touch at time 0, and its axis."""
     actuator, drive, layer = scene.actuator, scene.drive, scene.layer.layer()
     assert isinstance(actuator, StepperScene)
     assert drive is not None
@@ -243,7 +229,7 @@ def at_touch(scene: DisplayScene) -> tuple[EmulatedMotor, Axis]:
 
 
 def to_touch(motor: EmulatedMotor, now_ns: int) -> int:
-    """Bring the tip off the finger, and to first touch; when it is there."""
+    """Move the tip off the finger, then to first touch; return the time of the touch."""
     for rate_hz in (-TOUCHING_HZ, TOUCHING_HZ):
         motor.run(rate_hz)
         while (motor.tip_m < 0) is (rate_hz > 0):

@@ -25,7 +25,8 @@ from protocol.errors import DriveError, SceneError
 from tests.support.drive_benches import tmcl_scene
 from tests.support.log_lines import strays
 from tests.support.nodes import ROOT, free_address
-from tests.support.virtual_bench import SCENES, VirtualBench
+from tests.support.sender import SCENES
+from tests.support.virtual_bench import VirtualBench
 from tests.system.commissioning.test_bench_command import drive_scene
 
 DRIVES = ROOT / "display_node" / "drives"

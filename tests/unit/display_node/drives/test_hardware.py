@@ -11,12 +11,11 @@ import pytest
 from display_node.drives.supervisor import DriveStatus
 from display_node.drives.withdrawal import WithdrawalOutcome
 from display_node.scene import DisplayScene
-from protocol.config.scene import load_section
 from protocol.errors import SceneError, SourceError
 from pulse_sensors.samples import SampleBlock
-from tests.support.sender import MS, Sender
+from tests.support.sender import MS, Sender, display_scene
 from tests.support.streams import synthetic
-from tests.support.virtual_bench import SCENES, TICK_MS, VirtualBench
+from tests.support.virtual_bench import TICK_MS, VirtualBench
 from tests.support.virtual_time import VirtualTime
 
 Pulse = Callable[[float], float]
@@ -283,7 +282,7 @@ def test_closing_withdraws_the_tip(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture
 def scene() -> DisplayScene:
-    return load_section(SCENES / "tmcl_bench.toml", "display", DisplayScene)
+    return display_scene("tmcl_bench")
 
 
 class QuietFilm:
