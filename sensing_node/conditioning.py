@@ -104,7 +104,13 @@ class Conditioned:
         force_n = self._source.take(count)
         if not len(force_n):
             return force_n
-        volts = self._filtered(self._calibration.volts(force_n))
+        volts = self._calibration.volts(force_n)
+        if len(self._filter):
+            from scipy.signal import sosfilt, sosfilt_zi
+
+            if self._state is None:
+                self._state = sosfilt_zi(self._filter)[:, :, np.newaxis] * volts[0]
+            volts, self._state = sosfilt(self._filter, volts, axis=0, zi=self._state)
         self._taken += len(force_n)
         if self._adc is not None:
             self._clipped.add_all(np.asarray(self._adc.clips(volts).any(axis=1)))
@@ -123,17 +129,6 @@ class Conditioned:
         if self._adc is None:
             return Limits()
         return Limits(adc=self._clipped.limited(self.period_ns * 1e-9, self._taken))
-
-    def _filtered(self, volts: NDArray[np.float64]) -> NDArray[np.float64]:
-        if not len(self._filter):
-            return volts
-        from scipy.signal import sosfilt, sosfilt_zi
-
-        if self._state is None:
-            self._state = sosfilt_zi(self._filter)[:, :, np.newaxis] * volts[0]
-        filtered: NDArray[np.float64]
-        filtered, self._state = sosfilt(self._filter, volts, axis=0, zi=self._state)
-        return filtered
 
 
 def faults_of(source: object) -> list[str]:

@@ -2,7 +2,7 @@
 
 import logging
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -20,8 +20,6 @@ from sensing_node.sources.recorded import RecordedSource, RecordingScene
 from sensing_node.sources.synthetic import SyntheticScene, SyntheticSource
 
 logger = logging.getLogger(__name__)
-
-_WIDTHS: dict[str, Literal[4, 8]] = {"float32": 4, "float64": 8}
 
 
 class SensingScene(Section):
@@ -52,17 +50,14 @@ def open_source(scene: SensingScene, folder: Path) -> Iterator[Source]:
 
     folder: folder of the scene's file. Raises SourceError or SceneError.
     """
-    if not isinstance(scene.source, SensorTable):
-        source = build_source(scene, folder)
-        for warning in faults_of(source):
-            logger.warning(warning)
-        yield source
+    if isinstance(scene.source, SensorTable):
+        with closing(open_sensor(scene.source, folder)) as sensor:
+            yield LiveSource(sensor)
         return
-    sensor = open_sensor(scene.source, folder)
-    try:
-        yield LiveSource(sensor)
-    finally:
-        sensor.close()
+    source = build_source(scene, folder)
+    for warning in faults_of(source):
+        logger.warning(warning)
+    yield source
 
 
 def build_source(scene: SensingScene, folder: Path, plausible: bool = True) -> SampleSource:
@@ -95,6 +90,6 @@ def describe_stream(scene: SensingScene, source: Source) -> StreamDescription:
         batch=batch,
         channels=source.channels,
         layer=scene.layer.layer(),
-        bytes_per_sample=_WIDTHS[scene.samples],
+        bytes_per_sample=8 if scene.samples == "float64" else 4,
         group_delay_ns=source.group_delay_ns if isinstance(source, Conditioned) else 0,
     )

@@ -7,6 +7,7 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from importlib.resources import files
 from typing import Any
 
@@ -231,7 +232,8 @@ class Cia402Node:
         except DriveError as error:
             self.counts[f"not disabled: {error.kind}"] += 1
         # Errors of a bus that is already gone are counted.
-        for leave in (self._rest, self._network.disconnect):
+        rest = partial(setattr, self._node.nmt, "state", "PRE-OPERATIONAL")
+        for leave in (rest, self._network.disconnect):
             try:
                 leave()
             except Exception:
@@ -277,9 +279,6 @@ class Cia402Node:
     def _acceleration(self) -> int:
         per_second = self._scene.velocity_scale / self._axis.units.step_m
         return min(round(self._axis.max_acceleration_m_per_s2 * per_second), 0xFFFF_FFFF)
-
-    def _rest(self) -> None:
-        self._node.nmt.state = "PRE-OPERATIONAL"
 
     def _select(self, mode: Mode) -> None:
         """Set a mode of operation, and check that the drive accepts it."""

@@ -19,20 +19,20 @@ START_NS = 77_000_000_123
 def block(
     first: float, values: NDArray[np.float64], missing: int = 0, period_ms: float = 1
 ) -> SampleBlock:
-    """Samples from `first` ms after the start on."""
+    """Return samples from `first` ms after the start on."""
     first_ns, count = START_NS + round(first * MS), len(values)
     end_ns = first_ns + round(count * period_ms * MS)
     return SampleBlock(values.reshape(count, -1), missing, first_ns, end_ns)
 
 
 def counting(first: int, count: int, channels: int = 1) -> SampleBlock:
-    """Sample number i has the values i, i + 0.25, ... and is of START_NS + i ms."""
+    """Return samples of which number i has the values i, i + 0.25, ... at START_NS + i ms."""
     numbers = np.arange(first, first + count, dtype=np.float64)
     return block(first, numbers[:, np.newaxis] + 0.25 * np.arange(channels))
 
 
 class CountingSource:
-    """Sample number i has the value i; there are `length` of them."""
+    """A source of `length` samples; number i has the value i."""
 
     channels = (Channel("pulse"),)
     period_ns = MS
@@ -57,14 +57,14 @@ def numbers(found: SampleBlock | None) -> list[float]:
     ("after_ns", "count"),
     [(-MS, 0), (-1, 0), (0, 1), (MS - 1, 1), (MS, 2), (9 * MS, 10), (100 * MS - 1, 100)],
 )
-def test_samples_fall_due_one_a_period_from_the_start_on(after_ns: int, count: int) -> None:
+def test_one_sample_is_due_each_period(after_ns: int, count: int) -> None:
     assert numbers(paced().read(START_NS + after_ns)) == list(range(count))
 
 
 @given(st.lists(st.integers(-MS, 20 * MS), max_size=20))
-def test_however_a_source_is_read_every_sample_comes_once_at_its_time(after_ns: list[int]) -> None:
+def test_every_sample_comes_once_at_its_time_with_any_reads(after_ns: list[int]) -> None:
     source, seen = paced(), 0
-    # The clock may as well step back.
+    # The clock may also step back.
     for after in (*sorted(after_ns), 3 * MS):
         found = source.read(START_NS + after)
         assert numbers(found) == list(range(seen, max(seen, after // MS + 1)))
@@ -76,7 +76,7 @@ def test_however_a_source_is_read_every_sample_comes_once_at_its_time(after_ns: 
 
 
 @pytest.mark.parametrize(("length", "reads"), [(7, [5, 2, 0]), (5, [5, 0])])
-def test_a_source_that_ends_gives_its_rest_and_is_exhausted(length: int, reads: list[int]) -> None:
+def test_a_source_returns_its_rest_and_is_exhausted(length: int, reads: list[int]) -> None:
     source = paced(length)
     for read in reads:
         assert not source.exhausted or not read
@@ -86,7 +86,7 @@ def test_a_source_that_ends_gives_its_rest_and_is_exhausted(length: int, reads: 
 
 
 class GivenSensor(Sensor):
-    """A sensor that gives these blocks."""
+    """A sensor with given blocks in each poll."""
 
     def __init__(self, *polls: list[SampleBlock]) -> None:
         self.period_ns = MS
@@ -107,7 +107,7 @@ def live(*blocks: SampleBlock) -> LiveSource:
     return LiveSource(GivenSensor(list(blocks)))
 
 
-def test_blocks_of_a_sensor_that_follow_one_another_are_joined() -> None:
+def test_contiguous_blocks_of_a_sensor_are_joined() -> None:
     source = live(block(5, np.array([0.1, 0.2])), block(7, np.array([0.3]), period_ms=1.3))
     found = source.read(0)
     assert found is not None
@@ -131,8 +131,10 @@ def test_a_gap_of_a_sensor_ends_a_block_and_keeps_its_sequence_numbers() -> None
     assert framer.samples_sent == 14
 
 
-def test_a_sensor_is_read_once_a_batch_and_its_account_is_passed_on() -> None:
+def test_a_live_sensor_is_its_own_feed_with_its_counts_and_faults() -> None:
     source = live()
+    assert feed_of(source, 7) is source
+    assert isinstance(feed_of(synthetic(), 7), PacedSource)
     assert source.due_ns(1) == MS
     source.read(50 * MS)
     assert source.due_ns(5) == 55 * MS
@@ -146,7 +148,7 @@ def frame(first: int, count: int = 5, late_ns: int = 0, period_ns: int = MS) -> 
 
 
 def replayed(*frames: Frame) -> list[SampleBlock]:
-    """All blocks, read at the instants at which they fall due."""
+    """Return all blocks, each read when it is due."""
     replay = ReplaySource(description(), frames)
     assert feed_of(replay, START_NS) is replay
     blocks = []
@@ -164,7 +166,7 @@ def framed(blocks: list[SampleBlock]) -> list[Frame]:
     return [frame for found in blocks for frame in framer.frames(found)]
 
 
-def test_a_replay_sends_the_same_frames_from_a_new_start() -> None:
+def test_a_replay_returns_the_same_frames_from_a_new_start() -> None:
     frames = [frame(20), frame(25, 3), frame(28)]
     for before, after in zip(frames, framed(replayed(*frames)), strict=True):
         assert after.values.tobytes() == before.values.tobytes()
@@ -172,7 +174,7 @@ def test_a_replay_sends_the_same_frames_from_a_new_start() -> None:
         assert after.t_first_ns - START_NS == before.t_first_ns - frames[0].t_first_ns
 
 
-def test_a_replay_keeps_jitter_and_gaps_and_leaves_repetitions_out() -> None:
+def test_a_replay_keeps_jitter_and_gaps_and_omits_repetitions() -> None:
     first, second = replayed(frame(0), frame(5, late_ns=70_000, period_ns=MS + 300))
     assert second.first_ns - first.first_ns == 5 * MS + 70_000
     assert second.period_ns == MS + 300
@@ -184,12 +186,6 @@ def test_a_replay_keeps_jitter_and_gaps_and_leaves_repetitions_out() -> None:
     np.testing.assert_array_equal(values.astype("<f4"), frame(0, 8).values[:, 0])
     assert repeated[1].first_ns - repeated[0].first_ns == 5 * MS
     assert replayed() == []
-
-
-def test_a_live_sensor_is_its_own_feed_and_known_samples_are_paced() -> None:
-    source = live()
-    assert feed_of(source, 7) is source
-    assert isinstance(feed_of(synthetic(), 7), PacedSource)
 
 
 @given(st.lists(st.integers(0, 40), max_size=12), st.integers(1, 9))
@@ -205,21 +201,21 @@ def test_samples_are_numbered_and_timed_without_gaps(sizes: list[int], batch: in
             assert made.period_ns == MS
             assert made.values[:, 0].tolist() == list(range(sent, sent + len(made.values)))
             sent += len(made.values)
-        # Only the last frame of a block may be short of a batch.
+        # Only the last frame of a block may be shorter than a batch.
         assert [len(made.values) for made in frames[:-1]] == [batch] * (len(frames) - 1)
         assert all(1 <= len(made.values) <= batch for made in frames)
     assert sent == sum(sizes) == framer.samples_sent
 
 
 @pytest.mark.parametrize(("width", "dtype"), [(4, "<f4"), (8, "<f8")])
-def test_samples_are_as_wide_as_described(width: int, dtype: str) -> None:
+def test_samples_have_the_described_width(width: int, dtype: str) -> None:
     framer = Framer(description(bytes_per_sample=width), session=1)
     (made,) = framer.frames(block(0, np.array([0.1, 0.2])))
     assert made.values.dtype == np.dtype(dtype)
     assert made.values[:, 0].tolist() == np.array([0.1, 0.2], dtype).tolist()
 
 
-def test_the_largest_frame_passes_the_wire_as_it_is() -> None:
+def test_the_largest_frame_can_be_sent() -> None:
     stream = description(batch=4096, bytes_per_sample=8)
     (made,) = Framer(stream, session=(1 << 62) - 1).frames(counting(0, 4096))
     received = decode_frame(encode_frame(made))
@@ -227,7 +223,7 @@ def test_the_largest_frame_passes_the_wire_as_it_is() -> None:
     np.testing.assert_array_equal(received.values, made.values)
 
 
-def test_channels_stay_side_by_side() -> None:
+def test_each_channel_is_a_column() -> None:
     stream = description(channels=tuple(Channel(name) for name in "abc"))
     frames = Framer(stream, session=1).frames(counting(0, 7, channels=3))
     assert [made.values.shape for made in frames] == [(5, 3), (2, 3)]

@@ -1,7 +1,6 @@
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 
 from protocol.config.scene import load_section, validate
@@ -12,7 +11,7 @@ from sensing_node.scene import SensingScene, build_source, describe_stream, open
 from sensing_node.sources.recorded import RecordedSource
 from sensing_node.sources.synthetic import SyntheticSource
 from tests.support.nodes import ROOT
-from tests.support.recording_files import csv_file, heartpy_recording
+from tests.support.recording_files import csv_file
 
 RECORDING = {"kind": "recording", "path": "pulse.csv", "rate": "100 Hz", "unit": "N"}
 SERIAL = {"kind": "serial", "port": "none", "framing": "text", "rate": "1 kHz", "unit": "N"}
@@ -26,20 +25,20 @@ def source(**keys: Any) -> dict[str, Any]:
     return {"source": {"kind": "synthetic"} | keys}
 
 
-# A live sensor is no part of a bench's scene that can be built.
+# Scenes with a live sensor, which `build_source` refuses.
 LIVE = ("tmcl_bench", "cia402_bench")
 SENSED = [path for path in sorted((ROOT / "scenes").glob("*.toml")) if path.stem not in LIVE]
 
 
 @pytest.mark.parametrize("path", SENSED, ids=lambda p: p.stem)
-def test_every_shipped_scene_can_be_sensed(path: Path) -> None:
+def test_every_shipped_scene_has_a_source(path: Path) -> None:
     section = load_section(path, "sensing", SensingScene)
     samples = build_source(section, path.parent)
     assert len(samples.take(10)) == 10
     assert describe_stream(section, samples).rate_hz == 1000
 
 
-def test_the_stream_is_described_as_the_scene_sets_it() -> None:
+def test_the_scene_determines_the_description_of_the_stream() -> None:
     section = scene(
         **source(rate="500 Hz"),
         stream="left wrist",
@@ -56,7 +55,7 @@ def test_the_stream_is_described_as_the_scene_sets_it() -> None:
     assert stream.layer == ElasticLayer(2e6, 3e-3, 0.4, 1.0)
 
 
-def test_defaults_are_the_papers_or_usual() -> None:
+def test_the_description_has_defaults() -> None:
     section = scene()
     stream = describe_stream(section, build_source(section, Path()))
     assert (stream.name, stream.batch, stream.bytes_per_sample) == ("pulse", 5, 4)
@@ -121,7 +120,7 @@ def test_a_batch_of_too_many_samples_is_refused() -> None:
          'column is for framing "text"'),
     ],
 )  # fmt: skip
-def test_a_wrong_scene_is_refused_in_one_line_that_names_the_key(
+def test_a_wrong_scene_is_refused_in_one_line_with_the_key(
     table: dict[str, Any], key: str, message: str
 ) -> None:
     with pytest.raises(SceneError) as caught:
@@ -138,7 +137,7 @@ def test_the_conditioning_of_a_live_sensor_is_refused() -> None:
 
 
 def test_the_kind_decides_the_source(tmp_path: Path, logged: list[str]) -> None:
-    # So low that it is opened with a warning.
+    # A pulse too small to feel is opened with a warning.
     path = csv_file(tmp_path, {"force": [1e-4, 2e-4]})
     recording = scene(source=RECORDING)
     with open_source(recording, tmp_path) as opened:
@@ -151,27 +150,3 @@ def test_the_kind_decides_the_source(tmp_path: Path, logged: list[str]) -> None:
         build_source(recording, tmp_path / "elsewhere")
     with pytest.raises(SceneError, match='kind "serial" is a live sensor'):
         build_source(scene(source=SERIAL), tmp_path)
-
-
-def test_a_real_recording_becomes_a_stream_through_a_scene_file(tmp_path: Path) -> None:
-    path = tmp_path / "real.toml"
-    path.write_text(
-        f"""
-        [sensing]
-        stream = "photoplethysmogram"
-        batch = "50 ms"
-        [sensing.source]
-        kind = "recording"
-        path = '{heartpy_recording()}'
-        rate = "100 Hz"
-        unit = "raw"
-        peak_to_peak = "0.3 N"
-        preload = "0.4 N"
-        """,
-        encoding="utf-8",
-    )
-    section = load_section(path, "sensing", SensingScene)
-    samples = build_source(section, path.parent)
-    stream = describe_stream(section, samples)
-    assert (stream.name, stream.rate_hz, stream.batch) == ("photoplethysmogram", 100, 5)
-    assert np.ptp(samples.take(2483)) == pytest.approx(0.3)
