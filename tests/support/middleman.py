@@ -1,6 +1,7 @@
 """A man in the middle of two nodes, who forwards, records and alters TCP."""
 
 import contextlib
+import select
 import socket
 import threading
 from collections.abc import Callable, Iterator
@@ -52,37 +53,24 @@ class Middleman:
                 except OSError:
                     client.close()
                     continue
-                record = (bytearray(), bytearray())
-                self.recorded.append(record)
                 self._open += (client, server)
-                ends = [threading.Event(), threading.Event()]
-                for number, (source, sink) in enumerate(((server, client), (client, server))):
-                    thread = threading.Thread(
-                        target=self._pass_on, args=(source, sink, record, number, ends)
-                    )
-                    self._threads.append(thread)
-                    thread.start()
+                self._threads.append(threading.Thread(target=self._forward, args=(client, server)))
+                self._threads[-1].start()
 
-    def _pass_on(
-        self,
-        source: socket.socket,
-        sink: socket.socket,
-        record: tuple[bytearray, bytearray],
-        number: int,
-        ends: list[threading.Event],
-    ) -> None:
-        with contextlib.suppress(OSError):
-            while data := source.recv(CHUNK_BYTES):
-                record[number].extend(data)
-                alter = (self.down, self.up)[number]
-                sink.sendall(alter(data) if alter is not None else data)
-        for one in (source, sink):
-            with contextlib.suppress(OSError):
-                one.shutdown(socket.SHUT_RDWR)
-        ends[number].set()
-        if all(end.is_set() for end in ends):
-            source.close()
-            sink.close()
+    def _forward(self, client: socket.socket, server: socket.socket) -> None:
+        """Forward one connection until either end closes it."""
+        record = (bytearray(), bytearray())
+        self.recorded.append(record)
+        with client, server, contextlib.suppress(OSError):
+            while True:
+                for source in select.select([server, client], [], [])[0]:
+                    upward = source is client
+                    if not (data := source.recv(CHUNK_BYTES)):
+                        return
+                    record[upward].extend(data)
+                    alter = self.up if upward else self.down
+                    sink = server if upward else client
+                    sink.sendall(data if alter is None else alter(data))
 
 
 @contextmanager

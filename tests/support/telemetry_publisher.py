@@ -157,10 +157,11 @@ class HandmadeTelemetry:
         return self.decoder.decode(STATUS, message)
 
     def ticks(self, *felt: TickState) -> list[Entry]:
-        writer = TraceWriter()
+        """Publish a trace of at most 20 ticks."""
+        writer, message = TraceWriter(), None
         for tick in felt:
-            writer.add(tick)
-        message = writer.rest()
+            message = writer.add(tick)
+        message = message or writer.rest()
         assert message is not None
         self.capture.traces_published += 1
         return self.decoder.decode(TRACE, message)

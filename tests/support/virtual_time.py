@@ -13,6 +13,8 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
+from functools import partial
+from types import SimpleNamespace
 from typing import Any
 from unittest.mock import patch
 
@@ -28,6 +30,7 @@ class VirtualThread:
         target: Callable[..., object],
         args: Sequence[Any] = (),
         name: str = "",
+        daemon: bool = False,
     ) -> None:
         self.name = name or getattr(target, "__qualname__", "thread")
         self._world = world
@@ -228,7 +231,11 @@ class VirtualTime:
     @contextmanager
     def substituted(self, prefixes: Sequence[str]) -> Iterator[None]:
         """Replace `time` and `threading` in all loaded modules with one of these prefixes."""
-        clock, threads = _Clock(self), _Threads(self)
+        clock = SimpleNamespace(
+            monotonic_ns=self.monotonic_ns, monotonic=self.monotonic, sleep=self.sleep
+        )
+        kinds = {"Thread": VirtualThread, "Event": VirtualEvent, "Lock": VirtualLock}
+        threads = SimpleNamespace(**{name: partial(kind, self) for name, kind in kinds.items()})
         with ExitStack() as patches:
             for name, module in list(sys.modules.items()):
                 if not name.startswith(tuple(prefixes)):
@@ -240,36 +247,3 @@ class VirtualTime:
                     if getattr(module, attribute, None) is real:
                         patches.enter_context(patch.object(module, attribute, ours))
             yield
-
-
-class _Clock:
-    """The replacement of the module `time`."""
-
-    def __init__(self, world: VirtualTime) -> None:
-        self.monotonic_ns, self.monotonic, self.sleep = (
-            world.monotonic_ns,
-            world.monotonic,
-            world.sleep,
-        )
-
-
-class _Threads:
-    """The replacement of the module `threading`."""
-
-    def __init__(self, world: VirtualTime) -> None:
-        self._world = world
-
-    def Thread(  # noqa: N802
-        self,
-        target: Callable[..., object],
-        args: Sequence[Any] = (),
-        name: str = "",
-        daemon: bool = False,
-    ) -> VirtualThread:
-        return VirtualThread(self._world, target, args, name)
-
-    def Event(self) -> VirtualEvent:  # noqa: N802
-        return VirtualEvent(self._world)
-
-    def Lock(self) -> VirtualLock:  # noqa: N802
-        return VirtualLock(self._world)

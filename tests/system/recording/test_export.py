@@ -41,7 +41,7 @@ LOST = {100, *range(300, 320)}
 PRINTS = {
     "csv": r"3000 ticks, 0\.\d{3} mN off at most\n",
     "parquet": r"2890 samples, 0\.\d{4} to 0\.\d{4} N\n",
-    "mcap.reader": r"\d+ session 'radial pulse', session 1\n\d+ begin the recording\n(?s:.*)",
+    "mcap.reader": r"\d+ begin the recording\n\d+ session 'radial pulse', session 1\n(?s:.*)",
     "edfio": r"Force pulse 1000\.0 Hz .* at most\nForce felt (?s:.*) s state: ended.*\n",
 }
 BLOCKS = re.findall(
@@ -199,7 +199,7 @@ def test_reader_report_and_exports_name_how_much_of_the_end_is_missing(
     assert not reader.whole
     assert 0 < reader.cut_bytes < cut.stat().st_size
     (line,) = reader.gaps()
-    assert line.startswith("breaks off after 2.0 s")
+    assert re.match(r"breaks off after 2\.\d s", line)
     assert f"{reader.cut_bytes} bytes" in line
     assert len(reader.provenance) == 1
     for kind, to in TO.items():
