@@ -71,20 +71,21 @@ def publish_for(display: TelemetryPublisher, seconds: float) -> None:
         time.sleep(0.01)
 
 
-def end(display: TelemetryPublisher, recorder: "subprocess.Popen[str]") -> tuple[str, str]:
+def end(display: TelemetryPublisher, recorder: "subprocess.Popen[str]", status: int = 0) -> str:
+    """End a display, check its recorder's exit status, and return the recorder's errors."""
     display.status("ended", final=True)
-    return recorder.communicate(timeout=PATIENCE_S)
+    output, errors = recorder.communicate(timeout=PATIENCE_S)
+    assert (output, recorder.returncode) == ("", status), errors
+    return errors
 
 
-def test_everything_that_a_display_publishes_is_in_the_file(tmp_path: Path) -> None:
-    path = tmp_path / "a.mcap"
+def test_everything_that_a_display_publishes_is_in_the_file(path: Path) -> None:
     with recording(path) as (display, recorder):
         display.begin()
         publish_for(display, 1.0)
         display.receive(-1, bye(5 * display.frames))
-        output, errors = end(display, recorder)
-        assert (recorder.returncode, unusual(errors)) == (0, "")
-    assert output == ""
+        errors = end(display, recorder)
+    assert unusual(errors) == ""
     assert f"{display.frames} frames, {display.ticks} ticks" in errors
     assert frames_of(path) == list(range(display.frames))
     messages, reader = read(path)
@@ -120,8 +121,7 @@ def test_killed_it_loses_at_most_its_last_second(seed: int, tmp_path: Path) -> N
     pytest.fail(f"{due} frames were older than a second, {len(numbers)} are in the file")
 
 
-def test_messages_that_a_slow_recorder_misses_are_counted_and_shown(tmp_path: Path) -> None:
-    path = tmp_path / "a.mcap"
+def test_messages_that_a_slow_recorder_misses_are_counted_and_shown(path: Path) -> None:
     with recording(path) as (display, recorder):
         display.begin()
         publish_for(display, 0.3)
@@ -130,8 +130,7 @@ def test_messages_that_a_slow_recorder_misses_are_counted_and_shown(tmp_path: Pa
         display.publish(20_000)
         recorder.send_signal(signal.SIGCONT)
         publish_for(display, 0.5)
-        _, errors = end(display, recorder)
-        assert recorder.returncode == 1
+        errors = end(display, recorder, status=1)
     numbers = frames_of(path)
     assert numbers == sorted(set(numbers))
     missed = display.frames - len(numbers)
@@ -140,28 +139,24 @@ def test_messages_that_a_slow_recorder_misses_are_counted_and_shown(tmp_path: Pa
     assert "missed" in events_of(path)
 
 
-def test_a_full_disk_is_reported_once_and_retried_until_nothing_is_missing(tmp_path: Path) -> None:
-    path = tmp_path / "a.mcap"
+def test_a_full_disk_is_reported_once_and_retried_until_nothing_is_missing(path: Path) -> None:
     with recording(path) as (display, recorder):
         full_bytes = fill_up(display, recorder, path)
         # Whole chunks up to the limit, readable while it is full.
         assert 0 < len(frames_of(path)) < display.frames
         limit(recorder, resource.RLIM_INFINITY)
         publish_until_larger(display, path, full_bytes)
-        _, errors = end(display, recorder)
-        assert recorder.returncode == 0
+        errors = end(display, recorder)
     assert errors.count("File too large") == 1
     assert "is written again, 0 messages lost" in errors
     assert frames_of(path) == list(range(display.frames))
     assert events_of(path).count("disk") == 2
 
 
-def test_a_disk_that_stays_full_leaves_what_was_written_and_the_count(tmp_path: Path) -> None:
-    path = tmp_path / "a.mcap"
+def test_a_disk_that_stays_full_leaves_what_was_written_and_the_count(path: Path) -> None:
     with recording(path) as (display, recorder):
         fill_up(display, recorder, path)
-        _, errors = end(display, recorder)
-        assert recorder.returncode == 1
+        errors = end(display, recorder, status=1)
     numbers = frames_of(path)
     assert numbers == list(range(len(numbers)))
     messages, reader = read(path)
@@ -222,14 +217,13 @@ def test_a_small_disk_that_is_really_full_and_has_room_again(tmp_path: Path) -> 
         # The mount exists only in the recorder's namespace, which its process shows.
         Path(f"/proc/{recorder.pid}/root{disk}/ballast").unlink()
         publish_for(display, 0.6)
-        _, errors = end(display, recorder)
-    assert recorder.returncode == 0, errors
+        errors = end(display, recorder)
     assert errors.count("No space left on device") == 1
     assert frames_of(tmp_path / "a.mcap") == list(range(display.frames))
 
 
-def test_a_late_recorder_gets_the_streams_description(tmp_path: Path) -> None:
-    address, path = free_address(), tmp_path / "a.mcap"
+def test_a_late_recorder_gets_the_streams_description(path: Path) -> None:
+    address = free_address()
     with publishing(address) as display:
         display.welcome()
         display.publish(100)
@@ -237,14 +231,15 @@ def test_a_late_recorder_gets_the_streams_description(tmp_path: Path) -> None:
             assert display.publisher.await_recorder(PATIENCE_S)
             publish_for(display, 0.2)
             end(display, recorder)
-            assert recorder.returncode == 0
     messages, _ = read(path)
     assert len(messages[STREAM]) == 1
     assert frames_of(path) == list(range(20, display.frames))
 
 
-def test_protected_telemetry_is_for_allowed_keys_and_others_get_the_reason(tmp_path: Path) -> None:
-    address, path, ring = free_address(), tmp_path / "a.mcap", Keyring(tmp_path / "keys")
+def test_protected_telemetry_is_for_allowed_keys_and_others_get_the_reason(
+    path: Path, tmp_path: Path
+) -> None:
+    address, ring = free_address(), Keyring(tmp_path / "keys")
     ring.allow("notes")
     peer = ("--peer", ring.path("wrist", "pub"))
     let_in = ("record", address, str(path), "--key", ring.path("notes"), *peer)
@@ -257,15 +252,14 @@ def test_protected_telemetry_is_for_allowed_keys_and_others_get_the_reason(tmp_p
         display.begin()
         while refused.poll() is None:
             publish_for(display, 0.1)
-        _, errors = end(display, recorder)
-        assert (recorder.returncode, unusual(errors)) == (0, "")
+        assert unusual(end(display, recorder)) == ""
         assert refused.returncode == 1
         assert "telepulse keys allow nobody.pub" in refused.communicate()[1]
     assert frames_of(path) == list(range(display.frames))
 
 
-def test_a_key_that_is_allowed_later_is_recorded_from_then_on(tmp_path: Path) -> None:
-    path, ring = tmp_path / "a.mcap", Keyring(tmp_path / "keys")
+def test_a_key_that_is_allowed_later_is_recorded_from_then_on(path: Path, tmp_path: Path) -> None:
+    ring = Keyring(tmp_path / "keys")
     ring.allow("somebody")
     keys = ("--key", ring.path("notes"), "--peer", ring.path("wrist", "pub"))
     with recording(path, *keys, ring=ring) as (display, recorder):
@@ -276,8 +270,7 @@ def test_a_key_that_is_allowed_later_is_recorded_from_then_on(tmp_path: Path) ->
         while not display.publisher.captured.wanted:
             publish_for(display, 0.1)
         publish_for(display, 0.3)
-        _, errors = end(display, recorder)
-        assert recorder.returncode == 0, errors
+        errors = end(display, recorder)
     assert errors.count("telepulse keys allow notes.pub") == 1
     numbers = frames_of(path)
     assert 0 < numbers[0] < numbers[-1] == display.frames - 1
@@ -309,9 +302,10 @@ def test_a_recorder_that_cannot_begin_says_so_in_one_line(
 
 
 def test_before_the_first_message_silence_ends_it_only_after_its_display_has_ended(
+    path: Path,
     tmp_path: Path,
 ) -> None:
-    path, left = tmp_path / "a.mcap", tmp_path / "left.mcap"
+    left = tmp_path / "left.mcap"
     silent = ("--until-silent", "0.3", "--display-pid")
     with recording(path, *silent, str(os.getpid())) as (display, recorder):
         display.begin()
@@ -323,6 +317,5 @@ def test_before_the_first_message_silence_ends_it_only_after_its_display_has_end
         # It has been silent for longer than the other one.
         assert recorder.poll() is None
         publish_for(display, 0.2)
-        _, errors = end(display, recorder)
-        assert (recorder.returncode, unusual(errors)) == (0, "")
+        assert unusual(end(display, recorder)) == ""
     assert frames_of(path)

@@ -98,8 +98,8 @@ def test_a_recording_played_again_gives_the_same_samples_bit_by_bit(tmp_path: Pa
     assert run(MODULE, "export", str(first), "--out", str(tables), "--to", "csv").returncode == 2
 
 
-def test_a_full_disk_under_the_recorder_does_not_disturb_the_display(tmp_path: Path) -> None:
-    address, path, room_bytes = free_address(), tmp_path / "a.mcap", 20_000
+def test_a_full_disk_under_the_recorder_does_not_disturb_the_display(path: Path) -> None:
+    address, room_bytes = free_address(), 20_000
     sensing = ("sensing_node.cli", str(RADIAL), "--bind", address, "--seconds", "2.5", "--quiet")
     with recorded_display(path, address, room_bytes) as display, process(*sensing):
         _, errors = display.communicate(timeout=PATIENCE_S)

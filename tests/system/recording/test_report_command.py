@@ -37,8 +37,8 @@ class Page(HTMLParser):
 
 
 @pytest.mark.timeout(2 * PATIENCE_S)
-def test_the_figures_are_the_displays_own(tmp_path: Path) -> None:
-    address, path = free_address(), tmp_path / "a.mcap"
+def test_the_figures_are_the_displays_own(path: Path) -> None:
+    address = free_address()
     sensing = ("sensing_node.cli", str(RADIAL), "--bind", address, "--seconds", "4", "--quiet")
     with recorded_display(path, address) as display, process(*sensing):
         display.communicate(timeout=PATIENCE_S)
@@ -65,8 +65,8 @@ def test_the_figures_are_the_displays_own(tmp_path: Path) -> None:
 
 
 @pytest.mark.timeout(2 * PATIENCE_S)
-def test_the_page_has_all_it_shows_beside_it(tmp_path: Path) -> None:
-    path, tables = tmp_path / "a.mcap", tmp_path / "tables.json"
+def test_the_page_has_all_it_shows_beside_it(path: Path, tmp_path: Path) -> None:
+    tables = tmp_path / "tables.json"
     record(path, 8)
     arguments = ("report", str(path), "--json", str(tables))
     result = run(MODULE, *arguments, timeout_s=PATIENCE_S)
@@ -83,8 +83,7 @@ def test_the_page_has_all_it_shows_beside_it(tmp_path: Path) -> None:
     assert rows["playout delay, mean"] == f"{DELAY_TICKS:.2f} ms"
 
 
-def test_it_finds_what_is_known_to_be_in_a_recording(tmp_path: Path) -> None:
-    path = tmp_path / "a.mcap"
+def test_it_finds_what_is_known_to_be_in_a_recording(path: Path) -> None:
     record(path, 20, {1_000, *range(2_000, 2_100)})
     findings = read_findings(path)
     found = findings.summary()
@@ -102,16 +101,15 @@ def test_it_finds_what_is_known_to_be_in_a_recording(tmp_path: Path) -> None:
     assert names == ["begin", "session", "state", "join", "state", "end"]
 
 
-def test_a_recording_that_was_never_played_is_reported(tmp_path: Path) -> None:
-    path = tmp_path / "a.mcap"
+def test_a_recording_that_was_never_played_is_reported(path: Path) -> None:
     record(path, 1)
     force = build_recording_report(path).chapters[1]
     assert force.paragraphs == ("The pulse was never played at its full strength.",)
     assert force.plots == ()
 
 
-def test_a_limit_that_was_reached_is_an_event_and_a_row(tmp_path: Path) -> None:
-    path, telemetry = tmp_path / "a.mcap", HandmadeTelemetry()
+def test_a_limit_that_was_reached_is_an_event_and_a_row(path: Path) -> None:
+    telemetry = HandmadeTelemetry()
     writer = McapWriter(path)
     limited = Limits(force=Limited(312, 4.1, 0.205))
     for entry in [
@@ -131,8 +129,7 @@ def test_a_limit_that_was_reached_is_an_event_and_a_row(tmp_path: Path) -> None:
     assert rows["at a limit"] == "force limit 312 times, 4.1 s (20.5 % of the run)"
 
 
-def test_ticks_that_were_left_out_are_missed_ones(tmp_path: Path) -> None:
-    path = tmp_path / "a.mcap"
+def test_ticks_that_were_left_out_are_missed_ones(path: Path) -> None:
     record(path, 2)
     findings = RunFindings()
     for number, entry in enumerate(in_tick_order(RecordingReader(path))):
