@@ -6,7 +6,6 @@ each is written to the disk at once. An incomplete last line, as after a crash, 
 
 import os
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
@@ -208,8 +207,7 @@ def open_log(
     return file, log.header, len(log.answered)
 
 
-@dataclass(frozen=True, slots=True)
-class TrialOutcome:
+class TrialOutcome(NamedTuple):
     """An answered trial with its subject and its conditions."""
 
     subject: str
@@ -248,8 +246,7 @@ class TrialOutcome:
         return 1e3 * float(np.mean(values)) if values else float("nan")
 
 
-@dataclass(frozen=True, slots=True)
-class SessionResults:
+class SessionResults(NamedTuple):
     """All outcomes that count, in order, and the conditions in the order of the session file.
 
     spoilt: outcomes in which ticks were missed or a direct stream was stale. pooled: True if
@@ -262,11 +259,11 @@ class SessionResults:
     subjects: tuple[str, ...]
     outcomes: tuple[TrialOutcome, ...]
     trials: int
-    spoilt: tuple[TrialOutcome, ...] = ()
-    pooled: bool = False
-    who: str = "a person"
-    thresholds: tuple[float, ...] = ()
-    versions: tuple[str, ...] = ()
+    spoilt: tuple[TrialOutcome, ...]
+    pooled: bool
+    who: str
+    thresholds: tuple[float, ...]
+    versions: tuple[str, ...]
 
     def of(self, condition: str | None) -> list[TrialOutcome]:
         """Return a condition's outcomes; None: those of catch trials."""

@@ -107,7 +107,7 @@ class RunFindings:
 
     def finish(self) -> None:
         """End the recording."""
-        self.forces.take(self.forces.alignment.finish())
+        self.forces.alignment.finish()
         for name in list(self._batch):
             self._flush(name)
 
@@ -118,7 +118,7 @@ class RunFindings:
         if description is not None and receiver.session != self._session:
             self._session = receiver.session
             self.streams.append(description.name)
-            self.forces.take(self.forces.alignment.begin())
+            self.forces.alignment.begin()
         if description is not None and frame is not None:
             last_ns = frame.t_first_ns + (len(frame.values) - 1) * frame.period_ns
             one_way_ns = receiver.clock.remote_ns(fields["arrived_ns"]) - last_ns
@@ -142,7 +142,7 @@ class RunFindings:
             self._scored += 1
             felt_n = float(fields.get("felt_n", math.nan))
             tick = AlignedTick(t_s, sensing_now_ns, instant_ns, felt_n)
-            self.forces.take(self.forces.alignment.add_tick(tick))
+            self.forces.alignment.add_tick(tick)
 
     def _count_misses(self, now_ns: int) -> None:
         """Count missed ticks: multiples of the period at which no tick is recorded."""

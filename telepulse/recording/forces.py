@@ -3,7 +3,7 @@
 Errors, stretches for plots, and heart rates are computed from the forces. Pure.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -96,11 +96,12 @@ class AlignedBlock(NamedTuple):
 class ForceAlignment:
     """Alignment of felt force with the pulse at the wrist, in blocks of one session each.
 
-    errors: errors as the display computes them. ratio: target force at the finger per force at the
-    wrist; None before the first status.
+    take_block: receives each complete block. errors: errors as the display computes them. ratio:
+    target force at the finger per force at the wrist; None before the first status.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, take_block: Callable[[AlignedBlock], object]) -> None:
+        self._take_block = take_block
         self.errors = TrackingError(0.0)
         self.channel = 0
         self._begin()
@@ -111,9 +112,9 @@ class ForceAlignment:
         self._t_ns: list[Ints] = []
         self._values: list[Floats] = []
 
-    def begin(self) -> Iterator[AlignedBlock]:
-        """Begin a session; yield the remaining blocks of the one before."""
-        yield from self.finish()
+    def begin(self) -> None:
+        """Complete the blocks of a session, and begin another."""
+        self.finish()
         self._begin()
 
     def set_playback(self, channel: int, ratio: float) -> None:
@@ -138,22 +139,22 @@ class ForceAlignment:
         if len(self._t_ns) > MAX_FRAMES:
             del self._t_ns[: MAX_FRAMES // 2], self._values[: MAX_FRAMES // 2]
 
-    def add_tick(self, tick: AlignedTick) -> Iterator[AlignedBlock]:
-        """Add a tick; yield the block that became complete, if any."""
+    def add_tick(self, tick: AlignedTick) -> None:
+        """Add a tick."""
         self._ticks.append(tick)
         if self.ratio is not None:
             self.errors.add_output(tick.sensing_now_ns, tick.instant_ns, tick.felt_n)
         if len(self._ticks) >= PATIENCE + BLOCK:
-            yield from self._release(BLOCK)
+            self._release()
 
-    def finish(self) -> Iterator[AlignedBlock]:
-        """Yield the remaining blocks."""
+    def finish(self) -> None:
+        """Complete the remaining blocks."""
         while self._ticks:
-            yield from self._release(min(BLOCK, len(self._ticks)))
+            self._release()
         self.errors.finish()
 
-    def _release(self, count: int) -> Iterator[AlignedBlock]:
-        ticks, self._ticks = self._ticks[:count], self._ticks[count:]
+    def _release(self) -> None:
+        ticks, self._ticks = self._ticks[:BLOCK], self._ticks[BLOCK:]
         if self.ratio is None or not self._t_ns:
             return
         t_ns, values = np.concatenate(self._t_ns), np.concatenate(self._values)
@@ -162,7 +163,7 @@ class ForceAlignment:
         instant_ns = np.array([tick.instant_ns for tick in ticks], np.int64)
         wrist_n = self.ratio * interpolate(instant_ns, t_ns, values[:, self.channel])
         t_s, felt_n = np.array([(tick.t_s, tick.felt_n) for tick in ticks]).T
-        yield AlignedBlock(t_s, wrist_n, felt_n)
+        self._take_block(AlignedBlock(t_s, wrist_n, felt_n))
         keep = max(0, int(np.searchsorted(t_ns, instant_ns[-1])) - 1)
         self._t_ns, self._values = [t_ns[keep:]], [values[keep:]]
 
@@ -175,7 +176,7 @@ class ForceHistory:
     """
 
     def __init__(self) -> None:
-        self.alignment = ForceAlignment()
+        self.alignment = ForceAlignment(self._take)
         self.error_n, self.jnd_n = Trend(), Trend()
         self.first: list[AlignedBlock] = []
         self.worst: list[AlignedBlock] = []
@@ -185,18 +186,16 @@ class ForceHistory:
         self._follow_worst = False
         self._beats: list[AlignedBlock] = []
 
-    def take(self, blocks: Iterator[AlignedBlock]) -> None:
-        """Take the blocks that a method of `alignment` yields."""
-        for block in blocks:
-            error_n = block.felt_n - block.wrist_n
-            known_n = block.wrist_n[~np.isnan(error_n)]
-            if not len(known_n):
-                continue
-            self.error_n.add(block.t_s, error_n)
-            jnd_n = JND * float(np.ptp(known_n))
-            self.jnd_n.add(block.t_s, np.full(len(block.t_s), jnd_n))
-            self._keep_stretches(block, float(np.nanmax(np.abs(error_n))))
-            self._add_heart_rates(block)
+    def _take(self, block: AlignedBlock) -> None:
+        error_n = block.felt_n - block.wrist_n
+        known_n = block.wrist_n[~np.isnan(error_n)]
+        if not len(known_n):
+            return
+        self.error_n.add(block.t_s, error_n)
+        jnd_n = JND * float(np.ptp(known_n))
+        self.jnd_n.add(block.t_s, np.full(len(block.t_s), jnd_n))
+        self._keep_stretches(block, float(np.nanmax(np.abs(error_n))))
+        self._add_heart_rates(block)
 
     def _keep_stretches(self, block: AlignedBlock, largest_n: float) -> None:
         """Keep the first blocks, and the one with the largest error between its neighbours."""

@@ -3,7 +3,7 @@ import pytest
 
 from protocol.wire.messages import Frame
 from protocol.wire.stream import Channel
-from telepulse.recording.forces import BINS, AlignedTick, ForceAlignment, Trend
+from telepulse.recording.forces import BINS, AlignedBlock, AlignedTick, ForceAlignment, Trend
 from tests.support.streams import description
 
 MS = 1_000_000
@@ -13,7 +13,8 @@ BATCH = 5
 def run(seconds: int, ratio: float, channel: int, group_delay_ns: int = 0) -> ForceAlignment:
     """Align a pulse on one of two channels, felt 1 mN too strong and 40 ms late."""
     chance = np.random.default_rng(1)
-    alignment, blocks = ForceAlignment(), []
+    blocks: list[AlignedBlock] = []
+    alignment = ForceAlignment(blocks.append)
     stream = description(
         channels=(Channel("a"), Channel("b")), bytes_per_sample=8, group_delay_ns=group_delay_ns
     )
@@ -30,8 +31,8 @@ def run(seconds: int, ratio: float, channel: int, group_delay_ns: int = 0) -> Fo
             if at >= 40:
                 target_n = ratio * force_n[at - 40, channel]
                 tick = AlignedTick(t_s[at], at * MS, (at - 40) * MS, target_n + 1e-3)
-                blocks += alignment.add_tick(tick)
-    blocks += alignment.finish()
+                alignment.add_tick(tick)
+    alignment.finish()
     error_n = np.concatenate([block.felt_n - block.wrist_n for block in blocks])
     assert len(error_n) == len(t_s) - 40
     np.testing.assert_allclose(error_n, 1e-3)
@@ -53,7 +54,7 @@ def test_the_pulse_is_earlier_than_its_samples_by_the_group_delay() -> None:
 
 def test_another_session_begins_anew() -> None:
     alignment = run(1, 0.5, 1)
-    assert list(alignment.begin()) == []
+    alignment.begin()
     assert alignment.ratio is None
 
 
