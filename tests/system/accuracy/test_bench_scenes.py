@@ -1,4 +1,4 @@
-"""The scenes of a bench: how true they are, and on another actuator than they say."""
+"""Force error of the scenes of a bench, with their actuator and with others."""
 
 import math
 from pathlib import Path
@@ -13,25 +13,26 @@ from protocol.config.scene import load_section
 from tests.support.streams import synthetic
 
 SCENES = Path(__file__).parents[3] / "scenes"
-# What the paper printed of its experiment.
+# RMSE that the paper printed of its experiment.
 PAPERS_RMSE_N = 20.863e-3
 
 
+def display_scene(name: str) -> DisplayScene:
+    return load_section(SCENES / f"{name}.toml", "display", DisplayScene)
+
+
 def scenes_loop(name: str, **actually: object) -> ForceLoop:
-    """The loop of a scene on an actuator that is as the scene says but for `actually`."""
-    return built(load_section(SCENES / f"{name}.toml", "display", DisplayScene), **actually)
-
-
-def built(scene: DisplayScene, **actually: object) -> ForceLoop:
+    """Return the loop of a scene on its actuator, changed by `actually`."""
+    scene = display_scene(name)
     return scene.force_loop(scene.actuator.model_copy(update=actually))
 
 
-def off_n(
+def errors_n(
     loop: ForceLoop, pulse_n: NDArray[np.float64], lead_ticks: float = 0.0
 ) -> NDArray[np.float64]:
-    """Return the force error at each tick's beginning, the reference known ahead.
+    """Return the force error at the begin of each tick, with a reference known ahead.
 
-    lead_ticks: how much later than now the loop's reference begins.
+    lead_ticks: ticks from now to the begin of the loop's reference.
     """
     ticks, ahead = np.arange(len(pulse_n)), loop.horizon
     reference = np.interp(ticks + lead_ticks, ticks, pulse_n).tolist()
@@ -48,43 +49,46 @@ def rms(values: NDArray[np.float64]) -> float:
 
 @pytest.fixture(scope="module")
 def breathing_n() -> NDArray[np.float64]:
-    """8 s of the scenes' pulse, which swings with the breath."""
+    """Return 8 s of the scenes' pulse, with respiration."""
     return synthetic(preset="paper", respiration=0.256).take(8001)[:, 0]
 
 
-def test_the_clean_bench_is_true_to_its_quantisation(breathing_n: NDArray[np.float64]) -> None:
-    errors_n = off_n(scenes_loop("bench"), breathing_n)
-    assert rms(errors_n[2000:]) <= 0.3e-3
-    assert np.abs(errors_n[2000:]).max() <= 1e-3
+# Different noise of the same film: readings before the pulse begins.
+@pytest.mark.parametrize(
+    ("name", "readings", "rmse_n", "peak_n"),
+    [
+        ("bench", 0, 0.3e-3, 1e-3),
+        *(("real_bench", readings, 4e-3, 15e-3) for readings in (0, 317, 1000)),
+        ("paper", 0, 2e-3, math.inf),
+    ],
+)
+def test_errors_of_the_benches_are_those_of_their_quantisation_and_noise(
+    breathing_n: NDArray[np.float64], name: str, readings: int, rmse_n: float, peak_n: float
+) -> None:
+    loop = scenes_loop(name)
+    for _ in range(readings):
+        loop.read_film()
+    found_n = errors_n(loop, breathing_n)[2000:]
+    assert rms(found_n) <= rmse_n
+    assert np.abs(found_n).max() <= peak_n
 
 
 @pytest.mark.parametrize(("drive_ms", "film_ms"), [(1, 0), (0, 5), (2, 3), (2.5, 3.3)], ids=str)
-def test_a_bench_that_answers_late_is_as_true(
+def test_latencies_of_drive_and_film_are_compensated(
     breathing_n: NDArray[np.float64], drive_ms: float, film_ms: float
 ) -> None:
-    scene = load_section(SCENES / "real_bench.toml", "display", DisplayScene)
+    scene = display_scene("real_bench")
     late = scene.model_copy(
         update={
             "actuator": scene.actuator.model_copy(update={"latency_ns": round(drive_ms * 1e6)}),
             "film": scene.film.model_copy(update={"latency_ns": round(film_ms * 1e6)}),
         }
     )
-    errors_n = off_n(built(late), breathing_n, lead_ticks=drive_ms)[2000:-100]
-    assert rms(errors_n) <= 2e-3
-    # It is the lead that does it.
+    found_n = errors_n(late.force_loop(), breathing_n, lead_ticks=drive_ms)[2000:-100]
+    assert rms(found_n) <= 2e-3
     if drive_ms:
-        assert rms(off_n(built(late), breathing_n)[2000:-100]) > 2 * rms(errors_n)
-
-
-# Other noise from the same film: it has been on for so many ticks before.
-@pytest.mark.parametrize("on_before", [0, 317, 1000])
-def test_the_real_bench_is_true_to_4_mn(breathing_n: NDArray[np.float64], on_before: int) -> None:
-    loop = scenes_loop("real_bench")
-    for _ in range(on_before):
-        loop.read_film()
-    errors_n = off_n(loop, breathing_n)
-    assert rms(errors_n[2000:]) <= 4e-3
-    assert np.abs(errors_n[2000:]).max() <= 15e-3
+        without_lead_n = errors_n(late.force_loop(), breathing_n)[2000:-100]
+        assert rms(without_lead_n) > 2 * rms(found_n)
 
 
 @pytest.mark.parametrize(
@@ -99,30 +103,24 @@ def test_the_real_bench_is_true_to_4_mn(breathing_n: NDArray[np.float64], on_bef
     ],
     ids=str,
 )
-def test_another_actuator_than_the_scenes_is_still_followed_better_than_the_paper_did(
+def test_another_actuator_than_the_scenes_has_less_than_half_the_papers_error(
     breathing_n: NDArray[np.float64], actually: dict[str, object]
 ) -> None:
-    errors_n = off_n(scenes_loop("real_bench", **actually), breathing_n[:4001])
-    assert rms(errors_n[2000:]) < 0.5 * PAPERS_RMSE_N
-    assert np.abs(errors_n[1000:]).max() < 0.1
+    found_n = errors_n(scenes_loop("real_bench", **actually), breathing_n[:4001])
+    assert rms(found_n[2000:]) < 0.5 * PAPERS_RMSE_N
+    assert np.abs(found_n[1000:]).max() < 0.1
 
 
 def test_another_actuator_on_the_clean_bench_is_corrected_by_its_film(
     breathing_n: NDArray[np.float64],
 ) -> None:
-    softer = rms(off_n(scenes_loop("bench", fingertip_n_per_m=0.8e3), breathing_n[:4001])[2000:])
-    assert 0.3e-3 < softer < 0.5 * PAPERS_RMSE_N
-
-
-def test_the_papers_scene_follows_better_than_the_paper_did(
-    breathing_n: NDArray[np.float64],
-) -> None:
-    assert rms(off_n(scenes_loop("paper"), breathing_n)[2000:]) < 2e-3
+    loop = scenes_loop("bench", fingertip_n_per_m=0.8e3)
+    assert 0.3e-3 < rms(errors_n(loop, breathing_n[:4001])[2000:]) < 0.5 * PAPERS_RMSE_N
 
 
 @pytest.mark.parametrize("reading_n", [math.nan, math.inf, -math.inf])
 @pytest.mark.parametrize("name", ["bench", "real_bench", "paper"])
-def test_readings_that_are_no_numbers_press_no_harder_than_the_limit(
+def test_readings_that_are_not_finite_press_no_harder_than_the_limit(
     name: str, reading_n: float
 ) -> None:
     loop = scenes_loop(name)

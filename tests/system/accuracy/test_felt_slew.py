@@ -1,4 +1,4 @@
-"""Felt force changes no faster than the slew limit, whatever a peer sends."""
+"""Bound on the slew of the felt force, for any force that a peer sends."""
 
 import numpy as np
 import pytest
@@ -7,11 +7,11 @@ from protocol.config.scene_file import find_scene
 from telepulse.scene import load_scene
 from tests.support.scene_loops import felt_under_jumps
 
-# A microstep more or less, and what the loop makes good.
+# For one microstep, and the loop's correction.
 MARGIN = 1.02
 
 
-# real_bench has a rotor that rings when its speed jumps, which no bound of the speed prevents.
+# Not real_bench: its rotor rings when its speed jumps, which no bound on the speed prevents.
 @pytest.mark.parametrize("name", ["radial", "tmcl_bench"])
 def test_forces_that_jump_are_felt_within_the_slew_limit_up_and_down(name: str) -> None:
     scene = load_scene(find_scene(name)).display

@@ -1,4 +1,4 @@
-"""The whole display, in virtual time, on what links and peers do at their worst."""
+"""The whole display, in virtual time, with the worst behaviour of links and peers."""
 
 import heapq
 import itertools
@@ -30,52 +30,43 @@ HOUR_NS = 3_600_000 * MS
 BATCH = 5
 WAY_NS = 20 * MS
 
-# Half a microstep, and what 1 ms of a straight line between samples leaves.
+# Half a microstep, and the error of linear interpolation over 1 ms.
 EXACT_N = 1e-4
 
 Clock = Callable[[int], int]
-"""A host's clock: what it shows at a true time, both in ns."""
+"""Clock of a host: its time at a true time, both in ns."""
 
 
 def pulse_n(true_ns: float) -> float:
-    """The force at the wrist, in N: 1.2 beats a second."""
+    """Return the force at the wrist in N, with 1.2 beats a second."""
     return 0.3 + 0.1 * math.sin(2 * math.pi * 1.2 * true_ns * 1e-9)
-
-
-def ahead_ns(true_ns: int) -> int:
-    """A sensing clock that runs true and shows 5 s more."""
-    return true_ns + AHEAD_NS
-
-
-def true_time_ns(true_ns: int) -> int:
-    """A display clock that shows the true time."""
-    return true_ns
 
 
 @dataclass
 class VirtualLink:
-    """A sensing node, a display, and what comes over the link between them.
+    """Sensing node, display, and the link between them.
 
-    delays_ns: of a frame, by its number and the time it is sent: one for each copy that arrives.
+    delays_ns: of each copy of a frame that arrives, by the frame's number and time of sending.
+    sensing_clock: by default 5 s ahead.
     """
 
     display: Display
     session: int = 7
     first_sample: int = 0
-    sensing_clock: Clock = ahead_ns
-    display_clock: Clock = true_time_ns
+    sensing_clock: Clock = lambda true_ns: true_ns + AHEAD_NS
+    display_clock: Clock = lambda true_ns: true_ns
     delays_ns: Callable[[int, int], list[int]] = lambda _, __: [WAY_NS]
     control_delay_ns: Callable[[int], int | None] = lambda _: WAY_NS
     stream: StreamDescription = field(default_factory=lambda: description(bytes_per_sample=8))
     sends: bool = True
     frames: int = 0
-    # What was wanted of the actuator, tick by tick: true time in ns, force in N, E in ns, strength.
+    # Of each tick: true time in ns, target force in N, E in ns, and whether at full strength.
     played: list[tuple[int, float, int, bool]] = field(default_factory=list)
     _arrivals: list[tuple[int, int, str, bytes]] = field(default_factory=list)
     _order: "itertools.count[int]" = field(default_factory=itertools.count)
 
     def run(self, from_ms: int, to_ms: int) -> None:
-        """Let time pass: a frame is sent every 5 ms of it, the display ticks every ms."""
+        """Advance the time: send a frame every 5 ms, and tick every ms."""
         for ms in range(from_ms, to_ms):
             true_ns = ms * MS
             if self.sends and ms % BATCH == 0:
@@ -85,28 +76,27 @@ class VirtualLink:
             felt = self.display.tick(now_ns)
             self.played.append((true_ns, felt.target_n, felt.playout_delay_ns, felt.scored))
             for request in self.display.requests(now_ns):
-                match request:
-                    case Hello() | ClockRequest():
-                        self._later(true_ns, self.control_delay_ns(true_ns), request)
+                if isinstance(request, Hello | ClockRequest):
+                    self._answer(true_ns, self.control_delay_ns(true_ns), request)
 
     def send(self, true_ns: int) -> None:
-        """A frame is sent whose last sample is taken now."""
+        """Send a frame whose last sample is taken now."""
         taken_ns = [true_ns - (BATCH - 1 - i) * MS for i in range(BATCH)]
         values = np.array([[pulse_n(t_ns)] for t_ns in taken_ns])
         first = self.first_sample + self.frames * BATCH
         frame = Frame(self.session, first, self.sensing_clock(taken_ns[0]), MS, values)
-        # What is sent to nobody arrives nowhere.
+        # Before the display has subscribed, no frame arrives.
         if self.display.receiver.accepts_frames or self.display.receiver.frames[0]:
             for delay_ns in self.delays_ns(self.frames, true_ns):
                 self.deliver(true_ns + delay_ns, "frame", encode_frame(frame))
         self.frames += 1
 
     def deliver(self, at_ns: int, kind: str, data: bytes) -> None:
-        """Let a message arrive at a true time: a "frame" or "control"."""
+        """Let a message of the kind "frame" or "control" arrive at a true time."""
         heapq.heappush(self._arrivals, (at_ns, next(self._order), kind, data))
 
     def errors_n(self, from_ms: int, to_ms: int) -> list[float]:
-        """How far the force played was from the pulse of E ago, while at its full strength."""
+        """Return the errors against the pulse of E ago, at full strength."""
         return [
             abs(force_n - pulse_n(true_ns - delay_ns))
             for true_ns, force_n, delay_ns, full in self.played
@@ -114,11 +104,11 @@ class VirtualLink:
         ]
 
     def full_strength_ms(self, from_ms: int, to_ms: int) -> int:
-        """For how many ms the pulse was at its full strength."""
+        """Return the number of ms at full strength."""
         return sum(full for t_ns, _, _, full in self.played if from_ms * MS <= t_ns < to_ms * MS)
 
-    def _later(self, true_ns: int, delay_ns: int | None, request: Hello | ClockRequest) -> None:
-        """The answer to a request, delayed both ways, if it is not lost."""
+    def _answer(self, true_ns: int, delay_ns: int | None, request: Hello | ClockRequest) -> None:
+        """Answer a request, delayed both ways, unless it is lost."""
         if delay_ns is None:
             return
         answered_ns = true_ns + delay_ns
@@ -141,7 +131,7 @@ class VirtualLink:
 
 
 def assert_accounted(link: VirtualLink) -> SampleCounts:
-    """Each sample that was sent is played, late, lost, or from before joining; none is two."""
+    """Assert that each sample was played, late, lost, or before joining, and none counted twice."""
     link.sends = False
     end_ms = link.played[-1][0] // MS + 1
     sent = link.first_sample + link.frames * BATCH
@@ -157,7 +147,7 @@ def assert_accounted(link: VirtualLink) -> SampleCounts:
 
 
 @pytest.mark.parametrize("wrap", [2**16, 2**31, 2**32, 2**40])
-def test_sequence_numbers_pass_where_other_protocols_wrap(wrap: int) -> None:
+def test_sequence_numbers_do_not_wrap(wrap: int) -> None:
     link = VirtualLink(display(), first_sample=wrap - 1500)
     link.run(0, 3000)
     assert max(link.errors_n(0, 3000)) < EXACT_N
@@ -166,12 +156,12 @@ def test_sequence_numbers_pass_where_other_protocols_wrap(wrap: int) -> None:
     assert link.display.summary().rejected == {}
 
 
-def test_a_session_ends_at_the_last_sequence_number_there_is() -> None:
+def test_frames_beyond_the_largest_sequence_number_are_refused() -> None:
     last = 2**53
     link = VirtualLink(display(), first_sample=last - 2000)
     link.run(0, 3000)
     assert link.full_strength_ms(1500, 2000) == 500
-    # Frames beyond it are refused, and the finger is brought to rest.
+    # The target force falls to 0 N.
     assert link.display.summary().rejected == {"malformed": 3000 // BATCH - 2000 // BATCH - 4}
     assert link.display.state == "stale"
     assert link.played[-1][1] == 0
@@ -214,8 +204,8 @@ def test_duplicates_on_all_paths_are_played_once(order: str) -> None:
     assert samples.lost == 0
 
 
-def test_a_session_that_changes_in_mid_stream_is_not_mixed_up_with_the_one_before() -> None:
-    # The old session's frames still come over a slower path, between the new one's.
+def test_a_new_session_is_played_while_frames_of_the_last_one_still_arrive() -> None:
+    # Frames of the old session arrive over a slower path, between those of the new one.
     slow = [2000 * MS]
     link = VirtualLink(display(paths=2), delays_ns=lambda _, __: [WAY_NS, *slow])
     link.run(0, 3000)
@@ -227,7 +217,7 @@ def test_a_session_that_changes_in_mid_stream_is_not_mixed_up_with_the_one_befor
     assert link.display.summary().rejected["session"] > 1900 // BATCH
 
 
-def test_two_sensing_nodes_behind_one_display_do_not_take_turns() -> None:
+def test_frames_of_a_second_sensing_node_are_ignored() -> None:
     link = VirtualLink(display(paths=2))
     for ms in range(0, 5000, BATCH):
         values = np.full((BATCH, 1), 2.0)
@@ -262,7 +252,7 @@ def test_irregular_sample_periods_are_played_at_their_times() -> None:
         period_ns = random.randint(MS // 2, 2 * MS)
         times_ns = [taken_ns + i * period_ns for i in range(count)]
         values = np.array([[pulse_n(t_ns)] for t_ns in times_ns])
-        data = encode_frame(Frame(7, first, ahead_ns(taken_ns), period_ns, values))
+        data = encode_frame(Frame(7, first, taken_ns + AHEAD_NS, period_ns, values))
         link.deliver(times_ns[-1] + WAY_NS, "frame", data)
         first, taken_ns = first + count, times_ns[-1] + random.randint(MS // 2, 2 * MS)
     link.run(0, 5000)
@@ -272,7 +262,7 @@ def test_irregular_sample_periods_are_played_at_their_times() -> None:
 
 
 @pytest.mark.parametrize("cut_ms", [5000, 10_000])
-def test_what_queued_in_a_silence_is_not_played_when_it_comes_all_at_once(cut_ms: int) -> None:
+def test_frames_that_queued_during_a_cut_are_late_when_they_arrive_at_once(cut_ms: int) -> None:
     back_ms = 3000 + cut_ms
 
     def queued(_: int, true_ns: int) -> list[int]:
@@ -285,7 +275,7 @@ def test_what_queued_in_a_silence_is_not_played_when_it_comes_all_at_once(cut_ms
         control_delay_ns=lambda ns: None if 3000 * MS <= ns < back_ms * MS else WAY_NS,
     )
     link.run(0, back_ms + 2000)
-    # At rest soon after the cut, with nothing of the past afterwards: always the pulse of E ago.
+    # The target is 0 N soon after the cut, and later always the pulse of E ago.
     assert link.full_strength_ms(3200, back_ms) == 0
     assert {force_n for t_ns, force_n, _, _ in link.played if 3500 <= t_ns // MS < back_ms} == {0}
     assert link.full_strength_ms(back_ms + 1000, back_ms + 2000) == 1000
@@ -297,14 +287,15 @@ def test_what_queued_in_a_silence_is_not_played_when_it_comes_all_at_once(cut_ms
     assert abs((samples.late or 0) - cut_ms) < 100
 
 
-# A display's own clock is monotonic: it goes on, as after a suspend, and never back.
+# A display's clock is monotonic: it may step ahead after a suspend, but never back.
 @pytest.mark.parametrize(("host", "hours"), [("sensing", -1), ("sensing", 1), ("display", 1)])
-def test_a_clock_that_steps_by_an_hour_is_felt_through_soon(host: str, hours: int) -> None:
+def test_the_pulse_returns_soon_after_a_clock_step_by_an_hour(host: str, hours: int) -> None:
+    link = VirtualLink(display())
+
     def stepped(true_ns: int) -> int:
         return true_ns + 2 * HOUR_NS + (hours * HOUR_NS if true_ns >= 3000 * MS else 0)
 
-    clocks = {f"{host}_clock": stepped}
-    link = VirtualLink(display(), **clocks)  # type: ignore[arg-type]
+    setattr(link, f"{host}_clock", stepped)
     link.run(0, 9000)
     assert link.full_strength_ms(1500, 3000) == 1500
     assert link.full_strength_ms(7000, 9000) == 2000
@@ -315,11 +306,8 @@ def test_a_clock_that_steps_by_an_hour_is_felt_through_soon(host: str, hours: in
 @pytest.mark.parametrize("ppm", [-500, 500])
 @pytest.mark.parametrize("host", ["sensing", "display"])
 def test_a_skew_of_500_ppm_is_not_felt(host: str, ppm: int) -> None:
-    def skewed(true_ns: int) -> int:
-        return true_ns + 2 * HOUR_NS + true_ns * ppm // 1_000_000
-
-    clocks = {f"{host}_clock": skewed}
-    link = VirtualLink(display(), **clocks)  # type: ignore[arg-type]
+    link = VirtualLink(display())
+    setattr(link, f"{host}_clock", lambda ns: ns + 2 * HOUR_NS + ns * ppm // 1_000_000)
     link.run(0, 15_000)
     assert link.full_strength_ms(1500, 15_000) == 13_500
     assert max(link.errors_n(5000, 15_000)) < 1e-3
@@ -327,7 +315,7 @@ def test_a_skew_of_500_ppm_is_not_felt(host: str, ppm: int) -> None:
     assert (samples.lost, link.display.summary().rejected) == (0, {})
 
 
-def test_control_that_moves_to_a_longer_path_does_not_move_the_pulse() -> None:
+def test_a_longer_path_of_control_does_not_change_the_pulse() -> None:
     def moved(true_ns: int) -> int | None:
         if true_ns < 3000 * MS:
             return WAY_NS
@@ -345,12 +333,12 @@ def test_control_that_moves_to_a_longer_path_does_not_move_the_pulse() -> None:
     assert link.display.receiver.clock.steps == 0
 
 
-# The future, the far future, the past, the far past, a number ahead, times that overlap.
 @pytest.mark.parametrize(
     ("shift_ms", "skipped"),
     [(900, 0), (10_000, 0), (-900, 0), (-100_000, 0), (0, 1000), (-3, 0)],
+    ids=["future", "far future", "past", "far past", "skipped numbers", "overlapping times"],
 )
-def test_one_frame_of_a_false_time_is_overcome(shift_ms: int, skipped: int) -> None:
+def test_the_pulse_returns_after_one_frame_of_a_false_time(shift_ms: int, skipped: int) -> None:
     link = VirtualLink(display())
     link.run(0, 3000)
     first = link.frames * BATCH + skipped
@@ -365,7 +353,7 @@ def test_one_frame_of_a_false_time_is_overcome(shift_ms: int, skipped: int) -> N
     assert link.display.receiver.sessions == 1
 
 
-def test_a_welcome_of_the_same_session_changes_nothing() -> None:
+def test_another_welcome_of_the_same_session_has_no_effect() -> None:
     link = VirtualLink(display())
     link.run(0, 2000)
     welcome = encode_control(Welcome(7, 10**6, description(batch=1, period_ns=10 * MS)))

@@ -22,14 +22,19 @@ MS = 1_000_000
 PATIENCE_S = 10.0
 
 
+def here(port: str) -> tuple[object, ...]:
+    """Return an entry of `getaddrinfo` for this machine."""
+    return plain.AF_INET, plain.SOCK_STREAM, 6, "", ("127.0.0.1", int(port))
+
+
 @pytest.fixture
 def asked(monkeypatch: pytest.MonkeyPatch) -> list[str]:
-    """The names that were looked up; all of them are this machine's."""
+    """Resolve every name to this machine; collect the names."""
     names: list[str] = []
 
     def look_up(host: str, port: str, **_: object) -> list[tuple[object, ...]]:
         names.append(host)
-        return [(plain.AF_INET, plain.SOCK_STREAM, 6, "", ("127.0.0.1", int(port)))]
+        return [here(port)]
 
     monkeypatch.setattr(plain, "getaddrinfo", look_up)
     return names
@@ -37,15 +42,23 @@ def asked(monkeypatch: pytest.MonkeyPatch) -> list[str]:
 
 @pytest.fixture
 def no_answers(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Hosts answer in real time, not in the tests'."""
+    """Hide the answers of hosts, which come in real time and not in the tests'."""
     monkeypatch.setattr(HandshakeMonitor, "poll", lambda self, now_ns: [])
 
 
 def bound(context: Context) -> tuple[Socket, str]:
-    """A publisher, and its address."""
+    """Return a publisher and its address."""
     publisher, address = context.socket(zmq.PUB), free_address()
     publisher.bind(address)
     return publisher, address
+
+
+def subscribed(context: Context, *addresses: str) -> tuple[Connection, DataPath]:
+    """Return a connection that has subscribed at 0 ms, at 20 ms, and its first path."""
+    connection = Connection(context, addresses, len(addresses))
+    connection.subscribe(5 * MS, 0, 0)
+    poll(connection, 0, 20)
+    return connection, connection.routes[0].paths[0]
 
 
 def looked_up(lookup: Lookup) -> str | None:
@@ -66,7 +79,7 @@ def poll_until_connected(connection: Connection, monitor: Socket) -> None:
 
 
 def poll(connection: Connection, from_ms: int, to_ms: int) -> list[int]:
-    """Poll in virtual time; when control was connected, in ms."""
+    """Poll in virtual time; return the times in ms at which control was connected."""
     connected_ms = []
     for ms in range(from_ms, to_ms, 10):
         if connection.poll(ms * MS):
@@ -77,12 +90,21 @@ def poll(connection: Connection, from_ms: int, to_ms: int) -> list[int]:
 
 
 def deliver(sender: Socket, path: DataPath | Endpoint) -> None:
-    """Send until it has been received."""
+    """Send until a message has been received."""
     until(lambda: list(path.messages()) or sender.send(b"a frame"))
 
 
+def answer_clock(server: Socket, peer: bytes, connection: Connection) -> None:
+    """Let control receive a message."""
+    server.send_multipart([peer, b"clock"])
+    assert control_of(connection).poll(PATIENCE_S * 1000)
+    assert list(connection.control.messages()) == [b"clock"]
+
+
 @pytest.mark.parametrize("host", ["localhost", "127.0.0.1"])
-def test_names_and_numbers_are_connected_to(host: str, context: Context, address: str) -> None:
+def test_host_names_and_ip_addresses_are_connected(
+    host: str, context: Context, address: str
+) -> None:
     server = context.socket(zmq.ROUTER)
     server.bind(control_address(address))
     connection = Connection(context, [address.replace("127.0.0.1", host)], 1)
@@ -93,7 +115,7 @@ def test_names_and_numbers_are_connected_to(host: str, context: Context, address
     assert server.recv_multipart()[1] == b"hello"
 
 
-def test_a_name_server_that_does_not_answer_holds_nothing_up(
+def test_a_slow_name_server_does_not_block_the_loop(
     context: Context, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     answer, asked = threading.Event(), []
@@ -101,7 +123,7 @@ def test_a_name_server_that_does_not_answer_holds_nothing_up(
     def slow(host: str, port: str, **_: object) -> list[tuple[object, ...]]:
         asked.append(host)
         assert answer.wait(PATIENCE_S)
-        return [(plain.AF_INET, plain.SOCK_STREAM, 6, "", ("127.0.0.1", int(port)))]
+        return [here(port)]
 
     monkeypatch.setattr(plain, "getaddrinfo", slow)
     connection = Connection(context, ["tcp://somewhere:5555"], 2)
@@ -115,37 +137,26 @@ def test_a_name_server_that_does_not_answer_holds_nothing_up(
     assert asked == ["somewhere"]
 
 
-def test_a_silent_address_is_looked_up_and_connected_anew(
-    context: Context, asked: list[str]
-) -> None:
-    connection = Connection(context, ["tcp://somewhere:1"], 1)
-    poll(connection, 0, 1_000)
-    assert len(asked) == 1
-    poll(connection, 1_000, 11_000)
-    assert 5 <= len(asked) <= 6
-
-
-def test_an_address_that_delivers_is_looked_up_once(context: Context, asked: list[str]) -> None:
+def test_only_a_silent_address_is_looked_up_again(context: Context, asked: list[str]) -> None:
     publisher, address = bound(context)
-    connection = Connection(context, [address, "tcp://silent:1"], 2)
-    connection.subscribe(5 * MS, 0, 0)
-    poll(connection, 0, 100)
-    for ms in range(400, 60_000, 400):
-        deliver(publisher, connection.routes[0].paths[0])
+    connection, path = subscribed(context, address, "tcp://silent:1")
+    for ms in range(400, 20_000, 400):
+        deliver(publisher, path)
         poll(connection, ms, ms + 20)
     assert asked.count("127.0.0.1") == 1
-    assert asked.count("silent") > 20
+    assert 8 <= asked.count("silent") <= 12
+    before_subscribing = Connection(context, ["tcp://somewhere:1"], 1)
+    poll(before_subscribing, 0, 11_000)
+    assert 5 <= asked.count("somewhere") <= 6
 
 
-def test_a_silence_of_all_together_is_a_cut(
+def test_a_silence_of_all_addresses_is_a_cut(
     context: Context, asked: list[str], no_answers: None
 ) -> None:
     publisher, address = bound(context)
-    connection = Connection(context, [address, "tcp://other:1"], 2)
-    connection.subscribe(5 * MS, 0, 0)
-    poll(connection, 0, 20)
-    deliver(publisher, connection.routes[0].paths[0])
-    # Both are connected anew, once, and control is where it was; then patience is as usual.
+    connection, path = subscribed(context, address, "tcp://other:1")
+    deliver(publisher, path)
+    # Both are connected anew once, control at the same address; then patience is as usual.
     control = connection.control.address
     assert poll(connection, 20, 2_010) == [520]
     assert connection.control.address == control
@@ -155,9 +166,7 @@ def test_a_silence_of_all_together_is_a_cut(
     assert [asked.count(name) for name in ("127.0.0.1", "other")] == [3, 3]
 
 
-def test_requests_to_connect_are_repeated_soon_but_now_and_then_may_take_their_time(
-    context: Context,
-) -> None:
+def test_requests_to_connect_are_repeated_soon_but_each_eleventh_is_not(context: Context) -> None:
     publisher, address = bound(context)
     asking = Endpoint(context.socket(zmq.SUB))
 
@@ -177,23 +186,21 @@ def test_requests_to_connect_are_repeated_soon_but_now_and_then_may_take_their_t
     assert timeouts_ms(12) == [900] * 10 + [0, 900]
 
 
-def test_after_a_stall_of_its_own_it_waits_less_for_more_than_what_has_queued(
+def test_patience_is_shorter_after_a_stall_of_the_display(
     context: Context, asked: list[str], no_answers: None, logged: list[str]
 ) -> None:
     publisher, address = bound(context)
-    connection = Connection(context, [address], 1)
-    connection.subscribe(5 * MS, 0, 0)
-    poll(connection, 0, 20)
-    deliver(publisher, connection.routes[0].paths[0])
+    connection, path = subscribed(context, address)
+    deliver(publisher, path)
     poll(connection, 20, 40)
-    deliver(publisher, connection.routes[0].paths[0])
+    deliver(publisher, path)
     assert poll(connection, 1_000, 1_490) == [1_150]
 
 
-def test_where_one_port_answers_the_request_to_the_other_is_repeated_at_once(
+def test_once_one_port_answers_the_request_to_the_other_is_repeated(
     context: Context, asked: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    # Hosts answer in real time, and time stands still here.
+    # Hosts answer in real time, and the test's time stands still.
     monkeypatch.setattr(socket_monitor, "POLL_EVERY_NS", 0)
     _, address = bound(context)
     connection = Connection(context, [address], 1)
@@ -203,16 +210,16 @@ def test_where_one_port_answers_the_request_to_the_other_is_repeated_at_once(
         assert time.monotonic() < end_s
         began += connection.poll(1_000 * MS)
     assert began == 1
-    # What was asked for at the same time may be answered yet.
+    # The answer to control's request, sent at the same time, may still arrive.
     assert not connection.poll(1_099 * MS)
     assert control_of(connection).getsockopt(zmq.CONNECT_TIMEOUT) == 100
-    # Of control alone, which nobody listens to, it would notice only when its patience is over.
+    # Nothing listens to control: without the repetition it would wait for its whole patience.
     assert connection.poll(1_100 * MS)
     assert control_of(connection).getsockopt(zmq.CONNECT_TIMEOUT) == 0
     assert not connection.poll(1_101 * MS)
 
 
-def test_a_stream_of_rare_frames_is_waited_for(context: Context, asked: list[str]) -> None:
+def test_patience_is_longer_for_rare_frames(context: Context, asked: list[str]) -> None:
     connection = Connection(context, ["tcp://somewhere:1"], 1)
     connection.subscribe(10_000 * MS, 0, 0)
     poll(connection, 0, 29_000)
@@ -221,7 +228,7 @@ def test_a_stream_of_rare_frames_is_waited_for(context: Context, asked: list[str
     assert len(asked) == 2
 
 
-def test_paths_are_shared_out_and_each_address_has_one(context: Context) -> None:
+def test_paths_are_distributed_over_the_addresses(context: Context) -> None:
     addresses = ["tcp://127.0.0.1:1", "tcp://127.0.0.1:3", "tcp://127.0.0.1:5"]
     for paths, shares in ((3, [1, 1, 1]), (4, [2, 1, 1]), (8, [3, 3, 2])):
         connection = Connection(context, addresses, paths)
@@ -242,11 +249,9 @@ def test_control_moves_on_from_an_address_that_does_not_answer_and_stays_at_one_
     assert server.poll(PATIENCE_S * 1000)
     peer, _ = server.recv_multipart()
     for ms in range(3_000, 10_000, 400):
-        server.send_multipart([peer, b"clock"])
-        assert control.poll(PATIENCE_S * 1000)
-        assert list(connection.control.messages()) == [b"clock"]
+        answer_clock(server, peer, connection)
         assert poll(connection, ms, ms + 400) == []
-    # Then that one falls silent as well: it is tried once more, and the first has its turn again.
+    # Once it is silent as well, it is tried once more, and then the first again.
     assert poll(connection, 10_200, 12_200) == [10_300]
     assert connection.control.address == control_address(answering)
     assert poll(connection, 12_200, 13_000) == [12_300]
@@ -264,14 +269,9 @@ def test_an_unknown_name_is_logged_once(monkeypatch: pytest.MonkeyPatch, logged:
     assert logged == ["nowhere is not found: Name or service not known; retrying"]
 
 
-def test_the_numbers_of_a_name_are_tried_one_after_the_other(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_the_ip_addresses_of_a_name_are_tried_in_turn(monkeypatch: pytest.MonkeyPatch) -> None:
     def two(host: str, port: str, **_: object) -> list[tuple[object, ...]]:
-        return [
-            (plain.AF_INET6, plain.SOCK_STREAM, 6, "", ("::1", int(port), 0, 0)),
-            (plain.AF_INET, plain.SOCK_STREAM, 6, "", ("127.0.0.1", int(port))),
-        ]
+        return [(plain.AF_INET6, plain.SOCK_STREAM, 6, "", ("::1", int(port), 0, 0)), here(port)]
 
     monkeypatch.setattr(plain, "getaddrinfo", two)
     lookup = Lookup("tcp://both:5555")
@@ -284,31 +284,25 @@ def test_a_wrong_address_is_refused_at_once(context: Context) -> None:
         Connection(context, ["tcp://127.0.0.1:5555", "somewhere:5555"], 2)
 
 
-def test_a_data_path_that_is_silent_alone_gets_a_second_connection(
+def test_a_silent_data_path_gets_a_second_connection_while_control_goes_on(
     context: Context, asked: list[str], no_answers: None, logged: list[str], address: str
 ) -> None:
     publisher, server = context.socket(zmq.XPUB), context.socket(zmq.ROUTER)
     publisher.setsockopt(zmq.XPUB_VERBOSE, 1)
     publisher.bind(address)
     server.bind(control_address(address))
-    connection = Connection(context, [address], 1)
-    connection.subscribe(5 * MS, 0, 0)
-    (path,) = connection.routes[0].paths
-    poll(connection, 0, 20)
+    connection, path = subscribed(context, address)
     control_of(connection).send(b"clock?")
     peer, _ = server.recv_multipart()
     deliver(publisher, path)
     first = path.first
     for ms in range(20, 320, 10):
-        # Control goes on: the network as a whole is not silent.
-        server.send_multipart([peer, b"clock"])
-        assert control_of(connection).poll(PATIENCE_S * 1000)
-        assert list(connection.control.messages()) == [b"clock"]
+        answer_clock(server, peer, connection)
         assert poll(connection, ms, ms + 10) == []
     assert connection.reconnections == Reconnections(opened=0, kept=0, control=0)
     poll(connection, 320, 340)
     assert connection.reconnections == Reconnections(opened=1, kept=0, control=0)
-    # Over both comes the same, once.
+    # Each frame that both connections deliver is received once.
     for _ in range(2):
         assert publisher.poll(PATIENCE_S * 1000)
         assert publisher.recv() == b"\1"
@@ -320,7 +314,7 @@ def test_a_data_path_that_is_silent_alone_gets_a_second_connection(
     received += path.messages()
     assert sorted(received) == sorted({b"frame %d" % number for number in range(20)})
     poll(connection, 340, 350)
-    # One of them is closed, and the other goes on.
+    # One of them is closed.
     assert not path.failover.racing
     kept = path.first is not first
     assert connection.reconnections == Reconnections(opened=1, kept=kept, control=0)
@@ -336,10 +330,7 @@ def test_a_connection_that_floods_is_closed_for_a_while(
 ) -> None:
     monkeypatch.setattr(endpoint, "BURST", 200)
     publisher, address = bound(context)
-    connection = Connection(context, [address], 1)
-    connection.subscribe(5 * MS, 0, 0)
-    (path,) = connection.routes[0].paths
-    poll(connection, 0, 20)
+    connection, path = subscribed(context, address)
     deliver(publisher, path)
     received, end_s = 0, time.monotonic() + PATIENCE_S
     while path.first.address is not None:
@@ -350,7 +341,7 @@ def test_a_connection_that_floods_is_closed_for_a_while(
         connection.poll(20 * MS)
     assert 200 <= received < 1_000
     assert connection.rejected["flood"] > 0
-    # It is left alone, however often it is asked, and then it has another chance.
+    # It stays closed for 5 s, and is then connected again.
     looked_up = len(asked)
     poll(connection, 30, 5_000)
     assert path.first.address is None
@@ -360,7 +351,7 @@ def test_a_connection_that_floods_is_closed_for_a_while(
     assert logged == [f"{address} sends far more than a stream; closed for 5 s"]
 
 
-def test_a_system_without_a_free_thread_ends_no_loop(
+def test_the_look_up_is_repeated_where_no_thread_can_be_started(
     monkeypatch: pytest.MonkeyPatch, logged: list[str]
 ) -> None:
     lookup = Lookup("tcp://127.0.0.1:5555")
@@ -377,7 +368,7 @@ def test_a_system_without_a_free_thread_ends_no_loop(
     assert looked_up(lookup) == "tcp://127.0.0.1:5555"
 
 
-def test_what_the_closed_connection_had_brought_is_dropped_from_the_kept_one(
+def test_copies_of_what_the_closed_connection_delivered_are_dropped_from_the_kept_one(
     context: Context, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = DataPath(context, None)
@@ -393,7 +384,7 @@ def test_what_the_closed_connection_had_brought_is_dropped_from_the_kept_one(
 
     path.failover.racing = True
     assert receive([], [b"5"]) == [b"5"]
-    # The first has caught up with the second and is closed, some frames ahead by now.
+    # The first has caught up, some frames ahead by now, and is closed.
     assert receive([b"4", b"5", b"6", b"7"], []) == [b"4", b"6", b"7"]
     assert not path.failover.racing
     assert path.first is second

@@ -120,7 +120,7 @@ def test_telemetry_has_every_tick_and_ends_with_a_final_status(
     assert final is not None
     now_ns = np.concatenate([trace.now_ns for trace in ticks])
     assert (np.diff(now_ns) > 0).all()
-    # What was missed as a deadline is the only thing missing.
+    # Only ticks that were missed as deadlines are missing.
     ticks_spanned = round((now_ns[-1] - now_ns[0]) / 1e6) + 1
     assert ticks_spanned - len(now_ns) <= final.summary["loop"]["deadline_misses"] + 1
     felt_n = np.concatenate([trace.felt_n for trace in ticks])
@@ -128,12 +128,12 @@ def test_telemetry_has_every_tick_and_ends_with_a_final_status(
     assert 0.4 < felt_n.max() < 0.6
 
 
-def test_a_peer_that_sends_garbage_neither_stops_nor_moves_it(
+def test_a_peer_that_sends_garbage_and_enormous_forces_is_felt_up_to_the_limit_only(
     context: Context, tmp_path: Path
 ) -> None:
     address, telemetry_address = free_address(), free_address()
     summary = tmp_path / "display.json"
-    # An XPUB is a PUB that hears who subscribes.
+    # XPUB, because it receives the subscriptions.
     data, control = context.socket(zmq.XPUB), context.socket(zmq.ROUTER)
     data.bind(address)
     control.bind(control_address(address))
@@ -153,7 +153,7 @@ def test_a_peer_that_sends_garbage_neither_stops_nor_moves_it(
             frame_now(1, session=6),
             frame_now(2, force_n=float("nan")),
             frame_now(3, ahead_s=100.0),
-            # Above what the socket takes: it drops the connection and must make a new one.
+            # Above the socket's limit: it closes the connection and must open a new one.
             secrets.token_bytes(300_000),
         ):
             data.send(garbage)
@@ -169,7 +169,7 @@ def test_a_peer_that_sends_garbage_neither_stops_nor_moves_it(
         assert display.poll() is None
         display.send_signal(signal.SIGTERM)
         assert display.wait(PATIENCE_S) == 0
-    # Felt, and at its limit: 900 kN is a valid number.
+    # 900 kN is a valid number.
     assert 2.4 < max(felt_n) <= 2.5
     rejected = read_json(summary)["rejected"]
     assert {"not_msgpack", "truncated", "version", "session", "not_finite", "timestamp"} <= set(
@@ -178,9 +178,9 @@ def test_a_peer_that_sends_garbage_neither_stops_nor_moves_it(
 
 
 def answer_for(control: zmq.Socket, seconds: float) -> bytes:
-    """Answer hellos and clock requests as a sensing node on this very clock would.
+    """Answer hellos and clock requests as a sensing node with this machine's clock.
 
-    Returns the last peer that asked.
+    Returns the last peer that sent a request.
     """
     end_s, peer = time.monotonic() + seconds, b""
     while (left_ms := (end_s - time.monotonic()) * 1000) > 0:
@@ -204,22 +204,19 @@ def frame_now(first: int, session: int = 7, force_n: float = 0.3, ahead_s: float
     return encode_frame(Frame(session, first, t_ns, 1_000_000, np.full((5, 1), force_n, "<f4")))
 
 
-def test_a_taken_telemetry_port_is_one_line(context: Context) -> None:
-    holder = context.socket(zmq.PUB)
-    address = free_address()
-    holder.bind(address)
+def test_a_taken_telemetry_port_or_a_wrong_address_is_refused_in_one_line(
+    context: Context, address: str
+) -> None:
+    context.socket(zmq.PUB).bind(address)
     line = refused(MODULE, *display_arguments(free_address(), address))
     assert address in line
     assert "in use" in line
-
-
-@pytest.mark.parametrize("address", ["localhost:5555", "tcp://localhost", "tcp://h:70000", "x"])
-def test_a_wrong_address_is_one_line(address: str) -> None:
-    assert address in refused(MODULE, str(RADIAL), "--connect", address, "--no-screen")
+    for wrong in ("localhost:5555", "tcp://localhost", "tcp://h:70000", "x"):
+        assert wrong in refused(MODULE, str(RADIAL), "--connect", wrong, "--no-screen")
 
 
 @pytest.mark.parametrize("option", ["--connect", "--telemetry"])
-def test_beyond_loopback_it_starts_with_keys_or_with_insecure(option: str) -> None:
+def test_beyond_loopback_a_display_starts_with_keys_or_with_insecure(option: str) -> None:
     address = {"--connect": "tcp://192.0.2.1:5555", "--telemetry": "tcp://*:*"}[option]
     arguments = (str(RADIAL), option, address, "--seconds", "0.2", "--no-screen")
     line, insecure = refused(MODULE, *arguments), run(MODULE, *arguments, "--insecure")
@@ -229,7 +226,7 @@ def test_beyond_loopback_it_starts_with_keys_or_with_insecure(option: str) -> No
     assert (insecure.returncode, unusual(insecure.stderr)) == (0, "")
 
 
-def test_help_reads_like_a_manual() -> None:
+def test_help_names_options_keys_and_exit_status() -> None:
     text = run(MODULE, "--help").stdout
     for word in ("--connect", "--once", "compensation", "Exit status", "tcp://HOST:5555"):
         assert word in text
@@ -245,9 +242,9 @@ def test_without_a_terminal_the_screen_prints_a_line_a_second(address: str) -> N
     lines = [line for line in output.splitlines() if line.startswith("playing:")]
     assert 1 <= len(lines) <= 9
     for word in ("heart rate", "force target", "force felt"):
-        # A line of an instant at which a busy machine held up the pulse has no heart rate.
+        # A line has no heart rate while a busy machine delays the pulse.
         assert any(word in line for line in lines)
-    # An alert of a busy machine takes the room of the finger's state.
+    # In a line with an alert there may be no room for the finger's state.
     assert all("finger" in line for line in lines if "; " not in line)
     assert "samples" in output
     assert unusual(errors) == ""

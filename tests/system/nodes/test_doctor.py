@@ -7,6 +7,7 @@ import pytest
 
 from display_node.doctor.jitter import Ticks, run_ticks
 from tests.support.live_display import MODULE, PATIENCE_S
+from tests.support.log_lines import refused
 from tests.support.nodes import RADIAL, process, read_json, run_python
 from tests.support.rights import needs_rights, without_rights
 from tests.support.waiting import until
@@ -27,14 +28,14 @@ def test_late_and_missed_ticks_are_counted_separately(monkeypatch: pytest.Monkey
     monkeypatch.setattr("display_node.doctor.jitter.time.monotonic_ns", lambda: now_ns)
     ticks = Ticks()
     run_ticks(ticks, 1_000_000, 0.0055, [], lambda due_ns, n: worked.append((due_ns, n)))
-    # The third began 2.4 ms late, when the next two were due; the last 9 ms, after the end.
+    # The third began 2.4 ms late, when the next two were due; the last 9 ms late, after the end.
     assert worked == [(1_000_000, 1), (2_000_000, 1), (5_000_000, 3), (15_000_000, 10)]
     assert (ticks.missed, ticks.due) == (11, 15)
     assert ticks.late_us.maximum == 9_000.0
 
 
 @needs_rights
-def test_the_doctor_measures_with_each_measure_and_without(tmp_path: Path) -> None:
+def test_the_doctor_measures_ticks_with_each_setting_and_without(tmp_path: Path) -> None:
     path = tmp_path / "report.json"
     doctor = run_python(*QUICK, "--json", str(path), str(RADIAL))
     assert (doctor.returncode, doctor.stderr) == (0, "")
@@ -42,8 +43,8 @@ def test_the_doctor_measures_with_each_measure_and_without(tmp_path: Path) -> No
     assert report["refused"] == []
     assert {"slack", "lock", "fifo=40"} <= set(report["granted"])
     rows = {(row["with"], row["beside"]) for row in report["late_us"]}
-    measures = {"bare", "together", *report["granted"]}
-    assert rows == {(name, beside) for name in measures for beside in ("nothing", "load")}
+    settings = {"bare", "together", *report["granted"]}
+    assert rows == {(name, beside) for name in settings for beside in ("nothing", "load")}
     assert all(row["ticks"] > 0 for row in report["late_us"])
     assert report["verdict"]["status"] in ("ok", "warn", "fail")
     assert report["tick_ms"] == 1.0
@@ -52,7 +53,7 @@ def test_the_doctor_measures_with_each_measure_and_without(tmp_path: Path) -> No
     assert "fifo=40" in doctor.stdout
 
 
-def test_a_refused_measure_is_named_with_what_to_do(tmp_path: Path) -> None:
+def test_a_refused_setting_is_named_with_advice(tmp_path: Path) -> None:
     path = tmp_path / "report.json"
     doctor = without_rights(*QUICK, "--json", str(path))
     assert (doctor.returncode, doctor.stderr) == (0, "")
@@ -64,7 +65,7 @@ def test_a_refused_measure_is_named_with_what_to_do(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL])
-def test_a_doctor_that_is_stopped_leaves_no_load_behind(number: signal.Signals) -> None:
+def test_a_stopped_doctor_leaves_no_busy_processes(number: signal.Signals) -> None:
     with process(MODULE, "--doctor", "--seconds", "20", "--quiet") as doctor:
         children = Path(f"/proc/{doctor.pid}/task/{doctor.pid}/children")
         while not (found := children.read_text(encoding="ascii").split()):
@@ -84,22 +85,14 @@ def computes(process_id: str) -> bool:
     return "State:\tZ" not in status
 
 
-@pytest.mark.parametrize(
-    ("scene", "message"),
-    [("no such scene.toml", "no such scene file"), (str(RADIAL), "is a folder")],
-)
-def test_a_doctor_that_cannot_begin_is_refused_in_one_line(
-    scene: str, message: str, tmp_path: Path
-) -> None:
-    json = tmp_path if message == "is a folder" else tmp_path / "report.json"
-    doctor = run_python(*QUICK, scene, "--json", str(json))
-    assert doctor.returncode == 2
-    (line,) = doctor.stderr.splitlines()
-    assert line.startswith("display-node: ")
-    assert message in line
-
-
-def test_without_a_doctor_a_scene_is_needed() -> None:
-    node = run_python("-m", MODULE)
-    assert (node.returncode, node.stdout) == (2, "")
-    assert node.stderr == "display-node: no scene: display-node SCENE plays one\n"
+def test_a_wrong_scene_or_report_of_a_doctor_is_refused_in_one_line(tmp_path: Path) -> None:
+    wrong = (
+        ("no such scene.toml", "report.json", "no such scene file"),
+        (RADIAL, "", "is a folder"),
+    )
+    for scene, json, message in wrong:
+        line = refused(MODULE, "--doctor", str(scene), "--json", str(tmp_path / json))
+        assert line.startswith("display-node: ")
+        assert message in line
+    # Without --doctor a scene is required.
+    assert refused(MODULE) == "display-node: no scene: display-node SCENE plays one\n"

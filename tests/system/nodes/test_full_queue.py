@@ -1,6 +1,6 @@
-"""A peer that fills a node's queue and disconnects must not end the node.
+"""A node survives peers that fill its queue and disconnect.
 
-With ZeroMQ's own heartbeats it would: libzmq 4.3.5 ends the process.
+With ZeroMQ's own heartbeats it would not: libzmq 4.3.5 ends the process.
 """
 
 import time
@@ -27,7 +27,7 @@ HEARTBEATS_S = 4.5
 FLOOD = 3 * sockets.HIGH_WATER_FRAMES
 
 
-def test_a_node_survives_peers_that_disconnect_while_its_queue_is_full(
+def test_peers_that_disconnect_while_the_queue_is_full_do_not_end_a_node(
     context: Context, address: str
 ) -> None:
     with ChildProcess("node", "-c", NODE, address, stdin=PIPE, stdout=PIPE) as node:

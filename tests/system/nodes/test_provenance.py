@@ -1,4 +1,4 @@
-"""No secret of a scene or a command line gets into what results carry."""
+"""Provenance of results, without the secrets of a scene or a command line."""
 
 import json
 import platform
@@ -12,17 +12,17 @@ from protocol import provenance
 from protocol.config.scene import load_section
 from protocol.provenance import REDACTED, collect
 from telepulse.experiment.session import load_plan
-from tests.support.nodes import RADIAL, ROOT, run
+from tests.support.nodes import RADIAL, ROOT, read_json, run
 
 
-def test_it_names_scene_host_and_command_and_what_is_in_effect() -> None:
+def test_provenance_names_scene_host_command_and_the_settings_in_effect() -> None:
     found = collect(RADIAL, {"display": load_section(RADIAL, "display", DisplayScene)}, {"link": 3})
     assert found.python == platform.python_version()
     assert found.seeds == {"link": 3}
     assert found.start_utc.endswith("+00:00")
     assert found.scene["path"] == str(RADIAL)
     assert "sensing" in found.scene["tables"]
-    # A default that the file does not name.
+    # A default that is not in the file.
     assert found.effective["display"]["safety"]["force_limit_n"] == 2.5
     table = json.loads(found.to_bytes())
     assert table == found.to_dict()
@@ -30,22 +30,12 @@ def test_it_names_scene_host_and_command_and_what_is_in_effect() -> None:
     assert "kp" in table["gains"]
 
 
-def test_the_commit_is_a_checkouts_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_only_a_checkout_has_a_commit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(provenance, "_ROOT", tmp_path)
     assert collect().commit is None
     assert "commit" not in collect().to_dict()
     (tmp_path / ".git").mkdir()
     assert collect().commit is None
-
-
-def test_a_summary_carries_it_and_no_key(tmp_path: Path) -> None:
-    out = tmp_path / "out.json"
-    result = run("telepulse", "simulate", "--seconds", "1", "--seed", "7", "--json", str(out))
-    assert result.returncode == 0
-    found = json.loads(out.read_text(encoding="utf-8"))["provenance"]
-    assert found["seeds"] == {"link": 7, "source": found["effective"]["sensing"]["source"]["seed"]}
-    assert found["command"][1:] == list(result.args[4:])
-    assert {"version", "host", "platform", "actuator", "gains"} <= found.keys()
 
 
 SECRET = "hunter2"
@@ -65,7 +55,7 @@ dsn = "a=1;PWD={SECRET}"
 
 @pytest.fixture
 def scene(tmp_path: Path) -> Path:
-    """A scene whose drive is behind an adapter that asks for credentials."""
+    """Return a scene whose drive is behind an adapter with credentials."""
     path = tmp_path / "scene.toml"
     path.write_text(RADIAL.read_text(encoding="utf-8") + DRIVE, encoding="utf-8")
     return path
@@ -88,10 +78,17 @@ def test_provenance_has_a_scenes_options_without_their_secrets(
         }
 
 
-def test_neither_a_summary_nor_an_experiments_log_has_a_secret(scene: Path) -> None:
+def test_a_summary_has_its_provenance_and_neither_it_nor_an_experiments_log_has_a_secret(
+    scene: Path,
+) -> None:
     out, session = scene.parent / "out.json", scene.parent / "session.toml"
-    command = ("simulate", str(scene), "--seconds", "1", "--json", str(out))
-    assert run("telepulse", *command).returncode == 0
+    command = ("simulate", str(scene), "--seconds", "1", "--seed", "7", "--json", str(out))
+    result = run("telepulse", *command)
+    assert result.returncode == 0
+    found = read_json(out)["provenance"]
+    assert found["seeds"] == {"link": 7, "source": found["effective"]["sensing"]["source"]["seed"]}
+    assert found["command"][1:] == list(result.args[4:])
+    assert {"version", "host", "platform", "actuator", "gains"} <= found.keys()
     example = (ROOT / "telepulse" / "experiment" / "example.toml").read_text(encoding="utf-8")
     session.write_text(re.sub("(?m)^scene = .*", f'scene = "{scene}"', example), encoding="utf-8")
     for text in (out.read_text(encoding="utf-8"), json.dumps(load_plan(session).tables)):

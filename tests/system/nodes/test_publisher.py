@@ -22,12 +22,12 @@ from tests.support.waiting import until
 
 
 def ticks(publisher: Publisher, count: int) -> int:
-    """Add ticks; return how many statuses are due on the way."""
+    """Add ticks; return the number of statuses that become due."""
     return sum(publisher.add(TickState(now_ns=number)) for number in range(count))
 
 
 def received(socket: zmq.Socket) -> list[tuple[bytes, bytes]]:
-    """All that comes within a moment."""
+    """Return the messages that arrive until 0.3 s of silence."""
     messages = []
     while socket.poll(300):
         messages.append(tuple(socket.recv_multipart()))

@@ -19,12 +19,14 @@ from tests.support.nodes import RADIAL, assert_accounted, free_address, process,
 from tests.support.realtime_child import locked_kib, schedules
 from tests.support.rights import needs_rights, without_rights
 
-WISH = "fifo=7,lock,slack"
+REQUEST = "fifo=7,lock,slack"
 NO_PRIORITY = "real-time: fifo=7 is not granted: RLIMIT_RTPRIO is 0; put"
 
 
 @needs_rights
-def test_both_nodes_hold_what_was_granted_and_play_on(context: Context, tmp_path: Path) -> None:
+def test_granted_settings_are_in_effect_in_both_nodes_while_they_play(
+    context: Context, tmp_path: Path
+) -> None:
     address, telemetry_address = free_address(), free_address()
     telemetry = subscribe(context, telemetry_address)
     one = max(os.sched_getaffinity(0))
@@ -32,8 +34,8 @@ def test_both_nodes_hold_what_was_granted_and_play_on(context: Context, tmp_path
     own = [("--json", str(path), "--realtime") for path in summaries]
     playing = display_arguments(address, telemetry_address, "--screen", *own[1])
     with (
-        process("sensing_node.cli", *sensing_arguments(address, 60), *own[0], WISH) as wrist,
-        process(MODULE, *playing, f"{WISH},cpu={one}") as display,
+        process("sensing_node.cli", *sensing_arguments(address, 60), *own[0], REQUEST) as wrist,
+        process(MODULE, *playing, f"{REQUEST},cpu={one}") as display,
     ):
         await_state(telemetry, "playing")
         for node in (wrist, display):
@@ -43,7 +45,7 @@ def test_both_nodes_hold_what_was_granted_and_play_on(context: Context, tmp_path
             assert list(found.values()).count((os.SCHED_FIFO, 6)) >= 2
             assert locked_kib(node.pid) > 1_000
         assert os.sched_getaffinity(display.pid) == {one}
-        # What draws has none of it.
+        # The process that draws has none of these settings.
         children = Path(f"/proc/{display.pid}/task/{display.pid}/children").read_text()
         (screen,) = map(int, children.split())
         assert set(schedules(screen).values()) == {(os.SCHED_OTHER, 0)}
@@ -56,22 +58,22 @@ def test_both_nodes_hold_what_was_granted_and_play_on(context: Context, tmp_path
     assert len(re.findall(" real-time: lock .*, slack .*, fifo=7 .*$", errors, re.M)) == 1
     sensed, played = map(read_json, summaries)
     assert_accounted(played["samples"])
-    assert sorted(sensed["loop"]["realtime"]) == sorted(WISH.split(","))
-    assert sorted(played["loop"]["realtime"]) == sorted([*WISH.split(","), f"cpu={one}"])
+    assert sorted(sensed["loop"]["realtime"]) == sorted(REQUEST.split(","))
+    assert sorted(played["loop"]["realtime"]) == sorted([*REQUEST.split(","), f"cpu={one}"])
     late_us = played["loop"]["late_us"]
     assert 0 < late_us["p50"] <= late_us["p99"] <= late_us["p999"] <= late_us["max"]
 
 
 COLLECTIONS = """
 import atexit, gc, runpy, sys
-looked_at = []
+examined = []
 def look(phase, info):
     if phase == "start" and info["generation"] == 2 and gc.get_freeze_count():
-        looked_at.append(len(gc.get_objects()))
+        examined.append(len(gc.get_objects()))
 gc.callbacks.append(look)
 def full():
     gc.collect()
-    print(gc.get_freeze_count(), max(looked_at), file=sys.stderr)
+    print(gc.get_freeze_count(), max(examined), file=sys.stderr)
 atexit.register(full)
 runpy.run_module(sys.argv.pop(1), run_name="__main__", alter_sys=True)
 """
@@ -80,22 +82,22 @@ runpy.run_module(sys.argv.pop(1), run_name="__main__", alter_sys=True)
 @pytest.mark.parametrize(
     ("module", "option"), [(MODULE, "--connect"), ("sensing_node.cli", "--bind")]
 )
-def test_what_is_not_granted_is_a_line_each_and_a_full_collection_leaves_old_objects_alone(
+def test_each_refused_setting_is_a_line_and_a_full_collection_skips_old_objects(
     module: str, option: str, tmp_path: Path
 ) -> None:
     """A collection stopped a sensing node for 20 to 30 ms soon after a display had joined."""
     summary = tmp_path / "summary.json"
     node = without_rights(
         *("-c", COLLECTIONS, module, str(RADIAL), option, free_address(), "--quiet"),
-        *("--seconds", "0.2", "--json", str(summary), "--realtime", WISH),
+        *("--seconds", "0.2", "--json", str(summary), "--realtime", REQUEST),
     )
     assert node.returncode == 0
     refusals = [line.partition(" is not granted: ")[0] for line in messages(node.stderr)]
     assert refusals == ["real-time: lock", "real-time: fifo=7"]
     assert read_json(summary)["loop"]["realtime"] == ["slack"]
-    frozen, looked_at = map(int, strays(node.stderr).split())
+    frozen, examined = map(int, strays(node.stderr).split())
     assert frozen > 10_000
-    assert looked_at < frozen / 5
+    assert examined < frozen / 5
 
 
 @pytest.mark.parametrize(
@@ -106,7 +108,7 @@ def test_what_is_not_granted_is_a_line_each_and_a_full_collection_leaves_old_obj
         (MODULE, "lok", "display-node: --realtime: unknown measure 'lok'; did you mean lock?\n"),
     ],
 )
-def test_a_node_does_not_start_when_a_strict_or_misspelt_request_is_refused(
+def test_a_node_with_a_strict_or_misspelt_request_that_is_refused_does_not_start(
     module: str, wish: str, line: str
 ) -> None:
     node = without_rights("-m", module, str(RADIAL), "--realtime", wish)

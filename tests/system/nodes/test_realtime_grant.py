@@ -34,7 +34,7 @@ def measured(option: str, loop_s: float = 0, helper_s: float = 0, *, rights: boo
 
 
 @needs_rights
-def test_the_granted_measures_are_those_in_effect_and_all_are_taken_back() -> None:
+def test_the_granted_settings_are_in_effect_and_all_are_undone() -> None:
     one = max(THERE)
     # A loop that pauses keeps its priority.
     found = measured(f"fifo=7,lock,cpu={one},slack", loop_s=0.05)
@@ -42,7 +42,7 @@ def test_the_granted_measures_are_those_in_effect_and_all_are_taken_back() -> No
     assert sorted(found["granted"]) == sorted(["fifo=7", "lock", f"cpu={one}", "slack"])
     held = found["held"]
     assert held["loop"] == found["later"]["loop"] == [FIFO, 7]
-    # Network and sensors are helped, but cannot hold up a tick.
+    # Threads of network and sensors have a priority below that of the loop.
     assert held["helpers"] == held["zeromq"] == [[FIFO, 6]]
     assert held["cpus"] == [one]
     # Threads that neither Python nor ZeroMQ has started get no priority.
@@ -54,11 +54,11 @@ def test_the_granted_measures_are_those_in_effect_and_all_are_taken_back() -> No
     assert found["after"] == before
 
 
-def test_zeromqs_threads_are_found_before_they_had_the_time_to_name_themselves() -> None:
+def test_zeromqs_threads_are_found_before_they_have_a_name() -> None:
     for _ in range(50):
         before = helper_threads()
         with zmq.Context() as context, closing(context.socket(zmq.PUB)):
-            # Its reaper, and what moves messages.
+            # The reaper and the I/O thread.
             assert len(helper_threads() - before) == 2
 
 
@@ -85,7 +85,7 @@ def test_a_priority_is_given_up_without_a_free_descriptor() -> None:
 
 @needs_rights
 def test_a_process_that_handles_no_signal_is_ended_by_the_kernel() -> None:
-    # A library that does not come back: Python handles no signal meanwhile.
+    # Python handles no signal while a function of a library runs.
     child = run_python("-c", HANGS)
     assert (child.returncode, child.stdout) == (-signal.SIGKILL, "held\n")
 
@@ -107,7 +107,7 @@ def test_without_rights_each_refusal_is_explained_and_the_rest_is_granted() -> N
 
 
 @pytest.mark.parametrize("option", ["cpu=4000", f"cpu={max(THERE)},cpu=4000"])
-def test_a_processor_that_is_not_there_is_refused(option: str) -> None:
+def test_a_processor_that_does_not_exist_is_refused(option: str) -> None:
     with apply_realtime(parse_realtime(option)) as held:
         assert held.granted == {}
         assert os.sched_getaffinity(0) == THERE
@@ -117,7 +117,7 @@ def test_a_processor_that_is_not_there_is_refused(option: str) -> None:
         pytest.raises(RealtimeError, match=r"cpu=.*4000 is not granted"),
         apply_realtime(parse_realtime(f"slack,{option},strict")),
     ):
-        pytest.fail("it is not held")
+        pytest.fail("the settings are in effect")
     assert os.sched_getaffinity(0) == THERE
 
 
@@ -156,7 +156,7 @@ print(dict(describe(read_host()))["may run on"])
 """
 
 
-def test_on_other_systems_than_linux_each_measure_is_refused() -> None:
+def test_each_setting_is_refused_on_other_systems_than_linux() -> None:
     child = run_python("-c", ELSEWHERE)
     lines = ("", "lock slack cpu=0 fifo=40", "this system does not have it", "any")
     assert (child.stderr, tuple(child.stdout.splitlines())) == ("", lines)
@@ -175,7 +175,7 @@ print(*resource.getrlimit(resource.RLIMIT_NOFILE))
 @pytest.mark.parametrize(
     ("present", "most", "then"), [(128, 10_000, FILES), (128, 256, 256), (9_000, 10_000, 9_000)]
 )
-def test_the_limit_of_open_files_is_raised_as_far_as_it_may_be(
+def test_the_limit_of_open_files_is_raised_as_far_as_permitted(
     present: int, most: int, then: int
 ) -> None:
     result = run_python("-c", PROGRAM.format(present=present, most=most), check=True)

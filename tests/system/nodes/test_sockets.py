@@ -1,7 +1,7 @@
-"""Free addresses: whose ports nobody holds, nor was just given."""
+"""Sockets of the nodes, and free addresses for tests."""
 
-import itertools
 import socket as plain
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from socket import AF_INET, SOCK_STREAM, socket
 from urllib.parse import urlsplit
@@ -15,7 +15,7 @@ from protocol.sockets import MAX_MESSAGES, Context, Socket
 from protocol.wire.messages import MAX_FRAME_BYTES
 from telepulse.processes import HOST, free_addresses
 
-# Longer than any test may take: a test that waits in vain fails by pytest's own timeout.
+# Longer than any test may take: pytest's timeout ends a test that waits in vain.
 FOREVER_NS = 3_600_000_000_000
 LOOPBACK = "tcp://127.0.0.1:*"
 
@@ -24,6 +24,11 @@ pytestmark = pytest.mark.timeout(30)
 
 def endpoint(socket: Socket) -> str:
     return str(socket.getsockopt_string(zmq.LAST_ENDPOINT))
+
+
+def received(socket: Socket) -> list[list[bytes]]:
+    """Return the messages that wait, each with its parts."""
+    return list(sockets.receive_multipart(socket))
 
 
 def pair(context: Context, address: str = "inproc://pair") -> tuple[Socket, Socket]:
@@ -35,37 +40,38 @@ def assert_delivers(one: Socket, other: Socket) -> None:
     while not sockets.send(one, b"x"):
         sockets.wait_readable([one], 1_000_000)
     sockets.wait_readable([other], FOREVER_NS)
-    assert list(sockets.receive_multipart(other)) == [[b"x"]]
+    assert received(other) == [[b"x"]]
 
 
 def meet(publisher: Socket, subscriber: Socket) -> None:
     """Publish until the subscriber receives it, and drain the subscriber."""
-    while not list(sockets.receive_multipart(subscriber)):
+    while not received(subscriber):
         sockets.send(publisher, b"hello?")
         sockets.wait_readable([subscriber], 1_000_000)
     sockets.send(publisher, b"hello!")
     while True:
         sockets.wait_readable([subscriber], FOREVER_NS)
-        if [b"hello!"] in sockets.receive_multipart(subscriber):
+        if [b"hello!"] in received(subscriber):
             return
 
 
-def test_a_message_keeps_its_parts(context: Context) -> None:
+@pytest.mark.parametrize(
+    ("receive", "expected"),
+    [
+        (sockets.receive_multipart, [[b"first", b"", b"third"], [b"alone"]]),
+        (sockets.receive_parts, [b"first", b"", b"third", b"alone"]),
+    ],
+)
+def test_messages_are_received_with_their_parts_and_a_bounded_number_at_once(
+    receive: Callable[[Socket], Iterator[object]], expected: list[object], context: Context
+) -> None:
     one, other = pair(context)
-    assert list(sockets.receive_multipart(one)) == list(sockets.receive_multipart(other)) == []
+    assert list(receive(one)) == list(receive(other)) == []
     assert sockets.send(one, b"first", b"", b"third")
     assert sockets.send(one, b"alone")
-    assert list(sockets.receive_multipart(other)) == [[b"first", b"", b"third"], [b"alone"]]
-
-
-def test_receive_parts_yields_each_part_as_a_message(context: Context) -> None:
-    one, other = pair(context)
-    assert list(sockets.receive_parts(other)) == []
-    assert sockets.send(one, b"first", b"", b"third")
-    assert sockets.send(one, b"alone")
-    assert list(sockets.receive_parts(other)) == [b"first", b"", b"third", b"alone"]
-    assert all(sockets.send(one, b"x") for _ in range(MAX_MESSAGES + 5))
-    assert [len(list(sockets.receive_parts(other))) for _ in range(3)] == [MAX_MESSAGES, 5, 0]
+    assert list(receive(other)) == expected
+    assert all(sockets.send(one, b"x") for _ in range(2 * MAX_MESSAGES + 5))
+    assert [len(list(receive(other))) for _ in range(4)] == [MAX_MESSAGES, MAX_MESSAGES, 5, 0]
 
 
 def test_wait_on_descriptors_sees_each_message_of_a_drained_socket(context: Context) -> None:
@@ -79,26 +85,17 @@ def test_wait_on_descriptors_sees_each_message_of_a_drained_socket(context: Cont
         assert received == [b"%d" % number]
 
 
-def test_one_call_takes_a_bounded_number_of_messages(context: Context) -> None:
-    one, other = pair(context)
-    numbers = [b"%d" % i for i in range(2 * MAX_MESSAGES + 5)]
-    assert all(sockets.send(one, number) for number in numbers)
-    calls = [[data for (data,) in sockets.receive_multipart(other)] for _ in range(4)]
-    assert [len(call) for call in calls] == [MAX_MESSAGES, MAX_MESSAGES, 5, 0]
-    assert [*itertools.chain(*calls)] == numbers
-
-
 @pytest.mark.parametrize("address", ["inproc://pair", LOOPBACK])
-def test_many_messages_all_come_in_their_order(context: Context, address: str) -> None:
+def test_all_messages_arrive_in_their_order(context: Context, address: str) -> None:
     one, other = pair(context, address)
     sent, count = 0, 5_000
-    received: list[int] = []
-    while len(received) < count:
+    numbers: list[int] = []
+    while len(numbers) < count:
         while sent < count and sockets.send(one, b"%d" % sent):
             sent += 1
         sockets.wait_readable([other], 1_000_000 if sent < count else FOREVER_NS)
-        received += [int(data) for (data,) in sockets.receive_multipart(other)]
-    assert received == list(range(count))
+        numbers += [int(data) for (data,) in received(other)]
+    assert numbers == list(range(count))
 
 
 def test_a_published_message_reaches_every_subscriber(context: Context) -> None:
@@ -110,76 +107,67 @@ def test_a_published_message_reaches_every_subscriber(context: Context) -> None:
     for number in range(500):
         sockets.send(publisher, b"%d" % number)
     for subscriber in subscribers:
-        received: list[bytes] = []
-        while b"499" not in received:
+        messages: list[bytes] = []
+        while b"499" not in messages:
             sockets.wait_readable([subscriber], FOREVER_NS)
-            received += [data for (data,) in sockets.receive_multipart(subscriber)]
+            messages += [data for (data,) in received(subscriber)]
         # The first subscribers also received the greetings of the others.
-        assert [data for data in received if data.isdigit()] == [b"%d" % i for i in range(500)]
+        assert [data for data in messages if data.isdigit()] == [b"%d" % i for i in range(500)]
 
 
-def test_waiting_sees_a_message_on_any_socket(context: Context) -> None:
+def test_a_wait_ends_at_a_message_on_any_socket_and_at_those_that_a_bounded_read_left(
+    context: Context,
+) -> None:
     pairs = [pair(context, f"inproc://{name}") for name in "abc"]
     readable = [other for _, other in pairs]
     for one, other in pairs:
-        sockets.send(one, b"x")
-        sockets.wait_readable(readable, FOREVER_NS)
-        assert list(sockets.receive_multipart(other)) == [[b"x"]]
+        for _ in range(MAX_MESSAGES + 1):
+            sockets.send(one, b"x")
+        for count in (MAX_MESSAGES, 1):
+            sockets.wait_readable(readable, FOREVER_NS)
+            assert received(other) == [[b"x"]] * count
 
 
-def test_waiting_sees_what_a_bounded_read_has_left(context: Context) -> None:
-    one, other = pair(context)
-    for _ in range(MAX_MESSAGES + 1):
-        sockets.send(one, b"x")
-    assert len(list(sockets.receive_multipart(other))) == MAX_MESSAGES
-    sockets.wait_readable([other], FOREVER_NS)
-    assert len(list(sockets.receive_multipart(other))) == 1
-
-
-def test_waiting_sees_what_came_before_something_was_sent(context: Context) -> None:
+def test_a_wait_ends_at_a_message_that_arrived_before_one_was_sent(context: Context) -> None:
     one, other = pair(context)
     sockets.send(other, b"open")
-    assert list(sockets.receive_multipart(one)) == [[b"open"]]
+    assert received(one) == [[b"open"]]
     sockets.send(one, b"x")
-    # Sending handles what has come too: the descriptor shows nothing new after it.
+    # Sending also handles what has arrived: the descriptor shows nothing new after it.
     sockets.send(other, b"y")
     sockets.wait_readable([other], FOREVER_NS)
-    assert list(sockets.receive_multipart(other)) == [[b"x"]]
+    assert received(other) == [[b"x"]]
 
 
 @pytest.mark.parametrize("timeout_ns", [-1_000_000_000, 0, 1, 100_000])
-def test_waiting_ends_without_a_message_too(context: Context, timeout_ns: int) -> None:
+def test_a_wait_without_a_message_ends_at_its_timeout(context: Context, timeout_ns: int) -> None:
     sockets.wait_readable(pair(context), timeout_ns)
     sockets.wait_readable([], timeout_ns)
 
 
-def test_sending_without_a_peer_queues_to_the_high_water_mark_and_then_fails(
-    context: Context,
+def test_messages_without_a_peer_queue_up_to_the_high_water_mark(
+    context: Context, address: str
 ) -> None:
-    with plain.socket() as unread:
-        unread.bind(("127.0.0.1", 0))
-        address = f"tcp://127.0.0.1:{unread.getsockname()[1]}"
-        dealer = sockets.connect(context, zmq.DEALER, address)
-        sent = [sockets.send(dealer, b"x") for _ in range(sockets.HIGH_WATER_FRAMES + 10)]
-        assert sent == [True] * sockets.HIGH_WATER_FRAMES + [False] * 10
+    dealer = sockets.connect(context, zmq.DEALER, address)
+    sent = [sockets.send(dealer, b"x") for _ in range(sockets.HIGH_WATER_FRAMES + 10)]
+    assert sent == [True] * sockets.HIGH_WATER_FRAMES + [False] * 10
 
 
-def test_the_last_message_of_a_peer_is_received_after_it_has_gone(context: Context) -> None:
+def test_the_last_message_of_a_peer_is_received_after_its_end(context: Context) -> None:
     dying: Context = zmq.Context()
     try:
-        router = sockets.bind(dying, zmq.ROUTER, "tcp://127.0.0.1:*")
-        address = router.getsockopt_string(zmq.LAST_ENDPOINT)
-        listener = sockets.connect(context, zmq.DEALER, address)
+        router = sockets.bind(dying, zmq.ROUTER, LOOPBACK)
+        listener = sockets.connect(context, zmq.DEALER, endpoint(router))
         sockets.send(listener, b"hello")
         assert router.poll(10_000)
         sender, _ = router.recv_multipart()
         sockets.send(router, sender, b"bye")
     finally:
         dying.destroy(linger=1000)
-    # Nothing was read before the connection was gone.
+    # Nothing was read before the end of the connection.
     monitored = listener.get_monitor_socket(zmq.EVENT_CONNECT_RETRIED)
     assert monitored.poll(10_000)
-    assert list(sockets.receive_multipart(listener)) == [[b"bye"]]
+    assert received(listener) == [[b"bye"]]
 
 
 def test_both_addresses_of_a_stream_over_ipc_deliver(context: Context, tmp_path: Path) -> None:
@@ -197,7 +185,7 @@ def test_ipv6(context: Context) -> None:
     assert_delivers(*pair(context, "tcp://[::1]:*"))
 
 
-def test_a_peer_that_exceeded_the_size_limit_is_received_again_after_reconnect(
+def test_frames_arrive_again_after_a_message_above_the_size_limit_and_a_reconnect(
     context: Context,
 ) -> None:
     publisher = sockets.bind(context, zmq.PUB, LOOPBACK)
@@ -207,11 +195,11 @@ def test_a_peer_that_exceeded_the_size_limit_is_received_again_after_reconnect(
     largest = bytes(4 * MAX_FRAME_BYTES)
     sockets.send(publisher, largest)
     sockets.wait_readable([subscriber], FOREVER_NS)
-    assert list(sockets.receive_multipart(subscriber)) == [[largest]]
+    assert received(subscriber) == [[largest]]
     monitor = subscriber.get_monitor_socket(zmq.EVENT_DISCONNECTED)
     sockets.send(publisher, largest + b"\0")
     assert monitor.poll(10_000)
-    assert list(sockets.receive_multipart(subscriber)) == []
+    assert received(subscriber) == []
     sockets.reconnect(subscriber, endpoint(publisher), endpoint(publisher))
     meet(publisher, subscriber)
 
@@ -225,9 +213,8 @@ def test_reconnect_from_an_address_that_was_never_connected(context: Context) ->
     meet(publisher, subscriber)
 
 
-def test_a_taken_port_is_one_line_with_address_and_cause(context: Context) -> None:
-    first = sockets.bind(context, zmq.PUB, "tcp://127.0.0.1:*")
-    address = first.getsockopt_string(zmq.LAST_ENDPOINT)
+def test_a_taken_port_is_refused_in_one_line(context: Context) -> None:
+    address = endpoint(sockets.bind(context, zmq.PUB, LOOPBACK))
     with pytest.raises(AddressError) as caught:
         sockets.bind(context, zmq.PUB, address)
     line = str(caught.value)
@@ -264,13 +251,10 @@ def test_an_address_that_cannot_be_connected(context: Context, address: str) -> 
     assert "\n" not in str(caught.value)
 
 
-def test_no_port_is_given_twice_in_a_row_even_if_it_is_not_bound() -> None:
+def test_free_addresses_differ_and_their_two_ports_can_be_bound() -> None:
     # By chance alone, 500 of 8500 would be different ones in one run of a million.
     given = [address for _ in range(500) for address in free_addresses(1)]
     assert len(set(given)) == len(given)
-
-
-def test_the_port_and_the_next_can_be_bound() -> None:
     for address in free_addresses(3):
         port = urlsplit(address).port
         assert port is not None

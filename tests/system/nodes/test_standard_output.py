@@ -1,4 +1,4 @@
-"""A stream that is written by a thread of its own, into what takes all, nothing, or fails."""
+"""Output through a thread of its own, into descriptors that accept all, nothing, or fail."""
 
 import io
 import os
@@ -12,7 +12,7 @@ from protocol.host import output
 from protocol.host.output import MAX_QUEUED, QueuedStream
 from tests.support.unread import KINDS, fill, unread
 
-pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="it is not used there")
+pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="not used on Windows")
 
 LINE = "x" * 99 + "\n"
 
@@ -22,7 +22,9 @@ def queued(number: int) -> QueuedStream:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_no_output_holds_up_its_writer(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_unread_output_does_not_block_its_writer(
+    kind: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(output, "STUCK_S", 0.1)
     with unread(kind) as number:
         stream = queued(number)
@@ -35,12 +37,12 @@ def test_no_output_holds_up_its_writer(kind: str, monkeypatch: pytest.MonkeyPatc
 
 
 def test_bytes_are_refused_as_by_any_text_stream() -> None:
-    """click's help tries them."""
+    """click tries to write bytes to find out whether a stream is binary."""
     with unread("closed") as number, pytest.raises(TypeError, match="not bytes"):
         queued(number).write(b"")  # type: ignore[arg-type]
 
 
-def test_what_is_dropped_is_counted_and_reported_once_output_is_possible_again() -> None:
+def test_dropped_lines_are_counted_and_reported_once_output_is_possible_again() -> None:
     out, into = os.pipe()
     with closing(os.fdopen(out, "rb")) as reader:
         filled = fill(into)
@@ -62,25 +64,17 @@ def test_what_is_dropped_is_counted_and_reported_once_output_is_possible_again()
         assert reader.read() == b""
 
 
-def test_all_is_written_before_it_ends() -> None:
+@pytest.mark.parametrize("blocking", [True, False])
+def test_all_is_written_before_the_end_also_to_a_non_blocking_descriptor(blocking: bool) -> None:
     out, into = os.pipe()
+    filled = 0 if blocking else fill(into)
+    os.set_blocking(into, blocking)
     stream = queued(into)
     stream.write("grüße\n")
     stream.write("\udc80")
-    stream.finish()
-    os.close(into)
-    with os.fdopen(out, "rb") as reader:
-        assert reader.read() == "grüße\n\\udc80".encode()
-
-
-def test_a_descriptor_that_others_made_non_blocking_loses_nothing() -> None:
-    out, into = os.pipe()
-    fill_bytes = fill(into)
-    os.set_blocking(into, False)
-    stream = queued(into)
-    stream.write(LINE)
     with closing(os.fdopen(out, "rb")) as reader:
-        reader.read(fill_bytes)
-        assert reader.readline() == LINE.encode()
+        reader.read(filled)
+        stream.finish()
+        os.close(into)
+        assert reader.read() == "grüße\n\\udc80".encode()
     assert stream.dropped == 0
-    os.close(into)

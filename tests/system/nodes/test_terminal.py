@@ -1,4 +1,4 @@
-"""A terminal's process against telemetry on real sockets."""
+"""Terminal view of telemetry over real sockets."""
 
 import io
 import itertools
@@ -54,7 +54,7 @@ def message_at(now_ns: int, felt_n: float = 0.356) -> bytes:
 
 
 def shown(context: Context, send: Callable[[zmq.Socket[bytes]], None]) -> str:
-    """Return what a terminal shows of what `send` publishes, until a line names a state."""
+    """Return the output of a terminal until a line names a state; `send` publishes telemetry."""
     address, output = free_address(), io.StringIO()
     publisher = context.socket(zmq.XPUB)
     publisher.bind(address)
@@ -75,10 +75,10 @@ def shown(context: Context, send: Callable[[zmq.Socket[bytes]], None]) -> str:
 
 
 @pytest.mark.parametrize("next_process", [False, True])
-def test_queued_telemetry_of_a_display_that_froze_or_was_killed_is_shown_with_its_age(
+def test_queued_telemetry_of_a_display_that_stalled_or_was_killed_is_shown_with_its_age(
     context: Context, next_process: bool
 ) -> None:
-    """The next process' first trace comes up to 0.2 s before its first status."""
+    """The first trace of the next process arrives up to 0.2 s before its first status."""
 
     def send(publisher: zmq.Socket[bytes]) -> None:
         now_ns = time.monotonic_ns()
@@ -93,7 +93,7 @@ def test_queued_telemetry_of_a_display_that_froze_or_was_killed_is_shown_with_it
 
 
 def test_scipy_is_loaded_before_the_first_line() -> None:
-    """It took up to some seconds within a line, which showed a state that was over."""
+    """Its import took seconds within a line, which then showed an old state."""
     code = (
         "import sys; from rich.console import Console; from display_node.telemetry import terminal;"
         f" terminal.watch({free_address()!r}, Console(),"

@@ -1,4 +1,4 @@
-"""Nodes whose output nobody reads, as processes: they serve, end when told to, and sum up."""
+"""Processes whose output nobody reads: they serve, end at a signal, and write their summary."""
 
 import fcntl
 import os
@@ -43,7 +43,7 @@ def test_a_sensing_node_whose_output_is_not_read_serves_and_ends(
             arguments = (str(RADIAL), "--bind", address, "--json", str(json))
             node = stack.enter_context(started(kind, SENSING, *arguments))
             display = sockets.connect(context, zmq.DEALER, control_address(address))
-            # Which it logs, too.
+            # The node logs a hello.
             display.send(encode_control(Hello(kind)))
             nodes.append((node, display, json))
         for node, display, _ in nodes:
@@ -65,7 +65,7 @@ def test_a_display_whose_output_is_not_read_plays_and_ends(
         for kind in ("terminal", "pipe"):
             telemetry, json = free_address(), tmp_path / f"{kind}.json"
             arguments = ("--connect", address, "--telemetry", telemetry, "--json", str(json))
-            # With processes beside it that print, too: the screen; recorder and metrics.
+            # The processes beside the node print as well: the screen; recorder and metrics.
             if kind == "pipe":
                 recording = str(tmp_path / "all.mcap")
                 arguments += ("--no-screen", "--record", recording, "--metrics", "0")
