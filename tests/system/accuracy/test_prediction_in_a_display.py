@@ -1,4 +1,4 @@
-"""Predictors where they work: behind a display's buffer, when samples are late."""
+"""Predictors in a display whose samples are late."""
 
 import math
 from dataclasses import replace
@@ -11,7 +11,7 @@ from protocol.wire.telemetry import TRACE_TICKS, TraceWriter, read_trace
 from telepulse.scene import load_scene
 from telepulse.simulation.link_model import parse_link
 from telepulse.simulation.virtual_time import simulate
-from tests.support.nodes import RADIAL
+from tests.support.nodes import RADIAL, known
 from tests.support.sender import Sender, display, run
 
 
@@ -24,24 +24,17 @@ def play(under_test: Display, sender: Sender, from_ms: int, to_ms: int) -> None:
         run(under_test, sender, ms, ms + 5, pulse_n(ms))
 
 
-def in_phase_rmse_n(predictor: PredictorName) -> float:
-    """Of the felt pulse against the present one, over a link that is 30 ms late."""
-    scene = load_scene(RADIAL)
-    changes = {"predictor": predictor, "compensation_ns": 0}
-    late = replace(
-        scene, display=scene.display.model_copy(update=changes), link=parse_link("delay=30ms")
-    )
-    rmse_n = simulate(late, 20, seed=1).force_rmse_n.in_phase
-    assert rmse_n is not None
-    return rmse_n
-
-
 def test_the_stack_is_nearer_the_present_pulse_than_linear_over_a_late_link() -> None:
-    assert in_phase_rmse_n("stack") < 0.65 * in_phase_rmse_n("linear")
+    scene, link, rmse_n = load_scene(RADIAL), parse_link("delay=30ms"), []
+    for predictor in ("stack", "linear"):
+        changes = {"predictor": predictor, "compensation_ns": 0}
+        late = replace(scene, display=scene.display.model_copy(update=changes), link=link)
+        rmse_n.append(known(simulate(late, 20, seed=1).force_rmse_n.in_phase))
+    assert rmse_n[0] < 0.65 * rmse_n[1]
 
 
 @pytest.mark.parametrize("predictor", ["hold", "stack"])
-def test_telemetry_has_the_error_that_the_predictor_expects(predictor: PredictorName) -> None:
+def test_telemetry_has_the_expected_error_of_the_predictor(predictor: PredictorName) -> None:
     under_test, writer = display(predictor=predictor, compensation_ns=0), TraceWriter()
     play(under_test, Sender(), 0, 4_000)
     traces = [writer.add(under_test.tick_state) for _ in range(TRACE_TICKS)]
@@ -52,13 +45,10 @@ def test_telemetry_has_the_error_that_the_predictor_expects(predictor: Predictor
         assert all(0 < each_n < 0.05 for each_n in expected_n)
 
 
-def test_what_has_arrived_expects_no_error() -> None:
-    under_test = display(predictor="stack", compensation_ns=40_000_000)
-    play(under_test, Sender(), 0, 4_000)
-    assert math.isnan(under_test.tick_state.predictor_error_n)
-
-
-def test_another_session_is_learnt_anew() -> None:
+def test_received_samples_and_a_new_session_have_no_expected_error() -> None:
+    buffered = display(predictor="stack", compensation_ns=40_000_000)
+    play(buffered, Sender(), 0, 4_000)
+    assert math.isnan(buffered.tick_state.predictor_error_n)
     under_test = display(predictor="stack", compensation_ns=0)
     play(under_test, Sender(session=7), 0, 4_000)
     assert under_test.tick_state.predictor_error_n > 0

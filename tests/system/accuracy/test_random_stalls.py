@@ -1,4 +1,4 @@
-"""The display's process is stalled at random, on a bench in virtual time."""
+"""Random stalls of the display's process, on a bench in virtual time."""
 
 import pytest
 
@@ -19,7 +19,7 @@ def test_no_stall_leaves_the_tip_pressed(with_film: bool, seed: int) -> None:
     assert counts.episodes.total() >= 3
     assert counts.withdrawn.total() >= 1
     assert counts.examples == []
-    # A pulse of 0.55 N; a stall holds the last command.
+    # The pulse has 0.55 N; during a stall the last command stays in effect.
     assert counts.most_n < 1.25 * 0.55 + 0.1
 
 
@@ -27,7 +27,7 @@ def test_no_stall_leaves_the_tip_pressed(with_film: bool, seed: int) -> None:
 def test_a_loop_stalled_anywhere_in_a_tick_leaves_the_withdrawal_to_the_drives_thread(
     kind: str,
 ) -> None:
-    """Also while it holds the lock that both use."""
+    """The stall may begin while the loop holds the lock that both threads use."""
     pressed_ns = 0
 
     def watch(moment: MotorState) -> None:

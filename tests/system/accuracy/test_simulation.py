@@ -33,10 +33,11 @@ def accounted(summary: Summary) -> int:
 
 
 @pytest.mark.parametrize("path", MODELLED, ids=lambda path: path.stem)
-def test_every_scene_that_comes_with_us_is_felt_within_the_jnd(path: Path) -> None:
+def test_the_pulse_of_every_modelled_scene_is_felt_within_the_jnd_and_its_limits(
+    path: Path,
+) -> None:
     summary = simulate(load_scene(path), seconds=8, seed=1)
     accounted(summary)
-    # Nothing holds the pulse of a scene that comes with us at a limit.
     assert limit_texts(dataclasses.asdict(summary.limited)) == []
     assert summary.within_jnd == 1.0
     assert summary.faults == []
@@ -52,12 +53,12 @@ def test_a_scene_of_a_live_bench_is_not_simulated(path: Path) -> None:
 def test_over_a_perfect_link_every_sample_is_played() -> None:
     summary = simulate(load_scene(RADIAL), seconds=10, seed=1)
     assert accounted(summary) == summary.samples.played == 10_000
-    # The nearest microstep leaves 0.18 mN: nothing that a link can cost is in it.
+    # The error of the nearest microstep alone is 0.18 mN.
     assert summary.force_rmse_n.aligned == pytest.approx(0.18e-3, rel=0.1)
     assert summary.one_way_delay_ms.max == 0
 
 
-def test_what_the_link_loses_is_what_the_display_misses() -> None:
+def test_the_display_counts_the_samples_that_the_link_lost() -> None:
     simulation = Simulation(with_link("delay=30ms,loss=5%"), seed=3)
     summary = simulation.run(20)
     accounted(summary)
@@ -66,7 +67,7 @@ def test_what_the_link_loses_is_what_the_display_misses() -> None:
     assert summary.samples.late == 0
 
 
-def test_jitter_makes_disorder_and_a_stated_share_of_late_samples() -> None:
+def test_jitter_makes_disorder_and_at_most_the_target_share_of_late_samples() -> None:
     summary = simulate(with_link("delay=40ms,jitter=10ms"), seconds=60, seed=1)
     accounted(summary)
     assert summary.samples.lost == 0
@@ -75,13 +76,13 @@ def test_jitter_makes_disorder_and_a_stated_share_of_late_samples() -> None:
     assert summary.within_jnd == 1.0
 
 
-def test_the_sensing_clock_is_found_though_it_is_an_hour_ahead() -> None:
+def test_the_offset_of_a_sensing_clock_an_hour_ahead_is_found() -> None:
     simulation = Simulation(with_link("delay=25ms"), seed=1)
     summary = simulation.run(5)
     clock = simulation.display.summary().clock
     assert clock.offset_ms == pytest.approx(3_600_000, abs=1e-3)
     assert summary.one_way_delay_ms.p50 == pytest.approx(25, abs=0.1)
-    # The hour is the simulation's own, and no offset in its summary.
+    # The simulation's summary does not include the hour.
     assert summary.clock.offset_ms == pytest.approx(0.0, abs=1e-3)
     assert "360000" not in shown(summary)
 
@@ -121,7 +122,7 @@ def test_a_real_recording_is_felt(tmp_path: Path) -> None:
     assert known(summary.force_rmse_n.aligned) < 0.5e-3
 
 
-def test_shares_of_time_say_of_what_part_of_the_whole_time_they_are() -> None:
+def test_shares_of_time_name_the_time_to_which_they_refer() -> None:
     summary = simulate(with_link("delay=20ms,cut.from=2.5s,cut.for=10s"), seconds=14, seed=1)
     times = summary.availability
     seconds, judged = known(times.seconds), known(times.judged)
@@ -147,7 +148,7 @@ def test_a_pulse_above_the_force_limit_is_counted_as_cut(tmp_path: Path) -> None
     text = RADIAL.read_text(encoding="utf-8")
     path.write_text(text.replace('peak_to_peak = "0.3 N"', 'peak_to_peak = "6 N"'), "utf-8")
     limited = simulate(load_scene(path), seconds=8, seed=1).limited
-    # Ten beats: each is cut at its top, and pulls once or twice between the tops.
+    # Each of ten beats is limited at its peak, and once or twice below 0 N between the peaks.
     for limit in (limited.force, limited.negative):
         assert 7 <= known(limit.times) <= 20
         assert limit.share == pytest.approx(known(limit.seconds) / 9.5, rel=0.1)
@@ -190,7 +191,7 @@ def test_each_impairment_makes_samples_late_or_lost(
     summary = play(f"{text},transport={transport}")
     samples_late, samples_lost = late_and_lost(summary)
     if transport == "tcp":
-        # What a datagram loses comes late; nothing overtakes.
+        # Lost packets are repeated and come late; none overtakes another.
         late, lost = late or lost, False
         assert summary.frames.reordered == 0
     assert (samples_late > 0, samples_lost > 0) == (late, lost)
@@ -201,8 +202,8 @@ def test_a_rate_below_the_streams_loses_datagrams_and_the_rest_waits_in_the_queu
     _, lost = late_and_lost(summary)
     assert lost > SAMPLES / 4
     assert summary.one_way_delay_ms.p50 is not None
-    # By the true clock at most 20 + 200 ms and a frame's 9 ms; a clock exchange cannot tell that
-    # only one way has a queue, and takes some of it for an offset.
+    # The true delay is at most 20 + 200 ms plus 9 ms for a frame. Only one direction has a queue,
+    # part of which clock exchanges take for an offset.
     assert 120 < summary.one_way_delay_ms.p50 < 229
 
 
