@@ -143,11 +143,12 @@ import os, sys
 for name in dir(os):
     if name.lower().startswith("sched_"):
         delattr(os, name)
-sys.modules["resource"] = None
-import display_node.cli, sensing_node.cli
+import display_node.cli, protocol.host.process, sensing_node.cli
 from display_node.doctor.host import describe, read_host
 from protocol.host.realtime import apply_realtime, parse_realtime
 sys.platform = "win32"
+del protocol.host.process.resource
+sys.modules["resource"] = None
 with apply_realtime(parse_realtime("fifo,lock,cpu=0,slack")) as held:
     print(*held.granted)
 print(*(refusal.name for refusal in held.refused))
