@@ -5,7 +5,7 @@ from collections.abc import Callable
 
 import zmq
 
-from protocol.sockets import Context
+from protocol.sockets import Context, Socket
 from protocol.wire.telemetry import STATUS, Status, read_status
 from tests.support.nodes import RADIAL
 
@@ -13,7 +13,7 @@ MODULE = "display_node.cli"
 PATIENCE_S = 20.0
 
 
-def subscribe(context: Context, address: str) -> zmq.Socket:
+def subscribe(context: Context, address: str) -> Socket:
     socket = context.socket(zmq.SUB)
     socket.setsockopt(zmq.RCVTIMEO, 200)
     socket.subscribe(b"")
@@ -21,13 +21,13 @@ def subscribe(context: Context, address: str) -> zmq.Socket:
     return socket
 
 
-def await_state(telemetry: zmq.Socket, state: str) -> Status:
+def await_state(telemetry: Socket, state: str) -> Status:
     """Return the first status in a state. Raises TimeoutError."""
     return await_status(telemetry, lambda status: status.state == state)
 
 
 def await_status(
-    telemetry: zmq.Socket, wanted: Callable[[Status], bool], within_s: float = PATIENCE_S
+    telemetry: Socket, wanted: Callable[[Status], bool], within_s: float = PATIENCE_S
 ) -> Status:
     """Return the first status that is as wanted. Raises TimeoutError."""
     end_s = time.monotonic() + within_s

@@ -47,9 +47,9 @@ def run(module: str, *arguments: str, timeout_s: float = 60) -> "subprocess.Comp
 
 def run_python(*arguments: str, **options: Any) -> "subprocess.CompletedProcess[str]":
     """Run Python on a command line to its end; options: of `subprocess.run`."""
-    options = {"cwd": ROOT, "timeout": 60, "check": False} | options
+    usual: dict[str, Any] = {"cwd": ROOT, "timeout": 60, "check": False}
     command = [sys.executable, *arguments]
-    return subprocess.run(command, capture_output=True, text=True, **options)
+    return subprocess.run(command, capture_output=True, text=True, **usual | options)
 
 
 def read_json(path: Path) -> dict[str, Any]:
