@@ -156,8 +156,10 @@ def check_can_report(folder: Path) -> None:
 
 
 def write_report(report: Report, folder: Path) -> Path:
-    """Write the page and its pictures into `folder`, and return its path. Raises OutputError."""
-    check_can_report(folder)
+    """Write the page, its pictures and its JSON into `folder`, and return the page's path.
+
+    The folder has passed `check_can_report`. Raises OutputError.
+    """
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
     write_json(report, folder / "report.json")

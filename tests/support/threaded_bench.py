@@ -65,9 +65,9 @@ class ThreadedBench:
     `world.stall`.
 
     scene: with a drive. force_n: the pulse, by ms. with_film: the scene's film is read; otherwise
-    the force is estimated from the drive's position. watch: called with every millisecond of the
-    motor. finger: its stiffness, as a factor of the scene's. on_tick: called with the time and the
-    target of every tick. fault_ns: when the display first reported a fault.
+    the force is estimated from the drive's position. watch: called with the motor's state every
+    ms. finger: its stiffness, as a factor of the scene's. on_tick: called with the time and the
+    target of every tick. fault_ns: time of the display's first fault.
     """
 
     scene: DisplayScene

@@ -18,13 +18,13 @@ from tests.support.virtual_time import VirtualEvent, VirtualTime
 
 # A line to a module on USB, each way.
 LINE_NS = 200_000
-# What a kernel holds of a serial port that nobody reads.
+# Size of a kernel's buffer for a serial port.
 PORT_BYTES = 4096
 SDO_ANSWERS = range(0x580, 0x600)
 
 
 class Pipe:
-    """Bytes on their way to a reader; what does not fit is dropped, as by a kernel's buffer."""
+    """Bytes on their way to a reader; bytes beyond a kernel's buffer are dropped."""
 
     def __init__(self, world: VirtualTime) -> None:
         self._data = b""
@@ -152,10 +152,10 @@ class CanEnd(can.BusABC):
 
 
 class Notifier:
-    """The replacement of `can.Notifier`: a thread that hands frames to the listeners.
+    """The replacement of `can.Notifier`: a thread that passes frames to the listeners.
 
-    An SDO's answer comes while its request is being sent, and is handed on at once, as are frames
-    to the drive.
+    Frames to the drive, and SDO answers, which come while their request is being sent, are passed
+    on at once.
     """
 
     exception: Exception | None = None
@@ -175,7 +175,7 @@ class Notifier:
         """Take a frame from the bus."""
         at_once = self._at_drive or self._world.current is not None
         if at_once or frame.arbitration_id in SDO_ANSWERS:
-            self._hand_on(frame)
+            self._pass_on(frame)
         else:
             self._frames.append(frame)
             self._come.set()
@@ -189,9 +189,9 @@ class Notifier:
             self._come.wait()
             self._come.clear()
             while self._frames:
-                self._hand_on(self._frames.popleft())
+                self._pass_on(self._frames.popleft())
 
-    def _hand_on(self, frame: can.Message) -> None:
+    def _pass_on(self, frame: can.Message) -> None:
         for listener in self.listeners:
             listener(frame)
 

@@ -13,23 +13,18 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from display_node.control.controller import ControllerScene
-from display_node.control.force_loop import ForceLoop, build_force_loop
 from display_node.control.safety import Safety, SafetyScene
-from display_node.plant.film import FilmTable
 from display_node.plant.second_order import SecondOrderScene
-from display_node.plant.stepper import StepperScene
+from display_node.scene import DisplayScene
 from protocol.config.scene_file import find_scene
 from protocol.errors import SceneError
-from protocol.tactile import Adc, ElasticLayer
+from protocol.tactile import Adc
 from telepulse.reports.paper import published
 from telepulse.reports.paper.published import Gains
 from telepulse.scene import load_scene
 
 Array = NDArray[np.float64]
 SceneTable = Mapping[str, object]
-TICK_S = 1e-3
-IDEAL_FILM = FilmTable()
 # Force to hold: a typical mean of a pulse.
 HELD_N = 0.3
 # The shortest ramp, so that it does not hide what the loop itself does.
@@ -71,86 +66,65 @@ class CaseResult(NamedTuple):
     felt_n: Array | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class LoopSetup:
-    """The parts of a force loop."""
-
-    controller: ControllerScene
-    actuator: SecondOrderScene | StepperScene
-    film: FilmTable = IDEAL_FILM
-    layer: ElasticLayer = published.LAYER
-    tick_s: float = TICK_S
-
-    def loop(self) -> ForceLoop:
-        """Build the loop as a display does. Raises SceneError."""
-        return build_force_loop(
-            self.controller,
-            self.actuator,
-            self.layer,
-            self.film,
-            SAFETY.force_limit_n,
-            self.tick_s,
-            slew_limit_n_per_s=SAFETY.slew_limit_n_per_s,
-        )
-
-    def settled_range_n(self, force_n: float, microsteps: float = 1.0) -> tuple[float, float]:
-        """Return the least and greatest force in N at which the loop has settled on `force_n`.
-
-        A stepper: within `microsteps` and the dead band, plus noise and quantisation of the film.
-        The paper's actuator: within 1 %.
-        """
-        if isinstance(self.actuator, SecondOrderScene):
-            return (1 - SETTLED_SHARE) * force_n, (1 + SETTLED_SHARE) * force_n
-        law, film = self.actuator.contact(self.layer), self.film
-        x_m, step_m = law.position(force_n), microsteps * self.actuator.step_m
-        error_per_m = 1.0
-        if self.controller.error != "position":
-            error_per_m = self.controller.error_per_newton(film) * law.stiffness(force_n)
-        step_m += self.controller.dead_band / error_per_m
-        off_n = NOISE_DEVIATIONS * film.noise_n
-        if film.adc_bits is not None:
-            off_n += Adc(film.adc_bits, film.adc_range_v).step_volts / film.volts_per_newton
-        rounding_m = 1e-9 * (x_m + step_m)
-        low_n = law.force(x_m - step_m - rounding_m)
-        return low_n - off_n, law.force(x_m + step_m + rounding_m) + off_n
-
-
 def make_setup(
     controller: SceneTable,
     actuator: SceneTable,
     film: SceneTable | None = None,
-    layer: ElasticLayer = published.LAYER,
-) -> LoopSetup:
-    """Make a setup from tables as a scene has them."""
-    kind = StepperScene if actuator["kind"] == "stepper" else SecondOrderScene
-    return LoopSetup(
-        ControllerScene.model_validate(controller),
-        kind.model_validate(actuator),
-        FilmTable.model_validate(film or {}),
-        layer,
-    )
+    layer: SceneTable | None = None,
+) -> DisplayScene:
+    """Make a display from tables as a scene has them; the layer is Table 3's by default."""
+    tables = {"controller": controller, "actuator": actuator, "film": film or {}}
+    return DisplayScene.model_validate(tables | {"layer": layer or {}, "safety": SAFETY})
 
 
-def scene_setup(name: str) -> LoopSetup:
-    """Return the display's parts of a shipped scene."""
-    display = load_scene(find_scene(name)).display
-    layer, tick_s = display.layer.layer(), display.tick_ns * 1e-9
-    return LoopSetup(display.controller, display.actuator, display.film, layer, tick_s)
+def scene_setup(name: str) -> DisplayScene:
+    """Return the display of a shipped scene, with the shortest ramp."""
+    return load_scene(find_scene(name)).display.model_copy(update={"safety": SAFETY})
 
 
-def paper_setup(gains: Gains, filter_hz: float = 200.0, tick_s: float = TICK_S) -> LoopSetup:
+def paper_setup(gains: Gains, filter_hz: float = 200.0, tick_s: float = 1e-3) -> DisplayScene:
     """Return the paper's loop as the display runs it: error in mV (eq 21), actuator eq 22."""
     table = {"error": "millivolts", "derivative_filter": f"{filter_hz} Hz", **gains._asdict()}
-    return LoopSetup(ControllerScene.model_validate(table), published.ACTUATOR, tick_s=tick_s)
+    return with_tick(make_setup(table, dict(published.ACTUATOR)), tick_s)
 
 
-def common_setups() -> dict[str, LoopSetup]:
-    """Return the loops that most cases share, by name."""
+def with_tick(setup: DisplayScene, tick_s: float) -> DisplayScene:
+    """Return a display with another tick, which need not be one that a scene may have."""
+    return setup.model_copy(update={"tick_ns": round(1e9 * tick_s)})
+
+
+def common_setups() -> dict[str, DisplayScene]:
+    """Return the displays that most cases share, by name."""
     return {
         "the experiment's gains on eq 22": paper_setup(published.EXPERIMENT),
         "scenes/bench.toml": scene_setup("bench"),
         "scenes/real_bench.toml": scene_setup("real_bench"),
     }
+
+
+def settled_range_n(
+    setup: DisplayScene, force_n: float, microsteps: float = 1.0
+) -> tuple[float, float]:
+    """Return the least and greatest force in N at which a loop has settled on `force_n`.
+
+    A stepper: within `microsteps` and the dead band, plus noise and quantisation of the film.
+    The paper's actuator: within 1 %.
+    """
+    actuator, controller, film = setup.actuator, setup.controller, setup.film
+    if isinstance(actuator, SecondOrderScene):
+        return (1 - SETTLED_SHARE) * force_n, (1 + SETTLED_SHARE) * force_n
+    law = actuator.contact(setup.layer.layer())
+    x_m, step_m = law.position(force_n), microsteps * actuator.step_m
+    error_per_m = 1.0
+    if controller.error != "position":
+        error_per_m = controller.error_per_newton(film) * law.stiffness(force_n)
+    step_m += controller.dead_band / error_per_m
+    off_n = NOISE_DEVIATIONS * film.noise_n
+    if film.adc_bits is not None:
+        off_n += Adc(film.adc_bits, film.adc_range_v).step_volts / film.volts_per_newton
+    rounding_m = 1e-9 * (x_m + step_m)
+    low_n = law.force(x_m - step_m - rounding_m)
+    return low_n - off_n, law.force(x_m + step_m + rounding_m) + off_n
 
 
 class CaseRun(NamedTuple):
@@ -184,7 +158,7 @@ class HardCase:
 
     case: str
     name: str
-    setup: LoopSetup
+    setup: DisplayScene
     explanation: str = ""
     reference: Callable[[int], float] = lambda _: HELD_N
     reading: Callable[[int, float], float] = lambda _, reading_n: reading_n
@@ -196,7 +170,7 @@ class HardCase:
 
     def run(self) -> CaseRun:
         """Run the loop from rest as the display does, tick by tick. Raises SceneError."""
-        loop, safety = self.setup.loop(), Safety(SAFETY, round(self.setup.tick_s * 1e9))
+        loop, safety = self.setup.force_loop(), Safety(SAFETY, self.setup.tick_ns)
         reach, felt_n = range(loop.horizon + 1), []
         for tick in range(self.ticks):
             wanted_n = [self.reference(tick + ahead) for ahead in reach]
@@ -240,16 +214,14 @@ def judge(case: HardCase, run: CaseRun) -> tuple[CaseVerdict, str]:
     if run.faults:
         # The force may rise for two ticks, at most at the slew limit: one until the drive has
         # the command, one until it reverses.
-        slack_n = 2 * SAFETY.slew_limit_n_per_s * case.setup.tick_s
-        if (
-            felt_n[case.disturbance_tick :].max()
-            > felt_n[max(case.disturbance_tick - 1, 0)] + slack_n
-        ):
+        slack_n = 2 * SAFETY.slew_limit_n_per_s * case.setup.tick_ns * 1e-9
+        before_n = felt_n[max(case.disturbance_tick - 1, 0)]
+        if felt_n[case.disturbance_tick :].max() > before_n + slack_n:
             return defect, f"presses harder{fault}"
         if np.abs(end_n).max() > AT_REST_N:
             return defect, f"does not come to rest{fault}"
         return CaseVerdict.REFUSED, f"at rest for good after the fault: {run.faults[0]}"
-    low_n, high_n = case.setup.settled_range_n(case.target_n, case.tolerance_microsteps)
+    low_n, high_n = settled_range_n(case.setup, case.target_n, case.tolerance_microsteps)
     if end_n.min() < low_n or end_n.max() > high_n:
         return CaseVerdict.WRONG, f"does not settle on {case.target_n:g} N"
     return CaseVerdict.STABLE, case.explanation

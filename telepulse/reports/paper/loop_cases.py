@@ -10,18 +10,16 @@ import numpy as np
 
 from display_node.plant.second_order import SecondOrderScene
 from display_node.plant.stepper import StepperScene
+from display_node.scene import DisplayScene
 from protocol.config.scene import validate
 from protocol.errors import SceneError
-from protocol.tactile import ElasticLayer
 from telepulse.reports.paper import published
 from telepulse.reports.paper.hard_case import (
     HELD_N,
-    TICK_S,
     Array,
     CaseResult,
     CaseVerdict,
     HardCase,
-    LoopSetup,
     SceneTable,
     common_setups,
     evaluate,
@@ -29,12 +27,14 @@ from telepulse.reports.paper.hard_case import (
     make_setup,
     paper_setup,
     scene_setup,
+    settled_range_n,
+    with_tick,
 )
 
 STEPPER: SceneTable = {"kind": "stepper"}
 RIGID: SceneTable = {"kind": "stepper", "fingertip": "1e9 N/m"}
 SLOW_FILM: SceneTable = {"filter": "40 Hz"}
-STIFF = ElasticLayer(young_modulus_pa=5e9)
+STIFF: SceneTable = {"young_modulus": "5e9 Pa"}
 ON_FORCE: SceneTable = {"kp": 0.1}
 ON_POSITION: SceneTable = {"kp": 300, "error": "position"}
 WITH_INTEGRAL: SceneTable = {"kp": 100, "ki": 1000, "error": "position"}
@@ -55,7 +55,7 @@ def stiff_contact() -> Iterator[CaseResult]:
     """Press on a rigid stop, a layer of 5 GPa, and both, with and without the film's filter."""
     case = "stiff contact"
     contacts = (
-        ("rigid stop", RIGID, published.LAYER),
+        ("rigid stop", RIGID, None),
         ("E = 5 GPa", STEPPER, STIFF),
         ("rigid stop, E = 5 GPa", RIGID, STIFF),
     )
@@ -80,11 +80,12 @@ def nearly_undamped() -> Iterator[CaseResult]:
     proportional = make_setup({"kp": 15, "error": "force"}, {"kind": "second_order"})
     for c in (0.0, 1e-9):
         damped = published.ACTUATOR.model_copy(update={"c": c})
-        setup = replace(experiment, actuator=damped)
+        setup = experiment.model_copy(update={"actuator": damped})
         name = f"eq 22, c = {c:g}, the experiment's gains on mV"
         yield evaluate(HardCase(case, name, setup, "the derivative damps it"))
         name = f"eq 22, c = {c:g}, proportional on N, kp = 15"
-        yield evaluate(HardCase(case, name, replace(proportional, actuator=damped)))
+        setup = proportional.model_copy(update={"actuator": damped})
+        yield evaluate(HardCase(case, name, setup))
     observed = {**FED, "kp": 130, "observer": {"wander": "0.1 mm"}}
     controllers: dict[str, SceneTable] = {"kp = 10": {**FED, "kp": 10}, "observer": observed}
     for damping, (name, controller) in product((0.2, 1e-6, 0.0), controllers.items()):
@@ -98,7 +99,7 @@ def nearly_undamped() -> Iterator[CaseResult]:
     except SceneError as error:
         yield CaseResult(case, name, CaseVerdict.REFUSED, "–", str(error))
     else:
-        setup = replace(experiment, actuator=massless)
+        setup = experiment.model_copy(update={"actuator": massless})
         yield evaluate(HardCase(case, name, setup, "as any other mass"))
 
 
@@ -107,7 +108,7 @@ def extreme_ticks() -> Iterator[CaseResult]:
     why = "hold and filters are exact at any tick; integral and derivative are backward Euler"
     for tick, tick_s, ticks in (("1 µs", 1e-6, 60_000), ("100 ms", 0.1, 400)):
         for name, setup in common_setups().items():
-            run, timed = f"{name}, ticks of {tick}", replace(setup, tick_s=tick_s)
+            run, timed = f"{name}, ticks of {tick}", with_tick(setup, tick_s)
             yield evaluate(HardCase("extreme ticks", run, timed, why, ticks=ticks))
 
 
@@ -128,13 +129,13 @@ def saturated_steps() -> Iterator[CaseResult]:
         yield _saturated(f"{name}, microsteps {fine}", slow, fast)
 
 
-def _saturated(name: str, slow: LoopSetup, fast: LoopSetup) -> CaseResult:
+def _saturated(name: str, slow: DisplayScene, fast: DisplayScene) -> CaseResult:
     """Compare undershoots: an integral that grows in saturation would undershoot further."""
 
     def swing(tick: int) -> float:
         if not SWING_FROM <= tick < SWING_TO:
             return HELD_N
-        turns = SWING_HZ * TICK_S * (tick - SWING_FROM)
+        turns = SWING_HZ * 1e-3 * (tick - SWING_FROM)
         return HELD_N + 1.0 + 0.9 * math.sin(2 * math.pi * turns)
 
     case = HardCase(
@@ -153,7 +154,7 @@ def _saturated(name: str, slow: LoopSetup, fast: LoopSetup) -> CaseResult:
         for felt_n in (result.felt_n, replace(case, setup=fast).run().felt_n)
     )
     figure = f"undershoot {force_text(under_n)}, {force_text(free_n)} with 400 mm/s"
-    microstep_n = HELD_N - slow.settled_range_n(HELD_N)[0]
+    microstep_n = HELD_N - settled_range_n(slow, HELD_N)[0]
     if result.verdict is CaseVerdict.STABLE and under_n > free_n + microstep_n:
         return result._replace(figure=figure, verdict=CaseVerdict.WRONG, reason="winds up")
     return result._replace(figure=figure)
@@ -180,12 +181,12 @@ def force_step() -> Iterator[CaseResult]:
         )
         result = evaluate(case)
         if result.felt_n is not None:
-            felt_n = result.felt_n[STEP_AT - 1 :]
+            felt_n, tick_s = result.felt_n[STEP_AT - 1 :], setup.tick_ns * 1e-9
             settled = int(np.flatnonzero(np.abs(felt_n - STEP_TO_N) > 0.02)[-1]) + 1
             result = result._replace(
                 figure=f"overshoot {100 * (float(felt_n.max()) - STEP_TO_N):.1f} %, within 2 %"
-                f" after {1e3 * setup.tick_s * settled:.0f} ms, at most"
-                f" {float(np.diff(felt_n).max()) / setup.tick_s:.0f} N/s"
+                f" after {1e3 * tick_s * settled:.0f} ms, at most"
+                f" {float(np.diff(felt_n).max()) / tick_s:.0f} N/s"
             )
         yield result
 
@@ -201,15 +202,15 @@ class Chatter(NamedTuple):
     peak_to_peak_n: float
 
 
-def chatter(setup: LoopSetup, felt_n: Array) -> Chatter:
+def chatter(setup: DisplayScene, felt_n: Array) -> Chatter:
     """Return the motion in a run's second half, when a stepper's loop has settled."""
     assert isinstance(setup.actuator, StepperScene), "microsteps are a stepper's"
     felt_n = felt_n[len(felt_n) // 2 :]
-    law = setup.actuator.contact(setup.layer)
+    law = setup.actuator.contact(setup.layer.layer())
     travel_m = law.position(float(felt_n.max())) - law.position(float(felt_n.min()))
     moves = np.diff(felt_n)
     signs = np.sign(moves[np.abs(moves) > ROUNDING_N])
-    reversals_hz = int(np.count_nonzero(np.diff(signs))) / (len(felt_n) * setup.tick_s)
+    reversals_hz = int(np.count_nonzero(np.diff(signs))) / (len(felt_n) * setup.tick_ns * 1e-9)
     return Chatter(travel_m / setup.actuator.step_m, reversals_hz, float(np.ptp(felt_n)))
 
 
@@ -235,16 +236,16 @@ def direction_chatter() -> Iterator[CaseResult]:
         assert isinstance(stepper, StepperScene), "chatter is a stepper's"
         per_step = stepper.step_m
         if setup.controller.error == "force":
-            per_step *= stepper.contact(setup.layer).stiffness(BETWEEN_N)
+            per_step *= stepper.contact(setup.layer.layer()).stiffness(BETWEEN_N)
         yield _at_rest(f"{name}, no dead band", setup)
         changed = setup.controller.model_copy(update={"dead_band": dead_band * per_step})
         run = f"{name}, dead band of {dead_band:g} microsteps"
-        yield _at_rest(run, replace(setup, controller=changed))
+        yield _at_rest(run, setup.model_copy(update={"controller": changed}))
     for scene in ("radial", "conditioned", "bench", "real_bench"):
         yield _at_rest(f"scenes/{scene}.toml as shipped", scene_setup(scene))
 
 
-def _at_rest(name: str, setup: LoopSetup) -> CaseResult:
+def _at_rest(name: str, setup: DisplayScene) -> CaseResult:
     case = HardCase(
         "direction chatter",
         name,

@@ -141,7 +141,7 @@ def chapter() -> Chapter:
         "Fig. 15: the synthetic pulse at 75 beats/min with its respiration. The height is one unit"
         " here, since the paper gives none in newtons."
     )
-    spectrum = "Fig. 16: Welch spectrum of the pulse, and the energy below."
+    spectrum = "Fig. 16: Welch spectrum of the pulse, and the energy below a frequency."
     presets = "A beat of both pulses, and the energy below a frequency."
     plots = (
         Plot("pulse", pulse, _draw_pulse),
@@ -174,9 +174,8 @@ def _tables() -> tuple[Table, Table]:
         "Mean kept: the Gaussians as they are, on zero. “wide” has the same constant and"
         " respiration as ours, in units of its own standard deviation."
     )
-    return Table.of("A beat of both presets", waves), Table.of(
-        "Energy below a frequency", rows, note
-    )
+    shares_table = Table.of("Energy below a frequency", rows, note)
+    return Table.of("A beat of both presets", waves), shares_table
 
 
 def _draw_pulse(figure: "Figure") -> None:

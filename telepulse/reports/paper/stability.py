@@ -17,6 +17,7 @@ from scipy import signal
 
 from display_node.control.linear_loop import linear_loop, margins
 from display_node.plant.second_order import SecondOrder
+from display_node.scene import DisplayScene
 from protocol.errors import SceneError
 from telepulse.reports.document import Chapter, Plot, Table
 from telepulse.reports.paper import input_cases, loop_cases, published
@@ -26,7 +27,6 @@ from telepulse.reports.paper.hard_case import (
     Array,
     CaseResult,
     CaseVerdict,
-    LoopSetup,
     force_text,
     paper_setup,
     refusal_reason,
@@ -132,7 +132,8 @@ def _run(name: str, filter_hz: float, rate_hz: float) -> RateResult:
     shape = beats("paper", rate_hz, SECONDS)
     wanted_n = PEAK_TO_PEAK_N * (shape - shape[0])
     setup = paper_setup(gains, filter_hz, tick_s)
-    linear = linear_loop(setup.controller, setup.actuator, setup.layer, setup.film, tick_s, HELD_N)
+    layer = setup.layer.layer()
+    linear = linear_loop(setup.controller, setup.actuator, layer, setup.film, tick_s, HELD_N)
     found = margins(linear, FREQUENCIES)
     shipped_n, late_n, refused = math.inf, math.inf, None
     try:
@@ -153,8 +154,8 @@ def _run(name: str, filter_hz: float, rate_hz: float) -> RateResult:
     )
 
 
-def _shipped_rmse_n(setup: LoopSetup, wanted_n: Array, late: bool) -> float:
-    loop, reference_n = setup.loop(), wanted_n.tolist()
+def _shipped_rmse_n(setup: DisplayScene, wanted_n: Array, late: bool) -> float:
+    loop, reference_n = setup.force_loop(), wanted_n.tolist()
     reading_n, felt_n = 0.0, []
     for tick in range(len(reference_n) - 1):
         before_n, reading_n = reading_n, loop.read_film()
@@ -162,7 +163,7 @@ def _shipped_rmse_n(setup: LoopSetup, wanted_n: Array, late: bool) -> float:
         felt_n.append(loop.felt_n)
         if abs(loop.felt_n) > BOUND_N:
             return math.inf
-    return _rmse_n(felt_n, wanted_n, setup.tick_s)
+    return _rmse_n(felt_n, wanted_n, setup.tick_ns * 1e-9)
 
 
 def _explicit_rmse_n(gains: Gains, filter_hz: float, wanted_n: Array, tick_s: float) -> float:

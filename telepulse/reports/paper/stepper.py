@@ -5,13 +5,13 @@ controller removes. The paper's own experiment (section 5, Figs 17 to 20) is run
 the first chapter.
 """
 
+import math
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from display_node.control.force_loop import build_force_loop
 from display_node.plant.film import FilmTable
 from display_node.plant.stepper import StepperScene
 from protocol.config.scene_file import find_scene
@@ -48,8 +48,8 @@ class TrackingRun:
 def run_scene(scene: Scene, actual: StepperScene | None = None) -> TrackingRun:
     """Run the first 6 s of a pulse after the loop has settled at the pulse's first force.
 
-    The scene's link and playout are left out, since the paper had none. `actual` is the simulated
-    stepper, if it differs from the one that the controller assumes.
+    The scene's link, playout and slew limit are left out, since the paper had none. `actual` is
+    the simulated stepper, if it differs from the one that the controller assumes.
 
     Raises
     ------
@@ -57,15 +57,8 @@ def run_scene(scene: Scene, actual: StepperScene | None = None) -> TrackingRun:
         The loop is refused, or the source cannot be read.
     """
     display, tick_s = scene.display, scene.display.tick_ns * 1e-9
-    loop = build_force_loop(
-        display.controller,
-        display.actuator,
-        display.layer.layer(),
-        display.film,
-        display.safety.force_limit_n,
-        tick_s,
-        actual,
-    )
+    safety = display.safety.model_copy(update={"slew_limit_n_per_s": math.inf})
+    loop = display.model_copy(update={"safety": safety}).force_loop(actual)
     ticks, reach = round(published.FIRST_S / tick_s), loop.horizon + 1
     wanted_n = build_source(scene.sensing, scene.path.parent).take(ticks + reach)[:, 0]
     reference_n = wanted_n.tolist()

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from display_node.control.pid import Pid
+from display_node.scene import DisplayScene
 from telepulse.reports.document import Report, write_report
 from telepulse.reports.paper import published, stability
 from telepulse.reports.paper.hard_case import (
@@ -16,7 +17,6 @@ from telepulse.reports.paper.hard_case import (
     CaseRun,
     CaseVerdict,
     HardCase,
-    LoopSetup,
     evaluate,
     judge,
     make_setup,
@@ -150,7 +150,7 @@ def test_a_step_keeps_the_slew_limit(results: list[CaseResult]) -> None:
 
 
 def judged(
-    felt_n: float | list[float], *faults: str, loop: LoopSetup = FINGER, since: int = 0
+    felt_n: float | list[float], *faults: str, loop: DisplayScene = FINGER, since: int = 0
 ) -> str:
     felt = np.full(100, felt_n) if isinstance(felt_n, float) else np.array(felt_n)
     case = HardCase("", "", loop, "as it should", disturbance_tick=since)
@@ -160,7 +160,7 @@ def judged(
 
 
 def microsteps_from_target_n(steps: float) -> float:
-    law = FINGER.actuator.contact(FINGER.layer)  # type: ignore[union-attr]
+    law = FINGER.actuator.contact(FINGER.layer.layer())  # type: ignore[union-attr]
     return law.force(law.position(HELD_N) + steps * STEP_M)
 
 
@@ -252,7 +252,7 @@ def test_a_setup_is_the_scenes() -> None:
     bench = scene_setup("real_bench")
     assert bench.controller.observer is not None
     assert bench.film.adc_bits == 16
-    assert bench.tick_s == 1e-3
+    assert bench.tick_ns == 1_000_000
 
 
 # The chapter.
