@@ -33,11 +33,11 @@ class Display:
     ----------
     score
         Whether to compute the running errors of the felt force against the received one.
-    feedback
-        Readings of a real film, which replace those of the scene's models.
 
     Attributes
     ----------
+    feedback
+        Readings of a real film, which replace those of the scene's models.
     force_ratio
         Force at the finger per force at the wrist that makes both strains equal.
     tick_state
@@ -46,17 +46,10 @@ class Display:
         Number of ticks that were run.
     """
 
-    def __init__(
-        self,
-        scene: DisplayScene,
-        name: str,
-        score: bool = True,
-        feedback: Feedback | None = None,
-    ) -> None:
-        self._scene = scene
+    def __init__(self, scene: DisplayScene, name: str, score: bool = True) -> None:
+        self._scene, self._name = scene, name
         self._hardware: Hardware | None = None
-        self.feedback = feedback
-        self._name = name
+        self.feedback: Feedback | None = None
         self._layer = scene.layer.layer()
         self._tick_ns = scene.tick_ns
         self._concealment = self._build_concealment()
@@ -82,7 +75,7 @@ class Display:
 
     @property
     def state(self) -> str:
-        """State in one word: waiting, starting, playing, stale, ended or fault."""
+        """The display's state: waiting, starting, playing, stale, ended or fault."""
         if self.safety.faults:
             return "fault"
         if not self.receiver.ready:
@@ -93,30 +86,19 @@ class Display:
             return "ended"
         return "starting" if self.safety.gain else "stale"
 
-    @property
-    def output(self) -> float:
-        """Output of the controller until the next tick: m/s of a stepper."""
-        return self._loop.output
-
-    @property
-    def playback_status(self) -> PlaybackStatus | None:
-        """Channel, force ratio and predictor that are in use; None before there is a stream."""
-        if self.receiver.description is None:
-            return None
-        scene = self._scene
-        return PlaybackStatus(
-            scene.channel,
-            self.force_ratio,
-            self._layer.strain_per_newton,
-            scene.predictor,
-            scene.safety.stale_after_ns,
-        )
-
     def pack_status(self, summary: Summary, final: bool) -> bytes:
         """Encode this display's status with a summary."""
-        receiver, playing = self.receiver, self.playback_status
-        stream = receiver.description.name if receiver.description else ""
-        return pack_status(self.state, stream, summary, final, receiver.session, playing=playing)
+        description, session = self.receiver.description, self.receiver.session
+        if description is None:
+            return pack_status(self.state, "", summary, final, session)
+        playing = PlaybackStatus(
+            self._scene.channel,
+            self.force_ratio,
+            self._layer.strain_per_newton,
+            self._scene.predictor,
+            self._scene.safety.stale_after_ns,
+        )
+        return pack_status(self.state, description.name, summary, final, session, playing=playing)
 
     @property
     def over(self) -> bool:

@@ -278,14 +278,13 @@ class DelayEstimator:
 class PlayoutClock:
     """The played instant, which advances at most 2 % faster or slower than real time.
 
-    Changes of E and corrections of the clock offset are slewed, so the finger feels no jump. A
-    difference above 0.5 s (after a clock step, in a new session) is a jump, counted in `jumps`.
+    Changes of E and corrections of the clock offset are slewed, so the finger feels no jump. It
+    jumps over a difference above 0.5 s (after a clock step, in a new session).
     """
 
     def __init__(self) -> None:
         self._now_ns: int | None = None
         self._instant_ns = 0
-        self.jumps = 0
 
     def instant(self, now_ns: int, wanted_ns: int) -> int:
         """Return the instant to play at `now_ns`; `wanted_ns` is the instant that E requires.
@@ -297,10 +296,9 @@ class PlayoutClock:
             return wanted_ns
         elapsed_ns = now_ns - self._now_ns
         error_ns = wanted_ns - self._instant_ns - elapsed_ns
-        if abs(error_ns) > JUMP_NS:
-            self.jumps += 1
-        elif abs(error_ns) > elapsed_ns // WARP_PARTS:
-            error_ns = elapsed_ns // WARP_PARTS * (1 if error_ns > 0 else -1)
+        if abs(error_ns) <= JUMP_NS:
+            most_ns = elapsed_ns // WARP_PARTS
+            error_ns = max(-most_ns, min(error_ns, most_ns))
         self._instant_ns += elapsed_ns + error_ns
         self._now_ns = now_ns
         return self._instant_ns

@@ -152,7 +152,6 @@ def test_playout_is_slewed_by_at_most_2_percent_and_never_goes_back(
         last_ns, instant_ns = instant_ns, clock.instant(now_ns, now_ns + offset_ns)
         assert abs(instant_ns - last_ns - elapsed_ns) <= 0.02 * elapsed_ns
         assert instant_ns >= last_ns
-    assert clock.jumps == 0
 
 
 @pytest.mark.parametrize("offset_ms", [-60, -0.01, 0, 0.01, 60, 450])
@@ -171,20 +170,15 @@ def test_playout_follows_a_clock_1_percent_fast_and_a_stall_is_no_jump() -> None
     clock = PlayoutClock()
     for tick in (*range(10_000), 15_000):
         assert clock.instant(tick * MS, tick * (MS + MS // 100)) == tick * (MS + MS // 100)
-    assert clock.jumps == 0
 
 
-@pytest.mark.parametrize(
-    ("offset_ms", "jumps"), [(499, 0), (-499, 0), (501, 1), (-501, 1), (3_600_000, 1)]
-)
-def test_a_difference_above_half_a_second_is_a_counted_jump(offset_ms: int, jumps: int) -> None:
+@pytest.mark.parametrize("offset_ms", [499, -499, 501, -501, 3_600_000])
+def test_playout_jumps_over_a_difference_above_half_a_second(offset_ms: int) -> None:
     clock = PlayoutClock()
     clock.instant(0, 0)
-    instant_ns = clock.instant(MS, MS + offset_ms * MS)
-    assert clock.jumps == jumps
-    assert (instant_ns == MS + offset_ms * MS) == bool(jumps)
-    clock.instant(2 * MS, 2 * MS + offset_ms * MS)
-    assert clock.jumps == jumps
+    for now_ns in (MS, 2 * MS):
+        wanted_ns = now_ns + offset_ms * MS
+        assert (clock.instant(now_ns, wanted_ns) == wanted_ns) == (abs(offset_ms) > 500)
 
 
 def drain(estimator: DelayEstimator, queued_s: float, start_s: float, within_s: float) -> None:

@@ -170,8 +170,8 @@ def test_a_status_has_every_key_of_a_summary_and_no_impossible_figure(figure: fl
 
 
 def test_a_silent_film_is_a_fault_and_its_force_unknown() -> None:
-    feedback = Feedback(0, 40 * MS)
-    display = Display(load_section(RADIAL, "display", DisplayScene), "test", feedback=feedback)
+    display = Display(load_section(RADIAL, "display", DisplayScene), "test")
+    feedback = display.feedback = Feedback(0, 40 * MS)
     sender, writer, messages = Sender(), TraceWriter(), []
     for ms in range(3_000):
         if ms < 2_000:
