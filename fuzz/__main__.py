@@ -13,6 +13,7 @@ import typer
 
 from fuzz.run import Outcome, run_target
 from fuzz.targets import NAMES
+from protocol.host.child_process import python_command
 
 # Bytes of the input and lines of the log that are shown of a crash.
 SHOWN_BYTES = 512
@@ -79,7 +80,8 @@ def _show(outcome: Outcome) -> None:
         data = outcome.crash.read_bytes()
         more = f" and {len(data) - SHOWN_BYTES} bytes more" if len(data) > SHOWN_BYTES else ""
         print(f"input: {data[:SHOWN_BYTES].hex()}{more}")
-        print(f"again: {sys.executable} -m fuzz.target {outcome.name} {outcome.crash}")
+        command = python_command("-m", "fuzz.target", outcome.name, str(outcome.crash))
+        print(f"again: {' '.join(command)}")
 
 
 def _run_end(lines: list[str]) -> list[str]:

@@ -2,11 +2,12 @@
 
 import os
 import re
-import subprocess
-import sys
 from dataclasses import dataclass
 from pathlib import Path
+from subprocess import TimeoutExpired
 from tempfile import TemporaryDirectory
+
+from protocol.host.child_process import ChildProcess
 
 LONGEST_INPUT_BYTES = 4096
 LONGEST_INPUT_S = 10
@@ -40,7 +41,7 @@ def run_target(name: str, seconds: int, folder: Path) -> Outcome:
     corpus, log = folder / "corpus", folder / "log.txt"
     corpus.mkdir(parents=True, exist_ok=True)
     command = [
-        *(sys.executable, "-m", "fuzz.target", name, str(corpus)),
+        *("-m", "fuzz.target", name, str(corpus)),
         *(f"-max_total_time={seconds}", f"-timeout={LONGEST_INPUT_S}", "-print_final_stats=1"),
         *(f"-max_len={LONGEST_INPUT_BYTES}", f"-rss_limit_mb={MOST_MEMORY_MB}"),
         f"-artifact_prefix={folder}/",
@@ -48,19 +49,15 @@ def run_target(name: str, seconds: int, folder: Path) -> Outcome:
     with log.open("w", encoding="utf-8") as file, TemporaryDirectory() as scratch:
         # Threads of numerical libraries would only take memory.
         environment = os.environ | {"OPENBLAS_NUM_THREADS": "1", "TMPDIR": scratch}
-        try:
-            ended = subprocess.run(
-                command,
-                stdout=file,
-                stderr=file,
-                env=environment,
-                timeout=seconds + PATIENCE_S,
-                check=False,
-            )
-        except subprocess.TimeoutExpired as error:
-            file.write(f"\nfuzz: {error}\n")
-            return _outcome(name, log, failed=True)
-    return _outcome(name, log, failed=ended.returncode != 0)
+        streams = {"stdout": file, "stderr": file}
+        # Ctrl-C ends the target, too.
+        with ChildProcess(name, *command, own_session=False, env=environment, **streams) as target:
+            try:
+                failed = target.wait(seconds + PATIENCE_S) != 0
+            except TimeoutExpired as error:
+                file.write(f"\nfuzz: {error}\n")
+                failed = True
+    return _outcome(name, log, failed)
 
 
 def _outcome(name: str, log: Path, failed: bool) -> Outcome:
