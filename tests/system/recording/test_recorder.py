@@ -1,10 +1,10 @@
 import os
 import random
 import resource
+import shlex
 import shutil
 import signal
 import subprocess
-import sys
 import time
 from base64 import b64decode
 from collections.abc import Iterator
@@ -14,6 +14,7 @@ from pathlib import Path
 import pytest
 
 from protocol.errors import SourceError
+from protocol.host.child_process import ChildProcess, python_command
 from protocol.wire.messages import decode_frame, encode_frame
 from telepulse.recording.reader import RecordedMessage, RecordingReader
 from telepulse.telemetry.schema import EVENT, FRAME, STATUS, STREAM, TICK
@@ -53,7 +54,7 @@ def events_of(path: Path) -> list[str]:
 @contextmanager
 def recording(
     path: Path, *options: str, ring: Keyring | None = None
-) -> Iterator[tuple[TelemetryPublisher, "subprocess.Popen[str]"]]:
+) -> Iterator[tuple[TelemetryPublisher, ChildProcess]]:
     """Publish a display's telemetry and record it."""
     address = free_address()
     with (
@@ -167,12 +168,12 @@ def test_a_disk_that_stays_full_leaves_what_was_written_and_the_count(path: Path
     assert taken <= lost + sum(map(len, messages.values())) <= taken + 100
 
 
-def limit(process: "subprocess.Popen[str]", size_bytes: int) -> None:
+def limit(process: ChildProcess, size_bytes: int) -> None:
     """Limit the size of a process's files, which acts as a full disk and needs no rights."""
     resource.prlimit(process.pid, resource.RLIMIT_FSIZE, (size_bytes, resource.RLIM_INFINITY))
 
 
-def fill_up(display: TelemetryPublisher, recorder: "subprocess.Popen[str]", path: Path) -> int:
+def fill_up(display: TelemetryPublisher, recorder: ChildProcess, path: Path) -> int:
     """Publish until the recorder can write no more, and for a while longer; return the limit."""
     display.begin()
     publish_until_larger(display, path, 5_000)
@@ -202,9 +203,10 @@ def can_mount() -> bool:
 def test_a_small_disk_that_is_really_full_and_has_room_again(tmp_path: Path) -> None:
     address, disk = free_address(), tmp_path / "disk"
     disk.mkdir()
+    record = shlex.join(python_command("-m", MODULE, "record", address, f"{disk}/a.mcap"))
     script = (
         f"mount -t tmpfs -o size=2000k none {disk} && head -c 2000000 /dev/zero >{disk}/ballast"
-        f" && {sys.executable} -m {MODULE} record {address} {disk}/a.mcap; status=$?;"
+        f" && {record}; status=$?;"
         f" cp {disk}/a.mcap {tmp_path}/a.mcap; exit $status"
     )
     command = ["unshare", "-m", "sh", "-c", script]
