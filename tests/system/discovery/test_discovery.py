@@ -4,7 +4,6 @@ import json
 import shutil
 import signal
 import subprocess
-import sys
 import threading
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -15,7 +14,7 @@ import pytest
 
 from protocol.discovery.announcement import SERVICE, Announcement, to_txt
 from protocol.discovery.browser import Browser
-from protocol.host.child_process import ChildProcess
+from protocol.host.child_process import ChildProcess, python_command
 from telepulse.netem import Namespace, emulate, unavailable
 from telepulse.simulation.link_model import parse_link
 from tests.support.keyring import Keyring
@@ -200,7 +199,7 @@ def test_discovery_without_a_network_is_refused() -> None:
         (DISPLAY, "--discover", "no network here carries multicast (there is none)"),
         (SENSING, "--announce", "is no IPv4 address here; there is nothing to announce"),
     ):
-        command = ("unshare", "-n", sys.executable, "-m", module, str(RADIAL), option)
+        command = ["unshare", "-n", *python_command("-m", module, str(RADIAL), option)]
         result = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
         assert result.returncode == 2
         assert result.stderr.count("\n") == 1
