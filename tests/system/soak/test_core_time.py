@@ -1,13 +1,13 @@
 import os
-import subprocess
-import sys
-import time
 from dataclasses import replace
+from subprocess import PIPE
 
 import pytest
 
+from protocol.host.child_process import ChildProcess
 from soak.core_time import CoreTime, Excused, excuse, read_core_time
 from soak.verdict import LoopFigures, judge_calm_loop
+from tests.support.waiting import PATIENCE_S, until
 
 MS = 1_000_000
 
@@ -72,24 +72,19 @@ def test_the_bar_is_for_the_misses_that_are_the_loops_own() -> None:
 def test_a_process_that_shares_its_processor_waits_for_it() -> None:
     processor = min(os.sched_getaffinity(0))
     code = f"import os; os.sched_setaffinity(0, {{{processor}}}); print(flush=True)\nwhile 1: pass"
-    busy = [
-        subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE) for _ in range(2)
-    ]
-    try:
-        for process in busy:
-            assert process.stdout is not None
-            process.stdout.readline()
-        first = read_core_time(busy[0].pid, 0)
+    busy = [ChildProcess("busy process", "-c", code, stdout=PIPE) for _ in range(2)]
+    with busy[0] as process, busy[1]:
+        for child in busy:
+            child.read_line(PATIENCE_S)
+        first = read_core_time(process.pid, 0)
         if first is None:
             pytest.skip("this kernel keeps no account of what a thread waits")
-        deadline_s = time.monotonic() + 20.0
-        while (now := read_core_time(busy[0].pid, 0)) and now.waited_ns - first.waited_ns < 20 * MS:
-            assert time.monotonic() < deadline_s
-            time.sleep(0.01)
-        assert now is not None
-        assert now.processor == processor
-    finally:
-        for process in busy:
-            process.kill()
-            process.communicate()
-    assert read_core_time(busy[0].pid, 0) is None
+
+        def waited_long() -> bool:
+            now = read_core_time(process.pid, 0)
+            assert now is not None
+            assert now.processor == processor
+            return now.waited_ns - first.waited_ns >= 20 * MS
+
+        until(waited_long)
+    assert read_core_time(process.pid, 0) is None

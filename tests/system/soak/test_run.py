@@ -3,17 +3,17 @@
 import asyncio
 import json
 import os
-import subprocess
-import sys
 from collections.abc import Iterator
 from io import StringIO
 from pathlib import Path
+from subprocess import PIPE
 
 import pytest
 from rich.console import Console
 
 import soak.run
 from protocol.errors import OutputError
+from protocol.host.child_process import ChildProcess
 from soak.evidence import verdict
 from soak.keyring import Keyring
 from soak.leftovers import MARK, left_behind
@@ -97,14 +97,13 @@ def test_a_soak_finds_every_sample_and_leaves_nothing_behind(tmp_path: Path) -> 
 
 
 @pytest.fixture
-def child() -> Iterator["subprocess.Popen[bytes]"]:
+def child() -> Iterator[ChildProcess]:
     marked = os.environ | {MARK: str(os.getpid())}
-    child = subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE, env=marked)
-    yield child
-    child.communicate()
+    with ChildProcess("child", "-c", "input()", stdin=PIPE, env=marked) as child:
+        yield child
 
 
-def test_leftover_processes_are_found(child: "subprocess.Popen[bytes]", tmp_path: Path) -> None:
+def test_leftover_processes_are_found(child: ChildProcess, tmp_path: Path) -> None:
     (process,) = left_behind(set(), [], str(tmp_path / "none"))
     assert process.startswith("a process, ")
     child.kill()
