@@ -2,12 +2,11 @@
 
 import json
 import shutil
-import subprocess
-import sys
 from pathlib import Path
 
 from tests.support.doc_pages import PYTHON, blocks
 from tests.support.doc_sessions import Do, Step, Stop
+from tests.support.nodes import run_python
 
 SENSE = "sensing-node scenes/radial.toml"
 PLAY = "display-node scenes/radial.toml"
@@ -53,7 +52,8 @@ def snippets_of(page: str) -> Do:
         codes = [block.text for block in blocks() if (block.page, block.language) == (page, PYTHON)]
         assert codes
         for code in codes:
-            subprocess.run([sys.executable, "-c", code], cwd=folder, check=True)
+            ended = run_python("-c", code, cwd=folder)
+            assert ended.returncode == 0, ended.stderr
 
     return run
 

@@ -5,19 +5,20 @@ import re
 import shlex
 import shutil
 import signal
-import subprocess
-import sys
+import sysconfig
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from pathlib import Path
+from subprocess import DEVNULL, STDOUT
 
+from protocol.host.child_process import ChildProcess
 from telepulse.processes import free_addresses
 from tests.support.doc_commands import recipes
 from tests.support.nodes import ROOT
 from tests.support.waiting import until
 
-BIN = Path(sys.executable).parent
+BIN = Path(sysconfig.get_path("scripts"))
 LONGEST_S = 60
 
 
@@ -67,7 +68,7 @@ class Session:
         }
         for scene in (folder / "scenes").glob("*.toml"):
             scene.write_text(self.placed(scene.read_text(encoding="utf-8")), encoding="utf-8")
-        self._running: dict[str, tuple[subprocess.Popen[str], Path, Step]] = {}
+        self._running: dict[str, tuple[ChildProcess, Path, Step]] = {}
 
     def placed(self, text: str) -> str:
         """Return a command with this session's ports, hosts and folders."""
@@ -97,14 +98,14 @@ class Session:
         program, *words = shlex.split(f"{line} {self.placed(step.more)}")
         printed = self.folder / f"{len(list(self.folder.glob('*.printed')))}.printed"
         with printed.open("w", encoding="utf-8") as output:
-            child = subprocess.Popen(
-                [str(BIN / program), *words],
+            child = ChildProcess(
+                program,
+                *(str(BIN / program), *words),
                 cwd=where,
-                stdin=subprocess.DEVNULL,
+                stdin=DEVNULL,
                 stdout=output,
-                stderr=subprocess.STDOUT,
+                stderr=STDOUT,
                 env={**os.environ, "PYTHONUNBUFFERED": "1", "COLUMNS": "200"},
-                text=True,
             )
         self._running[step.command] = child, printed, step
         until_the_end.callback(self._stop, step.command)

@@ -1,12 +1,10 @@
 """The two nodes as real processes, for tests."""
 
 import json
-import subprocess
-import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from subprocess import PIPE
+from subprocess import PIPE, CompletedProcess
 from typing import Any, TypeVar
 
 from protocol.host.child_process import ChildProcess
@@ -40,16 +38,19 @@ def process(module: str, *arguments: str) -> Iterator[ChildProcess]:
             print(module, output)
 
 
-def run(module: str, *arguments: str, timeout_s: float = 60) -> "subprocess.CompletedProcess[str]":
+def run(module: str, *arguments: str, timeout_s: float = 60) -> "CompletedProcess[str]":
     """Run a module of ours to its end."""
-    return run_python("-P", "-m", module, *arguments, timeout=timeout_s)
+    return run_python("-m", module, *arguments, timeout=timeout_s)
 
 
-def run_python(*arguments: str, **options: Any) -> "subprocess.CompletedProcess[str]":
-    """Run Python on a command line to its end; options: of `subprocess.run`."""
-    usual: dict[str, Any] = {"cwd": ROOT, "timeout": 60, "check": False}
-    command = [sys.executable, *arguments]
-    return subprocess.run(command, capture_output=True, text=True, **usual | options)
+def run_python(
+    *arguments: str, input: str | None = None, timeout: float | None = 60, **options: Any
+) -> "CompletedProcess[str]":
+    """Run Python on a command line to its end; options: of `ChildProcess`."""
+    usual: dict[str, Any] = {"cwd": ROOT, "stdin": PIPE, "stdout": PIPE, "stderr": PIPE}
+    with ChildProcess("program", *arguments, **usual | options) as child:
+        output, errors = child.communicate(input, timeout)
+    return CompletedProcess(child.args, child.returncode, output, errors)
 
 
 def read_json(path: Path) -> dict[str, Any]:

@@ -3,7 +3,7 @@
 import ctypes
 import os
 import resource
-import subprocess
+from subprocess import CompletedProcess
 
 import pytest
 
@@ -28,7 +28,7 @@ needs_rights = pytest.mark.skipif(
 )
 
 
-def without_rights(*command: str) -> "subprocess.CompletedProcess[str]":
+def without_rights(*command: str) -> "CompletedProcess[str]":
     """Run Python as a user who may have no priority and lock no memory."""
     return run_python(*command, preexec_fn=_give_up)
 

@@ -1,17 +1,12 @@
 """The project's metadata is well-formed and consistent."""
 
 import re
-import subprocess
-import sys
 import tomllib
-from pathlib import Path
 from typing import Any
 
 import yaml
 
-from tests.support.nodes import ROOT
-
-BIN = Path(sys.executable).parent
+from tests.support.nodes import ROOT, run
 
 
 def read_yaml(name: str) -> dict[str, Any]:
@@ -21,14 +16,8 @@ def read_yaml(name: str) -> dict[str, Any]:
 
 def test_the_hooks_are_well_formed_and_local() -> None:
     name = ".pre-commit-config.yaml"
-    run = subprocess.run(
-        [str(BIN / "pre-commit"), "validate-config", name],
-        cwd=ROOT,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert run.returncode == 0, run.stdout
+    checked = run("pre_commit", "validate-config", name)
+    assert checked.returncode == 0, checked.stdout
     repositories = read_yaml(name)["repos"]
     assert [r["repo"] for r in repositories] == ["local"]
     assert {hook["language"] for hook in repositories[0]["hooks"]} == {"system"}
