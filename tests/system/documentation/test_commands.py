@@ -9,7 +9,7 @@ from tests.support.doc_commands import check
 from tests.support.doc_output import SESSIONS, UNRUN
 from tests.support.doc_pages import Block, blocks, commands, commands_in_text
 from tests.support.doc_sessions import Session, Step
-from tests.support.nodes import ROOT
+from tests.support.nodes import ROOT, run_python
 
 TYPED = {
     command: block.place for block in blocks() if block.is_shell for command in commands(block)
@@ -70,3 +70,9 @@ def test_invalid_commands_are_found(command: str) -> None:
 def test_comments_prompts_and_output_are_not_commands() -> None:
     block = Block("page.md", 1, "console", "$ telepulse demo \\\n  --no-ui  # here\nout put\n")
     assert list(commands(block)) == ["telepulse demo --no-ui"]
+
+
+def test_the_command_line_imports_a_commands_modules_only_for_that_command() -> None:
+    loaded = run_python("-c", "import sys; import telepulse.cli.main; print(*sys.modules)").stdout
+    assert "typer" in loaded.split()
+    assert "display_node" not in loaded.split()

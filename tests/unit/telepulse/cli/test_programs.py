@@ -1,8 +1,6 @@
 """What the three programs have in common."""
 
 import json
-import subprocess
-import sys
 from importlib.metadata import version
 from pathlib import Path
 
@@ -47,13 +45,6 @@ def test_a_shell_completes_commands_and_scenes(
     }
     result = CliRunner().invoke(app, env=environment, prog_name=program)
     assert result.stdout.split() == words
-
-
-def test_the_command_line_imports_a_commands_modules_only_for_that_command() -> None:
-    code = "import sys; import telepulse.cli.main; print(*sys.modules)"
-    loaded = subprocess.run([sys.executable, "-c", code], stdout=subprocess.PIPE, check=True).stdout
-    assert b"typer" in loaded.split()
-    assert b"display_node" not in loaded.split()
 
 
 @pytest.mark.parametrize("app", [sensing_node.cli.app, display_node.cli.app])
