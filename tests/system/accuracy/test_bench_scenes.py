@@ -1,4 +1,4 @@
-"""Force error of the scenes of a bench, with their actuator and with others."""
+"""Force error and slew of the scenes of a bench, with their actuator and with others."""
 
 import math
 from pathlib import Path
@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from display_node.control.force_loop import ForceLoop
 from display_node.scene import DisplayScene
 from protocol.config.scene import load_section
+from tests.support.scene_loops import felt_under_jumps
 from tests.support.streams import synthetic
 
 SCENES = Path(__file__).parents[3] / "scenes"
@@ -129,3 +130,17 @@ def test_readings_that_are_not_finite_press_no_harder_than_the_limit(
         loop.tick(reference_n, loop.read_film())
     for _ in range(100):
         assert loop.tick(reference_n, reading_n) <= 2.5
+
+
+# For one microstep, and the loop's correction.
+MARGIN = 1.02
+
+
+# Not real_bench: its rotor rings when its speed jumps, which no bound on the speed prevents.
+@pytest.mark.parametrize("name", ["radial", "tmcl_bench"])
+def test_forces_that_jump_are_felt_within_the_slew_limit_up_and_down(name: str) -> None:
+    scene = display_scene(name)
+    limit_n_per_s = scene.safety.slew_limit_n_per_s
+    slews_n_per_s = np.diff(felt_under_jumps(scene, jumps=100)) / (scene.tick_ns * 1e-9)
+    assert 0.9 * limit_n_per_s < slews_n_per_s.max() <= MARGIN * limit_n_per_s
+    assert 0.9 * limit_n_per_s < -slews_n_per_s.min() <= MARGIN * limit_n_per_s

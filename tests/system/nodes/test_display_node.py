@@ -24,6 +24,7 @@ from tests.support.live_display import (
     MODULE,
     PATIENCE_S,
     await_state,
+    await_status,
     display_arguments,
     sensing_arguments,
     subscribe,
@@ -32,16 +33,28 @@ from tests.support.log_lines import refused, unusual
 from tests.support.nodes import RADIAL, assert_accounted, free_address, process, read_json, run
 from tests.support.streams import description
 
+SENSING = "sensing_node.cli"
+
+
+@pytest.fixture
+def telemetry(context: Context) -> zmq.Socket:
+    """Return a socket that has subscribed to the telemetry of a display that may start later."""
+    return subscribe(context, free_address())
+
+
+def arguments(address: str, telemetry: zmq.Socket, *more: str) -> tuple[str, ...]:
+    return display_arguments(address, telemetry.getsockopt_string(zmq.LAST_ENDPOINT), *more)
+
 
 @pytest.mark.parametrize("first", ["display", "sensing"])
-def test_either_node_may_start_first(first: str, context: Context, tmp_path: Path) -> None:
-    address, telemetry_address = free_address(), free_address()
+def test_either_node_may_start_first(
+    first: str, context: Context, address: str, telemetry: zmq.Socket, tmp_path: Path
+) -> None:
     summary = tmp_path / "display.json"
-    display = display_arguments(address, telemetry_address, "--once", "--json", str(summary))
-    nodes = [(MODULE, display), ("sensing_node.cli", sensing_arguments(address, 4))]
+    display = arguments(address, telemetry, "--once", "--json", str(summary))
+    nodes = [(MODULE, display), (SENSING, sensing_arguments(address, 4))]
     if first == "sensing":
         nodes.reverse()
-    telemetry = subscribe(context, telemetry_address)
     with process(nodes[0][0], *nodes[0][1]) as one:
         if first == "display":
             await_state(telemetry, "waiting")
@@ -62,19 +75,16 @@ def await_bound(context: Context, address: str) -> None:
     data.recv()
 
 
-def test_a_killed_sensing_node_comes_back_and_is_felt_again(
-    context: Context, tmp_path: Path
+def test_a_restarted_sensing_node_is_felt_again(
+    address: str, telemetry: zmq.Socket, tmp_path: Path
 ) -> None:
-    address, telemetry_address = free_address(), free_address()
     summary = tmp_path / "display.json"
-    telemetry = subscribe(context, telemetry_address)
-    arguments = display_arguments(address, telemetry_address, "--json", str(summary))
-    with process(MODULE, *arguments) as display:
-        with process("sensing_node.cli", *sensing_arguments(address, 60)) as sensing:
+    with process(MODULE, *arguments(address, telemetry, "--json", str(summary))) as display:
+        with process(SENSING, *sensing_arguments(address, 60)) as sensing:
             await_state(telemetry, "playing")
             sensing.kill()
             await_state(telemetry, "stale")
-        with process("sensing_node.cli", *sensing_arguments(address, 60)):
+        with process(SENSING, *sensing_arguments(address, 60)):
             await_state(telemetry, "playing")
             display.send_signal(signal.SIGTERM)
             assert display.wait(PATIENCE_S) == 0
@@ -83,29 +93,26 @@ def test_a_killed_sensing_node_comes_back_and_is_felt_again(
     assert result["faults"] == []
 
 
-def test_a_killed_display_comes_back_while_the_sensing_node_goes_on(
+def test_a_restarted_display_plays_while_the_sensing_node_continues(
     context: Context, address: str
 ) -> None:
-    with process("sensing_node.cli", *sensing_arguments(address, 60)) as sensing:
+    with process(SENSING, *sensing_arguments(address, 60)) as sensing:
         for _ in range(2):
-            telemetry_address = free_address()
-            telemetry = subscribe(context, telemetry_address)
-            with process(MODULE, *display_arguments(address, telemetry_address)) as display:
+            telemetry = subscribe(context, free_address())
+            with process(MODULE, *arguments(address, telemetry)) as display:
                 await_state(telemetry, "playing")
                 display.kill()
         assert sensing.poll() is None
 
 
 def test_telemetry_has_every_tick_and_ends_with_a_final_status(
-    context: Context, tmp_path: Path
+    address: str, telemetry: zmq.Socket
 ) -> None:
-    address, telemetry_address = free_address(), free_address()
-    telemetry = subscribe(context, telemetry_address)
     ticks, final = [], None
     end_s = time.monotonic() + PATIENCE_S
     with (
-        process(MODULE, *display_arguments(address, telemetry_address, "--once")) as display,
-        process("sensing_node.cli", *sensing_arguments(address, 3)),
+        process(MODULE, *arguments(address, telemetry, "--once")) as display,
+        process(SENSING, *sensing_arguments(address, 3)),
     ):
         while final is None and time.monotonic() < end_s:
             try:
@@ -129,17 +136,14 @@ def test_telemetry_has_every_tick_and_ends_with_a_final_status(
 
 
 def test_a_peer_that_sends_garbage_and_enormous_forces_is_felt_up_to_the_limit_only(
-    context: Context, tmp_path: Path
+    context: Context, address: str, telemetry: zmq.Socket, tmp_path: Path
 ) -> None:
-    address, telemetry_address = free_address(), free_address()
     summary = tmp_path / "display.json"
     # XPUB, because it receives the subscriptions.
     data, control = context.socket(zmq.XPUB), context.socket(zmq.ROUTER)
     data.bind(address)
     control.bind(control_address(address))
-    telemetry = subscribe(context, telemetry_address)
-    arguments = display_arguments(address, telemetry_address, "--json", str(summary))
-    with process(MODULE, *arguments) as display:
+    with process(MODULE, *arguments(address, telemetry, "--json", str(summary))) as display:
         peer = b""
         while not data.poll(0):
             assert display.poll() is None
@@ -233,10 +237,10 @@ def test_help_names_options_keys_and_exit_status() -> None:
 
 
 def test_without_a_terminal_the_screen_prints_a_line_a_second(address: str) -> None:
-    arguments = (str(RADIAL), "--connect", address, "--once", "--seconds", "30")
+    options = ("--connect", address, "--once", "--seconds", "30")
     with (
-        process(MODULE, *arguments) as display,
-        process("sensing_node.cli", *sensing_arguments(address, 8)),
+        process(MODULE, str(RADIAL), *options) as display,
+        process(SENSING, *sensing_arguments(address, 8)),
     ):
         output, errors = display.communicate(timeout=PATIENCE_S + 10)
     lines = [line for line in output.splitlines() if line.startswith("playing:")]
@@ -248,3 +252,48 @@ def test_without_a_terminal_the_screen_prints_a_line_a_second(address: str) -> N
     assert all("finger" in line for line in lines if "; " not in line)
     assert "samples" in output
     assert unusual(errors) == ""
+
+
+def test_with_three_paths_the_first_copy_of_each_frame_is_played(
+    address: str, tmp_path: Path
+) -> None:
+    scene, summary = tmp_path / "paths.toml", tmp_path / "out.json"
+    text = RADIAL.read_text(encoding="utf-8")
+    scene.write_text(text.replace("[display]\n", "[display]\npaths = 3\n"), encoding="utf-8")
+    options = ("--connect", address, "--json", str(summary), "--once", "--no-screen")
+    with (
+        process(MODULE, str(scene), *options, "--seconds", "30") as display,
+        process(SENSING, *sensing_arguments(address, 3)),
+    ):
+        assert display.wait(PATIENCE_S + 10) == 0
+    result = read_json(summary)
+    assert_accounted(result["samples"])
+    assert result["samples"]["lost"] == 0
+    # The three paths may have been connected at slightly different times.
+    assert 1.5 < result["frames"]["copies"] / result["frames"]["received"] <= 2
+    assert result["rejected"] == {}
+
+
+def test_the_loss_of_one_of_two_addresses_loses_no_sample(
+    address: str, telemetry: zmq.Socket, tmp_path: Path
+) -> None:
+    summary, relayed = tmp_path / "out.json", free_address()
+    # Control starts on the first address, that of the relay, which is killed.
+    more = ("--connect", address, "--once", "--json", str(summary))
+    relay_arguments = ("link", "--connect", address, "--bind", relayed, "--seconds", "60")
+    with (
+        process("telepulse", *relay_arguments) as relay,
+        process(MODULE, *arguments(relayed, telemetry, *more)) as display,
+        process(SENSING, *sensing_arguments(address, 10)),
+    ):
+        await_status(telemetry, lambda status: status.summary["frames"]["copies"] >= 50)
+        relay.kill()
+        assert display.wait(PATIENCE_S + 10) == 0
+    result = read_json(summary)
+    assert_accounted(result["samples"])
+    # The end of the stream came over the other address.
+    assert result["samples"]["sent"] + result["samples"]["before_joining"] == 10_000
+    assert result["samples"]["lost"] == 0
+    assert set(result["frames"]["first"]) == {relayed, address}
+    assert sum(result["frames"]["first"].values()) == result["frames"]["received"]
+    assert result["rejected"] == {}

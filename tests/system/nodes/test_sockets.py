@@ -1,9 +1,11 @@
 """Sockets of the nodes, and free addresses for tests."""
 
 import socket as plain
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from socket import AF_INET, SOCK_STREAM, socket
+from subprocess import PIPE
 from urllib.parse import urlsplit
 
 import pytest
@@ -11,6 +13,7 @@ import zmq
 
 from protocol import sockets
 from protocol.errors import AddressError
+from protocol.host.child_process import ChildProcess
 from protocol.sockets import MAX_MESSAGES, Context, Socket
 from protocol.wire.messages import MAX_FRAME_BYTES
 from telepulse.processes import HOST, free_addresses
@@ -261,3 +264,36 @@ def test_free_addresses_differ_and_their_two_ports_can_be_bound() -> None:
         with socket(AF_INET, SOCK_STREAM) as data, socket(AF_INET, SOCK_STREAM) as control:
             data.bind((HOST, port))
             control.bind((HOST, port + 1))
+
+
+# It reads nothing for longer than two heartbeats.
+NODE = """
+import sys, time, zmq
+from protocol import sockets
+context = zmq.Context()
+node = sockets.bind(context, zmq.ROUTER, sys.argv[1])
+print("bound", flush=True)
+sys.stdin.readline()
+print(sum(1 for _ in range(100) for _ in sockets.receive_multipart(node)))
+context.destroy(0)
+"""
+HEARTBEATS_S = 4.5
+
+
+def test_peers_that_disconnect_while_the_queue_is_full_do_not_end_a_node(
+    context: Context, address: str
+) -> None:
+    """With ZeroMQ's own heartbeats libzmq 4.3.5 would end the process."""
+    with ChildProcess("node", "-c", NODE, address, stdin=PIPE, stdout=PIPE) as node:
+        node.read_line(20)
+        for _ in range(3):
+            peer = sockets.connect(context, zmq.DEALER, address)
+            peer.setsockopt(zmq.SNDTIMEO, 20_000)
+            for _ in range(3 * sockets.HIGH_WATER_FRAMES):
+                peer.send(bytes(1_000))
+            time.sleep(0.3)
+            peer.close(0)
+        time.sleep(HEARTBEATS_S)
+        output, _ = node.communicate("read\n", timeout=20)
+    assert node.returncode == 0
+    assert int(output) >= sockets.HIGH_WATER_FRAMES
