@@ -29,21 +29,10 @@ REPORT_EVERY_NS = 1_000_000_000
 class Display:
     """One display: receives a stream and plays it on its actuator.
 
-    Parameters
-    ----------
-    score
-        Whether to compute the running errors of the felt force against the received one.
-
-    Attributes
-    ----------
-    feedback
-        Readings of a real film, which replace those of the scene's models.
-    force_ratio
-        Force at the finger per force at the wrist that makes both strains equal.
-    tick_state
-        State of the last tick.
-    ticks
-        Number of ticks that were run.
+    score: whether to compute the running errors of the felt force against the received one.
+    feedback: readings of a real film, which replace those of the scene's models. force_ratio: force
+    at the finger per force at the wrist that makes both strains equal. tick_state: state of the
+    last tick. ticks: number of ticks that were run.
     """
 
     def __init__(self, scene: DisplayScene, name: str, score: bool = True) -> None:

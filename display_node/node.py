@@ -73,7 +73,14 @@ def start_bench(
 
 
 class DisplayNode:
-    """A display on real sockets. One thread waits for messages until the next tick, then ticks."""
+    """A display on real sockets. One thread waits for messages until the next tick, then ticks.
+
+    addresses: of the one sensing node, one for each network path. keys: the sensing node's public
+    key and this node's pair. telemetry_keys: this node's pair and the allow-list of the telemetry's
+    readers; None admits every peer that can reach the socket. provenance: of this run, for
+    recorders. Raises SceneError for a force loop that is not stable, AddressError for an address
+    that cannot be used, and KeyFileError for a key that cannot be read.
+    """
 
     def __init__(
         self,
@@ -84,29 +91,6 @@ class DisplayNode:
         telemetry_keys: ServerKeys | None = None,
         provenance: bytes = b"",
     ) -> None:
-        """Connect to the sensing node, and bind the telemetry.
-
-        Parameters
-        ----------
-        addresses
-            Addresses of the one sensing node, one for each network path.
-        keys
-            The sensing node's public key and this node's pair.
-        telemetry_keys
-            This node's pair and the allow-list of the telemetry's readers. None admits anybody who
-            can reach the socket.
-        provenance
-            Provenance of this run, for recorders.
-
-        Raises
-        ------
-        SceneError
-            The force loop is not stable.
-        AddressError
-            An address cannot be used.
-        KeyFileError
-            A key cannot be read.
-        """
         paths = max(scene.paths, len(addresses))
         self._scene = scene = scene.model_copy(update={"paths": paths})
         # First, because a loop that is not stable is refused here, before any socket is opened.
@@ -144,11 +128,11 @@ class DisplayNode:
         self._context.destroy(linger=0)
 
     def await_recorder(self, seconds: float) -> bool:
-        """Wait before `run` for a recorder that requests all messages; False when none does."""
+        """Wait before `run` for a recorder that requests all messages; return whether one does."""
         return self._telemetry.await_recorder(seconds)
 
     def run(self, seconds: float | None = None, once: bool = False) -> Summary:
-        """Run the loop until it is stopped, `seconds` are over, or (once) the stream has ended."""
+        """Run the loop until `stop`, for `seconds`, or with `once` to the end of the stream."""
         start_ns = time.monotonic_ns()
         end_ns = None if seconds is None else start_ns + round(seconds * 1e9)
         pacer = self._pacer = Pacer(self._scene.tick_ns, start_ns)

@@ -37,23 +37,10 @@ LOOK_EVERY_S = 0.05
 def discovered(name: str | None, peer: Path | None, seconds: float | None) -> list[str]:
     """Return the addresses of the one sensing node that announces itself on this network.
 
-    Parameters
-    ----------
-    name
-        The node's name; None accepts any.
-    peer
-        File of the node's public key; None accepts any.
-    seconds
-        Longest wait for a node; None waits without limit.
-
-    Raises
-    ------
-    DiscoveryError
-        Several nodes match, or none is found in time.
-    ProtectionError
-        The node requires keys and `peer` is None.
-    KeyFileError
-        The file `peer` is no key file.
+    name, peer: the node's name, and the file of its public key; None accepts any. seconds: longest
+    wait; None for no limit. Raises DiscoveryError where several nodes match or none is found in
+    time, ProtectionError where the node requires keys and `peer` is None, and KeyFileError where
+    `peer` is no key file.
     """
     # Imported here: only this function needs the zeroconf library.
     from protocol.discovery.browser import Browser

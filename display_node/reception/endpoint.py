@@ -24,14 +24,9 @@ BYTES_PER_TOKEN = 4_096
 class Endpoint:
     """A socket that is connected to one address at a time.
 
-    Attributes
-    ----------
-    address
-        The address that it is connected to; None while it is not.
-    answer_ns
-        Time in ns after which an unanswered request to connect is repeated.
-    asked_ns, answered
-        Time of the present request to connect, and whether a host has answered it.
+    address: the present one; None while it is not connected. answer_ns: time after which an
+    unanswered request to connect is repeated. asked_ns, answered: time of the present request, and
+    whether a host has answered it.
     """
 
     def __init__(self, socket: sockets.Socket) -> None:
@@ -63,7 +58,7 @@ class Endpoint:
         return spent > 0 and not self._budget.take(now_ns, spent)
 
     def received(self, now_ns: int) -> int:
-        """Return how many messages have come since the last call."""
+        """Return the number of messages since the last call."""
         received, self._received = self._received, 0
         if received:
             self._tries = 0
@@ -71,16 +66,16 @@ class Endpoint:
         return received
 
     def close(self, until_ns: int) -> int:
-        """Disconnect, and stay closed until a time; return how many messages were dropped."""
+        """Disconnect, and stay closed until a time; return the number of dropped messages."""
         self._closed_until_ns = until_ns
         return self.disconnect()
 
     def closed(self, now_ns: int) -> bool:
-        """Return whether it was closed and must stay closed."""
+        """Return whether `close` is still in effect."""
         return now_ns < self._closed_until_ns
 
     def silent(self, now_ns: int) -> bool:
-        """Return whether it is not connected, or has received nothing for its patience."""
+        """Return whether it is not connected, or has received nothing for `PATIENCE_NS`."""
         if self.closed(now_ns):
             return False
         return self.address is None or now_ns >= self._silent_ns

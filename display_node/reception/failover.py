@@ -54,14 +54,8 @@ class Keep(Enum):
 class Failover:
     """Decisions about one data path's two connections.
 
-    Attributes
-    ----------
-    racing
-        Whether a second connection is open.
-    opened
-        Number of second connections opened so far.
-    kept
-        Number of those that replaced the first connection.
+    racing: whether a second connection is open. opened, kept: number of second connections so far,
+    and of those that replaced the first one.
     """
 
     def __init__(self) -> None:
