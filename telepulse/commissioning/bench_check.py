@@ -6,7 +6,6 @@ from collections import Counter
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from dataclasses import dataclass, field
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -21,7 +20,7 @@ from protocol.config.scene import validate
 from protocol.config.scene_file import load_document, merge
 from protocol.errors import BenchError, DriveError, SceneError, SourceError
 from pulse_sensors.force_scale import SensorTable
-from pulse_sensors.sensor import Sensor, open_sensor
+from pulse_sensors.sensor import open_sensor
 from sensing_node.scene import SensingScene, build_source
 from sensing_node.sources.synthetic import SyntheticScene
 from telepulse.commissioning.actuator_check import ActuatorFindings, check_actuator
@@ -179,7 +178,8 @@ def _check_drive(
     with findings.part("film"), closing(open_sensor(film, folder)) as sensor:
         with findings.part("drive"), closing(drive):
             with advised():
-                drive.start(partial(_newest_n, sensor))
+                # The newest reading since the last call, if any.
+                drive.start(lambda: next((r.force_n[-1] for r in reversed(sensor.poll())), None))
             record = listen(sensor, seconds)
             age_s = findings.add_still("film", record, film.rate_hz, live=True)
             findings.add("film", _check_age(age_s))
@@ -198,12 +198,6 @@ def _check_drive(
         # Superseded commands are normal on a line that is slower than the loop.
         for name, count in sorted((drive.counts - Counter(superseded=sys.maxsize)).items()):
             findings.add("drive", Check(name, f"{count} times", "warn", "on the way to the drive"))
-
-
-def _newest_n(sensor: Sensor) -> float | None:
-    """Return the newest reading in N since the last call; None if there is none."""
-    readings = sensor.poll()
-    return readings[-1].force_n[-1] if readings else None
 
 
 def _check_age(age_s: float) -> Check:

@@ -217,6 +217,7 @@ def fit_line(load_n: Array, reading: Array) -> CalibrationLine:
         raise BenchError("the readings do not change with the loads")
     off = reading - slope * load_n - offset
     spread = float(np.sqrt(off @ off / (count - 2)))
+    hysteresis_n, repeatability_n = _spreads_n(load_n, off / slope)
     return CalibrationLine(
         slope=slope,
         offset=offset,
@@ -225,40 +226,31 @@ def fit_line(load_n: Array, reading: Array) -> CalibrationLine:
         r_squared=1 - float(off @ off) / float(np.sum((reading - reading.mean()) ** 2)),
         residual_n=off / slope,
         rms_n=float(np.sqrt(np.sum((off / slope) ** 2) / (count - 2))),
-        hysteresis_n=_hysteresis_n(load_n, off / slope),
-        repeatability_n=_repeatability_n(load_n, off / slope),
+        hysteresis_n=hysteresis_n,
+        repeatability_n=repeatability_n,
     )
 
 
-def _rising(load_n: Array) -> NDArray[np.bool_]:
-    """Return for each load whether it was reached from below; a repeated load keeps its side."""
-    rising, result = True, []
+def _spreads_n(load_n: Array, off_n: Array) -> tuple[float | None, float | None]:
+    """Return hysteresis and repeatability; None where the loads do not show them."""
+    side, sides = 1.0, []
     for before, after in zip([0.0, *load_n[:-1].tolist()], load_n.tolist(), strict=True):
-        if after != before:
-            rising = after > before
-        result.append(rising)
-    return np.array(result)
-
-
-def _hysteresis_n(load_n: Array, off_n: Array) -> float | None:
-    rising = _rising(load_n)
+        # A repeated load keeps the side from which it was reached.
+        side = np.sign(after - before) or side
+        sides.append(side)
+    rising = np.array(sides) > 0
     gaps_n = [
         abs(float(off_n[same & rising].mean() - off_n[same & ~rising].mean()))
         for same in (load_n == load for load in np.unique(load_n))
         if (same & rising).any() and (same & ~rising).any()
     ]
-    return max(gaps_n, default=None)
-
-
-def _repeatability_n(load_n: Array, off_n: Array) -> float | None:
-    """Return the standard deviation pooled over all loads."""
-    groups = np.unique(np.stack([load_n, _rising(load_n)]), axis=1, return_inverse=True)[1].ravel()
+    groups = np.unique(np.stack([load_n, rising]), axis=1, return_inverse=True)[1].ravel()
     count = np.bincount(groups)
-    freedom = int(np.sum(count - 1))
-    if not freedom:
-        return None
-    means_n = np.bincount(groups, off_n) / count
-    return float(np.sqrt(np.sum((off_n - means_n[groups]) ** 2) / freedom))
+    freedom, repeatability_n = int(np.sum(count - 1)), None
+    if freedom:
+        means_n = np.bincount(groups, off_n) / count
+        repeatability_n = float(np.sqrt(np.sum((off_n - means_n[groups]) ** 2) / freedom))
+    return max(gaps_n, default=None), repeatability_n
 
 
 def calibration_keys(loads: LoadReadings, line: CalibrationLine) -> str:

@@ -208,10 +208,10 @@ class VirtualBench:
         self.drive.reaches_ns = now_ns + self.command_late_ns(self.now_ms)
         felt: TickState = self.display.tick(now_ns, elapsed)
         self.felt.append((now_ns, felt.target_n, felt.felt_n))
-        for request in self.display.requests(now_ns):
-            answer = self.sender.answer(request, now_ns) if self.sending else None
-            if answer is not None:
-                self.display.on_control(answer, now_ns)
+        if self.sending:
+            self.sender.serve(self.display, now_ns)
+        else:
+            self.display.requests(now_ns)
 
 
 def at_touch(scene: DisplayScene) -> tuple[EmulatedMotor, Axis]:

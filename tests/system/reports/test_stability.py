@@ -21,7 +21,6 @@ from telepulse.reports.paper.hard_case import (
     judge,
     make_setup,
     paper_setup,
-    scene_setup,
 )
 from telepulse.reports.paper.loop_cases import BETWEEN_N, STEPPER, chatter, saturated_steps
 from telepulse.reports.paper.pulse_spectrum import deviation_n
@@ -202,7 +201,7 @@ def test_a_fault_must_bring_the_finger_to_rest(after_n: list[float], verdict: Ca
 
 
 def test_on_eq_22_a_hundredth_is_settled() -> None:
-    loop = paper_setup(published.EXPERIMENT, 200.0, 1e-3)
+    loop = paper_setup(published.EXPERIMENT)
     assert judged(1.009 * HELD_N, loop=loop) == STABLE
     assert judged(1.011 * HELD_N, loop=loop) == WRONG
 
@@ -246,13 +245,6 @@ def test_windup_is_seen(monkeypatch: pytest.MonkeyPatch) -> None:
     wound_up = by_name["position with ki = 500"]
     assert (wound_up.verdict, wound_up.reason) == (WRONG, "winds up")
     assert by_name["feed-forward"].verdict is STABLE
-
-
-def test_a_setup_is_the_scenes() -> None:
-    bench = scene_setup("real_bench")
-    assert bench.controller.observer is not None
-    assert bench.film.adc_bits == 16
-    assert bench.tick_ns == 1_000_000
 
 
 # The chapter.
