@@ -15,6 +15,7 @@ from scipy.signal import lfilter, residue
 from protocol.config.scene_file import find_scene
 from telepulse.reports.document import Chapter, Plot, Table, text_colour
 from telepulse.reports.paper import published
+from telepulse.reports.paper.explicit_loop import least_rate_hz, spectral_radius
 from telepulse.reports.paper.published import (
     ERROR_UNITS,
     EXPERIMENT,
@@ -32,7 +33,6 @@ from telepulse.reports.paper.published import (
     scientific,
 )
 from telepulse.reports.paper.pulse_spectrum import beats, deviation_n
-from telepulse.reports.paper.stability import least_rate_hz, spectral_radius
 from telepulse.scene import load_scene
 
 if TYPE_CHECKING:

@@ -1,9 +1,7 @@
 """The chapter on numerical stability: the paper's gains over tick rates, and the hard cases.
 
-With the paper's gains, a textbook's explicit PID runs beside the shipped one. The explicit PID acts
-on the error at the beginning of a tick, with a backward difference; its poles are computed here.
-`control/linear_loop.py` computes poles and margins of the shipped loop. Each hard case is stable,
-or refused with a reason.
+With the paper's gains, a textbook's explicit PID runs beside the shipped one, whose poles and
+margins `control/linear_loop.py` computes. Each hard case is stable, or refused with a reason.
 """
 
 import math
@@ -13,7 +11,6 @@ from itertools import product
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from scipy import signal
 
 from display_node.control.linear_loop import linear_loop, margins
 from display_node.plant.second_order import SecondOrder
@@ -21,6 +18,7 @@ from display_node.scene import DisplayScene
 from protocol.errors import SceneError
 from telepulse.reports.document import Chapter, Plot, Table
 from telepulse.reports.paper import input_cases, loop_cases, published
+from telepulse.reports.paper.explicit_loop import close_loop, spectral_radius
 from telepulse.reports.paper.hard_case import (
     BOUND_N,
     HELD_N,
@@ -31,15 +29,12 @@ from telepulse.reports.paper.hard_case import (
     paper_setup,
     refusal_reason,
 )
-from telepulse.reports.paper.published import FILM_MV, GAINS, Gains
+from telepulse.reports.paper.published import GAINS, Gains
 from telepulse.reports.paper.pulse_spectrum import beats, deviation_n
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-# Between these, every loop here changes from unstable to stable once, as the rate grows.
-SLOWEST_HZ, FASTEST_HZ = 100.0, 20_000.0
-TOLERANCE_HZ = 0.01
 RATES_HZ = (100.0, 200.0, 500.0, 1_000.0, 2_000.0, 5_000.0, 10_000.0)
 # The filter of the display's scene, and one so far above every tick rate that it has no effect.
 FILTERS_HZ = (200.0, 100_000.0)
@@ -48,54 +43,6 @@ SECONDS = 2.0
 SETTLING_S = 1.0
 PEAK_TO_PEAK_N = 0.3
 FREQUENCIES = 400
-
-
-def spectral_radius(
-    rate_hz: float, gains: Gains, filter_rad_per_s: float | None = None, delay_ticks: int = 0
-) -> float:
-    """Return the largest magnitude of the explicit loop's poles; below 1 it is stable.
-
-    The plant is the paper's actuator (eq 22) under an exact zero-order hold, sampled at each
-    tick's beginning. The error is in mV by eq 21; integral and derivative are discretised by
-    backward Euler.
-
-    Parameters
-    ----------
-    rate_hz, gains
-        Tick rate in Hz and gains of Table 5.
-    filter_rad_per_s
-        N of the derivative's first-order filter N / (s + N); None for a pure difference.
-    delay_ticks
-        Additional delay in ticks from reading the film to the command.
-    """
-    plant, tick_s = published.ACTUATOR, 1 / rate_hz
-    continuous = np.array([1.0]), np.array([plant.m, plant.c, plant.k])
-    held = signal.cont2discrete(continuous, tick_s, method="zoh")
-    plant_num, plant_den = np.ravel(held[0]), held[1]
-    filter_s = 0.0 if filter_rad_per_s is None else 1 / filter_rad_per_s
-    kept = filter_s / (filter_s + tick_s)
-    difference, filtered = np.array([1.0, -1.0]), np.array([1.0, -kept])
-    proportional = gains.kp * np.polymul(difference, filtered)
-    integral = gains.ki * tick_s * np.polymul([1.0, 0.0], filtered)
-    derivative = gains.kd / (filter_s + tick_s) * np.polymul(difference, difference)
-    pid = FILM_MV.per_newton * (proportional + integral + derivative)
-    delayed = np.polymul(np.polymul(difference, filtered), [1.0] + [0.0] * delay_ticks)
-    loop = np.polyadd(np.polymul(delayed, plant_den), np.polymul(pid, plant_num))
-    return float(np.abs(np.roots(loop)).max())
-
-
-def least_rate_hz(
-    gains: Gains, filter_rad_per_s: float | None = None, delay_ticks: int = 0
-) -> float:
-    """Return the sampling rate in Hz above which the explicit loop is stable."""
-    slow, fast = SLOWEST_HZ, FASTEST_HZ
-    while fast - slow > TOLERANCE_HZ:
-        middle = (slow + fast) / 2
-        if spectral_radius(middle, gains, filter_rad_per_s, delay_ticks) < 1:
-            fast = middle
-        else:
-            slow = middle
-    return fast
 
 
 class RateResult(NamedTuple):
@@ -167,19 +114,9 @@ def _shipped_rmse_n(setup: DisplayScene, wanted_n: Array, late: bool) -> float:
 
 
 def _explicit_rmse_n(gains: Gains, filter_hz: float, wanted_n: Array, tick_s: float) -> float:
-    plant = SecondOrder(published.ACTUATOR, tick_s)
-    filter_s = 1 / (2 * math.pi * filter_hz)
-    integral = derivative = last = 0.0
-    felt_n = []
-    for wanted in wanted_n.tolist()[:-1]:
-        error = FILM_MV.per_newton * (wanted - plant.force_n)
-        integral += gains.ki * tick_s * error
-        derivative = (filter_s * derivative + gains.kd * (error - last)) / (filter_s + tick_s)
-        last = error
-        felt_n.append(plant.step(gains.kp * error + integral + derivative))
-        if abs(plant.force_n) > BOUND_N:
-            return math.inf
-    return _rmse_n(felt_n, wanted_n, tick_s)
+    step, reference_n = SecondOrder(published.ACTUATOR, tick_s).step, wanted_n.tolist()[:-1]
+    felt_n, _ = close_loop(step, tick_s, reference_n, gains, filter_hz)
+    return _rmse_n(felt_n, wanted_n, tick_s) if np.abs(felt_n).max() <= BOUND_N else math.inf
 
 
 def _rmse_n(felt_n: list[float], wanted_n: Array, tick_s: float) -> float:

@@ -19,8 +19,10 @@ from protocol.errors import SceneError
 from sensing_node.scene import SensingScene
 from sensing_node.sources.synthetic import SyntheticScene
 from telepulse.reports.document import STYLES, Chapter, Plot, Report, Table
+from telepulse.reports.paper.explicit_loop import Step, close_loop, spectral_radius
+from telepulse.reports.paper.published import EXPERIMENT
 from telepulse.reports.studies import integrators
-from telepulse.reports.studies.integrators import PAPER_PLANT, Plant, Solver, Step, decimals
+from telepulse.reports.studies.integrators import PAPER_PLANT, Plant, Solver, decimals
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -37,6 +39,8 @@ WRITTEN_OUT = {
     "explicit Euler": integrators.explicit_euler,
 }
 TICK_S = 1e-3
+# Corner of the derivative's filter in scenes/paper.toml.
+FILTER_RAD_PER_S = 2 * math.pi * 200
 BEAT_S = 0.8
 DIGITS, MORE_DIGITS = 40, 60
 CHECK_SUBSTEPS = 16
@@ -110,11 +114,10 @@ def score_integrators(effort: IntegratorEffort) -> IntegratorScores:
         make: Callable[[], Step[Decimal]], digits: int
     ) -> tuple[list[Decimal], list[Decimal]]:
         with localcontext(prec=digits):
-            return integrators.close_loop(make(), TICK_S, decimals(pulse_n))
+            return close_loop(make(), TICK_S, decimals(pulse_n))
 
     hold = partial(integrators.exact_hold, plant, TICK_S)
-    exact_plant = Plant(*decimals(plant))
-    rk4 = partial(integrators.rk4, exact_plant, Decimal(TICK_S), CHECK_SUBSTEPS)
+    rk4 = partial(integrators.rk4, Plant(*decimals(plant)), Decimal(TICK_S), CHECK_SUBSTEPS)
     truth_n, true_voltages = true_loop(hold, DIGITS)
     more_n, _ = true_loop(hold, MORE_DIGITS)
     other_n, _ = true_loop(rk4, DIGITS)
@@ -124,7 +127,7 @@ def score_integrators(effort: IntegratorEffort) -> IntegratorScores:
     costs = costs_us(makes, voltages[: round(BEAT_S / TICK_S)], effort.rounds)
     points = []
     for method, make, cost_us in zip(tested, makes, costs, strict=True):
-        forces_n, _ = integrators.close_loop(make(), TICK_S, pulse_n)
+        forces_n, _ = close_loop(make(), TICK_S, pulse_n)
         error = integrators.largest_error(decimals(forces_n), truth_n) / scene.peak_to_peak_n
         points.append(IntegratorPoint(method.family, method.name, error, cost_us))
     began_s = time.process_time()
@@ -217,7 +220,7 @@ def report_integrators(scores: IntegratorScores, effort: IntegratorEffort) -> Re
 
 
 def _loop_chapter(scores: IntegratorScores, effort: IntegratorEffort) -> Chapter:
-    points, radius = scores.points, integrators.loop_radius(PAPER_PLANT, TICK_S)
+    points, radius = scores.points, spectral_radius(1 / TICK_S, EXPERIMENT, FILTER_RAD_PER_S)
     paragraphs = (
         verdict(points),
         f"The paper's pulse for {effort.seconds:g} s, the experiment's gains of Table 5 (on the"
@@ -273,12 +276,12 @@ def _loop_chapter(scores: IntegratorScores, effort: IntegratorEffort) -> Chapter
 
 def _rotor_chapter(scores: IntegratorScores, effort: IntegratorEffort) -> Chapter:
     last_s = ROTOR_TICKS_S[-1]
+    radius = spectral_radius(1 / last_s, EXPERIMENT, FILTER_RAD_PER_S)
     words = (
         f"Eq 22 as a rotor that resonates at {ROTOR_HZ:g} Hz. A voltage of k times the pulse"
         f" is held over each tick for {effort.rotor_seconds:g} s, without a controller, so that"
         " any growth comes from the integrator. (The paper's gains on the paper's plant have a"
-        f" spectral radius of {integrators.loop_radius(PAPER_PLANT, last_s):.2g} at a tick of"
-        f" {last_s * 1e3:g} ms, with any integrator.)"
+        f" spectral radius of {radius:.2g} at a tick of {last_s * 1e3:g} ms, with any integrator.)"
     )
     tables = [
         Table(
@@ -318,8 +321,8 @@ def verdict(points: Sequence[IntegratorPoint]) -> str:
     """Return a sentence on whether the default, the first of the points, is on the frontier."""
     default = points[0]
     better = beaten_by(default, points)
+    names = "; ".join(other.name for other in better)
     if better:
-        names = "; ".join(other.name for other in better)
         return f"The default, {default.name}, is not on the frontier; it is beaten by: {names}."
     return (
         f"The default, {default.name}, is on the frontier: of the other"

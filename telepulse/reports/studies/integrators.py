@@ -4,27 +4,21 @@ m f'' + c f' + k f = u, at first at rest. Each function returns a stepper: it ta
 and returns the force in N at the tick's end. Steppers that are written out here also work in
 decimals, so that a reference can have any number of digits. Steppers of libraries call the library
 once per tick with their (force, rate), as a closed loop requires.
-
-The loop around them has the paper's pulse and a discrete PID, which is written out here so that it
-also works in decimals.
 """
 
 import math
 from collections.abc import Callable, Iterable, Sequence
-from decimal import Decimal, getcontext, localcontext
-from typing import Generic, Literal, NamedTuple, TypeVar
+from decimal import Decimal, getcontext
+from typing import Generic, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from display_node.plant.second_order import SecondOrder, SecondOrderScene
 from sensing_node.sources.synthetic import SyntheticScene, SyntheticSource
-from telepulse.reports.paper.published import ACTUATOR, EXPERIMENT, FILM_MV
+from telepulse.reports.paper.explicit_loop import Number, Step
+from telepulse.reports.paper.published import ACTUATOR
 
-# Corner of the derivative's filter in scenes/paper.toml; the paper gives none.
-DERIVATIVE_FILTER_HZ = 200.0
-Number = TypeVar("Number", float, Decimal)
-Step = Callable[[Number], Number]
 Floats = NDArray[np.float64]
 
 
@@ -203,8 +197,6 @@ def _state_space(plant: Plant[float]) -> tuple[Floats, Floats, Floats, Floats]:
 
 PAPER_PLANT = Plant(ACTUATOR.m, ACTUATOR.c, ACTUATOR.k)
 """Table 4 and eq 22."""
-PidState = tuple[Number, Number, Number]
-"""The PID's integral in V, its filtered derivative in V, and the last error in N."""
 
 
 def pulse_from_rest(scene: SyntheticScene, seconds: float, tick_s: float) -> list[float]:
@@ -213,62 +205,6 @@ def pulse_from_rest(scene: SyntheticScene, seconds: float, tick_s: float) -> lis
     force_n = source.take(round(seconds / tick_s))[:, 0]
     risen_n: list[float] = (force_n - force_n[0]).tolist()
     return risen_n
-
-
-class DiscretePid(NamedTuple, Generic[Number]):
-    """A discrete PID's gains per tick, from an error in N to a voltage in V.
-
-    derivative_decay: factor of the filtered derivative from tick to tick.
-    """
-
-    proportional: Number
-    integral: Number
-    derivative: Number
-    derivative_decay: Number
-
-
-def paper_pid(tick_s: float) -> DiscretePid[float]:
-    """Return the experiment's gains of Table 5, discretised by backward Euler.
-
-    They act on an error in mV by eq 21; the derivative is filtered.
-    """
-    filter_s, per_newton = 1 / (2 * math.pi * DERIVATIVE_FILTER_HZ), FILM_MV.per_newton
-    return DiscretePid(
-        EXPERIMENT.kp * per_newton,
-        EXPERIMENT.ki * per_newton * tick_s,
-        EXPERIMENT.kd * per_newton / (filter_s + tick_s),
-        filter_s / (filter_s + tick_s),
-    )
-
-
-def pid_step(
-    pid: DiscretePid[Number], state: PidState[Number], error_n: Number
-) -> tuple[Number, PidState[Number]]:
-    """Advance the PID by one tick, and return the voltage and its new state."""
-    integral, derivative, last_n = state
-    integral = integral + pid.integral * error_n
-    derivative = pid.derivative_decay * derivative + pid.derivative * (error_n - last_n)
-    volts = pid.proportional * error_n + integral + derivative
-    return volts, (integral, derivative, error_n)
-
-
-def close_loop(
-    step: Step[Number], tick_s: float, reference_n: Sequence[Number]
-) -> tuple[list[Number], list[Number]]:
-    """Follow a reference from rest under `paper_pid`, in the numbers of the reference.
-
-    Returns the force in N after, and the voltage in each tick.
-    """
-    pid = DiscretePid(*map(type(reference_n[0]), paper_pid(tick_s)))
-    force_n = reference_n[0] * 0
-    state = (force_n, force_n, force_n)
-    forces_n, voltages = [], []
-    for wanted_n in reference_n:
-        volts, state = pid_step(pid, state, wanted_n - force_n)
-        force_n = step(volts)
-        forces_n.append(force_n)
-        voltages.append(volts)
-    return forces_n, voltages
 
 
 def decimals(numbers: Iterable[float]) -> list[Decimal]:
@@ -281,16 +217,3 @@ def largest_error(forces_n: Sequence[Decimal], truth_n: Sequence[Decimal]) -> fl
     if not all(force_n.is_finite() for force_n in forces_n):
         return math.inf
     return float(max(abs(a - b) for a, b in zip(forces_n, truth_n, strict=True)))
-
-
-def loop_radius(plant: Plant[float], tick_s: float) -> float:
-    """Return the spectral radius of the closed loop over a tick; below 1 it is stable."""
-    with localcontext(prec=40):
-        held = held_matrix(plant, tick_s)
-    pid, columns = paper_pid(tick_s), []
-    # The map is linear: its columns are the images of the unit states.
-    for force, rate, *state in np.eye(5).tolist():
-        volts, kept = pid_step(pid, (state[0], state[1], state[2]), -force)
-        moved = np.array(held[:2], np.float64) @ [force, rate, volts]
-        columns.append([*moved, *kept])
-    return float(np.abs(np.linalg.eigvals(np.array(columns).T)).max())

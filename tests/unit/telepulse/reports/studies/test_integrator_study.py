@@ -2,6 +2,7 @@ import math
 
 import pytest
 
+from telepulse.reports.paper.explicit_loop import Step
 from telepulse.reports.studies.integrator_study import (
     ROUNDING,
     IntegratorPoint,
@@ -9,7 +10,6 @@ from telepulse.reports.studies.integrator_study import (
     costs_us,
     verdict,
 )
-from telepulse.reports.studies.integrators import Step
 
 FAST = IntegratorPoint("fast", "fast", 1e-3, 0.1)
 MIDDLE = IntegratorPoint("middle", "middle × 2", 1e-6, 1.0)

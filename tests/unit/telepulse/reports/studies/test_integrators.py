@@ -9,25 +9,19 @@ import pytest
 from scipy.linalg import expm
 
 from sensing_node.sources.synthetic import SyntheticScene
-from telepulse.reports.paper.published import EXPERIMENT, FILM_MV
+from telepulse.reports.paper.explicit_loop import Step, close_loop
 from telepulse.reports.studies.integrators import (
-    DERIVATIVE_FILTER_HZ,
     PAPER_PLANT,
     Plant,
     Solver,
-    Step,
-    close_loop,
     control_steps,
     decimals,
     exact_hold,
     explicit_euler,
     held_matrix,
     largest_error,
-    loop_radius,
     lsim_steps,
     lsim_whole,
-    paper_pid,
-    pid_step,
     pulse_from_rest,
     rk4,
     semi_implicit_euler,
@@ -123,33 +117,6 @@ def test_the_pulse_begins_at_rest_and_has_the_scenes_height() -> None:
         pulse_n = pulse_from_rest(SCENE, 2.0, tick_s)
         assert (len(pulse_n), pulse_n[0]) == (ticks, 0.0)
         assert np.ptp(pulse_n) == pytest.approx(SCENE.peak_to_peak_n, rel=1e-3)
-
-
-def test_a_constant_error_gives_the_three_terms_of_table_5() -> None:
-    tick_s, error_n = 1e-3, 0.002
-    pid, memory = paper_pid(tick_s), (0.0, 0.0, 0.0)
-    filter_s = 1 / (2 * math.pi * DERIVATIVE_FILTER_HZ)
-    gains = EXPERIMENT
-    for ticks in range(1, 6):
-        volts, memory = pid_step(pid, memory, error_n)
-        fading = (filter_s / (filter_s + tick_s)) ** (ticks - 1) / (filter_s + tick_s)
-        factor = gains.kp + gains.ki * tick_s * ticks + gains.kd * fading
-        assert volts == pytest.approx(factor * FILM_MV.per_newton * error_n, rel=1e-12)
-    assert pytest.approx(5305, abs=0.5) == FILM_MV.per_newton
-
-
-@pytest.mark.parametrize(("tick_s", "stable"), [(1e-4, True), (1e-3, True), (1e-2, False)])
-def test_the_loop_is_stable_at_a_spectral_radius_below_1(tick_s: float, stable: bool) -> None:
-    pulse_n = pulse_from_rest(SCENE, 1.0, tick_s)
-    forces_n, _ = close_loop(shipped(PAPER_PLANT, tick_s), tick_s, pulse_n)
-    assert (loop_radius(PAPER_PLANT, tick_s) < 1) == stable
-    assert (np.ptp(forces_n) < 2 * SCENE.peak_to_peak_n) == stable
-
-
-def test_an_unstable_loop_grows_by_its_spectral_radius_a_tick() -> None:
-    forces_n, _ = close_loop(shipped(PAPER_PLANT, 1e-2), 1e-2, [1.0] + [0.0] * 299)
-    early, late = (np.abs(forces_n[begin : begin + 50]).max() for begin in (50, 250))
-    assert (late / early) ** (1 / 200) == pytest.approx(loop_radius(PAPER_PLANT, 1e-2), rel=0.01)
 
 
 def test_the_loop_in_decimals_is_the_loop_in_floats() -> None:
