@@ -5,17 +5,16 @@ import json
 import os
 import signal
 import time
-from collections.abc import Sequence
 from contextlib import nullcontext, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
-from protocol.host.child_process import ChildProcess
 from soak.accounts import Mark
 from soak.claims import StatusClaim
 from soak.core_time import CoreTime
 from telepulse.netem import Namespace
+from telepulse.processes import NodeProcess
 
 # A node prints this when its loop begins.
 _UP = {"sensing_node.cli": "streaming ", "display_node.cli": "waiting for "}
@@ -46,8 +45,7 @@ class SoakProcess:
     """
 
     role: str
-    process: ChildProcess
-    output: Path
+    process: NodeProcess
     errors: Path
     result: Path
     began_ns: int
@@ -83,24 +81,25 @@ class SoakProcess:
 
     def kill(self) -> None:
         """Kill it with SIGKILL, so that it reports nothing at its end."""
-        self._end("killed", signal.SIGKILL)
+        if self.running:
+            self.ending = "killed"
+            self.process.kill()
+            self.process.wait()
+            self.over_ns = time.monotonic_ns()
 
     async def stop(self) -> None:
-        """Send SIGTERM and wait; kill a process that does not end, which its exit status shows."""
-        self._end("stopped", signal.SIGTERM)
-        until_ns = time.monotonic_ns() + round(ENDS_WITHIN_S * 1e9)
-        while self.running and time.monotonic_ns() < until_ns:
-            await asyncio.sleep(POLL_S)
+        """Send SIGTERM and wait; kill a node that does not end, as its exit status shows."""
         if self.running:
-            self.process.kill()
-            self._wait()
+            self.ending = "stopped"
+            await asyncio.to_thread(self.process.stop, ENDS_WITHIN_S)
+            self.over_ns = self.over_ns or time.monotonic_ns()
 
     async def freeze(self, seconds: float) -> None:
         """Stop it with SIGSTOP for some time."""
         began_ns = time.monotonic_ns()
-        self._signal(signal.SIGSTOP)
+        self.process.send_signal(signal.SIGSTOP)
         await asyncio.sleep(seconds)
-        self._signal(signal.SIGCONT)
+        self.process.send_signal(signal.SIGCONT)
         self.frozen_ns += time.monotonic_ns() - began_ns
 
     def measure(self) -> None:
@@ -141,21 +140,6 @@ class SoakProcess:
             return f"{self.role} printed a traceback"
         return None
 
-    def _end(self, ending: str, number: int) -> None:
-        if self.running:
-            self.ending = ending
-            self._signal(number)
-        if ending == "killed":
-            self._wait()
-
-    def _wait(self) -> None:
-        self.process.wait()
-        self.over_ns = self.over_ns or time.monotonic_ns()
-
-    def _signal(self, number: int) -> None:
-        if self.running:
-            self.process.send_signal(number)
-
 
 def begin(
     role: str, folder: Path, number: int, namespace: Namespace | None, module: str, *arguments: str
@@ -164,19 +148,7 @@ def begin(
     output, errors, result = (
         folder / f"{role}-{number}.{kind}".replace(" ", "-") for kind in ("out", "err", "json")
     )
-    command = ("-m", module, *arguments, "--json", str(result))
-    with output.open("wb") as out, errors.open("wb") as err:
-        process = launch(namespace, role, command, out, err)
-    return SoakProcess(role, process, output, errors, result, time.monotonic_ns(), _UP[module])
-
-
-def launch(
-    namespace: Namespace | None,
-    name: str,
-    command: Sequence[str],
-    out: IO[bytes],
-    err: IO[bytes],
-) -> ChildProcess:
-    """Start a process in a namespace, or in this one."""
-    with nullcontext() if namespace is None else namespace.entered():
-        return ChildProcess(name, *command, stdout=out, stderr=err)
+    entered = nullcontext() if namespace is None else namespace.entered()
+    with output.open("wb") as out, errors.open("wb") as err, entered:
+        node = NodeProcess(role, module, *arguments, summary=result, stdout=out, stderr=err)
+    return SoakProcess(role, node, errors, result, time.monotonic_ns(), _UP[module])

@@ -1,5 +1,6 @@
 """The nodes of a soak: a sensing node under faults with its displays, and a calm pair."""
 
+from contextlib import nullcontext
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -7,7 +8,7 @@ from protocol.errors import ProcessError
 from protocol.host.child_process import ChildProcess
 from soak.keyring import Keyring
 from soak.network import Network
-from soak.processes import SoakProcess, begin, launch
+from soak.processes import SoakProcess, begin
 from soak.schedule import CONTINUOUS, RESTARTED, SENSING, TEMPORARY
 from telepulse.processes import free_addresses
 
@@ -75,9 +76,10 @@ class Scenario:
 
     def start_intruder(self, module: str, *arguments: str) -> ChildProcess:
         """Start a hostile process beside the sensing node."""
-        command = ("-m", f"soak.{module}", *arguments)
-        with (self.folder / f"{module}.err").open("ab") as errors:
-            self.intruders.append(launch(self.network.sensing, module, command, errors, errors))
+        namespace, command = self.network.sensing, ("-m", f"soak.{module}", *arguments)
+        entered = nullcontext() if namespace is None else namespace.entered()
+        with (self.folder / f"{module}.err").open("ab") as errors, entered:
+            self.intruders.append(ChildProcess(module, *command, stdout=errors, stderr=errors))
         return self.intruders[-1]
 
     def stop_intruder(self, intruder: ChildProcess) -> None:
