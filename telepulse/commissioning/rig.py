@@ -14,6 +14,7 @@ from display_node.plant.second_order import SecondOrder, SecondOrderScene
 from display_node.plant.stepper import Stepper
 from display_node.scene import DisplayScene
 from protocol.errors import BenchError, DriveError
+from protocol.host.realtime import Pacer
 from pulse_sensors.samples import SampleBlock
 from pulse_sensors.sensor import Sensor
 from telepulse.commissioning.sensor_check import Check, SensorRecord, grade
@@ -96,7 +97,8 @@ class HardwareRig:
         self.tick_s = tick_s
         self._drive = drive
         self._film = film
-        self._began_ns = self._due_ns = time.monotonic_ns()
+        self._began_ns = time.monotonic_ns()
+        self._pacer = Pacer(round(tick_s * 1e9), self._began_ns)
         film.poll()
 
     def tick(self, output: float) -> tuple[float, list[FilmSample]]:
@@ -106,9 +108,8 @@ class HardwareRig:
         """
         commanded_ns = time.monotonic_ns()
         self._drive.command(output)
-        # Missed ticks are not made up for.
-        self._due_ns = max(self._due_ns + round(self.tick_s * 1e9), commanded_ns)
-        time.sleep(max(0.0, (self._due_ns - time.monotonic_ns()) * 1e-9))
+        while self._pacer.begin(now_ns := time.monotonic_ns()) is None:
+            time.sleep((self._pacer.due_ns - now_ns) * 1e-9)
         fault = self._drive.status().fault
         if fault is not None:
             raise DriveError("fault", f"the drive stopped: {fault}")
