@@ -2,7 +2,7 @@
 
 import statistics
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 from rich.console import Console
@@ -32,6 +32,15 @@ def time_call(call: Callable[[], object]) -> Timing:
         count = max(count + 1, round(count * min(10.0, 1.2 * BATCH_S / max(elapsed_s, 1e-9))))
     costs_us = [_batch_s(call, count) / count * 1e6 for _ in range(REPEATS)]
     return Timing(statistics.median(costs_us), min(costs_us), max(costs_us))
+
+
+def paced(period_ns: int) -> Iterator[int]:
+    """Yield the times at which periods end, each when it is due."""
+    due_ns = time.monotonic_ns()
+    while True:
+        due_ns += period_ns
+        time.sleep(max(0, due_ns - time.monotonic_ns()) * 1e-9)
+        yield due_ns
 
 
 def show(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> None:

@@ -12,7 +12,7 @@ import numpy as np
 import zmq
 from numpy.typing import NDArray
 
-from benchmarks.measure import show
+from benchmarks.measure import paced, show
 from display_node.telemetry.publisher import Publisher
 from protocol import sockets
 from protocol.host.child_process import ChildProcess
@@ -67,10 +67,7 @@ def publish(publisher: Publisher, ticks: int) -> NDArray[np.float64]:
     force_n = 0.4 + 0.1 * np.sin(np.arange(TICKS) * 0.008) + 1e-3 * chance.standard_normal(TICKS)
     status = pack_status("playing", "pulse", Summary(), final=False)
     cost_us = np.empty(ticks)
-    start_ns = time.monotonic_ns()
-    for tick in range(ticks):
-        due_ns = start_ns + tick * TICK_NS
-        time.sleep(max(0, due_ns - time.monotonic_ns()) * 1e-9)
+    for tick, due_ns in zip(range(ticks), paced(TICK_NS), strict=False):
         values = force_n[tick : tick + TICKS_A_FRAME, np.newaxis].astype("<f4")
         data = encode_frame(Frame(1, tick, due_ns, TICK_NS, values))
         felt = TickState(

@@ -5,13 +5,13 @@ from array import array
 from collections.abc import Iterator
 from dataclasses import dataclass
 from importlib import import_module
-from itertools import count
 from multiprocessing import get_context
 from multiprocessing.connection import Connection
 
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.measure import paced
 from benchmarks.peers.curve import make_keys
 from benchmarks.peers.message import Arrival, Wire
 from telepulse.processes import free_addresses
@@ -66,16 +66,8 @@ def run(module: str, curve: bool, messages: int) -> Run:
 
 def publish(module: str, wire: Wire) -> None:
     """Send a message every millisecond until terminated."""
-    import_module(f"benchmarks.peers.{module}").publish(wire, paced())
-
-
-def paced() -> Iterator[int]:
-    """Yield numbers, each when it is due."""
-    due_ns = time.monotonic_ns()
-    for number in count():
-        due_ns += PERIOD_NS
-        time.sleep(max(0, due_ns - time.monotonic_ns()) * 1e-9)
-        yield number
+    numbers = (number for number, _ in enumerate(paced(PERIOD_NS)))
+    import_module(f"benchmarks.peers.{module}").publish(wire, numbers)
 
 
 def subscribe(module: str, wire: Wire, messages: int, result: Connection) -> None:
