@@ -22,7 +22,7 @@ FIRST_NICENESS = -10
 TESTS = Path(__file__).parent
 # Minutes of computing, which a tracer would triple. Other tests cover what they run.
 NOT_TRACED = (
-    *("golden", "unit/telepulse", "unit/soak", "unit/benchmarks", "unit/documentation"),
+    *("golden", "unit/telepulse", "unit/soak", "unit/documentation"),
     *("system/accuracy", "system/commissioning", "system/documentation", "system/experiment"),
     *("system/faults", "system/recording", "system/relay", "system/reports", "system/soak"),
     *("system/view", "unit/display_node/drives/test_hardware.py"),

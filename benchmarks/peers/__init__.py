@@ -50,12 +50,12 @@ PEERS = (UDP, BARE, DECODED, OURS, BARE_CURVE, OURS_CURVE, LSL, ZENOH)
 BARS = ((OURS, BARE, 1.25), (OURS_CURVE, BARE_CURVE, 1.25), (OURS, LSL, 1.0))
 
 
-def main() -> None:
+def main(rounds: int = ROUNDS, messages: int = MESSAGES) -> None:
     """Print the table, the bars and the versions."""
-    runs = run_in_turns(PEERS, ROUNDS, MESSAGES)
+    runs = run_in_turns(PEERS, rounds, messages)
     columns = ("peer", "p50", "p99", "done", "CPU", "lost", "disorder", "/ pyzmq", "/ LSL")
     show(
-        f"Peers at 1 kHz, {ROUNDS} rounds of {MESSAGES} messages: one-way latency, done"
+        f"Peers at 1 kHz, {rounds} rounds of {messages} messages: one-way latency, done"
         " (p50) and the subscriber's CPU time a message, in µs; p50 over that of others",
         columns,
         [row(peer, runs) for peer in PEERS],

@@ -4,6 +4,7 @@ Imports within functions and for type checking count: they too tie modules toget
 """
 
 import ast
+import re
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
@@ -30,6 +31,12 @@ def imported(tree: ast.Module, known: set[str]) -> set[str]:
                 module = f"{node.module}.{alias.name}"
                 names.add(module if module in known else node.module)
     return names & known
+
+
+def test_no_test_imports_a_benchmark() -> None:
+    imports = re.compile(r"^\s*(?:from|import) benchmarks\b", re.MULTILINE)
+    tests = list((ROOT / "tests").rglob("*.py"))
+    assert [path for path in tests if imports.search(path.read_text(encoding="utf-8"))] == []
 
 
 def test_the_import_graph_has_no_cycle() -> None:
