@@ -169,7 +169,7 @@ def display(
             ) as node,
             start_recorder(
                 node.telemetry_address, node.await_recorder, record, own, log_options
-            ) as recording,
+            ) as recorder,
         ):
             freeze_objects()
             # Last, so that everything else that can fail does so before the drive moves.
@@ -182,7 +182,7 @@ def display(
                 summary = _run(node, connect, seconds, once, draw, own, request)
     options.sum_up(PROGRAM, summary, "display node", console, json, provenance)
     end_at_faults(PROGRAM, summary.faults)
-    if not recording.whole:
+    if recorder is not None and recorder.returncode != 0:
         raise SystemExit(NOT_WHOLE)
 
 

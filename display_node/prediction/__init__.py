@@ -9,12 +9,12 @@ To add a predictor that learns:
 A predictor that learns nothing is a `Predictor`, like `Linear`; build it in `build_predictor`.
 """
 
-from bisect import insort
 from typing import Literal, Protocol
 
 PredictorName = Literal["hold", "linear", "fir", "analogue", "harmonic", "stack"]
 WITHOUT_ERROR_ESTIMATE: tuple[PredictorName, ...] = ("hold", "linear")
 """Predictors that do not estimate their own error."""
+# Time over which a slope is measured, and for which it is continued; samples kept for it.
 WINDOW_NS, REACH_NS = 10_000_000, 20_000_000
 KEEP = 32
 
@@ -61,13 +61,9 @@ class Linear(Predictor):
 
     def observe(self, times_ns: list[int], values: list[float]) -> None:
         """Keep the newest samples in time order."""
-        samples = self._samples
-        if samples and times_ns[0] < samples[-1][0]:
-            for sample in zip(times_ns, values, strict=True):
-                insort(samples, sample)
-        else:
-            samples.extend(zip(times_ns, values, strict=True))
-        del samples[:-KEEP]
+        self._samples += zip(times_ns, values, strict=True)
+        self._samples.sort()
+        del self._samples[:-KEEP]
 
     def predict(self, instant_ns: int) -> float:
         """Return the newest value, continued with the slope of the last 10 ms for at most 20 ms."""

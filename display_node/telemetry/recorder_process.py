@@ -21,12 +21,6 @@ LOOK_EVERY_S = 0.05
 SILENT_AFTER_S = 5.0
 
 
-class RecorderProcess:
-    """Outcome of a recording: whole, unless the recorder named what is missing."""
-
-    whole = True
-
-
 @contextmanager
 def start_recorder(
     address: str,
@@ -34,19 +28,19 @@ def start_recorder(
     path: Path | None,
     key: Path | None,
     log_options: Sequence[str],
-) -> Iterator[RecorderProcess]:
+) -> Iterator[ChildProcess | None]:
     """Record a display's telemetry to `path` within a `with`; None records nothing.
 
-    The recorder has subscribed when the `with` begins, so the first tick is recorded. The outcome
-    is known when the `with` has ended. A display that fails before its first tick leaves no file.
+    The recorder has subscribed when the `with` begins, so the first tick is recorded. It has ended
+    with the `with`, with status 0 where the recording is whole. A display that fails before its
+    first tick leaves no file.
 
     await_recorder: function that waits up to a time in s for a recorder, and returns whether one
     has subscribed. Raises SystemExit, OutputError or SidecarError where the recorder refuses to
     begin, does not subscribe in time, or is not installed.
     """
-    recording = RecorderProcess()
     if path is None:
-        yield recording
+        yield None
         return
     process = ChildProcess(
         *("recorder", "-m", sidecar_module("recorder"), address, str(path)),
@@ -62,15 +56,15 @@ def start_recorder(
             process.stop(within_s=0)
             raise OutputError(f"{path}: the recorder does not start")
     try:
-        yield recording
+        yield process
     except BaseException:
         process.terminate()
         raise
     finally:
         # The recorder itself prints what is missing.
         try:
-            recording.whole = process.wait(ENDS_WITHIN_S) == 0
+            process.wait(ENDS_WITHIN_S)
         except subprocess.TimeoutExpired:
-            process.stop(within_s=0)
-            recording.whole = False
+            process.kill()
+            process.wait()
             logger.warning(f"{path}: the recorder did not end")
