@@ -121,7 +121,7 @@ class TerminalView:
         if self.status is None:
             return "waiting for the display"
         rows = self._now_rows(now_ns)
-        start = f"{_printable(self._state(now_ns))}: "
+        start = f"{self._state(now_ns)}: "
 
         def with_figures(names: Sequence[str]) -> str:
             return start + ", ".join(f"{name} {value}" for name, value in rows if name in names)
@@ -183,7 +183,7 @@ class TerminalView:
     def _state(self, now_ns: int) -> str:
         """Return the display's state, with the age of the status where it is not current."""
         assert self.status is not None
-        age_ns, state = self._age_ns(now_ns), self.status.state
+        age_ns, state = self._age_ns(now_ns), _printable(self.status.state)
         return state if age_ns < CURRENT_NS else f"{state} {age_ns * 1e-9:.1f} s ago"
 
     def _now_rows(self, now_ns: int) -> list[tuple[str, str]]:

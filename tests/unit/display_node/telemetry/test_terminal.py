@@ -166,7 +166,7 @@ def test_unreadable_telemetry_is_counted_and_shown() -> None:
 def test_the_texts_of_a_status_cannot_draw_on_the_screen(name: str) -> None:
     under_test = view(faults=[name], finger=name, rejected={name: 1})
     assert under_test.status is not None
-    under_test.status = under_test.status._replace(stream=name)
+    under_test.status = under_test.status._replace(state=name, stream=name)
     text = printed(under_test)
     assert "\x1b" not in text + under_test.line()
     assert "evil" in text or "[/]" in text
