@@ -108,8 +108,8 @@ def display(
     properties of the wrist's layer come with the stream; the force is chosen so that both strains
     are equal.
 
-    The sensing node may start later, stop and come back: the display waits with no
-    target force, joins by itself and ramps up.
+    The sensing node may start later, stop and start again: the display waits without a
+    target force, and ramps up when the stream arrives.
 
         display-node radial --connect tcp://HOST:5555 \\
             --key keys/finger.key --peer keys/wrist.pub
@@ -119,13 +119,12 @@ def display(
 
     The real-time loop is alone in this process. The live state is drawn by a second process
     from the telemetry, which other programs may read as well (`--telemetry`). If ticks are late,
-    `--doctor` prints what helps on this host, and `--realtime` requests it.
+    `--doctor` prints the settings that help on this host, and `--realtime` requests them.
 
     Exit status: 0 when stopped or at the stream's end (`--once`); 1 when the recording is
     incomplete (`--record`); 2 when the scene, an address or a file cannot be used; 3 when a fault
     was latched before the end. The reason is a line on stderr. A latched fault does not end the
-    program: the tip is withdrawn, and the fault and what to do are shown until the program is
-    stopped.
+    program: the tip is withdrawn, and the fault is shown with advice until the program is stopped.
     """
     console = options.plain_console(quiet, json)
     with options.one_line_errors(PROGRAM):

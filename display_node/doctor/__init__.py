@@ -1,4 +1,4 @@
-"""`display-node --doctor`: what this host grants a real-time loop, and how late its ticks are.
+"""`display-node --doctor`: the settings that this host grants a real-time loop, and its lateness.
 
 It leaves the host as it was: each setting is undone, and the report is the only file written.
 """

@@ -55,7 +55,7 @@ class Host:
 
 
 def read_host() -> Host:
-    """Read this host; leave out what it does not report."""
+    """Read the properties that this host reports."""
     meminfo = kernel_text(Path("/proc/meminfo"))
     idle = [kernel_text(path) for path in CPU.glob("cpu0/cpuidle/state*/latency")]
     swap = re.search(r"^SwapTotal:\s+(\d+) kB", meminfo, re.MULTILINE)
@@ -121,7 +121,7 @@ def describe(host: Host) -> list[tuple[str, str]]:
 
 
 def advice_on(host: Host) -> Iterator[str]:
-    """Yield what would help this host, the most effective first."""
+    """Yield advice on this host, the most effective first."""
     if host.quota is not None and host.quota < 2:
         yield (
             f"the control group stops this process when it has had {host.quota:g} processors'"

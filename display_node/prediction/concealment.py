@@ -65,7 +65,7 @@ class Blend:
         return joined_n
 
     def _offset_at(self, force_n: float, instant_ns: int) -> float:
-        """Return what remains of the offset, plus the jump from the last path to this force."""
+        """Return the rest of the decaying offset plus the jump from the last path to this force."""
         path_n = self._path_n
         ticks = (instant_ns - self._instant_ns) / self._tick_ns
         # After missed ticks or a jump of the playout, the paths do not overlap.

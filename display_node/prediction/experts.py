@@ -56,7 +56,7 @@ SLOPE = 50.0
 ANALOGUES = 15
 # Kernel's width over the analogues' mean distance.
 KERNEL = 0.2
-# Share of the analogue's difference from the present value that is subtracted from what followed.
+# Share of the analogue's difference from the present value that its continuation is reduced by.
 OFFSET = 0.5
 # A lag is used after its distance has been summed over this number of steps.
 SETTLED = 160
@@ -66,9 +66,9 @@ MEMORY = np.arange(len(MEMORIES_S))[:, np.newaxis]
 
 
 class Analogue(Expert):
-    """Three trajectories: what followed the moments of the last 40 s most similar to the present.
+    """Mean continuation of the moments of the last 40 s that are most similar to the present.
 
-    They differ in the memory λ. The distance of the present from every lag l is updated by
+    There is one trajectory for each memory λ. The present's distance from each lag l is updated by
 
         D(l) ← λ D(l) + (x(t) − x(t−l))² + w (ẋ(t) − ẋ(t−l))²,
 
@@ -111,7 +111,7 @@ class Analogue(Expert):
             self._places = None if places is None else first + places
 
     def predict(self, history: History) -> Trajectories:
-        """Return a trajectory for each memory: the mean of what followed its analogues."""
+        """Return a trajectory for each memory: the mean continuation of its analogues."""
         places, past = self._places, history.last(LAGS + 1)
         if places is None:
             return np.zeros((len(MEMORIES_S), HORIZONS))

@@ -161,7 +161,7 @@ class Receiver:
         return self.buffer.frames, self.buffer.reordered
 
     def summary(self, now_ns: int) -> Summary:
-        """Return the summary's figures of what was received: samples, frames, delay and clock."""
+        """Return the summary's figures of reception: samples, frames, delay and clock."""
         account, delay, clock = self.account(), self.one_way_delay_ms, self.clock
         return Summary(
             samples=SampleCounts(
