@@ -1,12 +1,14 @@
+import os
 import re
 
-from tests.support.nodes import run
+from tests.support.nodes import run_python
 
 NEEDS_NOTHING = {"UDP", "pyzmq", "decoded only", "telepulse", "pyzmq, CURVE", "telepulse, CURVE"}
 
 
 def test_the_benchmark_times_the_messages_of_every_installed_peer_in_order() -> None:
-    ended = run("benchmarks.peers", "1", "50", timeout_s=120)
+    wide = os.environ | {"COLUMNS": "200"}
+    ended = run_python("-m", "benchmarks.peers", "1", "50", env=wide, timeout=120)
     assert ended.returncode == 0, ended.stderr
     table = [re.split(r"\s*│\s*", line.strip("│ ")) for line in ended.stdout.splitlines()]
     rows = {name: figures for name, *figures in table if len(figures) >= 5}
