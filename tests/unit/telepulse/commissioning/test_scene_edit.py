@@ -4,12 +4,7 @@ import pytest
 
 from protocol.config.scene_file import find_scene, load_document, merge, scene_names
 from protocol.errors import OutputError, SceneError
-from telepulse.commissioning.scene_edit import (
-    Changes,
-    check_editable,
-    set_keys,
-    write_scene,
-)
+from telepulse.commissioning.scene_edit import Changes, check_editable, set_keys, write_scene
 
 SCENE = """title = "a bench"  # mine
 
