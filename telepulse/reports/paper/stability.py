@@ -48,11 +48,10 @@ FREQUENCIES = 400
 class RateResult(NamedTuple):
     """One gain set at one tick rate.
 
-    explicit_radius and shipped_radius are the largest poles, stable below 1. explicit_n,
-    shipped_n and late_n are the force RMSE in N of the explicit loop, of the shipped one and of
-    the shipped one whose film is read a tick late; infinite where the loop diverged.
-    margin_ticks is the shipped loop's delay margin. refused is the display's reason not to run it,
-    or None.
+    explicit_radius, shipped_radius: the largest pole, stable below 1. explicit_n, shipped_n,
+    late_n: force RMSE in N, infinite where the loop diverged; late: the shipped loop, its film read
+    a tick late. margin_ticks: delay margin of the shipped loop. refused: the display's reason not
+    to run it, or None.
     """
 
     gains: str
