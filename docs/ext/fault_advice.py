@@ -1,6 +1,6 @@
 """Table of each fault that a display latches, and its remedy."""
 
-from display_node.fault_advice import ADVICE, AGAIN, OTHERWISE
+from display_node.fault_advice import ADVICE, OTHERWISE
 
 
 def write() -> str:
@@ -12,6 +12,6 @@ def write() -> str:
             "|---|---|",
             *rows,
             "",
-            f"{AGAIN[0].upper()}{AGAIN[1:]}.",
+            "Then start the display again.",
         ]
     )
