@@ -18,7 +18,7 @@ def _control() -> Iterator[str]:
     yield "## Control messages\n"
     yield "| message | fields after its name | what it says |\n|---|---|---|"
     for name, (kind, expected) in messages._KINDS.items():
-        fields = zip(kind.__slots__, expected, strict=True)
+        fields = zip(kind._fields, expected, strict=True)
         texts = (f"`{field}` {_taken(what)}" for field, what in fields)
         yield f"| `{name}` | {', '.join(texts)} | {_line(kind.__doc__)} |"
     yield ""
