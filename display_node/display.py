@@ -16,7 +16,7 @@ from display_node.reception.playout import PlayedDelays, PlayoutClock
 from display_node.reception.receiver import Receiver
 from display_node.scene import DisplayScene
 from display_node.scoring.tracking_error import TrackingError
-from protocol.counters import AvailabilityCounter, InterruptionCounter, Limits
+from protocol.counters import AvailabilityCounter, InterruptionCounter, LimitCounter, Limits
 from protocol.run_summary import Summary
 from protocol.summary_tables import Loop, TickTime
 from protocol.tactile import matching_force_ratio
@@ -261,16 +261,15 @@ class Display:
 
         With a real film, limits of the modelled actuator and film do not apply.
         """
-        safety, loop, run = self.safety, self._loop, (self._tick_ns * 1e-9, self.ticks)
-        limits = Limits(
-            force=safety.at_force_limit.limited(*run),
-            negative=safety.below_zero.limited(*run),
-            slew=safety.at_slew_limit.limited(*run),
+        safety, loop, tick_s = self.safety, self._loop, self._tick_ns * 1e-9
+        counters: dict[str, LimitCounter | None] = {
+            "force": safety.at_force_limit,
+            "negative": safety.below_zero,
+            "slew": safety.at_slew_limit,
+        }
+        if self.feedback is None:
+            counters |= {"film": loop.at_film_range, "travel": loop.at_end}
+        held = {name: counter for name, counter in counters.items() if counter is not None}
+        return Limits(
+            **{name: counter.limited(tick_s, self.ticks) for name, counter in held.items()}
         )
-        if self.feedback is not None:
-            return limits
-        if loop.at_film_range is not None:
-            limits = replace(limits, film=loop.at_film_range.limited(*run))
-        if loop.at_end is not None:
-            limits = replace(limits, travel=loop.at_end.limited(*run))
-        return limits

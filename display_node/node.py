@@ -185,10 +185,9 @@ class DisplayNode:
     def _tick(self, now_ns: int, elapsed_ticks: int) -> None:
         state = self._display.tick(now_ns, elapsed_ticks)
         faults = self._display.safety.faults
-        if len(faults) > self._named_faults:
-            for fault in faults[self._named_faults :]:
-                logger.error(f"fault: {fault}: {advise(fault)}")
-            self._named_faults = len(faults)
+        for fault in faults[self._named_faults :]:
+            logger.error(f"fault: {fault}: {advise(fault)}")
+        self._named_faults = len(faults)
         if self._connection.poll(now_ns):
             self._display.receiver.introduce()
         control = self._connection.control.socket

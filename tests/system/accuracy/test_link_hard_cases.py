@@ -107,6 +107,11 @@ class VirtualLink:
         """Return the number of ms at full strength."""
         return sum(full for t_ns, _, _, full in self.played if from_ms * MS <= t_ns < to_ms * MS)
 
+    def assert_played(self, from_ms: int, to_ms: int, within_n: float = EXACT_N) -> None:
+        """Assert that the pulse was at full strength all the time, with errors below a bound."""
+        assert self.full_strength_ms(from_ms, to_ms) == to_ms - from_ms
+        assert max(self.errors_n(from_ms, to_ms)) < within_n
+
     def _answer(self, true_ns: int, delay_ns: int | None, request: Hello | ClockRequest) -> None:
         """Answer a request, delayed both ways, unless it is lost."""
         if delay_ns is None:
@@ -150,8 +155,7 @@ def assert_accounted(link: VirtualLink) -> SampleCounts:
 def test_sequence_numbers_do_not_wrap(wrap: int) -> None:
     link = VirtualLink(display(), first_sample=wrap - 1500)
     link.run(0, 3000)
-    assert max(link.errors_n(0, 3000)) < EXACT_N
-    assert link.full_strength_ms(1500, 3000) == 1500
+    link.assert_played(1000, 3000)
     assert assert_accounted(link).lost == 0
     assert link.display.summary().rejected == {}
 
@@ -175,8 +179,7 @@ def test_frames_a_hundred_places_out_of_order_are_all_played_in_order() -> None:
 
     link = VirtualLink(display(compensation_ns=600 * MS), delays_ns=shuffled)
     link.run(0, 6000)
-    assert max(link.errors_n(0, 6000)) < EXACT_N
-    assert link.full_strength_ms(2000, 6000) == 4000
+    link.assert_played(2000, 6000)
     frames = link.display.summary().frames
     assert (frames.reordered or 0) > 0.8 * (frames.received or 0)
     samples = assert_accounted(link)
@@ -193,8 +196,7 @@ def test_duplicates_on_all_paths_are_played_once(order: str) -> None:
     }[order]
     link = VirtualLink(display(paths=3), delays_ns=delays_ns)
     link.run(0, 12_000)
-    assert max(link.errors_n(2000, 12_000)) < 1e-2
-    assert link.full_strength_ms(2000, 12_000) == 10_000
+    link.assert_played(2000, 12_000, within_n=1e-2)
     summary = link.display.summary()
     missing = {"together": 0, "each its own way": 16, "one far behind": 1810}[order]
     received = summary.frames.received or 0
@@ -212,8 +214,7 @@ def test_a_new_session_is_played_while_frames_of_the_last_one_still_arrive() -> 
     link.session, link.frames, slow[:] = 8, 0, []
     link.run(3000, 8000)
     assert link.display.receiver.sessions == 2
-    assert link.full_strength_ms(4200, 8000) == 3800
-    assert max(link.errors_n(4200, 8000)) < 1e-2
+    link.assert_played(4200, 8000, within_n=1e-2)
     assert link.display.summary().rejected["session"] > 1900 // BATCH
 
 
@@ -225,8 +226,7 @@ def test_frames_of_a_second_sensing_node_are_ignored() -> None:
         link.deliver(ms * MS, "frame", encode_frame(stranger))
     link.run(0, 5000)
     assert link.display.receiver.sessions == 1
-    assert max(link.errors_n(1500, 5000)) < EXACT_N
-    assert link.full_strength_ms(1500, 5000) == 3500
+    link.assert_played(1000, 5000)
 
 
 @pytest.mark.parametrize("frames", [1, 2, 10])
@@ -257,8 +257,7 @@ def test_irregular_sample_periods_are_played_at_their_times() -> None:
         first, taken_ns = first + count, times_ns[-1] + random.randint(MS // 2, 2 * MS)
     link.run(0, 5000)
     assert link.display.summary().rejected.keys() <= {"before_welcome", "before_clock"}
-    assert max(link.errors_n(0, 5000)) < EXACT_N
-    assert link.full_strength_ms(1500, 5000) == 3500
+    link.assert_played(1000, 5000)
 
 
 @pytest.mark.parametrize("cut_ms", [5000, 10_000])
@@ -298,8 +297,7 @@ def test_the_pulse_returns_soon_after_a_clock_step_by_an_hour(host: str, hours: 
     setattr(link, f"{host}_clock", stepped)
     link.run(0, 9000)
     assert link.full_strength_ms(1500, 3000) == 1500
-    assert link.full_strength_ms(7000, 9000) == 2000
-    assert max(link.errors_n(7000, 9000)) < 1e-3
+    link.assert_played(7000, 9000, within_n=1e-3)
     assert_accounted(link)
 
 
@@ -326,8 +324,7 @@ def test_a_longer_path_of_control_does_not_change_the_pulse() -> None:
 
     link = VirtualLink(display(), sensing_clock=skewed, control_delay_ns=moved)
     link.run(0, 12_000)
-    assert link.full_strength_ms(1500, 12_000) == 10_500
-    assert max(link.errors_n(1500, 12_000)) < EXACT_N
+    link.assert_played(1500, 12_000)
     off_ns = link.display.receiver.clock.remote_ns(12_000 * MS) - skewed(12_000 * MS)
     assert abs(off_ns) < 0.1 * MS
     assert link.display.receiver.clock.steps == 0
@@ -348,8 +345,7 @@ def test_the_pulse_returns_after_one_frame_of_a_false_time(shift_ms: int, skippe
     link.frames += 1
     link.run(3000, 8000)
     assert max(force_n for _, force_n, _, _ in link.played) <= 2.5
-    assert link.full_strength_ms(6000, 8000) == 2000
-    assert max(link.errors_n(6000, 8000)) < 1e-3
+    link.assert_played(6000, 8000, within_n=1e-3)
     assert link.display.receiver.sessions == 1
 
 
@@ -360,5 +356,4 @@ def test_another_welcome_of_the_same_session_has_no_effect() -> None:
     for ms in range(2000, 4000, 10):
         link.deliver(ms * MS, "control", welcome)
     link.run(2000, 4000)
-    assert link.full_strength_ms(1500, 4000) == 2500
-    assert max(link.errors_n(1500, 4000)) < EXACT_N
+    link.assert_played(1000, 4000)
