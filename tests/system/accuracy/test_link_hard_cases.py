@@ -14,16 +14,14 @@ from display_node.display import Display
 from protocol.summary_tables import SampleCounts
 from protocol.wire.messages import (
     Bye,
-    ClockReply,
-    ClockRequest,
+    Control,
     Frame,
-    Hello,
     Welcome,
     encode_control,
     encode_frame,
 )
 from protocol.wire.stream import StreamDescription
-from tests.support.sender import AHEAD_NS, MS, display
+from tests.support.sender import AHEAD_NS, MS, Sender, display
 from tests.support.streams import description
 
 HOUR_NS = 3_600_000 * MS
@@ -76,8 +74,7 @@ class VirtualLink:
             felt = self.display.tick(now_ns)
             self.played.append((true_ns, felt.target_n, felt.playout_delay_ns, felt.scored))
             for request in self.display.requests(now_ns):
-                if isinstance(request, Hello | ClockRequest):
-                    self._answer(true_ns, self.control_delay_ns(true_ns), request)
+                self._answer(true_ns, self.control_delay_ns(true_ns), request)
 
     def send(self, true_ns: int) -> None:
         """Send a frame whose last sample is taken now."""
@@ -112,18 +109,15 @@ class VirtualLink:
         assert self.full_strength_ms(from_ms, to_ms) == to_ms - from_ms
         assert max(self.errors_n(from_ms, to_ms)) < within_n
 
-    def _answer(self, true_ns: int, delay_ns: int | None, request: Hello | ClockRequest) -> None:
+    def _answer(self, true_ns: int, delay_ns: int | None, request: Control) -> None:
         """Answer a request, delayed both ways, unless it is lost."""
         if delay_ns is None:
             return
         answered_ns = true_ns + delay_ns
-        if isinstance(request, Hello):
-            sent = self.first_sample + self.frames * BATCH
-            reply = encode_control(Welcome(self.session, sent, self.stream))
-        else:
-            t_ns = self.sensing_clock(answered_ns)
-            reply = encode_control(ClockReply(self.session, request.t1_ns, t_ns, t_ns))
-        self.deliver(answered_ns + delay_ns, "control", reply)
+        sender = Sender(self.session, self.stream, self.first_sample + self.frames * BATCH)
+        reply = sender.answer(request, self.sensing_clock(answered_ns) - AHEAD_NS)
+        if reply is not None:
+            self.deliver(answered_ns + delay_ns, "control", reply)
 
     def _arrive(self, true_ns: int) -> None:
         now_ns = self.display_clock(true_ns)

@@ -219,12 +219,21 @@ def test_a_taken_telemetry_port_or_a_wrong_address_is_refused_in_one_line(
         assert wrong in refused(MODULE, str(RADIAL), "--connect", wrong, "--no-screen")
 
 
-@pytest.mark.parametrize("option", ["--connect", "--telemetry"])
-def test_beyond_loopback_a_display_starts_with_keys_or_with_insecure(option: str) -> None:
-    address = {"--connect": "tcp://192.0.2.1:5555", "--telemetry": "tcp://*:*"}[option]
-    arguments = (str(RADIAL), option, address, "--seconds", "0.2", "--no-screen")
-    line, insecure = refused(MODULE, *arguments), run(MODULE, *arguments, "--insecure")
-    assert line.startswith(f"display-node: {address} reaches beyond this machine")
+@pytest.mark.parametrize(
+    ("module", "option", "place"),
+    [
+        (MODULE, "--connect", "tcp://192.0.2.1:5555"),
+        (MODULE, "--telemetry", "tcp://*:*"),
+        (SENSING, "--bind", "tcp://*:{}"),
+    ],
+)
+def test_beyond_loopback_a_node_starts_with_keys_or_with_insecure(
+    module: str, option: str, place: str, address: str
+) -> None:
+    place = place.format(address.rpartition(":")[2])
+    options = (str(RADIAL), option, place, "--seconds", "0.2", "--quiet")
+    line, insecure = refused(module, *options), run(module, *options, "--insecure")
+    assert f"-node: {place} reaches beyond this machine" in line
     for word in ("telepulse keys new", "--key", "--insecure"):
         assert word in line
     assert (insecure.returncode, unusual(insecure.stderr)) == (0, "")

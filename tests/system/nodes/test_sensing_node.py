@@ -281,16 +281,6 @@ def test_a_scene_without_conditioning_does_not_load_scipy() -> None:
     assert run_python("-c", code).stdout == "False\n"
 
 
-def test_beyond_loopback_the_node_starts_only_with_keys_or_insecure(address: str) -> None:
-    everywhere = address.replace(HOST, "*")
-    arguments = (str(RADIAL), "--bind", everywhere, "--seconds", "0.1", "--quiet")
-    line, insecure = refused(MODULE, *arguments), run(MODULE, *arguments, "--insecure")
-    assert line.startswith(f"sensing-node: {everywhere} reaches beyond this machine")
-    for word in ("telepulse keys new", "--key", "--insecure"):
-        assert word in line
-    assert (insecure.returncode, insecure.stderr) == (0, "")
-
-
 @pytest.mark.parametrize("confirmed", [True, False])
 def test_the_node_waits_for_a_limited_time_until_each_display_has_the_whole_stream(
     address: str, client: Client, confirmed: bool
