@@ -37,26 +37,11 @@ class Predictor(Protocol):
         return None
 
 
-class Hold(Predictor):
-    """Predictor that holds the newest value."""
-
-    def __init__(self) -> None:
-        self._newest_ns, self._value = -(1 << 64), 0.0
-
-    def observe(self, times_ns: list[int], values: list[float]) -> None:
-        """Keep the newest sample."""
-        if times_ns[-1] > self._newest_ns:
-            self._newest_ns, self._value = times_ns[-1], values[-1]
-
-    def predict(self, instant_ns: int) -> float:
-        """Return the newest value."""
-        return self._value
-
-
 class Linear(Predictor):
-    """Predictor that continues the newest value linearly for 20 ms, then holds it."""
+    """Predictor that continues the newest value linearly for `reach_ns`, then holds it."""
 
-    def __init__(self) -> None:
+    def __init__(self, reach_ns: int) -> None:
+        self._reach_ns = reach_ns
         self._samples: list[tuple[int, float]] = []
 
     def observe(self, times_ns: list[int], values: list[float]) -> None:
@@ -66,7 +51,7 @@ class Linear(Predictor):
         del self._samples[:-KEEP]
 
     def predict(self, instant_ns: int) -> float:
-        """Return the newest value, continued with the slope of the last 10 ms for at most 20 ms."""
+        """Return the newest value, continued with the slope of the last 10 ms."""
         if not self._samples:
             return 0.0
         newest_ns, newest = self._samples[-1]
@@ -77,13 +62,13 @@ class Linear(Predictor):
         if newest_ns == first_ns:
             return newest
         slope = (newest - first) / (newest_ns - first_ns)
-        return newest + slope * min(instant_ns - newest_ns, REACH_NS)
+        return newest + slope * min(instant_ns - newest_ns, self._reach_ns)
 
 
 def build_predictor(name: PredictorName, tick_ns: int) -> Predictor:
     """Build a predictor that has seen nothing; `work` will be called every `tick_ns`."""
     if name in WITHOUT_ERROR_ESTIMATE:
-        return Hold() if name == "hold" else Linear()
+        return Linear(0 if name == "hold" else REACH_NS)
     # Imported here, so that a display without these predictors does not load linear algebra.
     from display_node.prediction.ensemble import Ensemble
 
