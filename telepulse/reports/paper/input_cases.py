@@ -56,8 +56,8 @@ def odd_samples() -> Iterator[CaseResult]:
     pid = make_setup({"kp": 0.1, "kd": 1e-4}, {"kind": "stepper"})
     setups = {**common_setups(), "PID on force with kd": pid}
     samples_n = {
-        "a force spike": (100.0, -100.0, 1e30, -1e30),
-        "denormals and NaN": (5e-324, math.nan, math.inf, -math.inf),
+        "a force spike": {"100": 100.0, "−100": -100.0, "1e+30": 1e30, "−1e+30": -1e30},
+        "denormals and NaN": {"5e-324": 5e-324, "NaN": math.nan, "∞": math.inf, "−∞": -math.inf},
     }
     places = {
         "reference": "Safety bounds force and slew of the reference",
@@ -66,14 +66,12 @@ def odd_samples() -> Iterator[CaseResult]:
     rows = product(samples_n.items(), setups.items(), places.items())
     for (case, odd_n), (name, setup), (place, explanation) in rows:
         alike: dict[tuple[CaseVerdict, str], tuple[list[str], list[Array]]] = {}
-        for value_n in odd_n:
+        for text, value_n in odd_n.items():
             hard = HardCase(case, "", setup, explanation, ticks=1000, disturbance_tick=ODD_AT)
             odd: dict[str, Any] = {place: _odd_at(value_n)}
             result = evaluate(replace(hard, **odd))
             texts, felt_n = alike.setdefault((result.verdict, result.reason), ([], []))
-            sign = "−" if value_n < 0 else ""
-            text = f"{abs(value_n)!r}".removesuffix(".0").replace("inf", "∞")
-            texts.append(sign + text.replace("nan", "NaN"))
+            texts.append(text)
             if result.felt_n is not None:
                 felt_n.append(result.felt_n[ODD_AT:])
         for (verdict, reason), (texts, felt_n) in alike.items():

@@ -107,18 +107,18 @@ def _shipped_rmse_n(setup: DisplayScene, wanted_n: Array, late: bool) -> float:
         before_n, reading_n = reading_n, loop.read_film()
         loop.tick(reference_n[tick : tick + 2], before_n if late else reading_n)
         felt_n.append(loop.felt_n)
-        if abs(loop.felt_n) > BOUND_N:
-            return math.inf
     return _rmse_n(felt_n, wanted_n, setup.tick_ns * 1e-9)
 
 
 def _explicit_rmse_n(gains: Gains, filter_hz: float, wanted_n: Array, tick_s: float) -> float:
     step, reference_n = SecondOrder(published.ACTUATOR, tick_s).step, wanted_n.tolist()[:-1]
     felt_n, _ = close_loop(step, tick_s, reference_n, gains, filter_hz)
-    return _rmse_n(felt_n, wanted_n, tick_s) if np.abs(felt_n).max() <= BOUND_N else math.inf
+    return _rmse_n(felt_n, wanted_n, tick_s)
 
 
 def _rmse_n(felt_n: list[float], wanted_n: Array, tick_s: float) -> float:
+    if not np.abs(felt_n).max() <= BOUND_N:
+        return math.inf
     error_n = (np.array(felt_n) - wanted_n[1:])[round(SETTLING_S / tick_s) :]
     return float(np.sqrt(np.mean(error_n**2)))
 
