@@ -19,8 +19,10 @@ from numpy.typing import NDArray
 
 from protocol.config.scene_file import find_scene, load_document, to_toml
 from protocol.host.child_process import ChildProcess
+from protocol.wire.telemetry import Status
 from telepulse.processes import free_addresses
 from tests.support.live_display import await_status, subscribe
+from tests.support.waiting import until
 
 KINDS = ("tmcl", "cia402")
 PORTS = "/tmp/telepulse-"
@@ -30,6 +32,8 @@ ENDS_WITHIN_S = 20.0
 # The longest that a scene may allow.
 FEEDBACK_WITHIN = "80 ms"
 NICE = -15
+# The end of the motor's trace, some 100 ms.
+RESTED_BYTES = 5_000
 
 
 class MotorTrace(NamedTuple):
@@ -100,16 +104,40 @@ class EmulatedBench:
         volume = "--quiet" if self.output is None else "--no-screen"
         self._start("display", "display_node.cli", *words, volume, "--json", json_file)
 
-    def await_state(self, wanted: str, within_s: float = STATE_WITHIN_S) -> dict[str, Any]:
-        """Wait for a state of the display ("playing", "fault") and return its summary then."""
+    def await_state(
+        self, wanted: str, within_s: float = STATE_WITHIN_S, played: int = 0
+    ) -> dict[str, Any]:
+        """Wait for a state of the display ("playing", "fault") and return its summary then.
+
+        played: number of samples that it has played by then, in total.
+        """
+
+        def reached(status: Status) -> bool:
+            return status.state == "fault" or (
+                status.state == wanted and status.summary["samples"]["played"] >= played
+            )
+
         with zmq.Context() as context, subscribe(context, self.telemetry) as telemetry:
             try:
-                status = await_status(telemetry, lambda s: s.state in (wanted, "fault"), within_s)
+                status = await_status(telemetry, reached, within_s)
             except TimeoutError as error:
                 raise BenchFailedError(f"{error}\n{self.log()}") from None
         if status.state != wanted:
             raise BenchFailedError(f"the display: {status.summary['faults']}\n{self.log()}")
         return status.summary
+
+    def await_rest(self, withdrawn: bool = False) -> None:
+        """Wait until the motor has rested for 100 ms; withdrawn: and its film is free of force."""
+        began_ns = time.monotonic_ns()
+
+        def rests() -> bool:
+            text = (self.folder / "motor.csv").read_text("utf-8")
+            _, *lines, _ = text[-RESTED_BYTES:].splitlines()
+            times_ns, _, speeds, forces_n, _ = zip(*(x.split(",") for x in lines), strict=True)
+            values = (*speeds, *(forces_n if withdrawn else ()))
+            return int(times_ns[0]) > began_ns and not any(map(float, values))
+
+        until(rests)
 
     def end(self) -> dict[str, Any]:
         """Stop all processes; return the display's summary, empty if it was killed."""

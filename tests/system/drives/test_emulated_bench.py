@@ -19,10 +19,9 @@ from tests.system.drives.test_drive_commands import udp_multicast_reason
 
 LIMIT_N = 2.5
 TRIES = 4
-PLAYED_S = 0.5
+PLAYED = 500
 # Watchdog for a machine that is busy with other tests; benchmarks/bench_faults.py has the scenes'.
 PATIENCE_MS = 400
-REST_WITHIN_S = 0.8
 WITHDRAWN_WITHIN_S = 20.0
 # Time from the first press until the ramp is over and the pulse is felt.
 TROUBLE_AFTER_S = "1"
@@ -65,14 +64,13 @@ def test_a_terminated_display_withdraws_the_tip(tmp_path: Path) -> None:
     silent_ns: list[int] = []
 
     def happens(bench: EmulatedBench) -> None:
-        time.sleep(PLAYED_S)
+        bench.await_state("playing", played=PLAYED)
         bench.processes["sensing"].kill()
-        bench.await_state("stale")
-        time.sleep(REST_WITHIN_S)
+        played = bench.await_state("stale")["samples"]["played"]
+        bench.await_rest(withdrawn=True)
         silent_ns.append(time.monotonic_ns())
         bench.start_sensing()
-        bench.await_state("playing")
-        time.sleep(PLAYED_S)
+        bench.await_state("playing", played=played + PLAYED)
         summary = bench.end()
         # On a busy machine, the watchdog may have stopped the display before.
         if summary["faults"]:
@@ -99,10 +97,10 @@ def test_a_display_that_was_stopped_withdraws_the_tip(kind: str, tmp_path: Path)
     withdrawn_ns: list[int] = []
 
     def happens(bench: EmulatedBench) -> None:
-        time.sleep(PLAYED_S)
+        bench.await_state("playing", played=PLAYED)
         display = bench.processes["display"]
         display.send_signal(signal.SIGSTOP)
-        time.sleep(REST_WITHIN_S)
+        time.sleep(2e-3 * PATIENCE_MS)
         display.send_signal(signal.SIGCONT)
         until(lambda: bench.await_state("fault")["finger"] == "withdrawn", WITHDRAWN_WITHIN_S)
         withdrawn_ns.append(time.monotonic_ns())
@@ -119,7 +117,7 @@ def test_a_display_that_was_stopped_withdraws_the_tip(kind: str, tmp_path: Path)
 def test_a_killed_display_leaves_the_motor_to_its_watchdog(tmp_path: Path) -> None:
     def happens(bench: EmulatedBench) -> None:
         bench.processes["display"].kill()
-        time.sleep(REST_WITHIN_S)
+        bench.await_rest()
 
     assert_at_rest(on_a_bench(tmp_path, "tmcl", happens))
 
@@ -132,7 +130,7 @@ def test_a_bench_with_a_fault_rests_and_reports_it(word: str, finger: str, tmp_p
 
     def happens(bench: EmulatedBench) -> None:
         bench.await_state("fault")
-        time.sleep(REST_WITHIN_S)
+        bench.await_rest()
         summary = bench.end()
         assert summary["faults"]
         assert finger in summary["finger"]
@@ -154,7 +152,7 @@ def test_a_display_that_is_terminated_while_homing_leaves_the_drive_at_rest(tmp_
             until(lambda: b"looks for its home" in printed.read_bytes(), WITHDRAWN_WITHIN_S)
             bench.processes["display"].send_signal(signal.SIGTERM)
             assert bench.processes["display"].wait(WITHDRAWN_WITHIN_S) != 0
-            time.sleep(REST_WITHIN_S)
+            bench.await_rest()
             bench.end()
         finally:
             bench.kill()
