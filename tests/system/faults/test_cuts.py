@@ -125,8 +125,10 @@ def test_of_two_networks_one_is_enough(tmp_path: Path) -> None:
             return int(felt.status.summary["frames"]["first"][address])
 
         for number, address in enumerate(rig.connect):
+            other = rig.connect[1 - number]
+            before = first_copies(other)
             link.change(CUT, number)
-            time.sleep(0.5)
+            until(lambda a=other, b=before: first_copies(a) >= b + 50)  # type: ignore[misc]
             link.change(WHOLE, number)
             # The other network is cut next: this one must carry frames again.
             before = first_copies(address)
