@@ -4,13 +4,14 @@ import itertools
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from urllib.parse import urlsplit
 
 import zmq
 
 from protocol import sockets
+from protocol.errors import AddressError
 from protocol.run_summary import Summary
 from protocol.security.allow_list import allow, revoke
 from protocol.security.keys import ClientKeys, KeyPair, ServerKeys, new_pair, read_pair
@@ -47,12 +48,25 @@ def relaying(
         end()
 
 
+def bound(context: Context, kind: int, address: str) -> Socket:
+    """Bind a socket once the address is free."""
+    made: list[Socket] = []
+
+    def bind() -> bool:
+        with suppress(AddressError):
+            made.append(sockets.bind(context, kind, address))
+        return bool(made)
+
+    until(bind)
+    return made[0]
+
+
 class Sensing:
     """A sensing node's sockets."""
 
     def __init__(self, context: Context, address: str) -> None:
-        self.data = sockets.bind(context, zmq.PUB, address)
-        self.control = sockets.bind(context, zmq.ROUTER, control_address(address))
+        self.data = bound(context, zmq.PUB, address)
+        self.control = bound(context, zmq.ROUTER, control_address(address))
         self.control.setsockopt(zmq.RCVTIMEO, int(PATIENCE_S * 1000))
 
     def question(self) -> list[bytes]:
@@ -141,8 +155,6 @@ def test_a_sensing_node_that_is_started_again_is_received_again(context: Context
             display.control.send(b"question")
             assert sensing.question()[-1] == b"question"
             sensing.close()
-            # What was bound to the address lets it go.
-            time.sleep(0.1)
             sensing = Sensing(context, inner)
 
 
@@ -240,8 +252,8 @@ def test_a_display_that_reads_nothing_costs_no_more_than_its_queue(context: Cont
         asleep = sockets.connect(context, zmq.SUB, outer)
         asleep.setsockopt(zmq.RCVHWM, 1)
         asleep.subscribe(b"")
-        published(sensing.data, reader.data, numbered())
-        time.sleep(0.3)
+        for subscriber in (reader.data, asleep):
+            published(sensing.data, subscriber, numbered())
         before_bytes, most_bytes = resident_bytes(), 0
         for number in range(4_000):
             sensing.data.send(frame)
