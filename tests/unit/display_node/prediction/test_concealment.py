@@ -48,6 +48,14 @@ def test_new_data_replace_the_prediction_exponentially_as_the_path_predicts() ->
         assert missing[ticks] == pytest.approx(0.1 * math.exp(-ticks / (0.2 * 44)))
 
 
+def test_an_offset_of_a_long_horizon_does_not_jump_when_short_ones_follow() -> None:
+    blend = Blend(MS)
+    for at_ms in range(40, 45):
+        blended(blend, at_ms, straight(at_ms), 0)
+    felt = [blended(blend, ms, straight(ms, offset=0.1), ms - 1)[0] for ms in range(45, 60)]
+    assert 0.03 < np.diff(felt).max() < 0.045
+
+
 def test_blending_ends_once_samples_arrive_on_time_again() -> None:
     blend = Blend(MS)
     for at_ms in range(10):
@@ -189,8 +197,9 @@ def test_the_pulses_size_is_known_after_a_window_ignores_an_artefact_and_follows
     assert size.size == pytest.approx(0.3, rel=1e-3)
     observe(size, 2.1, 11)
     observe(size, 11, 13, offset_n=2.0)
-    observe(size, 13, 20)
-    assert size.size == pytest.approx(0.3, rel=1e-3)
+    for from_s, to_s in ((13, 14.1), (14.1, 20)):
+        observe(size, from_s, to_s)
+        assert size.size == pytest.approx(0.3, rel=1e-3)
     for first_ms in range(20_000, 40_000, 5):
         size.observe(first_ms * MS, [0.1 * (first_ms % 1000 < 500)])
     assert size.size == pytest.approx(0.1)

@@ -139,7 +139,7 @@ def test_harmonic_is_dropped_when_it_diverges_or_the_rhythm_changes_and_then_hol
         expert.learn(history)
         assert expert.alive
     rhythm.interval = {"noise": 160, "longer interval": 480, "shorter interval": 48}[cause]
-    noise = 3 * np.random.default_rng(1).standard_normal(1_000 if cause == "noise" else 1)
+    noise = 2 * np.random.default_rng(1).standard_normal(1_000 if cause == "noise" else 1)
     alive = []
     for value in noise.tolist():
         history.push(value)
