@@ -54,15 +54,6 @@ PROTOTYPE = {
 Nrmse = tuple[float, ...]
 
 
-@dataclass(frozen=True, slots=True)
-class LinkEffort:
-    """Simulated time: `settle_seconds` in which the predictor learns, then scored `seconds`."""
-
-    seconds: float = 15.0
-    settle_seconds: float = 20.0
-    seeds: tuple[int, ...] = (1, 2)
-
-
 class LinkSpec(NamedTuple):
     """A link as `parse_link` reads it, and the perceived delays in ms to run on it."""
 
@@ -79,6 +70,16 @@ LINKS: dict[str, LinkSpec] = {
     BURSTS: LinkSpec("delay=20ms,jitter=10ms,jitter_kind=bursts", (0, 20, 40, 80, 120)),
     TCP: LinkSpec("delay=40ms,jitter=3ms,loss=1%,transport=tcp", (0, 40, 80, 120, 160)),
 }
+
+
+@dataclass(frozen=True, slots=True)
+class LinkEffort:
+    """Simulated links; `settle_seconds` in which predictors learn, then scored `seconds`."""
+
+    seconds: float = 15.0
+    settle_seconds: float = 20.0
+    seeds: tuple[int, ...] = (1, 2)
+    links: tuple[str, ...] = tuple(LINKS)
 
 
 class LinkCase(NamedTuple):
@@ -170,27 +171,25 @@ class LinkScores(NamedTuple):
     costs_us: dict[PredictorName, float]
 
 
-def score_links(
-    effort: LinkEffort, scheduler: str | None = None, links: dict[str, LinkSpec] = LINKS
-) -> LinkScores:
+def score_links(effort: LinkEffort, scheduler: str | None = None) -> LinkScores:
     """Run every case on all cores or a Dask cluster, then measure the costs here.
 
     Raises SweepError or SourceError.
     """
     grid = [
         (name, predictor, delay_ms)
-        for name, link in links.items()
+        for name in effort.links
         for predictor in PREDICTORS
-        for delay_ms in (*link.delays_ms, None)
+        for delay_ms in (*LINKS[name].delays_ms, None)
     ]
     cases = [
-        LinkCase(links[name].text, predictor, delay_ms, seed)
+        LinkCase(LINKS[name].text, predictor, delay_ms, seed)
         for name, predictor, delay_ms in grid
         for seed in effort.seeds
     ]
     ran = iter(sweep(partial(run_link, effort=effort), cases, scheduler))
     results: dict[str, dict[PredictorName, Curve]] = {
-        name: {predictor: {} for predictor in PREDICTORS} for name in links
+        name: {predictor: {} for predictor in PREDICTORS} for name in effort.links
     }
     for name, predictor, delay_ms in grid:
         results[name][predictor][delay_ms] = pooled([next(ran) for _ in effort.seeds])

@@ -37,14 +37,15 @@ def little_work(monkeypatch: pytest.MonkeyPatch) -> None:
     integrators = integrator_study.IntegratorEffort(
         seconds=0.1, rounds=1, substeps=(1,), solvers=(), rotor_seconds=0.02
     )
-    link = link_scores.LinkEffort(seconds=1, settle_seconds=1, seeds=(1,))
-    far = {"far": LinkSpec("delay=40ms,jitter=1ms", (0.0, 80.0))}
+    link = link_scores.LinkEffort(seconds=1, settle_seconds=1, seeds=(1,), links=("far",))
+    far = LinkSpec("delay=40ms,jitter=1ms", (0.0, 80.0))
     play = playout_study.PlayoutEffort(
         seconds=3, scan=2, bisections=1, links=(GAUSSIAN,), curves=(GAUSSIAN,)
     )
     monkeypatch.setattr(sweep, "in_one_thread", lambda work, _: alone(work, integrators))
     monkeypatch.setattr(link_scores, "pulses", lambda *_, **__: [])
-    monkeypatch.setattr(link_scores, "score_links", lambda _, address: links(link, address, far))
+    monkeypatch.setitem(link_scores.LINKS, "far", far)
+    monkeypatch.setattr(link_scores, "score_links", lambda _, address: links(link, address))
     monkeypatch.setattr(playout_study, "score_playout", lambda _, address: playout(play, address))
     monkeypatch.setattr(prediction_study, "score_predictors", lambda *_: made_up())
 
