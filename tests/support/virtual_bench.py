@@ -12,7 +12,6 @@ from display_node.display import Display
 from display_node.drives.axis import Axis, build_axis
 from display_node.drives.supervisor import DriveStatus, Supervisor
 from display_node.plant.stepper import StepperScene
-from display_node.scene import DisplayScene
 from protocol.wire.telemetry import TickState
 from pulse_sensors.samples import SampleBlock, Timestamper, one_channel
 from telepulse.emulators.drive_run import FRAME
@@ -140,15 +139,22 @@ class VirtualBench:
 
     def __post_init__(self) -> None:
         self.scene = scene = display_scene("tmcl_bench")
+        actuator, drive, layer = scene.actuator, scene.drive, scene.layer.layer()
+        assert isinstance(actuator, StepperScene)
+        assert drive is not None
         assert scene.feedback is not None
-        motor, axis = at_touch(scene)
+        began_ns = -2_000 * MS
+        motor = EmulatedMotor(actuator, actuator.contact(layer), drive.touch_m, began_ns)
+        to_touch(motor, began_ns)
+        motor.advance(0)
+        motor.forces_n.clear()
+        motor.set_watchdog(drive.watchdog_ns)
         self.moments: list[MotorState] = []
         motor.trace = self.moments.append
+        axis = build_axis(drive, actuator, layer, scene.safety.force_limit_n)
         # The film's delivery is part of the latency that a bench shows.
-        assert isinstance(scene.actuator, StepperScene)
-        late_ns = scene.actuator.latency_ns - DELIVERY_NS
-        assert scene.drive is not None
-        self.drive = VirtualDrive(motor, axis, late_ns, scene.drive.watchdog_ns)
+        late_ns = actuator.latency_ns - DELIVERY_NS
+        self.drive = VirtualDrive(motor, axis, late_ns, drive.watchdog_ns)
         self.film = VirtualFilm(motor, Timestamper(scene.feedback))
         self._start_display()
         self.sender = Sender()
@@ -212,20 +218,6 @@ class VirtualBench:
             self.sender.serve(self.display, now_ns)
         else:
             self.display.requests(now_ns)
-
-
-def at_touch(scene: DisplayScene) -> tuple[EmulatedMotor, Axis]:
-    """Return the motor, at rest at first touch at time 0, and its axis."""
-    actuator, drive, layer = scene.actuator, scene.drive, scene.layer.layer()
-    assert isinstance(actuator, StepperScene)
-    assert drive is not None
-    now_ns = -2_000 * MS
-    motor = EmulatedMotor(actuator, actuator.contact(layer), drive.touch_m, now_ns)
-    to_touch(motor, now_ns)
-    motor.advance(0)
-    motor.forces_n.clear()
-    motor.set_watchdog(drive.watchdog_ns)
-    return motor, build_axis(drive, actuator, layer, scene.safety.force_limit_n)
 
 
 def to_touch(motor: EmulatedMotor, now_ns: int) -> int:
