@@ -348,6 +348,8 @@ def test_a_connection_that_floods_is_closed_for_a_while(
     assert len(asked) == looked_up
     poll(connection, 5_030, 5_060)
     deliver(publisher, path)
+    connection.control.close(8_000 * MS)
+    assert poll(connection, 5_060, 8_020) == [8_000]
     assert logged == [f"{address} sends far more than a stream; closed for 5 s"]
 
 
@@ -389,4 +391,6 @@ def test_copies_of_what_the_closed_connection_delivered_are_dropped_from_the_kep
     assert not path.failover.racing
     assert path.first is second
     assert receive([], [b"6", b"7", b"8"]) == [b"8"]
+    path.failover.racing = True
+    assert receive([b"7", b"9"], [b"10"]) == [b"10", b"9"]
     path.close(0)
