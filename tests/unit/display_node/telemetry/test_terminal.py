@@ -82,6 +82,8 @@ def test_line_and_panel_name_a_fault_with_its_advice() -> None:
     line = under_test.line()
     assert line.startswith("fault: feedback lost: check the film's")
     assert line.endswith("finger pressed with 245 mN")
+    # With fewer figures there is more room for the alert.
+    assert "its cable; then start" in view("fault", 0, faults=["feedback lost"]).line()
     assert alert in " ".join(printed(under_test).replace("│", " ").split())
 
 
