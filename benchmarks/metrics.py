@@ -9,6 +9,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from http.client import HTTPException
 from pathlib import Path
 from subprocess import PIPE
 from tempfile import TemporaryDirectory
@@ -16,7 +17,6 @@ from urllib.request import urlopen
 
 from benchmarks.measure import median_quantile, show
 from protocol.config.scene_file import find_scene
-from protocol.host.child_process import ChildProcess
 from protocol.summary_tables import Loop
 from telepulse.processes import NodeProcess, free_addresses
 
@@ -33,10 +33,10 @@ def main() -> None:
     scene = str(find_scene("radial"))
     (address,) = free_addresses(1)
     runs: dict[str, list[tuple[Loop, float]]] = {name: [] for name in CASES}
-    command = ("-m", "sensing_node.cli", scene, "--bind", address, "--quiet")
+    command = ("sensing_node.cli", scene, "--bind", address, "--quiet")
     with (
-        ChildProcess("sensing node", *command),
         TemporaryDirectory(prefix="telepulse-") as folder,
+        NodeProcess("sensing node", *command, summary=Path(folder, "s.json")),
     ):
         for _ in range(ROUNDS):
             for name, found in runs.items():
@@ -98,7 +98,7 @@ def _scraping(url: str, threads: int) -> Iterator[Callable[[], int]]:
             try:
                 with urlopen(url, timeout=5) as answer:
                     answer.read()
-            except OSError:  # the server ends with the display
+            except (OSError, HTTPException):  # the server ends with the display
                 time.sleep(0.1)
             else:
                 counts[number] += 1

@@ -6,8 +6,8 @@ equally. Measures that are not granted are left out.
 """
 
 import os
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, nullcontext
+from collections.abc import Sequence
+from contextlib import nullcontext
 from pathlib import Path
 from subprocess import PIPE
 from tempfile import TemporaryDirectory
@@ -15,7 +15,6 @@ from tempfile import TemporaryDirectory
 from benchmarks.measure import median_quantile, show
 from display_node.doctor.jitter import busy_processes
 from protocol.config.scene_file import find_scene
-from protocol.host.child_process import ChildProcess
 from protocol.host.realtime import GIVEN_UP
 from protocol.summary_tables import Loop
 from telepulse.processes import NodeProcess, free_addresses
@@ -36,7 +35,11 @@ def main() -> None:
     processors = os.cpu_count() or 1
     (address,) = free_addresses(1)
     rows = []
-    with TemporaryDirectory(prefix="telepulse-") as folder, _sensing(scene, address):
+    command = ("sensing_node.cli", scene, "--bind", address, "--quiet")
+    with (
+        TemporaryDirectory(prefix="telepulse-") as folder,
+        NodeProcess("sensing node", *command, summary=Path(folder, "sensing.json")),
+    ):
         for beside in ("nothing", "load"):
             load = busy_processes(processors) if beside == "load" else nullcontext()
             with load:
@@ -76,14 +79,6 @@ def row(name: str, beside: str, found: Sequence[Loop], bare: Sequence[Loop]) -> 
         str(sum(missed) + sum(loop.ticks or 0 for loop in found)),
         "–" if name == BARE else f"{better} of {len(found)}",
     )
-
-
-@contextmanager
-def _sensing(scene: str, address: str) -> Iterator[None]:
-    """Run a sensing node that streams until the end."""
-    command = ("-m", "sensing_node.cli", scene, "--bind", address, "--quiet")
-    with ChildProcess("sensing node", *command):
-        yield
 
 
 def _play(scene: str, address: str, wish: str, summary: Path) -> Loop:

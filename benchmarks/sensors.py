@@ -29,7 +29,7 @@ from telepulse.emulators.sensor_board import (
     source_table,
     timed_line,
 )
-from telepulse.processes import free_addresses
+from telepulse.processes import NodeProcess, free_addresses
 
 SECONDS, SETTLED_S = 60, 5
 SKEW = 200e-6
@@ -135,7 +135,9 @@ def _difference_us(scene: Path) -> float:
 def _cpu_s(scene: Path, seconds: int) -> float:
     (address,) = free_addresses(1)
     arguments = (str(scene), "--bind", address, "--seconds", str(seconds), "--quiet")
-    child = ChildProcess("sensing node", "-m", "sensing_node.cli", *arguments)
+    child = NodeProcess(
+        "sensing node", "sensing_node.cli", *arguments, summary=scene.with_suffix(".json")
+    )
     _, status, used = os.wait4(child.pid, 0)
     child.returncode = os.waitstatus_to_exitcode(status)
     if child.returncode:
