@@ -42,29 +42,26 @@ def start_recorder(
     if path is None:
         yield None
         return
-    process = ChildProcess(
+    with ChildProcess(
         *("recorder", "-m", sidecar_module("recorder"), address, str(path)),
         *("--until-silent", str(SILENT_AFTER_S), "--display-pid", str(os.getpid())),
         *(("--key", str(key)) if key else ("--insecure",)),
         *log_options,
-    )
-    until_s = time.monotonic() + STARTS_WITHIN_S
-    while not await_recorder(LOOK_EVERY_S):
-        if process.poll() is not None:
-            raise SystemExit(process.returncode or USAGE_ERROR)
-        if time.monotonic() > until_s:
-            process.stop(within_s=0)
-            raise OutputError(f"{path}: the recorder does not start")
-    try:
-        yield process
-    except BaseException:
-        process.terminate()
-        raise
-    finally:
-        # The recorder itself prints what is missing.
+    ) as process:
+        until_s = time.monotonic() + STARTS_WITHIN_S
+        while not await_recorder(LOOK_EVERY_S):
+            if process.poll() is not None:
+                raise SystemExit(process.returncode or USAGE_ERROR)
+            if time.monotonic() > until_s:
+                raise OutputError(f"{path}: the recorder does not start")
         try:
-            process.wait(ENDS_WITHIN_S)
-        except subprocess.TimeoutExpired:
-            process.kill()
-            process.wait()
-            logger.warning(f"{path}: the recorder did not end")
+            yield process
+        except BaseException:
+            process.terminate()
+            raise
+        finally:
+            # The recorder itself prints what is missing.
+            try:
+                process.wait(ENDS_WITHIN_S)
+            except subprocess.TimeoutExpired:
+                logger.warning(f"{path}: the recorder did not end")
