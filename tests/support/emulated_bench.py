@@ -1,6 +1,6 @@
-"""The emulated bench as people start it: board, drive, sensing node, display node.
+"""The emulated bench as a user starts it: board, drive, sensing node and display node.
 
-Each is a process of its own; the drive records what its motor does.
+Each is a process of its own. The drive's emulator records its motor.
 """
 
 import json
@@ -52,13 +52,29 @@ class BenchFailedError(RuntimeError):
     """A process of the bench did not start, or did not reach a state."""
 
 
+def bench_scene_text(folder: Path, kind: str, watchdog_ms: int) -> str:
+    """Return the scene of an emulated bench with its ports in a folder.
+
+    watchdog_ms: of the drive, for a busy machine; 0: the scene's.
+    """
+    text = to_toml(load_document(find_scene(f"{kind}_bench"))).replace(PORTS, f"{folder}/")
+    if watchdog_ms:
+        keys = f'watchdog = "{watchdog_ms} ms"\n'
+        if kind == "tmcl":
+            keys += f'reply_timeout = "{watchdog_ms // 4} ms"\n'
+        text = text.replace("[display.drive]\n", f"[display.drive]\n{keys}")
+        film = f'feedback_within = "{FEEDBACK_WITHIN}"\n'
+        text = text.replace("[display.safety]\n", f"[display.safety]\n{film}")
+    return text
+
+
 @dataclass
 class EmulatedBench:
     """Four processes and their files.
 
     source: the scene that the board plays. drive_options: further options of the drive's emulator.
-    watchdog_ms: of the drive, for a busy machine; 0: the scene's. output: the descriptor that the
-    display prints to; None: the log, and errors only.
+    watchdog_ms: see `bench_scene_text`. output: the descriptor that the display prints to; None:
+    the log, and errors only.
     """
 
     folder: Path
@@ -72,18 +88,10 @@ class EmulatedBench:
     def __post_init__(self) -> None:
         self._address, self.telemetry = free_addresses(2)
         self.scene = self.folder / "scene.toml"
-        text = to_toml(load_document(find_scene(f"{self.kind}_bench")))
-        # Ports of its own, so that it does not interfere with another bench.
+        # A channel of its own, so that it does not interfere with another bench.
         last = 10 + int(re.findall(r"\d+$", self._address)[0]) % 200
-        text = text.replace(PORTS, f"{self.folder}/").replace(CHANNEL, f"239.74.163.{last}")
-        if self.watchdog_ms:
-            keys = f'watchdog = "{self.watchdog_ms} ms"\n'
-            if self.kind == "tmcl":
-                keys += f'reply_timeout = "{self.watchdog_ms // 4} ms"\n'
-            text = text.replace("[display.drive]\n", f"[display.drive]\n{keys}")
-            film = f'feedback_within = "{FEEDBACK_WITHIN}"\n'
-            text = text.replace("[display.safety]\n", f"[display.safety]\n{film}")
-        self.scene.write_text(text, encoding="utf-8")
+        text = bench_scene_text(self.folder, self.kind, self.watchdog_ms)
+        self.scene.write_text(text.replace(CHANNEL, f"239.74.163.{last}"), encoding="utf-8")
 
     def start_board(self) -> None:
         words = ("emulate", "sensor", self.source, "--link", self.folder / "board")

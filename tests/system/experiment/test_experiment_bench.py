@@ -8,12 +8,12 @@ from unittest.mock import Mock
 import numpy as np
 import pytest
 
-from protocol.config.scene_file import find_scene, load_document, to_toml
 from protocol.host.child_process import ChildProcess
 from telepulse.experiment.interval import IntervalPlayback, PlayedInterval, draw_interval
 from telepulse.experiment.log import read_log
 from telepulse.experiment.session import Letter, Trial
 from telepulse.experiment.subjects import Keyboard, Person
+from tests.support.emulated_bench import bench_scene_text
 from tests.support.experiment_sessions import condition, plan, write
 from tests.support.nodes import ROOT, process
 from tests.support.virtual_bench import MS, TICK_MS, VirtualBench
@@ -31,12 +31,8 @@ preload = "0.3 N"
 
 def bench_scene(folder: Path) -> Path:
     """Write the scene of the emulated bench, with longer time-outs and a reproducible pulse."""
-    text = to_toml(load_document(find_scene("tmcl_bench")))
-    text = text.replace("/tmp/telepulse-", f"{folder}/")
+    text = bench_scene_text(folder, "tmcl", watchdog_ms=400)
     text = re.sub(r"(?s)(?<=\[sensing.source\]\n).*?(?=\n\[display\])", PULSE, text)
-    patient = '[display.drive]\nwatchdog = "400 ms"\nreply_timeout = "100 ms"\n'
-    text = text.replace("[display.drive]\n", patient)
-    text = text.replace("[display.safety]\n", '[display.safety]\nfeedback_within = "80 ms"\n')
     path = folder / "bench.toml"
     path.write_text(text, encoding="utf-8")
     return path

@@ -120,7 +120,8 @@ def test_a_stream_that_its_own_link_leaves_stale_is_named_and_counted(tmp_path: 
             now_ns += elapsed * drawn.scene.display.tick_ns
         return playing.played()
 
-    assert felt(whole).stale == felt(whole).spoilt == ""
+    undisturbed = felt(whole)
+    assert undisturbed.stale == undisturbed.spoilt == ""
     # A stall of the machine does not count as a stale link.
     stalled = felt(whole, stall_ms=300)
     assert stalled.stale_ticks == 0
