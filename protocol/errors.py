@@ -3,7 +3,8 @@
 `TelepulseError` catches all errors.
 """
 
-from collections.abc import Mapping
+import difflib
+from collections.abc import Iterable, Mapping
 
 
 class TelepulseError(Exception):
@@ -101,6 +102,12 @@ class OptionError(TelepulseError, ValueError):
 
 class SweepError(TelepulseError, RuntimeError):
     """A study cannot be computed: a case fails, a worker dies, no Dask scheduler answers."""
+
+
+def suggest(word: str, known: Iterable[str]) -> str:
+    """Return the end of an error message: the known word closest to `word`, or all of them."""
+    close = difflib.get_close_matches(word, known, n=1)
+    return f"; did you mean {close[0]}?" if close else f"; known: {', '.join(known)}"
 
 
 # Cause → meaning, in one line.

@@ -244,7 +244,6 @@ class DeviceClock:
         self._anchor(device_ns, arrival_ns)
 
     def _anchor(self, device_ns: int, arrival_ns: int) -> None:
-        """Start from one observation."""
         self._base_device_ns = self._reference_ns = self._last_device_ns = device_ns
         self._base_offset_ns = self._offset_ns = arrival_ns - device_ns
         self._skew = 0.0

@@ -13,8 +13,8 @@ from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
 from pydantic_core import ErrorDetails, PydanticCustomError
 
 from protocol.config.quantities import in_unit_of, shown
-from protocol.config.scene_file import load_document, place, read_chain, suggest
-from protocol.errors import SceneError
+from protocol.config.scene_file import load_document, place, read_chain
+from protocol.errors import SceneError, suggest
 
 _UNIT_SUFFIX = re.compile(
     r"_(ns|hz|bit_per_s|m|n|n_per_s|pa|m_per_s|m_per_s2|n_per_m|v|v_per_n|rad)$"

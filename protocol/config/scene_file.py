@@ -6,7 +6,6 @@ because its keys differ.
 """
 
 import datetime
-import difflib
 import json
 import re
 import tomllib
@@ -16,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from protocol.config.quantities import shown
-from protocol.errors import SceneError
+from protocol.errors import SceneError, suggest
 
 SECTIONS = ("sensing", "display", "link")
 EXTENDS = "extends"
@@ -120,12 +119,6 @@ def to_toml(tables: Tables) -> str:
 def place(keys: Iterable[int | str]) -> str:
     """Return the keys of a value as one dotted key; long keys are cut."""
     return ".".join(_key(str(key)[:_KEY_SHOWN]) for key in keys)
-
-
-def suggest(key: str, known: Iterable[str]) -> str:
-    """Return the end of an error message: the known key closest to `key`, or all of them."""
-    close = difflib.get_close_matches(key, known, n=1)
-    return f"; did you mean {close[0]}?" if close else f"; known: {', '.join(known)}"
 
 
 def _folder() -> Path:

@@ -2,9 +2,9 @@
 
 A child does not search the current folder for modules (`python -P`): a `protocol.py` there would
 be imported in place of ours. A sidecar does work that would delay a node's loop. It is ready
-before a drive moves, and ends with the node, even after `kill -9`, which closes its standard input.
-The two exchange lines of JSON over pipes; the first reports that the sidecar is ready, or why it
-cannot start.
+before a drive moves. It ends when its standard input is closed, which the end of the node causes
+even after `kill -9`. The two exchange lines of JSON over pipes; the sidecar's first line reports
+that it is ready, or the reason why it cannot start.
 """
 
 import json
@@ -130,11 +130,9 @@ class ChildProcess(subprocess.Popen[str]):
 class Sidecar:
     """A process that runs beside the node within a `with`; it is ready after construction.
 
-    Its log records appear in the node's log under its name.
-
-    name: such as "announcer". module: the module to run; it calls `run_as_sidecar`. ready_message:
-    the text that it sent when it was ready. Raises SidecarError with its reason when it cannot
-    start.
+    Its log records appear in the node's log under its `name`, such as "announcer". module: the
+    module to run; it calls `run_as_sidecar`. ready_message: the text that it sent when it was
+    ready. Raises SidecarError with the reason when it cannot start.
     """
 
     def __init__(self, name: str, module: str, *arguments: str) -> None:
@@ -223,8 +221,6 @@ def run_as_sidecar() -> Iterator[Callable[[str], None]]:
 
 
 class _NodeHandler(logging.Handler):
-    """Send the records of this process to the node."""
-
     def emit(self, record: logging.LogRecord) -> None:
         with suppress(OSError):  # the node may have gone
             fields = {"level": record.levelname, "text": record.getMessage()}

@@ -296,7 +296,6 @@ def create_file(path: Path, text: str, mode: int = 0o666) -> None:
 
 @contextmanager
 def _refusals(path: Path) -> Iterator[None]:
-    """Turn an OSError into an OutputError."""
     try:
         yield
     except OutputError:

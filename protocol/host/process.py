@@ -304,7 +304,6 @@ def spans(cpus: frozenset[int]) -> str:
 
 
 def _capable(number: int) -> bool:
-    """Return whether this process has a capability of Linux."""
     status = Path("/proc/self/status").read_text(encoding="ascii")
     return bool(int(status.partition("CapEff:")[2].split()[0], 16) >> number & 1)
 

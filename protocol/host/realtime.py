@@ -4,7 +4,6 @@ A request (`RealtimeRequest`) is parsed from text such as "fifo=40,lock,slack". 
 applies its settings within a `with`, and yields which were granted or refused (`RealtimeGrant`).
 """
 
-import difflib
 import logging
 import sys
 from collections.abc import Iterator
@@ -12,7 +11,7 @@ from contextlib import AbstractContextManager, ExitStack, contextmanager
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-from protocol.errors import RealtimeError
+from protocol.errors import RealtimeError, suggest
 from protocol.host.process import (
     LONGEST_RUN_US,
     NotGrantedError,
@@ -114,9 +113,9 @@ def parse_realtime(text: str | None) -> RealtimeRequest:
         elif name == "gc":
             raise RealtimeError("--realtime: gc is now always applied: leave it out")
         elif name not in MEASURES:
-            close = difflib.get_close_matches(name, MEASURES, n=1)
-            advice = f"did you mean {close[0]}?" if close else f"known: {', '.join(MEASURES)}"
-            raise RealtimeError(f"--realtime: unknown measure {name!r:.80}; {advice}")
+            raise RealtimeError(
+                f"--realtime: unknown measure {name!r:.80}{suggest(name, MEASURES)}"
+            )
         elif name == "fifo" or name in plain:
             raise RealtimeError(f"--realtime: {name} is there twice")
         elif value:

@@ -48,9 +48,9 @@ class ConnectionBudget:
     """Bound on the open connections of several sockets together.
 
     A peer that connects repeatedly must not exhaust the process's file descriptors, its memory or
-    its loop's time, and earlier connections must stay. So of pending connections, the oldest from
-    the address with most of them are cut. Of established ones, the newest from the address with
-    most are cut. A single address thus never blocks the others.
+    its loop's time, and earlier connections must stay. Too many pending connections: the oldest
+    ones from the address with most of them are cut. Too many established ones: the newest from the
+    address with most of them are cut. So a single address never blocks the others.
 
     most: greatest number of open connections. Half of them may be pending (no ZeroMQ handshake
     yet), three quarters may come from one address.

@@ -44,7 +44,7 @@ class ConnectionTable:
     """Open connections of one bound socket, by descriptor, with the address of each.
 
     ZeroMQ does not report which pending connection has succeeded, and not always which has failed;
-    the oldest one is assumed. So counts may be wrong for a moment, but not in the end.
+    the oldest one is assumed. Counts may thus be wrong until the connections end.
 
     socket: readable when events wait. behind: more events may wait than the last call has read.
     by_address: counts of open connections that were not cut.

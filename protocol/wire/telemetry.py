@@ -119,7 +119,7 @@ def unpack(data: bytes, max_items: int = MAX_ITEMS) -> Any:
 
 TRACE = b"trace"
 TRACE_TICKS = 20
-# A status follows each tenth trace.
+# Number of traces between two statuses.
 STATUS_TRACES = 10
 
 
