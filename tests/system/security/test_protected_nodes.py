@@ -80,7 +80,7 @@ def test_a_peer_that_is_not_allowed_gets_no_frame_and_no_answer(
     assert strays(errors) == ""
 
 
-def test_a_revoked_display_is_cut_off_and_reports_it_while_the_other_goes_on(
+def test_a_revoked_display_is_cut_off_and_reports_it_while_the_other_continues(
     context: Context, keyring: Keyring, tmp_path: Path, address: str
 ) -> None:
     keyring.allow("thumb")

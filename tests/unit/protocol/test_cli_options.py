@@ -21,7 +21,7 @@ from tests.support.keyring import Keyring
         (errors.OutputError("x.json: cannot be written: No space left on device"), OSError),
     ],
 )
-def test_an_error_of_ours_is_of_a_standard_kind_and_ends_a_command_with_one_line(
+def test_an_error_has_a_standard_type_and_ends_a_command_with_one_line(
     error: errors.TelepulseError, base: type[Exception], capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert isinstance(error, errors.TelepulseError)
@@ -104,7 +104,7 @@ def test_on_this_machine_keys_are_optional(
     assert (client.own.name, client.peer.name) == ("wrist", "finger")
 
 
-def test_keys_that_do_not_go_together_are_one_line(own: Path, peer: Path, tmp_path: Path) -> None:
+def test_conflicting_options_of_keys_are_refused(own: Path, peer: Path, tmp_path: Path) -> None:
     for call, reason in (
         (lambda: server_keys(FAR, own, None, insecure=True), "--insecure does without keys"),
         (lambda: client_keys([FAR], own, peer, insecure=True), "--insecure does without keys"),
@@ -118,7 +118,7 @@ def test_keys_that_do_not_go_together_are_one_line(own: Path, peer: Path, tmp_pa
         assert "\n" not in str(caught.value)
 
 
-def test_key_files_and_addresses_are_looked_at_at_once(own: Path, peer: Path) -> None:
+def test_key_files_and_addresses_are_checked_at_once(own: Path, peer: Path) -> None:
     with pytest.raises(errors.KeyFileError, match="give the secret one"):
         server_keys(FAR, peer, None, insecure=False)
     with pytest.raises(errors.KeyFileError, match="never leaves its machine"):

@@ -72,7 +72,7 @@ def test_an_interruption_is_from_one_full_tick_to_the_next_and_several_add_up() 
 
 
 @given(st.lists(st.booleans()), st.integers(1, 7))
-def test_one_at_a_time_and_in_blocks_count_the_same(limited: list[bool], length: int) -> None:
+def test_single_ticks_and_blocks_give_the_same_counts(limited: list[bool], length: int) -> None:
     single, blocks = counters.LimitCounter(), counters.LimitCounter()
     for tick in limited:
         single.add(tick)

@@ -69,12 +69,12 @@ def test_negative_values_count_in_the_first_bin() -> None:
     assert histogram.quantile(0.9) == pytest.approx(7.2, abs=BIN)
 
 
-def test_the_middle_of_a_bin_is_no_quantile_where_nothing_is_as_large() -> None:
+def test_a_quantile_is_at_most_the_maximum() -> None:
     assert filled([0.1]).quantile(0.5) == 0.1
     assert filled([-0.1]).quantile(0.5) == -0.1
 
 
-def test_a_tail_of_one_in_a_hundred_is_seen() -> None:
+def test_a_quantile_finds_a_tail_of_one_in_a_hundred() -> None:
     histogram = filled([1.2] * 99 + [50.2])
     assert histogram.quantile(0.99) == pytest.approx(1.2, abs=BIN)
     assert histogram.quantile(0.991) == pytest.approx(50.2, abs=BIN)

@@ -42,5 +42,5 @@ def test_an_invalid_address_of_a_stream_is_refused_with_valid_ones(address: str)
     assert str(caught.value).startswith(f"{address}: not an address; write tcp://HOST:PORT")
 
 
-def test_which_addresses_reach_beyond_this_machine() -> None:
+def test_addresses_beyond_this_machine_are_recognised() -> None:
     assert [address for address in HERE + BEYOND if sockets.beyond_loopback(address)] == BEYOND

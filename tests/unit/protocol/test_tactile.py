@@ -85,7 +85,7 @@ def test_places_and_depths_broadcast_and_far_and_near_do_not_overflow() -> None:
 
 
 @pytest.mark.parametrize("depth_m", [0.0, -1e-3, math.nan])
-def test_there_is_no_stress_at_the_load_itself(depth_m: float) -> None:
+def test_the_stress_at_the_load_itself_is_refused(depth_m: float) -> None:
     with pytest.raises(ValueError, match="z_m"):
         half_space_stress(1.0, np.zeros(2), np.array([1e-3, depth_m]))
 
@@ -105,7 +105,7 @@ def test_the_strain_of_the_stress_on_the_axis_is_the_layers(layer: ElasticLayer)
 
 @pytest.mark.parametrize("sensing", LAYERS)
 @pytest.mark.parametrize("display", LAYERS)
-def test_forces_in_matching_ratio_strain_layers_alike(
+def test_forces_in_the_matching_ratio_make_equal_strains(
     sensing: ElasticLayer, display: ElasticLayer
 ) -> None:
     pulse_n = 0.3
@@ -211,6 +211,6 @@ def test_nan_is_never_read_as_a_voltage(volts: float) -> None:
 @pytest.mark.parametrize(
     ("bits", "full"), [(1, 1.0), (33, 1.0), (8, 0.0), (8, -1.0), (8, math.inf), (8, math.nan)]
 )
-def test_an_adc_that_cannot_be_is_refused(bits: int, full: float) -> None:
+def test_an_impossible_adc_is_refused(bits: int, full: float) -> None:
     with pytest.raises(ValueError, match="it must be"):
         Adc(bits, full)

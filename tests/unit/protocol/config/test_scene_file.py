@@ -53,7 +53,7 @@ def test_a_scene_is_found_by_name_and_by_path(
         find_scene("radail")
 
 
-def test_an_installed_package_has_the_scenes_where_they_are_looked_for() -> None:
+def test_an_installed_package_has_the_scenes_in_their_folder() -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
     included = project["tool"]["hatch"]["build"]["targets"]["wheel"]["force-include"]
     packaged, checkout = FOLDERS
@@ -61,7 +61,7 @@ def test_an_installed_package_has_the_scenes_where_they_are_looked_for() -> None
     assert checkout == ROOT / "scenes"
 
 
-def test_a_child_takes_over_key_by_key_from_a_file_beside_it(tmp_path: Path) -> None:
+def test_a_scene_inherits_key_by_key_from_a_file_beside_it(tmp_path: Path) -> None:
     write(
         tmp_path / "parent.toml",
         'title = "old"\n[display]\nchannels = [1, 2]\n[display.actuator]\nkind = "a"\ngain = 2\n',
@@ -132,7 +132,7 @@ def test_a_chain_that_is_too_long_is_refused(tmp_path: Path) -> None:
     assert load_document(tmp_path / "1.toml") == {"display": {}}
 
 
-def test_provenance_has_the_chain_and_what_it_comes_to() -> None:
+def test_provenance_has_the_chain_and_the_merged_tables() -> None:
     scene = collect(find_scene("cia402_bench")).scene
     assert [Path(path).stem for path in scene["extends"]] == ["tmcl_bench", "bench"]
     assert scene["tables"]["display"]["drive"]["kind"] == "cia402"
@@ -141,12 +141,12 @@ def test_provenance_has_the_chain_and_what_it_comes_to() -> None:
 
 
 @pytest.mark.parametrize("name", scene_names())
-def test_a_scene_that_is_shown_is_the_same_scene(name: str) -> None:
+def test_a_shipped_scene_is_the_same_after_writing(name: str) -> None:
     tables = load_document(find_scene(name))
     assert tomllib.loads(to_toml(tables)) == tables
 
 
-def test_whatever_toml_holds_is_written_as_toml() -> None:
+def test_every_type_of_toml_is_written() -> None:
     text = """
         a = [1, [true, "x"], {"k k" = 1.5}]
         "odd key" = "quote \\" back\\\\ \\u0000 \\u007f ünïcode"

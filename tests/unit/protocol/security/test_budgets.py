@@ -21,7 +21,7 @@ def test_a_burst_passes_and_then_the_rate() -> None:
         st.tuples(st.integers(-SECOND_NS, SECOND_NS), st.floats(0.1, 10)), min_size=1, max_size=200
     )
 )
-def test_no_more_than_burst_and_rate_is_ever_taken(steps: list[tuple[int, float]]) -> None:
+def test_no_more_tokens_than_burst_and_rate_are_taken(steps: list[tuple[int, float]]) -> None:
     bucket = TokenBucket(rate_per_s=10, burst=20)
     now_ns = taken = forward_ns = 0.0
     for step_ns, count in steps:

@@ -141,13 +141,13 @@ def test_a_control_message_is_decoded_as_it_was_encoded(message: wire.Control) -
     ],
     ids=["big-endian", "column by column", "every second sample"],
 )
-def test_samples_are_encoded_in_order_however_they_lie_in_memory(values: NDArray[Any]) -> None:
+def test_samples_are_encoded_in_order_from_any_memory_layout(values: NDArray[Any]) -> None:
     decoded = wire.decode_frame(wire.encode_frame(FLOAT32_FRAME._replace(values=values))).values
     assert decoded.dtype == np.dtype("<f4")
     np.testing.assert_array_equal(decoded, values)
 
 
-def test_a_frame_as_large_as_allowed_is_taken_and_one_byte_more_is_not() -> None:
+def test_the_largest_frame_is_accepted_and_one_byte_more_is_refused() -> None:
     # These numbers are 1, 2 and 3 bytes long: they fill what whole samples leave.
     sizes = {
         len(data): data
@@ -265,7 +265,7 @@ def test_a_control_field_of_another_type_or_out_of_range_is_malformed(
             assert cause_of(wire.decode_control, data) == "malformed", (position, value)
 
 
-def test_a_whole_number_serves_as_a_measure_and_nan_as_an_unknown_one() -> None:
+def test_a_report_may_contain_integers_and_nan() -> None:
     report = wire.decode_control(replaced(REPORT, 9, 40))
     assert report == wire.DisplayReport(7, "me", 90, 6, 4, 1.5, 2.5, 40, 0.25)
     unknown = wire.decode_control(replaced(REPORT, 9, math.nan))
