@@ -20,7 +20,7 @@ def test_frames_that_overtook_others_wait_for_them() -> None:
     assert reorderer.lost == 0
 
 
-def test_what_does_not_come_in_time_is_lost_and_what_comes_then_is_left_out() -> None:
+def test_a_frame_that_does_not_arrive_in_time_is_lost_and_left_out_when_it_arrives() -> None:
     reorderer = FrameReorderer()
     assert taken(reorderer, [0, 2]) == [0]
     assert taken(reorderer, [3], HOLD_NS - MS) == []

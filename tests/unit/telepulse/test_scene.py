@@ -8,7 +8,7 @@ from telepulse.simulation.link_model import LinkScene
 from tests.support.nodes import RADIAL
 
 
-def test_a_scene_without_a_link_has_one_that_does_nothing() -> None:
+def test_a_scene_without_a_link_has_a_link_without_impairments() -> None:
     assert load_scene(RADIAL).link == LinkScene()
 
 

@@ -15,14 +15,14 @@ def _here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def keys(*arguments: str, status: int = 0) -> str:
-    """What `telepulse keys ...` prints, on stderr where it fails."""
+    """Return the output of `telepulse keys ...`, that on stderr where it fails."""
     result = CliRunner().invoke(app, ["keys", *arguments])
     assert result.exit_code == status, result.output
     assert (result.stdout if status else result.stderr) == ""
     return result.stderr if status else result.stdout
 
 
-def test_a_node_is_made_let_in_listed_and_revoked() -> None:
+def test_a_node_gets_keys_is_allowed_listed_and_revoked() -> None:
     printed = keys("new", "finger")
     for word in ("keys/finger.key", "--key", "finger.pub", "keys allow", "--peer"):
         assert word in printed
@@ -51,7 +51,7 @@ def test_another_folder_and_another_list() -> None:
         (("revoke", "thumb"), "keys/allowed does not allow thumb; it allows nobody"),
     ],
 )
-def test_what_cannot_be_done_is_one_line(arguments: tuple[str, ...], reason: str) -> None:
+def test_a_refusal_is_one_line_and_changes_no_file(arguments: tuple[str, ...], reason: str) -> None:
     keys("new", "finger")
     before = {path: path.read_bytes() for path in Path("keys").iterdir()}
     line = keys(*arguments, status=2)

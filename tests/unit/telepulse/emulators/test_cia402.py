@@ -21,7 +21,7 @@ TO_ENABLED = (Control.SHUTDOWN, Control.SWITCH_ON, Control.ENABLE)
 
 
 class Bench:
-    """A drive in cyclic velocity mode, enabled unless told otherwise, at a time."""
+    """A drive in cyclic velocity mode, in operation enabled unless `enabled` is False."""
 
     def __init__(self, enabled: bool = True, **keys: object) -> None:
         scene = cia402_scene(**keys)
@@ -34,7 +34,7 @@ class Bench:
             assert self.drive.state is State.ENABLED
 
     def control(self, *words: Control, velocity: int = 0, ms: int = 0) -> None:
-        """Send controlwords, each followed by so many ms."""
+        """Send controlwords, each followed by `ms`."""
         for word in words:
             self.drive.control(word, velocity)
             self.run(ms)
@@ -54,19 +54,15 @@ def test_statuswords_on_the_way_to_operation_enabled() -> None:
     assert words == [0x40, 0x31, 0x33, 0x37, 0x40]
 
 
-def test_it_moves_in_operation_enabled_alone() -> None:
+def test_it_moves_in_operation_enabled_alone_and_takes_only_modes_that_it_has() -> None:
     bench = Bench(enabled=False)
+    bench.drive.select(Mode.PROFILE_VELOCITY)
+    assert bench.drive.mode == Mode.CYCLIC_VELOCITY
     for word in (Control.ENABLE, Control.SHUTDOWN, Control.SWITCH_ON):
         bench.control(word, velocity=1000, ms=10)
         assert bench.motor.rate_hz == 0.0
     bench.control(Control.ENABLE, velocity=1000, ms=10)
     assert bench.motor.rate_hz == pytest.approx(1000.0)
-
-
-def test_a_mode_it_does_not_have_is_not_taken() -> None:
-    drive = Bench(enabled=False).drive
-    drive.select(Mode.PROFILE_VELOCITY)
-    assert drive.mode == Mode.CYCLIC_VELOCITY
 
 
 def test_reports_are_in_the_drives_units_and_direction() -> None:

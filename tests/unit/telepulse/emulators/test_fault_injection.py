@@ -6,12 +6,7 @@ from display_node.drives.scene import TmclScene
 from display_node.plant.stepper import StepperScene
 from protocol.errors import SceneError
 from protocol.wire.stream import LayerTable
-from telepulse.emulators.fault_injection import (
-    FaultInjector,
-    FaultKind,
-    InjectedFault,
-    parse_fault,
-)
+from telepulse.emulators.fault_injection import FaultInjector, FaultKind, InjectedFault, parse_fault
 from telepulse.emulators.motor import TICK_NS, EmulatedMotor
 from telepulse.emulators.tmcl import EmulatedTmclModule
 
@@ -23,7 +18,7 @@ RAN_MS = 100
 
 
 def moved(fault: InjectedFault | None, rate_hz: float = RATE_HZ) -> EmulatedMotor:
-    """A motor that ran at a rate for 0.1 s, with a fault from the start."""
+    """Run a motor for 0.1 s, with a fault from the start."""
     motor = EmulatedMotor(SCENE, SCENE.contact(LayerTable().layer()), TOUCH_M, now_ns=0)
     if fault is not None:
         motor.injector.begin(fault, 0)
@@ -50,7 +45,7 @@ TRAVEL_M = TRUE.tip_m + TOUCH_M / 2
         (FaultKind.POSITION_FROZEN, 0.0, 1, 0),
     ],
 )
-def test_what_the_shaft_turns_beside_what_the_bus_reports(
+def test_a_fault_changes_the_shafts_turns_or_the_reported_position(
     kind: FaultKind, size: float, turned: float, reported: float
 ) -> None:
     motor = moved(InjectedFault(kind, size))
@@ -96,7 +91,9 @@ def test_a_reversed_motor_runs_away_from_its_home_switch() -> None:
         (FaultKind.FILM_SCALED, 0.5, (0.2, 0.4)),
     ],
 )
-def test_what_the_film_sends(kind: FaultKind, size: float, wanted_n: tuple[float, float]) -> None:
+def test_a_fault_changes_the_films_force(
+    kind: FaultKind, size: float, wanted_n: tuple[float, float]
+) -> None:
     injector = FaultInjector(SCENE.step_m)
     injector.begin(InjectedFault(kind, size), 0)
     assert (injector.film_n(0.4), injector.film_n(0.8)) == wanted_n
@@ -112,17 +109,17 @@ def test_what_the_film_sends(kind: FaultKind, size: float, wanted_n: tuple[float
         (FaultKind.POSITION_FROZEN, 0.0, {0: 1}),
     ],
 )
-def test_when_an_answer_is_sent(kind: FaultKind, size: float, sent: dict[int, int]) -> None:
+def test_answers_are_late_missing_doubled_or_spoilt(
+    kind: FaultKind, size: float, sent: dict[int, int]
+) -> None:
     injector, answer = FaultInjector(SCENE.step_m), bytes(range(9))
     injector.begin(InjectedFault(kind, size), 0)
     injector.queue_answer(answer, 0, header=2)
     found = {ms: injector.due_answers(ms * MS) for ms in range(40)}
     assert {ms: len(answers) for ms, answers in found.items() if answers} == sent
-    for (spoilt,) in [
-        answers for answers in found.values() if kind is FaultKind.GARBAGE and answers
-    ]:
-        assert spoilt[:2] == answer[:2]
-        assert spoilt != answer
+    for data in (data for answers in found.values() for data in answers):
+        assert data[:2] == answer[:2]
+        assert (data != answer) == (kind is FaultKind.GARBAGE)
 
 
 def test_a_fault_begins_when_it_is_begun() -> None:

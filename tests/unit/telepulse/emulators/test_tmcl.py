@@ -39,13 +39,10 @@ def request(command: int, kind: int = 0, motor: int = 0, value: int = 0) -> byte
     return data
 
 
-def test_the_makers_codec_writes_the_same_bytes() -> None:
+def test_replies_to_the_bytes_that_the_makers_codec_writes(module: EmulatedTmclModule) -> None:
     assert request(Command.GET_AXIS, Parameter.ACTUAL_POSITION) == GET_POSITION
     assert request(Command.ROTATE_RIGHT, value=1000) == ROTATE_1000
     assert request(Command.ROTATE_RIGHT, value=-1000) == ROTATE_BACK
-
-
-def test_golden_replies(module: EmulatedTmclModule) -> None:
     assert module.reply(GET_POSITION, 0) == AT_ZERO
     assert module.reply(ROTATE_1000, 0).hex(" ") == "02 01 64 01 00 00 03 e8 53"
     # After 100 ms at 1000 microsteps a second.
@@ -73,11 +70,10 @@ def test_unknown_requests_are_refused(module: EmulatedTmclModule, data: bytes, s
     assert reply.is_checksum_correct()
 
 
-def test_a_request_to_another_module_is_not_answered(module: EmulatedTmclModule) -> None:
+def test_a_search_on_the_side_that_has_no_switch_is_refused_and_another_modules_ignored(
+    module: EmulatedTmclModule,
+) -> None:
     assert module.reply(b"\2" + GET_POSITION[1:-1] + b"\x09", 0) == b""
-
-
-def test_a_search_on_the_side_that_has_no_switch_is_refused(module: EmulatedTmclModule) -> None:
     module.reply(request(Command.SET_AXIS, Parameter.SEARCH_MODE, value=65), 0)
     reply = module.reply(request(Command.REFERENCE_SEARCH, Search.START), 0)
     assert TMCLReply.from_buffer(reply).status == INVALID_VALUE

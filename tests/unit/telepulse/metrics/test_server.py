@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator
 
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from prometheus_client import CollectorRegistry, generate_latest
@@ -90,7 +89,7 @@ def test_figures_without_a_value_are_left_out() -> None:
     found = scraped(families("sensing-node", node_state(Summary(), "streaming"), SECOND_NS))
     names = {name for name, _ in found}
     assert not any("samples" in name or "clock" in name for name in names)
-    # Nothing is felt of a pulse that is not played.
+    # A sensing node plays nothing.
     assert "telepulse_heart_rate_hertz" not in names
 
 
@@ -128,18 +127,13 @@ def test_any_text_is_exported_as_is(stream: str, faults: list[str], causes: dict
     assert got == causes
 
 
-@pytest.mark.parametrize(
-    ("text", "where"),
-    [
-        ("9100", ("127.0.0.1", 9100)),
-        ("0", ("127.0.0.1", 0)),
-        ("192.0.2.7:9100", ("192.0.2.7", 9100)),
-        ("[::1]:9100", ("::1", 9100)),
-        ("localhost:9100", ("localhost", 9100)),
-    ],
-)
-def test_where_metrics_are_served(text: str, where: tuple[str, int]) -> None:
-    assert parse_address(text) == where
+def test_where_metrics_are_served() -> None:
+    assert [parse_address(text) for text in ("9100", "0", "[::1]:9100", "localhost:9100")] == [
+        ("127.0.0.1", 9100),
+        ("127.0.0.1", 0),
+        ("::1", 9100),
+        ("localhost", 9100),
+    ]
 
 
 @given(st.text() | st.integers().map(str) | st.integers().map("host:{}".format))

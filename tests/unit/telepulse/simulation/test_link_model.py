@@ -1,5 +1,5 @@
-"""The model of a link: its scene, each impairment by its statistics over many packets, one a
-millisecond, and messages over TCP, one each 10 ms, 20 ms away: a round trip of 40 ms."""
+"""The link model: its scene, each impairment by its statistics over many packets, one a
+millisecond, and messages over TCP, one each 10 ms over a link of 20 ms."""
 
 import math
 from itertools import groupby
@@ -21,16 +21,12 @@ EVERYTHING = (
 )
 
 
-def test_a_link_is_read_as_people_write_it() -> None:
-    link = parse_link("delay=40ms,jitter=10ms,loss=1%")
-    assert (link.delay_ns, link.jitter_ns, link.loss) == (40_000_000, 10_000_000, 0.01)
+def test_everything_a_link_can_do_is_read_and_written() -> None:
     assert parse_link(" delay = 1 s ") == parse_link("delay=1000ms")
     for text in ("", "delay=40ms,loss=1%", "cut.from=1s,cut.for=1s", EVERYTHING):
         assert parse_link(parse_link(text).text()) == parse_link(text)
-
-
-def test_everything_a_link_can_do_is_read_and_written() -> None:
     link = parse_link(EVERYTHING)
+    assert (link.delay_ns, link.jitter_ns, link.loss) == (40_000_000, 10_000_000, 0.01)
     assert link.burst_loss is not None
     assert (link.burst_loss.share, link.burst_loss.length_ns) == (0.02, 50_000_000)
     assert link.reorder is not None
@@ -77,7 +73,7 @@ def test_a_bad_link_is_one_line_that_says_what(text: str, words: list[str]) -> N
 
 
 def arrivals(text: str, packets: int = PACKETS, seed: int = 1) -> list[int | None]:
-    """When the packet of each millisecond arrives, in ns."""
+    """Return the arrival in ns of the packet of each millisecond."""
     direction = Direction(parse_link(text), seed)
     return [direction.arrival_ns(sent * MS, BYTES) for sent in range(packets)]
 
@@ -90,7 +86,7 @@ def delays_ms(text: str, packets: int = PACKETS) -> np.ndarray:
 
 
 def runs_of_loss(text: str, packets: int = PACKETS) -> list[int]:
-    """How many packets in a row are lost, each time that any are."""
+    """Return the length of each run of lost packets."""
     fates = groupby(arrivals(text, packets), key=lambda arrival: arrival is None)
     return [len(list(run)) for lost, run in fates if lost]
 
@@ -135,7 +131,7 @@ def test_random_loss_has_its_share_and_no_memory() -> None:
 def test_loss_in_bursts_has_its_share_and_its_length(share: float) -> None:
     runs = runs_of_loss(f"burst_loss.share={share},burst_loss.length=20ms", 10 * PACKETS)
     assert sum(runs) / (10 * PACKETS) == pytest.approx(share, rel=0.1)
-    # A burst that falls between two packets is not seen, and what is seen has no memory either.
+    # A burst between two packets loses none; the others have no memory either.
     assert np.mean(runs) == pytest.approx(1 / (1 - math.exp(-1 / 20)), rel=0.1)
 
 
@@ -146,7 +142,7 @@ def test_a_share_of_packets_is_overtaken_by_as_many_as_were_sent_meanwhile() -> 
     assert len(late) / PACKETS == pytest.approx(0.05, rel=0.1)
     place = np.empty(PACKETS, int)
     place[order] = np.arange(PACKETS)
-    # Ten pass it, but for those among them that are late themselves.
+    # Ten packets pass it, except those that are late themselves.
     depth = place[late] - late
     assert depth.max() == 10
     assert depth.mean() == pytest.approx(10 * (1 - 2 * 0.05 * 0.95), rel=0.1)
@@ -193,7 +189,7 @@ def test_bursts_do_not_depend_on_the_traffic() -> None:
     text = "jitter=1ms,burst_loss.share=20%,burst_loss.length=20ms"
     every = [arrival is None for arrival in arrivals(text, 1000)]
     direction = Direction(parse_link(text), 1)
-    # The last first: which is nothing that a link can know of.
+    # In the reverse order.
     some = {sent: direction.arrival_ns(sent * MS, BYTES) is None for sent in range(990, -1, -10)}
     assert some == {sent: every[sent] for sent in range(0, 1000, 10)}
     assert {*some.values()} == {True, False}
@@ -228,7 +224,7 @@ def test_over_tcp_control_does_not_wait_for_data() -> None:
 
 
 def tcp_delays_ms(text: str, messages: int) -> list[float]:
-    """How long each message takes to be read at the other end."""
+    """Return the time from each message to its reading at the other end."""
     stream = TcpStream(Direction(parse_link("delay=20ms," + text), 1))
     sent_ms = range(0, STEP * messages, STEP)
     return [stream.arrival_ns(sent * MS, 100) / MS - sent for sent in sent_ms]
@@ -236,7 +232,8 @@ def tcp_delays_ms(text: str, messages: int) -> list[float]:
 
 def test_one_lost_packet_holds_up_all_that_follow_until_it_is_repeated() -> None:
     delays = tcp_delays_ms("cut.from=200ms,cut.for=2ms", 40)
-    # Alive at 202 ms, and noticed by the next message's acknowledgement a quarter late.
+    # The link is up at 202 ms; the next message's acknowledgement reveals the loss, a quarter of a
+    # round trip late.
     repeated_ms = 202 + STEP + 1.25 * 40
     held = [repeated_ms + 20 - sent for sent in range(200, 262, STEP)]
     assert delays == [20] * 20 + held + [20] * (20 - len(held))
@@ -244,19 +241,19 @@ def test_one_lost_packet_holds_up_all_that_follow_until_it_is_repeated() -> None
 
 def test_in_a_long_cut_the_timeout_doubles_and_all_comes_soon_after_its_end() -> None:
     delays = tcp_delays_ms("cut.from=200ms,cut.for=940ms", 200)
-    # It is tried after 240 ms and 480 ms later; 960 ms later would be too late, as what is sent
-    # after the cut is acknowledged before. If the timeout did not double, it would come sooner.
+    # Retransmitted after 240 ms and 480 ms later. 960 ms later would be too late: a message sent
+    # after the cut is acknowledged before. If the timeout did not double, it would arrive sooner.
     assert delays[20] == 940 + STEP + 50 + 20
-    # The others that were lost come with it, and what follows waits for them.
+    # The others that were lost arrive with it, and the following messages wait for them.
     assert delays[21:119] == [delays[20] - STEP * later for later in range(1, 99)]
     assert delays[160:] == [20] * 40
 
 
-def test_what_waits_for_a_timeout_to_come_through_follows_a_round_trip_later() -> None:
+def test_packets_lost_before_a_retransmission_by_timeout_follow_a_round_trip_later() -> None:
     delays = tcp_delays_ms("cut.from=200ms,cut.for=239ms", 100)
-    # The timeout's repeat at 440 ms is the first that comes through.
+    # The retransmission by timeout at 440 ms is the first to arrive.
     assert delays[20] == 240 + 20
-    # What was lost after it is known to be lost when that is acknowledged.
+    # Its acknowledgement reveals the losses after it.
     assert delays[21] == 240 + 40 + 20 - STEP
     assert delays[22] == delays[21] - STEP
     assert delays[60:] == [20] * 40

@@ -80,7 +80,7 @@ def test_a_refused_message_is_kept_with_its_cause() -> None:
 
 def test_ticks_have_unix_times_as_far_apart_as_they_were() -> None:
     telemetry = HandmadeTelemetry()
-    # The wall's clock is set back later: the recording goes on as it began.
+    # A later change of the wall clock has no effect.
     telemetry.receive()
     telemetry.ahead_ns -= 10**12
     telemetry.receive()
@@ -88,14 +88,8 @@ def test_ticks_have_unix_times_as_far_apart_as_they_were() -> None:
         TickState(NOW_NS + 1, 5, 6, 0.25, 0.125, True), TickState(NOW_NS + 1_000_001)
     )
     assert [entry.t_ns for entry in entries] == [WALL_NS + NOW_NS + 1, WALL_NS + NOW_NS + 1_000_001]
-    assert entries[0].fields == {
-        "now_ns": NOW_NS + 1,
-        "instant_ns": 6,
-        "target_n": 0.25,
-        "felt_n": 0.125,
-        "scored": True,
-        "trusted": False,
-    }
+    named = {"now_ns": NOW_NS + 1, "instant_ns": 6, "target_n": 0.25, "felt_n": 0.125}
+    assert entries[0].fields == {**named, "scored": True, "trusted": False}
 
 
 CUT = Limits(force=Limited(1, 0.004, 0.1), slew=Limited(0, 0.0, 0.0))
@@ -163,7 +157,7 @@ def test_a_revocation_is_one_event_until_it_is_undone() -> None:
     assert texts == [CAUSE_MEANINGS["revoked"], "over after 0.0 s"]
 
 
-def test_what_the_display_published_and_did_not_come_is_counted() -> None:
+def test_published_messages_that_did_not_arrive_are_counted() -> None:
     telemetry = HandmadeTelemetry()
     telemetry.receive((CONTROL, WELCOME))
     telemetry.ticks(TickState())
@@ -181,7 +175,7 @@ def test_what_the_display_published_and_did_not_come_is_counted() -> None:
     assert events(telemetry.receive()) == []
 
 
-def test_what_came_before_the_recorder_is_not_missed_and_another_run_begins_anew() -> None:
+def test_messages_before_the_recorder_are_not_missed_and_another_run_begins_anew() -> None:
     telemetry = HandmadeTelemetry()
     telemetry.capture.traces_published = 1000
     assert telemetry.ticks(TickState()) == []
@@ -200,16 +194,15 @@ def test_foxglove_can_read_every_schema(topic: str) -> None:
 
 
 def test_every_message_fits_its_schema() -> None:
-    telemetry, full = (
-        HandmadeTelemetry(),
-        Summary(samples=SampleCounts(5, 4, 1, 0, 2), compensation=Compensation(0.5)),
-    )
+    telemetry = HandmadeTelemetry()
     entries = [
         *telemetry.receive((CONTROL, WELCOME), (0, encode_frame(numbered_frame(0))), (0, b"?")),
         *telemetry.receive((CONTROL, clock_reply(1, 2))),
         *telemetry.ticks(TickState(1, 2, 3, 0.5, 0.5, True, 0.01, True), TickState(now_ns=2)),
-        *telemetry.status("playing", samples=full.samples, rejected={"session": 1}, faults=["x"]),
-        *telemetry.status("stale", compensation=full.compensation),
+        *telemetry.status(
+            "playing", samples=SampleCounts(5, 4, 1, 0, 2), rejected={"session": 1}, faults=["x"]
+        ),
+        *telemetry.status("stale", compensation=Compensation(0.5)),
     ]
     seen = Counter(entry.topic for entry in entries)
     assert set(seen) == set(SCHEMAS)
@@ -226,7 +219,7 @@ plain = st.recursive(
 summaries = st.dictionaries(st.sampled_from([*Summary().to_dict()]), plain)
 
 
-@settings(max_examples=60)
+@settings(max_examples=25)
 @given(
     st.lists(
         st.tuples(

@@ -14,7 +14,7 @@ STATUS_TICKS = 200
 
 
 class Watched:
-    """A display whose statuses are watched, one each 200 ticks that run."""
+    """A display with an event detector on its statuses, one each 200 ticks."""
 
     def __init__(self) -> None:
         self.display = Display(load_section(RADIAL, "display", DisplayScene), "test")
@@ -25,7 +25,7 @@ class Watched:
         self._ms = 0
 
     def play(self, ticks: int, cut: bool = False) -> None:
-        """Tick; cut: nothing arrives, and what is sent is lost."""
+        """Tick; cut: the samples sent meanwhile are lost."""
         for _ in range(ticks):
             if cut and self._ms % 5 == 0:
                 self._sender.sent += 5
@@ -34,7 +34,7 @@ class Watched:
             self._publish()
 
     def stall(self, ms: int) -> None:
-        """Stand still; what is sent meanwhile comes in at once, before the next tick."""
+        """Stall; the frames sent meanwhile arrive together, before the next tick."""
         for at_ms in range(self._ms, self._ms + ms):
             if at_ms % 5 == 0:
                 self.display.on_frame(self._sender.frame(at_ms * MS, 0.3), at_ms * MS)
@@ -54,7 +54,6 @@ class Watched:
 
 
 def test_interruptions_with_a_short_pulse_between_them_are_both_named() -> None:
-    """By their states alone, the second of 1 s was in no event: no status was "playing" before."""
     watched = Watched()
     watched.play(1_500)
     watched.states.clear()
@@ -63,14 +62,13 @@ def test_interruptions_with_a_short_pulse_between_them_are_both_named() -> None:
         watched.play(1)
     watched.play(20)
     watched.play(1_000, cut=True)
+    # The states of the statuses alone do not show the second interruption.
     assert "playing" not in watched.states
     watched.play(1_500)
     assert len(watched.texts) == 2
-    for text in watched.texts:
-        assert re.fullmatch(
-            r"after \d\.\d\d s without the whole pulse: from \d\.\d\d to \d\.\d\d s of the run",
-            text,
-        )
+    number = r"\d\.\d\d"
+    form = f"after {number} s without the whole pulse: from {number} to {number} s of the run"
+    assert all(re.fullmatch(form, text) for text in watched.texts)
 
 
 def test_a_display_that_stood_still_names_its_interruption_once() -> None:

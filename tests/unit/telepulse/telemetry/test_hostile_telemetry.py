@@ -1,5 +1,5 @@
-"""Whatever a display publishes, every reader of its telemetry goes on, in bounded time and memory,
-and draws what is no figure as a gap."""
+"""Any telemetry leaves every reader of it running, in bounded time and memory, and a force that is
+no number is drawn as a gap."""
 
 import math
 import resource
@@ -116,7 +116,7 @@ messages = st.lists(
 
 @contextmanager
 def little_memory() -> Iterator[None]:
-    """Make a reader that fills the memory fail instead, with a MemoryError."""
+    """Limit the memory, so that a reader which fills it fails with a MemoryError."""
     with open("/proc/self/statm", encoding="ascii") as statm:
         present = int(statm.read().split()[0]) * resource.getpagesize()
     before = resource.getrlimit(resource.RLIMIT_AS)
@@ -128,14 +128,14 @@ def little_memory() -> Iterator[None]:
 
 
 def readers_after(*messages: Message) -> TelemetryReaders:
-    """Every reader, once it has taken these messages."""
+    """Return every reader after these messages."""
     readers = TelemetryReaders()
     for message in messages:
         readers.take(*message)
     return readers
 
 
-@settings(deadline=None, max_examples=60)
+@settings(deadline=None, max_examples=25)
 @given(messages)
 def test_every_reader_survives_any_telemetry(published: list[Message]) -> None:
     with little_memory():
@@ -148,7 +148,7 @@ def pulse_n(tick: int) -> float:
 
 
 def play(readers: TelemetryReaders, ticks: range, felt_n: float | None = None) -> None:
-    """Feel a pulse for so many ms; felt_n: in its place."""
+    """Send the traces of a pulse, a tick each ms; felt_n: the felt force in its place."""
     for first in range(ticks.start, ticks.stop, 20):
         felt = [
             TickState(

@@ -33,7 +33,7 @@ def test_an_unknown_figure_is_a_dash() -> None:
 
 
 def test_figures_have_their_units(display: SimulatedDisplay) -> None:
-    # A display of another host, that runs for an hour and a half less.
+    # The sensing host has run for 5000 s longer than the display's.
     shown = figures(display.live, window_data(display.live, 5 * SECOND_NS))
     assert shown["heart"] == ("75 /min", "of the force felt, last 6 s")
     assert shown["within"] == ("100.0 %", "of the 100.0 % of the last 5 s that could be judged")
@@ -69,14 +69,13 @@ def test_old_figures_have_their_age_and_no_heart_rate(display: SimulatedDisplay)
     assert age(display.live, late) == ""
 
 
-def test_how_long_the_pulse_was_held_at_a_limit_is_a_figure(display: SimulatedDisplay) -> None:
+def test_the_time_at_a_limit_is_a_figure(display: SimulatedDisplay) -> None:
+    data = window_data(display.live, SECOND_NS)
     display.status("playing", limited=asdict(Limits(force=Limited(0, 0.0, 0.0))))
-    assert (
-        figures(display.live, window_data(display.live, SECOND_NS))["at-a-limit"].value == "never"
-    )
+    assert figures(display.live, data)["at-a-limit"].value == "never"
     limits = Limits(force=Limited(312, 4.1, 0.205), slew=Limited(2, 0.2, 0.01))
     display.status("playing", limited=asdict(limits))
-    assert figures(display.live, window_data(display.live, SECOND_NS))["at-a-limit"] == (
+    assert figures(display.live, data)["at-a-limit"] == (
         "4.1 s",
         "force limit 312 times, 4.1 s (20.5 % of the run); slew limit 2 times, 0.2 s"
         " (1.0 % of the run)",
@@ -106,7 +105,7 @@ def test_a_fault_is_shown_with_what_was_measured_at_the_finger_alone(
 
 def test_there_is_no_alarm_while_it_plays(display: SimulatedDisplay) -> None:
     assert names(display) == []
-    # A clock that is further ahead is none of its own.
+    # Nor is a clock that is further ahead a cause.
     display.status("playing", clock=asdict(Clock(AHEAD_NS / MS + 1, 3.0, 0.05, 0.1, 0)))
     assert names(display) == []
 
@@ -122,15 +121,14 @@ def test_a_cut_link_is_an_alarm_until_frames_come_again(display: SimulatedDispla
     assert names(display) == []
 
 
-def test_a_stream_that_has_ended_is_no_cut_link(display: SimulatedDisplay) -> None:
+def test_silence_is_an_alarm_until_the_stream_or_the_display_has_ended(
+    display: SimulatedDisplay,
+) -> None:
+    assert names(display, silent_ns=3 * SECOND_NS) == ["no telemetry"]
     display.event("end of stream", "4000 samples were sent")
     display.linked = False
     display.go(3, "ended")
     assert names(display) == []
-
-
-def test_a_display_that_falls_silent_is_an_alarm(display: SimulatedDisplay) -> None:
-    assert names(display, silent_ns=3 * SECOND_NS) == ["no telemetry"]
     display.status("ended", final=True)
     assert names(display, silent_ns=3 * SECOND_NS) == []
 
