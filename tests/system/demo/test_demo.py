@@ -40,7 +40,7 @@ def test_the_demo_carries_the_pulse_and_accounts_for_every_sample(tmp_path: Path
     samples = summary["samples"]
     assert_accounted(samples)
     assert samples["sent"] + samples["before_joining"] == 4000
-    # Far above the 0.3 mN of a quiet machine: a busy one holds up the loop.
+    # Far above the 0.3 mN of a quiet machine, since a busy one holds up the loop.
     assert summary["within_jnd"] > 0.9
     assert summary["force_rmse_n"]["aligned"] < 20e-3
     assert "sent =" in result.stdout
@@ -64,7 +64,7 @@ def test_a_demo_whose_display_latches_a_fault_names_it_and_ends_with_status_3(
     tmp_path: Path,
 ) -> None:
     scene, out = tmp_path / "noisy.toml", tmp_path / "out.json"
-    # The film's noise is read as more force than may be felt.
+    # The film's noise exceeds the overforce threshold.
     text = RADIAL.read_text(encoding="utf-8").replace(
         'force_limit = "2.5 N"', 'force_limit = "0.1 N"\noverforce = 1'
     )
@@ -83,7 +83,7 @@ def test_a_demo_whose_display_latches_a_fault_names_it_and_ends_with_status_3(
 
 def test_the_demo_scores_against_the_pulse_before_the_sensing_chain(tmp_path: Path) -> None:
     scene, out = tmp_path / "clipping.toml", tmp_path / "out.json"
-    # 10 mV are 0.227 N at Fig. 4's sensitivity, and no sample of the stream is above.
+    # 10 mV are 0.227 N at Fig. 4's sensitivity: no sample of the stream is above.
     chain = '[sensing.conditioning]\nadc_bits = 16\nadc_range = "10 mV"\n\n'
     text = RADIAL.read_text(encoding="utf-8")
     scene.write_text(text.replace("[sensing.layer]", chain + "[sensing.layer]"), "utf-8")
@@ -134,7 +134,7 @@ def test_the_first_line_says_where_the_page_is_and_ctrl_c_ends_the_pulse_and_sum
     assert_accounted(read_json(out)["samples"])
 
 
-def test_without_bokeh_the_demo_says_how_to_get_the_page_and_goes_on() -> None:
+def test_without_bokeh_the_demo_names_the_extra_and_continues_unless_a_page_is_required() -> None:
     code = "import sys; sys.modules['bokeh'] = None; import telepulse.cli.main as c; c.main()"
     for page, status in ((), 0), (("--page",), 2):
         result = run_python("-c", code, "demo", "--seconds", "1", *page)
@@ -148,7 +148,7 @@ def read_or_end(descriptor: int) -> bytes:
     try:
         return os.read(descriptor, 65_536)
     except OSError:
-        # Linux ends a pseudo-terminal this way when its last writer has gone.
+        # Linux reports the end of a pseudo-terminal's last writer as an error.
         return b""
 
 

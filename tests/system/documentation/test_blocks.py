@@ -20,15 +20,15 @@ from tests.support.nodes import ROOT, run_python
 
 BLOCKS = list(blocks())
 SECTIONS = {"sensing": SensingScene, "display": DisplayScene, "link": LinkScene}
-# Neither runnable nor readable: bytes, output, files of other programs.
+# Neither commands nor data of ours: bytes, output, files of other programs.
 SHOWN = {
     ("docs/wire.md", "[1, session, first_sample"),
     ("docs/fuzzing.md", "frame "),
     ("docs/realtime.md", "USER - rtprio"),
     ("docs/discovery.md", "looking for a sensing node"),
 }
-# Code that cannot run here, by its first words: it is only parsed.
-UNRUN = {"with emulate(": "needs root and iperf3; tests/telepulse/emulator"}
+# First words of code that needs root and iperf3; tests/system/links runs it.
+UNRUN = ("with emulate(",)
 # Its snippets read the output of its commands: `doc_output.py` runs them after those.
 READS = "docs/analysis.md"
 # Values of snippets that would take too long in a test.
@@ -56,7 +56,7 @@ def tables(text: str) -> list[dict[str, Any]]:
 
 
 def kind(block: Block) -> str:
-    """Return the kind of a block. Raises where it is none that these tests know."""
+    """Return the kind of a block. Raises for an unknown kind."""
     if block.is_shell:
         return "shell"
     if block.language.startswith(("{", "text", "promql")):
@@ -105,7 +105,7 @@ def merged(below: dict[str, Any], above: dict[str, Any]) -> dict[str, Any]:
 
 @pytest.mark.parametrize("block", snippets(), ids=lambda block: block.place)
 def test_a_snippet_runs_and_prints_what_the_page_shows(block: Block, tmp_path: Path) -> None:
-    if any(block.text.startswith(words) for words in UNRUN):
+    if block.text.startswith(UNRUN):
         return
     text = block.text
     for long, short in SHORTER.items():

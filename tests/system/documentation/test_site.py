@@ -12,18 +12,12 @@ from tests.support.nodes import ROOT, run_python
 from tests.unit.documentation.test_docs import keys
 
 # Fetched by the browser itself; other links may lead anywhere.
-FETCHED = {
-    ("script", "src"),
-    ("img", "src"),
-    ("iframe", "src"),
-    ("source", "src"),
-    ("link", "href"),
-}
+FETCHED = {*((tag, "src") for tag in ("script", "img", "iframe", "source")), ("link", "href")}
 NOT_FETCHED = {"canonical", "next", "prev", "search", "index", "author"}
 
 
 class Fetches(HTMLParser):
-    """The addresses that a page makes a browser fetch."""
+    """Parser of the addresses that a page makes a browser fetch."""
 
     def __init__(self) -> None:
         super().__init__()

@@ -36,12 +36,10 @@ def test_offset_within_1_ms_after_5_s_though_the_clock_is_200_ppm_fast() -> None
         open_source(section, path.parent) as source,
     ):
         address = f"tcp://{link.sensing.address}:5555"
+        description = describe_stream(section, source)
         with link.sensing.entered():
             node = SensingNode(
-                source,
-                describe_stream(section, source),
-                address,
-                clock=lambda: shown_ns(time.monotonic_ns()),
+                source, description, address, clock=lambda: shown_ns(time.monotonic_ns())
             )
         thread = threading.Thread(target=node.run)
         # ZeroMQ's threads connect, so the context begins within the namespace.
@@ -64,8 +62,8 @@ def test_offset_within_1_ms_after_5_s_though_the_clock_is_200_ppm_fast() -> None
 
 
 def follow(control: sockets.Socket, data: sockets.Socket) -> tuple[Receiver, list[tuple[int, int]]]:
-    """A receiver after some seconds; from the fifth on, local times and what it took for the
-    remote ones."""
+    """Return a receiver after 8 s; from the fifth on, local times and its estimates of the remote
+    ones."""
     receiver = Receiver("clock", channel=0, late_target=0.01)
     began_ns: int | None = None
     seen: list[tuple[int, int]] = []

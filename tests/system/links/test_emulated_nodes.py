@@ -13,7 +13,7 @@ SECONDS = 10
 
 
 def balance(outcome: NodesOutcome) -> None:
-    """Both accounts name each sample once, and TCP has lost none."""
+    """Check that both accounts have each sample once, and that TCP has lost none."""
     samples = outcome.display.samples
     sent, before_joining = known(samples.sent), known(samples.before_joining)
     assert sent == known(samples.played) + known(samples.late)
@@ -26,7 +26,7 @@ def balance(outcome: NodesOutcome) -> None:
 
 
 def play(folder: Path, paths: int) -> NodesOutcome:
-    """The default scene in frames of 10 ms."""
+    """Run the default scene with frames of 10 ms."""
     scene = folder / f"{paths}.toml"
     text = RADIAL.read_text(encoding="utf-8").replace('batch = "5 ms"', 'batch = "10 ms"')
     assert 'batch = "10 ms"' in text
@@ -35,7 +35,7 @@ def play(folder: Path, paths: int) -> NodesOutcome:
 
 
 @needs_emulator
-def test_what_three_connections_lose_is_held_up_in_none(tmp_path: Path) -> None:
+def test_over_three_connections_a_lost_packet_delays_no_frame(tmp_path: Path) -> None:
     with ThreadPoolExecutor() as pool:
         single, triple = pool.map(lambda paths: play(tmp_path, paths), (1, 3))
     for outcome in (single, triple):

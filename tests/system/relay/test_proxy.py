@@ -30,7 +30,6 @@ class Ends:
         self.proxy = Proxy(context, sockets.bind(context, zmq.ROUTER, outer), upstream)
 
     def begin(self) -> None:
-        """Start both the sensing node and the proxy."""
         self.sensing.bind(self.inner)
         self.proxy.start()
 
@@ -76,10 +75,10 @@ def test_a_message_between_two_runs_waits(ends: Ends) -> None:
     assert ends.display.recv() == b"answer"
 
 
-def test_a_flood_that_finds_no_sensing_node_neither_holds_it_up_nor_garbles_what_follows(
+def test_a_flood_without_a_sensing_node_neither_blocks_it_nor_garbles_later_messages(
     ends: Ends, context: Context
 ) -> None:
-    # ZeroMQ's proxy looks for room once in a burst of a thousand: the first of them has gone.
+    # ZeroMQ's proxy looks for room once in a burst of a thousand messages, of which one is sent.
     ends.proxy.start()
     ends.display.send(b"question")
     count_until(ends.proxy, lambda: ends.proxy.requests == 2)  # an address, a text

@@ -80,7 +80,7 @@ def test_two_relays_feed_a_display_each_and_every_sample_is_accounted_for(
         ("--bind", "tcp://127.0.0.1:70000"),
     ],
 )
-def test_what_cannot_be_used_is_one_line(
+def test_an_address_that_cannot_be_used_is_refused_in_one_line(
     option: str, address: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     local = ("--connect", "tcp://127.0.0.1:5555", "--bind", "tcp://127.0.0.1:5655")

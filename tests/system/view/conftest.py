@@ -25,7 +25,7 @@ def browser() -> Iterator[Any]:
 
 @pytest.fixture
 def visit(browser: Any) -> Iterator[Callable[..., Any]]:
-    """Opens a page; the test fails where one asks another host or complains."""
+    """Provide a function that opens a page; the test fails on errors or requests elsewhere."""
     visit = Visit(browser)
     yield visit
     assert visit.wrong == []

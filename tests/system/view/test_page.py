@@ -11,12 +11,13 @@ from typing import Any
 
 import pytest
 
+from telepulse.processes import free_addresses
 from tests.support.browser import Page, Visit
-from tests.support.nodes import RADIAL, free_address, start
+from tests.support.nodes import RADIAL, start
 from tests.support.waiting import PATIENCE_S, until
 
 MODULE = "telepulse"
-# Where to put the pictures of the documentation: TELEPULSE_SCREENSHOTS=docs/images
+# Folder for the pictures of the documentation: TELEPULSE_SCREENSHOTS=docs/images
 PICTURES = os.environ.get("TELEPULSE_SCREENSHOTS")
 # For them the nodes have a priority: the browser draws in software, on the same processors.
 REALTIME = ("--realtime", "fifo=40,slack") if PICTURES else ()
@@ -26,7 +27,7 @@ DRAWN = f"JSON.stringify([...{CURVES}.finger_y])"
 STYLE = "getComputedStyle(document.querySelector('.drawn'))"
 COLOUR_OF_STATE = "getComputedStyle(document.getElementById('state')).color"
 SPAN = "-Bokeh.documents[0].get_model_by_name('force').x_range.start"
-# Of two colours, as WCAG 2 defines it.
+# Contrast of two colours by WCAG 2.
 CONTRAST = """(selector) => {
   const light = (colour) => {
     const [r, g, b] = colour.match(/[\\d.]+/g).map((part) => {
@@ -47,12 +48,12 @@ class Bench:
     """Both nodes, a link between them and the page, each a process that can be ended."""
 
     def __init__(self) -> None:
-        self._sensing, self._display, self._telemetry = (free_address() for _ in range(3))
+        self._sensing, self._display, self._telemetry = free_addresses(3)
         self._running: dict[str, Any] = {}
         view = self._run("view", MODULE, "view", self._telemetry)
         self.url = view.read_line(3 * PATIENCE_S).removeprefix("page: ")
-        arguments = ("--bind", self._sensing, "--quiet", *REALTIME)
-        self._run("sensing", "sensing_node.cli", str(RADIAL), *arguments)
+        arguments = (str(RADIAL), "--bind", self._sensing, "--quiet", *REALTIME)
+        self._run("sensing", "sensing_node.cli", *arguments)
         self.join()
         self.play()
 
@@ -63,16 +64,13 @@ class Bench:
     def join(self) -> None:
         self._run("link", MODULE, "link", "--connect", self._sensing, "--bind", self._display)
 
-    def cut(self) -> None:
-        self.end("link")
-
     def play(self) -> None:
         arguments = ("--connect", self._display, "--telemetry", self._telemetry, "--quiet")
         self._run("display", "display_node.cli", str(RADIAL), *arguments, *REALTIME)
 
     @contextmanager
     def still(self, name: str) -> Iterator[None]:
-        """Let a process stand still meanwhile."""
+        """Stop a process for the time of the `with`."""
         self._running[name].send_signal(signal.SIGSTOP)
         try:
             yield
@@ -129,9 +127,9 @@ def test_the_page_moves_and_shows_what_is_felt(bench: Bench, visit: Visit) -> No
         until(lambda: plot.screenshot() != before)
         assert text_of(page, "stream") == "radial pulse"
         assert text_of(page, "predictor") == "linear"
-        # On a busy machine a tick or two may be bounded.
+        # On a busy machine a tick or two may be limited.
         assert re.fullmatch(r"never|0\.\d s", text_of(page, "at-a-limit"))
-        # 75 of the scene, where the loop is not held up.
+        # The scene's 75, unless the loop is held up.
         assert 40 < float(text_of(page, "heart").removesuffix(" /min")) < 150
         if PICTURES:
             page.wait_for_timeout(10_000)
@@ -144,7 +142,6 @@ def text_of(page: Page, id: str) -> str:
 
 
 def stands_still(page: Page, ms: int) -> bool:
-    """Return whether the picture is the same after a while."""
     before = page.evaluate(DRAWN)
     page.wait_for_timeout(ms)
     return bool(page.evaluate(DRAWN) == before)
@@ -152,7 +149,7 @@ def stands_still(page: Page, ms: int) -> bool:
 
 def test_a_cut_link_is_an_alarm_that_goes_again(bench: Bench, page: Page) -> None:
     assert page.locator("#alarms").get_attribute("aria-live") == "assertive"
-    bench.cut()
+    bench.end("link")
     page.locator("#alarms", has_text="link cut").wait_for()
     await_state(page, "stale")
     page.wait_for_function("document.getElementById('heart').textContent === '–'")
@@ -193,7 +190,7 @@ def test_everything_is_reached_by_keyboard(page: Page) -> None:
     page.keyboard.press("Space")
     pause = page.locator("#pause")
     assert pause.get_attribute("aria-pressed") == "true"
-    # What is under way when it is pressed still comes.
+    # An update that is under way when it is pressed still arrives.
     until(lambda: stands_still(page, 500))
     assert stands_still(page, 1_500)
     page.keyboard.press("Enter")

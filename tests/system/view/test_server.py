@@ -29,12 +29,12 @@ from telepulse.view.server import PageServer
 from tests.support.browser import Visit
 from tests.support.nodes import free_address
 from tests.support.telemetry_publisher import publishing
-from tests.support.waiting import until
+from tests.support.waiting import PATIENCE_S, until
 
 
 @contextmanager
 def serving(telemetry: str) -> Iterator[PageServer]:
-    """A page's server on a loop of its own."""
+    """Run a page's server in a thread."""
     made: list[PageServer] = []
 
     def serve() -> None:
@@ -69,12 +69,11 @@ def test_several_viewers_are_counted_until_they_leave(pull_session: Any) -> None
         until(lambda: page.viewers == 0)
 
 
-PATIENCE_S = 20.0
 PATHS = ("/", "/autoload.js?bokeh-autoload-element=1", "/metadata", "/static/js/bokeh.min.js")
 
 
 def get(page: PageServer, path: str, **headers: str) -> tuple[int, str]:
-    """Status and body of a request, under the page's own name unless headers name another."""
+    """Return status and body of a request, under the page's own name unless headers differ."""
     connection = HTTPConnection("127.0.0.1", urlsplit(page.url).port, timeout=PATIENCE_S)
     with closing(connection):
         connection.request("GET", path, headers=headers)
@@ -83,7 +82,7 @@ def get(page: PageServer, path: str, **headers: str) -> tuple[int, str]:
 
 
 def websocket(page: PageServer, token: str, **headers: str) -> tuple[str, socket.socket]:
-    """The status line of a request for the page's websocket, and its connection."""
+    """Return the status line of a request for the page's websocket, and its connection."""
     own = urlsplit(page.url).netloc
     lines = {
         "Host": own,
@@ -100,7 +99,7 @@ def websocket(page: PageServer, token: str, **headers: str) -> tuple[str, socket
 
 
 def token_of(page: PageServer) -> str:
-    """Open the page; what its websocket needs."""
+    """Open the page and return the token that its websocket needs."""
     status, body = get(page, "/")
     assert status == 200, body
     found = re.search(r'"token":\s*"([^"]+)"', body)
@@ -111,7 +110,7 @@ def token_of(page: PageServer) -> str:
 def test_another_site_is_served_neither_page_nor_pulse(logged: list[str]) -> None:
     with serving(free_address()) as page:
         port = urlsplit(page.url).port
-        # The name of another site that was made to resolve to this machine.
+        # The name of another site that resolves to this machine.
         evil = f"evil.example:{port}"
         for headers in ({"Host": evil}, {"Host": evil, "Origin": f"http://{evil}"}):
             for path in PATHS:
@@ -159,10 +158,10 @@ def test_pages_that_are_opened_again_and_again_wait(monkeypatch: pytest.MonkeyPa
     assert statuses.count(503) >= server.MAX_VIEWERS
 
 
-def test_telemetry_that_has_queued_is_as_old_as_it_is(
+def test_telemetry_that_has_queued_is_shown_with_its_age(
     pull_session: Any, context: Context, address: str
 ) -> None:
-    """A page that could not read for 5 s showed what had queued as "playing"."""
+    """Regression test: a page showed telemetry that had queued for 5 s as current."""
     display = context.socket(zmq.XPUB)
     display.bind(address)
     with serving(address) as page:
@@ -203,7 +202,7 @@ def test_a_fault_is_named_once_with_what_to_do_and_what_is_measured(
         note = page.locator("#state-note")
 
         def shown() -> bool:
-            """Publish on, as a display does: what is not current has its age instead."""
+            """Publish on, as a display does: an old status is shown with its age instead."""
             for _ in range(20):
                 publisher.tick()
             publisher.status("fault", Summary(faults=[FAULT], finger=FINGER))
