@@ -21,7 +21,7 @@ from display_node.drives import build_drive
 from display_node.drives.axis import build_axis
 from display_node.drives.cia402.drive import Cia402Drive
 from display_node.drives.cia402.node import Cia402Node
-from display_node.drives.cia402.state_machine import Control, Mode
+from display_node.drives.cia402.state_machine import Controlword, Mode
 from display_node.drives.drive import Drive
 from display_node.drives.scene import Cia402Scene, TmclScene
 from display_node.drives.tmcl.line import TmclLine
@@ -111,7 +111,7 @@ def pdos_to_nobody() -> Iterator[dict[str, Call]]:
 
         def tell(cyclic: bool) -> None:
             node.mode = Mode.CYCLIC_VELOCITY if cyclic else Mode.PROFILE_VELOCITY
-            node.command(Control.ENABLE, 1_000)
+            node.command(Controlword.ENABLE, 1_000)
 
         yield {
             "PDO by python-can alone": lambda: bare.send(frame),

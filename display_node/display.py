@@ -20,7 +20,7 @@ from protocol.counters import AvailabilityCounter, InterruptionCounter, LimitCou
 from protocol.run_summary import Summary
 from protocol.summary_tables import Loop, TickTime
 from protocol.tactile import matching_force_ratio
-from protocol.wire.messages import Control, DisplayReport
+from protocol.wire.messages import ControlMessage, DisplayReport
 from protocol.wire.telemetry import PlaybackStatus, TickState, pack_status
 
 REPORT_EVERY_NS = 1_000_000_000
@@ -122,7 +122,7 @@ class Display:
             # "auto" adds this delay for the loop: up to the sample after the end of its horizon.
             self._reserve_ns = self._reach_ns + description.period_ns
 
-    def requests(self, now_ns: int) -> list[Control]:
+    def requests(self, now_ns: int) -> list[ControlMessage]:
         """Return the requests and reports to send to the sensing node now."""
         wanted = self.receiver.requests(now_ns)
         if now_ns >= self._next_report_ns and self.receiver.session is not None:

@@ -10,7 +10,7 @@ from protocol.wire.messages import (
     Bye,
     ClockReply,
     ClockRequest,
-    Control,
+    ControlMessage,
     Frame,
     Welcome,
     encode_control,
@@ -90,7 +90,7 @@ class StreamPlay:
         self._check()
         return taken
 
-    def _hear(self, message: Control) -> None:
+    def _hear(self, message: ControlMessage) -> None:
         receiver = self.receiver
         waiting, resets = receiver.buffer.waiting, receiver.resets
         self._said += 1

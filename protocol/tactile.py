@@ -72,22 +72,38 @@ class ElasticLayer:
         return pressed / self.thickness_m / self.contact_length_m
 
     def strain(self, force_n: Floats) -> Floats:
-        """On-axis strain εz at depth d under a force in N: h1 and h2 of eqs 17-20."""
+        """Return the on-axis strain εz at depth d under a force in N: h1 and h2 of eqs 17-20."""
         return force_n * self.strain_per_newton
 
     def force(self, strain: Floats) -> Floats:
-        """Force in N that makes an on-axis strain εz: the inverse of eqs 17-20."""
+        """Return the force in N that makes an on-axis strain εz: the inverse of eqs 17-20."""
         return strain / self.strain_per_newton
 
 
 def half_space_stress(
     line_load_n_per_m: float, x_m: NDArray[np.float64], z_m: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Stress field (σx, σz) in Pa of a line load on a half-space in plane strain (eqs 9-12).
+    """Return the stress field of a line load on a half-space in plane strain (eqs 9-12).
 
-    x_m along the surface, z_m depth above 0; the two broadcast. The printed equations drop the
-    powers; this is the standard (Flamant) solution, which gives eqs 11-12 on the axis.
-    Raises ValueError for a depth that is not above 0.
+    The printed equations drop the powers; this is the standard (Flamant) solution, which gives
+    eqs 11-12 on the axis.
+
+    Parameters
+    ----------
+    line_load_n_per_m : float
+        Load in N per m of its length; positive presses.
+    x_m, z_m : ndarray
+        Positions in m along the surface, and depths in m, above 0. The shapes broadcast.
+
+    Returns
+    -------
+    σx_pa, σz_pa : ndarray
+        Stresses in Pa along the surface and in depth, of the broadcast shape.
+
+    Raises
+    ------
+    ValueError
+        If a depth is not above 0.
     """
     if not np.all(z_m > 0):
         raise ValueError("z_m must be above 0: the stress is singular at the load itself")
@@ -98,7 +114,7 @@ def half_space_stress(
 
 
 def matching_force_ratio(sensing: ElasticLayer, display: ElasticLayer) -> float:
-    """Force at the finger per force at the wrist that makes both strains equal (eqs 17-20)."""
+    """Return the ratio of finger to wrist force that makes both strains equal (eqs 17-20)."""
     return sensing.strain_per_newton / display.strain_per_newton
 
 
@@ -125,11 +141,11 @@ class Calibration:
             raise ValueError(f"offset_volts is {self.offset_volts}; it must be finite")
 
     def volts(self, force_n: Floats) -> Floats:
-        """Voltage in V under a force in N."""
+        """Return the voltage in V under a force in N."""
         return force_n * self.volts_per_newton + self.offset_volts
 
     def newtons(self, volts: Floats) -> Floats:
-        """Force in N that makes a voltage in V."""
+        """Return the force in N that makes a voltage in V."""
         return (volts - self.offset_volts) / self.volts_per_newton
 
 

@@ -9,7 +9,7 @@ from protocol.wire.messages import (
     Bye,
     ClockReply,
     ClockRequest,
-    Control,
+    ControlMessage,
     DisplayReport,
     Hello,
     Welcome,
@@ -104,7 +104,9 @@ class ControlServer:
         """True when every display has confirmed the whole stream."""
         return all(client.confirmed for client in self.clients.values())
 
-    def answer(self, sender: Sender, data: bytes, now_ns: int, samples_sent: int) -> Control | None:
+    def answer(
+        self, sender: Sender, data: bytes, now_ns: int, samples_sent: int
+    ) -> ControlMessage | None:
         """Return the reply to a message of `sender`, if one is due; count an invalid one."""
         try:
             if not 1 <= len(sender) <= MAX_HOPS:
@@ -136,7 +138,7 @@ class ControlServer:
         silent = [k for k, c in self.clients.items() if now_ns - c.seen_ns > FORGET_AFTER_NS]
         return [self.clients.pop(sender) for sender in silent]
 
-    def _client(self, sender: Sender, message: Control, now_ns: int) -> Client:
+    def _client(self, sender: Sender, message: ControlMessage, now_ns: int) -> Client:
         """Return the display that sent a message. Raises WireError.
 
         A display that was forgotten, or has reconnected, continues without a new hello, and must

@@ -120,7 +120,7 @@ class Proxy:
 
 
 class FrameForwarder:
-    """Passes frames on from a data path to a bound XPUB socket.
+    """Forwarder of frames from a data path to a bound XPUB socket.
 
     The relay subscribes to the path while at least one display is subscribed. Like a display, it
     opens a second connection beside a silent one.
@@ -178,7 +178,7 @@ class FrameForwarder:
 
 
 class UnansweredDetector:
-    """Detects a dead connection from the counts of requests and of received messages. Pure.
+    """Detector of a dead connection from the counts of requests and of received messages. Pure.
 
     timeout_ns: longest time from a request to the next received message. after_first_message:
     report nothing before a first message was received.
@@ -212,7 +212,7 @@ class UnansweredDetector:
 
 
 class Relay:
-    """Passes one stream on, and the control messages between its displays and its sensing node.
+    """Relay of one stream, and of the control messages between its displays and sensing node.
 
     Control messages are not decoded. The first display that subscribes makes the relay subscribe
     to the frames, once for all displays. A display that reads too slowly loses the newest frames,

@@ -96,7 +96,7 @@ class DriveStatus:
 
 
 class Supervisor:
-    """Bounds the speed of one drive, latches its first fault and withdraws its tip.
+    """Supervision of one drive: bounds its speed, latches its first fault and withdraws its tip.
 
     Attributes
     ----------

@@ -141,7 +141,7 @@ REACTION_S = 10e-3
 
 
 class RisingForce:
-    """Predicts a felt force above the fault's bound early enough to reverse the motor.
+    """Prediction of a felt force above the fault's bound early enough to reverse the motor.
 
     The loop's own commands rise no faster than the slew limit, and stop at the force limit. A
     faster rise comes from a drive that moves further than commanded.

@@ -126,9 +126,9 @@ class Receiver:
         self._hello_due = True
         self._next_hello_ns = 0
 
-    def requests(self, now_ns: int) -> list[wire.Control]:
+    def requests(self, now_ns: int) -> list[wire.ControlMessage]:
         """Return the messages to send to the sensing node now: hello, clock request, final bye."""
-        wanted: list[wire.Control] = []
+        wanted: list[wire.ControlMessage] = []
         silent = self.silent(now_ns)
         lost = self.session is None or silent or self._hello_due
         if lost and now_ns >= self._next_hello_ns:
@@ -216,7 +216,7 @@ class Receiver:
         self.ready = self.ready or self.delay.settled
         self.one_way_delay_ms.add((sensing_now_ns - last_ns) * 1e-6)
 
-    def _take(self, message: wire.Control, now_ns: int) -> None:
+    def _take(self, message: wire.ControlMessage, now_ns: int) -> None:
         match message:
             case wire.Welcome(session=session, description=description):
                 self._received_ns = now_ns

@@ -37,7 +37,7 @@ _LOOK_EVERY_S = 0.02
 
 
 class LineFormatter(logging.Formatter):
-    """Format a record as one line of printable characters."""
+    """Formatter of a record as one line of printable characters."""
 
     def format(self, record: logging.LogRecord) -> str:
         """Return `HH:MM:SS.mmm LEVEL message` in local time; control characters are escaped."""
@@ -57,7 +57,7 @@ class LineFormatter(logging.Formatter):
 
 
 class StderrHandler(logging.Handler):
-    """Write records to the present `sys.stderr`."""
+    """Handler that writes records to the present `sys.stderr`."""
 
     def emit(self, record: logging.LogRecord) -> None:
         """Write one line; errors, for example of a reader that has gone, are ignored."""

@@ -159,10 +159,10 @@ class DisplayReport(NamedTuple):
     force_rmse_n: float
 
 
-Control = Hello | Welcome | Bye | ClockRequest | ClockReply | DisplayReport
+ControlMessage = Hello | Welcome | Bye | ClockRequest | ClockReply | DisplayReport
 
 # Class and fields of each kind: types, or ranges of an int. The type float admits int and NaN.
-_KINDS: dict[str, tuple[type[Control], tuple[type | range, ...]]] = {
+_KINDS: dict[str, tuple[type[ControlMessage], tuple[type | range, ...]]] = {
     "hello": (Hello, (str,)),
     "welcome": (Welcome, (_SESSION, _COUNT, dict)),
     "bye": (Bye, (_SESSION, _COUNT)),
@@ -173,7 +173,7 @@ _KINDS: dict[str, tuple[type[Control], tuple[type | range, ...]]] = {
 _NAMES = {kind: name for name, (kind, _) in _KINDS.items()}
 
 
-def encode_control(message: Control) -> bytes:
+def encode_control(message: ControlMessage) -> bytes:
     """Encode a control message."""
     name = _NAMES[type(message)]
     if isinstance(message, Welcome):
@@ -181,7 +181,7 @@ def encode_control(message: Control) -> bytes:
     return _pack([VERSION, name, *message])
 
 
-def decode_control(data: bytes) -> Control:
+def decode_control(data: bytes) -> ControlMessage:
     """Decode a control message. Raises WireError, also with the cause "description"."""
     fields = _unpack(data)
     name = fields[1] if len(fields) > 1 else None

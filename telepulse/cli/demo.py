@@ -220,7 +220,7 @@ def _open_page(
 
 
 class _Scorer:
-    """Compares the pulse that the sensing node sends with the force that the display reports."""
+    """Comparison of the pulse that is sent with the force that the display reports."""
 
     def __init__(self, scene: Scene, truth: ReferenceForce, data: sockets.Socket) -> None:
         data.subscribe(b"")

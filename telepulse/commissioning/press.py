@@ -51,7 +51,7 @@ class PressPhase(NamedTuple):
 
 @dataclass(slots=True)
 class PressRecorder:
-    """Drives a rig and records its outputs and readings.
+    """Recorder of a rig's outputs and readings while it is driven.
 
     A reading above max_n, or no reading for max_silent_s, withdraws the rig and raises BenchError.
     A press sets its phases: still, the ramp of a stepper up and down, and the staircase.

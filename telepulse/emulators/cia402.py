@@ -22,7 +22,7 @@ from display_node.drives.cia402.state_machine import (
     HOMING_ERROR,
     NEGATIVE_SWITCH,
     POSITIVE_SWITCH,
-    Control,
+    Controlword,
     Mode,
     State,
 )
@@ -46,13 +46,13 @@ _OBJECTS = {
 _IDENTIFIER = struct.Struct(">H")
 # State after a controlword.
 _TRANSITIONS: dict[tuple[State, int], State] = {
-    (State.SWITCH_ON_DISABLED, Control.SHUTDOWN): State.READY,
-    (State.READY, Control.SWITCH_ON): State.SWITCHED_ON,
-    (State.READY, Control.ENABLE): State.ENABLED,
-    (State.SWITCHED_ON, Control.ENABLE): State.ENABLED,
-    (State.SWITCHED_ON, Control.SHUTDOWN): State.READY,
-    (State.ENABLED, Control.SHUTDOWN): State.READY,
-    (State.ENABLED, Control.SWITCH_ON): State.SWITCHED_ON,
+    (State.SWITCH_ON_DISABLED, Controlword.SHUTDOWN): State.READY,
+    (State.READY, Controlword.SWITCH_ON): State.SWITCHED_ON,
+    (State.READY, Controlword.ENABLE): State.ENABLED,
+    (State.SWITCHED_ON, Controlword.ENABLE): State.ENABLED,
+    (State.SWITCHED_ON, Controlword.SHUTDOWN): State.READY,
+    (State.ENABLED, Controlword.SHUTDOWN): State.READY,
+    (State.ENABLED, Controlword.SWITCH_ON): State.SWITCHED_ON,
 }
 VOLTAGE_ENABLED = 0x10
 ERROR_CODES = {"overtemperature": 0x4310, "following error": 0x8611, "stall": 0x7121}
@@ -143,7 +143,7 @@ class EmulatedCia402Drive:
         before, self._control = self._control, word
         rising = word & ~before
         if self.state is State.FAULT:
-            if rising & Control.RESET_FAULT:
+            if rising & Controlword.RESET_FAULT:
                 self._motor.reset()
                 self.error_code = 0
                 self.state = State.SWITCH_ON_DISABLED
@@ -158,7 +158,7 @@ class EmulatedCia402Drive:
         if self.state is not State.ENABLED:
             self._motor.run(0.0)
         elif self.mode == Mode.HOMING:
-            if rising & (Control.START_HOMING ^ Control.ENABLE):
+            if rising & (Controlword.START_HOMING ^ Controlword.ENABLE):
                 self._home()
         elif self.mode in self._modes:
             self._motor.run(self._direction * velocity / self._scene.velocity_scale)
@@ -205,7 +205,7 @@ class _FaultyNetwork(canopen.Network):
 
 
 class EmulatedCia402Node:
-    """Answers SDOs, takes RPDOs, and sends TPDOs when `poll` is called.
+    """Node that answers SDOs, takes RPDOs, and sends TPDOs when `poll` is called.
 
     silent: the node receives everything and sends nothing, as one with a broken transmitter.
     """

@@ -26,7 +26,7 @@ MOTOR_FAULTS: dict[str, MotorFault] = {
 
 
 class EmulatedFilm:
-    """Sends the force under the finger, in float32 newtons at 1 kHz, four samples in a frame.
+    """Film that sends the finger's force in float32 newtons at 1 kHz, four samples in a frame.
 
     Raises SourceError without the cobs package.
     """

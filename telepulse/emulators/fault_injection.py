@@ -81,7 +81,7 @@ def parse_fault(kind: FaultKind, size: str | None) -> InjectedFault:
 
 
 class FaultInjector:
-    """Applies one fault between a motor with steps of step_m, its bus and the film."""
+    """Injector of one fault between a motor with steps of step_m, its bus and the film."""
 
     def __init__(self, step_m: float, seed: int = 1) -> None:
         self._step_m, self._random = step_m, random.Random(seed)

@@ -62,7 +62,7 @@ class BoardBehaviour:
 
 
 class SensorBoard:
-    """Sends the samples of a source as a board would. Pure: time is an argument."""
+    """Board that sends the samples of a source. Pure: time is an argument."""
 
     def __init__(
         self, samples: SampleSource, encode: Encode, behaviour: BoardBehaviour, start_ns: int

@@ -44,7 +44,7 @@ def checksum(data: bytes) -> int:
 
 
 class DatagramSplitter:
-    """Splits the bytes of a serial line into requests."""
+    """Splitter of a serial line's bytes into requests."""
 
     def __init__(self) -> None:
         self._bytes = b""
@@ -62,7 +62,7 @@ class DatagramSplitter:
 
 
 class EmulatedTmclModule:
-    """Answers requests and moves the motor; answers are queued in the motor's fault injector.
+    """Module that answers requests and moves the motor; the fault injector queues its answers.
 
     answer_mode: "right", or one of `ANSWER_FAULTS` for the driver to detect. late_s: delay of
     answers in mode "late".

@@ -72,7 +72,7 @@ class ForwarderCounts:
 
 
 class Forwarder:
-    """Forwards IPv4 packets between pairs of TUN devices.
+    """Forwarder of IPv4 packets between pairs of TUN devices.
 
     pairs: for each link the descriptor of its device at the sensing node, and at the display.
     links: the links as `parse_link` reads them.

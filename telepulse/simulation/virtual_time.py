@@ -16,7 +16,7 @@ from display_node.drives.hardware import Hardware
 from display_node.fault_advice import SENSING_NOTE
 from display_node.scoring.tracking_error import TrackingError
 from protocol.run_summary import Summary
-from protocol.wire.messages import Bye, Control, Frame, encode_control, encode_frame
+from protocol.wire.messages import Bye, ControlMessage, Frame, encode_control, encode_frame
 from protocol.wire.telemetry import TickState
 from pulse_sensors.plausibility import SampleCheck
 from sensing_node.conditioning import faults_of, limits_of
@@ -207,7 +207,9 @@ class Simulation:
         if reply is not None:
             self._send(self._down, now_ns, self.display.on_control, reply)
 
-    def _send(self, link: MessageLink, now_ns: int, deliver: Handler, message: Control) -> None:
+    def _send(
+        self, link: MessageLink, now_ns: int, deliver: Handler, message: ControlMessage
+    ) -> None:
         data = encode_control(message)
         self._schedule(link.control_arrival_ns(now_ns, len(data)), deliver, data)
 

@@ -38,7 +38,7 @@ FLOAT64_BYTES = bytes.fromhex("98 01 cf4000000000000000 00 ff 01 02 08") + bytes
     "c410 000000000000f03f 00000000000000c0"
 )
 
-CONTROL: dict[str, tuple[wire.Control, bytes]] = {
+CONTROL: dict[str, tuple[wire.ControlMessage, bytes]] = {
     "hello": (wire.Hello("display-1"), b"\x93\x01\xa5hello\xa9display-1"),
     "welcome": (
         wire.Welcome(7, 250, DESCRIPTION),

@@ -12,7 +12,7 @@ from protocol.config.scene import load_section
 from protocol.wire.messages import (
     ClockReply,
     ClockRequest,
-    Control,
+    ControlMessage,
     Frame,
     Hello,
     Welcome,
@@ -45,7 +45,7 @@ class Sender:
     stream: StreamDescription = field(default_factory=description)
     sent: int = 0
 
-    def answer(self, request: Control, now_ns: int) -> bytes | None:
+    def answer(self, request: ControlMessage, now_ns: int) -> bytes | None:
         match request:
             case Hello():
                 return encode_control(Welcome(self.session, self.sent, self.stream))

@@ -24,7 +24,7 @@ class Client:
         connected.connect(address)
         return connected
 
-    def ask(self, message: wire.Control) -> wire.Control:
+    def ask(self, message: wire.ControlMessage) -> wire.ControlMessage:
         self.control.send(wire.encode_control(message))
         return wire.decode_control(self.control.recv())
 

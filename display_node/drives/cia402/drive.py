@@ -11,7 +11,7 @@ import time
 
 from display_node.drives.axis import Axis
 from display_node.drives.cia402.node import Cia402Node
-from display_node.drives.cia402.state_machine import Control, State, towards_enabled
+from display_node.drives.cia402.state_machine import Controlword, State, towards_enabled
 from display_node.drives.drive import Drive, DriveDevice
 from display_node.drives.scene import Cia402Scene
 from protocol.errors import DriveError
@@ -23,7 +23,7 @@ DIGITAL_INPUTS, NEGATIVE_INPUT, POSITIVE_INPUT = 0x60FD, 1, 2
 
 
 class Cia402Drive(Drive):
-    """See `Drive`. counts: those of `Cia402Node`."""
+    """A `Drive` over CANopen. counts: those of `Cia402Node`."""
 
     step_s = 5e-3
     _node: Cia402Node
@@ -31,7 +31,7 @@ class Cia402Drive(Drive):
     def __init__(self, scene: Cia402Scene, axis: Axis) -> None:
         super().__init__(scene, axis)
         self._scene = scene
-        self._control = Control.ENABLE
+        self._control = Controlword.ENABLE
         self._beat_ns = 0
 
     def command(self, speed_m_per_s: float) -> None:
@@ -46,7 +46,7 @@ class Cia402Drive(Drive):
 
     def _connect(self) -> DriveDevice:
         self._node = Cia402Node(self._scene, self._axis, self.counts)
-        self._control = Control.ENABLE
+        self._control = Controlword.ENABLE
         return self._node
 
     def _step(self) -> None:
@@ -72,7 +72,9 @@ class Cia402Drive(Drive):
         node, supervisor = self._node, self._supervisor
         enabled = node.state is State.ENABLED
         velocity = supervisor.velocity(now_ns) if enabled else 0
-        self._control = Control.ENABLE if enabled else towards_enabled(node.state, self._control)
+        self._control = (
+            Controlword.ENABLE if enabled else towards_enabled(node.state, self._control)
+        )
         try:
             supervisor.sent(velocity, node.command(self._control, velocity))
             if now_ns - self._beat_ns >= self._scene.watchdog_ns // BEATS:

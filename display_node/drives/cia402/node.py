@@ -19,7 +19,7 @@ from display_node.drives.cia402.state_machine import (
     HOMING_ERROR,
     NEGATIVE_SWITCH,
     POSITIVE_SWITCH,
-    Control,
+    Controlword,
     Mode,
     State,
     state_of,
@@ -155,7 +155,7 @@ class Cia402Node:
         self.write_optional(0x60C2, 2, -4)
         self._node.nmt.state = "OPERATIONAL"
         self._select(self.mode)
-        control = Control.DISABLE_VOLTAGE
+        control = Controlword.DISABLE_VOLTAGE
         deadline_s = time.monotonic() + ENABLE_WITHIN_S
         while not self.received_ns or self.state is not State.ENABLED:
             if time.monotonic() > deadline_s:
@@ -178,8 +178,8 @@ class Cia402Node:
         self.write_optional(0x6099, 2, max(1, speed // 4))
         self.write_optional(0x609A, 0, self._acceleration)
         self._select(Mode.HOMING)
-        self.command(Control.ENABLE, 0)
-        self.command(Control.START_HOMING, 0)
+        self.command(Controlword.ENABLE, 0)
+        self.command(Controlword.START_HOMING, 0)
         deadline_s = time.monotonic() + axis.search_s
         began_ns, began_m = time.monotonic_ns(), self.position_m
         while self.received_ns < began_ns or self.statusword & HOMING_ATTAINED != HOMING_ATTAINED:
@@ -200,7 +200,7 @@ class Cia402Node:
 
     def end_search(self) -> None:
         """See `DriveDevice.end_search`."""
-        self.command(Control.ENABLE, 0)
+        self.command(Controlword.ENABLE, 0)
         self._select(self.mode)
 
     def arm_watchdog(self) -> None:
@@ -210,7 +210,7 @@ class Cia402Node:
         self.write(0x1016, 1, self._scene.host << 16 | watchdog_ms)
         self.write_optional(0x6007, 0, QUICK_STOP_ON_ABORT)
 
-    def command(self, control: Control, velocity: int) -> int:
+    def command(self, control: Controlword, velocity: int) -> int:
         """Send a controlword and a target velocity; return the time of sending in ns."""
         COMMAND.pack_into(self._command.data, 0, control, velocity)
         self._send(self._command)
@@ -226,8 +226,8 @@ class Cia402Node:
     def close(self) -> None:
         """See `DriveDevice.close`. A drive that cannot be reached is stopped by its watchdog."""
         try:
-            self.command(Control.SHUTDOWN, 0)
-            self.command(Control.DISABLE_VOLTAGE, 0)
+            self.command(Controlword.SHUTDOWN, 0)
+            self.command(Controlword.DISABLE_VOLTAGE, 0)
             self.write(0x1016, 1, 0)
         except DriveError as error:
             self.counts[f"not disabled: {error.kind}"] += 1

@@ -21,7 +21,7 @@ class State(Enum):
         return self.name.lower().replace("_", " ")
 
 
-class Control(IntEnum):
+class Controlword(IntEnum):
     """Controlword (0x6040)."""
 
     DISABLE_VOLTAGE = 0x00
@@ -65,11 +65,11 @@ ERRORS = {
 }
 
 _NEXT = {
-    State.SWITCH_ON_DISABLED: Control.SHUTDOWN,
-    State.READY: Control.SWITCH_ON,
-    State.SWITCHED_ON: Control.ENABLE,
-    State.ENABLED: Control.ENABLE,
-    State.FAULT: Control.RESET_FAULT,
+    State.SWITCH_ON_DISABLED: Controlword.SHUTDOWN,
+    State.READY: Controlword.SWITCH_ON,
+    State.SWITCHED_ON: Controlword.ENABLE,
+    State.ENABLED: Controlword.ENABLE,
+    State.FAULT: Controlword.RESET_FAULT,
 }
 
 
@@ -79,12 +79,12 @@ def state_of(statusword: int) -> State | None:
     return next(fitting, None)
 
 
-def towards_enabled(state: State, last: Control) -> Control:
+def towards_enabled(state: State, last: Controlword) -> Controlword:
     """Return the controlword for the transition towards operation enabled.
 
     last: the previous controlword. A fault is reset by the rising edge of a bit.
     """
-    control = _NEXT.get(state, Control.DISABLE_VOLTAGE)
-    if control == last == Control.RESET_FAULT:
-        return Control.DISABLE_VOLTAGE
+    control = _NEXT.get(state, Controlword.DISABLE_VOLTAGE)
+    if control == last == Controlword.RESET_FAULT:
+        return Controlword.DISABLE_VOLTAGE
     return control

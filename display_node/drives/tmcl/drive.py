@@ -30,7 +30,7 @@ AMBIGUOUS_NS = 200_000_000
 
 
 class TmclDrive(Drive):
-    """See `Drive`. counts: those of `TmclLine`, and "superseded" commands, which were not sent."""
+    """A `Drive` over TMCL. counts: those of `TmclLine`, and "superseded" for commands not sent."""
 
     _module: TmclModule
 

@@ -14,7 +14,7 @@ from display_node.display import Display
 from protocol.summary_tables import SampleCounts
 from protocol.wire.messages import (
     Bye,
-    Control,
+    ControlMessage,
     Frame,
     Welcome,
     encode_control,
@@ -109,7 +109,7 @@ class VirtualLink:
         assert self.full_strength_ms(from_ms, to_ms) == to_ms - from_ms
         assert max(self.errors_n(from_ms, to_ms)) < within_n
 
-    def _answer(self, true_ns: int, delay_ns: int | None, request: Control) -> None:
+    def _answer(self, true_ns: int, delay_ns: int | None, request: ControlMessage) -> None:
         """Answer a request, delayed both ways, unless it is lost."""
         if delay_ns is None:
             return

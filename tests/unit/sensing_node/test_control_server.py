@@ -11,7 +11,7 @@ from protocol.wire.messages import (
     Bye,
     ClockReply,
     ClockRequest,
-    Control,
+    ControlMessage,
     DisplayReport,
     Hello,
     Welcome,
@@ -48,8 +48,8 @@ def server() -> ControlServer:
 
 
 def ask(
-    server: ControlServer, sender: Sender, message: Control, now_ns: int = NOW_NS
-) -> Control | None:
+    server: ControlServer, sender: Sender, message: ControlMessage, now_ns: int = NOW_NS
+) -> ControlMessage | None:
     return server.answer(sender, encode_control(message), now_ns, samples_sent=1234)
 
 
@@ -146,7 +146,7 @@ def test_a_message_may_come_through_relays(server: ControlServer, through: Sende
 
 
 @pytest.mark.parametrize("message", [HELLO, ClockRequest(1), report()])
-def test_only_silent_displays_are_forgotten(server: ControlServer, message: Control) -> None:
+def test_only_silent_displays_are_forgotten(server: ControlServer, message: ControlMessage) -> None:
     for sender in (ANNA, BERT):
         ask(server, sender, Hello(sender[0].decode()))
     later_ns = NOW_NS + FORGET_AFTER_NS
@@ -158,7 +158,7 @@ def test_only_silent_displays_are_forgotten(server: ControlServer, message: Cont
 
 @pytest.mark.parametrize("message", [ClockRequest(1), report()])
 def test_a_forgotten_display_that_continues_is_a_client_again(
-    server: ControlServer, message: Control
+    server: ControlServer, message: ControlMessage
 ) -> None:
     ask(server, ANNA, HELLO)
     server.forget_silent(NOW_NS + FORGET_AFTER_NS + 1)
@@ -171,7 +171,7 @@ def test_a_forgotten_display_that_continues_is_a_client_again(
 @pytest.mark.parametrize("message", [HELLO, report()])
 @pytest.mark.parametrize("clock_first", [False, True])
 def test_a_display_that_connects_again_is_one_client(
-    server: ControlServer, message: Control, clock_first: bool
+    server: ControlServer, message: ControlMessage, clock_first: bool
 ) -> None:
     ask(server, ANNA, HELLO)
     if clock_first:

@@ -17,7 +17,13 @@ from display_node.drives.cia402.node import (
     TPDO2,
     Cia402Node,
 )
-from display_node.drives.cia402.state_machine import Control, Mode, State, state_of, towards_enabled
+from display_node.drives.cia402.state_machine import (
+    Controlword,
+    Mode,
+    State,
+    state_of,
+    towards_enabled,
+)
 from display_node.drives.withdrawal import WithdrawalOutcome
 from protocol.errors import DriveError
 from telepulse.emulators.cia402 import EmulatedCia402Drive
@@ -58,7 +64,7 @@ def test_every_statusword_has_at_most_one_state() -> None:
 
 
 def test_from_a_fault_the_controlwords_lead_to_operation_enabled() -> None:
-    controls, control = [], Control.DISABLE_VOLTAGE
+    controls, control = [], Controlword.DISABLE_VOLTAGE
     states = [State.FAULT] * 3
     states += [State.SWITCH_ON_DISABLED, State.READY, State.SWITCHED_ON, State.ENABLED]
     for state in states:
@@ -66,7 +72,7 @@ def test_from_a_fault_the_controlwords_lead_to_operation_enabled() -> None:
         controls.append(int(control))
     # The reset's bit rises again, in case the first edge was not received.
     assert controls == [0x80, 0x00, 0x80, 0x06, 0x07, 0x0F, 0x0F]
-    assert towards_enabled(State.QUICK_STOP, Control.QUICK_STOP) == Control.DISABLE_VOLTAGE
+    assert towards_enabled(State.QUICK_STOP, Controlword.QUICK_STOP) == Controlword.DISABLE_VOLTAGE
 
 
 def test_a_silent_drive_is_a_fault_and_is_withdrawn(bench: Bench) -> None:

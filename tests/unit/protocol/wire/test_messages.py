@@ -29,7 +29,7 @@ from tests.support.message_examples import (
     HUGE,
 )
 
-Decoder = Callable[[bytes], wire.Frame | wire.Control]
+Decoder = Callable[[bytes], wire.Frame | wire.ControlMessage]
 VALID: dict[str, tuple[Decoder, bytes]] = {
     "float32": (wire.decode_frame, FLOAT32_BYTES),
     "float64": (wire.decode_frame, FLOAT64_BYTES),
@@ -90,7 +90,7 @@ def test_a_frame_has_these_bytes(frame: wire.Frame, data: bytes) -> None:
 
 
 @pytest.mark.parametrize(("message", "data"), CONTROL.values(), ids=CONTROL)
-def test_a_control_message_has_these_bytes(message: wire.Control, data: bytes) -> None:
+def test_a_control_message_has_these_bytes(message: wire.ControlMessage, data: bytes) -> None:
     assert wire.encode_control(message) == data
     decoded = wire.decode_control(data)
     assert type(decoded) is type(message)
@@ -128,7 +128,7 @@ def test_a_frame_is_decoded_as_it_was_encoded(frame: wire.Frame) -> None:
     ],
     ids=lambda message: type(message).__name__,
 )
-def test_a_control_message_is_decoded_as_it_was_encoded(message: wire.Control) -> None:
+def test_a_control_message_is_decoded_as_it_was_encoded(message: wire.ControlMessage) -> None:
     assert wire.decode_control(wire.encode_control(message)) == message
 
 

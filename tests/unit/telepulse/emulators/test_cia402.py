@@ -9,7 +9,7 @@ from display_node.drives.cia402.state_machine import (
     HOMING_ERROR,
     NEGATIVE_SWITCH,
     POSITIVE_SWITCH,
-    Control,
+    Controlword,
     Mode,
     State,
 )
@@ -17,7 +17,7 @@ from telepulse.emulators.cia402 import NEGATIVE_LIMIT, POSITIVE_LIMIT, EmulatedC
 from tests.support.drive_benches import cia402_scene, emulated_motor, stepper
 
 MS = 1_000_000
-TO_ENABLED = (Control.SHUTDOWN, Control.SWITCH_ON, Control.ENABLE)
+TO_ENABLED = (Controlword.SHUTDOWN, Controlword.SWITCH_ON, Controlword.ENABLE)
 
 
 class Bench:
@@ -33,7 +33,7 @@ class Bench:
             self.control(*TO_ENABLED)
             assert self.drive.state is State.ENABLED
 
-    def control(self, *words: Control, velocity: int = 0, ms: int = 0) -> None:
+    def control(self, *words: Controlword, velocity: int = 0, ms: int = 0) -> None:
         """Send controlwords, each followed by `ms`."""
         for word in words:
             self.drive.control(word, velocity)
@@ -48,7 +48,7 @@ class Bench:
 def test_statuswords_on_the_way_to_operation_enabled() -> None:
     bench = Bench(enabled=False)
     words = [bench.drive.statusword]
-    for word in (*TO_ENABLED, Control.DISABLE_VOLTAGE):
+    for word in (*TO_ENABLED, Controlword.DISABLE_VOLTAGE):
         bench.control(word)
         words.append(bench.drive.statusword)
     assert words == [0x40, 0x31, 0x33, 0x37, 0x40]
@@ -58,16 +58,16 @@ def test_it_moves_in_operation_enabled_alone_and_takes_only_modes_that_it_has() 
     bench = Bench(enabled=False)
     bench.drive.select(Mode.PROFILE_VELOCITY)
     assert bench.drive.mode == Mode.CYCLIC_VELOCITY
-    for word in (Control.ENABLE, Control.SHUTDOWN, Control.SWITCH_ON):
+    for word in (Controlword.ENABLE, Controlword.SHUTDOWN, Controlword.SWITCH_ON):
         bench.control(word, velocity=1000, ms=10)
         assert bench.motor.rate_hz == 0.0
-    bench.control(Control.ENABLE, velocity=1000, ms=10)
+    bench.control(Controlword.ENABLE, velocity=1000, ms=10)
     assert bench.motor.rate_hz == pytest.approx(1000.0)
 
 
 def test_reports_are_in_the_drives_units_and_direction() -> None:
     bench = Bench(inverted=True, velocity_scale=2.0, position_scale=4.0)
-    bench.control(Control.ENABLE, velocity=2000, ms=100)
+    bench.control(Controlword.ENABLE, velocity=2000, ms=100)
     assert bench.motor.rate_hz == pytest.approx(-1000.0)
     assert bench.motor.position_steps == pytest.approx(-100, abs=1)
     assert bench.drive.velocity == pytest.approx(2000)
@@ -85,58 +85,58 @@ def test_the_home_switch_is_on_the_side_away_from_the_finger(
     drive, motor = bench.drive, bench.motor
     drive.select(Mode.HOMING)
     drive.search_by(method, 8000, 400)
-    bench.control(Control.START_HOMING, ms=2)
+    bench.control(Controlword.START_HOMING, ms=2)
     assert not drive.statusword & HOMING_ATTAINED
     bench.run(2_000)
     assert drive.statusword & HOMING_ATTAINED == HOMING_ATTAINED
     assert abs(motor.position_steps) <= 2
     assert drive.digital_inputs == 0
     drive.select(Mode.CYCLIC_VELOCITY)
-    bench.control(Control.ENABLE, velocity=8_000 if inverted else -8_000, ms=500)
+    bench.control(Controlword.ENABLE, velocity=8_000 if inverted else -8_000, ms=500)
     assert motor.at_switch
     assert drive.digital_inputs == limit
 
 
 def test_here_is_home_and_another_method_is_an_error() -> None:
     bench = Bench()
-    bench.control(Control.ENABLE, velocity=1000, ms=100)
+    bench.control(Controlword.ENABLE, velocity=1000, ms=100)
     bench.drive.select(Mode.HOMING)
     bench.drive.search_by(HERE, 0, 0)
-    bench.control(Control.START_HOMING)
+    bench.control(Controlword.START_HOMING)
     assert bench.motor.position_steps == 0
-    bench.control(Control.ENABLE)
+    bench.control(Controlword.ENABLE)
     bench.drive.search_by(1, 0, 0)
-    bench.control(Control.START_HOMING)
+    bench.control(Controlword.START_HOMING)
     assert bench.drive.statusword & HOMING_ERROR
 
 
 def test_a_fault_is_reset_by_a_rising_edge_alone() -> None:
     bench = Bench()
     bench.motor.fail("overtemperature")
-    bench.control(Control.RESET_FAULT, ms=10)
+    bench.control(Controlword.RESET_FAULT, ms=10)
     assert bench.drive.state is State.FAULT
-    bench.control(Control.RESET_FAULT)
+    bench.control(Controlword.RESET_FAULT)
     assert bench.drive.state is State.FAULT
-    bench.control(Control.DISABLE_VOLTAGE, Control.RESET_FAULT)
+    bench.control(Controlword.DISABLE_VOLTAGE, Controlword.RESET_FAULT)
     assert (bench.drive.state, bench.drive.error_code) == (State.SWITCH_ON_DISABLED, 0)
 
 
 @pytest.mark.parametrize(
     ("option", "state", "way_back"),
-    [(3, State.SWITCH_ON_DISABLED, ()), (1, State.FAULT, (Control.RESET_FAULT,))],
+    [(3, State.SWITCH_ON_DISABLED, ()), (1, State.FAULT, (Controlword.RESET_FAULT,))],
     ids=["quick stop", "fault"],
 )
 def test_after_a_missed_heartbeat_it_rests_until_it_is_enabled_again(
-    option: int, state: State, way_back: tuple[Control, ...]
+    option: int, state: State, way_back: tuple[Controlword, ...]
 ) -> None:
     bench = Bench()
     drive, motor = bench.drive, bench.motor
     drive.abort_option = option
     motor.set_watchdog(50 * MS)
-    bench.control(Control.ENABLE, velocity=20_000, ms=100)
+    bench.control(Controlword.ENABLE, velocity=20_000, ms=100)
     assert (drive.state, drive.error_code, motor.rate_hz) == (state, HEARTBEAT_ERROR, 0.0)
     if way_back:
-        for word in (Control.ENABLE, *TO_ENABLED):
+        for word in (Controlword.ENABLE, *TO_ENABLED):
             bench.control(word, velocity=-1_000, ms=10)
             assert (drive.state, motor.rate_hz) == (State.FAULT, 0.0)
     bench.control(*way_back, *TO_ENABLED, velocity=-1_000, ms=10)
