@@ -1,6 +1,6 @@
 """Errors that a user can see, and the causes by which refused messages and peers are counted.
 
-`TelepulseError` catches all errors.
+`except TelepulseError` catches all of these.
 """
 
 import difflib
@@ -78,7 +78,7 @@ class DiscoveryError(TelepulseError, OSError):
 
 
 class BenchError(TelepulseError, RuntimeError):
-    """A bench cannot be measured, or a calibration fitted.
+    """A bench cannot be measured, or a calibration cannot be fitted.
 
     Examples: the film does not respond to the drive or reports more force than allowed, all
     reference loads are the same.
@@ -130,8 +130,8 @@ CAUSE_MEANINGS = {
     "overlap": "samples that had arrived already, in a frame cut differently",
     "too_old": "samples older than the buffer keeps",
     "overflow": "samples too far ahead of what is played",
-    "implausible": "clock replies before their request,"
-    " or an end after more samples than there was time for",
+    "implausible": "clock replies that arrive before their request was sent,"
+    " or an end with an impossible number of samples",
     "unasked": "clock replies to an unknown or already answered request",
     "unexpected": "messages that only the other kind of node sends: check the address",
     "flood": "messages dropped because a peer sent far more than it should:"
@@ -140,7 +140,7 @@ CAUSE_MEANINGS = {
     " displays send far more than they should",
     "too_many_displays": "displays beyond the 1 000 that a sensing node serves: use a relay",
     "subscription": "subscriptions to topics that are not published here; the connection was cut",
-    "too_many_connections": "connections beyond what this node has files for, which were cut:"
+    "too_many_connections": "connections beyond this node's file descriptors, which were cut:"
     " a peer connects repeatedly, or the limit is too low (ulimit -n)",
     # Connections, where keys are used.
     "no_key": "connections without a key to a node with one, or the reverse:"
@@ -150,10 +150,10 @@ CAUSE_MEANINGS = {
     "list_unreadable": "connections refused while this node's changed allow-list cannot be read:"
     " its log names the reason",
     "revoked": "the other node allowed this node's key before and has revoked it;"
-    " to undo that, there: telepulse keys allow",
+    " to undo that, run telepulse keys allow there",
     "not_authentic": "bytes not encrypted for this node: the peer has a wrong public key of it"
     " (--peer), or they were altered on the way",
-    "replayed": "encrypted messages that came twice or out of order: they are repeated on the way",
+    "replayed": "encrypted messages that came twice or out of order: something repeats them",
     "handshake": "connections that ended before they were authenticated:"
     " no node, a wrong --peer, or a network that breaks off",
     "refused_key": "connections refused because the other node's allow-list lacks this node's key",

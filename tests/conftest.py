@@ -27,6 +27,7 @@ NOT_TRACED = (
     *("system/faults", "system/recording", "system/relay", "system/reports", "system/soak"),
     *("system/view", "unit/display_node/drives/test_hardware.py"),
     "unit/display_node/control/test_controller.py",
+    *("unit/display_node/drives/test_drive.py", "unit/display_node/reception/test_failover.py"),
 )
 
 

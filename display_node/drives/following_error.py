@@ -16,8 +16,8 @@ LATE_NS = 30_000_000
 TOLERANCE_M = 150e-6
 # A larger error is a fault after this time; a single report may be wrong.
 WITHIN_NS = 20_000_000
-# Commands take effect somewhat early or late, and no drive ramps exactly as commanded. So the error
-# decays with time and with travel; an error of 7 % of the travel is thereby tolerated.
+# Commands take effect somewhat early or late, and no drive ramps exactly as commanded. So the
+# origin follows the reports, by these constants of time and travel: 7 % of the travel is tolerated.
 DRIFT_S = 5.0
 DRIFT_M = 2e-3
 
@@ -58,7 +58,7 @@ class CommandedPosition:
             self._legs.append(_Leg(now_ns, travel_m, speed, speed_m_per_s))
 
     def travel_m(self, now_ns: int) -> float:
-        """Return the travel in m until a time; for a time before all kept speeds, the earliest."""
+        """Return the travel in m until a time; before all kept speeds, that at the earliest."""
         # By index, as another thread may record meanwhile (`TimeoutLock`).
         for back in range(1, len(self._legs) + 1):
             leg = self._legs[-back]
@@ -67,7 +67,7 @@ class CommandedPosition:
         return self._legs[0].travel_m
 
     def bounds_m(self, from_ns: int, to_ns: int) -> tuple[float, float]:
-        """Return the least and the greatest travel in m between two times."""
+        """Return the least and greatest travel in m at two times and the commands between them."""
         travels = [self.travel_m(from_ns), self.travel_m(to_ns)]
         travels += [leg.travel_m for leg in tuple(self._legs) if from_ns < leg.sent_ns < to_ns]
         return min(travels), max(travels)

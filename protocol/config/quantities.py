@@ -1,4 +1,4 @@
-"""Quantities as people write them ("40 ms", "0.3 N", "75 /min") read into SI numbers, and counts.
+"""Quantities as people write them ("40 ms", "0.3 N", "75 /min") read into SI numbers; counts.
 
 A scene file states the unit in the value, the code in the name: the key `delay = "40 ms"` becomes
 the field `delay_ns`.
@@ -77,7 +77,7 @@ def in_unit_of(value: float, text: object) -> str:
 
 
 def _sane(value: float, text: object) -> float:
-    """Return the value. Raises ValueError if it is too large for the code's own unit."""
+    """Return the value. Raises ValueError if it is too large to be converted."""
     if not abs(value) < _LARGEST:
         raise ValueError(f"{shown(text)} is too large")
     return value

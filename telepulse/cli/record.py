@@ -61,7 +61,7 @@ def record(
     events. Ends with the display. If killed, it loses at most its last second; on a full disk it
     waits for space. `display-node --record FILE` starts this command beside the display.
 
-    Give the display's own key as --key; with another key, give --peer as well.
+    --key is the display's own key file. With another key, give the display's public key as --peer.
 
     Exit status: 0 when all was written, 1 when something is missing, which it prints, 2 when it
     cannot begin.
@@ -93,8 +93,8 @@ def replay(
     """Play a recording as a sensing node would: the same samples at the same intervals.
 
     The stream's name, rate, elastic layer and frames are the recorded ones; samples that the
-    recording lacks count as lost. Of several sessions, the longest is played. Any display can
-    connect.
+    recording lacks count as lost. Of several sessions, the longest is played. Displays connect
+    as to a sensing node; --allow limits them.
 
     Exit status: 0 at the end of the recording, 2 when the recording cannot be read or the
     address cannot be used; the reason is one line on stderr.

@@ -43,7 +43,7 @@ if TYPE_CHECKING:
 
 # A design may have Ms at the limit itself: rounding errors above it are no reason for a warning.
 ROUNDING = 1.01
-# During a press one command is sent in this many exchanges, so that the line carries all answers.
+# A press sends one command in the time of this many exchanges: the line then carries all answers.
 EXCHANGES_PER_TICK = 2.5
 # Age of the film's readings. The loop compensates a known age, but a scene's `latency` is at most
 # the second value.
@@ -74,7 +74,7 @@ class BenchFindings:
 
     @property
     def note(self) -> str:
-        """Comment with the identified eq 22 for the scene; "" where m, c and k are its keys."""
+        """Comment with the identified eq 22; "" where the scene has keys for m, c and k."""
         if self.actuator is None or self.actuator.contact is None:
             return ""
         m, c, k, _ = self.actuator.identified.values
@@ -92,7 +92,7 @@ class BenchFindings:
             self.changes["actuator"] = actuator.keys
 
     def add_still(self, part: str, record: SensorRecord, nominal_hz: float, live: bool) -> float:
-        """Add the checks of a sensor; return the largest age of its newest sample, in s."""
+        """Add the checks of a sensor; return the 99 % quantile of its newest age in s."""
         self.still[part] = record
         figures = measure(record)
         self.add(part, *judge_sensor(figures, nominal_hz, live))
@@ -184,7 +184,7 @@ def _check_drive(
             age_s = findings.add_still("film", record, film.rate_hz, live=True)
             findings.add("film", _check_age(age_s))
             findings.add("drive", check_answers(drive))
-            # Slow enough that no command is superseded; its travel would be missing in the record.
+            # Slow enough that no command is superseded: the travel of one would be missing.
             rig = HardwareRig(drive, sensor, max(tick_s, EXCHANGES_PER_TICK * line_s))
             try:
                 found = check_actuator(rig, scene, force_n, 0.0, line_latency_s=line_s / 2)

@@ -1,7 +1,8 @@
 """Statistics of blinded trials: proportions, the differencing observer, the number of trials.
 
 The observer's percept of an interval is one number: the force error in units of the threshold,
-plus noise of standard deviation 1. X is identified as the nearer one of A and B. This is the
+plus noise of standard deviation 1. In an ABX trial X is identified as the nearer one of A and B.
+This is the
 differencing strategy of Macmillan and Creelman, *Detection Theory*, ch. 9. At the threshold, d' is
 1.
 """
@@ -136,9 +137,9 @@ class Threshold(NamedTuple):
 
 
 def fit_threshold(trials: Sequence[tuple[IntervalErrors, bool]]) -> Threshold | None:
-    """Return the maximum likelihood threshold of trials: their errors, and whether X was A.
+    """Return the maximum likelihood threshold of trials: their errors, and whether A was answered.
 
-    None if the answers bound it on neither side, as few answers or guesses do.
+    None if the answers bound it on neither side, as with few answers or with guessing.
     """
     largest = max((abs(errors.a - errors.b) for errors, _ in trials), default=0.0)
     if largest == 0:
@@ -159,7 +160,8 @@ class SimulatedObserver:
     """Observer that answers by the differencing strategy.
 
     threshold: the difference in force error whose d' is 1, as a share of the pulse from peak to
-    peak. Errors have the same unit, and are aligned because a finger alone cannot detect a delay.
+    peak. Errors have the same unit. They are the aligned ones, because a finger alone cannot detect
+    a delay.
     """
 
     def __init__(self, threshold: float, seed: int) -> None:
@@ -172,7 +174,7 @@ class SimulatedObserver:
         return "A" if abs(x - a) < abs(x - b) else "B"
 
     def rate(self, reference: float, x: float) -> int:
-        """Return the rating of X: 5 within one threshold of the reference, 4 within two, to 1."""
+        """Return the rating of X: 5 within 1 threshold of the reference, 4 within 2, down to 1."""
         return max(1, 5 - int(abs(self._feel(x) - self._feel(reference))))
 
     def _feel(self, error: float) -> float:
@@ -212,9 +214,9 @@ def build_plan() -> Report:
     ]
     tables = (
         Table.of(
-            "Trials that a subject needs to pass for more than guessing, p ≤ 5 %",
+            "Trials for a result beyond guessing, p ≤ 5 %",
             shares,
-            "ABX, one-sided exact binomial test; with more trials the power is never lower.",
+            "ABX, one-sided exact binomial test; no larger number of trials has less power.",
         ),
         Table.of(
             "What a number of trials can show",

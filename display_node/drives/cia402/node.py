@@ -58,7 +58,7 @@ class Cia402Node:
     mode
         Velocity mode in which the drive takes commands.
     statusword, state, error_code
-        Last values reported by TPDO, as are position and speed.
+        Last values reported by TPDO, as are position and speed; error_code also by emergency.
     received_ns
         Time of the last plausible state report (TPDO1) on the monotonic clock.
     counts

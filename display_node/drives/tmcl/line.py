@@ -18,7 +18,7 @@ from display_node.drives.scene import TmclScene, discard_spoilt_line, is_noise, 
 from protocol.errors import DriveError
 
 DATAGRAM_BYTES = 9
-# Upper bounds of what waits on any line after two failed requests.
+# More than can wait after two failed requests: bytes on a serial line, frames on CAN.
 DRAIN_BYTES = 4096
 DRAIN_FRAMES = 64
 ELEVEN_BITS = 0x7FF
@@ -143,8 +143,8 @@ class TmclLine:
         """Send a request and return the signed value of its reply.
 
         Raises DriveError of kind "no answer", "garbled", "wrong" (only replies to other requests
-        came), "refused" or "unplugged". After the first three, replies within another reply's time
-        are discarded. A still later reply can be recognised by its command number only.
+        came), "refused" or "unplugged". After the first three, what arrives within one more reply
+        time is discarded. A still later reply is ignored only if it is to another command.
         """
         try:
             reply = self._exchange(TMCLRequest(self._module, command, kind, motor, value))

@@ -17,7 +17,7 @@ from protocol.errors import DriveError
 TRIES = 3
 # Time for repeating a request; a CANopen drive has the same time for an answer.
 RETRY_FOR_S = 0.5
-# Kinds of DriveError that the next request may not meet again.
+# Kinds of DriveError after which a repeated request may succeed.
 TRANSIENT = ("no answer", "garbled", "wrong")
 SEARCH_POLL_S = 0.01
 # Polls of a motor that comes to rest, enough at any line's bit rate.
@@ -234,7 +234,7 @@ class TmclModule:
         self._retry(Command.SET_AXIS, parameter, value)
 
     def _retry(self, command: int, kind: int = 0, value: int = 0, bank: int | None = None) -> int:
-        """Repeat a request for up to half a second; to the motor, or to a bank of parameters."""
+        """Repeat a request for up to half a second; it goes to the motor, or to `bank` if given."""
         motor = self._scene.motor if bank is None else bank
         until_s = time.monotonic() + RETRY_FOR_S
         while True:
