@@ -10,7 +10,7 @@ from display_node.scene import DisplayScene
 from protocol.cli_options import BENCH_IS_CLEAR, LogLevelOption, one_line_errors, plain_console
 from protocol.config.quantities import parse_quantity
 from protocol.config.scene import Section, load_section
-from protocol.config.scene_file import find_scene, to_toml
+from protocol.config.scene_file import find_scene, scene_names, to_toml
 from protocol.errors import SceneError
 from protocol.host.output import check_writable, configure_logging
 from protocol.provenance import collect
@@ -135,7 +135,10 @@ def calibrate(
             metavar="LOADS.csv", help="Loads and readings, a header with units or none."
         ),
     ] = None,
-    scene: Annotated[str | None, typer.Option(help="Read this scene's sensor instead.")] = None,
+    scene: Annotated[
+        str | None,
+        typer.Option(help="Read this scene's sensor instead.", autocompletion=scene_names),
+    ] = None,
     at: Annotated[
         Literal["wrist", "finger"],
         typer.Option(help="The sensor of that scene: at the wrist or under the finger."),

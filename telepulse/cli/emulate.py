@@ -15,7 +15,7 @@ from display_node.scene import DisplayScene
 from protocol.cli_options import LogLevelOption, StopAfterOption, one_line_errors, plain_console
 from protocol.config.quantities import count_text
 from protocol.config.scene import load_section
-from protocol.config.scene_file import find_scene
+from protocol.config.scene_file import find_scene, scene_names
 from protocol.errors import SceneError
 from protocol.host.output import configure_logging
 from protocol.host.process import freeze_objects, stop_on_signals
@@ -51,7 +51,11 @@ app = typer.Typer(
 
 
 DriveArgument = Annotated[
-    str, typer.Argument(help="A scene whose [display.drive] is of this kind, as file or name.")
+    str,
+    typer.Argument(
+        help="A scene whose [display.drive] is of this kind, as file or name.",
+        autocompletion=scene_names,
+    ),
 ]
 _TO_PORT = "Create this symbolic link to the port, for the scene's `port`."
 BoardLink = Annotated[Path | None, typer.Option(metavar="PATH", help=_TO_PORT)]
@@ -89,9 +93,10 @@ def _fault_option(names: tuple[str, ...]) -> Any:
 
 @app.command()
 def sensor(
-    scene: Annotated[str, typer.Argument(help="Its source is what the board senses.")] = (
-        DEFAULT_SCENE
-    ),
+    scene: Annotated[
+        str,
+        typer.Argument(help="Its source is what the board senses.", autocompletion=scene_names),
+    ] = DEFAULT_SCENE,
     link: BoardLink = None,
     framing: Annotated[
         Literal["binary", "text", "untimed"],
