@@ -68,7 +68,8 @@ class FrameDecoder:
     """Decoder of a board's frames, from chunks of any size. Pure.
 
     Noise costs the frame that it corrupts; if it hits the zero byte between two frames, both are
-    lost. Bytes before the first zero byte may be the end of a partly received frame.
+    lost. Bytes before the first zero byte may be the end of a partly received frame, so a decoding
+    error in them counts as "partial" only.
 
     Parameters
     ----------
@@ -130,7 +131,9 @@ class FrameDecoder:
         count = payload_bytes // dtype.itemsize
         values = np.frombuffer(body, dtype, count, _HEAD.size).tolist()
         if not all(map(is_usable, values)):
-            raise WireError("not_finite", "a sample is NaN, infinite or too large in any unit")
+            raise WireError(
+                "not_finite", "a sample is NaN, infinite or too large whatever its unit"
+            )
         passed_ns = self._time.since_last_ns(last_us)
         missing = self._counter.missing(counter, count, passed_ns)
         return one_channel(values, self._time.take(last_us), missing, restarted=passed_ns is None)

@@ -18,18 +18,18 @@ from protocol.wire.messages import (
 from protocol.wire.stream import StreamDescription
 
 # A display sends some 52 messages a second in its first minute, 22 later.
-REQUESTS_PER_S = 100.0
+DISPLAY_REQUESTS_PER_S = 100.0
 LEAST_PER_S, MOST_PER_S = 1_000.0, 10_000.0
 REQUESTS_AT_ONCE = 4_000.0
 HELD_NS = 5_000_000
 FORGET_AFTER_NS = 5_000_000_000
 MAX_CLIENTS = 1_000
-# A display sends 50 clock requests a second, and after a cut all waiting ones at once.
-ANSWERS_PER_S, ANSWERS_AT_ONCE = 200.0, 2_000.0
+# A display sends at most 50 clock requests a second, and after a cut all waiting ones at once.
+DISPLAY_ANSWERS_PER_S, ANSWERS_AT_ONCE = 200.0, 2_000.0
 # Each relay on the way adds an address to the envelope.
 MAX_HOPS = 4
 # ROUTER sockets name their peers by a zero and four bytes, and no message begins with a zero. So
-# two messages that were joined on the way are not taken for an envelope.
+# two messages that an attacker on the way has joined (docs/keys.md) are not taken for an envelope.
 ADDRESS_BYTES = 5
 
 Sender = tuple[bytes, ...]
@@ -51,7 +51,7 @@ class RequestBudget:
 
     def expect(self, displays: int) -> None:
         """Permit the requests of this number of displays."""
-        self._budget.rate_per_s = min(MOST_PER_S, LEAST_PER_S + displays * REQUESTS_PER_S)
+        self._budget.rate_per_s = min(MOST_PER_S, LEAST_PER_S + displays * DISPLAY_REQUESTS_PER_S)
 
     def spend(self, now_ns: int) -> bool:
         """Count a message that was read; return whether the next one may be read as well."""
@@ -81,7 +81,7 @@ class Client:
     report: DisplayReport | None = None
     confirmed: bool = False
     budget: TokenBucket = field(
-        default_factory=lambda: TokenBucket(ANSWERS_PER_S, ANSWERS_AT_ONCE), repr=False
+        default_factory=lambda: TokenBucket(DISPLAY_ANSWERS_PER_S, ANSWERS_AT_ONCE), repr=False
     )
 
     @property

@@ -70,7 +70,8 @@ class Axis:
     lowest_m, furthest_m
         Ends of the travel: home, and the greatest depth.
     reaction_s
-        Time in s from a command to its effect, besides the age of the position.
+        Longest time in s for which the last command can act: reaction plus watchdog, without the
+        age of the position.
     search_s
         Greatest duration of the search for home, there and back over the whole stroke.
     clear_m
@@ -92,8 +93,9 @@ class Axis:
 
         Until the drive reacts, for a time t, the tip may move at the full speed v; then it brakes.
         So v t + v²/2a must not exceed the remaining distance. Since the position was reported,
-        age_s ago, the tip may have been faster than v, but not twice as fast: bounded speeds fall
-        by at most a factor of e in a time t. Therefore t contains twice the age.
+        age_s ago, the tip may have been faster than v, but not twice as fast. Bounded speeds
+        fall by at most a factor of e in a time t. t contains twice the age, so within the age they
+        fall by at most √e, which is less than 2.
         """
         to_end_m = self.furthest_m - position_m if speed_m_per_s > 0 else position_m - self.lowest_m
         if not (abs(speed_m_per_s) > 0 and to_end_m > 0):
@@ -127,7 +129,7 @@ def build_axis(
         max_speed_m_per_s=actuator.max_speed_m_per_s,
         max_acceleration_m_per_s2=actuator.max_acceleration_m_per_s2,
         microsteps=actuator.microsteps,
-        # If a command is the last one, it lasts until the drive's watchdog ends it.
+        # If no command follows, the last one acts until the drive's watchdog ends it.
         reaction_s=REACTION_S + scene.watchdog_ns * 1e-9,
         search_s=5.0 + 2 * actuator.stroke_m / scene.homing_speed_m_per_s,
         clear_m=-min(CLEAR_M, scene.touch_m / 2),

@@ -52,7 +52,7 @@ class Hardware:
         feedback
             Takes the film's samples; the display reads it.
         rising
-            Check of the film's slope, or of the model's where there is no sensor.
+            Check of the slope of the sensor's samples; not used without a sensor.
         watchdog_ns
             Time in ns without a command after which the drive comes to rest by itself.
         """
@@ -114,7 +114,7 @@ class Hardware:
         return f"loop overrun: no command for {silent_ns * 1e-6:.0f} ms"
 
     def deviation_m(self, now_ns: int, speed_m_per_s: float, elapsed_ticks: int) -> float:
-        """Return the travel since the last tick beyond that of `speed_m_per_s`, in m.
+        """Return the travel commanded since the last tick minus that at `speed_m_per_s`, in m.
 
         It differs from 0 where a change of speed was sent late or not at all.
         """
@@ -128,7 +128,7 @@ class Hardware:
 
         Returns the fault of a withdrawal that failed.
         """
-        # After a fault no command is sent, so the bound of the last one is not counted.
+        # After a fault no command is sent; `held_back` still belongs to the last one: not counted.
         self.at_end.add(self._status.held_back and not faults)
         if not faults:
             self._drive.command(speed_m_per_s)
@@ -173,7 +173,7 @@ class Hardware:
 
     @property
     def counts(self) -> Counter[str]:
-        """Errors on the lines of drive and film that the next message corrected, by name."""
+        """Line errors of drive and film that the next message corrected, readings out of order."""
         counts = Counter({f"drive {name}": n for name, n in self._drive.counts.items()})
         if self._sensor is not None:
             counts.update({f"film {name}": n for name, n in self._sensor.rejected.items()})
@@ -187,7 +187,8 @@ class Hardware:
     def withdraw(self) -> None:
         """Withdraw the tip from the finger, and wait until it is off, 1.5 s at most.
 
-        Call it right after the last tick: a later one would be preceded by the watchdog's fault.
+        Call it right after the last tick: if called later, the drive's watchdog would report a
+        fault first.
         """
         self._drive.withdraw("ended")
         deadline_s = time.monotonic() + WITHDRAWN_WITHIN_S

@@ -2,7 +2,8 @@
 
 A withdrawal is slow until position or film confirms that the tip leaves the finger, then fast. A
 position or a force that changes in the wrong direction stops it at once. Without a confirmation it
-ends after a commanded travel. Pure: times are arguments in ns on the monotonic clock.
+ends after a commanded travel; while the film still reads a press, it continues slowly. Pure: times
+are arguments in ns on the monotonic clock.
 """
 
 from dataclasses import dataclass
@@ -28,7 +29,8 @@ IN_A_ROW = 3
 # A longer pause between commands is a stall of the host. The drive keeps its last command until its
 # own watchdog stops it, and must then reverse again.
 PAUSE_NS = 30_000_000
-# Without a confirmation for this time, the commanded travel decides. MARGIN_M is added to it.
+# If no position shows the withdrawal, it ends when it has lasted this time and the travel to the
+# clear position plus MARGIN_M was commanded.
 PATIENCE_NS = 150_000_000
 MARGIN_M = 0.5e-3
 # After a longer time without a report, commands may not have reached the drive.
@@ -79,7 +81,7 @@ class Withdrawal:
         """
         self._began_ns = self._counted_ns = self._turning_ns = self._sent_ns = now_ns
         self._peak_m = self._last_m = position_m
-        self._began_m = self._travel_m = travel_m
+        self._counted_m = self._travel_m = travel_m
         self._received_ns = now_ns
         self._clear_m = clear_m
         self._unconfirmed_m = position_m - clear_m + MARGIN_M
@@ -129,7 +131,7 @@ class Withdrawal:
 
     def restart(self, now_ns: int, travel_m: float) -> None:
         """Count time and travel from now on, as earlier commands may not have moved the motor."""
-        self._counted_ns, self._began_m = now_ns, travel_m
+        self._counted_ns, self._counted_m = now_ns, travel_m
         if self.outcome is WithdrawalOutcome.UNCONFIRMED:
             self.outcome = WithdrawalOutcome.UNDER_WAY
 
@@ -141,9 +143,10 @@ class Withdrawal:
             self._turning_ns = now_ns
             self.restart(now_ns, travel_m)
         self._sent_ns = now_ns
-        travelled = self._began_m - travel_m >= self._unconfirmed_m
+        travelled = self._counted_m - travel_m >= self._unconfirmed_m
         if self.outcome is WithdrawalOutcome.UNDER_WAY and travelled:
-            # Wait until a position can be expected, and after a confirmation while positions come.
+            # Wait `PATIENCE_NS` from the start, or after a confirmation from the newest position:
+            # reports lag behind the commands.
             since_ns = max(self._counted_ns, self._received_ns if self.confirmed else 0)
             if not self._trusted or now_ns - since_ns >= PATIENCE_NS:
                 relieved = self._relieved and self._last_n <= PRESSED_N

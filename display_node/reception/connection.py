@@ -83,7 +83,7 @@ LOOK_UP_AGAIN_S = 2.0
 
 
 class Lookup:
-    """Look-up of the IP address of an address's host name, in a thread beside the loop."""
+    """Look-up of the host name in an address such as tcp://host:5555, in a thread of its own."""
 
     def __init__(self, address: str) -> None:
         self._address = address
@@ -145,7 +145,7 @@ class Route:
     def __init__(
         self, context: sockets.Context, address: str, paths: int, keys: ClientKeys | None
     ) -> None:
-        sockets.control_address(address)
+        sockets.control_address(address)  # Raises AddressError.
         self.address = address
         self.paths = [DataPath(context, keys) for _ in range(paths)]
         self.lookup = Lookup(address)
@@ -164,12 +164,13 @@ class Route:
             self.lookup.start()
 
 
-# Round trips to wait for the answer to a connection request, at least `ANSWER_NS`, before it is
-# repeated: the kernel would repeat it only after 1 s.
+# An unanswered connection request is repeated after this many round trips, but not before
+# `ANSWER_NS`. The kernel alone would repeat it after 1 s.
 ANSWER_ROUND_TRIPS = 3
 # When all endpoints together are silent for this time, data and control are connected anew.
 CUT_NS = 500_000_000
-# After a pause of this process of at least this time, the first messages may only have queued.
+# After a pause of this process of at least this time, the first messages may be queued ones, which
+# do not show that the connection still works.
 STALLED_NS = 250_000_000
 
 
@@ -181,7 +182,7 @@ class Connection:
     An endpoint is one socket, of control or of a path.
 
     paths: number of paths, at least one for each address. rejected: number of refused connections
-    by cause. Raises AddressError for an address that is not valid.
+    by cause, and of messages dropped in floods. Raises AddressError for an invalid address.
     """
 
     def __init__(
@@ -196,7 +197,7 @@ class Connection:
             for number, address in enumerate(addresses)
         ]
         self._turns = itertools.cycle(self.routes)
-        # Time of a frame, and time allowed for the answer to a connection request.
+        # Duration of a frame, and time allowed for the answer to a connection request.
         self._times_ns: tuple[int, int] | None = None
         self._received_ns: int | None = None
         self._polled_ns: int | None = None
@@ -291,7 +292,7 @@ class Connection:
                 or sockets.control_address(data.address) != control.address
             ):
                 continue
-            # A repetition may come too early for a slow network: this request gets unlimited time.
+            # A repetition may come too early for a slow network: only the kernel repeats this one.
             if pending is control:
                 return self._connect_control(control.address, now_ns, fast_retry=False)
             data.connect(data.address, now_ns, fast_retry=False)

@@ -86,8 +86,8 @@ def _fault_option(names: tuple[str, ...]) -> Any:
     return typer.Option(
         "--fault",
         metavar="NAME",
-        help=f"Fault that begins at --fault-after: {', '.join(names)}; or one that the drive does"
-        f" not report: {', '.join(UNREPORTED)}.",
+        help=f"Fault, which begins at --fault-after: {', '.join(names)}; or one of those that"
+        f" the drive does not report: {', '.join(UNREPORTED)}.",
     )
 
 
@@ -127,11 +127,11 @@ def sensor(
     seconds: StopAfterOption = None,
     log_level: LogLevelOption = None,
 ) -> None:
-    """Emulate a sensor board on a pseudo-terminal that sends a scene's source.
+    """Emulate, on a pseudo-terminal, a sensor board that sends the samples of a scene's source.
 
-    Prints the table with which a scene reads it. The board samples by its own crystal, USB
-    delivers in batches, and noise alters bytes. Stopping the program disconnects the board;
-    starting it with the same --link connects the board again.
+    Prints the TOML table that a scene needs to read this board. The board samples by its own
+    crystal, USB delivers in batches, and noise alters bytes. Stopping the program disconnects the
+    board; starting it with the same --link connects the board again.
     """
     console, stopped = plain_console(), threading.Event()
     behaviour = BoardBehaviour(
@@ -197,7 +197,7 @@ def tmcl(
             nonlocal serve
             if name in ANSWER_FAULTS:
                 module.answer_mode = name
-            else:
+            else:  # Unplugged.
                 serve = time.sleep
                 cable.close()
 
@@ -265,7 +265,7 @@ def cia402(
 def _injected_fault(
     fault: str | None, size: str | None, names: tuple[str, ...]
 ) -> InjectedFault | None:
-    """Return the named fault if the drive does not report it, or None. Raises SceneError."""
+    """Return the fault that `DriveRun` injects; None for any other. Raises SceneError."""
     if fault in UNREPORTED:
         return parse_fault(FaultKind(fault), size)
     if fault is not None and fault not in names:

@@ -48,9 +48,7 @@ class LazyGroup(TyperGroup):
 app = typer.Typer(cls=LazyGroup, rich_markup_mode="markdown", no_args_is_help=True)
 
 
-@app.callback(
-    help="A pulse sensed in one place, felt in another: demo, simulation and link emulation."
-)
+@app.callback(help="A pulse sensed in one place, felt in another: demo, simulation and link proxy.")
 def telepulse(version: VersionOption = False) -> None:
     """Take the options that stand before a command."""
 

@@ -2,8 +2,8 @@
 
 It runs as a process of its own, so that the parent's garbage collector delays no packet. It prints
 the start time of the links. When its standard input closes, also because its parent ended, it
-prints its counts and ends. A line on standard input is the index of a link with its new
-impairments, or with "drop" and its new packet filters as JSON.
+prints its counts and ends. Each line on standard input is a link's index, followed by its new
+impairments, or by "drop" and its new packet filters as JSON.
 """
 
 import heapq

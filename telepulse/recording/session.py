@@ -39,7 +39,7 @@ def felt_force(path: Path, session: int) -> RecordedForce:
     receiver = PassiveReceiver()
     # Of each tick: sensing clock, this clock minus Unix time, and force.
     t_ns, ahead_ns, force_n = list[int](), list[int](), list[float]()
-    # Of each event: Unix time, text, and number of the tick before it, 0 for an earlier one.
+    # Of each event: Unix time, text, and index of the last tick before it; 0 if before the first.
     events: list[tuple[int, str, int]] = []
     try:
         for message in RecordingReader(path):
@@ -69,7 +69,7 @@ def felt_force(path: Path, session: int) -> RecordedForce:
 class RecordedSession:
     """Frames of one session, as bytes by the number of their first sample.
 
-    cut: description of the recording's missing end, or "". provenance: of the runs in it.
+    cut: description of the recording's missing end, or "". provenance: that of each run in it.
     """
 
     number: int

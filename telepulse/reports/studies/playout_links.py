@@ -44,7 +44,7 @@ def gaussian(rng: np.random.Generator, count: int) -> Milliseconds:
 
 
 def spikes(rng: np.random.Generator, count: int) -> Milliseconds:
-    """Delay a frame by 100 ms every 20 s, and with it the 20 frames sent meanwhile."""
+    """Delay a frame by 100 ms every 20 s; `in_order` then holds the 20 frames sent meanwhile."""
     delay_ms = gaussian(rng, count)
     delay_ms[_frames(10) :: _frames(20)] += 100.0
     return delay_ms
@@ -109,8 +109,8 @@ GAUSSIAN, SPIKES, ROUTE = "Gaussian", "100 ms spikes", "+60 ms route"
 FAST, SLOW = "+200 ppm", "−200 ppm"
 BURSTS, RANDOM, TCP = "Markov bursts", "random spikes", "TCP stalls"
 SHORT_BURSTS, DENSE = "short bursts", "dense spikes"
-# The targets name the links but not their figures, which are our choice; the random ones determine
-# what is possible. The last two links are harder ones of the same kinds, without a target.
+# The project's targets name these links without figures. We chose the figures; those of the random
+# links decide which delay is attainable. The last two links are harder ones, without a target.
 LINKS: dict[str, Draw] = {
     GAUSSIAN: gaussian,
     SPIKES: spikes,
@@ -146,8 +146,9 @@ def _frames(seconds: float) -> int:
 SLEW = 0.05
 # Levels are 0.5 ms apart: at 5 % and a frame every 5 ms, the delay moves one level in two frames.
 FRAMES_A_STEP = 2
-# The bisection searches between these prices of lateness, down to this ratio.
-LEAST_MS, MOST_MS = 10.0, 1e5
+# Bounds of the price of lateness (ms for a late share of 1, see `best_moving`), and the ratio of
+# both at which the bisection stops.
+LEAST_PRICE_MS, MOST_PRICE_MS = 10.0, 1e5
 RESOLUTION = 1.05
 
 
@@ -155,12 +156,12 @@ class MovingDelay(NamedTuple):
     """A delay for every frame, shape (frames,), its mean in ms and the late share."""
 
     path_ms: Milliseconds
-    delay_ms: float
+    mean_ms: float
     late: float
 
 
 class Optimum(NamedTuple):
-    """Lower bound on the mean of all moving delays within the late share, and the best path found.
+    """Lower bound on the mean delay of any path within the late share, and the best path found.
 
     The two may differ, since the bound comes from a Lagrangian dual (duality gap).
     """
@@ -182,16 +183,16 @@ def best_moving(delay_ms: Milliseconds, late: float) -> Optimum:
     finds the price at which the cheapest path has the permitted late share. Each price p gives the
     bound min(mean + p · share) − p · late.
     """
-    low, high = LEAST_MS, MOST_MS
+    low, high = LEAST_PRICE_MS, MOST_PRICE_MS
     best = cheapest(delay_ms, high)
-    bound_ms = best.delay_ms + high * (best.late - late)
+    bound_ms = best.mean_ms + high * (best.late - late)
     while high > low * RESOLUTION:
         price_ms = float(np.sqrt(low * high))
         path = cheapest(delay_ms, price_ms)
-        bound_ms = max(bound_ms, path.delay_ms + price_ms * (path.late - late))
+        bound_ms = max(bound_ms, path.mean_ms + price_ms * (path.late - late))
         if path.late <= late:
             high = price_ms
-            best = min(best, path, key=lambda one: one.delay_ms)
+            best = min(best, path, key=lambda one: one.mean_ms)
         else:
             low = price_ms
     return Optimum(bound_ms, best)
@@ -229,7 +230,7 @@ def _moves(
     """Return the cost from each first level, and the best move from every step and level."""
     count = len(level_costs)
     moves = np.zeros((len(on_time), count), dtype=np.int8)
-    # Cost of the following steps, between two levels that do not exist.
+    # Cost of the following steps for each level; the infinite ends stand for levels out of range.
     padded = np.full(count + 2, np.inf)
     here, below, above = padded[1:-1], padded[:-2], padded[2:]
     here[:] = 0.0

@@ -156,14 +156,14 @@ def score_link(link: str, effort: PlayoutEffort) -> LinkScore:
     optimum = links.best_moving(delay_ms, effort.permitted_late)
     prices_ms = PRICES_MS if link in effort.curves else ()
     paths = [links.cheapest(delay_ms, price_ms) for price_ms in prices_ms]
-    curve = [PlayedTrace(path.delay_ms, path.late) for path in paths]
+    curve = [PlayedTrace(path.mean_ms, path.late) for path in paths]
     return LinkScore(
         float(delay_ms.min()),
         {
             CONSTANT: links.best_constant_ms(delay_ms, effort.permitted_late),
             MOVING: optimum.bound_ms,
         },
-        optimum.best.delay_ms,
+        optimum.best.mean_ms,
         (PlayedTrace(optimum.bound_ms, effort.permitted_late), *curve),
     )
 

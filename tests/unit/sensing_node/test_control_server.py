@@ -20,13 +20,13 @@ from protocol.wire.messages import (
 from sensing_node.control_server import (
     ADDRESS_BYTES,
     ANSWERS_AT_ONCE,
-    ANSWERS_PER_S,
+    DISPLAY_ANSWERS_PER_S,
+    DISPLAY_REQUESTS_PER_S,
     FORGET_AFTER_NS,
     LEAST_PER_S,
     MAX_CLIENTS,
     MAX_HOPS,
     REQUESTS_AT_ONCE,
-    REQUESTS_PER_S,
     Client,
     ControlServer,
     RequestBudget,
@@ -238,7 +238,7 @@ def test_a_flooding_display_gets_few_answers_and_others_get_all(server: ControlS
             flooded += ask(server, ANNA, ClockRequest(now_ns), now_ns) is not None
         answered += ask(server, BERT, ClockRequest(now_ns), now_ns) is not None
     assert answered == 500
-    assert flooded <= ANSWERS_AT_ONCE + 10 * ANSWERS_PER_S
+    assert flooded <= ANSWERS_AT_ONCE + 10 * DISPLAY_ANSWERS_PER_S
     assert server.rejected["flood"] == 50_000 - flooded
 
 
@@ -279,7 +279,7 @@ def test_every_client_has_sent_a_valid_message_recently(sent: list[Any]) -> None
     ("displays", "per_ms", "least", "most"),
     [
         # Two displays flood. Each pause admits one message beyond the budget, 200 a second.
-        (2, 75, 0.5, REQUESTS_AT_ONCE + 10 * (LEAST_PER_S + 2 * REQUESTS_PER_S + 200)),
+        (2, 75, 0.5, REQUESTS_AT_ONCE + 10 * (LEAST_PER_S + 2 * DISPLAY_REQUESTS_PER_S + 200)),
         # A hundred displays send 60 a second each, and all are read.
         (100, 6, 1.0, 60_000),
     ],
