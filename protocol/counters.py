@@ -1,7 +1,8 @@
 """Counters of a run, tick by tick: shares by state, interruptions, time at limits. Pure.
 
 The shares of `Availability` refer to the whole time, including the ticks that the loop missed.
-Ticks are counted because a state may begin and end between two statuses.
+States are counted tick by tick, not from the status messages: a state may begin and end between
+two of those.
 """
 
 from collections import Counter
@@ -32,7 +33,7 @@ class Availability:
         "Time of the run, missed ticks included", unit=SECONDS, metric="run_seconds"
     )
     felt: float | None = _state("The pulse was felt at its full strength", "felt")
-    starting: float | None = _state("The pulse was ramped up", "starting")
+    starting: float | None = _state("The pulse was ramped up, or faded out", "starting")
     stale: float | None = _state("No samples to play", "stale")
     faulted: float | None = _state("A fault had latched", "faulted")
     waiting: float | None = _state("No stream, or its clock was not known yet", "waiting")
@@ -105,11 +106,11 @@ def availability_text(shares: Mapping[str, Any]) -> str | None:
 
 @dataclass(frozen=True, slots=True)
 class Interruptions:
-    """Ended interruptions, each from one tick at full strength to the next such tick."""
+    """Ended interruptions: from the last full-strength tick before to the first one after it."""
 
     count: int | None = figure(
-        "Ended interruptions of the pulse, each from one tick at full strength to the next"
-        " such tick",
+        "Ended interruptions of the pulse, each from the last tick at full strength before it to"
+        " the first one after it",
         metric="interruptions_total",
     )
     seconds: float | None = figure(
@@ -127,8 +128,8 @@ class InterruptionCounter:
 
     def __init__(self, tick_s: float) -> None:
         self._tick_s = tick_s
-        self._ticks = self._count = self._all = self._longest = 0
-        # The last tick at full strength, and whether one without it followed.
+        self._ticks = self._count = self._interrupted_ticks = self._longest = 0
+        # The last tick at full strength, and whether a tick below full strength followed.
         self._full: int | None = None
         self._interrupted = False
         self._last: tuple[int, int] | None = None
@@ -144,7 +145,7 @@ class InterruptionCounter:
             self._last = self._full, self._ticks
             ticks = self._ticks - self._full
             self._count += 1
-            self._all += ticks
+            self._interrupted_ticks += ticks
             self._longest = max(self._longest, ticks)
         self._full = self._ticks
 
@@ -154,7 +155,9 @@ class InterruptionCounter:
             return Interruptions()
         if self._last is None:
             return Interruptions(0, 0.0)
-        seconds = (ticks * self._tick_s for ticks in (self._all, self._longest, *self._last))
+        seconds = (
+            ticks * self._tick_s for ticks in (self._interrupted_ticks, self._longest, *self._last)
+        )
         return Interruptions(self._count, *seconds)
 
 
@@ -189,10 +192,11 @@ def _limit(name: str, key: str) -> Any:
 class Limits:
     """Figures of each limit.
 
-    force, negative, slew: bounds of the target force (`safety`). They are the force limit; 0 N,
-    where the pulse is more than 1 mN below it; and the slew limit at full strength, without ramps
-    and fades. travel: end of the actuator's travel towards the finger, on a real bench with the
-    braking before it. film, adc: ADC ranges of the modelled film and of the sensing node.
+    `Safety` applies the first three to the target force. force: the force limit. negative: the
+    bound at 0 N, counted where the target is more than 1 mN below it. slew: the slew limit at full
+    strength, without ramps and fades. travel: the end of the actuator's travel towards the finger,
+    on a real bench with the braking before it. film: the ADC range of the modelled film. adc: that
+    of the sensing node.
     """
 
     force: Limited = _limit("force limit", "force")

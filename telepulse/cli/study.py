@@ -65,7 +65,9 @@ def playout(
     json: TablesOption = None,
     scheduler: SchedulerOption = None,
 ) -> None:
-    """Compare methods of setting the playout delay: delay against late frames, and the optimum.
+    """Compare methods of setting the playout delay: delay against late frames.
+
+    The best delay that a whole trace permits is shown beside them.
 
     Uses all cores; takes about a minute on two.
     """
@@ -83,7 +85,8 @@ def prediction(
 ) -> None:
     """Compare the predictors: error against horizon, and cost, on pulses and recordings.
 
-    Uses all cores; takes about a minute on two. Recordings are included if heartpy is installed.
+    Uses all cores; takes about a minute on two. heartpy's example recordings are included if it
+    is installed.
     """
     from telepulse.reports.studies import prediction_study as study
 
@@ -101,10 +104,10 @@ def link(
     json: TablesOption = None,
     scheduler: SchedulerOption = None,
 ) -> None:
-    """Compare buffering with prediction by the error of the felt force over several links.
+    """Compare buffering and prediction on several links, by the error of the felt force.
 
-    Uses all cores; takes about three minutes on two. A recording is included if heartpy is
-    installed.
+    Uses all cores; takes about three minutes on two. heartpy's first example recording is
+    included if it is installed.
     """
     from telepulse.reports.studies import link_report, link_scores
 

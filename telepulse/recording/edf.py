@@ -56,8 +56,8 @@ def export_edf(path: Path, file: Path) -> str:
     seconds = math.ceil((t_ns[-1] - begin_ns + period_ns) / SECOND_NS)
     grid_ns = begin_ns + np.arange(seconds * rate_hz, dtype=np.int64) * SECOND_NS // rate_hz
     forces = [
-        (f"Force {channel.name}", _resampled(grid_ns, t_ns, values[:, number]))
-        for number, channel in enumerate(description.channels)
+        (f"Force {channel.name}", _resampled(grid_ns, t_ns, values[:, index]))
+        for index, channel in enumerate(description.channels)
     ]
     forces.append(("Force felt", _resampled(grid_ns, felt.t_ns, felt.force_n)))
     try:
@@ -66,14 +66,14 @@ def export_edf(path: Path, file: Path) -> str:
         raise SourceError(f"{path}: holds forces that EDF cannot: {error}") from None
     losses = _losses(t_ns, numbers, period_ns)
     events = [(max(0, at_ns - begin_ns) * 1e-9, None, text) for at_ns, text in felt.events]
-    cut = [(seconds, None, session.cut)] if session.cut else []
+    missing_end = [(seconds, None, session.cut)] if session.cut else []
     origin = [
         (0, None, f"{key} {run[key]}")
         for run in session.provenance
         for key in ("version", "commit", "host", "command")
         if key in run
     ]
-    notes = [edfio.EdfAnnotation(*note) for note in (*losses, *events, *cut, *origin)]
+    notes = [edfio.EdfAnnotation(*note) for note in (*losses, *events, *missing_end, *origin)]
     unix_us = (begin_ns - felt.sensing_minus_unix_ns) // 1000
     start = datetime.fromtimestamp(unix_us / 1e6, UTC)
     edf = edfio.Edf(

@@ -1,6 +1,6 @@
-"""Values over a whole recording: trends in fixed memory, and the forces at both ends.
+"""Values over a whole recording: trends in fixed memory, and the forces at wrist and finger.
 
-Errors, stretches for plots, and heart rates are computed from the forces. Pure.
+Errors, blocks for plots, and heart rates are computed from the forces. Pure.
 """
 
 from collections.abc import Callable
@@ -14,7 +14,8 @@ from display_node.scoring.tracking_error import JND, TrackingError, interpolate
 from protocol.wire.messages import Frame
 from protocol.wire.stream import StreamDescription
 
-# This many ticks wait for the samples around their instants, as in the display.
+# BLOCK ticks are aligned at once. They wait for the samples around their instants until PATIENCE
+# further ticks have come, as in the display.
 BLOCK = PATIENCE = 2_048
 MAX_FRAMES = 20_000
 # Heart rates use every tenth tick, which gives enough points in a beat.
@@ -22,8 +23,8 @@ THIN = 10
 HEART_WINDOW_S = 6.0
 # A window with a longer gap has no heart rate.
 MAX_GAP_S = 0.25
-# Blocks in the first stretch.
-STRETCH_BLOCKS = 3
+# Blocks that are kept from the start.
+FIRST_BLOCKS = 3
 # Bins of a trend, and their initial width.
 BINS = 1_000
 NARROWEST_S = 0.1
@@ -77,7 +78,10 @@ class Trend:
 
 
 class AlignedTick(NamedTuple):
-    """A tick at full strength; t_s: since the recording's start. Others: on the sensing clock."""
+    """A tick at full strength; t_s: since the recording's start.
+
+    sensing_now_ns, instant_ns: time of the tick and of the pulse played, on the sensing clock.
+    """
 
     t_s: float
     sensing_now_ns: int
@@ -86,18 +90,19 @@ class AlignedTick(NamedTuple):
 
 
 class AlignedBlock(NamedTuple):
-    """Consecutive ticks; wrist_n: target of the felt force, NaN where nothing was sensed."""
+    """Consecutive ticks; target_n: target force at the finger, NaN where nothing was sensed."""
 
     t_s: Floats
-    wrist_n: Floats
+    target_n: Floats
     felt_n: Floats
 
 
 class ForceAlignment:
-    """Alignment of felt force with the pulse at the wrist, in blocks of one session each.
+    """Alignment of felt force with the pulse at the wrist, in blocks of ticks.
 
-    take_block: receives each complete block. errors: errors as the display computes them. ratio:
-    target force at the finger per force at the wrist; None before the first status.
+    No block spans two sessions. take_block: receives each complete block. errors: as the display
+    computes them. ratio: target force at the finger per force at the wrist; None before the first
+    status.
     """
 
     def __init__(self, take_block: Callable[[AlignedBlock], object]) -> None:
@@ -161,17 +166,17 @@ class ForceAlignment:
         order = np.argsort(t_ns, kind="stable")
         t_ns, values = t_ns[order], values[order]
         instant_ns = np.array([tick.instant_ns for tick in ticks], np.int64)
-        wrist_n = self.ratio * interpolate(instant_ns, t_ns, values[:, self.channel])
+        target_n = self.ratio * interpolate(instant_ns, t_ns, values[:, self.channel])
         t_s, felt_n = np.array([(tick.t_s, tick.felt_n) for tick in ticks]).T
-        self._take_block(AlignedBlock(t_s, wrist_n, felt_n))
+        self._take_block(AlignedBlock(t_s, target_n, felt_n))
         keep = max(0, int(np.searchsorted(t_ns, instant_ns[-1])) - 1)
         self._t_ns, self._values = [t_ns[keep:]], [values[keep:]]
 
 
 class ForceHistory:
-    """Forces of a recording: errors over time, two stretches, heart rates.
+    """Forces of a recording: errors over time, blocks for two plots, heart rates.
 
-    first, worst: the first stretch at full strength, and the one around the largest error. heart:
+    first, worst: the first blocks at full strength, and those around the largest error. heart:
     time in s, and heart rate per minute at wrist and finger, None for a window with a gap.
     """
 
@@ -184,22 +189,22 @@ class ForceHistory:
         self._before: list[AlignedBlock] = []
         self._worst_n = -1.0
         self._follow_worst = False
-        self._beats: list[AlignedBlock] = []
+        self._heart_blocks: list[AlignedBlock] = []
 
     def _take(self, block: AlignedBlock) -> None:
-        error_n = block.felt_n - block.wrist_n
-        known_n = block.wrist_n[~np.isnan(error_n)]
+        error_n = block.felt_n - block.target_n
+        known_n = block.target_n[~np.isnan(error_n)]
         if not len(known_n):
             return
         self.error_n.add(block.t_s, error_n)
         jnd_n = JND * float(np.ptp(known_n))
         self.jnd_n.add(block.t_s, np.full(len(block.t_s), jnd_n))
-        self._keep_stretches(block, float(np.nanmax(np.abs(error_n))))
+        self._keep_for_plots(block, float(np.nanmax(np.abs(error_n))))
         self._add_heart_rates(block)
 
-    def _keep_stretches(self, block: AlignedBlock, largest_n: float) -> None:
-        """Keep the first blocks, and the one with the largest error between its neighbours."""
-        if len(self.first) < STRETCH_BLOCKS:
+    def _keep_for_plots(self, block: AlignedBlock, largest_n: float) -> None:
+        """Keep the first blocks, and the block with the largest error with those beside it."""
+        if len(self.first) < FIRST_BLOCKS:
             self.first.append(block)
         if self._follow_worst:
             self.worst.append(block)
@@ -210,11 +215,11 @@ class ForceHistory:
 
     def _add_heart_rates(self, block: AlignedBlock) -> None:
         """Add the heart rates of a window once it is complete."""
-        self._beats.append(AlignedBlock(*(values[::THIN] for values in block)))
-        t_s, *forces_n = (np.concatenate(parts) for parts in zip(*self._beats, strict=True))
+        self._heart_blocks.append(AlignedBlock(*(values[::THIN] for values in block)))
+        t_s, *forces_n = (np.concatenate(parts) for parts in zip(*self._heart_blocks, strict=True))
         if t_s[-1] - t_s[0] < HEART_WINDOW_S:
             return
-        self._beats.clear()
+        self._heart_blocks.clear()
         wrist, felt = (_heart_rate_per_min(t_s, force_n) for force_n in forces_n)
         self.heart.append((float(t_s.mean()), wrist, felt))
 

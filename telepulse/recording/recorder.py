@@ -13,7 +13,7 @@ from telepulse.telemetry.schema import TOPIC_NAMES
 
 logger = logging.getLogger(__name__)
 
-# A recorder that is killed loses the messages since the last flush: at most 1 s is acceptable.
+# A recorder that is killed loses the messages since the last flush, those of about 0.5 s.
 FLUSH_EVERY_NS = 500_000_000
 
 
@@ -61,7 +61,7 @@ class McapRecorder:
                 if now_ns >= flush_ns:
                     flush_ns = now_ns + FLUSH_EVERY_NS
                     self._report_disk(self._file.flush())
-            return self._end(alone=display_pid is None)
+            return self._end(started_by_display=display_pid is not None)
         finally:
             self._client.close()
 
@@ -80,7 +80,7 @@ class McapRecorder:
         if self._decoder.started:
             self._file.add(self._decoder.event(Event("WARNING", "disk", text)))
 
-    def _end(self, alone: bool) -> bool:
+    def _end(self, started_by_display: bool) -> bool:
         reason, file, missed = self._file.close(), self._file, self._decoder.missed
         warnings = []
         if self._decoder.started:
@@ -92,13 +92,13 @@ class McapRecorder:
             logger.info(f"{self._path}: {', '.join(counts)}")
         else:
             self._path.unlink(missing_ok=True)
-            if alone:
+            if not started_by_display:
                 warnings.append(f"no telemetry came from {self._address}")
         if missed:
             counts = (f"{count} {name}" for name, count in sorted(missed.items()))
             warnings.append(f"the recorder missed {', '.join(counts)}")
         if file.dropped:
-            cause = reason or "memory was full while the disk was"
+            cause = reason or "memory was full while the disk accepted nothing"
             warnings.append(f"{count_text(file.dropped, 'message')} could not be written: {cause}")
         elif reason is not None:
             warnings.append(f"has no index: {reason}")

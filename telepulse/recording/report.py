@@ -115,7 +115,7 @@ def _force(findings: RunFindings, drawn: "_Plots") -> Chapter:
     forces, alignment = findings.forces, findings.forces.alignment
     if alignment.ratio is None or not forces.first:
         return Chapter("Force", ("The pulse was never played at its full strength.",))
-    first, worst = (_stretch(blocks) for blocks in (forces.first, forces.worst))
+    first, worst = (_force_plot(blocks) for blocks in (forces.first, forces.worst))
     plots = [
         Plot("force-first", "The first seconds at full strength.", first),
         Plot("force-worst", "Around the largest difference.", worst),
@@ -137,7 +137,7 @@ def _force(findings: RunFindings, drawn: "_Plots") -> Chapter:
     return Chapter("Force", (found,), plots=tuple(plots))
 
 
-def _stretch(blocks: list[AlignedBlock]) -> "Callable[[Figure], None]":
+def _force_plot(blocks: list[AlignedBlock]) -> "Callable[[Figure], None]":
     """Plot force at wrist and finger over some seconds, and their difference over the JND band."""
     t_s, *forces_n = map(np.concatenate, zip(*blocks, strict=True))
     # A NaN in every gap interrupts the line.

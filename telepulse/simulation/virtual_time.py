@@ -41,8 +41,8 @@ class ReferenceForce:
     """The true values of the frames of one session, from a second copy of their source.
 
     The truth is the output of an ideal film at the samples' own times: without mains hum, notch,
-    anti-alias filter and ADC. No film measures a static force, so a charge amplifier and the
-    constant preload in its place are part of the truth.
+    anti-alias filter and ADC. No film measures a static force. So the charge amplifier, and the
+    constant preload that stands in for the static force, are part of the truth.
     """
 
     def __init__(self, scene: SensingScene, folder: Path) -> None:

@@ -42,7 +42,8 @@ AT_REST_N = 1e-3
 class CaseVerdict(StrEnum):
     """Verdict on a hard case. The last two are defects, the last one the worst.
 
-    REFUSED: not started, or at rest after a fault that Safety has latched.
+    REFUSED: not started, or at rest after a fault that Safety has latched. FAILS: an unforeseen
+    error, or a latched fault after which the force rises, leaves the bounds or does not rest.
     """
 
     STABLE = "stable"

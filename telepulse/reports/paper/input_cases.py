@@ -38,20 +38,20 @@ from telepulse.reports.paper.hard_case import (
     make_setup,
 )
 
-ODD_AT = 500
+STRANGE_AT = 500
 MS = 1_000_000
 SESSION = 1
 BATCH = 5
 STREAM_FROM_MS, STREAM_TO_MS = 500, 2000
 LONG_S = 0.1
-SHORT_TICKS = 100_000
+SHORT_TICK_COUNT = 100_000
 EXACT = 1e-9
 
 
-def odd_samples() -> Iterator[CaseResult]:
+def strange_samples() -> Iterator[CaseResult]:
     """Put one sample that is not a usable force into the reference, and into the film's reading.
 
-    One row has all samples with the same verdict and reason.
+    Samples with the same verdict and reason share a row.
     """
     pid = make_setup({"kp": 0.1, "kd": 1e-4}, {"kind": "stepper"})
     setups = {**common_setups(), "PID on force with kd": pid}
@@ -64,16 +64,16 @@ def odd_samples() -> Iterator[CaseResult]:
         "reading": "the drive's limits bound the effect of one reading",
     }
     rows = product(samples_n.items(), setups.items(), places.items())
-    for (case, odd_n), (name, setup), (place, explanation) in rows:
+    for (case, strange_n), (name, setup), (place, explanation) in rows:
         alike: dict[tuple[CaseVerdict, str], tuple[list[str], list[Array]]] = {}
-        for text, value_n in odd_n.items():
-            hard = HardCase(case, "", setup, explanation, ticks=1000, disturbance_tick=ODD_AT)
-            odd: dict[str, Any] = {place: _odd_at(value_n)}
-            result = evaluate(replace(hard, **odd))
+        for text, value_n in strange_n.items():
+            hard = HardCase(case, "", setup, explanation, ticks=1000, disturbance_tick=STRANGE_AT)
+            strange: dict[str, Any] = {place: _strange_at(value_n)}
+            result = evaluate(replace(hard, **strange))
             texts, felt_n = alike.setdefault((result.verdict, result.reason), ([], []))
             texts.append(text)
             if result.felt_n is not None:
-                felt_n.append(result.felt_n[ODD_AT:])
+                felt_n.append(result.felt_n[STRANGE_AT:])
         for (verdict, reason), (texts, felt_n) in alike.items():
             figure = "–"
             if felt_n:
@@ -83,13 +83,13 @@ def odd_samples() -> Iterator[CaseResult]:
             yield CaseResult(case, what, verdict, figure, reason)
 
 
-def _odd_at(odd_n: float) -> Callable[..., float]:
-    return lambda tick, usual_n=HELD_N: odd_n if tick == ODD_AT else usual_n
+def _strange_at(strange_n: float) -> Callable[..., float]:
+    return lambda tick, usual_n=HELD_N: strange_n if tick == STRANGE_AT else usual_n
 
 
 def peer_frames() -> Iterator[CaseResult]:
-    """Send a display frames with odd values in every sample of every other frame."""
-    for odd_n, text in (
+    """Send a display strange values in every other frame, and descriptions of extreme layers."""
+    for strange_n, text in (
         (math.nan, "NaN"),
         (math.inf, "∞"),
         (-math.inf, "−∞"),
@@ -97,7 +97,7 @@ def peer_frames() -> Iterator[CaseResult]:
         (1e308, "1e308 N"),
         (-1e308, "−1e308 N"),
     ):
-        yield _streamed(f"every other frame of a peer holds {text}", odd_n, published.LAYER)
+        yield _streamed(f"every other frame of a peer holds {text}", strange_n, published.LAYER)
     for modulus_pa in (1e-300, 1e-303):
         name = f"a peer's layer has E = {modulus_pa:g} Pa"
         try:
@@ -109,7 +109,7 @@ def peer_frames() -> Iterator[CaseResult]:
             yield _streamed(name, HELD_N, layer)
 
 
-def _streamed(name: str, odd_n: float, layer: ElasticLayer) -> CaseResult:
+def _streamed(name: str, strange_n: float, layer: ElasticLayer) -> CaseResult:
     """Feed a display for some seconds, and judge its felt force and its counts."""
     scene = DisplayScene.model_validate(
         {
@@ -120,7 +120,7 @@ def _streamed(name: str, odd_n: float, layer: ElasticLayer) -> CaseResult:
     )
     display = Display(scene, "hard cases", score=False)
     stream = StreamDescription("hard cases", MS, BATCH, (Channel("pulse"),), layer, 8)
-    felt_n, frames, odd_frames = [], 0, 0
+    felt_n, frames, strange_frames = [], 0, 0
     for tick in range(STREAM_TO_MS):
         now_ns = tick * MS
         felt_n.append(display.tick(now_ns).felt_n)
@@ -133,13 +133,14 @@ def _streamed(name: str, odd_n: float, layer: ElasticLayer) -> CaseResult:
                     reply = ClockReply(SESSION, t1_ns, now_ns, now_ns)
                     display.on_control(encode_control(reply), now_ns)
         if tick >= STREAM_FROM_MS and tick % BATCH == 0:
-            odd = frames % 2 == 1
-            values = np.full((BATCH, 1), odd_n if odd else HELD_N)
+            strange = frames % 2 == 1
+            values = np.full((BATCH, 1), strange_n if strange else HELD_N)
             frame = Frame(SESSION, frames * BATCH, now_ns - (BATCH - 1) * MS, MS, values)
             display.on_frame(encode_frame(frame), now_ns)
-            frames, odd_frames = frames + 1, odd_frames + odd
+            frames, strange_frames = frames + 1, strange_frames + strange
     refused = display.receiver.rejected["not_finite"]
-    figure = f"{refused} of {odd_frames} odd frames refused, felt at most {force_text(max(felt_n))}"
+    counts = f"{refused} of {strange_frames} strange frames refused"
+    figure = f"{counts}, felt at most {force_text(max(felt_n))}"
     ratio, limit_n = display.force_ratio, SAFETY.force_limit_n
     verdict, reason = CaseVerdict.STABLE, "Safety bounds force and slew of the buffer's output"
     if not (0 < ratio < math.inf and np.isfinite(felt_n).all()):
@@ -147,7 +148,7 @@ def _streamed(name: str, odd_n: float, layer: ElasticLayer) -> CaseResult:
         reason = f"accepts a force ratio of {ratio:g}".replace("inf", "∞")
     elif max(felt_n) > limit_n:
         verdict, reason = CaseVerdict.WRONG, f"felt beyond the limit of {limit_n:g} N"
-    elif refused == odd_frames:
+    elif refused == strange_frames:
         verdict = CaseVerdict.REFUSED
         reason = "a frame with a sample that is not finite is counted, not played"
     elif ratio * HELD_N > limit_n:
@@ -173,7 +174,8 @@ def layers() -> Iterator[CaseResult]:
             ratios = matching_force_ratio(paper, layer), matching_force_ratio(layer, paper)
             figure = f"strain of 1 N {strain:.4g}, force ratios {ratios[0]:.4g} and {ratios[1]:.4g}"
             off = abs(layer.force(strain) - 1)
-            verdict, reason = CaseVerdict.STABLE, f"finite; there and back off by {off:.1g}"
+            verdict = CaseVerdict.STABLE
+            reason = f"finite; force → strain → force differs by {off:.1g}"
             if not np.isfinite([strain, *ratios]).all() or 0 in ratios or off > EXACT:
                 verdict, figure = CaseVerdict.WRONG, figure.replace("inf", "∞")
                 reason = "a force ratio that is no usable number is not refused"
@@ -209,8 +211,8 @@ def exact_steps() -> Iterator[CaseResult]:
         "low-pass of 40 Hz, 4 poles, on a ramp": lambda ticks: filtered(4, ticks),
     }
     for name, model in models.items():
-        off = abs(model(SHORT_TICKS) / model(1) - 1)
-        run = f"{name}, one tick of 100 ms and {SHORT_TICKS} of 1 µs"
+        off = abs(model(SHORT_TICK_COUNT) / model(1) - 1)
+        run = f"{name}, one tick of 100 ms and {SHORT_TICK_COUNT} of 1 µs"
         verdict, reason = CaseVerdict.STABLE, "exact at any tick"
         if not off < EXACT:
             verdict, reason = CaseVerdict.WRONG, "the two should agree"

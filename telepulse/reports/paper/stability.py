@@ -128,9 +128,9 @@ def _rates_summary(rates: Sequence[RateResult]) -> str:
     diverged = [each for each in rates if math.isinf(each.explicit_n)]
     broken = [each for each in rates if math.isinf(each.shipped_n)]
     nothing_n = PEAK_TO_PEAK_N * deviation_n("paper")
-    lost = [each for each in rates if each.late_n > nothing_n]
-    most = max((each.margin_ticks for each in lost), default=0.0)
-    least = min((each.margin_ticks for each in rates if each not in lost), default=math.inf)
+    worse = [each for each in rates if each.late_n > nothing_n]
+    most = max((each.margin_ticks for each in worse), default=0.0)
+    least = min((each.margin_ticks for each in rates if each not in worse), default=math.inf)
     fastest_hz = {
         name: max((each.rate_hz for each in diverged if each.gains == name), default=0.0)
         for name in GAINS
@@ -142,11 +142,11 @@ def _rates_summary(rates: Sequence[RateResult]) -> str:
         f" backward difference. It diverges up to {up_to} ({len(diverged)} of {len(rates)} loops)."
         " The shipped PID uses the error at the tick's end, which the actuator's model predicts:"
         f" {len(broken)} of {len(rates)} loops diverge or are refused, and the RMSE is at most"
-        f" {force_text(max(each.shipped_n for each in rates))}. It depends on that model's timing:"
-        f" with the film read a tick late, {len(lost)} of them are worse than doing nothing. A"
-        " scene cannot describe such a delay, so the display refuses none of them. The delay"
-        f" margin predicts it: it is at most {most:.2f} ticks in these loops, and at least"
-        f" {least:.2f} in the others."
+        f" {force_text(max(each.shipped_n for each in rates))}. This PID depends on the"
+        f" timing of that model: with the film read a tick late, {len(worse)} of these loops are"
+        " worse than doing nothing. A scene cannot describe such a delay, so the display refuses"
+        " none of them. The delay margin predicts which loops are worse: it is at most"
+        f" {most:.2f} ticks in them, and at least {least:.2f} in the others."
     )
 
 
@@ -210,7 +210,7 @@ def case_results() -> Iterator[CaseResult]:
     yield from loop_cases.saturated_steps()
     yield from loop_cases.direction_chatter()
     yield from loop_cases.force_step()
-    yield from input_cases.odd_samples()
+    yield from input_cases.strange_samples()
     yield from input_cases.peer_frames()
 
 
@@ -236,12 +236,12 @@ def chapter() -> Chapter:
     method = (
         "Every case runs the display's own code: the force loop between Safety and the film, or"
         " its models. A verdict is computed from the run. Stable: the felt force is finite, never"
-        f" beyond {BOUND_N:g} N, and in the end within a microstep (with the paper's actuator, eq"
-        " 22: 1 %) of the target force, plus the error of the scene's film. Refused: an error with"
-        " a reason, or a latched fault that brings the finger to rest. Limit cycle: more than one"
-        " microstep from peak to peak round a constant force. Fails with a named reason: an"
-        " error or a fault without a usable message, or without coming to rest. Silently wrong:"
-        " everything else."
+        f" beyond {BOUND_N:g} N, and in the end within the force of one microstep (with the paper's"
+        " actuator, eq 22: 1 %) of the target, plus the error of the scene's film. Refused: an"
+        " error with a reason, or a latched fault that brings the finger to rest. Limit cycle: more"
+        " than the force of one microstep from peak to peak round a constant force. Fails with a"
+        " named reason: an unforeseen error, or a latched fault after which the felt force rises,"
+        " leaves the bounds or does not come to rest. Silently wrong: everything else."
     )
     caption = (
         "The paper's gains in mV by eq 21 over the tick rate, derivative without a filter. The"

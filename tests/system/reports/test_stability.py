@@ -136,7 +136,7 @@ def test_a_refusal_names_its_reason(results: list[CaseResult]) -> None:
         assert no_number.reason.endswith("feedback is not a number")
     for value in ("NaN", "∞", "−∞"):
         (frames,) = of(results, "a peer's samples", f"holds {value}")
-        assert frames.figure.startswith("150 of 150 odd frames refused")
+        assert frames.figure.startswith("150 of 150 strange frames refused")
 
 
 def test_a_step_keeps_the_slew_limit(results: list[CaseResult]) -> None:

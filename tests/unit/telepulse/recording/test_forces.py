@@ -33,7 +33,7 @@ def run(seconds: int, ratio: float, channel: int, group_delay_ns: int = 0) -> Fo
                 tick = AlignedTick(t_s[at], at * MS, (at - 40) * MS, target_n + 1e-3)
                 alignment.add_tick(tick)
     alignment.finish()
-    error_n = np.concatenate([block.felt_n - block.wrist_n for block in blocks])
+    error_n = np.concatenate([block.felt_n - block.target_n for block in blocks])
     assert len(error_n) == len(t_s) - 40
     np.testing.assert_allclose(error_n, 1e-3)
     return alignment
