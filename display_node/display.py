@@ -10,7 +10,7 @@ from display_node.control.safety import Safety
 from display_node.drives.hardware import Hardware
 from display_node.drives.withdrawal import FingerState, describe_finger
 from display_node.plant.feedback import Feedback
-from display_node.plant.filters import DelayLine
+from display_node.plant.filters import delay_line
 from display_node.prediction.concealment import Concealment, auto_delay_ns
 from display_node.reception.playout import PlayedDelays, PlayoutClock
 from display_node.reception.receiver import Receiver
@@ -43,7 +43,7 @@ class Display:
         self._tick_ns = scene.tick_ns
         self._concealment = self._build_concealment()
         self._loop = scene.force_loop()
-        self._target = DelayLine(self._loop.lead_ns / scene.tick_ns)
+        self._target = delay_line(self._loop.lead_ns / scene.tick_ns)
         self._playout = PlayoutClock()
         self._resets = 0
         self.force_ratio = 1.0
@@ -161,7 +161,7 @@ class Display:
         loop.tick(reference_n, reading_n)
         self.ticks += 1
         target_n = reference_n[0]
-        state.target_n = self._target.step(target_n)
+        state.target_n = target_n if self._target is None else self._target.step(target_n)
         state.felt_n = felt_n
         state.scored = alive and safety.gain == 1.0
         self._availability.add(self.state, elapsed_ticks)

@@ -212,28 +212,31 @@ LIMIT_NAMES = {each.key.partition(".")[0]: each.row for each in figures_of(Limit
 
 
 class LimitCounter:
-    """Counter of the ticks (or samples) at a limit, and of the times it was reached."""
+    """Counter of the ticks (or samples) at a limit, and of the times it was reached.
 
-    __slots__ = ("_limited", "ticks", "times")
+    active: whether the last tick was at the limit. While it is False, `add(False)` changes nothing.
+    """
+
+    __slots__ = ("active", "ticks", "times")
 
     def __init__(self) -> None:
-        self._limited = False
+        self.active = False
         self.ticks = self.times = 0
 
     def add(self, limited: bool, ticks: int = 1) -> None:
         """Count `ticks` ticks that were all at the limit, or were not."""
         if limited:
             self.ticks += ticks
-            self.times += not self._limited
-        self._limited = limited
+            self.times += not self.active
+        self.active = limited
 
     def add_all(self, limited: NDArray[np.bool_]) -> None:
         """Count consecutive ticks or samples, shape (n,)."""
         if len(limited):
             self.ticks += int(np.count_nonzero(limited))
-            before = np.concatenate([[self._limited], limited[:-1]])
+            before = np.concatenate([[self.active], limited[:-1]])
             self.times += int(np.count_nonzero(limited & ~before))
-            self._limited = bool(limited[-1])
+            self.active = bool(limited[-1])
 
     def limited(self, period_s: float, total_ticks: int) -> Limited:
         """Return the figures so far, of `total_ticks` ticks or samples of a period in s."""

@@ -12,12 +12,13 @@ class Histogram:
     `end` is known. Maximum (None without values) and mean are exact. NaN are not counted.
     """
 
-    __slots__ = ("_bin_width", "_counts", "_total", "count", "end", "maximum")
+    __slots__ = ("_bin_width", "_counts", "_last", "_total", "count", "end", "maximum")
 
     def __init__(self, bin_width: float, bins: int) -> None:
         self._bin_width = bin_width
         # The last bin counts the values beyond the range.
         self._counts = [0] * (bins + 1)
+        self._last = bins - 1
         self._total = 0.0
         self.end = bin_width * bins
         self.count = 0
@@ -28,8 +29,10 @@ class Histogram:
         if value >= self.end:
             position = -1
         elif value > 0.0:
+            position = int(value / self._bin_width)
             # Rounding may give the number of bins itself, one too many.
-            position = min(int(value / self._bin_width), len(self._counts) - 2)
+            if position > self._last:
+                position = self._last
         elif math.isnan(value):
             return
         else:

@@ -279,9 +279,9 @@ class Relay:
     def _poll(self, now_ns: int) -> None:
         """Connect once the sensing node's address is known, and again where it is silent."""
         self._frames.poll(now_ns)
-        answered = self._handshakes.poll(now_ns)
-        for endpoint in self._path.endpoints:
-            endpoint.answered |= endpoint.socket in answered
+        if answered := self._handshakes.poll(now_ns):
+            for endpoint in self._path.endpoints:
+                endpoint.answered |= endpoint.socket in answered
         self._authenticator.poll(now_ns)
         # `running` is read first: a look-up that ends in between would otherwise be started again.
         looking, address = self._lookup.running, self._lookup.take()

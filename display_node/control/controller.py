@@ -14,7 +14,7 @@ from display_node.control.observer import Observer, ObserverScene
 from display_node.control.pid import Pid
 from display_node.plant.contact import ContactLaw
 from display_node.plant.film import FilmTable
-from display_node.plant.filters import DelayLine
+from display_node.plant.filters import delay_line
 from display_node.plant.second_order import SecondOrder, SecondOrderScene
 from display_node.plant.stepper import Stepper, StepperScene
 from protocol.config.quantities import Hertz
@@ -84,6 +84,8 @@ class StallGuard:
         Recent peak of the reference force in N.
     held_s
         Recent mean holding time of commands in s, weighted by time; one tick without stalls.
+    limits
+        Whether `fastest` bounds the speed: the host has stalled recently.
     """
 
     def __init__(self, law: ContactLaw, tick_s: float, half_backlash_m: float) -> None:
@@ -97,10 +99,13 @@ class StallGuard:
         self._longest_s = 0.0
         self.peak_n = 0.0
         self.held_s = tick_s
+        self.limits = False
 
     def tick(self, missed_ticks: int, wanted_n: float) -> None:
         """Advance one tick after missed ones; `wanted_n` is the reference force in N."""
-        self.peak_n = max(wanted_n, self._worst * self.peak_n)
+        self.peak_n *= self._worst
+        if wanted_n > self.peak_n:
+            self.peak_n = wanted_n
         if not (missed_ticks or self._longest_s):
             return
         hold = missed_ticks + 1
@@ -110,13 +115,14 @@ class StallGuard:
         self._holds = self._usual * self._holds + hold
         self._squares = self._usual * self._squares + hold * hold
         self.held_s = self._tick_s * self._squares / self._holds
+        self.limits = self._longest_s >= 2 * self._tick_s
 
     def fastest(self, screw_m: float) -> float:
         """Return the highest speed towards the finger in m/s, for the screw's position in m.
 
         It is infinite where the host has not stalled recently.
         """
-        if self._longest_s < 2 * self._tick_s:
+        if not self.limits:
             return math.inf
         furthest_m = self._law.position(HEADROOM * self.peak_n) + self._half_backlash_m
         return max(0.0, furthest_m - screw_m) / self._longest_s
@@ -171,7 +177,7 @@ class StepperController:
                 scene.observer, twin, law, film, actuator.step_m, tick_s, lag_ticks, observer_gains
             )
         self._last_reading_n = self._wanted_n = 0.0
-        self._late = DelayLine(lag_ticks)
+        self._late = delay_line(lag_ticks)
         self.horizon = self._path.horizon if self._path is not None else 1
         self._unit = None if scene.error == "position" else scene.error_per_newton(film)
 
@@ -197,10 +203,10 @@ class StepperController:
             if reading_n == reading_n:
                 self._last_reading_n = reading_n
             last_n = self._last_reading_n
-            screw_m = law.position(last_n)
+            screw_m = law.position(last_n) if self._unit is None or guard.limits else 0.0
             # A reading is compared with the reference at the time of the command that caused it.
             self._wanted_n = reference_n[1]
-            wanted_n = self._late.step(self._wanted_n)
+            wanted_n = self._wanted_n if self._late is None else self._late.step(self._wanted_n)
             if self._unit is None:
                 error, response = law.position(wanted_n) - screw_m, guard.held_s
             else:
@@ -210,9 +216,12 @@ class StepperController:
             error += response / guard.held_s * path.further_m
         # The slew limit also holds while the loop catches up. A reading above the reference may
         # mean a stiffer contact, so it counts, but at most up to the recent peak.
-        stiffest_n = max(reference_n[0], min(reading_n, guard.peak_n))
-        fastest = self._slew_limit_n_per_s / (law.stiffness(stiffest_n) or 1e-9)
-        pressing = min(fastest, guard.fastest(screw_m))
+        stiffest_n = reference_n[0]
+        if reading_n > stiffest_n:
+            stiffest_n = min(reading_n, guard.peak_n)
+        fastest = pressing = self._slew_limit_n_per_s / (law.stiffness(stiffest_n) or 1e-9)
+        if guard.limits:
+            pressing = min(fastest, guard.fastest(screw_m))
         speed_m_per_s = self._pid.step(error, response, feed, -fastest, pressing)
         if observer is not None:
             observer.move(speed_m_per_s * self._steps_per_m)
@@ -231,7 +240,7 @@ class StepperController:
         if self._observer is not None:
             self._observer.skip()
             self._observer.move(speed_m_per_s * self._steps_per_m)
-        else:
+        elif self._late is not None:
             self._late.step(self._wanted_n)
 
     def shift(self, travel_m: float) -> None:

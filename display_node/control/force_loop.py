@@ -8,7 +8,6 @@ from collections.abc import Callable
 
 from display_node.control.controller import ControllerScene, StepperController, VoltageController
 from display_node.control.linear_loop import refuse_unstable
-from display_node.plant.feedback import refuse_reading
 from display_node.plant.film import FeedbackFilm, FilmTable
 from display_node.plant.second_order import SecondOrder, SecondOrderScene
 from display_node.plant.stepper import Stepper, StepperScene
@@ -97,7 +96,7 @@ class ForceLoop:
         reading_n
             The film's reading in N.
         """
-        if refuse_reading(reading_n, self._overforce_n) is not None:
+        if not -self._overforce_n <= reading_n <= self._overforce_n:
             reading_n = math.nan
         self.output = self._controller.output(reference_n, reading_n)
         self.felt_n = self._actuator(self.output)

@@ -14,7 +14,7 @@ from pydantic import Field
 
 from display_node.plant.contact import ContactLaw
 from display_node.plant.film import FilmTable
-from display_node.plant.filters import DelayLine
+from display_node.plant.filters import delay_line
 from display_node.plant.stepper import Stepper
 from protocol.config.quantities import Metres, Ratio
 from protocol.config.scene import Section
@@ -126,7 +126,7 @@ class Observer:
         self._twin = twin
         self._law = law
         self._gains = gains
-        self._late = DelayLine(latency_ticks)
+        self._late = delay_line(latency_ticks)
         self._delayed_tip_m = 0.0
         self._low_pass = low_pass = film.low_pass(tick_s)
         self._scene_m_per_n = compliance = law.finger_m_per_n
@@ -188,13 +188,14 @@ class Observer:
     def move(self, rate_hz: float) -> None:
         """Run the twin for one tick at a signed step rate in Hz."""
         tip_m = self._twin.move(rate_hz)
-        self._delayed_tip_m = self._late.step(tip_m)
+        self._delayed_tip_m = tip_m if self._late is None else self._late.step(tip_m)
         self.force_n = self._law.force(tip_m + self._offset_m)
 
     def shift(self, travel_m: float) -> None:
         """Add a travel of the screw in m that the last command did not include."""
         self._twin.shift(travel_m)
-        self._late.shift(travel_m)
+        if self._late is not None:
+            self._late.shift(travel_m)
 
     @property
     def _delayed_force_n(self) -> float:

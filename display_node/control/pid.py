@@ -85,9 +85,14 @@ class Pid:
         wanted = feed_forward + (self._gain * fed_error + past) / (
             1 + error_drop_per_output * self._gain
         )
-        highest, lowest = min(self._limit, upper), max(-self._limit, lower)
-        # In this order, NaN (an overflow) becomes the lower bound.
-        output = min(highest, max(lowest, wanted))
+        # Comparisons, and no calls of `min` and `max`: this runs each tick.
+        limit = self._limit
+        highest = upper if upper < limit else limit
+        lowest = lower if lower > -limit else -limit
+        # NaN (an overflow) becomes the lower bound.
+        output = wanted if wanted > lowest else lowest
+        if output > highest:
+            output = highest
         remaining = error - error_drop_per_output * output
         if output == wanted or (error > 0) != (wanted > output):
             self._integral += self._ki_tick * remaining

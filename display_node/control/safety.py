@@ -63,6 +63,8 @@ class Safety:
 
     def watch(self, feedback_n: float) -> None:
         """Check a reading of the felt force in N; latch a fault if it is implausible."""
+        if -self._overforce_n <= feedback_n <= self._overforce_n:
+            return
         if (fault := refuse_reading(feedback_n, self._overforce_n)) is not None:
             self.fault(fault)
 
@@ -93,19 +95,34 @@ class Safety:
             self.gain = max(0.0, self.gain - self._fade)
         elif self.gain < 1.0:
             self.gain = min(1.0, self.gain + self._ramp)
+        # Comparisons, and no calls of `min` and `max`: this runs each tick.
         gain, limit_n, slew_n, last_n = self.gain, self._limit_n, self._slew_n, self._last_n
         bounded = []
         for force_n in reference_n:
-            # In this order, NaN (two enormous samples overflow) becomes 0 N.
-            within_n = min(max(0.0, gain * force_n), limit_n)
-            last_n = min(max(within_n, last_n - slew_n), last_n + slew_n)
+            within_n = gain * force_n
+            # NaN (two enormous samples overflow) becomes 0 N.
+            if not within_n > 0.0:
+                within_n = 0.0
+            elif within_n > limit_n:
+                within_n = limit_n
+            if within_n > last_n + slew_n:
+                last_n += slew_n
+            elif within_n < last_n - slew_n:
+                last_n -= slew_n
+            else:
+                last_n = within_n
             bounded.append(last_n)
         wanted_n = gain * reference_n[0]
-        self._last_n = bounded[0]
-        self.at_force_limit.add(wanted_n > limit_n)
-        self.below_zero.add(not wanted_n >= -NEGLIGIBLE_N)
-        within_n = min(max(0.0, wanted_n), limit_n)
-        self.at_slew_limit.add(gain == 1.0 and bounded[0] != within_n)
+        self._last_n = last_n = bounded[0]
+        above, below = wanted_n > limit_n, not wanted_n >= -NEGLIGIBLE_N
+        within_n = limit_n if above else wanted_n if wanted_n > 0.0 else 0.0
+        slewing = gain == 1.0 and last_n != within_n
+        if above or self.at_force_limit.active:
+            self.at_force_limit.add(above)
+        if below or self.below_zero.active:
+            self.below_zero.add(below)
+        if slewing or self.at_slew_limit.active:
+            self.at_slew_limit.add(slewing)
         return bounded
 
     def fault(self, name: str) -> None:

@@ -10,7 +10,7 @@ from typing import Annotated, ClassVar
 import numpy as np
 from pydantic import Field
 
-from display_node.plant.filters import DelayLine, LowPass
+from display_node.plant.filters import LowPass, delay_line
 from protocol.config.quantities import Hertz, Metres, Nanoseconds, Newtons, Volts, VoltsPerNewton
 from protocol.config.scene import Section
 from protocol.counters import LimitCounter
@@ -73,7 +73,7 @@ class FeedbackFilm:
 
     def __init__(self, table: FilmTable, tick_s: float, seed: int = 1) -> None:
         self._low_pass = table.low_pass(tick_s)
-        self._late = DelayLine(table.latency_ns * 1e-9 / tick_s)
+        self._late = delay_line(table.latency_ns * 1e-9 / tick_s)
         self._noise = _noise(table.noise_n, seed) if table.noise_n else None
         self._adc = Adc(table.adc_bits, table.adc_range_v) if table.adc_bits else None
         self._volts_per_newton = table.volts_per_newton
@@ -86,7 +86,8 @@ class FeedbackFilm:
         """
         if not math.isfinite(force_n):
             return force_n
-        force_n = self._late.step(force_n)
+        if self._late is not None:
+            force_n = self._late.step(force_n)
         if self._noise is not None:
             force_n += next(self._noise)
         if self._low_pass is not None:

@@ -15,15 +15,15 @@ class DelayLine:
     Parameters
     ----------
     ticks
-        Delay in ticks, at least 0, not necessarily whole.
+        Delay in ticks, above 0, not necessarily whole.
     """
+
+    STATE: ClassVar = ("_past",)
 
     def __init__(self, ticks: float) -> None:
         whole = int(ticks)
         self._part = ticks - whole
         self._past: deque[float] = deque([0.0] * (whole + 2), whole + 2)
-        # Without a delay the past has no effect, and would add poles at 0 to a linear model.
-        self.STATE = ("_past",) if ticks else ()
 
     def step(self, value: float) -> float:
         """Take this tick's value and return the delayed one."""
@@ -34,6 +34,11 @@ class DelayLine:
     def shift(self, change: float) -> None:
         """Add a change, known only after `step`, to the newest value."""
         self._past[-1] += change
+
+
+def delay_line(ticks: float) -> DelayLine | None:
+    """Return a delay line; None for no delay, whose poles at 0 a linear model would keep."""
+    return DelayLine(ticks) if ticks else None
 
 
 class LowPass:

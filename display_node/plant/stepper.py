@@ -11,7 +11,7 @@ from typing import Annotated, ClassVar, Literal
 from pydantic import Field
 
 from display_node.plant.contact import ContactLaw
-from display_node.plant.filters import DelayLine
+from display_node.plant.filters import delay_line
 from protocol.config.quantities import (
     Hertz,
     Metres,
@@ -174,7 +174,9 @@ class Stepper:
         self._max_rate_hz = scene.max_speed_m_per_s / scene.step_m
         self._max_change_hz = scene.max_acceleration_m_per_s2 / scene.step_m * tick_s
         self._whole: Callable[[float], float] = round
-        self._backlash = Backlash(0.0 if linear else scene.backlash_m)
+        self._backlash: Backlash | None = None
+        if scene.backlash_m and not linear:
+            self._backlash = Backlash(scene.backlash_m)
         self._first_step, self._last_step = -math.inf, math.inf
         if linear:
             self._whole = float
@@ -188,7 +190,7 @@ class Stepper:
         self._rotor: Rotor | None = None
         if scene.rotor_resonance_hz is not None:
             self._rotor = Rotor(scene.rotor_resonance_hz, scene.rotor_damping, tick_s)
-        self._late = DelayLine(scene.latency_ns * 1e-9 / tick_s)
+        self._late = delay_line(scene.latency_ns * 1e-9 / tick_s)
         # Cache: on whole microsteps, the tip returns to the same positions.
         self._forces_n: dict[float, float] = {}
         self._phase = 0.0
@@ -215,21 +217,34 @@ class Stepper:
 
     def move(self, rate_hz: float) -> float:
         """Run one tick without the contact; return the tip's position in m at its end."""
-        rate_hz = self._late.step(max(-self._max_rate_hz, min(rate_hz, self._max_rate_hz)))
-        last_hz, change_hz = self._rate_hz, self._max_change_hz
-        rate_hz = min(max(rate_hz, last_hz - change_hz), last_hz + change_hz)
+        # Comparisons, and no calls of `min` and `max`: this runs each tick.
+        max_hz, last_hz, change_hz = self._max_rate_hz, self._rate_hz, self._max_change_hz
+        if rate_hz > max_hz:
+            rate_hz = max_hz
+        elif rate_hz < -max_hz:
+            rate_hz = -max_hz
+        if self._late is not None:
+            rate_hz = self._late.step(rate_hz)
+        if rate_hz > last_hz + change_hz:
+            rate_hz = last_hz + change_hz
+        elif rate_hz < last_hz - change_hz:
+            rate_hz = last_hz - change_hz
         before, phase = self._phase, self._phase + rate_hz * self._tick_s
-        self.at_end.add(phase > self._last_step)
+        at_end = phase > self._last_step
+        if at_end or self.at_end.active:
+            self.at_end.add(at_end)
         if not self._first_step <= phase <= self._last_step:
-            phase = float(min(max(phase, self._first_step), self._last_step))
+            phase = float(self._last_step if at_end else self._first_step)
             rate_hz = 0.0
         self._phase, self._rate_hz = phase, rate_hz
         whole = self._whole
         position_m = whole(phase) * self._step_m
         if self._rotor is not None:
             position_m = self._rotor.step(whole(before) * self._step_m, position_m)
-        self.tip_m = tip_m = self._backlash.step(position_m)
-        return tip_m
+        if self._backlash is not None:
+            position_m = self._backlash.step(position_m)
+        self.tip_m = position_m
+        return position_m
 
     def place(self, position_m: float) -> None:
         """Put screw, rotor and tip at rest at a position, in m from first touch."""

@@ -214,6 +214,8 @@ class Connection:
         for endpoint in self._endpoints:
             self._handshakes.watch(endpoint.socket)
         self.rejected = self._handshakes.rejected
+        self._named: list[tuple[DataPath | Endpoint, str]] = [(self.control, "control")]
+        self._named += [(path, route.address) for route in self.routes for path in route.paths]
         # Names of the endpoints whose flood was reported.
         self._flooded: set[str] = set()
 
@@ -247,9 +249,10 @@ class Connection:
 
         Returns whether control has a new connection, over which the display must send a hello.
         """
-        answered, control = self._handshakes.poll(now_ns), self.control
-        for endpoint in self._endpoints:
-            endpoint.answered |= endpoint.socket in answered
+        control = self.control
+        if answered := self._handshakes.poll(now_ns):
+            for endpoint in self._endpoints:
+                endpoint.answered |= endpoint.socket in answered
         self._close_floods(now_ns)
         cut = self._cut(now_ns)
         for path in self._paths if cut else ():
@@ -263,9 +266,7 @@ class Connection:
 
     def _close_floods(self, now_ns: int) -> None:
         """Close the endpoints that receive more than any stream sends, for a few seconds."""
-        named: list[tuple[DataPath | Endpoint, str]] = [(self.control, "control")]
-        named += [(path, route.address) for route in self.routes for path in route.paths]
-        for endpoint, name in named:
+        for endpoint, name in self._named:
             if not endpoint.flooded(now_ns):
                 continue
             self.rejected["flood"] += max(1, endpoint.close(now_ns + FLOODED_NS))

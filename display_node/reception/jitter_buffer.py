@@ -46,6 +46,8 @@ class JitterBuffer:
 
     Attributes
     ----------
+    newest_ns
+        Time of the newest sample; None while there is none.
     frames, reordered
         Number of frames taken, and of those that came after a newer one; a receiver adds those of
         the buffers before this one.
@@ -69,13 +71,9 @@ class JitterBuffer:
         self._period_ns = 1
         self._end_index: int | None = None
         self._played = self._late = 0
+        self.newest_ns: int | None = None
         self.frames = self.reordered = 0
         self.ended = False
-
-    @property
-    def newest_ns(self) -> int | None:
-        """Time of the newest sample; None while there is none."""
-        return self._times[-1] if self._times else None
 
     @property
     def waiting(self) -> int:
@@ -96,6 +94,7 @@ class JitterBuffer:
         self._indices[position:position] = range(first, first + count)
         self._times[position:position] = times
         self._values[position:position] = frame.values[:, self._channel].tolist()
+        self.newest_ns = self._times[-1]
         self._period_ns = period_ns
         self.frames += 1
         if self._first_index is None or first < self._first_index:

@@ -296,7 +296,7 @@ class PlayoutClock:
             return wanted_ns
         elapsed_ns = now_ns - self._now_ns
         error_ns = wanted_ns - self._instant_ns - elapsed_ns
-        if abs(error_ns) <= JUMP_NS:
+        if error_ns and -JUMP_NS <= error_ns <= JUMP_NS:
             most_ns = elapsed_ns // WARP_PARTS
             error_ns = max(-most_ns, min(error_ns, most_ns))
         self._instant_ns += elapsed_ns + error_ns

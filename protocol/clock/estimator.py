@@ -171,7 +171,8 @@ class ClockEstimator:
 
     def remote_ns(self, local_ns: int) -> int:
         """Return the remote clock at a local time."""
-        return local_ns + self.offset_ns(local_ns)
+        since_ns = local_ns - self._reference_ns
+        return local_ns + self._offset_ns + round(self._skew * since_ns)
 
     def uncertainty_ns(self, local_ns: int) -> int:
         """Return a bound on the error of `offset_ns` at a local time.
