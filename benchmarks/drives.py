@@ -26,7 +26,7 @@ from display_node.drives.drive import Drive
 from display_node.drives.scene import Cia402Scene, TmclScene
 from display_node.drives.tmcl.line import TmclLine
 from display_node.drives.tmcl.module import Command
-from display_node.plant.stepper import StepperScene
+from display_node.plant.scene import StepperScene
 from protocol.wire.stream import LayerTable
 from telepulse.commissioning.rig import TMCL_BITS
 from telepulse.emulators import PtyPort

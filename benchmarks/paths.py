@@ -15,7 +15,7 @@ from protocol.histogram import bound
 from protocol.run_summary import Summary
 from telepulse.netem import run_nodes, unavailable
 from telepulse.scene import load_scene
-from telepulse.simulation.link_model import parse_link
+from telepulse.simulation.link_scene import parse_link
 from telepulse.simulation.virtual_time import simulate
 
 SECONDS = 30.0

@@ -7,7 +7,7 @@ from benchmarks.measure import show
 from protocol.config.scene import Section
 from protocol.config.scene_file import find_scene
 from telepulse.scene import Scene, load_scene
-from telepulse.simulation.link_model import parse_link
+from telepulse.simulation.link_scene import parse_link
 from telepulse.simulation.virtual_time import simulate
 
 SECONDS = 20.0

@@ -4,16 +4,13 @@ from typing import Annotated
 
 from pydantic import BeforeValidator, Field, model_validator
 
-from display_node.control.controller import ControllerScene
 from display_node.control.force_loop import ForceLoop, build_force_loop
-from display_node.control.safety import SafetyScene
+from display_node.control.scene import ControllerScene, SafetyScene
 from display_node.drives import Drive
 from display_node.drives.hardware import Hardware
 from display_node.drives.scene import DriveTable
 from display_node.plant.feedback import Feedback, RisingForce
-from display_node.plant.film import FilmTable
-from display_node.plant.second_order import SecondOrderScene
-from display_node.plant.stepper import StepperScene
+from display_node.plant.scene import FilmTable, SecondOrderScene, StepperScene
 from display_node.prediction import PredictorName
 from protocol.config.quantities import Nanoseconds, Ratio, parse_quantity
 from protocol.config.scene import Section

@@ -13,7 +13,7 @@ from typing import IO
 from protocol.host.child_process import ChildProcess
 from telepulse.netem import EmulatedLink, Namespace, emulate
 from telepulse.processes import free_addresses
-from telepulse.simulation.link_model import LinkScene, parse_link
+from telepulse.simulation.link_scene import LinkScene, parse_link
 
 CALM = "delay=10ms,jitter=1ms"
 LINKS = 4

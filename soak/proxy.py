@@ -12,7 +12,8 @@ import time
 from contextlib import suppress
 
 from protocol.sockets import control_address
-from telepulse.simulation.link_model import Direction, LinkScene, parse_link
+from telepulse.simulation.link_model import Direction
+from telepulse.simulation.link_scene import LinkScene, parse_link
 
 REPEAT_NS = 200_000_000
 CHUNK_BYTES = 16_384

@@ -9,7 +9,7 @@ from protocol.config.scene import load_section
 from protocol.config.scene_file import load_document
 from protocol.provenance import Provenance, collect
 from sensing_node.scene import SensingScene
-from telepulse.simulation.link_model import LinkScene
+from telepulse.simulation.link_scene import LinkScene
 
 DEFAULT_SCENE = "radial"
 

@@ -18,7 +18,8 @@ from benchmarks.clock.scaled import scaled_ns
 from benchmarks.measure import show
 from display_node.reception.receiver import CLOCK_EVERY_NS, CLOCK_FAST_COUNT, CLOCK_FAST_NS
 from protocol.clock.estimator import ClockEstimator, ClockExchange
-from telepulse.simulation.link_model import Direction, TcpStream, parse_link
+from telepulse.simulation.link_model import Direction, TcpStream
+from telepulse.simulation.link_scene import parse_link
 
 # Not the seeds on which the clock's constants were chosen: 0 to 39 and 1000 to 3059.
 SEEDS = range(5_000, 5_040)

@@ -9,7 +9,7 @@ from display_node.prediction import PredictorName
 from protocol.config.scene_file import find_scene
 from protocol.run_summary import Summary
 from telepulse.scene import load_scene
-from telepulse.simulation.link_model import parse_link
+from telepulse.simulation.link_scene import parse_link
 from telepulse.simulation.virtual_time import Simulation
 
 SETTLE_S, SCORED_S = 28.0, 12.0

@@ -29,7 +29,7 @@ from telepulse.reports.studies.prediction_pulses import (
 )
 from telepulse.reports.studies.sweep import sweep
 from telepulse.scene import Scene, load_scene
-from telepulse.simulation.link_model import parse_link
+from telepulse.simulation.link_scene import parse_link
 from telepulse.simulation.virtual_time import STREAM_BEGINS_NS, Simulation
 
 SECONDS, TURN_S = 60.0, 40.0

@@ -20,7 +20,7 @@ from tempfile import TemporaryDirectory
 from benchmarks.measure import show
 from protocol.config.scene_file import find_scene
 from telepulse.netem import EmulatedLink, PacketFilter, emulate
-from telepulse.simulation.link_model import LinkScene, parse_link
+from telepulse.simulation.link_scene import LinkScene, parse_link
 from tests.support.felt_force import FeltForce
 from tests.support.node_rig import PORT, Node, node_rig
 

@@ -12,7 +12,7 @@ from protocol import sockets
 from protocol.wire.messages import ClockRequest, encode_control
 from telepulse.netem import emulate, unavailable
 from telepulse.processes import free_addresses
-from telepulse.simulation.link_model import parse_link
+from telepulse.simulation.link_scene import parse_link
 
 LINK, CUT = "delay=5ms", "loss=100%"
 CUTS_S = (1.0, 3.0, 5.0, 8.0)

@@ -5,58 +5,16 @@ The output is a signed speed in m/s for a stepper. For the second-order actuator
 """
 
 import math
-from typing import Annotated, ClassVar, Literal
-
-from pydantic import Field, model_validator
+from typing import ClassVar
 
 from display_node.control.feed_forward import ScrewPath
-from display_node.control.observer import Observer, ObserverScene
-from display_node.control.pid import Pid
+from display_node.control.observer import Observer
+from display_node.control.scene import ControllerScene
 from display_node.plant.contact import ContactLaw
-from display_node.plant.film import FilmTable
 from display_node.plant.filters import delay_line
-from display_node.plant.second_order import SecondOrder, SecondOrderScene
-from display_node.plant.stepper import Stepper, StepperScene
-from protocol.config.quantities import Hertz
-from protocol.config.scene import Section
-
-
-class ControllerScene(Section):
-    """The `controller` table.
-
-    error: quantity of the PID's error. "force" is in N. "millivolts" is the film's voltage by
-    eq 21, with which the paper's gains make the force follow a pulse. "position" is in m, by the
-    inverse contact law; the loop's gain is then the same at every force. feed_forward: drive the
-    reference's own motion without waiting for an error (stepper only). observer: estimate the felt
-    force by a model of actuator and film (stepper only, error "position").
-    derivative_filter: corner of the derivative's low-pass. dead_band: an error within ±dead_band,
-    in the error's unit, counts as 0.
-    """
-
-    kp: Annotated[float, Field(ge=0, le=1e12)]
-    ki: Annotated[float, Field(ge=0, le=1e12)] = 0.0
-    kd: Annotated[float, Field(ge=0, le=1e12)] = 0.0
-    derivative_filter_hz: Annotated[Hertz, Field(gt=0)] = 100.0
-    error: Literal["force", "millivolts", "position"] = "force"
-    feed_forward: bool = False
-    observer: ObserverScene | None = None
-    dead_band: Annotated[float, Field(ge=0)] = 0.0
-
-    @model_validator(mode="after")
-    def _observer_fits(self) -> "ControllerScene":
-        if self.observer is not None and not (self.feed_forward and self.error == "position"):
-            raise ValueError('an observer needs error = "position" and feed_forward = true')
-        return self
-
-    def pid(self, tick_s: float, limit: float) -> Pid:
-        """Return the PID with these gains, whose output is within ±limit."""
-        filter_hz, dead_band = self.derivative_filter_hz, self.dead_band
-        return Pid(self.kp, self.ki, self.kd, filter_hz, tick_s, limit, dead_band)
-
-    def error_per_newton(self, film: FilmTable) -> float:
-        """Return the error of 1 N in the error's unit, which is not "position"."""
-        return film.millivolts_per_newton if self.error == "millivolts" else 1.0
-
+from display_node.plant.scene import FilmTable, SecondOrderScene, StepperScene
+from display_node.plant.second_order import SecondOrder
+from display_node.plant.stepper import Stepper
 
 # Time constants of decay, of the usual holding time and of the worst stall and the peak force.
 USUAL_S = 0.1

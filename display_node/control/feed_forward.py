@@ -9,7 +9,7 @@ import math
 from collections import deque
 
 from display_node.plant.contact import ContactLaw
-from display_node.plant.stepper import StepperScene
+from display_node.plant.scene import StepperScene
 
 # A turn smaller than this share of the backlash is not followed to the other flank.
 TURN_SHARE = 0.25

@@ -6,11 +6,13 @@ The loop closes inside the display node only, so the network's delay cannot dest
 import math
 from collections.abc import Callable
 
-from display_node.control.controller import ControllerScene, StepperController, VoltageController
+from display_node.control.controller import StepperController, VoltageController
 from display_node.control.linear_loop import refuse_unstable
-from display_node.plant.film import FeedbackFilm, FilmTable
-from display_node.plant.second_order import SecondOrder, SecondOrderScene
-from display_node.plant.stepper import Stepper, StepperScene
+from display_node.control.scene import ControllerScene
+from display_node.plant.film import FeedbackFilm
+from display_node.plant.scene import FilmTable, SecondOrderScene, StepperScene
+from display_node.plant.second_order import SecondOrder
+from display_node.plant.stepper import Stepper
 from protocol.counters import LimitCounter
 from protocol.errors import SceneError
 from protocol.tactile import ElasticLayer

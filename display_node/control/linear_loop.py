@@ -13,12 +13,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from display_node.control.controller import ControllerScene, StepperController, VoltageController
+from display_node.control.controller import StepperController, VoltageController
 from display_node.control.observer import DESIGN_FORCE_N, observer_gains
+from display_node.control.scene import ControllerScene
 from display_node.plant.contact import LinearContact
-from display_node.plant.film import FeedbackFilm, FilmTable
-from display_node.plant.second_order import SecondOrder, SecondOrderScene
-from display_node.plant.stepper import Stepper, StepperScene
+from display_node.plant.film import FeedbackFilm
+from display_node.plant.scene import FilmTable, SecondOrderScene, StepperScene
+from display_node.plant.second_order import SecondOrder
+from display_node.plant.stepper import Stepper
 from protocol.errors import SceneError
 from protocol.tactile import ElasticLayer
 

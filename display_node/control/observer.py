@@ -7,17 +7,15 @@ finger softer or stiffer than the scene's is learnt within a few beats (decision
 """
 
 import math
-from typing import Annotated, ClassVar
+from typing import ClassVar
 
 import numpy as np
-from pydantic import Field
 
+from display_node.control.scene import ObserverScene
 from display_node.plant.contact import ContactLaw
-from display_node.plant.film import FilmTable
 from display_node.plant.filters import delay_line
+from display_node.plant.scene import FilmTable
 from display_node.plant.stepper import Stepper
-from protocol.config.quantities import Metres, Ratio
-from protocol.config.scene import Section
 
 # The force at which the gains are designed: a pulse's usual mean.
 DESIGN_FORCE_N = 0.3
@@ -33,17 +31,6 @@ LEARNT = 0.5
 LEAST_FORCE_N = 0.01
 # Innovations are clipped to this number of standard deviations.
 OUTLIER = 8.0
-
-
-class ObserverScene(Section):
-    """The `observer` table.
-
-    wander: RMS motion of the finger under the tip in 1 s. softening: RMS change of its compliance
-    in 1 s, as a share; 0 keeps the scene's compliance.
-    """
-
-    wander_m: Annotated[Metres, Field(gt=0, le=0.1)]
-    softening: Annotated[Ratio, Field(ge=0, le=1)] = 0.01
 
 
 def observer_gains(

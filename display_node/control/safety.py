@@ -5,33 +5,12 @@ loop stalls, and returns by a ramp. After a fault, a latch holds the target at 0
 withdraws the tip (`drives/withdrawal.py`).
 """
 
-from typing import Annotated
-
-from pydantic import Field
-
+from display_node.control.scene import SafetyScene
 from display_node.plant.feedback import refuse_reading
-from protocol.config.quantities import Nanoseconds, Newtons, NewtonsPerSecond
-from protocol.config.scene import Section
 from protocol.counters import LimitCounter
 
 # A reference below 0 N by less than this is rounding and noise, not a part of the pulse.
 NEGLIGIBLE_N = 1e-3
-
-
-class SafetyScene(Section):
-    """The `safety` table; the default force limit is the range of Fig. 4 of Dargahi et al. (2008).
-
-    overforce: felt force, as a multiple of the limit, above which it is a fault. feedback_within:
-    longest time without a sample of a real film; then the film counts as lost.
-    """
-
-    force_limit_n: Annotated[Newtons, Field(gt=0, le=100)] = 2.5
-    slew_limit_n_per_s: Annotated[NewtonsPerSecond, Field(gt=0)] = 50.0
-    stale_after_ns: Annotated[Nanoseconds, Field(ge=1_000_000, le=10_000_000_000)] = 60_000_000
-    fade_ns: Annotated[Nanoseconds, Field(ge=1_000_000, le=1_000_000_000)] = 40_000_000
-    ramp_ns: Annotated[Nanoseconds, Field(ge=1_000_000, le=10_000_000_000)] = 300_000_000
-    overforce: Annotated[float, Field(ge=1, le=10)] = 1.08
-    feedback_within_ns: Annotated[Nanoseconds, Field(ge=1_000_000, le=80_000_000)] = 40_000_000
 
 
 class Safety:

@@ -5,8 +5,7 @@ from display_node.drives.cia402.drive import Cia402Drive
 from display_node.drives.drive import Drive
 from display_node.drives.scene import Cia402Scene, TmclScene
 from display_node.drives.tmcl.drive import TmclDrive
-from display_node.plant.second_order import SecondOrderScene
-from display_node.plant.stepper import StepperScene
+from display_node.plant.scene import SecondOrderScene, StepperScene
 from protocol.errors import SceneError
 from protocol.tactile import ElasticLayer
 

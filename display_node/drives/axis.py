@@ -7,7 +7,7 @@ import math
 from dataclasses import dataclass
 
 from display_node.drives.scene import Cia402Scene, DriveScene
-from display_node.plant.stepper import StepperScene
+from display_node.plant.scene import StepperScene
 from protocol.tactile import ElasticLayer
 
 # Positions and velocities of a drive have 32 bits.

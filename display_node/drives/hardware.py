@@ -6,7 +6,7 @@ from collections import Counter
 from display_node.drives import Drive
 from display_node.drives.withdrawal import FingerState, WithdrawalOutcome
 from display_node.plant.feedback import Feedback, FilmPlausibility, RisingForce
-from display_node.plant.stepper import StepperScene
+from display_node.plant.scene import StepperScene
 from protocol.counters import LimitCounter
 from protocol.errors import SourceError
 from protocol.tactile import ElasticLayer

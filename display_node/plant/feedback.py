@@ -8,7 +8,7 @@ import math
 from collections import deque
 from enum import StrEnum
 
-from display_node.plant.stepper import StepperScene
+from display_node.plant.scene import StepperScene
 from protocol.tactile import ElasticLayer
 
 

@@ -3,26 +3,11 @@
 It is integrated exactly for a held voltage, by a matrix exponential that is computed once.
 """
 
-from typing import Annotated, ClassVar, Literal
+from typing import ClassVar
 
 import numpy as np
-from pydantic import Field
 
-from protocol.config.scene import Section
-
-
-class SecondOrderScene(Section):
-    """The `actuator` table of kind "second_order"; defaults are the paper's Table 4.
-
-    The paper gives m in kg, c in N·s/m and k in N/m. These cannot be the units where the output is
-    a force, so they are plain numbers here. `voltage_limit` is not from the paper.
-    """
-
-    kind: Literal["second_order"]
-    m: Annotated[float, Field(ge=1e-12, le=1e12)] = 0.65
-    c: Annotated[float, Field(ge=0, le=1e12)] = 0.61
-    k: Annotated[float, Field(ge=0, le=1e12)] = 4.23
-    voltage_limit: Annotated[float, Field(gt=0)] = 1e6
+from display_node.plant.scene import SecondOrderScene
 
 
 class SecondOrder:

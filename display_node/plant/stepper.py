@@ -6,25 +6,12 @@ Dargahi et al. (2008), Tables 2A and 2B: 1.8° motor, 0.1 m stroke, 0.4 m/s, 100
 
 import math
 from collections.abc import Callable
-from typing import Annotated, ClassVar, Literal
-
-from pydantic import Field
+from typing import ClassVar
 
 from display_node.plant.contact import ContactLaw
 from display_node.plant.filters import delay_line
-from protocol.config.quantities import (
-    Hertz,
-    Metres,
-    MetresPerSecond,
-    MetresPerSecond2,
-    Nanoseconds,
-    Newtons,
-    NewtonsPerMetre,
-    Radians,
-)
-from protocol.config.scene import Section
+from display_node.plant.scene import StepperScene
 from protocol.counters import LimitCounter
-from protocol.tactile import ElasticLayer
 
 
 class Rotor:
@@ -91,47 +78,6 @@ class Backlash:
         elif driving_m < self._driven_m - half_m:
             self._driven_m = driving_m + half_m
         return self._driven_m
-
-
-class StepperScene(Section):
-    """The `actuator` table of kind "stepper".
-
-    rotor_resonance, rotor_damping (ζ): without a resonance, the rotor follows the commanded
-    microstep exactly. backlash: that of the screw. latency: time from a command to its motion.
-    """
-
-    kind: Literal["stepper"]
-    step_angle_rad: Annotated[Radians, Field(gt=0)] = math.radians(1.8)
-    microsteps: Annotated[int, Field(ge=1, le=256)] = 16
-    lead_m: Annotated[Metres, Field(gt=0, le=0.1)] = 2e-3
-    max_speed_m_per_s: Annotated[MetresPerSecond, Field(gt=0)] = 0.4
-    max_acceleration_m_per_s2: Annotated[MetresPerSecond2, Field(gt=0)] = 20.0
-    stroke_m: Annotated[Metres, Field(gt=0)] = 0.1
-    thrust_n: Annotated[Newtons, Field(gt=0)] = 100.0
-    tip_radius_m: Annotated[Metres, Field(ge=1e-6, le=1)] = 5e-3
-    fingertip_n_per_m: Annotated[NewtonsPerMetre, Field(ge=1e-3, le=1e12)] = 1e3
-    rotor_resonance_hz: Annotated[Hertz, Field(ge=0.1, le=10_000)] | None = None
-    rotor_damping: Annotated[float, Field(ge=0, le=10)] = 0.2
-    backlash_m: Annotated[Metres, Field(ge=0, le=1e-3)] = 0.0
-    latency_ns: Annotated[Nanoseconds, Field(ge=0, le=50_000_000)] = 0
-
-    @property
-    def step_m(self) -> float:
-        """Travel of one microstep."""
-        return self.lead_m * self.step_angle_rad / (2 * math.pi) / self.microsteps
-
-    @property
-    def steps_per_m(self) -> float:
-        """Factor from a speed in m/s to a step rate in Hz: the paper's VCO.
-
-        The rate's sign is the direction line; it is positive into the finger.
-        """
-        return 1 / self.step_m
-
-    def contact(self, layer: ElasticLayer) -> ContactLaw:
-        """Return the contact law of this tip on the local layer; the tip itself is rigid."""
-        reduced_pa = layer.young_modulus_pa / (1 - layer.poisson_ratio**2)
-        return ContactLaw(self.tip_radius_m, reduced_pa, self.fingertip_n_per_m)
 
 
 class Stepper:

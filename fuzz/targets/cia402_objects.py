@@ -12,7 +12,7 @@ from display_node.drives.axis import build_axis
 from display_node.drives.cia402 import node as cia402_node
 from display_node.drives.cia402.node import EMERGENCY, TPDO1, TPDO2, Cia402Node
 from display_node.drives.scene import Cia402Scene
-from display_node.plant.stepper import StepperScene
+from display_node.plant.scene import StepperScene
 from protocol.config.scene import validate
 from protocol.errors import DriveError
 from protocol.wire.stream import LayerTable

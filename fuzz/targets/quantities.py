@@ -6,7 +6,7 @@ from contextlib import suppress
 from protocol.config.quantities import UNITS, in_unit_of, parse_quantity, parse_ratio
 from protocol.errors import RealtimeError, SceneError
 from protocol.host.realtime import MAX_PRIORITY, parse_realtime
-from telepulse.simulation.link_model import parse_link
+from telepulse.simulation.link_scene import parse_link
 
 LINKS = (
     "delay=40ms,jitter=10ms,loss=1%,jitter_kind=pareto",

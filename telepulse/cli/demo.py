@@ -45,7 +45,7 @@ from telepulse.cli.view import check_bokeh
 from telepulse.processes import NodeProcess, free_addresses, log_warnings
 from telepulse.scene import DEFAULT_SCENE, Scene, load_scene, scene_provenance
 from telepulse.simulation import virtual_time
-from telepulse.simulation.link_model import LinkScene, parse_link
+from telepulse.simulation.link_scene import LinkScene, parse_link
 from telepulse.simulation.virtual_time import ReferenceForce
 
 logger = logging.getLogger(__name__)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
 import typer
 
 from display_node.drives.scene import Cia402Scene, DriveScene, TmclScene, open_bus
-from display_node.plant.stepper import StepperScene
+from display_node.plant.scene import StepperScene
 from display_node.scene import DisplayScene
 from protocol.cli_options import LogLevelOption, StopAfterOption, one_line_errors, plain_console
 from protocol.config.quantities import count_text

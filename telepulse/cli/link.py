@@ -27,7 +27,7 @@ from protocol.sockets import control_address
 from telepulse.cli.options import PROGRAM, LinkOption, SeedOption
 from telepulse.netem.link_proxy import LinkProxy
 from telepulse.relay import Relay
-from telepulse.simulation.link_model import LinkScene, parse_link
+from telepulse.simulation.link_scene import LinkScene, parse_link
 
 logger = logging.getLogger(__name__)
 

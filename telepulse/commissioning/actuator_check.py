@@ -6,8 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from display_node.plant.second_order import SecondOrderScene
-from display_node.plant.stepper import StepperScene
+from display_node.plant.scene import SecondOrderScene, StepperScene
 from display_node.scene import DisplayScene
 from telepulse.commissioning.identification import (
     MAX_HALF_WIDTH,

@@ -14,7 +14,7 @@ import numpy as np
 from display_node.drives import build_drive
 from display_node.drives.scene import Cia402Scene, TmclScene
 from display_node.fault_advice import advised
-from display_node.plant.stepper import StepperScene
+from display_node.plant.scene import StepperScene
 from display_node.scene import DisplayScene
 from protocol.config.scene import validate
 from protocol.config.scene_file import load_document, merge

@@ -13,9 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from display_node.plant.contact import ContactLaw
-from display_node.plant.film import FilmTable
-from display_node.plant.second_order import SecondOrderScene
-from display_node.plant.stepper import StepperScene
+from display_node.plant.scene import FilmTable, SecondOrderScene, StepperScene
 from protocol.errors import BenchError
 from telepulse.commissioning.identification import DEVIATIONS_95, ActuatorInput, Array
 from telepulse.commissioning.rig import Rig

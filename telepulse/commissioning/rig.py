@@ -10,7 +10,8 @@ from display_node.drives.hardware import WITHDRAWN_WITHIN_S
 from display_node.drives.scene import Cia402Scene, TmclScene
 from display_node.drives.withdrawal import WithdrawalOutcome
 from display_node.plant.film import FeedbackFilm
-from display_node.plant.second_order import SecondOrder, SecondOrderScene
+from display_node.plant.scene import SecondOrderScene
+from display_node.plant.second_order import SecondOrder
 from display_node.plant.stepper import Stepper
 from display_node.scene import DisplayScene
 from protocol.errors import BenchError, DriveError

@@ -10,7 +10,6 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from display_node.control.controller import ControllerScene
 from display_node.control.linear_loop import (
     FORCE_SHARES,
     LinearLoop,
@@ -19,9 +18,9 @@ from display_node.control.linear_loop import (
     linear_loop,
     margins,
 )
-from display_node.control.observer import DESIGN_FORCE_N, ObserverScene
-from display_node.plant.second_order import SecondOrderScene
-from display_node.plant.stepper import StepperScene
+from display_node.control.observer import DESIGN_FORCE_N
+from display_node.control.scene import ControllerScene, ObserverScene
+from display_node.plant.scene import SecondOrderScene, StepperScene
 from display_node.scene import DisplayScene
 from telepulse.reports.document import Chapter, Report, Table
 

@@ -10,7 +10,8 @@ from collections.abc import Callable
 from typing import Literal, NamedTuple
 
 from display_node.plant.contact import ContactLaw
-from display_node.plant.stepper import Stepper, StepperScene
+from display_node.plant.scene import StepperScene
+from display_node.plant.stepper import Stepper
 from telepulse.emulators.fault_injection import FaultInjector
 
 TICK_NS = 1_000_000

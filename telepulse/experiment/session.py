@@ -18,7 +18,7 @@ from protocol.config.scene_file import find_scene, load_document, load_toml
 from protocol.provenance import redact
 from protocol.wire.stream import Name
 from telepulse.scene import Scene, load_scene
-from telepulse.simulation.link_model import LinkScene, parse_link
+from telepulse.simulation.link_scene import LinkScene, parse_link
 
 Kind = Literal["abx", "rating"]
 Count = Annotated[int, Field(strict=True, ge=1, le=10_000)]

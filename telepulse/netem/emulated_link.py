@@ -16,7 +16,7 @@ from protocol.run_summary import Summary
 from telepulse.netem.forwarder import DROP, ForwarderCounts, PacketFilter
 from telepulse.netem.namespace import EmulatorError, Namespace
 from telepulse.processes import NodeProcess
-from telepulse.simulation.link_model import LinkScene
+from telepulse.simulation.link_scene import LinkScene
 
 # Addresses inside the two namespaces, with one network for each link.
 SENSING_ADDRESS, DISPLAY_ADDRESS = "10.77.{}.1", "10.77.{}.2"

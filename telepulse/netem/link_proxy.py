@@ -11,7 +11,8 @@ from protocol import sockets
 from protocol.security.authenticator import Authenticator
 from protocol.security.budgets import SubscriptionBudget
 from protocol.security.keys import ClientKeys, ServerKeys
-from telepulse.simulation.link_model import LinkScene, MessageLink
+from telepulse.simulation.link_model import MessageLink
+from telepulse.simulation.link_scene import LinkScene
 
 IDLE_NS = 50_000_000
 

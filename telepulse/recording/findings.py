@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from pydantic import TypeAdapter
 
-from display_node.control.safety import SafetyScene
+from display_node.control.scene import SafetyScene
 from protocol.counters import Availability
 from protocol.errors import SourceError
 from protocol.histogram import Histogram

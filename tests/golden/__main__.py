@@ -16,7 +16,7 @@ from protocol.wire.telemetry import Status
 from telepulse.cli.study import build_paper
 from telepulse.metrics.server import NodeState, families
 from telepulse.scene import load_scene
-from telepulse.simulation.link_model import parse_link
+from telepulse.simulation.link_scene import parse_link
 from telepulse.simulation.virtual_time import simulate
 from telepulse.telemetry.schema import SCHEMAS
 from tests.support.full_summary import full_summary

@@ -17,7 +17,7 @@ import can
 from display_node.drives import build_drive
 from display_node.drives.drive import Drive
 from display_node.drives.scene import Cia402Scene, TmclScene
-from display_node.plant.stepper import StepperScene
+from display_node.plant.scene import StepperScene
 from protocol.wire.stream import LayerTable
 from telepulse.emulators import PtyPort
 from telepulse.emulators.cia402 import ALL_MODES, EmulatedCia402Node

@@ -2,13 +2,12 @@
 
 from dataclasses import dataclass, field
 
-from display_node.control.controller import ControllerScene
 from display_node.control.force_loop import ForceLoop, build_force_loop
 from display_node.control.linear_loop import LinearLoop, linear_loop
 from display_node.control.observer import DESIGN_FORCE_N
-from display_node.plant.film import FeedbackFilm, FilmTable
-from display_node.plant.second_order import SecondOrderScene
-from display_node.plant.stepper import StepperScene
+from display_node.control.scene import ControllerScene
+from display_node.plant.film import FeedbackFilm
+from display_node.plant.scene import FilmTable, SecondOrderScene, StepperScene
 from protocol.tactile import ElasticLayer
 
 TICK_S = 1e-3

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from display_node.display import Display
 from display_node.drives import Drive, build_drive
 from display_node.drives.scene import Cia402Scene, DriveScene, TmclScene
-from display_node.plant.stepper import StepperScene
+from display_node.plant.scene import StepperScene
 from display_node.scene import DisplayScene
 from protocol.host.realtime import Pacer
 from pulse_sensors.sensor import Sensor

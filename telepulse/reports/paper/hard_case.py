@@ -13,8 +13,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from display_node.control.safety import Safety, SafetyScene
-from display_node.plant.second_order import SecondOrderScene
+from display_node.control.safety import Safety
+from display_node.control.scene import SafetyScene
+from display_node.plant.scene import SecondOrderScene
 from display_node.scene import DisplayScene
 from protocol.config.scene_file import find_scene
 from protocol.errors import SceneError

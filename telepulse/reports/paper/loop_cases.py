@@ -8,8 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from display_node.plant.second_order import SecondOrderScene
-from display_node.plant.stepper import StepperScene
+from display_node.plant.scene import SecondOrderScene, StepperScene
 from display_node.scene import DisplayScene
 from protocol.config.scene import validate
 from protocol.errors import SceneError

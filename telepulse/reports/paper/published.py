@@ -6,7 +6,7 @@ interpreted here; everything else is as printed.
 
 from typing import NamedTuple
 
-from display_node.plant.second_order import SecondOrderScene
+from display_node.plant.scene import SecondOrderScene
 from protocol.tactile import ElasticLayer, Film
 
 

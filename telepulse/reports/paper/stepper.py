@@ -12,8 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from display_node.plant.film import FilmTable
-from display_node.plant.stepper import StepperScene
+from display_node.plant.scene import FilmTable, StepperScene
 from protocol.config.scene_file import find_scene
 from protocol.errors import SceneError
 from sensing_node.scene import build_source

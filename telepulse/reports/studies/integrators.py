@@ -14,7 +14,8 @@ from typing import Generic, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from display_node.plant.second_order import SecondOrder, SecondOrderScene
+from display_node.plant.scene import SecondOrderScene
+from display_node.plant.second_order import SecondOrder
 from sensing_node.sources.synthetic import SyntheticScene, SyntheticSource
 from telepulse.reports.paper.explicit_loop import Number, Step
 from telepulse.reports.paper.published import ACTUATOR

@@ -32,7 +32,8 @@ from sensing_node.scene import build_source
 from telepulse.reports.studies.prediction_pulses import RATE_HZ, SCORED_FROM_S, Pulse, pulses
 from telepulse.reports.studies.sweep import in_one_thread, sweep
 from telepulse.scene import load_scene
-from telepulse.simulation.link_model import MessageLink, parse_link
+from telepulse.simulation.link_model import MessageLink
+from telepulse.simulation.link_scene import parse_link
 from telepulse.simulation.virtual_time import Simulation
 
 PREDICTORS: tuple[PredictorName, ...] = ("hold", "linear", "stack")

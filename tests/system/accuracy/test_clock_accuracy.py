@@ -7,7 +7,8 @@ import pytest
 
 from display_node.reception.receiver import CLOCK_FAST_NS
 from protocol.clock.estimator import ClockEstimator, ClockExchange
-from telepulse.simulation.link_model import Direction, TcpStream, parse_link
+from telepulse.simulation.link_model import Direction, TcpStream
+from telepulse.simulation.link_scene import parse_link
 
 MS = 1_000_000
 S = 1_000 * MS

@@ -16,7 +16,8 @@ from protocol.wire.telemetry import TickState
 from sensing_node.sources.recorded import RecordingScene
 from telepulse.reports.studies.prediction_pulses import Floats, drawn, fibrillating, make_rhythm
 from telepulse.scene import Scene, load_scene
-from telepulse.simulation.link_model import MessageLink, parse_link
+from telepulse.simulation.link_model import MessageLink
+from telepulse.simulation.link_scene import parse_link
 from telepulse.simulation.virtual_time import Simulation
 from tests.support.nodes import RADIAL, known
 

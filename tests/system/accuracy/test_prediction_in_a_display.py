@@ -9,7 +9,7 @@ from display_node.display import Display
 from display_node.prediction import PredictorName
 from protocol.wire.telemetry import TRACE_TICKS, TraceWriter, read_trace
 from telepulse.scene import load_scene
-from telepulse.simulation.link_model import parse_link
+from telepulse.simulation.link_scene import parse_link
 from telepulse.simulation.virtual_time import simulate
 from tests.support.nodes import RADIAL, known
 from tests.support.sender import Sender, display, run

@@ -10,7 +10,7 @@ from protocol.counters import STATE_NAMES, limit_texts
 from protocol.errors import SceneError
 from protocol.run_summary import Summary, print_summary
 from telepulse.scene import Scene, load_scene
-from telepulse.simulation.link_model import parse_link
+from telepulse.simulation.link_scene import parse_link
 from telepulse.simulation.virtual_time import Simulation, simulate
 from tests.support.nodes import RADIAL, ROOT, known
 from tests.support.recording_files import heartpy_recording

@@ -6,7 +6,8 @@ import pytest
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-from display_node.plant.second_order import SecondOrder, SecondOrderScene
+from display_node.plant.scene import SecondOrderScene
+from display_node.plant.second_order import SecondOrder
 from display_node.plant.stepper import Rotor
 from protocol.errors import BenchError
 from telepulse.commissioning.identification import (

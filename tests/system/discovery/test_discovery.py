@@ -16,7 +16,7 @@ from protocol.discovery.announcement import SERVICE, Announcement, to_txt
 from protocol.discovery.browser import Browser
 from protocol.host.child_process import ChildProcess, python_command
 from telepulse.netem import Namespace, emulate, unavailable
-from telepulse.simulation.link_model import parse_link
+from telepulse.simulation.link_scene import parse_link
 from tests.support.keyring import Keyring
 from tests.support.log_lines import messages, refused, strays
 from tests.support.nodes import RADIAL, ROOT, assert_accounted, read_json, start

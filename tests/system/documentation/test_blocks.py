@@ -14,7 +14,7 @@ from display_node.scene import DisplayScene
 from protocol.config.scene import validate
 from protocol.config.scene_file import find_scene, load_document
 from sensing_node.scene import SensingScene
-from telepulse.simulation.link_model import LinkScene
+from telepulse.simulation.link_scene import LinkScene
 from tests.support.doc_pages import PYTHON, Block, blocks
 from tests.support.nodes import ROOT, run_python
 

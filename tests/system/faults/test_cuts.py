@@ -9,7 +9,7 @@ import pytest
 
 from protocol.config.scene_file import find_scene
 from telepulse.netem import PacketFilter, emulate
-from telepulse.simulation.link_model import parse_link
+from telepulse.simulation.link_scene import parse_link
 from tests.support.felt_force import PATIENCE_S, assert_back_within_a_second, assert_limits_kept
 from tests.support.node_rig import PORT, node_rig, unaccounted
 from tests.support.tcp import needs_emulator, retransmissions

@@ -14,7 +14,7 @@ from protocol.host.realtime import parse_realtime
 from protocol.sockets import beyond_loopback, control_address
 from sensing_node.cli import app as sensing_node
 from telepulse.cli.main import app as telepulse
-from telepulse.simulation.link_model import parse_link
+from telepulse.simulation.link_scene import parse_link
 from tests.support.nodes import RADIAL
 
 # What a shell can pass on; a first dash would begin another option.

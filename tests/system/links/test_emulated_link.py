@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from telepulse.netem import EmulatedLink, EmulatorError, emulate, unavailable
-from telepulse.simulation.link_model import parse_link
+from telepulse.simulation.link_scene import parse_link
 from tests.support.nodes import known
 from tests.support.tcp import PATIENCE_S, PORT, connected, needs_emulator, stream
 

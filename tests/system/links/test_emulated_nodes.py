@@ -4,7 +4,7 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 from telepulse.netem import NodesOutcome, run_nodes
-from telepulse.simulation.link_model import parse_link
+from telepulse.simulation.link_scene import parse_link
 from tests.support.nodes import RADIAL, known
 from tests.support.tcp import needs_emulator
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from telepulse.netem import NodesOutcome, run_nodes
-from telepulse.simulation.link_model import parse_link
+from telepulse.simulation.link_scene import parse_link
 from tests.support.felt_force import recording
 from tests.support.nodes import RADIAL, known
 from tests.support.tcp import needs_emulator

@@ -9,7 +9,7 @@ import pytest
 from protocol.errors import ProcessError
 from protocol.host.child_process import ChildProcess
 from telepulse.netem import emulate, unavailable
-from telepulse.simulation.link_model import parse_link
+from telepulse.simulation.link_scene import parse_link
 from tests.support.nodes import RADIAL, ROOT, assert_accounted, free_address, read_json
 
 PATIENCE_S = 60.0

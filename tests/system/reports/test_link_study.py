@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from display_node.control.safety import SafetyScene
+from display_node.control.scene import SafetyScene
 from telepulse.reports.studies import link_scores
 from telepulse.reports.studies.link_report import advice, least_in_phase, report_links
 from telepulse.reports.studies.link_scores import (

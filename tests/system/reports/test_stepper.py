@@ -1,6 +1,6 @@
 import pytest
 
-from display_node.plant.film import FilmTable
+from display_node.plant.scene import FilmTable
 from telepulse.reports.paper import published, stepper
 from telepulse.reports.paper.stepper import BenchResult
 from tests.support.nodes import known

@@ -11,7 +11,7 @@ from protocol.security.authenticator import REASONS
 from protocol.security.budgets import SUBSCRIPTION
 from protocol.security.socket_monitor import REFUSED_KEY, REVOKED
 from sensing_node.scene import SensingScene
-from telepulse.simulation.link_model import LinkScene
+from telepulse.simulation.link_scene import LinkScene
 from tests.support.nodes import ROOT
 
 PACKAGES = ("protocol", "pulse_sensors", "sensing_node", "display_node", "telepulse")

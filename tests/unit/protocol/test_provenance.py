@@ -9,7 +9,7 @@ from display_node.scene import DisplayScene
 from protocol.errors import WireError
 from protocol.provenance import MAX_BYTES, REDACTED, read_provenance, redact, redact_command
 from sensing_node.scene import SensingScene
-from telepulse.simulation.link_model import LinkScene
+from telepulse.simulation.link_scene import LinkScene
 
 
 @pytest.mark.parametrize("data", [b"", b"[]", b"\xff", b"{", b'"' + b"x" * MAX_BYTES + b'"'])

@@ -19,7 +19,7 @@ from protocol.config.scene import validate
 from protocol.config.scene_file import load_document
 from protocol.errors import SceneError, SourceError
 from sensing_node.scene import SensingScene, build_source, describe_stream
-from telepulse.simulation.link_model import LinkScene, parse_link
+from telepulse.simulation.link_scene import LinkScene, parse_link
 from tests.support.nodes import RADIAL, ROOT
 from tests.unit.documentation.test_docs import keys
 

@@ -4,7 +4,7 @@ import pytest
 
 from protocol.errors import SceneError
 from telepulse.scene import load_scene
-from telepulse.simulation.link_model import LinkScene
+from telepulse.simulation.link_scene import LinkScene
 from tests.support.nodes import RADIAL
 
 

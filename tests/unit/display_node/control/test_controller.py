@@ -4,16 +4,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from display_node.control.controller import (
-    HEADROOM,
-    WORST_S,
-    ControllerScene,
-    StallGuard,
-    StepperController,
-)
+from display_node.control.controller import HEADROOM, WORST_S, StallGuard, StepperController
+from display_node.control.scene import ControllerScene
 from display_node.plant.contact import ContactLaw
-from display_node.plant.film import FilmTable
-from display_node.plant.stepper import StepperScene
+from display_node.plant.scene import FilmTable, StepperScene
 from protocol.config.scene_file import find_scene
 from telepulse.scene import load_scene
 from tests.support.scene_loops import BEAT_S, PEAK_N, press, stalls_always, stalls_at_times

@@ -6,7 +6,8 @@ import pytest
 from numpy.typing import NDArray
 
 from display_node.control.feed_forward import Gap, ScrewPath
-from display_node.plant.stepper import Backlash, Rotor, StepperScene
+from display_node.plant.scene import StepperScene
+from display_node.plant.stepper import Backlash, Rotor
 from protocol.tactile import ElasticLayer
 
 Positions = NDArray[np.float64]

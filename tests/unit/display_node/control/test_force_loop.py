@@ -4,11 +4,9 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from display_node.control.controller import ControllerScene
 from display_node.control.force_loop import WATCHDOG_S, ForceLoop, build_force_loop
-from display_node.plant.film import FilmTable
-from display_node.plant.second_order import SecondOrderScene
-from display_node.plant.stepper import StepperScene
+from display_node.control.scene import ControllerScene
+from display_node.plant.scene import FilmTable, SecondOrderScene, StepperScene
 from protocol.errors import SceneError
 from protocol.tactile import ElasticLayer
 from sensing_node.sources.synthetic import SyntheticScene, SyntheticSource

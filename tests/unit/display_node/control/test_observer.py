@@ -10,12 +10,13 @@ from display_node.control.observer import (
     OUTLIER,
     SOFTNESS_RANGE,
     Observer,
-    ObserverScene,
     observer_gains,
 )
+from display_node.control.scene import ObserverScene
 from display_node.plant.contact import ContactLaw
-from display_node.plant.film import FeedbackFilm, FilmTable
-from display_node.plant.stepper import Stepper, StepperScene
+from display_node.plant.film import FeedbackFilm
+from display_node.plant.scene import FilmTable, StepperScene
+from display_node.plant.stepper import Stepper
 from protocol.tactile import ElasticLayer
 
 TICK_S = 1e-3

@@ -6,9 +6,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from display_node.control.controller import ControllerScene
 from display_node.control.pid import Pid
-from display_node.plant.second_order import SecondOrder, SecondOrderScene
+from display_node.control.scene import ControllerScene
+from display_node.plant.scene import SecondOrderScene
+from display_node.plant.second_order import SecondOrder
 from protocol.tactile import Film
 
 TICK_S = 1e-3

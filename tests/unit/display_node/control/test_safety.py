@@ -5,7 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from display_node.control.safety import Safety, SafetyScene
+from display_node.control.safety import Safety
+from display_node.control.scene import SafetyScene
 
 TICK_NS = 1_000_000
 LIMIT_N = 2.5

@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from display_node.plant.contact import ContactLaw
-from display_node.plant.stepper import StepperScene
+from display_node.plant.scene import StepperScene
 from protocol.tactile import ElasticLayer
 
 REDUCED_PA = 0.05e9 / 0.75

@@ -3,7 +3,8 @@ import math
 import numpy as np
 import pytest
 
-from display_node.plant.film import FeedbackFilm, FilmTable
+from display_node.plant.film import FeedbackFilm
+from display_node.plant.scene import FilmTable
 
 TICK_S = 1e-3
 

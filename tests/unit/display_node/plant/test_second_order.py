@@ -5,7 +5,8 @@ import pytest
 from numpy.typing import NDArray
 from scipy.signal import lsim
 
-from display_node.plant.second_order import SecondOrder, SecondOrderScene
+from display_node.plant.scene import SecondOrderScene
+from display_node.plant.second_order import SecondOrder
 
 TABLE_4 = (0.65, 0.61, 4.23)
 

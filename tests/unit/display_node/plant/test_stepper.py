@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 from scipy.signal import lsim
 
-from display_node.plant.stepper import Backlash, Rotor, Stepper, StepperScene
+from display_node.plant.scene import StepperScene
+from display_node.plant.stepper import Backlash, Rotor, Stepper
 from protocol.tactile import ElasticLayer
 
 RESONANCE_HZ = 100.0

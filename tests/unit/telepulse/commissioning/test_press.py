@@ -3,7 +3,7 @@ import math
 import numpy as np
 import pytest
 
-from display_node.plant.stepper import StepperScene
+from display_node.plant.scene import StepperScene
 from display_node.scene import DisplayScene
 from protocol.config.scene_file import find_scene
 from protocol.errors import BenchError

@@ -3,7 +3,7 @@
 import pytest
 
 from display_node.drives.scene import TmclScene
-from display_node.plant.stepper import StepperScene
+from display_node.plant.scene import StepperScene
 from protocol.errors import SceneError
 from protocol.wire.stream import LayerTable
 from telepulse.emulators.fault_injection import FaultInjector, FaultKind, InjectedFault, parse_fault

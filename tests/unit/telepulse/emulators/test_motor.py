@@ -2,7 +2,7 @@
 
 import pytest
 
-from display_node.plant.stepper import StepperScene
+from display_node.plant.scene import StepperScene
 from protocol.wire.stream import LayerTable
 from telepulse.emulators.motor import SWITCH_M, TICK_NS, EmulatedMotor
 

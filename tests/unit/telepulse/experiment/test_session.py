@@ -5,7 +5,7 @@ import pytest
 
 from protocol.errors import SceneError
 from telepulse.experiment.session import draw_trials, load_plan
-from telepulse.simulation.link_model import LinkScene
+from telepulse.simulation.link_scene import LinkScene
 from tests.support.experiment_sessions import condition, plan, write
 from tests.support.nodes import RADIAL
 

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from protocol.errors import SceneError
-from telepulse.simulation.link_model import Direction, MessageLink, TcpStream, parse_link
+from telepulse.simulation.link_model import Direction, MessageLink, TcpStream
+from telepulse.simulation.link_scene import parse_link
 
 MS = 1_000_000
 PACKETS = 40_000

@@ -1,0 +1,122 @@
+"""The tables of the actuator and of the film under the finger.
+
+The classes that they describe are compiled where a compiler is there; pydantic's models are not.
+"""
+
+import math
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from display_node.plant.contact import ContactLaw
+from display_node.plant.filters import LowPass
+from protocol.config.quantities import (
+    Hertz,
+    Metres,
+    MetresPerSecond,
+    MetresPerSecond2,
+    Nanoseconds,
+    Newtons,
+    NewtonsPerMetre,
+    Radians,
+    Volts,
+    VoltsPerNewton,
+)
+from protocol.config.scene import Section
+from protocol.tactile import Adc, ElasticLayer, Film
+
+
+class SecondOrderScene(Section):
+    """The `actuator` table of kind "second_order"; defaults are the paper's Table 4.
+
+    The paper gives m in kg, c in N·s/m and k in N/m. These cannot be the units where the output is
+    a force, so they are plain numbers here. `voltage_limit` is not from the paper.
+    """
+
+    kind: Literal["second_order"]
+    m: Annotated[float, Field(ge=1e-12, le=1e12)] = 0.65
+    c: Annotated[float, Field(ge=0, le=1e12)] = 0.61
+    k: Annotated[float, Field(ge=0, le=1e12)] = 4.23
+    voltage_limit: Annotated[float, Field(gt=0)] = 1e6
+
+
+class StepperScene(Section):
+    """The `actuator` table of kind "stepper".
+
+    rotor_resonance, rotor_damping (ζ): without a resonance, the rotor follows the commanded
+    microstep exactly. backlash: that of the screw. latency: time from a command to its motion.
+    """
+
+    kind: Literal["stepper"]
+    step_angle_rad: Annotated[Radians, Field(gt=0)] = math.radians(1.8)
+    microsteps: Annotated[int, Field(ge=1, le=256)] = 16
+    lead_m: Annotated[Metres, Field(gt=0, le=0.1)] = 2e-3
+    max_speed_m_per_s: Annotated[MetresPerSecond, Field(gt=0)] = 0.4
+    max_acceleration_m_per_s2: Annotated[MetresPerSecond2, Field(gt=0)] = 20.0
+    stroke_m: Annotated[Metres, Field(gt=0)] = 0.1
+    thrust_n: Annotated[Newtons, Field(gt=0)] = 100.0
+    tip_radius_m: Annotated[Metres, Field(ge=1e-6, le=1)] = 5e-3
+    fingertip_n_per_m: Annotated[NewtonsPerMetre, Field(ge=1e-3, le=1e12)] = 1e3
+    rotor_resonance_hz: Annotated[Hertz, Field(ge=0.1, le=10_000)] | None = None
+    rotor_damping: Annotated[float, Field(ge=0, le=10)] = 0.2
+    backlash_m: Annotated[Metres, Field(ge=0, le=1e-3)] = 0.0
+    latency_ns: Annotated[Nanoseconds, Field(ge=0, le=50_000_000)] = 0
+
+    @property
+    def step_m(self) -> float:
+        """Travel of one microstep."""
+        return self.lead_m * self.step_angle_rad / (2 * math.pi) / self.microsteps
+
+    @property
+    def steps_per_m(self) -> float:
+        """Factor from a speed in m/s to a step rate in Hz: the paper's VCO.
+
+        The rate's sign is the direction line; it is positive into the finger.
+        """
+        return 1 / self.step_m
+
+    def contact(self, layer: ElasticLayer) -> ContactLaw:
+        """Return the contact law of this tip on the local layer; the tip itself is rigid."""
+        reduced_pa = layer.young_modulus_pa / (1 - layer.poisson_ratio**2)
+        return ContactLaw(self.tip_radius_m, reduced_pa, self.fingertip_n_per_m)
+
+
+class FilmTable(Section):
+    """The `film` table: the PVDF film under the finger (Table 1 of Dargahi et al. 2008: 9 mm).
+
+    sensitivity: that of the film with its amplifier, such as 44 mV/N in Fig. 4; by default eq 21
+    gives it from the radius. filter: corner of the low-pass of `filter_order` poles behind the
+    film. noise: RMS before the filter. adc_bits: resolution over ±adc_range. latency: age of a
+    reading when it is read.
+    """
+
+    radius_m: Annotated[Metres, Field(gt=0)] = 9e-3
+    sensitivity_v_per_n: Annotated[VoltsPerNewton, Field(gt=0)] | None = None
+    filter_hz: Annotated[Hertz, Field(gt=0)] | None = None
+    filter_order: Annotated[int, Field(ge=1, le=4)] = 1
+    noise_n: Annotated[Newtons, Field(ge=0, le=10)] = 0.0
+    adc_bits: Annotated[int, Field(ge=2, le=32)] | None = None
+    adc_range_v: Annotated[Volts, Field(gt=0)] = 10.0
+    latency_ns: Annotated[Nanoseconds, Field(ge=0, le=50_000_000)] = 0
+
+    @property
+    def volts_per_newton(self) -> float:
+        """Voltage at the ADC per newton."""
+        return self.sensitivity_v_per_n or Film(self.radius_m).volts_per_newton
+
+    @property
+    def millivolts_per_newton(self) -> float:
+        """Scale of the paper's gains in mV/N: that of eq 21, without the amplifier."""
+        return 1e3 * Film(self.radius_m).volts_per_newton
+
+    @property
+    def noise_with_adc_n(self) -> float:
+        """RMS error of a reading in N: noise and the ADC's rounding."""
+        if self.adc_bits is None:
+            return self.noise_n
+        step_n = Adc(self.adc_bits, self.adc_range_v).step_volts / self.volts_per_newton
+        return math.hypot(self.noise_n, step_n / math.sqrt(12))
+
+    def low_pass(self, tick_s: float) -> LowPass | None:
+        """Return the model of the filter behind the film; None without a filter."""
+        return LowPass(self.filter_hz, self.filter_order, tick_s) if self.filter_hz else None
