@@ -63,7 +63,7 @@ def row(kind: str, base_n: float, pulse_n: Forces) -> tuple[str, ...]:
                 motor = bench.motor()
         except BenchFailedError as error:
             return kind, "none", "", "", "", "", "", str(error).splitlines()[0]
-    sampled = after["samples"]["played"] - before["samples"]["played"]
+    sampled = after["samples"]["sent"] - before["samples"]["sent"]
     rmse_n = settled_rmse_n(motor.force_n, pulse_n)
     shown = (f"{rmse_n * 1e3:.2f}", f"{rmse_n / base_n:.2f}")
     return kind, *shown, *figures(summary, sampled / felt_s)

@@ -22,6 +22,7 @@ SECONDS = 30.0
 LOSS_FREE = "delay=20ms,jitter=3ms"
 LOSSY = LOSS_FREE + ",loss=1%"
 BAR = 1.1
+OUTCOMES = ("sent", "played", "predicted", "late", "lost")
 # Times count from the link's start, a second before the sensing node starts.
 CUT = LOSS_FREE + ",cut.from=10s,cut.for=5s"
 CUT_FOR_GOOD = LOSS_FREE + ",cut.from=10s,cut.for=60min"
@@ -63,7 +64,7 @@ def main() -> None:
     show(
         f"Paths at 20±3 ms, 10 ms frames, {SECONDS:g} s each, TCP's {control}: one-way delay in ms;"
         f" the bar for 3 is {BAR} times the loss-free p99, and none lost",
-        ("link", "paths", "p50", "p99", "max", "over first", "sent", "played", "late", "lost"),
+        (*("link", "paths", "p50", "p99", "max", "over first"), *OUTCOMES),
         [row(*run, base_ms or 0.0) for run in runs],
     )
     show(
@@ -77,14 +78,13 @@ def main() -> None:
 def row(name: str, paths: int, summary: Summary, base_ms: float) -> tuple[str, ...]:
     """Return the row of a run; base_ms: the loss-free p99."""
     delay_ms, samples = summary.one_way_delay_ms, summary.samples
-    counts = (samples.sent, samples.played, samples.late, samples.lost)
     return (
         name,
         str(paths),
         *(median_quantile(key, [delay_ms], 1) for key in ("p50", "p99")),
         f"{delay_ms.max or 0.0:.1f}",
         f"{bound('p99', delay_ms.beyond)}{(delay_ms.p99 or 0.0) / base_ms:.2f}",
-        *map(str, counts),
+        *(str(getattr(samples, outcome)) for outcome in OUTCOMES),
     )
 
 

@@ -201,8 +201,10 @@ class Display:
         # The sensing chain delays the pulse by its group delay: the pulse of `instant_ns` is in the
         # sample taken that much later. The actuator's lag is compensated in the same way.
         sampled_ns = instant_ns + self._lead_ns
+        stale_after_ns = self._scene.safety.stale_after_ns
+        alive = receiver.live(sampled_ns, sensing_now_ns, stale_after_ns)
         buffer = receiver.buffer
-        buffer.advance(sampled_ns)
+        buffer.advance(sampled_ns, alive and state.trusted)
         wrist_n = buffer.known(self._tick_ns, count)
         newest_ns = buffer.newest_ns
         self._concealment.work()
@@ -216,8 +218,6 @@ class Display:
             error_n = self._concealment.error_n(predicted_ns)
             state.predictor_error_n = math.nan if error_n is None else ratio * error_n
         wrist_n = self._concealment.complete(wrist_n, count, sampled_ns, newest_ns)
-        stale_after_ns = self._scene.safety.stale_after_ns
-        alive = receiver.live(sampled_ns, sensing_now_ns, stale_after_ns)
         if alive:
             self._delays.add(sensing_now_ns - instant_ns, predicted_ns, state.trusted)
         return [ratio * force_n for force_n in wrist_n], alive
@@ -232,7 +232,8 @@ class Display:
             None if errors is None else errors.force_rmse_n.aligned,
         )
         numbers = (math.nan if figure is None else figure for figure in figures)
-        return DisplayReport(session, self._name, counts.played, counts.late, counts.lost, *numbers)
+        parts = counts.played, counts.predicted, counts.late, counts.lost
+        return DisplayReport(session, self._name, *parts, *numbers)
 
     def summary(
         self, deadline_misses: int | None = None, tick_us: TickTime | None = None

@@ -146,7 +146,7 @@ def status_message(state: str, playing: PlaybackStatus = PLAYING, **changes: Any
     """Return a status message, of a display whose clock is known."""
     whole: dict[str, Any] = {
         "clock": Clock(AHEAD_NS / MS, 1.0, 0.1, 0.2, 0),
-        "samples": SampleCounts(5, 5, 0, 0, 0),
+        "samples": SampleCounts(5, 5, 0, 0, 0, 0),
     }
     summary = Summary(**(whole | changes))
     return STATUS, pack_status(state, "pulse", summary, False, SESSION, playing=playing)

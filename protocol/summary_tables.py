@@ -41,10 +41,13 @@ def _quantile(of: str, share: float) -> Any:
 
 @dataclass(frozen=True, slots=True)
 class SampleCounts:
-    """sent = played + late + lost. A lost sample that comes after all counts as late."""
+    """sent = played + predicted + late + lost.
+
+    A lost sample that comes after all counts as predicted or late.
+    """
 
     sent: int | None = figure(
-        "Samples sent; at a display since it joined: sent = played + late + lost",
+        "Samples sent; at a display since it joined: sent = played + predicted + late + lost",
         "{} sent",
         metric="samples_sent_total",
     )
@@ -56,8 +59,14 @@ class SampleCounts:
         prominent=True,
         help="Samples that have arrived.",
     )
+    predicted: int | None = figure(
+        "Samples that arrived after their instant, which was felt from a trusted prediction",
+        "{} predicted",
+        metric='samples_total{outcome="predicted"}',
+        separator=" + ",
+    )
     late: int | None = figure(
-        "Samples that arrived after their instant was played",
+        "Samples that arrived after their instant, without a trusted prediction of it",
         "{} late",
         metric='samples_total{outcome="late"}',
         separator=" + ",

@@ -240,8 +240,9 @@ class SensingNode:
         for client in self._server.clients.values():
             if (report := client.report) is not None:
                 logger.info(
-                    f"{client.shown_name} last reported {report.played} played, {report.late} late,"
-                    f" {report.lost} lost, playout delay {report.playout_delay_ms:.1f} ms"
+                    f"{client.shown_name} last reported {report.played} played,"
+                    f" {report.predicted} predicted, {report.late} late, {report.lost} lost,"
+                    f" playout delay {report.playout_delay_ms:.1f} ms"
                 )
         if self._telemetry is not None:
             self._telemetry.publish(self._status(final=True))

@@ -95,7 +95,7 @@ def figure_errors(claim: StatusClaim) -> Iterator[str]:
     for key in claim.no_figures:
         yield f"{key} is NaN or infinite"
     samples, shares = claim.summary["samples"], claim.summary["availability"]
-    parts = [samples[key] for key in ("played", "late", "lost")]
+    parts = [samples[key] for key in ("played", "predicted", "late", "lost")]
     if samples["sent"] is not None and None not in parts and samples["sent"] != sum(parts):
         yield f"{samples['sent']} sent, and {'+'.join(map(str, parts))} accounted for"
     for key in ("felt", "played", "judged", "missed"):

@@ -95,8 +95,7 @@ def main() -> None:
 def _figures(flooded: FloodRun) -> tuple[str, ...]:
     display = flooded.display
     samples = display.samples
-    due = (samples.played or 0) + (samples.late or 0) + (samples.lost or 0)
-    played = "–" if not due else f"{100 * (samples.played or 0) / due:.1f} %"
+    played = "–" if not samples.sent else f"{100 * (samples.played or 0) / samples.sent:.1f} %"
     causes = ", ".join(f"{count} {cause}" for cause, count in display.rejected.items())
     return (
         f"{100 * flooded.missed:.1f} %",

@@ -140,7 +140,7 @@ class ManyDisplays:
                     sockets.send(control, encode_control(ClockRequest(now_ns)))
             for number in range(passed % REPORT_SLOTS, self._count, REPORT_SLOTS):
                 report = DisplayReport(
-                    self._session, f"{id(self)}-{number}", 1, 0, 0, 1.0, 1.0, 1.0, 0.1
+                    self._session, f"{id(self)}-{number}", 1, 0, 0, 0, 1.0, 1.0, 1.0, 0.1
                 )
                 sockets.send(self._controls[number], encode_control(report))
         self._slot = slot

@@ -1,8 +1,9 @@
 """The jitter buffer: one session's samples in time order, and the account of each of them.
 
 All times are on the sensing clock. `advance` sets the played instant. A sample that is in the
-buffer when its instant passes was played; one that arrives later is late; one that never arrives is
-lost. Late samples are kept as well: after a jump back of the playout they are played.
+buffer when its instant passes was played. One that arrives later counts as predicted if its instant
+was felt from a trusted prediction, and as late otherwise; one that never arrives is lost. Samples
+that arrive later are kept as well: after a jump back of the playout they are played.
 """
 
 from bisect import bisect_left, bisect_right
@@ -20,17 +21,18 @@ NEVER_NS = -(1 << 64)
 
 @dataclass(frozen=True, slots=True)
 class SampleAccount:
-    """sent = played + late + lost, of the samples whose instant has passed."""
+    """sent = played + predicted + late + lost, of the samples whose instant has passed."""
 
     sent: int = 0
     played: int = 0
+    predicted: int = 0
     late: int = 0
     before_joining: int = 0
 
     @property
     def lost(self) -> int:
         """Samples that never arrived."""
-        return self.sent - self.played - self.late
+        return self.sent - self.played - self.predicted - self.late
 
     def __add__(self, other: "SampleAccount") -> "SampleAccount":
         return SampleAccount(*map(add, astuple(self), astuple(other)))
@@ -66,11 +68,15 @@ class JitterBuffer:
         self._instant_ns: int | None = None
         # The latest instant ever played; it stays when the playout jumps back.
         self._passed_ns = NEVER_NS
+        # Whether a trusted prediction is felt where no sample has arrived, and the instants after
+        # which this changed, at first to True.
+        self._trusted = False
+        self._changed_ns: list[int] = []
         self._first_index = begin_index
         self._floor_index = begin_index or 0
         self._period_ns = 1
         self._end_index: int | None = None
-        self._played = self._late = 0
+        self._played = self._predicted = self._late = 0
         self.newest_ns: int | None = None
         self.frames = self.reordered = 0
         self.ended = False
@@ -100,11 +106,20 @@ class JitterBuffer:
         if self._first_index is None or first < self._first_index:
             self._first_index = first
         if times[0] <= self._passed_ns:
-            late = bisect_right(times, self._passed_ns)
-            self._late += late
-            self._settled += late
+            passed = bisect_right(times, self._passed_ns)
+            predicted = self._trusted_among(times[:passed])
+            self._predicted += predicted
+            self._late += passed - predicted
+            self._settled += passed
         if len(self._times) > 2 * KEEP_SAMPLES:
             self._trim()
+
+    def _trusted_among(self, times: list[int]) -> int:
+        """Return how many instants that have passed were felt from a trusted prediction."""
+        changed_ns = self._changed_ns
+        if not changed_ns or times[0] > changed_ns[-1]:
+            return len(times) if self._trusted else 0
+        return sum(bisect_left(changed_ns, t_ns) % 2 for t_ns in times)
 
     def _check(self, frame: Frame, position: int, count: int) -> None:
         """Refuse samples that are present already, or whose times contradict their neighbours."""
@@ -134,16 +149,23 @@ class JitterBuffer:
             self._floor_index = self._indices[surplus - 1] + 1
             del self._indices[:surplus], self._times[:surplus], self._values[:surplus]
             self._settled -= surplus
+            # Earlier samples are refused. Removal in pairs keeps the first change one to True.
+            forgotten = bisect_left(self._changed_ns, self._times[0]) // 2 * 2
+            del self._changed_ns[:forgotten]
 
-    def advance(self, instant_ns: int) -> None:
+    def advance(self, instant_ns: int, trusted: bool = False) -> None:
         """Play an instant, which settles every sample up to it.
 
+        trusted: whether a trusted prediction is felt at the instants for which no sample has come.
         After the playout jumps back, settled samples stay settled and are returned by `known`
         again.
         """
         self._instant_ns = instant_ns
         if instant_ns <= self._passed_ns:
             return
+        if trusted != self._trusted:
+            self._trusted = trusted
+            self._changed_ns.append(self._passed_ns)
         self._passed_ns = instant_ns
         settled = bisect_right(self._times, instant_ns, self._settled)
         self._played += settled - self._settled
@@ -214,7 +236,8 @@ class JitterBuffer:
         if self._end_index is not None and not self.waiting:
             settled_end = max(settled_end, self._end_index)
         before_joining = first if self._joining else 0
-        return SampleAccount(settled_end - first, self._played, self._late, before_joining)
+        sent = settled_end - first
+        return SampleAccount(sent, self._played, self._predicted, self._late, before_joining)
 
     def successor(self) -> "JitterBuffer":
         """Return an empty buffer that continues the account after the last settled sample.

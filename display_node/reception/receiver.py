@@ -165,7 +165,12 @@ class Receiver:
         account, delay, clock = self.account(), self.one_way_delay_ms, self.clock
         return Summary(
             samples=SampleCounts(
-                account.sent, account.played, account.late, account.lost, account.before_joining
+                sent=account.sent,
+                played=account.played,
+                predicted=account.predicted,
+                late=account.late,
+                lost=account.lost,
+                before_joining=account.before_joining,
             ),
             frames=FrameCounts(*self.frames, self.copies),
             one_way_delay_ms=OneWayDelay(**delay.quantiles(p50=0.5, p99=0.99), max=delay.maximum),

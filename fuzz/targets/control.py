@@ -29,7 +29,7 @@ def seeds() -> list[bytes]:
         Bye(7, 5000),
         ClockRequest(-5),
         ClockReply(7, 1, 2, 3),
-        DisplayReport(7, "display", 90, 6, 4, 1.5, 2.5, 40.0, 0.25),
+        DisplayReport(7, "display", 90, 5, 6, 4, 1.5, 2.5, 40.0, 0.25),
     )
     return [encode_control(message) for message in messages]
 

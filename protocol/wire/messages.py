@@ -151,6 +151,7 @@ class DisplayReport(NamedTuple):
     session: int
     display: str
     played: int
+    predicted: int
     late: int
     lost: int
     one_way_delay_p50_ms: float
@@ -168,7 +169,7 @@ _KINDS: dict[str, tuple[type[ControlMessage], tuple[type | range, ...]]] = {
     "bye": (Bye, (_SESSION, _COUNT)),
     "clock?": (ClockRequest, (_TIME,)),
     "clock": (ClockReply, (_SESSION, _TIME, _TIME, _TIME)),
-    "report": (DisplayReport, (_SESSION, str, _COUNT, _COUNT, _COUNT, float, float, float, float)),
+    "report": (DisplayReport, (_SESSION, str, *[_COUNT] * 4, *[float] * 4)),
 }
 _NAMES = {kind: name for name, (kind, _) in _KINDS.items()}
 

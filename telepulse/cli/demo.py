@@ -106,7 +106,7 @@ def demo(
 
     A sensing node and a display node start as two processes. With an impaired link (--link, or
     the scene's), a third process between them delays and drops frames. At the end, every sample
-    sent is accounted for: sent = played + late + lost.
+    sent is accounted for: sent = played + predicted + late + lost.
 
     Exit status: 0 at the end of the pulse, 2 when an argument cannot be used, 3 when the display
     latched a fault; the reason is a line on stderr.

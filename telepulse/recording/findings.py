@@ -129,11 +129,13 @@ class RunFindings:
         now_ns, instant_ns, receiver = fields["now_ns"], fields["instant_ns"], self._receiver
         self.ticks += 1
         self._count_misses(now_ns)
-        sampled_ns = receiver.play(instant_ns)
         if not receiver.ready:
             return
         sensing_now_ns, target_n = receiver.clock.remote_ns(now_ns), float(fields["target_n"])
-        if target_n and receiver.live(sampled_ns, sensing_now_ns, self._stale_after_ns):
+        sampled_ns = receiver.sampled_ns(instant_ns)
+        alive = receiver.live(sampled_ns, sensing_now_ns, self._stale_after_ns)
+        receiver.play(instant_ns, trusted=alive and fields.get("trusted", False))
+        if target_n and alive:
             self._played += 1
             delay_ms = (sensing_now_ns - instant_ns) * 1e-6
             self.playout_ms.add(delay_ms)

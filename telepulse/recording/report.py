@@ -39,7 +39,12 @@ def build_recording_report(path: Path) -> Report:
         Plot(
             "delay-distribution", "Share of frames and ticks up to each delay.", drawn.distribution
         ),
-        Plot("loss", "Samples that came too late or never, as the display counted.", drawn.loss),
+        Plot(
+            "loss",
+            "Samples that came too late, where no trusted prediction was felt, or never, by the"
+            " display's count.",
+            drawn.loss,
+        ),
     )
     clock = Plot(
         "clock",
@@ -258,7 +263,8 @@ class _Plots:
         bottom: dict[float, float] = {}
         for name in names:
             points = self._trends[name].points()
-            # A sample that arrives after it was counted as lost becomes late: the losses decrease.
+            # A sample that arrives after it was counted as lost becomes predicted or late: the
+            # losses decrease.
             counts = np.maximum(points.total, 0)
             below = np.array([bottom.get(at, 0.0) for at in points.t_s.tolist()])
             axes.bar(points.t_s, counts, self._trends[name].width_s, bottom=below, label=name)

@@ -212,15 +212,17 @@ class PassiveReceiver(Receiver):
             self.on_control(wire.encode_control(reply), fields["t4_ns"])
         return None
 
-    def play(self, instant_ns: int) -> int:
+    def sampled_ns(self, instant_ns: int) -> int:
+        """Return the time of the sample that shows an instant of the pulse.
+
+        It is later by the sensing chain's group delay.
+        """
+        return instant_ns + (0 if self.description is None else self.description.group_delay_ns)
+
+    def play(self, instant_ns: int, trusted: bool = False) -> None:
         """Advance the buffer to an instant of the pulse that a tick played.
 
-        Returns
-        -------
-        int
-            Time of the sample that shows this instant: later by the sensing chain's group delay.
+        trusted: as in `JitterBuffer.advance`.
         """
-        late_ns = 0 if self.description is None else self.description.group_delay_ns
         if self.ready:
-            self.buffer.advance(instant_ns + late_ns)
-        return instant_ns + late_ns
+            self.buffer.advance(self.sampled_ns(instant_ns), trusted)

@@ -218,11 +218,12 @@ class LiveState:
     def _shares(self) -> tuple[float, float]:
         """Return the percentages lost and late of the samples due in the last second."""
         old, new = self._samples[0], self._samples[-1]
-        grown = {name: new.get(name, 0) - old.get(name, 0) for name in ("played", "lost", "late")}
+        names = ("played", "predicted", "lost", "late")
+        grown = {name: new.get(name, 0) - old.get(name, 0) for name in names}
         due = sum(grown.values())
         if due <= 0:
             return math.nan, math.nan
-        # A lost sample that arrives after all becomes a late one.
+        # A lost sample that arrives after all becomes a predicted or a late one.
         return max(0.0, 100 * grown["lost"] / due), max(0.0, 100 * grown["late"] / due)
 
     def _stream(self, entry: Entry) -> None:

@@ -123,7 +123,7 @@ def _loss(samples: Fields) -> PageFigure:
     lost, late = samples.get("lost"), samples.get("late")
     if lost is None or late is None:
         return PageFigure(NOTHING)
-    due = lost + late + samples.get("played", 0)
+    due = lost + late + samples.get("played", 0) + samples.get("predicted", 0)
     share = (lost + late) / due if due else 0.0
     note = f"{count_text(lost, 'sample')} lost, {late} late in the run"
     return PageFigure(f"{100 * share:.2f} %", note)

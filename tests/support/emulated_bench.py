@@ -117,12 +117,12 @@ class EmulatedBench:
     ) -> dict[str, Any]:
         """Wait for a state of the display ("playing", "fault") and return its summary then.
 
-        played: number of samples that it has played by then, in total.
+        played: number of samples whose instant it has played by then, in total.
         """
 
         def reached(status: Status) -> bool:
             return status.state == "fault" or (
-                status.state == wanted and status.summary["samples"]["played"] >= played
+                status.state == wanted and status.summary["samples"]["sent"] >= played
             )
 
         with zmq.Context() as context, subscribe(context, self.telemetry) as telemetry:

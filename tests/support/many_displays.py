@@ -2,8 +2,8 @@
 
 Each has its own sockets, follows session, clock and stream as every display does, and counts its
 samples. It drives no actuator: that would take a core for every ten displays. After the end of the
-stream the program prints a line of JSON: the samples sent, played, late, lost and before joining
-of each display.
+stream the program prints a line of JSON: the samples sent, played, predicted, late, lost and
+before joining of each display.
 """
 
 import json
@@ -67,7 +67,11 @@ def main() -> None:
         for listener in displays:
             listener.poll(now_ns)
     accounts = [listener.receiver.account() for listener in displays]
-    print(json.dumps([[a.sent, a.played, a.late, a.lost, a.before_joining] for a in accounts]))
+    print(
+        json.dumps(
+            [[a.sent, a.played, a.predicted, a.late, a.lost, a.before_joining] for a in accounts]
+        )
+    )
     context.destroy(linger=sockets.LINGER_MS)
 
 

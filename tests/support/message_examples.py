@@ -59,8 +59,8 @@ CONTROL: dict[str, tuple[wire.ControlMessage, bytes]] = {
     "clock request": (wire.ClockRequest(-5), b"\x93\x01\xa6clock?\xfb"),
     "clock reply": (wire.ClockReply(7, 1, 2, 3), b"\x96\x01\xa5clock\x07\x01\x02\x03"),
     "report": (
-        wire.DisplayReport(7, "display-1", 90, 6, 4, 1.5, math.nan, 40.0, 0.25),
-        b"\x9b\x01\xa6report\x07\xa9display-1\x5a\x06\x04"
+        wire.DisplayReport(7, "display-1", 90, 5, 6, 4, 1.5, math.nan, 40.0, 0.25),
+        b"\x9c\x01\xa6report\x07\xa9display-1\x5a\x05\x06\x04"
         b"\xcb\x3f\xf8\x00\x00\x00\x00\x00\x00"
         b"\xcb\x7f\xf8\x00\x00\x00\x00\x00\x00"
         b"\xcb\x40\x44\x00\x00\x00\x00\x00\x00"

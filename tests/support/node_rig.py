@@ -107,10 +107,13 @@ class NodeRig:
         return sensing, display, felt
 
     def await_played(self, felt: FeltForce, samples: int) -> None:
-        """Wait until a display has played so many more samples."""
+        """Wait until a display has played, or felt from a prediction, so many more samples."""
 
         def played() -> int:
-            return 0 if felt.status is None else int(felt.status.summary["samples"]["played"])
+            if felt.status is None:
+                return 0
+            counts = felt.status.summary["samples"]
+            return int(counts["played"] + counts["predicted"])
 
         until(lambda: felt.status)
         wanted = played() + samples
@@ -144,9 +147,9 @@ class NodeRig:
 def unaccounted(sensing: Summary, display: Summary) -> int:
     """Return the samples of one session that were sent and that no count of the display names."""
     sent, samples = sensing.samples.sent, display.samples
-    counts = (samples.played, samples.late, samples.lost, samples.before_joining)
+    counts = (samples.played, samples.predicted, samples.late, samples.lost)
     assert sent is not None
-    return sent - sum(count or 0 for count in counts)
+    return sent - sum(count or 0 for count in (*counts, samples.before_joining))
 
 
 @contextmanager

@@ -66,5 +66,6 @@ def known(figure: Figure | None) -> Figure:
 
 
 def assert_accounted(samples: dict[str, int]) -> None:
-    """Check that sent = played + late + lost."""
-    assert samples["sent"] == samples["played"] + samples["late"] + samples["lost"]
+    """Check that sent = played + predicted + late + lost."""
+    parts = ("played", "predicted", "late", "lost")
+    assert samples["sent"] == sum(samples[part] for part in parts)

@@ -50,7 +50,7 @@ class SimulatedDisplay:
 
     def status(self, state: str, final: bool = False, **changes: Any) -> None:
         whole = Summary(
-            samples=SampleCounts(self.played, self.played, 0, 0, 0),
+            samples=SampleCounts(self.played, self.played, 0, 0, 0, 0),
             clock=Clock(AHEAD_NS / MS, 3.0, 0.05, 0.1, 0),
             force_rmse_n=AlignedErrors(2e-3, 3e-3),
             strain_rmse=AlignedErrors(*(abs(FINGER.strain(e)) for e in (2e-3, 3e-3))),

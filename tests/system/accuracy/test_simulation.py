@@ -12,7 +12,7 @@ from protocol.run_summary import Summary, print_summary
 from telepulse.scene import Scene, load_scene
 from telepulse.simulation.link_scene import parse_link
 from telepulse.simulation.virtual_time import Simulation, simulate
-from tests.support.nodes import RADIAL, ROOT, known
+from tests.support.nodes import RADIAL, ROOT, assert_accounted, known
 from tests.support.recording_files import heartpy_recording
 
 SCENES = sorted((ROOT / "scenes").glob("*.toml"))
@@ -27,9 +27,8 @@ def with_link(text: str, path: Path = RADIAL) -> Scene:
 
 
 def accounted(summary: Summary) -> int:
-    samples = summary.samples
-    assert samples.sent == known(samples.played) + known(samples.late) + known(samples.lost)
-    return samples.sent
+    assert_accounted(dataclasses.asdict(summary.samples))
+    return known(summary.samples.sent)
 
 
 @pytest.mark.parametrize("path", MODELLED, ids=lambda path: path.stem)

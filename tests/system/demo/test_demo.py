@@ -14,7 +14,7 @@ from tests.support.nodes import RADIAL, ROOT, assert_accounted, process, read_js
 MODULE = "telepulse"
 PATIENCE_S = 60.0
 KEYS = {
-    "samples": {"sent", "played", "late", "lost", "before_joining"},
+    "samples": {"sent", "played", "predicted", "late", "lost", "before_joining"},
     "frames": {"received", "reordered", "copies", "first"},
     "one_way_delay_ms": {"p50", "p99", "max", "beyond"},
     "playout_delay_ms": {"mean", "p99", "beyond"},

@@ -3,6 +3,7 @@
 import json
 import random
 import time
+from dataclasses import asdict
 from pathlib import Path
 from subprocess import PIPE
 
@@ -11,6 +12,7 @@ from protocol.host.child_process import ChildProcess
 from tests.support.felt_force import PATIENCE_S, assert_back_within_a_second, assert_limits_kept
 from tests.support.hostile_peers import deaf_subscriber, port_of, queued_bytes
 from tests.support.node_rig import Node, node_rig, sequence_monitor, unaccounted
+from tests.support.nodes import assert_accounted
 from tests.support.waiting import until
 
 KILLS = 2
@@ -49,7 +51,7 @@ def test_a_killed_sensing_node_is_felt_again_and_its_sessions_are_accounted_for(
     samples = summary.samples
     assert samples.sent is not None
     assert samples.before_joining is not None
-    assert (samples.played or 0) + (samples.late or 0) + (samples.lost or 0) == samples.sent
+    assert_accounted(asdict(samples))
     assert len(sessions) == killed + 1
     assert list(sessions.values())[-1] == sent
     received = samples.sent + samples.before_joining
@@ -70,8 +72,7 @@ def test_a_restarted_display_feels_the_stream_that_continued_meanwhile(tmp_path:
             display.wait()
             # The counts of its last status add up.
             assert felt.status is not None
-            last = felt.status.summary["samples"]
-            assert last["sent"] == last["played"] + last["late"] + last["lost"]
+            assert_accounted(felt.status.summary["samples"])
             display = rig.display()
             return display.listening_ns
 
@@ -179,9 +180,9 @@ def test_one_of_twenty_displays_that_never_reads_costs_the_others_nothing(tmp_pa
             output, _ = listeners.communicate(timeout=PATIENCE_S)
     counts = json.loads(output)
     assert len(counts) == LISTENERS
-    for total, played, late, lost, before_joining in counts:
+    for total, played, predicted, late, lost, before_joining in counts:
         assert total + before_joining == sent.samples.sent
-        assert total == played + late
+        assert total == played + predicted + late
         assert lost == 0
         assert total > 0
     assert unaccounted(sent, summary) == 0

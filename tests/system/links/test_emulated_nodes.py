@@ -1,11 +1,12 @@
 """The two real nodes over real TCP on an emulated link."""
 
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import asdict
 from pathlib import Path
 
 from telepulse.netem import NodesOutcome, run_nodes
 from telepulse.simulation.link_scene import parse_link
-from tests.support.nodes import RADIAL, known
+from tests.support.nodes import RADIAL, assert_accounted, known
 from tests.support.tcp import needs_emulator
 
 LOSSY = parse_link("delay=20ms,jitter=3ms,loss=1%")
@@ -16,7 +17,7 @@ def balance(outcome: NodesOutcome) -> None:
     """Check that both accounts have each sample once, and that TCP has lost none."""
     samples = outcome.display.samples
     sent, before_joining = known(samples.sent), known(samples.before_joining)
-    assert sent == known(samples.played) + known(samples.late)
+    assert_accounted(asdict(samples))
     assert samples.lost == 0
     assert outcome.sensing.samples.sent == sent + before_joining == 1000 * SECONDS
     # It joined soon, so that there is something to account for.

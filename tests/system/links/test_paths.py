@@ -1,6 +1,7 @@
 """Both nodes with an address for each of several links, which are cut one after the other."""
 
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
@@ -8,7 +9,7 @@ import numpy as np
 from telepulse.netem import NodesOutcome, run_nodes
 from telepulse.simulation.link_scene import parse_link
 from tests.support.felt_force import recording
-from tests.support.nodes import RADIAL, known
+from tests.support.nodes import RADIAL, assert_accounted, known
 from tests.support.tcp import needs_emulator
 
 # On the link's clock, which begins 1 s before the sensing node is started.
@@ -41,9 +42,10 @@ def test_a_second_link_takes_over_when_one_is_cut(tmp_path: Path) -> None:
 
     for outcome in (two, one):
         samples = outcome.display.samples
-        accounted = samples.played, samples.late, samples.lost, samples.before_joining
+        assert_accounted(asdict(samples))
         # The end of the stream arrived over the link that was left.
-        assert sum(count or 0 for count in accounted) == outcome.sensing.samples.sent
+        accounted = known(samples.sent) + known(samples.before_joining)
+        assert accounted == outcome.sensing.samples.sent
         assert outcome.sensing.samples.sent == 1000 * SECONDS
         # A frame may come over both connections where a second one took over.
         assert set(outcome.display.rejected) <= {"duplicate"}

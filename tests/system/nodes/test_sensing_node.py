@@ -170,7 +170,7 @@ def test_displays_of_any_name_may_leave_and_return(address: str, client: Client)
             assert {first.session, welcome.session, frame.session} == {session}
             assert frame.first_sample > first.first_sample
             assert welcome.samples_sent > first.first_sample
-            report = DisplayReport(session, "anna's", 900, 20, 3, 1.0, 2.0, 40.0, 0.001)
+            report = DisplayReport(session, "anna's", 900, 70, 20, 3, 1.0, 2.0, 40.0, 0.001)
             client.control.send(encode_control(report))
             client.ask(ClockRequest(0))
             log = end(node)
@@ -178,7 +178,7 @@ def test_displays_of_any_name_may_leave_and_return(address: str, client: Client)
     # The log escapes names of other characters.
     for name in ("anna's", r"[/] \u2620", "[bold] :smile:"):
         assert f"{name} joined\n" in log
-    assert "anna's last reported 900 played, 20 late, 3 lost" in log
+    assert "anna's last reported 900 played, 70 predicted, 20 late, 3 lost" in log
 
 
 HELLO = encode_control(Hello("raw"))
@@ -192,7 +192,7 @@ GARBAGE: list[tuple[list[bytes], str]] = [
     ([HELLO] * 1000, "malformed"),
     ([encode_control(ClockReply(1, 1, 1, 1))], "unexpected"),
     ([encode_control(Bye(1, 1))], "session"),
-    ([encode_control(DisplayReport(1, "raw", 1, 0, 0, 0.0, 0.0, 0.0, 0.0))], "session"),
+    ([encode_control(DisplayReport(1, "raw", 1, 0, 0, 0, 0.0, 0.0, 0.0, 0.0))], "session"),
 ]
 RANDOM_SIZES = (1, 10, 100, 1000, 60_000)
 

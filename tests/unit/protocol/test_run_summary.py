@@ -14,7 +14,9 @@ from protocol.run_summary import Summary, print_summary, write_json
 LATE_US = tables.Lateness(60.0, 900.0, 5_000.0, 52_344.0, ["p999"])
 NEVER = Limited(0, 0.0, 0.0)
 FULL = Summary(
-    samples=tables.SampleCounts(sent=1000, played=950, late=30, lost=20, before_joining=7),
+    samples=tables.SampleCounts(
+        sent=1000, played=750, predicted=200, late=30, lost=20, before_joining=7
+    ),
     frames=tables.FrameCounts(received=196, reordered=3, copies=392, first={"tcp://one:5555": 190}),
     reconnections=tables.Reconnections(opened=3, kept=2, control=1),
     one_way_delay_ms=tables.OneWayDelay(p50=20.12, p99=35.5, max=41.0),
@@ -110,7 +112,7 @@ def test_the_file_holds_the_summary(summary: Summary, tmp_path: Path) -> None:
 
 def test_the_printed_rows() -> None:
     assert rows(printed(FULL)) == {
-        "samples": "1000 sent = 950 played + 30 late + 20 lost",
+        "samples": "1000 sent = 750 played + 200 predicted + 30 late + 20 lost",
         "joined": "after 7 samples",
         "frames": "196 received, 3 out of order, 392 copies over further paths,"
         " 190 first over tcp://one:5555",

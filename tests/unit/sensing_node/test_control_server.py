@@ -54,7 +54,7 @@ def ask(
 
 
 def report(session: int = SESSION, played: int = 10) -> DisplayReport:
-    return DisplayReport(session, "anna's", played, 1, 2, 20.5, math.nan, 40, math.nan)
+    return DisplayReport(session, "anna's", played, 3, 1, 2, 20.5, math.nan, 40, math.nan)
 
 
 def test_every_hello_is_answered_with_the_stream(server: ControlServer) -> None:
@@ -250,7 +250,7 @@ messages = st.one_of(
     st.builds(Hello, names),
     st.builds(ClockRequest, st.integers(-(2**62), 2**62 - 1)),
     st.builds(Bye, sessions, counts),
-    st.builds(DisplayReport, sessions, names, *[counts] * 3, *[figures] * 4),
+    st.builds(DisplayReport, sessions, names, *[counts] * 4, *[figures] * 4),
 )
 senders = st.lists(st.binary(max_size=4), max_size=6).map(tuple)
 

@@ -34,7 +34,7 @@ def record(*traces: Trace) -> TickRecord:
 
 def summary(**changes: Any) -> dict[str, Any]:
     whole = Summary(
-        samples=SampleCounts(100, 97, 2, 1, 0),
+        samples=SampleCounts(100, 90, 7, 2, 1, 0),
         availability=Availability(10.0, 0.9, 0, 0.1, 0, 0, 0, 0, 0.9, 0.9),
         loop=Loop(10_000, 0),
         finger="pressed with 245 mN (model, no drive)",
@@ -71,7 +71,7 @@ def test_without_a_status_nothing_is_judged() -> None:
         (claim(finger="pressed with 247 mN (model, no drive)"), "finger"),
         (claim(finger="not pressed (model, no drive)"), "finger"),
         (claim(finger=None), "finger"),
-        (claim(samples=SampleCounts(100, 97, 2, 2, 0)), "figures"),
+        (claim(samples=SampleCounts(100, 90, 7, 2, 2, 0)), "figures"),
         (replace(claim(), no_figures=("summary.speed",)), "figures"),
         (claim(within_jnd=1.2), "figures"),
         (claim(availability=Availability(10.0, 1.1, 0, 0, 0, 0, 0, 0, 1, 1)), "figures"),
@@ -229,7 +229,7 @@ def test_an_interruption_is_not_judged_where_a_trace_did_not_arrive() -> None:
         (0, ["loop overrun"], {"faults": ["loop overrun"]}, False),
         (3, [], {}, False),
         (0, [], {"finger": "not pressed"}, False),
-        (0, [], {"samples": SampleCounts(101, 98, 2, 1, 0)}, False),
+        (0, [], {"samples": SampleCounts(101, 91, 7, 2, 1, 0)}, False),
     ],
 )
 def test_an_exit_status_is_that_of_the_summary(

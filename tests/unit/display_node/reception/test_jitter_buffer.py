@@ -24,46 +24,57 @@ class Ledger:
     def __init__(self) -> None:
         self.fates: dict[int, str] = {}
         self.passed_ns = 0
+        # Each advance: the instant that it passed last, and whether a prediction was trusted.
+        self.passes: list[tuple[int, bool]] = []
 
     def put(self, first: int, count: int) -> bool:
         new = first not in self.fates
         for sample in range(first, first + count) if new else ():
-            self.fates[sample] = "late" if at_ns(sample) <= self.passed_ns else "waiting"
+            self.fates[sample] = "waiting"
+            if at_ns(sample) <= self.passed_ns:
+                felt = (by for passed_ns, by in self.passes if at_ns(sample) <= passed_ns)
+                self.fates[sample] = "predicted" if next(felt) else "late"
         return new
 
-    def advance(self, instant_ns: int) -> None:
+    def advance(self, instant_ns: int, trusted: bool) -> None:
         self.passed_ns = max(self.passed_ns, instant_ns)
+        self.passes.append((self.passed_ns, trusted))
         for sample, fate in self.fates.items():
             if fate == "waiting" and at_ns(sample) <= instant_ns:
                 self.fates[sample] = "played"
 
-    def counts(self, sent: int | None) -> tuple[int, int, int, int]:
+    def counts(self, sent: int | None) -> tuple[int, ...]:
         past = [sample for sample, fate in self.fates.items() if fate != "waiting"]
         if sent is not None and len(past) == len(self.fates):
             past.append(sent - 1)
         first = min(self.fates, default=sent or 0)
         everyone = range(first, max(past, default=-1) + 1) if self.fates else ()
         fates = [self.fates.get(sample, "lost") for sample in everyone]
-        return len(fates), fates.count("played"), fates.count("late"), fates.count("lost")
+        outcomes = ("played", "predicted", "late", "lost")
+        return len(fates), *(fates.count(outcome) for outcome in outcomes)
 
 
-def counts(account: SampleAccount) -> tuple[int, int, int, int]:
-    assert account.sent == account.played + account.late + account.lost
-    return account.sent, account.played, account.late, account.lost
+def counts(account: SampleAccount) -> tuple[int, ...]:
+    outcomes = account.played, account.predicted, account.late, account.lost
+    assert account.sent == sum(outcomes)
+    return account.sent, *outcomes
 
 
 @st.composite
 def histories(draw: st.DrawFn) -> tuple[list[int], list[tuple[str, int]]]:
-    """Draw sizes of consecutive frames, and events: put a frame, or advance by half samples."""
+    """Draw sizes of consecutive frames, and events.
+
+    An event puts a frame, or advances by half samples, with a prediction that is trusted or not.
+    """
     sizes = draw(st.lists(st.integers(1, 7), min_size=1, max_size=15))
     put = st.tuples(st.just("put"), st.integers(0, len(sizes) - 1))
-    advance = st.tuples(st.just("advance"), st.integers(0, 24) | st.just(-40))
+    advance = st.tuples(st.sampled_from(["advance", "trusted"]), st.integers(0, 24) | st.just(-40))
     return sizes, draw(st.lists(put | advance, max_size=50))
 
 
 @settings(max_examples=200)
 @given(histories(), st.integers(0, 10))
-def test_every_sample_is_played_late_or_lost(
+def test_every_sample_is_played_predicted_late_or_lost(
     history: tuple[list[int], list[tuple[str, int]]], lost_tail: int
 ) -> None:
     sizes, events = history
@@ -72,10 +83,10 @@ def test_every_sample_is_played_late_or_lost(
     buffer, ledger = JitterBuffer(0), Ledger()
     instant_ns = at_ns(-5)
     for event, value in events:
-        if event == "advance":
+        if event != "put":
             instant_ns += value * MS // 2
-            buffer.advance(instant_ns)
-            ledger.advance(instant_ns)
+            buffer.advance(instant_ns, event == "trusted")
+            ledger.advance(instant_ns, event == "trusted")
         elif ledger.put(firsts[value], sizes[value]):
             buffer.put(frame(firsts[value], sizes[value]))
         else:
@@ -84,24 +95,58 @@ def test_every_sample_is_played_late_or_lost(
     buffer.end(sent, now_ns=at_ns(sent))
     assert counts(buffer.account()) == ledger.counts(sent)
     buffer.advance(at_ns(1000))
-    ledger.advance(at_ns(1000))
+    ledger.advance(at_ns(1000), trusted=False)
     account = buffer.account()
     assert counts(account) == ledger.counts(sent)
     assert account.sent + account.before_joining == sent
 
 
 def test_accounts_of_sessions_add_up() -> None:
-    total = SampleAccount(10, 6, 3, 2) + SampleAccount(7, 4, 1, 1)
-    assert (total, total.lost) == (SampleAccount(17, 10, 4, 3), 3)
+    total = SampleAccount(10, 4, 2, 3, 2) + SampleAccount(7, 1, 3, 1, 1)
+    assert (total, total.lost) == (SampleAccount(17, 5, 5, 4, 3), 3)
 
 
 def test_a_frame_from_before_the_first_counts_as_late() -> None:
     buffer = filled(frame(50))
     buffer.advance(at_ns(54))
-    assert buffer.account() == SampleAccount(5, 5, 0, 50)
+    assert buffer.account() == SampleAccount(5, 5, 0, 0, 50)
     buffer.put(frame(40))
-    assert buffer.account() == SampleAccount(15, 5, 5, 40)
+    assert buffer.account() == SampleAccount(15, 5, 0, 5, 40)
     assert buffer.account().lost == 5
+
+
+def test_a_sample_that_comes_after_a_trusted_instant_was_predicted() -> None:
+    buffer = filled(frame(0))
+    buffer.advance(at_ns(10), trusted=True)
+    buffer.advance(at_ns(13))
+    # Played again after a jump back, which does not change how an instant was felt first.
+    buffer.advance(at_ns(7))
+    buffer.advance(at_ns(15), trusted=True)
+    buffer.put(frame(5, 12))
+    # Instants 5 to 10 and 14 to 15 were trusted, 11 to 13 were not, 16 is to come.
+    assert buffer.account() == SampleAccount(16, 5, 8, 3)
+    # A lost sample stays lost, however well its instant was predicted.
+    buffer.advance(at_ns(30), trusted=True)
+    buffer.put(frame(20))
+    assert buffer.account() == SampleAccount(25, 6, 13, 3)
+    assert buffer.account().lost == 3
+
+
+def test_how_an_instant_was_felt_is_known_as_long_as_its_sample_may_come() -> None:
+    buffer = JitterBuffer(0)
+    tracemalloc.start()
+    try:
+        for number in range(400):
+            if number != 398:
+                buffer.put(frame(500 * number, 500))
+            for sample in range(500 * number, 500 * number + 500):
+                buffer.advance(at_ns(sample), trusted=sample % 2 == 1)
+        _, peak = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert peak < 200 * 2 * KEEP_SAMPLES
+    buffer.put(frame(199_000, 500))
+    assert counts(buffer.account()) == (200_000, 199_500, 250, 250, 0)
 
 
 def test_removed_samples_stay_in_the_account() -> None:
@@ -110,17 +155,17 @@ def test_removed_samples_stay_in_the_account() -> None:
     for number in set(range(200)) - dropped:
         buffer.put(frame(500 * number, 500))
         buffer.advance(at_ns(500 * number + 499))
-    assert counts(buffer.account()) == (sent, sent - 1500, 0, 1500)
+    assert counts(buffer.account()) == (sent, sent - 1500, 0, 0, 1500)
     assert [refusal(buffer, frame(first, 500)) for first in (1500, 0)] == ["too_old"] * 2
     # No sample that was counted is taken again, removed or not.
     again = [sample for sample in range(65_000, 85_000) if sample // 500 not in dropped]
     causes = [refusal(buffer, frame(sample, 1)) for sample in again]
     assert causes == sorted(causes, reverse=True)
     assert set(causes) == {"too_old", "duplicate"}
-    assert counts(buffer.account()) == (sent, sent - 1500, 0, 1500)
+    assert counts(buffer.account()) == (sent, sent - 1500, 0, 0, 1500)
     # A missing frame within reach is taken.
     buffer.put(frame(95_000, 500))
-    assert counts(buffer.account()) == (sent, sent - 1500, 500, 1000)
+    assert counts(buffer.account()) == (sent, sent - 1500, 0, 500, 1000)
 
 
 def test_samples_played_again_after_a_jump_back_are_counted_once() -> None:
@@ -135,7 +180,7 @@ def test_samples_played_again_after_a_jump_back_are_counted_once() -> None:
     buffer.put(missing)
     assert buffer.known(MS, 3) == between
     buffer.advance(at_ns(999))
-    assert counts(buffer.account()) == (1000, 995, 5, 0)
+    assert counts(buffer.account()) == (1000, 995, 0, 5, 0)
     buffer.advance(at_ns(-1))
     assert buffer.known(MS, 3) == []
 
@@ -159,12 +204,12 @@ def test_a_missing_tail_is_lost_once_all_other_samples_were_played() -> None:
     buffer = filled(frame(0), frame(5))
     buffer.advance(at_ns(6))
     buffer.end(20, now_ns=at_ns(20))
-    assert counts(buffer.account()) == (7, 7, 0, 0)
+    assert counts(buffer.account()) == (7, 7, 0, 0, 0)
     buffer.advance(at_ns(9))
-    assert counts(buffer.account()) == (20, 10, 0, 10)
+    assert counts(buffer.account()) == (20, 10, 0, 0, 10)
     buffer.advance(at_ns(30))
     buffer.put(frame(15))
-    assert counts(buffer.account()) == (20, 10, 5, 5)
+    assert counts(buffer.account()) == (20, 10, 0, 5, 5)
 
 
 def test_a_session_without_a_frame_was_all_before_joining() -> None:

@@ -26,7 +26,7 @@ from protocol.wire.telemetry import STATUS, TRACE, Status, Trace, pack_status
 BEAT_S = 0.8
 SECOND_NS = 1_000_000_000
 SUMMARY = Summary(
-    samples=SampleCounts(1000, 990, 7, 3, 0),
+    samples=SampleCounts(1000, 890, 100, 7, 3, 0),
     one_way_delay_ms=OneWayDelay(1.25, 4.5, 9.0),
     playout_delay_ms=PlayoutDelay(12.5, 14.0),
     compensation=Compensation(0.375),
@@ -205,7 +205,7 @@ def test_a_status_line_has_at_most_120_characters(
     under_test, ticks = TerminalView(), np.arange(2) * 10_000_000
     force = np.full(2, force_n)
     under_test.add_trace(Trace(ticks, ticks, force, force, np.ones(2, bool)))
-    counts = SampleCounts(count, count, count, count, count)
+    counts = SampleCounts(count, count, count, count, count, count)
     summary = Summary(samples=counts, faults=faults, finger=finger).to_dict()
     under_test.status = Status(state, "stream", summary, False)
     for now_ns in (0, 10**17):

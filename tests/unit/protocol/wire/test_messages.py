@@ -47,7 +47,7 @@ LARGEST_DESCRIPTION = StreamDescription(
     bytes_per_sample=8,
     group_delay_ns=7_000_000,
 )
-REPORT = [1, "report", 7, "me", 90, 6, 4, 1.5, 2.5, 40.0, 0.25]
+REPORT = [1, "report", 7, "me", 90, 5, 6, 4, 1.5, 2.5, 40.0, 0.25]
 CLOCK = [1, "clock", 7, 1, 2, 3]
 BYE = [1, "bye", 7, 5000]
 WELCOME = [1, "welcome", 7, 0, DESCRIPTION.to_wire()]
@@ -123,7 +123,7 @@ def test_a_frame_is_decoded_as_it_was_encoded(frame: wire.Frame) -> None:
         wire.Hello("žilice " * 10),
         wire.Bye(2**63 - 1, 0),
         wire.ClockReply(0, -(2**62), 2**62 - 1, 0),
-        wire.DisplayReport(0, "me", 1, 2, 3, 0.1, 0.2, 0.3, 0.4),
+        wire.DisplayReport(0, "me", 1, 5, 2, 3, 0.1, 0.2, 0.3, 0.4),
         wire.Welcome(1, 2, LARGEST_DESCRIPTION),
     ],
     ids=lambda message: type(message).__name__,
@@ -250,8 +250,8 @@ BAD_NAMES = ["x" * 81, "x" * 60_000, "a\nb", "\x1b[2J", "\x00", b"me", 7, None, 
     ("fields", "positions", "values"),
     [
         (BYE, [2, 3], BAD_COUNTS), (WELCOME, [2, 3], BAD_COUNTS), (CLOCK, [2], BAD_COUNTS),
-        (REPORT, [2, 4, 5, 6], BAD_COUNTS), ([1, "clock?", 5], [2], BAD_TIMES),
-        (CLOCK, [3, 4, 5], BAD_TIMES), (REPORT, [7, 8, 9, 10], BAD_NUMBERS),
+        (REPORT, [2, 4, 5, 6, 7], BAD_COUNTS), ([1, "clock?", 5], [2], BAD_TIMES),
+        (CLOCK, [3, 4, 5], BAD_TIMES), (REPORT, [8, 9, 10, 11], BAD_NUMBERS),
         (REPORT, [3], BAD_NAMES), ([1, "hello", "me"], [2], BAD_NAMES),
         (WELCOME, [4], [None, "pulse", 5, [1, 2], True]),
     ],
@@ -266,9 +266,9 @@ def test_a_control_field_of_another_type_or_out_of_range_is_malformed(
 
 
 def test_a_report_may_contain_integers_and_nan() -> None:
-    report = wire.decode_control(replaced(REPORT, 9, 40))
-    assert report == wire.DisplayReport(7, "me", 90, 6, 4, 1.5, 2.5, 40, 0.25)
-    unknown = wire.decode_control(replaced(REPORT, 9, math.nan))
+    report = wire.decode_control(replaced(REPORT, 10, 40))
+    assert report == wire.DisplayReport(7, "me", 90, 5, 6, 4, 1.5, 2.5, 40, 0.25)
+    unknown = wire.decode_control(replaced(REPORT, 10, math.nan))
     assert isinstance(unknown, wire.DisplayReport)
     assert math.isnan(unknown.playout_delay_ms)
 

@@ -47,7 +47,7 @@ def node_state(summary: Summary, state: str = "playing", stream: str = "my pulse
 
 def test_figures_come_in_base_units_and_counts_as_counters() -> None:
     summary = Summary(
-        samples=SampleCounts(1000, 990, 7, 3, 50),
+        samples=SampleCounts(1000, 890, 100, 7, 3, 50),
         frames=FrameCounts(200, 1, 0, {"tcp://a:1": 120, "tcp://b:1": 80}),
         one_way_delay_ms=OneWayDelay(1.5, 4.0, 9.0),
         clock=Clock(offset_ms=-2.0, skew_ppm=30.0),
@@ -61,7 +61,8 @@ def test_figures_come_in_base_units_and_counts_as_counters() -> None:
         ("up", {}, 1),
         ("status_age_seconds", {}, 2),
         ("samples_sent_total", {}, 1000),
-        ("samples_total", {"outcome": "played"}, 990),
+        ("samples_total", {"outcome": "played"}, 890),
+        ("samples_total", {"outcome": "predicted"}, 100),
         ("samples_total", {"outcome": "late"}, 7),
         ("samples_lost", {}, 3),
         ("frames_first_total", {"path": "tcp://b:1"}, 80),
@@ -97,7 +98,7 @@ def test_a_node_that_is_silent_has_no_figures_and_is_not_up_nor_before_its_first
     found = scraped(families("display-node", None, 0, unreadable=3))
     assert found["telepulse_up", ()] == 0
     assert found["telepulse_unreadable_statuses_total", ()] == 3
-    summary = Summary(samples=SampleCounts(1000, 990, 7, 3, 0))
+    summary = Summary(samples=SampleCounts(1000, 890, 100, 7, 3, 0))
     last_ns = SECOND_NS + SILENT_AFTER_NS
     alive = scraped(families("display-node", node_state(summary), last_ns))
     silent = scraped(families("display-node", node_state(summary), last_ns + 1))

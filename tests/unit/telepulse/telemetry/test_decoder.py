@@ -200,7 +200,7 @@ def test_every_message_fits_its_schema() -> None:
         *telemetry.receive((CONTROL, clock_reply(1, 2))),
         *telemetry.ticks(TickState(1, 2, 3, 0.5, 0.5, True, 0.01, True), TickState(now_ns=2)),
         *telemetry.status(
-            "playing", samples=SampleCounts(5, 4, 1, 0, 2), rejected={"session": 1}, faults=["x"]
+            "playing", samples=SampleCounts(5, 3, 1, 1, 0, 2), rejected={"session": 1}, faults=["x"]
         ),
         *telemetry.status("stale", compensation=Compensation(0.5)),
     ]

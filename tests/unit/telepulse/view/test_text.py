@@ -162,7 +162,7 @@ def test_a_revoked_display_is_an_alarm(display: SimulatedDisplay) -> None:
         ("deadline misses", {"loop": asdict(LATE)}),
         ("refused", {"rejected": {"malformed": 3}}),
         ("limited", {"limited": asdict(Limits(force=Limited(3, 1.5, 0.1)))}),
-        ("loss", {"samples": asdict(SampleCounts(7000, 6000, 300, 700, 0))}),
+        ("loss", {"samples": asdict(SampleCounts(7000, 2000, 4000, 300, 700, 0))}),
     ],
 )
 def test_a_count_that_rises_is_an_alarm_for_a_while(
