@@ -67,10 +67,10 @@ class LiveSource:
     count them as lost.
     """
 
-    channels = (Channel("pulse"),)
     exhausted = False
 
     def __init__(self, sensor: Sensor) -> None:
+        self.channels = (Channel("pulse"),)
         self.period_ns = sensor.period_ns
         self._sensor = sensor
         self._blocks: deque[SampleBlock] = deque()

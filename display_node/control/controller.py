@@ -213,7 +213,8 @@ class VoltageController:
     """Controller of the second-order actuator's voltage, with a model of that actuator."""
 
     STATE: ClassVar = ("_pid", "_twin")
-    horizon, finger_stiffness = 1, None
+    horizon = 1
+    finger_stiffness: float | None = None
 
     def __init__(
         self, scene: ControllerScene, actuator: SecondOrderScene, film: FilmTable, tick_s: float

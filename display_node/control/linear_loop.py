@@ -134,11 +134,11 @@ def _linear(
         return output
 
     def states() -> Array:
-        return np.array([values[key] for values, key in _states(parts)])
+        return np.array([_read(holder, key) for holder, key in _states(parts)])
 
     def set_states(state: Array) -> None:
-        for (values, key), value in zip(_states(parts), state.tolist(), strict=True):
-            values[key] = value
+        for (holder, key), value in zip(_states(parts), state.tolist(), strict=True):
+            _write(holder, key, value)
 
     def column(state: Array, push: float = 0.0, noise: float = 0.0) -> tuple[Array, float]:
         set_states(PROBE * state)
@@ -162,8 +162,20 @@ def _linear(
     return LinearLoop(tick_s, a, pushed, c, noise, through, np.array(tips), states(), counts)
 
 
-def _states(parts: Iterable[Any]) -> Iterator[tuple[Any, Any]]:
-    """Yield each state variable as a container and the key of its value in it.
+def _read(holder: Any, key: str | int) -> float:
+    value: float = getattr(holder, key) if isinstance(key, str) else holder[key]
+    return value
+
+
+def _write(holder: Any, key: str | int, value: float) -> None:
+    if isinstance(key, str):
+        setattr(holder, key, value)
+    else:
+        holder[key] = value
+
+
+def _states(parts: Iterable[Any]) -> Iterator[tuple[Any, str | int]]:
+    """Yield each state variable as a part and an attribute's name, or a sequence and an index.
 
     A part's `STATE` names its state variables: numbers, sequences of numbers, or parts with a
     `STATE` of their own. None is no state.
@@ -174,7 +186,7 @@ def _states(parts: Iterable[Any]) -> Iterator[tuple[Any, Any]]:
             if hasattr(value, "STATE"):
                 yield from _states([value])
             elif isinstance(value, float):
-                yield vars(part), name
+                yield part, name
             elif value is not None:
                 yield from ((value, index) for index in range(len(value)))
 

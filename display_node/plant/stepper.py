@@ -131,8 +131,8 @@ class Stepper:
             # To take up the backlash, the screw may move half of it beyond the soft stop, and
             # all of it below home.
             furthest_m = min(scene.stroke_m, law.position(min(scene.thrust_n, force_limit_n)))
-            self._first_step = -math.ceil(scene.backlash_m / scene.step_m)
-            self._last_step = math.floor((furthest_m + scene.backlash_m / 2) / scene.step_m)
+            self._first_step = -float(math.ceil(scene.backlash_m / scene.step_m))
+            self._last_step = float(math.floor((furthest_m + scene.backlash_m / 2) / scene.step_m))
         self._rotor: Rotor | None = None
         if scene.rotor_resonance_hz is not None:
             self._rotor = Rotor(scene.rotor_resonance_hz, scene.rotor_damping, tick_s)
@@ -180,7 +180,7 @@ class Stepper:
         if at_end or self.at_end.active:
             self.at_end.add(at_end)
         if not self._first_step <= phase <= self._last_step:
-            phase = float(self._last_step if at_end else self._first_step)
+            phase = self._last_step if at_end else self._first_step
             rate_hz = 0.0
         self._phase, self._rate_hz = phase, rate_hz
         whole = self._whole

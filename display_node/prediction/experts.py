@@ -79,10 +79,10 @@ class Analogue(Expert):
     Lorenz (1969), analogues as predictors.
     """
 
-    names = tuple(f"analogue {memory_s:g} s" for memory_s in MEMORIES_S)
     trust = 0.2
 
     def __init__(self) -> None:
+        self.names: tuple[str, ...] = tuple(f"analogue {memory_s:g} s" for memory_s in MEMORIES_S)
         # Oldest first, like the history: index i is the lag LAGS − i. Single precision saves time
         # in these long rows; their noise exceeds its rounding.
         self._difference = np.zeros(LAGS, np.float32)
@@ -168,7 +168,7 @@ class Fir(Expert):
     Haykin, Adaptive Filter Theory, exponentially weighted RLS.
     """
 
-    names = ("fir",)
+    names: tuple[str, ...] = ("fir",)
     trust = 0.4
 
     def __init__(self) -> None:
@@ -255,7 +255,7 @@ class Harmonic(Expert):
     started and has not diverged.
     """
 
-    names = ("harmonic",)
+    names: tuple[str, ...] = ("harmonic",)
     trust = 0.0
 
     def __init__(self, rhythm: Rhythm) -> None:

@@ -172,7 +172,7 @@ class DelayTracker:
 
     def _score(self, delay_ns: int, asked_ns: int, elapsed_ns: int, forgetting: float) -> None:
         if self._delay_ns is None:
-            self._followed_ns = asked_ns
+            self._followed_ns = float(asked_ns)
         else:
             room_ns = self._max_slew * elapsed_ns
             missing_ns = self._delay_ns - self._followed_ns

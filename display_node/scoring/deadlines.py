@@ -1,6 +1,5 @@
 """Alarm on missed ticks, by their share and by the longest gap. Pure."""
 
-import math
 from collections import deque
 from collections.abc import Mapping
 from typing import Any
@@ -39,7 +38,7 @@ class DeadlineWatch:
         # Late ticks of the window: time in ns, and ticks since the one before.
         self._late: deque[tuple[int, int]] = deque()
         self._missed = self._most_missed = self._longest_ticks = 0
-        self._gap_at_ns = -math.inf
+        self._gap_at_ns: int | None = None
         self.alarm = False
 
     def add(self, now_ns: int, elapsed_ticks: int) -> None:
@@ -57,7 +56,7 @@ class DeadlineWatch:
             self._missed -= late.popleft()[1] - 1
         self._most_missed = max(self._most_missed, self._missed)
         limit = ALARM_SHARE / 2 if self.alarm else ALARM_SHARE
-        after_gap = now_ns - self._gap_at_ns < WINDOW_NS
+        after_gap = self._gap_at_ns is not None and now_ns - self._gap_at_ns < WINDOW_NS
         self.alarm = after_gap or self._share(self._missed) > limit
 
     @property
