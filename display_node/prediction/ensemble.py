@@ -22,9 +22,15 @@ from display_node.prediction.experts import (
 from display_node.prediction.grid import STEP_NS, Grid, GridCell, History, Rhythm
 
 Floats = NDArray[np.float64]
-FORGET = 1 - 1 / 2_000
-RIDGE = 0.01
-ERROR_MEMORY_STEPS = 400
+# Memory of the weights: it grows by half a step a step, so that what the experts predicted before
+# they had learnt is soon forgotten.
+FIRST_MEMORY_STEPS, MEMORY_STEPS = 200, 4_000
+# Strength of the initial weights: at the start, and the part of it that is never forgotten.
+FIRST_RIDGE, RIDGE = 10.0, 0.01
+# Squared errors are limited to this in their sums, in units of the signal's variance.
+WORST = 1e4
+# Steps whose errors are kept: above the longest window of an estimate of the error.
+ERRORS = 512
 HORIZON = np.arange(HORIZONS)
 
 
@@ -39,22 +45,26 @@ class Stack:
         count = len(trust)
         self._trust = trust
         # For each horizon, the covariance, with the weights as a further column.
-        start = np.vstack([np.eye(count) / RIDGE, trust]).T
+        start = np.vstack([np.eye(count) / FIRST_RIDGE, trust]).T
         self._state = np.tile(start, (HORIZONS, 1, 1))
         self._covariances, self._weights = self._state[:, :, :-1], self._state[:, :, -1]
         # Predictions of the last steps, by step and horizon: inputs, output and origin.
         self._made = np.zeros((FURTHEST + 1, HORIZONS, count + 2))
         self._steps = 0
-        self._power = np.zeros(HORIZONS)
+        # Running sums of the squared errors, by step and horizon.
+        self._sums = np.zeros((ERRORS, HORIZONS))
         self._truths = 0
 
-    def rms(self, horizon: int) -> float | None:
-        """Return the RMSE at a horizon (index from 0) over some 2 s; None before any result."""
-        truths = self._truths - int(AHEAD[horizon])
-        if truths <= 0:
+    def rms(self, horizon: int, steps: int) -> float | None:
+        """Return the RMSE at a horizon (index from 0) over the last steps, fewer than `ERRORS`.
+
+        Returns None where fewer values have been predicted.
+        """
+        if self._truths - int(AHEAD[horizon]) < steps:
             return None
-        share = 1 - (1 - 1 / ERROR_MEMORY_STEPS) ** truths
-        return math.sqrt(float(self._power[horizon]) / share)
+        newest, before = self._truths % ERRORS, (self._truths - steps) % ERRORS
+        total = float(self._sums[newest, horizon] - self._sums[before, horizon])
+        return math.sqrt(max(total, 0.0) / steps)
 
     def predict(self, newest: float, trajectories: Floats) -> Floats:
         """Combine trajectories of shape (n, 25) from a newest value."""
@@ -73,16 +83,18 @@ class Stack:
         if self._steps <= FURTHEST:
             truths[self._steps <= AHEAD] = 0.0
         errors = truths - outputs
+        total = self._sums[self._truths % ERRORS]
         self._truths += 1
-        self._power += (errors * errors - self._power) / ERROR_MEMORY_STEPS
+        np.add(total, np.fmin(errors * errors, WORST), out=self._sums[self._truths % ERRORS])
+        forget = 1 - 1 / min(MEMORY_STEPS, FIRST_MEMORY_STEPS + self._steps / 2)
         spread = np.einsum("hij,hj->hi", self._covariances, inputs)
-        power = FORGET + np.einsum("hi,hi->h", inputs, spread)
+        power = forget + np.einsum("hi,hi->h", inputs, spread)
         self._correct(spread, power, truths - np.einsum("hi,hi->h", self._weights, inputs))
-        self._covariances *= 1 / FORGET
+        self._covariances *= 1 / forget
         # One weight a step is observed as its initial value, which restores the forgotten ridge.
         expert = self._steps % len(self._trust)
         spread = self._covariances[:, :, expert].copy()
-        power = 1 / (RIDGE * len(self._trust) * (1 - FORGET)) + spread[:, expert]
+        power = 1 / (RIDGE * len(self._trust) * (1 - forget)) + spread[:, expert]
         self._correct(spread, power, self._trust[expert] - self._weights[:, expert])
 
     def _correct(self, spread: Floats, power: Floats, errors: Floats) -> None:
@@ -92,9 +104,12 @@ class Stack:
 
 
 CAPACITY = 8_192
-# Steps in the first 2 s, which determine the signal's level and size; until then nothing is
+# Steps in the first second, which determine the signal's level and size; until then nothing is
 # predicted.
-WARM_UP = 400
+WARM_UP = 200
+# The error is estimated over this number of beats within these limits in steps; over the longer one
+# while no rhythm is known.
+JUDGED_BEATS, FEWEST_JUDGED, MOST_JUDGED = 1.25, 200, 400
 # A step's work has four pieces. One piece a millisecond leaves one in five free to catch up.
 SPACING_NS = SPACING * STEP_NS
 PIECE_NS = 1_000_000
@@ -124,7 +139,8 @@ class Ensemble:
         }  # fmt: skip
         chosen = experts if self._kind == "stack" else (self._kind,)
         self._experts = [experts[name] for name in chosen]
-        self._stack = Stack(np.array([e.trust for e in self._experts for _ in e.names]))
+        trust = np.array([share for expert in self._experts for share in expert.trust])
+        self._stack = Stack(trust if self._kind == "stack" else np.full(len(trust), 1 / len(trust)))
         self._history = History(CAPACITY)
         self._warm_up: list[float] = []
         self._level, self._scale = 0.0, 0.0
@@ -169,15 +185,19 @@ class Ensemble:
         return [*(_between(before + row, position) for row in rows), self.predict(instant_ns)]
 
     def error_n(self, horizon_ns: int) -> float | None:
-        """Return the RMSE in N of the last 2 s of predictions `horizon_ns` ahead.
+        """Return the RMSE in N of predictions `horizon_ns` ahead over the last beat and a quarter.
 
-        Returns None before any result, and for a horizon beyond the path.
+        Returns None before that many results, and for a horizon beyond the path.
         """
         # The path counts from the middle of the newest cell.
         horizon = round((horizon_ns / STEP_NS + 0.5) / SPACING)
         if horizon > HORIZONS:
             return None
-        rms = self._stack.rms(max(horizon, 1) - 1)
+        interval = self._rhythm.interval
+        steps = MOST_JUDGED
+        if interval is not None:
+            steps = min(max(round(JUDGED_BEATS * interval), FEWEST_JUDGED), MOST_JUDGED)
+        rms = self._stack.rms(max(horizon, 1) - 1, steps)
         return None if rms is None else self._scale * rms
 
     def _step(self, cell: GridCell) -> Iterator[None]:

@@ -27,7 +27,7 @@ class Expert(Protocol):
     """
 
     names: tuple[str, ...]
-    trust: float
+    trust: tuple[float, ...]
 
     def observe(self, history: History) -> None:
         """Take the newest value of the history; call once after each push."""
@@ -58,8 +58,9 @@ ANALOGUES = 15
 KERNEL = 0.2
 # Share of the analogue's difference from the present value that its continuation is reduced by.
 OFFSET = 0.5
-# A lag is used after its distance has been summed over this number of steps.
-SETTLED = 160
+# A lag is used after its distance has been summed over this number of steps. The longer memories
+# then still contain zeros from before the start, which make old lags less similar, not more.
+SETTLED = 20
 # Steps from an analogue to the values that follow it; 0 is the analogue itself.
 NEXT = np.concatenate([[0], AHEAD])
 MEMORY = np.arange(len(MEMORIES_S))[:, np.newaxis]
@@ -79,7 +80,7 @@ class Analogue(Expert):
     Lorenz (1969), analogues as predictors.
     """
 
-    trust = 0.2
+    trust: tuple[float, ...] = (0.6, 0.2, 0.0)
 
     def __init__(self) -> None:
         self.names: tuple[str, ...] = tuple(f"analogue {memory_s:g} s" for memory_s in MEMORIES_S)
@@ -169,7 +170,7 @@ class Fir(Expert):
     """
 
     names: tuple[str, ...] = ("fir",)
-    trust = 0.4
+    trust: tuple[float, ...] = (0.2,)
 
     def __init__(self) -> None:
         self._weights = np.zeros((HORIZONS, TAPS))
@@ -256,7 +257,7 @@ class Harmonic(Expert):
     """
 
     names: tuple[str, ...] = ("harmonic",)
-    trust = 0.0
+    trust: tuple[float, ...] = (0.0,)
 
     def __init__(self, rhythm: Rhythm) -> None:
         self._rhythm = rhythm
@@ -277,6 +278,7 @@ class Harmonic(Expert):
         """Correct the state by the newest value; start it, or drop it after divergence."""
         newest, interval = history.newest, self._rhythm.interval
         if interval is None:
+            self.alive = False
             return
         if not self.alive:
             self._start(newest, interval)

@@ -155,12 +155,14 @@ class History:
 
 
 # Number of the last beats that count, and the least number of them that is enough.
-BEATS, FEWEST = 9, 4
+BEATS, FEWEST = 9, 2
 SHARE = 0.45
 # Least distance of two beats in steps: 250 ms.
 REFRACTORY = 50
-# Before peaks are known, the threshold follows the highest slope, which fades in 3 s.
-FADE = 1 - 1 / 600
+# Before peaks are known, the threshold follows the highest slope, which fades in 3 s. After as long
+# without a beat the search begins again, since an artefact can raise the threshold too far.
+FADE_STEPS = 600
+FADE = 1 - 1 / FADE_STEPS
 
 
 class Rhythm:
@@ -170,12 +172,16 @@ class Rhythm:
     """
 
     def __init__(self) -> None:
+        self._step = 0
+        self._slope = 0.0
+        self._begin()
+
+    def _begin(self) -> None:
         self.interval: float | None = None
         self._intervals: list[int] = []
         self._peaks: list[float] = []
-        self._peak = self._highest = self._slope = 0.0
+        self._peak = self._highest = 0.0
         self._threshold = math.inf
-        self._step = 0
         self._beat_step: int | None = None
 
     def push(self, slope: float) -> None:
@@ -184,6 +190,8 @@ class Rhythm:
         rested = self._beat_step is None or self._step - self._beat_step > REFRACTORY
         if self._slope < self._threshold <= slope and rested:
             self._begin_beat()
+        elif self._beat_step is not None and self._step - self._beat_step > FADE_STEPS:
+            self._begin()
         self._slope = slope
         self._peak = max(self._peak, slope)
         self._highest = max(self._highest * FADE, slope)
@@ -195,7 +203,9 @@ class Rhythm:
             self._peaks = [*self._peaks[1 - BEATS :], self._peak]
             self._intervals = [*self._intervals[1 - BEATS :], self._step - self._beat_step]
             if len(self._peaks) >= FEWEST:
-                self._threshold = SHARE * statistics.median(self._peaks)
+                # An upper quantile, as the peaks may be those of two waves in each beat.
+                usual = sorted(self._peaks)[-1 - len(self._peaks) // 4]
+                self._threshold = SHARE * usual
                 self.interval = statistics.median(self._intervals)
         self._peak = 0.0
         self._beat_step = self._step

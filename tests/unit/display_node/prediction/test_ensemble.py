@@ -31,7 +31,7 @@ def run(stack: Stack, gains: tuple[float, ...], noise: float) -> np.ndarray:
 
 
 @pytest.mark.parametrize(
-    ("gains", "noise", "share"), [((0.7, 1.2), 0.2, 0.95), ((0.5,), 0.0, 0.02)]
+    ("gains", "noise", "share"), [((0.7, 1.2), 0.2, 0.95), ((0.5,), 0.0, 0.04)]
 )
 def test_a_stack_is_better_than_its_best_expert_and_corrects_a_constant_gain(
     gains: tuple[float, ...], noise: float, share: float
@@ -48,17 +48,41 @@ def test_a_stack_starts_with_its_initial_weights() -> None:
 
 def test_a_stacks_estimate_of_its_error_is_right() -> None:
     stack = Stack(np.array([1.0]))
-    assert stack.rms(0) is None
+    assert stack.rms(0, 400) is None
     rms = run(stack, gains=(1.0,), noise=0.2)
     for horizon in (0, len(AHEAD) - 1):
-        assert stack.rms(horizon) == pytest.approx(rms[-1][horizon], rel=0.1)
+        assert stack.rms(horizon, 400) == pytest.approx(rms[-1][horizon], rel=0.1)
+
+
+def test_an_estimate_of_the_error_contains_no_older_step() -> None:
+    stack = Stack(np.array([1.0]))
+    for step in range(1_000):
+        stack.predict(0.0, np.zeros((1, len(AHEAD))))
+        stack.learn(float(step < 500))
+        first, last = stack.rms(0, 200), stack.rms(0, 400)
+        if step == 210:
+            assert first is not None
+            assert last is None
+        elif step == 599:
+            assert first == pytest.approx(math.sqrt(0.5))
+        elif step == 700:
+            assert first == pytest.approx(0, abs=1e-6)
+    assert last == pytest.approx(0, abs=1e-6)
+
+
+def test_one_enormous_sample_leaves_later_estimates_right() -> None:
+    stack = Stack(np.array([1.0]))
+    for step in range(1_000):
+        stack.predict(0.0, np.zeros((1, len(AHEAD))))
+        stack.learn(1e20 if step == 300 else 1.0)
+    assert stack.rms(0, 200) == pytest.approx(1.0)
 
 
 def test_a_stack_stays_stable_when_a_long_silent_expert_predicts_again(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     # 8000 steps with so short a memory correspond to a day with the usual one.
-    monkeypatch.setattr("display_node.prediction.ensemble.FORGET", 0.9)
+    monkeypatch.setattr("display_node.prediction.ensemble.MEMORY_STEPS", 10)
     stack, rng = Stack(np.array([1.0, 0.0])), np.random.default_rng(3)
     for step in range(8_000):
         coming = rng.standard_normal(len(AHEAD))
@@ -102,7 +126,8 @@ def test_the_stack_is_nearly_as_good_as_its_best_expert_and_estimates_its_error(
     for found in squares.values():
         *experts_n, stack_n = np.sqrt(np.mean(found, axis=0)).tolist()
         assert stack_n < 1.2 * min(experts_n) + 0.03 * FORCE_N.std()
-    actual_n = math.sqrt(np.mean(squares[100], axis=0)[-1] + 2e-3**2)
+    # A cell's noise is that of the mean of 5 samples.
+    actual_n = math.sqrt(np.mean(squares[100], axis=0)[-1] + 2e-3**2 / 5)
     assert stack.error_n(100 * MS) == pytest.approx(actual_n, rel=0.5)
     assert (stack.error_n(240 * MS) or 0) > 0
     # Nothing is predicted beyond 250 ms.
@@ -128,10 +153,28 @@ def test_later_samples_change_no_earlier_prediction(name: PredictorName) -> None
 def test_a_predictor_holds_until_it_has_learnt(name: PredictorName) -> None:
     predictor = Ensemble(name, MS)
     assert predictor.predict(T0_NS) == 0.0
-    for first in range(0, 1_500, 5):
+    for first in range(0, 900, 5):
         feed(predictor, FORCE_N[first : first + 5], first)
         assert ahead(predictor, 5, 50, first) == FORCE_N[first + 4]
     assert predictor.error_n(50 * MS) is None
+
+
+def learning_errors(noise_n: float, from_s: float) -> tuple[Floats, Floats]:
+    """Return the stack's errors 60 ms ahead, in phase, and their estimates, from a time on."""
+    sensed_n = FORCE_N + noise_n * np.random.default_rng(4).standard_normal(len(FORCE_N))
+    stack, errors_n, estimates_n = Ensemble("stack", MS), [], []
+    for first in range(0, 15_000, 5):
+        feed(stack, sensed_n[first : first + 5], first)
+        if first >= 1_000 * from_s:
+            errors_n.append(ahead(stack, 5, 60, first) - FORCE_N[first + 64])
+            estimates_n.append(stack.error_n(60 * MS) or math.inf)
+    return np.array(errors_n), np.array(estimates_n)
+
+
+def test_the_stack_learns_a_regular_pulse_in_four_seconds() -> None:
+    errors_n, estimates_n = learning_errors(5e-4, from_s=4.0)
+    assert np.sqrt(np.mean(errors_n[:200] ** 2)) < 0.02 * np.ptp(FORCE_N)
+    assert estimates_n[200] < 0.02 * np.ptp(FORCE_N)
 
 
 @pytest.mark.parametrize("name", LEARNT)

@@ -171,3 +171,19 @@ def test_history_keeps_the_newest_values_and_rewrites_them() -> None:
     history.rewrite(100, 8.0)
     assert history.last(4)[0] == 7.0
     assert 8.0 not in history.last(100)
+
+
+def test_rhythm_ignores_the_second_wave_of_a_beat_and_recovers_from_an_artefact() -> None:
+    t_s = np.arange(6_000) * 0.005
+    slopes = np.gradient(beats(t_s, (1.5,)))
+    rhythm = Rhythm()
+    # The first wave seen is the second one of its beat.
+    for slope in slopes[50:3_000].tolist():
+        rhythm.push(slope)
+    assert rhythm.interval == pytest.approx(300, abs=1)
+    for _ in range(3):
+        for slope in (0.0, 50.0, 0.0, *[0.0] * 60):
+            rhythm.push(slope)
+    for slope in slopes[3_000:].tolist():
+        rhythm.push(slope)
+    assert rhythm.interval == pytest.approx(300, abs=1)
