@@ -60,6 +60,8 @@ def display(
     ] = [HERE],  # noqa: B006
     discover: options.DiscoverOption = False,
     named: options.NamedOption = None,
+    predictor: options.PredictorOption = None,
+    compensation: options.CompensationOption = None,
     seconds: options.StopAfterOption = None,
     once: Annotated[
         bool, typer.Option("--once", help="Stop when the stream has ended and was played.")
@@ -154,7 +156,8 @@ def display(
                 f"--allow is for telemetry beyond this machine, and {telemetry} stays on it"
             )
         path = find_scene(scene)
-        section = load_section(path, "display", DisplayScene)
+        choice = {"predictor": predictor, "compensation": compensation}
+        section = load_section(path, "display", DisplayScene, choice)
         own = key if readers else None
         provenance = collect(path, {"display": section})
         # A signal raises KeyboardInterrupt, so that a drive on its way home is brought to rest.

@@ -11,7 +11,7 @@ from display_node.drives.hardware import Hardware
 from display_node.drives.withdrawal import FingerState, describe_finger
 from display_node.plant.feedback import Feedback
 from display_node.plant.filters import delay_line
-from display_node.prediction.concealment import Concealment, auto_delay_ns
+from display_node.prediction.concealment import Concealment
 from display_node.reception.playout import PlayedDelays, PlayoutClock
 from display_node.reception.receiver import Receiver
 from display_node.scene import DisplayScene
@@ -186,16 +186,18 @@ class Display:
     def _reference(self, now_ns: int) -> tuple[list[float], bool]:
         """Return the target force until the loop's horizon, and whether the stream is alive."""
         receiver, state, count = self.receiver, self.tick_state, self._loop.horizon + 1
-        state.now_ns, state.predictor_error_n = now_ns, math.nan
-        state.trusted = bool(self._concealment.trusted)
-        delay_ns = receiver.delay.delay_ns
-        if not receiver.ready or delay_ns is None:
+        buffer, concealment, delay_ns = receiver.buffer, self._concealment, receiver.delay.delay_ns
+        newest_ns = buffer.newest_ns
+        state.now_ns, state.predictor_error_n, state.trusted = now_ns, math.nan, False
+        if not receiver.ready or delay_ns is None or newest_ns is None:
             return [0.0] * count, False
         sensing_now_ns = receiver.clock.remote_ns(now_ns)
         wanted_delay_ns = self._scene.compensation_ns
         if wanted_delay_ns is None:
-            carried_ns = delay_ns + self._reserve_ns
-            wanted_delay_ns = auto_delay_ns(carried_ns, state.trusted)
+            age_ns = sensing_now_ns + self._reach_ns - newest_ns
+            required_ns = delay_ns + self._reserve_ns
+            wanted_delay_ns = concealment.delay_ns(now_ns, required_ns, age_ns)
+            state.trusted = bool(concealment.trusted)
         instant_ns = self._playout.instant(now_ns, sensing_now_ns - wanted_delay_ns)
         state.sensing_now_ns, state.instant_ns = sensing_now_ns, instant_ns
         # The sensing chain delays the pulse by its group delay: the pulse of `instant_ns` is in the
@@ -203,21 +205,17 @@ class Display:
         sampled_ns = instant_ns + self._lead_ns
         stale_after_ns = self._scene.safety.stale_after_ns
         alive = receiver.live(sampled_ns, sensing_now_ns, stale_after_ns)
-        buffer = receiver.buffer
         buffer.advance(sampled_ns, alive and state.trusted)
         wrist_n = buffer.known(self._tick_ns, count)
-        newest_ns = buffer.newest_ns
-        self._concealment.work()
-        if newest_ns is not None:
-            self._concealment.judge(now_ns, sensing_now_ns + self._reach_ns - newest_ns)
-        if newest_ns is None or (not wrist_n and sampled_ns < newest_ns):
+        concealment.work()
+        if not wrist_n and sampled_ns < newest_ns:
             return [0.0] * count, False
         ratio = self.force_ratio
         predicted_ns = 0 if wrist_n else sampled_ns - newest_ns
         if not wrist_n:
-            error_n = self._concealment.error_n(predicted_ns)
+            error_n = concealment.error_n(predicted_ns)
             state.predictor_error_n = math.nan if error_n is None else ratio * error_n
-        wrist_n = self._concealment.complete(wrist_n, count, sampled_ns, newest_ns)
+        wrist_n = concealment.complete(wrist_n, count, sampled_ns, newest_ns)
         if alive:
             self._delays.add(sensing_now_ns - instant_ns, predicted_ns, state.trusted)
         return [ratio * force_n for force_n in wrist_n], alive

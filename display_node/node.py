@@ -238,7 +238,8 @@ class DisplayNode:
     def _finish(self) -> Summary:
         if self._hardware is not None:
             self._hardware.withdraw()
-        if self._display.tracking_error is not None:
-            self._display.tracking_error.finish()
+        errors = self._display.tracking_error
+        if errors is not None:
+            errors.finish()
         self._telemetry.finish(self._status(final=True))
-        return self._summary()
+        return replace(self._summary(), windows=[] if errors is None else errors.windows)

@@ -52,7 +52,7 @@ class DisplayScene(Section):
     safety: SafetyScene = SafetyScene()
     compensation_ns: Annotated[int | None, BeforeValidator(_time_or_auto)] = None
     late_target: Annotated[Ratio, Field(gt=0, le=0.5)] = 0.01
-    predictor: PredictorName = "linear"
+    predictor: PredictorName = "stack"
     tick_ns: Annotated[Nanoseconds, Field(ge=100_000, le=100_000_000)] = 1_000_000
     channel: Annotated[int, Field(ge=0, le=63)] = 0
     paths: Annotated[int, Field(ge=1, le=8)] = 1

@@ -54,6 +54,21 @@ VersionOption = Annotated[
 QuietOption = Annotated[
     bool, typer.Option("--quiet", help="Print no summary; log only warnings and errors.")
 ]
+PredictorOption = Annotated[
+    str | None,
+    typer.Option(
+        metavar="NAME",
+        help="Predictor in place of the scene's: hold, linear, fir, analogue, harmonic or stack.",
+    ),
+]
+CompensationOption = Annotated[
+    str | None,
+    typer.Option(
+        metavar="TIME|auto",
+        help="Perceived delay in place of the scene's, such as '80 ms'. auto: the smallest at which"
+        " the predictor's error goes unnoticed, or at which samples arrive.",
+    ),
+]
 LogLevelOption = Annotated[
     str | None,
     typer.Option(

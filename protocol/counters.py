@@ -1,12 +1,13 @@
-"""Counters of a run, tick by tick: shares by state, interruptions, time at limits. Pure.
+"""Counters of a run, tick by tick: shares by state, interruptions, limits, errors by time. Pure.
 
 The shares of `Availability` refer to the whole time, including the ticks that the loop missed.
 States are counted tick by tick, not from the status messages: a state may begin and end between
 two of those.
 """
 
+import math
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,7 +15,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from protocol.config.quantities import count_text
-from protocol.figures import SECONDS, SHARE, Surface, absent, figure, figures_of, table
+from protocol.figures import (
+    NEWTONS,
+    SECONDS,
+    SHARE,
+    Surface,
+    absent,
+    figure,
+    figures_of,
+    table,
+    texts,
+)
 
 _LAST = "Of the last interruption, in s of the run"
 _IN_EVENTS = absent("It is an instant, which the events show.")
@@ -268,3 +279,82 @@ def longest_limit_text(limits: Mapping[str, Mapping[str, Any]]) -> str:
     known = [limit for limit in limits.values() if limit.get("times") is not None]
     seconds = [limit.get("seconds") or 0.0 for limit in known if limit["times"]]
     return f"{max(seconds):.1f} s" if seconds else "never" if known else ""
+
+
+# The first windows are of a second, while clock, buffer and predictor settle. Each further one is
+# as long as all before it.
+SINGLE_SECONDS = 15
+
+
+@dataclass(frozen=True, slots=True)
+class ErrorWindow:
+    """Errors in a part of the run, and its times in s after the first judged tick.
+
+    playout_delay_ms: mean perceived delay E. aligned_n, in_phase_n: RMS error in N.
+    """
+
+    from_s: float
+    to_s: float
+    playout_delay_ms: float
+    aligned_n: float | None
+    in_phase_n: float | None
+
+
+class ErrorWindowCounter:
+    """Counter of errors and perceived delays by windows of time."""
+
+    def __init__(self) -> None:
+        self._first_ns: int | None = None
+        self._last_s = 0.0
+        # By window, for E in ns and the squares of both errors: the sum and the number of ticks.
+        self._sums = np.zeros((3, 2, 0))
+
+    def add(
+        self,
+        now_ns: NDArray[np.int64],
+        delay_ns: NDArray[np.int64],
+        aligned_n: NDArray[np.float64],
+        in_phase_n: NDArray[np.float64],
+    ) -> None:
+        """Add consecutive ticks, each array of shape (n,). An unknown error is NaN."""
+        if self._first_ns is None:
+            self._first_ns = int(now_ns[0])
+        at_s = (now_ns - self._first_ns) * 1e-9
+        self._last_s = max(self._last_s, float(at_s[-1]))
+        doubled = SINGLE_SECONDS + np.log2(np.maximum(at_s / SINGLE_SECONDS, 1))
+        windows = np.where(at_s < SINGLE_SECONDS, at_s, doubled).astype(np.int64)
+        count = max(int(windows.max()) + 1, self._sums.shape[2])
+        self._sums = np.pad(self._sums, ((0, 0), (0, 0), (0, count - self._sums.shape[2])))
+        for sums, values in zip(self._sums, (delay_ns, aligned_n**2, in_phase_n**2), strict=True):
+            known = np.isfinite(values)
+            sums[0] += np.bincount(windows[known], values[known], count)
+            sums[1] += np.bincount(windows[known], minlength=count)
+
+    def windows(self) -> list[ErrorWindow]:
+        """Return the windows in which ticks were added."""
+        found = []
+        for number, ((delay_ns, ticks), *errors) in enumerate(
+            self._sums.transpose(2, 0, 1).tolist()
+        ):
+            if ticks:
+                to_s = min(_window_begins_s(number + 1), self._last_s)
+                delay_ms = delay_ns / ticks * 1e-6
+                rms_n = (math.sqrt(total / count) if count else None for total, count in errors)
+                found.append(ErrorWindow(_window_begins_s(number), to_s, delay_ms, *rms_n))
+        return found
+
+
+def _window_begins_s(number: int) -> float:
+    return float(min(number, SINGLE_SECONDS) << max(number - SINGLE_SECONDS, 0))
+
+
+def windows_text(windows: Sequence[Mapping[str, Any]]) -> str | None:
+    """Return one line for each window, as JSON has them; None without any."""
+    lines = []
+    for each in windows:
+        times = f"{each['from_s']:.0f} to {each['to_s']:.0f} s"
+        errors = (each["aligned_n"], each["in_phase_n"])
+        aligned, in_phase = (NEWTONS.text(error) or "unknown" for error in errors)
+        delay = f"{each['playout_delay_ms']:.1f} ms"
+        lines.append(f"{times}: E {delay}, aligned {aligned}, in phase {in_phase}")
+    return texts(lines, "\n")

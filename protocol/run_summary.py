@@ -17,12 +17,14 @@ from rich.text import Text
 from protocol.config.quantities import count_text
 from protocol.counters import (
     Availability,
+    ErrorWindow,
     Interruptions,
     Limits,
     availability_text,
     interruptions_text,
     limit_texts,
     longest_limit_text,
+    windows_text,
 )
 from protocol.errors import explain_causes
 from protocol.figures import (
@@ -107,6 +109,16 @@ class Summary:
         unit=SHARE,
         share_of="judged",
         absent=BY_THE_PAGE | FOR_24_LINES,
+    )
+    windows: list[ErrorWindow] = figure(
+        "Perceived delay E and force RMSE, aligned and in phase, by time after the first judged"
+        " tick: seconds at first, then windows that double; of a display only at its end",
+        row="by time",
+        show=windows_text,
+        absent=AT_THE_END
+        | absent("It is no single number.", Surface.METRICS)
+        | absent("The plots show the course.", Surface.REPORT),
+        factory=list,
     )
     availability: Availability = table(
         Availability,

@@ -30,14 +30,14 @@ def scene_provenance(scene: Scene, seeds: Mapping[str, int] | None = None) -> Pr
     return collect(scene.path, sections, seeds)
 
 
-def load_scene(path: Path) -> Scene:
-    """Read and validate all sections. Raises SceneError."""
+def load_scene(path: Path, display_options: Mapping[str, str | None] = {}) -> Scene:
+    """Read and validate all sections, with options for [display]. Raises SceneError."""
     link = LinkScene()
     if "link" in load_document(path):
         link = load_section(path, "link", LinkScene)
     return Scene(
         path,
         load_section(path, "sensing", SensingScene),
-        load_section(path, "display", DisplayScene),
+        load_section(path, "display", DisplayScene, display_options),
         link,
     )

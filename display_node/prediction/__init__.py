@@ -9,6 +9,7 @@ To add a predictor that learns:
 A predictor that learns nothing is a `Predictor`, like `Linear`; build it in `build_predictor`.
 """
 
+from collections.abc import Sequence
 from typing import Literal, Protocol
 
 PredictorName = Literal["hold", "linear", "fir", "analogue", "harmonic", "stack"]
@@ -35,6 +36,14 @@ class Predictor(Protocol):
     def error_n(self, horizon_ns: int) -> float | None:
         """Return the expected RMSE `horizon_ns` after the newest sample; None if unknown."""
         return None
+
+    @property
+    def squares_n2(self) -> Sequence[float]:
+        """Expected squared errors in N² at 10, 20, … 250 ms after the newest sample.
+
+        They are infinite where unknown; there are none without an estimate.
+        """
+        return ()
 
 
 class Linear(Predictor):

@@ -5,10 +5,9 @@ predictor is trusted, E is up to 400 ms smaller. Pure: frames, errors and times 
 """
 
 import math
-import statistics
-from collections import deque
 
 from display_node.prediction import WITHOUT_ERROR_ESTIMATE, PredictorName, build_predictor
+from display_node.prediction.trust import PulseSize, Trust
 from protocol.wire.messages import Frame
 
 # Time constant of the decay, as a share of the horizon of the old prediction: corrections of a
@@ -78,80 +77,6 @@ class Blend:
         return offset_n if math.isfinite(offset_n) else 0.0
 
 
-# A window contains a whole beat down to 30 beats a minute; an artefact affects one or two windows.
-WINDOW_NS = 2_000_000_000
-WINDOWS = 5
-
-
-class PulseSize:
-    """The pulse's height from foot to peak: the median over the last windows of 2 s.
-
-    size: height in N; None before the first window has ended.
-    """
-
-    def __init__(self) -> None:
-        self._sizes: deque[float] = deque(maxlen=WINDOWS)
-        self._begun_ns: int | None = None
-        self._low = self._high = 0.0
-        self.size: float | None = None
-
-    def observe(self, t_ns: int, values: list[float]) -> None:
-        """Take a frame's samples in N, the first taken at t_ns."""
-        low, high = min(values), max(values)
-        if self._begun_ns is not None:
-            if t_ns - self._begun_ns < WINDOW_NS:
-                self._low, self._high = min(self._low, low), max(self._high, high)
-                return
-            self._sizes.append(self._high - self._low)
-            self.size = statistics.median(self._sizes)
-        self._begun_ns, self._low, self._high = t_ns, low, high
-
-
-# Bounds of the RMSE as a share of the pulse's height. A finger notices differences above 7 to
-# 10 %, and peak errors are 2.5 times the RMSE.
-LOST_ABOVE, GAINED_BELOW = 0.04, 0.025
-DWELL_NS = 10_000_000_000
-MEMORY_NS = 1_500_000_000
-# Larger errors count as this share, so that they are soon forgotten.
-WORST = 0.3
-# Greatest reduction of E by trust: above 0.5 s the playout would jump instead of slewing.
-MOST_NS = 400_000_000
-
-
-class Trust:
-    """Judgement that the predictor's error would go unnoticed at E = 0.
-
-    The criterion is the RMS of the expected error over the last 1.5 s, as a share of the pulse's
-    height. A tick is weighted by the time since the last one; an unknown error counts as 0.3. Trust
-    is lost at once from 4 % on, and gained below 2.5 %, at the earliest 10 s after a loss.
-    """
-
-    def __init__(self) -> None:
-        self._power = WORST**2
-        self._judged_ns: int | None = None
-        self._lost_ns = 0
-        self.trusted = False
-
-    def judge(self, now_ns: int, error_n: float | None, size_n: float | None) -> None:
-        """Take at each tick the RMSE in N expected if E were 0, and the pulse's height in N."""
-        share = WORST
-        if error_n is not None and size_n:
-            share = min(error_n / size_n, WORST)
-        if self._judged_ns is not None:
-            weight = -math.expm1((self._judged_ns - now_ns) / MEMORY_NS)
-            self._power += weight * (share * share - self._power)
-        self._judged_ns = now_ns
-        if self._power >= LOST_ABOVE**2:
-            self.trusted, self._lost_ns = False, now_ns
-        elif self._power <= GAINED_BELOW**2 and now_ns - self._lost_ns >= DWELL_NS:
-            self.trusted = True
-
-
-def auto_delay_ns(carried_ns: int, trusted: bool) -> int:
-    """Return E for "auto", from the delay that the link requires."""
-    return max(0, carried_ns - MOST_NS) if trusted else carried_ns
-
-
 class Concealment:
     """One session's predictor, with smoothed jumps and a judgement of its error. Pure.
 
@@ -174,7 +99,7 @@ class Concealment:
 
         None where trust is not used: E is fixed, or the predictor does not estimate its error.
         """
-        return None if self._trust is None else self._trust.trusted
+        return None if self._trust is None else self._trust.given
 
     def observe(self, frame: Frame) -> None:
         """Take a frame, late or not."""
@@ -185,10 +110,22 @@ class Concealment:
         if self._trust is not None:
             self._size.observe(first_ns, values)
 
-    def judge(self, now_ns: int, horizon_ns: int) -> None:
-        """Update the trust by the expected error `horizon_ns` after the newest sample."""
-        if self._trust is not None:
-            self._trust.judge(now_ns, self.error_n(horizon_ns), self._size.size)
+    def delay_ns(self, now_ns: int, required_ns: int, age_ns: int) -> int:
+        """Return the perceived delay E for "auto", once a tick.
+
+        Parameters
+        ----------
+        required_ns
+            Delay that the link requires without prediction.
+        age_ns
+            Age of the newest sample that has arrived, at the end of the loop's horizon.
+        """
+        trust = self._trust
+        if trust is None:
+            return required_ns
+        if trust.observe(now_ns, age_ns):
+            trust.evaluate(now_ns, required_ns, self._predictor.squares_n2, self._size.size)
+        return trust.delay_ns(required_ns)
 
     def complete(
         self, path_n: list[float], count: int, instant_ns: int, newest_ns: int

@@ -55,16 +55,14 @@ class Stack:
         self._sums = np.zeros((ERRORS, HORIZONS))
         self._truths = 0
 
-    def rms(self, horizon: int, steps: int) -> float | None:
-        """Return the RMSE at a horizon (index from 0) over the last steps, fewer than `ERRORS`.
+    def mean_squares(self, steps: int) -> Floats:
+        """Return the mean square error at each horizon over the last steps, fewer than `ERRORS`.
 
-        Returns None where fewer values have been predicted.
+        It is infinite at horizons at which fewer values have been predicted.
         """
-        if self._truths - int(AHEAD[horizon]) < steps:
-            return None
         newest, before = self._truths % ERRORS, (self._truths - steps) % ERRORS
-        total = float(self._sums[newest, horizon] - self._sums[before, horizon])
-        return math.sqrt(max(total, 0.0) / steps)
+        total = np.maximum(self._sums[newest] - self._sums[before], 0.0)
+        return np.where(self._truths - AHEAD < steps, np.inf, total / steps)
 
     def predict(self, newest: float, trajectories: Floats) -> Floats:
         """Combine trajectories of shape (n, 25) from a newest value."""
@@ -150,6 +148,7 @@ class Ensemble:
         self._middle_ns = 0
         self._rows: Floats | None = None
         self._path: list[float] = []
+        self.squares_n2: list[float] = []
 
     def observe(self, times_ns: list[int], values: list[float]) -> None:
         """Take new samples in N, in order of time within the call."""
@@ -190,15 +189,11 @@ class Ensemble:
         Returns None before that many results, and for a horizon beyond the path.
         """
         # The path counts from the middle of the newest cell.
-        horizon = round((horizon_ns / STEP_NS + 0.5) / SPACING)
-        if horizon > HORIZONS:
+        horizon = max(round((horizon_ns / STEP_NS + 0.5) / SPACING), 1)
+        if horizon > len(self.squares_n2):
             return None
-        interval = self._rhythm.interval
-        steps = MOST_JUDGED
-        if interval is not None:
-            steps = min(max(round(JUDGED_BEATS * interval), FEWEST_JUDGED), MOST_JUDGED)
-        rms = self._stack.rms(max(horizon, 1) - 1, steps)
-        return None if rms is None else self._scale * rms
+        square_n2 = self.squares_n2[horizon - 1]
+        return math.sqrt(square_n2) if square_n2 < math.inf else None
 
     def _step(self, cell: GridCell) -> Iterator[None]:
         """Do the work for a new cell, piece by piece."""
@@ -221,10 +216,17 @@ class Ensemble:
         self._publish(cell, np.concatenate([each.predict(history) for each in self._experts]))
         yield
         self._stack.learn(history.newest)
+        self._judge()
         self._bound()
         yield
         for expert in self._experts:
             expert.learn(history)
+
+    def _judge(self) -> None:
+        interval, steps = self._rhythm.interval, MOST_JUDGED
+        if interval is not None:
+            steps = min(max(round(JUDGED_BEATS * interval), FEWEST_JUDGED), MOST_JUDGED)
+        self.squares_n2 = (self._scale**2 * self._stack.mean_squares(steps)).tolist()
 
     def _settle(self, cell: GridCell) -> None:
         """Collect the warm-up; at its end, compute level and size and fill the history."""

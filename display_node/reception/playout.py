@@ -66,10 +66,13 @@ class ExponentialQuantile:
 BASE_NS = 2_000_000_000
 # A silence gives no evidence about the path, so it ages the base by no more than this.
 SILENCE_NS = 200_000_000
-# The playout is at most one part in 50, 2 %, faster or slower than real time.
-WARP_PARTS = 50
+# The playout is at most one part in 20, 5 %, faster or slower than real time. This changes the
+# interval of a resting heart's beats by less than it changes by itself (standard deviation 50 of
+# 926 ms: Nunan et al. 2010), and is a third of the least change of a vibrotactile interval of 1 s
+# that people notice (160 ms: Jones et al. 2009).
+WARP_PARTS = 20
 # The delay falls no faster, since the playout could not follow.
-RELEASE_PER_NS = 0.02
+RELEASE_PER_NS = 1 / WARP_PARTS
 # The playout jumps over larger differences, so the delay does too.
 JUMP_NS = 500_000_000
 # Delays that are far above the base for this time, and do not fall, are those of a longer path.
@@ -105,7 +108,7 @@ class LongerPath:
 class DelayTracker:
     """Delay that a link requires: its base plus a quantile of the delay above the base.
 
-    The base is the smallest delay of the last 2 s. The result rises at once and falls by 20 ms a
+    The base is the smallest delay of the last 2 s. The result rises at once and falls by 50 ms a
     second.
 
     Parameters
@@ -183,7 +186,7 @@ class DelayTracker:
 
 
 def released(delay_ns: int | None, wanted_ns: int, elapsed_ns: int) -> int:
-    """Return the next delay on the way to `wanted_ns`: up at once, down by 20 ms a second."""
+    """Return the next delay on the way to `wanted_ns`: up at once, down by 50 ms a second."""
     if delay_ns is None or wanted_ns >= delay_ns or delay_ns - wanted_ns > JUMP_NS:
         return wanted_ns
     return max(wanted_ns, delay_ns - round(RELEASE_PER_NS * elapsed_ns))
@@ -276,7 +279,7 @@ class DelayEstimator:
 
 
 class PlayoutClock:
-    """The played instant, which advances at most 2 % faster or slower than real time.
+    """The played instant, which advances at most 5 % faster or slower than real time.
 
     Changes of E and corrections of the clock offset are slewed, so the finger feels no jump. It
     jumps over a difference above 0.5 s (after a clock step, in a new session).

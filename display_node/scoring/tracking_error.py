@@ -14,6 +14,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from protocol.counters import ErrorWindow, ErrorWindowCounter
 from protocol.run_summary import Summary
 from protocol.summary_tables import AlignedErrors, Roughness
 from protocol.wire.messages import Frame
@@ -115,6 +116,7 @@ class TrackingError:
         self._aligned_count = self._in_phase_count = 0
         self._within = 0
         self._roughness = RoughnessMeter()
+        self._windows = ErrorWindowCounter()
 
     def add_reference_force(self, t_ns: Times, target_n: Floats) -> None:
         """Add the target force at the finger for consecutive samples, late ones too; shape (n,)."""
@@ -168,6 +170,11 @@ class TrackingError:
         """Share of the judged time with an error below 10 % of the pulse's peak to peak."""
         return self._within / self._aligned_count if self._aligned_count else None
 
+    @property
+    def windows(self) -> list[ErrorWindow]:
+        """Errors and perceived delay by windows of time."""
+        return self._windows.windows()
+
     def scored(self, summary: Summary) -> Summary:
         """Return the summary with errors, roughness, and the share of the run that was judged."""
         ticks = (summary.loop.ticks or 0) + (summary.loop.deadline_misses or 0)
@@ -191,6 +198,7 @@ class TrackingError:
         self._roughness.add(now_ns, felt_n, sensed_n)
         aligned = felt_n - sensed_n
         in_phase = felt_n - interpolate(now_ns, t_ns, target_n)
+        self._windows.add(now_ns, now_ns - instant_ns, aligned, in_phase)
         aligned, in_phase = aligned[~np.isnan(aligned)], in_phase[~np.isnan(in_phase)]
         self._aligned += float(aligned @ aligned)
         self._aligned_count += len(aligned)

@@ -2,6 +2,7 @@
 
 from typing import Any
 
+from protocol.counters import ErrorWindow
 from protocol.figures import Surface
 from protocol.run_summary import REGISTRY
 
@@ -11,6 +12,8 @@ _KINDS = {
     bool | None: "true or false",
     str | None: "text",
     list[str]: "list of texts",
+    list[ErrorWindow]: "list of maps: `from_s`, `to_s`, `playout_delay_ms`, `aligned_n`,"
+    " `in_phase_n`",
     dict[str, int]: "map of name to count",
 }
 

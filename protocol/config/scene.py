@@ -5,7 +5,7 @@ the key.
 """
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -51,19 +51,29 @@ class Section(BaseModel):
 SectionT = TypeVar("SectionT", bound=Section)
 
 
-def load_section(path: Path, name: str, schema: type[SectionT]) -> SectionT:
+def load_section(
+    path: Path, name: str, schema: type[SectionT], options: Mapping[str, str | None] = {}
+) -> SectionT:
     """Read and validate section `name` of the scene at `path`, with what it inherits.
 
-    Raises SceneError, which names the file of the chain that has the key.
+    options: values of the command line's options of the same names, which replace the scene's;
+    None leaves the scene's. Raises SceneError, which names the option, or the file of the chain
+    that has the key.
     """
     chain = read_chain(path)
     document = load_document(path)
     if name not in document:
         raise SceneError(f"{path}: section [{name}] is missing")
+    given = {key: value for key, value in options.items() if value is not None}
+    table = document[name]
+    if given and isinstance(table, dict):
+        table = {**table, **given}
     try:
-        return schema.model_validate(document[name])
+        return schema.model_validate(table)
     except ValidationError as error:
-        keys, text = _first_error(error, document[name])
+        keys, text = _first_error(error, table)
+        if keys and keys[0] in given:
+            raise SceneError(f"--{text}") from None
         at = [name, *keys]
         owner = next((file for file, tables in chain if _follow(at, tables)[0] == at), path)
         raise SceneError(f"{owner}: [{name}] {text}") from None

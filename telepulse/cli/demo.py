@@ -8,6 +8,7 @@ import logging
 import tempfile
 import time
 from collections import Counter
+from collections.abc import Mapping
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
@@ -23,9 +24,11 @@ from display_node.scoring.tracking_error import TrackingError
 from display_node.telemetry.terminal import watch
 from protocol import sockets
 from protocol.cli_options import (
+    CompensationOption,
     DurationOption,
     JsonOption,
     LogLevelOption,
+    PredictorOption,
     one_line_errors,
     plain_console,
     sum_up,
@@ -62,6 +65,8 @@ def simulate(
     seconds: DurationOption = 60.0,
     seed: SeedOption = 1,
     link: LinkOption = None,
+    predictor: PredictorOption = None,
+    compensation: CompensationOption = None,
     json: JsonOption = None,
     log_level: LogLevelOption = None,
 ) -> None:
@@ -73,7 +78,8 @@ def simulate(
     with one_line_errors(PROGRAM):
         configure_logging(log_level)
         check_writable(json)
-        loaded = _load(scene, link)
+        choice = {"predictor": predictor, "compensation": compensation}
+        loaded = _load(scene, link, choice)
         provenance = scene_provenance(loaded, {"link": seed})
         summary = virtual_time.simulate(loaded, seconds, seed)
     title = f"simulation of {loaded.path.stem}, {seconds:g} s"
@@ -85,6 +91,8 @@ def demo(
     scene: SceneArgument = DEFAULT_SCENE,
     seconds: DurationOption = 15.0,
     link: LinkOption = None,
+    predictor: PredictorOption = None,
+    compensation: CompensationOption = None,
     json: JsonOption = None,
     ui: Annotated[
         bool,
@@ -115,27 +123,33 @@ def demo(
     with one_line_errors(PROGRAM):
         configure_logging(log_level)
         check_writable(json)
-        loaded = _load(scene, link)
+        choice = {"predictor": predictor, "compensation": compensation}
+        loaded = _load(scene, link, choice)
         provenance = scene_provenance(loaded)
-        summary = run_demo(loaded, seconds, ui, page, console)
+        summary = run_demo(loaded, choice, seconds, ui, page, console)
     title = f"demo of {loaded.path.stem}, {seconds:g} s"
     sum_up(PROGRAM, summary, title, console, json, provenance)
     end_at_faults(PROGRAM, summary.faults)
 
 
-def _load(scene: str, link: str | None) -> Scene:
-    loaded = load_scene(find_scene(scene))
+def _load(scene: str, link: str | None, choice: Mapping[str, str | None]) -> Scene:
+    loaded = load_scene(find_scene(scene), choice)
     return replace(loaded, link=parse_link(link)) if link else loaded
 
 
 def run_demo(
-    scene: Scene, seconds: float, draw: bool, page: bool | None, console: Console
+    scene: Scene,
+    choice: Mapping[str, str | None],
+    seconds: float,
+    draw: bool,
+    page: bool | None,
+    console: Console,
 ) -> Summary:
     """Run both nodes for `seconds` of pulse, over the scene's link.
 
-    page: True serves the live page; None serves it if `draw` is set, and only logs a warning where
-    that fails. Raises SceneError, SourceError, ProcessError, or OutputError where a required page
-    cannot be served.
+    choice: options of the display node that `scene` was loaded with, by name. page: True serves the
+    live page; None serves it if `draw` is set, and only logs a warning where that fails. Raises
+    SceneError, SourceError, ProcessError, or OutputError where a required page cannot be served.
     """
     path = scene.path
     truth = ReferenceForce(scene.sensing, path.parent)
@@ -154,6 +168,7 @@ def run_demo(
         display = NodeProcess(
             *("display node", "display_node.cli", str(path), "--connect", display_address),
             *("--telemetry", telemetry_address, "--once", "--quiet", *time_limit),
+            *(f"--{name}={value}" for name, value in choice.items() if value is not None),
             summary=Path(folder, "display.json"),
             **PIPES,
         )
@@ -260,5 +275,6 @@ def _compose(sensing: Summary, display: Summary, tracking_error: TrackingError) 
         tracking_error.scored(display),
         rejected=dict(Counter(display.rejected) + Counter(sensing.rejected)),
         limited=replace(display.limited, adc=sensing.limited.adc),
+        windows=tracking_error.windows,
         faults=display.faults + [f"{SENSING_NOTE}{note}" for note in sensing.faults],
     )

@@ -163,8 +163,11 @@ class Simulation:
         if clock.offset_ms is not None:
             # The true offset is known: report the error of the estimate.
             clock = replace(clock, offset_ms=clock.offset_ms - SENSING_CLOCK_AHEAD_NS * 1e-6)
-        summary = replace(display, clock=clock, limited=limited, faults=faults)
-        return self._tracking_error.scored(summary)
+        errors = self._tracking_error
+        summary = replace(
+            display, clock=clock, limited=limited, faults=faults, windows=errors.windows
+        )
+        return errors.scored(summary)
 
     @property
     def newest_ns(self) -> int | None:

@@ -5,12 +5,10 @@ from dataclasses import dataclass
 
 from display_node.scene import DisplayScene
 from display_node.telemetry.alerts import STIFFNESS, alerts
-from protocol.config.scene import load_section
-from protocol.config.scene_file import find_scene
 from protocol.errors import TelepulseError
 from telepulse.emulators.fault_injection import FaultKind, parse_fault
 from telepulse.emulators.motor import MotorState
-from tests.support.sender import MS
+from tests.support.sender import MS, display_scene
 from tests.support.streams import synthetic
 from tests.support.threaded_bench import ThreadedBench
 
@@ -102,7 +100,7 @@ def hostile_stream(ms: int) -> float:
 
 def bench_scene(kind: str) -> DisplayScene:
     """Return the scene of the emulated bench with a kind of drive."""
-    return load_section(find_scene(f"{kind}_bench"), "display", DisplayScene)
+    return display_scene(f"{kind}_bench")
 
 
 def run_fault(

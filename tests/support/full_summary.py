@@ -6,6 +6,7 @@ from typing import Any, get_type_hints
 
 from pydantic import TypeAdapter
 
+from protocol.counters import ErrorWindow
 from protocol.run_summary import Summary
 
 
@@ -20,9 +21,11 @@ def _values(kind: Any, numbers: "count[int]") -> Any:
         return {name: _values(hint, numbers) for name, hint in hints.items() if name != "beyond"}
     return {
         int | None: lambda: next(numbers),
+        float: lambda: next(numbers) * 0.01,
         float | None: lambda: next(numbers) * 0.01,
         bool | None: lambda: True,
         str | None: lambda: f"text {next(numbers)}",
         list[str]: lambda: [f"word {next(numbers)}"],
+        list[ErrorWindow]: lambda: [_values(ErrorWindow, numbers)],
         dict[str, int]: lambda: {f"name {next(numbers)}": next(numbers)},
     }[kind]()

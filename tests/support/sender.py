@@ -28,9 +28,13 @@ SCENES = Path(__file__).parents[2] / "scenes"
 
 
 def display_scene(name: str, **changes: object) -> DisplayScene:
-    """Return the display's section of a shipped scene, with changes."""
+    """Return the display's section of a shipped scene, with changes.
+
+    The predictor is one that does not learn, unless the changes name another: its output is simple
+    to foresee, and a tick costs a fraction.
+    """
     scene = load_section(SCENES / f"{name}.toml", "display", DisplayScene)
-    return scene.model_copy(update=changes)
+    return scene.model_copy(update={"predictor": "linear", **changes})
 
 
 def display(name: str = "radial", **changes: object) -> Display:

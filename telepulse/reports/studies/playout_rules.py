@@ -39,7 +39,7 @@ class PlayedTrace(NamedTuple):
 def play(rule: DelayRule, trace: DelayTrace, warped: bool = False) -> PlayedTrace:
     """Play a trace by the delay that a rule sets as the frames arrive.
 
-    With `warped` the delay changes by at most 2 % of time, as in a display; otherwise at once.
+    With `warped` the delay changes by at most 5 % of time, as in a display; otherwise at once.
     """
     arrived_ns = trace.arrived_ns.tolist()
     set_ns: list[int] = []

@@ -322,7 +322,7 @@ def _default_chapter(scores: PlayoutScores) -> Chapter:
     defaults = [f"{name} {rule.parameter} {rule.default:g}" for name, rule in RULES.items()]
     paragraphs = (
         f"Defaults: {', '.join(defaults)}.",
-        "A display changes its playing speed by 2 % at most, so its delay rises by at most 20 ms"
+        "A display changes its playing speed by 5 % at most, so its delay rises by at most 50 ms"
         " per second. Our estimator gets this limit, and covers bursts that it would be too slow"
         " to follow.",
     )

@@ -92,18 +92,19 @@ def test_auto_compensates_a_calm_pulse_and_buffers_a_troubled_one(
     def within(from_s: float, to_s: float) -> NDArray[np.bool_]:
         return np.asarray((from_s <= at_s) & (at_s < to_s))
 
-    # Trust needs 10 s of good predictions, which the first seconds do not have.
-    assert not trusted[within(0, 12)].any()
-    assert delay_ms[within(5, 12)].min() > 50
-    assert trusted[within(22, CALM_S)].all()
-    assert np.abs(delay_ms[within(CALM_S - 2, CALM_S)]).max() < 0.5
-    # It is lost within 3 s of the trouble, and not gained while that lasts.
-    assert not trusted[within(CALM_S + 3, CALM_S + TROUBLED_S)].any()
-    assert delay_ms[within(CALM_S + 6.5, CALM_S + TROUBLED_S)].min() > 50
+    # The pulse's height is known after 2 s. E then falls as the predictor learns.
+    assert not trusted[within(0, 2)].any()
+    assert delay_ms[within(0, 2)].min() > 50
+    assert trusted[within(8, CALM_S)].all()
+    assert delay_ms[within(8, 9)].max() < 40
+    assert np.abs(delay_ms[within(15, CALM_S)]).max() < 0.5
+    # E rises again at once in the trouble, and stays longer while that lasts.
+    assert delay_ms[within(CALM_S + 1, CALM_S + 1.1)].min() > 40
+    assert delay_ms[within(CALM_S + 1, CALM_S + TROUBLED_S)].min() > 15
     assert summary.compensation.trusted == pytest.approx(float(np.mean(trusted)), abs=0.05)
     warp = np.diff(instant_ns) / MS
-    assert warp.min() >= 0.98 - 1e-6
-    assert warp.max() <= 1.02 + 1e-6
+    assert warp.min() >= 0.95 - 1e-6
+    assert warp.max() <= 1.05 + 1e-6
     # While E falls from 60 ms to 0, no step exceeds the steps of the pulse.
     own_n = np.abs(np.diff(pulse_n[: round(1000 * CALM_S)])).max()
     assert np.abs(np.diff(target_n[within(10, CALM_S)])).max() < 1.2 * own_n
@@ -127,7 +128,7 @@ def test_a_stall_that_prediction_bridges_costs_no_trust() -> None:
     stack = played(scene(STALLS, "stack"), 46, 42)
     assert known(stack.compensation.trusted) > 0.2
     # With buffering, which needs 144 ms, the error in phase would be 0.11 N.
-    assert known(stack.force_rmse_n.in_phase) < 0.04
+    assert known(stack.force_rmse_n.in_phase) < 0.08
 
 
 @pytest.mark.parametrize(

@@ -71,6 +71,8 @@ def changed(summary: Json, figure: Figure) -> Json:
         inner[name] = not value
     elif isinstance(value, dict):
         inner[name] = {"another name": 12}
+    elif isinstance(value, list) and isinstance(value[0], dict):
+        inner[name] = [{key: number + 7 for key, number in value[0].items()}]
     elif isinstance(value, list):
         inner[name] = ["another word"]
     else:

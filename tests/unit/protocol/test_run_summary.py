@@ -75,7 +75,7 @@ def leaves(value: Any) -> list[Any]:
 def test_figures_that_do_not_apply_are_null() -> None:
     table = Summary().to_dict()
     assert table.pop("rejected") == table.pop("hardware") == {}
-    assert table.pop("faults") == table["loop"].pop("realtime") == []
+    assert table.pop("faults") == table.pop("windows") == table["loop"].pop("realtime") == []
     delays, loop = (table["one_way_delay_ms"], table["playout_delay_ms"]), table["loop"]
     for quantiles in (*delays, loop["tick_us"], loop["late_us"]):
         assert quantiles.pop("beyond") == []

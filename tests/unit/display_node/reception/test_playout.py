@@ -97,15 +97,15 @@ def test_a_path_longer_by_a_second_is_followed_after_a_second() -> None:
     assert longer[-1] == pytest.approx(1020, abs=1)
 
 
-def test_a_shorter_path_is_followed_at_20_ms_a_second() -> None:
+def test_a_shorter_path_is_followed_at_50_ms_a_second() -> None:
     estimator = DelayEstimator()
     watched(estimator, [80.0] * seconds(2))
     after_ms = watched(estimator, [20.0] * seconds(70), 2)
-    assert np.diff(after_ms).min() == pytest.approx(-20e-3 * FRAME_NS / MS)
+    assert np.diff(after_ms).min() == pytest.approx(-50e-3 * FRAME_NS / MS)
     falling = np.flatnonzero(np.diff(after_ms) < 0)
     took_s = (falling[-1] - falling[0]) * FRAME_NS / SECOND_NS
-    assert (after_ms[0], after_ms[-1]) == (80.9, 21.0)
-    assert took_s == pytest.approx(60 / 20, rel=0.01)
+    assert (after_ms[0], after_ms[-1]) == (80.75, 21.0)
+    assert took_s == pytest.approx(60 / 50, rel=0.01)
 
 
 def test_one_late_frame_in_a_thousand_does_not_raise_the_estimate() -> None:
@@ -142,7 +142,7 @@ def test_delays_older_than_1000_s_have_no_weight() -> None:
 
 
 @given(st.lists(st.tuples(st.integers(0, 100 * MS), st.integers(-240 * MS, 240 * MS)), min_size=2))
-def test_playout_is_slewed_by_at_most_2_percent_and_never_goes_back(
+def test_playout_is_slewed_by_at_most_5_percent_and_never_goes_back(
     steps: list[tuple[int, int]],
 ) -> None:
     clock = PlayoutClock()
@@ -150,7 +150,7 @@ def test_playout_is_slewed_by_at_most_2_percent_and_never_goes_back(
     for elapsed_ns, offset_ns in steps:
         now_ns += elapsed_ns
         last_ns, instant_ns = instant_ns, clock.instant(now_ns, now_ns + offset_ns)
-        assert abs(instant_ns - last_ns - elapsed_ns) <= 0.02 * elapsed_ns
+        assert abs(instant_ns - last_ns - elapsed_ns) <= 0.05 * elapsed_ns
         assert instant_ns >= last_ns
 
 
@@ -159,7 +159,7 @@ def test_playout_reaches_the_wanted_instant_and_stays_there(offset_ms: float) ->
     clock = PlayoutClock()
     clock.instant(T0_NS, T0_NS)
     offset_ns = round(offset_ms * MS)
-    needed = math.ceil(abs(offset_ns) / (MS // 50)) + 1
+    needed = math.ceil(abs(offset_ns) / (MS // 20)) + 1
     for tick in range(1, needed + 50):
         now_ns = T0_NS + tick * MS
         instant_ns = clock.instant(now_ns, now_ns + offset_ns)
@@ -202,7 +202,7 @@ def test_a_cut_does_not_change_the_estimate_however_its_queue_drains(
     before_ms = watched(estimator, jittered_ms(10))[-1]
     drain(estimator, queued_s, 10 + cut_s, queued_s * within)
     after_ms = watched(estimator, jittered_ms(20), 10.01 + cut_s + queued_s * within)
-    assert np.abs(after_ms - before_ms).max() <= (1.5 if cut_s < 10 else 2)
+    assert np.abs(after_ms - before_ms).max() <= 3
 
 
 def test_a_stall_shorter_than_an_outage_raises_the_estimate_for_a_while() -> None:
@@ -253,14 +253,14 @@ def test_bursts_are_followed_by_a_fast_playout_and_covered_by_a_slow_one() -> No
     delays_ms += 30 * (np.arange(len(delays_ms)) / FRAMES_A_SECOND % 12 > 10)
     settled = slice(60 * FRAMES_A_SECOND, None)
     late, mean_ms = {}, {}
-    for slew in (math.inf, 0.02):
+    for slew in (math.inf, 0.05):
         asked_ms = watched(DelayEstimator(max_slew=slew), delays_ms)[settled]
         # A frame is judged by the estimate before it.
         late[slew] = (delays_ms[settled][1:] > asked_ms[:-1]).mean()
         mean_ms[slew] = asked_ms.mean()
-    assert late[0.02] < 0.01
+    assert late[0.05] < 0.01
     assert late[math.inf] < 0.02
-    assert mean_ms[0.02] > 54
+    assert mean_ms[0.05] > 54
     assert mean_ms[math.inf] < 40
 
 

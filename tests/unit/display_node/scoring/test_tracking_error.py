@@ -1,12 +1,14 @@
 import math
 import tracemalloc
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import asdict
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
 from display_node.scoring.tracking_error import RoughnessMeter, TrackingError
+from protocol.counters import windows_text
 from protocol.summary_tables import Roughness
 from protocol.tactile import ElasticLayer
 
@@ -272,3 +274,45 @@ def test_a_clock_correction_is_no_gap() -> None:
 def test_the_first_ticks_and_slow_ticks_have_no_roughness() -> None:
     assert metered(wave_n(60)[:150], wave_n(60)[:150]).roughness == Roughness()
     assert metered(wave_n(3), wave_n(3), tick_ns=20 * MS).roughness == Roughness()
+
+
+def test_windows_have_the_course_of_delay_and_errors_and_add_up_to_the_whole_run() -> None:
+    ticks_ns = tick_times_ns(1.0, 41.0)
+    felt_n = pulse_n(ticks_ns - DELAY_NS)
+    felt_n[20_000:] = pulse_n(ticks_ns[20_000:]) + 0.002
+    error = TrackingError(STRAIN_PER_NEWTON)
+    add_reference(error, frames(sample_times_ns(42.0), 1000))
+    add_output(error, ticks_ns[:20_000], felt_n[:20_000])
+    add_output(error, ticks_ns[20_000:], felt_n[20_000:], delay_ns=0)
+    error.finish()
+    windows = error.windows
+    times_s = [(each.from_s, each.to_s) for each in windows]
+    assert times_s[:15] == [(second, second + 1) for second in range(15)]
+    assert times_s[15:] == [(15, 30), (30, pytest.approx(39.999))]
+    assert windows[0].playout_delay_ms == pytest.approx(43)
+    assert windows[0].aligned_n == pytest.approx(0, abs=2e-6)
+    # 5 s of 15 s are played with a delay.
+    assert windows[15].playout_delay_ms == pytest.approx(43 / 3)
+    assert windows[16].aligned_n == windows[16].in_phase_n == pytest.approx(0.002, rel=1e-3)
+    for name in ("aligned", "in_phase"):
+        squares = (getattr(w, f"{name}_n") ** 2 * (w.to_s - w.from_s) for w in windows)
+        whole = getattr(error.force_rmse_n, name)
+        assert math.sqrt(sum(squares) / 40) == pytest.approx(whole, rel=1e-3)
+
+
+def test_a_window_without_a_known_error_reports_its_delay() -> None:
+    ticks_ns = tick_times_ns(1.0, 2.0)
+    error = TrackingError(STRAIN_PER_NEWTON)
+    # The reference ends before the run does.
+    add_reference(error, frames(sample_times_ns(1.2)))
+    add_output(error, ticks_ns, pulse_n(ticks_ns), delay_ns=500 * MS)
+    error.finish()
+    (window,) = error.windows
+    assert window.playout_delay_ms == pytest.approx(500)
+    assert window.aligned_n is not None
+    assert windows_text([asdict(window)]) is not None
+    add_output(error, ticks_ns + 20_000 * MS, pulse_n(ticks_ns))
+    error.finish()
+    text = windows_text([asdict(each) for each in error.windows])
+    assert text is not None
+    assert text.splitlines()[1] == "15 to 21 s: E 43.0 ms, aligned unknown, in phase unknown"

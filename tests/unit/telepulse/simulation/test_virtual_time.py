@@ -84,7 +84,11 @@ def conditioned(keys: dict[str, Any], **source: object) -> Scene:
     scene = load_scene(RADIAL)
     changed = {"source": scene.sensing.source.model_copy(update=source)}
     chain = {"conditioning": sensing(keys).conditioning}
-    return dataclasses.replace(scene, sensing=scene.sensing.model_copy(update=changed | chain))
+    return dataclasses.replace(
+        scene,
+        sensing=scene.sensing.model_copy(update=changed | chain),
+        display=scene.display.model_copy(update={"predictor": "linear"}),
+    )
 
 
 def rmse_mn(scene: Scene) -> float:
