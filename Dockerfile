@@ -1,11 +1,18 @@
+FROM python:3.11-slim-bookworm AS build
+
+RUN apt-get update \
+    && apt-get install -y --no-install-recommends gcc libc6-dev \
+    && rm -rf /var/lib/apt/lists/*
+WORKDIR /src
+COPY . .
+# The core compiled, into a folder of its own: the compiler stays in this stage.
+RUN TELEPULSE_COMPILED=1 pip install --no-cache-dir --prefix=/installed -c constraints.txt .
+
 FROM python:3.11-slim-bookworm
 
 ENV PYTHONUNBUFFERED=1
 RUN useradd --create-home telepulse
-
-WORKDIR /src
-COPY . .
-RUN pip install --no-cache-dir -c constraints.txt .
+COPY --from=build /installed /usr/local
 
 # Away from the source, so that what runs is what was installed.
 WORKDIR /telepulse

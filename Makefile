@@ -2,13 +2,23 @@
 PYTHON ?= python3
 BIN := .venv/bin
 ARGS ?=
+# COMPILED=1 installs and runs the compiled core; it needs a C compiler and Python's headers.
+COMPILED ?=
+INSTALLED := .venv/installed$(if $(COMPILED),-compiled)
+PACKAGES := protocol pulse_sensors sensing_node display_node telepulse
+PIP := $(BIN)/python -m pip --quiet --disable-pip-version-check
 
-.PHONY: install demo test test-all check compile size report bench soak fuzz docs clean
+.PHONY: install demo wheels test test-all check compile size report bench soak fuzz docs clean
 
-install: .venv/installed
+install: $(INSTALLED)
 
-demo: .venv/installed
+demo: $(INSTALLED)
 	$(BIN)/telepulse demo $(ARGS)
+
+# Two wheels: pure Python, and compiled for this machine.
+wheels: .venv/bin/python
+	$(PIP) wheel --no-deps --wheel-dir out/wheels .
+	TELEPULSE_COMPILED=1 $(PIP) wheel --no-deps --wheel-dir out/wheels .
 
 # The arrays are small: with BLAS on all cores, identification takes four times the processor time.
 test test-all: export OPENBLAS_NUM_THREADS := 1
@@ -30,7 +40,7 @@ check: compile
 # The tests start a thousand processes. Where PYTHONDONTWRITEBYTECODE is set, as in many containers, each
 # would compile the packages anew.
 compile: .venv/installed-test
-	$(BIN)/python -m compileall -q protocol pulse_sensors sensing_node display_node telepulse
+	$(BIN)/python -m compileall -q $(PACKAGES)
 
 # Limits: the product 30000 lines in 230 files, the tests 26000 lines.
 size: .venv/installed-test
@@ -59,17 +69,26 @@ clean:
 	$(PYTHON) -m venv .venv
 
 .venv/installed: pyproject.toml constraints.txt | .venv/bin/python
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[view]'
+	$(PIP) install -c constraints.txt -e '.[view]'
+	rm -f .venv/installed-compiled
+	touch $@
+
+# Not editable: a compiled module in the checkout would hide later changes of its source. Either
+# installation replaces the other, and this one is repeated where a source has changed.
+.venv/installed-compiled: pyproject.toml constraints.txt compile_core.py hatch_build.py \
+  $(shell find $(PACKAGES) scenes -type f -not -path '*/__pycache__/*') | .venv/bin/python
+	TELEPULSE_COMPILED=1 $(PIP) install -c constraints.txt '.[view]'
+	rm -f .venv/installed .venv/installed-*
 	touch $@
 
 .venv/installed-report: .venv/installed
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[report,bench]'
+	$(PIP) install -c constraints.txt -e '.[report,bench]'
 	touch $@
 
 .venv/installed-fuzz: .venv/installed-test
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[fuzz]'
+	$(PIP) install -c constraints.txt -e '.[fuzz]'
 	touch $@
 
 .venv/installed-test: .venv/installed
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[test]'
+	$(PIP) install -c constraints.txt -e '.[test]'
 	touch $@

@@ -16,7 +16,7 @@ from protocol.errors import ProtectionError, TelepulseError
 from protocol.host.child_process import Sidecar, sidecar_module
 from protocol.host.output import STDOUT
 from protocol.host.realtime import RealtimeGrant, RealtimeRequest, apply_realtime
-from protocol.provenance import Provenance
+from protocol.provenance import BUILD, Provenance
 from protocol.run_summary import Summary, print_summary, write_json
 from protocol.security.allow_list import read_allowed
 from protocol.security.keys import ClientKeys, ServerKeys, read_pair, read_public
@@ -41,7 +41,7 @@ JsonOption = Annotated[
 
 def _print_version(wanted: bool) -> None:
     if wanted:
-        print(f"telepulse {version('telepulse')}")
+        print(f"telepulse {version('telepulse')}, {BUILD}")
         raise typer.Exit
 
 

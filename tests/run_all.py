@@ -11,7 +11,7 @@ from pathlib import Path
 TESTS = Path(__file__).parent
 CORE = ("protocol", "pulse_sensors", "sensing_node", "display_node")
 COVERAGE = [f"--cov={package}" for package in CORE]
-COMPUTING = ("accuracy", "commissioning", "reports")
+COMPUTING = ("accuracy", "commissioning", "compiled", "reports")
 SYSTEM = sorted({path.parent for path in TESTS.glob("system/*/test_*.py")})
 REAL_TIME = [str(folder) for folder in SYSTEM if folder.name not in COMPUTING]
 PARTS = (

@@ -185,6 +185,7 @@ SESSIONS: dict[str, list[Step | Stop | Do]] = {
 # still parses it, and the named tests must exist.
 BENCH = "half a minute; tests/system/commissioning/test_bench_command.py"
 FUZZ = "a minute and more; tests/system/hostile/test_fuzz_runner.py"
+COMPILED = "installs, and compiles for a minute; tests/system/compiled"
 MULTICAST = "needs a network that carries multicast; tests/system/discovery"
 OBSERVER = "a minute; tests/system/experiment/test_experiment_command.py"
 SUBJECT = "asks a person; tests/system/experiment"
@@ -208,6 +209,10 @@ UNRUN = {
     "source .venv/bin/activate": "the shell's own",
     "pre-commit install": "writes into .git; tests/system/documentation/test_habits.py",
     "python -m sphinx -W --keep-going -n docs out/docs": "tests/system/documentation/test_site.py",
+    "make install COMPILED=1": COMPILED,
+    "make demo COMPILED=1": COMPILED,
+    "make wheels": COMPILED,
+    "telepulse --version": "tests/unit/telepulse/cli/test_programs.py",
     "make bench ARGS=wire": "a minute",
     "docker compose up": "needs an engine, and a registry for the base image",
     "make report": "a minute; tests/system/reports/test_paper_command.py",

@@ -1,0 +1,79 @@
+"""The compiled core, built in a folder of its own: it computes what the pure one does."""
+
+import json
+import os
+import shutil
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from compile_core import compiled_modules, missing
+from tests.golden.__main__ import SCENES, SEEDS, read
+from tests.support.nodes import ROOT, run_python
+
+pytestmark = pytest.mark.timeout(900)
+
+# Prints the figures of the golden runs, from the compiled modules alone.
+RUNS = """
+import json
+from importlib import import_module
+from sys import argv
+from tests.golden.__main__ import SCENES, SEEDS, run
+for name in argv[1:]:
+    assert not import_module(name).__file__.endswith(".py"), name
+print(json.dumps({f"{scene} {seed}": run(scene, seed) for scene in SCENES for seed in SEEDS}))
+"""
+VERSION = "import sys; sys.argv = ['x', '--version']; from {} import main; main()"
+PROGRAMS = ("telepulse.cli.main", "sensing_node.cli", "display_node.cli")
+
+
+@pytest.fixture(scope="module")
+def compiled(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a folder with the product's packages and their compiled modules.
+
+    Compiled without optimisation, which takes half the time; x86-64 and ARM compute the same.
+    """
+    if (lacking := missing()) is not None:
+        pytest.skip(f"{lacking} is missing")
+    folder = tmp_path_factory.mktemp("compiled")
+    wheel = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+    for package in wheel["tool"]["hatch"]["build"]["targets"]["wheel"]["packages"]:
+        shutil.copytree(ROOT / package, folder / package)
+    shutil.copytree(ROOT / "scenes", folder / "scenes")
+    built = run_python(str(ROOT / "compile_core.py"), str(folder), "--opt", "0", timeout=800)
+    assert built.returncode == 0, built.stdout + built.stderr
+    return folder
+
+
+def run_compiled(folder: Path, *arguments: str) -> str:
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(folder), str(ROOT)])}
+    ended = run_python(*arguments, cwd=folder, env=environment, timeout=300)
+    assert ended.returncode == 0, ended.stderr
+    return ended.stdout
+
+
+def test_compiled_and_pure_runs_have_the_same_figures_to_the_last_digit(compiled: Path) -> None:
+    names = [path.removesuffix(".py").replace("/", ".") for path in compiled_modules()]
+    figures = json.loads(run_compiled(compiled, "-c", RUNS, *names))
+    golden = read("summaries")
+    for name in (f"{scene} {seed}" for scene in SCENES for seed in SEEDS):
+        assert figures[name] == golden[name], name
+
+
+@pytest.mark.parametrize("module", PROGRAMS)
+def test_each_program_says_that_it_is_compiled(compiled: Path, module: str) -> None:
+    assert run_compiled(compiled, "-c", VERSION.format(module)).rstrip().endswith(", compiled")
+
+
+def test_no_compiled_module_is_left_in_the_checkout(compiled: Path) -> None:
+    folders = [path for path in ROOT.iterdir() if path.is_dir() and path.name != ".venv"]
+    assert [path for folder in folders for path in folder.rglob("*.cpython-*.so")] == []
+    assert list(ROOT.glob("*.so")) == []
+
+
+def test_without_a_compiler_one_line_says_what_to_do(tmp_path: Path) -> None:
+    environment = os.environ | {"CC": "no-such-compiler"}
+    ended = run_python(str(ROOT / "compile_core.py"), str(tmp_path), env=environment)
+    assert (ended.returncode, ended.stdout, ended.stderr.count("\n")) == (1, "", 1)
+    assert "a C compiler (no-such-compiler) is missing" in ended.stderr
