@@ -13,7 +13,7 @@ from benchmarks.measure import median_quantile, show
 from protocol.config.scene_file import find_scene
 from protocol.histogram import bound
 from protocol.run_summary import Summary
-from telepulse.netem import run_nodes, unavailable
+from telepulse.netem import NodesOutcome, run_nodes, unavailable
 from telepulse.scene import load_scene
 from telepulse.simulation.link_scene import parse_link
 from telepulse.simulation.virtual_time import simulate
@@ -21,8 +21,8 @@ from telepulse.simulation.virtual_time import simulate
 SECONDS = 30.0
 LOSS_FREE = "delay=20ms,jitter=3ms"
 LOSSY = LOSS_FREE + ",loss=1%"
+AUTO = '"auto"'
 BAR = 1.1
-OUTCOMES = ("sent", "played", "predicted", "late", "lost")
 # Times count from the link's start, a second before the sensing node starts.
 CUT = LOSS_FREE + ",cut.from=10s,cut.for=5s"
 CUT_FOR_GOOD = LOSS_FREE + ",cut.from=10s,cut.for=60min"
@@ -32,8 +32,8 @@ CONGESTION_CONTROL = Path("/proc/sys/net/ipv4/tcp_congestion_control")
 def main() -> None:
     """Print both tables.
 
-    Bars: a p99 of at most 1.1 times the loss-free one, nothing lost; no cut felt for longer than
-    the playout delay.
+    Bars: with three connections a p99 of at most 1.1 times the loss-free one, nothing lost; no cut
+    felt for longer than the playout delay.
     """
     reason = unavailable()
     if reason is not None:
@@ -41,17 +41,17 @@ def main() -> None:
         return
     with TemporaryDirectory(prefix="telepulse-") as folder:
         runs = [
-            (name, paths, play(Path(folder), link, paths=paths))
-            for name, link, paths in (
-                ("loss-free", LOSS_FREE, 1),
-                ("1 % loss", LOSSY, 1),
-                ("1 % loss", LOSSY, 2),
-                ("1 % loss", LOSSY, 3),
+            (
+                loss,
+                paths,
+                play(Path(folder), f"{LOSS_FREE},loss={loss.replace(' ', '')}", paths=paths),
             )
+            for loss in ("0 %", "1 %", "3 %")
+            for paths in ("1", "3", AUTO)
         ]
-        runs.insert(2, ("simulated", 1, simulated(Path(folder))))
+        model = simulated(Path(folder))
         cuts = [
-            cut_row(name, links, play(Path(folder), *links))
+            cut_row(name, links, play(Path(folder), *links).display)
             for name, links in (
                 ("no cut", (LOSS_FREE,)),
                 ("5 s cut", (CUT,)),
@@ -59,13 +59,22 @@ def main() -> None:
                 ("cut of the first for good", (CUT_FOR_GOOD, LOSS_FREE)),
             )
         ]
-    base_ms = runs[0][2].one_way_delay_ms.p99
+    base_ms = runs[0][2].display.one_way_delay_ms.p99 or 0.0
     control = CONGESTION_CONTROL.read_text(encoding="ascii").strip()
     show(
         f"Paths at 20±3 ms, 10 ms frames, {SECONDS:g} s each, TCP's {control}: one-way delay in ms;"
-        f" the bar for 3 is {BAR} times the loss-free p99, and none lost",
-        (*("link", "paths", "p50", "p99", "max", "over first"), *OUTCOMES),
-        [row(*run, base_ms or 0.0) for run in runs],
+        f" the bar for 3 is {BAR} times the p99 of one without loss, and none lost",
+        ("loss", "paths", "open", "stalls", "p50", "p99", "max", "over first", "mean E", "lost"),
+        [
+            *(row(loss, paths, run.display, base_ms) for loss, paths, run in runs),
+            row("1 %, simulated", "1", model, base_ms),
+        ],
+    )
+    show(
+        "Cost of the same runs, in both directions with acknowledgements, control and IP headers:"
+        " traffic, and processor time in % of a core",
+        ("loss", "paths", "packets/s", "kB/s", "sensing node", "display node"),
+        [cost_row(*run) for run in runs],
     )
     show(
         f"Networks at 20±3 ms, a path each, {SECONDS:g} s: what is felt of a cut, in ms; the bar"
@@ -75,16 +84,33 @@ def main() -> None:
     )
 
 
-def row(name: str, paths: int, summary: Summary, base_ms: float) -> tuple[str, ...]:
-    """Return the row of a run; base_ms: the loss-free p99."""
-    delay_ms, samples = summary.one_way_delay_ms, summary.samples
+def row(loss: str, paths: str, summary: Summary, base_ms: float) -> tuple[str, ...]:
+    """Return the row of a run; base_ms: the loss-free p99 of one connection."""
+    delay_ms, connections = summary.one_way_delay_ms, summary.data_connections
     return (
-        name,
-        str(paths),
+        loss,
+        paths,
+        str(connections.open or 1),
+        "–" if connections.stalls is None else str(connections.stalls),
         *(median_quantile(key, [delay_ms], 1) for key in ("p50", "p99")),
         f"{delay_ms.max or 0.0:.1f}",
         f"{bound('p99', delay_ms.beyond)}{(delay_ms.p99 or 0.0) / base_ms:.2f}",
-        *(str(getattr(samples, outcome)) for outcome in OUTCOMES),
+        f"{summary.playout_delay_ms.mean or 0.0:.1f}",
+        str(summary.samples.lost),
+    )
+
+
+def cost_row(loss: str, paths: str, run: NodesOutcome) -> tuple[str, ...]:
+    """Return what a run cost the network and both nodes."""
+    carried = run.carried
+    assert carried is not None
+    shares = (run.sensing_cpu or 0.0, run.display_cpu or 0.0)
+    return (
+        loss,
+        paths,
+        f"{carried.packets / SECONDS:.0f}",
+        f"{carried.bytes / SECONDS / 1e3:.1f}",
+        *(f"{100 * share:.1f}" for share in shares),
     )
 
 
@@ -102,23 +128,23 @@ def cut_row(name: str, links: Sequence[str], summary: Summary) -> tuple[str, ...
     )
 
 
-def play(folder: Path, *links: str, paths: int = 1) -> Summary:
-    """Return the display's summary over real TCP, with an address for each link."""
+def play(folder: Path, *links: str, paths: str = "1") -> NodesOutcome:
+    """Run both nodes over real TCP, with an address for each link."""
     scene = scene_of(folder, paths)
-    return run_nodes(scene, *map(parse_link, links), seconds=SECONDS).display
+    return run_nodes(scene, *map(parse_link, links), seconds=SECONDS)
 
 
 def simulated(folder: Path) -> Summary:
     """Return the summary of one path with loss by the model of TCP."""
-    scene = load_scene(scene_of(folder, paths=1))
+    scene = load_scene(scene_of(folder, "1"))
     link = parse_link(LOSSY + ",transport=tcp")
     return simulate(replace(scene, link=link), SECONDS, seed=1)
 
 
-def scene_of(folder: Path, paths: int) -> Path:
-    """Return the default scene with frames of 10 ms and this number of paths."""
+def scene_of(folder: Path, paths: str) -> Path:
+    """Return the default scene with frames of 10 ms and this number of paths, or "auto"."""
     text = find_scene("radial").read_text(encoding="utf-8")
     text = text.replace('batch = "5 ms"', 'batch = "10 ms"')
-    scene = folder / f"{paths}.toml"
+    scene = folder / "paths.toml"
     scene.write_text(text.replace("[display]\n", f"[display]\npaths = {paths}\n"), "utf-8")
     return scene

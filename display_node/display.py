@@ -53,7 +53,7 @@ class Display:
         self._availability = AvailabilityCounter(scene.tick_ns * 1e-9)
         self._interruptions = InterruptionCounter(scene.tick_ns * 1e-9)
         self.tracking_error = TrackingError(self._layer.strain_per_newton) if score else None
-        self.receiver = Receiver(name, scene.channel, scene.late_target, scene.paths)
+        self.receiver = Receiver(name, scene.channel, scene.late_target, scene.paths or 1)
         self.safety = Safety(scene.safety, scene.tick_ns)
         self.tick_state = TickState()
         self.ticks = 0

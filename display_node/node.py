@@ -18,6 +18,7 @@ from display_node.drives.hardware import Hardware
 from display_node.drives.withdrawal import describe_finger
 from display_node.fault_advice import FILM_NOTE, advise, advised
 from display_node.reception.connection import Connection
+from display_node.reception.redundancy import Redundancy
 from display_node.scene import DisplayScene
 from display_node.scoring.deadlines import GAP_NS, DeadlineWatch
 from display_node.telemetry.publisher import Publisher
@@ -91,8 +92,7 @@ class DisplayNode:
         telemetry_keys: ServerKeys | None = None,
         provenance: bytes = b"",
     ) -> None:
-        paths = max(scene.paths, len(addresses))
-        self._scene = scene = scene.model_copy(update={"paths": paths})
+        self._scene = scene
         # First, because a loop that is not stable is refused here, before any socket is opened.
         self._display = Display(scene, f"display-{uuid.uuid4().hex[:6]}")
         self._hardware: Hardware | None = None
@@ -105,7 +105,11 @@ class DisplayNode:
         self._named_faults = 0
         self._context: sockets.Context = zmq.Context()
         try:
-            self._connection = Connection(self._context, addresses, paths, keys)
+            paths, redundancy = max(scene.paths or 1, len(addresses)), None
+            # A loopback loses no packets, and several networks are redundant already.
+            if scene.paths is None and paths == 1 and sockets.beyond_loopback(addresses[0]):
+                redundancy = Redundancy(scene.late_target)
+            self._connection = Connection(self._context, addresses, paths, keys, redundancy)
             self._readers = readers = Authenticator(self._context, telemetry_keys)
             telemetry = sockets.bind(self._context, zmq.XPUB, telemetry_address, readers)
             self._telemetry = Publisher(telemetry, secrets.randbits(62), readers, provenance)
@@ -158,6 +162,7 @@ class DisplayNode:
         """Take the waiting messages, at most until `until_ns`; the next call takes the rest."""
         display, connection, captured = self._display, self._connection, self._telemetry.captured
         receiver = display.receiver
+        receiver.paths = connection.most_paths
         for path, route in enumerate(connection.routes):
             before, _ = receiver.frames
             for number, message in enumerate(route.messages()):
@@ -215,6 +220,7 @@ class DisplayNode:
             ),
             rejected=dict(rejected),
             reconnections=connection.reconnections,
+            data_connections=connection.data_connections,
         )
         if hardware is not None:
             travel = hardware.at_end.limited(self._scene.tick_ns * 1e-9, display.ticks)

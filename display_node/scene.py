@@ -30,6 +30,10 @@ def _time_or_auto(value: object) -> int | None:
     return delay_ns
 
 
+def _count_or_auto(value: object) -> object:
+    return None if value == "auto" else value
+
+
 class DisplayScene(Section):
     """The `display` table: settings of the display node.
 
@@ -37,7 +41,8 @@ class DisplayScene(Section):
     delay at which at most `late_target` of the samples are late; with a predictor that learns, E is
     reduced while the predictor's error is small. predictor: name of the predictor that supplies
     missing samples. channel: channel of the stream that is felt. paths: number of parallel TCP
-    connections to the sensing node; the first copy of a frame is used.
+    connections for frames, of which the first copies are used, or "auto" (stored as None): one, and
+    further ones while TCP stalls.
 
     drive and feedback: the real bench, which replaces the models of actuator and film; without
     feedback, the force is computed from the position that the drive reports.
@@ -55,7 +60,9 @@ class DisplayScene(Section):
     predictor: PredictorName = "stack"
     tick_ns: Annotated[Nanoseconds, Field(ge=100_000, le=100_000_000)] = 1_000_000
     channel: Annotated[int, Field(ge=0, le=63)] = 0
-    paths: Annotated[int, Field(ge=1, le=8)] = 1
+    paths: Annotated[Annotated[int, Field(ge=1, le=8)] | None, BeforeValidator(_count_or_auto)] = (
+        None
+    )
 
     @model_validator(mode="after")
     def _film_has_a_drive(self) -> "DisplayScene":

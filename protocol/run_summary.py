@@ -52,6 +52,7 @@ from protocol.summary_tables import (
     AlignedErrors,
     Clock,
     Compensation,
+    DataConnections,
     FrameCounts,
     Loop,
     OneWayDelay,
@@ -73,6 +74,9 @@ class Summary:
         SampleCounts, "samples", absent=absent("The page has the share that is lost.", Surface.PAGE)
     )
     frames: FrameCounts = table(FrameCounts, "frames", absent=AT_THE_END)
+    data_connections: DataConnections = table(
+        DataConnections, "data connections", absent=FOR_24_LINES | NOT_RECORDED
+    )
     reconnections: Reconnections = table(
         Reconnections, "reconnections", absent=AT_THE_END | NOT_RECORDED
     )

@@ -6,6 +6,7 @@
 import itertools
 import json
 import logging
+import os
 import random
 import re
 from contextlib import ExitStack
@@ -55,6 +56,14 @@ def log_warnings(name: str, errors: str) -> None:
     """Log the warnings and errors of a process's log, under the process's name."""
     for level, text in _WARNING.findall(errors):
         logger.log(logging.getLevelNamesMapping()[level], f"{name}: {text}")
+
+
+def cpu_time_s(pid: int) -> float:
+    """Return the processor time that all threads of a process have used. Linux."""
+    # The name, in parentheses, may contain spaces; times in user and system mode are 11 and 12
+    # fields after it.
+    fields = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8").rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
 class NodeProcess(ChildProcess):

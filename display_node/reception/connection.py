@@ -18,12 +18,14 @@ import zmq
 
 from display_node.reception.endpoint import ANSWER_NS, FLOODED_NS, Endpoint
 from display_node.reception.failover import FOLLOWS_WITHIN_NS, DataPath
+from display_node.reception.redundancy import Redundancy
 from protocol import sockets
+from protocol.config.quantities import count_text
 from protocol.discovery.announcement import Announcement, fingerprint, matching, only_match
 from protocol.errors import DiscoveryError, ProtectionError
 from protocol.security.keys import ClientKeys, read_public
 from protocol.security.socket_monitor import HandshakeMonitor
-from protocol.summary_tables import Reconnections
+from protocol.summary_tables import DataConnections, Reconnections
 
 logger = logging.getLogger(__name__)
 
@@ -139,7 +141,8 @@ class Lookup:
 class Route:
     """One address of the sensing node and the data paths that are connected to it.
 
-    frames_first: number of frames whose first copy came over this address.
+    paths: those in use. made: those and closed ones, which may be used again. frames_first: number
+    of frames whose first copy came over this address.
     """
 
     def __init__(
@@ -147,9 +150,21 @@ class Route:
     ) -> None:
         sockets.control_address(address)  # Raises AddressError.
         self.address = address
-        self.paths = [DataPath(context, keys) for _ in range(paths)]
+        self._context, self._keys = context, keys
+        self.made: list[DataPath] = []
+        self.paths = self.made
+        self.resize(paths)
         self.lookup = Lookup(address)
         self.frames_first = 0
+
+    def resize(self, count: int) -> list[DataPath]:
+        """Use `count` paths, and disconnect the others; return those newly made."""
+        known = len(self.made)
+        self.made += [DataPath(self._context, self._keys) for _ in range(known, count)]
+        self.paths = self.made[:count]
+        for path in self.made[count:]:
+            path.disconnect()
+        return self.made[known:]
 
     def messages(self) -> Iterator[bytes]:
         """Yield the messages that wait."""
@@ -181,8 +196,10 @@ class Connection:
     addresses. Control uses one address at a time, and moves to the next when nothing is received.
     An endpoint is one socket, of control or of a path.
 
-    paths: number of paths, at least one for each address. rejected: number of refused connections
-    by cause, and of messages dropped in floods. Raises AddressError for an invalid address.
+    paths: number of paths, at least one for each address. redundancy: decides how many there are
+    from the first frame on; only with one address. most_paths: greatest number so far. rejected:
+    number of refused connections by cause, and of messages dropped in floods. Raises AddressError
+    for an invalid address.
     """
 
     def __init__(
@@ -191,7 +208,9 @@ class Connection:
         addresses: Sequence[str],
         paths: int,
         keys: ClientKeys | None = None,
+        redundancy: Redundancy | None = None,
     ) -> None:
+        self._redundancy = redundancy
         self.routes = [
             Route(context, address, len(range(number, paths, len(addresses))), keys)
             for number, address in enumerate(addresses)
@@ -204,13 +223,9 @@ class Connection:
         self._cut_ns = CUT_NS
         self._controls = 0
         self.control = Endpoint(sockets.unconnected(context, zmq.DEALER, keys))
-        self._paths = [path for route in self.routes for path in route.paths]
-        self._endpoints = [
-            self.control,
-            *(endpoint for path in self._paths for endpoint in path.endpoints),
-        ]
-        self.descriptors = sockets.descriptors([endpoint.socket for endpoint in self._endpoints])
         self._handshakes = HandshakeMonitor(context, keys)
+        self.most_paths = 0
+        self._use_paths()
         for endpoint in self._endpoints:
             self._handshakes.watch(endpoint.socket)
         self.rejected = self._handshakes.rejected
@@ -222,9 +237,28 @@ class Connection:
     @property
     def reconnections(self) -> Reconnections:
         """Counts of connections opened beside silent ones, or in place of them."""
-        opened = sum(path.failover.opened for path in self._paths)
-        kept = sum(path.failover.kept for path in self._paths)
+        made = [path for route in self.routes for path in route.made]
+        opened = sum(path.failover.opened for path in made)
+        kept = sum(path.failover.kept for path in made)
         return Reconnections(opened, kept, self._controls)
+
+    @property
+    def data_connections(self) -> DataConnections:
+        """Counts of the paths, and of the stalls of TCP for which some were opened."""
+        redundancy, count = self._redundancy, len(self._paths)
+        if redundancy is None:
+            return DataConnections(count)
+        return DataConnections(count, redundancy.opened, redundancy.stalls)
+
+    def _use_paths(self) -> None:
+        """Read the paths that the routes have now."""
+        self._paths = [path for route in self.routes for path in route.paths]
+        self.most_paths = max(self.most_paths, len(self._paths))
+        self._endpoints = [
+            self.control,
+            *(endpoint for path in self._paths for endpoint in path.endpoints),
+        ]
+        self.descriptors = sockets.descriptors([endpoint.socket for endpoint in self._endpoints])
 
     def subscribe(self, frame_ns: int, round_trip_ns: int, now_ns: int) -> None:
         """Subscribe to frames; one frame covers `frame_ns`.
@@ -235,14 +269,14 @@ class Connection:
         if times_ns == self._times_ns:
             return
         first, self._times_ns = self._times_ns is None, times_ns
-        for endpoint in self._endpoints:
-            endpoint.answer_ns = times_ns[1]
+        self.control.answer_ns = times_ns[1]
         for path in self._paths:
-            path.failover.set_timeouts(*times_ns)
-            for endpoint in path.endpoints:
-                endpoint.expect(1e9 / frame_ns)
+            path.set_times(*times_ns)
             if first:
                 path.subscribe(now_ns)
+        if self._redundancy is not None:
+            outage_ns = self._paths[0].failover.silence_ns
+            self._redundancy.set_times(frame_ns, round_trip_ns, outage_ns)
 
     def poll(self, now_ns: int) -> bool:
         """Reconnect silent endpoints whose address is known; call each tick.
@@ -259,10 +293,26 @@ class Connection:
             path.failover.give_up()
         for route in self.routes:
             route.poll(now_ns)
+        if self._redundancy is not None and (reason := self._redundancy.change(now_ns)):
+            self._resize(self._redundancy.paths, reason, now_ns)
         introduce = self._repeat_request(now_ns)
         if cut and control.address is not None:
             return self._connect_control(control.address, now_ns)
         return introduce or (control.silent(now_ns) and self._move_control(now_ns))
+
+    def _resize(self, count: int, reason: str, now_ns: int) -> None:
+        """Use `count` paths to the one address from now on."""
+        route, before = self.routes[0], len(self._paths)
+        for path in route.resize(count):
+            for endpoint in path.endpoints:
+                self._handshakes.watch(endpoint.socket)
+        self._use_paths()
+        for path in route.paths[before:]:
+            if self._times_ns is not None:
+                path.set_times(*self._times_ns)
+            path.subscribe(now_ns)
+            path.poll(now_ns, route.paths[0].first.address)
+        logger.info(f"{reason}: {count_text(count, 'data connection')} from now on, not {before}")
 
     def _close_floods(self, now_ns: int) -> None:
         """Close the endpoints that receive more than any stream sends, for a few seconds."""
@@ -301,12 +351,15 @@ class Connection:
 
     def _cut(self, now_ns: int) -> bool:
         """Return True once in each silence of all endpoints that has lasted for too long."""
-        stalled = self._polled_ns is not None and now_ns - self._polled_ns >= STALLED_NS
-        self._polled_ns = now_ns
+        polled_ns, self._polled_ns = self._polled_ns, now_ns
+        stalled = polled_ns is not None and now_ns - polled_ns >= STALLED_NS
         for path in self._paths if stalled else ():
             path.failover.mark_suspect(now_ns)
         # `take_received` resets its count: one call for each path.
-        received = sum(path.take_received(now_ns) for path in self._paths)
+        counts = [path.take_received(now_ns) for path in self._paths]
+        received = sum(counts)
+        if received and self._redundancy is not None and polled_ns is not None:
+            self._redundancy.received(counts[0], received, now_ns, polled_ns)
         if received + self.control.received(now_ns):
             self._received_ns = now_ns
             self._cut_ns = FOLLOWS_WITHIN_NS if stalled else CUT_NS

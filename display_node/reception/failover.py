@@ -54,12 +54,13 @@ class Keep(Enum):
 class Failover:
     """Decisions about one data path's two connections.
 
-    racing: whether a second connection is open. opened, kept: number of second connections so far,
-    and of those that replaced the first one.
+    silence_ns: time without a frame after which a second connection is opened. racing: whether a
+    second connection is open. opened, kept: number of second connections so far, and of those that
+    replaced the first one.
     """
 
     def __init__(self) -> None:
-        self._silence_ns, self._follows_ns = 2 * REPEATED_NS, FOLLOWS_WITHIN_NS
+        self.silence_ns, self._follows_ns = 2 * REPEATED_NS, FOLLOWS_WITHIN_NS
         self._stalled_ns = self._stalls_after_ns = STALLED_NS
         self._budget = TokenBucket(OPENED_PER_S, OPENED_AT_ONCE)
         self._frame_ns = REPEATED_NS
@@ -77,16 +78,16 @@ class Failover:
         """Expect a frame every `frame_ns`, and a reply to a request within `answer_ns`."""
         self._frame_ns = frame_ns
         least_ns = PATIENCE_FRAMES * frame_ns
-        was_ns, self._silence_ns = self._silence_ns, max(REPEATED_NS + answer_ns, least_ns)
+        was_ns, self.silence_ns = self.silence_ns, max(REPEATED_NS + answer_ns, least_ns)
         if not self.racing:
-            self._due_ns += self._silence_ns - was_ns
+            self._due_ns += self.silence_ns - was_ns
         self._follows_ns = max(FOLLOWS_WITHIN_NS, least_ns)
         self._stalls_after_ns = max(STALLED_NS, STALLED_ANSWERS * answer_ns) + frame_ns
 
     def start(self, now_ns: int) -> None:
         """Begin to expect frames, which have been subscribed to."""
         self._known = False
-        self._first_ns, self._due_ns = now_ns, now_ns + self._silence_ns
+        self._first_ns, self._due_ns = now_ns, now_ns + self.silence_ns
 
     def first_received(self, now_ns: int, behind: bool, count: int) -> Keep | None:
         """Take `count` messages of the first connection; return which to keep, if that is clear.
@@ -99,20 +100,20 @@ class Failover:
         elif behind:
             return self._keep(Keep.SECOND, now_ns)
         else:
-            if self._back_ns is None or now_ns - self._first_ns >= self._silence_ns:
+            if self._back_ns is None or now_ns - self._first_ns >= self.silence_ns:
                 self._back_ns = now_ns
             self._first_ns = now_ns
-            self._due_ns = max(self._due_ns, now_ns + self._silence_ns)
+            self._due_ns = max(self._due_ns, now_ns + self.silence_ns)
         return None
 
     def _expect_next(self, now_ns: int, count: int) -> None:
         suspect = now_ns < self._suspect_until_ns
-        self._due_ns = now_ns + (self._follows_ns if suspect else self._silence_ns)
+        self._due_ns = now_ns + (self._follows_ns if suspect else self.silence_ns)
         silence_ns, self._first_ns = now_ns - self._first_ns, now_ns
         owed = MOST * silence_ns / self._frame_ns
         # Nothing was owed before the subscription.
         known, self._known = self._known, True
-        if known and silence_ns >= self._silence_ns // 2 and owed >= LEAST_OWED:
+        if known and silence_ns >= self.silence_ns // 2 and owed >= LEAST_OWED:
             self._owed, self._caught_up_ns = owed, now_ns + CAUGHT_UP_NS
         self._owed -= count
         if self._owed > 0:
@@ -129,7 +130,7 @@ class Failover:
             return self._keep(Keep.FIRST, now_ns)
         if self._second_ns is None:
             self._second_ns = now_ns
-        self._due_ns = now_ns + self._silence_ns
+        self._due_ns = now_ns + self.silence_ns
         return None
 
     def settle(self, now_ns: int) -> Keep | None:
@@ -142,7 +143,7 @@ class Failover:
             over = min(second_ns, first_ns) >= SETTLED_NS or second_ns >= 2 * SETTLED_NS
         else:
             back = self._back_ns is not None and now_ns - self._back_ns >= SETTLED_NS
-            over = back and first_ns < self._silence_ns
+            over = back and first_ns < self.silence_ns
         return self._keep(which, now_ns) if over else None
 
     def mark_suspect(self, now_ns: int) -> None:
@@ -187,7 +188,7 @@ class Failover:
     def _keep(self, which: Keep, now_ns: int) -> Keep:
         self.kept += which is Keep.SECOND
         self.abandon()
-        self._first_ns, self._due_ns = now_ns, now_ns + self._silence_ns
+        self._first_ns, self._due_ns = now_ns, now_ns + self.silence_ns
         return which
 
 
@@ -243,8 +244,20 @@ class DataPath:
         for endpoint in self.endpoints:
             endpoint.socket.unsubscribe(b"")
 
-    def take_received(self, now_ns: int) -> bool:
-        """Return whether any frame has come since the last call; close an unneeded connection."""
+    def disconnect(self) -> None:
+        """Close both connections; `subscribe` and `poll` with an address open the first again."""
+        self.unsubscribe()
+        self.first.disconnect()
+
+    def set_times(self, frame_ns: int, answer_ns: int) -> None:
+        """Expect a frame every `frame_ns`, and a reply to a request within `answer_ns`."""
+        self.failover.set_timeouts(frame_ns, answer_ns)
+        for endpoint in self.endpoints:
+            endpoint.answer_ns = answer_ns
+            endpoint.expect(1e9 / frame_ns)
+
+    def take_received(self, now_ns: int) -> int:
+        """Return how many frames came since the last call; close an unneeded connection."""
         first, second, failover = self.first, self._second, self.failover
         from_first, from_second = first.received(now_ns), second.received(now_ns)
         keep = None
@@ -258,7 +271,7 @@ class DataPath:
         if keep is not None:
             self._second.disconnect()
             self._forget(self._before | self._of_first | self._of_second)
-        return from_first + from_second > 0
+        return from_first + from_second
 
     def poll(self, now_ns: int, found: str | None) -> bool:
         """Open the connections that are due; call it each tick, after `take_received`.

@@ -41,12 +41,12 @@ class Receiver:
     ----------
     channel
         The channel of the stream that is buffered, from 0.
-    paths
-        Number of connections that deliver frames. With more than one, a repeated frame counts as a
-        copy and not as refused.
 
     Attributes
     ----------
+    paths
+        Greatest number of connections so far that deliver frames. With more than one, a repeated
+        frame counts as a copy and not as refused.
     resets
         Number of new sessions and of clock jumps. At each, everything learnt from earlier samples
         is discarded.
@@ -59,7 +59,7 @@ class Receiver:
     """
 
     def __init__(self, name: str, channel: int, late_target: float, paths: int = 1) -> None:
-        self._name, self._paths = name, paths
+        self._name, self.paths = name, paths
         self._channel, self._late_target = channel, late_target
         self._closed = SampleAccount()
         self._next_hello_ns = self._next_clock_ns = 0
@@ -86,7 +86,7 @@ class Receiver:
             frame = wire.decode_frame(data)
             self._accept(frame, now_ns)
         except WireError as error:
-            if error.cause == "duplicate" and self._paths > 1:
+            if error.cause == "duplicate" and self.paths > 1:
                 self.copies += 1
             else:
                 self.rejected[error.cause] += 1

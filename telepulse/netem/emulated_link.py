@@ -15,7 +15,7 @@ from protocol.host.child_process import ChildProcess
 from protocol.run_summary import Summary
 from telepulse.netem.forwarder import DROP, ForwarderCounts, PacketFilter
 from telepulse.netem.namespace import EmulatorError, Namespace
-from telepulse.processes import NodeProcess
+from telepulse.processes import NodeProcess, cpu_time_s
 from telepulse.simulation.link_scene import LinkScene
 
 # Addresses inside the two namespaces, with one network for each link.
@@ -24,6 +24,8 @@ ANSWERS_WITHIN_S = 30.0
 PORT = 5555
 # The display has connected before the pulse begins.
 HEAD_START_S = 1.0
+# Not part of the measured processor time: the first and the last seconds of a stream.
+STARTS_WITHIN_S, ENDS_AFTER_S = 4.0, 1.0
 # Time after the pulse for TCP's retransmissions, and for the slowest start of both nodes.
 ENDS_WITHIN_S = 20.0
 
@@ -91,11 +93,17 @@ def _receive(forwarder: ChildProcess) -> dict[str, int]:
 
 @dataclass(frozen=True, slots=True)
 class NodesOutcome:
-    """Both nodes' summaries of a run, and the counts of the links."""
+    """Both nodes' summaries of a run, and the counts of the links.
+
+    sensing_cpu, display_cpu: processor time of each node over that of the middle of the stream;
+    None for a stream that is too short.
+    """
 
     sensing: Summary
     display: Summary
     carried: ForwarderCounts | None
+    sensing_cpu: float | None = None
+    display_cpu: float | None = None
 
 
 def run_nodes(
@@ -135,6 +143,23 @@ def run_nodes(
                     stderr=PIPE,
                 )
             with sensing:
+                shares = _cpu_shares(sensing, display, seconds=seconds)
                 sensed = sensing.await_summary(seconds + ENDS_WITHIN_S)
                 played = display.await_summary(ENDS_WITHIN_S)
-    return NodesOutcome(sensed, played, emulated.carried)
+    return NodesOutcome(sensed, played, emulated.carried, *shares)
+
+
+def _cpu_shares(*processes: NodeProcess, seconds: float) -> list[float | None]:
+    """Measure the share of a core that each process uses in the middle of the stream.
+
+    Start and end of the processes are left out. Returns None for each if too little is left.
+    """
+    measured_s = seconds - STARTS_WITHIN_S - ENDS_AFTER_S
+    if measured_s <= 0:
+        return [None] * len(processes)
+    time.sleep(STARTS_WITHIN_S)
+    before_s, began_s = [cpu_time_s(process.pid) for process in processes], time.monotonic()
+    time.sleep(measured_s)
+    passed_s = time.monotonic() - began_s
+    after_s = [cpu_time_s(process.pid) for process in processes]
+    return [(after - before) / passed_s for before, after in zip(before_s, after_s, strict=True)]

@@ -63,9 +63,10 @@ class PacketFilter:
 
 @dataclass(frozen=True, slots=True)
 class ForwarderCounts:
-    """Packets written and lost, and the lateness of writing against the model in µs."""
+    """Packets written, their bytes and those lost, and the lateness of writing in µs."""
 
     packets: int
+    bytes: int
     lost: int
     late_p50_us: float | None
     late_p99_us: float | None
@@ -88,7 +89,7 @@ class Forwarder:
         self._filters: dict[int, tuple[str, list[PacketFilter]]] = {}
         self._waiting: list[tuple[int, int, int, bytes]] = []
         self._order = itertools.count()
-        self._packets = self._lost = 0
+        self._packets = self._bytes = self._lost = 0
         self._late_us = Histogram(10.0, 1_000)
         for number, text in enumerate(links):
             self._change(number, text)
@@ -114,7 +115,7 @@ class Forwarder:
         lost = self._lost + sum(direction.lost for direction, _ in self._paths.values())
         late_us = self._late_us
         quantiles_us = late_us.quantile(0.5), late_us.quantile(0.99)
-        return ForwarderCounts(self._packets, lost, *quantiles_us, late_us.maximum)
+        return ForwarderCounts(self._packets, self._bytes, lost, *quantiles_us, late_us.maximum)
 
     def _execute(self, line: str) -> None:
         number, _, text = line.partition(" ")
@@ -160,6 +161,7 @@ class Forwarder:
             _, _, tun, packet = heapq.heappop(self._waiting)
             os.write(tun, packet)
             self._packets += 1
+            self._bytes += len(packet)
             self._late_us.add(late_ns * 1e-3)
         return IDLE_NS
 

@@ -4,6 +4,7 @@ import heapq
 import itertools
 import math
 import time
+from collections.abc import Callable
 
 import zmq
 
@@ -51,7 +52,9 @@ class LinkProxy:
         self._subscribers = SubscriptionBudget(displays, (b"",))
         requests = sockets.bind(context, zmq.ROUTER, control_out, self._authenticator)
         # By receiving socket: the socket that its messages go to, and their arrival by the model.
-        self._paths = {
+        self._paths: dict[
+            sockets.Socket, tuple[sockets.Socket, Callable[[int, int], int | None]]
+        ] = {
             data: (displays, down.data_arrival_ns),
             answers: (requests, down.control_arrival_ns),
             requests: (answers, up.control_arrival_ns),

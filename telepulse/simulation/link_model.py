@@ -208,20 +208,22 @@ class MessageLink:
     """Data and control messages in one direction of a link, one packet for each message.
 
     As datagrams, data may be lost or reordered; control waits for the end of a cut and is never
-    lost. As tcp, data and control have a connection each.
+    lost. As tcp, control has a connection, and data has one for each path.
     """
 
     def __init__(self, scene: LinkScene, seed: int, start_ns: int = 0) -> None:
         self._direction = Direction(scene, seed, start_ns)
         self._tcp = scene.transport == "tcp"
-        self._data, self._control = TcpStream(self._direction), TcpStream(self._direction)
+        self._data, self._control = [TcpStream(self._direction)], TcpStream(self._direction)
         self.lost_data = 0
 
-    def data_arrival_ns(self, now_ns: int, size_bytes: int) -> int | None:
-        """Return the arrival of a data message sent now; None when it is lost."""
+    def data_arrival_ns(self, now_ns: int, size_bytes: int, path: int = 0) -> int | None:
+        """Return the arrival of a data message sent now over a path; None when it is lost."""
         size_bytes += HEADER_BYTES
         if self._tcp:
-            return self._data.arrival_ns(now_ns, size_bytes)
+            while path >= len(self._data):
+                self._data.append(TcpStream(self._direction))
+            return self._data[path].arrival_ns(now_ns, size_bytes)
         arrival_ns = self._direction.arrival_ns(now_ns, size_bytes)
         self.lost_data += arrival_ns is None
         return arrival_ns

@@ -9,6 +9,7 @@ import itertools
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 from display_node.display import Display
@@ -26,6 +27,7 @@ from sensing_node.scene import SensingScene, build_source, describe_stream
 from sensing_node.sources.synthetic import SyntheticScene
 from telepulse.scene import Scene
 from telepulse.simulation.link_model import MessageLink
+from telepulse.simulation.parallel_paths import ParallelPaths
 
 # The sensing clock is ahead by this, so that a confusion of the two clocks shows at once.
 SENSING_CLOCK_AHEAD_NS = 3_600_000_000_000
@@ -104,6 +106,8 @@ class Simulation:
         self._tracking_error = TrackingError(scene.display.layer.layer().strain_per_newton)
         self._down = MessageLink(scene.link, seed, begin_ns)
         self._up = MessageLink(scene.link, seed + 1, begin_ns)
+        frame_ns = self._description.batch * self._description.period_ns
+        self._paths = ParallelPaths(self._down, scene.link, scene.display, frame_ns)
         self._events: list[tuple[int, int, Handler, bytes]] = []
         self._order = itertools.count()
 
@@ -143,6 +147,7 @@ class Simulation:
         while events and events[0][0] <= now_ns:
             at_ns, _, event, data = heapq.heappop(events)
             event(data, at_ns)
+        self._paths.poll(now_ns)
         state = self.display.tick(now_ns, elapsed_ticks)
         if state.scored and now_ns >= self._scored_from_ns:
             age_ns = self._film_age_ns
@@ -165,7 +170,12 @@ class Simulation:
             clock = replace(clock, offset_ms=clock.offset_ms - SENSING_CLOCK_AHEAD_NS * 1e-6)
         errors = self._tracking_error
         summary = replace(
-            display, clock=clock, limited=limited, faults=faults, windows=errors.windows
+            display,
+            clock=clock,
+            limited=limited,
+            faults=faults,
+            windows=errors.windows,
+            data_connections=self._paths.data_connections(),
         )
         return errors.scored(summary)
 
@@ -191,9 +201,8 @@ class Simulation:
             for frame in self._framer.frames(block):
                 self._tracking_error.add_reference(self._reference.of(frame), channel, ratio)
                 data = encode_frame(frame)
-                arrival_ns = self._down.data_arrival_ns(now_ns, len(data))
-                if arrival_ns is not None:
-                    self._schedule(arrival_ns, self.display.on_frame, data)
+                for path, arrival_ns in self._paths.arrivals_ns(now_ns, len(data)):
+                    self._schedule(arrival_ns, partial(self._receive, path), data)
             self._schedule_batch(last_ns)
 
         ahead_ns = SENSING_CLOCK_AHEAD_NS
@@ -203,6 +212,11 @@ class Simulation:
         else:
             due_ns = min(self._paced.due_ns(self._description.batch) - ahead_ns, last_ns)
             self._schedule(due_ns, sense, b"")
+
+    def _receive(self, path: int, data: bytes, now_ns: int) -> None:
+        self._paths.received(path)
+        self.display.receiver.paths = self._paths.count
+        self.display.on_frame(data, now_ns)
 
     def _answer(self, data: bytes, now_ns: int) -> None:
         sensing_now_ns = now_ns + SENSING_CLOCK_AHEAD_NS

@@ -215,3 +215,21 @@ def test_a_cut_loses_as_much_as_was_sent_meanwhile() -> None:
 def test_over_tcp_a_loss_is_a_delay() -> None:
     free, lossy = (play(f"jitter=3ms,loss={loss},transport=tcp") for loss in ("0%", "2%"))
     assert known(lossy.one_way_delay_ms.p99) > 2 * known(free.one_way_delay_ms.p99)
+
+
+def test_over_tcp_the_paths_of_the_scene_are_modelled() -> None:
+    lossy = with_link("delay=20ms,jitter=3ms,loss=1%,transport=tcp")
+    played = {}
+    for paths in (1, 3, None):
+        display = lossy.display.model_copy(update={"paths": paths})
+        played[paths] = simulate(dataclasses.replace(lossy, display=display), SECONDS, seed=1)
+        assert accounted(played[paths]) == SAMPLES
+        assert played[paths].rejected == {}
+    single, triple, auto = played.values()
+    assert [summary.data_connections.open for summary in played.values()] == [1, 3, 3]
+    assert known(auto.data_connections.stalls) > 2
+    assert known(single.frames.copies) == 0
+    assert known(triple.frames.copies) > known(auto.frames.copies) > 0
+    delays_ms = [known(summary.one_way_delay_ms.p99) for summary in (triple, auto, single)]
+    assert delays_ms == sorted(delays_ms)
+    assert delays_ms[0] < delays_ms[2] / 2
