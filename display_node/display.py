@@ -15,10 +15,11 @@ from display_node.prediction.concealment import Concealment
 from display_node.reception.playout import PlayedDelays, PlayoutClock
 from display_node.reception.receiver import Receiver
 from display_node.scene import DisplayScene
+from display_node.scoring.prediction_score import PredictionScore
 from display_node.scoring.tracking_error import TrackingError
 from protocol.counters import AvailabilityCounter, InterruptionCounter, LimitCounter, Limits
 from protocol.run_summary import Summary
-from protocol.summary_tables import Loop, TickTime
+from protocol.summary_tables import Compensation, Loop, TickTime
 from protocol.tactile import matching_force_ratio
 from protocol.wire.messages import ControlMessage, DisplayReport
 from protocol.wire.telemetry import PlaybackStatus, TickState, pack_status
@@ -50,6 +51,7 @@ class Display:
         self._group_delay_ns = self._lead_ns = self._reach_ns = self._reserve_ns = 0
         self._next_report_ns = 0
         self._delays = PlayedDelays()
+        self._prediction = PredictionScore(scene.tick_ns)
         self._availability = AvailabilityCounter(scene.tick_ns * 1e-9)
         self._interruptions = InterruptionCounter(scene.tick_ns * 1e-9)
         self.tracking_error = TrackingError(self._layer.strain_per_newton) if score else None
@@ -100,9 +102,10 @@ class Display:
         frame = self.receiver.on_frame(data, now_ns)
         if frame is None:
             return
-        self._concealment.observe(frame)
+        channel, concealment = self._scene.channel, self._concealment
+        concealment.observe(frame)
+        self._prediction.add_reference(frame, channel, self.force_ratio, concealment.height_n)
         if self.tracking_error is not None:
-            channel = self._scene.channel
             self.tracking_error.add_reference(
                 frame, channel, self.force_ratio, self._group_delay_ns
             )
@@ -118,6 +121,7 @@ class Display:
             self._lead_ns = description.group_delay_ns + self._loop.lead_ns
             self._playout = PlayoutClock()
             self._concealment = self._build_concealment()
+            self._prediction.restart()
             self._reach_ns = self._lead_ns + self._loop.horizon * self._tick_ns
             # "auto" adds this delay for the loop: up to the sample after the end of its horizon.
             self._reserve_ns = self._reach_ns + description.period_ns
@@ -218,7 +222,15 @@ class Display:
         wrist_n = concealment.complete(wrist_n, count, sampled_ns, newest_ns)
         if alive:
             self._delays.add(sensing_now_ns - instant_ns, predicted_ns, state.trusted)
+            if self._concealment.acts:
+                self._add_prediction(sampled_ns, wrist_n[0])
         return [ratio * force_n for force_n in wrist_n], alive
+
+    def _add_prediction(self, sampled_ns: int, wrist_n: float) -> None:
+        concealment, full = self._concealment, self.safety.gain == 1.0
+        self._prediction.add_output(
+            sampled_ns, wrist_n, concealment.offset_n, concealment.height_n, full
+        )
 
     def _report(self, session: int) -> DisplayReport:
         counts, delay_ms = self.receiver.account(), self.receiver.one_way_delay_ms
@@ -244,7 +256,7 @@ class Display:
             covered_delay_ms=self._delays.covered_delay_ms,
             availability=self._availability.availability(self._delays.ticks),
             interruptions=self._interruptions.interruptions(),
-            compensation=self._delays.compensation(may_trust=self._concealment.trusted is not None),
+            compensation=self._compensation(),
             limited=self._limits(),
             loop=Loop(self.ticks, deadline_misses, tick_us or TickTime()),
             rejected=dict(self.receiver.rejected),
@@ -254,6 +266,11 @@ class Display:
             finger_stiffness=self._loop.finger_stiffness,
         )
         return self.tracking_error.scored(summary) if self.tracking_error is not None else summary
+
+    def _compensation(self) -> Compensation:
+        delays = self._delays
+        compensation = delays.compensation(may_trust=self._concealment.trusted is not None)
+        return self._prediction.scored(compensation, delays.ticks * self._tick_ns * 1e-9)
 
     def _limits(self) -> Limits:
         """Return how often and how long each limit has held, in ticks that were run.

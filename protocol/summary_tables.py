@@ -115,7 +115,7 @@ class PlayoutDelay:
 
 @dataclass(frozen=True, slots=True)
 class Compensation:
-    """Shares of the time played (`Availability.played`)."""
+    """Use and quality of the prediction; shares are of the time played (`Availability.played`)."""
 
     predicted: float | None = figure(
         "Share of the time played in which the played instant was later than the newest sample"
@@ -125,6 +125,14 @@ class Compensation:
         unit=SHARE,
         share_of="played",
     )
+    horizon_ms: float | None = figure(
+        "Mean time from the newest sample that had arrived to the played instant, where that was"
+        " later",
+        "on average {} ahead",
+        MILLISECONDS._replace(form=".1f"),
+        metric="prediction_horizon_mean_seconds",
+        row="concealed",
+    )
     trusted: float | None = figure(
         "Share of the time played in which the predictor was trusted with all of the delay;"
         " null where trust is not used (a fixed E, `hold`, `linear`)",
@@ -133,6 +141,48 @@ class Compensation:
         unit=SHARE,
         share_of="played",
         absent=FOR_24_LINES | absent("Each recorded tick has it.", Surface.REPORT),
+    )
+    error_n: float | None = figure(
+        "RMS difference of the predicted force that was felt from the sample that came later",
+        "off by {} RMS",
+        NEWTONS,
+        metric="prediction_error_newtons",
+        row="prediction",
+    )
+    error_share: float | None = figure(
+        "The same over the pulse's height from foot to peak",
+        "{} of the pulse's height",
+        SHARE,
+        metric="prediction_error_ratio",
+        row="prediction",
+    )
+    corrections: int | None = figure(
+        "How often a new sample corrected the force felt at full strength by more than 10 % of the"
+        " pulse's height, which a finger notices",
+        metric="felt_corrections_total",
+        row="prediction",
+        noun=("correction felt", "corrections felt"),
+    )
+    corrections_per_min: float | None = figure(
+        "The same per minute of the time played",
+        "{} per minute",
+        RATIO._replace(form=".1f"),
+        metric="felt_corrections_per_minute",
+        row="prediction",
+        show_zero=False,
+        absent=absent("Follows from the counter.", Surface.METRICS),
+    )
+    noticed_5s: float | None = figure(
+        "Share of the last 5 s in which the predicted force that was felt was off by more than"
+        " 10 % of the pulse's height",
+        unit=SHARE,
+        metric="prediction_noticed_ratio",
+        absent=absent("Live views show an alert for high values.", but=Surface.METRICS),
+    )
+    alarm: bool | None = figure(
+        "The prediction alarm is on: `noticed_5s` was above 5 %, and is not below 2.5 % yet",
+        metric="prediction_alarm",
+        absent=absent("Live views show it as an alert.", but=Surface.METRICS),
     )
 
 

@@ -20,8 +20,8 @@ class Blend:
     """Continuous transition from each tick's path of predicted force to the next tick's.
 
     A new frame corrects the prediction, so the force for the present instant jumps. The jump is
-    removed by an offset that decays. busy: whether the last path was predicted, or an offset is
-    still in effect.
+    removed by an offset that decays. offset_n: its present value. busy: whether the last path was
+    predicted, or an offset is still in effect.
     """
 
     def __init__(self, tick_ns: int) -> None:
@@ -31,7 +31,7 @@ class Blend:
         # Horizon of the prediction that caused the offset. It at most halves with each frame, so
         # that a short horizon after a long one does not drop a large offset at once.
         self._spanned_ns = 0
-        self._kept = self._offset_n = 0.0
+        self._kept = self.offset_n = 0.0
         self.busy = False
 
     def apply(self, path_n: list[float], instant_ns: int, newest_ns: int) -> list[float]:
@@ -50,11 +50,11 @@ class Blend:
             decay_ticks = DECAY_OVER_HORIZON * self._spanned_ns / self._tick_ns
             self._kept = math.exp(-1 / decay_ticks) if decay_ticks > 0 else 0.0
             self._newest_ns = newest_ns
-        self._offset_n = offset_n = self._offset_at(path_n[0], instant_ns)
+        self.offset_n = offset_n = self._offset_at(path_n[0], instant_ns)
         self._instant_ns, kept = instant_ns, self._kept
         last_ns = instant_ns + (len(path_n) - 1) * self._tick_ns
         if last_ns <= newest_ns and abs(offset_n) < NEGLIGIBLE_N:
-            self._offset_n, self._path_n, self.busy = 0.0, [], False
+            self.offset_n, self._path_n, self.busy = 0.0, [], False
             return path_n
         self._path_n, self.busy = path_n, True
         joined_n = []
@@ -73,7 +73,7 @@ class Blend:
         before = min(int(ticks), len(path_n) - 2)
         start_n, end_n = path_n[before : before + 2]
         expected_n = start_n + (ticks - before) * (end_n - start_n)
-        offset_n = self._offset_n * self._kept**ticks + expected_n - force_n
+        offset_n = self.offset_n * self._kept**ticks + expected_n - force_n
         return offset_n if math.isfinite(offset_n) else 0.0
 
 
@@ -101,14 +101,28 @@ class Concealment:
         """
         return None if self._trust is None else self._trust.given
 
+    @property
+    def height_n(self) -> float | None:
+        """The pulse's height from foot to peak in N; None while unknown."""
+        return self._size.size
+
+    @property
+    def offset_n(self) -> float:
+        """The part of the last force that the blend removes, in N."""
+        return self._blend.offset_n
+
+    @property
+    def acts(self) -> bool:
+        """Whether the last force was predicted, or still differs from the received one."""
+        return self._blend.busy
+
     def observe(self, frame: Frame) -> None:
         """Take a frame, late or not."""
         first_ns, period_ns = frame.t_first_ns, frame.period_ns
         values = frame.values[:, self._channel].tolist()
         end_ns = first_ns + len(values) * period_ns
         self._predictor.observe(list(range(first_ns, end_ns, period_ns)), values)
-        if self._trust is not None:
-            self._size.observe(first_ns, values)
+        self._size.observe(first_ns, values)
 
     def delay_ns(self, now_ns: int, required_ns: int, age_ns: int) -> int:
         """Return the perceived delay E for "auto", once a tick.

@@ -312,7 +312,7 @@ class PlayedDelays:
 
     def __init__(self) -> None:
         self._playout_delay_ms = Histogram(0.5, 8_000)
-        self._covered_ns = 0
+        self._covered_ns = self._predicted_ns = 0
         self._predicted = self._trusted = 0
         self.ticks = 0
 
@@ -324,7 +324,9 @@ class PlayedDelays:
         self._playout_delay_ms.add(playout_delay_ns * 1e-6)
         self._covered_ns += playout_delay_ns + predicted_ns
         self.ticks += 1
-        self._predicted += predicted_ns > 0
+        if predicted_ns > 0:
+            self._predicted += 1
+            self._predicted_ns += predicted_ns
         self._trusted += trusted
 
     @property
@@ -342,5 +344,6 @@ class PlayedDelays:
         """Return shares of the ticks; `trusted` is None unless the scene lets trust reduce E."""
         if not self.ticks:
             return Compensation()
+        horizon_ms = self._predicted_ns / self._predicted * 1e-6 if self._predicted else None
         trusted = self._trusted / self.ticks if may_trust else None
-        return Compensation(self._predicted / self.ticks, trusted)
+        return Compensation(self._predicted / self.ticks, horizon_ms, trusted)

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 
 from display_node.fault_advice import FILM_NOTE, SENSING_NOTE, advise, latched
 from display_node.scoring.deadlines import deadline_alarm
+from display_node.scoring.prediction_score import prediction_alarm
 from protocol.errors import CAUSE_MEANINGS, explain_causes
 from protocol.security.socket_monitor import (
     HANDSHAKE,
@@ -83,16 +84,25 @@ def alerts(
                 " count says (telepulse bench)",
             )
         )
-    deadline_text = deadline_alarm(summary.get("loop", {}))
-    if deadline_text is not None:
-        found.append(Alert("deadline misses", deadline_text))
-    return found
+    alarms = {
+        "deadline misses": deadline_alarm(summary.get("loop", {})),
+        "prediction": prediction_alarm(summary.get("compensation", {})),
+    }
+    return found + [Alert(name, text) for name, text in alarms.items() if text is not None]
 
 
 def finger_note(summary: Mapping[str, Any]) -> str:
     """Return "; finger: …", or an empty string where the status has no state of the finger."""
     finger = summary.get("finger")
     return f"; finger: {finger}" if finger else ""
+
+
+def delay_note(delay_ms: float, trusted: bool, summary: Mapping[str, Any]) -> str:
+    """Return the present playout delay, with the predictor's trust where trust is used."""
+    trust = f", prediction {'' if trusted else 'not '}trusted"
+    trust_is_used = summary.get("compensation", {}).get("trusted") is not None
+    # An E of 0 is known to the clock's error only.
+    return f"{max(delay_ms, 0.0):.1f} ms{trust if trust_is_used else ''}"
 
 
 # The shortest transit is searched in windows of this length. Longer ones would add the clocks'

@@ -25,7 +25,7 @@ from rich.table import Table
 from rich.text import Text
 
 from display_node.scoring.heart_rate import heart_rate_per_min
-from display_node.telemetry.alerts import Alert, StatusAge, alerts
+from display_node.telemetry.alerts import Alert, StatusAge, alerts, delay_note
 from protocol import sockets
 from protocol.errors import WireError
 from protocol.figures import Surface
@@ -46,7 +46,7 @@ LINE_WIDTH = 120
 # Characters for the alerts in a status line; each alert is printed in full when it begins.
 ALERTS_WIDTH = 45
 # Figures of this moment, in the order in which they get room in a line.
-IMPORTANCE = ("force felt", "finger", "force target", "heart rate")
+IMPORTANCE = ("force felt", "finger", "force target", "heart rate", "delay now")
 # Statuses come five times a second; an older one is not shown as current.
 CURRENT_NS = 1_000_000_000
 
@@ -55,6 +55,7 @@ class TerminalTick(NamedTuple):
     """A kept tick; felt_n is NaN where it is unknown."""
 
     now_ns: int
+    instant_ns: int
     target_n: float
     felt_n: float
     at_full_strength: bool
@@ -69,6 +70,7 @@ class TerminalView:
     def __init__(self, local: bool = False) -> None:
         self._ticks: deque[TerminalTick] = deque(maxlen=KEEP_NS // APART_NS + 1)
         self._age = StatusAge(local)
+        self._trusted = False
         self.status: Status | None = None
         self.unreadable = 0
         # Names of alerts that `new_alerts` has returned and that are still active.
@@ -96,7 +98,9 @@ class TerminalView:
     def add_trace(self, trace: Trace) -> None:
         """Take ticks; where their clock goes back, the earlier ticks are removed."""
         ticks = self._ticks
-        columns = (trace.now_ns, trace.target_n, trace.felt_n, trace.scored)
+        columns = (trace.now_ns, trace.instant_ns, trace.target_n, trace.felt_n, trace.scored)
+        if len(trace.trusted):
+            self._trusted = bool(trace.trusted[-1])
         for tick in map(TerminalTick, *(column.tolist() for column in columns)):
             if ticks and tick.now_ns < ticks[-1].now_ns:
                 ticks.clear()
@@ -192,12 +196,24 @@ class TerminalView:
         rate = self.heart_rate_per_min if current else None
         last = self._ticks[-1] if self._ticks else None
         finger = None if self.status is None else self.status.summary.get("finger")
+        delay = self._delay_text() if current else ""
         return [
             ("heart rate", "–" if rate is None else f"{rate:.0f} /min"),
             ("force target", _millinewtons(None if last is None else last.target_n)),
             ("force felt", _millinewtons(None if last is None else last.felt_n)),
             *([("finger", _printable(finger))] if finger and current else []),
+            *([("delay now", delay)] if delay else []),
         ]
+
+    def _delay_text(self) -> str:
+        """Return the playout delay of the last tick, and whether the predictor is trusted."""
+        summary = {} if self.status is None else self.status.summary
+        offset_ms = summary.get("clock", {}).get("offset_ms")
+        last = self._ticks[-1] if self._ticks else None
+        if offset_ms is None or last is None or not last.at_full_strength:
+            return ""
+        delay_ms = (last.now_ns - last.instant_ns) * 1e-6 + offset_ms
+        return delay_note(delay_ms, self._trusted, summary)
 
     def _run_rows(self) -> list[tuple[str, str]]:
         """Return the figures of the whole run so far."""

@@ -132,6 +132,7 @@ class LiveState:
     ppm, samples lost and late in %; then, since the run's start: refused messages, seconds at any
     limit.
 
+    trusted: whether the predictor was trusted at the last tick.
     playing: the signal that is played, as in the last status; empty before. stream_ended: the
     sensing node has ended the stream. display_ended: the display has sent its final status.
     stepped_ns, telemetry_missed_ns: Unix time of the last clock step, and of the last telemetry
@@ -152,6 +153,7 @@ class LiveState:
         self._samples: deque[Fields] = deque(maxlen=LOSS_STATUSES)
         self._offset_ns: int | None = None
         self._group_delay_ns = 0
+        self.trusted = False
         self.playing: Fields = {}
         self._session: int | None = None
         self.now_ns = self.frame_ns = 0
@@ -173,6 +175,7 @@ class LiveState:
         delay_ns = math.nan
         if fields["scored"] and self._offset_ns is not None:
             delay_ns = fields["now_ns"] + self._offset_ns - fields["instant_ns"]
+        self.trusted = bool(fields.get("trusted"))
         felt_n, error_n = (fields.get(key, math.nan) for key in ("felt_n", "predictor_error_n"))
         self.ticks.add(entry.t_ns, felt_n, delay_ns, error_n)
 

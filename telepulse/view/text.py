@@ -5,7 +5,13 @@ from typing import NamedTuple
 import numpy as np
 
 from display_node.scoring.tracking_error import JND
-from display_node.telemetry.alerts import SILENT_AFTER_NS, Alert, alerts, finger_note
+from display_node.telemetry.alerts import (
+    SILENT_AFTER_NS,
+    Alert,
+    alerts,
+    delay_note,
+    finger_note,
+)
 from protocol.config.quantities import count_text
 from protocol.counters import limit_texts
 from protocol.errors import explain_causes
@@ -91,7 +97,7 @@ def figures(live: LiveState, data: WindowData, silent_ns: int = 0) -> dict[str, 
         "in_phase": _error(scores.in_phase_n, scores, window),
         "within": _within(scores, window),
         "loss": _loss(live.summary.get("samples", {})),
-        "predictor": PageFigure(live.playing.get("predictor") or NOTHING),
+        "predictor": _predictor(live),
     }
     # Before the first status there is no summary.
     for row in REGISTRY.rows(live.summary, Surface.PAGE) if live.summary else ():
@@ -123,10 +129,21 @@ def _loss(samples: Fields) -> PageFigure:
     lost, late = samples.get("lost"), samples.get("late")
     if lost is None or late is None:
         return PageFigure(NOTHING)
-    due = lost + late + samples.get("played", 0) + samples.get("predicted", 0)
+    predicted = samples.get("predicted", 0)
+    due = lost + late + samples.get("played", 0) + predicted
     share = (lost + late) / due if due else 0.0
-    note = f"{count_text(lost, 'sample')} lost, {late} late in the run"
+    note = f"{count_text(lost, 'sample')} lost, {late} late, {predicted} predicted in the run"
     return PageFigure(f"{100 * share:.2f} %", note)
+
+
+def _predictor(live: LiveState) -> PageFigure:
+    """Return the predictor's name, with the present playout delay and the trust in it."""
+    name = live.playing.get("predictor") or NOTHING
+    delays_ns = live.ticks.since(live.now_ns).values[:, 1]
+    if not len(delays_ns) or np.isnan(delays_ns[-1]):
+        return PageFigure(name)
+    delay = delay_note(float(delays_ns[-1]) * 1e-6, live.trusted, live.summary)
+    return PageFigure(name, f"playout delay now {delay}")
 
 
 def alarms(live: LiveState, silent_ns: int) -> list[Alert]:

@@ -37,6 +37,7 @@ class SimulatedDisplay:
         self.summary: dict[str, Any] = {}
         self.played = 0
         self.linked = True
+        self.trusted = False
         self.event("begin", "the recording")
         layer = {name: getattr(WRIST, name) for name in WRIST.__slots__}
         self.take(STREAM, at_ns, session=SESSION, layer=layer, group_delay_ns=0)
@@ -97,7 +98,7 @@ class SimulatedDisplay:
                 felt_n=felt_n,
                 target_n=felt_n,
                 scored=playing,
-                trusted=False,
+                trusted=self.trusted,
             )
             if self.at_ns // MS % 200 == 0:
                 self.status(state, **changes)

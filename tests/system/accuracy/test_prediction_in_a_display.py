@@ -1,18 +1,20 @@
 """Predictors in a display whose samples are late."""
 
 import math
-from dataclasses import replace
+from dataclasses import asdict, replace
 
+import numpy as np
 import pytest
 
 from display_node.display import Display
 from display_node.prediction import PredictorName
+from display_node.telemetry.alerts import alerts
 from protocol.wire.telemetry import TRACE_TICKS, TraceWriter, read_trace
 from telepulse.scene import load_scene
 from telepulse.simulation.link_scene import parse_link
 from telepulse.simulation.virtual_time import simulate
-from tests.support.nodes import RADIAL, known
-from tests.support.sender import Sender, display, run
+from tests.support.nodes import RADIAL, assert_accounted, known
+from tests.support.sender import MS, Sender, display, run
 
 
 def pulse_n(ms: int) -> float:
@@ -31,6 +33,46 @@ def test_the_stack_is_nearer_the_present_pulse_than_linear_over_a_late_link() ->
         late = replace(scene, display=scene.display.model_copy(update=changes), link=link)
         rmse_n.append(known(simulate(late, 20, seed=1).force_rmse_n.in_phase))
     assert rmse_n[0] < 0.65 * rmse_n[1]
+
+
+def test_samples_whose_instant_was_predicted_well_are_not_late_and_their_error_is_small() -> None:
+    scene = load_scene(RADIAL)
+    trusting = scene.display.model_copy(update={"predictor": "stack"})
+    summary = simulate(replace(scene, display=trusting, link=parse_link("delay=20ms")), 45, seed=1)
+    samples, used = summary.samples, summary.compensation
+    assert_accounted(asdict(samples))
+    assert known(samples.predicted) > 10_000
+    assert (samples.late, samples.lost) == (0, 0)
+    assert known(used.predicted) > 0.3
+    assert 5 < known(used.horizon_ms) < 25
+    # A twentieth of what a finger notices.
+    assert known(used.error_share) < 0.005
+    assert known(used.error_n) == pytest.approx(known(used.error_share) * 0.31, rel=0.15)
+    assert (used.corrections, used.alarm) == (0, False)
+    assert alerts("playing", summary.to_dict()) == []
+
+
+def test_a_bad_prediction_is_late_samples_felt_corrections_and_an_alert() -> None:
+    under_test, sender = display(predictor="hold", compensation_ns=0), Sender()
+    for ms in range(10_000):
+        under_test.tick(ms * MS)
+        sender.serve(under_test, ms * MS)
+        if ms % 5 == 0:
+            # Up or down by 0.1 N every 250 ms, which the display receives 40 ms later.
+            force_n = 0.3 + 0.1 * ((np.arange(ms - 44, ms - 39) // 250) % 2)
+            under_test.on_frame(sender.frame_of((ms - 40) * MS, force_n.tolist()), ms * MS)
+    summary = under_test.summary()
+    samples, used = summary.samples, summary.compensation
+    assert_accounted(asdict(samples))
+    assert samples.predicted == 0
+    assert known(samples.late) > 9_000
+    # One for each step that arrives from 2 s on, when the height is known.
+    assert used.corrections == 4 * 8
+    assert used.corrections_per_min == pytest.approx(60 * 32 / 9.75, rel=0.01)
+    # Each step is felt 43 ms late, and the blend takes 20 ms to come within 10 %.
+    assert used.noticed_5s == pytest.approx(63 / 250, abs=0.01)
+    (alert,) = alerts("playing", summary.to_dict())
+    assert alert.name == "prediction"
 
 
 @pytest.mark.parametrize("predictor", ["hold", "stack"])

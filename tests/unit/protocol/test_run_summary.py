@@ -23,7 +23,7 @@ FULL = Summary(
     one_way_delay_ms=tables.OneWayDelay(p50=20.12, p99=35.5, max=41.0),
     playout_delay_ms=tables.PlayoutDelay(mean=42.0, p99=45.0),
     covered_delay_ms=44.5,
-    compensation=tables.Compensation(predicted=0.25, trusted=0.125),
+    compensation=tables.Compensation(0.25, 36.12, 0.125, 0.00259, 0.0084, 2, 1.94, 0.01, False),
     clock=tables.Clock(
         offset_ms=-12.3456, skew_ppm=50.25, uncertainty_ms=0.125, asymmetry_ms=17.5, steps=1
     ),
@@ -122,8 +122,11 @@ def test_the_printed_rows() -> None:
         "one-way delay": "p50 20.12 ms, p99 35.50 ms, max 41.00 ms",
         "playout delay": "mean 42.00 ms, p99 45.00 ms",
         "covered delay": "44.50 ms from the wrist to the force at the finger",
-        "concealed": "25.0 % of the time played (played: 17.2 % of the run)",
+        "concealed": "25.0 % of the time played (played: 17.2 % of the run),"
+        " on average 36.1 ms ahead",
         "prediction trusted": "12.5 % of the time played (played: 17.2 % of the run)",
+        "prediction": "off by 2.590 mN RMS, 0.8 % of the pulse's height, 2 corrections felt,"
+        " 1.9 per minute",
         "clock": "offset -12.346 ms, skew 50.2 ppm, uncertainty 0.125 ms, 1 step",
         "force RMSE": "aligned 0.250 mN, in phase 30.100 mN",
         "strain RMSE": "aligned 9.425e-09, in phase 5.780e-08",

@@ -14,6 +14,7 @@ from protocol.errors import CAUSE_MEANINGS
 from protocol.run_summary import Summary
 from protocol.summary_tables import (
     AlignedErrors,
+    Clock,
     Compensation,
     Loop,
     OneWayDelay,
@@ -69,6 +70,31 @@ def test_panel_and_line_show_the_state() -> None:
     line = view().line()
     assert "\n" not in line
     assert line.startswith("playing: heart rate 75 /min, force target")
+
+
+@pytest.mark.parametrize(
+    ("trusted", "share", "note"),
+    [(True, 0.5, "prediction trusted"), (False, 0.5, "prediction not trusted"), (True, None, "ms")],
+)
+def test_the_panel_shows_the_present_delay_with_trust_where_it_is_used(
+    trusted: bool, share: float | None, note: str
+) -> None:
+    ahead_ms, delay_ns = 5_000.0, 12_300_000
+    under_test, trace = TerminalView(), pulse(1)
+    under_test.add_trace(
+        trace._replace(
+            instant_ns=trace.now_ns + round(ahead_ms * 1e6) - delay_ns,
+            trusted=np.full(len(trace.now_ns), trusted),
+        )
+    )
+    known = Summary(clock=Clock(offset_ms=ahead_ms), compensation=Compensation(trusted=share))
+    under_test.status = Status("playing", "my pulse", known.to_dict(), False)
+    (shown,) = [line for line in printed(under_test).splitlines() if "delay now" in line]
+    assert shown.rstrip(" │").endswith(note)
+    assert "12.3 ms" in shown
+    # Not of a pulse that is not felt.
+    under_test.add_trace(pulse(1, start_s=2)._replace(scored=np.zeros(1000, bool)))
+    assert "delay now" not in printed(under_test)
 
 
 def test_line_and_panel_name_a_fault_with_its_advice() -> None:

@@ -4,7 +4,7 @@ from typing import Any
 import pytest
 
 from protocol.counters import Availability, Limited, Limits
-from protocol.summary_tables import Clock, Deadlines, Loop, SampleCounts
+from protocol.summary_tables import Clock, Compensation, Deadlines, Loop, SampleCounts
 from telepulse.view.live import LiveState
 from telepulse.view.text import FIGURES, age, alarms, figures, state
 from telepulse.view.window_data import window_data
@@ -172,6 +172,44 @@ def test_a_count_that_rises_is_an_alarm_for_a_while(
     assert names(display) == [name]
     display.go(6, rejected=changes.get("rejected", {}))
     assert names(display) == []
+
+
+def test_predicted_samples_are_no_loss_and_no_alarm(display: SimulatedDisplay) -> None:
+    counts = SampleCounts(sent=7000, played=6000, predicted=995, late=2, lost=3)
+    display.status("playing", samples=asdict(counts))
+    shown = figures(display.live, window_data(display.live, SECOND_NS))
+    assert shown["loss"] == ("0.07 %", "3 samples lost, 2 late, 995 predicted in the run")
+    assert names(display) == []
+
+
+def test_a_bad_prediction_is_an_alarm(display: SimulatedDisplay) -> None:
+    display.status("playing", compensation=asdict(Compensation(noticed_5s=0.04, alarm=False)))
+    assert names(display) == []
+    display.status("playing", compensation=asdict(Compensation(noticed_5s=0.123, alarm=True)))
+    (alarm,) = alarms(display.live, 0)
+    assert alarm == (
+        "prediction",
+        "the predicted force was off by more than 10 % of the pulse's height for 12.3 % of the"
+        " last 5 s, which a finger notices",
+    )
+    display.status("playing", compensation={"alarm": True})
+    assert "for too much of the last 5 s" in alarms(display.live, 0)[0].text
+
+
+@pytest.mark.parametrize(
+    ("trusted", "share", "note"),
+    [(True, 0.5, ", prediction trusted"), (False, 0.5, ", prediction not trusted"), (1, None, "")],
+)
+def test_the_present_delay_is_shown_with_trust_where_it_is_used(
+    display: SimulatedDisplay, trusted: bool, share: float | None, note: str
+) -> None:
+    display.trusted = trusted
+    display.go(0.4, compensation={} if share is None else {"trusted": share})
+    shown = figures(display.live, window_data(display.live, SECOND_NS))
+    assert shown["predictor"] == ("ensemble", f"playout delay now 40.0 ms{note}")
+    display.go(0.4, "stale")
+    shown = figures(display.live, window_data(display.live, SECOND_NS))
+    assert shown["predictor"] == ("ensemble", "")
 
 
 def test_many_deadline_misses_are_an_alarm_with_rate_and_gap(display: SimulatedDisplay) -> None:
