@@ -222,7 +222,7 @@ class Display:
         wrist_n = concealment.complete(wrist_n, count, sampled_ns, newest_ns)
         if alive:
             self._delays.add(sensing_now_ns - instant_ns, predicted_ns, state.trusted)
-            if self._concealment.acts:
+            if concealment.acts:
                 self._add_prediction(sampled_ns, wrist_n[0])
         return [ratio * force_n for force_n in wrist_n], alive
 

@@ -134,7 +134,7 @@ class Compensation:
         row="concealed",
     )
     trusted: float | None = figure(
-        "Share of the time played in which the predictor was trusted with all of the delay;"
+        "Share of the time played in which trusted prediction replaced a part of the link's delay;"
         " null where trust is not used (a fixed E, `hold`, `linear`)",
         metric="trusted_ratio",
         row="prediction trusted",
