@@ -103,7 +103,12 @@ class Summary:
         AlignedErrors, "force RMSE", NEWTONS, "force_rmse_newtons", absent=BY_THE_PAGE
     )
     strain_rmse: AlignedErrors = table(
-        AlignedErrors, "strain RMSE", STRAIN, "strain_rmse_ratio", absent=BY_THE_PAGE
+        AlignedErrors,
+        "strain RMSE",
+        STRAIN,
+        "strain_rmse_ratio",
+        absent=BY_THE_PAGE
+        | absent("A terminal has 24 lines; it is proportional to that of force.", Surface.TERMINAL),
     )
     within_jnd: float | None = figure(
         "Share of the time judged in which the aligned force error is below 10 % of"

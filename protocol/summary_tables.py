@@ -170,7 +170,7 @@ class Compensation:
         metric="felt_corrections_per_minute",
         row="prediction",
         show_zero=False,
-        absent=absent("Follows from the counter.", Surface.METRICS),
+        absent=FOR_24_LINES | absent("Follows from the counter.", Surface.METRICS),
     )
     noticed_5s: float | None = figure(
         "Share of the last 5 s in which the predicted force that was felt was off by more than"

@@ -170,7 +170,7 @@ class TerminalView:
         title = Text(f"telepulse · {stream} · {self._state(now_ns)}")
         wrong = [Text(f"{name}: {text}", "bold red") for name, text in self._alerts(now_ns)]
         of_the_run = Text("of the run so far", "dim")
-        whole = Group(*wrong, now, Text(), *self._plot(current), of_the_run, run)
+        whole = Group(*wrong, now, *self._plot(current), of_the_run, run)
         return Panel(whole, title=title, expand=False, style="" if current else "dim")
 
     def _alerts(self, now_ns: int) -> list[Alert]:

@@ -139,7 +139,8 @@ def window_data(live: LiveState, window_ns: int) -> WindowData:
         "wrist_strain": (wrist, wrist_n * (-1e6 * finger_per_n * ratio)),
         "finger_strain": (ticks, felt_n * (-1e6 * finger_per_n)),
         "one_way": (delays, delays.values[:, 0]),
-        "playout": (ticks, delay_ns * 1e-6),
+        # The status' clock offset may put an E of 0 a little below 0.
+        "playout": (ticks, np.maximum(delay_ns, 0) * 1e-6),
         "predictor": (ticks, predictor_error_n * 1e3),
         "offset": (statuses, moved_ms),
         "offset_low": (statuses, moved_ms - uncertainty_ms),

@@ -1,5 +1,6 @@
 import io
 from collections.abc import Mapping
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -9,7 +10,7 @@ from hypothesis import strategies as st
 from rich.console import Console
 
 from display_node.telemetry.terminal import TerminalView
-from protocol.counters import Limited, Limits
+from protocol.counters import Availability, Limited, Limits
 from protocol.errors import CAUSE_MEANINGS
 from protocol.run_summary import Summary
 from protocol.summary_tables import (
@@ -32,7 +33,7 @@ SUMMARY = Summary(
     playout_delay_ms=PlayoutDelay(12.5, 14.0),
     compensation=Compensation(0.375),
     roughness=Roughness(6e-4, 5e-4, 1.44),
-    strain_rmse=AlignedErrors(1.5e-9, 2e-8),
+    force_rmse_n=AlignedErrors(1.5e-3, 2e-2),
     loop=Loop(1000, 42),
 ).to_dict()
 FINAL = pack_status("ended", "my pulse", Summary(), final=True)
@@ -63,7 +64,7 @@ def printed(under_test: TerminalView, now_ns: int = 0, styles: bool = False) -> 
 def test_panel_and_line_show_the_state() -> None:
     text = printed(view())
     for figure in (
-        *("my pulse", "playing", "75 /min", "1.500e-09", "1.25 ms", "4.50 ms", "12.50 ms"),
+        *("my pulse", "playing", "75 /min", "1.500 mN", "1.25 ms", "4.50 ms", "12.50 ms"),
         *("37.5 %", "energy ratio 1.44", "7", "3", "42"),
     ):
         assert figure in text
@@ -95,6 +96,20 @@ def test_the_panel_shows_the_present_delay_with_trust_where_it_is_used(
     # Not of a pulse that is not felt.
     under_test.add_trace(pulse(1, start_s=2)._replace(scored=np.zeros(1000, bool)))
     assert "delay now" not in printed(under_test)
+
+
+def test_the_panel_of_a_predicted_pulse_fits_into_24_lines() -> None:
+    used = Compensation(0.769, 28.3, 0.9, 3.4e-3, 0.011, 2, 6.0, 0.0, False)
+    under_test = view(
+        compensation=asdict(used),
+        clock=asdict(Clock(offset_ms=0.0)),
+        availability=asdict(Availability(21.0, 0.929, 0.014, played=0.943)),
+        finger="not pressed (model, no drive)",
+    )
+    lines = printed(under_test).splitlines()
+    (row,) = [line for line in lines if "prediction " in line and "delay now" not in line]
+    assert "off by 3.400 mN RMS, 1.1 % of the pulse's height, 2 corrections felt" in row
+    assert len(lines) < 24
 
 
 def test_line_and_panel_name_a_fault_with_its_advice() -> None:
