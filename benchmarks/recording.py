@@ -17,8 +17,9 @@ from display_node.telemetry.publisher import Publisher
 from protocol import sockets
 from protocol.host.child_process import ChildProcess
 from protocol.run_summary import Summary
+from protocol.ticks import TickState
 from protocol.wire.messages import Frame, encode_frame
-from protocol.wire.telemetry import TRACE_TICKS, TickState, pack_status
+from protocol.wire.telemetry import TRACE_TICKS, pack_status
 
 TICK_NS = 1_000_000
 TICKS_A_FRAME = 5

@@ -17,12 +17,13 @@ from display_node.reception.receiver import Receiver
 from display_node.scene import DisplayScene
 from display_node.scoring.prediction_score import PredictionScore
 from display_node.scoring.tracking_error import TrackingError
-from protocol.counters import AvailabilityCounter, InterruptionCounter, LimitCounter, Limits
+from protocol.counters import Limits
 from protocol.run_summary import Summary
 from protocol.summary_tables import Compensation, Loop, TickTime
 from protocol.tactile import matching_force_ratio
+from protocol.ticks import AvailabilityCounter, InterruptionCounter, LimitCounter, TickState
 from protocol.wire.messages import ControlMessage, DisplayReport
-from protocol.wire.telemetry import PlaybackStatus, TickState, pack_status
+from protocol.wire.telemetry import PlaybackStatus, pack_status
 
 REPORT_EVERY_NS = 1_000_000_000
 
@@ -41,7 +42,12 @@ class Display:
         self._hardware: Hardware | None = None
         self.feedback: Feedback | None = None
         self._layer = scene.layer.layer()
-        self._tick_ns = scene.tick_ns
+        # Copies: attributes of a scene take longer to read.
+        self._tick_ns, self._channel = scene.tick_ns, scene.channel
+        self._compensation_ns, self._stale_after_ns = (
+            scene.compensation_ns,
+            scene.safety.stale_after_ns,
+        )
         self._concealment = self._build_concealment()
         self._loop = scene.force_loop()
         self._target = delay_line(self._loop.lead_ns / scene.tick_ns)
@@ -107,7 +113,7 @@ class Display:
         self._prediction.add_reference(frame, channel, self.force_ratio, concealment.height_n)
         if self.tracking_error is not None:
             self.tracking_error.add_reference(
-                frame, channel, self.force_ratio, self._group_delay_ns
+                frame, self._channel, self.force_ratio, self._group_delay_ns
             )
 
     def on_control(self, data: bytes, now_ns: int) -> None:
@@ -196,7 +202,7 @@ class Display:
         if not receiver.ready or delay_ns is None or newest_ns is None:
             return [0.0] * count, False
         sensing_now_ns = receiver.clock.remote_ns(now_ns)
-        wanted_delay_ns = self._scene.compensation_ns
+        wanted_delay_ns = self._compensation_ns
         if wanted_delay_ns is None:
             age_ns = sensing_now_ns + self._reach_ns - newest_ns
             required_ns = delay_ns + self._reserve_ns
@@ -207,8 +213,7 @@ class Display:
         # The sensing chain delays the pulse by its group delay: the pulse of `instant_ns` is in the
         # sample taken that much later. The actuator's lag is compensated in the same way.
         sampled_ns = instant_ns + self._lead_ns
-        stale_after_ns = self._scene.safety.stale_after_ns
-        alive = receiver.live(sampled_ns, sensing_now_ns, stale_after_ns)
+        alive = receiver.live(sampled_ns, sensing_now_ns, self._stale_after_ns)
         buffer.advance(sampled_ns, alive and state.trusted)
         wrist_n = buffer.known(self._tick_ns, count)
         concealment.work()

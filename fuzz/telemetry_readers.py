@@ -13,6 +13,7 @@ from display_node.telemetry.terminal import TerminalView
 from protocol.run_summary import Summary
 from protocol.summary_tables import Clock, SampleCounts
 from protocol.tactile import ElasticLayer
+from protocol.ticks import TickState
 from protocol.wire.messages import ClockReply, Frame, Welcome, encode_control, encode_frame
 from protocol.wire.stream import Channel, StreamDescription
 from protocol.wire.telemetry import (
@@ -23,7 +24,6 @@ from protocol.wire.telemetry import (
     TRACE,
     CaptureWriter,
     PlaybackStatus,
-    TickState,
     TraceWriter,
     pack_status,
 )

@@ -310,7 +310,11 @@ class SampleCheck:
         """Check consecutive samples in N, shape (samples, channels)."""
         if not len(values):
             return
-        lowest_n, highest_n = float(values.min()), float(values.max())
+        # Quicker than arrays for a batch of few samples. `min` may miss a NaN, the sum does not.
+        forces_n = values.ravel().tolist()
+        lowest_n, highest_n = min(forces_n), max(forces_n)
+        if not math.isfinite(sum(forces_n)):
+            lowest_n = highest_n = math.nan
         self._samples += len(values)
         # Both conditions are also true for NaN.
         if not -MOST_N <= lowest_n <= highest_n <= MOST_N:

@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from protocol.config.quantities import Hertz, Newtons, Volts, count_text
-from protocol.counters import LimitCounter, Limits
+from protocol.counters import Limits
 from protocol.errors import SceneError
 from protocol.tactile import Adc
+from protocol.ticks import LimitCounter
 from pulse_sensors.force_scale import SensitivityTable
 from sensing_node.feeds import LiveSource, SampleSource
 from sensing_node.sources.recorded import RecordedSource

@@ -13,7 +13,7 @@ import numpy as np
 from benchmarks.measure import show
 from display_node.scoring.tracking_error import JND
 from protocol.config.scene_file import find_scene
-from protocol.wire.telemetry import TickState
+from protocol.ticks import TickState
 from sensing_node.sources.recorded import RecordingScene
 from sensing_node.sources.synthetic import NOMINAL_BEAT_S
 from telepulse.reports.studies.prediction_pulses import (

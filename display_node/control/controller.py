@@ -166,7 +166,10 @@ class StepperController:
             self._wanted_n = reference_n[1]
             wanted_n = self._wanted_n if self._late is None else self._late.step(self._wanted_n)
             if self._unit is None:
-                error, response = law.position(wanted_n) - screw_m, guard.held_s
+                # The path has this position already.
+                given = path is not None and self._late is None
+                wanted_m = path.tip_m if path is not None and given else law.position(wanted_n)
+                error, response = wanted_m - screw_m, guard.held_s
             else:
                 error = self._unit * (wanted_n - last_n)
                 response = self._unit * law.stiffness(last_n) * guard.held_s

@@ -13,9 +13,9 @@ from display_node.plant.film import FeedbackFilm
 from display_node.plant.scene import FilmTable, SecondOrderScene, StepperScene
 from display_node.plant.second_order import SecondOrder
 from display_node.plant.stepper import Stepper
-from protocol.counters import LimitCounter
 from protocol.errors import SceneError
 from protocol.tactile import ElasticLayer
+from protocol.ticks import LimitCounter
 
 # Default watchdog of a drive; the modelled actuator stops after the same time without a command.
 WATCHDOG_S = 0.05

@@ -7,7 +7,7 @@ withdraws the tip (`drives/withdrawal.py`).
 
 from display_node.control.scene import SafetyScene
 from display_node.plant.feedback import refuse_reading
-from protocol.counters import LimitCounter
+from protocol.ticks import LimitCounter
 
 # A reference below 0 N by less than this is rounding and noise, not a part of the pulse.
 NEGLIGIBLE_N = 1e-3

@@ -7,9 +7,9 @@ from display_node.drives import Drive
 from display_node.drives.withdrawal import FingerState, WithdrawalOutcome
 from display_node.plant.feedback import Feedback, FilmPlausibility, RisingForce
 from display_node.plant.scene import StepperScene
-from protocol.counters import LimitCounter
 from protocol.errors import SourceError
 from protocol.tactile import ElasticLayer
+from protocol.ticks import LimitCounter
 from pulse_sensors.sensor import Sensor
 
 FIRST_SAMPLE_WITHIN_S = 5.0

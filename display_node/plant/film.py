@@ -11,8 +11,8 @@ import numpy as np
 
 from display_node.plant.filters import delay_line
 from display_node.plant.scene import FilmTable
-from protocol.counters import LimitCounter
 from protocol.tactile import Adc
+from protocol.ticks import LimitCounter
 
 NOISE_BLOCK = 1024
 

@@ -11,7 +11,7 @@ from typing import ClassVar
 from display_node.plant.contact import ContactLaw
 from display_node.plant.filters import delay_line
 from display_node.plant.scene import StepperScene
-from protocol.counters import LimitCounter
+from protocol.ticks import LimitCounter
 
 
 class Rotor:

@@ -55,8 +55,10 @@ class Linear(Predictor):
 
     def observe(self, times_ns: list[int], values: list[float]) -> None:
         """Keep the newest samples in time order."""
+        in_order = not self._samples or times_ns[0] > self._samples[-1][0]
         self._samples += zip(times_ns, values, strict=True)
-        self._samples.sort()
+        if not in_order:
+            self._samples.sort()
         del self._samples[:-KEEP]
 
     def predict(self, instant_ns: int) -> float:

@@ -8,13 +8,13 @@ from protocol import sockets
 from protocol.provenance import PROVENANCE
 from protocol.security.authenticator import Authenticator
 from protocol.security.budgets import SubscriptionBudget
+from protocol.ticks import TickState
 from protocol.wire.telemetry import (
     CAPTURE,
     STATUS,
     STATUS_TRACES,
     TRACE,
     CaptureWriter,
-    TickState,
     TraceWriter,
 )
 

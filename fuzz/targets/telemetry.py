@@ -6,13 +6,13 @@ import numpy as np
 from fuzz.refusals import refusals
 from fuzz.telemetry_readers import TelemetryReaders, preamble
 from protocol.run_summary import Summary
+from protocol.ticks import TickState
 from protocol.wire.telemetry import (
     CAPTURE,
     STATUS,
     TRACE,
     TRACE_TICKS,
     CaptureWriter,
-    TickState,
     TraceWriter,
     read_capture,
     read_status,

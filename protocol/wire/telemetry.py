@@ -8,9 +8,7 @@ Three topics, each a multipart message [topic, msgpack]:
   a recorder subscribes. Each states how much was published before, so that gaps show.
 """
 
-import math
 from collections.abc import Iterator
-from dataclasses import dataclass
 from itertools import accumulate, takewhile
 from typing import Annotated, Any, NamedTuple
 
@@ -21,6 +19,7 @@ from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
 
 from protocol.errors import WireError
 from protocol.run_summary import LARGEST, Summary
+from protocol.ticks import TickState
 from protocol.wire.messages import COUNT_RANGE, LARGEST_N, MAX_CHANNELS, MAX_FRAME_BYTES, TIME_RANGE
 
 STATUS = b"status"
@@ -121,25 +120,6 @@ TRACE = b"trace"
 TRACE_TICKS = 20
 # Number of traces between two statuses.
 STATUS_TRACES = 10
-
-
-@dataclass(slots=True)
-class TickState:
-    """State at the beginning of the last tick; `Trace` explains the fields that it shares."""
-
-    now_ns: int = 0
-    sensing_now_ns: int = 0
-    instant_ns: int = 0
-    target_n: float = 0.0
-    felt_n: float = 0.0
-    scored: bool = False
-    predictor_error_n: float = math.nan
-    trusted: bool = False
-
-    @property
-    def playout_delay_ns(self) -> int:
-        """The perceived delay E of this tick."""
-        return self.sensing_now_ns - self.instant_ns
 
 
 class Trace(NamedTuple):

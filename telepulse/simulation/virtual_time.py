@@ -17,8 +17,8 @@ from display_node.drives.hardware import Hardware
 from display_node.fault_advice import SENSING_NOTE
 from display_node.scoring.tracking_error import TrackingError
 from protocol.run_summary import Summary
+from protocol.ticks import TickState
 from protocol.wire.messages import Bye, ControlMessage, Frame, encode_control, encode_frame
-from protocol.wire.telemetry import TickState
 from pulse_sensors.plausibility import SampleCheck
 from sensing_node.conditioning import faults_of, limits_of
 from sensing_node.control_server import ControlServer
@@ -86,7 +86,7 @@ class Simulation:
     def __init__(
         self, scene: Scene, seed: int, begin_ns: int = 0, hardware: Hardware | None = None
     ) -> None:
-        self._scene = scene
+        self._scene, self._channel = scene, scene.display.channel
         self._source = build_source(scene.sensing, scene.path.parent)
         self._reference = ReferenceForce(scene.sensing, scene.path.parent)
         self._description = describe_stream(scene.sensing, self._source)
@@ -197,7 +197,7 @@ class Simulation:
             if block is None:
                 return self._schedule_batch(last_ns)
             self._check.add(block.values)
-            channel, ratio = self._scene.display.channel, self.display.force_ratio
+            channel, ratio = self._channel, self.display.force_ratio
             for frame in self._framer.frames(block):
                 self._tracking_error.add_reference(self._reference.of(frame), channel, ratio)
                 data = encode_frame(frame)

@@ -14,6 +14,7 @@ from protocol import sockets
 from protocol.run_summary import Summary
 from protocol.security.authenticator import Authenticator
 from protocol.security.keys import ServerKeys
+from protocol.ticks import TickState
 from protocol.wire.messages import Bye, ClockReply, Frame, Welcome, encode_control, encode_frame
 from protocol.wire.telemetry import (
     CAPTURE,
@@ -23,7 +24,6 @@ from protocol.wire.telemetry import (
     TRACE,
     CaptureWriter,
     PlaybackStatus,
-    TickState,
     TraceWriter,
     pack_status,
 )

@@ -12,7 +12,7 @@ from display_node.display import Display
 from display_node.drives.axis import Axis, build_axis
 from display_node.drives.supervisor import DriveStatus, Supervisor
 from display_node.plant.scene import StepperScene
-from protocol.wire.telemetry import TickState
+from protocol.ticks import TickState
 from pulse_sensors.samples import SampleBlock, Timestamper, one_channel
 from telepulse.emulators.drive_run import FRAME
 from telepulse.emulators.motor import EmulatedMotor, MotorState

@@ -27,7 +27,7 @@ from display_node.prediction import Predictor, PredictorName, build_predictor
 from display_node.scoring.tracking_error import JND
 from protocol.config.scene_file import find_scene
 from protocol.tactile import matching_force_ratio
-from protocol.wire.telemetry import TickState
+from protocol.ticks import TickState
 from sensing_node.scene import build_source
 from telepulse.reports.studies.prediction_pulses import RATE_HZ, SCORED_FROM_S, Pulse, pulses
 from telepulse.reports.studies.sweep import in_one_thread, sweep

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 import telepulse.simulation.virtual_time
 from display_node.prediction import PredictorName
 from protocol.run_summary import Summary
-from protocol.wire.telemetry import TickState
+from protocol.ticks import TickState
 from sensing_node.sources.recorded import RecordingScene
 from telepulse.reports.studies.prediction_pulses import Floats, drawn, fibrillating, make_rhythm
 from telepulse.scene import Scene, load_scene

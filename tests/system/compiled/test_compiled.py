@@ -2,14 +2,13 @@
 
 import json
 import os
-import shutil
-import tomllib
 from pathlib import Path
 
 import pytest
 
 from compile_core import compiled_modules, missing
 from tests.golden.__main__ import SCENES, SEEDS, read
+from tests.support.compiled_core import build, run_in
 from tests.support.nodes import ROOT, run_python
 
 pytestmark = pytest.mark.timeout(900)
@@ -37,25 +36,13 @@ def compiled(tmp_path_factory: pytest.TempPathFactory) -> Path:
     if (lacking := missing()) is not None:
         pytest.skip(f"{lacking} is missing")
     folder = tmp_path_factory.mktemp("compiled")
-    wheel = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
-    for package in wheel["tool"]["hatch"]["build"]["targets"]["wheel"]["packages"]:
-        shutil.copytree(ROOT / package, folder / package)
-    shutil.copytree(ROOT / "scenes", folder / "scenes")
-    built = run_python(str(ROOT / "compile_core.py"), str(folder), "--opt", "0", timeout=800)
-    assert built.returncode == 0, built.stdout + built.stderr
+    build(folder, opt="0")
     return folder
-
-
-def run_compiled(folder: Path, *arguments: str) -> str:
-    environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(folder), str(ROOT)])}
-    ended = run_python(*arguments, cwd=folder, env=environment, timeout=300)
-    assert ended.returncode == 0, ended.stderr
-    return ended.stdout
 
 
 def test_compiled_and_pure_runs_have_the_same_figures_to_the_last_digit(compiled: Path) -> None:
     names = [path.removesuffix(".py").replace("/", ".") for path in compiled_modules()]
-    figures = json.loads(run_compiled(compiled, "-c", RUNS, *names))
+    figures = json.loads(run_in(compiled, "-c", RUNS, *names))
     golden = read("summaries")
     for name in (f"{scene} {seed}" for scene in SCENES for seed in SEEDS):
         assert figures[name] == golden[name], name
@@ -63,7 +50,7 @@ def test_compiled_and_pure_runs_have_the_same_figures_to_the_last_digit(compiled
 
 @pytest.mark.parametrize("module", PROGRAMS)
 def test_each_program_says_that_it_is_compiled(compiled: Path, module: str) -> None:
-    assert run_compiled(compiled, "-c", VERSION.format(module)).rstrip().endswith(", compiled")
+    assert run_in(compiled, "-c", VERSION.format(module)).rstrip().endswith(", compiled")
 
 
 def test_no_compiled_module_is_left_in_the_checkout(compiled: Path) -> None:

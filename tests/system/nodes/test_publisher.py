@@ -4,6 +4,7 @@ import zmq
 from display_node.telemetry.publisher import Publisher
 from protocol import sockets
 from protocol.sockets import Context
+from protocol.ticks import TickState
 from protocol.wire.telemetry import (
     CAPTURE,
     CONTROL,
@@ -12,7 +13,6 @@ from protocol.wire.telemetry import (
     TRACE,
     TRACE_TICKS,
     CapturedMessage,
-    TickState,
     read_capture,
     read_trace,
 )

@@ -13,7 +13,8 @@ from display_node.telemetry import terminal
 from display_node.telemetry.terminal import watch
 from protocol.run_summary import Summary
 from protocol.sockets import Context
-from protocol.wire.telemetry import STATUS, TRACE, TickState, TraceWriter, pack_status
+from protocol.ticks import TickState
+from protocol.wire.telemetry import STATUS, TRACE, TraceWriter, pack_status
 from tests.support.nodes import free_address, run_python
 
 SECOND_NS = 1_000_000_000

@@ -15,15 +15,8 @@ import zmq
 from display_node.fault_advice import advise
 from protocol.run_summary import Summary
 from protocol.sockets import Context
-from protocol.wire.telemetry import (
-    CAPTURE,
-    STATUS,
-    TRACE,
-    CaptureWriter,
-    TickState,
-    TraceWriter,
-    pack_status,
-)
+from protocol.ticks import TickState
+from protocol.wire.telemetry import CAPTURE, STATUS, TRACE, CaptureWriter, TraceWriter, pack_status
 from telepulse.view import server
 from telepulse.view.server import PageServer
 from tests.support.browser import Visit

@@ -7,6 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from protocol import counters
+from protocol.ticks import AvailabilityCounter, InterruptionCounter, LimitCounter
 
 TICK_S = 1e-3
 STATES = ["playing", "starting", "stale", "fault", "waiting", "ended"]
@@ -14,7 +15,7 @@ runs = st.lists(st.tuples(st.sampled_from(STATES), st.integers(1, 50)), min_size
 
 
 def counted(*ticks: tuple[str, int]) -> counters.Availability:
-    counter = counters.AvailabilityCounter(TICK_S)
+    counter = AvailabilityCounter(TICK_S)
     for state, elapsed in ticks:
         counter.add(state, elapsed)
     return counter.availability(played_ticks=0)
@@ -48,7 +49,7 @@ def test_shares_are_unknown_before_the_first_tick() -> None:
 
 
 def interrupted(*ticks: tuple[bool, int]) -> counters.Interruptions:
-    counter = counters.InterruptionCounter(1e-3)
+    counter = InterruptionCounter(1e-3)
     for full, elapsed in ticks:
         counter.add(full, elapsed)
     return counter.interruptions()
@@ -73,7 +74,7 @@ def test_an_interruption_is_from_one_full_tick_to_the_next_and_several_add_up() 
 
 @given(st.lists(st.booleans()), st.integers(1, 7))
 def test_single_ticks_and_blocks_give_the_same_counts(limited: list[bool], length: int) -> None:
-    single, blocks = counters.LimitCounter(), counters.LimitCounter()
+    single, blocks = LimitCounter(), LimitCounter()
     for tick in limited:
         single.add(tick)
     for first in range(0, len(limited), length):
@@ -85,11 +86,11 @@ def test_single_ticks_and_blocks_give_the_same_counts(limited: list[bool], lengt
 
 
 def test_the_figures_are_times_seconds_and_the_share_of_the_run() -> None:
-    counter = counters.LimitCounter()
+    counter = LimitCounter()
     for limited in (True, True, False, True):
         counter.add(limited)
     assert counter.limited(1e-3, 12) == counters.Limited(2, pytest.approx(3e-3), 0.25)
-    assert counters.LimitCounter().limited(1e-3, 0) == counters.Limited(0, 0.0, 0.0)
+    assert LimitCounter().limited(1e-3, 0) == counters.Limited(0, 0.0, 0.0)
 
 
 def test_each_limit_that_was_reached_is_a_phrase_the_longest_first() -> None:

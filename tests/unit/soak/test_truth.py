@@ -6,9 +6,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from protocol.counters import InterruptionCounter
 from protocol.run_summary import Availability, Summary
 from protocol.summary_tables import Loop, SampleCounts
+from protocol.ticks import InterruptionCounter
 from protocol.wire.telemetry import Status, Trace
 from soak.claims import StatusClaim, no_figures, read_line
 from soak.tick_record import TickRecord

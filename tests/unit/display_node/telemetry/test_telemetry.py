@@ -16,15 +16,9 @@ from protocol.config.scene import load_section
 from protocol.errors import WireError
 from protocol.run_summary import Summary
 from protocol.summary_tables import SampleCounts
+from protocol.ticks import TickState
 from protocol.wire.messages import LARGEST_N, TIME_RANGE
-from protocol.wire.telemetry import (
-    TRACE_TICKS,
-    TickState,
-    Trace,
-    TraceWriter,
-    read_status,
-    read_trace,
-)
+from protocol.wire.telemetry import TRACE_TICKS, Trace, TraceWriter, read_status, read_trace
 from tests.support.sender import MS, Sender, run
 
 RADIAL = Path(__file__).parents[4] / "scenes" / "radial.toml"

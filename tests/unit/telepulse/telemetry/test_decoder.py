@@ -15,8 +15,9 @@ from protocol.counters import Limited, Limits
 from protocol.errors import CAUSE_MEANINGS
 from protocol.run_summary import Summary
 from protocol.summary_tables import Clock, Compensation, Deadlines, Loop, SampleCounts
+from protocol.ticks import TickState
 from protocol.wire.messages import Hello, encode_control, encode_frame
-from protocol.wire.telemetry import CAPTURE, CONTROL, TRACE, TickState
+from protocol.wire.telemetry import CAPTURE, CONTROL, TRACE
 from protocol.wire.telemetry import STATUS as STATUS_TOPIC
 from telepulse.telemetry.decoder import Entry
 from telepulse.telemetry.schema import CLOCK, EVENT, FRAME, REFUSED, SCHEMAS, STREAM

@@ -39,8 +39,9 @@ from protocol.summary_tables import (
     Roughness,
     SampleCounts,
 )
+from protocol.ticks import TickState
 from protocol.wire.messages import Frame
-from protocol.wire.telemetry import TRACE, PlaybackStatus, TickState
+from protocol.wire.telemetry import TRACE, PlaybackStatus
 
 MOST_MORE_BYTES = 1 << 30
 AWKWARD = [math.nan, math.inf, -math.inf, 1e300, -1e300, 5e-324, 1e15, 1e6, -1e6, 0.0, 0.3]
