@@ -1,8 +1,9 @@
-"""Roughness, in-phase error and trust of a predicted pulse."""
+"""Roughness, learning, and errors of a predicted pulse beside those of a buffered one."""
 
 from dataclasses import replace
 from unittest.mock import patch
 
+from benchmarks.compensation.learning import show_learning
 from benchmarks.compensation.trust import show_trust
 from benchmarks.measure import show
 from display_node.prediction import PredictorName
@@ -13,7 +14,6 @@ from telepulse.simulation.link_scene import parse_link
 from telepulse.simulation.virtual_time import Simulation
 
 SETTLE_S, SCORED_S = 28.0, 12.0
-# Trust grows slowly, and E then falls to 0 by 20 ms a second.
 SETTLE_AUTO_S = 45.0
 LINKS = {
     "20±3 ms, 1 % loss": "delay=20ms,jitter=3ms,loss=1%",
@@ -30,6 +30,7 @@ CASES: tuple[tuple[PredictorName, int], ...] = (
 
 def main() -> None:
     """Print the tables."""
+    show_learning()
     _show_all_predicted()
     _show_auto()
     show_trust(LINKS)

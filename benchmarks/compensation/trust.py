@@ -1,162 +1,167 @@
-"""Trust in the predictor: on predictable pulses, and on pulses that become unpredictable.
+"""Prediction under "auto" beside buffering: on all pulses of the study, and where a pulse changes.
 
-The pulses are those of `telepulse study prediction`, with 0.3 N on a static force and 0.5 mN of
-noise. Pulses that change do so after `TURN_S`; all are scored from then on.
+The pulses have a height of 0.3 N on a static force. Those of `telepulse study prediction` are
+scored after 20 s of learning. Two pulses change after `TURN_S`, to fibrillation and to a moving
+hand, and are scored from then on.
 """
 
+import math
 import tempfile
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from benchmarks.measure import show
-from display_node.scoring.tracking_error import JND
+from display_node.prediction import PredictorName
 from protocol.config.scene_file import find_scene
 from protocol.ticks import TickState
 from sensing_node.sources.recorded import RecordingScene
 from sensing_node.sources.synthetic import NOMINAL_BEAT_S
 from telepulse.reports.studies.prediction_pulses import (
+    NOISE,
     RATE_HZ,
+    SCORED_FROM_S,
     Beats,
     Floats,
-    breathing,
     drawn,
     fibrillating,
     make_rhythm,
+    pulses,
     through_chain,
-    with_ectopics,
 )
 from telepulse.reports.studies.sweep import sweep
 from telepulse.scene import Scene, load_scene
 from telepulse.simulation.link_scene import parse_link
 from telepulse.simulation.virtual_time import STREAM_BEGINS_NS, Simulation
 
-SECONDS, TURN_S = 60.0, 40.0
-SEEDS = (1, 2, 3)
-SETS = ("variability", "ramp", "ectopic", "fibrillation", "movement")
-SIZE_N, STATIC_N, NOISE_N = 0.3, 0.6, 5e-4
+SECONDS, TURN_S = 50.0, 30.0
+SIZE_N, STATIC_N = 0.3, 0.75
 # Hold-down force of a moving hand, which changes twice a second.
 SHIFT_N, SHIFTS_HZ = 0.1, 2
-SETTLED_NS = 1_000_000
+TURNS = ("fibrillation begins", "the arm moves")
+PREDICTORS: tuple[PredictorName, ...] = ("stack", "linear")
 
 
-@dataclass(frozen=True, slots=True)
-class Case:
-    """A pulse of `SETS` over a link."""
+class Case(NamedTuple):
+    """A pulse in N, as sensed and true, over a link, with a predictor, scored from a time on."""
 
     pulse: str
+    sensed_n: Floats
+    true_n: Floats
+    from_s: float
     link: str
-    seed: int
+    predictor: PredictorName
+
+    def __str__(self) -> str:
+        return f"{self.pulse} over {self.link} with {self.predictor}"
 
 
-@dataclass(frozen=True, slots=True)
-class Score:
-    """Figures from the turn on.
+class Score(NamedTuple):
+    """RMS errors over the pulse's height, mean E in ms, and when E was above 20 ms, in s."""
 
-    trusted: share of the time with trust. lost_s: time at which trust was first lost; None if
-    never, or if there was none at the turn. errors_n: errors in phase while trusted with E = 0.
-    """
-
-    trusted: float
-    lost_s: float | None
-    errors_n: Floats
+    aligned: float
+    in_phase: float
+    delay_ms: float
+    risen_s: float
 
 
 def show_trust(links: dict[str, str]) -> None:
-    """Print the table: links as `parse_link` reads them, by name. Uses all cores."""
-    cases = [Case(pulse, link, seed) for pulse in SETS for link in links.values() for seed in SEEDS]
-    scores = dict(zip(cases, sweep(score, cases), strict=True))
+    """Print the tables: links as `parse_link` reads them, by name. Uses all cores."""
+    steady = [(each.name, each.sensed, each.true, SCORED_FROM_S) for each in pulses(SECONDS, 1)]
+    turning = [(name, *turned(name), TURN_S) for name in TURNS]
+    cases = [
+        Case(name, _in_n(sensed, true), _in_n(true, true), from_s, link, predictor)
+        for name, sensed, true, from_s in steady + turning
+        for link in links.values()
+        for predictor in PREDICTORS
+    ]
+    scores = {
+        (case.pulse, case.link, case.predictor): score
+        for case, score in zip(cases, sweep(score, cases), strict=True)
+    }
     rows = []
-    for pulse in SETS:
-        for name, link in links.items():
-            each = [scores[Case(pulse, link, seed)] for seed in SEEDS]
-            rows.append((pulse, name, *_figures(each)))
+    for name, *_ in steady + turning:
+        for link, text in links.items():
+            stack, linear = (scores[name, text, predictor] for predictor in PREDICTORS)
+            rows.append(
+                (
+                    *(name, link, f"{stack.aligned - linear.aligned:+.2%}"),
+                    *(f"{stack.in_phase:.1%}", f"{linear.in_phase:.1%}"),
+                    *(f"{stack.delay_ms:.1f}", f"{linear.delay_ms:.1f}"),
+                    f"{stack.risen_s:.1f}" if name in TURNS else "",
+                )
+            )
     show(
-        f"the stack at E = auto, {TURN_S:g} to {SECONDS:g} s of {len(SEEDS)} pulses: share of the"
-        " time trusted; when that is lost (s, the latest); while trusted, at E = 0: RMSE in phase"
-        " over the pulse's height, and share of the time within a tenth of it",
-        ("pulse", "link", "trusted", "lost after", "RMSE", "within JND"),
+        "E = auto: RMS errors over the pulse's height, E in ms, and when E exceeds 20 ms (s)",
+        (
+            *("pulse", "link", "aligned, stack over linear", "in phase, stack", "linear"),
+            *("E, stack", "E, linear", "E above 20 ms after"),
+        ),
         rows,
     )
 
 
 def score(case: Case) -> Score:
     """Play a case."""
-    true_n = pulse_n(case.pulse, case.seed)
-    noise = np.random.default_rng((case.seed, 1)).standard_normal(len(true_n))
-    now_s, errors_n, trusted, delay_ns = [], [], [], []
+    true_n, errors_n, delays = case.true_n, [], []
 
     def watch(felt: TickState) -> None:
-        sample = round((felt.now_ns - STREAM_BEGINS_NS) * RATE_HZ * 1e-9)
-        if sample < len(true_n):
-            now_s.append(sample / RATE_HZ)
-            errors_n.append(felt.felt_n - true_n[sample])
-            trusted.append(felt.trusted)
-            delay_ns.append(felt.playout_delay_ns)
+        now_s = (felt.now_ns - STREAM_BEGINS_NS) * 1e-9
+        delay_s = felt.playout_delay_ns * 1e-9
+        if now_s * RATE_HZ < len(true_n) - 1:
+            now_n, played_n = (_at(true_n, at_s) for at_s in (now_s, now_s - delay_s))
+            errors_n.append((felt.felt_n - played_n, felt.felt_n - now_n))
+            delays.append((now_s - case.from_s, delay_s))
 
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder, "pulse.npy")
-        np.save(path, true_n + NOISE_N * noise)
-        Simulation(_scene(path, case.link), case.seed).run(SECONDS, TURN_S, watch)
-    settled = np.array(trusted) & (np.array(delay_ns) < SETTLED_NS)
-    lost_at = int(np.argmin(trusted)) if trusted[0] and not all(trusted) else None
-    return Score(
-        float(np.mean(trusted)),
-        None if lost_at is None else now_s[lost_at] - TURN_S,
-        np.array(errors_n)[settled],
-    )
+        np.save(path, case.sensed_n)
+        seconds = min(SECONDS, len(true_n) / RATE_HZ - 1)
+        Simulation(_scene(path, case), 1).run(seconds, case.from_s, watch)
+    aligned, in_phase = np.sqrt(np.mean(np.square(errors_n), axis=0)) / SIZE_N
+    risen_s = next((at_s for at_s, delay_s in delays if delay_s > 0.02), math.nan)
+    mean_ms = 1e3 * float(np.mean([delay_s for _, delay_s in delays]))
+    return Score(float(aligned), float(in_phase), mean_ms, risen_s)
 
 
-def pulse_n(name: str, seed: int) -> Floats:
-    """Return one of `SETS`, at 1 kHz, without noise."""
-    rng = np.random.default_rng((seed, SETS.index(name)))
+def turned(name: str) -> tuple[Floats, Floats]:
+    """Return one of `TURNS` at 1 kHz, as sensed and true."""
+    rng = np.random.default_rng(TURNS.index(name))
     calm = make_rhythm(rng, SECONDS, 0.04, lambda _: 75.0)
-    ramp = make_rhythm(rng, SECONDS, 0.0, lambda t_s: 60 + 60 * t_s / SECONDS)
-    match name:
-        case "ramp":
-            unit = drawn(ramp, "wide", SECONDS, 1.0)
-        case "ectopic":
-            unit = _wide(with_ectopics(make_rhythm(rng, SECONDS, 0.02, lambda _: 75.0), rng, 20))
-        case "fibrillation":
-            before = calm.intervals_s[: np.searchsorted(np.cumsum(calm.intervals_s), TURN_S)]
-            after = fibrillating(rng, SECONDS - TURN_S)
-            intervals_s = np.concatenate([before, after.intervals_s])
-            unit = _wide(Beats(intervals_s, np.ones(len(intervals_s))))
-        case _:
-            unit = breathing(_wide(calm))
-    begins, turns = RATE_HZ * round(TURN_S / 2), RATE_HZ * round(TURN_S)
-    force_n = through_chain(unit)
-    force_n *= SIZE_N / np.ptp(force_n[begins:turns])
-    if name == "movement":
-        shifts_n = SHIFT_N * rng.standard_normal(round((SECONDS - TURN_S) * SHIFTS_HZ))
-        moved_n = np.repeat(shifts_n, RATE_HZ // SHIFTS_HZ)
-        force_n[turns:] += through_chain(np.concatenate([[0.0], moved_n]))[1:]
-    return np.asarray(STATIC_N + force_n)
+    if name == "the arm moves":
+        true = through_chain(drawn(calm, "wide", SECONDS, NOMINAL_BEAT_S))
+        turn = RATE_HZ * round(TURN_S)
+        height = float(np.ptp(true[turn // 2 : turn]))
+        shifts = rng.standard_normal(round((SECONDS - TURN_S) * SHIFTS_HZ))
+        moved = np.repeat(shifts * height * SHIFT_N / SIZE_N, RATE_HZ // SHIFTS_HZ)
+        true[turn:] += through_chain(np.concatenate([[0.0], moved]))[1:]
+    else:
+        before = calm.intervals_s[: np.searchsorted(np.cumsum(calm.intervals_s), TURN_S)]
+        after = fibrillating(rng, SECONDS - TURN_S)
+        intervals_s = np.concatenate([before, after.intervals_s])
+        beats = Beats(intervals_s, np.ones(len(intervals_s)))
+        true = through_chain(drawn(beats, "wide", SECONDS, NOMINAL_BEAT_S))
+    return true + NOISE * true.std() * rng.standard_normal(len(true)), true
 
 
-def _wide(beats: Beats) -> Floats:
-    return drawn(beats, "wide", SECONDS, NOMINAL_BEAT_S)
+def _in_n(pulse: Floats, true: Floats) -> Floats:
+    """Return a pulse with the height that `true` has before the turn scaled to `SIZE_N`."""
+    settled = true[round(RATE_HZ * SCORED_FROM_S) : round(RATE_HZ * TURN_S)]
+    low, high = np.percentile(settled, [0.5, 99.5])
+    return np.asarray(STATIC_N + SIZE_N * pulse / (high - low))
 
 
-def _scene(pulse: Path, link: str) -> Scene:
-    radial = load_scene(find_scene("radial"))
+def _at(true_n: Floats, at_s: float) -> float:
+    first = max(int(at_s * RATE_HZ), 0)
+    before, after = true_n[first : first + 2]
+    return float(before + (at_s * RATE_HZ - first) * (after - before))
+
+
+def _scene(pulse: Path, case: Case) -> Scene:
+    radial = load_scene(find_scene("radial"), {"predictor": case.predictor})
     table = {"path": str(pulse), "rate": f"{RATE_HZ} Hz", "unit": "N", "repeat": "once"}
     source = RecordingScene.model_validate({"kind": "recording", **table})
-    return replace(
-        radial,
-        sensing=radial.sensing.model_copy(update={"source": source}),
-        display=radial.display.model_copy(update={"predictor": "stack"}),
-        link=parse_link(link),
-    )
-
-
-def _figures(scores: list[Score]) -> tuple[str, ...]:
-    errors_n = np.concatenate([each.errors_n for each in scores])
-    lost_s = [each.lost_s for each in scores if each.lost_s is not None]
-    trusted = f"{np.mean([each.trusted for each in scores]):.2f}"
-    lost = f"{max(lost_s):.1f}" if lost_s else "–"
-    if not len(errors_n):
-        return trusted, lost, "–", "–"
-    rmse = float(np.sqrt(np.mean(errors_n**2))) / SIZE_N
-    return trusted, lost, f"{rmse:.1%}", f"{np.mean(np.abs(errors_n) < JND * SIZE_N):.1%}"
+    sensing = radial.sensing.model_copy(update={"source": source})
+    return replace(radial, sensing=sensing, link=parse_link(case.link))
