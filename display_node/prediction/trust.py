@@ -104,7 +104,8 @@ class Trust:
             The pulse's height in N.
         """
         self._next_ns = now_ns + STEP_NS
-        most = max(required_ns, 0) // STEP_NS
+        # At least one step: the few milliseconds of a local network are predicted as well.
+        most = max(required_ns // STEP_NS, 1)
         if not squares_n2 or not size_n:
             self._rise_to = self._fall_to = most
         else:
