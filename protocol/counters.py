@@ -221,7 +221,8 @@ class ErrorWindowCounter:
         """Add consecutive ticks, each array of shape (n,). An unknown error is NaN."""
         if self._first_ns is None:
             self._first_ns = int(now_ns[0])
-        at_s = (now_ns - self._first_ns) * 1e-9
+        # A step of the clock may lead back before the first tick.
+        at_s = np.maximum(now_ns - self._first_ns, 0) * 1e-9
         self._last_s = max(self._last_s, float(at_s[-1]))
         doubled = SINGLE_SECONDS + np.log2(np.maximum(at_s / SINGLE_SECONDS, 1))
         windows = np.where(at_s < SINGLE_SECONDS, at_s, doubled).astype(np.int64)

@@ -161,8 +161,8 @@ class ClassicBuffer(MessageLink):
 
     delay_ns: ClassVar[int] = 0
 
-    def data_arrival_ns(self, now_ns: int, size: int) -> int | None:
-        arrival_ns = super().data_arrival_ns(now_ns, size)
+    def data_arrival_ns(self, now_ns: int, size_bytes: int, path: int = 0) -> int | None:
+        arrival_ns = super().data_arrival_ns(now_ns, size_bytes, path)
         played_ns = now_ns + self.delay_ns
         return None if arrival_ns is None or arrival_ns > played_ns else played_ns
 

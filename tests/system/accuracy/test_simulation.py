@@ -22,8 +22,12 @@ SECONDS = 8
 SAMPLES = 1000 * SECONDS
 
 
+# Without a predictor that learns, E is what the buffer requires.
+BUFFERED = {"predictor": "linear"}
+
+
 def with_link(text: str, path: Path = RADIAL) -> Scene:
-    return dataclasses.replace(load_scene(path), link=parse_link(text))
+    return dataclasses.replace(load_scene(path, BUFFERED), link=parse_link(text))
 
 
 def accounted(summary: Summary) -> int:
@@ -50,7 +54,7 @@ def test_a_scene_of_a_live_bench_is_not_simulated(path: Path) -> None:
 
 
 def test_over_a_perfect_link_every_sample_is_played() -> None:
-    summary = simulate(load_scene(RADIAL), seconds=10, seed=1)
+    summary = simulate(load_scene(RADIAL, BUFFERED), seconds=10, seed=1)
     assert accounted(summary) == summary.samples.played == 10_000
     # The error of the nearest microstep alone is 0.18 mN.
     assert summary.force_rmse_n.aligned == pytest.approx(0.18e-3, rel=0.1)
@@ -115,7 +119,7 @@ def test_a_real_recording_is_felt(tmp_path: Path) -> None:
     )
     path = tmp_path / "recorded.toml"
     path.write_text(text.replace('batch = "5 ms"', 'batch = "10 ms"'), encoding="utf-8")
-    summary = simulate(load_scene(path), seconds=20, seed=1)
+    summary = simulate(load_scene(path, BUFFERED), seconds=20, seed=1)
     assert accounted(summary) == summary.samples.played == 2000
     assert summary.within_jnd == 1.0
     assert known(summary.force_rmse_n.aligned) < 0.5e-3

@@ -316,3 +316,13 @@ def test_a_window_without_a_known_error_reports_its_delay() -> None:
     text = windows_text([asdict(each) for each in error.windows])
     assert text is not None
     assert text.splitlines()[1] == "15 to 21 s: E 43.0 ms, aligned unknown, in phase unknown"
+
+
+def test_a_step_of_the_clock_back_before_the_first_tick_counts_as_the_beginning() -> None:
+    ticks_ns = tick_times_ns(1.0, 2.0)
+    error = TrackingError(STRAIN_PER_NEWTON)
+    add_reference(error, frames(sample_times_ns(2.0)))
+    add_output(error, ticks_ns, pulse_n(ticks_ns))
+    add_output(error, ticks_ns - 3_600_000 * MS, pulse_n(ticks_ns))
+    error.finish()
+    assert [each.from_s for each in error.windows] == [0]
