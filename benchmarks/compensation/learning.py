@@ -7,7 +7,7 @@ from typing import NamedTuple
 from benchmarks.measure import show
 from protocol.config.scene_file import find_scene
 from protocol.counters import ErrorWindow
-from protocol.wire.telemetry import TickState
+from protocol.ticks import TickState
 from sensing_node.sources.synthetic import SyntheticScene
 from telepulse.reports.studies.sweep import sweep
 from telepulse.scene import load_scene
