@@ -255,7 +255,9 @@ def windows_text(windows: Sequence[Mapping[str, Any]]) -> str | None:
     """Return one line for each window, as JSON has them; None without any."""
     lines = []
     for each in windows:
-        times = f"{each['from_s']:.0f} to {each['to_s']:.0f} s"
+        # The last window ends with the run.
+        until = f"{each['to_s']:.1f}".removesuffix(".0")
+        times = f"{each['from_s']:.0f} to {until} s"
         errors = (each["aligned_n"], each["in_phase_n"])
         aligned, in_phase = (NEWTONS.text(error) or "unknown" for error in errors)
         delay = f"{each['playout_delay_ms']:.1f} ms"

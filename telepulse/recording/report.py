@@ -111,8 +111,9 @@ def _summary(findings: RunFindings) -> Table:
         tuple(row for row in rows if row[1:] != (NONE, NONE)),
         note=f"The display's own: by {last}. From the recording: computed from frames, clock"
         " replies and ticks with the display's own modules. A tick is recorded with the time at"
-        " which it was due, not at which it began: samples that arrived in between count as late."
-        " Ticks missed before the first one and losses after the last frame are not included.",
+        " which it was due, not at which it began: samples that arrived in between count as"
+        " predicted or late. Ticks missed before the first one and losses after the last frame are"
+        " not included.",
     )
 
 
