@@ -47,7 +47,7 @@ def main() -> None:
                 play(Path(folder), f"{LOSS_FREE},loss={loss.replace(' ', '')}", paths=paths),
             )
             for loss in ("0 %", "1 %", "3 %")
-            for paths in ("1", "3", AUTO)
+            for paths in ("1", "2", "3", AUTO)
         ]
         model = simulated(Path(folder))
         cuts = [
@@ -64,7 +64,7 @@ def main() -> None:
     show(
         f"Paths at 20±3 ms, 10 ms frames, {SECONDS:g} s each, TCP's {control}: one-way delay in ms;"
         f" the bar for 3 is {BAR} times the p99 of one without loss, and none lost",
-        ("loss", "paths", "open", "stalls", "p50", "p99", "max", "over first", "mean E", "lost"),
+        ("loss", "paths", "open", "stall", "p50", "p99", "max", "over first", "mean E", "lost"),
         [
             *(row(loss, paths, run.display, base_ms) for loss, paths, run in runs),
             row("1 %, simulated", "1", model, base_ms),

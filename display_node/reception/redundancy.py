@@ -16,8 +16,7 @@ LEAST_STALLS = 2
 # A shorter gap is as likely a stall of a program, and costs less delay than a finger notices.
 LEAST_STALL_NS = 20_000_000
 # A gap is no stall unless it exceeds a frame by this many times the mean excess, which jitter has.
-# Without loss, the longest gap of an hour at 40±10 ms exceeds it 11 times, one in ten thousand 8
-# times.
+# An hour of jitter opens nothing then (tests/unit/display_node/reception/test_redundancy.py).
 JITTERS = 10
 AVERAGED_GAPS = 256
 # A bunch after a gap has at least this share of the frames that were due in it, and comes within

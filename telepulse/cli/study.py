@@ -99,6 +99,27 @@ def prediction(
 
 
 @app.command()
+def cost(
+    out: FolderOption = Path("out/cost"),
+    json: TablesOption = None,
+    scheduler: SchedulerOption = None,
+) -> None:
+    """Compare settings by speed and error: tick, predictor, delay, frames and connections.
+
+    Simulates them on all cores; then, as root, runs both nodes as processes over an emulated link,
+    and on a host slowed down to a tenth. Takes some fifteen minutes on two cores.
+    """
+    from telepulse.reports.studies import cost_report, cost_scores
+
+    effort = cost_scores.CostEffort()
+    publish(
+        lambda: cost_report.report_costs(cost_scores.score_costs(effort, scheduler), effort),
+        out,
+        json,
+    )
+
+
+@app.command()
 def link(
     out: FolderOption = Path("out/link"),
     json: TablesOption = None,

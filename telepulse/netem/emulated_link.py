@@ -3,8 +3,8 @@
 import json
 import tempfile
 import time
-from collections.abc import Iterator
-from contextlib import closing, contextmanager
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager, closing, contextmanager, nullcontext
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from subprocess import PIPE
@@ -91,6 +91,9 @@ def _receive(forwarder: ChildProcess) -> dict[str, int]:
     return table
 
 
+MeasuredWithin = Callable[[Sequence[int]], AbstractContextManager[None]]
+
+
 @dataclass(frozen=True, slots=True)
 class NodesOutcome:
     """Both nodes' summaries of a run, and the counts of the links.
@@ -112,12 +115,14 @@ def run_nodes(
     seconds: float,
     seed: int = 1,
     telemetry: str = "tcp://127.0.0.1:*",
+    measured: MeasuredWithin = lambda _: nullcontext(),
 ) -> NodesOutcome:
     """Run both nodes with the scene at `path`, a namespace each, for `seconds` of pulse.
 
     The display connects to an address on each of `links`, which replace the scene's link.
-    telemetry: address to publish on; ipc is reachable from outside the namespace. Raises
-    EmulatorError or ProcessError.
+    telemetry: address to publish on; ipc is reachable from outside the namespace. measured: makes,
+    from the processes' ids, a context for the middle of the stream. Raises EmulatorError or
+    ProcessError.
     """
     with (
         tempfile.TemporaryDirectory(prefix="telepulse-") as folder,
@@ -143,23 +148,26 @@ def run_nodes(
                     stderr=PIPE,
                 )
             with sensing:
-                shares = _cpu_shares(sensing, display, seconds=seconds)
+                shares = _cpu_shares([sensing.pid, display.pid], seconds, measured)
                 sensed = sensing.await_summary(seconds + ENDS_WITHIN_S)
                 played = display.await_summary(ENDS_WITHIN_S)
     return NodesOutcome(sensed, played, emulated.carried, *shares)
 
 
-def _cpu_shares(*processes: NodeProcess, seconds: float) -> list[float | None]:
+def _cpu_shares(
+    pids: Sequence[int], seconds: float, measured: MeasuredWithin
+) -> list[float | None]:
     """Measure the share of a core that each process uses in the middle of the stream.
 
     Start and end of the processes are left out. Returns None for each if too little is left.
     """
     measured_s = seconds - STARTS_WITHIN_S - ENDS_AFTER_S
     if measured_s <= 0:
-        return [None] * len(processes)
+        return [None] * len(pids)
     time.sleep(STARTS_WITHIN_S)
-    before_s, began_s = [cpu_time_s(process.pid) for process in processes], time.monotonic()
-    time.sleep(measured_s)
-    passed_s = time.monotonic() - began_s
-    after_s = [cpu_time_s(process.pid) for process in processes]
+    with measured(pids):
+        before_s, began_s = [cpu_time_s(pid) for pid in pids], time.monotonic()
+        time.sleep(measured_s)
+        passed_s = time.monotonic() - began_s
+        after_s = [cpu_time_s(pid) for pid in pids]
     return [(after - before) / passed_s for before, after in zip(before_s, after_s, strict=True)]

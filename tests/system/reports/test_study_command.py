@@ -10,6 +10,7 @@ from typer.testing import CliRunner, Result
 from telepulse.cli.main import app
 from telepulse.reports.document import THEMES
 from telepulse.reports.studies import (
+    cost_scores,
     integrator_study,
     link_scores,
     playout_study,
@@ -18,9 +19,10 @@ from telepulse.reports.studies import (
 )
 from telepulse.reports.studies.link_scores import PREDICTORS, LinkSpec
 from telepulse.reports.studies.playout_links import GAUSSIAN
+from tests.system.reports import test_cost_study
 from tests.system.reports.test_prediction_study import made_up
 
-SWEPT = ("playout", "prediction", "link")
+SWEPT = ("playout", "prediction", "link", "cost")
 
 
 def study(*arguments: object) -> Result:
@@ -42,6 +44,8 @@ def little_work(monkeypatch: pytest.MonkeyPatch) -> None:
     play = playout_study.PlayoutEffort(
         seconds=3, scan=2, bisections=1, links=(GAUSSIAN,), curves=(GAUSSIAN,)
     )
+    costs, cost = cost_scores.score_costs, test_cost_study.LITTLE
+    monkeypatch.setattr(cost_scores, "score_costs", lambda _, address: costs(cost, address))
     monkeypatch.setattr(sweep, "in_one_thread", lambda work, _: alone(work, integrators))
     monkeypatch.setattr(link_scores, "pulses", lambda *_, **__: [])
     monkeypatch.setitem(link_scores.LINKS, "far", far)
@@ -56,6 +60,7 @@ def little_work(monkeypatch: pytest.MonkeyPatch) -> None:
         ("integrators", ("work-precision",), "integrator", [integrator_study.DEFAULT, "RK4 × 1"]),
         ("playout", ("playout-1",), "rule", ["best constant", "best moving, 5 %", "ours"]),
         ("prediction", ("error-horizon", "cost-error"), "predictor", ["hold", "linear"]),
+        ("cost", ("cost-1",), "predictor", ["hold"]),
         ("link", ("link-1",), "predictor", [name for name in PREDICTORS for _ in range(2)]),
     ],
 )
