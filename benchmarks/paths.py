@@ -47,7 +47,7 @@ def main() -> None:
                 play(Path(folder), f"{LOSS_FREE},loss={loss.replace(' ', '')}", paths=paths),
             )
             for loss in ("0 %", "1 %", "3 %")
-            for paths in ("1", "2", "3", AUTO)
+            for paths in ("1", "3", AUTO, *(("2",) if loss != "0 %" else ()))
         ]
         model = simulated(Path(folder))
         cuts = [
