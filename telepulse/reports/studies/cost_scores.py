@@ -18,7 +18,7 @@ from display_node.prediction import PredictorName
 from protocol.config.scene_file import find_scene
 from protocol.histogram import Histogram
 from protocol.run_summary import Summary
-from protocol.wire.telemetry import TickState
+from protocol.ticks import TickState
 from telepulse.netem import NodesOutcome, cpu_quota, run_nodes, unavailable
 from telepulse.reports.studies.sweep import sweep
 from telepulse.scene import load_scene
