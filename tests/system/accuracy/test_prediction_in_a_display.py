@@ -95,3 +95,13 @@ def test_received_samples_and_a_new_session_have_no_expected_error() -> None:
     play(under_test, Sender(session=8), 4_000, 6_000)
     assert under_test.receiver.sessions == 2
     assert math.isnan(under_test.tick_state.predictor_error_n)
+
+
+def test_samples_of_a_stale_stream_are_late_however_far_prediction_was_trusted_before() -> None:
+    cut = parse_link("delay=20ms,transport=tcp,cut.from=15s,cut.for=400ms")
+    samples = simulate(replace(load_scene(RADIAL), link=cut), 18, seed=1).samples
+    assert_accounted(asdict(samples))
+    assert known(samples.predicted) > 5_000
+    # The force fades once the newest sample is 60 ms older than usual.
+    assert known(samples.late) > 400 - 60
+    assert samples.lost == 0
