@@ -6,6 +6,7 @@ import sys
 NAMES = (
     "wire",
     "simulation",
+    "core",
     "compensation",
     "paths",
     "peers",

@@ -4,7 +4,6 @@ The counters give the figures of `protocol.counters`, whose models are not compi
 """
 
 import math
-from collections import Counter
 from dataclasses import dataclass
 
 import numpy as np
@@ -41,12 +40,12 @@ class AvailabilityCounter:
 
     def __init__(self, tick_s: float) -> None:
         self._tick_s = tick_s
-        self._ticks: Counter[str] = Counter()
+        self._ticks: dict[str, int] = {}
         self._all = self._missed = 0
 
     def add(self, state: str, elapsed_ticks: int) -> None:
         """Count a tick in a state, `elapsed_ticks` after the last one that ran."""
-        self._ticks[state] += 1
+        self._ticks[state] = self._ticks.get(state, 0) + 1
         self._all += elapsed_ticks
         self._missed += elapsed_ticks - 1
 

@@ -1,0 +1,104 @@
+"""The pure and the compiled core in turns: simulation, live tick, latency into the jitter buffer.
+
+`python -m benchmarks.core simulate|tick|latency` runs one part with the modules that it finds, and
+prints its figures as JSON; the benchmark runs it for either build.
+"""
+
+import json
+import statistics
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.measure import show
+from benchmarks.peers import BARE, BARE_CURVE, OURS, OURS_CURVE
+from benchmarks.peers.race import run
+from protocol.config.scene_file import find_scene
+from telepulse.scene import load_scene
+from telepulse.simulation.virtual_time import Simulation
+from tests.support.compiled_core import build, run_in
+from tests.support.nodes import ROOT, run_python
+
+ROUNDS = 3
+SECONDS = 20.0
+TICK_SECONDS = "20"
+MESSAGES = 2_000
+LINK = "delay=40ms,jitter=10ms,loss=1%"
+
+
+def simulate() -> dict[str, float]:
+    """Return the simulated time over the processor time of `radial`, without and with learning."""
+    radial, speeds = load_scene(find_scene("radial")), {}
+    for predictor in ("linear", "stack"):
+        display = radial.display.model_copy(update={"predictor": predictor})
+        simulation = Simulation(replace(radial, display=display), seed=1)
+        began_s = time.process_time()
+        simulation.run(SECONDS)
+        speeds[f"simulate radial, {predictor}"] = SECONDS / (time.process_time() - began_s)
+    return speeds
+
+
+def tick() -> dict[str, float]:
+    """Return the quantiles of the time of a live tick with the stack, in µs."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "summary.json"
+        words = ("demo", "--seconds", TICK_SECONDS, "--no-ui", "--link", LINK, "--json", str(path))
+        ended = run_python("-m", "telepulse", *words, cwd=Path.cwd(), timeout=120)
+        assert ended.returncode == 0, ended.stderr
+        tick_us = json.loads(path.read_text(encoding="utf-8"))["loop"]["tick_us"]
+    return {f"live tick {name} in µs": tick_us[name] for name in ("p50", "p99")}
+
+
+def latency() -> dict[str, float]:
+    """Return p50 of the time until a frame is done, over that of pyzmq until it is decoded."""
+    figures = {}
+    for name, ours, bare in (("", OURS, BARE), (", CURVE", OURS_CURVE, BARE_CURVE)):
+        runs = [run(peer.module, peer.curve, MESSAGES) for peer in (bare, ours)]
+        base_us, usable_us = (float(np.median(each.delays_ns)) * 1e-3 for each in runs)
+        figures[f"pyzmq in µs{name}"] = base_us
+        figures[f"latency over pyzmq{name}"] = usable_us / base_us
+        figures[f"done over pyzmq{name}"] = float(np.median(runs[1].done_ns)) * 1e-3 / base_us
+    return figures
+
+
+PARTS: dict[str, Callable[[], dict[str, float]]] = {
+    "simulate": simulate,
+    "tick": tick,
+    "latency": latency,
+}
+
+
+def main() -> None:
+    """Build the compiled core, run the parts of both builds in turns, and print the table."""
+    with tempfile.TemporaryDirectory() as temporary:
+        began_s = time.monotonic()
+        build(Path(temporary), opt="2")
+        print(f"compiled in {time.monotonic() - began_s:.0f} s")
+        folders = {"pure": ROOT, "compiled": Path(temporary)}
+        found: dict[str, dict[str, list[float]]] = {name: {} for name in folders}
+        for _ in range(ROUNDS):
+            for name, folder in folders.items():
+                for part in PARTS:
+                    printed = run_in(folder, "-m", "benchmarks.core", part)
+                    for key, value in json.loads(printed).items():
+                        found[name].setdefault(key, []).append(value)
+    rows = []
+    for key, pure in found["pure"].items():
+        compiled = found["compiled"][key]
+        ratios = [after / before for before, after in zip(pure, compiled, strict=True)]
+        middle = [statistics.median(values) for values in (pure, compiled, ratios)]
+        rows.append((key, *(f"{value:.3g}" for value in middle)))
+    show(
+        f"Pure and compiled core in turns, medians of {ROUNDS} rounds; ratios of a round",
+        ("figure", "pure", "compiled", "compiled / pure"),
+        rows,
+    )
+
+
+if __name__ == "__main__":
+    print(json.dumps(PARTS[sys.argv[1]]()))
