@@ -1,15 +1,16 @@
 """Feed-forward: the screw's path with which the tip follows a reference known in advance.
 
-It inverts the contact law, the rotor's resonance and the backlash (decision 9). The playout buffer
-holds the reference's next samples. So derivatives need no filter, and the backlash is crossed where
-the reference turns, not after.
+It inverts the contact law, the rotor's resonance and the backlash (decision 9), and shapes the path
+of a rotor that rings (decision 35). The playout buffer holds the reference's next samples. So
+derivatives need no filter, and the backlash is crossed where the reference turns, not after.
 """
 
 import math
-from collections import deque
 
+from display_node.control.shaper import InputShaper, rotor_rings, shaper_weights
 from display_node.plant.contact import ContactLaw
 from display_node.plant.scene import StepperScene
+from display_node.plant.stepper import Backlash, Rotor
 
 # A turn smaller than this share of the backlash is not followed to the other flank.
 TURN_SHARE = 0.25
@@ -22,6 +23,10 @@ class ScrewPath:
     ----------
     horizon
         Number of ticks after the present one that the reference must cover.
+    lead_s
+        Delay in s of the shaper: the reference begins this much later than now.
+    shaped
+        True where the rotor rings, and the path is shaped.
     tip_m, screw_m
         Positions of tip and screw in m at the present tick's end.
     further_m
@@ -31,20 +36,39 @@ class ScrewPath:
     def __init__(self, scene: StepperScene, law: ContactLaw, tick_s: float) -> None:
         self._law = law
         self._tick_s = tick_s
-        self._rotor: tuple[float, float] | None = None
+        self._inverse: tuple[float, float] | None = None
+        self._shaper: InputShaper | None = None
         self._gap: Gap | None = None
-        self.horizon = 1
+        self.horizon, self.lead_s = 1, 0.0
         if scene.rotor_resonance_hz is not None:
-            w = 2 * math.pi * scene.rotor_resonance_hz
-            self._rotor = scene.rotor_damping / (w * tick_s), 1 / (w * tick_s) ** 2
+            hz, damping = scene.rotor_resonance_hz, scene.rotor_damping
+            w = 2 * math.pi * hz
+            bend_s2 = 1 / w**2
+            if rotor_rings(hz, damping, tick_s):
+                weights = shaper_weights(hz, damping, tick_s)
+                self._shaper = shaper = InputShaper(weights, tick_s)
+                self._rotor = Rotor(hz, damping, tick_s)
+                self._backlash = Backlash(scene.backlash_m)
+                self.lead_s = shaper.delay_s
+                # The shaper smooths the path by half its variance times x''.
+                bend_s2 -= shaper.spread_s2 / 2
+            self._inverse = damping / (w * tick_s), bend_s2 / tick_s**2
             self.horizon = 2
         if scene.backlash_m:
-            self._gap = Gap(scene, tick_s)
-            self.horizon = max(self.horizon, 2 + self._gap.lead)
+            self._gap = Gap(scene.backlash_m)
+            self.horizon = 2
+        self.shaped = self._shaper is not None
         self._fed_m: float | None = None
         self.tip_m = self.screw_m = self.further_m = 0.0
 
-    def advance(self, reference_n: list[float], held_s: float = 0.0) -> float:
+    def advance(
+        self,
+        reference_n: list[float],
+        held_s: float = 0.0,
+        ticks: int = 1,
+        fastest_m_per_s: float = math.inf,
+        furthest_m: float = math.inf,
+    ) -> float:
         """Set the positions at this tick's end, and return its speed in m/s.
 
         Parameters
@@ -53,23 +77,41 @@ class ScrewPath:
             Reference force now and in each of the next `horizon` ticks, in N.
         held_s
             Expected holding time of the speed in s, if longer than a tick.
+        ticks
+            Ticks since the last call.
+        fastest_m_per_s, furthest_m
+            Bounds of a shaped path: of the screw's speed, and of the tip's position in m.
         """
         position = self._law.position
-        self.tip_m = screw_m = position(reference_n[1])
-        if self._rotor is not None:
+        before_m, tip_m = position(reference_n[0]), position(reference_n[1])
+        screw_m, offset_m, shaper = tip_m, 0.0, self._shaper
+        if self._inverse is not None:
             # The inverse x + (2ζ/ω) x' + x''/ω² is exact in continuous time, without zeros.
-            slope, bend = self._rotor
-            before_m, after_m = position(reference_n[0]), position(reference_n[2])
+            slope, bend = self._inverse
+            if ticks > 1:
+                # Held for some ticks, the bend of a corner would be too large.
+                bend = 0.0
+            after_m = position(reference_n[2])
             screw_m += slope * (after_m - before_m) + bend * (after_m - 2 * screw_m + before_m)
         if self._gap is not None:
-            screw_m += self._gap.cross([position(force_n) for force_n in reference_n[1:]])
-        if self._fed_m is None:
-            self._fed_m = position(reference_n[0]) + screw_m - self.tip_m
-        self.screw_m = screw_m
-        self.further_m = 0.0
+            offset_m = self._gap.cross([position(force_n) for force_n in reference_n[1:]])
+        if shaper is None:
+            screw_m += offset_m
+            if self._fed_m is None:
+                self._fed_m = before_m + screw_m - tip_m
+            travel_m = tip_m - before_m
+        else:
+            if self._fed_m is None:
+                self._fed_m = self.screw_m = self._rotor.position_m = before_m + offset_m
+                shaper.start(self._fed_m)
+            wanted_m = min(furthest_m, max(0.0, screw_m)) + offset_m
+            screw_m = shaper.advance(wanted_m, fastest_m_per_s * self._tick_s, ticks)
+            tip_m = self._backlash.step(self._rotor.step(self.screw_m, screw_m))
+            travel_m = (screw_m - self.screw_m) / ticks
+        self.tip_m, self.screw_m, self.further_m = tip_m, screw_m, 0.0
         if held_s > self._tick_s:
             # A pulse's slope is no prediction for more than one further tick.
-            slope_m_per_s = (self.tip_m - position(reference_n[0])) / self._tick_s
+            slope_m_per_s = travel_m / self._tick_s
             self.further_m = slope_m_per_s * min(held_s - self._tick_s, self._tick_s)
         speed_m_per_s = (screw_m + self.further_m - self._fed_m) / max(held_s, self._tick_s)
         self._fed_m += speed_m_per_s * self._tick_s
@@ -82,38 +124,18 @@ class ScrewPath:
 
 
 class Gap:
-    """Offset of the screw to the flank of the backlash that drives the tip.
+    """Offset of the screw to the flank of the backlash that drives the tip."""
 
-    The change of flank is a zero-vibration input shape (Singer and Seering 1990): two steps, half a
-    period of the rotor apart, after which the rotor is at rest.
-    """
-
-    def __init__(self, scene: StepperScene, tick_s: float) -> None:
-        self._half_m = scene.backlash_m / 2
-        self._least_turn_m = scene.backlash_m * TURN_SHARE
+    def __init__(self, backlash_m: float) -> None:
+        self._half_m = backlash_m / 2
+        self._least_turn_m = backlash_m * TURN_SHARE
         self._extreme_m = -math.inf
         self._direction = 1
-        # Shares of the offset now, `delay` ticks later and one tick after that.
-        self._shares = 1.0, 0.0, 0.0
-        damping, delay = scene.rotor_damping, 0
-        if scene.rotor_resonance_hz is not None and damping < 1:
-            damped = math.sqrt(1 - damping * damping)
-            half_period = 1 / (2 * scene.rotor_resonance_hz * damped) / tick_s
-            kept = math.exp(-damping * math.pi / damped)
-            delay, part = int(half_period), half_period % 1.0
-            late = kept / (1 + kept)
-            self._shares = 1 - late, late * (1 - part), late * part
-        # The steps begin this many ticks before the turn, so that the turn lies between them.
-        self.lead = 1 if delay else 0
-        self._past: deque[int] = deque([self._direction] * (delay + 2), delay + 2)
 
     def cross(self, tip_m: list[float]) -> float:
         """Return the screw's offset in m for the next tick; tip_m: positions from that tick on."""
-        self._turn(tip_m[self.lead :])
-        past = self._past
-        past.append(self._direction)
-        at_once, late, later = self._shares
-        return self._half_m * (at_once * past[-1] + late * past[1] + later * past[0])
+        self._turn(tip_m)
+        return self._half_m * self._direction
 
     def _turn(self, tip_m: list[float]) -> None:
         direction = self._direction

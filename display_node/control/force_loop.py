@@ -31,7 +31,8 @@ class ForceLoop:
     overforce_n
         Readings beyond ±overforce_n are ignored.
     lead_ns
-        Latency of the actuator in ns: the reference begins this much later than now.
+        Latency of the actuator and delay of its shaper in ns: the reference begins this much later
+        than now.
     at_end
         Counter of the ticks at the end of the travel; None for an actuator without an end.
 
@@ -165,5 +166,5 @@ def build_force_loop(
     def move(speed_m_per_s: float) -> float:
         return stepper.step(speed_m_per_s * steps_per_m)
 
-    lead_ns, at_end = actuator.latency_ns, stepper.at_end
-    return ForceLoop(speed, move, reading, overforce_n, tick_s, lead_ns, at_end)
+    lead_ns = actuator.latency_ns + round(speed.lead_s * 1e9)
+    return ForceLoop(speed, move, reading, overforce_n, tick_s, lead_ns, stepper.at_end)

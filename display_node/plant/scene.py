@@ -57,7 +57,7 @@ class StepperScene(Section):
     thrust_n: Annotated[Newtons, Field(gt=0)] = 100.0
     tip_radius_m: Annotated[Metres, Field(ge=1e-6, le=1)] = 5e-3
     fingertip_n_per_m: Annotated[NewtonsPerMetre, Field(ge=1e-3, le=1e12)] = 1e3
-    rotor_resonance_hz: Annotated[Hertz, Field(ge=0.1, le=10_000)] | None = None
+    rotor_resonance_hz: Annotated[Hertz, Field(ge=10, le=10_000)] | None = None
     rotor_damping: Annotated[float, Field(ge=0, le=10)] = 0.2
     backlash_m: Annotated[Metres, Field(ge=0, le=1e-3)] = 0.0
     latency_ns: Annotated[Nanoseconds, Field(ge=0, le=50_000_000)] = 0

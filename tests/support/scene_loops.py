@@ -2,12 +2,14 @@
 
 import math
 import random
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
+from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
 
 from display_node.control.safety import Safety
+from display_node.plant.scene import StepperScene
 from display_node.scene import DisplayScene
 
 REQUESTED_N = (0.0, 1e30, -1e30, 1.0, 0.3)
@@ -18,18 +20,50 @@ PEAK_N, BEAT_S, EVERY_S = 0.53, 0.12, 0.5
 Host = Callable[[random.Random, float], int]
 
 
-def felt_under_jumps(scene: DisplayScene, jumps: int) -> NDArray[np.float64]:
-    """Return the felt force in N after each tick, where the requested force jumps at random."""
-    loop = scene.force_loop()
+def felt_under(
+    scene: DisplayScene, requested_n: Iterable[float], actual: StepperScene | None = None
+) -> NDArray[np.float64]:
+    """Return the felt force in N after each tick, for a requested force in N at each tick.
+
+    actual: the simulated stepper, if it differs from the scene's.
+    """
+    loop = scene.force_loop(actual)
     safety = Safety(scene.safety, scene.tick_ns)
-    rng = random.Random(3)
     felt_n = []
+    for force_n in requested_n:
+        target_n = safety.bound([force_n] * (loop.horizon + 1), alive=True)
+        felt_n.append(loop.tick(target_n, loop.read_film()))
+    return np.array(felt_n)
+
+
+def jumping_n(jumps: int, tick_s: float) -> Iterator[float]:
+    """Yield a force in N for each tick, which jumps at random."""
+    rng = random.Random(3)
     for _ in range(jumps):
         requested_n, for_s = rng.choice(REQUESTED_N), rng.choice(FOR_S)
-        for _ in range(round(for_s * 1e9 / scene.tick_ns)):
-            target_n = safety.bound([requested_n] * (loop.horizon + 1), alive=True)
-            felt_n.append(loop.tick(target_n, loop.read_film()))
-    return np.array(felt_n)
+        yield from [requested_n] * round(for_s / tick_s)
+
+
+def swinging_n(period_ticks: int, ticks: int) -> Iterator[float]:
+    """Yield a force in N for each tick: jumps up and down beyond all limits, periodically."""
+    for tick in range(ticks):
+        yield 1e30 if tick % period_ticks < period_ticks // 2 else -1e30
+
+
+def other_rotors(actuator: StepperScene) -> Iterator[StepperScene]:
+    """Yield steppers whose rotor differs by ±20 % in resonance and in damping."""
+    for resonance, damping in product((0.8, 1.2), (0.8, 1.0, 1.2)):
+        changes = {
+            "rotor_resonance_hz": resonance * (actuator.rotor_resonance_hz or math.nan),
+            "rotor_damping": damping * actuator.rotor_damping,
+        }
+        yield actuator.model_copy(update=changes)
+
+
+def slews_n_per_s(felt_n: NDArray[np.float64], tick_s: float) -> tuple[float, float]:
+    """Return the greatest slews of a felt force, up and down."""
+    change = np.diff(felt_n) / tick_s
+    return float(change.max()), float(-change.min())
 
 
 def stalls_always(longest: int) -> Host:
@@ -56,10 +90,11 @@ def press(scene: DisplayScene, host: Host, seconds: float) -> tuple[float, float
         missed = host(rng, now_s)
         loop.coast(missed)
         now_s += missed * tick_s
-        wanted_n = [beat_n(now_s + ahead * tick_s) for ahead in range(loop.horizon + 1)]
+        begin_s = now_s + loop.lead_ns * 1e-9
+        wanted_n = [beat_n(begin_s + ahead * tick_s) for ahead in range(loop.horizon + 1)]
         most_n = max(most_n, loop.felt_n)
         if safety.gain == 1.0:
-            squares, ticks = squares + (loop.felt_n - wanted_n[0]) ** 2, ticks + 1
+            squares, ticks = squares + (loop.felt_n - beat_n(now_s)) ** 2, ticks + 1
         reading_n = loop.read_film()
         most_n = max(most_n, loop.tick(safety.bound(wanted_n, alive=True), reading_n))
         now_s += tick_s

@@ -59,8 +59,11 @@ def run_scene(scene: Scene, actual: StepperScene | None = None) -> TrackingRun:
     safety = display.safety.model_copy(update={"slew_limit_n_per_s": math.inf})
     loop = display.model_copy(update={"safety": safety}).force_loop(actual)
     ticks, reach = round(published.FIRST_S / tick_s), loop.horizon + 1
-    wanted_n = build_source(scene.sensing, scene.path.parent).take(ticks + reach)[:, 0]
-    reference_n = wanted_n.tolist()
+    lead_ticks = loop.lead_ns / display.tick_ns
+    samples = ticks + reach + math.ceil(lead_ticks)
+    wanted_n = build_source(scene.sensing, scene.path.parent).take(samples)[:, 0]
+    at = np.arange(samples)
+    reference_n = np.interp(at + lead_ticks, at, wanted_n).tolist()
     for _ in range(round(SETTLING_S / tick_s)):
         loop.tick(reference_n[:1] * reach, loop.read_film())
     felt_n = []

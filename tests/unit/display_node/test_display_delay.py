@@ -68,18 +68,19 @@ def test_the_covered_delay_includes_the_group_delay_that_is_predicted() -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "group_delay_ms", "horizon"),
-    [("bench", 0, 1), ("bench", GROUP_DELAY_MS, 1), ("paper", 0, 1), ("real_bench", 0, 3)],
+    ("name", "group_delay_ms", "reach_ms"),
+    # The delay of real_bench's shaper is 6.42 ms.
+    [("bench", 0, 1), ("bench", GROUP_DELAY_MS, 1), ("paper", 0, 1), ("real_bench", 0, 2 + 6.42)],
 )
-def test_auto_covers_the_chains_delay_and_reserves_the_loops_horizon(
-    name: str, group_delay_ms: int, horizon: int
+def test_auto_covers_the_chains_delay_and_reserves_the_loops_reach(
+    name: str, group_delay_ms: int, reach_ms: float
 ) -> None:
     under_test = display(name)
     delay_ms = playing(under_test, group_delay_ms)[-1][1]
     # Frames of 5 ms are the link's delay. One sample after the horizon's end is needed to
     # interpolate the last tick.
     assert under_test.receiver.delay.delay_ns == 5 * MS
-    assert delay_ms == pytest.approx(5 + group_delay_ms + horizon + 1, abs=0.01)
+    assert delay_ms == pytest.approx(5 + group_delay_ms + reach_ms + 1, abs=0.01)
     # Nothing is predicted, so the covered delay is E.
     summary = under_test.summary()
     assert summary.covered_delay_ms == pytest.approx(delay_ms, abs=0.01)
