@@ -5,7 +5,7 @@ The predictors are driven as a display drives them, by frames and ticks.
 
 import statistics
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, NamedTuple, get_args
 
 import numpy as np
@@ -13,6 +13,7 @@ import numpy as np
 from display_node.prediction import Predictor, PredictorName, build_predictor
 from display_node.prediction.ensemble import Ensemble
 from telepulse.reports.document import STYLES, Chapter, Plot, Report, Table
+from telepulse.reports.studies.prediction_oracle import known_rhythms, oracle_errors
 from telepulse.reports.studies.prediction_pulses import (
     HIGH_PASS_HZ,
     LOW_PASS_HZ,
@@ -39,6 +40,8 @@ BEGIN_NS = 3_600_000_000_000
 # Costs are measured after this time: while a predictor warms up, a tick costs less.
 COSTLY_FROM_S = 10.0
 TICK_BOUND_US = 150.0
+# A beat is visible to the oracle from 1, 4 or 14 % of its first wave's height on.
+VISIBLE_WIDTHS = (3.0, 2.5, 2.0)
 CHEAP: tuple[PredictorName, ...] = ("hold", "linear")
 Errors = dict[str, tuple[float, ...]]
 
@@ -64,12 +67,14 @@ class PredictorCost(NamedTuple):
 class PredictionScores:
     """NRMSE at each horizon by set and predictor, and costs by the predictor's name in a scene.
 
-    errors_without_shape_cue holds the errors on pulses whose beats' shapes predict no interval.
+    errors_without_shape_cue holds the errors on pulses whose beats' shapes predict no interval;
+    oracle, those of an oracle on two of them, by set and by the widths at which it sees a beat.
     """
 
     errors: dict[str, Errors]
     errors_without_shape_cue: dict[str, Errors]
     costs: dict[str, PredictorCost]
+    oracle: dict[tuple[str, float], tuple[float, ...]] = field(default_factory=dict)
 
     @property
     def medians(self) -> Errors:
@@ -94,7 +99,12 @@ def score_predictors(effort: PredictionEffort, scheduler: str | None = None) -> 
     )
     # Measured after all other cases have ended, so that nothing else runs.
     costs = in_one_thread(all_costs, sets[1].sensed[: round(effort.cost_seconds * RATE_HZ)])
-    return PredictionScores(errors, errors_without_shape_cue, costs)
+    oracle = {
+        (name, widths): oracle_errors(rhythm, effort.seconds, widths, HORIZONS_MS)
+        for name, rhythm in known_rhythms(effort.seconds, effort.seed).items()
+        for widths in VISIBLE_WIDTHS
+    }
+    return PredictionScores(errors, errors_without_shape_cue, costs, oracle)
 
 
 def all_costs(sensed: Floats) -> dict[str, PredictorCost]:
@@ -278,12 +288,30 @@ def _targets_chapter(scores: PredictionScores) -> Chapter:
         " next beat, and a predictor can have less error than an oracle. In the second table a"
         " systole scales with the interval before, and only the rhythm predicts the next beat:"
         f" {_reached(silent)} of {len(silent)} rows are reached there.",
+        "Our own oracle knows the generator: the shape of a beat, the beats until now, and the"
+        " distribution of the next interval, of which it predicts the mean. It sees a beat from the"
+        " given number of widths before the peak of its first wave, which is 1, 4 or 14 % of that"
+        " wave's height, and 20 ms before the chain shows it.",
     )
     tables = (
         _targets_table("Ours / the prototype's", results),
         _targets_table("The same where no shape predicts the next beat", silent),
+        _oracle_table(scores),
     )
     return Chapter("Beside the prototype", paragraphs, tables)
+
+
+def _oracle_table(scores: PredictionScores) -> Table:
+    rows = []
+    for (name, widths), errors in scores.oracle.items():
+        ours = scores.errors_without_shape_cue[name]["stack"]
+        both = (f"{mine:.3f} / {best:.3f}" for mine, best in zip(ours, errors, strict=True))
+        rows.append((name, f"{widths:g} widths", *both))
+    return Table(
+        "The stack / our oracle, where no shape predicts the next beat",
+        ("set", "sees a beat from", *HORIZON_COLUMNS),
+        rows,
+    )
 
 
 def _reached(results: list[TargetResult]) -> int:
