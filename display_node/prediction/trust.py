@@ -46,7 +46,7 @@ HORIZONS = 25
 # Bounds of the RMSE as a share of the pulse's height. With them the pulse felt differs by about
 # 1 % more from the pulse E earlier than without prediction. A finger notices differences above 7 to
 # 10 %, and peak errors are 2.5 times the RMSE.
-RISE_ABOVE, FALL_BELOW = 0.016, 0.012
+RISE_ABOVE, FALL_BELOW = 0.018, 0.012
 # RMSE of longer horizons, as a share of the height.
 WORST = 0.3
 # E falls to what was possible during all of the last second: the error changes within a beat.
@@ -62,7 +62,7 @@ AGES = HORIZONS + MOST_NS // STEP_NS + 2
 class Trust:
     """Choice of the smallest perceived delay E at which prediction errors go unnoticed.
 
-    E rises at once when its expected error exceeds 1.6 % of the pulse's height. It falls when a
+    E rises at once when its expected error exceeds 1.8 % of the pulse's height. It falls when a
     smaller E had less than 1.2 % during all of the last second.
 
     given: whether prediction replaces a part of the delay that the link requires.
