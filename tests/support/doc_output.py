@@ -219,7 +219,6 @@ UNRUN = {
     "make bench": "an hour",
     'make demo ARGS="--seconds 300"': "five minutes; the like is run above",
     "make bench ARGS=load": "minutes",
-    "make bench ARGS=core": "minutes",
     "make fuzz": FUZZ,
     'make fuzz ARGS="--seconds 600"': FUZZ,
     'make fuzz ARGS="--only frame --seconds 300"': FUZZ,

@@ -1,6 +1,4 @@
 import os
-import subprocess
-import sys
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -8,6 +6,7 @@ from pathlib import Path
 import pytest
 
 from protocol.errors import SweepError
+from protocol.host.child_process import ChildProcess
 from telepulse.netem import cpu_quota
 from telepulse.processes import cpu_time_s
 from telepulse.reports.studies import cost_scores
@@ -108,19 +107,16 @@ def test_the_verdict_names_what_dominates_the_shipped_settings() -> None:
 
 @pytest.mark.skipif(no_quota is not None, reason=str(no_quota))
 def test_a_limited_process_gets_its_share_of_a_core_and_is_in_its_own_group_afterwards() -> None:
-    with subprocess.Popen([sys.executable, "-c", "while True: pass"]) as busy:
+    with ChildProcess("busy process", "-c", "while True: pass") as busy:
         membership = Path(f"/proc/{busy.pid}/cgroup")
-        try:
-            before = membership.read_text(encoding="ascii")
-            os.sched_setscheduler(busy.pid, os.SCHED_RR, os.sched_param(1))
-            with cpu_quota.limited([busy.pid], 0.1):
-                assert f"telepulse-{os.getpid()}-{busy.pid}" in membership.read_text("ascii")
-                before_s = cpu_time_s(busy.pid)
-                time.sleep(QUOTA_S)
-                limited_s = cpu_time_s(busy.pid) - before_s
-            assert membership.read_text(encoding="ascii") == before
-        finally:
-            busy.kill()
+        before = membership.read_text(encoding="ascii")
+        os.sched_setscheduler(busy.pid, os.SCHED_RR, os.sched_param(1))
+        with cpu_quota.limited([busy.pid], 0.1):
+            assert f"telepulse-{os.getpid()}-{busy.pid}" in membership.read_text("ascii")
+            before_s = cpu_time_s(busy.pid)
+            time.sleep(QUOTA_S)
+            limited_s = cpu_time_s(busy.pid) - before_s
+        assert membership.read_text(encoding="ascii") == before
     assert 0 < limited_s < 0.15 * QUOTA_S
 
 

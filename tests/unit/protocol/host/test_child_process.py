@@ -20,6 +20,7 @@ STARTERS = {
     "protocol/provenance.py": "git",
     "tests/run_all.py": "pytest",
     "tests/support/doc_commands.py": "make",
+    "tests/system/compiled/test_installation.py": "make",
     "tests/system/discovery/test_discovery.py": "unshare",
     "tests/system/recording/test_recorder.py": "mount",
     "tests/system/sensors/test_firmware.py": "a compiler",
