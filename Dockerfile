@@ -1,18 +1,19 @@
 FROM python:3.11-slim-bookworm AS build
 
 RUN apt-get update \
-    && apt-get install -y --no-install-recommends gcc libc6-dev \
+    && apt-get install -y --no-install-recommends gcc libc6-dev python3-dev \
     && rm -rf /var/lib/apt/lists/*
 WORKDIR /src
 COPY . .
-# The core compiled, into a folder of its own: the compiler stays in this stage.
-RUN TELEPULSE_COMPILED=1 pip install --no-cache-dir --prefix=/installed -c constraints.txt .
+# The core compiled, into an environment of its own: the compiler stays in this stage.
+RUN python -m venv /opt/telepulse \
+    && TELEPULSE_COMPILED=1 /opt/telepulse/bin/pip install --no-cache-dir -c constraints.txt .
 
 FROM python:3.11-slim-bookworm
 
-ENV PYTHONUNBUFFERED=1
+ENV PYTHONUNBUFFERED=1 PATH=/opt/telepulse/bin:$PATH
 RUN useradd --create-home telepulse
-COPY --from=build /installed /usr/local
+COPY --from=build /opt/telepulse /opt/telepulse
 
 # Away from the source, so that what runs is what was installed.
 WORKDIR /telepulse

@@ -68,7 +68,8 @@ def test_one_interval_after_the_other_is_pressed_by_the_motor(tmp_path: Path) ->
     errors_n = [played.aligned_n or 0 for played in felt]
     # The film's reading is 8 ms old: against the present pulse, the error would be 10 mN.
     assert max(errors_n[0], errors_n[2]) < 3e-3
-    assert errors_n[1] > 10e-3
+    # Over the link, everything is predicted.
+    assert errors_n[1] > 4e-3
 
 
 def test_the_loop_is_judged_once_before_the_drive_moves(
