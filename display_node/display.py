@@ -43,7 +43,7 @@ class Display:
         self.feedback: Feedback | None = None
         self._layer = scene.layer.layer()
         # Copies: attributes of a scene take longer to read.
-        self._tick_ns, self._channel = scene.tick_ns, scene.channel
+        self._tick_ns = scene.tick_ns
         self._compensation_ns, self._stale_after_ns = (
             scene.compensation_ns,
             scene.safety.stale_after_ns,
@@ -105,16 +105,14 @@ class Display:
 
     def on_frame(self, data: bytes, now_ns: int) -> None:
         """Take a data message."""
-        frame = self.receiver.on_frame(data, now_ns)
-        if frame is None:
+        samples = self.receiver.on_frame(data, now_ns)
+        if samples is None:
             return
-        channel, concealment = self._scene.channel, self._concealment
-        concealment.observe(frame)
-        self._prediction.add_reference(frame, channel, self.force_ratio, concealment.height_n)
+        concealment = self._concealment
+        concealment.observe(samples)
+        self._prediction.add_reference(samples, self.force_ratio, concealment.height_n)
         if self.tracking_error is not None:
-            self.tracking_error.add_reference(
-                frame, self._channel, self.force_ratio, self._group_delay_ns
-            )
+            self.tracking_error.add_reference(samples, self.force_ratio, self._group_delay_ns)
 
     def on_control(self, data: bytes, now_ns: int) -> None:
         """Take a control message."""
@@ -191,7 +189,7 @@ class Display:
     def _build_concealment(self) -> Concealment:
         scene = self._scene
         auto = scene.compensation_ns is None
-        return Concealment(scene.predictor, scene.channel, scene.tick_ns, auto)
+        return Concealment(scene.predictor, scene.tick_ns, auto)
 
     def _reference(self, now_ns: int) -> tuple[list[float], bool]:
         """Return the target force until the loop's horizon, and whether the stream is alive."""

@@ -4,6 +4,11 @@ import math
 from collections.abc import Collection
 from typing import Any
 
+import numpy as np
+
+# Values that are counted at once.
+BLOCK = 256
+
 
 class Histogram:
     """Counts of values in equal bins from 0 up to `end`, and of those beyond.
@@ -12,57 +17,53 @@ class Histogram:
     `end` is known. Maximum (None without values) and mean are exact. NaN are not counted.
     """
 
-    __slots__ = ("_bin_width", "_counts", "_last", "_total", "count", "end", "maximum")
+    __slots__ = ("_bin_width", "_count", "_counts", "_maximum", "_total", "_waiting", "end")
 
     def __init__(self, bin_width: float, bins: int) -> None:
         self._bin_width = bin_width
         # The last bin counts the values beyond the range.
-        self._counts = [0] * (bins + 1)
-        self._last = bins - 1
-        self._total = 0.0
+        self._counts = np.zeros(bins + 1, np.int64)
+        self._count, self._total, self._maximum = 0, 0.0, -math.inf
+        # Values that were added since the last count: arrays count many of them at once.
+        self._waiting: list[float] = []
         self.end = bin_width * bins
-        self.count = 0
-        self.maximum: float | None = None
 
     def add(self, value: float) -> None:
         """Count a value; below 0 it falls into the first bin."""
-        if value >= self.end:
-            position = -1
-        elif value > 0.0:
-            position = int(value / self._bin_width)
-            # Rounding may give the number of bins itself, one too many.
-            if position > self._last:
-                position = self._last
-        elif math.isnan(value):
-            return
-        else:
-            position = 0
-        self._counts[position] += 1
-        self._total += value
-        self.count += 1
-        if self.maximum is None or value > self.maximum:
-            self.maximum = value
+        self._waiting.append(value)
+        if len(self._waiting) >= BLOCK:
+            self._count_waiting()
+
+    @property
+    def count(self) -> int:
+        """Number of values."""
+        if self._waiting:
+            self._count_waiting()
+        return self._count
+
+    @property
+    def maximum(self) -> float | None:
+        """The largest value; None without any."""
+        return self._maximum if self.count else None
 
     @property
     def mean(self) -> float | None:
         """Mean of all values; None without any."""
-        return self._total / self.count if self.count else None
+        count = self.count
+        return self._total / count if count else None
 
     def quantile(self, share: float) -> float | None:
         """Return the quantile for a share of 0 to 1: the middle of its bin.
 
         Returns `end`, a lower bound, where the quantile `is_beyond` the range; None without values.
         """
-        if self.maximum is None:
+        count = self.count
+        if not count:
             return None
         if self.is_beyond(share):
             return self.end
-        wanted, seen = share * self.count, 0
-        for position, count in enumerate(self._counts):
-            seen += count
-            if seen >= wanted and count:
-                return min((position + 0.5) * self._bin_width, self.maximum)
-        return self.end
+        position = int(np.searchsorted(self._counts.cumsum(), max(share * count, 1)))
+        return min((position + 0.5) * self._bin_width, self._maximum)
 
     def quantiles(self, **shares: float) -> dict[str, Any]:
         """Return quantiles by name, and as "beyond" the names of those beyond the range.
@@ -74,8 +75,26 @@ class Histogram:
 
     def is_beyond(self, share: float) -> bool:
         """Return whether a quantile is beyond the range."""
-        within = self.count - self._counts[-1]
-        return self.count > 0 and (not within or within < share * self.count)
+        count = self.count
+        within = count - int(self._counts[-1])
+        return count > 0 and (not within or within < share * count)
+
+    def _count_waiting(self) -> None:
+        values = np.array(self._waiting)
+        self._waiting = []
+        values = values[~np.isnan(values)]
+        if not len(values):
+            return
+        last = len(self._counts) - 2
+        # Rounding may give the number of bins itself, one too many.
+        positions = np.clip(values / self._bin_width, 0, last).astype(np.int64)
+        positions[values >= self.end] = last + 1
+        np.add.at(self._counts, positions, 1)
+        self._count += len(values)
+        self._maximum = max(self._maximum, float(values.max()))
+        # `cumsum` adds one value after the other, so the mean does not depend on when it is read.
+        values[0] += self._total
+        self._total = float(values.cumsum()[-1])
 
 
 def bound(name: str, beyond: Collection[str]) -> str:

@@ -4,6 +4,7 @@ The counters give the figures of `protocol.counters`, whose models are not compi
 """
 
 import math
+from collections import defaultdict
 from dataclasses import dataclass
 
 import numpy as np
@@ -40,21 +41,20 @@ class AvailabilityCounter:
 
     def __init__(self, tick_s: float) -> None:
         self._tick_s = tick_s
-        self._ticks: dict[str, int] = {}
-        self._all = self._missed = 0
+        self._ticks: defaultdict[str, int] = defaultdict(int)
+        self._all = 0
 
     def add(self, state: str, elapsed_ticks: int) -> None:
         """Count a tick in a state, `elapsed_ticks` after the last one that ran."""
-        self._ticks[state] = self._ticks.get(state, 0) + 1
+        self._ticks[state] += 1
         self._all += elapsed_ticks
-        self._missed += elapsed_ticks - 1
 
     def availability(self, played_ticks: int) -> Availability:
         """Return the shares so far; played_ticks: number of ticks in which a pulse was played."""
         if not self._all:
             return Availability()
         ticks = {_KEYS.get(state, state): count for state, count in self._ticks.items()}
-        ticks |= {"missed": self._missed, "played": played_ticks}
+        ticks |= {"missed": self._all - sum(self._ticks.values()), "played": played_ticks}
         shares = {key: ticks.get(key, 0) / self._all for key in (*STATE_NAMES, "played")}
         return Availability(self._all * self._tick_s, **shares)
 

@@ -321,14 +321,17 @@ class SampleCheck:
             self._beyond += int(np.count_nonzero(~(np.abs(values) <= MOST_N).all(axis=1)))
         if not lowest_n >= -NEGLIGIBLE_N:
             self._below += int(np.count_nonzero((values < -NEGLIGIBLE_N).any(axis=1)))
-        still = lowest_n == highest_n and self._last in (None, lowest_n)
-        self._still = self._still + len(values) if still else 0
-        self._longest_still = max(self._longest_still, self._still)
-        self._last = float(values[-1, 0])
-        for kind, fault in self._faults():
-            if kind not in self._logged:
-                self._logged.add(kind)
-                logger.warning(fault)
+        if lowest_n == highest_n and self._last in (None, lowest_n):
+            self._still += len(values)
+            self._longest_still = max(self._longest_still, self._still)
+        else:
+            self._still = 0
+        self._last = forces_n[-1]
+        if self._beyond or self._below or self._longest_still:
+            for kind, fault in self._faults():
+                if kind not in self._logged:
+                    self._logged.add(kind)
+                    logger.warning(fault)
 
     def faults(self) -> list[str]:
         """Return the faults so far, one line each."""

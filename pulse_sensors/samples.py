@@ -8,7 +8,7 @@ whole blocks.
 import math
 from collections import Counter
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,8 +19,7 @@ from pulse_sensors.force_scale import SensorTable
 from pulse_sensors.plausibility import RateCheck
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class SampleBlock:
+class SampleBlock(NamedTuple):
     """Consecutive samples: the container between a decoder or a source and the frames.
 
     Attributes
@@ -291,7 +290,7 @@ class Timestamper:
         self.missing += missing
         self._rate.add(self.samples, arrival_ns, self._timeline.rate_hz, whole=not missing)
         values = self._table.newtons(block.values)
-        return replace(block, values=values, missing=missing, first_ns=first_ns, end_ns=end_ns)
+        return block._replace(values=values, missing=missing, first_ns=first_ns, end_ns=end_ns)
 
     def lasting_rate_fault(self, name: str) -> str | None:
         """Return the fault of a rate that has differed from the scene's for 2 s, or None."""

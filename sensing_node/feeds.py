@@ -6,7 +6,6 @@ A source whose samples are known in advance has `take`; `PacedSource` releases t
 
 from collections import Counter, deque
 from collections.abc import Iterable
-from dataclasses import replace
 from typing import Protocol
 
 import numpy as np
@@ -90,7 +89,7 @@ class LiveSource:
         while self._blocks and not self._blocks[0].missing:
             joined.append(self._blocks.popleft())
         values = np.concatenate([block.values for block in joined])
-        return replace(joined[0], values=values, end_ns=joined[-1].end_ns)
+        return joined[0]._replace(values=values, end_ns=joined[-1].end_ns)
 
     @property
     def rejected(self) -> Counter[str]:

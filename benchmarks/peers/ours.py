@@ -13,7 +13,7 @@ from display_node.reception.receiver import Receiver
 from protocol import sockets
 from protocol.provenance import BUILD
 from protocol.tactile import ElasticLayer
-from protocol.wire.messages import Frame, encode_control, encode_frame
+from protocol.wire.messages import ChannelSamples, Frame, encode_control, encode_frame
 from protocol.wire.stream import Channel, StreamDescription
 from sensing_node.control_server import ControlServer
 
@@ -54,9 +54,10 @@ def stamped_buffer() -> tuple[JitterBuffer, list[int]]:
         return JitterBuffer(channel=0), put_ns
 
     class StampedBuffer(JitterBuffer):
-        def put(self, frame: Frame) -> None:
-            super().put(frame)
+        def put(self, frame: Frame) -> ChannelSamples:
+            samples = super().put(frame)
             put_ns[:] = [time.monotonic_ns()]
+            return samples
 
     return StampedBuffer(channel=0), put_ns
 
@@ -73,8 +74,9 @@ def subscribe(wire: Wire) -> Iterator[Arrival]:
     descriptors = sockets.descriptors((control, data))
     while True:
         for message in sockets.receive_parts(data):
-            frame = receiver.on_frame(message, time.monotonic_ns())
-            if frame is not None:
+            samples = receiver.on_frame(message, time.monotonic_ns())
+            if samples is not None:
+                frame = samples.frame
                 usable_ns = put_ns[0] if put_ns else time.monotonic_ns()
                 yield Arrival(frame.first_sample, frame.t_first_ns, usable_ns)
         for message in sockets.receive_parts(control):

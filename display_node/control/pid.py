@@ -49,6 +49,7 @@ class Pid:
         self._integral = 0.0
         self._derivative = 0.0
         self._last_error: float | None = None
+        self._remembers = bool(ki or kd)
         # A term whose gain is 0 is left out: it would add a pole at 1 to the linearised loop.
         derivative = ("_derivative", "_last_error") if kd else ()
         self.STATE: tuple[str, ...] = (*derivative, "_integral") if ki else derivative
@@ -80,8 +81,10 @@ class Pid:
         fed_error = error - error_drop_per_output * feed_forward
         if -self._dead_band <= fed_error <= self._dead_band:
             error, fed_error = error_drop_per_output * feed_forward, 0.0
-        last = error if self._last_error is None else self._last_error
-        past = self._integral + self._keep * self._derivative - self._kd_tick * last
+        last, past = error, 0.0
+        if self._remembers:
+            last = error if self._last_error is None else self._last_error
+            past = self._integral + self._keep * self._derivative - self._kd_tick * last
         wanted = feed_forward + (self._gain * fed_error + past) / (
             1 + error_drop_per_output * self._gain
         )
@@ -93,6 +96,8 @@ class Pid:
         output = wanted if wanted > lowest else lowest
         if output > highest:
             output = highest
+        if not self._remembers:
+            return output
         remaining = error - error_drop_per_output * output
         if output == wanted or (error > 0) != (wanted > output):
             self._integral += self._ki_tick * remaining

@@ -1,14 +1,14 @@
 """Concealment: the force where no sample has arrived, without jumps, and trust in the predictor.
 
 With `compensation = "auto"`, the perceived delay E is the delay that the link requires; while the
-predictor is trusted, E is up to 400 ms smaller. Pure: frames, errors and times are arguments.
+predictor is trusted, E is up to 400 ms smaller. Pure: samples, errors and times are arguments.
 """
 
 import math
 
 from display_node.prediction import WITHOUT_ERROR_ESTIMATE, PredictorName, build_predictor
 from display_node.prediction.trust import PulseSize, Trust
-from protocol.wire.messages import Frame
+from protocol.wire.messages import ChannelSamples
 
 # Time constant of the decay, as a share of the horizon of the old prediction: corrections of a
 # longer prediction are larger, and may take longer.
@@ -84,8 +84,8 @@ class Concealment:
     whether the perceived delay follows the link, so that trust may reduce it.
     """
 
-    def __init__(self, predictor: PredictorName, channel: int, tick_ns: int, auto: bool) -> None:
-        self._channel, self._tick_ns = channel, tick_ns
+    def __init__(self, predictor: PredictorName, tick_ns: int, auto: bool) -> None:
+        self._tick_ns = tick_ns
         self._predictor = build_predictor(predictor, tick_ns)
         self._blend = Blend(tick_ns)
         self._size = PulseSize()
@@ -116,13 +116,10 @@ class Concealment:
         """Whether the last force was predicted, or still differs from the received one."""
         return self._blend.busy
 
-    def observe(self, frame: Frame) -> None:
-        """Take a frame, late or not."""
-        first_ns, period_ns = frame.t_first_ns, frame.period_ns
-        values = frame.values[:, self._channel].tolist()
-        end_ns = first_ns + len(values) * period_ns
-        self._predictor.observe(list(range(first_ns, end_ns, period_ns)), values)
-        self._size.observe(first_ns, values)
+    def observe(self, samples: ChannelSamples) -> None:
+        """Take the samples of a frame, late or not."""
+        self._predictor.observe(samples.times_ns, samples.forces_n)
+        self._size.observe(samples.times_ns[0], samples.forces_n)
 
     def delay_ns(self, now_ns: int, required_ns: int, age_ns: int) -> int:
         """Return the perceived delay E for "auto", once a tick.

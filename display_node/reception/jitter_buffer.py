@@ -11,7 +11,7 @@ from dataclasses import astuple, dataclass
 from operator import add
 
 from protocol.errors import WireError
-from protocol.wire.messages import Frame
+from protocol.wire.messages import ChannelSamples, Frame
 
 KEEP_SAMPLES = 16_384
 MAX_AHEAD_SAMPLES = 65_536
@@ -86,22 +86,23 @@ class JitterBuffer:
         """Samples that wait for their instant."""
         return len(self._times) - self._settled
 
-    def put(self, frame: Frame) -> None:
-        """Take a frame.
+    def put(self, frame: Frame) -> ChannelSamples:
+        """Take a frame; return the samples of the channel.
 
         Raises WireError: "duplicate", "overlap", "timestamp", "too_old", "overflow".
         """
-        count, first, period_ns = len(frame.values), frame.first_sample, frame.period_ns
+        count, first = len(frame.values), frame.first_sample
         position = bisect_left(self._indices, first)
         self._check(frame, position, count)
-        times = list(range(frame.t_first_ns, frame.t_first_ns + count * period_ns, period_ns))
+        samples = frame.samples_of(self._channel)
+        times = samples.times_ns
         if position < len(self._indices):
             self.reordered += 1
         self._indices[position:position] = range(first, first + count)
         self._times[position:position] = times
-        self._values[position:position] = frame.values[:, self._channel].tolist()
+        self._values[position:position] = samples.forces_n
         self.newest_ns = self._times[-1]
-        self._period_ns = period_ns
+        self._period_ns = frame.period_ns
         self.frames += 1
         if self._first_index is None or first < self._first_index:
             self._first_index = first
@@ -113,6 +114,7 @@ class JitterBuffer:
             self._settled += passed
         if len(self._times) > 2 * KEEP_SAMPLES:
             self._trim()
+        return samples
 
     def _trusted_among(self, times: list[int]) -> int:
         """Return how many instants that have passed were felt from a trusted prediction."""

@@ -80,18 +80,16 @@ class Receiver:
         self.buffer = JitterBuffer(channel)
         self._last_bye: wire.Bye | None = None
 
-    def on_frame(self, data: bytes, now_ns: int) -> wire.Frame | None:
-        """Take a data message; return the frame if it is new and valid."""
+    def on_frame(self, data: bytes, now_ns: int) -> wire.ChannelSamples | None:
+        """Take a data message; return the samples of the channel if it is new and valid."""
         try:
-            frame = wire.decode_frame(data)
-            self._accept(frame, now_ns)
+            return self._accept(wire.decode_frame(data), now_ns)
         except WireError as error:
             if error.cause == "duplicate" and self.paths > 1:
                 self.copies += 1
             else:
                 self.rejected[error.cause] += 1
             return None
-        return frame
 
     def on_control(self, data: bytes, now_ns: int) -> None:
         """Take a control message."""
@@ -131,6 +129,8 @@ class Receiver:
         wanted: list[wire.ControlMessage] = []
         silent = self.silent(now_ns)
         lost = self.session is None or silent or self._hello_due
+        if not (lost or now_ns >= self._next_clock_ns or self._last_bye is not None):
+            return wanted
         if lost and now_ns >= self._next_hello_ns:
             self._next_hello_ns = now_ns + HELLO_EVERY_NS
             self._hello_due = False
@@ -191,7 +191,7 @@ class Receiver:
         grace_ns = GRACE_NS if self.buffer.complete else LAST_GRACE_NS
         return self.clock.remote_ns(now_ns) > end_ns + playout_delay_ns + grace_ns
 
-    def _accept(self, frame: wire.Frame, now_ns: int) -> None:
+    def _accept(self, frame: wire.Frame, now_ns: int) -> wire.ChannelSamples:
         """Check a frame against its session and put it into the buffer. Raises WireError."""
         description = self.description
         if description is None:
@@ -214,12 +214,13 @@ class Receiver:
         sensing_now_ns = self.clock.remote_ns(now_ns)
         if not -OLDEST_NS < last_ns - sensing_now_ns < FUTURE_NS:
             raise WireError("timestamp", "a frame's time is not near the present")
-        self.buffer.put(frame)
+        samples = self.buffer.put(frame)
         self._received_ns = now_ns
         self.clock.add_one_way(last_ns, now_ns)
         self.delay.observe(sensing_now_ns - frame.t_first_ns, now_ns)
         self.ready = self.ready or self.delay.settled
         self.one_way_delay_ms.add((sensing_now_ns - last_ns) * 1e-6)
+        return samples
 
     def _take(self, message: wire.ControlMessage, now_ns: int) -> None:
         match message:

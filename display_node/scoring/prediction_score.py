@@ -14,7 +14,7 @@ from typing import Any
 
 from display_node.scoring.tracking_error import JND
 from protocol.summary_tables import Compensation
-from protocol.wire.messages import Frame
+from protocol.wire.messages import ChannelSamples
 
 # Predicted ticks that wait for their samples: 4 s at 1 kHz. Later samples are not scored.
 KEEP_TICKS = 4_096
@@ -99,35 +99,35 @@ class PredictionScore:
         self._corrected = corrected
 
     def add_reference(
-        self, frame: Frame, channel: int, force_ratio: float, height_n: float | None
+        self, samples: ChannelSamples, force_ratio: float, height_n: float | None
     ) -> None:
-        """Add a received frame: the true force at those of its instants that were predicted.
+        """Add received samples: the true force at those of their instants that were predicted.
 
         force_ratio: force at the finger per force at the wrist.
         """
-        times, t_ns = self._times, frame.t_first_ns
+        times, first_ns = self._times, samples.times_ns[0]
         if self._noticed:
-            self._forget(t_ns)
-        if not times or t_ns > times[-1]:
+            self._forget(first_ns)
+        if not times or first_ns > times[-1]:
             return
         square = 0.0
         count = noticed = 0
         noticeable_n = math.inf if height_n is None else JND * height_n
-        for value in frame.values[:, channel].tolist():
-            error_n = self._error_n(t_ns, value)
+        for t_ns, force_n in zip(samples.times_ns, samples.forces_n, strict=True):
+            error_n = self._error_n(t_ns, force_n)
             if error_n is not None:
                 square += error_n * error_n
                 count += 1
                 noticed += abs(error_n) > noticeable_n
-            t_ns += frame.period_ns
         self._squares_n2 += force_ratio * force_ratio * square
         self._count += count
         if height_n:
             self._squares += square / (height_n * height_n)
             self._sized_count += count
         if noticed:
-            self._noticed.append((frame.t_first_ns, noticed * frame.period_ns))
-            self._noticed_ns += noticed * frame.period_ns
+            noticed_ns = noticed * samples.frame.period_ns
+            self._noticed.append((first_ns, noticed_ns))
+            self._noticed_ns += noticed_ns
             self.alarm = self.alarm or self.noticed_5s > ALARM_SHARE
 
     @property

@@ -63,6 +63,21 @@ class Frame(NamedTuple):
     period_ns: int
     values: NDArray[Any]
 
+    def samples_of(self, channel: int) -> "ChannelSamples":
+        """Return the samples of a channel, counted from 0."""
+        _, _, first_ns, period_ns, values = self
+        forces_n: list[float] = values[:, channel].tolist()
+        end_ns = first_ns + len(forces_n) * period_ns
+        return ChannelSamples(self, list(range(first_ns, end_ns, period_ns)), forces_n)
+
+
+class ChannelSamples(NamedTuple):
+    """The samples of one channel of a frame: times on the sensing node's clock, forces in N."""
+
+    frame: Frame
+    times_ns: list[int]
+    forces_n: list[float]
+
 
 def encode_frame(frame: Frame) -> bytes:
     """Encode a frame; its values must be float32 or float64 of shape (samples, channels)."""

@@ -248,7 +248,8 @@ class _Scorer:
         """Add the frames that have arrived from the sensing node."""
         for (message,) in sockets.receive_multipart(self._data):
             true_frame = self._truth.of(decode_frame(message))
-            self.tracking_error.add_reference(true_frame, self._channel, self._ratio)
+            samples = true_frame.samples_of(self._channel)
+            self.tracking_error.add_reference(samples, self._ratio)
 
     def add_felt(self, trace: Trace) -> None:
         """Add the felt force of a trace of the display."""

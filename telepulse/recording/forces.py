@@ -128,7 +128,7 @@ class ForceAlignment:
             return
         self.channel, self.ratio = channel, ratio
         for t_ns, values in zip(self._t_ns, self._values, strict=True):
-            self.errors.add_reference_force(t_ns, values[:, channel] * ratio)
+            self._add_reference(t_ns, values, ratio)
         for tick in self._ticks:
             self.errors.add_output(tick.sensing_now_ns, tick.instant_ns, tick.felt_n)
 
@@ -140,9 +140,13 @@ class ForceAlignment:
         self._t_ns.append(t_ns)
         self._values.append(values)
         if self.ratio is not None:
-            self.errors.add_reference_force(t_ns, values[:, self.channel] * self.ratio)
+            self._add_reference(t_ns, values, self.ratio)
         if len(self._t_ns) > MAX_FRAMES:
             del self._t_ns[: MAX_FRAMES // 2], self._values[: MAX_FRAMES // 2]
+
+    def _add_reference(self, t_ns: Ints, values: Floats, ratio: float) -> None:
+        target_n = values[:, self.channel] * ratio
+        self.errors.add_reference_force(t_ns.tolist(), target_n.tolist())
 
     def add_tick(self, tick: AlignedTick) -> None:
         """Add a tick."""

@@ -4,8 +4,6 @@ Each is a TCP stream of its own, which meets losses of its own. As datagrams, a 
 connection, and one copy of each frame is sent.
 """
 
-from collections.abc import Iterator
-
 from display_node.reception.endpoint import ANSWER_NS
 from display_node.reception.failover import Failover
 from display_node.reception.redundancy import Redundancy
@@ -40,13 +38,15 @@ class ParallelPaths:
         self._open_ns = [0] * self.count
         self._first = self._merged = self._polled_ns = 0
 
-    def arrivals_ns(self, now_ns: int, size_bytes: int) -> Iterator[tuple[int, int]]:
-        """Yield path and arrival of each copy of a frame that is sent now and is not lost."""
+    def arrivals_ns(self, now_ns: int, size_bytes: int) -> list[tuple[int, int]]:
+        """Return path and arrival of each copy of a frame that is sent now and is not lost."""
+        arrivals_ns = []
         for path, open_ns in enumerate(self._open_ns):
             if now_ns >= open_ns:
                 arrival_ns = self._link.data_arrival_ns(now_ns, size_bytes, path)
                 if arrival_ns is not None:
-                    yield path, arrival_ns
+                    arrivals_ns.append((path, arrival_ns))
+        return arrivals_ns
 
     def received(self, path: int) -> None:
         """Count a frame that came over a path."""

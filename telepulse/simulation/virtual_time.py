@@ -199,7 +199,8 @@ class Simulation:
             self._check.add(block.values)
             channel, ratio = self._channel, self.display.force_ratio
             for frame in self._framer.frames(block):
-                self._tracking_error.add_reference(self._reference.of(frame), channel, ratio)
+                samples = self._reference.of(frame).samples_of(channel)
+                self._tracking_error.add_reference(samples, ratio)
                 data = encode_frame(frame)
                 for path, arrival_ns in self._paths.arrivals_ns(now_ns, len(data)):
                     self._schedule(arrival_ns, partial(self._receive, path), data)

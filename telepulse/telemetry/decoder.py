@@ -200,7 +200,8 @@ class PassiveReceiver(Receiver):
         Raises KeyError, ValueError or TypeError for fields that are not those of an entry.
         """
         if topic == FRAME or (topic == REFUSED and fields["path"] != telemetry.CONTROL):
-            return self.on_frame(b64decode(fields["data"]), fields["arrived_ns"])
+            samples = self.on_frame(b64decode(fields["data"]), fields["arrived_ns"])
+            return None if samples is None else samples.frame
         if topic in (STREAM, REFUSED):
             self.on_control(b64decode(fields["data"]), fields["arrived_ns"])
         elif topic == CLOCK:

@@ -5,7 +5,7 @@ import pytest
 
 from display_node.prediction import PredictorName
 from display_node.prediction.concealment import Blend, Concealment
-from protocol.wire.messages import Frame
+from protocol.wire.messages import ChannelSamples, Frame
 
 MS = 1_000_000
 T0_NS = 1_700_000_000_000_000_000
@@ -90,9 +90,9 @@ def test_a_prediction_that_is_not_finite_leaves_no_offset() -> None:
     assert felt == pytest.approx(path)
 
 
-def frame(first: int, values: list[float]) -> Frame:
-    """Return a frame with a sample each millisecond."""
-    return Frame(1, first, first * MS, MS, np.array(values)[:, np.newaxis])
+def samples(first: int, values: list[float]) -> ChannelSamples:
+    """Return a sample each millisecond."""
+    return Frame(1, first, first * MS, MS, np.array(values)[:, np.newaxis]).samples_of(0)
 
 
 @pytest.mark.parametrize(
@@ -102,19 +102,19 @@ def frame(first: int, values: list[float]) -> Frame:
 def test_only_a_predictor_with_an_error_estimate_can_be_trusted_under_auto(
     predictor: PredictorName, auto: bool, trusted: bool | None
 ) -> None:
-    concealment = Concealment(predictor, 0, MS, auto)
+    concealment = Concealment(predictor, MS, auto)
     assert concealment.delay_ns(5 * MS, 60 * MS, 5 * MS) == 60 * MS
     assert concealment.trusted is trusted
 
 
 def test_received_values_stay_and_missing_ones_are_predicted_without_a_jump() -> None:
-    concealment = Concealment("hold", 0, MS, auto=True)
-    concealment.observe(frame(0, [0.3, 0.3]))
+    concealment = Concealment("hold", MS, auto=True)
+    concealment.observe(samples(0, [0.3, 0.3]))
     received_n = [0.3, 0.3]
     assert concealment.complete(received_n, 2, 0, 1 * MS) is received_n
     assert concealment.complete([0.3], 3, 1 * MS, 1 * MS) == pytest.approx([0.3] * 3)
     assert concealment.complete([], 3, 5 * MS, 1 * MS) == pytest.approx([0.3] * 3)
-    concealment.observe(frame(2, [0.5] * 4))
+    concealment.observe(samples(2, [0.5] * 4))
     corrected = concealment.complete([], 3, 6 * MS, 5 * MS)
     assert corrected[0] == pytest.approx(0.3)
     assert 0.3 < corrected[1] < corrected[2] < 0.5

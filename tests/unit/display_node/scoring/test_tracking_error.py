@@ -42,7 +42,7 @@ def frames(t_ns: Times, size: int = 5) -> list[Times]:
 
 def add_reference(error: TrackingError, pieces: Iterable[Times]) -> None:
     for t_ns in pieces:
-        error.add_reference_force(t_ns, pulse_n(t_ns))
+        error.add_reference_force(t_ns.tolist(), pulse_n(t_ns).tolist())
 
 
 def add_output(
@@ -180,12 +180,13 @@ def grown_bytes(run: Callable[[int], None], minutes: int = 10) -> int:
 @pytest.mark.parametrize("felt_share", [1.0, 0.3, 0.0], ids=["felt", "a fault after 18 s", "never"])
 def test_memory_does_not_grow_in_ten_minutes(felt_share: float) -> None:
     error = TrackingError(STRAIN_PER_NEWTON)
-    first_ns, force_n = T0_NS + np.arange(25, dtype=np.int64) * MS, np.linspace(0.3, 0.4, 25)
+    force_n = np.linspace(0.3, 0.4, 25).tolist()
 
     def one_minute(minute: int) -> None:
         for frame in range(minute * 2400, (minute + 1) * 2400):
-            error.add_reference_force(first_ns + frame * 25 * MS, force_n.copy())
             now_ns = T0_NS + frame * 25 * MS
+            t_ns = list(range(now_ns, now_ns + 25 * MS, MS))
+            error.add_reference_force(t_ns, force_n)
             if felt_share == 1.0 or frame < 2400 * felt_share:
                 error.add_output(now_ns, now_ns - DELAY_NS, 0.3)
 
@@ -281,8 +282,10 @@ def test_windows_have_the_course_of_delay_and_errors_and_add_up_to_the_whole_run
     felt_n = pulse_n(ticks_ns - DELAY_NS)
     felt_n[20_000:] = pulse_n(ticks_ns[20_000:]) + 0.002
     error = TrackingError(STRAIN_PER_NEWTON)
-    add_reference(error, frames(sample_times_ns(42.0), 1000))
+    pieces = frames(sample_times_ns(42.0), 1000)
+    add_reference(error, pieces[:22])
     add_output(error, ticks_ns[:20_000], felt_n[:20_000])
+    add_reference(error, pieces[22:])
     add_output(error, ticks_ns[20_000:], felt_n[20_000:], delay_ns=0)
     error.finish()
     windows = error.windows
