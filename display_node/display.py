@@ -5,6 +5,7 @@ The live node and the virtual-time simulation drive this same class; time is an 
 
 import math
 from dataclasses import replace
+from typing import Final
 
 from display_node.control.safety import Safety
 from display_node.drives.hardware import Hardware
@@ -25,7 +26,7 @@ from protocol.ticks import AvailabilityCounter, InterruptionCounter, LimitCounte
 from protocol.wire.messages import ControlMessage, DisplayReport
 from protocol.wire.telemetry import PlaybackStatus, pack_status
 
-REPORT_EVERY_NS = 1_000_000_000
+REPORT_EVERY_NS: Final = 1_000_000_000
 
 
 class Display:

@@ -2,12 +2,12 @@
 
 import math
 from collections.abc import Collection
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
 # Values that are counted at once.
-BLOCK = 256
+BLOCK: Final = 256
 
 
 class Histogram:

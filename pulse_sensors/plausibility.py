@@ -14,6 +14,7 @@ import math
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,28 +25,28 @@ from pulse_sensors.force_scale import FORCES, VOLTAGES
 logger = logging.getLogger(__name__)
 
 # Largest value in any unit of a sensor; larger ones are forces that no frame can hold.
-LARGEST = 1e30
+LARGEST: Final = 1e30
 # Greatest force of a pulse, at a wrist or a finger: twice the highest `preload` or `peak_to_peak`.
-MOST_N = 20.0
+MOST_N: Final = 20.0
 # Smallest peak-to-peak force of a pulse, far below what a finger feels.
-LEAST_PULSE_N = 1e-3
+LEAST_PULSE_N: Final = 1e-3
 # Forces less than this below 0 N are rounding and noise.
-NEGLIGIBLE_N = 1e-3
+NEGLIGIBLE_N: Final = 1e-3
 # Greatest share of samples below 0 N that may be intended: noise, a drifting base line.
-MOST_BELOW = 0.1
+MOST_BELOW: Final = 0.1
 # Greatest share of samples at the very highest value, unless the pulse was clipped.
-MOST_TOPMOST = 0.02
+MOST_TOPMOST: Final = 0.02
 # Values that differ by less are equal, and cannot be scaled.
-SMALLEST = 1e-100
+SMALLEST: Final = 1e-100
 # Least number of samples for a check: fewer may rise by chance, and are too few for a rate.
-FEW_SAMPLES = 16
-RATE_TOLERANCE = 0.02
+FEW_SAMPLES: Final = 16
+RATE_TOLERANCE: Final = 0.02
 # Tolerance of a rate that a stream declares, which is often rounded.
-DECLARED_RATE_TOLERANCE = 0.1
+DECLARED_RATE_TOLERANCE: Final = 0.1
 # Range of the time between two samples.
 SHORTEST_S, LONGEST_S = 1e-7, 1e3
 # A longer step between two times than this multiple of the usual one is a gap.
-GAP_STEPS = 5
+GAP_STEPS: Final = 5
 SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 _UNIT = re.compile(r"(?:^|[\s_(\[,])(s|sec|seconds|ms|us|µs|ns)[)\]]?$", re.IGNORECASE)
 _TIME_NAME = re.compile(r"time|^t$|^t[_\s(\[]", re.IGNORECASE)

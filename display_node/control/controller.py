@@ -5,7 +5,7 @@ The output is a signed speed in m/s for a stepper. For the second-order actuator
 """
 
 import math
-from typing import ClassVar
+from typing import ClassVar, Final
 
 from display_node.control.feed_forward import ScrewPath
 from display_node.control.observer import Observer
@@ -17,13 +17,13 @@ from display_node.plant.second_order import SecondOrder
 from display_node.plant.stepper import Stepper
 
 # Time constants of decay, of the usual holding time and of the worst stall and the peak force.
-USUAL_S = 0.1
-WORST_S = 10.0
+USUAL_S: Final = 0.1
+WORST_S: Final = 10.0
 # Bound of the force during a stall, as a multiple of the recent peak of the reference.
-HEADROOM = 1.25
+HEADROOM: Final = 1.25
 # Share of the slew limit for the path of a rotor that rings. The rest is for the loop's corrections
 # where rotor or finger differ from the model.
-SHAPED_SHARE = 0.93
+SHAPED_SHARE: Final = 0.93
 
 
 class StallGuard:

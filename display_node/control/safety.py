@@ -5,12 +5,14 @@ loop stalls, and returns by a ramp. After a fault, a latch holds the target at 0
 withdraws the tip (`drives/withdrawal.py`).
 """
 
+from typing import Final
+
 from display_node.control.scene import SafetyScene
 from display_node.plant.feedback import refuse_reading
 from protocol.ticks import LimitCounter
 
 # A reference below 0 N by less than this is rounding and noise, not a part of the pulse.
-NEGLIGIBLE_N = 1e-3
+NEGLIGIBLE_N: Final = 1e-3
 
 
 class Safety:
@@ -35,6 +37,8 @@ class Safety:
         self._stale_ticks = scene.stale_after_ns // tick_ns
         self._overforce_n = scene.force_limit_n * scene.overforce
         self._last_n = 0.0
+        # Whether a bound was in effect in the last tick.
+        self._bounds = False
         self.gain = 0.0
         self.faults: list[str] = []
         self.at_force_limit, self.below_zero = LimitCounter(), LimitCounter()
@@ -93,6 +97,8 @@ class Safety:
             bounded.append(last_n)
         wanted_n = gain * reference_n[0]
         self._last_n = last_n = bounded[0]
+        if last_n == wanted_n and not self._bounds:
+            return bounded
         above, below = wanted_n > limit_n, not wanted_n >= -NEGLIGIBLE_N
         within_n = limit_n if above else wanted_n if wanted_n > 0.0 else 0.0
         slewing = gain == 1.0 and last_n != within_n
@@ -102,6 +108,7 @@ class Safety:
             self.below_zero.add(below)
         if slewing or self.at_slew_limit.active:
             self.at_slew_limit.add(slewing)
+        self._bounds = above or below or slewing
         return bounded
 
     def fault(self, name: str) -> None:

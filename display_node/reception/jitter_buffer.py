@@ -9,14 +9,15 @@ that arrive later are kept as well: after a jump back of the playout they are pl
 from bisect import bisect_left, bisect_right
 from dataclasses import astuple, dataclass
 from operator import add
+from typing import Final
 
 from protocol.errors import WireError
 from protocol.wire.messages import ChannelSamples, Frame
 
-KEEP_SAMPLES = 16_384
-MAX_AHEAD_SAMPLES = 65_536
-TIME_TOLERANCE_NS = 1_000_000_000
-NEVER_NS = -(1 << 64)
+KEEP_SAMPLES: Final = 16_384
+MAX_AHEAD_SAMPLES: Final = 65_536
+TIME_TOLERANCE_NS: Final = 1_000_000_000
+NEVER_NS: Final = -(1 << 64)
 
 
 @dataclass(frozen=True, slots=True)

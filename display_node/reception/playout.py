@@ -8,12 +8,13 @@ follows it without a jump.
 
 import math
 from collections import deque
+from typing import Final
 
 from protocol.histogram import Histogram
 from protocol.summary_tables import Compensation, PlayoutDelay
 
-BIN_NS = 1_000_000
-BINS = 11_000
+BIN_NS: Final = 1_000_000
+BINS: Final = 11_000
 
 
 class ExponentialQuantile:
@@ -63,22 +64,22 @@ class ExponentialQuantile:
         return (position + 1) * BIN_NS
 
 
-BASE_NS = 2_000_000_000
+BASE_NS: Final = 2_000_000_000
 # A silence gives no evidence about the path, so it ages the base by no more than this.
-SILENCE_NS = 200_000_000
+SILENCE_NS: Final = 200_000_000
 # The playout is at most one part in 20, 5 %, faster or slower than real time. This changes the
 # interval of a resting heart's beats by less than it changes by itself (standard deviation 50 of
 # 926 ms: Nunan et al. 2010), and is a third of the least change of a vibrotactile interval of 1 s
 # that people notice (160 ms: Jones et al. 2009).
-WARP_PARTS = 20
+WARP_PARTS: Final = 20
 # The delay falls no faster, since the playout could not follow.
-RELEASE_PER_NS = 1 / WARP_PARTS
+RELEASE_PER_NS: Final = 1 / WARP_PARTS
 # The playout jumps over larger differences, so the delay does too.
-JUMP_NS = 500_000_000
+JUMP_NS: Final = 500_000_000
 # Delays that are far above the base for this time, and do not fall, are those of a longer path.
-LONGER_AFTER_NS = 50_000_000
-FALLING_NS = 10_000_000
-FAR_ABOVE = 2
+LONGER_AFTER_NS: Final = 50_000_000
+FALLING_NS: Final = 10_000_000
+FAR_ABOVE: Final = 2
 
 
 class LongerPath:
@@ -193,15 +194,15 @@ def released(delay_ns: int | None, wanted_ns: int, elapsed_ns: int) -> int:
 
 
 # Range of delays: below 0 while the clock is poorly known, up to the longest compensation.
-LOWEST_NS = -1_000_000_000
-HIGHEST_NS = 9_999_000_000
+LOWEST_NS: Final = -1_000_000_000
+HIGHEST_NS: Final = 9_999_000_000
 # Long enough to contain some late frames, which are about 1 %.
-FORGET_NS = 60_000_000_000
-LATE_TARGET = 0.01
-SETTLED_NS = 250_000_000
+FORGET_NS: Final = 60_000_000_000
+LATE_TARGET: Final = 0.01
+SETTLED_NS: Final = 250_000_000
 # Delays this far above the estimate are an outage's backlog, unless they last longer.
-OUTAGE_NS = 500_000_000
-OUTAGE_ENDS_NS = 1_000_000_000
+OUTAGE_NS: Final = 500_000_000
+OUTAGE_ENDS_NS: Final = 1_000_000_000
 
 
 class DelayEstimator:

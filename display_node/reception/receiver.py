@@ -5,6 +5,7 @@ that cannot be used is counted under its cause. Pure: no sockets.
 """
 
 from collections import Counter, deque
+from typing import Final
 
 from display_node.reception.jitter_buffer import JitterBuffer, SampleAccount
 from display_node.reception.playout import JUMP_NS, DelayEstimator
@@ -16,22 +17,22 @@ from protocol.summary_tables import Clock, FrameCounts, OneWayDelay, SampleCount
 from protocol.wire import messages as wire
 from protocol.wire.stream import StreamDescription
 
-HELLO_EVERY_NS = 250_000_000
+HELLO_EVERY_NS: Final = 250_000_000
 # The first READY_AFTER clock requests are sent at once, since nothing is played before the clock is
 # known. The rest of the first minute uses the fast interval. A still shorter one would let TCP send
 # requests and replies in bunches, which biases the offset.
-CLOCK_FAST_NS = 20_000_000
-CLOCK_FAST_COUNT = 3_000
-CLOCK_EVERY_NS = 50_000_000
+CLOCK_FAST_NS: Final = 20_000_000
+CLOCK_FAST_COUNT: Final = 3_000
+CLOCK_EVERY_NS: Final = 50_000_000
 # Number of unanswered requests that are remembered.
-MAX_OPEN_REQUESTS = 256
-SILENT_AFTER_NS = 1_000_000_000
-FUTURE_NS = 1_000_000_000
-OLDEST_NS = 60_000_000_000
+MAX_OPEN_REQUESTS: Final = 256
+SILENT_AFTER_NS: Final = 1_000_000_000
+FUTURE_NS: Final = 1_000_000_000
+OLDEST_NS: Final = 60_000_000_000
 # Wait after the last sample's instant for late samples. If the last sample itself is missing, the
 # wait covers the time for which the sensing node stays to deliver it.
-GRACE_NS = 500_000_000
-LAST_GRACE_NS = 3_500_000_000
+GRACE_NS: Final = 500_000_000
+LAST_GRACE_NS: Final = 3_500_000_000
 
 
 class Receiver:
@@ -63,6 +64,8 @@ class Receiver:
         self._channel, self._late_target = channel, late_target
         self._closed = SampleAccount()
         self._next_hello_ns = self._next_clock_ns = 0
+        # Nothing is requested before this time, unless a control message or a refusal comes.
+        self._quiet_until_ns = 0
         self._hello_due = False
         self._clock_requests = 0
         # Times of sending of the requests that may still be answered, oldest first.
@@ -85,6 +88,7 @@ class Receiver:
         try:
             return self._accept(wire.decode_frame(data), now_ns)
         except WireError as error:
+            self._quiet_until_ns = 0
             if error.cause == "duplicate" and self.paths > 1:
                 self.copies += 1
             else:
@@ -93,6 +97,7 @@ class Receiver:
 
     def on_control(self, data: bytes, now_ns: int) -> None:
         """Take a control message."""
+        self._quiet_until_ns = 0
         try:
             message = wire.decode_control(data)
             self._take(message, now_ns)
@@ -122,15 +127,15 @@ class Receiver:
     def introduce(self) -> None:
         """Send hello with the next requests, because control has a new connection."""
         self._hello_due = True
-        self._next_hello_ns = 0
+        self._next_hello_ns = self._quiet_until_ns = 0
 
     def requests(self, now_ns: int) -> list[wire.ControlMessage]:
         """Return the messages to send to the sensing node now: hello, clock request, final bye."""
         wanted: list[wire.ControlMessage] = []
+        if now_ns < self._quiet_until_ns:
+            return wanted
         silent = self.silent(now_ns)
         lost = self.session is None or silent or self._hello_due
-        if not (lost or now_ns >= self._next_clock_ns or self._last_bye is not None):
-            return wanted
         if lost and now_ns >= self._next_hello_ns:
             self._next_hello_ns = now_ns + HELLO_EVERY_NS
             self._hello_due = False
@@ -145,6 +150,8 @@ class Receiver:
         if self._last_bye is not None and self.buffer.complete:
             wanted.append(self._last_bye)
             self._last_bye = None
+        if not lost and self._last_bye is None:
+            self._quiet_until_ns = min(self._next_clock_ns, self._received_ns + SILENT_AFTER_NS)
         return wanted
 
     def expect_reply(self, t1_ns: int) -> None:
@@ -199,16 +206,16 @@ class Receiver:
         if frame.session != self.session:
             self._hello_due = True
             raise WireError("session", "a frame of another session")
-        values = frame.values
+        count, channels = frame.values.shape
         if (
-            values.shape[1] != len(description.channels)
-            or values.shape[0] > description.batch
-            or values.dtype.itemsize != description.bytes_per_sample
+            channels != len(description.channels)
+            or count > description.batch
+            or frame.values.itemsize != description.bytes_per_sample
             or not description.period_ns <= 2 * frame.period_ns <= 4 * description.period_ns
-            or self._channel >= values.shape[1]
+            or self._channel >= channels
         ):
             raise WireError("mismatch", "a frame does not match the stream's description")
-        last_ns = frame.t_first_ns + (len(values) - 1) * frame.period_ns
+        last_ns = frame.t_first_ns + (count - 1) * frame.period_ns
         if not self.clock.ready:
             raise WireError("before_clock", "a frame before the sensing clock is known")
         sensing_now_ns = self.clock.remote_ns(now_ns)

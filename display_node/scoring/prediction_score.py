@@ -10,18 +10,18 @@ from bisect import bisect_left
 from collections import deque
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any
+from typing import Any, Final
 
 from display_node.scoring.tracking_error import JND
 from protocol.summary_tables import Compensation
 from protocol.wire.messages import ChannelSamples
 
 # Predicted ticks that wait for their samples: 4 s at 1 kHz. Later samples are not scored.
-KEEP_TICKS = 4_096
-WINDOW_NS = 5_000_000_000
+KEEP_TICKS: Final = 4_096
+WINDOW_NS: Final = 5_000_000_000
 # The alarm begins when the prediction was noticeably wrong for more than this share of the window,
 # and ends below half of it.
-ALARM_SHARE = 0.05
+ALARM_SHARE: Final = 0.05
 
 
 def prediction_alarm(compensation: Mapping[str, Any]) -> str | None:

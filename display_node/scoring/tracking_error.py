@@ -11,6 +11,7 @@ pulse itself ends below 25 Hz; above are noise, and jumps caused by prediction.
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,9 +21,9 @@ from protocol.run_summary import Summary
 from protocol.summary_tables import AlignedErrors, Roughness
 from protocol.wire.messages import ChannelSamples
 
-ABOVE_HZ = 25.0
+ABOVE_HZ: Final = 25.0
 # Half the filter's length. Its edge is ±14 Hz wide, and it attenuates slow parts by 70 dB.
-REACH_S = 0.1
+REACH_S: Final = 0.1
 Floats = NDArray[np.float64]
 Times = NDArray[np.int64]
 
@@ -92,17 +93,17 @@ def high_pass(period_s: float) -> Floats:
     return np.asarray(kernel)
 
 
-BLOCK = 256
+BLOCK: Final = 256
 # A felt force waits this many ticks for the reference of its instant to arrive.
-PATIENCE = 2_048
+PATIENCE: Final = 2_048
 # Time after which a reference without a felt force (of a display at fault) is removed.
-KEEP_NS = 30_000_000_000
+KEEP_NS: Final = 30_000_000_000
 # Samples that are added one by one before they join the reference.
-MAX_ADDED = 8_192
+MAX_ADDED: Final = 8_192
 # Largest gap of the reference that is interpolated; a larger one (a cut link) is not scored.
-MAX_GAP_NS = 60_000_000
-JND = 0.10
-SPAN_NS = 2_000_000_000
+MAX_GAP_NS: Final = 60_000_000
+JND: Final = 0.10
+SPAN_NS: Final = 2_000_000_000
 
 
 class TrackingError:

@@ -17,7 +17,7 @@ A step of a clock is detected within an exchange or a block, and the estimate st
 """
 
 import math
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,42 +25,42 @@ from numpy.typing import NDArray
 from protocol.clock.one_way import MAX_SKEW, OffsetRegression, OneWaySkew, contradiction, fit_lines
 
 # Exchanges of a block.
-BLOCK = 16
+BLOCK: Final = 16
 # Numbers of shortest delays of each direction from which a block's offset is computed.
 LEVELS = (1, 2, 4, 8, BLOCK)
 _COUNTS = np.array(LEVELS)
 # Sign of a skew's effect on the delays to the remote clock, and back.
 _SKEW_SIGNS = np.array([[1.0], [-1.0]])
 
-KEEP_BLOCKS = 256
-READY_AFTER = 3
+KEEP_BLOCKS: Final = 256
+READY_AFTER: Final = 3
 # Smallest assumed error of a measured time.
-LEAST_NOISE_NS = 2_000.0
+LEAST_NOISE_NS: Final = 2_000.0
 # Standard deviation of computers' skews; a larger value within a few seconds is jitter.
-USUAL_SKEW = 200e-6
+USUAL_SKEW: Final = 200e-6
 # Number of consecutive exchanges, or blocks, that must contradict the estimate.
-STEP_AFTER = 3
+STEP_AFTER: Final = 3
 # Smaller steps are not detected. Their effect ends when the blocks before the step are dropped.
-STEP_LEAST_NS = 1_000_000
-STEP_NOISES = 8.0
+STEP_LEAST_NS: Final = 1_000_000
+STEP_NOISES: Final = 8.0
 # From this number of blocks on, each new block is compared with the fitted line.
-STEADY_BLOCKS = 8
+STEADY_BLOCKS: Final = 8
 # Quantiles of the blocks' round trips and noises that serve as references.
 SHORT, RATHER_SHORT = 0.1, 0.3
 # With exponential delays in one direction only, the bias of a block's shortest delay is this share
 # of the mean's bias.
-UNSEEN_SHARE = 1 / (BLOCK - 1)
+UNSEEN_SHARE: Final = 1 / (BLOCK - 1)
 # Weights of errors and biases, chosen for a coverage of 95 %
 # (docs/decisions/0015-clock-estimator-adapts-to-jitter.md).
 ERRORS, BIASES = 2.0, 1.5
 # Largest error of the skew, in standard errors. Before any fit that is 600 ppm; clocks reach 500.
-SKEW_ERRORS = 3.0
+SKEW_ERRORS: Final = 3.0
 # Two skews agree within AGREE standard errors; the excess, times DISAGREE, counts as an error.
 AGREE, DISAGREE = 2.0, 2.0
 
 # A float of this size has no fraction, so adding and subtracting it rounds to the nearest whole
 # number, and half to even, below 2^51.
-WHOLE = 1.5 * 2.0**52
+WHOLE: Final = 1.5 * 2.0**52
 
 Blocks = NDArray[np.void]
 # t_ns: middle of a block of exchanges on the local clock. offset_ns, round_trip_ns: for each of

@@ -6,14 +6,14 @@ often than exchanges, at no cost. `ClockEstimator` weighs both.
 
 import math
 from collections import deque
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
 # Weight of the expected noise, as a number of points.
-NOISE_POINTS = 4.0
+NOISE_POINTS: Final = 4.0
 
 
 class OffsetRegression(NamedTuple):
@@ -89,20 +89,20 @@ def contradiction(values: Floats, errors: Floats) -> Floats:
     return np.maximum(apart, 0)
 
 
-BLOCK = 64
-KEEP_BLOCKS = 256
-STEADY_BLOCKS = 8
+BLOCK: Final = 64
+KEEP_BLOCKS: Final = 256
+STEADY_BLOCKS: Final = 8
 # Least time between two messages that are used: closer ones delay each other.
-APART_NS = 4_000_000
+APART_NS: Final = 4_000_000
 # Numbers of shortest delays whose mean is a block's delay.
 LEVELS = np.array([4, 8, 16, 32, BLOCK])
-LEAST_NOISE_NS = 2_000.0
+LEAST_NOISE_NS: Final = 2_000.0
 # Upper bound of any clock's skew.
-MAX_SKEW = 0.01
+MAX_SKEW: Final = 0.01
 # Quantiles of the blocks' delays: reference, and scatter above it.
 SHORT, HALF = 0.1, 0.5
 # Factor on errors, because neighbouring blocks are correlated.
-CORRELATION = 1.3
+CORRELATION: Final = 1.3
 
 
 class OneWaySkew:
@@ -166,19 +166,19 @@ class OneWaySkew:
         self.skew, self.error = float(lines.skew[level]), float(error[level])
 
 
-BLOCK_NS = 250_000_000
-KEEP = 256
-READY_AFTER = 2
+BLOCK_NS: Final = 250_000_000
+KEEP: Final = 256
+READY_AFTER: Final = 2
 # Resonators of boards without a crystal are off by up to 0.5 %.
-DEVICE_SKEW = 2e-3
-DEVICE_NOISE_NS = 20_000.0
+DEVICE_SKEW: Final = 2e-3
+DEVICE_NOISE_NS: Final = 20_000.0
 # An arrival this long before its timestamp, STEP_AFTER times in a row, is a step of the clock.
-STEP_MARGIN_NS = 20_000_000
-STEP_AFTER = 3
+STEP_MARGIN_NS: Final = 20_000_000
+STEP_AFTER: Final = 3
 # A delay above this in this number of consecutive blocks is a step too; no cable is so slow.
-LATE_NS = 500_000_000
-LATE_BLOCKS = 4
-ROUNDS = 3
+LATE_NS: Final = 500_000_000
+LATE_BLOCKS: Final = 4
+ROUNDS: Final = 3
 
 
 class DeviceClock:

@@ -14,7 +14,7 @@ returns a valid message or raises WireError with the cause under which it is cou
 
 import math
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import msgpack
 import numpy as np
@@ -23,18 +23,18 @@ from numpy.typing import NDArray
 from protocol.errors import WireError
 from protocol.wire.stream import MAX_NAME, StreamDescription, description_from_wire
 
-VERSION = 1
+VERSION: Final = 1
 # Greatest size of any message between the nodes.
-MAX_FRAME_BYTES = 65_536
-MAX_CHANNELS = 64
-MAX_PERIOD_NS = 10_000_000_000
+MAX_FRAME_BYTES: Final = 65_536
+MAX_CHANNELS: Final = 64
+MAX_PERIOD_NS: Final = 10_000_000_000
 # Sample counts are exact in a float, and suffice for 285 years at 1 MHz. Times, up to 146 years
 # from a clock's zero, can be added and extrapolated within 64 bits.
 TIME_RANGE = range(-(1 << 62), 1 << 62)
 COUNT_RANGE = range(1 << 53)
 _SESSION, _COUNT, _TIME = range(1 << 63), COUNT_RANGE, TIME_RANGE
 # Bound of a sample, far above any pulse; figures computed from it stay finite.
-LARGEST_N = 1e6
+LARGEST_N: Final = 1e6
 _FORMATS: dict[int, np.dtype[Any]] = {4: np.dtype("<f4"), 8: np.dtype("<f8")}
 
 _pack: Callable[[object], bytes] = msgpack.Packer(use_bin_type=True).pack

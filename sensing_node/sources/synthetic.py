@@ -91,17 +91,18 @@ class SyntheticSource:
         self._pending_first = -self._lead
         self._beat_onset_s = -2 * self._interval_s(0.0)
         self._early = False
-        self._ready = np.zeros(0)
+        # Samples of complete beats, and the number of those that were taken.
+        self._ready = np.zeros((0, 1))
+        self._taken = 0
 
     def take(self, count: int) -> NDArray[np.float64]:
         """Return the next `count` samples in N, shape (count, 1)."""
-        parts, missing = [self._ready], count - len(self._ready)
-        while missing > 0:
-            parts.append(self._next_beat())
-            missing -= len(parts[-1])
-        ready = parts[0] if len(parts) == 1 else np.concatenate(parts)
-        taken, self._ready = ready[:count], ready[count:]
-        return taken[:, np.newaxis]
+        first, self._taken = self._taken, self._taken + count
+        while self._taken > len(self._ready):
+            beat = self._next_beat()[:, np.newaxis]
+            self._ready = np.concatenate([self._ready[first:], beat])
+            first, self._taken = 0, self._taken - first
+        return self._ready[first : self._taken]
 
     def _interval_s(self, onset_s: float) -> float:
         """Return the beat interval at a time: slow rhythm, respiratory rhythm and chance."""

@@ -7,26 +7,27 @@ packets of the emulated link.
 import math
 from bisect import bisect_right
 from random import Random
+from typing import Final
 
 from telepulse.simulation.link_scene import LinkScene
 
 # Tail of the Pareto jitter: P(X > x) ∝ x⁻³. 3 is the smallest integer exponent with a finite
 # standard deviation, which `jitter` gives.
-PARETO_SHAPE = 3
+PARETO_SHAPE: Final = 3
 _PARETO_DEVIATION = math.sqrt(PARETO_SHAPE / (PARETO_SHAPE - 2)) / (PARETO_SHAPE - 1)
 # With jitter in bursts the link stalls for a tenth of the time. A packet meets a stall with that
 # probability, and then waits for an exponential time.
-STALLED_SHARE = 0.1
+STALLED_SHARE: Final = 0.1
 _STALL_DEVIATION = math.sqrt(2 * STALLED_SHARE - STALLED_SHARE**2)
 # A packet that would wait for longer in the queue of the rate limit is lost.
-QUEUE_NS = 200_000_000
+QUEUE_NS: Final = 200_000_000
 # Linux: smallest retransmission timeout minus the round trip, and largest timeout.
-RTO_MARGIN_NS = 200_000_000
-MAX_RTO_NS = 120_000_000_000
+RTO_MARGIN_NS: Final = 200_000_000
+MAX_RTO_NS: Final = 120_000_000_000
 # Share of the round trip that Linux waits for packets that may only be out of order (RACK).
-REORDERING_WINDOW = 0.25
+REORDERING_WINDOW: Final = 0.25
 # Headers that ZeroMQ, TCP and IP add to a short message: 2, 32 and 20 bytes.
-HEADER_BYTES = 54
+HEADER_BYTES: Final = 54
 
 
 class GilbertElliott:

@@ -11,6 +11,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from typing import Final
 
 from display_node.display import Display
 from display_node.drives.hardware import Hardware
@@ -30,10 +31,10 @@ from telepulse.simulation.link_model import MessageLink
 from telepulse.simulation.parallel_paths import ParallelPaths
 
 # The sensing clock is ahead by this, so that a confusion of the two clocks shows at once.
-SENSING_CLOCK_AHEAD_NS = 3_600_000_000_000
-STREAM_BEGINS_NS = 500_000_000
+SENSING_CLOCK_AHEAD_NS: Final = 3_600_000_000_000
+STREAM_BEGINS_NS: Final = 500_000_000
 SENDER = (b"simulated display",)
-DRAIN_LIMIT_NS = 15_000_000_000
+DRAIN_LIMIT_NS: Final = 15_000_000_000
 
 # Takes a message's bytes, and the time in ns.
 Handler = Callable[[bytes, int], None]
@@ -92,7 +93,7 @@ class Simulation:
         self._description = describe_stream(scene.sensing, self._source)
         self._now_ns = begin_ns
         self._stream_ns = begin_ns + STREAM_BEGINS_NS
-        self._scored_from_ns = self._stream_ns
+        self._scored_from_ns = self._last_ns = self._stream_ns
         # Age at which a real film is read; the modelled film has its own delay.
         self._film_age_ns = scene.display.film.latency_ns if hardware is not None else 0
         self._paced = PacedSource(self._source, self._stream_ns + SENSING_CLOCK_AHEAD_NS)
@@ -106,7 +107,8 @@ class Simulation:
         self._tracking_error = TrackingError(scene.display.layer.layer().strain_per_newton)
         self._down = MessageLink(scene.link, seed, begin_ns)
         self._up = MessageLink(scene.link, seed + 1, begin_ns)
-        frame_ns = self._description.batch * self._description.period_ns
+        self._batch = self._description.batch
+        frame_ns = self._batch * self._description.period_ns
         self._paths = ParallelPaths(self._down, scene.link, scene.display, frame_ns)
         self._events: list[tuple[int, int, Handler, bytes]] = []
         self._order = itertools.count()
@@ -137,9 +139,9 @@ class Simulation:
         The stream is scored once it is `settle_seconds` old.
         """
         self._scored_from_ns = self._stream_ns + round(settle_seconds * 1e9)
-        last_ns = self._stream_ns + round(seconds * 1e9) - 1
-        self._schedule_batch(last_ns)
-        return last_ns
+        self._last_ns = self._stream_ns + round(seconds * 1e9) - 1
+        self._schedule_batch()
+        return self._last_ns
 
     def tick(self, now_ns: int, elapsed_ticks: int = 1) -> TickState:
         """Process the events that are due, and tick the display."""
@@ -189,30 +191,27 @@ class Simulation:
         """Count of data frames that the link has lost."""
         return self._down.lost_data
 
-    def _schedule_batch(self, last_ns: int) -> None:
+    def _schedule_batch(self) -> None:
         """Schedule the next batch, which may be short at the end; after the last, a bye."""
-
-        def sense(_: bytes, now_ns: int) -> None:
-            block = self._paced.read(now_ns + SENSING_CLOCK_AHEAD_NS)
-            if block is None:
-                return self._schedule_batch(last_ns)
-            self._check.add(block.values)
-            channel, ratio = self._channel, self.display.force_ratio
-            for frame in self._framer.frames(block):
-                samples = self._reference.of(frame).samples_of(channel)
-                self._tracking_error.add_reference(samples, ratio)
-                data = encode_frame(frame)
-                for path, arrival_ns in self._paths.arrivals_ns(now_ns, len(data)):
-                    self._schedule(arrival_ns, partial(self._receive, path), data)
-            self._schedule_batch(last_ns)
-
-        ahead_ns = SENSING_CLOCK_AHEAD_NS
-        if self._paced.exhausted or self._paced.due_ns(1) - ahead_ns > last_ns:
+        paced, last_ns = self._paced, self._last_ns
+        if paced.exhausted or paced.due_ns(1) - SENSING_CLOCK_AHEAD_NS > last_ns:
             bye = Bye(self._session, self._framer.samples_sent)
             self._send(self._down, last_ns, self.display.on_control, bye)
         else:
-            due_ns = min(self._paced.due_ns(self._description.batch) - ahead_ns, last_ns)
-            self._schedule(due_ns, sense, b"")
+            due_ns = paced.due_ns(self._batch) - SENSING_CLOCK_AHEAD_NS
+            self._schedule(min(due_ns, last_ns), self._sense, b"")
+
+    def _sense(self, _: bytes, now_ns: int) -> None:
+        block = self._paced.read(now_ns + SENSING_CLOCK_AHEAD_NS)
+        if block is not None:
+            self._check.add(block.values)
+            for frame in self._framer.frames(block):
+                samples = self._reference.of(frame).samples_of(self._channel)
+                self._tracking_error.add_reference(samples, self.display.force_ratio)
+                data = encode_frame(frame)
+                for path, arrival_ns in self._paths.arrivals_ns(now_ns, len(data)):
+                    self._schedule(arrival_ns, partial(self._receive, path), data)
+        self._schedule_batch()
 
     def _receive(self, path: int, data: bytes, now_ns: int) -> None:
         self._paths.received(path)
