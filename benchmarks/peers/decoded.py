@@ -8,7 +8,7 @@ import zmq
 from benchmarks.peers import curve, ours
 from benchmarks.peers.message import Arrival, Wire
 from protocol import sockets
-from protocol.wire.messages import decode_frame
+from protocol.wire.messages import unpack_frame
 
 publish = ours.publish
 
@@ -22,6 +22,6 @@ def subscribe(wire: Wire) -> Iterator[Arrival]:
     descriptors = sockets.descriptors((data,))
     while True:
         for message in sockets.receive_parts(data):
-            frame = decode_frame(message)
+            frame = unpack_frame(message)
             yield Arrival(frame.first_sample, frame.t_first_ns, time.monotonic_ns())
         sockets.wait_on_descriptors(descriptors, ours.WAIT_NS)

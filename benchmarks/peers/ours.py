@@ -51,15 +51,14 @@ def stamped_buffer() -> tuple[JitterBuffer, list[int]]:
     """
     put_ns: list[int] = []
     if BUILD == "compiled":
-        return JitterBuffer(channel=0), put_ns
+        return JitterBuffer(), put_ns
 
     class StampedBuffer(JitterBuffer):
-        def put(self, frame: Frame) -> ChannelSamples:
-            samples = super().put(frame)
+        def put(self, samples: ChannelSamples) -> None:
+            super().put(samples)
             put_ns[:] = [time.monotonic_ns()]
-            return samples
 
-    return StampedBuffer(channel=0), put_ns
+    return StampedBuffer(), put_ns
 
 
 def subscribe(wire: Wire) -> Iterator[Arrival]:
@@ -76,9 +75,8 @@ def subscribe(wire: Wire) -> Iterator[Arrival]:
         for message in sockets.receive_parts(data):
             samples = receiver.on_frame(message, time.monotonic_ns())
             if samples is not None:
-                frame = samples.frame
                 usable_ns = put_ns[0] if put_ns else time.monotonic_ns()
-                yield Arrival(frame.first_sample, frame.t_first_ns, usable_ns)
+                yield Arrival(samples.first_sample, samples.times_ns[0], usable_ns)
         for message in sockets.receive_parts(control):
             receiver.on_control(message, time.monotonic_ns())
         if receiver.accepts_frames and receiver.buffer is not buffer:

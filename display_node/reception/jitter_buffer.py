@@ -12,7 +12,7 @@ from operator import add
 from typing import Final
 
 from protocol.errors import WireError
-from protocol.wire.messages import ChannelSamples, Frame
+from protocol.wire.messages import ChannelSamples
 
 KEEP_SAMPLES: Final = 16_384
 MAX_AHEAD_SAMPLES: Final = 65_536
@@ -58,8 +58,7 @@ class JitterBuffer:
         Whether the session's end is known.
     """
 
-    def __init__(self, channel: int, begin_index: int | None = None) -> None:
-        self._channel = channel
+    def __init__(self, begin_index: int | None = None) -> None:
         self._joining = begin_index is None
         self._indices: list[int] = []
         self._times: list[int] = []
@@ -87,23 +86,22 @@ class JitterBuffer:
         """Samples that wait for their instant."""
         return len(self._times) - self._settled
 
-    def put(self, frame: Frame) -> ChannelSamples:
-        """Take a frame; return the samples of the channel.
+    def put(self, samples: ChannelSamples) -> None:
+        """Take the samples of a frame.
 
         Raises WireError: "duplicate", "overlap", "timestamp", "too_old", "overflow".
         """
-        count, first = len(frame.values), frame.first_sample
+        first, period_ns, times, forces_n = samples
+        count = len(times)
         position = bisect_left(self._indices, first)
-        self._check(frame, position, count)
-        samples = frame.samples_of(self._channel)
-        times = samples.times_ns
+        self._check(first, times, period_ns, position)
         if position < len(self._indices):
             self.reordered += 1
         self._indices[position:position] = range(first, first + count)
         self._times[position:position] = times
-        self._values[position:position] = samples.forces_n
+        self._values[position:position] = forces_n
         self.newest_ns = self._times[-1]
-        self._period_ns = frame.period_ns
+        self._period_ns = period_ns
         self.frames += 1
         if self._first_index is None or first < self._first_index:
             self._first_index = first
@@ -115,7 +113,6 @@ class JitterBuffer:
             self._settled += passed
         if len(self._times) > 2 * KEEP_SAMPLES:
             self._trim()
-        return samples
 
     def _trusted_among(self, times: list[int]) -> int:
         """Return how many instants that have passed were felt from a trusted prediction."""
@@ -124,10 +121,9 @@ class JitterBuffer:
             return len(times) if self._trusted else 0
         return sum(bisect_left(changed_ns, t_ns) % 2 for t_ns in times)
 
-    def _check(self, frame: Frame, position: int, count: int) -> None:
+    def _check(self, first: int, times_ns: list[int], period_ns: int, position: int) -> None:
         """Refuse samples that are present already, or whose times contradict their neighbours."""
-        indices, times = self._indices, self._times
-        first, t_first_ns, period_ns = frame.first_sample, frame.t_first_ns, frame.period_ns
+        indices, times, count = self._indices, self._times, len(times_ns)
         last = first + count - 1
         if position < len(indices):
             later = indices[position]
@@ -135,11 +131,10 @@ class JitterBuffer:
                 all_here = indices[position + count - 1 : position + count] == [last]
                 cause = "duplicate" if all_here else "overlap"
                 raise WireError(cause, f"sample {later} is here already")
-            last_ns = t_first_ns + (count - 1) * period_ns
-            _check_gap(times[position] - last_ns, (later - last) * period_ns)
+            _check_gap(times[position] - times_ns[-1], (later - last) * period_ns)
         if position:
             earlier = indices[position - 1]
-            _check_gap(t_first_ns - times[position - 1], (first - earlier) * period_ns)
+            _check_gap(times_ns[0] - times[position - 1], (first - earlier) * period_ns)
         elif first < self._floor_index:
             raise WireError("too_old", f"sample {first} is older than the buffer reaches")
         if len(times) - self._settled + count > MAX_AHEAD_SAMPLES:
@@ -249,7 +244,7 @@ class JitterBuffer:
         """
         first = self._first_index
         begin_index = None if first is None else first + self.account().sent
-        return JitterBuffer(self._channel, begin_index)
+        return JitterBuffer(begin_index)
 
 
 def _check_gap(gap_ns: int, expected_ns: int) -> None:

@@ -80,13 +80,13 @@ class Receiver:
         self.description: StreamDescription | None = None
         self.clock = ClockEstimator()
         self.delay = DelayEstimator(late_target)
-        self.buffer = JitterBuffer(channel)
+        self.buffer = JitterBuffer()
         self._last_bye: wire.Bye | None = None
 
     def on_frame(self, data: bytes, now_ns: int) -> wire.ChannelSamples | None:
         """Take a data message; return the samples of the channel if it is new and valid."""
         try:
-            return self._accept(wire.decode_frame(data), now_ns)
+            return self._accept(wire.unpack_frame(data), now_ns)
         except WireError as error:
             self._quiet_until_ns = 0
             if error.cause == "duplicate" and self.paths > 1:
@@ -198,7 +198,7 @@ class Receiver:
         grace_ns = GRACE_NS if self.buffer.complete else LAST_GRACE_NS
         return self.clock.remote_ns(now_ns) > end_ns + playout_delay_ns + grace_ns
 
-    def _accept(self, frame: wire.Frame, now_ns: int) -> wire.ChannelSamples:
+    def _accept(self, frame: wire.PackedFrame, now_ns: int) -> wire.ChannelSamples:
         """Check a frame against its session and put it into the buffer. Raises WireError."""
         description = self.description
         if description is None:
@@ -206,25 +206,25 @@ class Receiver:
         if frame.session != self.session:
             self._hello_due = True
             raise WireError("session", "a frame of another session")
-        count, channels = frame.values.shape
         if (
-            channels != len(description.channels)
-            or count > description.batch
-            or frame.values.itemsize != description.bytes_per_sample
+            frame.channels != len(description.channels)
+            or len(frame.numbers) > description.batch * frame.channels
+            or frame.bytes_per_sample != description.bytes_per_sample
             or not description.period_ns <= 2 * frame.period_ns <= 4 * description.period_ns
-            or self._channel >= channels
+            or self._channel >= frame.channels
         ):
             raise WireError("mismatch", "a frame does not match the stream's description")
-        last_ns = frame.t_first_ns + (count - 1) * frame.period_ns
+        samples = frame.samples_of(self._channel)
+        first_ns, last_ns = samples.times_ns[0], samples.times_ns[-1]
         if not self.clock.ready:
             raise WireError("before_clock", "a frame before the sensing clock is known")
         sensing_now_ns = self.clock.remote_ns(now_ns)
         if not -OLDEST_NS < last_ns - sensing_now_ns < FUTURE_NS:
             raise WireError("timestamp", "a frame's time is not near the present")
-        samples = self.buffer.put(frame)
+        self.buffer.put(samples)
         self._received_ns = now_ns
         self.clock.add_one_way(last_ns, now_ns)
-        self.delay.observe(sensing_now_ns - frame.t_first_ns, now_ns)
+        self.delay.observe(sensing_now_ns - first_ns, now_ns)
         self.ready = self.ready or self.delay.settled
         self.one_way_delay_ms.add((sensing_now_ns - last_ns) * 1e-6)
         return samples
@@ -235,7 +235,7 @@ class Receiver:
                 self._received_ns = now_ns
                 if session != self.session:
                     # Samples, times and clock of two sessions are unrelated.
-                    self._restart(JitterBuffer(self._channel))
+                    self._restart(JitterBuffer())
                     self.session, self.description = session, description
                     self.sessions += 1
                     self._clock_requests = self._next_clock_ns = 0

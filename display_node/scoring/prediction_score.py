@@ -125,7 +125,7 @@ class PredictionScore:
             self._squares += square / (height_n * height_n)
             self._sized_count += count
         if noticed:
-            noticed_ns = noticed * samples.frame.period_ns
+            noticed_ns = noticed * samples.period_ns
             self._noticed.append((first_ns, noticed_ns))
             self._noticed_ns += noticed_ns
             self.alarm = self.alarm or self.noticed_5s > ALARM_SHARE

@@ -13,6 +13,7 @@ returns a valid message or raises WireError with the cause under which it is cou
 """
 
 import math
+import struct
 from collections.abc import Callable
 from typing import Any, Final, NamedTuple
 
@@ -36,6 +37,7 @@ _SESSION, _COUNT, _TIME = range(1 << 63), COUNT_RANGE, TIME_RANGE
 # Bound of a sample, far above any pulse; figures computed from it stay finite.
 LARGEST_N: Final = 1e6
 _FORMATS: dict[int, np.dtype[Any]] = {4: np.dtype("<f4"), 8: np.dtype("<f8")}
+_CODES = {4: "f", 8: "d"}
 
 _pack: Callable[[object], bytes] = msgpack.Packer(use_bin_type=True).pack
 
@@ -65,18 +67,43 @@ class Frame(NamedTuple):
 
     def samples_of(self, channel: int) -> "ChannelSamples":
         """Return the samples of a channel, counted from 0."""
-        _, _, first_ns, period_ns, values = self
-        forces_n: list[float] = values[:, channel].tolist()
-        end_ns = first_ns + len(forces_n) * period_ns
-        return ChannelSamples(self, list(range(first_ns, end_ns, period_ns)), forces_n)
+        _, first_sample, t_first_ns, period_ns, values = self
+        return _samples(first_sample, t_first_ns, period_ns, values[:, channel].tolist())
+
+
+class PackedFrame(NamedTuple):
+    """A frame as it crosses the wire; `numbers` are its samples, sample by sample."""
+
+    session: int
+    first_sample: int
+    t_first_ns: int
+    period_ns: int
+    channels: int
+    bytes_per_sample: int
+    payload: bytes
+    numbers: tuple[float, ...]
+
+    def samples_of(self, channel: int) -> "ChannelSamples":
+        """Return the samples of a channel, counted from 0."""
+        forces_n = list(self.numbers[channel :: self.channels])
+        return _samples(self.first_sample, self.t_first_ns, self.period_ns, forces_n)
 
 
 class ChannelSamples(NamedTuple):
     """The samples of one channel of a frame: times on the sensing node's clock, forces in N."""
 
-    frame: Frame
+    first_sample: int
+    period_ns: int
     times_ns: list[int]
     forces_n: list[float]
+
+
+def _samples(
+    first_sample: int, t_first_ns: int, period_ns: int, forces_n: list[float]
+) -> ChannelSamples:
+    end_ns = t_first_ns + len(forces_n) * period_ns
+    times_ns = list(range(t_first_ns, end_ns, period_ns))
+    return ChannelSamples(first_sample, period_ns, times_ns, forces_n)
 
 
 def encode_frame(frame: Frame) -> bytes:
@@ -90,7 +117,15 @@ def encode_frame(frame: Frame) -> bytes:
 
 
 def decode_frame(data: bytes) -> Frame:
-    """Decode a frame of at most `MAX_FRAME_BYTES`.
+    """Decode a frame of at most `MAX_FRAME_BYTES`. Raises WireError as `unpack_frame` does."""
+    packed = unpack_frame(data)
+    session, first_sample, t_first_ns, period_ns, channels, width, payload, _ = packed
+    values = np.frombuffer(payload, _FORMATS[width]).reshape(-1, channels)
+    return Frame(session, first_sample, t_first_ns, period_ns, values)
+
+
+def unpack_frame(data: bytes) -> PackedFrame:
+    """Decode a frame without arrays, which take longer for a few samples.
 
     Raises WireError with the cause "oversized", "truncated", "not_msgpack", "version", "malformed"
     or "not_finite".
@@ -116,12 +151,13 @@ def decode_frame(data: bytes) -> Frame:
         raise WireError("malformed", "a frame's field is out of range")
     if not payload or len(payload) % (channels * width):
         raise WireError("malformed", f"{len(payload)} bytes are not whole samples")
-    values = np.frombuffer(payload, _FORMATS[width])
-    numbers = values.tolist()
+    numbers = struct.unpack(f"<{len(payload) // width}{_CODES[width]}", payload)
     # `max` may miss a NaN, the sum does not.
     if not math.isfinite(sum(numbers)) or max(numbers) > LARGEST_N or min(numbers) < -LARGEST_N:
         raise WireError("not_finite", f"a sample is NaN, infinite or beyond {LARGEST_N:.0e} N")
-    return Frame(session, first_sample, t_first_ns, period_ns, values.reshape(-1, channels))
+    return PackedFrame(
+        session, first_sample, t_first_ns, period_ns, channels, width, payload, numbers
+    )
 
 
 class Hello(NamedTuple):

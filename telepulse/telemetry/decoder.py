@@ -200,8 +200,9 @@ class PassiveReceiver(Receiver):
         Raises KeyError, ValueError or TypeError for fields that are not those of an entry.
         """
         if topic == FRAME or (topic == REFUSED and fields["path"] != telemetry.CONTROL):
-            samples = self.on_frame(b64decode(fields["data"]), fields["arrived_ns"])
-            return None if samples is None else samples.frame
+            data = b64decode(fields["data"])
+            accepted = self.on_frame(data, fields["arrived_ns"]) is not None
+            return wire.decode_frame(data) if accepted else None
         if topic in (STREAM, REFUSED):
             self.on_control(b64decode(fields["data"]), fields["arrived_ns"])
         elif topic == CLOCK:

@@ -6,7 +6,7 @@ import pytest
 from display_node.reception.jitter_buffer import JitterBuffer
 from protocol.errors import WireError
 from protocol.tactile import ElasticLayer
-from protocol.wire.messages import Frame
+from protocol.wire.messages import ChannelSamples, Frame
 from protocol.wire.stream import Channel, StreamDescription
 from sensing_node.sources.synthetic import SyntheticScene, SyntheticSource
 
@@ -40,14 +40,18 @@ def frame(first: int, count: int = 5, shift_ns: int = 0) -> Frame:
     return Frame(1, first, at_ns(first) + shift_ns, MS, values)
 
 
-def filled(*frames: Frame) -> JitterBuffer:
-    buffer = JitterBuffer(0)
+def samples(first: int, count: int = 5, shift_ns: int = 0) -> ChannelSamples:
+    return frame(first, count, shift_ns).samples_of(0)
+
+
+def filled(*frames: ChannelSamples) -> JitterBuffer:
+    buffer = JitterBuffer()
     for each in frames:
         buffer.put(each)
     return buffer
 
 
-def refusal(buffer: JitterBuffer, refused: Frame) -> str:
+def refusal(buffer: JitterBuffer, refused: ChannelSamples) -> str:
     with pytest.raises(WireError) as caught:
         buffer.put(refused)
     return caught.value.cause

@@ -14,8 +14,8 @@ from display_node.reception.jitter_buffer import (
     SampleAccount,
 )
 from protocol.errors import WireError
-from protocol.wire.messages import Frame
-from tests.support.streams import MS, T0_NS, at_ns, filled, frame, refusal
+from protocol.wire.messages import Frame, encode_frame, unpack_frame
+from tests.support.streams import MS, T0_NS, at_ns, filled, refusal, samples
 
 
 class Ledger:
@@ -80,7 +80,7 @@ def test_every_sample_is_played_predicted_late_or_lost(
     sizes, events = history
     firsts = [0, *accumulate(sizes)]
     sent = firsts[-1] + lost_tail
-    buffer, ledger = JitterBuffer(0), Ledger()
+    buffer, ledger = JitterBuffer(), Ledger()
     instant_ns = at_ns(-5)
     for event, value in events:
         if event != "put":
@@ -88,9 +88,9 @@ def test_every_sample_is_played_predicted_late_or_lost(
             buffer.advance(instant_ns, event == "trusted")
             ledger.advance(instant_ns, event == "trusted")
         elif ledger.put(firsts[value], sizes[value]):
-            buffer.put(frame(firsts[value], sizes[value]))
+            buffer.put(samples(firsts[value], sizes[value]))
         else:
-            assert refusal(buffer, frame(firsts[value], sizes[value])) == "duplicate"
+            assert refusal(buffer, samples(firsts[value], sizes[value])) == "duplicate"
         assert counts(buffer.account()) == ledger.counts(sent=None)
     buffer.end(sent, now_ns=at_ns(sent))
     assert counts(buffer.account()) == ledger.counts(sent)
@@ -107,70 +107,70 @@ def test_accounts_of_sessions_add_up() -> None:
 
 
 def test_a_frame_from_before_the_first_counts_as_late() -> None:
-    buffer = filled(frame(50))
+    buffer = filled(samples(50))
     buffer.advance(at_ns(54))
     assert buffer.account() == SampleAccount(5, 5, 0, 0, 50)
-    buffer.put(frame(40))
+    buffer.put(samples(40))
     assert buffer.account() == SampleAccount(15, 5, 0, 5, 40)
     assert buffer.account().lost == 5
 
 
 def test_a_sample_that_comes_after_a_trusted_instant_was_predicted() -> None:
-    buffer = filled(frame(0))
+    buffer = filled(samples(0))
     buffer.advance(at_ns(10), trusted=True)
     buffer.advance(at_ns(13))
     # Played again after a jump back, which does not change how an instant was felt first.
     buffer.advance(at_ns(7))
     buffer.advance(at_ns(15), trusted=True)
-    buffer.put(frame(5, 12))
+    buffer.put(samples(5, 12))
     # Instants 5 to 10 and 14 to 15 were trusted, 11 to 13 were not, 16 is to come.
     assert buffer.account() == SampleAccount(16, 5, 8, 3)
     # A lost sample stays lost, however well its instant was predicted.
     buffer.advance(at_ns(30), trusted=True)
-    buffer.put(frame(20))
+    buffer.put(samples(20))
     assert buffer.account() == SampleAccount(25, 6, 13, 3)
     assert buffer.account().lost == 3
 
 
 def test_how_an_instant_was_felt_is_known_as_long_as_its_sample_may_come() -> None:
-    buffer = JitterBuffer(0)
+    buffer = JitterBuffer()
     tracemalloc.start()
     try:
         for number in range(400):
             if number != 398:
-                buffer.put(frame(500 * number, 500))
+                buffer.put(samples(500 * number, 500))
             for sample in range(500 * number, 500 * number + 500):
                 buffer.advance(at_ns(sample), trusted=sample % 2 == 1)
         _, peak = tracemalloc.get_traced_memory()
     finally:
         tracemalloc.stop()
     assert peak < 200 * 2 * KEEP_SAMPLES
-    buffer.put(frame(199_000, 500))
+    buffer.put(samples(199_000, 500))
     assert counts(buffer.account()) == (200_000, 199_500, 250, 250, 0)
 
 
 def test_removed_samples_stay_in_the_account() -> None:
-    buffer = JitterBuffer(0)
+    buffer = JitterBuffer()
     dropped, sent = {3, 150, 190}, 200 * 500
     for number in set(range(200)) - dropped:
-        buffer.put(frame(500 * number, 500))
+        buffer.put(samples(500 * number, 500))
         buffer.advance(at_ns(500 * number + 499))
     assert counts(buffer.account()) == (sent, sent - 1500, 0, 0, 1500)
-    assert [refusal(buffer, frame(first, 500)) for first in (1500, 0)] == ["too_old"] * 2
+    assert [refusal(buffer, samples(first, 500)) for first in (1500, 0)] == ["too_old"] * 2
     # No sample that was counted is taken again, removed or not.
     again = [sample for sample in range(65_000, 85_000) if sample // 500 not in dropped]
-    causes = [refusal(buffer, frame(sample, 1)) for sample in again]
+    causes = [refusal(buffer, samples(sample, 1)) for sample in again]
     assert causes == sorted(causes, reverse=True)
     assert set(causes) == {"too_old", "duplicate"}
     assert counts(buffer.account()) == (sent, sent - 1500, 0, 0, 1500)
     # A missing frame within reach is taken.
-    buffer.put(frame(95_000, 500))
+    buffer.put(samples(95_000, 500))
     assert counts(buffer.account()) == (sent, sent - 1500, 0, 500, 1000)
 
 
 def test_samples_played_again_after_a_jump_back_are_counted_once() -> None:
-    frames = [frame(first) for first in range(0, 1000, 5)]
-    frames = [each._replace(values=each.values**2) for each in frames]
+    frames = [samples(first) for first in range(0, 1000, 5)]
+    frames = [each._replace(forces_n=[value**2 for value in each.forces_n]) for each in frames]
     missing = frames.pop(100)
     buffer = filled(*frames)
     buffer.advance(at_ns(900))
@@ -190,7 +190,7 @@ def test_samples_played_again_after_a_jump_back_are_counted_once() -> None:
     [(9, at_ns(20)), (10**15, at_ns(20)), (1100, at_ns(20)), (1100, None)],
 )
 def test_an_implausible_end_is_refused(samples_sent: int, now_ns: int | None) -> None:
-    buffer = filled(frame(5))
+    buffer = filled(samples(5))
     with pytest.raises(WireError) as caught:
         buffer.end(samples_sent, now_ns)
     assert caught.value.cause == "implausible"
@@ -201,19 +201,19 @@ def test_an_implausible_end_is_refused(samples_sent: int, now_ns: int | None) ->
 
 
 def test_a_missing_tail_is_lost_once_all_other_samples_were_played() -> None:
-    buffer = filled(frame(0), frame(5))
+    buffer = filled(samples(0), samples(5))
     buffer.advance(at_ns(6))
     buffer.end(20, now_ns=at_ns(20))
     assert counts(buffer.account()) == (7, 7, 0, 0, 0)
     buffer.advance(at_ns(9))
     assert counts(buffer.account()) == (20, 10, 0, 0, 10)
     buffer.advance(at_ns(30))
-    buffer.put(frame(15))
+    buffer.put(samples(15))
     assert counts(buffer.account()) == (20, 10, 0, 5, 5)
 
 
 def test_a_session_without_a_frame_was_all_before_joining() -> None:
-    buffer = JitterBuffer(0)
+    buffer = JitterBuffer()
     assert buffer.account() == SampleAccount()
     buffer.end(1000, now_ns=None)
     assert buffer.account() == SampleAccount(before_joining=1000)
@@ -221,31 +221,31 @@ def test_a_session_without_a_frame_was_all_before_joining() -> None:
 
 
 def test_duplicates_and_overlaps_are_refused_and_change_nothing() -> None:
-    buffer = filled(frame(0), frame(10), frame(20))
+    buffer = filled(samples(0), samples(10), samples(20))
     buffer.advance(at_ns(2))
     before = (buffer.account(), buffer.waiting, buffer.frames, buffer.known(MS, 20))
     for first, count in ((3, 4), (5, 6), (9, 2), (10, 30), (22, 5)):
-        assert refusal(buffer, frame(first, count)) == "overlap", first
-    altered = frame(10)._replace(values=np.full((5, 1), 99.0))
-    for again in (frame(0), altered, frame(11, 3), frame(24, 1)):
+        assert refusal(buffer, samples(first, count)) == "overlap", first
+    altered = samples(10)._replace(forces_n=[99.0] * 5)
+    for again in (samples(0), altered, samples(11, 3), samples(24, 1)):
         assert refusal(buffer, again) == "duplicate"
     assert (buffer.account(), buffer.waiting, buffer.frames, buffer.known(MS, 20)) == before
 
 
 def test_a_time_that_does_not_fit_the_neighbours_is_refused() -> None:
-    buffer = filled(frame(100, 1), frame(104, 1))
+    buffer = filled(samples(100, 1), samples(104, 1))
     beyond_ms = TIME_TOLERANCE_NS // MS + 20
     for first, shifts_ms in ((200, (-100, beyond_ms)), (50, (50, -beyond_ms, 60)), (102, (2, -2))):
         for shift_ms in shifts_ms:
-            assert refusal(buffer, frame(first, 1, shift_ms * MS)) == "timestamp", shift_ms
+            assert refusal(buffer, samples(first, 1, shift_ms * MS)) == "timestamp", shift_ms
     assert buffer.frames == 2
     # A clock that drifts within the tolerance is accepted.
     for shift_ns in (-TIME_TOLERANCE_NS // 2, TIME_TOLERANCE_NS):
-        assert filled(frame(0), frame(1000, shift_ns=shift_ns)).frames == 2
+        assert filled(samples(0), samples(1000, shift_ns=shift_ns)).frames == 2
 
 
 def test_frames_a_hundred_places_out_of_order_are_sorted() -> None:
-    frames = [frame(5 * number) for number in range(101)]
+    frames = [samples(5 * number) for number in range(101)]
     buffer = filled(*reversed(frames))
     assert (buffer.frames, buffer.reordered) == (101, 100)
     buffer.advance(at_ns(0))
@@ -253,11 +253,11 @@ def test_frames_a_hundred_places_out_of_order_are_sorted() -> None:
 
 
 def test_memory_does_not_grow_with_the_stream() -> None:
-    buffer = JitterBuffer(0)
+    buffer = JitterBuffer()
     tracemalloc.start()
     try:
         for number in range(40):
-            buffer.put(frame(3000 * number, 3000))
+            buffer.put(samples(3000 * number, 3000))
             buffer.advance(at_ns(3000 * number))
         _, peak = tracemalloc.get_traced_memory()
     finally:
@@ -267,14 +267,14 @@ def test_memory_does_not_grow_with_the_stream() -> None:
 
 @pytest.mark.parametrize("order", [1, -1])
 def test_waiting_samples_and_their_memory_are_limited(order: int) -> None:
-    buffer, size = JitterBuffer(0), 512
+    buffer, size = JitterBuffer(), 512
     most = MAX_AHEAD_SAMPLES // size
     firsts = range(0, 5 * MAX_AHEAD_SAMPLES // 2, size)[::order]
     tracemalloc.start()
     try:
         for first in firsts[:most]:
-            buffer.put(frame(first, size))
-        assert {refusal(buffer, frame(first, size)) for first in firsts[most:]} == {"overflow"}
+            buffer.put(samples(first, size))
+        assert {refusal(buffer, samples(first, size)) for first in firsts[most:]} == {"overflow"}
         _, peak = tracemalloc.get_traced_memory()
     finally:
         tracemalloc.stop()
@@ -283,18 +283,18 @@ def test_waiting_samples_and_their_memory_are_limited(order: int) -> None:
 
 
 def test_played_samples_do_not_count_as_waiting() -> None:
-    buffer = filled(*(frame(first, 4000) for first in range(0, 32_000, 4000)))
+    buffer = filled(*(samples(first, 4000) for first in range(0, 32_000, 4000)))
     buffer.advance(at_ns(31_999))
     for first in range(32_000, 32_000 + MAX_AHEAD_SAMPLES - 4000, 4000):
-        buffer.put(frame(first, 4000))
+        buffer.put(samples(first, 4000))
     assert buffer.waiting == 64_000
 
 
 def test_values_are_returned_while_many_samples_wait() -> None:
-    buffer = filled(*(frame(first, 1000) for first in range(0, 2 * KEEP_SAMPLES - 1000, 1000)))
+    buffer = filled(*(samples(first, 1000) for first in range(0, 2 * KEEP_SAMPLES - 1000, 1000)))
     for first in range(32_000, 36_000, 1000):
         buffer.advance(at_ns(10_000.5))
-        buffer.put(frame(first, 1000))
+        buffer.put(samples(first, 1000))
         assert buffer.known(MS, 2) == [5000.25, 5000.75]
 
 
@@ -308,7 +308,7 @@ def test_a_straight_line_is_exact_even_across_missing_frames(
     missing: list[bool], start: float, step_ns: int, count: int
 ) -> None:
     here = [number for number, gone in enumerate([False, *missing, False]) if not gone]
-    buffer = filled(*(frame(5 * number) for number in here))
+    buffer = filled(*(samples(5 * number) for number in here))
     newest_ns, instant_ns = at_ns(5 * here[-1] + 4), at_ns(start)
     buffer.advance(instant_ns)
     instants = [instant_ns + i * step_ns for i in range(count)]
@@ -318,9 +318,9 @@ def test_a_straight_line_is_exact_even_across_missing_frames(
 
 
 def test_no_value_is_returned_before_the_first_sample() -> None:
-    buffer = JitterBuffer(0)
+    buffer = JitterBuffer()
     assert (buffer.known(MS, 2), buffer.newest_ns) == ([], None)
-    buffer.put(frame(10))
+    buffer.put(samples(10))
     assert buffer.known(MS, 2) == []
     buffer.advance(at_ns(9.9))
     assert buffer.known(MS, 2) == []
@@ -331,10 +331,12 @@ def test_no_value_is_returned_before_the_first_sample() -> None:
 @pytest.mark.parametrize("order", [1, -1], ids=["in order", "out of order"])
 @pytest.mark.parametrize("channel", [0, 1, 2])
 def test_one_channel_is_played(channel: int, order: int) -> None:
-    buffer = JitterBuffer(channel)
+    buffer = JitterBuffer()
     values = np.array([[1, 10, 100], [2, 20, 200], [3, 30, 300], [4, 40, 400]], dtype="<f4")
     frames = [Frame(1, n, at_ns(n), MS, values[n : n + 2]) for n in (0, 2)]
     for each in frames[::order]:
-        buffer.put(each)
+        received = unpack_frame(encode_frame(each)).samples_of(channel)
+        assert received == each.samples_of(channel)
+        buffer.put(received)
     buffer.advance(at_ns(0))
     assert buffer.known(MS, 4) == [n * 10.0**channel for n in (1, 2, 3, 4)]
