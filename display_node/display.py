@@ -16,6 +16,7 @@ from display_node.prediction.concealment import Concealment
 from display_node.reception.playout import PlayedDelays, PlayoutClock
 from display_node.reception.receiver import Receiver
 from display_node.scene import DisplayScene
+from display_node.scoring.beat_statistics import BeatStatistics
 from display_node.scoring.prediction_score import PredictionScore
 from display_node.scoring.tracking_error import TrackingError
 from protocol.counters import Limits
@@ -59,6 +60,7 @@ class Display:
         self._next_report_ns = 0
         self._delays = PlayedDelays()
         self._prediction = PredictionScore(scene.tick_ns)
+        self._beats = BeatStatistics()
         self._availability = AvailabilityCounter(scene.tick_ns * 1e-9)
         self._interruptions = InterruptionCounter(scene.tick_ns * 1e-9)
         self.tracking_error = TrackingError(self._layer.strain_per_newton) if score else None
@@ -111,6 +113,7 @@ class Display:
             return
         concealment = self._concealment
         concealment.observe(samples)
+        self._beats.observe(samples)
         self._prediction.add_reference(samples, self.force_ratio, concealment.height_n)
         if self.tracking_error is not None:
             self.tracking_error.add_reference(samples, self.force_ratio, self._group_delay_ns)
@@ -127,6 +130,7 @@ class Display:
             self._playout = PlayoutClock()
             self._concealment = self._build_concealment()
             self._prediction.restart()
+            self._beats.restart()
             self._reach_ns = self._lead_ns + self._loop.horizon * self._tick_ns
             # "auto" adds this delay for the loop: up to the sample after the end of its horizon.
             self._reserve_ns = self._reach_ns + description.period_ns
@@ -261,6 +265,7 @@ class Display:
             availability=self._availability.availability(self._delays.ticks),
             interruptions=self._interruptions.interruptions(),
             compensation=self._compensation(),
+            beats=self._beats.figures(),
             limited=self._limits(),
             loop=Loop(self.ticks, deadline_misses, tick_us or TickTime()),
             rejected=dict(self.receiver.rejected),

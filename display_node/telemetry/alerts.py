@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 from display_node.fault_advice import FILM_NOTE, SENSING_NOTE, advise, latched
+from display_node.scoring.beat_statistics import pulse_alarm
 from display_node.scoring.deadlines import deadline_alarm
 from display_node.scoring.prediction_score import prediction_alarm
 from protocol.errors import CAUSE_MEANINGS, explain_causes
@@ -85,6 +86,7 @@ def alerts(
             )
         )
     alarms = {
+        "pulse": pulse_alarm(summary.get("beats", {})) if state == "playing" else None,
         "deadline misses": deadline_alarm(summary.get("loop", {})),
         "prediction": prediction_alarm(summary.get("compensation", {})),
     }

@@ -1,0 +1,97 @@
+"""Statistics of a stream's beats for the summary, and the alarm on what is no pulse. Pure."""
+
+import statistics
+from collections import deque
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from display_node.scoring.beats import GOOD, Beat, BeatAnalysis
+from protocol.beats import Beats
+
+# Medians are over the good beats of this time.
+MINUTE_NS = 60_000_000_000
+# Longest time without the end of a beat. The slowest beats last 2.5 s, and the first one is found
+# after 1.25 s.
+WITHOUT_NS = 5_000_000_000
+# Of this number of beats, as many doubtful ones begin the alarm.
+JUDGED, DOUBTFUL = 3, 2
+
+
+def pulse_alarm(beats: Mapping[str, Any]) -> str | None:
+    """Return the text of the pulse alarm of a summary's `beats`; None while it is off."""
+    if not beats.get("alarm"):
+        return None
+    quality = beats.get("quality")
+    # Statuses of other programs may lack this figure.
+    of = "" if quality is None else f" (quality {quality:.2f})"
+    return f"the received signal is no regular pulse{of}: check the sensor's place and contact"
+
+
+class BeatStatistics:
+    """Statistics over all sessions of a run."""
+
+    def __init__(self) -> None:
+        self._count = self._doubtful = 0
+        self.restart()
+
+    def restart(self) -> None:
+        """Begin with another session, whose clock and pulse may be others."""
+        self._analysis = BeatAnalysis()
+        self._good: deque[Beat] = deque()
+        self._qualities: deque[float] = deque([1.0] * JUDGED, maxlen=JUDGED)
+        # Newest sample, and the end of the newest beat; at first the first sample.
+        self._newest_ns = 0
+        self._ended_ns: int | None = None
+
+    def observe(self, first_ns: int, period_ns: int, force_n: NDArray[Any]) -> None:
+        """Take a frame's samples, as `BeatAnalysis.observe` does."""
+        if self._ended_ns is None:
+            self._ended_ns = first_ns
+        self._newest_ns = max(self._newest_ns, first_ns)
+        for beat in self._analysis.observe(first_ns, period_ns, force_n):
+            self._add(beat)
+
+    def _add(self, beat: Beat) -> None:
+        self._count += 1
+        self._ended_ns = beat.onset_ns + round(beat.interval_s * 1e9)
+        # A beat that cannot be compared yet counts as good.
+        quality = 1.0 if beat.quality is None else beat.quality
+        self._qualities.append(quality)
+        if quality < GOOD:
+            self._doubtful += 1
+            return
+        good = self._good
+        good.append(beat)
+        while good[0].onset_ns < beat.onset_ns - MINUTE_NS:
+            good.popleft()
+
+    def figures(self) -> Beats:
+        """Return the figures so far."""
+        if self._ended_ns is None:
+            return Beats()
+        without = self._newest_ns - self._ended_ns > WITHOUT_NS
+        qualities, good = self._qualities, self._good
+        doubtful = sum(quality < GOOD for quality in qualities)
+        found = Beats(
+            count=self._count,
+            quality=0.0 if without else qualities[-1] if self._count else None,
+            doubtful=self._doubtful / self._count if self._count else None,
+            alarm=without or doubtful >= DOUBTFUL,
+        )
+        if not good:
+            return found
+        intervals_s = np.array([beat.interval_s for beat in good])
+        notches_ns = [b.notch_ns - b.onset_ns for b in good if b.notch_ns is not None]
+        has_notch = 2 * len(notches_ns) > len(good)
+        return replace(
+            found,
+            rate_per_min=60 / float(np.median(intervals_s)),
+            variability_ms=float(intervals_s.std()) * 1e3,
+            height_n=statistics.median(beat.height_n for beat in good),
+            upstroke_ms=statistics.median(beat.upstroke_s for beat in good) * 1e3,
+            notch_ms=statistics.median(notches_ns) * 1e-6 if has_notch else None,
+        )

@@ -1,0 +1,353 @@
+"""Beats of a pulse, one by one: onset, peak, notch, height, and whether they can be trusted. Pure.
+
+The pulse is averaged over steps of 5 ms. A beat is found where it rises far, and to a high level,
+compared with the last seconds; a second wave within the same beat rises as far at most to half the
+level. A beat is complete, and reported, when the next one has begun.
+"""
+
+import statistics
+from bisect import insort
+from collections import deque
+from collections.abc import Sequence
+from operator import itemgetter
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+STEP_NS = 5_000_000
+STEP_S = STEP_NS * 1e-9
+# Work is done in pieces of at least this number of steps, 0.2 s.
+PIECE = 40
+# Over a longer gap the search begins anew; shorter ones are interpolated.
+MAX_GAP_NS = 100_000_000
+# Samples are averaged after this time, within which frames may change places.
+HELD_NS = 100_000_000
+# Steps that are kept, 8 s: three of the longest beats.
+KEPT = 1_600
+# A beat lasts 0.27 to 2.5 s: 24 to 222 beats a minute.
+SHORTEST, LONGEST = 54, 500
+# Time within which a rise is measured, and within which a crossing is followed by its steepest
+# step.
+RISE, FOLLOWS = 50, 25
+# Before a rhythm is known, a rise must have this share of the highest ones.
+FIRST_SHARE = 0.6
+# Afterwards, the share that is required falls between these two parts of a usual interval: until
+# then, a rise is more likely a second wave; later, an early beat that may be weak.
+EARLY_SHARE, LATE_SHARE = 0.6, 0.33
+EARLY, LATE = 0.5, 0.63
+INTERVALS = 8
+
+
+class Beat(NamedTuple):
+    """One beat. Times are on the clock of the samples.
+
+    Attributes
+    ----------
+    onset_ns : int
+        Where the tangent of the steepest rise meets the level of the foot.
+    peak_ns : int
+        Systolic peak.
+    notch_ns : int or None
+        Dicrotic notch: the minimum before the last wave of the beat; None without such a wave.
+    foot_n, height_n : float
+        Force at the foot, and from foot to peak.
+    interval_s : float
+        Time to the next onset.
+    quality : float or None
+        0 to 1: similarity to the beats before, 0 for an implausible one. None for the first three.
+    """
+
+    onset_ns: int
+    peak_ns: int
+    notch_ns: int | None
+    foot_n: float
+    height_n: float
+    interval_s: float
+    quality: float | None
+
+    @property
+    def upstroke_s(self) -> float:
+        """Time from onset to peak."""
+        return (self.peak_ns - self.onset_ns) * 1e-9
+
+
+class RiseDetector:
+    """Detector of beats from the rise and level at each step."""
+
+    def __init__(self) -> None:
+        # Highest rises of the last windows, of which each contains a beat. The least of them
+        # counts: the others may contain artefacts.
+        self._highest: deque[float] = deque(maxlen=3)
+        self._window_highest, self._window_begin = 0.0, 0
+        self._intervals: deque[int] = deque(maxlen=INTERVALS)
+        self._last: int | None = None
+        self._rising = False
+
+    def begins_beat(self, step: int, rise: float, level: float) -> bool:
+        """Return whether a beat rises at this step.
+
+        Parameters
+        ----------
+        step
+            Number of the step.
+        rise
+            Rise of the pulse within the last 250 ms.
+        level
+            0 at the lowest value of the last seconds, 1 at the highest.
+        """
+        self._window_highest = max(self._window_highest, rise)
+        # The first window is shorter.
+        if step - self._window_begin >= (LONGEST if self._highest else LONGEST // 2):
+            self._highest.append(self._window_highest)
+            self._window_highest, self._window_begin = 0.0, step
+        if not self._highest:
+            return False
+        score, was_rising = rise * level, self._rising
+        self._rising = score > self._share(step) * min(self._highest)
+        if not self._rising or was_rising:
+            return False
+        if self._last is not None:
+            if step - self._last < SHORTEST:
+                return False
+            if step - self._last <= LONGEST:
+                self._intervals.append(step - self._last)
+            else:
+                self._intervals.clear()
+        self._last = step
+        return True
+
+    def _share(self, step: int) -> float:
+        if self._last is None or len(self._intervals) < 2:
+            return FIRST_SHARE
+        # An upper quantile: after second waves were taken for beats, half of the intervals are too
+        # short.
+        usual = sorted(self._intervals)[-1 - len(self._intervals) // 4]
+        passed = ((step - self._last) / usual - EARLY) / (LATE - EARLY)
+        return EARLY_SHARE + (LATE_SHARE - EARLY_SHARE) * min(max(passed, 0.0), 1.0)
+
+
+# Steps of a beat's shape before and after its onset.
+BEFORE, AFTER = 8, 112
+# The peak is searched in this time after the onset, at most in half of the beat.
+PEAK_WITHIN = 80
+# The notch is searched from this time after the peak on; the wave after it has at least this share
+# of the beat's height.
+NOTCH_FROM, NOTCH_WITHIN, NOTCH_SHARE = 10, 100, 0.01
+# A beat is compared with the median of this number of good beats, at least 3.
+SHAPES, FEWEST_SHAPES = 8, 3
+# Correlation with that median which gives the quality 0 and 1. Good beats are at least half way.
+UNLIKE, ALIKE, GOOD = 0.5, 0.95, 0.5
+# Heights differ at most by this factor from the median of the good beats.
+HEIGHT_RANGE = 3.0
+
+
+class BeatShape(NamedTuple):
+    """Shape of a beat from `BEFORE` steps before its onset on, shape (n,), and its height."""
+
+    shape: Floats
+    height_n: float
+
+
+class ShapeMemory:
+    """The last good beats, with which a new one is compared.
+
+    Beats that differ from them, but not from the three before, are good: the pulse has changed.
+    """
+
+    def __init__(self) -> None:
+        self._good: deque[BeatShape] = deque(maxlen=SHAPES)
+        # Those since the last good one.
+        self._bad: deque[BeatShape] = deque(maxlen=FEWEST_SHAPES)
+
+    def judge(self, beat: BeatShape, steps: int) -> float | None:
+        """Return the quality of a beat of a number of steps, and learn it; None at the start."""
+        quality = similarity(beat, self._good, steps)
+        if quality is not None and quality < GOOD:
+            changed = similarity(beat, self._bad, steps)
+            if len(beat.shape) == BEFORE + AFTER:
+                self._bad.append(beat)
+            if changed is None or changed < GOOD:
+                return quality
+            quality = changed
+            self._good = deque(self._bad, maxlen=SHAPES)
+        elif len(beat.shape) == BEFORE + AFTER:
+            self._good.append(beat)
+        self._bad.clear()
+        return quality
+
+
+def similarity(beat: BeatShape, others: Sequence[BeatShape], steps: int) -> float | None:
+    """Return the similarity of a beat to the median of others, 0 to 1; None for fewer than 3.
+
+    steps: the beat's length; what follows it is not compared.
+    """
+    if len(others) < FEWEST_SHAPES:
+        return None
+    usual_n = statistics.median(other.height_n for other in others)
+    if not usual_n / HEIGHT_RANGE < beat.height_n < usual_n * HEIGHT_RANGE:
+        return 0.0
+    length = min(len(beat.shape), max(BEFORE + steps, BEFORE + RISE))
+    usual = np.median([other.shape[:length] for other in others], axis=0)
+    usual -= usual.mean()
+    own = beat.shape[:length] - beat.shape[:length].mean()
+    scale = float(np.sqrt((usual @ usual) * (own @ own)))
+    alike = float(usual @ own) / scale if scale else 0.0
+    return min(max((alike - UNLIKE) / (ALIKE - UNLIKE), 0.0), 1.0)
+
+
+class BeatAnalysis:
+    """Analysis of one channel's samples, frame by frame."""
+
+    def __init__(self) -> None:
+        self._shapes = ShapeMemory()
+        self._begin(0)
+
+    def _begin(self, begin_ns: int) -> None:
+        """Begin the steps at a time; the shapes are kept."""
+        self._rises = RiseDetector()
+        # Frames that are not, or not all, averaged yet, in order of time.
+        self._frames: list[tuple[int, NDArray[Any]]] = []
+        self._begin_ns = begin_ns
+        self._newest_ns: int | None = None
+        # Means over steps from number `_first` on; those before `_searched` were searched.
+        self._means = np.zeros(0)
+        self._first = self._searched = 0
+        self._crossed: int | None = None
+        # Step of the present beat's onset, counted to the middle of a step.
+        self._onset: float | None = None
+
+    def observe(self, first_ns: int, period_ns: int, values: NDArray[Any]) -> list[Beat]:
+        """Take a frame's samples in N, shape (n,); return the beats that became complete.
+
+        first_ns: time of the first one. Frames may be out of order by 0.1 s; later ones are
+        ignored.
+        """
+        newest_ns, end_ns = self._newest_ns, first_ns + (len(values) - 1) * period_ns
+        if newest_ns is None or first_ns - newest_ns > MAX_GAP_NS + period_ns:
+            self._begin(first_ns)
+            newest_ns = first_ns
+        done = self._first + len(self._means)
+        averaged_ns = self._begin_ns + done * STEP_NS
+        if first_ns < averaged_ns:
+            return []
+        self._newest_ns = max(newest_ns, end_ns)
+        insort(self._frames, (first_ns, values), key=itemgetter(0))
+        count = (self._newest_ns - HELD_NS - averaged_ns) // STEP_NS
+        if count < PIECE:
+            return []
+        self._average(averaged_ns, count, period_ns)
+        return self._search()
+
+    def _average(self, begin_ns: int, count: int, period_ns: int) -> None:
+        """Append the means over `count` steps."""
+        firsts_ns, parts = zip(*self._frames, strict=True)
+        lengths, values = [len(part) for part in parts], np.concatenate(parts, dtype=np.float64)
+        starts = np.array(firsts_ns) - period_ns * np.cumsum([0, *lengths[:-1]]) - begin_ns
+        times = np.repeat(starts, lengths) + period_ns * np.arange(float(len(values)))
+        edges = STEP_NS * np.arange(count + 1.0)
+        if period_ns > STEP_NS:
+            means = np.interp(edges[:-1] + STEP_NS / 2, times, values)
+        else:
+            areas = np.cumsum(0.5 * np.diff(times) * (values[1:] + values[:-1]))
+            means = np.diff(np.interp(edges, times[1:], areas)) / STEP_NS
+        keep = int(np.searchsorted(times, edges[-1])) - 2
+        used = int(np.searchsorted(np.cumsum(lengths), keep, side="right"))
+        del self._frames[:used]
+        last = self._first + len(self._means) + count
+        self._means = np.concatenate([self._means[-KEPT:], means])
+        self._first = last - len(self._means)
+
+    def _search(self) -> list[Beat]:
+        """Search the new means for beats."""
+        means, first = self._means, self._first
+        at = max(self._searched - first - RISE, 0)
+        if len(means) - at <= RISE:
+            return []
+        windows = np.lib.stride_tricks.sliding_window_view(means[at:], RISE + 1)
+        newest, recent = windows[:, -1], means[-LONGEST:]
+        low, high = recent.min(), recent.max()
+        rises = (newest - windows.min(axis=1)).tolist()
+        levels = ((newest - low) / (high - low) if high > low else newest - low).tolist()
+        beats = []
+        self._searched = first + at + RISE
+        for rise, level in zip(rises, levels, strict=True):
+            step = self._searched
+            if self._rises.begins_beat(step, rise, level):
+                self._crossed = step
+            if self._crossed == step - FOLLOWS:
+                beats += self._take_onset(self._crossed - first)
+            self._searched += 1
+        return beats
+
+    def _take_onset(self, crossed: int) -> list[Beat]:
+        """Find the onset around a crossing; return the beat that it completes."""
+        means = self._means
+        begin = max(crossed - RISE, 2)
+        slopes = (
+            means[begin + 2 : crossed + FOLLOWS] - means[begin - 2 : crossed + FOLLOWS - 4]
+        ) / 4
+        steepest = begin + int(slopes.argmax())
+        slope = float(slopes.max())
+        before = means[max(steepest - RISE, 0) : steepest + 1]
+        foot = _mean_around(before, int(before.argmin()))
+        onset = self._first + steepest - (_mean_around(means, steepest) - foot) / slope
+        last, self._onset = self._onset, onset
+        if last is None or not SHORTEST <= onset - last <= LONGEST:
+            return []
+        beat = self._complete(last, onset)
+        return [] if beat is None else [beat]
+
+    def _complete(self, onset: float, following: float) -> Beat | None:
+        """Return the beat between two onsets; None if its begin is not kept."""
+        at, steps = round(onset) - self._first, round(following - onset)
+        if at < BEFORE:
+            return None
+        wave = self._means[at : at + steps]
+        peak = int(wave[: min(PEAK_WITHIN, steps // 2)].argmax())
+        beginning = self._means[at - BEFORE : at + peak + 1]
+        foot_n = _mean_around(beginning, int(beginning.argmin()))
+        height_n = float(wave[peak]) - foot_n
+        notch = _notch(wave, peak, height_n)
+        shape = BeatShape(self._means[at - BEFORE : at + AFTER], height_n)
+        return Beat(
+            self._time_ns(onset),
+            self._time_ns(at + self._first + _vertex(wave, peak)),
+            None if notch is None else self._time_ns(at + self._first + notch),
+            foot_n,
+            height_n,
+            (following - onset) * STEP_S,
+            self._shapes.judge(shape, steps),
+        )
+
+    def _time_ns(self, step: float) -> int:
+        return self._begin_ns + round((step + 0.5) * STEP_NS)
+
+
+def _mean_around(values: Floats, at: int) -> float:
+    return float(values[max(at - 1, 0) : at + 2].mean())
+
+
+def _vertex(wave: Floats, at: int) -> float:
+    """Return the place of the vertex of a parabola through an extreme value and its neighbours."""
+    if not 0 < at < len(wave) - 1:
+        return float(at)
+    before, middle, after = wave[at - 1 : at + 2].tolist()
+    bend = before - 2 * middle + after
+    return at + 0.5 * (before - after) / bend if bend else float(at)
+
+
+def _notch(wave: Floats, peak: int, height_n: float) -> float | None:
+    """Return the place of the last minimum of a beat that a wave follows."""
+    end = min(peak + NOTCH_WITHIN, 3 * len(wave) // 4)
+    if end - peak - NOTCH_FROM < 3:
+        return None
+    # Without the last part, in which the next beat begins to rise.
+    smooth = np.convolve(wave, np.full(5, 0.2), "same")[: 17 * len(wave) // 20]
+    inner = smooth[peak + NOTCH_FROM : end]
+    lowest = (inner[1:-1] <= inner[:-2]) & (inner[1:-1] < inner[2:])
+    for at in (peak + NOTCH_FROM + 1 + np.flatnonzero(lowest)[::-1]).tolist():
+        if smooth[at : at + RISE].max() - smooth[at] > NOTCH_SHARE * height_n:
+            return _vertex(smooth, at)
+    return None

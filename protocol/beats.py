@@ -1,0 +1,74 @@
+"""Figures of the pulse's beats, for the summary (`protocol.figures`)."""
+
+from dataclasses import dataclass
+
+from protocol.figures import MILLISECONDS, NEWTONS, RATIO, SHARE, Surface, Unit, absent, figure
+from protocol.summary_tables import FOR_24_LINES
+
+PER_MINUTE = Unit("1/min", "/min", ".0f", base=1 / 60)
+WHOLE_MILLISECONDS = MILLISECONDS._replace(form=".0f")
+
+
+@dataclass(frozen=True, slots=True)
+class Beats:
+    """Beats of the received pulse; medians are over the last minute of good beats."""
+
+    count: int | None = figure(
+        "Beats of the received pulse",
+        metric="beats_total",
+        noun=("beat", "beats"),
+    )
+    rate_per_min: float | None = figure(
+        "Heart rate: 60 s over the median interval from onset to onset",
+        "{}",
+        PER_MINUTE,
+        metric="beat_rate_hertz",
+        prominent=True,
+    )
+    variability_ms: float | None = figure(
+        "Standard deviation of the intervals",
+        "varying by {}",
+        WHOLE_MILLISECONDS,
+        metric="beat_interval_deviation_seconds",
+        absent=FOR_24_LINES,
+    )
+    height_n: float | None = figure(
+        "Force at the wrist from the foot to the systolic peak, median",
+        "height {}",
+        NEWTONS._replace(form=".1f"),
+        metric="beat_height_newtons",
+    )
+    upstroke_ms: float | None = figure(
+        "Time from the onset to the systolic peak, median",
+        "upstroke {}",
+        WHOLE_MILLISECONDS,
+        metric="beat_upstroke_seconds",
+        absent=FOR_24_LINES,
+    )
+    notch_ms: float | None = figure(
+        "Time from the onset to the dicrotic notch, median; null where most beats have none",
+        "notch after {}",
+        WHOLE_MILLISECONDS,
+        metric="beat_notch_seconds",
+        absent=FOR_24_LINES,
+    )
+    quality: float | None = figure(
+        "Quality of the newest beat, 0 to 1: how similar it is to the good beats before; 0 after"
+        " 5 s without a beat",
+        "quality {}",
+        RATIO,
+        metric="beat_quality_ratio",
+    )
+    doubtful: float | None = figure(
+        "Share of the beats with a quality below 0.5",
+        "{} doubtful",
+        SHARE,
+        metric="doubtful_beats_ratio",
+        show_zero=False,
+    )
+    alarm: bool | None = figure(
+        "The pulse alarm is on: two of the last three beats were doubtful, or there was none for"
+        " 5 s",
+        metric="pulse_alarm",
+        absent=absent("Live views show it as an alert.", but=Surface.METRICS),
+    )

@@ -1,0 +1,213 @@
+"""Beats against drawn waves, against heartpy's peaks, and on what is no pulse."""
+
+import itertools
+import random
+from dataclasses import dataclass
+
+import heartpy
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from display_node.scoring.beats import GOOD, Beat, BeatAnalysis
+from telepulse.reports.studies.prediction_pulses import (
+    NOMINAL_BEAT_S,
+    Beats,
+    breathing,
+    drawn,
+    fibrillating,
+    make_rhythm,
+    recorded_pulses,
+    with_ectopics,
+)
+
+Floats = NDArray[np.float64]
+SECONDS, RATE_HZ, BATCH = 40.0, 1000, 5
+PERIOD_NS = 1_000_000_000 // RATE_HZ
+BEGIN_NS = 3_600_000_000_000
+# Beats are found after the first seconds, in which the usual rise is learnt.
+FOUND_FROM_S = 3.0
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """A pulse without noise, and the times of its beats."""
+
+    force_n: Floats
+    beats_s: Floats
+
+
+def rhythm(name: str) -> Beats:
+    rng = np.random.default_rng(5)
+    if name == "fibrillation":
+        return fibrillating(rng, SECONDS)
+    beats = make_rhythm(rng, SECONDS, 0.04, lambda _: 75.0)
+    return with_ectopics(beats, rng, 10) if name == "ectopic" else beats
+
+
+def draw(name: str = "regular", preset: str = "wide") -> Drawn:
+    beats = rhythm(name)
+    pulse = drawn(beats, preset, SECONDS, NOMINAL_BEAT_S)
+    begin_s = -2 * float(beats.intervals_s[0])
+    times_s = begin_s + np.concatenate([[0.0], np.cumsum(beats.intervals_s)[:-1]])
+    return Drawn(0.3 * breathing(pulse) + 0.3, times_s)
+
+
+def noisy(force_n: Floats, share: float = 0.01) -> Floats:
+    noise = np.random.default_rng(1).standard_normal(len(force_n))
+    return force_n + share * float(force_n.std()) * noise
+
+
+def frames(
+    force_n: Floats, batch: int = BATCH, period_ns: int = PERIOD_NS
+) -> list[tuple[int, Floats]]:
+    """Cut samples into frames."""
+    return [
+        (BEGIN_NS + first * period_ns, force_n[first : first + batch])
+        for first in range(0, len(force_n), batch)
+    ]
+
+
+def analysed(sent: list[tuple[int, Floats]], period_ns: int = PERIOD_NS) -> list[Beat]:
+    analysis = BeatAnalysis()
+    return [beat for at_ns, each in sent for beat in analysis.observe(at_ns, period_ns, each)]
+
+
+def seconds(t_ns: int) -> float:
+    return (t_ns - BEGIN_NS) * 1e-9
+
+
+def true_onset_and_peak_s(pulse: Drawn, at_s: float) -> tuple[float, float]:
+    """Return the tangent's foot and the peak of the beat that begins about `at_s`, from samples."""
+    first = round((at_s - 0.15) * RATE_HZ)
+    wave = pulse.force_n[first : first + round(0.45 * RATE_HZ)]
+    peak = int(wave.argmax())
+    slopes = np.gradient(wave[: peak + 1])
+    steepest = int(slopes.argmax())
+    foot_n = wave[:steepest].min()
+    onset = steepest - (wave[steepest] - foot_n) / slopes[steepest]
+    return (first + onset) / RATE_HZ, (first + peak) / RATE_HZ
+
+
+@pytest.mark.parametrize("preset", ["wide", "paper"])
+@pytest.mark.parametrize("name", ["regular", "ectopic", "fibrillation"])
+def test_each_beat_is_found_with_its_onset_and_peak(name: str, preset: str) -> None:
+    pulse = draw(name, preset)
+    beats = analysed(frames(noisy(pulse.force_n)))
+    expected = [at_s for at_s in pulse.beats_s if FOUND_FROM_S < at_s < SECONDS - 3.0]
+    onsets_s = np.array([seconds(beat.onset_ns) for beat in beats])
+    for at_s in expected:
+        onset_s, peak_s = true_onset_and_peak_s(pulse, at_s)
+        beat = beats[int(np.abs(onsets_s - onset_s).argmin())]
+        assert seconds(beat.onset_ns) == pytest.approx(onset_s, abs=5e-3)
+        assert seconds(beat.peak_ns) == pytest.approx(peak_s, abs=5e-3)
+    # No second wave is taken for a beat.
+    assert sum(onsets_s > min(expected)) <= len(expected) + 3
+    # Early, weak or short beats of sharp waves are less similar to the others.
+    good = [beat.quality is None or beat.quality >= GOOD for beat in beats]
+    assert sum(good) >= (1.0 if preset == "wide" else 0.9) * len(good)
+
+
+def test_figures_of_a_beat_are_those_of_its_shape() -> None:
+    pulse = draw()
+    beats = analysed(frames(noisy(pulse.force_n)))[3:]
+    for beat, following in itertools.pairwise(beats):
+        assert beat.interval_s == pytest.approx((following.onset_ns - beat.onset_ns) * 1e-9)
+        first, last = (round(seconds(t_ns) * RATE_HZ) for t_ns in (beat.onset_ns, beat.peak_ns))
+        assert beat.foot_n == pytest.approx(pulse.force_n[first - 60 : last].min(), abs=1e-2)
+        assert beat.foot_n + beat.height_n == pytest.approx(pulse.force_n[last], abs=5e-3)
+        assert 0.03 < beat.upstroke_s < 0.15
+        assert beat.notch_ns is not None
+        # The dicrotic wave is at 0.45 s of a beat of 0.8 s, the tidal one at 0.28 s.
+        assert 0.28 < (beat.notch_ns - beat.onset_ns) * 1e-9 / NOMINAL_BEAT_S**0.5 < 0.46
+
+
+def test_beats_do_not_depend_on_frames_or_their_order() -> None:
+    force_n = noisy(draw().force_n)
+    expected = analysed(frames(force_n))
+    assert len(expected) > 40
+    shuffled = frames(force_n)
+    chance = random.Random(2)
+    shuffled.sort(key=lambda frame: frame[0] + chance.randrange(60_000_000))
+    assert shuffled != frames(force_n)
+    for sent in (frames(force_n, 1), frames(force_n, 64), shuffled):
+        beats = analysed(sent)
+        assert [beat.onset_ns for beat in beats] == pytest.approx(
+            [beat.onset_ns for beat in expected[: len(beats)]], abs=1_000
+        )
+        assert len(beats) >= len(expected) - 1
+
+
+def test_lost_frames_are_interpolated() -> None:
+    pulse = draw()
+    chance = random.Random(3)
+    kept = [each for each in frames(noisy(pulse.force_n)) if chance.random() > 0.2]
+    whole, beats = analysed(frames(noisy(pulse.force_n))), analysed(kept)
+    assert len(beats) == len(whole)
+    for beat, expected in zip(beats, whole, strict=True):
+        assert abs(beat.onset_ns - expected.onset_ns) < 10_000_000
+
+
+@pytest.mark.parametrize("rate_hz", [50, 100, 250, 20_000])
+def test_any_sampling_rate_gives_the_beats(rate_hz: int) -> None:
+    pulse, period_ns = draw(), 1_000_000_000 // rate_hz
+    t_s = np.arange(0, SECONDS - 0.001, 1 / rate_hz)
+    sampled = np.interp(t_s, np.arange(len(pulse.force_n)) / RATE_HZ, pulse.force_n)
+    beats = analysed(frames(noisy(sampled), max(1, rate_hz // 200), period_ns), period_ns)
+    assert len(beats) > 40
+    for beat in beats[1:]:
+        nearest_s = pulse.beats_s[np.abs(pulse.beats_s - seconds(beat.onset_ns)).argmin()]
+        onset_s, _ = true_onset_and_peak_s(pulse, nearest_s)
+        assert seconds(beat.onset_ns) == pytest.approx(onset_s, abs=5e-3)
+
+
+def test_no_beat_spans_a_gap_of_the_stream() -> None:
+    sent = frames(noisy(draw().force_n))
+    gap = range(BEGIN_NS + 20_000_000_000, BEGIN_NS + 21_000_000_000)
+    beats = analysed([frame for frame in sent if frame[0] not in gap])
+    ends_ns = [beat.onset_ns + round(beat.interval_s * 1e9) for beat in beats]
+    assert not [b for b, end in zip(beats, ends_ns, strict=True) if b.onset_ns < gap[-1] < end]
+    assert any(beat.onset_ns > gap[-1] for beat in beats)
+
+
+def test_beats_of_an_artefact_are_doubtful_and_those_after_it_are_not() -> None:
+    force_n = noisy(draw().force_n)
+    # A hand that moves: a random walk of four times the pulse's deviation, for 4 s.
+    first, length = 15 * RATE_HZ, 4 * RATE_HZ
+    walk = np.cumsum(np.random.default_rng(4).standard_normal(length))
+    walk -= np.linspace(walk[0], walk[-1], length)
+    force_n[first : first + length] += 4 * float(force_n.std()) * walk / float(walk.std())
+    beats = analysed(frames(force_n))
+    within = [b for b in beats if 15 < seconds(b.onset_ns) < 18]
+    after = [b.quality for b in beats if seconds(b.onset_ns) > 21]
+    assert within
+    assert all(beat.quality is not None and beat.quality < GOOD for beat in within)
+    assert len(after) > 15
+    assert all(quality is not None and quality > 0.9 for quality in after)
+
+
+@pytest.mark.parametrize("kind", ["noise", "walk", "constant", "ramp"])
+def test_what_is_no_pulse_has_hardly_a_good_beat(kind: str) -> None:
+    noise = np.random.default_rng(6).standard_normal(round(SECONDS * RATE_HZ))
+    force_n = {
+        "noise": 0.1 * noise,
+        "walk": np.cumsum(noise) * 1e-2,
+        "constant": np.full(len(noise), 0.3),
+        "ramp": np.linspace(0.0, 1.0, len(noise)),
+    }[kind]
+    compared = [beat.quality for beat in analysed(frames(force_n)) if beat.quality is not None]
+    assert sum(quality >= GOOD for quality in compared) <= 0.2 * len(compared)
+
+
+@pytest.mark.parametrize("name", ["heartpy data", "heartpy data2", "heartpy data3, early"])
+def test_good_beats_of_recordings_are_those_of_heartpy(name: str) -> None:
+    recorded = recorded_pulses(60.0)[name]
+    beats = [b for b in analysed(frames(recorded)) if b.quality is None or b.quality >= GOOD]
+    found, _ = heartpy.process(recorded, float(RATE_HZ))
+    accepted = np.array(found["peaklist"])[np.array(found["binary_peaklist"], bool)] / RATE_HZ
+    peaks_s = np.array([seconds(beat.peak_ns) for beat in beats])
+    apart_s = np.array([np.abs(accepted - peak_s).min() for peak_s in peaks_s])
+    assert np.mean(apart_s < 0.06) >= 0.95
+    within = accepted[(accepted > FOUND_FROM_S + 1) & (accepted < peaks_s[-1])]
+    missed = [at_s for at_s in within if np.abs(peaks_s - at_s).min() > 0.06]
+    assert len(missed) <= 0.15 * len(within)
