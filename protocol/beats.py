@@ -10,11 +10,11 @@ WHOLE_MILLISECONDS = MILLISECONDS._replace(form=".0f")
 
 
 @dataclass(frozen=True, slots=True)
-class Beats:
-    """Beats of the received pulse; medians are over the last minute of good beats."""
+class BeatFigures:
+    """BeatFigures of the received pulse; medians are over the last minute of good beats."""
 
     count: int | None = figure(
-        "Beats of the received pulse",
+        "BeatFigures of the received pulse",
         metric="beats_total",
         noun=("beat", "beats"),
     )

@@ -14,7 +14,7 @@ from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 
-from protocol.beats import Beats
+from protocol.beats import BeatFigures
 from protocol.config.quantities import count_text
 from protocol.counters import (
     Availability,
@@ -97,7 +97,7 @@ class Summary:
         absent=AT_THE_END | absent("A recording has no age of samples.", Surface.REPORT),
     )
     compensation: Compensation = table(Compensation)
-    beats: Beats = table(Beats, "beats")
+    beats: BeatFigures = table(BeatFigures, "beats")
     clock: Clock = table(
         Clock, "clock", absent=absent("It shows the felt pulse only.", Surface.TERMINAL)
     )

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from display_node.scoring.beats import GOOD, Beat, BeatAnalysis
-from protocol.beats import Beats
+from protocol.beats import BeatFigures
 
 # Medians are over the good beats of this time.
 MINUTE_NS = 60_000_000_000
@@ -69,14 +69,14 @@ class BeatStatistics:
         while good[0].onset_ns < beat.onset_ns - MINUTE_NS:
             good.popleft()
 
-    def figures(self) -> Beats:
+    def figures(self) -> BeatFigures:
         """Return the figures so far."""
         if self._ended_ns is None:
-            return Beats()
+            return BeatFigures()
         without = self._newest_ns - self._ended_ns > WITHOUT_NS
         qualities, good = self._qualities, self._good
         doubtful = sum(quality < GOOD for quality in qualities)
-        found = Beats(
+        found = BeatFigures(
             count=self._count,
             quality=0.0 if without else qualities[-1] if self._count else None,
             doubtful=self._doubtful / self._count if self._count else None,

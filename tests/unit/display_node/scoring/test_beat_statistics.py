@@ -5,7 +5,7 @@ import pytest
 from numpy.typing import NDArray
 
 from display_node.scoring.beat_statistics import BeatStatistics, pulse_alarm
-from protocol.beats import Beats
+from protocol.beats import BeatFigures
 from sensing_node.sources.synthetic import SyntheticScene, SyntheticSource
 
 Floats = NDArray[np.float64]
@@ -27,7 +27,7 @@ def feed(statistics: BeatStatistics, force_n: Floats, begin_ns: int = 0) -> int:
 
 def test_figures_are_those_of_the_pulse() -> None:
     statistics = BeatStatistics()
-    assert statistics.figures() == Beats()
+    assert statistics.figures() == BeatFigures()
     feed(statistics, pulse(30, heart_rate="75 /min", heart_rate_variability="4 %", noise="0.5 mN"))
     found = statistics.figures()
     assert found.count == pytest.approx(30 * 1.25, abs=4)

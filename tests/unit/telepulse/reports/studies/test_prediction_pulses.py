@@ -32,6 +32,7 @@ def test_there_are_twelve_sets_of_unit_deviation_and_1_percent_noise() -> None:
 
 
 def test_without_heartpy_there_are_no_recordings(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delitem(sys.modules, "heartpy", raising=False)
     monkeypatch.setattr("telepulse.reports.studies.prediction_pulses.find_spec", lambda _: None)
     assert recorded_pulses(10.0) == {}
     assert "heartpy" not in sys.modules
