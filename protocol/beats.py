@@ -20,10 +20,8 @@ class BeatFigures:
     )
     rate_per_min: float | None = figure(
         "Heart rate: 60 s over the median interval from onset to onset",
-        "{}",
-        PER_MINUTE,
+        unit=PER_MINUTE,
         metric="beat_rate_hertz",
-        prominent=True,
     )
     variability_ms: float | None = figure(
         "Standard deviation of the intervals",
@@ -58,6 +56,7 @@ class BeatFigures:
         "quality {}",
         RATIO,
         metric="beat_quality_ratio",
+        prominent=True,
     )
     doubtful: float | None = figure(
         "Share of the beats with a quality below 0.5",

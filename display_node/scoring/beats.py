@@ -6,7 +6,7 @@ level. A beat is complete, and reported, when the next one has begun.
 """
 
 import statistics
-from bisect import insort
+from bisect import bisect_left
 from collections import deque
 from collections.abc import Sequence
 from operator import itemgetter
@@ -222,7 +222,7 @@ class BeatAnalysis:
         """Take a frame's samples in N, shape (n,); return the beats that became complete.
 
         first_ns: time of the first one. Frames may be out of order by 0.1 s; later ones are
-        ignored.
+        ignored, and repeated ones.
         """
         newest_ns, end_ns = self._newest_ns, first_ns + (len(values) - 1) * period_ns
         if newest_ns is None or first_ns - newest_ns > MAX_GAP_NS + period_ns:
@@ -230,10 +230,12 @@ class BeatAnalysis:
             newest_ns = first_ns
         done = self._first + len(self._means)
         averaged_ns = self._begin_ns + done * STEP_NS
-        if first_ns < averaged_ns:
+        place = bisect_left(self._frames, first_ns, key=itemgetter(0))
+        repeated = place < len(self._frames) and self._frames[place][0] == first_ns
+        if first_ns < averaged_ns or repeated:
             return []
         self._newest_ns = max(newest_ns, end_ns)
-        insort(self._frames, (first_ns, values), key=itemgetter(0))
+        self._frames.insert(place, (first_ns, values))
         count = (self._newest_ns - HELD_NS - averaged_ns) // STEP_NS
         if count < PIECE:
             return []
@@ -306,7 +308,7 @@ class BeatAnalysis:
             return None
         wave = self._means[at : at + steps]
         peak = int(wave[: min(PEAK_WITHIN, steps // 2)].argmax())
-        beginning = self._means[at - BEFORE : at + peak + 1]
+        beginning = self._means[max(at - RISE, 0) : at + peak + 1]
         foot_n = _mean_around(beginning, int(beginning.argmin()))
         height_n = float(wave[peak]) - foot_n
         notch = _notch(wave, peak, height_n)

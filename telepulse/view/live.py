@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from display_node.reception.receiver import FUTURE_NS, OLDEST_NS
+from display_node.scoring.beats import BeatAnalysis
 from telepulse.telemetry.decoder import Entry, Fields
 from telepulse.telemetry.schema import EVENT, FRAME, STATUS, STREAM, TICK
 
@@ -128,6 +129,7 @@ class LiveState:
 
     Columns of ticks: felt_n (NaN where unknown), playout delay in ns (NaN where the pulse is not
     felt at full strength), predictor_error_n (NaN without one). wrist: force in N of samples.
+    beats: at the onset of each, force at the foot and height in N, and quality (NaN where unknown).
     delays: one-way delay in ms of frames. statuses: clock offset and its uncertainty in ms, skew in
     ppm, samples lost and late in %; then, since the run's start: refused messages, seconds at any
     limit.
@@ -148,6 +150,8 @@ class LiveState:
     def _begin(self) -> None:
         self.ticks = RollingTable(3, FAST_ROWS)
         self.wrist = RollingTable(1, FAST_ROWS)
+        self.beats = RollingTable(3, SLOW_ROWS)
+        self._analysis = BeatAnalysis()
         self.delays = RollingTable(1, FAST_ROWS)
         self.statuses = RollingTable(7, SLOW_ROWS)
         self._samples: deque[Fields] = deque(maxlen=LOSS_STATUSES)
@@ -200,6 +204,14 @@ class LiveState:
         # Copies over other paths are skipped.
         if not self.wrist.has(int(t_ns[0]), period_ns // 2):
             self.wrist.insert(t_ns, np.array(values)[:, np.newaxis])
+            self._add_beats(fields["t_first_ns"], period_ns, np.array(values), int(t_ns[0]))
+
+    def _add_beats(self, first_ns: int, period_ns: int, values: Floats, unix_ns: int) -> None:
+        """Add the beats that a frame completes; unix_ns: Unix time of its first sample."""
+        for beat in self._analysis.observe(first_ns, period_ns, values):
+            quality = math.nan if beat.quality is None else beat.quality
+            t_ns = beat.onset_ns - first_ns + unix_ns
+            self.beats.add(t_ns, beat.foot_n, beat.height_n, quality)
 
     def _status(self, entry: Entry) -> None:
         fields = entry.fields
@@ -231,6 +243,8 @@ class LiveState:
 
     def _stream(self, entry: Entry) -> None:
         fields = entry.fields
+        if fields["session"] != self._session:
+            self._analysis = BeatAnalysis()
         self._session, self.stream_ended = fields["session"], False
         self._group_delay_ns = fields["group_delay_ns"]
 

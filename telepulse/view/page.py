@@ -85,13 +85,25 @@ class Plots:
             BasicTicker(desired_num_ticks=count) for count in (6, 5)
         )
         for curve in plot.curves:
-            drawn.line(
-                *(f"{curve.name}_t", f"{curve.name}_y"),
-                source=self._source,
-                line_color=curve.colour,
-                line_dash=curve.dash,
-                line_width=2,
-            )
+            columns = f"{curve.name}_t", f"{curve.name}_y"
+            if curve.marker:
+                drawn.scatter(
+                    *columns,
+                    source=self._source,
+                    marker=curve.marker,
+                    size=9,
+                    line_color=curve.colour,
+                    line_width=2,
+                    fill_color=None,
+                )
+            else:
+                drawn.line(
+                    *columns,
+                    source=self._source,
+                    line_color=curve.colour,
+                    line_dash=curve.dash,
+                    line_width=2,
+                )
         if plot.id == "error":
             drawn.add_layout(self._band)
         return drawn

@@ -5,6 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from display_node.scoring.beats import GOOD
 from display_node.scoring.heart_rate import heart_rate_per_min
 from display_node.scoring.tracking_error import JND, MAX_GAP_NS, SPAN_NS, interpolate
 from telepulse.view.live import Floats, LiveState, TableSlice, Times, thin
@@ -13,21 +14,25 @@ SECOND_NS = 1_000_000_000
 # Points of a curve: for ten seconds at 1 kHz the least and the greatest value of each 16 ms.
 POINTS = 1_280
 HEART_NS, HEART_APART_NS = 6 * SECOND_NS, SECOND_NS // 100
-# Statuses come five times a second: a longer gap interrupts their curves.
-STATUS_GAP_NS = SECOND_NS
+# A longer gap interrupts a curve. Statuses come five times a second; beats are at most 2.5 s apart.
+STATUS_GAP_NS, BEAT_GAP_NS = SECOND_NS, 3 * SECOND_NS
 # Approximate number of steps of a plot's axis.
 STEPS = 4
 Columns = dict[str, Floats]
-SENSED, FELT, MUTED = "#e8740c", "#2f7fd6", "#8a94a0"
+SENSED, FELT, MUTED, WRONG = "#e8740c", "#2f7fd6", "#8a94a0", "#c0182b"
 
 
 class Curve(NamedTuple):
-    """A curve; name: name of its columns; words: its text in the legend."""
+    """A curve; name: name of its columns; words: its text in the legend.
+
+    marker: shape of its points, which no line then joins.
+    """
 
     name: str
     words: str
     colour: str
     dash: str = "solid"
+    marker: str = ""
 
 
 class PagePlot(NamedTuple):
@@ -45,8 +50,13 @@ class PagePlot(NamedTuple):
 PLOTS = (
     PagePlot(
         *("force", "Force", "force (mN)", (0.0, 1.0)),
-        (Curve("wrist", "at the wrist", SENSED), Curve("finger", "at the finger", FELT)),
-        "The finger follows by the playout delay.",
+        (
+            Curve("wrist", "at the wrist", SENSED),
+            Curve("finger", "at the finger", FELT),
+            Curve("onset", "onset of a beat", SENSED, marker="circle"),
+            Curve("doubtful", "of a doubtful one", WRONG, marker="x"),
+        ),
+        "The finger follows by the playout delay. A beat is marked when the next one has begun.",
         wide=True,
     ),
     PagePlot(
@@ -65,6 +75,10 @@ PLOTS = (
             Curve("wrist_strain", "at the wrist", SENSED),
             Curve("finger_strain", "at the finger", FELT),
         ),
+    ),
+    PagePlot(
+        *("height", "Height of the beats at the wrist", "height (mN)", (0.0, 1.0)),
+        (Curve("height", "from foot to peak", SENSED),),
     ),
     PagePlot(
         *("delay", "Delays", "delay (ms)", (0.0, 1.0)),
@@ -120,9 +134,11 @@ class WindowData(NamedTuple):
 def window_data(live: LiveState, window_ns: int) -> WindowData:
     """Return the curves and scores of the last `window_ns`."""
     begin_ns = live.now_ns - window_ns
-    ticks, wrist, delays, statuses = (
-        table.since(begin_ns) for table in (live.ticks, live.wrist, live.delays, live.statuses)
+    ticks, wrist, beats, delays, statuses = (
+        table.since(begin_ns)
+        for table in (live.ticks, live.wrist, live.beats, live.delays, live.statuses)
     )
+    foot_n, height_n, quality = beats.values.T
     felt_n, delay_ns, predictor_error_n = ticks.values.T
     wrist_n = wrist.values[:, 0]
     finger_per_n, ratio = (
@@ -134,6 +150,9 @@ def window_data(live: LiveState, window_ns: int) -> WindowData:
     in_phase_n, aligned_n, jnd_n = _errors(live, ticks, window_ns)
     curves: dict[str, tuple[TableSlice, Floats]] = {
         "wrist": (wrist, wrist_n * 1e3),
+        "onset": (beats, np.where(quality < GOOD, math.nan, foot_n) * 1e3),
+        "doubtful": (beats, np.where(quality < GOOD, foot_n, math.nan) * 1e3),
+        "height": (beats, height_n * 1e3),
         "finger": (ticks, felt_n * 1e3),
         # Compressive strain in millionths.
         "wrist_strain": (wrist, wrist_n * (-1e6 * finger_per_n * ratio)),
@@ -153,7 +172,7 @@ def window_data(live: LiveState, window_ns: int) -> WindowData:
     }
     columns = {}
     for name, (rows, values) in curves.items():
-        gap_ns = STATUS_GAP_NS if rows is statuses else MAX_GAP_NS
+        gap_ns = BEAT_GAP_NS if rows is beats else STATUS_GAP_NS if rows is statuses else MAX_GAP_NS
         t_ns, y = thin(rows.first, rows.t_ns, values, POINTS, gap_ns)
         columns[name] = {"t": (t_ns - live.now_ns).astype(np.float64) * 1e-9, "y": y}
     known_n = aligned_n[~np.isnan(aligned_n)]

@@ -53,6 +53,20 @@ def test_two_layers_have_equal_strains_at_different_forces(display: SimulatedDis
     assert display.live.playing["strain_per_newton"] == pytest.approx(FINGER.strain_per_newton)
 
 
+def test_each_beat_is_marked_at_its_onset_once_the_next_one_has_begun(
+    display: SimulatedDisplay,
+) -> None:
+    columns = window_data(display.live, WINDOW_NS).columns
+    onsets, heights = columns["onset"], columns["height"]
+    # The pulse is a sine, which is lowest a quarter of a beat before it passes its mean.
+    assert np.diff(onsets["t"]) == pytest.approx(1 / BEATS_A_SECOND, abs=2e-3)
+    assert len(onsets["t"]) >= 2
+    assert -WINDOW_NS * 1e-9 <= onsets["t"][0] < onsets["t"][-1] < -1 / BEATS_A_SECOND
+    assert onsets["y"] == pytest.approx(1e3 * (MEAN_N - SWING_N), rel=0.01)
+    assert heights["y"] == pytest.approx(2e3 * SWING_N, rel=0.01)
+    assert np.isnan(columns["doubtful"]["y"]).all()
+
+
 def test_each_force_stands_at_its_own_instant(display: SimulatedDisplay) -> None:
     columns = window_data(display.live, WINDOW_NS).columns
     newest_s = {name: columns[name]["t"][-1] for name in ("wrist", "finger")}
