@@ -47,13 +47,15 @@ class BeatStatistics:
         self._newest_ns = 0
         self._ended_ns: int | None = None
 
-    def observe(self, first_ns: int, period_ns: int, force_n: NDArray[Any]) -> None:
-        """Take a frame's samples, as `BeatAnalysis.observe` does."""
+    def observe(self, first_ns: int, period_ns: int, force_n: NDArray[Any]) -> list[Beat]:
+        """Take a frame's samples and return new beats, as `BeatAnalysis.observe` does."""
         if self._ended_ns is None:
             self._ended_ns = first_ns
         self._newest_ns = max(self._newest_ns, first_ns)
-        for beat in self._analysis.observe(first_ns, period_ns, force_n):
+        beats = self._analysis.observe(first_ns, period_ns, force_n)
+        for beat in beats:
             self._add(beat)
+        return beats
 
     def _add(self, beat: Beat) -> None:
         self._count += 1

@@ -10,11 +10,13 @@ import numpy as np
 from pydantic import TypeAdapter
 
 from display_node.control.scene import SafetyScene
+from display_node.scoring.beat_statistics import BeatStatistics
 from protocol.counters import Availability
 from protocol.errors import SourceError
 from protocol.histogram import Histogram
 from protocol.run_summary import Summary
 from protocol.summary_tables import Loop, PlayoutDelay
+from protocol.wire.messages import Frame
 from telepulse.recording.forces import AlignedTick, ForceHistory, Trend
 from telepulse.recording.reader import RecordingReader, in_tick_order
 from telepulse.telemetry.decoder import Entry, PassiveReceiver
@@ -57,6 +59,7 @@ class RunFindings:
         counts = {name: Trend(COUNT_WIDTH_S) for name in COUNTS}
         self.trends: defaultdict[str, Trend] = defaultdict(Trend, counts)
         self.forces = ForceHistory()
+        self._beats = BeatStatistics()
         self.events: list[tuple[float, int, str, str]] = []
         self.playout_ms = Histogram(0.5, 8_000)
         self._receiver = PassiveReceiver()
@@ -89,6 +92,7 @@ class RunFindings:
             playout_delay_ms=PlayoutDelay(delay.mean, **delay.quantiles(p99=0.99)),
             availability=availability,
             loop=Loop(self.ticks, self._misses),
+            beats=self._beats.figures(),
         )
         return self.forces.alignment.errors.scored(summary)
 
@@ -119,11 +123,22 @@ class RunFindings:
             self._session = receiver.session
             self.streams.append(description.name)
             self.forces.alignment.begin()
+            self._beats.restart()
         if description is not None and frame is not None:
             last_ns = frame.t_first_ns + (len(frame.values) - 1) * frame.period_ns
             one_way_ns = receiver.clock.remote_ns(fields["arrived_ns"]) - last_ns
             self._add("one_way_ms", t_s, one_way_ns * 1e-6)
             self.forces.alignment.add_frame(frame, description)
+            self._add_beats(t_s - one_way_ns * 1e-9, last_ns, frame)
+
+    def _add_beats(self, last_s: float, last_ns: int, frame: Frame) -> None:
+        """Add the beats that a frame completes; last_s, last_ns: time of its last sample."""
+        values = frame.values[:, self.forces.alignment.channel]
+        for beat in self._beats.observe(frame.t_first_ns, frame.period_ns, values):
+            t_s = last_s + (beat.onset_ns - last_ns) * 1e-9
+            self._add("beat_interval_ms", t_s, beat.interval_s * 1e3)
+            self._add("beat_height_mn", t_s, beat.height_n * 1e3)
+            self._add("beat_quality", t_s, beat.quality)
 
     def _tick(self, t_s: float, fields: dict[str, Any]) -> None:
         now_ns, instant_ns, receiver = fields["now_ns"], fields["instant_ns"], self._receiver

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from display_node.scoring.beats import GOOD
 from display_node.scoring.tracking_error import JND
 from protocol.config.quantities import count_text
 from protocol.figures import Surface
@@ -61,6 +62,7 @@ def build_recording_report(path: Path) -> Report:
     chapters = [
         Chapter("In short", tuple(_paragraphs(findings)), (_summary(findings),)),
         _force(findings, drawn),
+        _beats(findings, drawn),
         Chapter("Delay and loss", plots=delays),
         Chapter("Clock and loop", plots=(clock, loop)),
         Chapter("What happened", tables=(Table("events", ("s", "", "what", ""), events, more),)),
@@ -143,6 +145,16 @@ def _force(findings: RunFindings, drawn: "_Plots") -> Chapter:
     return Chapter("Force", (found,), plots=tuple(plots))
 
 
+def _beats(findings: RunFindings, drawn: "_Plots") -> Chapter:
+    if "beat_interval_ms" not in findings.trends:
+        return Chapter("Beats", ("No beat was found in the recorded samples.",))
+    caption = (
+        "Each beat of the pulse at the wrist: time to the next one, force from foot to peak, and"
+        f" quality, the similarity to the good beats before. Below {GOOD:g} a beat is doubtful."
+    )
+    return Chapter("Beats", plots=(Plot("beats", caption, drawn.beats),))
+
+
 def _force_plot(blocks: list[AlignedBlock]) -> "Callable[[Figure], None]":
     """Plot force at wrist and finger over some seconds, and their difference over the JND band."""
     t_s, *forces_n = map(np.concatenate, zip(*blocks, strict=True))
@@ -198,6 +210,21 @@ class _Plots:
         axes.set(xlabel=TIME, ylabel="beats a minute")
         axes.set_ylim(min(low, middle - 10) - 2, max(high, middle + 10) + 2)
         _legend(axes)
+
+    def beats(self, figure: "Figure") -> None:
+        """Plot interval, height and quality of each beat at the wrist."""
+        axes = figure.subplots(3, 1, sharex=True)
+        for each, name, label in zip(
+            axes,
+            ("beat_interval_ms", "beat_height_mn", "beat_quality"),
+            ("interval in ms", "height in mN", "quality"),
+            strict=True,
+        ):
+            points = self._trends[name].points()
+            each.vlines(points.t_s, points.low, points.high, color="C0", lw=1.2)
+            each.plot(points.t_s, points.mean, ".", color="C0")
+            each.set_ylabel(label)
+        axes[-1].set(xlabel=TIME, ylim=(-0.05, 1.05))
 
     def delays(self, figure: "Figure") -> None:
         """Plot one-way and playout delay over time."""

@@ -19,7 +19,7 @@ from tests.system.recording.test_replay_command import recorded_display
 MODULE = "telepulse"
 PATIENCE_S = 240.0
 PLOTS = (
-    *("force-first", "force-worst", "error", "heart-rate"),
+    *("force-first", "force-worst", "error", "heart-rate", "beats"),
     *("delays", "delay-distribution", "loss", "clock", "loop"),
 )
 
@@ -39,7 +39,7 @@ class Page(HTMLParser):
 @pytest.mark.timeout(2 * PATIENCE_S)
 def test_the_figures_are_the_displays_own(path: Path) -> None:
     address = free_address()
-    sensing = ("sensing_node.cli", str(RADIAL), "--bind", address, "--seconds", "4", "--quiet")
+    sensing = ("sensing_node.cli", str(RADIAL), "--bind", address, "--seconds", "5", "--quiet")
     with recorded_display(path, address) as display, process(*sensing):
         display.communicate(timeout=PATIENCE_S)
         assert display.returncode == 0
@@ -53,7 +53,8 @@ def test_the_figures_are_the_displays_own(path: Path) -> None:
     assert own["windows"]
     assert findings.display_summary.to_dict() == own | {"windows": []}
     assert findings.provenance[0]["version"] == made["version"]
-    for part in ("frames", "one_way_delay_ms", "clock"):
+    assert own["beats"]["count"] >= 1
+    for part in ("frames", "one_way_delay_ms", "clock", "beats"):
         assert found[part] == own[part], part
     assert found["loop"]["ticks"] == own["loop"]["ticks"]
     # Ticks missed before the first one are not in the recording.
