@@ -7,6 +7,7 @@ NAMES = (
     "wire",
     "simulation",
     "core",
+    "beats",
     "compensation",
     "paths",
     "peers",

@@ -2,91 +2,26 @@
 
 import itertools
 import random
-from dataclasses import dataclass
 
 import heartpy
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
-from display_node.scoring.beats import GOOD, Beat, BeatAnalysis
-from telepulse.reports.studies.prediction_pulses import (
-    NOMINAL_BEAT_S,
-    Beats,
-    breathing,
-    drawn,
-    fibrillating,
-    make_rhythm,
-    recorded_pulses,
-    with_ectopics,
+from display_node.scoring.beats import GOOD
+from telepulse.reports.studies.prediction_pulses import NOMINAL_BEAT_S, recorded_pulses
+from tests.support.drawn_beats import (
+    BEGIN_NS,
+    FOUND_FROM_S,
+    RATE_HZ,
+    SECONDS,
+    analysed,
+    draw,
+    frames,
+    moved,
+    noisy,
+    seconds,
+    true_onset_and_peak_s,
 )
-
-Floats = NDArray[np.float64]
-SECONDS, RATE_HZ, BATCH = 40.0, 1000, 5
-PERIOD_NS = 1_000_000_000 // RATE_HZ
-BEGIN_NS = 3_600_000_000_000
-# Beats are found after the first seconds, in which the usual rise is learnt.
-FOUND_FROM_S = 3.0
-
-
-@dataclass(frozen=True)
-class Drawn:
-    """A pulse without noise, and the times of its beats."""
-
-    force_n: Floats
-    beats_s: Floats
-
-
-def rhythm(name: str) -> Beats:
-    rng = np.random.default_rng(5)
-    if name == "fibrillation":
-        return fibrillating(rng, SECONDS)
-    beats = make_rhythm(rng, SECONDS, 0.04, lambda _: 75.0)
-    return with_ectopics(beats, rng, 10) if name == "ectopic" else beats
-
-
-def draw(name: str = "regular", preset: str = "wide") -> Drawn:
-    beats = rhythm(name)
-    pulse = drawn(beats, preset, SECONDS, NOMINAL_BEAT_S)
-    begin_s = -2 * float(beats.intervals_s[0])
-    times_s = begin_s + np.concatenate([[0.0], np.cumsum(beats.intervals_s)[:-1]])
-    return Drawn(0.3 * breathing(pulse) + 0.3, times_s)
-
-
-def noisy(force_n: Floats, share: float = 0.01) -> Floats:
-    noise = np.random.default_rng(1).standard_normal(len(force_n))
-    return force_n + share * float(force_n.std()) * noise
-
-
-def frames(
-    force_n: Floats, batch: int = BATCH, period_ns: int = PERIOD_NS
-) -> list[tuple[int, Floats]]:
-    """Cut samples into frames."""
-    return [
-        (BEGIN_NS + first * period_ns, force_n[first : first + batch])
-        for first in range(0, len(force_n), batch)
-    ]
-
-
-def analysed(sent: list[tuple[int, Floats]], period_ns: int = PERIOD_NS) -> list[Beat]:
-    analysis = BeatAnalysis()
-    return [beat for at_ns, each in sent for beat in analysis.observe(at_ns, period_ns, each)]
-
-
-def seconds(t_ns: int) -> float:
-    return (t_ns - BEGIN_NS) * 1e-9
-
-
-def true_onset_and_peak_s(pulse: Drawn, at_s: float) -> tuple[float, float]:
-    """Return the tangent's foot and the peak of the beat that begins about `at_s`, from samples."""
-    first = round((at_s - 0.15) * RATE_HZ)
-    wave = pulse.force_n[first : first + round(0.45 * RATE_HZ)]
-    peak = int(wave.argmax())
-    slopes = np.gradient(wave[: peak + 1])
-    steepest = int(slopes.argmax())
-    foot_n = wave[:steepest].min()
-    onset = steepest - (wave[steepest] - foot_n) / slopes[steepest]
-    return (first + onset) / RATE_HZ, (first + peak) / RATE_HZ
 
 
 @pytest.mark.parametrize("preset", ["wide", "paper"])
@@ -171,13 +106,7 @@ def test_no_beat_spans_a_gap_of_the_stream() -> None:
 
 
 def test_beats_of_an_artefact_are_doubtful_and_those_after_it_are_not() -> None:
-    force_n = noisy(draw().force_n)
-    # A hand that moves: a random walk of four times the pulse's deviation, for 4 s.
-    first, length = 15 * RATE_HZ, 4 * RATE_HZ
-    walk = np.cumsum(np.random.default_rng(4).standard_normal(length))
-    walk -= np.linspace(walk[0], walk[-1], length)
-    force_n[first : first + length] += 4 * float(force_n.std()) * walk / float(walk.std())
-    beats = analysed(frames(force_n))
+    beats = analysed(frames(moved(noisy(draw().force_n))))
     within = [b for b in beats if 15 < seconds(b.onset_ns) < 18]
     after = [b.quality for b in beats if seconds(b.onset_ns) > 21]
     assert within

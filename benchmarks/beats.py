@@ -1,0 +1,93 @@
+"""Analysis of beats: what is found of drawn and recorded pulses, and what it costs."""
+
+import time
+
+import heartpy
+import numpy as np
+
+from benchmarks.measure import show
+from display_node.scoring.beats import GOOD, Beat
+from telepulse.reports.studies.prediction_pulses import recorded_pulses
+from tests.support.drawn_beats import (
+    FOUND_FROM_S,
+    RATE_HZ,
+    SECONDS,
+    Floats,
+    analysed,
+    draw,
+    frames,
+    moved,
+    noisy,
+    seconds,
+    true_onset_and_peak_s,
+)
+
+NEAR_S = 0.06
+
+
+def good(beats: list[Beat]) -> list[Beat]:
+    """Return the beats that are not doubtful."""
+    return [beat for beat in beats if beat.quality is None or beat.quality >= GOOD]
+
+
+def drawn_row(name: str, preset: str) -> tuple[str, ...]:
+    """Return beats found, and errors of onset and peak, of a drawn pulse with 1 % of noise."""
+    pulse = draw(name, preset)
+    beats = analysed(frames(noisy(pulse.force_n)))
+    onsets_s = np.array([seconds(beat.onset_ns) for beat in beats])
+    errors_ms, found = [], 0
+    expected = [at_s for at_s in pulse.beats_s if FOUND_FROM_S < at_s < SECONDS - 3.0]
+    for at_s in expected:
+        onset_s, peak_s = true_onset_and_peak_s(pulse, at_s)
+        beat = beats[int(np.abs(onsets_s - onset_s).argmin())]
+        error_s = seconds(beat.onset_ns) - onset_s
+        if abs(error_s) < NEAR_S:
+            found += 1
+            errors_ms.append((1e3 * error_s, 1e3 * (seconds(beat.peak_ns) - peak_s)))
+    onset_ms, peak_ms = np.abs(np.array(errors_ms)).T
+    rms = [f"{np.sqrt(np.mean(each**2)):.2f} / {each.max():.2f}" for each in (onset_ms, peak_ms)]
+    return (
+        f"{name}, {preset}",
+        f"{found} of {len(expected)}",
+        *rms,
+        f"{len(good(beats)) / len(beats):.2f}",
+    )
+
+
+def recorded_row(name: str, force_n: Floats) -> tuple[str, ...]:
+    """Return beats found, against the peaks that heartpy accepts in the whole recording."""
+    beats = good(analysed(frames(force_n)))
+    found, _ = heartpy.process(force_n, float(RATE_HZ))
+    accepted_s = np.array(found["peaklist"])[np.array(found["binary_peaklist"], bool)] / RATE_HZ
+    peaks_s = np.array([seconds(beat.peak_ns) for beat in beats])
+    within_s = accepted_s[(accepted_s > FOUND_FROM_S + 1) & (accepted_s < peaks_s[-1])]
+    shared = sum(np.abs(peaks_s - at_s).min() < NEAR_S for at_s in within_s)
+    others = sum(np.abs(accepted_s - at_s).min() >= NEAR_S for at_s in peaks_s)
+    return name, f"{shared} of {len(within_s)}", f"{others} of {len(peaks_s)}"
+
+
+def main() -> None:
+    """Run the benchmark."""
+    rows = [
+        drawn_row(name, preset)
+        for name in ("regular", "ectopic", "fibrillation")
+        for preset in ("wide", "paper")
+    ]
+    header = ("pulse", "found", "onset, ms", "peak, ms", "good")
+    show("drawn pulses, 1 % noise: RMS / greatest error", header, rows)
+    recorded = [recorded_row(name, each) for name, each in recorded_pulses(60.0).items()]
+    header = ("recording", "of heartpy's beats", "good beats that heartpy lacks or rejects")
+    show("recordings", header, recorded)
+    sent = frames(moved(noisy(draw().force_n)))
+    began_s = time.process_time()
+    beats = analysed(sent)
+    taken_s = time.process_time() - began_s
+    bad = [b for b in beats if b not in good(beats)]
+    measured = [
+        (
+            "of a hand that moves from 15 to 19 s",
+            f"{seconds(bad[0].onset_ns):.1f} to {seconds(bad[-1].onset_ns):.1f} s",
+        ),
+        ("processor time, ms a second of samples", f"{1e3 * taken_s / SECONDS:.2f}"),
+    ]
+    show("doubtful beats, and cost", ("", ""), measured)
