@@ -68,16 +68,16 @@ def recorded_row(name: str, force_n: Floats) -> tuple[str, ...]:
 
 def main() -> None:
     """Run the benchmark."""
-    rows = [
+    drawn = [
         drawn_row(name, preset)
         for name in ("regular", "ectopic", "fibrillation")
         for preset in ("wide", "paper")
     ]
     header = ("pulse", "found", "onset, ms", "peak, ms", "good")
-    show("drawn pulses, 1 % noise: RMS / greatest error", header, rows)
+    show("drawn pulses, 1 % noise: RMS / greatest error", header, drawn)
     recorded = [recorded_row(name, each) for name, each in recorded_pulses(60.0).items()]
-    header = ("recording", "of heartpy's beats", "good beats that heartpy lacks or rejects")
-    show("recordings", header, recorded)
+    columns = ("recording", "of heartpy's beats", "good beats that heartpy lacks or rejects")
+    show("recordings", columns, recorded)
     sent = frames(moved(noisy(draw().force_n)))
     began_s = time.process_time()
     beats = analysed(sent)
