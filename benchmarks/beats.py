@@ -6,7 +6,8 @@ import heartpy
 import numpy as np
 
 from benchmarks.measure import show
-from display_node.scoring.beats import GOOD, Beat
+from display_node.scoring.beat_quality import GOOD
+from display_node.scoring.beats import Beat
 from telepulse.reports.studies.prediction_pulses import recorded_pulses
 from tests.support.drawn_beats import (
     FOUND_FROM_S,

@@ -7,10 +7,11 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from display_node.scoring.beats import GOOD, Beat, BeatAnalysis
+from display_node.scoring.beat_quality import GOOD
+from display_node.scoring.beats import Beat, BeatAnalysis
 from protocol.beats import BeatFigures
+from protocol.wire.messages import ChannelSamples
 
 # Medians are over the good beats of this time.
 MINUTE_NS = 60_000_000_000
@@ -47,12 +48,12 @@ class BeatStatistics:
         self._newest_ns = 0
         self._ended_ns: int | None = None
 
-    def observe(self, first_ns: int, period_ns: int, force_n: NDArray[Any]) -> list[Beat]:
+    def observe(self, samples: ChannelSamples) -> list[Beat]:
         """Take a frame's samples and return new beats, as `BeatAnalysis.observe` does."""
         if self._ended_ns is None:
-            self._ended_ns = first_ns
-        self._newest_ns = max(self._newest_ns, first_ns)
-        beats = self._analysis.observe(first_ns, period_ns, force_n)
+            self._ended_ns = samples.times_ns[0]
+        self._newest_ns = max(self._newest_ns, samples.times_ns[-1])
+        beats = self._analysis.observe(samples)
         for beat in beats:
             self._add(beat)
         return beats

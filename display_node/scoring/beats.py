@@ -5,15 +5,16 @@ compared with the last seconds; a second wave within the same beat rises as far 
 level. A beat is complete, and reported, when the next one has begun.
 """
 
-import statistics
 from bisect import bisect_left
 from collections import deque
-from collections.abc import Sequence
-from operator import itemgetter
-from typing import Any, NamedTuple
+from operator import attrgetter
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+
+from display_node.scoring.beat_quality import AFTER, BEFORE, BeatShape, ShapeMemory
+from protocol.wire.messages import ChannelSamples
 
 Floats = NDArray[np.float64]
 STEP_NS = 5_000_000
@@ -128,73 +129,12 @@ class RiseDetector:
         return EARLY_SHARE + (LATE_SHARE - EARLY_SHARE) * min(max(passed, 0.0), 1.0)
 
 
-# Steps of a beat's shape before and after its onset.
-BEFORE, AFTER = 8, 112
 # The peak is searched in this time after the onset, at most in half of the beat.
 PEAK_WITHIN = 80
 # The notch is searched from this time after the peak on; the wave after it has at least this share
 # of the beat's height.
 NOTCH_FROM, NOTCH_WITHIN, NOTCH_SHARE = 10, 100, 0.01
-# A beat is compared with the median of this number of good beats, at least 3.
-SHAPES, FEWEST_SHAPES = 8, 3
-# Correlation with that median which gives the quality 0 and 1. Good beats are at least half way.
-UNLIKE, ALIKE, GOOD = 0.5, 0.95, 0.5
-# Heights differ at most by this factor from the median of the good beats.
-HEIGHT_RANGE = 3.0
-
-
-class BeatShape(NamedTuple):
-    """Shape of a beat from `BEFORE` steps before its onset on, shape (n,), and its height."""
-
-    shape: Floats
-    height_n: float
-
-
-class ShapeMemory:
-    """The last good beats, with which a new one is compared.
-
-    Beats that differ from them, but not from the three before, are good: the pulse has changed.
-    """
-
-    def __init__(self) -> None:
-        self._good: deque[BeatShape] = deque(maxlen=SHAPES)
-        # Those since the last good one.
-        self._bad: deque[BeatShape] = deque(maxlen=FEWEST_SHAPES)
-
-    def judge(self, beat: BeatShape, steps: int) -> float | None:
-        """Return the quality of a beat of a number of steps, and learn it; None at the start."""
-        quality = similarity(beat, self._good, steps)
-        if quality is not None and quality < GOOD:
-            changed = similarity(beat, self._bad, steps)
-            if len(beat.shape) == BEFORE + AFTER:
-                self._bad.append(beat)
-            if changed is None or changed < GOOD:
-                return quality
-            quality = changed
-            self._good = deque(self._bad, maxlen=SHAPES)
-        elif len(beat.shape) == BEFORE + AFTER:
-            self._good.append(beat)
-        self._bad.clear()
-        return quality
-
-
-def similarity(beat: BeatShape, others: Sequence[BeatShape], steps: int) -> float | None:
-    """Return the similarity of a beat to the median of others, 0 to 1; None for fewer than 3.
-
-    steps: the beat's length; what follows it is not compared.
-    """
-    if len(others) < FEWEST_SHAPES:
-        return None
-    usual_n = statistics.median(other.height_n for other in others)
-    if not usual_n / HEIGHT_RANGE < beat.height_n < usual_n * HEIGHT_RANGE:
-        return 0.0
-    length = min(len(beat.shape), max(BEFORE + steps, BEFORE + RISE))
-    usual = np.median([other.shape[:length] for other in others], axis=0)
-    usual -= usual.mean()
-    own = beat.shape[:length] - beat.shape[:length].mean()
-    scale = float(np.sqrt((usual @ usual) * (own @ own)))
-    alike = float(usual @ own) / scale if scale else 0.0
-    return min(max((alike - UNLIKE) / (ALIKE - UNLIKE), 0.0), 1.0)
+_TIMES = attrgetter("times_ns")
 
 
 class BeatAnalysis:
@@ -208,7 +148,7 @@ class BeatAnalysis:
         """Begin the steps at a time; the shapes are kept."""
         self._rises = RiseDetector()
         # Frames that are not, or not all, averaged yet, in order of time.
-        self._frames: list[tuple[int, NDArray[Any]]] = []
+        self._frames: list[ChannelSamples] = []
         self._begin_ns = begin_ns
         self._newest_ns: int | None = None
         # Means over steps from number `_first` on; those before `_searched` were searched.
@@ -218,45 +158,43 @@ class BeatAnalysis:
         # Step of the present beat's onset, counted to the middle of a step.
         self._onset: float | None = None
 
-    def observe(self, first_ns: int, period_ns: int, values: NDArray[Any]) -> list[Beat]:
-        """Take a frame's samples in N, shape (n,); return the beats that became complete.
+    def observe(self, samples: ChannelSamples) -> list[Beat]:
+        """Take a frame's samples; return the beats that became complete.
 
-        first_ns: time of the first one. Frames may be out of order by 0.1 s; later ones are
-        ignored, and repeated ones.
+        Frames may be out of order by 0.1 s; later ones are ignored, and repeated ones.
         """
-        newest_ns, end_ns = self._newest_ns, first_ns + (len(values) - 1) * period_ns
-        if newest_ns is None or first_ns - newest_ns > MAX_GAP_NS + period_ns:
+        first_ns, newest_ns = samples.times_ns[0], self._newest_ns
+        if newest_ns is None or first_ns - newest_ns > MAX_GAP_NS + samples.period_ns:
             self._begin(first_ns)
             newest_ns = first_ns
         done = self._first + len(self._means)
         averaged_ns = self._begin_ns + done * STEP_NS
-        place = bisect_left(self._frames, first_ns, key=itemgetter(0))
-        repeated = place < len(self._frames) and self._frames[place][0] == first_ns
+        place = bisect_left(self._frames, samples.times_ns, key=_TIMES)
+        repeated = place < len(self._frames) and self._frames[place].times_ns[0] == first_ns
         if first_ns < averaged_ns or repeated:
             return []
-        self._newest_ns = max(newest_ns, end_ns)
-        self._frames.insert(place, (first_ns, values))
+        self._newest_ns = max(newest_ns, samples.times_ns[-1])
+        self._frames.insert(place, samples)
         count = (self._newest_ns - HELD_NS - averaged_ns) // STEP_NS
         if count < PIECE:
             return []
-        self._average(averaged_ns, count, period_ns)
+        self._average(averaged_ns, count, samples.period_ns)
         return self._search()
 
     def _average(self, begin_ns: int, count: int, period_ns: int) -> None:
         """Append the means over `count` steps."""
-        firsts_ns, parts = zip(*self._frames, strict=True)
-        lengths, values = [len(part) for part in parts], np.concatenate(parts, dtype=np.float64)
-        starts = np.array(firsts_ns) - period_ns * np.cumsum([0, *lengths[:-1]]) - begin_ns
-        times = np.repeat(starts, lengths) + period_ns * np.arange(float(len(values)))
+        frames = self._frames
+        times = np.array([t_ns - begin_ns for frame in frames for t_ns in frame.times_ns], float)
+        values = np.array([force_n for frame in frames for force_n in frame.forces_n])
         edges = STEP_NS * np.arange(count + 1.0)
         if period_ns > STEP_NS:
             means = np.interp(edges[:-1] + STEP_NS / 2, times, values)
         else:
             areas = np.cumsum(0.5 * np.diff(times) * (values[1:] + values[:-1]))
             means = np.diff(np.interp(edges, times[1:], areas)) / STEP_NS
-        keep = int(np.searchsorted(times, edges[-1])) - 2
-        used = int(np.searchsorted(np.cumsum(lengths), keep, side="right"))
-        del self._frames[:used]
+        # The frames that the next means need: from the last but one sample before them on.
+        needed_ns = begin_ns + int(times[max(int(np.searchsorted(times, edges[-1])) - 2, 0)])
+        self._frames = [frame for frame in frames if frame.times_ns[-1] >= needed_ns]
         last = self._first + len(self._means) + count
         self._means = np.concatenate([self._means[-KEPT:], means])
         self._first = last - len(self._means)

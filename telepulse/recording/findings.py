@@ -133,8 +133,7 @@ class RunFindings:
 
     def _add_beats(self, last_s: float, last_ns: int, frame: Frame) -> None:
         """Add the beats that a frame completes; last_s, last_ns: time of its last sample."""
-        values = frame.values[:, self.forces.alignment.channel]
-        for beat in self._beats.observe(frame.t_first_ns, frame.period_ns, values):
+        for beat in self._beats.observe(frame.samples_of(self.forces.alignment.channel)):
             t_s = last_s + (beat.onset_ns - last_ns) * 1e-9
             self._add("beat_interval_ms", t_s, beat.interval_s * 1e3)
             self._add("beat_height_mn", t_s, beat.height_n * 1e3)

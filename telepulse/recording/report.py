@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from display_node.scoring.beats import GOOD
+from display_node.scoring.beat_quality import GOOD
 from display_node.scoring.tracking_error import JND
 from protocol.config.quantities import count_text
 from protocol.figures import Surface

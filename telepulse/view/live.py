@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from display_node.reception.receiver import FUTURE_NS, OLDEST_NS
 from display_node.scoring.beats import BeatAnalysis
+from protocol.wire.messages import ChannelSamples
 from telepulse.telemetry.decoder import Entry, Fields
 from telepulse.telemetry.schema import EVENT, FRAME, STATUS, STREAM, TICK
 
@@ -204,13 +205,16 @@ class LiveState:
         # Copies over other paths are skipped.
         if not self.wrist.has(int(t_ns[0]), period_ns // 2):
             self.wrist.insert(t_ns, np.array(values)[:, np.newaxis])
-            self._add_beats(fields["t_first_ns"], period_ns, np.array(values), int(t_ns[0]))
+            first_ns = fields["t_first_ns"]
+            times_ns = list(range(first_ns, first_ns + len(values) * period_ns, period_ns))
+            samples = ChannelSamples(0, period_ns, times_ns, values)
+            self._add_beats(samples, int(t_ns[0]))
 
-    def _add_beats(self, first_ns: int, period_ns: int, values: Floats, unix_ns: int) -> None:
+    def _add_beats(self, samples: ChannelSamples, unix_ns: int) -> None:
         """Add the beats that a frame completes; unix_ns: Unix time of its first sample."""
-        for beat in self._analysis.observe(first_ns, period_ns, values):
+        for beat in self._analysis.observe(samples):
             quality = math.nan if beat.quality is None else beat.quality
-            t_ns = beat.onset_ns - first_ns + unix_ns
+            t_ns = beat.onset_ns - samples.times_ns[0] + unix_ns
             self.beats.add(t_ns, beat.foot_n, beat.height_n, quality)
 
     def _status(self, entry: Entry) -> None:

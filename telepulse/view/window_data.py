@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from display_node.scoring.beats import GOOD
+from display_node.scoring.beat_quality import GOOD
 from display_node.scoring.heart_rate import heart_rate_per_min
 from display_node.scoring.tracking_error import JND, MAX_GAP_NS, SPAN_NS, interpolate
 from telepulse.view.live import Floats, LiveState, TableSlice, Times, thin

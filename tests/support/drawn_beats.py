@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from display_node.scoring.beats import Beat, BeatAnalysis
+from protocol.wire.messages import ChannelSamples
 from telepulse.reports.studies.prediction_pulses import (
     NOMINAL_BEAT_S,
     Beats,
@@ -65,7 +66,12 @@ def frames(
 
 def analysed(sent: list[tuple[int, Floats]], period_ns: int = PERIOD_NS) -> list[Beat]:
     analysis = BeatAnalysis()
-    return [beat for at_ns, each in sent for beat in analysis.observe(at_ns, period_ns, each)]
+    return [beat for frame in sent for beat in analysis.observe(channel_samples(*frame, period_ns))]
+
+
+def channel_samples(first_ns: int, force_n: Floats, period_ns: int = PERIOD_NS) -> ChannelSamples:
+    times_ns = [first_ns + place * period_ns for place in range(len(force_n))]
+    return ChannelSamples(0, period_ns, times_ns, force_n.tolist())
 
 
 def seconds(t_ns: int) -> float:

@@ -7,7 +7,7 @@ import heartpy
 import numpy as np
 import pytest
 
-from display_node.scoring.beats import GOOD
+from display_node.scoring.beat_quality import GOOD
 from telepulse.reports.studies.prediction_pulses import NOMINAL_BEAT_S, recorded_pulses
 from tests.support.drawn_beats import (
     BEGIN_NS,
