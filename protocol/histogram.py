@@ -7,7 +7,7 @@ from typing import Any, Final
 import numpy as np
 
 # Values that are counted at once.
-BLOCK: Final = 256
+BLOCK: Final = 512
 
 
 class Histogram:
@@ -62,7 +62,10 @@ class Histogram:
             return None
         if self.is_beyond(share):
             return self.end
-        position = int(np.searchsorted(self._counts.cumsum(), max(share * count, 1)))
+        # The maximum is within the range or beyond it, and nothing is counted after its bin.
+        used = int(min(self._maximum, self.end) / self._bin_width) + 1
+        seen = self._counts[: max(used, 1)].cumsum()
+        position = int(np.searchsorted(seen, max(share * count, 1)))
         return min((position + 0.5) * self._bin_width, self._maximum)
 
     def quantiles(self, **shares: float) -> dict[str, Any]:
@@ -87,7 +90,7 @@ class Histogram:
             return
         last = len(self._counts) - 2
         # Rounding may give the number of bins itself, one too many.
-        positions = np.clip(values / self._bin_width, 0, last).astype(np.int64)
+        positions = np.minimum(np.maximum(values / self._bin_width, 0), last).astype(np.int64)
         positions[values >= self.end] = last + 1
         np.add.at(self._counts, positions, 1)
         self._count += len(values)

@@ -22,6 +22,6 @@ def subscribe(wire: Wire) -> Iterator[Arrival]:
     descriptors = sockets.descriptors((data,))
     while True:
         for message in sockets.receive_parts(data):
-            frame = unpack_frame(message)
-            yield Arrival(frame.first_sample, frame.t_first_ns, time.monotonic_ns())
+            _, sequence, sent_ns, *_ = unpack_frame(message)
+            yield Arrival(sequence, sent_ns, time.monotonic_ns())
         sockets.wait_on_descriptors(descriptors, ours.WAIT_NS)

@@ -203,28 +203,30 @@ class Receiver:
         description = self.description
         if description is None:
             raise WireError("before_welcome", "a frame before the stream's description")
-        if frame.session != self.session:
+        session, first_sample, t_first_ns, period_ns, channels, width, _, numbers = frame
+        if session != self.session:
             self._hello_due = True
             raise WireError("session", "a frame of another session")
         if (
-            frame.channels != len(description.channels)
-            or len(frame.numbers) > description.batch * frame.channels
-            or frame.bytes_per_sample != description.bytes_per_sample
-            or not description.period_ns <= 2 * frame.period_ns <= 4 * description.period_ns
-            or self._channel >= frame.channels
+            channels != len(description.channels)
+            or len(numbers) > description.batch * channels
+            or width != description.bytes_per_sample
+            or not description.period_ns <= 2 * period_ns <= 4 * description.period_ns
+            or self._channel >= channels
         ):
             raise WireError("mismatch", "a frame does not match the stream's description")
-        samples = frame.samples_of(self._channel)
-        first_ns, last_ns = samples.times_ns[0], samples.times_ns[-1]
+        forces_n = list(numbers[self._channel :: channels])
+        last_ns = t_first_ns + (len(forces_n) - 1) * period_ns
         if not self.clock.ready:
             raise WireError("before_clock", "a frame before the sensing clock is known")
         sensing_now_ns = self.clock.remote_ns(now_ns)
         if not -OLDEST_NS < last_ns - sensing_now_ns < FUTURE_NS:
             raise WireError("timestamp", "a frame's time is not near the present")
+        samples = wire.channel_samples(first_sample, t_first_ns, period_ns, forces_n)
         self.buffer.put(samples)
         self._received_ns = now_ns
         self.clock.add_one_way(last_ns, now_ns)
-        self.delay.observe(sensing_now_ns - first_ns, now_ns)
+        self.delay.observe(sensing_now_ns - t_first_ns, now_ns)
         self.ready = self.ready or self.delay.settled
         self.one_way_delay_ms.add((sensing_now_ns - last_ns) * 1e-6)
         return samples

@@ -67,26 +67,12 @@ class Frame(NamedTuple):
 
     def samples_of(self, channel: int) -> "ChannelSamples":
         """Return the samples of a channel, counted from 0."""
-        _, first_sample, t_first_ns, period_ns, values = self
-        return _samples(first_sample, t_first_ns, period_ns, values[:, channel].tolist())
+        forces_n: list[float] = self.values[:, channel].tolist()
+        return channel_samples(self.first_sample, self.t_first_ns, self.period_ns, forces_n)
 
 
-class PackedFrame(NamedTuple):
-    """A frame as it crosses the wire; `numbers` are its samples, sample by sample."""
-
-    session: int
-    first_sample: int
-    t_first_ns: int
-    period_ns: int
-    channels: int
-    bytes_per_sample: int
-    payload: bytes
-    numbers: tuple[float, ...]
-
-    def samples_of(self, channel: int) -> "ChannelSamples":
-        """Return the samples of a channel, counted from 0."""
-        forces_n = list(self.numbers[channel :: self.channels])
-        return _samples(self.first_sample, self.t_first_ns, self.period_ns, forces_n)
+# The fields of a frame after the version, and its samples in N, sample by sample.
+PackedFrame = tuple[int, int, int, int, int, int, bytes, tuple[float, ...]]
 
 
 class ChannelSamples(NamedTuple):
@@ -98,9 +84,10 @@ class ChannelSamples(NamedTuple):
     forces_n: list[float]
 
 
-def _samples(
+def channel_samples(
     first_sample: int, t_first_ns: int, period_ns: int, forces_n: list[float]
 ) -> ChannelSamples:
+    """Return samples with their times; the first was taken at `t_first_ns`."""
     end_ns = t_first_ns + len(forces_n) * period_ns
     times_ns = list(range(t_first_ns, end_ns, period_ns))
     return ChannelSamples(first_sample, period_ns, times_ns, forces_n)
@@ -152,12 +139,10 @@ def unpack_frame(data: bytes) -> PackedFrame:
     if not payload or len(payload) % (channels * width):
         raise WireError("malformed", f"{len(payload)} bytes are not whole samples")
     numbers = struct.unpack(f"<{len(payload) // width}{_CODES[width]}", payload)
-    # `max` may miss a NaN, the sum does not.
-    if not math.isfinite(sum(numbers)) or max(numbers) > LARGEST_N or min(numbers) < -LARGEST_N:
+    # The norm is one call for all; it may be too large although no sample is.
+    if not math.hypot(*numbers) <= LARGEST_N and not all(abs(x) <= LARGEST_N for x in numbers):
         raise WireError("not_finite", f"a sample is NaN, infinite or beyond {LARGEST_N:.0e} N")
-    return PackedFrame(
-        session, first_sample, t_first_ns, period_ns, channels, width, payload, numbers
-    )
+    return session, first_sample, t_first_ns, period_ns, channels, width, payload, numbers
 
 
 class Hello(NamedTuple):

@@ -267,6 +267,18 @@ def test_a_channel_that_the_stream_does_not_have_is_a_mismatch() -> None:
     assert receiver.rejected == {"mismatch": 1}
 
 
+def test_the_samples_of_the_channel_are_buffered_and_returned() -> None:
+    sender = Sender(stream=description(channels=(Channel("a"), Channel("b"))))
+    receiver = joined(sender, channel=1)
+    values = np.array([[1, 10], [2, 20], [3, 30]], "<f4")
+    frame = Frame(sender.session, 0, 110 * MS + AHEAD_NS, MS, values)
+    samples = receiver.on_frame(encode_frame(frame), 113 * MS)
+    assert samples == frame.samples_of(1)
+    assert samples.forces_n == [10, 20, 30]
+    receiver.buffer.advance(frame.t_first_ns)
+    assert receiver.buffer.known(MS, 3) == [10, 20, 30]
+
+
 @given(st.lists(st.binary(max_size=200), max_size=20))
 def test_any_bytes_are_refused_and_counted(messages: list[bytes]) -> None:
     receiver = joined(Sender())

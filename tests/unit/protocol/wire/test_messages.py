@@ -235,6 +235,16 @@ def test_a_frame_with_one_sample_that_is_not_finite_is_refused(dtype: np.dtype[A
         assert cause_of(wire.decode_frame, data) == "not_finite", (value, place)
 
 
+@pytest.mark.parametrize("dtype", DTYPES)
+def test_samples_at_the_largest_force_are_taken_and_beyond_refused(dtype: np.dtype[Any]) -> None:
+    values = np.array([[wire.LARGEST_N, -wire.LARGEST_N]] * 500, dtype)
+    data = wire.encode_frame(FLOAT32_FRAME._replace(values=values))
+    assert np.array_equal(wire.decode_frame(data).values, values)
+    values[-1, -1] *= 1.001
+    data = wire.encode_frame(FLOAT32_FRAME._replace(values=values))
+    assert cause_of(wire.decode_frame, data) == "not_finite"
+
+
 @pytest.mark.parametrize("kind", ["", "Hello", "frame", "x" * 60_000, None, 1, True, b"hello", []])
 def test_an_unknown_kind_is_malformed(kind: object) -> None:
     assert cause_of(wire.decode_control, packed([1, kind, "me"])) == "malformed"
