@@ -3,7 +3,6 @@
 from dataclasses import dataclass
 
 from protocol.figures import MILLISECONDS, NEWTONS, RATIO, SHARE, Surface, Unit, absent, figure
-from protocol.summary_tables import FOR_24_LINES
 
 PER_MINUTE = Unit("1/min", "/min", ".0f", base=1 / 60)
 WHOLE_MILLISECONDS = MILLISECONDS._replace(form=".0f")
@@ -28,7 +27,6 @@ class BeatFigures:
         "varying by {}",
         WHOLE_MILLISECONDS,
         metric="beat_interval_deviation_seconds",
-        absent=FOR_24_LINES,
     )
     height_n: float | None = figure(
         "Force at the wrist from the foot to the systolic peak, median",
@@ -41,14 +39,12 @@ class BeatFigures:
         "upstroke {}",
         WHOLE_MILLISECONDS,
         metric="beat_upstroke_seconds",
-        absent=FOR_24_LINES,
     )
     notch_ms: float | None = figure(
         "Time from the onset to the dicrotic notch, median; null where most beats have none",
         "notch after {}",
         WHOLE_MILLISECONDS,
         metric="beat_notch_seconds",
-        absent=FOR_24_LINES,
     )
     quality: float | None = figure(
         "Quality of the newest beat, 0 to 1: how similar it is to the good beats before; 0 after"

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from rich.console import Console
 
 from display_node.telemetry.terminal import TerminalView
+from protocol.beats import BeatFigures
 from protocol.counters import Availability, Limited, Limits
 from protocol.errors import CAUSE_MEANINGS
 from protocol.run_summary import Summary
@@ -105,11 +106,23 @@ def test_the_panel_of_a_predicted_pulse_fits_into_24_lines() -> None:
         clock=asdict(Clock(offset_ms=0.0)),
         availability=asdict(Availability(21.0, 0.929, 0.014, played=0.943)),
         finger="not pressed (model, no drive)",
+        beats=asdict(BeatFigures(22, 76.0, 36.0, 0.3, 92.0, 332.0, 1.0, 0.0, False)),
     )
     lines = printed(under_test).splitlines()
     (row,) = [line for line in lines if "prediction " in line and "delay now" not in line]
     assert "off by 3.400 mN RMS, 1.1 % of the pulse's height, 2 corrections felt" in row
     assert len(lines) < 24
+
+
+def test_a_signal_that_is_no_pulse_is_an_alert_while_it_is_felt() -> None:
+    beats = asdict(BeatFigures(count=22, quality=0.12, alarm=True))
+    alert = (
+        "pulse: the received signal is no regular pulse (quality 0.12):"
+        " check the sensor's place and contact"
+    )
+    assert view(beats=beats).new_alerts() == [alert]
+    assert view("stale", 0, beats=beats).new_alerts() == ["stale: no samples to play"]
+    assert view(beats=beats | {"alarm": False}).new_alerts() == []
 
 
 def test_line_and_panel_name_a_fault_with_its_advice() -> None:

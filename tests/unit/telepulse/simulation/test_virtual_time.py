@@ -120,6 +120,18 @@ def test_a_simulation_reports_samples_beyond_the_adcs_range() -> None:
     assert summary.limited.adc == Limited(1, 2.0, 1.0)
 
 
+def test_a_simulation_reports_the_beats_and_a_signal_that_is_no_pulse() -> None:
+    scene = conditioned({})
+    pulse = simulate(scene, seconds=12, seed=1).beats
+    assert pulse.rate_per_min == pytest.approx(75, rel=0.05)
+    assert pulse.height_n == pytest.approx(0.3, rel=0.05)
+    assert (pulse.quality, pulse.alarm) == (pytest.approx(1.0, abs=0.02), False)
+    noise = simulate(conditioned({}, peak_to_peak_n=1e-3, noise_n=0.05), seconds=12, seed=1).beats
+    assert noise.alarm
+    assert noise.quality is not None
+    assert noise.quality < 0.5
+
+
 def test_the_whole_chain_is_mostly_its_adc() -> None:
     step_mn = 20e3 / 2**16 / 0.044
     scene = load_scene(ROOT / "scenes" / "conditioned.toml")
