@@ -169,12 +169,15 @@ class BeatAnalysis:
             newest_ns = first_ns
         done = self._first + len(self._means)
         averaged_ns = self._begin_ns + done * STEP_NS
-        place = bisect_left(self._frames, samples.times_ns, key=_TIMES)
-        repeated = place < len(self._frames) and self._frames[place].times_ns[0] == first_ns
+        frames = self._frames
+        place = len(frames)
+        if frames and first_ns <= frames[-1].times_ns[0]:
+            place = bisect_left(frames, samples.times_ns, key=_TIMES)
+        repeated = place < len(frames) and frames[place].times_ns[0] == first_ns
         if first_ns < averaged_ns or repeated:
             return []
         self._newest_ns = max(newest_ns, samples.times_ns[-1])
-        self._frames.insert(place, samples)
+        frames.insert(place, samples)
         count = (self._newest_ns - HELD_NS - averaged_ns) // STEP_NS
         if count < PIECE:
             return []
