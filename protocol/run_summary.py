@@ -97,7 +97,7 @@ class Summary:
         absent=AT_THE_END | absent("A recording has no age of samples.", Surface.REPORT),
     )
     compensation: Compensation = table(Compensation)
-    beats: BeatFigures = table(BeatFigures, "beats", absent=FOR_24_LINES)
+    beats: BeatFigures = table(BeatFigures, "pulse", absent=FOR_24_LINES)
     clock: Clock = table(
         Clock, "clock", absent=absent("It shows the felt pulse only.", Surface.TERMINAL)
     )
