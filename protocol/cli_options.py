@@ -58,7 +58,7 @@ PredictorOption = Annotated[
     str | None,
     typer.Option(
         metavar="NAME",
-        help="Predictor in place of the scene's: hold, linear, fir, analogue, harmonic or stack.",
+        help="Predictor in place of the scene's: hold, linear, fir, analogue or stack.",
     ),
 ]
 CompensationOption = Annotated[

@@ -12,7 +12,7 @@ A predictor that learns nothing is a `Predictor`, like `Linear`; build it in `bu
 from collections.abc import Sequence
 from typing import Literal, Protocol
 
-PredictorName = Literal["hold", "linear", "fir", "analogue", "harmonic", "stack"]
+PredictorName = Literal["hold", "linear", "fir", "analogue", "stack"]
 WITHOUT_ERROR_ESTIMATE: tuple[PredictorName, ...] = ("hold", "linear")
 """Predictors that do not estimate their own error."""
 # Time over which a slope is measured, and for which it is continued; samples kept for it.

@@ -10,105 +10,120 @@ import numpy as np
 from numpy.typing import NDArray
 
 from display_node.prediction.experts import (
-    AHEAD,
     FURTHEST,
     HORIZONS,
     SPACING,
     Analogue,
     Expert,
     Fir,
-    Harmonic,
+    Floats,
 )
 from display_node.prediction.grid import STEP_NS, Grid, GridCell, History, Rhythm
 
-Floats = NDArray[np.float64]
-# Memory of the weights: it grows by half a step a step, so that what the experts predicted before
-# they had learnt is soon forgotten.
-FIRST_MEMORY_STEPS, MEMORY_STEPS = 200, 4_000
+# Memory of the weights, in steps of learning: it grows by half a step a step, so that what the
+# experts predicted before they had learnt is soon forgotten.
+FIRST_MEMORY_STEPS, MEMORY_STEPS = 30, 1_000
 # Strength of the initial weights: at the start, and the part of it that is never forgotten.
 FIRST_RIDGE, RIDGE = 10.0, 0.01
+# Least strength, over the largest product.
+LEAST_RIDGE = 1e-9
+# The weights are computed anew after this number of steps, which is 50 ms.
+SOLVED = 5
 # Squared errors are limited to this in their sums, in units of the signal's variance.
 WORST = 1e4
 # Steps whose errors are kept: above the longest window of an estimate of the error.
-ERRORS = 512
-HORIZON = np.arange(HORIZONS)
+ERRORS = 256
+HORIZON = np.arange(1, HORIZONS + 1)
+# Where the predictions of the present value are among those of the last 25 steps, by step and
+# horizon, for each position of the newest.
+ARRIVED = (HORIZON[:, np.newaxis] - 1 - HORIZON) % HORIZONS * HORIZONS + HORIZON - 1
 
 
 class Stack:
     """Combination of n trajectories, with least-squares weights for every horizon.
 
-    The weights are updated by recursive least squares when the predicted value arrives. trust:
-    initial weights, shape (n,).
+    A trajectory is used when the values at all its horizons have come. trust: initial weights,
+    shape (n,).
     """
 
     def __init__(self, trust: Floats) -> None:
         count = len(trust)
         self._trust = trust
-        # For each horizon, the covariance, with the weights as a further column.
-        start = np.vstack([np.eye(count) / FIRST_RIDGE, trust]).T
-        self._state = np.tile(start, (HORIZONS, 1, 1))
-        self._covariances, self._weights = self._state[:, :, :-1], self._state[:, :, -1]
-        # Predictions of the last steps, by step and horizon: inputs, output and origin.
-        self._made = np.zeros((FURTHEST + 1, HORIZONS, count + 2))
+        self._weights = np.tile(trust, (HORIZONS, 1))
+        # For each horizon, the trajectories' products with each other and with the true values.
+        self._products = np.zeros((HORIZONS, count, count + 1))
+        self._product = np.zeros_like(self._products)
+        self._ridge, self._identity = FIRST_RIDGE, np.eye(count)
+        # The trajectories of the last steps with the values that they began at, and their paths.
+        self._made = np.zeros((HORIZONS, HORIZONS, count + 1))
+        self._paths, self._path = np.zeros((HORIZONS, HORIZONS)), np.zeros(HORIZONS)
         self._steps = 0
         # Running sums of the squared errors, by step and horizon.
         self._sums = np.zeros((ERRORS, HORIZONS))
-        self._truths = 0
 
     def mean_squares(self, steps: int) -> Floats:
         """Return the mean square error at each horizon over the last steps, fewer than `ERRORS`.
 
         It is infinite at horizons at which fewer values have been predicted.
         """
-        newest, before = self._truths % ERRORS, (self._truths - steps) % ERRORS
-        total = np.maximum(self._sums[newest] - self._sums[before], 0.0)
-        return np.where(self._truths - AHEAD < steps, np.inf, total / steps)
+        newest, before = self._steps % ERRORS, (self._steps - steps) % ERRORS
+        means: Floats = np.maximum(self._sums[newest] - self._sums[before], 0.0)
+        means /= steps
+        # The nearest horizons were the first to be predicted.
+        means[max(self._steps - steps, 0) :] = np.inf
+        return means
 
     def predict(self, newest: float, trajectories: Floats) -> Floats:
-        """Combine trajectories of shape (n, 25) from a newest value."""
-        made = self._made[self._steps % len(self._made)]
-        inputs, output = made[:, :-2], made[:, -2]
-        inputs[:], made[:, -1] = trajectories.T, newest
-        np.einsum("hi,hi->h", self._weights, inputs, out=output)
+        """Combine trajectories of shape (n, 25) from a newest value into a path."""
+        self._trajectories, self._newest = trajectories, newest
+        np.einsum("hi,ih->h", self._weights, trajectories, out=self._path)
+        self._path += newest
+        return self._path
+
+    def learn(self, values: NDArray[np.floating]) -> None:
+        """Learn from the last 26 values of the steps of learning, the newest last.
+
+        Call it after `predict`, at the steps from which the experts learn.
+        """
+        position = self._steps % HORIZONS
+        made, path = self._made[position], self._paths[position]
+        errors = values[-1] - self._paths.take(ARRIVED[position])
+        errors *= errors
+        errors[self._steps :] = 0.0
+        total = self._sums[self._steps % ERRORS]
         self._steps += 1
-        return np.asarray(output)
+        np.add(total, np.fmin(errors, WORST, out=errors), out=self._sums[self._steps % ERRORS])
+        if self._steps > HORIZONS:
+            np.subtract(values[1:], made[:, -1], out=made[:, -1])
+            forget = 1 - 1 / min(MEMORY_STEPS, FIRST_MEMORY_STEPS + self._steps / 2)
+            self._products *= forget
+            self._products += np.multiply(
+                made[:, :-1, np.newaxis], made[:, np.newaxis], out=self._product
+            )
+            self._ridge = RIDGE + forget * (self._ridge - RIDGE)
+            if self._steps % SOLVED == 0:
+                self._solve()
+        made[:, :-1], made[:, -1] = self._trajectories.T, self._newest
+        path[:] = self._path
 
-    def learn(self, newest: float) -> None:
-        """Update the weights by the newest value, which was predicted earlier. Call it last."""
-        made = self._made[(self._steps - 1 - AHEAD) % len(self._made), HORIZON]
-        inputs, outputs, origins = made[:, :-2], made[:, -2], made[:, -1]
-        truths = newest - origins
-        if self._steps <= FURTHEST:
-            truths[self._steps <= AHEAD] = 0.0
-        errors = truths - outputs
-        total = self._sums[self._truths % ERRORS]
-        self._truths += 1
-        np.add(total, np.fmin(errors * errors, WORST), out=self._sums[self._truths % ERRORS])
-        forget = 1 - 1 / min(MEMORY_STEPS, FIRST_MEMORY_STEPS + self._steps / 2)
-        spread = np.einsum("hij,hj->hi", self._covariances, inputs)
-        power = forget + np.einsum("hi,hi->h", inputs, spread)
-        self._correct(spread, power, truths - np.einsum("hi,hi->h", self._weights, inputs))
-        self._covariances *= 1 / forget
-        # One weight a step is observed as its initial value, which restores the forgotten ridge.
-        expert = self._steps % len(self._trust)
-        spread = self._covariances[:, :, expert].copy()
-        power = 1 / (RIDGE * len(self._trust) * (1 - forget)) + spread[:, expert]
-        self._correct(spread, power, self._trust[expert] - self._weights[:, expert])
-
-    def _correct(self, spread: Floats, power: Floats, errors: Floats) -> None:
-        gains = spread / power[:, np.newaxis]
-        change = np.concatenate([spread, -errors[:, np.newaxis]], axis=1)
-        self._state -= gains[:, :, np.newaxis] * change[:, np.newaxis, :]
+    def _solve(self) -> None:
+        # After an enormous sample, the ridge is more than the products' rounding.
+        ridge = max(self._ridge, LEAST_RIDGE * float(np.maximum.reduce(self._products, axis=None)))
+        squares = self._products[:, :, :-1] + ridge * self._identity
+        products = self._products[:, :, -1:] + ridge * self._trust[:, np.newaxis]
+        self._weights = np.asarray(np.linalg.solve(squares, products)[:, :, 0])
 
 
 CAPACITY = 8_192
 # Steps in the first second, which determine the signal's level and size; until then nothing is
 # predicted.
 WARM_UP = 200
-# The error is estimated over this number of beats within these limits in steps; over the longer one
-# while no rhythm is known.
-JUDGED_BEATS, FEWEST_JUDGED, MOST_JUDGED = 1.25, 200, 400
-# A step's work has four pieces. One piece a millisecond leaves one in five free to catch up.
+# Larger values, in units of the signal's deviation, would leave only rounding errors of the others.
+LARGEST = 1e6
+# The error is estimated over this number of beats within these limits in steps of learning; while
+# no rhythm is known, over the longer one.
+JUDGED_BEATS, FEWEST_JUDGED, MOST_JUDGED = 1.25, 100, 200
+# A step's work has three or four pieces. One piece a millisecond leaves some free to catch up.
 SPACING_NS = SPACING * STEP_NS
 PIECE_NS = 1_000_000
 # Paths are bounded by the range of the last 5 s, widened on both sides by this share of it.
@@ -131,10 +146,8 @@ class Ensemble:
         self.names = (*(name for expert in self._experts for name in expert.names), "stack")
 
     def _begin(self) -> None:
-        self._rhythm = rhythm = Rhythm()
-        experts: dict[str, Expert] = {
-            "analogue": Analogue(), "fir": Fir(), "harmonic": Harmonic(rhythm)
-        }  # fmt: skip
+        self._rhythm = Rhythm()
+        experts: dict[str, Expert] = {"analogue": Analogue(), "fir": Fir()}
         chosen = experts if self._kind == "stack" else (self._kind,)
         self._experts = [experts[name] for name in chosen]
         trust = np.array([share for expert in self._experts for share in expert.trust])
@@ -146,7 +159,11 @@ class Ensemble:
         # Number of the history's newest cell in the grid.
         self._number = -1
         self._middle_ns = 0
-        self._rows: Floats | None = None
+        # Each expert's trajectories, a view of each expert's own, and the combined path.
+        self._rows = np.zeros((len(trust), HORIZONS))
+        ends = np.cumsum([len(expert.names) for expert in self._experts])
+        self._parts = np.split(self._rows, ends[:-1])
+        self._points = np.zeros(HORIZONS + 2)
         self._path: list[float] = []
         self.squares_n2: list[float] = []
 
@@ -176,7 +193,7 @@ class Ensemble:
 
     def predict_each(self, instant_ns: int) -> list[float]:
         """Return the prediction of each of `names`, for studies."""
-        if self._rows is None:
+        if not self._path:
             return [self._newest] * len(self.names)
         before = self._path[:2]
         position = (instant_ns - self._middle_ns) / SPACING_NS
@@ -205,27 +222,26 @@ class Ensemble:
         self._number = cell.number
         # Cells that late samples corrected replace the interpolated ones.
         for late in self._grid.corrections:
-            corrected = (late.value - self._level) / self._scale
-            history.rewrite(self._number - late.number, corrected)
+            history.rewrite(self._number - late.number, self._normalised(late.value))
         self._grid.corrections.clear()
-        first, *others = self._experts
-        first.observe(history)
+        self._publish(cell)
         yield
-        for expert in others:
-            expert.observe(history)
-        self._publish(cell, np.concatenate([each.predict(history) for each in self._experts]))
-        yield
-        self._stack.learn(history.newest)
+        if history.count % SPACING:
+            for expert in self._experts:
+                yield from expert.prepare(history)
+            return
+        self._stack.learn(history.last(FURTHEST + 1)[::SPACING])
         self._judge()
         self._bound()
-        yield
         for expert in self._experts:
+            yield
             expert.learn(history)
 
     def _judge(self) -> None:
         interval, steps = self._rhythm.interval, MOST_JUDGED
         if interval is not None:
-            steps = min(max(round(JUDGED_BEATS * interval), FEWEST_JUDGED), MOST_JUDGED)
+            steps = round(JUDGED_BEATS / SPACING * interval)
+            steps = min(max(steps, FEWEST_JUDGED), MOST_JUDGED)
         self.squares_n2 = (self._scale**2 * self._stack.mean_squares(steps)).tolist()
 
     def _settle(self, cell: GridCell) -> None:
@@ -244,8 +260,12 @@ class Ensemble:
         self._number = cell.number
         self._bound()
 
+    def _normalised(self, value: float) -> float:
+        # A value that is no number becomes the limit, too.
+        return max(-LARGEST, min(LARGEST, (value - self._level) / self._scale))
+
     def _push(self, value: float) -> None:
-        self._history.push((value - self._level) / self._scale)
+        self._history.push(self._normalised(value))
         before, _, newest = self._history.last(3).tolist()
         self._rhythm.push(newest - before)
 
@@ -255,17 +275,20 @@ class Ensemble:
         margin = MARGIN * (high - low)
         self._bounds = low - margin, high + margin
 
-    def _publish(self, cell: GridCell, rows: Floats) -> None:
+    def _publish(self, cell: GridCell) -> None:
         """Store the stack's path in N, within bounds; start again if it is not finite."""
-        newest = self._history.newest
+        history, points = self._history, self._points
+        for expert, part in zip(self._experts, self._parts, strict=True):
+            expert.predict(history, part)
         low, high = self._bounds
-        ahead = np.minimum(np.maximum(newest + self._stack.predict(newest, rows), low), high)
-        values = np.concatenate([self._history.last(SPACING + 1)[::SPACING], ahead])
-        path = (self._level + self._scale * values).tolist()
+        ahead = np.maximum(self._stack.predict(history.newest, self._rows), low)
+        np.minimum(ahead, high, out=points[2:])
+        points[:2] = history.last(SPACING + 1)[::SPACING]
+        path = (self._level + self._scale * points).tolist()
         if not all(map(math.isfinite, path)):
             self._begin()
             return
-        self._path, self._rows = path, rows
+        self._path = path
         self._middle_ns = cell.end_ns - STEP_NS // 2
 
 

@@ -89,13 +89,10 @@ def prediction(
     is installed.
     """
     from telepulse.reports.studies import prediction_study as study
+    from telepulse.reports.studies.prediction_report import report_prediction
 
     effort = study.PredictionEffort()
-    publish(
-        lambda: study.report_prediction(study.score_predictors(effort, scheduler), effort),
-        out,
-        json,
-    )
+    publish(lambda: report_prediction(study.score_predictors(effort, scheduler), effort), out, json)
 
 
 @app.command()

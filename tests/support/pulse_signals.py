@@ -1,12 +1,12 @@
 """Signals for predictors, which are fed as in a display."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from display_node.prediction import Predictor
-from display_node.prediction.experts import AHEAD, Expert
+from display_node.prediction.experts import AHEAD, SPACING, Expert
 from display_node.prediction.grid import History
 
 MS = 1_000_000
@@ -26,20 +26,19 @@ def beats(t_s: Floats, intervals_s: Sequence[float] = (BEAT_S,)) -> Floats:
     return pulse - 0.8
 
 
-def expert_errors(
-    expert: Expert, signal: Floats, from_step: int, before: Callable[[int], None] | None = None
-) -> Floats:
-    """Return the largest error of an expert's last trajectory at each horizon, from a step on."""
-    history, worst = History(8_192), np.zeros(len(AHEAD))
+def expert_errors(expert: Expert, signal: Floats, from_step: int) -> Floats:
+    """Return the largest error of an expert's trajectories at each horizon, from a step on."""
+    history = History(8_192)
+    made, worst = np.zeros((2, len(expert.names), len(AHEAD)))
     for step, value in enumerate(signal.tolist()):
         history.push(value)
-        if before is not None:
-            before(step)
-        expert.observe(history)
-        trajectory = expert.predict(history)[-1]
-        expert.learn(history)
+        expert.predict(history, made)
+        if step % SPACING:
+            list(expert.prepare(history))
+        else:
+            expert.learn(history)
         if from_step <= step < len(signal) - AHEAD[-1]:
-            worst = np.maximum(worst, np.abs(value + trajectory - signal[step + AHEAD]))
+            worst = np.maximum(worst, np.abs(value + made - signal[step + AHEAD]))
     return worst
 
 

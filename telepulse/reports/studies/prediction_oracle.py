@@ -1,4 +1,4 @@
-"""Least possible errors on two synthetic pulses: those of an oracle that knows their generator.
+"""Least possible errors: of an oracle that knows a pulse's generator, and of a linear filter.
 
 The oracle knows the shape of a beat, when each beat began, and the distribution of the next
 interval. It predicts the mean of what can follow. It does not see a beat before the first wave has
@@ -16,6 +16,7 @@ from telepulse.reports.studies.prediction_pulses import (
     SCORED_FROM_S,
     Beats,
     Floats,
+    Pulse,
     breathing,
     drawn,
     fibrillating,
@@ -90,6 +91,31 @@ def oracle_errors(
         squares += (predicted - _at(shape, at_s - onsets_s[last + 1])[:, 0]) ** 2
     deviation = true[round(SCORED_FROM_S * RATE_HZ) :].std()
     return tuple((np.sqrt(squares / len(instants_s)) / deviation).tolist())
+
+
+# Taps of a filter, which are means over 5 ms, as in the predictors' grid, of the last 1.3 s.
+TAP_MS, TAPS = 5, 260
+
+
+def best_filter_errors(pulse: Pulse, horizons_ms: tuple[int, ...]) -> tuple[float, ...]:
+    """Return the NRMSE of the best fixed linear filter of x(t−i) − x(t) at each horizon.
+
+    It is fitted to the very values that it predicts, so that none that learns before them is
+    better, unless it changes with time.
+    """
+    count = len(pulse.sensed) // TAP_MS
+    cells = pulse.sensed[: count * TAP_MS].reshape(count, TAP_MS).mean(axis=1)
+    first = round(SCORED_FROM_S * RATE_HZ) // TAP_MS
+    last = (len(pulse.true) - max(horizons_ms)) // TAP_MS - 1
+    at = np.arange(first, last)
+    newest = cells[at]
+    inputs = cells[at[:, np.newaxis] - np.arange(1, TAPS + 1)] - newest[:, np.newaxis]
+    ends = at * TAP_MS + TAP_MS - 1
+    wanted = pulse.true[ends[:, np.newaxis] + np.array(horizons_ms)] - newest[:, np.newaxis]
+    # The ridge is far below the noise.
+    products = inputs.T @ inputs + 1e-3 * np.eye(TAPS)
+    errors = wanted - inputs @ np.linalg.solve(products, inputs.T @ wanted)
+    return tuple(np.sqrt(np.mean(errors * errors, axis=0)).tolist())
 
 
 def _beat_alone(stretch: float) -> Floats:

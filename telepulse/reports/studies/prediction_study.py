@@ -6,20 +6,19 @@ The predictors are driven as a display drives them, by frames and ticks.
 import statistics
 import time
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, NamedTuple, get_args
+from typing import NamedTuple, get_args
 
 import numpy as np
 
 from display_node.prediction import Predictor, PredictorName, build_predictor
 from display_node.prediction.ensemble import Ensemble
-from telepulse.reports.document import STYLES, Chapter, Plot, Report, Table
-from telepulse.reports.studies.prediction_oracle import known_rhythms, oracle_errors
+from telepulse.reports.studies.prediction_oracle import (
+    best_filter_errors,
+    known_rhythms,
+    oracle_errors,
+)
 from telepulse.reports.studies.prediction_pulses import (
-    HIGH_PASS_HZ,
-    LOW_PASS_HZ,
-    NOISE,
     RATE_HZ,
-    RECORDED,
     SCORED_FROM_S,
     Floats,
     Pulse,
@@ -28,18 +27,13 @@ from telepulse.reports.studies.prediction_pulses import (
 )
 from telepulse.reports.studies.sweep import in_one_thread, sweep
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
 HORIZONS_MS = (20, 50, 100, 200)
-HORIZON_COLUMNS = tuple(f"{horizon_ms} ms" for horizon_ms in HORIZONS_MS)
 TICK_NS = 1_000_000
 # A frame has 5 samples, one for each tick; the sensing clock begins at an arbitrary time.
 FRAME = 5
 BEGIN_NS = 3_600_000_000_000
 # Costs are measured after this time: while a predictor warms up, a tick costs less.
 COSTLY_FROM_S = 10.0
-TICK_BOUND_US = 150.0
 # A beat is visible to the oracle from 1, 4 or 14 % of its first wave's height on.
 VISIBLE_WIDTHS = (3.0, 2.5, 2.0)
 CHEAP: tuple[PredictorName, ...] = ("hold", "linear")
@@ -68,13 +62,15 @@ class PredictionScores:
     """NRMSE at each horizon by set and predictor, and costs by the predictor's name in a scene.
 
     errors_without_shape_cue holds the errors on pulses whose beats' shapes predict no interval;
-    oracle, those of an oracle on two of them, by set and by the widths at which it sees a beat.
+    oracle, those of an oracle on two of them, by set and by the widths at which it sees a beat;
+    best_filter, the medians over the sets of the errors of the best fixed linear filter.
     """
 
     errors: dict[str, Errors]
     errors_without_shape_cue: dict[str, Errors]
     costs: dict[str, PredictorCost]
     oracle: dict[tuple[str, float], tuple[float, ...]] = field(default_factory=dict)
+    best_filter: tuple[float, ...] = ()
 
     @property
     def medians(self) -> Errors:
@@ -104,7 +100,14 @@ def score_predictors(effort: PredictionEffort, scheduler: str | None = None) -> 
         for name, rhythm in known_rhythms(effort.seconds, effort.seed).items()
         for widths in VISIBLE_WIDTHS
     }
-    return PredictionScores(errors, errors_without_shape_cue, costs, oracle)
+    filters = in_one_thread(best_filters, sets)
+    return PredictionScores(errors, errors_without_shape_cue, costs, oracle, filters)
+
+
+def best_filters(sets: list[Pulse]) -> tuple[float, ...]:
+    """Return the medians over the sets of the best fixed linear filter's errors."""
+    errors = [best_filter_errors(pulse, HORIZONS_MS) for pulse in sets]
+    return tuple(map(statistics.median, zip(*errors, strict=True)))
 
 
 def all_costs(sensed: Floats) -> dict[str, PredictorCost]:
@@ -169,208 +172,3 @@ def _observe(predictor: Predictor, sensed: Floats, frame: int) -> None:
 
 def _instant_ns(sample: int) -> int:
     return BEGIN_NS + sample * (1_000_000_000 // RATE_HZ)
-
-
-# A target is reached up to this share above the prototype's figure.
-ALLOWANCE = 0.05
-MEDIAN = "median of the sets"
-# Of the three analogues, only the one with the shortest memory is reported: it has the least error
-# at most horizons.
-ANALOGUE = "analogue 0.05 s"
-
-
-class PredictionTarget(NamedTuple):
-    """The NRMSE to reach with a predictor on a set, at each horizon; None: no target.
-
-    source: "prototype", "its oracle", which knew the next interval, or "stretch goal".
-    """
-
-    where: str
-    predictor: str
-    source: str
-    figures: tuple[float | None, ...]
-    allowance: float = ALLOWANCE
-
-
-class TargetResult(NamedTuple):
-    """A target beside our figures."""
-
-    target: PredictionTarget
-    ours: tuple[float, ...]
-
-    def misses(self) -> dict[str, float]:
-        """Return the share by which ours exceeds the target at each horizon where it is missed."""
-        figures = zip(HORIZON_COLUMNS, self.ours, self.target.figures, strict=True)
-        excess = {
-            column: ours / figure - 1 for column, ours, figure in figures if figure is not None
-        }
-        return {column: each for column, each in excess.items() if each > self.target.allowance}
-
-
-TARGETS = (
-    PredictionTarget(MEDIAN, "stack", "prototype", (0.045, 0.156, 0.321, 0.394)),
-    PredictionTarget(MEDIAN, ANALOGUE, "prototype", (0.070, 0.206, 0.379, 0.433)),
-    PredictionTarget(MEDIAN, "fir", "prototype", (0.055, 0.207, 0.486, 0.537)),
-    PredictionTarget(MEDIAN, "hold", "prototype", (0.307, 0.715, 1.21, 1.54)),
-    PredictionTarget("variability", "stack", "prototype", (0.027, 0.078, 0.214, 0.295)),
-    PredictionTarget("variability", "stack", "its oracle", (0.021, 0.064, 0.142, 0.167), 0.0),
-    PredictionTarget("variability", "stack", "stretch goal", (None, None, 0.18, None), 0.0),
-    PredictionTarget("ramp", "stack", "prototype", (0.036, 0.099, 0.192, 0.218)),
-    PredictionTarget("ramp", "stack", "its oracle", (0.009, 0.025, 0.050, 0.059), 0.0),
-    PredictionTarget("ramp", "stack", "stretch goal", (None, None, 0.12, None), 0.0),
-    PredictionTarget("ectopic", "stack", "prototype", (0.033, 0.093, 0.254, 0.341)),
-    PredictionTarget("ectopic", "stack", "its oracle", (0.021, 0.065, 0.167, 0.249), 0.0),
-    PredictionTarget("fibrillation", "stack", "prototype", (0.045, 0.159, 0.505, 0.776)),
-    PredictionTarget("fibrillation", "stack", "its oracle", (0.045, 0.158, 0.528, 0.787), 0.0),
-)
-
-
-def compare_targets(errors: dict[str, Errors], medians: Errors) -> list[TargetResult]:
-    """Compare errors with the targets on these sets, and on the median if `medians` is given."""
-    where = {MEDIAN: medians, **errors} if medians else errors
-    return [
-        TargetResult(target, where[target.where][target.predictor])
-        for target in TARGETS
-        if target.where in where
-    ]
-
-
-def report_prediction(scores: PredictionScores, effort: PredictionEffort) -> Report:
-    """Return the report on scores that took this effort."""
-    return Report(
-        "Prediction: error against horizon and cost",
-        (_errors_chapter(scores, effort), _targets_chapter(scores), _costs_chapter(scores)),
-    )
-
-
-def _errors_chapter(scores: PredictionScores, effort: PredictionEffort) -> Chapter:
-    def table(title: str, first: str, errors: Errors) -> Table:
-        rows = [(name, *(f"{error:.3f}" for error in each)) for name, each in errors.items()]
-        return Table(title, (first, *HORIZON_COLUMNS), rows)
-
-    def draw(figure: "Figure") -> None:
-        axes = figure.add_subplot()
-        for style, (name, errors) in zip(STYLES, scores.medians.items(), strict=False):
-            axes.plot(HORIZONS_MS, errors, style, label=name)
-        axes.set(yscale="log", xlabel="horizon (ms)", ylabel=f"NRMSE, {MEDIAN}")
-        figure.legend(loc="outside lower center", ncols=4, fontsize="small")
-
-    missing = (
-        f" The {len(RECORDED)} recordings are missing, so that medians are over"
-        f" {len(scores.errors)} sets: pip install 'telepulse[test]' adds heartpy, which has them."
-    )
-    words = (
-        f"Each of {len(scores.errors)} pulses of up to {effort.seconds:g} s at 1 kHz passes a"
-        f" causal chain of {HIGH_PASS_HZ:g} to {LOW_PASS_HZ:g} Hz and gets white noise of"
-        f" {NOISE:.0%} of its standard deviation. It comes in frames of 5 ms, and a predictor has"
-        " one piece of work a millisecond, as in a display. NRMSE: RMS difference from the pulse"
-        f" without noise over its standard deviation, after {SCORED_FROM_S:g} s; the horizon counts"
-        f" from the newest sample.{'' if set(RECORDED) <= set(scores.errors) else missing}"
-    )
-    by_set = {name: errors["stack"] for name, errors in scores.errors.items()}
-    tables = (
-        table("Median over the sets", "predictor", scores.medians),
-        table("The stack, by set", "set", by_set),
-    )
-    plot = Plot("error-horizon", "Median NRMSE against the horizon.", draw)
-    return Chapter("Errors", (words,), tables, (plot,))
-
-
-def _targets_chapter(scores: PredictionScores) -> Chapter:
-    results = compare_targets(scores.errors, scores.medians)
-    silent = compare_targets(scores.errors_without_shape_cue, {})
-    paragraphs = (
-        f"{_reached(results)} of {len(results)} rows are reached. The prototype's figures were"
-        " printed by its authors; its sets are not available. Our sets have the same names, but"
-        " other rates, shares, noise and recordings, which alone may explain a difference of a"
-        " tenth. An oracle knew the next interval of the prototype's generator, not of ours.",
-        "In our source a beat's systole scales with its own interval, so its shape predicts the"
-        " next beat, and a predictor can have less error than an oracle. In the second table a"
-        " systole scales with the interval before, and only the rhythm predicts the next beat:"
-        f" {_reached(silent)} of {len(silent)} rows are reached there.",
-        "Our own oracle knows the generator: the shape of a beat, the beats until now, and the"
-        " distribution of the next interval, of which it predicts the mean. It sees a beat from the"
-        " given number of widths before the peak of its first wave, which is 1, 4 or 14 % of that"
-        " wave's height, and 20 ms before the chain shows it.",
-    )
-    tables = (
-        _targets_table("Ours / the prototype's", results),
-        _targets_table("The same where no shape predicts the next beat", silent),
-        _oracle_table(scores),
-    )
-    return Chapter("Beside the prototype", paragraphs, tables)
-
-
-def _oracle_table(scores: PredictionScores) -> Table:
-    rows = []
-    for (name, widths), errors in scores.oracle.items():
-        ours = scores.errors_without_shape_cue[name]["stack"]
-        both = (f"{mine:.3f} / {best:.3f}" for mine, best in zip(ours, errors, strict=True))
-        rows.append((name, f"{widths:g} widths", *both))
-    return Table(
-        "The stack / our oracle, where no shape predicts the next beat",
-        ("set", "sees a beat from", *HORIZON_COLUMNS),
-        rows,
-    )
-
-
-def _reached(results: list[TargetResult]) -> int:
-    return sum(not result.misses() for result in results)
-
-
-def _targets_table(title: str, results: list[TargetResult]) -> Table:
-    rows = []
-    for result in results:
-        where, predictor, source, figures, _ = result.target
-        cells = [
-            f"{ours:.3f} / " + ("–" if figure is None else f"{figure:.3f}")
-            for ours, figure in zip(result.ours, figures, strict=True)
-        ]
-        misses = ", ".join(f"{column} +{excess:.0%}" for column, excess in result.misses().items())
-        verdict = f"missed: {misses}" if misses else "reached"
-        rows.append((where, predictor, source, *cells, verdict))
-    return Table(
-        title,
-        ("set", "predictor", "target", *HORIZON_COLUMNS, "verdict"),
-        rows,
-        "Each cell: ours / the target. Reached: at every horizon at most"
-        f" {ALLOWANCE:.0%} above the prototype, or at or below the stretch goal and the oracle.",
-    )
-
-
-def _costs_chapter(scores: PredictionScores) -> Chapter:
-    # Of the analogues, the expert of the shortest memory is shown.
-    medians = {"analogue": scores.medians[ANALOGUE]} | scores.medians
-    errors = {name: medians[name][HORIZONS_MS.index(100)] for name in scores.costs}
-
-    def draw(figure: "Figure") -> None:
-        axes = figure.add_subplot()
-        for name, cost in scores.costs.items():
-            axes.plot(cost.step_us, errors[name], "o")
-            at = (cost.step_us, errors[name])
-            axes.annotate(name, at, (6, 4), textcoords="offset points")
-        axes.margins(0.15)
-        axes.set(xscale="log", xlabel="processor time of 5 ms of samples (µs)")
-        axes.set_ylabel("NRMSE at 100 ms")
-
-    rows = [
-        {
-            "predictor": name,
-            "tick p50 (µs)": f"{cost.tick_p50_us:.1f}",
-            "tick p99 (µs)": f"{cost.tick_p99_us:.1f}",
-            "a step (µs)": f"{cost.step_us:.1f}",
-            "NRMSE at 100 ms": f"{errors[name]:.3f}",
-        }
-        for name, cost in scores.costs.items()
-    ]
-    note = "Error: median over the sets; analogue: the expert with the shortest memory."
-    high_us = scores.costs["stack"].tick_p99_us
-    words = (
-        f"Processor time of one thread, after {COSTLY_FROM_S:g} s, at ticks of 1 ms with one piece"
-        " of work and one prediction each; a step is 5 ms. The stack's 99th percentile is"
-        f" {high_us:.0f} µs per tick, {'within' if high_us <= TICK_BOUND_US else 'above'} the"
-        f" {TICK_BOUND_US:g} µs that it may take; a busy machine makes it more."
-    )
-    caption = "Median NRMSE at 100 ms against the cost of 5 ms of samples."
-    table = Table.of("Cost by the predictor a scene names", rows, note)
-    return Chapter("Costs", (words,), (table,), (Plot("cost-error", caption, draw),))

@@ -4,23 +4,25 @@ import numpy as np
 import pytest
 
 from telepulse.reports.studies.prediction_pulses import RECORDED, WITHOUT_SHAPE_CUE, Pulse
-from telepulse.reports.studies.prediction_study import (
-    HORIZONS_MS,
+from telepulse.reports.studies.prediction_report import (
     MEDIAN,
     TARGETS,
-    PredictionEffort,
-    PredictionScores,
     PredictionTarget,
-    PredictorCost,
     TargetResult,
     compare_targets,
-    cost,
     report_prediction,
+)
+from telepulse.reports.studies.prediction_study import (
+    HORIZONS_MS,
+    PredictionEffort,
+    PredictionScores,
+    PredictorCost,
+    cost,
     score,
 )
 
 ANALOGUES = ("analogue 0.05 s", "analogue 0.2 s", "analogue 0.6 s")
-NAMES = ("hold", "linear", *ANALOGUES, "fir", "harmonic", "stack")
+NAMES = ("hold", "linear", *ANALOGUES, "analogue regression", "fir", "stack")
 SETS = ("steady", "variability", "ramp", "ectopic", "fibrillation")
 
 
@@ -28,7 +30,7 @@ def made_up(error: float = 0.1) -> PredictionScores:
     errors = {name: (error,) * len(HORIZONS_MS) for name in NAMES}
     costs = {
         name: PredictorCost(1.0, 2.0, 5.0)
-        for name in ("hold", "linear", "fir", "analogue", "harmonic", "stack")
+        for name in ("hold", "linear", "fir", "analogue", "stack")
     }
     return PredictionScores(
         dict.fromkeys((*SETS, *RECORDED), errors), dict.fromkeys(WITHOUT_SHAPE_CUE, errors), costs

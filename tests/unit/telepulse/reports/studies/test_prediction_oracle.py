@@ -1,7 +1,12 @@
 import numpy as np
 import pytest
 
-from telepulse.reports.studies.prediction_oracle import known_rhythms, oracle_errors
+from telepulse.reports.studies.prediction_oracle import (
+    best_filter_errors,
+    known_rhythms,
+    oracle_errors,
+)
+from telepulse.reports.studies.prediction_pulses import Pulse
 
 HORIZONS_MS = (20, 50, 100, 200)
 
@@ -25,3 +30,11 @@ def test_the_known_part_of_an_interval_leaves_a_rest_of_the_stated_deviation() -
         rest_s = rhythm.beats.intervals_s - rhythm.expected_s
         assert rest_s.std() == pytest.approx(rhythm.deviation_s, rel=0.15)
         assert np.corrcoef(rest_s[:-1], rest_s[1:])[0, 1] == pytest.approx(0, abs=0.15)
+
+
+def test_the_best_filter_predicts_a_sine_and_the_mean_of_noise() -> None:
+    sine = np.sqrt(2) * np.sin(2 * np.pi * np.arange(60_000) / 1_000)
+    assert max(best_filter_errors(Pulse("sine", sine, sine), HORIZONS_MS)) < 0.02
+    noise = np.random.default_rng(1).standard_normal(60_000)
+    errors = best_filter_errors(Pulse("noise", noise, noise), HORIZONS_MS)
+    assert errors == pytest.approx([1.0] * len(HORIZONS_MS), abs=0.05)
