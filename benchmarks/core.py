@@ -1,7 +1,7 @@
-"""The pure and the compiled core in turns: simulation, live tick, latency into the jitter buffer.
+"""The pure and the compiled core in turns: simulation, live tick, steps of a frame, latency.
 
-`python -m benchmarks.core simulate|tick|latency` runs one part with the modules that it finds, and
-prints its figures as JSON; the benchmark runs it for either build.
+`python -m benchmarks.core simulate|tick|frame|latency` runs one part with the modules that it
+finds, and prints its figures as JSON; the benchmark runs it for either build.
 """
 
 import json
@@ -13,21 +13,29 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
+import msgpack
 import numpy as np
 
 from benchmarks.measure import show
 from benchmarks.peers import BARE, BARE_CURVE, OURS, OURS_CURVE
 from benchmarks.peers.race import run
+from display_node.reception.playout import LATE_TARGET
+from display_node.reception.receiver import Receiver
 from protocol.config.scene_file import find_scene
+from protocol.wire import messages
 from telepulse.scene import load_scene
 from telepulse.simulation.virtual_time import Simulation
 from tests.support.compiled_core import build, run_in
 from tests.support.nodes import ROOT, run_python
+from tests.support.sender import MS, Sender
+from tests.support.streams import description
 
 ROUNDS = 3
 SECONDS = 20.0
 TICK_SECONDS = "20"
 MESSAGES = 2_000
+FRAMES = 1_000
+PAUSE_S = 500e-6
 LINK = "delay=40ms,jitter=10ms,loss=1%"
 
 
@@ -54,6 +62,39 @@ def tick() -> dict[str, float]:
     return {f"live tick {name} in µs": tick_us[name] for name in ("p50", "p99")}
 
 
+def frame() -> dict[str, float]:
+    """Return p50 in µs of what a frame of one sample costs a process that has slept before.
+
+    Each step is measured with another frame, since caches are warm after the first one.
+    """
+    sender = Sender(stream=description(batch=1))
+    receiver = Receiver("frame", 0, LATE_TARGET)
+    sender.serve(receiver, 0, until_ms=101)
+    values = np.full((1, 1), 0.3, np.float32)
+
+    def frame_at(now_ns: int) -> messages.Frame:
+        return messages.Frame(1, 2, now_ns, MS, values)
+
+    steps: dict[str, Callable[[bytes, int], object]] = {
+        "nothing": lambda data, now_ns: None,
+        "encode_frame": lambda data, now_ns: messages.encode_frame(frame_at(now_ns)),
+        "msgpack alone": lambda data, now_ns: msgpack.unpackb(data),
+        "unpack_frame": lambda data, now_ns: messages.unpack_frame(data),
+        "Receiver.on_frame": receiver.on_frame,
+    }
+    spent_ns: dict[str, list[int]] = {name: [] for name in steps}
+    for number in range(FRAMES):
+        for at, (name, step) in enumerate(steps.items()):
+            now_ns = (101 + number * len(steps) + at) * MS
+            data = sender.frame(now_ns, 0.3, count=1)
+            time.sleep(PAUSE_S)
+            began_ns = time.perf_counter_ns()
+            step(data, now_ns)
+            spent_ns[name].append(time.perf_counter_ns() - began_ns)
+    assert not receiver.rejected, receiver.rejected
+    return {f"frame: {name} in µs": float(np.median(ns)) * 1e-3 for name, ns in spent_ns.items()}
+
+
 def latency() -> dict[str, float]:
     """Return p50 of the time until a frame is done, over that of pyzmq until it is decoded."""
     figures = {}
@@ -69,6 +110,7 @@ def latency() -> dict[str, float]:
 PARTS: dict[str, Callable[[], dict[str, float]]] = {
     "simulate": simulate,
     "tick": tick,
+    "frame": frame,
     "latency": latency,
 }
 
