@@ -108,10 +108,10 @@ class Analogue(Expert):
     Lorenz (1969), analogues as predictors; Sugihara (1994), locally weighted linear maps.
     """
 
-    names: tuple[str, ...] = NAMES
     trust: tuple[float, ...] = (0.6, 0.2, 0.0, 0.0)
 
     def __init__(self) -> None:
+        self.names: tuple[str, ...] = NAMES
         # Oldest first, like the history: index i is the lag LAGS − i. Single precision saves time
         # in these long rows; their noise exceeds its rounding.
         self._difference, self._slope, self._square = np.zeros((3, LAGS), np.float32)
