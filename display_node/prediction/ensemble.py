@@ -9,6 +9,7 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
+from display_node.prediction.artefacts import ArtefactDetector
 from display_node.prediction.experts import (
     FURTHEST,
     HORIZONS,
@@ -80,8 +81,10 @@ class Stack:
         self._path += newest
         return self._path
 
-    def learn(self, values: NDArray[np.floating]) -> None:
+    def learn(self, values: NDArray[np.floating], artefact: bool) -> None:
         """Learn from the last 26 values of the steps of learning, the newest last.
+
+        artefact: whether one is present; the weights are then kept.
 
         Call it after `predict`, at the steps from which the experts learn.
         """
@@ -93,7 +96,7 @@ class Stack:
         total = self._sums[self._steps % ERRORS]
         self._steps += 1
         np.add(total, np.fmin(errors, WORST, out=errors), out=self._sums[self._steps % ERRORS])
-        if self._steps > HORIZONS:
+        if self._steps > HORIZONS and not artefact:
             np.subtract(values[1:], made[:, -1], out=made[:, -1])
             forget = 1 - 1 / min(MEMORY_STEPS, FIRST_MEMORY_STEPS + self._steps / 2)
             self._products *= forget
@@ -146,7 +149,7 @@ class Ensemble:
         self.names = (*(name for expert in self._experts for name in expert.names), "stack")
 
     def _begin(self) -> None:
-        self._rhythm = Rhythm()
+        self._rhythm, self._artefacts = Rhythm(), ArtefactDetector()
         experts: dict[str, Expert] = {"analogue": Analogue(), "fir": Fir()}
         chosen = experts if self._kind == "stack" else (self._kind,)
         self._experts = [experts[name] for name in chosen]
@@ -219,6 +222,7 @@ class Ensemble:
             return
         history = self._history
         self._push(cell.value)
+        self._artefacts.observe(self._history)
         self._number = cell.number
         # Cells that late samples corrected replace the interpolated ones.
         for late in self._grid.corrections:
@@ -230,12 +234,13 @@ class Ensemble:
             for expert in self._experts:
                 yield from expert.prepare(history)
             return
-        self._stack.learn(history.last(FURTHEST + 1)[::SPACING])
+        artefact = self._artefacts.present
+        self._stack.learn(history.last(FURTHEST + 1)[::SPACING], artefact)
         self._judge()
         self._bound()
         for expert in self._experts:
             yield
-            expert.learn(history)
+            expert.learn(history, artefact)
 
     def _judge(self) -> None:
         interval, steps = self._rhythm.interval, MOST_JUDGED

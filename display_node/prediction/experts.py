@@ -39,8 +39,11 @@ class Expert(Protocol):
         Zeros, which hold the newest value, mean that the expert has not learnt enough.
         """
 
-    def learn(self, history: History) -> None:
-        """Learn from the newest value; call it after `predict` at every second step."""
+    def learn(self, history: History, artefact: bool) -> None:
+        """Learn from the newest value; call it after `predict` at every second step.
+
+        artefact: whether one is present; nothing that outlasts it is then learnt.
+        """
 
     def prepare(self, history: History) -> Iterator[None]:
         """Prepare the next predictions, in pieces; call it after `predict` at the steps between."""
@@ -185,7 +188,7 @@ class Analogue(Expert):
         self._around = places[:, np.newaxis] + PASSAGE
         return True
 
-    def learn(self, history: History) -> None:
+    def learn(self, history: History, artefact: bool) -> None:
         """Make the regression for the next two steps."""
         self._regresses = False
         if not self._found:
@@ -265,13 +268,13 @@ class Fir(Expert):
         regressor -= past[-1]
         np.matmul(regressor, self._weights, out=made[0])
 
-    def learn(self, history: History) -> None:
+    def learn(self, history: History, artefact: bool) -> None:
         """Correct the weights by the regressor of 250 ms ago, and store the newest one."""
         if history.count < REACH:
             return
         regressor = self._regressors[self._count % HORIZONS]
         self._count += 1
-        if self._count > HORIZONS:
+        if self._count > HORIZONS and not artefact:
             values = history.last(FURTHEST + 1)[::SPACING]
             errors = values[1:] - values[0] - regressor @ self._weights
             # BLAS works on one triangle, so the covariance stays symmetric.
