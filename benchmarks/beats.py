@@ -1,16 +1,26 @@
-"""Analysis of beats: what is found of drawn and recorded pulses, and what it costs."""
+"""Analysis of beats: what is found of drawn and recorded pulses, and what it costs.
 
+The last table is the predictors' error after an artefact, from which they learn nothing.
+"""
+
+import itertools
 import time
+from unittest.mock import patch
 
 import heartpy
 import numpy as np
 
 from benchmarks.measure import show
+from display_node.prediction.artefacts import ArtefactDetector
+from display_node.prediction.ensemble import Ensemble
 from display_node.scoring.beat_quality import GOOD
 from display_node.scoring.beats import Beat
 from telepulse.reports.studies.prediction_pulses import recorded_pulses
 from tests.support.drawn_beats import (
+    BATCH,
     FOUND_FROM_S,
+    MOVED_FROM_S,
+    MOVED_S,
     RATE_HZ,
     SECONDS,
     Floats,
@@ -19,6 +29,7 @@ from tests.support.drawn_beats import (
     frames,
     moved,
     noisy,
+    prediction_errors_n,
     seconds,
     true_onset_and_peak_s,
 )
@@ -67,6 +78,31 @@ def recorded_row(name: str, force_n: Floats) -> tuple[str, ...]:
     return name, f"{shared} of {len(within_s)}", f"{others} of {len(peaks_s)}"
 
 
+# Seconds after the artefact between which errors are averaged, and samples ahead.
+AFTER_S, AHEAD = (0, 1, 2, 4, 8, 16), 100
+
+
+def after_artefact_rows(name: str) -> list[tuple[str, ...]]:
+    """Return the error 100 ms ahead in % of the pulse's height, after what a moving hand does."""
+    pulse = draw(name).force_n
+    height_n = float(np.ptp(pulse))
+
+    def row(label: str, force_n: Floats) -> tuple[str, ...]:
+        errors = prediction_errors_n(Ensemble("stack", 1_000_000), force_n, pulse, AHEAD) / height_n
+        ends = [round((MOVED_FROM_S + MOVED_S + at_s) * RATE_HZ) // BATCH for at_s in AFTER_S]
+        parts = [errors[first:last] for first, last in itertools.pairwise(ends)]
+        return (label, *(f"{100 * np.sqrt(np.mean(part**2)):.1f}" for part in parts))
+
+    disturbed = moved(noisy(pulse))
+    with patch.object(ArtefactDetector, "observe"):
+        learnt = row(f"{name}, learnt from", disturbed)
+    return [
+        row(f"{name}, undisturbed", noisy(pulse)),
+        learnt,
+        row(f"{name}, found (shipped)", disturbed),
+    ]
+
+
 def main() -> None:
     """Run the benchmark."""
     drawn = [
@@ -92,3 +128,6 @@ def main() -> None:
         ("processor time, ms a second of samples", f"{1e3 * taken_s / SECONDS:.2f}"),
     ]
     show("doubtful beats, and cost", ("", ""), measured)
+    after = [row for name in ("regular", "fibrillation") for row in after_artefact_rows(name)]
+    times = [f"{first} to {last} s" for first, last in itertools.pairwise(AFTER_S)]
+    show("error 100 ms ahead after an artefact, % of the height", ("pulse", *times), after)

@@ -81,7 +81,7 @@ class Stack:
         self._path += newest
         return self._path
 
-    def learn(self, values: NDArray[np.floating], artefact: bool) -> None:
+    def learn(self, values: NDArray[np.floating], artefact: bool = False) -> None:
         """Learn from the last 26 values of the steps of learning, the newest last.
 
         artefact: whether one is present; the weights are then kept.

@@ -39,7 +39,7 @@ class Expert(Protocol):
         Zeros, which hold the newest value, mean that the expert has not learnt enough.
         """
 
-    def learn(self, history: History, artefact: bool) -> None:
+    def learn(self, history: History, artefact: bool = False) -> None:
         """Learn from the newest value; call it after `predict` at every second step.
 
         artefact: whether one is present; nothing that outlasts it is then learnt.
@@ -188,7 +188,7 @@ class Analogue(Expert):
         self._around = places[:, np.newaxis] + PASSAGE
         return True
 
-    def learn(self, history: History, artefact: bool) -> None:
+    def learn(self, history: History, artefact: bool = False) -> None:
         """Make the regression for the next two steps."""
         self._regresses = False
         if not self._found:
@@ -268,7 +268,7 @@ class Fir(Expert):
         regressor -= past[-1]
         np.matmul(regressor, self._weights, out=made[0])
 
-    def learn(self, history: History, artefact: bool) -> None:
+    def learn(self, history: History, artefact: bool = False) -> None:
         """Correct the weights by the regressor of 250 ms ago, and store the newest one."""
         if history.count < REACH:
             return

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from display_node.prediction.ensemble import Ensemble
 from display_node.scoring.beats import Beat, BeatAnalysis
 from protocol.wire.messages import ChannelSamples
 from telepulse.reports.studies.prediction_pulses import (
@@ -90,11 +91,28 @@ def true_onset_and_peak_s(pulse: Drawn, at_s: float) -> tuple[float, float]:
     return (first + onset) / RATE_HZ, (first + peak) / RATE_HZ
 
 
-def moved(force_n: Floats, begin_s: float = 15.0, seconds: float = 4.0) -> Floats:
+MOVED_FROM_S, MOVED_S = 15.0, 4.0
+
+
+def moved(force_n: Floats) -> Floats:
     """Add what a moving hand does: a random walk of four times the pulse's deviation."""
-    first, length = round(begin_s * RATE_HZ), round(seconds * RATE_HZ)
+    first, length = round(MOVED_FROM_S * RATE_HZ), round(MOVED_S * RATE_HZ)
     walk = np.cumsum(np.random.default_rng(4).standard_normal(length))
     walk -= np.linspace(walk[0], walk[-1], length)
     disturbed = force_n.copy()
     disturbed[first : first + length] += 4 * float(force_n.std()) * walk / float(walk.std())
     return disturbed
+
+
+def prediction_errors_n(predictor: Ensemble, force_n: Floats, true_n: Floats, ahead: int) -> Floats:
+    """Feed a predictor; return the errors of its predictions `ahead` samples after each frame."""
+    errors_n = []
+    for first in range(0, len(force_n) - BATCH - ahead, BATCH):
+        newest = first + BATCH - 1
+        samples = channel_samples(BEGIN_NS + first * PERIOD_NS, force_n[first : first + BATCH])
+        predictor.observe(samples.times_ns, samples.forces_n)
+        for _ in range(BATCH):
+            predictor.work()
+        found_n = predictor.predict(samples.times_ns[-1] + ahead * PERIOD_NS)
+        errors_n.append(found_n - true_n[newest + ahead])
+    return np.array(errors_n)

@@ -1,11 +1,15 @@
 """Artefacts are found at once, end, and are not found in a pulse that changes."""
 
+from unittest.mock import patch
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
 from display_node.prediction.artefacts import FEWEST, HELD, LONGEST, ArtefactDetector
+from display_node.prediction.ensemble import Ensemble
 from display_node.prediction.grid import History
+from tests.support.drawn_beats import BATCH, RATE_HZ, draw, moved, noisy, prediction_errors_n
 
 Floats = NDArray[np.float64]
 STEPS_A_BEAT = 160
@@ -64,3 +68,19 @@ def test_nothing_is_found_before_a_beat_was_seen() -> None:
     values = pulse(FEWEST)
     values[FEWEST - 50 :] = 5.0
     assert present(values) == []
+
+
+def test_predictions_are_soon_as_good_as_without_the_artefact() -> None:
+    pulse = draw().force_n[: 30 * RATE_HZ]
+    disturbed = moved(noisy(pulse))
+
+    def rmse_n(force_n: Floats) -> float:
+        """Return the error from 2 s after the artefact on, 100 ms ahead."""
+        errors_n = prediction_errors_n(Ensemble("stack", 1_000_000), force_n, pulse, 100)
+        return float(np.sqrt(np.mean(errors_n[21 * RATE_HZ // BATCH :] ** 2)))
+
+    undisturbed_n, found_n = rmse_n(noisy(pulse)), rmse_n(disturbed)
+    with patch.object(ArtefactDetector, "observe"):
+        learnt_n = rmse_n(disturbed)
+    assert found_n < 1.3 * undisturbed_n
+    assert learnt_n > 1.5 * found_n
