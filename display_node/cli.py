@@ -11,7 +11,7 @@ import typer
 from display_node.doctor import run_doctor
 from display_node.fault_advice import end_at_faults
 from display_node.node import DisplayNode, start_bench
-from display_node.reception.connection import discovered
+from display_node.reception.addresses import discovered
 from display_node.scene import DisplayScene
 from display_node.telemetry.recorder_process import start_recorder
 from protocol import cli_options as options

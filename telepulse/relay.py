@@ -11,7 +11,8 @@ from contextlib import suppress
 
 import zmq
 
-from display_node.reception.connection import CUT_NS, Lookup
+from display_node.reception.addresses import Lookup
+from display_node.reception.connection import CUT_NS
 from display_node.reception.endpoint import ANSWER_NS, PATIENCE_NS
 from display_node.reception.failover import PATIENCE_FRAMES, DataPath
 from protocol import sockets

@@ -6,7 +6,8 @@ import pytest
 import zmq
 
 from display_node.reception import endpoint
-from display_node.reception.connection import Connection, Lookup
+from display_node.reception.addresses import Lookup
+from display_node.reception.connection import Connection
 from display_node.reception.endpoint import Endpoint
 from display_node.reception.failover import DataPath
 from display_node.reception.redundancy import Redundancy

@@ -1,0 +1,127 @@
+"""Addresses of the sensing node: announcements on the local network, and look-up of host names.
+
+ZeroMQ would look up host names in the thread that moves all its messages, which a slow name server
+delays by seconds. So each look-up runs in a thread of its own (decision 6), and ZeroMQ receives IP
+addresses only.
+"""
+
+import logging
+import math
+import socket
+import threading
+import time
+from pathlib import Path
+
+from protocol.discovery.announcement import Announcement, fingerprint, matching, only_match
+from protocol.errors import DiscoveryError, ProtectionError
+from protocol.security.keys import read_public
+
+logger = logging.getLogger(__name__)
+
+# Time for further matches after the first one: several are refused as ambiguous.
+GATHER_S = 2.0
+# A search that takes longer is logged once.
+LOG_AFTER_S = 5.0
+LOOK_EVERY_S = 0.05
+
+
+def discovered(name: str | None, peer: Path | None, seconds: float | None) -> list[str]:
+    """Return the addresses of the one sensing node that announces itself on this network.
+
+    name, peer: the node's name, and the file of its public key; None accepts any. seconds: longest
+    wait; None for no limit. Raises DiscoveryError where several nodes match or none is found in
+    time, ProtectionError where the node requires keys and `peer` is None, and KeyFileError where
+    `peer` is no key file.
+    """
+    # Imported here: only this function needs the zeroconf library.
+    from protocol.discovery.browser import Browser
+
+    known = None if peer is None else fingerprint(read_public(peer).key)
+    with Browser() as look:
+        logger.info("looking for a sensing node on the local network")
+        begin_s, logged = time.monotonic(), False
+        while not matching(look.found, name, known):
+            waited_s = time.monotonic() - begin_s
+            if waited_s > (math.inf if seconds is None else seconds):
+                raise DiscoveryError(f"within {seconds:g} s {_others(look.found)}")
+            if waited_s > LOG_AFTER_S and not logged:
+                logged = True
+                logger.info(f"so far {_others(look.found)}; waiting on")
+            time.sleep(LOOK_EVERY_S)
+        if name is None:
+            time.sleep(GATHER_S)
+        one = only_match(matching(look.found, name, known))
+        refused = look.refused.total()
+    if refused:
+        logger.warning(f"{refused} announcements were not valid")
+    if one.fingerprint is not None and peer is None:
+        raise ProtectionError(
+            f"{one.name!r} requires keys; give --key keys/NAME.key --peer keys/PEER.pub"
+        )
+    addresses = [f"tcp://{address}:{one.port}" for address in one.addresses]
+    logger.info(f"found {one.name!r} at {', '.join(addresses)}")
+    return addresses
+
+
+def _others(found: list[Announcement]) -> str:
+    if not found:
+        return "no sensing node has announced itself: start it with --announce"
+    names = ", ".join(repr(one.name) for one in found)
+    return f"no announced sensing node has the requested name and key; announced are: {names}"
+
+
+LOOK_UP_AGAIN_S = 2.0
+
+
+class Lookup:
+    """Look-up of the host name in an address such as tcp://host:5555, in a thread of its own."""
+
+    def __init__(self, address: str) -> None:
+        self._address = address
+        self._logged = ""
+        self._lookups = 0
+        self._found: str | None = None
+        self._thread: threading.Thread | None = None
+
+    @property
+    def running(self) -> bool:
+        """True while a look-up is under way."""
+        return self._thread is not None and self._thread.is_alive()
+
+    def start(self) -> None:
+        """Start a look-up; `take` returns its result once `running` is False."""
+        # A daemon: a name server that does not answer must not hold up the program's end.
+        self._thread = threading.Thread(target=self._run, daemon=True)
+        try:
+            self._thread.start()
+        except RuntimeError:
+            # The system refuses another thread: the loop continues and tries again.
+            self._warn(f"{self._address} cannot be looked up: no thread can be started; retrying")
+
+    def take(self) -> str | None:
+        """Return the address with an IP address as its host, once for each successful look-up."""
+        found, self._found = self._found, None
+        return found
+
+    def _run(self) -> None:
+        scheme, _, place = self._address.partition("://")
+        if scheme != "tcp":
+            self._found = self._address
+            return
+        host, _, port = place.rpartition(":")
+        try:
+            found = socket.getaddrinfo(host.strip("[]"), port, type=socket.SOCK_STREAM)
+        except OSError as error:
+            self._warn(f"{host} is not found: {error.strerror}; retrying")
+            time.sleep(LOOK_UP_AGAIN_S)
+            return
+        # A name may have several IP addresses, not all of them reachable: they are tried in turn.
+        ips = sorted({(family != socket.AF_INET, name[0]) for family, *_, name in found})
+        is_ipv6, ip = ips[self._lookups % len(ips)]
+        self._lookups += 1
+        self._found = f"tcp://[{ip}]:{port}" if is_ipv6 else f"tcp://{ip}:{port}"
+
+    def _warn(self, text: str) -> None:
+        if text != self._logged:
+            self._logged = text
+            logger.warning(text)
