@@ -59,7 +59,7 @@ FORGETS = np.exp(-SPACING * STEP_NS * 1e-9 / np.array(MEMORIES_S, np.float32))[:
 # Weight of the slope (per SPACING steps): the ratio of a pulse's power to that of its slope, so
 # that both count about equally. In the shortest memory it is more, which finds the beginning of a
 # beat sooner; in the others, more is noise.
-SLOPE, FIRST_SLOPE = 12.5, 60.0
+SLOPE, FIRST_SLOPE = 12.5, 150.0
 # Analogues of each memory. Of the first memory's, a mean uses the nearest AVERAGED, the regression
 # all.
 COUNTS, AVERAGED = (40, 15, 15), 15
@@ -79,7 +79,7 @@ UNUSED = np.full((4, len(MEMORY)), -np.inf, np.float32)
 for _row, (_first, _last) in enumerate(((0, 15), (40, 55), (55, 70), (0, 40))):
     UNUSED[_row, _first:_last] = 0.0
 # Share of the analogue's difference from the present value that its continuation is reduced by.
-OFFSET = 0.5
+OFFSET = 0.35
 # A lag is used after its distance has been summed over this number of steps. The longer memories
 # then still contain zeros from before the start, which make old lags less similar, not more.
 SETTLED = 20
@@ -89,7 +89,7 @@ PASSAGE = np.concatenate([[0], -LOCAL, AHEAD])
 BEFORE, AFTER = slice(1, len(LOCAL) + 1), slice(len(LOCAL) + 1, None)
 PRESENT, DEEPEST = LAGS - LOCAL, int(LOCAL[-1])
 # The weights of the analogues add up to 1.
-LOCAL_RIDGE = 0.00015 * np.eye(len(LOCAL), dtype=np.float32)
+LOCAL_RIDGE = 0.00003 * np.eye(len(LOCAL), dtype=np.float32)
 
 
 class Analogue(Expert):
