@@ -19,9 +19,8 @@ RECENT, LATELY, MARGIN, REVIEWED = 1_000, 50, 0.25, 10
 SHRINKS = 1 / 1_200
 # Fewer values, 2.5 s, may not contain a whole beat.
 FEWEST = 500
-# After the last value outside of the range, filters have it among their inputs for 1.3 s, and are
-# corrected by what they predicted up to 250 ms later.
-HELD = 310
+# Filters have the last value outside of the range among their inputs for 1.3 s.
+HELD = 260
 # After 5 s it is no artefact: the pulse has changed.
 LONGEST = 1_000
 
