@@ -272,6 +272,7 @@ def windows_text(windows: Sequence[Mapping[str, Any]]) -> str | None:
         times = f"{each['from_s']:.0f} to {until} s"
         errors = (each["aligned_n"], each["in_phase_n"])
         aligned, in_phase = (NEWTONS.text(error) or "unknown" for error in errors)
-        delay = f"{each['playout_delay_ms']:.1f} ms"
+        # An E of 0 is known to the clock's error only; "z" prints no sign before a zero.
+        delay = f"{each['playout_delay_ms']:z.1f} ms"
         lines.append(f"{times}: E {delay}, aligned {aligned}, in phase {in_phase}")
     return texts(lines, "\n")
