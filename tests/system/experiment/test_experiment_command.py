@@ -56,7 +56,7 @@ def test_an_observer_is_right_as_often_as_its_threshold_says(tmp_path: Path) -> 
     session = write(tmp_path / "s.toml", PLAIN, trials=6)
     shares = []
     # Far below the error of the link, about it, and far above it, where answers are guesses.
-    for threshold in ("0.1 %", "7 %", "1000 %"):
+    for threshold in ("0.1 %", "4 %", "1000 %"):
         results = gather([observed(session, threshold, tmp_path / f"{len(shares)}.jsonl")])
         plain = results.of("plain")
         found = share_correct(plain)
