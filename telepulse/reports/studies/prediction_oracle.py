@@ -95,27 +95,34 @@ def oracle_errors(
 
 # Taps of a filter, which are means over 5 ms, as in the predictors' grid, of the last 1.3 s.
 TAP_MS, TAPS = 5, 260
+# Each part of a set is predicted by a filter that is fitted to everything else, except for this
+# number of cells on both sides, whose values overlap with it.
+PARTS, APART = 20, 50
 
 
 def best_filter_errors(pulse: Pulse, horizons_ms: tuple[int, ...]) -> tuple[float, ...]:
     """Return the NRMSE of the best fixed linear filter of x(t−i) − x(t) at each horizon.
 
-    It is fitted to the very values that it predicts, so that none that learns before them is
-    better, unless it changes with time.
+    A filter that learns has only the values before; this one is fitted to those after, too, but not
+    to the ones that it predicts.
     """
     count = len(pulse.sensed) // TAP_MS
     cells = pulse.sensed[: count * TAP_MS].reshape(count, TAP_MS).mean(axis=1)
-    first = round(SCORED_FROM_S * RATE_HZ) // TAP_MS
-    last = (len(pulse.true) - max(horizons_ms)) // TAP_MS - 1
-    at = np.arange(first, last)
+    at = np.arange(TAPS + 1, (len(pulse.true) - max(horizons_ms)) // TAP_MS - 1)
     newest = cells[at]
     inputs = cells[at[:, np.newaxis] - np.arange(1, TAPS + 1)] - newest[:, np.newaxis]
     ends = at * TAP_MS + TAP_MS - 1
     wanted = pulse.true[ends[:, np.newaxis] + np.array(horizons_ms)] - newest[:, np.newaxis]
-    # The ridge is far below the noise.
-    products = inputs.T @ inputs + 1e-3 * np.eye(TAPS)
-    errors = wanted - inputs @ np.linalg.solve(products, inputs.T @ wanted)
-    return tuple(np.sqrt(np.mean(errors * errors, axis=0)).tolist())
+    # The ridge is far below the noise: larger ones have larger errors.
+    products, results = inputs.T @ inputs + 1e-3 * np.eye(TAPS), inputs.T @ wanted
+    scored = np.flatnonzero(at >= round(SCORED_FROM_S * RATE_HZ) // TAP_MS)
+    squares = np.zeros(len(horizons_ms))
+    for part in np.array_split(scored, PARTS):
+        near = slice(max(int(part[0]) - APART, 0), int(part[-1]) + APART + 1)
+        known = products - inputs[near].T @ inputs[near]
+        weights = np.linalg.solve(known, results - inputs[near].T @ wanted[near])
+        squares += np.sum((wanted[part] - inputs[part] @ weights) ** 2, axis=0)
+    return tuple(np.sqrt(squares / len(scored)).tolist())
 
 
 def _beat_alone(stretch: float) -> Floats:

@@ -144,9 +144,9 @@ def _targets_chapter(scores: PredictionScores) -> Chapter:
         " distribution of the next interval, of which it predicts the mean. It sees a beat from the"
         " given number of widths before the peak of its first wave, which is 1, 4 or 14 % of that"
         " wave's height, and 20 ms before the chain shows it.",
-        "No linear filter of the last 1.3 s that stays the same over a set has less than"
-        f" {', '.join(f'{error:.3f}' for error in scores.best_filter)} (medians over the sets):"
-        " these are of the filters that are fitted to the values that they predict.",
+        "The best linear filter of the last 1.3 s that stays the same over a set has"
+        f" {', '.join(f'{error:.3f}' for error in scores.best_filter)} (medians over the sets)."
+        " It is fitted to all values but those that it predicts, the later ones included.",
     )
     tables = (
         _targets_table("Ours / the prototype's", results),
