@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from display_node.reception.receiver import FUTURE_NS, OLDEST_NS
 from display_node.scoring.beats import BeatAnalysis
-from protocol.wire.messages import ChannelSamples
+from protocol.wire.messages import ChannelSamples, channel_samples
 from telepulse.telemetry.decoder import Entry, Fields
 from telepulse.telemetry.schema import EVENT, FRAME, STATUS, STREAM, TICK
 
@@ -205,9 +205,7 @@ class LiveState:
         # Copies over other paths are skipped.
         if not self.wrist.has(int(t_ns[0]), period_ns // 2):
             self.wrist.insert(t_ns, np.array(values)[:, np.newaxis])
-            first_ns = fields["t_first_ns"]
-            times_ns = list(range(first_ns, first_ns + len(values) * period_ns, period_ns))
-            samples = ChannelSamples(0, period_ns, times_ns, values)
+            samples = channel_samples(0, fields["t_first_ns"], period_ns, values)
             self._add_beats(samples, int(t_ns[0]))
 
     def _add_beats(self, samples: ChannelSamples, unix_ns: int) -> None:

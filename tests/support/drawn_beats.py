@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from display_node.prediction.ensemble import Ensemble
 from display_node.scoring.beats import Beat, BeatAnalysis
-from protocol.wire.messages import ChannelSamples
+from protocol.wire.messages import ChannelSamples, channel_samples
 from telepulse.reports.studies.prediction_pulses import (
     NOMINAL_BEAT_S,
     Beats,
@@ -67,12 +67,11 @@ def frames(
 
 def analysed(sent: list[tuple[int, Floats]], period_ns: int = PERIOD_NS) -> list[Beat]:
     analysis = BeatAnalysis()
-    return [beat for frame in sent for beat in analysis.observe(channel_samples(*frame, period_ns))]
+    return [beat for frame in sent for beat in analysis.observe(samples(*frame, period_ns))]
 
 
-def channel_samples(first_ns: int, force_n: Floats, period_ns: int = PERIOD_NS) -> ChannelSamples:
-    times_ns = [first_ns + place * period_ns for place in range(len(force_n))]
-    return ChannelSamples(0, period_ns, times_ns, force_n.tolist())
+def samples(first_ns: int, force_n: Floats, period_ns: int = PERIOD_NS) -> ChannelSamples:
+    return channel_samples(0, first_ns, period_ns, force_n.tolist())
 
 
 def seconds(t_ns: int) -> float:
@@ -109,10 +108,10 @@ def prediction_errors_n(predictor: Ensemble, force_n: Floats, true_n: Floats, ah
     errors_n = []
     for first in range(0, len(force_n) - BATCH - ahead, BATCH):
         newest = first + BATCH - 1
-        samples = channel_samples(BEGIN_NS + first * PERIOD_NS, force_n[first : first + BATCH])
-        predictor.observe(samples.times_ns, samples.forces_n)
+        frame = samples(BEGIN_NS + first * PERIOD_NS, force_n[first : first + BATCH])
+        predictor.observe(frame.times_ns, frame.forces_n)
         for _ in range(BATCH):
             predictor.work()
-        found_n = predictor.predict(samples.times_ns[-1] + ahead * PERIOD_NS)
+        found_n = predictor.predict(frame.times_ns[-1] + ahead * PERIOD_NS)
         errors_n.append(found_n - true_n[newest + ahead])
     return np.array(errors_n)

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from display_node.scoring.beat_statistics import BeatStatistics, pulse_alarm
 from protocol.beats import BeatFigures
 from sensing_node.sources.synthetic import SyntheticScene, SyntheticSource
-from tests.support.drawn_beats import PERIOD_NS, channel_samples
+from tests.support.drawn_beats import PERIOD_NS, samples
 
 Floats = NDArray[np.float64]
 SECOND_NS = 1_000_000_000
@@ -21,7 +21,7 @@ def pulse(seconds: float, **settings: str) -> Floats:
 def feed(statistics: BeatStatistics, force_n: Floats, begin_ns: int = 0) -> int:
     """Take samples in frames of 5 ms; return the time after the last one."""
     for first in range(0, len(force_n), 5):
-        frame = channel_samples(begin_ns + first * PERIOD_NS, force_n[first : first + 5])
+        frame = samples(begin_ns + first * PERIOD_NS, force_n[first : first + 5])
         statistics.observe(frame)
     return begin_ns + len(force_n) * PERIOD_NS
 
