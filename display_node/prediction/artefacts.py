@@ -6,14 +6,10 @@ Weights that were fitted to that predict worse for their whole memory, tens of s
 
 import math
 
-import numpy as np
-from numpy.typing import NDArray
+from display_node.prediction.grid import RECENT, History
 
-from display_node.prediction.grid import History
-
-# The range is that of the last 5 s, without the last 250 ms, and is widened on both sides by a
-# share of it. It is computed anew every 50 ms.
-RECENT, LATELY, MARGIN, REVIEWED = 1_000, 50, 0.25, 10
+# The range is that of recent values without the last 250 ms. It is computed anew every 50 ms.
+LATELY, REVIEWED = 50, 10
 # It shrinks by this share of the difference each time, in a minute to a third: a pulse that returns
 # after a pause is no artefact.
 SHRINKS = 1 / 1_200
@@ -47,12 +43,9 @@ class ArtefactDetector:
         # Values of an artefact do not count, unless it was none.
         known = min(count - (self._ends if count >= self._ends else self._begun), RECENT)
         if not self.present and count % REVIEWED == 0 and known >= FEWEST:
-            self._review(history.last(known)[:-LATELY])
+            self._review(*history.bounds(known, LATELY))
 
-    def _review(self, recent: NDArray[np.float32]) -> None:
-        low, high = float(recent.min()), float(recent.max())
-        margin = MARGIN * (high - low)
-        low, high = low - margin, high + margin
+    def _review(self, low: float, high: float) -> None:
         if self._high < math.inf:
             low = min(low, self._low + SHRINKS * (low - self._low))
             high = max(high, self._high - SHRINKS * (self._high - high))

@@ -84,9 +84,8 @@ class Stack:
     def learn(self, values: NDArray[np.floating], artefact: bool = False) -> None:
         """Learn from the last 26 values of the steps of learning, the newest last.
 
-        artefact: whether one is present; the weights are then kept.
-
-        Call it after `predict`, at the steps from which the experts learn.
+        artefact: whether one is present; the weights are then kept. Call it after `predict`, at the
+        steps from which the experts learn.
         """
         position = self._steps % HORIZONS
         made, path = self._made[position], self._paths[position]
@@ -129,8 +128,6 @@ JUDGED_BEATS, FEWEST_JUDGED, MOST_JUDGED = 1.25, 100, 200
 # A step's work has three or four pieces. One piece a millisecond leaves some free to catch up.
 SPACING_NS = SPACING * STEP_NS
 PIECE_NS = 1_000_000
-# Paths are bounded by the range of the last 5 s, widened on both sides by this share of it.
-RECENT, MARGIN = 1_000, 0.25
 
 
 class Ensemble:
@@ -222,7 +219,7 @@ class Ensemble:
             return
         history = self._history
         self._push(cell.value)
-        self._artefacts.observe(self._history)
+        self._artefacts.observe(history)
         self._number = cell.number
         # Cells that late samples corrected replace the interpolated ones.
         for late in self._grid.corrections:
@@ -237,7 +234,7 @@ class Ensemble:
         artefact = self._artefacts.present
         self._stack.learn(history.last(FURTHEST + 1)[::SPACING], artefact)
         self._judge()
-        self._bound()
+        self._bounds = history.bounds()
         for expert in self._experts:
             yield
             expert.learn(history, artefact)
@@ -263,7 +260,7 @@ class Ensemble:
         for value in seen:
             self._push(value)
         self._number = cell.number
-        self._bound()
+        self._bounds = self._history.bounds()
 
     def _normalised(self, value: float) -> float:
         # A value that is no number becomes the limit, too.
@@ -273,12 +270,6 @@ class Ensemble:
         self._history.push(self._normalised(value))
         before, _, newest = self._history.last(3).tolist()
         self._rhythm.push(newest - before)
-
-    def _bound(self) -> None:
-        recent = self._history.last(min(RECENT, self._history.count))
-        low, high = float(np.minimum.reduce(recent)), float(np.maximum.reduce(recent))
-        margin = MARGIN * (high - low)
-        self._bounds = low - margin, high + margin
 
     def _publish(self, cell: GridCell) -> None:
         """Store the stack's path in N, within bounds; start again if it is not finite."""

@@ -120,6 +120,10 @@ class Grid:
         return before + (t_ns - before_ns) / (after_ns - before_ns) * (after - before)
 
 
+# Recent values are those of the last 5 s; their range is widened on both sides by this share of it.
+RECENT, MARGIN = 1_000, 0.25
+
+
 class History:
     """The last `capacity` values in single precision; filled with zeros at the start."""
 
@@ -148,6 +152,13 @@ class History:
         """Replace the value `age` steps before the newest; do nothing where it is too old."""
         if age < min(self.count, self._capacity):
             self._values[self._end - 1 - age] = value
+
+    def bounds(self, count: int = RECENT, skipped: int = 0) -> tuple[float, float]:
+        """Return the widened range of the newest `count` values without the last `skipped` ones."""
+        recent = self.last(min(count, self.count))[: None if not skipped else -skipped]
+        low, high = float(np.minimum.reduce(recent)), float(np.maximum.reduce(recent))
+        margin = MARGIN * (high - low)
+        return low - margin, high + margin
 
     def last(self, count: int) -> NDArray[np.float32]:
         """Return a view of the newest `count` values (at most `capacity`), valid until a push."""
