@@ -69,15 +69,16 @@ MEMORY = np.repeat(np.arange(len(COUNTS)), COUNTS)
 KEPT = FORGETS[MEMORY, 0]
 SCALES = np.array([[1.0, SLOPE if memory else FIRST_SLOPE] for memory in MEMORY], np.float32)
 # First analogue of each memory, and of each part of them that a trajectory uses.
-MEMORIES, PARTS = np.array([0, 40, 55]), np.array([0, AVERAGED, 40, 55])
+_SECOND, _THIRD = COUNTS[0], COUNTS[0] + COUNTS[1]
+MEMORIES, PARTS = np.array([0, _SECOND, _THIRD]), np.array([0, AVERAGED, _SECOND, _THIRD])
 # Kernels' widths over the sums of the distances in each part, by part and trajectory: 0.2 of the
 # mean distance for a mean, all of the nearest ones' for the regression.
 WIDTHS = np.zeros((4, 4), np.float32)
 WIDTHS[[0, 2, 3, 0], [0, 1, 2, 3]] = np.array([0.2, 0.2, 0.2, 1.0]) / AVERAGED
 # Minus infinity where a trajectory does not use an analogue.
 UNUSED = np.full((4, len(MEMORY)), -np.inf, np.float32)
-for _row, (_first, _last) in enumerate(((0, 15), (40, 55), (55, 70), (0, 40))):
-    UNUSED[_row, _first:_last] = 0.0
+UNUSED[0, :AVERAGED] = UNUSED[1, _SECOND:_THIRD] = UNUSED[2, _THIRD:] = 0.0
+UNUSED[3, :_SECOND] = 0.0
 # Share of the analogue's difference from the present value that its continuation is reduced by.
 OFFSET = 0.35
 # A lag is used after its distance has been summed over this number of steps. The longer memories
