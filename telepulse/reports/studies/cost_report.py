@@ -104,7 +104,7 @@ def _simulated_row(
     return _named(one) | {
         "in phase (mN)": f"{cost.in_phase_n * 1e3:.2f}",
         "aligned (mN)": f"{cost.aligned_n * 1e3:.2f}",
-        "mean E (ms)": _rounded(cost.delay_ms),
+        "mean E (ms)": f"{cost.delay_ms:z.1f}",
         "p50 (µs)": f"{cost.p50_us:.0f}",
         "p99 (µs)": f"{cost.p99_us:.0f}",
         "load (%)": f"{100 * cost.load:.1f}",
@@ -132,7 +132,7 @@ def _live_row(one: Settings, run: NodesOutcome, seconds: float) -> dict[str, str
     row = _named(one) | {
         "in phase (mN)": f"{in_phase_n * 1e3:.2f}",
         "aligned (mN)": f"{aligned_n * 1e3:.2f}",
-        "mean E (ms)": _rounded(late_delay_ms(display, JUDGED_FROM_S)),
+        "mean E (ms)": f"{late_delay_ms(display, JUDGED_FROM_S):z.1f}",
         "p50 (µs)": f"{tick_us.p50 or math.nan:.0f}",
         "p99 (µs)": f"{tick_us.p99 or math.nan:.0f}",
         "missed (%)": f"{100 * (math.nan if missed is None else missed):.1f}",
@@ -145,11 +145,6 @@ def _live_row(one: Settings, run: NodesOutcome, seconds: float) -> dict[str, str
             "kB/s": f"{carried.bytes / seconds / 1e3:.1f}",
         }
     return row
-
-
-def _rounded(delay_ms: float) -> str:
-    # Not "-0.0".
-    return f"{round(delay_ms, 1) + 0.0:.1f}"
 
 
 def _percent(share: float | None) -> str:
