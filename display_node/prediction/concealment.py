@@ -113,7 +113,7 @@ class Concealment:
 
     @property
     def acts(self) -> bool:
-        """Whether the last force was predicted, or still differs from the received one."""
+        """True while the force is predicted, or is still blended into the received one."""
         return self._blend.busy
 
     def observe(self, samples: ChannelSamples) -> None:

@@ -1,4 +1,4 @@
-"""How much of a link's delay the predictor can replace before its error is felt. Pure.
+"""Choice of the perceived delay E from the errors that the predictor expects. Pure.
 
 `Trust` chooses the perceived delay E for `compensation = "auto"`. With the age of the newest sample
 at each tick and the error that the predictor expects at each horizon, it computes the expected

@@ -1,8 +1,8 @@
-"""Least possible errors: of an oracle that knows a pulse's generator, and of a linear filter.
+"""Lower bounds of errors: an oracle that knows a pulse's generator, and the best linear filter.
 
 The oracle knows the shape of a beat, when each beat began, and the distribution of the next
 interval. It predicts the mean of what can follow. It does not see a beat before the first wave has
-reached a given distance from its peak, and is told of it before the chain has delayed it.
+reached a given distance from its peak, and sees it before the chain has delayed it.
 """
 
 from statistics import NormalDist
