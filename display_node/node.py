@@ -103,6 +103,7 @@ class DisplayNode:
         self._tick_us = Histogram(1.0, 5_000)
         self._late_us = Histogram(2.0, 2_500)
         self._named_faults = 0
+        self._refused_version = False
         self._context: sockets.Context = zmq.Context()
         try:
             paths, redundancy = max(scene.paths or 1, len(addresses)), None
@@ -193,6 +194,9 @@ class DisplayNode:
         for fault in faults[self._named_faults :]:
             logger.error(f"fault: {fault}: {advise(fault)}")
         self._named_faults = len(faults)
+        if self._display.receiver.other_version and not self._refused_version:
+            self._refused_version = True
+            logger.warning(f"refused: {self._display.receiver.other_version}")
         if self._connection.poll(now_ns):
             self._display.receiver.introduce()
         control = self._connection.control.socket

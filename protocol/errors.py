@@ -26,6 +26,21 @@ class WireError(TelepulseError, ValueError):
         self.cause = cause
 
 
+class VersionError(WireError):
+    """A message is of another version of the protocol, so that its other fields may differ.
+
+    is_hello: it asks for the stream's description, as displays of every version do.
+    """
+
+    def __init__(self, version: str, own: int, is_hello: bool = False) -> None:
+        super().__init__(
+            "version",
+            f"the peer has version {version} of the protocol, this node version {own}; install"
+            " the same version of telepulse on both machines",
+        )
+        self.is_hello = is_hello
+
+
 class AddressError(TelepulseError, OSError):
     """A ZeroMQ address cannot be used: its port is taken or missing, its host is unknown."""
 

@@ -3,7 +3,7 @@
 from collections import Counter
 from dataclasses import dataclass, field
 
-from protocol.errors import WireError
+from protocol.errors import VersionError, WireError
 from protocol.security.budgets import TokenBucket
 from protocol.wire.messages import (
     Bye,
@@ -26,6 +26,8 @@ FORGET_AFTER_NS = 5_000_000_000
 MAX_CLIENTS = 1_000
 # A display sends at most 50 clock requests a second, and after a cut all waiting ones at once.
 DISPLAY_ANSWERS_PER_S, ANSWERS_AT_ONCE = 200.0, 2_000.0
+# Hellos of other versions that are answered, of all peers together.
+STRANGERS_PER_S = 10.0
 # Each relay on the way adds an address to the envelope.
 MAX_HOPS = 4
 # ROUTER sockets name their peers by a zero and four bytes, and no message begins with a zero. So
@@ -91,13 +93,18 @@ class Client:
 
 
 class ControlServer:
-    """Server of one session's control messages, with its clients by envelope. Pure."""
+    """Server of one session's control messages, with its clients by envelope. Pure.
+
+    other_version: description of the first refused peer of another version, or "".
+    """
 
     def __init__(self, description: StreamDescription, session: int) -> None:
         self._description = description
         self._session = session
         self.clients: dict[Sender, Client] = {}
         self.rejected: Counter[str] = Counter()
+        self.other_version = ""
+        self._strangers = TokenBucket(STRANGERS_PER_S, STRANGERS_PER_S)
 
     @property
     def all_confirmed(self) -> bool:
@@ -117,6 +124,15 @@ class ControlServer:
             client = self._client(sender, message, now_ns)
             if not client.budget.take(now_ns):
                 raise WireError("flood", "a display sends far more than displays do")
+        except VersionError as error:
+            # A display also asks in version 1 while nobody answers, in case this node is older.
+            if error.is_hello and sender in self.clients:
+                return None
+            self.rejected[error.cause] += 1
+            self.other_version = self.other_version or str(error)
+            # The peer refuses any answer of this version, and so reports the two versions.
+            answered = error.is_hello and self._strangers.take(now_ns)
+            return Welcome(self._session, samples_sent, self._description) if answered else None
         except WireError as error:
             self.rejected[error.cause] += 1
             return None

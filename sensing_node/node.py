@@ -118,7 +118,7 @@ class SensingNode:
         self._source = source
         self._description = description
         self._clock = clock
-        self._stopping = self._full = False
+        self._stopping = self._full = self._refused_version = False
         self._session = secrets.randbits(62)
         self._framer = Framer(description, self._session)
         self._check = SampleCheck(description.period_ns)
@@ -211,6 +211,9 @@ class SensingNode:
         reply = self._server.answer(sender, data, self._clock(), self._framer.samples_sent)
         if reply is not None:
             sockets.send(self._control, *sender, encode_control(reply))
+        if self._server.other_version and not self._refused_version:
+            self._refused_version = True
+            logger.warning(f"refused: {self._server.other_version}")
         if len(clients) > known:
             self._requests.expect(len(clients))
             logger.info(f"{clients[sender].shown_name} joined")

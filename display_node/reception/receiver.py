@@ -10,7 +10,7 @@ from typing import Final
 from display_node.reception.jitter_buffer import JitterBuffer, SampleAccount
 from display_node.reception.playout import JUMP_NS, DelayEstimator
 from protocol.clock.estimator import READY_AFTER, ClockEstimator, ClockExchange
-from protocol.errors import WireError
+from protocol.errors import VersionError, WireError
 from protocol.histogram import Histogram
 from protocol.run_summary import Summary
 from protocol.summary_tables import Clock, FrameCounts, OneWayDelay, SampleCounts
@@ -18,6 +18,8 @@ from protocol.wire import messages as wire
 from protocol.wire.stream import StreamDescription
 
 HELLO_EVERY_NS: Final = 250_000_000
+# One unanswered hello in this many is followed by one in version 1.
+EARLIER_EVERY: Final = 8
 # The first READY_AFTER clock requests are sent at once, since nothing is played before the clock is
 # known. The rest of the first minute uses the fast interval. A still shorter one would let TCP send
 # requests and replies in bunches, which biases the offset.
@@ -53,6 +55,8 @@ class Receiver:
         is discarded.
     clock_steps
         Number of clock steps in all sessions so far.
+    other_version
+        Description of the first refused message of another version, or "".
     ready
         True when playing can start: the stream, its clock and its usual delay are known.
     one_way_delay_ms
@@ -67,12 +71,14 @@ class Receiver:
         # Nothing is requested before this time, unless a control message or a refusal comes.
         self._quiet_until_ns = 0
         self._hello_due = False
+        self._unanswered_hellos = 0
         self._clock_requests = 0
         # Times of sending of the requests that may still be answered, oldest first.
         self._open_requests_ns: deque[int] = deque(maxlen=MAX_OPEN_REQUESTS)
         self._received_ns = 0
         self.copies = 0
         self.rejected: Counter[str] = Counter()
+        self.other_version = ""
         self.one_way_delay_ms = Histogram(0.1, 20_000)
         self.sessions = self.resets = self.clock_steps = 0
         self.session: int | None = None
@@ -92,7 +98,7 @@ class Receiver:
             if error.cause == "duplicate" and self.paths > 1:
                 self.copies += 1
             else:
-                self.rejected[error.cause] += 1
+                self._refuse(error)
             return None
 
     def on_control(self, data: bytes, now_ns: int) -> None:
@@ -102,7 +108,12 @@ class Receiver:
             message = wire.decode_control(data)
             self._take(message, now_ns)
         except WireError as error:
-            self.rejected[error.cause] += 1
+            self._refuse(error)
+
+    def _refuse(self, error: WireError) -> None:
+        self.rejected[error.cause] += 1
+        if isinstance(error, VersionError):
+            self.other_version = self.other_version or str(error)
 
     @property
     def accepts_frames(self) -> bool:
@@ -140,6 +151,9 @@ class Receiver:
             self._next_hello_ns = now_ns + HELLO_EVERY_NS
             self._hello_due = False
             wanted.append(wire.Hello(self._name))
+            self._unanswered_hellos += 1
+            if self._unanswered_hellos % EARLIER_EVERY == 0:
+                wanted.append(wire.EarlierHello(self._name))
         if self.session is not None and not silent and now_ns >= self._next_clock_ns:
             fast = self._clock_requests < CLOCK_FAST_COUNT
             self._clock_requests += 1
@@ -235,6 +249,7 @@ class Receiver:
         match message:
             case wire.Welcome(session=session, description=description):
                 self._received_ns = now_ns
+                self._unanswered_hellos = 0
                 if session != self.session:
                     # Samples, times and clock of two sessions are unrelated.
                     self._restart(JitterBuffer())

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from ipaddress import IPv4Interface
 from typing import Self
 
-from protocol.errors import DiscoveryError, WireError
+from protocol.errors import DiscoveryError, VersionError, WireError
 from protocol.wire.messages import VERSION
 from protocol.wire.stream import MAX_NAME
 
@@ -20,6 +20,7 @@ SERVICE = "_telepulse._tcp.local."
 MAX_LABEL_BYTES, MAX_STRING_BYTES = 63, 255
 MAX_PORT = 65_534
 MAX_ADDRESSES = 16
+MAX_VERSION = 20
 FINGERPRINT_BYTES, NODE_BYTES = 16, 8
 ALL_INTERFACES = ("*", "0.0.0.0")
 
@@ -76,8 +77,9 @@ def read_announcement(
     name = instance.removesuffix("." + SERVICE)
     if name == instance or not name or not name.isprintable() or len(name) > MAX_LABEL_BYTES:
         raise WireError("malformed", "its name is not that of a node")
-    if _text(txt, b"v") != str(VERSION):
-        raise WireError("version", f"it has another version than {VERSION}")
+    version = _text(txt, b"v")
+    if version != str(VERSION):
+        raise VersionError(version[:MAX_VERSION] or "none", VERSION)
     if port is None or not 0 < port <= MAX_PORT or _text(txt, b"control") != str(port + 1):
         raise WireError("malformed", "its ports are not those of a node")
     stream = _text(txt, b"stream")

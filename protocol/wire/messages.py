@@ -9,7 +9,8 @@ a sequence number: the number of earlier samples of the session, so that a displ
 samples and not frames. Times are on the sensing node's clock.
 
 Control messages go both ways as msgpack arrays [version, kind, ...]. For any bytes, decoding
-returns a valid message or raises WireError with the cause under which it is counted.
+returns a valid message or raises WireError with the cause under which it is counted. In every
+version the first field is the version, and the first control message of a display is a hello.
 """
 
 import math
@@ -21,10 +22,10 @@ import msgpack
 import numpy as np
 from numpy.typing import NDArray
 
-from protocol.errors import WireError
+from protocol.errors import VersionError, WireError
 from protocol.wire.stream import MAX_NAME, StreamDescription, description_from_wire
 
-VERSION: Final = 1
+VERSION: Final = 2
 # Greatest size of any message between the nodes.
 MAX_FRAME_BYTES: Final = 65_536
 MAX_CHANNELS: Final = 64
@@ -151,6 +152,12 @@ class Hello(NamedTuple):
     display: str
 
 
+class EarlierHello(NamedTuple):
+    """Hello in version 1. Sensing nodes of version 1 answer no other, and so show their version."""
+
+    display: str
+
+
 class Welcome(NamedTuple):
     """Answer of the sensing node: its session, the samples sent so far, the stream."""
 
@@ -196,11 +203,12 @@ class DisplayReport(NamedTuple):
     force_rmse_n: float
 
 
-ControlMessage = Hello | Welcome | Bye | ClockRequest | ClockReply | DisplayReport
+ControlMessage = Hello | EarlierHello | Welcome | Bye | ClockRequest | ClockReply | DisplayReport
 
+_HELLO: Final = "hello"
 # Class and fields of each kind: types, or ranges of an int. The type float admits int and NaN.
 _KINDS: dict[str, tuple[type[ControlMessage], tuple[type | range, ...]]] = {
-    "hello": (Hello, (str,)),
+    _HELLO: (Hello, (str,)),
     "welcome": (Welcome, (_SESSION, _COUNT, dict)),
     "bye": (Bye, (_SESSION, _COUNT)),
     "clock?": (ClockRequest, (_TIME,)),
@@ -212,6 +220,8 @@ _NAMES = {kind: name for name, (kind, _) in _KINDS.items()}
 
 def encode_control(message: ControlMessage) -> bytes:
     """Encode a control message."""
+    if isinstance(message, EarlierHello):
+        return _pack([1, _HELLO, message.display])
     name = _NAMES[type(message)]
     if isinstance(message, Welcome):
         return _pack([VERSION, name, *message[:-1], message.description.to_wire()])
@@ -263,7 +273,8 @@ def _unpack(data: bytes) -> list[Any]:
     if type(fields) is not list or not fields:
         raise WireError("malformed", "a message is a msgpack array")
     if type(fields[0]) is not int or fields[0] != VERSION:
-        raise WireError("version", f"protocol version must be {VERSION}, got {_shown(fields[0])}")
+        is_hello = type(fields[0]) is int and fields[1:2] == [_HELLO]
+        raise VersionError(_shown(fields[0]), VERSION, is_hello)
     return fields
 
 

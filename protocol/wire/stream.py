@@ -5,6 +5,7 @@ The frames are in `messages.py`.
 """
 
 import dataclasses
+from collections.abc import Iterable
 from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, ConfigDict, Field, TypeAdapter, ValidationError
@@ -28,15 +29,39 @@ def _printable(name: str) -> str:
 Name = Annotated[
     str, Field(strict=True, min_length=1, max_length=MAX_NAME), AfterValidator(_printable)
 ]
+ANNOUNCE = "announce"
+"""Name of a channel that announces the beats, whatever its unit."""
 SECOND_NS = 1_000_000_000
 
 
 @dataclass(frozen=True, slots=True, config=_STRICT)
 class Channel:
-    """One channel of the stream: its name and its unit."""
+    """One channel of the stream: its name and its unit, N of a force or mV of an ECG."""
 
     name: Name
-    unit: Literal["N"] = "N"
+    unit: Literal["N", "mV"] = "N"
+
+    @property
+    def announces(self) -> bool:
+        """True for a channel that announces the beats before their pulse arrives, as an ECG."""
+        return self.unit == "mV" or self.name == ANNOUNCE
+
+
+def _distinct(channels: tuple[Channel, ...]) -> tuple[Channel, ...]:
+    twice = first_repeated(channel.name for channel in channels)
+    if twice is not None:
+        raise ValueError(f"two channels have the name {twice!r}")
+    return channels
+
+
+def first_repeated(names: Iterable[str]) -> str | None:
+    """Return the first name that occurs a second time, or None."""
+    seen: set[str] = set()
+    for name in names:
+        if name in seen:
+            return name
+        seen.add(name)
+    return None
 
 
 @dataclass(frozen=True, slots=True, config=_STRICT)
@@ -52,7 +77,7 @@ class StreamDescription:
     batch : int
         Most samples of a frame, 1 to 4096.
     channels : tuple of Channel
-        1 to 64 channels.
+        1 to 64 channels with distinct names.
     layer : ElasticLayer
         Rubber at the wrist.
     bytes_per_sample : int
@@ -64,7 +89,9 @@ class StreamDescription:
     name: Name
     period_ns: Annotated[int, Field(strict=True, ge=1_000, le=10 * SECOND_NS)]
     batch: Annotated[int, Field(strict=True, ge=1, le=4096)]
-    channels: Annotated[tuple[Channel, ...], Field(min_length=1, max_length=64)]
+    channels: Annotated[
+        tuple[Channel, ...], Field(min_length=1, max_length=64), AfterValidator(_distinct)
+    ]
     layer: ElasticLayer
     bytes_per_sample: Literal[4, 8] = 4
     group_delay_ns: Annotated[int, Field(strict=True, ge=0, le=10 * SECOND_NS)] = 0

@@ -3,6 +3,7 @@
 import json
 import logging
 import os
+from base64 import b64decode, b64encode
 from collections import deque
 from collections.abc import Iterable, Iterator
 from pathlib import Path
@@ -10,6 +11,7 @@ from typing import IO, Any, NamedTuple
 
 from protocol.config.quantities import count_text
 from protocol.errors import SourceError
+from protocol.wire.messages import VERSION
 from telepulse.recording.mcap_writer import PROVENANCE
 from telepulse.telemetry.decoder import Entry
 from telepulse.telemetry.schema import CLOCK, FRAME, REFUSED, SCHEMAS, STREAM, TICK
@@ -36,7 +38,20 @@ class RecordedMessage(NamedTuple):
             raise ValueError("nested too deep") from None
         if type(fields) is not dict:
             raise ValueError(f"not a table: {fields!r:.40}")
+        if self.topic in (FRAME, STREAM) and isinstance(data := fields.get("data"), str):
+            fields["data"] = _in_this_version(data)
         return fields
+
+
+def _in_this_version(data: str) -> str:
+    """Return a received message, in base64, of which only the version is changed from 1.
+
+    Frames and descriptions of version 1 are valid in this version.
+    """
+    head = b64decode(data[:4])
+    if head[1:2] != b"\1":
+        return data
+    return b64encode(head[:1] + bytes([VERSION]) + head[2:]).decode("ascii") + data[4:]
 
 
 class RecordingReader:

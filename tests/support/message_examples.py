@@ -25,7 +25,7 @@ FLOAT32_FRAME = wire.Frame(
     values=np.array([[0.5], [-1.25]], "<f4"),
 )
 FLOAT32_BYTES = bytes.fromhex(
-    "98 01 07 cd03e8 cf17979cfe362a0000 ce000f4240 01 04"
+    "98 02 07 cd03e8 cf17979cfe362a0000 ce000f4240 01 04"
 ) + bytes.fromhex("c408 0000003f 0000a0bf")
 FLOAT64_FRAME = wire.Frame(
     session=2**62,
@@ -34,15 +34,15 @@ FLOAT64_FRAME = wire.Frame(
     period_ns=1,
     values=np.array([[1.0, -2.0]], "<f8"),
 )
-FLOAT64_BYTES = bytes.fromhex("98 01 cf4000000000000000 00 ff 01 02 08") + bytes.fromhex(
+FLOAT64_BYTES = bytes.fromhex("98 02 cf4000000000000000 00 ff 01 02 08") + bytes.fromhex(
     "c410 000000000000f03f 00000000000000c0"
 )
 
 CONTROL: dict[str, tuple[wire.ControlMessage, bytes]] = {
-    "hello": (wire.Hello("display-1"), b"\x93\x01\xa5hello\xa9display-1"),
+    "hello": (wire.Hello("display-1"), b"\x93\x02\xa5hello\xa9display-1"),
     "welcome": (
         wire.Welcome(7, 250, DESCRIPTION),
-        b"\x95\x01\xa7welcome\x07\xcc\xfa\x87"
+        b"\x95\x02\xa7welcome\x07\xcc\xfa\x87"
         b"\xa4name\xacradial pulse"
         b"\xa9period_ns\xce\x00\x0f\x42\x40"
         b"\xa5batch\x05"
@@ -55,12 +55,12 @@ CONTROL: dict[str, tuple[wire.ControlMessage, bytes]] = {
         b"\xb0bytes_per_sample\x04"
         b"\xaegroup_delay_ns\x03",
     ),
-    "bye": (wire.Bye(7, 5000), b"\x94\x01\xa3bye\x07\xcd\x13\x88"),
-    "clock request": (wire.ClockRequest(-5), b"\x93\x01\xa6clock?\xfb"),
-    "clock reply": (wire.ClockReply(7, 1, 2, 3), b"\x96\x01\xa5clock\x07\x01\x02\x03"),
+    "bye": (wire.Bye(7, 5000), b"\x94\x02\xa3bye\x07\xcd\x13\x88"),
+    "clock request": (wire.ClockRequest(-5), b"\x93\x02\xa6clock?\xfb"),
+    "clock reply": (wire.ClockReply(7, 1, 2, 3), b"\x96\x02\xa5clock\x07\x01\x02\x03"),
     "report": (
         wire.DisplayReport(7, "display-1", 90, 5, 6, 4, 1.5, math.nan, 40.0, 0.25),
-        b"\x9c\x01\xa6report\x07\xa9display-1\x5a\x05\x06\x04"
+        b"\x9c\x02\xa6report\x07\xa9display-1\x5a\x05\x06\x04"
         b"\xcb\x3f\xf8\x00\x00\x00\x00\x00\x00"
         b"\xcb\x7f\xf8\x00\x00\x00\x00\x00\x00"
         b"\xcb\x40\x44\x00\x00\x00\x00\x00\x00"

@@ -15,6 +15,7 @@ import pytest
 from protocol.discovery.announcement import SERVICE, Announcement, to_txt
 from protocol.discovery.browser import Browser
 from protocol.host.child_process import ChildProcess, python_command
+from protocol.wire.messages import VERSION
 from telepulse.netem import Namespace, emulate, unavailable
 from telepulse.simulation.link_scene import parse_link
 from tests.support.keyring import Keyring
@@ -109,7 +110,7 @@ def test_invalid_announcements_are_refused_and_several_nodes_are_listed(
 ) -> None:
     left, right = (Announcement.of_node("pulse", host, 5555, None) for host in ("left", "right"))
     with (
-        place.service("left\u202e", 80, {"v": "1", "stream": "x"}),
+        place.service("left\u202e", 80, {"v": str(VERSION), "stream": "x"}),
         place.service("older", 81, {"v": "0"}),
         place.service(left.name, 5555, to_txt(left)),
         place.service(right.name, 5555, to_txt(right)),
@@ -127,7 +128,7 @@ def test_invalid_announcements_are_refused_and_several_nodes_are_listed(
         assert (status, strays(errors)) == (0, "")
         assert found.strip() == f"found 'pulse on right' at {BIND}"
         assert errors.count("not a sensing node: ") == 2
-        assert "not a sensing node: older: it has another version" in errors
+        assert "not a sensing node: older: the peer has version 0 of the protocol" in errors
         assert "2 sensing nodes announced; refused: 1 malformed, 1 version" in output
         (table,) = json.loads(json_path.read_text(encoding="utf-8"))["chapters"][0]["tables"]
         assert [row["name"] for row in table["rows"]] == ["pulse on left", "pulse on right"]

@@ -135,6 +135,27 @@ def test_telemetry_has_every_tick_and_ends_with_a_final_status(
     assert 0.4 < felt_n.max() < 0.6
 
 
+def test_a_sensing_node_of_version_1_is_refused_in_one_line(
+    context: Context, address: str, telemetry: zmq.Socket
+) -> None:
+    control = context.socket(zmq.ROUTER)
+    control.bind(control_address(address))
+    with process(MODULE, *arguments(address, telemetry)) as display:
+        answered = 0
+        # It answers no hello but those of its own version.
+        while answered < 2:
+            assert control.poll(PATIENCE_S * 1000)
+            peer, message = control.recv_multipart()
+            if msgpack.unpackb(message)[:2] == [1, "hello"]:
+                welcome = msgpack.unpackb(encode_control(Welcome(7, 0, description())))
+                control.send_multipart([peer, msgpack.packb([1, *welcome[1:]])])
+                answered += 1
+        display.send_signal(signal.SIGTERM)
+        _, errors = display.communicate(timeout=PATIENCE_S)
+    assert display.returncode == 0
+    assert errors.count("refused: the peer has version 1 of the protocol, this node version 2") == 1
+
+
 def test_a_peer_that_sends_garbage_and_enormous_forces_is_felt_up_to_the_limit_only(
     context: Context, address: str, telemetry: zmq.Socket, tmp_path: Path
 ) -> None:
@@ -153,7 +174,7 @@ def test_a_peer_that_sends_garbage_and_enormous_forces_is_felt_up_to_the_limit_o
             *(secrets.token_bytes(size) for size in (0, 1, 10, 100, 10_000, 100_000)),
             good[:-1],
             good + b"\0",
-            msgpack.packb([2, *msgpack.unpackb(good)[1:]]),
+            msgpack.packb([1, *msgpack.unpackb(good)[1:]]),
             frame_now(1, session=6),
             frame_now(2, force_n=float("nan")),
             frame_now(3, ahead_s=100.0),

@@ -19,6 +19,7 @@ from protocol.wire.messages import (
     ClockReply,
     ClockRequest,
     DisplayReport,
+    EarlierHello,
     Hello,
     Welcome,
     decode_control,
@@ -217,6 +218,15 @@ def test_garbage_is_counted_and_harms_nothing(address: str, client: Client, tmp_
     assert sum(rejected.values()) == len(GARBAGE) + len(RANDOM_SIZES)
     for cause, count in Counter(cause for _, cause in GARBAGE).items():
         assert rejected[cause] >= count
+
+
+def test_a_display_of_version_1_is_refused_in_one_line(address: str, client: Client) -> None:
+    with process(MODULE, str(RADIAL), "--bind", address) as node:
+        for _ in range(3):
+            client.control.send(encode_control(EarlierHello("old")))
+            assert isinstance(decode_control(client.control.recv()), Welcome)
+        errors = end(node)
+    assert errors.count("refused: the peer has version 1 of the protocol, this node version 2") == 1
 
 
 def break_connections(address: str) -> None:

@@ -228,7 +228,7 @@ def test_any_clock_of_a_peer_leaves_loop_and_telemetry_working(claimed_ns: int, 
         t_ns = min(max(claimed_ns + drift * now_ns, -(2**63)), 2**63 - 1)
         for request in under_test.requests(now_ns):
             if isinstance(request, ClockRequest):
-                reply = msgpack.packb([1, "clock", 7, now_ns, t_ns, t_ns])
+                reply = msgpack.packb([2, "clock", 7, now_ns, t_ns, t_ns])
                 under_test.on_control(reply, now_ns)
         if ms % 5 == 0:
             frame = Frame(7, ms, t_ns, MS, np.full((5, 1), 0.3, "<f4"))

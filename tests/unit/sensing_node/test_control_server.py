@@ -13,6 +13,7 @@ from protocol.wire.messages import (
     ClockRequest,
     ControlMessage,
     DisplayReport,
+    EarlierHello,
     Hello,
     Welcome,
     encode_control,
@@ -27,6 +28,7 @@ from sensing_node.control_server import (
     MAX_CLIENTS,
     MAX_HOPS,
     REQUESTS_AT_ONCE,
+    STRANGERS_PER_S,
     Client,
     ControlServer,
     RequestBudget,
@@ -115,10 +117,10 @@ GREETING = encode_control(HELLO)
         (ANNA, GREETING[:-1], "truncated"),
         (ANNA, b"\xc1" * 8, "not_msgpack"),
         (ANNA, GREETING + b"\0", "not_msgpack"),
-        (ANNA, msgpack.packb([1, "bonjour", "anna's"]), "malformed"),
-        (ANNA, msgpack.packb([1, "hello", 7]), "malformed"),
+        (ANNA, msgpack.packb([2, "bonjour", "anna's"]), "malformed"),
+        (ANNA, msgpack.packb([2, "hello", 7]), "malformed"),
         (ANNA, msgpack.packb({"hello": 1}), "malformed"),
-        (ANNA, msgpack.packb([2, "hello", "anna's"]), "version"),
+        (ANNA, msgpack.packb([3, "bonjour", "anna's"]), "version"),
         (ANNA, bytes(100_000), "oversized"),
         ((), GREETING, "malformed"),
         ((*ANNA, *(b"\0rela",) * MAX_HOPS), GREETING, "malformed"),
@@ -135,6 +137,26 @@ def test_an_invalid_message_is_counted_by_cause_and_not_answered(
         assert server.answer(sender, data, NOW_NS, 0) is None
         assert server.rejected == {cause: count}
     assert not server.clients
+
+
+def test_a_display_of_another_version_is_refused_and_can_find_out(server: ControlServer) -> None:
+    old = encode_control(EarlierHello("anna's"))
+    assert old == msgpack.packb([1, "hello", "anna's"])
+    # The answer, which the old display refuses, has this node's version.
+    assert isinstance(server.answer(ANNA, old, NOW_NS, 0), Welcome)
+    assert server.rejected == {"version": 1}
+    assert not server.clients
+    assert server.other_version.startswith("the peer has version 1 of the protocol, this node ")
+    # All strangers together are answered ten times a second.
+    answers = [server.answer((b"%d" % i,), old, NOW_NS, 0) for i in range(20)]
+    assert sum(answer is not None for answer in answers) == STRANGERS_PER_S - 1
+
+
+def test_the_hello_in_version_1_of_a_known_display_is_ignored(server: ControlServer) -> None:
+    ask(server, ANNA, HELLO)
+    assert ask(server, ANNA, EarlierHello("anna's")) is None
+    assert not server.rejected
+    assert not server.other_version
 
 
 @pytest.mark.parametrize(

@@ -11,6 +11,7 @@ from protocol.wire.messages import (
     Bye,
     ClockReply,
     ClockRequest,
+    EarlierHello,
     Frame,
     Hello,
     Welcome,
@@ -38,6 +39,17 @@ def test_hello_is_repeated_until_the_welcome_and_frames_before_the_clock_are_ref
     assert receiver.rejected == {"before_clock": 1}
     requests = [r for ns in range(2000 * MS, 2900 * MS, MS) for r in receiver.requests(ns)]
     assert {type(r) for r in requests} == {ClockRequest}
+
+
+def test_an_unanswered_display_also_asks_in_version_1_and_names_an_older_node() -> None:
+    receiver, sender = Receiver("test", 0, 0.01), Sender()
+    asked = [r for ns in range(0, 4000 * MS, MS) for r in receiver.requests(ns)]
+    assert [type(r) for r in asked] == 2 * [*8 * [Hello], EarlierHello]
+    _, *welcome = msgpack.unpackb(encode_control(Welcome(7, 0, sender.stream)))
+    receiver.on_control(msgpack.packb([1, *welcome]), 4000 * MS)
+    assert receiver.rejected == {"version": 1}
+    assert receiver.other_version.startswith("the peer has version 1 of the protocol, this node ")
+    assert receiver.session is None
 
 
 def test_playing_starts_after_a_quarter_second_of_frames() -> None:
@@ -166,8 +178,8 @@ def test_a_new_session_has_a_new_clock_and_keeps_the_old_account() -> None:
         (encode_control(Bye(99, 5)), "session"),
         (encode_control(ClockReply(7, 500 * MS, 0, 0)), "unasked"),
         (b"", "truncated"),
-        (b"\x93\x01", "truncated"),
-        (msgpack.packb([1, "welcome", 7, 0, {"name": "x"}]), "description"),
+        (b"\x93\x02", "truncated"),
+        (msgpack.packb([2, "welcome", 7, 0, {"name": "x"}]), "description"),
         (msgpack.packb("hello"), "malformed"),
         # There was no time for so many samples.
         (encode_control(Bye(7, 10**11)), "implausible"),

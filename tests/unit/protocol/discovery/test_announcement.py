@@ -55,8 +55,8 @@ GOOD = Announcement.of_node("radial pulse", "ward-3", 5555, KEY)
 @pytest.mark.parametrize(
     ("changes", "cause", "reason"),
     [
-        ({b"v": b"2"}, "version", "another version"),
-        ({b"v": None}, "version", "another version"),
+        ({b"v": b"1"}, "version", "the peer has version 1 of the protocol"),
+        ({b"v": None}, "version", "the peer has version none"),
         ({b"control": b"5557"}, "malformed", "ports"),
         ({b"control": b"x"}, "malformed", "ports"),
         ({b"stream": b""}, "malformed", "no name"),

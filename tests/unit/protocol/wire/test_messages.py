@@ -42,15 +42,15 @@ LARGEST_DESCRIPTION = StreamDescription(
     name="x" * 80,
     period_ns=10_000_000_000,
     batch=4096,
-    channels=tuple(Channel(f"{i}" * 40) for i in range(64)),
+    channels=tuple(Channel(f"{i:02}" * 40) for i in range(64)),
     layer=ElasticLayer(1e5, 1e-3, 0.0, 0.02),
     bytes_per_sample=8,
     group_delay_ns=7_000_000,
 )
-REPORT = [1, "report", 7, "me", 90, 5, 6, 4, 1.5, 2.5, 40.0, 0.25]
-CLOCK = [1, "clock", 7, 1, 2, 3]
-BYE = [1, "bye", 7, 5000]
-WELCOME = [1, "welcome", 7, 0, DESCRIPTION.to_wire()]
+REPORT = [2, "report", 7, "me", 90, 5, 6, 4, 1.5, 2.5, 40.0, 0.25]
+CLOCK = [2, "clock", 7, 1, 2, 3]
+BYE = [2, "bye", 7, 5000]
+WELCOME = [2, "welcome", 7, 0, DESCRIPTION.to_wire()]
 
 
 def cause_of(decode: Decoder, data: bytes) -> str:
@@ -174,10 +174,10 @@ def test_a_message_cut_short_anywhere_is_truncated(decode: Decoder, data: bytes)
 @each_message
 def test_another_version_is_refused_as_such(decode: Decoder, data: bytes) -> None:
     fields = msgpack.unpackb(data)[1:]
-    for version in (0, 2, -1, 2**64 - 1, True, 1.0, "1", None, [1], b"\x01"):
+    for version in (0, 1, 3, -1, 2**64 - 1, True, 1.0, "1", None, [1], b"\x01"):
         assert cause_of(decode, packed([version, *fields])) == "version"
     # Also where the other fields have changed.
-    assert cause_of(decode, packed([2, "a format", "of the future"])) == "version"
+    assert cause_of(decode, packed([3, "a format", "of the future"])) == "version"
 
 
 @each_message
@@ -247,7 +247,7 @@ def test_samples_at_the_largest_force_are_taken_and_beyond_refused(dtype: np.dty
 
 @pytest.mark.parametrize("kind", ["", "Hello", "frame", "x" * 60_000, None, 1, True, b"hello", []])
 def test_an_unknown_kind_is_malformed(kind: object) -> None:
-    assert cause_of(wire.decode_control, packed([1, kind, "me"])) == "malformed"
+    assert cause_of(wire.decode_control, packed([2, kind, "me"])) == "malformed"
 
 
 BAD_COUNTS = [True, False, 7.0, "7", None, b"\x07", [7], -1, 2**63]
@@ -260,9 +260,9 @@ BAD_NAMES = ["x" * 81, "x" * 60_000, "a\nb", "\x1b[2J", "\x00", b"me", 7, None, 
     ("fields", "positions", "values"),
     [
         (BYE, [2, 3], BAD_COUNTS), (WELCOME, [2, 3], BAD_COUNTS), (CLOCK, [2], BAD_COUNTS),
-        (REPORT, [2, 4, 5, 6, 7], BAD_COUNTS), ([1, "clock?", 5], [2], BAD_TIMES),
+        (REPORT, [2, 4, 5, 6, 7], BAD_COUNTS), ([2, "clock?", 5], [2], BAD_TIMES),
         (CLOCK, [3, 4, 5], BAD_TIMES), (REPORT, [8, 9, 10, 11], BAD_NUMBERS),
-        (REPORT, [3], BAD_NAMES), ([1, "hello", "me"], [2], BAD_NAMES),
+        (REPORT, [3], BAD_NAMES), ([2, "hello", "me"], [2], BAD_NAMES),
         (WELCOME, [4], [None, "pulse", 5, [1, 2], True]),
     ],
 )  # fmt: skip
@@ -289,25 +289,25 @@ def test_an_invalid_description_has_a_cause_of_its_own(description: object) -> N
 
 
 ODD = FALSE_LENGTHS | {
-    "a huge array in a field": b"\x98\x01\xdd" + HUGE,
-    "a huge array in a description": b"\x95\x01\xa7welcome\x07\x00\x81\xa1a\xdd" + HUGE,
+    "a huge array in a field": b"\x98\x02\xdd" + HUGE,
+    "a huge array in a description": b"\x95\x02\xa7welcome\x07\x00\x81\xa1a\xdd" + HUGE,
     "nesting just within msgpack's stack": b"\x91" * 1000 + b"\x90",
-    "nesting where the kind is": b"\x92\x01" + b"\x91" * 1000 + b"\x90",
-    "nesting where the description is": b"\x95\x01\xa7welcome\x07\x00\x81\xa4name"
+    "nesting where the kind is": b"\x92\x02" + b"\x91" * 1000 + b"\x90",
+    "nesting where the description is": b"\x95\x02\xa7welcome\x07\x00\x81\xa4name"
     + b"\x91" * 1000
     + b"\x90",
-    "a nested map": b"\x92\x01" + b"\x81\xa1a" * 1000 + b"\x90",
+    "a nested map": b"\x92\x02" + b"\x81\xa1a" * 1000 + b"\x90",
     "an extension": msgpack.packb([wire.VERSION, msgpack.ExtType(5, b"x")]),
     "an extension for a name": msgpack.packb([wire.VERSION, "hello", msgpack.ExtType(5, b"x")]),
     "a timestamp": msgpack.packb([wire.VERSION, msgpack.Timestamp(1, 2)]),
     "a timestamp for the version": b"\x92\xd6\xff" + HUGE + b"\x01",
-    "a timestamp of too many ns": b"\x92\x01\xc7\x0c\xff" + b"\xff" * 12,
-    "a timestamp of the wrong length": b"\x92\x01\xc7\x03\xff" + b"\xff" * 3,
-    "a text that is no UTF-8": b"\x93\x01\xa5hello\xa2\xff\xfe",
-    "a surrogate in a text": b"\x93\x01\xa5hello\xa3\xed\xa0\x80",
-    "a list for a key": b"\x93\x01\x81\x91\x01\x01\x01",
-    "a number for a key": b"\x95\x01\xa7welcome\x07\x00\x81\x01\x01",
-    "bytes for a key": b"\x95\x01\xa7welcome\x07\x00\x81\xc4\x02\xff\xfe\x01",
+    "a timestamp of too many ns": b"\x92\x02\xc7\x0c\xff" + b"\xff" * 12,
+    "a timestamp of the wrong length": b"\x92\x02\xc7\x03\xff" + b"\xff" * 3,
+    "a text that is no UTF-8": b"\x93\x02\xa5hello\xa2\xff\xfe",
+    "a surrogate in a text": b"\x93\x02\xa5hello\xa3\xed\xa0\x80",
+    "a list for a key": b"\x93\x02\x81\x91\x01\x01\x01",
+    "a number for a key": b"\x95\x02\xa7welcome\x07\x00\x81\x01\x01",
+    "bytes for a key": b"\x95\x02\xa7welcome\x07\x00\x81\xc4\x02\xff\xfe\x01",
     "a key of 60 kB": msgpack.packb([wire.VERSION, "welcome", 7, 0, {"k" * 60_000: 1}]),
     "60 kB where the version is": msgpack.packb(["v" * 60_000]),
     "the byte that msgpack never uses": b"\xc1",

@@ -54,6 +54,7 @@ def test_the_rate_is_the_periods_inverse(period_ns: int, rate_hz: float) -> None
         ({"channels": [{"name": "x", "unit": "mN"}]}, "channels.0.unit"),
         ({"channels": [{"name": "x", "gain": 1}]}, "channels.0.gain"),
         ({"channels": "force"}, "channels"),
+        ({"channels": [{"name": "cun"}, {"name": "chi"}, {"name": "cun"}]}, "channels"),
         ({"layer": None}, "layer"),
         ({"layer": LAYER | {"thickness_m": 0.0}}, "layer"),
         ({"layer": LAYER | {"thickness_m": -2e-3}}, "layer"),
@@ -75,6 +76,12 @@ def test_an_invalid_field_is_refused_by_its_place(change: dict[str, Any], place:
         description_from_wire(WIRE | change)
     assert caught.value.cause == "description"
     assert str(caught.value).startswith(f"stream description: {place}: ")
+
+
+def test_a_channel_in_mv_or_of_that_name_announces() -> None:
+    channels = [{"name": "cun"}, {"name": "II", "unit": "mV"}, {"name": "announce"}]
+    described = description_from_wire(WIRE | {"channels": channels})
+    assert [channel.announces for channel in described.channels] == [False, True, True]
 
 
 @pytest.mark.parametrize("table", [None, 5, "pulse", [], [1], True, b"x"], ids=repr)
