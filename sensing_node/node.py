@@ -15,7 +15,7 @@ from protocol.security.authenticator import Authenticator
 from protocol.security.budgets import SubscriptionBudget
 from protocol.security.keys import ServerKeys
 from protocol.summary_tables import SampleCounts
-from protocol.wire.messages import Bye, encode_control, encode_frame
+from protocol.wire.messages import HEADER_BYTES, Bye, encode_control, encode_frame
 from protocol.wire.stream import StreamDescription
 from protocol.wire.telemetry import STATUS, pack_status
 from pulse_sensors.plausibility import SampleCheck
@@ -42,8 +42,7 @@ MAX_READERS = 32
 # (docs/decisions/0022-a-backlog-is-bounded-by-time.md).
 BACKLOG_NS = 1_000_000_000
 LEAST_FRAMES = 16
-# Size of a frame besides its samples: as a message, and as a packet in the kernel.
-HEADER_BYTES = 50
+# Size of a packet in the kernel besides its bytes.
 PACKET_BYTES = 1_024
 # Largest size that Linux accepts by default (and doubles). For streams that need more, the option
 # is not set; Linux then permits up to 4 MB.

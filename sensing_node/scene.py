@@ -8,9 +8,10 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from protocol.config.quantities import Nanoseconds
+from protocol.config.quantities import Nanoseconds, count_text
 from protocol.config.scene import Section
 from protocol.errors import SceneError
+from protocol.wire.messages import HEADER_BYTES, MAX_FRAME_BYTES
 from protocol.wire.stream import LayerTable, Name, StreamDescription
 from pulse_sensors.force_scale import SensorTable
 from pulse_sensors.sensor import SensorScene, open_sensor
@@ -84,12 +85,19 @@ def describe_stream(scene: SensingScene, source: Source) -> StreamDescription:
     batch = max(1, round(scene.batch_ns / source.period_ns))
     if batch > 4096:
         raise SceneError(f"[sensing] batch: {batch} samples a frame; at most 4096 fit")
+    width: Literal[4, 8] = 8 if scene.samples == "float64" else 4
+    most = (MAX_FRAME_BYTES - HEADER_BYTES) // (len(source.channels) * width)
+    if batch > most:
+        raise SceneError(
+            f"[sensing] batch: {batch} samples of {count_text(len(source.channels), 'channel')} are"
+            f" more than a frame takes; at most {most} fit"
+        )
     return StreamDescription(
         name=scene.stream,
         period_ns=source.period_ns,
         batch=batch,
         channels=source.channels,
         layer=scene.layer.layer(),
-        bytes_per_sample=8 if scene.samples == "float64" else 4,
+        bytes_per_sample=width,
         group_delay_ns=source.group_delay_ns if isinstance(source, Conditioned) else 0,
     )

@@ -17,8 +17,8 @@ from benchmarks.measure import show
 from display_node.prediction import PredictorName
 from protocol.config.scene_file import find_scene
 from protocol.ticks import TickState
+from sensing_node.sources.heart import NOMINAL_BEAT_S
 from sensing_node.sources.recorded import RecordingScene
-from sensing_node.sources.synthetic import NOMINAL_BEAT_S
 from telepulse.reports.studies.prediction_pulses import (
     NOISE,
     RATE_HZ,

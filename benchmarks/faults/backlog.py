@@ -8,8 +8,9 @@ import zmq
 from benchmarks.measure import show
 from protocol import sockets
 from protocol.tactile import ElasticLayer
+from protocol.wire.messages import HEADER_BYTES
 from protocol.wire.stream import Channel, StreamDescription
-from sensing_node.node import HEADER_BYTES, queue_limits
+from sensing_node.node import queue_limits
 from tests.support.hostile_peers import deaf_subscriber, port_of
 
 FRAME_S = 5e-3

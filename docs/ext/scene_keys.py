@@ -59,7 +59,8 @@ def _chapter(
     section: type[Section], name: str, level: str, shown: dict[type[Section], str]
 ) -> Iterator[str]:
     kind = _kind(section)
-    title = f"`[{name}]`" + (f' with `kind = "{kind}"`' if kind else "")
+    header = name if name.startswith("[[") else f"[{name}]"
+    title = f"`{header}`" + (f' with `kind = "{kind}"`' if kind else "")
     yield f"{level} {title}\n"
     if section in shown:
         yield f"As {shown[section]}.\n"
@@ -70,7 +71,8 @@ def _chapter(
     for field_name, field in section.model_fields.items():
         key = field.alias or field_name
         tables = list(_tables(field.annotation))
-        inner += [(table, f"{name}.{key}") for table in tables]
+        inner_name = f"[[{name}.{key}]]" if _is_list(field) else f"{name}.{key}"
+        inner += [(table, inner_name) for table in tables]
         if not (kind and key == "kind"):
             yield _row(key, field_name, field, bool(tables))
     yield "\n" + _explained(section) + "\n"
@@ -80,11 +82,16 @@ def _chapter(
 
 def _row(key: str, field_name: str, field: FieldInfo, is_table: bool) -> str:
     dimension = _dimension(key, field_name, field)
-    what = "a table" if is_table else dimension or _choices(field.annotation)
+    table = "tables" if _is_list(field) else "a table"
+    what = table if is_table else dimension or _choices(field.annotation)
     default = _default(field, dimension, is_table)
     if _takes_auto(field):
         what, default = f'{what} or `"auto"`', '`"auto"`'
     return f"| `{key}` | {what} | {default} | {_bounds(field, dimension)} |"
+
+
+def _is_list(field: FieldInfo) -> bool:
+    return get_origin(field.annotation) is tuple
 
 
 def _takes_auto(field: FieldInfo) -> bool:
@@ -144,6 +151,8 @@ def _default(field: FieldInfo, dimension: str | None, is_table: bool) -> str:
     if field.is_required():
         return "must be given"
     if field.default is None or field.default_factory is not None:
+        return "none"
+    if field.default == ():
         return "none"
     return "its own defaults" if is_table else _code(_written(field.default, dimension))
 

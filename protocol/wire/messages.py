@@ -28,6 +28,8 @@ from protocol.wire.stream import MAX_NAME, StreamDescription, description_from_w
 VERSION: Final = 2
 # Greatest size of any message between the nodes.
 MAX_FRAME_BYTES: Final = 65_536
+# Greatest size of a frame besides its samples.
+HEADER_BYTES: Final = 50
 MAX_CHANNELS: Final = 64
 MAX_PERIOD_NS: Final = 10_000_000_000
 # Sample counts are exact in a float, and suffice for 285 years at 1 MHz. Times, up to 146 years

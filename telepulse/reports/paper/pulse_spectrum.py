@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import signal
 
-from sensing_node.sources.synthetic import NOMINAL_BEAT_S, PRESETS, SyntheticScene, SyntheticSource
+from sensing_node.sources.heart import NOMINAL_BEAT_S
+from sensing_node.sources.synthetic import PRESETS, SyntheticScene, SyntheticSource
 from telepulse.reports.document import Chapter, Plot, Table, text_colour
 from telepulse.reports.paper.published import (
     ENERGY_BELOW_HZ,

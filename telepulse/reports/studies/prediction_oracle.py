@@ -10,7 +10,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sensing_node.sources.synthetic import NOMINAL_BEAT_S, PRESETS
+from sensing_node.sources.heart import NOMINAL_BEAT_S
+from sensing_node.sources.synthetic import PRESETS
 from telepulse.reports.studies.prediction_pulses import (
     RATE_HZ,
     SCORED_FROM_S,

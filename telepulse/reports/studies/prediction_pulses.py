@@ -15,8 +15,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from sensing_node.sources.heart import NOMINAL_BEAT_S
 from sensing_node.sources.recorded import load_column
-from sensing_node.sources.synthetic import NOMINAL_BEAT_S, PRESETS, REACH
+from sensing_node.sources.synthetic import PRESETS, REACH
 
 Floats = NDArray[np.float64]
 RATE_HZ = 1000

@@ -1,11 +1,14 @@
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from protocol.config.scene import load_section, validate
 from protocol.errors import SceneError, SourceError
 from protocol.tactile import ElasticLayer
+from protocol.wire.messages import MAX_FRAME_BYTES, Frame, encode_frame
+from protocol.wire.stream import StreamDescription
 from sensing_node.conditioning import Conditioned
 from sensing_node.scene import SensingScene, build_source, describe_stream, open_source
 from sensing_node.sources.recorded import RecordedSource
@@ -60,6 +63,21 @@ def test_the_description_has_defaults() -> None:
     stream = describe_stream(section, build_source(section, Path()))
     assert (stream.name, stream.batch, stream.bytes_per_sample) == ("pulse", 5, 4)
     assert (stream.group_delay_ns, stream.layer) == (0, ElasticLayer(0.05e9, 2e-3, 0.5, 1.0))
+
+
+def test_the_largest_batch_of_several_channels_is_a_frame_and_one_sample_more_is_refused() -> None:
+    def described(batch: str) -> StreamDescription:
+        places = [{"name": str(number)} for number in range(8)]
+        keys = source(rate="10 kHz", position=places) | {"batch": batch, "samples": "float64"}
+        section = scene(**keys)
+        return describe_stream(section, build_source(section, Path()))
+
+    stream = described("102.3 ms")
+    most = Frame(2**63 - 1, 2**53 - 1, 2**62 - 1, 10**10, np.zeros((stream.batch, 8)))
+    assert stream.batch == 1023
+    assert len(encode_frame(most)) <= MAX_FRAME_BYTES
+    with pytest.raises(SceneError, match="1024 samples of 8 channels are more than a frame takes"):
+        described("102.4 ms")
 
 
 @pytest.mark.parametrize(

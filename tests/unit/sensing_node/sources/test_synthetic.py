@@ -8,7 +8,9 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy import signal
 
-from sensing_node.sources.synthetic import PRESETS
+from protocol.config.scene import validate
+from protocol.errors import SceneError
+from sensing_node.sources.synthetic import PRESETS, SyntheticScene
 from tests.support.streams import synthetic
 
 RESTLESS: dict[str, Any] = {
@@ -20,6 +22,14 @@ RESTLESS: dict[str, Any] = {
 }
 LONGEST = 20_000
 RESTLESS_PULSE = synthetic(**RESTLESS).take(LONGEST)
+
+
+THREE: list[dict[str, str]] = [
+    {"name": "cun", "distance": "5 cm", "peak_to_peak": "0.2 N", "preset": "paper"},
+    {"name": "guan", "distance": "2.5 cm", "preload": "0.5 N"},
+    {"name": "chi"},
+]
+RESTLESS_POSITIONS = synthetic(**RESTLESS, position=THREE).take(2 * LONGEST)
 
 
 def pulse(seconds: float, rate_hz: int = 1000, **keys: object) -> NDArray[np.float64]:
@@ -143,6 +153,96 @@ def test_hum_is_an_added_sine_of_the_scenes_rate_and_size(rate_hz: int) -> None:
     hum_n = pulse(10, **quiet | {"hum": "20 mN", "hum_rate": f"{rate_hz} Hz"}) - pulse(10, **quiet)
     t_s = np.arange(len(hum_n)) / 1000
     np.testing.assert_allclose(hum_n, 0.02 * np.sin(2 * np.pi * rate_hz * t_s), atol=1e-12)
+
+
+NOISELESS = RESTLESS | {"noise": "0 N", "hum": "0 N"}
+
+
+def test_each_position_is_a_channel_with_its_own_height_shape_and_preload() -> None:
+    source = synthetic(position=THREE)
+    assert [channel.name for channel in source.channels] == ["cun", "guan", "chi"]
+    assert {channel.unit for channel in source.channels} == {"N"}
+    assert source.delays_s == pytest.approx((6.25e-3, 3.125e-3, 0))
+    force_n = source.take(60_000)
+    assert np.ptp(force_n, axis=0) == pytest.approx([0.2, 0.3, 0.3], rel=1e-3)
+    assert force_n.mean(axis=0) == pytest.approx([0.3, 0.5, 0.3], abs=1e-4)
+    for column, preset in enumerate(("paper", "wide", "wide")):
+        alone_n = pulse(60, preset=preset) - 0.3
+        shifted_n = np.interp(np.arange(60_000) + 1e3 * source.delays_s[column],
+                              np.arange(60_000), force_n[:, column])  # fmt: skip
+        cut = slice(1000, -1000)
+        assert np.corrcoef(shifted_n[cut], alone_n[cut])[0, 1] > 0.9999
+
+
+@pytest.mark.parametrize(("distance", "fraction"), [("8 mm", 10), ("4 mm", 5), ("0.8 mm", 1)])
+def test_a_position_has_the_pulse_of_an_earlier_time_exactly(distance: str, fraction: int) -> None:
+    # At 8 m/s, 0.8 mm are a tenth of a sample.
+    places = [{"name": "first"}, {"name": "second", "distance": distance}]
+    force_n = synthetic(**NOISELESS, position=places).take(20_000)
+    fine_n = pulse(20, 10_000, **NOISELESS)
+    np.testing.assert_allclose(force_n[:, 0], fine_n[::10], atol=1e-8)
+    np.testing.assert_allclose(force_n[1:, 1], fine_n[10 - fraction :: 10][: 20_000 - 1], atol=1e-8)
+
+
+def test_the_velocity_and_the_distance_give_the_delay() -> None:
+    places = [{"name": "first"}, {"name": "second", "distance": "5 cm"}]
+    source = synthetic(position=places, pulse_wave_velocity="10 m/s")
+    assert source.delays_s == (0.0, 5e-3)
+    force_n = source.take(10_000)
+    np.testing.assert_allclose(force_n[5:, 1], force_n[:-5, 0], atol=1e-12)
+
+
+def test_all_positions_have_one_heart_and_noise_of_their_own() -> None:
+    places = [{"name": name} for name in ("first", "second", "third")]
+    force_n = synthetic(**RESTLESS, position=places).take(LONGEST)
+    # Further positions change nothing in the first.
+    np.testing.assert_array_equal(force_n[:, :1], RESTLESS_PULSE)
+    noise_n = force_n[:, 1:] - force_n[:, :1]
+    # The difference of two independent noises of 1 mN; everything else is common.
+    assert noise_n.std(axis=0) == pytest.approx([2**0.5 * 1e-3] * 2, rel=0.03)
+    assert np.corrcoef(noise_n.T)[0, 1] == pytest.approx(0.5, abs=0.03)
+
+
+@given(st.lists(st.integers(0, LONGEST // 5), min_size=1, max_size=10))
+def test_chunk_sizes_do_not_change_the_samples_of_positions(counts: list[int]) -> None:
+    source = synthetic(**RESTLESS, position=THREE)
+    together = np.concatenate([source.take(count) for count in counts])
+    assert together.shape == (sum(counts), 3)
+    np.testing.assert_array_equal(together, RESTLESS_POSITIONS[: len(together)])
+
+
+def test_the_beats_and_delays_say_when_the_pulse_begins_in_each_channel() -> None:
+    source = synthetic(preset="paper", ectopic="20 %", heart_rate_variability="5 %", position=THREE)
+    force_n = source.take(30_000)
+    centre_s = PRESETS["paper"][0].centre_s
+    for delay_s, column_n in zip(source.delays_s, force_n.T, strict=True):
+        found_s = beat_peaks(column_n, 0.3) / 1000
+        expected_s = [b.onset_s + delay_s + centre_s * b.stretch for b in source.beats]
+        within = [at_s for at_s in expected_s if 0 < at_s < 29.9]
+        assert len(within) >= 35
+        # The next wave moves a peak by less than a sample.
+        assert all(np.abs(found_s - at_s).min() <= 1.5e-3 for at_s in within)
+
+
+@pytest.mark.parametrize(
+    ("keys", "reason"),
+    [
+        ({"position": [{"name": "cun"}, {"name": "cun"}]}, "two positions have the name 'cun'"),
+        ({"position": [{"name": "announce"}]}, "no position may have the name 'announce'"),
+        ({"position": [{"name": ""}]}, "position.0.name"),
+        ({"position": [{"name": "cun", "distance": "1 m"}]}, "position.0.distance"),
+        ({"position": [{"name": "cun", "distance": "-1 cm"}]}, "position.0.distance"),
+        ({"position": [{"name": "cun", "rate": "1 kHz"}]}, "unknown key"),
+        ({"position": {"name": "cun"}}, "position"),
+        ({"position": [{"name": str(n)} for n in range(17)]}, "position"),
+        ({"pulse_wave_velocity": "8 m/s"}, "needs [[sensing.source.position]] tables"),
+    ],
+)
+def test_positions_that_cannot_be_are_refused(keys: dict[str, Any], reason: str) -> None:
+    with pytest.raises(SceneError) as refused:
+        validate({"kind": "synthetic"} | keys, SyntheticScene, "[sensing.source]")
+    assert reason in str(refused.value)
+    assert "\n" not in str(refused.value)
 
 
 def test_energy_shares_are_those_of_the_paper() -> None:
