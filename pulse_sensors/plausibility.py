@@ -4,12 +4,12 @@
 - Unit and rate that a device states: `unit_contradiction`, `rate_contradiction`.
 - The rate of a live sensor: `RateCheck`.
 - A recording, which is completely known when it is opened: `constant_column`, `examine`.
-- Forces of a running source: `SampleCheck`.
+
+Samples of a running source are checked by `sample_check.py`.
 
 All forces are in N. Pure.
 """
 
-import logging
 import math
 import re
 from collections.abc import Iterator
@@ -21,8 +21,6 @@ from numpy.typing import NDArray
 
 from protocol.config.quantities import count_text
 from pulse_sensors.force_scale import FORCES, VOLTAGES
-
-logger = logging.getLogger(__name__)
 
 # Largest value in any unit of a sensor; larger ones are forces that no frame can hold.
 LARGEST: Final = 1e30
@@ -50,7 +48,7 @@ GAP_STEPS: Final = 5
 SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 _UNIT = re.compile(r"(?:^|[\s_(\[,])(s|sec|seconds|ms|us|µs|ns)[)\]]?$", re.IGNORECASE)
 _TIME_NAME = re.compile(r"time|^t$|^t[_\s(\[]", re.IGNORECASE)
-SETTLED_S, STILL_S = 2.0, 5.0
+SETTLED_S = 2.0
 
 
 def is_usable(value: float) -> bool:
@@ -295,64 +293,3 @@ def _share_below(force_n: NDArray[np.float64]) -> float:
 def _preload(needed_n: float) -> float:
     """Return a sufficient preload, in whole steps of 50 mN."""
     return round(math.ceil(needed_n / 0.05) * 0.05, 2)
-
-
-class SampleCheck:
-    """Count of implausible samples of a pulse; the first of each kind is logged."""
-
-    def __init__(self, period_ns: int) -> None:
-        self._period_s = period_ns * 1e-9
-        self._last: float | None = None
-        self._logged: set[str] = set()
-        self._samples = self._beyond = self._below = 0
-        self._still = self._longest_still = 0
-
-    def add(self, values: NDArray[np.float64]) -> None:
-        """Check consecutive samples in N, shape (samples, channels)."""
-        if not len(values):
-            return
-        # Quicker than arrays for a batch of few samples. `min` may miss a NaN, the sum does not.
-        forces_n = values.ravel().tolist()
-        lowest_n, highest_n = min(forces_n), max(forces_n)
-        if not math.isfinite(sum(forces_n)):
-            lowest_n = highest_n = math.nan
-        self._samples += len(values)
-        # Both conditions are also true for NaN.
-        if not -MOST_N <= lowest_n <= highest_n <= MOST_N:
-            self._beyond += int(np.count_nonzero(~(np.abs(values) <= MOST_N).all(axis=1)))
-        if not lowest_n >= -NEGLIGIBLE_N:
-            self._below += int(np.count_nonzero((values < -NEGLIGIBLE_N).any(axis=1)))
-        if lowest_n == highest_n and self._last in (None, lowest_n):
-            self._still += len(values)
-            self._longest_still = max(self._longest_still, self._still)
-        else:
-            self._still = 0
-        self._last = forces_n[-1]
-        if self._beyond or self._below or self._longest_still:
-            for kind, fault in self._faults():
-                if kind not in self._logged:
-                    self._logged.add(kind)
-                    logger.warning(fault)
-
-    def faults(self) -> list[str]:
-        """Return the faults so far, one line each."""
-        return [fault for _, fault in self._faults()]
-
-    def _faults(self) -> Iterator[tuple[str, str]]:
-        """Yield kind and text of each fault so far."""
-        if self._beyond:
-            yield (
-                "beyond",
-                f"{count_text(self._beyond, 'sample')} beyond {MOST_N:g} N, which no pulse reaches:"
-                " check unit and scale in [sensing.source]",
-            )
-        share = self._below / self._samples if self._samples else 0.0
-        if share > MOST_BELOW and self._samples * self._period_s >= SETTLED_S:
-            yield (
-                "below",
-                f"{count_text(self._below, 'sample')} ({100 * share:.0f} %) below 0 N, which no"
-                " display can play: set a higher preload in [sensing.source], or check the sign",
-            )
-        still_s = self._longest_still * self._period_s
-        if still_s >= STILL_S:
-            yield "still", f"the force did not change for {still_s:.1f} s: check the sensor"

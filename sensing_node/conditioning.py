@@ -70,6 +70,8 @@ class ConditioningScene(SensitivityTable):
 class Conditioned:
     """A source with the chain applied; the filters start settled at the source's first sample.
 
+    Each channel of force has a chain of its own. A channel that announces passes unchanged.
+
     With a charge amplifier, the first sample is hold_down, and the mean approaches hold_down within
     a few time constants.
 
@@ -97,14 +99,24 @@ class Conditioned:
         self.group_delay_ns = round(pulse_delay_s(delaying, rate_hz) * 1e9)
         self.period_ns = source.period_ns
         self.channels = source.channels
+        self._pulses = [n for n, channel in enumerate(self.channels) if not channel.announces]
         self._clipped = LimitCounter()
+        self._clipped_in = np.zeros(len(self._pulses), np.int64)
         self._taken = 0
 
     def take(self, count: int) -> NDArray[np.float64]:
-        """Return the next samples in N, as a source does."""
-        force_n = self._source.take(count)
-        if not len(force_n):
-            return force_n
+        """Return the next samples, as a source does."""
+        values = self._source.take(count)
+        if not len(values):
+            return values
+        if len(self._pulses) == len(self.channels):
+            return self._condition(values)
+        conditioned = values.copy()
+        conditioned[:, self._pulses] = self._condition(values[:, self._pulses])
+        return conditioned
+
+    def _condition(self, force_n: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the next samples of all channels of force, after the chain."""
         volts = self._calibration.volts(force_n)
         if len(self._filter):
             from scipy.signal import sosfilt, sosfilt_zi
@@ -114,7 +126,9 @@ class Conditioned:
             volts, self._state = sosfilt(self._filter, volts, axis=0, zi=self._state)
         self._taken += len(force_n)
         if self._adc is not None:
-            self._clipped.add_all(np.asarray(self._adc.clips(volts).any(axis=1)))
+            clips = np.asarray(self._adc.clips(volts))
+            self._clipped.add_all(np.asarray(clips.any(axis=1)))
+            self._clipped_in += clips.sum(axis=0)
             volts = self._adc.quantise(volts)
         return self._calibration.newtons(volts) + self._hold_down_n
 
@@ -122,7 +136,11 @@ class Conditioned:
         """Return the faults of the source and of the chain, one line each."""
         faults = faults_of(self._source)
         if self._clipped.ticks:
-            faults.append(f"{count_text(self._clipped.ticks, 'sample')} beyond the ADC's range")
+            clipped = f"{count_text(self._clipped.ticks, 'sample')} beyond the ADC's range"
+            if len(self._pulses) > 1:
+                counts = zip(self._pulses, self._clipped_in.tolist(), strict=True)
+                clipped += ": " + ", ".join(f"{self.channels[n].name} {c}" for n, c in counts if c)
+            faults.append(clipped)
         return faults
 
     def limits(self) -> Limits:

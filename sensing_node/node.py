@@ -18,7 +18,7 @@ from protocol.summary_tables import SampleCounts
 from protocol.wire.messages import HEADER_BYTES, Bye, encode_control, encode_frame
 from protocol.wire.stream import StreamDescription
 from protocol.wire.telemetry import STATUS, pack_status
-from pulse_sensors.plausibility import SampleCheck
+from pulse_sensors.sample_check import SampleCheck
 from sensing_node.conditioning import faults_of, limits_of
 from sensing_node.control_server import ControlServer, RequestBudget, Sender
 from sensing_node.feeds import Framer, LiveSource, Source, feed_of
@@ -120,7 +120,7 @@ class SensingNode:
         self._stopping = self._full = self._refused_version = False
         self._session = secrets.randbits(62)
         self._framer = Framer(description, self._session)
-        self._check = SampleCheck(description.period_ns)
+        self._check = SampleCheck(description.period_ns, description.channels)
         self._server = ControlServer(description, self._session)
         self._requests = RequestBudget()
         self._context: sockets.Context = zmq.Context()

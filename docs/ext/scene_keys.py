@@ -144,6 +144,8 @@ def _choices(annotation: Any) -> str:
         return " or ".join(_choices(part) for part in parts)
     if hasattr(annotation, "__metadata__"):
         return _choices(get_args(annotation)[0])
+    if get_origin(annotation) is tuple:
+        return f"list of {_choices(get_args(annotation)[0])}"
     return _PLAIN[get_origin(annotation) or annotation]
 
 

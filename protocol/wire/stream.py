@@ -6,7 +6,7 @@ The frames are in `messages.py`.
 
 import dataclasses
 from collections.abc import Iterable
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, TypeVar
 
 from pydantic import AfterValidator, ConfigDict, Field, TypeAdapter, ValidationError
 from pydantic.dataclasses import dataclass
@@ -17,6 +17,7 @@ from protocol.errors import WireError
 from protocol.tactile import ElasticLayer
 
 MAX_NAME = 80
+NameT = TypeVar("NameT", str, int)
 _STRICT = ConfigDict(extra="forbid", allow_inf_nan=False)
 
 
@@ -31,6 +32,8 @@ Name = Annotated[
 ]
 ANNOUNCE = "announce"
 """Name of a channel that announces the beats, whatever its unit."""
+PULSE = "pulse"
+"""Name of the channel of a source with one channel."""
 SECOND_NS = 1_000_000_000
 
 
@@ -54,9 +57,9 @@ def _distinct(channels: tuple[Channel, ...]) -> tuple[Channel, ...]:
     return channels
 
 
-def first_repeated(names: Iterable[str]) -> str | None:
-    """Return the first name that occurs a second time, or None."""
-    seen: set[str] = set()
+def first_repeated(names: Iterable[NameT]) -> NameT | None:
+    """Return the first name or number that occurs a second time, or None."""
+    seen: set[NameT] = set()
     for name in names:
         if name in seen:
             return name

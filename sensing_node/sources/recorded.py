@@ -1,10 +1,8 @@
-"""A recording as a source: one column of a CSV or NumPy file, played once or in a loop."""
+"""A recording as a source: columns of a CSV or NumPy file, played once or in a loop."""
 
-import csv
-import math
-from datetime import datetime
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,19 +10,25 @@ from pydantic import Field, model_validator
 
 from protocol.config.quantities import Hertz, Newtons
 from protocol.errors import SourceError
-from protocol.wire.stream import Channel
+from protocol.wire.messages import LARGEST_N
+from protocol.wire.stream import ANNOUNCE, MAX_NAME, PULSE, Channel, first_repeated
 from pulse_sensors.force_scale import FORCES, VOLTAGES, SensitivityTable
-from pulse_sensors.plausibility import RecordedColumn, constant_column, examine, unusable_values
+from pulse_sensors.plausibility import RecordedColumn, constant_column, examine
+from sensing_node.sources.column_files import ColumnKey, load_columns
 from sensing_node.sources.synthetic import SyntheticScene
+
+MILLIVOLTS = {"V": 1e3, "mV": 1.0, "uV": 1e-3}
 
 
 class RecordingScene(SensitivityTable):
     """The `source` table of kind "recording".
 
     path: .csv, .npy or .npz, relative to the scene's folder. column: a name in the CSV's first line
-    (or an array's name in the .npz), or a number from 0. unit: N or mN are used unchanged. V or mV
-    are converted by the film: by film_radius with eq 21, or by sensitivity, such as 44 mV/N. "raw"
-    is scaled to peak_to_peak, with the mean at preload. inverted: the values fall where the pulse
+    (or an array's name in the .npz), or a number from 0. columns: several of them; each is a
+    channel with the column's name. announce: column of an ECG, in announce_unit, which becomes the
+    channel "announce". unit: N or mN are used unchanged. V or mV are converted by the film: by
+    film_radius with eq 21, or by sensitivity, such as 44 mV/N. "raw" is scaled to peak_to_peak,
+    each column by itself, with the mean at preload. inverted: the values fall where the pulse
     presses. preload: added force; by default 0.3 N for "raw", as for a synthetic pulse, else 0 N.
     """
 
@@ -32,7 +36,10 @@ class RecordingScene(SensitivityTable):
     path: Path
     rate_hz: Annotated[Hertz, Field(ge=1, le=100_000)]
     unit: Literal["N", "mN", "V", "mV", "raw"]
-    column: Annotated[int, Field(ge=0)] | str = 0
+    column: ColumnKey = 0
+    columns: Annotated[tuple[ColumnKey, ...], Field(min_length=1, max_length=16)] | None = None
+    announce: ColumnKey | None = None
+    announce_unit: Literal["V", "mV", "uV"] = "mV"
     peak_to_peak_n: Annotated[Newtons, Field(gt=0, le=10)] | None = None
     preload_n: Annotated[Newtons, Field(ge=0, le=10)] | None = None
     inverted: bool = False
@@ -47,7 +54,16 @@ class RecordingScene(SensitivityTable):
             )
         if self.unit == "raw" and self.peak_to_peak_n is None:
             raise ValueError('unit "raw" needs peak_to_peak to become a force')
+        if {"column", "columns"} <= self.given:
+            raise ValueError("column is one, columns are several; give one of the two keys")
+        if "announce_unit" in self.given and self.announce is None:
+            raise ValueError("announce_unit needs announce, which is not given")
         return self
+
+    @property
+    def forces_of(self) -> tuple[ColumnKey, ...]:
+        """Columns of the pulse."""
+        return (self.column,) if self.columns is None else self.columns
 
     @property
     def rest_n(self) -> float:
@@ -69,7 +85,7 @@ class RecordingScene(SensitivityTable):
 
 
 class RecordedSource:
-    """A recorded pulse in N, with one channel; `warnings` lists its doubtful properties.
+    """A recorded pulse in N, one channel for each column; `warnings` lists doubtful properties.
 
     Parameters
     ----------
@@ -84,177 +100,76 @@ class RecordedSource:
         If the file cannot be read or scaled, or its values are refused.
     """
 
-    channels = (Channel("pulse"),)
-
     def __init__(self, scene: RecordingScene, folder: Path, plausible: bool = True) -> None:
         path = folder / scene.path
-        column = load_column(path, scene.column)
-        constant = constant_column(column)
-        if constant is not None and scene.unit == "raw":
-            raise SourceError(f"{path}: {constant}")
-        self._force_n = scene.forces(column.values)
-        scaled = (self._force_n, scene.unit, scene.rate_hz, scene.rest_n)
-        refusal, warnings = examine(column, *scaled)
-        if refusal is not None and plausible:
-            raise SourceError(f"{path}: {refusal}")
-        doubts = warnings if refusal is None else [refusal]
-        self.warnings = [f"{path}: {doubt}" for doubt in doubts]
+        announcing = () if scene.announce is None else (scene.announce,)
+        loaded = load_columns(path, (*scene.forces_of, *announcing))
+        pulses = loaded[: len(scene.forces_of)]
+        self.warnings: list[str] = []
+        values = []
+        for column in pulses:
+            constant = constant_column(column)
+            if constant is not None and scene.unit == "raw":
+                raise SourceError(f"{path}: {constant}")
+            force_n = scene.forces(column.values)
+            refusal, warnings = examine(column, force_n, scene.unit, scene.rate_hz, scene.rest_n)
+            of_column = f"{column.title}: " if scene.columns else ""
+            doubts = [
+                f"{path}: {text if text.startswith('column ') else of_column + text}"
+                for text in (warnings if refusal is None else [refusal])
+            ]
+            if refusal is not None and plausible:
+                raise SourceError(doubts[0])
+            # Those of the file itself are the same for each column.
+            self.warnings += [doubt for doubt in doubts if doubt not in self.warnings]
+            values.append(force_n)
+        for column in loaded[len(pulses) :]:
+            values.append(_announcing(column, scene.announce_unit, path))
+        self._values = np.stack(values, axis=1)
+        self.channels = _channels(scene, pulses, path)
         self._loop = scene.repeat == "loop"
         self._position = 0
         self.period_ns = round(1e9 / scene.rate_hz)
 
     def take(self, count: int) -> NDArray[np.float64]:
-        """Return the next samples in N, shape (count, 1); fewer at the end of one pass."""
-        first, length = self._position, len(self._force_n)
+        """Return the next samples, shape (count, channels); fewer at the end of one pass."""
+        first, length = self._position, len(self._values)
         last = first + count if self._loop else min(first + count, length)
         self._position = last
-        return self._force_n[np.arange(first, last) % length, np.newaxis]
+        return self._values[np.arange(first, last) % length]
 
 
-def load_column(path: Path, column: int | str) -> RecordedColumn:
-    """Return one column of a file.
-
-    Parameters
-    ----------
-    path : Path
-        A .csv, .txt, .npy or .npz file.
-    column : int or str
-        Number from 0, or name.
-
-    Raises
-    ------
-    SourceError
-        If the file cannot be read, or the column is missing or has no usable numbers.
-    """
-    try:
-        match path.suffix.lower():
-            case ".csv" | ".txt":
-                loaded = _load_csv(path, column)
-            case ".npy" | ".npz":
-                loaded = _load_numpy(path, column)
-            case suffix:
-                raise SourceError(f"{path}: {suffix or 'no suffix'} is not .csv, .npy or .npz")
-    except SourceError:
-        raise
-    except FileNotFoundError:
-        raise SourceError(f"{path}: no such recording") from None
-    except Exception as error:  # NumPy, zipfile and csv raise many kinds for a damaged file
-        lines = str(getattr(error, "strerror", None) or error).splitlines()
-        reason = lines[0] if lines else type(error).__name__
-        raise SourceError(f"{path}: cannot be read: {reason}") from None
-    unusable = unusable_values(loaded.values)
-    if unusable is not None:
-        raise SourceError(f"{path}: {unusable}")
-    return loaded
-
-
-def _load_csv(path: Path, column: int | str) -> RecordedColumn:
-    with path.open(newline="", encoding="utf-8-sig") as file:
-        rows = csv.reader(file)
-        first = [name.strip() for name in next(rows, [])]
-        if not first:
-            raise SourceError(f"{path}: is empty, or its first line is")
-        if isinstance(column, str) and column not in first:
-            raise SourceError(f"{path}: no column {column!r}; it has {', '.join(first)[:200]}")
-        number = first.index(column) if isinstance(column, str) else column
-        if number >= len(first):
-            raise SourceError(f"{path}: no column {column}; it has {len(first)}")
-        has_header = isinstance(column, str) or _number(first[number]) is None
-        # Other columns whose values have not fallen yet; a pulse falls within a beat.
-        rising: dict[int, list[float]] = {at: [] for at in range(len(first)) if at != number}
-        values: list[float] = []
-
-        def add(row: list[str]) -> None:
-            where = f"{path}: line {rows.line_num}"
-            if number >= len(row):
-                raise SourceError(f"{where}: no column {number}; it has {len(row)}")
-            value = _number(row[number])
-            if value is None:
-                raise SourceError(f"{where}: {row[number][:40]!r} is not a number")
-            values.append(value)
-            for place, kept in list(rising.items()):
-                time = _time(row[place]) if place < len(row) else None
-                if time is None or (kept and not time >= kept[-1]):
-                    del rising[place]
-                else:
-                    kept.append(time)
-
-        if not has_header:
-            add(first)
-        for row in rows:
-            if row:
-                add(row)
-    names = first if has_header else [""] * len(first)
-    return RecordedColumn(
-        np.array(values, dtype=np.float64),
-        number,
-        names[number],
-        tuple(name for place, name in enumerate(names) if place != number),
-        {names[place] or str(place): np.array(kept) for place, kept in rising.items()},
-    )
-
-
-def _number(text: str) -> float | None:
-    try:
-        return float(text)
-    except ValueError:
-        return None
-
-
-def _time(text: str) -> float | None:
-    """Return the finite number in a text, the Unix time of a date in ISO 8601, or None."""
-    number = _number(text)
-    if number is not None:
-        return number if math.isfinite(number) else None
-    try:
-        return datetime.fromisoformat(text.strip()).timestamp()
-    except (ValueError, OverflowError):
-        return None
-
-
-def _load_numpy(path: Path, column: int | str) -> RecordedColumn:
-    """Return a column of an .npy or an array of an .npz; the file's first bytes decide which."""
-    with path.open("rb") as file:
-        loaded = np.load(file, allow_pickle=False)
-        if isinstance(loaded, np.ndarray):
-            return _column_of(loaded, column, path)
-        with loaded:
-            names = list(loaded)
-            if isinstance(column, int) and column < len(names):
-                column = names[column]
-            if column not in names:
-                raise SourceError(f"{path}: no array {column!r}; it has {', '.join(names)[:200]}")
-            name = str(column)
-            values = _column_of(np.asarray(loaded[name]), 0, path).values
-            beside = {other: np.asarray(loaded[other]) for other in names if other != name}
-    rising = _rising(beside, len(values))
-    return RecordedColumn(values, names.index(name), name, tuple(beside), rising)
-
-
-def _column_of(array: NDArray[Any], column: int | str, path: Path) -> RecordedColumn:
-    if array.ndim not in (1, 2) or array.dtype.kind not in "iuf":
+def _announcing(column: RecordedColumn, unit: str, path: Path) -> NDArray[np.float64]:
+    """Return the samples of a channel that announces, in mV. Raises SourceError."""
+    constant = constant_column(column)
+    if constant is not None:
+        raise SourceError(f"{path}: announce: {constant}")
+    millivolts = column.values * MILLIVOLTS[unit]
+    largest_mv = float(np.abs(millivolts).max())
+    if largest_mv > LARGEST_N:
         raise SourceError(
-            f"{path}: needs real numbers in one or two dimensions,"
-            f" has {array.dtype} in {array.ndim}"
+            f'{path}: announce: {column.title} reaches {largest_mv:.4g} mV in unit "{unit}", which'
+            " no frame can hold; set announce_unit"
         )
-    table = array[:, np.newaxis] if array.ndim == 1 else array
-    if not isinstance(column, int) or column >= table.shape[1]:
-        raise SourceError(f"{path}: no column {column!r}; it has {table.shape[1]}")
-    # NumPy warns of signalling NaN, which are refused later like other NaN.
-    with np.errstate(invalid="ignore"):
-        values = np.ascontiguousarray(table[:, column], dtype=np.float64)
-        beside = {str(at): table[:, at] for at in range(table.shape[1]) if at != column}
-        rising = _rising(beside, len(values))
-    return RecordedColumn(values, column, others=("",) * len(beside), rising=rising)
+    return millivolts
 
 
-def _rising(arrays: dict[str, NDArray[Any]], length: int) -> dict[str, NDArray[np.float64]]:
-    """Return the arrays that have a given length and never fall."""
-    return {
-        name: array.astype(np.float64)
-        for name, array in arrays.items()
-        if array.shape == (length,)
-        and array.dtype.kind in "iuf"
-        and bool(np.isfinite(array).all())
-        and bool(np.all(array[1:] >= array[:-1]))
-    }
+def _channels(
+    scene: RecordingScene, pulses: Sequence[RecordedColumn], path: Path
+) -> tuple[Channel, ...]:
+    """Return the channels, named by their columns; one `column` is "pulse". Raises SourceError."""
+    names = [PULSE] if scene.columns is None else [c.name or f"column {c.number}" for c in pulses]
+    for name in names:
+        if not name.isprintable() or len(name) > MAX_NAME:
+            raise SourceError(
+                f"{path}: columns: the name {ascii(name)[:MAX_NAME]} cannot be a channel's, which"
+                f" has at most {MAX_NAME} printable characters; rename the column, or give"
+                " its number in a file without names"
+            )
+    announcing = () if scene.announce is None else (Channel(ANNOUNCE, "mV"),)
+    repeated = first_repeated((*names, ANNOUNCE))
+    if repeated is not None:
+        raise SourceError(
+            f"{path}: columns: two channels would have the name {repeated!r}; rename a column"
+        )
+    return (*(Channel(name) for name in names), *announcing)

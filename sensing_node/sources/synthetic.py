@@ -15,7 +15,7 @@ from pydantic import Field, model_validator
 
 from protocol.config.quantities import Hertz, Metres, MetresPerSecond, Newtons, Ratio
 from protocol.config.scene import Section
-from protocol.wire.stream import ANNOUNCE, Channel, Name, first_repeated
+from protocol.wire.stream import ANNOUNCE, PULSE, Channel, Name, first_repeated
 from sensing_node.sources.heart import NOMINAL_BEAT_S, Heartbeat, SyntheticHeart
 
 
@@ -97,7 +97,7 @@ class SyntheticScene(Section):
     @property
     def places(self) -> tuple[PositionScene, ...]:
         """The positions; without any, the one of the channel "pulse"."""
-        return self.position or (PositionScene(name="pulse"),)
+        return self.position or (PositionScene(name=PULSE),)
 
     def at(self, position: PositionScene) -> "SyntheticScene":
         """Return the scene with what the position gives in place of the source's."""

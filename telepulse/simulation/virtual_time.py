@@ -20,7 +20,7 @@ from display_node.scoring.tracking_error import TrackingError
 from protocol.run_summary import Summary
 from protocol.ticks import TickState
 from protocol.wire.messages import Bye, ControlMessage, Frame, encode_control, encode_frame
-from pulse_sensors.plausibility import SampleCheck
+from pulse_sensors.sample_check import SampleCheck
 from sensing_node.conditioning import faults_of, limits_of
 from sensing_node.control_server import ControlServer
 from sensing_node.feeds import Framer, PacedSource
@@ -99,7 +99,7 @@ class Simulation:
         self._paced = PacedSource(self._source, self._stream_ns + SENSING_CLOCK_AHEAD_NS)
         self._session = seed + 1
         self._framer = Framer(self._description, self._session)
-        self._check = SampleCheck(self._description.period_ns)
+        self._check = SampleCheck(self._description.period_ns, self._description.channels)
         self._control_server = ControlServer(self._description, self._session)
         self.display = Display(scene.display, "simulated display", score=False)
         if hardware is not None:

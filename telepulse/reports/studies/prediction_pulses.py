@@ -15,8 +15,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from sensing_node.sources.column_files import load_column
 from sensing_node.sources.heart import NOMINAL_BEAT_S
-from sensing_node.sources.recorded import load_column
 from sensing_node.sources.synthetic import PRESETS, REACH
 
 Floats = NDArray[np.float64]

@@ -1,5 +1,4 @@
 import datetime
-import itertools
 import math
 from collections.abc import Mapping
 from pathlib import Path
@@ -9,13 +8,12 @@ import pytest
 from numpy.typing import NDArray
 
 from protocol.config.scene import validate
-from pulse_sensors.plausibility import SampleCheck
 from sensing_node.sources.recorded import RecordedSource, RecordingScene
 from telepulse.scene import load_scene
 from telepulse.simulation.virtual_time import simulate
 from tests.support.nodes import RADIAL
 from tests.support.recording_files import csv_file, recording, refusal, table
-from tests.support.streams import MS, synthetic
+from tests.support.streams import synthetic
 
 TIMES_S = np.arange(1000) / 100
 PULSE_N = synthetic(rate="100 Hz", peak_to_peak="0.3 N", preload="0.3 N").take(1000)[:, 0]
@@ -181,31 +179,6 @@ def test_an_emulated_board_may_send_implausible_forces(
     source = RecordedSource(scene, tmp_path, plausible=False)
     assert len(source.warnings) == 1
     np.testing.assert_array_equal(source.take(100)[:, 0], force_n[:100])
-
-
-def test_implausible_live_samples_are_counted_and_reported_once(logged: list[str]) -> None:
-    check = SampleCheck(MS)
-    check.add(np.full((5, 1), 0.3) + np.arange(5)[:, np.newaxis] * 1e-3)
-    assert (check.faults(), logged) == ([], [])
-    for number in range(600):
-        check.add(np.array([[300.0 + number], [301.0], [math.nan], [0.3], [-0.2]]))
-    assert logged == [
-        "3 samples beyond 20 N, which no pulse reaches: check unit and scale in [sensing.source]",
-        "399 samples (20 %) below 0 N, which no display can play: set a higher preload in"
-        " [sensing.source], or check the sign",
-    ]
-    assert [fault.split(",")[0] for fault in check.faults()] == [
-        "1800 samples beyond 20 N",
-        "600 samples (20 %) below 0 N",
-    ]
-
-
-def test_a_constant_force_is_reported_once(logged: list[str]) -> None:
-    check = SampleCheck(MS)
-    for force_n in itertools.chain([0.1, 0.2], itertools.repeat(0.3, 1600), [0.4]):
-        check.add(np.full((5, 1), force_n))
-    assert logged == ["the force did not change for 5.0 s: check the sensor"]
-    assert check.faults() == ["the force did not change for 8.0 s: check the sensor"]
 
 
 def test_a_simulation_reports_a_synthetic_pulse_without_a_preload(tmp_path: Path) -> None:

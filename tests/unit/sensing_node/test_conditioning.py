@@ -75,6 +75,28 @@ def test_the_output_does_not_depend_on_the_blocks(counts: list[int]) -> None:
     np.testing.assert_array_equal(parts, together)
 
 
+def test_each_channel_has_a_chain_of_its_own_and_an_ecg_passes_unchanged() -> None:
+    alone = [pulse(2, noise="5 mN", seed=seed) for seed in (1, 2)]
+    ecg_mv = np.sin(np.arange(2000))
+    source = GivenSource(np.column_stack([alone[0], ecg_mv, alone[1]]))
+    source.channels = (Channel("cun"), Channel("announce", "mV"), Channel("chi"))
+    scene = validate(WHOLE, ConditioningScene, "scene")
+    under_test = Conditioned(source, scene)
+    together = np.concatenate([under_test.take(count) for count in (7, 500, 2000)])
+    np.testing.assert_array_equal(together[:, 0], conditioned(alone[0], **WHOLE))
+    np.testing.assert_array_equal(together[:, 2], conditioned(alone[1], **WHOLE))
+    np.testing.assert_array_equal(together[:, 1], ecg_mv)
+
+
+def test_samples_beyond_the_adcs_range_are_counted_by_channel() -> None:
+    source = GivenSource(np.array([[1.0, 9.0, 9.0], [1.0, 1.0, 9.0], [1.0, 1.0, 1.0]]))
+    keys = {"adc_bits": 8, "adc_range": "0.1 V"}
+    under_test = Conditioned(source, validate(keys, ConditioningScene, "scene"))
+    under_test.take(3)
+    assert faults_of(under_test) == ["2 samples beyond the ADC's range: 1 1, 2 2"]
+    assert limits_of(under_test).adc.times == 1
+
+
 def test_the_chain_ends_with_its_source() -> None:
     under_test = chain(pulse(0.007), **WHOLE)
     assert [under_test.take(5).shape for _ in range(3)] == [(5, 1), (2, 1), (0, 1)]

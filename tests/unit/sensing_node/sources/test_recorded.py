@@ -1,16 +1,20 @@
 import io
 import math
 import os
+import re
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from scipy import signal
 
-from protocol.errors import SourceError
-from tests.support.recording_files import heartpy_recording, recording, refusal
+from protocol.config.scene import validate
+from protocol.errors import SceneError, SourceError
+from sensing_node.sources.recorded import RecordingScene
+from tests.support.recording_files import csv_file, heartpy_recording, recording, refusal, table
 
 NUMBERS = [0.25, 1.5, 3.0, 2.0]
 ARCHIVE = {"time": np.arange(4), "force": np.array(NUMBERS)}
@@ -212,3 +216,105 @@ def test_a_scaled_real_recording_keeps_its_heart_rate() -> None:
     beat_s = np.diff(peaks).mean() * source.period_ns * 1e-9
     assert 57 < 60 / beat_s < 61
     np.testing.assert_array_equal(source.take(2483)[:, 0], force_n)
+
+
+FINGERS = {
+    "time": np.arange(60) * 10,
+    "cun": 0.3 + np.sin(np.arange(60)) / 10,
+    "guan": 0.4 + np.cos(np.arange(60)) / 5,
+    "II": np.sin(np.arange(60) / 2),
+}
+
+
+@pytest.mark.parametrize("kind", ["csv", "npz", "npy"])
+def test_several_columns_are_channels_named_by_them(tmp_path: Path, kind: str) -> None:
+    columns: list[str | int] = ["guan", "cun"]
+    names, announce = ["guan", "cun"], 3 if kind == "npy" else "II"
+    if kind == "csv":
+        path = csv_file(tmp_path, FINGERS)
+    elif kind == "npz":
+        path = pulse_file(tmp_path, FINGERS)
+    else:
+        path = pulse_file(tmp_path, np.stack(list(FINGERS.values()), axis=1))
+        columns, names = [2, 1], ["column 2", "column 1"]
+    source = recording(path, columns=columns, announce=announce)
+    channels = [(channel.name, channel.unit) for channel in source.channels]
+    assert channels == [(name, "N") for name in names] + [("announce", "mV")]
+    expected = np.stack([FINGERS["guan"], FINGERS["cun"], FINGERS["II"]], axis=1)
+    np.testing.assert_array_equal(source.take(70), np.concatenate([expected, expected[:10]]))
+    assert source.warnings == []
+    # Numbers name the same columns, and the header names the channels.
+    by_number = recording(path, columns=[2, 1], announce=3)
+    assert by_number.channels == source.channels
+    np.testing.assert_array_equal(by_number.take(60), expected)
+
+
+def test_one_column_with_an_announcing_one_is_the_pulse(tmp_path: Path) -> None:
+    source = recording(csv_file(tmp_path, FINGERS), column="cun", announce="II", announce_unit="V")
+    assert [channel.name for channel in source.channels] == ["pulse", "announce"]
+    np.testing.assert_allclose(source.take(60)[:, 1], 1e3 * FINGERS["II"])
+
+
+def test_scale_keys_hold_for_every_column_and_raw_ones_are_scaled_each(tmp_path: Path) -> None:
+    path = csv_file(tmp_path, FINGERS)
+    keys = {"columns": ["cun", "guan"], "announce": "II", "preload": "0.5 N"}
+    force_n = recording(path, unit="raw", peak_to_peak="0.2 N", inverted=True, **keys).take(60)
+    assert np.ptp(force_n[:, :2], axis=0) == pytest.approx([0.2, 0.2])
+    assert force_n[:, :2].mean(axis=0) == pytest.approx([0.5, 0.5])
+    np.testing.assert_array_equal(force_n[:, 2], FINGERS["II"])
+    assert np.corrcoef(force_n[:, 0], FINGERS["cun"])[0, 1] == pytest.approx(-1)
+    force_n = recording(path, unit="mN", **keys).take(60)
+    np.testing.assert_allclose(force_n[:, 1], 0.5 + 1e-3 * FINGERS["guan"])
+
+
+@pytest.mark.parametrize(
+    ("change", "keys", "message"),
+    [
+        ({}, {"columns": ["cun", "chi"]}, "no column 'chi'; it has time, cun, guan, II"),
+        ({}, {"columns": ["cun", 4]}, "no column 4; it has 4"),
+        ({}, {"columns": ["cun", 1]}, "column 1 is named twice; a column is one channel"),
+        ({}, {"columns": ["cun"], "announce": 1}, "column 1 is named twice"),
+        ({}, {"columns": ["time", "cun"]}, 'column 0 ("time") never falls, so it is a time'),
+        ({"guan": [30.0, 31.0] * 30}, {}, 'column 2 ("guan"): reaches 31 N in unit "N"'),
+        ({"guan": [-1.0, 1.0] * 30}, {}, 'column 2 ("guan"): is below 0 N for 50 % of the'),
+        ({"guan": [0.3] * 60}, {}, 'column 2 ("guan"): all values are equal, 0.3'),
+        ({"guan": [0.3] * 59 + ["nan"]}, {}, 'column 2 ("guan"): 1 value is NaN'),
+        ({"II": [0.3] * 60}, {"announce": "II"}, 'announce: column 3 ("II"): all values are equal'),
+        (
+            {"II": [0.0, 1e4] * 30},
+            {"announce": "II", "announce_unit": "V"},
+            'announce: column 3 ("II") reaches 1e+07 mV in unit "V"',
+        ),
+        ({}, {"rate": "200 Hz"}, 'column "time" has 100 samples a second'),
+        ({"announce": FINGERS["cun"]}, {"columns": ["cun", "announce"]}, "columns: two channels"),
+        ({"\x1b[2J": FINGERS["cun"]}, {"columns": [1, 4]}, "columns: the name "),
+    ],
+)
+def test_a_column_that_cannot_be_used_is_named(
+    tmp_path: Path, change: dict[str, Any], keys: dict[str, Any], message: str
+) -> None:
+    path = csv_file(tmp_path, FINGERS | change)
+    assert refusal(path, **{"columns": ["cun", "guan"]} | keys).startswith(message)
+
+
+def test_warnings_name_the_column_and_those_of_the_file_are_given_once(tmp_path: Path) -> None:
+    times = [*range(0, 300, 10), *range(1000, 1300, 10)]
+    path = csv_file(tmp_path, FINGERS | {"time": times, "guan": FINGERS["guan"] * 1e-3})
+    source = recording(path, columns=["cun", "guan"])
+    first, second = source.warnings
+    assert first.startswith(f'{path}: column "time" has 1 gap')
+    assert second.startswith(f'{path}: column 2 ("guan"): is 0.4')
+
+
+@pytest.mark.parametrize(
+    ("keys", "message"),
+    [
+        ({"column": 1, "columns": [1, 2]}, "column is one, columns are several; give one of the"),
+        ({"columns": []}, "columns"),
+        ({"columns": [-1]}, "columns"),
+        ({"announce_unit": "V"}, "announce_unit needs announce, which is not given"),
+    ],
+)
+def test_keys_of_columns_that_contradict_are_refused(keys: dict[str, Any], message: str) -> None:
+    with pytest.raises(SceneError, match=re.escape(message)):
+        validate(table(Path("pulse.csv"), **keys), RecordingScene, "[sensing] source")
