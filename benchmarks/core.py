@@ -68,7 +68,7 @@ def frame() -> dict[str, float]:
     Each step is measured with another frame, since caches are warm after the first one.
     """
     sender = Sender(stream=description(batch=1))
-    receiver = Receiver("frame", 0, LATE_TARGET)
+    receiver = Receiver("frame", [0], LATE_TARGET)
     sender.serve(receiver, 0, until_ms=101)
     values = np.full((1, 1), 0.3, np.float32)
 

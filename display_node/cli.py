@@ -10,7 +10,7 @@ import typer
 
 from display_node.doctor import run_doctor
 from display_node.fault_advice import end_at_faults
-from display_node.node import DisplayNode, start_bench
+from display_node.node import DisplayNode, start_benches
 from display_node.reception.addresses import discovered
 from display_node.scene import DisplayScene
 from display_node.telemetry.recorder_process import start_recorder
@@ -175,11 +175,10 @@ def display(
         ):
             freeze_objects()
             # Last, so that everything else that can fail does so before the drive moves.
-            with start_bench(section, path.parent, without_film) as hardware:
+            with start_benches(section, path.parent, without_film) as benches:
                 if served is not None:
                     served.send(address=node.telemetry_address, key=own and str(own))
-                if hardware is not None:
-                    node.use(hardware)
+                node.use(*benches)
                 draw = screen and not quiet
                 summary = _run(node, connect, seconds, once, draw, own, request)
     options.sum_up(PROGRAM, summary, "display node", console, json, provenance)

@@ -6,7 +6,7 @@ import time
 import uuid
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from contextlib import closing, contextmanager
+from contextlib import ExitStack, closing, contextmanager
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,12 +15,14 @@ import zmq
 from display_node.display import Display
 from display_node.drives import build_drive
 from display_node.drives.hardware import Hardware
+from display_node.drives.scene import Cia402Scene, TmclScene
 from display_node.drives.withdrawal import describe_finger
 from display_node.fault_advice import FILM_NOTE, advise, advised
 from display_node.reception.connection import Connection
 from display_node.reception.redundancy import Redundancy
 from display_node.scene import DisplayScene
 from display_node.scoring.deadlines import GAP_NS, DeadlineWatch
+from display_node.scoring.tracking_error import scored
 from display_node.telemetry.publisher import Publisher
 from protocol import sockets
 from protocol.errors import SceneError
@@ -44,18 +46,28 @@ ENDED_NS = 1_000_000_000
 
 
 @contextmanager
-def start_bench(
+def start_benches(
     scene: DisplayScene, folder: Path, without_film: bool = False
-) -> Iterator[Hardware | None]:
-    """Start the real bench of a scene within a `with`; yield None if the scene names no drive.
+) -> Iterator[list[Hardware | None]]:
+    """Start the real bench of each contactor within a `with`; yield None for one without a drive.
 
-    folder: of the scene's file. without_film: whether the drive may press although no film measures
+    folder: of the scene's file. without_film: whether a drive may press although no film measures
     the force. Raises SceneError, SourceError or DriveError where a part is missing in the scene, or
     the film's sensor or the drive does not answer.
     """
-    if scene.drive is None:
-        yield None
-        return
+    with ExitStack() as stack:
+        yield [
+            None
+            if contactor.drive is None
+            else stack.enter_context(_start_bench(contactor, contactor.drive, folder, without_film))
+            for contactor in scene.contactors
+        ]
+
+
+@contextmanager
+def _start_bench(
+    scene: DisplayScene, table: TmclScene | Cia402Scene, folder: Path, without_film: bool
+) -> Iterator[Hardware]:
     if scene.feedback is None and not without_film:
         raise SceneError(
             "[display.feedback] is missing: without a film nothing measures the force, and a drive"
@@ -63,7 +75,7 @@ def start_bench(
             " --without-film if no person's finger is pressed"
         )
     layer, force_limit_n = scene.layer.layer(), scene.safety.force_limit_n
-    drive = build_drive(scene.drive, scene.actuator, layer, force_limit_n)
+    drive = build_drive(table, scene.actuator, layer, force_limit_n)
     sensor = open_sensor(scene.feedback, folder) if scene.feedback is not None else None
     with closing(scene.hardware(drive, sensor)) as hardware:
         logger.warning("the drive looks for its home: keep the finger away")
@@ -95,11 +107,12 @@ class DisplayNode:
         self._scene = scene
         # First, because a loop that is not stable is refused here, before any socket is opened.
         self._display = Display(scene, f"display-{uuid.uuid4().hex[:6]}")
-        self._hardware: Hardware | None = None
+        self._benches: list[Hardware | None] = [None] * len(self._display.contactors)
         self._stopping = False
         self._pacer = Pacer(scene.tick_ns, time.monotonic_ns())
-        gap_ns = GAP_NS if scene.drive is None else scene.drive.watchdog_ns
-        self._deadlines = DeadlineWatch(scene.tick_ns, gap_ns)
+        drives = (contactor.drive for contactor in scene.contactors)
+        watchdogs_ns = [drive.watchdog_ns for drive in drives if drive is not None]
+        self._deadlines = DeadlineWatch(scene.tick_ns, min(watchdogs_ns, default=GAP_NS))
         self._tick_us = Histogram(1.0, 5_000)
         self._late_us = Histogram(2.0, 2_500)
         self._named_faults = 0
@@ -119,10 +132,13 @@ class DisplayNode:
             raise
         self.telemetry_address = self._telemetry.address
 
-    def use(self, hardware: Hardware) -> None:
-        """Play on a started real bench instead of the scene's models. Call it before `run`."""
-        self._hardware = hardware
-        self._display.use(hardware)
+    def use(self, *benches: Hardware | None) -> None:
+        """Play on started real benches instead of the scene's models. Call it before `run`.
+
+        benches: in the contactors' order; None leaves a contactor its model.
+        """
+        self._benches = list(benches)
+        self._display.use(*benches)
 
     def stop(self) -> None:
         """End the loop after the present tick."""
@@ -189,7 +205,7 @@ class DisplayNode:
             connection.subscribe(frame_ns, round_trip_ns, time.monotonic_ns())
 
     def _tick(self, now_ns: int, elapsed_ticks: int) -> None:
-        state = self._display.tick(now_ns, elapsed_ticks)
+        self._display.tick(now_ns, elapsed_ticks)
         faults = self._display.safety.faults
         for fault in faults[self._named_faults :]:
             logger.error(f"fault: {fault}: {advise(fault)}")
@@ -202,11 +218,11 @@ class DisplayNode:
         control = self._connection.control.socket
         for message in self._display.requests(time.monotonic_ns()):
             sockets.send(control, encode_control(message))
-        if self._telemetry.add(state):
+        if self._telemetry.add(*self._display.states):
             self._telemetry.status(self._status(final=False))
 
     def _summary(self) -> Summary:
-        display, connection, hardware = self._display, self._connection, self._hardware
+        display, connection = self._display, self._connection
         deadlines, late_us = self._deadlines, self._late_us
         lateness = late_us.quantiles(p50=0.5, p99=0.99, p999=0.999)
         times = TickTime(**self._tick_us.quantiles(p50=0.5, p99=0.99))
@@ -226,30 +242,45 @@ class DisplayNode:
             reconnections=connection.reconnections,
             data_connections=connection.data_connections,
         )
-        if hardware is not None:
-            travel = hardware.at_end.limited(self._scene.tick_ns * 1e-9, display.ticks)
-            stiffness = summary.finger_stiffness if hardware.measures_force else None
-            summary = replace(
-                summary,
-                limited=replace(summary.limited, travel=travel),
-                hardware=dict(hardware.counts),
-                finger_stiffness=stiffness,
-                finger=describe_finger(hardware.finger(time.monotonic_ns())),
-                faults=summary.faults + [f"{FILM_NOTE}{note}" for note in hardware.faults()],
-            )
+        summary = self._with_benches(summary)
         if len(connection.routes) > 1:
             first = {route.address: route.frames_first for route in connection.routes}
             summary = replace(summary, frames=replace(summary.frames, first=first))
         return summary
 
+    def _with_benches(self, summary: Summary) -> Summary:
+        """Return the summary with what the real benches measure."""
+        found, notes = dict[str, Summary](), list[str]()
+        pairs = zip(summary.of_each_contactor().items(), self._benches, strict=True)
+        for (name, figures), hardware in pairs:
+            found[name] = figures
+            if hardware is None:
+                continue
+            travel = hardware.at_end.limited(self._scene.tick_ns * 1e-9, self._display.ticks)
+            found[name] = replace(
+                figures,
+                limited=replace(figures.limited, travel=travel),
+                hardware=dict(hardware.counts),
+                finger_stiffness=figures.finger_stiffness if hardware.measures_force else None,
+                finger=describe_finger(hardware.finger(time.monotonic_ns())),
+            )
+            of = f"{name}: " if name else ""
+            notes += [f"{FILM_NOTE}{of}{note}" for note in hardware.faults()]
+        whole = replace(summary, contactors=found) if summary.contactors else found[""]
+        return replace(whole, faults=whole.faults + notes)
+
     def _status(self, final: bool) -> bytes:
         return self._display.pack_status(self._summary(), final)
 
     def _finish(self) -> Summary:
-        if self._hardware is not None:
-            self._hardware.withdraw()
-        errors = self._display.tracking_error
-        if errors is not None:
-            errors.finish()
+        benches = [hardware for hardware in self._benches if hardware is not None]
+        # All at once: a drive that waits for the others would report a missing command.
+        for hardware in benches:
+            hardware.begin_withdrawal()
+        for hardware in benches:
+            hardware.withdraw()
+        errors = self._display.tracking_errors
+        for error in errors:
+            error.finish()
         self._telemetry.finish(self._status(final=True))
-        return replace(self._summary(), windows=[] if errors is None else errors.windows)
+        return scored(self._summary(), errors, windows=True)

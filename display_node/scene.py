@@ -1,6 +1,6 @@
 """The [display] section of a scene."""
 
-from typing import Annotated
+from typing import Annotated, Self
 
 from pydantic import BeforeValidator, Field, model_validator
 
@@ -14,11 +14,14 @@ from display_node.plant.scene import FilmTable, SecondOrderScene, StepperScene
 from display_node.prediction import PredictorName
 from protocol.config.quantities import Nanoseconds, Ratio, parse_quantity
 from protocol.config.scene import Section
+from protocol.config.scene_file import merge
 from protocol.errors import SceneError
-from protocol.wire.stream import LayerTable
+from protocol.wire.messages import MAX_CHANNELS
+from protocol.wire.stream import LayerTable, Name
 from pulse_sensors.sensor import Sensor, SensorScene
 
 MAX_COMPENSATION_NS = 10_000_000_000
+MAX_CONTACTORS = 8
 
 
 def _time_or_auto(value: object) -> int | None:
@@ -34,41 +37,86 @@ def _count_or_auto(value: object) -> object:
     return None if value == "auto" else value
 
 
-class DisplayScene(Section):
-    """The `display` table: settings of the display node.
+class ContactorScene(Section):
+    """What plays one channel of the stream under one finger.
 
-    compensation: the perceived delay E as a time, or "auto" (stored as None) for the smallest
-    delay at which at most `late_target` of the samples are late; with a predictor that learns, E is
-    reduced while the predictor's error is small. predictor: name of the predictor that supplies
-    missing samples. channel: channel of the stream that is felt. paths: number of parallel TCP
-    connections for frames, of which the first copies are used, or "auto" (stored as None): one, and
-    further ones while TCP stalls.
-
-    drive and feedback: the real bench, which replaces the models of actuator and film; without
-    feedback, the force is computed from the position that the drive reports.
+    name: by default the channel's. channel: name of the channel, or its number from 0. drive and
+    feedback: the real bench, which replaces the models of actuator and film; without feedback, the
+    force is computed from the position that the drive reports.
     """
 
+    name: Name | None = None
+    channel: Annotated[int, Field(strict=True, ge=0, lt=MAX_CHANNELS)] | Name = 0
     controller: ControllerScene
     actuator: Annotated[SecondOrderScene | StepperScene, Field(discriminator="kind")]
     drive: DriveTable | None = None
     feedback: Annotated[SensorScene | None, Field(discriminator="kind")] = None
     layer: LayerTable = LayerTable()
     film: FilmTable = FilmTable()
+
+    @model_validator(mode="after")
+    def _film_has_a_drive(self) -> Self:
+        if self.feedback is not None and self.drive is None:
+            raise ValueError("feedback requires a real drive: add [display.drive]")
+        return self
+
+    @property
+    def shown_name(self) -> str:
+        """The contactor's name in outputs."""
+        channel = self.channel
+        return self.name or (channel if isinstance(channel, str) else f"channel {channel}")
+
+
+class DisplayScene(ContactorScene):
+    """The `display` table: settings of the display node.
+
+    compensation: the perceived delay E as a time, or "auto" (stored as None) for the smallest
+    delay at which at most `late_target` of the samples are late; with a predictor that learns, E is
+    reduced while the predictor's error is small. predictor: name of the predictor that supplies
+    missing samples. paths: number of parallel TCP connections for frames, of which the first copies
+    are used, or "auto" (stored as None): one, and further ones while TCP stalls.
+
+    contactor: one table for each of several contactors. Each inherits the tables of `display`,
+    as a scene does from the one that it extends. Without any, `display` describes the only one.
+    """
+
+    contactor: Annotated[tuple[ContactorScene, ...], Field(max_length=MAX_CONTACTORS)] = ()
     safety: SafetyScene = SafetyScene()
     compensation_ns: Annotated[int | None, BeforeValidator(_time_or_auto)] = None
     late_target: Annotated[Ratio, Field(gt=0, le=0.5)] = 0.01
     predictor: PredictorName = "stack"
     tick_ns: Annotated[Nanoseconds, Field(ge=100_000, le=100_000_000)] = 1_000_000
-    channel: Annotated[int, Field(ge=0, le=63)] = 0
     paths: Annotated[Annotated[int, Field(ge=1, le=8)] | None, BeforeValidator(_count_or_auto)] = (
         None
     )
 
+    @model_validator(mode="before")
+    @classmethod
+    def _contactors_inherit(cls, table: object) -> object:
+        if not isinstance(table, dict) or not isinstance(own := table.get("contactor"), list):
+            return table
+        shared = {key: table[key] for key in ContactorScene.model_fields if key in table}
+        contactors = [merge(shared, each) if isinstance(each, dict) else each for each in own]
+        return {**table, "contactor": contactors}
+
     @model_validator(mode="after")
-    def _film_has_a_drive(self) -> "DisplayScene":
-        if self.feedback is not None and self.drive is None:
-            raise ValueError("feedback requires a real drive: add [display.drive]")
+    def _contactors_differ(self) -> Self:
+        if self.contactor and self.model_fields_set & {"name", "channel"}:
+            raise ValueError("name and channel belong to each [[display.contactor]]")
+        names = [each.shown_name for each in self.contactor]
+        for name in names:
+            if names.count(name) > 1:
+                raise ValueError(f"two contactors are called {name!r}; give each a name")
         return self
+
+    @property
+    def contactors(self) -> tuple["DisplayScene", ...]:
+        """The settings of each contactor, as those of a display that has no other one."""
+        if not self.contactor:
+            return (self,)
+        keys = ContactorScene.model_fields
+        changes = ({key: getattr(each, key) for key in keys} for each in self.contactor)
+        return tuple(self.model_copy(update=each | {"contactor": ()}) for each in changes)
 
     def force_loop(self, actual: SecondOrderScene | StepperScene | None = None) -> ForceLoop:
         """Build the force loop; it drives the actuator `actual`, or the scene's where None."""

@@ -32,7 +32,7 @@ class StreamPlay:
     """
 
     def __init__(self) -> None:
-        self.receiver = Receiver("fuzz", 0, late_target=0.01)
+        self.receiver = Receiver("fuzz", [0], late_target=0.01)
         self._now_ns = 0
         self._session = 0
         self._next = 0

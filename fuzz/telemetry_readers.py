@@ -45,7 +45,7 @@ SESSION = 7
 WELCOME = Welcome(
     SESSION, 0, StreamDescription("pulse", MS, 5, (Channel("force"),), ElasticLayer())
 )
-PLAYING = PlaybackStatus(0, 1.0, -4.8e-6, "linear", 60 * MS)
+PLAYING = PlaybackStatus("finger", 0, 1.0, -4.8e-6, "linear", 60 * MS)
 MOST_CHARACTERS = 100_000
 Message = tuple[bytes, bytes]
 
@@ -149,7 +149,7 @@ def status_message(state: str, playing: PlaybackStatus = PLAYING, **changes: Any
         "samples": SampleCounts(5, 5, 0, 0, 0, 0),
     }
     summary = Summary(**(whole | changes))
-    return STATUS, pack_status(state, "pulse", summary, False, SESSION, playing=playing)
+    return STATUS, pack_status(state, "pulse", summary, False, SESSION, playing=[playing])
 
 
 def heard_message(

@@ -135,6 +135,8 @@ CAUSE_MEANINGS = {
     "malformed": "messages with fields that do not fit; the peer is no node, or of another version",
     "not_finite": "samples that are NaN or infinite: check the sensor",
     "description": "an invalid stream description: check the sensing node's scene",
+    "channel": "streams without a channel that the scene plays: compare `channel` in its [display]"
+    " with the sensing node's source",
     "before_welcome": "frames that came before the stream's description; usual while joining",
     "session": "messages of an earlier session; usual after a restart of the sensing node",
     "before_clock": "frames that came before the clock offset was known; usual while joining",

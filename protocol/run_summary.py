@@ -5,7 +5,8 @@ To add a figure, add a field here, or to its table in `summary_tables.py`.
 
 import dataclasses
 import json
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -62,6 +63,7 @@ from protocol.summary_tables import (
     Roughness,
     SampleCounts,
 )
+from protocol.wire.stream import Name
 
 # No figure is larger: clocks at most 292 years apart are 1e13 ms.
 LARGEST = 1e15
@@ -211,6 +213,16 @@ class Summary:
         absent=IN_ALERTS | absent("A doubtful stiffness is an event.", Surface.REPORT),
     )
 
+    contactors: dict[Name, "Summary"] = figure(
+        "Of several contactors, the figures of each: those that are null or empty above",
+        absent=absent("Its rows are shown, each with the contactor's name."),
+        factory=dict,
+    )
+
+    def of_each_contactor(self) -> dict[str, "Summary"]:
+        """Return the figures of each contactor by its name; "" is the name of an only one."""
+        return self.contactors or {"": self}
+
     def to_dict(self) -> dict[str, Any]:
         """Return plain types for JSON and msgpack; NaN and numbers beyond `LARGEST` are None."""
 
@@ -221,7 +233,44 @@ class Summary:
                 return [measured(inner) for inner in value]
             return None if isinstance(value, float) and not abs(value) <= LARGEST else value
 
-        return {key: measured(value) for key, value in dataclasses.asdict(self).items()}
+        whole = {key: measured(value) for key, value in dataclasses.asdict(self).items()}
+        whole["contactors"] = {
+            name: {key: figures[key] for key in OF_A_CONTACTOR}
+            for name, figures in whole["contactors"].items()
+        }
+        return whole
+
+
+# Keys of the figures that each contactor has.
+OF_A_CONTACTOR = (
+    *("compensation", "beats", "force_rmse_n", "strain_rmse", "within_jnd", "windows"),
+    *("availability", "roughness", "limited", "hardware", "finger", "finger_stiffness"),
+)
+
+
+def contactors_of(summary: Mapping[str, Any]) -> dict[str, Mapping[str, Any]]:
+    """Return the figures of each contactor in a summary's JSON; "" is the name of an only one."""
+    return summary.get("contactors") or {"": summary}
+
+
+def with_contactors(summary: Summary, contactors: Mapping[str, Summary]) -> Summary:
+    """Return a display's summary with the figures of its contactors.
+
+    Those of an only contactor are put at the top level, of several under `contactors`.
+    """
+    if len(contactors) > 1:
+        return replace(summary, contactors=dict(contactors))
+    (figures,) = contactors.values()
+    of_display = summary.compensation
+    compensation = replace(
+        figures.compensation,
+        predicted=of_display.predicted,
+        horizon_ms=of_display.horizon_ms,
+        trusted=of_display.trusted,
+    )
+    keys = (key for key in OF_A_CONTACTOR if key != "availability")
+    changes = {key: getattr(figures, key) for key in keys}
+    return replace(summary, **changes | {"compensation": compensation})
 
 
 # Every figure of a summary, and its rows.
@@ -239,7 +288,21 @@ def print_summary(summary: Summary, title: str, console: Console) -> None:
     lines = Table(
         title=escape(title), show_header=False, title_justify="left", box=None, pad_edge=False
     )
-    for row in REGISTRY.rows(summary.to_dict(), Surface.SUMMARY):
+    for name, text in rows(summary.to_dict(), Surface.SUMMARY):
         # As Text, because rich would take a [section] in a fault for markup.
-        lines.add_row(row.name, Text(row.text))
+        lines.add_row(name, Text(text))
     console.print(lines)
+
+
+def rows(summary: Mapping[str, Any], surface: Surface) -> list[tuple[str, str]]:
+    """Return name and text of each row of a summary's JSON on a surface.
+
+    The rows of several contactors come last, with a line for each.
+    """
+    found = [(row.name, row.text) for row in REGISTRY.rows(summary, surface)]
+    lines: dict[str, list[str]] = {}
+    for contactor, figures in summary.get("contactors", {}).items():
+        for row in REGISTRY.rows(figures, surface):
+            text = row.text.replace("\n", f"\n{contactor}: ")
+            lines.setdefault(row.name, []).append(f"{contactor}: {text}")
+    return found + [(name, "\n".join(texts)) for name, texts in lines.items()]

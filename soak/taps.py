@@ -112,7 +112,7 @@ class Taps:
                 process = node.process
                 record.begin_process()
             if topic == TRACE:
-                trace = read_trace(data)
+                trace = read_trace(data)[0]
                 self.felt[role].add(trace)
                 before = len(record.misses)
                 record.add(trace)

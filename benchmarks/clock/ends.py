@@ -50,7 +50,7 @@ def follow(address: str, skew_ppm: str, origin_ns: str, seconds: str) -> None:
     control = sockets.connect(context, zmq.DEALER, sockets.control_address(address))
     data = sockets.connect(context, zmq.SUB, address)
     data.setsockopt(zmq.SUBSCRIBE, b"")
-    receiver = Receiver("clock", channel=0, late_target=0.01)
+    receiver = Receiver("clock", channels=[0], late_target=0.01)
     began_ns: int | None = None
     next_ns = time.monotonic_ns()
     while began_ns is None or next_ns < began_ns + float(seconds) * 1e9:

@@ -54,8 +54,8 @@ def stamped_buffer() -> tuple[JitterBuffer, list[int]]:
         return JitterBuffer(), put_ns
 
     class StampedBuffer(JitterBuffer):
-        def put(self, samples: ChannelSamples) -> None:
-            super().put(samples)
+        def put(self, samples: ChannelSamples, *others: ChannelSamples) -> None:
+            super().put(samples, *others)
             put_ns[:] = [time.monotonic_ns()]
 
     return StampedBuffer(), put_ns
@@ -68,7 +68,7 @@ def subscribe(wire: Wire) -> Iterator[Arrival]:
     control = curve.join(sockets.unconnected(context, zmq.DEALER), wire.keys)
     data.connect(data_address(wire))
     control.connect(sockets.control_address(data_address(wire)))
-    receiver = Receiver("peer", channel=0, late_target=LATE_TARGET)
+    receiver = Receiver("peer", channels=[0], late_target=LATE_TARGET)
     buffer, put_ns = stamped_buffer()
     descriptors = sockets.descriptors((control, data))
     while True:
@@ -76,7 +76,7 @@ def subscribe(wire: Wire) -> Iterator[Arrival]:
             samples = receiver.on_frame(message, time.monotonic_ns())
             if samples is not None:
                 usable_ns = put_ns[0] if put_ns else time.monotonic_ns()
-                yield Arrival(samples.first_sample, samples.times_ns[0], usable_ns)
+                yield Arrival(samples[0].first_sample, samples[0].times_ns[0], usable_ns)
         for message in sockets.receive_parts(control):
             receiver.on_control(message, time.monotonic_ns())
         if receiver.accepts_frames and receiver.buffer is not buffer:

@@ -1,8 +1,8 @@
-"""Safety: bounds of the force target, independent of what the peer sends.
+"""Safety: bounds of the force targets, independent of what the peer sends.
 
-The target has a force limit and a slew limit. A gain falls to 0 when the stream is stale or the
-loop stalls, and returns by a ramp. After a fault, a latch holds the target at 0 N; the drive then
-withdraws the tip (`drives/withdrawal.py`).
+A gain falls to 0 when the stream is stale or the loop stalls, and returns by a ramp. After a fault
+of any contactor, a latch holds all targets at 0 N; the drives then withdraw their tips
+(`drives/withdrawal.py`). Each contactor's target has a force limit and a slew limit.
 """
 
 from typing import Final
@@ -16,43 +16,25 @@ NEGLIGIBLE_N: Final = 1e-3
 
 
 class Safety:
-    """Bounds of one actuator's reference, tick by tick.
+    """Gain and latch that all contactors of a display share, tick by tick.
 
     Attributes
     ----------
     gain
-        Factor of the reference, 0 to 1.
+        Factor of the references, 0 to 1.
     faults
         Latched faults, the first one first.
-    at_force_limit, below_zero, at_slew_limit
-        How often and for how long each bound was in effect. The slew limit is not counted in ramps
-        and fades, where it is intended.
     """
 
     def __init__(self, scene: SafetyScene, tick_ns: int) -> None:
-        self._limit_n = scene.force_limit_n
-        self._slew_n = scene.slew_limit_n_per_s * tick_ns * 1e-9
         self._fade = tick_ns / scene.fade_ns
         self._ramp = tick_ns / scene.ramp_ns
         self._stale_ticks = scene.stale_after_ns // tick_ns
-        self._overforce_n = scene.force_limit_n * scene.overforce
-        self._last_n = 0.0
-        # Whether a bound was in effect in the last tick.
-        self._bounds = False
         self.gain = 0.0
         self.faults: list[str] = []
-        self.at_force_limit, self.below_zero = LimitCounter(), LimitCounter()
-        self.at_slew_limit = LimitCounter()
-
-    def watch(self, feedback_n: float) -> None:
-        """Check a reading of the felt force in N; latch a fault if it is implausible."""
-        if -self._overforce_n <= feedback_n <= self._overforce_n:
-            return
-        if (fault := refuse_reading(feedback_n, self._overforce_n)) is not None:
-            self.fault(fault)
 
     def skip(self, elapsed_ticks: int) -> None:
-        """Fade for missed ticks; call it before `bound` of the tick that ends a stall.
+        """Fade for missed ticks; call it before `advance` of the tick that ends a stall.
 
         During a stall the finger feels a constant force, as with a stream without samples. So the
         gain falls after the same time and at the same rate, and the pulse returns by a ramp.
@@ -64,13 +46,11 @@ class Safety:
         """
         self.gain = max(0.0, self.gain - self._fade * max(0, elapsed_ticks - self._stale_ticks))
 
-    def bound(self, reference_n: list[float], alive: bool) -> list[float]:
-        """Return the reference within force and slew limits, in N.
+    def advance(self, alive: bool) -> float:
+        """Return the gain of the next tick.
 
         Parameters
         ----------
-        reference_n
-            Reference force now and in the next ticks, in N.
         alive
             False where the stream is stale; the gain then falls to 0, as after a fault.
         """
@@ -78,8 +58,52 @@ class Safety:
             self.gain = max(0.0, self.gain - self._fade)
         elif self.gain < 1.0:
             self.gain = min(1.0, self.gain + self._ramp)
+        return self.gain
+
+    def fault(self, name: str) -> None:
+        """Latch a fault: the target falls to 0 N until a new start."""
+        if name not in self.faults:
+            self.faults.append(name)
+
+
+class ForceBounds:
+    """Bounds of one contactor's reference, tick by tick.
+
+    Attributes
+    ----------
+    at_force_limit, below_zero, at_slew_limit
+        How often and for how long each bound was in effect. The slew limit is not counted in ramps
+        and fades, where it is intended.
+    """
+
+    def __init__(self, scene: SafetyScene, tick_ns: int) -> None:
+        self._limit_n = scene.force_limit_n
+        self._slew_n = scene.slew_limit_n_per_s * tick_ns * 1e-9
+        self._overforce_n = scene.force_limit_n * scene.overforce
+        self._last_n = 0.0
+        # Whether a bound was in effect in the last tick.
+        self._bounds = False
+        self.at_force_limit, self.below_zero = LimitCounter(), LimitCounter()
+        self.at_slew_limit = LimitCounter()
+
+    def reading_fault(self, feedback_n: float) -> str | None:
+        """Return the fault of a reading of the felt force in N that is implausible, or None."""
+        if -self._overforce_n <= feedback_n <= self._overforce_n:
+            return None
+        return refuse_reading(feedback_n, self._overforce_n)
+
+    def bound(self, reference_n: list[float], gain: float) -> list[float]:
+        """Return the reference within force and slew limits, in N.
+
+        Parameters
+        ----------
+        reference_n
+            Reference force now and in the next ticks, in N.
+        gain
+            Factor of the reference, 0 to 1.
+        """
         # Comparisons, and no calls of `min` and `max`: this runs each tick.
-        gain, limit_n, slew_n, last_n = self.gain, self._limit_n, self._slew_n, self._last_n
+        limit_n, slew_n, last_n = self._limit_n, self._slew_n, self._last_n
         bounded = []
         for force_n in reference_n:
             within_n = gain * force_n
@@ -110,8 +134,3 @@ class Safety:
             self.at_slew_limit.add(slewing)
         self._bounds = above or below or slewing
         return bounded
-
-    def fault(self, name: str) -> None:
-        """Latch a fault: the target falls to 0 N until a new start."""
-        if name not in self.faults:
-            self.faults.append(name)

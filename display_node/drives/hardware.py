@@ -184,13 +184,17 @@ class Hardware:
         """Return the errors of the film's sensor, one line each."""
         return [] if self._sensor is None else self._sensor.faults()
 
-    def withdraw(self) -> None:
-        """Withdraw the tip from the finger, and wait until it is off, 1.5 s at most.
+    def begin_withdrawal(self) -> None:
+        """Command the withdrawal of the tip from the finger, without waiting.
 
         Call it right after the last tick: if called later, the drive's watchdog would report a
         fault first.
         """
         self._drive.withdraw("ended")
+
+    def withdraw(self) -> None:
+        """Withdraw the tip from the finger, and wait until it is off, 1.5 s at most."""
+        self.begin_withdrawal()
         deadline_s = time.monotonic() + WITHDRAWN_WITHIN_S
         self._status = self._drive.status()
         while self._status.withdrawal is WithdrawalOutcome.UNDER_WAY:

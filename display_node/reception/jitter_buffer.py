@@ -40,7 +40,7 @@ class SampleAccount:
 
 
 class JitterBuffer:
-    """One channel of one session's samples.
+    """One session's samples, of one channel or several.
 
     Parameters
     ----------
@@ -62,7 +62,7 @@ class JitterBuffer:
         self._joining = begin_index is None
         self._indices: list[int] = []
         self._times: list[int] = []
-        self._values: list[float] = []
+        self._channels: list[list[float]] = []
         # The instant of the samples before this list position has passed.
         self._settled = 0
         self._instant_ns: int | None = None
@@ -86,8 +86,8 @@ class JitterBuffer:
         """Samples that wait for their instant."""
         return len(self._times) - self._settled
 
-    def put(self, samples: ChannelSamples) -> None:
-        """Take the samples of a frame.
+    def put(self, samples: ChannelSamples, *others: ChannelSamples) -> None:
+        """Take the samples of a frame: of each channel, in the same order at each call.
 
         Raises WireError: "duplicate", "overlap", "timestamp", "too_old", "overflow".
         """
@@ -99,7 +99,11 @@ class JitterBuffer:
             self.reordered += 1
         self._indices[position:position] = range(first, first + count)
         self._times[position:position] = times
-        self._values[position:position] = forces_n
+        if not self._channels:
+            self._channels = [[] for _ in range(1 + len(others))]
+        self._channels[0][position:position] = forces_n
+        for values, other in zip(self._channels[1:], others, strict=True):
+            values[position:position] = other.forces_n
         self.newest_ns = self._times[-1]
         self._period_ns = period_ns
         self.frames += 1
@@ -145,7 +149,9 @@ class JitterBuffer:
         surplus = min(len(self._times) - KEEP_SAMPLES, self._settled - 1)
         if surplus > 0:
             self._floor_index = self._indices[surplus - 1] + 1
-            del self._indices[:surplus], self._times[:surplus], self._values[:surplus]
+            del self._indices[:surplus], self._times[:surplus]
+            for values in self._channels:
+                del values[:surplus]
             self._settled -= surplus
             # Earlier samples are refused. Removal in pairs keeps the first change one to True.
             forgotten = bisect_left(self._changed_ns, self._times[0]) // 2 * 2
@@ -169,19 +175,29 @@ class JitterBuffer:
         self._played += settled - self._settled
         self._settled = settled
 
-    def known(self, step_ns: int, count: int) -> list[float]:
-        """Return `count` values from the played instant on, `step_ns` apart.
+    def known(
+        self, step_ns: int, count: int, channel: int = 0, begin_ns: int | None = None
+    ) -> list[float]:
+        """Return `count` values of a channel, `step_ns` apart.
 
         They are interpolated linearly. The list ends at the newest sample, and is empty before the
         first one.
+
+        Parameters
+        ----------
+        channel
+            Place of the channel in the arguments of `put`.
+        begin_ns
+            Time of the first value, not after the played instant; None for that instant.
         """
-        times, values, position = self._times, self._values, self._settled
+        times, position = self._times, self._settled
         length = len(times)
-        t_ns = self._instant_ns
+        t_ns = self._instant_ns if begin_ns is None else begin_ns
         if t_ns is not None and t_ns < self._passed_ns:
             position = bisect_right(times, t_ns)
         if t_ns is None or not position:
             return []
+        values = self._channels[channel]
         result = []
         for _ in range(count):
             while position < length and times[position] <= t_ns:

@@ -5,6 +5,7 @@ that cannot be used is counted under its cause. Pure: no sockets.
 """
 
 from collections import Counter, deque
+from collections.abc import Sequence
 from typing import Final
 
 from display_node.reception.jitter_buffer import JitterBuffer, SampleAccount
@@ -42,11 +43,13 @@ class Receiver:
 
     Parameters
     ----------
-    channel
-        The channel of the stream that is buffered, from 0.
+    channels
+        The channels of the stream that are buffered: names, or numbers from 0.
 
     Attributes
     ----------
+    channels
+        Their numbers in the present stream; empty before its description is known.
     paths
         Greatest number of connections so far that deliver frames. With more than one, a repeated
         frame counts as a copy and not as refused.
@@ -63,9 +66,12 @@ class Receiver:
         Time from a frame's last sample to its arrival, in ms.
     """
 
-    def __init__(self, name: str, channel: int, late_target: float, paths: int = 1) -> None:
+    def __init__(
+        self, name: str, channels: Sequence[int | str], late_target: float, paths: int = 1
+    ) -> None:
         self._name, self.paths = name, paths
-        self._channel, self._late_target = channel, late_target
+        self._wanted, self._late_target = channels, late_target
+        self.channels: list[int] = []
         self._closed = SampleAccount()
         self._next_hello_ns = self._next_clock_ns = 0
         # Nothing is requested before this time, unless a control message or a refusal comes.
@@ -89,8 +95,8 @@ class Receiver:
         self.buffer = JitterBuffer()
         self._last_bye: wire.Bye | None = None
 
-    def on_frame(self, data: bytes, now_ns: int) -> wire.ChannelSamples | None:
-        """Take a data message; return the samples of the channel if it is new and valid."""
+    def on_frame(self, data: bytes, now_ns: int) -> list[wire.ChannelSamples] | None:
+        """Take a data message; return the samples of each channel if it is new and valid."""
         try:
             return self._accept(wire.unpack_frame(data), now_ns)
         except WireError as error:
@@ -212,7 +218,7 @@ class Receiver:
         grace_ns = GRACE_NS if self.buffer.complete else LAST_GRACE_NS
         return self.clock.remote_ns(now_ns) > end_ns + playout_delay_ns + grace_ns
 
-    def _accept(self, frame: wire.PackedFrame, now_ns: int) -> wire.ChannelSamples:
+    def _accept(self, frame: wire.PackedFrame, now_ns: int) -> list[wire.ChannelSamples]:
         """Check a frame against its session and put it into the buffer. Raises WireError."""
         description = self.description
         if description is None:
@@ -226,18 +232,20 @@ class Receiver:
             or len(numbers) > description.batch * channels
             or width != description.bytes_per_sample
             or not description.period_ns <= 2 * period_ns <= 4 * description.period_ns
-            or self._channel >= channels
         ):
             raise WireError("mismatch", "a frame does not match the stream's description")
-        forces_n = list(numbers[self._channel :: channels])
-        last_ns = t_first_ns + (len(forces_n) - 1) * period_ns
+        last_ns = t_first_ns + (len(numbers) // channels - 1) * period_ns
         if not self.clock.ready:
             raise WireError("before_clock", "a frame before the sensing clock is known")
         sensing_now_ns = self.clock.remote_ns(now_ns)
         if not -OLDEST_NS < last_ns - sensing_now_ns < FUTURE_NS:
             raise WireError("timestamp", "a frame's time is not near the present")
-        samples = wire.channel_samples(first_sample, t_first_ns, period_ns, forces_n)
-        self.buffer.put(samples)
+        first, *others = self.channels
+        forces_n = list(numbers[first::channels])
+        samples = [wire.channel_samples(first_sample, t_first_ns, period_ns, forces_n)]
+        for other in others:
+            samples.append(samples[0]._replace(forces_n=list(numbers[other::channels])))
+        self.buffer.put(*samples)
         self._received_ns = now_ns
         self.clock.add_one_way(last_ns, now_ns)
         self.delay.observe(sensing_now_ns - t_first_ns, now_ns)
@@ -251,6 +259,7 @@ class Receiver:
                 self._received_ns = now_ns
                 self._unanswered_hellos = 0
                 if session != self.session:
+                    self.channels = [description.find(channel) for channel in self._wanted]
                     # Samples, times and clock of two sessions are unrelated.
                     self._restart(JitterBuffer())
                     self.session, self.description = session, description

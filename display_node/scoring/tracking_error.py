@@ -187,16 +187,15 @@ class TrackingError:
         """Errors and perceived delay by windows of time."""
         return self._windows.windows()
 
-    def scored(self, summary: Summary) -> Summary:
-        """Return the summary with errors, roughness, and the share of the run that was judged."""
-        ticks = (summary.loop.ticks or 0) + (summary.loop.deadline_misses or 0)
+    def scored(self, figures: Summary, ticks: int) -> Summary:
+        """Return a contactor's figures with errors, roughness and the share of `ticks` judged."""
         judged = min(1.0, self._aligned_count / ticks) if ticks else None
         return replace(
-            summary,
+            figures,
             force_rmse_n=self.force_rmse_n,
             strain_rmse=self.strain_rmse,
             within_jnd=self.within_jnd,
-            availability=replace(summary.availability, judged=judged),
+            availability=replace(figures.availability, judged=judged),
             roughness=self._roughness.roughness,
         )
 
@@ -249,3 +248,21 @@ def interpolate(at_ns: Times, t_ns: Times, values: Floats) -> Floats:
 
 def _root(total: float, count: int) -> float | None:
     return math.sqrt(total / count) if count else None
+
+
+def scored(summary: Summary, errors: Sequence[TrackingError], windows: bool = False) -> Summary:
+    """Return a display's summary with the errors of its contactors, in their order.
+
+    windows: whether to add the errors by time.
+    """
+    ticks = (summary.loop.ticks or 0) + (summary.loop.deadline_misses or 0)
+    found = {
+        name: error.scored(figures, ticks)
+        for (name, figures), error in zip(summary.of_each_contactor().items(), errors, strict=True)
+    }
+    if windows:
+        found = {
+            name: replace(figures, windows=error.windows)
+            for (name, figures), error in zip(found.items(), errors, strict=True)
+        }
+    return replace(summary, contactors=found) if summary.contactors else found[""]

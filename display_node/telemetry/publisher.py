@@ -43,9 +43,9 @@ class Publisher:
         self.captured = CaptureWriter(run)
         self.address = socket.getsockopt_string(zmq.LAST_ENDPOINT)
 
-    def add(self, state: TickState) -> bool:
-        """Add a tick; return whether a status is due."""
-        trace = self._trace.add(state)
+    def add(self, *states: TickState) -> bool:
+        """Add a tick, of which each contactor has a state; return whether a status is due."""
+        trace = self._trace.add(*states)
         if trace is None:
             return False
         self._publish_trace(trace)

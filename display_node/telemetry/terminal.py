@@ -30,7 +30,7 @@ from protocol import sockets
 from protocol.errors import WireError
 from protocol.figures import Surface
 from protocol.host.output import unblocked_output
-from protocol.run_summary import REGISTRY
+from protocol.run_summary import contactors_of, rows
 from protocol.security.keys import ClientKeys, read_pair
 from protocol.wire.telemetry import STATUS, TRACE, Status, Trace, read_status, read_trace
 
@@ -71,21 +71,23 @@ class TerminalView:
         self._ticks: deque[TerminalTick] = deque(maxlen=KEEP_NS // APART_NS + 1)
         self._age = StatusAge(local)
         self._trusted = False
+        # The newest ticks of further contactors.
+        self._others: tuple[Trace, ...] = ()
         self.status: Status | None = None
         self.unreadable = 0
         # Names of alerts that `new_alerts` has returned and that are still active.
         self._named: set[str] = set()
 
-    def take(self, message: Sequence[bytes], now_ns: int = 0) -> Trace | None:
-        """Take a telemetry message that arrived at `now_ns`; return the trace where it is one."""
+    def take(self, message: Sequence[bytes], now_ns: int = 0) -> list[Trace]:
+        """Take a telemetry message that arrived at `now_ns`; return the traces in it."""
         try:
             match message:
                 case [topic, data] if topic == TRACE:
-                    trace = read_trace(data)
-                    self.add_trace(trace)
-                    if len(trace.now_ns):
-                        self._age.take_trace(int(trace.now_ns[-1]), now_ns)
-                    return trace
+                    traces = read_trace(data)
+                    self.add_trace(*traces)
+                    if len(traces[0].now_ns):
+                        self._age.take_trace(int(traces[0].now_ns[-1]), now_ns)
+                    return traces
                 case [topic, data] if topic == STATUS:
                     self.status = read_status(data)
                     self._age.take_status(now_ns)
@@ -93,11 +95,11 @@ class TerminalView:
                     self.unreadable += 1
         except WireError:
             self.unreadable += 1
-        return None
+        return []
 
-    def add_trace(self, trace: Trace) -> None:
-        """Take ticks; where their clock goes back, the earlier ticks are removed."""
-        ticks = self._ticks
+    def add_trace(self, trace: Trace, *others: Trace) -> None:
+        """Take ticks of each contactor; where their clock goes back, the earlier are removed."""
+        ticks, self._others = self._ticks, others
         columns = (trace.now_ns, trace.instant_ns, trace.target_n, trace.felt_n, trace.scored)
         if len(trace.trusted):
             self._trusted = bool(trace.trusted[-1])
@@ -195,12 +197,24 @@ class TerminalView:
         current = self._age_ns(now_ns) < CURRENT_NS
         rate = self.heart_rate_per_min if current else None
         last = self._ticks[-1] if self._ticks else None
-        finger = None if self.status is None else self.status.summary.get("finger")
+        contactors = {} if self.status is None else contactors_of(self.status.summary)
+        fingers = [
+            f"{name}: {figures['finger']}" if name else figures["finger"]
+            for name, figures in contactors.items()
+            if figures.get("finger")
+        ]
+        finger = ", ".join(fingers)
+        # The newest values of the first contactor, and of the others.
+        newest = [(None, None) if last is None else (last.target_n, last.felt_n)]
+        newest += [(float(x.target_n[-1]), float(x.felt_n[-1])) for x in self._others]
+        target, felt = (
+            ", ".join(map(_millinewtons, forces)) for forces in zip(*newest, strict=True)
+        )
         delay = self._delay_text() if current else ""
         return [
             ("heart rate", "–" if rate is None else f"{rate:.0f} /min"),
-            ("force target", _millinewtons(None if last is None else last.target_n)),
-            ("force felt", _millinewtons(None if last is None else last.felt_n)),
+            ("force target", target),
+            ("force felt", felt),
             *([("finger", _printable(finger))] if finger and current else []),
             *([("delay now", delay)] if delay else []),
         ]
@@ -218,9 +232,8 @@ class TerminalView:
     def _run_rows(self) -> list[tuple[str, str]]:
         """Return the figures of the whole run so far."""
         assert self.status is not None
-        rows = REGISTRY.rows(self.status.summary, Surface.TERMINAL)
         unreadable = [("telemetry not readable", str(self.unreadable))] if self.unreadable else []
-        return [*((row.name, row.text) for row in rows), *unreadable]
+        return [*rows(self.status.summary, Surface.TERMINAL), *unreadable]
 
     def _plot(self, current: bool) -> list[RenderableType]:
         ticks = list(self._ticks)[-PLOTTED_TICKS:]
@@ -296,15 +309,15 @@ def _print_line(screen: TerminalView, console: Console) -> None:
 def watch(
     address: str,
     console: Console,
-    on_trace: Callable[[Trace], None] | None = None,
+    on_traces: Callable[[list[Trace]], None] | None = None,
     draw: bool = True,
     keep_watching: Callable[[], bool] = lambda: True,
     keys: ClientKeys | None = None,
 ) -> Status | None:
     """Follow a display's telemetry until it ends; return its last status, None without one.
 
-    on_trace: called with every trace. keep_watching: called several times a second; the watch ends
-    when it returns False. A silent display does not end the watch.
+    on_traces: called with the contactors' traces of each message. keep_watching: called several
+    times a second; the watch ends when it returns False. A silent display does not end the watch.
     """
     if draw:
         # Imports scipy, which takes 1 s or more, before the first status line: later it would delay
@@ -325,9 +338,9 @@ def watch(
             sockets.wait_readable([socket], 1_000_000_000 // FRAMES_PER_S)
             messages = list(sockets.receive_multipart(socket))
             for message in messages:
-                trace = screen.take(message, time.monotonic_ns())
-                if trace is not None and on_trace is not None:
-                    on_trace(trace)
+                traces = screen.take(message, time.monotonic_ns())
+                if traces and on_traces is not None:
+                    on_traces(traces)
                 if screen.status is not None and screen.status.final:
                     if draw and live is None:
                         # The last line shows how the display ended.

@@ -4,7 +4,7 @@ from typing import Any
 
 from protocol.counters import ErrorWindow
 from protocol.figures import Surface
-from protocol.run_summary import REGISTRY
+from protocol.run_summary import OF_A_CONTACTOR, REGISTRY, Summary
 
 _KINDS = {
     int | None: "whole number",
@@ -15,6 +15,8 @@ _KINDS = {
     list[ErrorWindow]: "list of maps: `from_s`, `to_s`, `playout_delay_ms`, `aligned_n`,"
     " `in_phase_n`",
     dict[str, int]: "map of name to count",
+    dict[str, Summary]: "map of name to the keys "
+    + ", ".join(f"`{key}`" for key in OF_A_CONTACTOR),
 }
 
 

@@ -40,8 +40,8 @@ def seeds() -> list[bytes]:
 def try_one(data: bytes) -> None:
     """Decode and draw; a trace's columns have one length, and a status can be shown."""
     with refusals():
-        trace = read_trace(data)
-        assert {np.shape(column) for column in trace} == {np.shape(trace.now_ns)}
+        for trace in read_trace(data):
+            assert {np.shape(column) for column in trace} == {np.shape(trace.now_ns)}
     with refusals():
         assert all(type(message.data) is bytes for message in read_capture(data).messages)
     with refusals():

@@ -104,6 +104,18 @@ class StreamDescription:
         """Samples per second."""
         return SECOND_NS / self.period_ns
 
+    def find(self, channel: int | str) -> int:
+        """Return the number of a channel, from its name or number.
+
+        Raises WireError with the cause "channel" where the stream has no such channel.
+        """
+        names = [each.name for each in self.channels]
+        if channel in names:
+            return names.index(str(channel))
+        if isinstance(channel, int) and channel < len(names):
+            return channel
+        raise WireError("channel", f"the stream has no channel {channel!r}; it has {names}")
+
     def to_wire(self) -> dict[str, Any]:
         """Return the description as plain types for msgpack."""
         return dataclasses.asdict(self)

@@ -8,7 +8,7 @@ Three topics, each a multipart message [topic, msgpack]:
   a recorder subscribes. Each states how much was published before, so that gaps show.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from itertools import accumulate, takewhile
 from typing import Annotated, Any, NamedTuple
 
@@ -21,6 +21,7 @@ from protocol.errors import WireError
 from protocol.run_summary import LARGEST, Summary
 from protocol.ticks import TickState
 from protocol.wire.messages import COUNT_RANGE, LARGEST_N, MAX_CHANNELS, MAX_FRAME_BYTES, TIME_RANGE
+from protocol.wire.stream import Name
 
 STATUS = b"status"
 MAX_ITEMS = 256
@@ -28,14 +29,15 @@ _SUMMARY = TypeAdapter(Summary)
 
 
 class PlaybackStatus(NamedTuple):
-    """Channel and scale by which a display plays the stream.
+    """Channel and scale by which a contactor of a display plays the stream.
 
-    channel: number of the played channel. force_ratio: force at the finger per force at the wrist
-    that makes both strains equal. strain_per_newton: strain of the layer under the finger per
-    force, in 1/N. predictor: its name. stale_after_ns: time without samples after which the stream
-    is stale.
+    contactor: its name. channel: number of the played channel. force_ratio: force at the finger
+    per force at the wrist that makes both strains equal. strain_per_newton: strain of the layer
+    under the finger per force, in 1/N. predictor: its name. stale_after_ns: time without samples
+    after which the stream is stale.
     """
 
+    contactor: Name
     channel: Annotated[int, Field(ge=0, lt=MAX_CHANNELS)]
     force_ratio: Annotated[float, Field(ge=-LARGEST, le=LARGEST)]
     strain_per_newton: Annotated[float, Field(ge=-LARGEST, le=LARGEST)]
@@ -47,8 +49,8 @@ class Status(NamedTuple):
     """Status of a node: its state, stream and running summary.
 
     session: session of the stream; None while there is none. displays: number of displays of a
-    sensing node; None for a display. playing: how a display plays the stream; None before it has
-    the stream's description.
+    sensing node; None for a display. playing: how each contactor of a display plays the stream;
+    empty before it has the stream's description.
     """
 
     state: str
@@ -57,7 +59,7 @@ class Status(NamedTuple):
     final: bool
     session: int | None = None
     displays: int | None = None
-    playing: PlaybackStatus | None = None
+    playing: Sequence[PlaybackStatus] = ()
 
 
 _PLAYING = TypeAdapter(PlaybackStatus, config=ConfigDict(strict=True, allow_inf_nan=False))
@@ -70,7 +72,7 @@ def pack_status(
     final: bool,
     session: int | None = None,
     displays: int | None = None,
-    playing: PlaybackStatus | None = None,
+    playing: Sequence[PlaybackStatus] = (),
 ) -> bytes:
     """Encode a status message, from the fields of `Status`."""
     fields = [state, stream, summary.to_dict(), final, session, displays, playing]
@@ -81,8 +83,7 @@ def read_status(data: bytes) -> Status:
     """Decode a status, with every key of a summary. Raises WireError."""
     try:
         state, stream, summary, final, session, displays, playing = unpack(data)
-        if playing is not None:
-            playing = _PLAYING.validate_python(PlaybackStatus(*playing))
+        playing = [_PLAYING.validate_python(PlaybackStatus(*each)) for each in playing]
     except (ValueError, TypeError) as error:
         raise WireError("malformed", f"not a status: {error}") from None
     if not (
@@ -123,7 +124,7 @@ STATUS_TRACES = 10
 
 
 class Trace(NamedTuple):
-    """Consecutive ticks: arrays of equal length, one value a tick.
+    """Consecutive ticks of one contactor: arrays of equal length, one value a tick.
 
     now_ns: time on the display's clock, never falling. instant_ns: played instant on the sensing
     clock. target_n: target force in N. felt_n: felt force in N, NaN where it is unknown (no reading
@@ -148,11 +149,12 @@ class TraceWriter:
         self._ints: list[int] = []
         self._forces: list[float] = []
 
-    def add(self, state: TickState) -> bytes | None:
-        """Add a tick; return a trace message when one is full."""
-        ints = self._ints
+    def add(self, *states: TickState) -> bytes | None:
+        """Add a tick, of which each contactor has a state; return a trace message when full."""
+        ints, state = self._ints, states[0]
         ints += (state.now_ns, state.instant_ns, state.scored, state.trusted)
-        self._forces += (state.target_n, state.felt_n, state.predictor_error_n)
+        for state in states:
+            self._forces += (state.target_n, state.felt_n, state.predictor_error_n)
         return self.rest() if len(ints) >= 4 * TRACE_TICKS else None
 
     def rest(self) -> bytes | None:
@@ -164,8 +166,8 @@ class TraceWriter:
         return bytes(msgpack.packb(message))
 
 
-def read_trace(data: bytes) -> Trace:
-    """Decode a trace message.
+def read_trace(data: bytes) -> list[Trace]:
+    """Decode a trace message; return the trace of each contactor.
 
     A felt force or a predictor's error that is infinite or beyond `LARGEST_N` becomes NaN. Raises
     WireError, also for times that fall or are out of range.
@@ -173,7 +175,7 @@ def read_trace(data: bytes) -> Trace:
     try:
         ints, forces = unpack(data)
         now_ns, instant_ns, scored, trusted = np.frombuffer(ints, "<i8").reshape(-1, 4).T
-        target_n, felt_n, error_n = np.frombuffer(forces, "<f8").reshape(len(now_ns), 3).T
+        values = np.frombuffer(forces, "<f8").reshape(len(now_ns), -1, 3)
     except (ValueError, TypeError) as error:
         raise WireError("malformed", f"not a trace: {error}") from None
     times_ns = np.concatenate([now_ns, instant_ns])
@@ -181,11 +183,16 @@ def read_trace(data: bytes) -> Trace:
         raise WireError("malformed", "a trace's time is out of range")
     if np.any(now_ns[1:] < now_ns[:-1]):
         raise WireError("malformed", "a trace's times fall")
-    if not np.all(np.abs(target_n) <= LARGEST_N):
+    if not 1 <= values.shape[1] <= MAX_CHANNELS:
+        raise WireError("malformed", f"a trace of {values.shape[1]} contactors")
+    if not np.all(np.abs(values[..., 0]) <= LARGEST_N):
         raise WireError("malformed", f"a trace's target is not within {LARGEST_N:.0e} N")
+    known = np.where(np.abs(values) <= LARGEST_N, values, np.nan)
     flags = scored.astype(bool), trusted.astype(bool)
-    known_n, error_n = (np.where(np.abs(x) <= LARGEST_N, x, np.nan) for x in (felt_n, error_n))
-    return Trace(now_ns, instant_ns, target_n, known_n, flags[0], error_n, flags[1])
+    return [
+        Trace(now_ns, instant_ns, target_n, felt_n, flags[0], error_n, flags[1])
+        for target_n, felt_n, error_n in known.transpose(1, 2, 0)
+    ]
 
 
 CAPTURE = b"heard"

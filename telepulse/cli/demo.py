@@ -20,7 +20,7 @@ import zmq
 from rich.console import Console
 
 from display_node.fault_advice import FAULT_STATUS, SENSING_NOTE, end_at_faults
-from display_node.scoring.tracking_error import TrackingError
+from display_node.scoring.tracking_error import TrackingError, scored
 from display_node.telemetry.terminal import watch
 from protocol import sockets
 from protocol.cli_options import (
@@ -42,7 +42,7 @@ from protocol.run_summary import Summary
 from protocol.tactile import matching_force_ratio
 from protocol.wire.messages import decode_frame
 from protocol.wire.telemetry import Trace
-from sensing_node.scene import open_source
+from sensing_node.scene import describe_stream, open_source
 from telepulse.cli.options import PROGRAM, LinkOption, SceneArgument, SeedOption
 from telepulse.cli.view import check_bokeh
 from telepulse.processes import NodeProcess, free_addresses, log_warnings
@@ -154,8 +154,9 @@ def run_demo(
     path = scene.path
     truth = ReferenceForce(scene.sensing, path.parent)
     # The source is checked before the display starts, since a display may move a drive.
-    with open_source(scene.sensing, path.parent):
-        pass
+    with open_source(scene.sensing, path.parent) as source:
+        stream = describe_stream(scene.sensing, source)
+        channels = [stream.find(contactor.channel) for contactor in scene.display.contactors]
     sensing_address, telemetry_address, link_address = free_addresses(3)
     impaired = scene.link != LinkScene()
     display_address = link_address if impaired else sensing_address
@@ -194,7 +195,8 @@ def run_demo(
         stop_on_signals(sensing.terminate)
         context: sockets.Context = zmq.Context()
         stack.callback(context.destroy, linger=0)
-        scorer = _Scorer(scene, truth, sockets.connect(context, zmq.SUB, sensing_address))
+        sent = sockets.connect(context, zmq.SUB, sensing_address)
+        scorer = _Scorer(scene, channels, truth, sent)
 
         def keep_watching() -> bool:
             scorer.add_sent()
@@ -202,7 +204,8 @@ def run_demo(
 
         watch(telemetry_address, console, scorer.add_felt, draw, keep_watching)
         scorer.add_sent()
-        scorer.tracking_error.finish()
+        for error in scorer.errors:
+            error.finish()
         if live_page is not None and live_page.poll() is not None:
             logger.warning("the live page ended before the demo did")
         if link_process is not None:
@@ -211,7 +214,7 @@ def run_demo(
             log_warnings(link_process.name, link_process.await_end(ENDS_WITHIN_S))
         sensed = sensing.await_summary(ENDS_WITHIN_S)
         played = display.await_summary(ENDS_WITHIN_S, may_end_with=FAULT_STATUS)
-        return _compose(sensed, played, scorer.tracking_error)
+        return _compose(sensed, played, scorer.errors)
 
 
 def _open_page(
@@ -237,30 +240,36 @@ def _open_page(
 class _Scorer:
     """Comparison of the pulse that is sent with the force that the display reports."""
 
-    def __init__(self, scene: Scene, truth: ReferenceForce, data: sockets.Socket) -> None:
+    def __init__(
+        self, scene: Scene, channels: list[int], truth: ReferenceForce, data: sockets.Socket
+    ) -> None:
         data.subscribe(b"")
-        layer = scene.display.layer.layer()
-        self._channel, self._truth, self._data = scene.display.channel, truth, data
-        self._ratio = matching_force_ratio(scene.sensing.layer.layer(), layer)
-        self.tracking_error = TrackingError(layer.strain_per_newton)
+        self._channels, self._truth, self._data = channels, truth, data
+        wrist = scene.sensing.layer.layer()
+        layers = [contactor.layer.layer() for contactor in scene.display.contactors]
+        self._ratios = [matching_force_ratio(wrist, layer) for layer in layers]
+        self.errors = [TrackingError(layer.strain_per_newton) for layer in layers]
 
     def add_sent(self) -> None:
         """Add the frames that have arrived from the sensing node."""
         for (message,) in sockets.receive_multipart(self._data):
             true_frame = self._truth.of(decode_frame(message))
-            samples = true_frame.samples_of(self._channel)
-            self.tracking_error.add_reference(samples, self._ratio)
+            for channel, ratio, error in zip(
+                self._channels, self._ratios, self.errors, strict=True
+            ):
+                error.add_reference(true_frame.samples_of(channel), ratio)
 
-    def add_felt(self, trace: Trace) -> None:
-        """Add the felt force of a trace of the display."""
-        columns = (
-            column[trace.scored] for column in (trace.now_ns, trace.instant_ns, trace.felt_n)
-        )
-        for tick in zip(*(column.tolist() for column in columns), strict=True):
-            self.tracking_error.add_output(*tick)
+    def add_felt(self, traces: list[Trace]) -> None:
+        """Add the felt forces of a trace of the display."""
+        for trace, error in zip(traces, self.errors, strict=True):
+            columns = (
+                column[trace.scored] for column in (trace.now_ns, trace.instant_ns, trace.felt_n)
+            )
+            for tick in zip(*(column.tolist() for column in columns), strict=True):
+                error.add_output(*tick)
 
 
-def _compose(sensing: Summary, display: Summary, tracking_error: TrackingError) -> Summary:
+def _compose(sensing: Summary, display: Summary, errors: list[TrackingError]) -> Summary:
     """Return the display's summary with the errors against the true force.
 
     Raises ProcessError where the two nodes' sample counts differ.
@@ -273,9 +282,8 @@ def _compose(sensing: Summary, display: Summary, tracking_error: TrackingError) 
         reason = f"the sensing node sent {sent} samples, the display accounts for {accounted}"
         raise ProcessError(reason)
     return replace(
-        tracking_error.scored(display),
+        scored(display, errors, windows=True),
         rejected=dict(Counter(display.rejected) + Counter(sensing.rejected)),
         limited=replace(display.limited, adc=sensing.limited.adc),
-        windows=tracking_error.windows,
         faults=display.faults + [f"{SENSING_NOTE}{note}" for note in sensing.faults],
     )

@@ -86,7 +86,7 @@ def run(
     Exit status: 0 when it has ended or was stopped by q, 2 when it cannot be run or a fault ends
     it; the reason is one line on stderr.
     """
-    from display_node.node import start_bench
+    from display_node.node import start_benches
     from telepulse.experiment.log import open_log, read_log
     from telepulse.experiment.report import build_report
     from telepulse.experiment.session import load_plan
@@ -104,6 +104,11 @@ def run(
         asked = parse_realtime(realtime)
         check_strict(asked)
         plan = load_plan(session)
+        if plan.direct.display.contactor:
+            raise SceneError(
+                f"{plan.direct.path}: [display] contactor: an experiment presses one contactor;"
+                " give it a scene without this table"
+            )
         if observer is None and not without_drive and plan.direct.display.drive is None:
             raise SceneError(
                 f"{plan.direct.path}: has no [display.drive], so nobody would feel anything:"
@@ -124,8 +129,8 @@ def run(
                     raise SystemExit(1)
             freeze_objects()
             # Started last: everything that can fail without the drive fails before it moves.
-            bench = start_bench(scene.display, scene.path.parent)
-            hardware = stack.enter_context(bench)
+            benches = start_benches(scene.display, scene.path.parent)
+            (hardware,) = stack.enter_context(benches)
             if hardware is not None:
                 person.use(hardware)
             stop_on_signals(person.stop)

@@ -138,10 +138,10 @@ class GatedSafety(Safety):
     is_open = False
     stale_ticks = 0
 
-    def bound(self, reference_n: list[float], alive: bool) -> list[float]:
-        """Return the reference within force and slew limits; towards 0 N while closed."""
+    def advance(self, alive: bool) -> float:
+        """Return the gain of the next tick, which falls to 0 while the gate is closed."""
         self.stale_ticks += self.is_open and not alive
-        return super().bound(reference_n, alive and self.is_open)
+        return super().advance(alive and self.is_open)
 
 
 class IntervalPlayback:

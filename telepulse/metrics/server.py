@@ -242,8 +242,9 @@ class MetricsServer(Collector):
     def _take(self, view: TerminalView, age: StatusAge, topic: bytes, data: bytes) -> None:
         now_ns = time.monotonic_ns()
         if topic == TRACE:
-            trace = read_trace(data)
-            view.add_trace(trace)
+            traces = read_trace(data)
+            trace = traces[0]
+            view.add_trace(*traces)
             if len(trace.now_ns):
                 age.take_trace(int(trace.now_ns[-1]), now_ns)
         elif topic == STATUS:

@@ -11,6 +11,7 @@ from pydantic import TypeAdapter
 
 from display_node.control.scene import SafetyScene
 from display_node.scoring.beat_statistics import BeatStatistics
+from display_node.scoring.tracking_error import scored
 from protocol.counters import Availability
 from protocol.errors import SourceError
 from protocol.histogram import Histogram
@@ -94,7 +95,7 @@ class RunFindings:
             loop=Loop(self.ticks, self._misses),
             beats=self._beats.figures(),
         )
-        return self.forces.alignment.errors.scored(summary)
+        return scored(summary, [self.forces.alignment.errors])
 
     def take(self, entry: Entry) -> None:
         """Process a message of the recording, in the order of `in_tick_order`."""
@@ -171,7 +172,9 @@ class RunFindings:
 
     def _status(self, t_s: float, fields: dict[str, Any]) -> None:
         new, playing = _SUMMARY.validate_python(fields["summary"]), fields.get("playing")
-        if playing is not None:
+        if playing:
+            # A list since displays have several contactors.
+            playing = playing[0] if isinstance(playing, list) else playing
             self._stale_after_ns = int(playing["stale_after_ns"])
             channel, ratio = int(playing["channel"]), float(playing["force_ratio"])
             self.forces.alignment.set_playback(channel, ratio)

@@ -16,7 +16,7 @@ from typing import Final
 from display_node.display import Display
 from display_node.drives.hardware import Hardware
 from display_node.fault_advice import SENSING_NOTE
-from display_node.scoring.tracking_error import TrackingError
+from display_node.scoring.tracking_error import TrackingError, scored
 from protocol.run_summary import Summary
 from protocol.ticks import TickState
 from protocol.wire.messages import Bye, ControlMessage, Frame, encode_control, encode_frame
@@ -78,7 +78,7 @@ class Simulation:
     """One run of a scene in virtual time; the same scene and seed give the same summary.
 
     begin_ns: time of the display's clock at which the simulation starts. hardware: a real bench to
-    play on.
+    play on, for a display with one contactor.
 
     Raises SceneError for a force loop that is not stable. Raises SourceError for a source that
     cannot be built.
@@ -87,7 +87,7 @@ class Simulation:
     def __init__(
         self, scene: Scene, seed: int, begin_ns: int = 0, hardware: Hardware | None = None
     ) -> None:
-        self._scene, self._channel = scene, scene.display.channel
+        self._scene = scene
         self._source = build_source(scene.sensing, scene.path.parent)
         self._reference = ReferenceForce(scene.sensing, scene.path.parent)
         self._description = describe_stream(scene.sensing, self._source)
@@ -104,7 +104,14 @@ class Simulation:
         self.display = Display(scene.display, "simulated display", score=False)
         if hardware is not None:
             self.display.use(hardware)
-        self._tracking_error = TrackingError(scene.display.layer.layer().strain_per_newton)
+        self._scored = [
+            (
+                self._description.find(contactor.scene.channel),
+                contactor,
+                TrackingError(contactor.layer.strain_per_newton),
+            )
+            for contactor in self.display.contactors
+        ]
         self._down = MessageLink(scene.link, seed, begin_ns)
         self._up = MessageLink(scene.link, seed + 1, begin_ns)
         self._batch = self._description.batch
@@ -154,14 +161,17 @@ class Simulation:
         if state.scored and now_ns >= self._scored_from_ns:
             age_ns = self._film_age_ns
             true_now_ns = now_ns + SENSING_CLOCK_AHEAD_NS - age_ns
-            self._tracking_error.add_output(true_now_ns, state.instant_ns - age_ns, state.felt_n)
+            for _, contactor, error in self._scored:
+                error.add_output(true_now_ns, state.instant_ns - age_ns, contactor.state.felt_n)
         for message in self.display.requests(now_ns):
             self._send(self._up, now_ns, self._answer, message)
         return state
 
     def end(self) -> Summary:
         """Score the remaining ticks, and return the summary."""
-        self._tracking_error.finish()
+        errors = [error for _, _, error in self._scored]
+        for error in errors:
+            error.finish()
         display = self.display.summary()
         notes = faults_of(self._source) + self._check.faults()
         faults = display.faults + [f"{SENSING_NOTE}{note}" for note in notes]
@@ -170,16 +180,14 @@ class Simulation:
         if clock.offset_ms is not None:
             # The true offset is known: report the error of the estimate.
             clock = replace(clock, offset_ms=clock.offset_ms - SENSING_CLOCK_AHEAD_NS * 1e-6)
-        errors = self._tracking_error
         summary = replace(
             display,
             clock=clock,
             limited=limited,
             faults=faults,
-            windows=errors.windows,
             data_connections=self._paths.data_connections(),
         )
-        return errors.scored(summary)
+        return scored(summary, errors, windows=True)
 
     @property
     def newest_ns(self) -> int | None:
@@ -206,8 +214,10 @@ class Simulation:
         if block is not None:
             self._check.add(block.values)
             for frame in self._framer.frames(block):
-                samples = self._reference.of(frame).samples_of(self._channel)
-                self._tracking_error.add_reference(samples, self.display.force_ratio)
+                true_frame = self._reference.of(frame)
+                for channel, contactor, error in self._scored:
+                    samples = true_frame.samples_of(channel)
+                    error.add_reference(samples, contactor.force_ratio)
                 data = encode_frame(frame)
                 for path, arrival_ns in self._paths.arrivals_ns(now_ns, len(data)):
                     self._schedule(arrival_ns, partial(self._receive, path), data)

@@ -7,7 +7,7 @@ Unix time once, when a run begins, so that time differences stay exact.
 import math
 from base64 import b64decode, b64encode
 from collections import Counter, deque
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from typing import Any, NamedTuple
 
 from display_node.reception.playout import LATE_TARGET
@@ -139,21 +139,30 @@ class TelemetryDecoder:
             case _:  # what only displays send
                 yield self._entry(REFUSED, came | {"cause": "unexpected"})
 
-    def _ticks(self, trace: telemetry.Trace) -> Iterator[Entry]:
-        for values in zip(*(column.tolist() for column in trace), strict=True):
-            named = zip(telemetry.Trace._fields, values, strict=True)
-            # JSON has no NaN: fields without a value are left out.
-            fields = {name: value for name, value in named if not math.isnan(value)}
+    def _ticks(self, traces: list[telemetry.Trace]) -> Iterator[Entry]:
+        """Yield the ticks: fields of the first contactor, and of the others in `others`."""
+        for states in zip(
+            *(zip(*(c.tolist() for c in t), strict=True) for t in traces), strict=True
+        ):
+            fields, *others = (_known(telemetry.Trace._fields, state) for state in states)
+            if others:
+                keys = ("target_n", "felt_n", "predictor_error_n")
+                fields["others"] = [{k: f[k] for k in keys if k in f} for f in others]
             self._now_ns = fields["now_ns"]
             yield self._entry(TICK, fields)
 
     def _status(self, status: telemetry.Status) -> Iterator[Entry]:
-        playing = status.playing and status.playing._asdict()
+        playing = [each._asdict() for each in status.playing] or None
         yield self._entry(STATUS, without_none(status._asdict() | {"playing": playing}))
         yield from map(self.event, self._events.take(status.state, status.summary, self._now_ns))
         if status.final:
             self.ended = True
             yield self.event(Event("INFO", "end", "the display has ended"))
+
+
+def _known(names: Iterable[str], values: Iterable[float]) -> Fields:
+    """Return values by name; JSON has no NaN, so fields without a value are left out."""
+    return {name: x for name, x in zip(names, values, strict=True) if not math.isnan(x)}
 
 
 def _frame_fields(frame: wire.Frame) -> Fields:
@@ -190,7 +199,7 @@ class PassiveReceiver(Receiver):
 
     def __init__(self) -> None:
         # With more than one path, a frame that arrives twice is a copy and not a refusal.
-        super().__init__("listener", 0, LATE_TARGET, paths=2)
+        super().__init__("listener", [0], LATE_TARGET, paths=2)
         # Each reply is accepted once, as in the display.
         self._requests_ns: deque[int] = deque(maxlen=MAX_OPEN_REQUESTS)
 

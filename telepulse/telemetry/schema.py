@@ -75,6 +75,10 @@ SCHEMAS: dict[str, tuple[str, Schema]] = {
             scored=BOOLEAN,
             predictor_error_n=NUMBER,
             trusted=BOOLEAN,
+            others={
+                "type": "array",
+                "items": _object(**_each(NUMBER, "target_n", "felt_n", "predictor_error_n")),
+            },
         ),
     ),
     STATUS: (
@@ -83,7 +87,7 @@ SCHEMAS: dict[str, tuple[str, Schema]] = {
             **_each(STRING, "state", "stream"),
             final=BOOLEAN,
             **_each(INTEGER, "session", "displays"),
-            playing=_of(PlaybackStatus),
+            playing=_of(list[PlaybackStatus]),
             summary=_of(Summary),
         ),
     ),

@@ -222,7 +222,7 @@ class LiveState:
         clock = self.summary["clock"]
         if "offset_ms" in clock:
             self._offset_ns = round(clock["offset_ms"] * MS)
-        self.playing = fields.get("playing", self.playing)
+        self.playing = fields.get("playing", [self.playing])[0]
         self._samples.append(self.summary["samples"])
         self.statuses.add(
             max(self.now_ns, entry.t_ns),

@@ -42,7 +42,7 @@ class FeltForce:
                 if socket.poll(POLL_MS):
                     topic, data = socket.recv_multipart()
                     if topic == TRACE:
-                        self._traces.append(read_trace(data))
+                        self._traces.append(read_trace(data)[0])
                     elif topic == STATUS:
                         self.status = read_status(data)
 

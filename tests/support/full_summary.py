@@ -12,7 +12,8 @@ from protocol.run_summary import Summary
 
 def full_summary() -> Summary:
     """Return a summary without a null, each number in it another."""
-    return TypeAdapter(Summary).validate_python(_values(Summary, count(101)))
+    values = _values(Summary, count(101))
+    return TypeAdapter(Summary).validate_python(values)
 
 
 def _values(kind: Any, numbers: "count[int]") -> Any:
@@ -27,5 +28,7 @@ def _values(kind: Any, numbers: "count[int]") -> Any:
         str | None: lambda: f"text {next(numbers)}",
         list[str]: lambda: [f"word {next(numbers)}"],
         list[ErrorWindow]: lambda: [_values(ErrorWindow, numbers)],
+        # Of an only contactor, whose figures are those at the top level.
+        dict[str, Summary]: dict,
         dict[str, int]: lambda: {f"name {next(numbers)}": next(numbers)},
     }[kind]()

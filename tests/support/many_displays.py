@@ -28,7 +28,7 @@ class Listener:
         control = sockets.control_address(address)
         self.control = sockets.connect(context, zmq.DEALER, control)
         self.data = sockets.connect(context, zmq.SUB, address)
-        self.receiver = Receiver(name, channel=0, late_target=0.01)
+        self.receiver = Receiver(name, channels=[0], late_target=0.01)
         self._subscribed = False
 
     def poll(self, now_ns: int) -> None:

@@ -59,13 +59,14 @@ class SimulatedDisplay:
         )
         fields = without_none(whole.to_dict() | changes)
         playing = {
+            "contactor": "finger",
             "channel": 0,
             "force_ratio": WRIST.strain_per_newton / FINGER.strain_per_newton,
             "strain_per_newton": FINGER.strain_per_newton,
             "predictor": "ensemble",
             "stale_after_ns": 60 * MS,
         }
-        display = {"state": state, "stream": "sine", "final": final, "playing": playing}
+        display = {"state": state, "stream": "sine", "final": final, "playing": [playing]}
         self.take(STATUS, self.at_ns, **display, summary=fields)
 
     def frame(self, **changes: Any) -> None:

@@ -8,7 +8,7 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from display_node.control.safety import Safety
+from display_node.control.safety import ForceBounds, Safety
 from display_node.plant.scene import StepperScene
 from display_node.scene import DisplayScene
 
@@ -28,10 +28,10 @@ def felt_under(
     actual: the simulated stepper, if it differs from the scene's.
     """
     loop = scene.force_loop(actual)
-    safety = Safety(scene.safety, scene.tick_ns)
+    safety, bounds = Safety(scene.safety, scene.tick_ns), ForceBounds(scene.safety, scene.tick_ns)
     felt_n = []
     for force_n in requested_n:
-        target_n = safety.bound([force_n] * (loop.horizon + 1), alive=True)
+        target_n = bounds.bound([force_n] * (loop.horizon + 1), safety.advance(alive=True))
         felt_n.append(loop.tick(target_n, loop.read_film()))
     return np.array(felt_n)
 
@@ -83,7 +83,7 @@ def press(scene: DisplayScene, host: Host, seconds: float) -> tuple[float, float
     """
     tick_s = scene.tick_ns * 1e-9
     loop = scene.force_loop()
-    safety = Safety(scene.safety, scene.tick_ns)
+    safety, bounds = Safety(scene.safety, scene.tick_ns), ForceBounds(scene.safety, scene.tick_ns)
     rng = random.Random(7)
     now_s, most_n, squares, ticks = 0.0, 0.0, 0.0, 0
     while now_s < seconds:
@@ -96,7 +96,8 @@ def press(scene: DisplayScene, host: Host, seconds: float) -> tuple[float, float
         if safety.gain == 1.0:
             squares, ticks = squares + (loop.felt_n - beat_n(now_s)) ** 2, ticks + 1
         reading_n = loop.read_film()
-        most_n = max(most_n, loop.tick(safety.bound(wanted_n, alive=True), reading_n))
+        bounded_n = bounds.bound(wanted_n, safety.advance(alive=True))
+        most_n = max(most_n, loop.tick(bounded_n, reading_n))
         now_s += tick_s
     return most_n, math.sqrt(squares / ticks)
 

@@ -36,7 +36,7 @@ BATCH = 5
 QUEUE = 100
 WALL_NS = 1_700_000_000_000_000_000
 NOW_NS = 50_000_000_000
-PLAYING = PlaybackStatus(0, 1.0, -4.8e-6, "linear", 60_000_000)
+PLAYING = PlaybackStatus("finger", 0, 1.0, -4.8e-6, "linear", 60_000_000)
 WELCOME = encode_control(Welcome(SESSION, 0, description()))
 
 
@@ -152,7 +152,7 @@ class HandmadeTelemetry:
 
     def status(self, state: str, final: bool = False, **changes: object) -> list[Entry]:
         summary = Summary(**changes)  # type: ignore[arg-type]
-        message = pack_status(state, "pulse", summary, final, playing=PLAYING)
+        message = pack_status(state, "pulse", summary, final, playing=[PLAYING])
         self.capture.statuses_published += 1
         return self.decoder.decode(STATUS, message)
 

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from display_node.control.safety import Safety
+from display_node.control.safety import ForceBounds, Safety
 from display_node.control.scene import SafetyScene
 from display_node.plant.scene import SecondOrderScene
 from display_node.scene import DisplayScene
@@ -172,14 +172,16 @@ class HardCase:
 
     def run(self) -> CaseRun:
         """Run the loop from rest as the display does, tick by tick. Raises SceneError."""
-        loop, safety = self.setup.force_loop(), Safety(SAFETY, self.setup.tick_ns)
+        loop, tick_ns = self.setup.force_loop(), self.setup.tick_ns
+        safety, bounds = Safety(SAFETY, tick_ns), ForceBounds(SAFETY, tick_ns)
         reach, felt_n = range(loop.horizon + 1), []
         for tick in range(self.ticks):
             wanted_n = [self.reference(tick + ahead) for ahead in reach]
             reading_n = self.reading(tick, loop.read_film())
             if self.with_safety:
-                safety.watch(reading_n)
-                wanted_n = safety.bound(wanted_n, alive=True)
+                if (fault := bounds.reading_fault(reading_n)) is not None:
+                    safety.fault(fault)
+                wanted_n = bounds.bound(wanted_n, safety.advance(alive=True))
             felt_n.append(loop.tick(wanted_n, reading_n))
         return CaseRun(np.array(felt_n), tuple(safety.faults))
 

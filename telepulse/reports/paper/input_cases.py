@@ -141,7 +141,7 @@ def _streamed(name: str, strange_n: float, layer: ElasticLayer) -> CaseResult:
     refused = display.receiver.rejected["not_finite"]
     counts = f"{refused} of {strange_frames} strange frames refused"
     figure = f"{counts}, felt at most {force_text(max(felt_n))}"
-    ratio, limit_n = display.force_ratio, SAFETY.force_limit_n
+    ratio, limit_n = display.contactors[0].force_ratio, SAFETY.force_limit_n
     verdict, reason = CaseVerdict.STABLE, "Safety bounds force and slew of the buffer's output"
     if not (0 < ratio < math.inf and np.isfinite(felt_n).all()):
         verdict = CaseVerdict.WRONG

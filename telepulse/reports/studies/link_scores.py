@@ -28,7 +28,7 @@ from display_node.scoring.tracking_error import JND
 from protocol.config.scene_file import find_scene
 from protocol.tactile import matching_force_ratio
 from protocol.ticks import TickState
-from sensing_node.scene import build_source
+from sensing_node.scene import build_source, describe_stream
 from telepulse.reports.studies.prediction_pulses import RATE_HZ, SCORED_FROM_S, Pulse, pulses
 from telepulse.reports.studies.sweep import in_one_thread, sweep
 from telepulse.scene import load_scene
@@ -245,9 +245,10 @@ def run_link(case: LinkCase, effort: LinkEffort) -> LinkResult:
     samples, errors, horizon_ns = summary.samples, summary.force_rmse_n, np.array(horizons_ns)
     # The force that should be felt in the scored time.
     sensed = build_source(scene.sensing, scene.path.parent)
+    channel = describe_stream(scene.sensing, sensed).find(scene.display.channel)
     rate_hz = 1e9 / sensed.period_ns
     sensed.take(round(effort.settle_seconds * rate_hz))
-    wrist_n = sensed.take(round(effort.seconds * rate_hz))[:, scene.display.channel]
+    wrist_n = sensed.take(round(effort.seconds * rate_hz))[:, channel]
     pulse_n = wrist_n * matching_force_ratio(
         scene.sensing.layer.layer(), scene.display.layer.layer()
     )

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from display_node.control import feed_forward
 from display_node.control.force_loop import ForceLoop
-from display_node.control.safety import Safety
+from display_node.control.safety import ForceBounds, Safety
 from display_node.plant.scene import StepperScene
 from display_node.scene import DisplayScene
 from protocol.config.scene import load_section
@@ -219,8 +219,9 @@ def test_a_shaped_path_adds_less_than_a_tenth_to_the_error(
 def test_a_stale_stream_leaves_no_force_of_a_shaped_path_after_100_ms() -> None:
     scene = display_scene("real_bench")
     loop, safety = scene.force_loop(), Safety(scene.safety, scene.tick_ns)
+    bounds = ForceBounds(scene.safety, scene.tick_ns)
     for tick in range(1100):
-        bounded_n = safety.bound([2.5] * (loop.horizon + 1), alive=tick < 1000)
+        bounded_n = bounds.bound([2.5] * (loop.horizon + 1), safety.advance(alive=tick < 1000))
         felt_n = loop.tick(bounded_n, loop.read_film())
         if tick == 999:
             assert felt_n > 2.4

@@ -77,7 +77,7 @@ def test_a_bad_prediction_is_late_samples_felt_corrections_and_an_alert() -> Non
 def test_telemetry_has_the_expected_error_of_the_predictor(predictor: PredictorName) -> None:
     under_test, writer = display(predictor=predictor, compensation_ns=0), TraceWriter()
     play(under_test, Sender(), 0, 4_000)
-    traces = [writer.add(under_test.tick_state) for _ in range(TRACE_TICKS)]
+    traces = [writer.add(under_test.states[0]) for _ in range(TRACE_TICKS)]
     expected_n = read_trace(traces[-1] or b"").predictor_error_n
     if predictor == "hold":
         assert all(map(math.isnan, expected_n))
@@ -88,13 +88,13 @@ def test_telemetry_has_the_expected_error_of_the_predictor(predictor: PredictorN
 def test_received_samples_and_a_new_session_have_no_expected_error() -> None:
     buffered = display(predictor="stack", compensation_ns=40_000_000)
     play(buffered, Sender(), 0, 4_000)
-    assert math.isnan(buffered.tick_state.predictor_error_n)
+    assert math.isnan(buffered.states[0].predictor_error_n)
     under_test = display(predictor="stack", compensation_ns=0)
     play(under_test, Sender(session=7), 0, 4_000)
-    assert under_test.tick_state.predictor_error_n > 0
+    assert under_test.states[0].predictor_error_n > 0
     play(under_test, Sender(session=8), 4_000, 6_000)
     assert under_test.receiver.sessions == 2
-    assert math.isnan(under_test.tick_state.predictor_error_n)
+    assert math.isnan(under_test.states[0].predictor_error_n)
 
 
 def test_samples_of_a_stale_stream_are_late_however_far_prediction_was_trusted_before() -> None:

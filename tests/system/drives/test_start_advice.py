@@ -18,7 +18,7 @@ from typer.testing import CliRunner
 from display_node.cli import app
 from display_node.drives.tmcl.line import TmclLine
 from display_node.fault_advice import OTHERWISE, START_ADVICE, advised, start_advice
-from display_node.node import DisplayNode, start_bench
+from display_node.node import DisplayNode, start_benches
 from display_node.scene import DisplayScene
 from protocol.config.scene import load_section
 from protocol.errors import DriveError, SceneError
@@ -157,11 +157,11 @@ def test_a_drive_without_a_film_needs_an_option(bench_scene: DisplayScene) -> No
     blind = bench_scene.model_copy(update={"feedback": None})
     with (
         pytest.raises(SceneError, match=r"\[display\.feedback\] is missing.*--without-film"),
-        start_bench(blind, SCENES),
+        start_benches(blind, SCENES),
     ):
         pass
     with (
         pytest.raises(DriveError, match="cannot be opened"),
-        start_bench(blind, SCENES, without_film=True),
+        start_benches(blind, SCENES, without_film=True),
     ):
         pass

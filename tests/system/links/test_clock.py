@@ -64,7 +64,7 @@ def test_offset_within_1_ms_after_5_s_though_the_clock_is_200_ppm_fast() -> None
 def follow(control: sockets.Socket, data: sockets.Socket) -> tuple[Receiver, list[tuple[int, int]]]:
     """Return a receiver after 8 s; from the fifth on, local times and its estimates of the remote
     ones."""
-    receiver = Receiver("clock", channel=0, late_target=0.01)
+    receiver = Receiver("clock", channels=[0], late_target=0.01)
     began_ns: int | None = None
     seen: list[tuple[int, int]] = []
     while began_ns is None or time.monotonic_ns() < began_ns + FOLLOWED_S * 1e9:

@@ -43,7 +43,7 @@ def test_strains_are_equal_although_the_layers_differ() -> None:
     felt = run(under_test, Sender(stream=description(layer=thick)), 0, 2000, force_n=0.2)
     local = ElasticLayer()
     assert local.strain(felt[-1]) == pytest.approx(thick.strain(0.2), rel=2e-3)
-    assert under_test.force_ratio == pytest.approx((0.05 * 2) / (0.02 * 3))
+    assert under_test.contactors[0].force_ratio == pytest.approx((0.05 * 2) / (0.02 * 3))
 
 
 def test_a_cut_link_brings_the_actuator_to_rest_and_its_return_ramps() -> None:
@@ -152,7 +152,7 @@ def test_without_compensation_missing_samples_are_predicted() -> None:
             ramp = 0.3 + 0.1 * (t_ns - 1000 * MS) * 1e-9
             under_test.on_frame(sender.frame_of(ms * MS, ramp.tolist()), ms * MS)
     # Samples are up to 5 ms old; the force of a straight ramp is that of the present instant.
-    assert under_test.tick_state.target_n == pytest.approx(0.3 + 0.1 * 0.999, abs=1e-4)
+    assert under_test.states[0].target_n == pytest.approx(0.3 + 0.1 * 0.999, abs=1e-4)
     assert (under_test.summary().samples.late or 0) > 900
 
 

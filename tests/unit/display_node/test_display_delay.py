@@ -48,8 +48,7 @@ def test_the_felt_pulse_is_e_old_whatever_the_group_delay(
     if compensation_ns is not None:
         assert felt[-1][1] == pytest.approx(40, abs=0.01)
     # The display's own errors include the chain's delay.
-    assert under_test.tracking_error is not None
-    under_test.tracking_error.finish()
+    under_test.tracking_errors[0].finish()
     summary = under_test.summary()
     assert summary.force_rmse_n.aligned == pytest.approx(0.2e-3, abs=0.2e-3)
     assert summary.samples.late == 0

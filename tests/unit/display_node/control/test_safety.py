@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from display_node.control.safety import Safety
+from display_node.control.safety import ForceBounds, Safety
 from display_node.control.scene import SafetyScene
 
 TICK_NS = 1_000_000
@@ -14,11 +14,27 @@ SLEW_N = 0.05
 ROUNDING_N = 1e-12
 
 
-def safety(tick_ns: int = TICK_NS, **table: object) -> Safety:
-    return Safety(SafetyScene.model_validate(table), tick_ns)
+class OneContactor(Safety):
+    """The safety of a display with one contactor, whose bounds it applies."""
+
+    def __init__(self, scene: SafetyScene, tick_ns: int) -> None:
+        super().__init__(scene, tick_ns)
+        self.bounds = ForceBounds(scene, tick_ns)
+
+    def bound(self, reference_n: list[float], alive: bool) -> list[float]:
+        return self.bounds.bound(reference_n, self.advance(alive))
+
+    def watch(self, feedback_n: float) -> None:
+        fault = self.bounds.reading_fault(feedback_n)
+        if fault is not None:
+            self.fault(fault)
 
 
-def at_full_strength() -> Safety:
+def safety(tick_ns: int = TICK_NS, **table: object) -> OneContactor:
+    return OneContactor(SafetyScene.model_validate(table), tick_ns)
+
+
+def at_full_strength() -> OneContactor:
     """Return a safety at 0 N after its ramp."""
     ready = safety()
     while ready.gain < 1.0:
@@ -26,7 +42,7 @@ def at_full_strength() -> Safety:
     return ready
 
 
-def ticked(under_test: Safety, force_n: float, ticks: int, alive: bool = True) -> list[float]:
+def ticked(under_test: OneContactor, force_n: float, ticks: int, alive: bool = True) -> list[float]:
     return [under_test.bound([force_n, force_n], alive)[0] for _ in range(ticks)]
 
 
@@ -144,10 +160,10 @@ def test_a_fault_keeps_the_target_at_zero() -> None:
     assert max(ticked(under_test, 1.0, 2000)) == 0.0
 
 
-def counted(under_test: Safety) -> dict[str, tuple[int, int]]:
+def counted(under_test: OneContactor) -> dict[str, tuple[int, int]]:
     """Return times and ticks of each bound that was in effect."""
     names = ("at_force_limit", "below_zero", "at_slew_limit")
-    counters = {name: getattr(under_test, name) for name in names}
+    counters = {name: getattr(under_test.bounds, name) for name in names}
     return {name: (c.times, c.ticks) for name, c in counters.items() if c.times}
 
 

@@ -83,8 +83,7 @@ def test_ticks_in_which_the_drive_is_slowed_at_its_end_are_counted(pulse_n: Puls
 
 def rmse_n(bench: VirtualBench) -> float:
     """Return the display's own aligned force error."""
-    assert bench.display.tracking_error is not None
-    bench.display.tracking_error.finish()
+    bench.display.tracking_errors[0].finish()
     summary = bench.display.summary()
     assert summary.faults == []
     assert summary.force_rmse_n.aligned is not None

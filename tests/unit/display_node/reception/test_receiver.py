@@ -25,13 +25,13 @@ from tests.support.streams import description
 
 def joined(sender: Sender, paths: int = 1, channel: int = 0) -> Receiver:
     """Return a receiver that has the stream's description and its clock, at 100 ms."""
-    receiver = Receiver("test", channel, late_target=0.01, paths=paths)
+    receiver = Receiver("test", [channel], late_target=0.01, paths=paths)
     sender.serve(receiver, 0, until_ms=101)
     return receiver
 
 
 def test_hello_is_repeated_until_the_welcome_and_frames_before_the_clock_are_refused() -> None:
-    receiver, sender = Receiver("test", 0, 0.01), Sender()
+    receiver, sender = Receiver("test", [0], 0.01), Sender()
     asked = [ns for ns in range(0, 2000 * MS, MS) if receiver.requests(ns)]
     assert len(asked) == 8
     receiver.on_control(encode_control(Welcome(7, 0, sender.stream)), 2000 * MS)
@@ -272,11 +272,13 @@ def test_bye_is_returned_once_the_stream_is_complete(order: str) -> None:
     assert sent == [Bye(7, sender.sent)]
 
 
-def test_a_channel_that_the_stream_does_not_have_is_a_mismatch() -> None:
-    sender = Sender(stream=description(channels=(Channel("a"), Channel("b"))))
-    receiver = joined(sender, channel=2)
-    receiver.on_frame(sender.frame(110 * MS, 0.3), 110 * MS)
-    assert receiver.rejected == {"mismatch": 1}
+@pytest.mark.parametrize("channel", [2, "c"])
+def test_a_stream_without_a_wanted_channel_is_refused(channel: int | str) -> None:
+    welcome = Welcome(7, 0, description(channels=(Channel("a"), Channel("b"))))
+    receiver = Receiver("test", [0, channel], 0.01)
+    receiver.on_control(encode_control(welcome), 0)
+    assert receiver.rejected == {"channel": 1}
+    assert receiver.description is None
 
 
 def test_the_samples_of_the_channel_are_buffered_and_returned() -> None:
@@ -285,8 +287,8 @@ def test_the_samples_of_the_channel_are_buffered_and_returned() -> None:
     values = np.array([[1, 10], [2, 20], [3, 30]], "<f4")
     frame = Frame(sender.session, 0, 110 * MS + AHEAD_NS, MS, values)
     samples = receiver.on_frame(encode_frame(frame), 113 * MS)
-    assert samples == frame.samples_of(1)
-    assert samples.forces_n == [10, 20, 30]
+    assert samples == [frame.samples_of(1)]
+    assert samples[0].forces_n == [10, 20, 30]
     receiver.buffer.advance(frame.t_first_ns)
     assert receiver.buffer.known(MS, 3) == [10, 20, 30]
 

@@ -212,8 +212,8 @@ def test_the_heart_rate_is_of_the_last_seconds_at_full_strength() -> None:
 def test_unreadable_telemetry_is_counted_and_shown() -> None:
     under_test = TerminalView()
     for message in ((TRACE, b"?"), (STATUS, b"?"), (STATUS,), (STATUS, FINAL, b"")):
-        assert under_test.take(message) is None
-    assert under_test.take((STATUS, FINAL)) is None
+        assert under_test.take(message) == []
+    assert under_test.take((STATUS, FINAL)) == []
     assert "telemetry not readable" in printed(under_test)
     assert under_test.unreadable == 4
 

@@ -125,7 +125,10 @@ def test_a_sensing_nodes_status_is_decoded_as_it_was_encoded() -> None:
 
 
 def test_a_displays_status_has_its_playback() -> None:
-    playing = PlaybackStatus(1, 0.5, -4.8e-6, "stack", 60_000_000)
+    playing = [
+        PlaybackStatus("cun", 1, 0.5, -4.8e-6, "stack", 60_000_000),
+        PlaybackStatus("chi", 0, 1.0, -4.8e-6, "stack", 60_000_000),
+    ]
     status = read_status(pack_status("playing", "pulse", SUMMARY, False, 7, playing=playing))
     assert status.playing == playing
 
@@ -133,9 +136,11 @@ def test_a_displays_status_has_its_playback() -> None:
 @pytest.mark.parametrize(
     "more",
     [
-        [1], [1, 2], [1, 2, 3], ["1", 2, None], [1, 2.0, None], [True, 1, None], [{}, [], None],
-        [1, 2, [0, 1.0, -1.0, "stack"]], [1, 2, [0, 1.0, -1.0, 5, 60]],
-        [1, 2, [0, float("nan"), -1.0, "stack", 60]], [1, 2, {"channel": 0}],
+        [1], [1, 2], [1, 2, 3], ["1", 2, []], [1, 2.0, []], [True, 1, []], [{}, [], []],
+        [1, 2, None], [1, 2, ["a", 0, 1.0, -1.0, "stack", 60]],
+        [1, 2, [["a", 0, 1.0, -1.0, "stack"]]], [1, 2, [["a", 0, 1.0, -1.0, 5, 60]]],
+        [1, 2, [["a\n", 0, 1.0, -1.0, "stack", 60]]], [1, 2, [["", 0, 1.0, -1.0, "stack", 60]]],
+        [1, 2, [["a", 0, float("nan"), -1.0, "stack", 60]]], [1, 2, [{"channel": 0}]],
     ],
 )  # fmt: skip
 def test_an_invalid_status_is_refused(more: list[object]) -> None:

@@ -29,7 +29,7 @@ def forces(
     """Play an interval; return time and felt force of each tick, and the interval's record."""
     playing, now_ns, felt = IntervalPlayback(interval, 0), 0, []
     while playing.tick(now_ns):
-        felt.append((now_ns, playing.display.tick_state.felt_n))
+        felt.append((now_ns, playing.display.states[0].felt_n))
         now_ns += interval.scene.display.tick_ns
         if stop_ns is not None and now_ns >= stop_ns:
             playing.stop(stop_ns)

@@ -239,7 +239,7 @@ def test_a_played_channel_that_is_missing_is_one_line(
 ) -> None:
     def misplay(of: str, at: int, fields: dict[str, Any]) -> None:
         if "playing" in fields:
-            fields["playing"]["channel"] = 9
+            fields["playing"][0]["channel"] = 9
 
     change(good, path, misplay)
     with pytest.raises(SourceError, match="a message is not telepulse's"):

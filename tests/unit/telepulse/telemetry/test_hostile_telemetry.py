@@ -87,7 +87,7 @@ summaries = st.fixed_dictionaries(
         "faults": st.lists(words, max_size=2),
     },
 )
-played = st.builds(PlaybackStatus, st.integers(-1, 70), awkward, awkward, words, times_ns)
+played = st.builds(PlaybackStatus, words, st.integers(-1, 70), awkward, awkward, words, times_ns)
 statuses = st.builds(
     lambda state, playing, changes: status_message(state, playing, **changes),
     *(words, st.just(PLAYING) | played, summaries),

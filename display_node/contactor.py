@@ -1,0 +1,272 @@
+"""One contactor of a display: a channel of the stream, played on one actuator. Pure.
+
+The display decides which instant is played, for all contactors; each contactor predicts what has
+not arrived of its channel, scales it to its finger and runs its own force loop.
+"""
+
+import math
+
+from display_node.control.safety import ForceBounds, Safety
+from display_node.drives.hardware import Hardware
+from display_node.drives.withdrawal import FingerState, describe_finger
+from display_node.plant.feedback import Feedback
+from display_node.plant.filters import delay_line
+from display_node.prediction.concealment import Concealment
+from display_node.reception.jitter_buffer import JitterBuffer
+from display_node.scene import DisplayScene
+from display_node.scoring.beat_statistics import BeatStatistics
+from display_node.scoring.prediction_score import PredictionScore
+from display_node.scoring.tracking_error import TrackingError
+from protocol.counters import Limits
+from protocol.run_summary import Summary
+from protocol.summary_tables import Compensation
+from protocol.tactile import matching_force_ratio
+from protocol.ticks import LimitCounter, TickState
+from protocol.wire.messages import ChannelSamples
+from protocol.wire.stream import StreamDescription
+from protocol.wire.telemetry import PlaybackStatus
+
+
+class Contactor:
+    """A contactor and the state of its channel.
+
+    Parameters
+    ----------
+    scene
+        The display's settings with those of this contactor.
+    score
+        Whether to compute the running errors of the felt force against the received one.
+    prefix
+        Text before the names of this contactor's faults.
+
+    Attributes
+    ----------
+    feedback
+        Readings of a real film, which replace those of the scene's models.
+    force_ratio
+        Force at the finger per force at the wrist that makes both strains equal.
+    lead_ns
+        Time by which the sample that is played is later than the played instant of the pulse: the
+        group delay of the sensing chain, and the lag of the actuator.
+    state
+        State of the last tick.
+    """
+
+    def __init__(self, scene: DisplayScene, score: bool, prefix: str = "") -> None:
+        self._prefix = prefix
+        self.scene, self.name = scene, scene.shown_name
+        self.feedback: Feedback | None = None
+        self.layer = scene.layer.layer()
+        self.state = TickState()
+        self.force_ratio = 1.0
+        self.lead_ns = 0
+        self.bounds = ForceBounds(scene.safety, scene.tick_ns)
+        self.loop = scene.force_loop()
+        self.tracking_error = TrackingError(self.layer.strain_per_newton) if score else None
+        self._hardware: Hardware | None = None
+        # Copies: attributes of a scene take longer to read.
+        self._tick_ns = scene.tick_ns
+        self._count = self.loop.horizon + 1
+        self._target = delay_line(self.loop.lead_ns / scene.tick_ns)
+        self._group_delay_ns = self._reach_ns = self._reserve_ns = 0
+        self._concealment = self._build_concealment()
+        self._prediction = PredictionScore(scene.tick_ns)
+        self._beats = BeatStatistics()
+        self._reference_n: list[float] = []
+        self._reading_n = 0.0
+
+    def _build_concealment(self) -> Concealment:
+        scene = self.scene
+        return Concealment(scene.predictor, scene.tick_ns, auto=scene.compensation_ns is None)
+
+    def use(self, hardware: Hardware) -> None:
+        """Play on a started real bench instead of the models. Call before the first tick."""
+        self._hardware, self.feedback = hardware, hardware.feedback
+
+    def begin(self, description: StreamDescription) -> None:
+        """Begin a session, whose samples, times and clock are unrelated to those before."""
+        self.force_ratio = matching_force_ratio(description.layer, self.layer)
+        self._group_delay_ns = description.group_delay_ns
+        self.lead_ns = description.group_delay_ns + self.loop.lead_ns
+        self._reach_ns = self.lead_ns + self.loop.horizon * self._tick_ns
+        # "auto" adds this delay for the loop: up to the sample after the end of its horizon.
+        self._reserve_ns = self._reach_ns + description.period_ns
+        self._concealment = self._build_concealment()
+        self._prediction.restart()
+        self._beats.restart()
+
+    def observe(self, samples: ChannelSamples) -> None:
+        """Take new samples of the channel."""
+        concealment = self._concealment
+        concealment.observe(samples)
+        self._beats.observe(samples)
+        self._prediction.add_reference(samples, self.force_ratio, concealment.height_n)
+        if self.tracking_error is not None:
+            self.tracking_error.add_reference(samples, self.force_ratio, self._group_delay_ns)
+
+    @property
+    def trusted(self) -> bool:
+        """True while the predictor's error is small enough to reduce the perceived delay."""
+        return bool(self._concealment.trusted)
+
+    @property
+    def may_trust(self) -> bool:
+        """True where the predictor's error can reduce the perceived delay."""
+        return self._concealment.trusted is not None
+
+    def delay_ns(self, now_ns: int, delay_ns: int, age_ns: int) -> int:
+        """Return the perceived delay E for "auto" that this contactor requires, once a tick.
+
+        Parameters
+        ----------
+        delay_ns
+            Delay of the link.
+        age_ns
+            Age of the newest sample that has arrived.
+        """
+        reach_ns = self._reach_ns
+        return self._concealment.delay_ns(now_ns, delay_ns + self._reserve_ns, age_ns + reach_ns)
+
+    def follow(self, now_ns: int, elapsed_ticks: int, safety: Safety) -> None:
+        """Follow the drive of a real bench since the last tick, and latch its fault."""
+        hardware, loop = self._hardware, self.loop
+        if hardware is None:
+            return
+        fault = hardware.read() or hardware.overrun(elapsed_ticks)
+        if fault is not None and not safety.faults:
+            safety.fault(self._prefix + fault)
+        loop.shift(hardware.deviation_m(now_ns, loop.output, elapsed_ticks))
+
+    def rest(self, now_ns: int) -> None:
+        """Request no force in this tick, since no stream is played."""
+        self._reference_n = [0.0] * self._count
+        state = self.state
+        state.now_ns, state.predictor_error_n, state.trusted = now_ns, math.nan, False
+
+    def play(
+        self, buffer: JitterBuffer, place: int, newest_ns: int, full: bool | None
+    ) -> int | None:
+        """Compute the reference of this tick for the state's instant of the pulse.
+
+        Parameters
+        ----------
+        place
+            Place of the channel in the buffer.
+        newest_ns
+            Time of the newest sample.
+        full
+            Whether the pulse is felt at full strength; None where the stream is stale.
+
+        Returns
+        -------
+        int or None
+            The time in ns over which the force was predicted, 0 for a received one; None before
+            the first sample, where no force is requested.
+        """
+        concealment, count, state = self._concealment, self._count, self.state
+        sampled_ns = state.instant_ns + self.lead_ns
+        wrist_n = buffer.known(self._tick_ns, count, place, sampled_ns)
+        concealment.work()
+        if not wrist_n and sampled_ns < newest_ns:
+            self._reference_n, state.predictor_error_n = [0.0] * count, math.nan
+            return None
+        ratio, predicted_ns, expected_n = self.force_ratio, 0, math.nan
+        if not wrist_n:
+            predicted_ns = sampled_ns - newest_ns
+            error_n = concealment.error_n(predicted_ns)
+            expected_n = math.nan if error_n is None else ratio * error_n
+        state.predictor_error_n = expected_n
+        wrist_n = concealment.complete(wrist_n, count, sampled_ns, newest_ns)
+        if full is not None and concealment.acts:
+            self._prediction.add_output(
+                sampled_ns, wrist_n[0], concealment.offset_n, concealment.height_n, full
+            )
+        self._reference_n = [ratio * force_n for force_n in wrist_n]
+        return predicted_ns
+
+    def read(self, now_ns: int, elapsed_ticks: int, safety: Safety) -> None:
+        """Read the film under the finger, and latch a fault of it."""
+        loop, feedback, state = self.loop, self.feedback, self.state
+        if elapsed_ticks > 1:
+            loop.coast(elapsed_ticks - 1)
+        if feedback is None:
+            state.felt_n, self._reading_n = loop.felt_n, loop.read_film()
+            fault = self.bounds.reading_fault(self._reading_n)
+        else:
+            state.felt_n = self._reading_n = feedback.read(now_ns)
+            fault = feedback.silent_fault(now_ns) or self.bounds.reading_fault(self._reading_n)
+            if fault is None and not safety.faults:
+                fault = feedback.late_fault
+        if fault is not None:
+            safety.fault(self._prefix + fault)
+
+    def tick(self, gain: float, alive: bool, faults: list[str]) -> str | None:
+        """Advance the force loop by one tick; return the fault of the withdrawal, or None.
+
+        On a real bench, the drive receives the controller's output, or after a fault the command to
+        withdraw.
+        """
+        loop, state = self.loop, self.state
+        reference_n = self.bounds.bound(self._reference_n, gain)
+        loop.tick(reference_n, self._reading_n)
+        target_n = reference_n[0]
+        state.target_n = target_n if self._target is None else self._target.step(target_n)
+        state.scored = alive and gain == 1.0
+        if state.scored and self.tracking_error is not None:
+            # Age of a reading of a real film.
+            age_ns = self.scene.film.latency_ns if self.feedback is not None else 0
+            self.tracking_error.add_output(
+                state.sensing_now_ns - age_ns, state.instant_ns - age_ns, state.felt_n
+            )
+        if self._hardware is None:
+            return None
+        fault = self._hardware.command(loop.output, faults)
+        return None if fault is None else self._prefix + fault
+
+    def playback(self, channel: int) -> PlaybackStatus:
+        """Return which channel is played, and how."""
+        scene = self.scene
+        return PlaybackStatus(
+            self.name,
+            channel,
+            self.force_ratio,
+            self.layer.strain_per_newton,
+            scene.predictor,
+            scene.safety.stale_after_ns,
+        )
+
+    def summary(self, ticks: int, played_s: float) -> Summary:
+        """Return this contactor's figures.
+
+        Parameters
+        ----------
+        ticks
+            Number of ticks that were run.
+        played_s
+            Time for which a pulse was played, in s.
+        """
+        finger = FingerState(self.state.felt_n, measured_by="model, no drive")
+        return Summary(
+            compensation=self._prediction.scored(Compensation(), played_s),
+            beats=self._beats.figures(),
+            limited=self._limits(ticks),
+            # On a real bench, `DisplayNode` adds the measured state.
+            finger=describe_finger(finger) if self.feedback is None else None,
+            finger_stiffness=self.loop.finger_stiffness,
+        )
+
+    def _limits(self, ticks: int) -> Limits:
+        """Return how often and how long each limit has held, in ticks that were run.
+
+        With a real film, limits of the modelled actuator and film do not apply.
+        """
+        bounds, loop, tick_s = self.bounds, self.loop, self._tick_ns * 1e-9
+        counters: dict[str, LimitCounter | None] = {
+            "force": bounds.at_force_limit,
+            "negative": bounds.below_zero,
+            "slew": bounds.at_slew_limit,
+        }
+        if self.feedback is None:
+            counters |= {"film": loop.at_film_range, "travel": loop.at_end}
+        held = {name: counter for name, counter in counters.items() if counter is not None}
+        return Limits(**{name: counter.limited(tick_s, ticks) for name, counter in held.items()})
