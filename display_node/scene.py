@@ -12,12 +12,12 @@ from display_node.drives.scene import DriveTable
 from display_node.plant.feedback import Feedback, RisingForce
 from display_node.plant.scene import FilmTable, SecondOrderScene, StepperScene
 from display_node.prediction import PredictorName
-from protocol.config.quantities import Nanoseconds, Ratio, parse_quantity
+from protocol.config.quantities import Name, Nanoseconds, Ratio, parse_quantity
 from protocol.config.scene import Section
 from protocol.config.scene_file import merge
 from protocol.errors import SceneError
 from protocol.wire.messages import MAX_CHANNELS
-from protocol.wire.stream import LayerTable, Name
+from protocol.wire.stream import LayerTable, first_repeated
 from pulse_sensors.sensor import Sensor, SensorScene
 
 MAX_COMPENSATION_NS = 10_000_000_000
@@ -103,10 +103,9 @@ class DisplayScene(ContactorScene):
     def _contactors_differ(self) -> Self:
         if self.contactor and self.model_fields_set & {"name", "channel"}:
             raise ValueError("name and channel belong to each [[display.contactor]]")
-        names = [each.shown_name for each in self.contactor]
-        for name in names:
-            if names.count(name) > 1:
-                raise ValueError(f"two contactors are called {name!r}; give each a name")
+        twice = first_repeated(each.shown_name for each in self.contactor)
+        if twice is not None:
+            raise ValueError(f"two contactors have the name {twice!r}; give each its own")
         return self
 
     @property

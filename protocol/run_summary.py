@@ -16,7 +16,7 @@ from rich.table import Table
 from rich.text import Text
 
 from protocol.beats import BeatFigures
-from protocol.config.quantities import count_text
+from protocol.config.quantities import Name, count_text
 from protocol.counters import (
     Availability,
     ErrorWindow,
@@ -63,7 +63,6 @@ from protocol.summary_tables import (
     Roughness,
     SampleCounts,
 )
-from protocol.wire.stream import Name
 
 # No figure is larger: clocks at most 292 years apart are 1e13 ms.
 LARGEST = 1e15

@@ -8,11 +8,11 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from protocol.config.quantities import Nanoseconds, count_text
+from protocol.config.quantities import Name, Nanoseconds, count_text
 from protocol.config.scene import Section
 from protocol.errors import SceneError
 from protocol.wire.messages import HEADER_BYTES, MAX_FRAME_BYTES
-from protocol.wire.stream import LayerTable, Name, StreamDescription
+from protocol.wire.stream import LayerTable, StreamDescription
 from pulse_sensors.force_scale import SensorTable
 from pulse_sensors.sensor import SensorScene, open_sensor
 from sensing_node.conditioning import Conditioned, ConditioningScene, faults_of

@@ -259,7 +259,7 @@ class Receiver:
                 self._received_ns = now_ns
                 self._unanswered_hellos = 0
                 if session != self.session:
-                    self.channels = [description.find(channel) for channel in self._wanted]
+                    self.channels = [description.find_force(name) for name in self._wanted]
                     # Samples, times and clock of two sessions are unrelated.
                     self._restart(JitterBuffer())
                     self.session, self.description = session, description

@@ -1,4 +1,4 @@
-"""Quantities as people write them ("40 ms", "0.3 N", "75 /min") read into SI numbers; counts.
+"""Quantities as people write them ("40 ms", "0.3 N", "75 /min") read into SI numbers; names.
 
 A scene file states the unit in the value, the code in the name: the key `delay = "40 ms"` becomes
 the field `delay_ns`.
@@ -8,7 +8,21 @@ import math
 import re
 from typing import Annotated
 
-from pydantic import BeforeValidator
+from pydantic import AfterValidator, BeforeValidator, Field
+
+MAX_NAME = 80
+
+
+def _printable(name: str) -> str:
+    if not name.isprintable():
+        raise ValueError("holds characters that a terminal cannot show")
+    return name
+
+
+Name = Annotated[
+    str, Field(strict=True, min_length=1, max_length=MAX_NAME), AfterValidator(_printable)
+]
+"""Name of a stream, a channel or a contactor, which is shown in terminals."""
 
 
 def count_text(count: int, singular: str, plural: str | None = None) -> str:

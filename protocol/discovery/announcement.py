@@ -11,9 +11,9 @@ from dataclasses import dataclass
 from ipaddress import IPv4Interface
 from typing import Self
 
+from protocol.config.quantities import MAX_NAME
 from protocol.errors import DiscoveryError, VersionError, WireError
 from protocol.wire.messages import VERSION
-from protocol.wire.stream import MAX_NAME
 
 SERVICE = "_telepulse._tcp.local."
 # Limits by RFC 6763 for an instance's name, and for a string in a TXT record.

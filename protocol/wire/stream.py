@@ -11,25 +11,15 @@ from typing import Annotated, Any, Literal, TypeVar
 from pydantic import AfterValidator, ConfigDict, Field, TypeAdapter, ValidationError
 from pydantic.dataclasses import dataclass
 
-from protocol.config.quantities import Metres, Pascals
+from protocol.config.quantities import Metres, Name, Pascals
 from protocol.config.scene import Section
 from protocol.errors import WireError
 from protocol.tactile import ElasticLayer
 
-MAX_NAME = 80
 NameT = TypeVar("NameT", str, int)
 _STRICT = ConfigDict(extra="forbid", allow_inf_nan=False)
 
 
-def _printable(name: str) -> str:
-    if not name.isprintable():
-        raise ValueError("holds characters that a terminal cannot show")
-    return name
-
-
-Name = Annotated[
-    str, Field(strict=True, min_length=1, max_length=MAX_NAME), AfterValidator(_printable)
-]
 ANNOUNCE = "announce"
 """Name of a channel that announces the beats, whatever its unit."""
 PULSE = "pulse"
@@ -115,6 +105,14 @@ class StreamDescription:
         if isinstance(channel, int) and channel < len(names):
             return channel
         raise WireError("channel", f"the stream has no channel {channel!r}; it has {names}")
+
+    def find_force(self, channel: int | str) -> int:
+        """Return the number of a channel that a contactor can play. Raises WireError as `find`."""
+        number = self.find(channel)
+        found = self.channels[number]
+        if found.unit != "N":
+            raise WireError("channel", f"channel {found.name!r} is in {found.unit}, no force in N")
+        return number
 
     def to_wire(self) -> dict[str, Any]:
         """Return the description as plain types for msgpack."""

@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from protocol.config.quantities import Hertz, Newtons
+from protocol.config.quantities import MAX_NAME, Hertz, Newtons
 from protocol.errors import SourceError
 from protocol.wire.messages import LARGEST_N
-from protocol.wire.stream import ANNOUNCE, MAX_NAME, PULSE, Channel, first_repeated
+from protocol.wire.stream import ANNOUNCE, PULSE, Channel, first_repeated
 from pulse_sensors.force_scale import FORCES, VOLTAGES, SensitivityTable
 from pulse_sensors.plausibility import RecordedColumn, constant_column, examine
 from sensing_node.sources.column_files import ColumnKey, load_columns

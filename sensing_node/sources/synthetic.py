@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from protocol.config.quantities import Hertz, Metres, MetresPerSecond, Newtons, Ratio
+from protocol.config.quantities import Hertz, Metres, MetresPerSecond, Name, Newtons, Ratio
 from protocol.config.scene import Section
-from protocol.wire.stream import ANNOUNCE, PULSE, Channel, Name, first_repeated
+from protocol.wire.stream import ANNOUNCE, PULSE, Channel, first_repeated
 from sensing_node.sources.heart import NOMINAL_BEAT_S, Heartbeat, SyntheticHeart
 
 

@@ -156,7 +156,7 @@ def run_demo(
     # The source is checked before the display starts, since a display may move a drive.
     with open_source(scene.sensing, path.parent) as source:
         stream = describe_stream(scene.sensing, source)
-        channels = [stream.find(contactor.channel) for contactor in scene.display.contactors]
+        channels = [stream.find_force(contactor.channel) for contactor in scene.display.contactors]
     sensing_address, telemetry_address, link_address = free_addresses(3)
     impaired = scene.link != LinkScene()
     display_address = link_address if impaired else sensing_address

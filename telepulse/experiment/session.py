@@ -12,11 +12,10 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_valida
 
 from display_node.prediction import PredictorName
 from display_node.scene import DisplayScene
-from protocol.config.quantities import Nanoseconds
+from protocol.config.quantities import Name, Nanoseconds
 from protocol.config.scene import Section, validate
 from protocol.config.scene_file import find_scene, load_document, load_toml
 from protocol.provenance import redact
-from protocol.wire.stream import Name
 from telepulse.scene import Scene, load_scene
 from telepulse.simulation.link_scene import LinkScene, parse_link
 

@@ -106,7 +106,7 @@ class Simulation:
             self.display.use(hardware)
         self._scored = [
             (
-                self._description.find(contactor.scene.channel),
+                self._description.find_force(contactor.scene.channel),
                 contactor,
                 TrackingError(contactor.layer.strain_per_newton),
             )

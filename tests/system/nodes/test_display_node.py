@@ -120,7 +120,7 @@ def test_telemetry_has_every_tick_and_ends_with_a_final_status(
             except zmq.Again:
                 continue
             if topic == TRACE:
-                ticks.append(read_trace(data))
+                ticks += read_trace(data)
             elif (status := read_status(data)).final:
                 final = status
         assert display.wait(PATIENCE_S) == 0
@@ -190,7 +190,7 @@ def test_a_peer_that_sends_garbage_and_enormous_forces_is_felt_up_to_the_limit_o
             while telemetry.poll(0):
                 topic, message = telemetry.recv_multipart()
                 if topic == TRACE:
-                    felt_n += read_trace(message).felt_n.tolist()
+                    felt_n += read_trace(message)[0].felt_n.tolist()
         assert display.poll() is None
         display.send_signal(signal.SIGTERM)
         assert display.wait(PATIENCE_S) == 0

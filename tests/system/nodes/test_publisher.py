@@ -82,7 +82,7 @@ def test_the_last_ticks_and_messages_come_before_the_last_status(
     publisher.captured.add(5, 0, b"last")
     publisher.finish(b"status")
     messages = received(everything)
-    traces = [read_trace(data) for topic, data in messages if topic == TRACE]
+    traces = [read_trace(data)[0] for topic, data in messages if topic == TRACE]
     assert [len(trace.now_ns) for trace in traces] == [TRACE_TICKS, 3]
     captured = [read_capture(data) for topic, data in messages if topic == CAPTURE]
     assert [m for part in captured for m in part.messages] == [CapturedMessage(5, 0, b"last")]
