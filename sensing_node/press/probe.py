@@ -1,0 +1,246 @@
+"""The force loop that presses the probe on the wrist, with limits of its own. Pure.
+
+It closes at the wrist; only set-points cross the network. Whatever they are, reference and speed
+stay within the limits. Without fresh ones the loop eases off to a resting force, then leaves the
+wrist. A fault is latched, and the probe leaves.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import Final, Literal
+
+from protocol.tissue import StiffeningLaw
+
+ProbeState = Literal["off", "pressing", "easing", "leaving", "fault"]
+
+# The reference stays below the limits by this share, which covers the loop's own error.
+FORCE_SHARE: Final = 0.97
+SLEW_SHARE: Final = 0.8
+# Share of the slew limit at which the force returns after an interruption.
+RETURN_SHARE: Final = 0.2
+# The reference approaches a set-point with this rate at last, so that the drive's lag does not
+# carry the force beyond it.
+APPROACH_PER_S: Final = 50.0
+# Crossover of the loop where the tissue is as the model. Drive, load cell and step lag by some
+# 8 ms together; 120 rad/s, three times as much, leaves a phase margin of 35°.
+CROSSOVER_RAD_PER_S: Final = 40.0
+# The stiffness is learnt from motions of this length, relative to the model's; a motion of
+# KNOWN_AFTER_N counts as much as the assumption that both are equal.
+LEARN_NS: Final = 20_000_000
+KNOWN_AFTER_N: Final = 0.02
+FORGET: Final = 0.98
+SOFTEST, STIFFEST = 0.2, 3.0
+# Uncertainty of the learnt stiffness, as a factor.
+MARGIN: Final = 1.3
+# Delay of drive, load cell and step, by which the tissue has stiffened before it is measured.
+LAG_S: Final = 10e-3
+# Distance from first touch at which the probe rests off the wrist.
+CLEARANCE_M: Final = 2e-3
+TOUCH_N: Final = 0.03
+
+
+@dataclass(frozen=True, slots=True)
+class ProbeLimits:
+    """Limits of the probe.
+
+    Attributes
+    ----------
+    force_n, slew_n_per_s
+        Largest force and largest change of it.
+    overforce
+        Measured force, as a multiple of the limit, that is a fault.
+    speed_m_per_s, travel_m
+        Largest speed, and greatest distance from the position at rest.
+    resting_n
+        Force to which a stale set-point eases off.
+    stale_after_ns, leave_after_ns
+        Time without a set-point after which the loop eases off, and after which it leaves.
+    silent_after_ns
+        Time without a reading of the load cell that is a fault.
+    """
+
+    force_n: float = 3.0
+    slew_n_per_s: float = 25.0
+    overforce: float = 1.25
+    speed_m_per_s: float = 0.06
+    travel_m: float = 0.02
+    resting_n: float = 0.2
+    stale_after_ns: int = 300_000_000
+    leave_after_ns: int = 2_000_000_000
+    silent_after_ns: int = 50_000_000
+
+
+class RelativeStiffness:
+    """Stiffness of the tissue over that of the model, learnt from the probe's own motion."""
+
+    def __init__(self) -> None:
+        self._products = self._squares = KNOWN_AFTER_N**2
+        self._began_ns: int | None = None
+        self._force_n = self._expected_n = 0.0
+        self._learnt = False
+
+    @property
+    def ratio(self) -> float:
+        """The estimate, between `SOFTEST` and `STIFFEST`."""
+        return min(max(self._products / self._squares, SOFTEST), STIFFEST)
+
+    @property
+    def greatest(self) -> float:
+        """The bound for which speeds are safe."""
+        return min(MARGIN * self.ratio, STIFFEST) if self._learnt else STIFFEST
+
+    def observe(self, force_n: float, expected_change_n: float, now_ns: int) -> None:
+        """Take a step: the force, and the change of it that the model expects of the motion."""
+        if self._began_ns is None or force_n < TOUCH_N:
+            self._began_ns, self._force_n, self._expected_n = now_ns, force_n, 0.0
+            return
+        self._expected_n += expected_change_n
+        if now_ns - self._began_ns < LEARN_NS:
+            return
+        expected_n, change_n = self._expected_n, force_n - self._force_n
+        self._began_ns, self._force_n, self._expected_n = now_ns, force_n, 0.0
+        # Smaller motions are within the noise of the load cell.
+        if abs(expected_n) < KNOWN_AFTER_N:
+            return
+        self._products = FORGET * self._products + change_n * expected_n
+        self._squares = FORGET * self._squares + expected_n * expected_n
+        self._learnt = True
+
+
+class Probe:
+    """The controller of the probe's drive: readings in, speed of the drive out.
+
+    Attributes
+    ----------
+    state
+        What the probe does.
+    faults
+        Latched faults, the first one first.
+    reference_n
+        Force that the loop follows.
+    hold_down_n
+        Measured force without the pulse.
+    """
+
+    def __init__(self, limits: ProbeLimits, law: StiffeningLaw) -> None:
+        self._limits, self._law = limits, law
+        self._relative = RelativeStiffness()
+        self._set_point_n = 0.0
+        self._set_point_ns: int | None = None
+        self._read_ns: int | None = None
+        self._last_ns: int | None = None
+        self._speed_m_per_s = 0.0
+        self._returning = True
+        self.state: ProbeState = "off"
+        self.faults: list[str] = []
+        self.reference_n = self.hold_down_n = 0.0
+
+    @property
+    def relative_stiffness(self) -> float:
+        """Learnt stiffness of the tissue over that of the model."""
+        return self._relative.ratio
+
+    def press(self, force_n: float, now_ns: int) -> None:
+        """Take a set-point in N; one that is no number, or negative, releases the wrist."""
+        self._set_point_n = force_n if force_n > 0 else 0.0
+        self._set_point_ns = now_ns
+
+    def fault(self, name: str) -> None:
+        """Latch a fault: the probe leaves the wrist until a new start."""
+        if name not in self.faults:
+            self.faults.append(name)
+
+    def step(
+        self, cell_n: float | None, pulse_n: float, position_m: float, now_ns: int
+    ) -> float:
+        """Advance to `now_ns` and return the speed in m/s, positive into the wrist.
+
+        Parameters
+        ----------
+        cell_n
+            Reading of the load cell, or None without a new one.
+        pulse_n
+            Pulse that the film measures at the same time, which the load cell contains.
+        position_m
+            Position of the drive; 0 at rest, off the wrist.
+        """
+        elapsed_s = 0.0 if self._last_ns is None else max(0, now_ns - self._last_ns) * 1e-9
+        self._last_ns = now_ns
+        self._check(cell_n, position_m, now_ns)
+        if cell_n is not None and math.isfinite(cell_n):
+            self.hold_down_n = cell_n - pulse_n if math.isfinite(pulse_n) else cell_n
+            nominal_n_per_m = self._law.stiffness_n_per_m(self.hold_down_n)
+            expected_n = nominal_n_per_m * self._speed_m_per_s * elapsed_s
+            self._relative.observe(self.hold_down_n, expected_n, now_ns)
+        slope_n_per_s = self._follow(self._wanted_n(now_ns), elapsed_s)
+        self._speed_m_per_s = self._bounded(self._speed(slope_n_per_s, position_m), position_m)
+        return self._speed_m_per_s
+
+    def _check(self, cell_n: float | None, position_m: float, now_ns: int) -> None:
+        """Latch a fault for a reading that is impossible or missing, or beyond the travel."""
+        limits = self._limits
+        if self._read_ns is None:
+            self._read_ns = now_ns
+        if cell_n is not None:
+            self._read_ns = now_ns
+            most_n = limits.force_n * limits.overforce
+            if not math.isfinite(cell_n):
+                self.fault("load cell: a reading is no number")
+            elif abs(cell_n) > most_n:
+                self.fault(f"load cell: more than {most_n:.2f} N")
+        elif now_ns - self._read_ns > limits.silent_after_ns:
+            self.fault("load cell: silent")
+        if not math.isfinite(position_m) or position_m > limits.travel_m:
+            self.fault("probe: beyond its travel")
+
+    def _wanted_n(self, now_ns: int) -> float:
+        """Return the force that is wanted now, and set the state."""
+        limits, at_ns = self._limits, self._set_point_ns
+        age_ns = None if at_ns is None else now_ns - at_ns
+        if self.faults:
+            self.state = "fault"
+        elif age_ns is None or age_ns > limits.leave_after_ns:
+            self.state = "off" if self.hold_down_n < TOUCH_N else "leaving"
+        elif age_ns > limits.stale_after_ns:
+            self.state = "easing"
+        else:
+            self.state = "pressing"
+            return min(self._set_point_n, FORCE_SHARE * limits.force_n)
+        self._returning = True
+        if self.state == "easing":
+            return min(self.reference_n, limits.resting_n)
+        return 0.0
+
+    def _follow(self, wanted_n: float, elapsed_s: float) -> float:
+        """Move the reference towards a force within the slew limit; return its slope in N/s."""
+        most = SLEW_SHARE * self._limits.slew_n_per_s
+        missing_n = wanted_n - self.reference_n
+        if self.state == "pressing" and self._returning:
+            if missing_n > 0:
+                most *= RETURN_SHARE
+            self._returning = APPROACH_PER_S * abs(missing_n) > most
+        # A late step moves the reference no further than an ordinary one.
+        elapsed_s = min(elapsed_s, 1 / APPROACH_PER_S)
+        slope_n_per_s = min(max(APPROACH_PER_S * missing_n, -most), most)
+        self.reference_n += slope_n_per_s * elapsed_s
+        return slope_n_per_s
+
+    def _speed(self, slope_n_per_s: float, position_m: float) -> float:
+        """Return the speed that the loop wants, in m/s."""
+        if self.state == "fault" or (self.state in ("off", "leaving") and self.reference_n <= 0):
+            return -CROSSOVER_RAD_PER_S * position_m
+        slope = CROSSOVER_RAD_PER_S * (self.reference_n - self.hold_down_n) + slope_n_per_s
+        stiffness = self._law.stiffness_n_per_m(self.hold_down_n)
+        return slope / (self._relative.ratio * stiffness)
+
+    def _bounded(self, speed_m_per_s: float, position_m: float) -> float:
+        """Return the speed within the limits of the drive, of the slew and of the travel."""
+        limits = self._limits
+        if not math.isfinite(speed_m_per_s) or not math.isfinite(position_m):
+            return -limits.speed_m_per_s
+        soon_n = max(self.hold_down_n, 0.0) + limits.slew_n_per_s * LAG_S
+        stiffness = self._relative.greatest * self._law.stiffness_n_per_m(soon_n)
+        most = min(limits.speed_m_per_s, limits.slew_n_per_s / stiffness)
+        # Towards its ends the drive is slowed, so that it stops at them.
+        into = min(most, max(0.0, CROSSOVER_RAD_PER_S * (limits.travel_m - position_m)))
+        return min(max(speed_m_per_s, -most), into)

@@ -1,0 +1,144 @@
+"""A synthetic wrist that can be pressed: an artery in soft tissue, under a probe with a drive.
+
+The arterial pressure has the synthetic pulse's waveform. The artery follows a tube law, so that
+the pulse at the film rises with the hold-down force until the outside pressure is the mean arterial
+one, then falls; beyond, the artery is closed in diastole and the pulse is flat there.
+"""
+
+import math
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, model_validator
+
+from protocol.config.quantities import Metres, Newtons, Pascals
+from protocol.tissue import StiffeningLaw, TubeLaw
+from protocol.wire.stream import Channel
+from sensing_node.press.probe import CLEARANCE_M, Probe, ProbeLimits
+from sensing_node.sources.synthetic import SyntheticScene, SyntheticSource
+
+# The modelled drive and load cell follow with these first-order lags.
+DRIVE_LAG_S, CELL_LAG_S = 5e-3, 2e-3
+
+
+class WristScene(SyntheticScene):
+    """The `source` table of kind "wrist": the synthetic pulse as pressure in an artery.
+
+    peak_to_peak: height of the pulse at the film at the best hold-down. probe_radius: its area
+    turns force into pressure at the artery. knee and length: law of the tissue under the probe,
+    F = knee · (exp(depth / length) − 1).
+    """
+
+    kind: Literal["wrist"]  # type: ignore[assignment]
+    systolic_pa: Annotated[Pascals, Field(ge=5e3, le=4e4)] = 16e3
+    diastolic_pa: Annotated[Pascals, Field(ge=2e3, le=3e4)] = 10.7e3
+    probe_radius_m: Annotated[Metres, Field(ge=1e-3, le=2e-2)] = 5.6e-3
+    knee_n: Annotated[Newtons, Field(ge=0.01, le=10)] = 0.3
+    length_m: Annotated[Metres, Field(ge=1e-4, le=1e-2)] = 1.2e-3
+    cell_noise_n: Annotated[Newtons, Field(ge=0, le=1)] = 2e-3
+
+    @model_validator(mode="after")
+    def _has_a_pulse(self) -> "WristScene":
+        if self.systolic_pa <= self.diastolic_pa:
+            raise ValueError("systolic must be above diastolic")
+        return self
+
+
+class Artery:
+    """The pulse at the film for a pressure in the artery and a hold-down force.
+
+    mean_pa: mean arterial pressure. best_n: hold-down with the highest pulse.
+    """
+
+    def __init__(self, scene: WristScene, mean_share: float) -> None:
+        self._area_m2 = math.pi * scene.probe_radius_m**2
+        self._diastolic_pa, self._systolic_pa = scene.diastolic_pa, scene.systolic_pa
+        self.mean_pa = scene.diastolic_pa + mean_share * (scene.systolic_pa - scene.diastolic_pa)
+        self.best_n = self.mean_pa * self._area_m2
+        self._tube = TubeLaw.highest_at_mean(mean_share)
+        self._n_per_pa = scene.peak_to_peak_n / self._height(self.mean_pa)
+
+    def pulse_n(self, pressure_pa: float, hold_down_n: float) -> float:
+        """Return the pulse at the film, which is blind to the static force."""
+        outside_pa, tube = max(hold_down_n, 0.0) / self._area_m2, self._tube
+        change = tube.volume(pressure_pa - outside_pa) - tube.volume(self.mean_pa - outside_pa)
+        return self._n_per_pa * change
+
+    def height_n(self, hold_down_n: float) -> float:
+        """Return the pulse's peak to peak at a hold-down force."""
+        return self._n_per_pa * self._height(max(hold_down_n, 0.0) / self._area_m2)
+
+    def _height(self, outside_pa: float) -> float:
+        return self._tube.height(outside_pa, self._diastolic_pa, self._systolic_pa)
+
+
+class Wrist:
+    """Source of the channels "pulse" (the film) and "hold-down" (the load cell) of a pressed wrist.
+
+    The probe's drive and the tissue are integrated sample by sample, as samples are taken.
+
+    Attributes
+    ----------
+    probe
+        Controller of the probe, which takes the set-points.
+    artery
+        Artery under the probe.
+    force_n
+        True static force on the wrist after the last sample.
+    """
+
+    channels = (Channel("pulse"), Channel("hold-down"))
+
+    def __init__(self, scene: WristScene, limits: ProbeLimits | None = None) -> None:
+        table: dict[str, Any] = {
+            key: value for key, value in dict(scene).items() if key in SyntheticScene.model_fields
+        }
+        waveform = SyntheticScene.model_construct(
+            **table | {"kind": "synthetic", "peak_to_peak_n": 1.0, "preload_n": 0.0, "hum_n": 0.0}
+        )
+        regular = {"heart_rate_variability": 0.0, "respiration": 0.0, "ectopic": 0.0}
+        beat = SyntheticSource(waveform.model_copy(update=regular | {"noise_n": 0.0}))
+        mean_share = -float(beat.take(round(3 * scene.rate_hz)).min())
+        self._waveform = SyntheticSource(waveform.model_copy(update={"noise_n": 0.0}))
+        self._scene, self._pulse_pa = scene, scene.systolic_pa - scene.diastolic_pa
+        self._law = StiffeningLaw(scene.knee_n, scene.length_m)
+        self._rng = np.random.default_rng([scene.seed, 1])
+        self.period_ns = self._waveform.period_ns
+        self.artery = Artery(scene, mean_share)
+        self.probe = Probe(limits or ProbeLimits(), StiffeningLaw())
+        self._time_ns = 0
+        self._speed_m_per_s = self._position_m = self._cell_n = 0.0
+        self.force_n = 0.0
+
+    @property
+    def depth_m(self) -> float:
+        """Depth of the probe in the tissue; negative off the wrist."""
+        return self._position_m - CLEARANCE_M
+
+    def press(self, force_n: float) -> None:
+        """Take a set-point in N."""
+        self.probe.press(force_n, self._time_ns)
+
+    def take(self, count: int) -> NDArray[np.float64]:
+        """Return the next samples in N, shape (count, 2)."""
+        pressures = self.artery.mean_pa + self._pulse_pa * self._waveform.take(count)[:, 0]
+        noise = self._rng.standard_normal((count, 2)).tolist()
+        rows = [self._step(*each) for each in zip(pressures.tolist(), noise, strict=True)]
+        return np.array(rows).reshape(count, 2)
+
+    def _step(self, pressure_pa: float, noise: list[float]) -> tuple[float, float]:
+        period_s, scene = self.period_ns * 1e-9, self._scene
+        artery_n = self.artery.pulse_n(pressure_pa, self.force_n)
+        if self.force_n <= 0.0:
+            artery_n = 0.0
+        film_n = artery_n + scene.noise_n * noise[0]
+        true_n = self.force_n + artery_n
+        self._cell_n += (true_n - self._cell_n) * -math.expm1(-period_s / CELL_LAG_S)
+        cell_n = self._cell_n + scene.cell_noise_n * noise[1]
+        wanted = self.probe.step(cell_n, film_n, self._position_m, self._time_ns)
+        self._speed_m_per_s += (wanted - self._speed_m_per_s) * -math.expm1(-period_s / DRIVE_LAG_S)
+        self._position_m += self._speed_m_per_s * period_s
+        self.force_n = self._law.force_n(self.depth_m)
+        self._time_ns += self.period_ns
+        return film_n, cell_n
