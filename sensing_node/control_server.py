@@ -12,10 +12,12 @@ from protocol.wire.messages import (
     ControlMessage,
     DisplayReport,
     Hello,
+    SetPoint,
     Welcome,
     decode_control,
 )
 from protocol.wire.stream import StreamDescription
+from sensing_node.press.set_points import SetPointServer
 
 # A display sends some 52 messages a second in its first minute, 22 later.
 DISPLAY_REQUESTS_PER_S = 100.0
@@ -95,11 +97,18 @@ class Client:
 class ControlServer:
     """Server of one session's control messages, with its clients by envelope. Pure.
 
-    other_version: description of the first refused peer of another version, or "".
+    set_points: server of set-points; without one, they are refused. other_version: description of
+    the first refused peer of another version, or "".
     """
 
-    def __init__(self, description: StreamDescription, session: int) -> None:
+    def __init__(
+        self,
+        description: StreamDescription,
+        session: int,
+        set_points: SetPointServer | None = None,
+    ) -> None:
         self._description = description
+        self.set_points = set_points
         self._session = session
         self.clients: dict[Sender, Client] = {}
         self.rejected: Counter[str] = Counter()
@@ -141,8 +150,12 @@ class ControlServer:
                 return Welcome(self._session, samples_sent, self._description)
             case ClockRequest(t1_ns=t1_ns):
                 return ClockReply(self._session, t1_ns, now_ns, now_ns)
-            case DisplayReport() | Bye() if message.session != self._session:
+            case DisplayReport() | Bye() | SetPoint() if message.session != self._session:
                 self.rejected["session"] += 1
+            case SetPoint() if self.set_points is None:
+                self.rejected["no_probe"] += 1
+            case SetPoint() if self.set_points is not None:
+                return self.set_points.answer(message, now_ns)
             case Bye():
                 client.confirmed = True
             case DisplayReport():
@@ -163,7 +176,7 @@ class ControlServer:
         match message:
             case Hello(display=name) | DisplayReport(display=name):
                 pass
-            case ClockRequest() | Bye():
+            case ClockRequest() | Bye() | SetPoint():
                 name = ""
             case _:
                 raise WireError("unexpected", "a message that only sensing nodes send")

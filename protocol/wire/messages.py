@@ -37,6 +37,8 @@ MAX_PERIOD_NS: Final = 10_000_000_000
 # from a clock's zero, can be added and extrapolated within 64 bits.
 TIME_RANGE = range(-(1 << 62), 1 << 62)
 COUNT_RANGE = range(1 << 53)
+# A set-point is valid for up to 17 s.
+VALIDITY_RANGE = range(1, 1 << 34)
 _SESSION, _COUNT, _TIME = range(1 << 63), COUNT_RANGE, TIME_RANGE
 # Bound of a sample, far above any pulse; figures computed from it stay finite.
 LARGEST_N: Final = 1e6
@@ -206,7 +208,51 @@ class DisplayReport(NamedTuple):
     force_rmse_n: float
 
 
-ControlMessage = Hello | EarlierHello | Welcome | Bye | ClockRequest | ClockReply | DisplayReport
+class SetPoint(NamedTuple):
+    """Hold-down force that a display's finger requests at the wrist.
+
+    press: random number of the display's run, which holds the permission to press. number: count of
+    its earlier set-points. t_ns: sensing clock at which the finger pressed so. valid_for_ns: age
+    up to which the set-point may be applied. force_n: 0 or more.
+    """
+
+    session: int
+    press: int
+    number: int
+    t_ns: int
+    valid_for_ns: int
+    force_n: float
+
+
+class ProbeReport(NamedTuple):
+    """Answer to a set-point: its display's account, and the probe's state.
+
+    received: set-points up to the newest one that arrived, including lost ones. refused: of all
+    displays. depth_m: position of the probe, 0 at first touch.
+    """
+
+    session: int
+    press: int
+    received: int
+    applied: int
+    superseded: int
+    refused: int
+    state: str
+    hold_down_n: float
+    depth_m: float
+
+
+ControlMessage = (
+    Hello
+    | EarlierHello
+    | Welcome
+    | Bye
+    | ClockRequest
+    | ClockReply
+    | DisplayReport
+    | SetPoint
+    | ProbeReport
+)
 
 _HELLO: Final = "hello"
 # Class and fields of each kind: types, or ranges of an int. The type float admits int and NaN.
@@ -217,6 +263,8 @@ _KINDS: dict[str, tuple[type[ControlMessage], tuple[type | range, ...]]] = {
     "clock?": (ClockRequest, (_TIME,)),
     "clock": (ClockReply, (_SESSION, _TIME, _TIME, _TIME)),
     "report": (DisplayReport, (_SESSION, str, *[_COUNT] * 4, *[float] * 4)),
+    "set_point": (SetPoint, (_SESSION, _SESSION, _COUNT, _TIME, VALIDITY_RANGE, float)),
+    "probe": (ProbeReport, (_SESSION, _SESSION, *[_COUNT] * 4, str, float, float)),
 }
 _NAMES = {kind: name for name, (kind, _) in _KINDS.items()}
 
@@ -246,6 +294,10 @@ def decode_control(data: bytes) -> ControlMessage:
             raise WireError("malformed", f"{name}: field {position} does not fit")
     if kind is Welcome:
         values[-1] = description_from_wire(values[-1])
+    elif kind is SetPoint and not 0 <= values[-1] <= LARGEST_N:
+        raise WireError("not_finite", f"a set-point is not within 0 and {LARGEST_N:.0e} N")
+    elif kind is ProbeReport and not all(abs(value) <= LARGEST_N for value in values[-2:]):
+        raise WireError("not_finite", f"{name}: a figure is NaN, infinite or beyond 1e+06")
     return kind(*values)
 
 

@@ -112,6 +112,16 @@ class Wrist:
         self.force_n = 0.0
 
     @property
+    def state(self) -> str:
+        """What the probe does."""
+        return self.probe.state
+
+    @property
+    def hold_down_n(self) -> float:
+        """Static force that the load cell measures."""
+        return self.probe.hold_down_n
+
+    @property
     def depth_m(self) -> float:
         """Depth of the probe in the tissue; negative off the wrist."""
         return self._position_m - CLEARANCE_M

@@ -1,0 +1,242 @@
+"""The finger's side of the press: reading, set-points, local model and scaled pulse. Pure.
+
+The pulse is divided by the height that the model gives for the hold-down at which it was sampled,
+and multiplied by that for the present press when it is felt. So a press is felt at once, whatever
+the delay, and the height at the finger does not depend on the delayed hold-down.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+from display_node.press.reading import PressReading
+from display_node.press.set_points import SetPointSender
+from display_node.press.tissue_model import PulseCurve, StiffnessFit
+from protocol.wire.messages import ProbeReport, SetPoint
+
+# Off the wrist there is no pulse; heights below this share of the best count as that share, so
+# that noise is not amplified further.
+TOUCH_N: Final = 0.05
+LEAST_HEIGHT: Final = 0.02
+# A height is measured over this many beats, in which the hold-down stays within this share and
+# force.
+OVER_BEATS: Final = 1.25
+STEADY_SHARE, STEADY_N = 0.04, 0.01
+# Time over which the relative pulse's mean is taken: much more than a beat, so that a beat keeps
+# its level.
+MEAN_S: Final = 10.0
+# The tip yields with this time constant, as soft tissue does: fast enough to be felt, and slow
+# enough for the stiffest finger on the softest tissue. Its speed is limited.
+YIELD_S: Final = 0.25
+YIELD_M_PER_S: Final = 0.02
+MOST_YIELD_M: Final = 0.01
+# A sensor without a reading for this long is silent.
+SILENT_NS: Final = 50_000_000
+# Time over which the loop's gain is the largest one.
+GAIN_S: Final = 5.0
+
+
+@dataclass(frozen=True, slots=True)
+class PressLimits:
+    """Limits at the finger.
+
+    force_n, slew_n_per_s: of the set-point. overforce: reading, as a multiple of the force limit,
+    above which nothing is sent.
+    """
+
+    force_n: float = 3.0
+    slew_n_per_s: float = 20.0
+    overforce: float = 3.0
+
+
+class PulseHeight:
+    """Height of the pulse over windows of a little more than a beat, at a steady hold-down."""
+
+    def __init__(self) -> None:
+        self._begin_ns: int | None = None
+        self._newest_ns = 0
+        self._hold_down_n = self._sum_n = 0.0
+        self._count = 0
+        self._low_n = self._high_n = 0.0
+
+    def add(
+        self, hold_down_n: float, pulse_n: float, now_ns: int, beat_ns: int
+    ) -> tuple[float, float, float] | None:
+        """Take a frame's means; return hold-down, foot and height of a complete window."""
+        steady_n = STEADY_SHARE * abs(self._hold_down_n) + STEADY_N
+        late = self._begin_ns is not None and now_ns - self._newest_ns > beat_ns // 8
+        if self._begin_ns is None or late or abs(hold_down_n - self._hold_down_n) > steady_n:
+            self._begin_ns, self._hold_down_n = now_ns, hold_down_n
+            self._sum_n, self._count = 0.0, 0
+            self._low_n = self._high_n = pulse_n
+        self._newest_ns = now_ns
+        self._sum_n += hold_down_n
+        self._count += 1
+        self._low_n, self._high_n = min(self._low_n, pulse_n), max(self._high_n, pulse_n)
+        if now_ns - self._begin_ns < OVER_BEATS * beat_ns:
+            return None
+        self._begin_ns = None
+        return self._sum_n / self._count, self._low_n, self._high_n - self._low_n
+
+
+class LoopGain:
+    """Gain of the loop through the network, measured live as an upper bound.
+
+    A newton of hold-down changes the pulse's height by the slope of the height curve. Of a pulse,
+    the share that is not subtracted from the reading, times its mean over the averaged time, goes
+    on to the set-point.
+
+    gain: the largest product of the last seconds.
+    """
+
+    def __init__(self) -> None:
+        self._products = self._squares = self._height_n = 0.0
+        self.gain = 0.0
+
+    def add(
+        self,
+        rest_n: float,
+        pulse_n: float,
+        mean_pulse_n: float,
+        slope: float,
+        height_n: float,
+        elapsed_s: float,
+    ) -> None:
+        """Take what is left of a reading, the rendered pulse, its mean, the slope, the height."""
+        kept = math.exp(-elapsed_s / GAIN_S)
+        self._products = kept * self._products + rest_n * pulse_n * elapsed_s
+        self._squares = kept * self._squares + pulse_n * pulse_n * elapsed_s
+        remaining = abs(self._products) / self._squares if self._squares > 0 else 0.0
+        mean = abs(mean_pulse_n) / height_n if height_n > 0 else 0.0
+        self.gain = max(remaining * mean * abs(slope), kept * self.gain)
+
+
+class FingerPress:
+    """The press of one display's finger.
+
+    Attributes
+    ----------
+    press_n
+        Static force of the finger.
+    yielded_m
+        Distance by which the tip has yielded.
+    loop_gain
+        Measured gain of the loop through the network.
+    curve, stiffness
+        The local model.
+    sender
+        Sender of the set-points.
+    """
+
+    def __init__(self, limits: PressLimits, press: int) -> None:
+        self._limits = limits
+        self._reading, self._gain = PressReading(), LoopGain()
+        self._heights = PulseHeight()
+        self._read_ns: int | None = None
+        self._tick_ns: int | None = None
+        self._observed_ns: int | None = None
+        # Mean of the relative pulse, which the static press contains already.
+        self._mean, self._frames = 0.0, 0
+        self.curve, self.stiffness = PulseCurve(limits.force_n), StiffnessFit()
+        self.sender = SetPointSender(press, limits.force_n, limits.slew_n_per_s)
+        self.yielded_m = 0.0
+
+    @property
+    def press_n(self) -> float:
+        """Static force of the finger, within the limit."""
+        return min(self._reading.press_n, self._limits.force_n)
+
+    @property
+    def loop_gain(self) -> float:
+        """Measured gain of the loop through the network."""
+        return self._gain.gain
+
+    @property
+    def pulse_share(self) -> float:
+        """Learnt share of the rendered pulse in the reading."""
+        return self._reading.pulse_share
+
+    def height_n(self, force_n: float) -> float:
+        """Return the height that counts at a force, which is never next to nothing."""
+        return max(self.curve.height(force_n), LEAST_HEIGHT * self.curve.best_height)
+
+    def observe(
+        self, times_ns: Sequence[int], pulse_n: Sequence[float], cell_n: Sequence[float]
+    ) -> list[float]:
+        """Learn from a frame; return its pulse relative to foot and height at its hold-down.
+
+        Parameters
+        ----------
+        times_ns
+            Times of the samples.
+        pulse_n, cell_n
+            Channels of the film and of the load cell.
+        """
+        count = len(pulse_n)
+        mean_n = sum(pulse_n) / count
+        hold_down_n = sum(cell_n) / count - mean_n
+        now_ns = times_ns[-1]
+        if self._observed_ns is None or now_ns > self._observed_ns:
+            self._observed_ns = now_ns
+            found = self._heights.add(hold_down_n, mean_n, now_ns, self._reading.beat_ns)
+            if found is not None and found[0] > TOUCH_N:
+                self.curve.observe(*found)
+        if hold_down_n < TOUCH_N:
+            return [self._mean] * count
+        height_n, foot = self.height_n(hold_down_n), self.curve.foot(hold_down_n)
+        relative = [each_n / height_n - foot for each_n in pulse_n]
+        self._frames += 1
+        part = max((times_ns[-1] - times_ns[0]) * 1e-9 / MEAN_S, 1 / self._frames)
+        self._mean += (sum(relative) / count - self._mean) * part
+        return relative
+
+    def felt_n(self, relative: float) -> float:
+        """Return the pulse in N, as the present press would give it, for its relative value."""
+        return (relative - self._mean) * self.height_n(self.press_n)
+
+    def set_beat(self, interval_s: float) -> None:
+        """Take the time of a beat, over which the reading is averaged."""
+        self._reading.beat_ns = round(min(max(interval_s, 0.3), 2.0) * 1e9)
+
+    def read(self, reading_n: float, pulse_n: float, now_ns: int) -> None:
+        """Take a reading of the press sensor, and the pulse that was rendered at its time."""
+        if not math.isfinite(reading_n) or not math.isfinite(pulse_n):
+            return
+        last_ns = self._read_ns
+        self._read_ns = now_ns
+        press_n = self._reading.add(reading_n, pulse_n, now_ns)
+        rest_n = reading_n - self.pulse_share * pulse_n - press_n
+        elapsed_s = 0.0 if last_ns is None else max(0, now_ns - last_ns) * 1e-9
+        slope, height_n = self.curve.slope(self.press_n), self.height_n(self.press_n)
+        mean_n = self._reading.mean_pulse_n
+        self._gain.add(rest_n, pulse_n, mean_n, slope, height_n, elapsed_s)
+
+    def tick(self, now_ns: int) -> float:
+        """Advance to `now_ns`, and return the distance by which the tip yields."""
+        last_ns, self._tick_ns = self._tick_ns, now_ns
+        elapsed_s = 0.0 if last_ns is None else max(0, now_ns - last_ns) * 1e-9
+        wanted_m = min(self.stiffness.law.depth_m(self.press_n), MOST_YIELD_M)
+        most_m = YIELD_M_PER_S * elapsed_s
+        step_m = (wanted_m - self.yielded_m) * -math.expm1(-elapsed_s / YIELD_S)
+        self.yielded_m += min(max(step_m, -most_m), most_m)
+        return self.yielded_m
+
+    def request(
+        self, session: int, sensing_now_ns: int, round_trip_ns: int, now_ns: int, alive: bool
+    ) -> SetPoint | None:
+        """Return the set-point that is due, if any; none while the finger cannot feel the wrist.
+
+        alive: whether the stream is felt. Without it, or without readings, the wrist eases off.
+        """
+        silent = self._read_ns is None or now_ns - self._read_ns > SILENT_NS
+        beyond = self._reading.press_n > self._limits.overforce * self._limits.force_n
+        if silent or beyond or not alive:
+            self.sender.pause()
+            return None
+        return self.sender.due(self.press_n, session, sensing_now_ns, round_trip_ns, now_ns)
+
+    def take(self, report: ProbeReport) -> None:
+        """Take an answer of the sensing node, and learn the tissue's stiffness from it."""
+        if self.sender.take(report):
+            self.stiffness.observe(report.hold_down_n, report.depth_m)
