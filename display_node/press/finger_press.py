@@ -8,6 +8,7 @@ the delay, and the height at the finger does not depend on the delayed hold-down
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from heapq import heappop, heappush
 from typing import Final
 
 from display_node.press.reading import PressReading
@@ -33,6 +34,10 @@ YIELD_M_PER_S: Final = 0.02
 MOST_YIELD_M: Final = 0.01
 # A sensor without a reading for this long is silent.
 SILENT_NS: Final = 50_000_000
+# Without a felt sample for this long, the finger sends nothing.
+BLIND_NS: Final = 300_000_000
+# Frames are learnt in order, so they wait this long for earlier ones.
+ORDER_NS: Final = 600_000_000
 # Time over which the loop's gain is the largest one.
 GAIN_S: Final = 5.0
 
@@ -91,25 +96,12 @@ class LoopGain:
     """
 
     def __init__(self) -> None:
-        self._products = self._squares = self._height_n = 0.0
         self.gain = 0.0
 
-    def add(
-        self,
-        rest_n: float,
-        pulse_n: float,
-        mean_pulse_n: float,
-        slope: float,
-        height_n: float,
-        elapsed_s: float,
-    ) -> None:
-        """Take what is left of a reading, the rendered pulse, its mean, the slope, the height."""
-        kept = math.exp(-elapsed_s / GAIN_S)
-        self._products = kept * self._products + rest_n * pulse_n * elapsed_s
-        self._squares = kept * self._squares + pulse_n * pulse_n * elapsed_s
-        remaining = abs(self._products) / self._squares if self._squares > 0 else 0.0
-        mean = abs(mean_pulse_n) / height_n if height_n > 0 else 0.0
-        self.gain = max(remaining * mean * abs(slope), kept * self.gain)
+    def add(self, remaining: float, mean: float, slope: float, elapsed_s: float) -> None:
+        """Take the share that remains, the pulse's mean over its height, and the slope."""
+        now = remaining * abs(mean) * abs(slope)
+        self.gain = max(now, math.exp(-elapsed_s / GAIN_S) * self.gain)
 
 
 class FingerPress:
@@ -135,9 +127,12 @@ class FingerPress:
         self._heights = PulseHeight()
         self._read_ns: int | None = None
         self._tick_ns: int | None = None
-        self._observed_ns: int | None = None
+        self._alive_ns: int | None = None
+        # Frames that may still be preceded by others: time, hold-down and pulse.
+        self._frames: list[tuple[int, float, float]] = []
+        self._learnt_ns = self._newest_ns = -(1 << 62)
         # Mean of the relative pulse, which the static press contains already.
-        self._mean, self._frames = 0.0, 0
+        self._mean, self._observed = 0.0, 0
         self.curve, self.stiffness = PulseCurve(limits.force_n), StiffnessFit()
         self.sender = SetPointSender(press, limits.force_n, limits.slew_n_per_s)
         self.yielded_m = 0.0
@@ -176,24 +171,33 @@ class FingerPress:
         count = len(pulse_n)
         mean_n = sum(pulse_n) / count
         hold_down_n = sum(cell_n) / count - mean_n
-        now_ns = times_ns[-1]
-        if self._observed_ns is None or now_ns > self._observed_ns:
-            self._observed_ns = now_ns
-            found = self._heights.add(hold_down_n, mean_n, now_ns, self._reading.beat_ns)
-            if found is not None and found[0] > TOUCH_N:
-                self.curve.observe(*found)
+        self._learn(times_ns[-1], hold_down_n, mean_n)
         if hold_down_n < TOUCH_N:
             return [self._mean] * count
         height_n, foot = self.height_n(hold_down_n), self.curve.foot(hold_down_n)
         relative = [each_n / height_n - foot for each_n in pulse_n]
-        self._frames += 1
-        part = max((times_ns[-1] - times_ns[0]) * 1e-9 / MEAN_S, 1 / self._frames)
+        self._observed += 1
+        part = max((times_ns[-1] - times_ns[0]) * 1e-9 / MEAN_S, 1 / self._observed)
         self._mean += (sum(relative) / count - self._mean) * part
         return relative
 
+    def _learn(self, now_ns: int, hold_down_n: float, pulse_n: float) -> None:
+        """Learn the height from the frames that no earlier one can precede any more."""
+        heappush(self._frames, (now_ns, hold_down_n, pulse_n))
+        self._newest_ns = max(self._newest_ns, now_ns)
+        while self._newest_ns - self._frames[0][0] >= ORDER_NS:
+            at_ns, *means = heappop(self._frames)
+            if at_ns <= self._learnt_ns:
+                continue
+            self._learnt_ns = at_ns
+            found = self._heights.add(*means, at_ns, self._reading.beat_ns)
+            if found is not None and found[0] > TOUCH_N:
+                self.curve.observe(*found)
+
     def felt_n(self, relative: float) -> float:
         """Return the pulse in N, as the present press would give it, for its relative value."""
-        return (relative - self._mean) * self.height_n(self.press_n)
+        force_n = min(self._reading.now_n, self._limits.force_n)
+        return (relative - self._mean) * self.height_n(force_n)
 
     def set_beat(self, interval_s: float) -> None:
         """Take the time of a beat, over which the reading is averaged."""
@@ -205,18 +209,18 @@ class FingerPress:
             return
         last_ns = self._read_ns
         self._read_ns = now_ns
-        press_n = self._reading.add(reading_n, pulse_n, now_ns)
-        rest_n = reading_n - self.pulse_share * pulse_n - press_n
+        self._reading.add(reading_n, pulse_n, now_ns)
         elapsed_s = 0.0 if last_ns is None else max(0, now_ns - last_ns) * 1e-9
-        slope, height_n = self.curve.slope(self.press_n), self.height_n(self.press_n)
-        mean_n = self._reading.mean_pulse_n
-        self._gain.add(rest_n, pulse_n, mean_n, slope, height_n, elapsed_s)
+        mean = self._reading.mean_pulse_n / self.height_n(self.press_n)
+        slope = self.curve.slope(self.press_n) if self.curve.beats else 0.0
+        self._gain.add(self._reading.remaining, mean, slope, elapsed_s)
 
     def tick(self, now_ns: int) -> float:
         """Advance to `now_ns`, and return the distance by which the tip yields."""
         last_ns, self._tick_ns = self._tick_ns, now_ns
         elapsed_s = 0.0 if last_ns is None else max(0, now_ns - last_ns) * 1e-9
-        wanted_m = min(self.stiffness.law.depth_m(self.press_n), MOST_YIELD_M)
+        force_n = min(self._reading.now_n, self._limits.force_n)
+        wanted_m = min(self.stiffness.law.depth_m(force_n), MOST_YIELD_M)
         most_m = YIELD_M_PER_S * elapsed_s
         step_m = (wanted_m - self.yielded_m) * -math.expm1(-elapsed_s / YIELD_S)
         self.yielded_m += min(max(step_m, -most_m), most_m)
@@ -227,12 +231,14 @@ class FingerPress:
     ) -> SetPoint | None:
         """Return the set-point that is due, if any; none while the finger cannot feel the wrist.
 
-        alive: whether the stream is felt. Without it, or without readings, the wrist eases off.
+        alive: whether the stream is felt now. Without it, or without readings, the wrist eases off.
         """
+        if alive:
+            self._alive_ns = now_ns
         silent = self._read_ns is None or now_ns - self._read_ns > SILENT_NS
+        blind = self._alive_ns is None or now_ns - self._alive_ns > BLIND_NS
         beyond = self._reading.press_n > self._limits.overforce * self._limits.force_n
-        if silent or beyond or not alive:
-            self.sender.pause()
+        if silent or beyond or blind:
             return None
         return self.sender.due(self.press_n, session, sensing_now_ns, round_trip_ns, now_ns)
 

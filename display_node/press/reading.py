@@ -1,4 +1,4 @@
-"""The finger's press from its sensor: the rendered pulse subtracted, and averaged over a beat. Pure.
+"""The finger's press from its sensor: pulse subtracted, averaged over a beat. Pure.
 
 What is left of the pulse in the press would travel to the wrist and come back as a pulse: it is the
 only way round the network. So its share is learnt and subtracted, and the rest is averaged over a
@@ -16,6 +16,8 @@ FOLLOW_S: Final = 15e-3
 # Time over which the pulse's share in the reading is learnt.
 LEARN_S: Final = 5.0
 MOST_SHARE: Final = 4.0
+# Time over which it is measured what the subtraction leaves: two to three beats.
+REMAINING_S: Final = 2.0
 # Until so much of the still reading is known, any reading within MOST_SHARE pulses may be the
 # pulse. A moving finger forgets six times as slowly.
 KNOWN_S: Final = 1.0
@@ -23,7 +25,7 @@ FORGET_MOVING_S: Final = 6 * LEARN_S
 PEAK_S: Final = 2.0
 # The finger moves where reading and average differ by so much for MOVES_AFTER_NS: the largest of a
 # share of the press, a force, and a multiple of what the pulse leaves.
-MOVES_SHARE, MOVES_N, MOVES_DEVIATIONS = 0.02, 0.01, 4.0
+MOVES_SHARE, MOVES_N, MOVES_DEVIATIONS = 0.01, 0.01, 4.0
 MOVES_AFTER_NS: Final = 6_000_000
 # A residue beyond this share of the press is motion, not noise.
 MOST_RESIDUE: Final = 0.1
@@ -35,13 +37,14 @@ DEFAULT_BEAT_NS: Final = 800_000_000
 class PulseShare:
     """Share of the rendered pulse in the press sensor's reading, learnt by regression.
 
-    share: the estimate.
+    share: the estimate. remaining: share that was left after its subtraction, over some beats.
     """
 
     def __init__(self) -> None:
         self._reading_n = self._pulse_n = 0.0
         self._products = self._squares = self._rest = self._weight = 0.0
         self._peak_n = 0.0
+        self._left = self._left_squares = 0.0
         self.share = 1.0
 
     @property
@@ -50,9 +53,20 @@ class PulseShare:
         return math.sqrt(self._rest / self._weight) if self._weight else 0.0
 
     @property
+    def remaining(self) -> float:
+        """Share of the pulse that was left after its subtraction, over the last seconds."""
+        left, squares = abs(self._left), self._left_squares
+        return left / squares if left < MOST_SHARE * squares else MOST_SHARE
+
+    @property
+    def known(self) -> bool:
+        """True once the share is known."""
+        return self._weight >= KNOWN_S
+
+    @property
     def unknown_n(self) -> float:
         """Largest part of the reading that may be the pulse, because its share is not known yet."""
-        return MOST_SHARE * self._peak_n if self._weight < KNOWN_S else 0.0
+        return 0.0 if self.known else MOST_SHARE * self._peak_n
 
     def skip(self, reading_n: float, pulse_n: float, elapsed_s: float) -> None:
         """Take a reading of a moving finger, from which nothing is learnt."""
@@ -74,6 +88,9 @@ class PulseShare:
         self._squares = kept * self._squares + pulse_n * pulse_n * elapsed_s
         self._weight = kept * self._weight + elapsed_s
         rest_n = reading_n - self.share * pulse_n
+        soon = math.exp(-elapsed_s / REMAINING_S)
+        self._left = soon * self._left + rest_n * pulse_n * elapsed_s
+        self._left_squares = soon * self._left_squares + pulse_n * pulse_n * elapsed_s
         self._rest = kept * self._rest + rest_n * rest_n * elapsed_s
         if self._squares > 0:
             self.share = min(max(self._products / self._squares, 0.0), MOST_SHARE)
@@ -88,6 +105,8 @@ class PressReading:
         The estimate in N, never negative.
     beat_ns
         Time of a beat, over which readings are averaged; set it to the pulse's.
+    follow_n
+        Estimate without the average, for what has to follow the finger at once.
     mean_pulse_n
         Mean of the rendered pulse over the readings that were averaged.
     """
@@ -96,7 +115,8 @@ class PressReading:
         self._pulse = PulseShare()
         self._window: deque[tuple[int, float, float]] = deque()
         self._sum_n = self._pulse_sum_n = 0.0
-        self._follow_n: float | None = None
+        self.follow_n = 0.0
+        self._begun = False
         self._last_ns = self._moved_ns = 0
         self._differs_ns: int | None = None
         self.beat_ns = DEFAULT_BEAT_NS
@@ -108,21 +128,32 @@ class PressReading:
         return self._pulse.share
 
     @property
-    def residue_n(self) -> float:
-        """RMS of the reading that the rendered pulse does not explain, above 1 Hz."""
-        return self._pulse.residue_n
+    def remaining(self) -> float:
+        """Share of the rendered pulse that was left after its subtraction."""
+        return self._pulse.remaining
+
+    @property
+    def still(self) -> bool:
+        """True while the finger has not moved lately."""
+        return self._last_ns - self._moved_ns > STILL_NS
+
+    @property
+    def now_n(self) -> float:
+        """Estimate for what follows the finger at once, without an average once it may be."""
+        return max(0.0, self.follow_n) if self._pulse.known else self.press_n
 
     def add(self, reading_n: float, pulse_n: float, now_ns: int) -> float:
         """Take a finite reading in N, and the pulse rendered at its time; return the press."""
-        if self._follow_n is None:
-            self._follow_n, self._last_ns, self._moved_ns = reading_n, now_ns, now_ns
+        if not self._begun:
+            self._begun = True
+            self.follow_n, self._last_ns, self._moved_ns = reading_n, now_ns, now_ns
         elapsed_s, self._last_ns = max(0, now_ns - self._last_ns) * 1e-9, now_ns
         rest_n = reading_n - self._pulse.share * pulse_n
-        self._follow_n += (rest_n - self._follow_n) * -math.expm1(-elapsed_s / FOLLOW_S)
-        if self._moves(self._follow_n, now_ns):
+        self.follow_n += (rest_n - self.follow_n) * -math.expm1(-elapsed_s / FOLLOW_S)
+        if self._moves(self.follow_n, now_ns):
             self._window.clear()
             self._moved_ns = now_ns
-        if now_ns - self._moved_ns > STILL_NS:
+        if self.still:
             self._pulse.add(reading_n, pulse_n, elapsed_s)
         else:
             self._pulse.skip(reading_n, pulse_n, elapsed_s)

@@ -68,6 +68,9 @@ class SetPointSender:
             return None
         if session != self._session:
             self._restart(session)
+        if last_ns is not None and now_ns - last_ns > VALID_NS:
+            # The wrist has eased off meanwhile.
+            self.set_point_n = 0.0
         # After a pause, the set-point moves no further than between two ordinary ones. The next
         # one is due a whole number of periods after this one's due time, not after its sending.
         late_ns = 0 if last_ns is None else (now_ns - last_ns) % PERIOD_NS
@@ -79,10 +82,6 @@ class SetPointSender:
         number, self.sent = self.sent, self.sent + 1
         valid_ns = min(VALID_NS + max(0, round_trip_ns), MOST_VALID_NS)
         return SetPoint(session, self._press, number, sensing_now_ns, valid_ns, self.set_point_n)
-
-    def pause(self) -> None:
-        """Send nothing for now: the wrist eases off, and the next set-point begins at 0 N."""
-        self.set_point_n = 0.0
 
     def take(self, report: ProbeReport) -> bool:
         """Take an answer of the sensing node; return whether it is a newer one to this display."""

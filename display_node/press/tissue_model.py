@@ -27,8 +27,8 @@ TYPICAL_MEAN_N, TYPICAL_PULSE_N, TYPICAL_MEAN_SHARE = 1.2, 0.52, 0.27
 LEAST_HEIGHT_N: Final = 1e-4
 Floats = NDArray[np.float64]
 # The stiffness is learnt between answers whose hold-down differs by this much.
-LEAST_CHANGE_N: Final = 0.03
-SLOPE_ERROR, SLOPE_FORGET = 0.3, 0.01
+LEAST_CHANGE_N: Final = 0.1
+SLOPE_ERROR, SLOPE_FORGET = 0.2, 0.002
 SOFTEST, STIFFEST = 0.1, 10.0
 
 

@@ -150,9 +150,7 @@ class Probe:
         if name not in self.faults:
             self.faults.append(name)
 
-    def step(
-        self, cell_n: float | None, pulse_n: float, position_m: float, now_ns: int
-    ) -> float:
+    def step(self, cell_n: float | None, pulse_n: float, position_m: float, now_ns: int) -> float:
         """Advance to `now_ns` and return the speed in m/s, positive into the wrist.
 
         Parameters

@@ -48,12 +48,12 @@ class WristScene(SyntheticScene):
 class Artery:
     """The pulse at the film for a pressure in the artery and a hold-down force.
 
-    mean_pa: mean arterial pressure. best_n: hold-down with the highest pulse.
+    diastolic_pa, mean_pa: arterial pressures. best_n: hold-down with the highest pulse.
     """
 
     def __init__(self, scene: WristScene, mean_share: float) -> None:
         self._area_m2 = math.pi * scene.probe_radius_m**2
-        self._diastolic_pa, self._systolic_pa = scene.diastolic_pa, scene.systolic_pa
+        self.diastolic_pa, self._systolic_pa = scene.diastolic_pa, scene.systolic_pa
         self.mean_pa = scene.diastolic_pa + mean_share * (scene.systolic_pa - scene.diastolic_pa)
         self.best_n = self.mean_pa * self._area_m2
         self._tube = TubeLaw.highest_at_mean(mean_share)
@@ -70,7 +70,7 @@ class Artery:
         return self._n_per_pa * self._height(max(hold_down_n, 0.0) / self._area_m2)
 
     def _height(self, outside_pa: float) -> float:
-        return self._tube.height(outside_pa, self._diastolic_pa, self._systolic_pa)
+        return self._tube.height(outside_pa, self.diastolic_pa, self._systolic_pa)
 
 
 class Wrist:
@@ -86,6 +86,8 @@ class Wrist:
         Artery under the probe.
     force_n
         True static force on the wrist after the last sample.
+    pressures_pa
+        Arterial pressures of the samples that were taken last.
     """
 
     channels = (Channel("pulse"), Channel("hold-down"))
@@ -110,6 +112,7 @@ class Wrist:
         self._time_ns = 0
         self._speed_m_per_s = self._position_m = self._cell_n = 0.0
         self.force_n = 0.0
+        self.pressures_pa: list[float] = []
 
     @property
     def state(self) -> str:
@@ -133,8 +136,9 @@ class Wrist:
     def take(self, count: int) -> NDArray[np.float64]:
         """Return the next samples in N, shape (count, 2)."""
         pressures = self.artery.mean_pa + self._pulse_pa * self._waveform.take(count)[:, 0]
+        self.pressures_pa = pressures.tolist()
         noise = self._rng.standard_normal((count, 2)).tolist()
-        rows = [self._step(*each) for each in zip(pressures.tolist(), noise, strict=True)]
+        rows = [self._step(*each) for each in zip(self.pressures_pa, noise, strict=True)]
         return np.array(rows).reshape(count, 2)
 
     def _step(self, pressure_pa: float, noise: list[float]) -> tuple[float, float]:

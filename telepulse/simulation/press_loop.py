@@ -48,7 +48,11 @@ Intruder = Callable[[int], list[SetPoint]]
 
 
 class PressTrace(NamedTuple):
-    """The course of a run, one value a tick. Forces in N, times in s."""
+    """The course of a run, one value a tick. Forces in N, times in s.
+
+    truth_n: the pulse above its foot that the wrist would have given with the present press, at the
+    instant that is felt.
+    """
 
     time_s: NDArray[np.float64]
     meant_n: NDArray[np.float64]
@@ -56,6 +60,7 @@ class PressTrace(NamedTuple):
     set_point_n: NDArray[np.float64]
     hold_down_n: NDArray[np.float64]
     pulse_n: NDArray[np.float64]
+    truth_n: NDArray[np.float64]
     yielded_m: NDArray[np.float64]
     loop_gain: NDArray[np.float64]
 
@@ -65,7 +70,8 @@ class PressSetting:
     """Setting of a run.
 
     tissue, finger: stiffness over that of the models. pulse_share: share of the rendered pulse in
-    the press sensor's reading. open_loop: forces at the wrist that replace the received set-points.
+    the press sensor's reading. connections: TCP connections over which the set-points take turns.
+    open_loop: forces at the wrist that replace the received set-points.
     """
 
     link: LinkScene
@@ -73,6 +79,7 @@ class PressSetting:
     finger: float = 1.0
     pulse_share: float = 1.0
     seed: int = 1
+    connections: int = 1
     open_loop: Meant | None = None
 
 
@@ -84,18 +91,23 @@ class PressLoop:
         scene, link = wrist_scene(setting), setting.link
         self.wrist = Wrist(scene)
         self.server = SetPointServer(SESSION, self.wrist)
-        self.finger = PressingFinger(500.0 * setting.finger, setting.pulse_share, seed=setting.seed)
+        self.finger = PressingFinger(300.0 * setting.finger, setting.pulse_share, seed=setting.seed)
         self.press = FingerPress(PressLimits(), PRESS)
-        self._up, self._down = MessageLink(link, setting.seed), MessageLink(link, setting.seed + 1)
+        seeds = range(setting.seed, setting.seed + setting.connections + 1)
+        self._down, *self._up = (MessageLink(link, seed) for seed in seeds)
         self._tcp = link.transport == "tcp"
         self._delay_ns = link.delay_ns + 4 * link.jitter_ns + SPARE_NS
         self._round_trip_ns = 2 * (link.delay_ns + 4 * link.jitter_ns)
+        if self._tcp:
+            # A lost packet arrives 1.25 round trips later.
+            self._delay_ns += 5 * link.delay_ns // 2
         self._beats = BeatAnalysis()
         self._times_ns: list[int] = []
         self._relative: list[float] = []
         self._events: list[tuple[int, int, Callable[[bytes, int], None], bytes]] = []
         self._order = itertools.count()
         self._sample = 0
+        self._pressures_pa: list[float] = []
         self._rendered_n = 0.0
 
     def run(self, seconds: float) -> PressTrace:
@@ -119,7 +131,8 @@ class PressLoop:
         clock_ns = now_ns + AHEAD_NS
         wanted = press.request(SESSION, clock_ns, self._round_trip_ns, now_ns, alive)
         if wanted is not None:
-            self._send(self._up, now_ns, self._answer, encode_control(wanted))
+            link = self._up[wanted.number % len(self._up)]
+            self._send(link, now_ns, self._answer, encode_control(wanted))
         return (
             now_ns * 1e-9,
             meant_n,
@@ -127,9 +140,18 @@ class PressLoop:
             press.sender.set_point_n,
             self.wrist.force_n,
             self._rendered_n,
+            self._truth_n(now_ns),
             yielded_m,
             press.loop_gain,
         )
+
+    def _truth_n(self, now_ns: int) -> float:
+        number = (now_ns - self._delay_ns) // TICK_NS + BATCH - 1
+        if number < 0:
+            return 0.0
+        artery, press_n = self.wrist.artery, self.finger.press_n
+        foot_n = artery.pulse_n(artery.diastolic_pa, press_n)
+        return artery.pulse_n(self._pressures_pa[number], press_n) - foot_n
 
     def _sense(self, now_ns: int) -> None:
         """Take the samples of the last batch at the wrist, and send them."""
@@ -138,6 +160,7 @@ class PressLoop:
         if self._setting.open_loop is not None:
             self.wrist.press(self._setting.open_loop(now_ns * 1e-9))
         values = self.wrist.take(BATCH).astype(np.float32)
+        self._pressures_pa += self.wrist.pressures_pa
         first_ns = now_ns + AHEAD_NS - (BATCH - 1) * TICK_NS
         frame = encode_frame(Frame(SESSION, self._sample, first_ns, TICK_NS, values))
         self._sample += BATCH
