@@ -151,6 +151,8 @@ CAUSE_MEANINGS = {
     " or an end with an impossible number of samples",
     "unasked": "clock replies to an unknown or already answered request",
     "unexpected": "messages that only the other kind of node sends: check the address",
+    "press_held": "set-points of a display while another one presses",
+    "no_probe": "set-points to a sensing node without a probe: add [sensing.press]",
     "flood": "messages dropped because a peer sent far more than it should:"
     " it is broken or hostile",
     "held_back": "times when a sensing node left messages unread for 5 ms:"

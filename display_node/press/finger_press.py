@@ -186,11 +186,12 @@ class FingerPress:
         heappush(self._frames, (now_ns, hold_down_n, pulse_n))
         self._newest_ns = max(self._newest_ns, now_ns)
         while self._newest_ns - self._frames[0][0] >= ORDER_NS:
-            at_ns, *means = heappop(self._frames)
+            at_ns, mean_hold_down_n, mean_n = heappop(self._frames)
             if at_ns <= self._learnt_ns:
                 continue
             self._learnt_ns = at_ns
-            found = self._heights.add(*means, at_ns, self._reading.beat_ns)
+            beat_ns = self._reading.beat_ns
+            found = self._heights.add(mean_hold_down_n, mean_n, at_ns, beat_ns)
             if found is not None and found[0] > TOUCH_N:
                 self.curve.observe(*found)
 

@@ -11,20 +11,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from protocol.tissue import StiffeningLaw, TubeLaw
+from protocol.wire.messages import LARGEST_N
 
 # Hold-down forces of a curve's points, and their distance over which a curve bends.
 POINTS: Final = 25
-REACH_N: Final = 0.3
+REACH_N: Final = 0.4
 # Deviation of ln(height) from the typical curve, before anything is learnt: of all heights
 # together, and of single ones. Error of one beat's, by respiration and noise.
 LEVEL, BEND, BEAT_ERROR = 2.0, 1.5, 0.05
 # The same of the foot, relative to the height.
 FOOT_LEVEL, FOOT_BEND, FOOT_ERROR = 0.2, 0.2, 0.03
 # Share of what is known that each beat forgets.
-FORGET: Final = 0.002
+FORGET: Final = 0.0003
 # Mean arterial pressure and pulse pressure of a typical wrist under the probe, as forces.
 TYPICAL_MEAN_N, TYPICAL_PULSE_N, TYPICAL_MEAN_SHARE = 1.2, 0.52, 0.27
 LEAST_HEIGHT_N: Final = 1e-4
+# A film whose zero is further from the foot than this many heights has not settled yet.
+MOST_FOOT: Final = 2.0
 Floats = NDArray[np.float64]
 # The stiffness is learnt between answers whose hold-down differs by this much.
 LEAST_CHANGE_N: Final = 0.1
@@ -146,7 +149,9 @@ class PulseCurve:
 
     def observe(self, force_n: float, foot_n: float, height_n: float) -> None:
         """Take foot and height of a beat during which the hold-down force was constant."""
-        if not LEAST_HEIGHT_N <= height_n < math.inf or not math.isfinite(force_n + foot_n):
+        if not LEAST_HEIGHT_N <= height_n <= LARGEST_N or not abs(force_n) <= LARGEST_N:
+            return
+        if not abs(foot_n) <= MOST_FOOT * height_n:
             return
         log = math.log(height_n)
         if self.beats == 0:

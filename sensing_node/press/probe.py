@@ -37,6 +37,8 @@ LAG_S: Final = 10e-3
 # Distance from first touch at which the probe rests off the wrist.
 CLEARANCE_M: Final = 2e-3
 TOUCH_N: Final = 0.03
+# Reference until first touch; the speed of the approach follows from it.
+SEEK_N: Final = 0.06
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,7 +131,7 @@ class Probe:
         self._set_point_ns: int | None = None
         self._read_ns: int | None = None
         self._last_ns: int | None = None
-        self._speed_m_per_s = 0.0
+        self._position_m = 0.0
         self._returning = True
         self.state: ProbeState = "off"
         self.faults: list[str] = []
@@ -168,11 +170,12 @@ class Probe:
         if cell_n is not None and math.isfinite(cell_n):
             self.hold_down_n = cell_n - pulse_n if math.isfinite(pulse_n) else cell_n
             nominal_n_per_m = self._law.stiffness_n_per_m(self.hold_down_n)
-            expected_n = nominal_n_per_m * self._speed_m_per_s * elapsed_s
+            expected_n = nominal_n_per_m * (position_m - self._position_m)
             self._relative.observe(self.hold_down_n, expected_n, now_ns)
+        if math.isfinite(position_m):
+            self._position_m = position_m
         slope_n_per_s = self._follow(self._wanted_n(now_ns), elapsed_s)
-        self._speed_m_per_s = self._bounded(self._speed(slope_n_per_s, position_m), position_m)
-        return self._speed_m_per_s
+        return self._bounded(self._speed(slope_n_per_s, position_m), position_m)
 
     def _check(self, cell_n: float | None, position_m: float, now_ns: int) -> None:
         """Latch a fault for a reading that is impossible or missing, or beyond the travel."""
@@ -221,11 +224,15 @@ class Probe:
         elapsed_s = min(elapsed_s, 1 / APPROACH_PER_S)
         slope_n_per_s = min(max(APPROACH_PER_S * missing_n, -most), most)
         self.reference_n += slope_n_per_s * elapsed_s
+        if self.hold_down_n < TOUCH_N and self.reference_n > SEEK_N:
+            # The probe touches gently, whatever the set-point.
+            self.reference_n = SEEK_N
         return slope_n_per_s
 
     def _speed(self, slope_n_per_s: float, position_m: float) -> float:
         """Return the speed that the loop wants, in m/s."""
-        if self.state == "fault" or (self.state in ("off", "leaving") and self.reference_n <= 0):
+        gone = self.state in ("off", "leaving") and self.reference_n < TOUCH_N
+        if self.state == "fault" or gone:
             return -CROSSOVER_RAD_PER_S * position_m
         slope = CROSSOVER_RAD_PER_S * (self.reference_n - self.hold_down_n) + slope_n_per_s
         stiffness = self._law.stiffness_n_per_m(self.hold_down_n)

@@ -6,13 +6,14 @@ one, then falls; beyond, the artery is closed in diastole and the pulse is flat 
 """
 
 import math
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from protocol.config.quantities import Metres, Newtons, Pascals
+from protocol.config.scene import Section
 from protocol.tissue import StiffeningLaw, TubeLaw
 from protocol.wire.stream import Channel
 from sensing_node.press.probe import CLEARANCE_M, Probe, ProbeLimits
@@ -20,28 +21,37 @@ from sensing_node.sources.synthetic import SyntheticScene, SyntheticSource
 
 # The modelled drive and load cell follow with these first-order lags.
 DRIVE_LAG_S, CELL_LAG_S = 5e-3, 2e-3
+# A time that contains a whole beat of the slowest heart.
+BEATS_S = 7.0
 
 
-class WristScene(SyntheticScene):
-    """The `source` table of kind "wrist": the synthetic pulse as pressure in an artery.
+class WristScene(Section):
+    """The `source` table of kind "wrist".
 
-    peak_to_peak: height of the pulse at the film at the best hold-down. probe_radius: its area
-    turns force into pressure at the artery. knee and length: law of the tissue under the probe,
-    F = knee · (exp(depth / length) − 1).
+    pulse: the waveform of the arterial pressure, a synthetic pulse; its height is that from
+    diastolic to systolic. peak_to_peak: height of the pulse at the film at the best hold-down.
+    probe_radius: its area turns force into pressure at the artery. knee and length: law of the
+    tissue under the probe, F = knee · (exp(depth / length) − 1). noise and cell_noise: of the film
+    and of the load cell.
     """
 
-    kind: Literal["wrist"]  # type: ignore[assignment]
+    kind: Literal["wrist"]
+    pulse: SyntheticScene = SyntheticScene(kind="synthetic")
     systolic_pa: Annotated[Pascals, Field(ge=5e3, le=4e4)] = 16e3
     diastolic_pa: Annotated[Pascals, Field(ge=2e3, le=3e4)] = 10.7e3
+    peak_to_peak_n: Annotated[Newtons, Field(gt=0, le=10)] = 0.3
     probe_radius_m: Annotated[Metres, Field(ge=1e-3, le=2e-2)] = 5.6e-3
     knee_n: Annotated[Newtons, Field(ge=0.01, le=10)] = 0.3
     length_m: Annotated[Metres, Field(ge=1e-4, le=1e-2)] = 1.2e-3
+    noise_n: Annotated[Newtons, Field(ge=0, le=1)] = 0.0
     cell_noise_n: Annotated[Newtons, Field(ge=0, le=1)] = 2e-3
 
     @model_validator(mode="after")
     def _has_a_pulse(self) -> "WristScene":
         if self.systolic_pa <= self.diastolic_pa:
             raise ValueError("systolic must be above diastolic")
+        if self.pulse.position:
+            raise ValueError("pulse: a wrist is pressed at one position; leave position out")
         return self
 
 
@@ -93,19 +103,15 @@ class Wrist:
     channels = (Channel("pulse"), Channel("hold-down"))
 
     def __init__(self, scene: WristScene, limits: ProbeLimits | None = None) -> None:
-        table: dict[str, Any] = {
-            key: value for key, value in dict(scene).items() if key in SyntheticScene.model_fields
-        }
-        waveform = SyntheticScene.model_construct(
-            **table | {"kind": "synthetic", "peak_to_peak_n": 1.0, "preload_n": 0.0, "hum_n": 0.0}
-        )
+        clean = {"peak_to_peak_n": 1.0, "preload_n": 0.0, "noise_n": 0.0, "hum_n": 0.0}
+        waveform = scene.pulse.model_copy(update=clean)
         regular = {"heart_rate_variability": 0.0, "respiration": 0.0, "ectopic": 0.0}
-        beat = SyntheticSource(waveform.model_copy(update=regular | {"noise_n": 0.0}))
-        mean_share = -float(beat.take(round(3 * scene.rate_hz)).min())
-        self._waveform = SyntheticSource(waveform.model_copy(update={"noise_n": 0.0}))
+        beats = SyntheticSource(waveform.model_copy(update=regular))
+        mean_share = -float(beats.take(round(BEATS_S * waveform.rate_hz)).min())
+        self._waveform = SyntheticSource(waveform)
         self._scene, self._pulse_pa = scene, scene.systolic_pa - scene.diastolic_pa
         self._law = StiffeningLaw(scene.knee_n, scene.length_m)
-        self._rng = np.random.default_rng([scene.seed, 1])
+        self._rng = np.random.default_rng([scene.pulse.seed, 1])
         self.period_ns = self._waveform.period_ns
         self.artery = Artery(scene, mean_share)
         self.probe = Probe(limits or ProbeLimits(), StiffeningLaw())

@@ -220,7 +220,12 @@ def wrist_scene(setting: PressSetting) -> WristScene:
     """Return the wrist of a setting."""
     length_m = 1.2e-3 / setting.tissue
     return WristScene.model_validate(
-        {"kind": "wrist", "length": f"{length_m} m", "seed": setting.seed, "noise": "0.5 mN"}
+        {
+            "kind": "wrist",
+            "pulse": {"kind": "synthetic", "seed": setting.seed},
+            "length": f"{length_m} m",
+            "noise": "0.5 mN",
+        }
     )
 
 

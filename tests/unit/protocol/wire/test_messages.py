@@ -250,6 +250,23 @@ def test_an_unknown_kind_is_malformed(kind: object) -> None:
     assert cause_of(wire.decode_control, packed([2, kind, "me"])) == "malformed"
 
 
+@pytest.mark.parametrize(
+    "force_n", [math.nan, math.inf, -math.inf, -1e-9, -1, 1.001 * wire.LARGEST_N, 2**63]
+)
+def test_a_set_point_that_no_finger_can_press_is_refused(force_n: float) -> None:
+    message = [2, "set_point", 7, 11, 3, 0, 1, force_n]
+    assert cause_of(wire.decode_control, packed(message)) == "not_finite"
+    wire.decode_control(packed([*message[:-1], 0]))
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, -1.001 * wire.LARGEST_N])
+@pytest.mark.parametrize("position", [-1, -2])
+def test_a_probe_report_holds_finite_figures(value: float, position: int) -> None:
+    message = [2, "probe", 7, 11, 4, 2, 1, 9, "pressing", 1.5, 0.0]
+    message[position] = value
+    assert cause_of(wire.decode_control, packed(message)) == "not_finite"
+
+
 BAD_COUNTS = [True, False, 7.0, "7", None, b"\x07", [7], -1, 2**63]
 BAD_TIMES = [True, 1.0, "1", None, 2**63, 2**64 - 1]
 BAD_NUMBERS = [True, "1.5", None, [1.5]]

@@ -1,0 +1,78 @@
+from typing import Any
+
+import numpy as np
+import pytest
+
+from protocol.config.scene import validate
+from protocol.errors import SceneError
+from sensing_node.sources.wrist import Wrist, WristScene
+
+
+def wrist(**keys: Any) -> Wrist:
+    return Wrist(validate({"kind": "wrist"} | keys, WristScene, "[sensing]"))
+
+
+def pulse_at(source: Wrist, force_n: float, seconds: float = 2.4) -> np.ndarray[Any, Any]:
+    """Return the film's pulse at a hold-down force, after half a second."""
+    blocks = []
+    for number in range(round((0.5 + seconds) / 0.02)):
+        source.press(force_n)
+        blocks.append(source.take(20)[:, 0])
+        assert number < 25 or source.force_n == pytest.approx(force_n, rel=0.03, abs=0.01)
+    return np.concatenate(blocks[25:])
+
+
+def test_the_pulse_is_highest_at_the_mean_arterial_pressure_and_has_the_scenes_height() -> None:
+    source = wrist(peak_to_peak="0.2 N")
+    best_n = source.artery.best_n
+    heights = {share: float(np.ptp(pulse_at(source, share * best_n))) for share in (0.85, 1, 1.15)}
+    assert heights[1] == pytest.approx(0.2, rel=0.03)
+    assert heights[0.85] < heights[1] > heights[1.15]
+
+
+def test_beyond_the_best_hold_down_the_pulse_is_flat_in_diastole() -> None:
+    source = wrist()
+    shares = {}
+    for share in (0.5, 1.0, 1.4):
+        pulse = pulse_at(source, share * source.artery.best_n)
+        shares[share] = float(np.mean(pulse < pulse.min() + 0.1 * np.ptp(pulse)))
+    assert shares[0.5] < shares[1.0] < shares[1.4]
+    assert shares[1.4] > 0.6
+
+
+def test_the_load_cell_measures_the_static_force_and_the_pulse() -> None:
+    source = wrist(cell_noise="0 N")
+    pulse_at(source, 1.2)
+    blocks = []
+    for _ in range(8):
+        source.press(1.2)
+        blocks.append(source.take(100))
+    pulse, cell = np.concatenate(blocks).T
+    assert (cell - pulse).mean() == pytest.approx(source.force_n, rel=0.02)
+    assert float(np.ptp(cell)) > 0.8 * float(np.ptp(pulse))
+
+
+def test_off_the_wrist_nothing_is_measured() -> None:
+    values = wrist(cell_noise="0 N").take(1000)
+    assert not values.any()
+
+
+def test_blocks_of_any_size_give_the_same_samples() -> None:
+    whole, parts = wrist(noise="1 mN"), wrist(noise="1 mN")
+    parted = np.concatenate([parts.take(count) for count in (1, 7, 92, 400)])
+    np.testing.assert_array_equal(whole.take(500), parted)
+
+
+@pytest.mark.parametrize(
+    ("keys", "reason"),
+    [
+        ({"systolic": "10 kPa", "diastolic": "12 kPa"}, "systolic must be above diastolic"),
+        (
+            {"pulse": {"kind": "synthetic", "position": [{"name": "cun"}]}},
+            "a wrist is pressed at one position",
+        ),
+    ],
+)
+def test_an_impossible_wrist_is_refused(keys: dict[str, Any], reason: str) -> None:
+    with pytest.raises(SceneError, match=reason):
+        wrist(**keys)

@@ -1,0 +1,92 @@
+"""The loop of the press over a link: account, faults, and bounds. Errors are in the study."""
+
+import numpy as np
+import pytest
+
+from protocol.wire.messages import SetPoint
+from sensing_node.press.probe import ProbeLimits
+from telepulse.simulation.link_scene import LinkScene
+from telepulse.simulation.press_loop import (
+    AHEAD_NS,
+    PRESS,
+    SESSION,
+    PressLoop,
+    PressSetting,
+    PressTrace,
+    link_of,
+)
+
+LIMITS = ProbeLimits()
+EVERY = 5
+
+
+def steps(time_s: float) -> float:
+    return 1.2 if time_s % 4 < 2 else 0.6
+
+
+def slew(trace: PressTrace) -> float:
+    return float(np.abs(np.diff(trace.hold_down_n[::EVERY])).max() / (EVERY * 1e-3))
+
+
+@pytest.mark.parametrize("round_trip_s", [0.0, 0.3])
+def test_the_hold_down_follows_and_every_set_point_is_accounted_for(round_trip_s: float) -> None:
+    loop = PressLoop(PressSetting(link_of(round_trip_s)), steps)
+    trace = loop.run(8.0)
+    counts, arrived = loop.press.sender.counts(), loop.server.counts()
+    assert counts.sent == (counts.applied or 0) + (counts.superseded or 0) + (counts.lost or 0)
+    assert (counts.sent or 0) > 350
+    assert (counts.lost or 0) > 0
+    # The wrist has received what the finger has not been told of yet.
+    assert (arrived.applied or 0) >= (counts.applied or 0)
+    settled = slice(round((4.3 + round_trip_s) * 1e3), 6000)
+    error = trace.hold_down_n[settled] / trace.press_n[settled] - 1
+    assert np.abs(error).max() < 0.06
+    assert not loop.wrist.probe.faults
+
+
+def test_the_same_setting_gives_the_same_course() -> None:
+    setting = PressSetting(link_of(0.1))
+    one, other = (PressLoop(setting, steps).run(2.0) for _ in range(2))
+    np.testing.assert_array_equal(np.array(one), np.array(other))
+
+
+def test_a_cut_eases_off_within_half_a_second_and_the_press_returns_by_a_ramp() -> None:
+    link = LinkScene.model_validate(
+        {"delay": "10 ms", "cut": {"from": "4 s", "for": "3 s"}, "loss": "1 %"}
+    )
+    loop = PressLoop(PressSetting(link), lambda time_s: 1.2)
+    trace = loop.run(10.0)
+    assert trace.hold_down_n[3900] == pytest.approx(1.2, rel=0.05)
+    assert trace.hold_down_n[4520:6400].max() < LIMITS.resting_n + 0.05
+    assert trace.hold_down_n[6900] == 0.0
+    assert trace.hold_down_n[-1] == pytest.approx(1.2, rel=0.05)
+    returned = trace.hold_down_n[7000::EVERY]
+    assert np.diff(returned).max() / (EVERY * 1e-3) < 0.3 * LIMITS.slew_n_per_s
+
+
+def test_hostile_set_points_of_others_do_not_move_the_probe() -> None:
+    def intrude(now_ns: int) -> list[SetPoint]:
+        own = SetPoint(SESSION, PRESS, 3, now_ns + AHEAD_NS, 10**10, 1e6)
+        other = own._replace(press=PRESS + 1, number=now_ns // 1_000_000)
+        return [own, other] * 5 if now_ns > 3_000_000_000 else []
+
+    plain = PressLoop(PressSetting(link_of(0.0)), steps).run(8.0)
+    loop = PressLoop(PressSetting(link_of(0.0)), steps, intrude)
+    trace = loop.run(8.0)
+    np.testing.assert_array_equal(trace.hold_down_n, plain.hold_down_n)
+    assert set(loop.server.rejected) == {"press_held", "duplicate"}
+
+
+def test_a_hostile_display_that_presses_passes_no_limit() -> None:
+    random = np.random.default_rng(2)
+
+    def intrude(now_ns: int) -> list[SetPoint]:
+        number = now_ns // 1_000_000
+        force_n = float(random.choice([0.0, 1e6, 0.1, 5.0]))
+        return [SetPoint(SESSION, PRESS + 1, number, now_ns + AHEAD_NS, 10**10, force_n)]
+
+    loop = PressLoop(PressSetting(link_of(0.1)), steps, intrude)
+    trace = loop.run(8.0)
+    assert trace.hold_down_n.max() <= LIMITS.force_n
+    assert slew(trace) <= LIMITS.slew_n_per_s
+    assert loop.press.sender.held_by_other
