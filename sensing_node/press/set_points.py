@@ -44,7 +44,7 @@ class PressedProbe(Protocol):
 class PressHolder:
     """The display that may press: its run, its account, and which of its numbers have arrived.
 
-    arrived: bit i is set if number newest − i has arrived.
+    arrived: bit i is set if number newest − i has arrived. force_n: the newest applied one.
     """
 
     press: int
@@ -53,6 +53,7 @@ class PressHolder:
     arrived: int = 0
     applied: int = 0
     superseded: int = 0
+    force_n: float = 0.0
 
     def outcomes(self) -> dict[str, int]:
         """Return the account of the set-points up to the newest one that arrived."""
@@ -116,11 +117,15 @@ class SetPointServer:
                 self.rejected[cause] += 1
             else:
                 holder.seen_ns = now_ns
-                late = now_ns - message.t_ns > message.valid_for_ns
-                if late or message.number < newest:
+                if now_ns - message.t_ns > message.valid_for_ns:
                     holder.superseded += 1
+                elif message.number < newest:
+                    holder.superseded += 1
+                    # It shows that the finger still presses: the newest one is not stale yet.
+                    self._probe.press(holder.force_n)
                 else:
                     holder.applied += 1
+                    holder.force_n = message.force_n
                     self._probe.press(message.force_n)
         return self._report(holder, self._probe.state)
 

@@ -135,3 +135,23 @@ def link(
         out,
         json,
     )
+
+
+@app.command()
+def press(
+    out: FolderOption = Path("out/press"),
+    json: TablesOption = None,
+    scheduler: SchedulerOption = None,
+) -> None:
+    """Measure the press from the finger to the wrist: steps, stability, limits, over round trips.
+
+    Uses all cores; takes about three minutes on two.
+    """
+    from telepulse.reports.studies import press_report, press_scores
+
+    effort = press_scores.PressEffort()
+    publish(
+        lambda: press_report.report_press(press_scores.score_press(effort, scheduler), effort),
+        out,
+        json,
+    )

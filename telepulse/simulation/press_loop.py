@@ -84,7 +84,10 @@ class PressSetting:
 
 
 class PressLoop:
-    """One run of the press in virtual time."""
+    """One run of the press in virtual time.
+
+    arrived_ns: time at which the last set-point arrived at the wrist.
+    """
 
     def __init__(self, setting: PressSetting, meant: Meant, intruder: Intruder | None = None):
         self._setting, self._meant, self._intruder = setting, meant, intruder
@@ -109,6 +112,7 @@ class PressLoop:
         self._sample = 0
         self._pressures_pa: list[float] = []
         self._rendered_n = 0.0
+        self.arrived_ns = 0
 
     def run(self, seconds: float) -> PressTrace:
         """Run for a time, and return its course."""
@@ -195,6 +199,7 @@ class PressLoop:
         assert isinstance(message, SetPoint)
         if self._setting.open_loop is not None:
             return
+        self.arrived_ns = now_ns
         reply = self.server.answer(message, now_ns + AHEAD_NS)
         self._send(self._down, now_ns, self._report, encode_control(reply))
 

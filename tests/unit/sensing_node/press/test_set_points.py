@@ -73,13 +73,15 @@ def test_one_out_of_order_and_a_late_one_are_superseded(
     send(server, 0)
     send(server, 2)
     assert server.counts() == counts(3, 2, 0, 1)
-    send(server, 1)
+    send(server, 1, force_n=9.0)
     assert server.counts() == counts(3, 2, 1, 0)
+    # The newest one is not stale while earlier ones still arrive in time.
+    assert probe.forces == [1.0, 1.0, 1.0]
     send(server, 3, age_ns=VALID_NS + 1)
     assert server.counts() == counts(4, 2, 2, 0)
     send(server, 4, age_ns=VALID_NS)
     assert server.counts() == counts(5, 3, 2, 0)
-    assert len(probe.forces) == 3
+    assert len(probe.forces) == 4
 
 
 @pytest.mark.parametrize(
@@ -157,6 +159,6 @@ def test_the_account_closes_whatever_arrives(arrivals: list[tuple[int, int, int]
     total = server.counts()
     assert None not in (total.sent, total.applied, total.superseded, total.lost)
     assert total.sent == (total.applied or 0) + (total.superseded or 0) + (total.lost or 0)
-    assert total.applied == len(probe.forces)
     taken = (total.applied or 0) + (total.superseded or 0)
+    assert (total.applied or 0) <= len(probe.forces) <= taken
     assert taken + server.rejected.total() == len(arrivals)

@@ -1,0 +1,251 @@
+"""The report of the study of the press: the wrist's curve, steps, stability, limits, TCP."""
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from sensing_node.press.probe import ProbeLimits
+from telepulse.reports.document import STYLES, Chapter, Plot, Report, Table
+from telepulse.reports.studies.press_scores import (
+    BAND_HZ,
+    EASED_S,
+    FOLLOW_ERROR,
+    FOLLOWED_S,
+    HEIGHT_ERROR,
+    LEARNT_S,
+    MOST_GAIN,
+    REST_N,
+    WINDOW_S,
+    WINDOWS,
+    FollowScore,
+    PressEffort,
+    PressScores,
+)
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+MET, MISSED = "met", "missed"
+
+
+def report_press(scores: PressScores, effort: PressEffort) -> Report:
+    """Return the report on scores that took this effort."""
+    return Report(
+        "The press: from the finger to the wrist and back",
+        (
+            _wrist_chapter(scores),
+            _steps_chapter(scores, effort),
+            _stability_chapter(scores),
+            _limits_chapter(scores),
+            _tcp_chapter(scores),
+        ),
+    )
+
+
+def verdict(met: bool) -> str:
+    """Return a bar's verdict as a word."""
+    return MET if met else MISSED
+
+
+def follows(score: FollowScore) -> bool:
+    """Return whether every step was followed within the bar."""
+    return max(score.late) <= FOLLOW_ERROR
+
+
+def renders(score: FollowScore) -> bool:
+    """Return whether every beat had the height that the press would give, within the bar."""
+    return max(map(abs, score.heights)) <= HEIGHT_ERROR
+
+
+def _wrist_chapter(scores: PressScores) -> Chapter:
+    force_n, truth_n, learnt_n = scores.heights
+
+    def draw(figure: "Figure") -> None:
+        axes = figure.add_subplot()
+        axes.plot(force_n, 1e3 * truth_n, label="wrist")
+        axes.plot(force_n, 1e3 * learnt_n, "--", label="learnt at the finger")
+        axes.set(xlabel="hold-down (N)", ylabel="height of the pulse (mN)")
+        axes.legend()
+
+    best = int(truth_n.argmax())
+    slope = float(np.abs(np.gradient(truth_n, force_n)).max())
+    words = (
+        "The synthetic wrist: arterial pressure of 120/80 mmHg through a tube law (Babbs 2012)"
+        f" under a probe of 1 cm². The pulse is highest, {1e3 * truth_n[best]:.0f} mN, at"
+        f" {force_n[best]:.2f} N, which is the mean arterial pressure. Its slope is at most"
+        f" {slope:.2f} N/N. The learnt curve is that of the finger at the end of a run, which has"
+        " pressed with 0.6 to 1.5 N; outside of these, it is an extrapolation."
+    )
+    plot = Plot("height", "Height of the pulse against hold-down.", draw)
+    return Chapter("The wrist", (words,), plots=(plot,))
+
+
+def _steps_chapter(scores: PressScores, effort: PressEffort) -> Chapter:
+    rows = []
+    for trip_s, runs in scores.follow.items():
+        account = runs[0].account
+        rows.append(
+            {
+                "round trip": _ms(trip_s),
+                "hold-down": f"{max(max(run.late) for run in runs):.1%}",
+                "height": f"{min(min(run.heights) for run in runs):+.1%} to"
+                f" {max(max(run.heights) for run in runs):+.1%}",
+                "loop gain": f"{max(run.gain for run in runs):.4f}",
+                "sent": f"{account.sent}",
+                "applied": f"{account.applied}",
+                "superseded": f"{account.superseded}",
+                "lost": f"{account.lost}",
+                "bars": f"{verdict(all(map(follows, runs)))}, {verdict(all(map(renders, runs)))}",
+            }
+        )
+
+    def draw(figure: "Figure") -> None:
+        axes = figure.add_subplot()
+        for number, (trip_s, step) in enumerate(scores.steps.items()):
+            if not number:
+                axes.plot(step.time_s, step.press_n, ":", label="press")
+            axes.plot(step.time_s, step.hold_down_n, label=f"hold-down, {_ms(trip_s)}")
+        axes.set(xlabel="time after the step (s)", ylabel="force (N)")
+        axes.legend()
+
+    words = (
+        f"A finger steps between forces of 0.6 and 1.5 N every 4 s, for {effort.seconds:g} s, over"
+        " links with 10 % of jitter and 1 % of loss of every message; the steps after the first"
+        f" {LEARNT_S:g} s count, of {len(effort.seeds)} runs with their own seeds."
+        f" Hold-down: largest error against the press from {FOLLOWED_S:g} s and a round trip after"
+        f" a step on (bar: {FOLLOW_ERROR:.0%}). Height: of the felt pulse, over each beat, against"
+        " that which the present press would give; it is judged from the step on, also while the"
+        f" hold-down has not followed yet (bar: {HEIGHT_ERROR:.0%}). Loop gain: as the finger"
+        " measures it."
+    )
+    note = "Sent = applied + superseded + lost, of the first run; those under way count as lost."
+    table = Table.of("Steps by round trip", rows, note)
+    plot = Plot("steps", "A step of the press, and the hold-down over several round trips.", draw)
+    return Chapter("Steps", (words,), (table,), (plot,))
+
+
+def _stability_chapter(scores: PressScores) -> Chapter:
+    trips = sorted({trip_s for trip_s, *_ in scores.swing})
+    rows = []
+    for trip_s in trips:
+        swings = [swing for (at_s, *_), swing in scores.swing.items() if at_s == trip_s]
+        largest = [max(1e3 * swing.rms_n[number] for swing in swings) for number in range(WINDOWS)]
+        cells = {
+            f"{number * WINDOW_S:g} to {(number + 1) * WINDOW_S:g} s": f"{rms_mn:.2f}"
+            for number, rms_mn in enumerate(largest)
+        }
+        decays = verdict(all(swing.decays for swing in swings))
+        rows.append({"round trip": _ms(trip_s), **cells, "bar": decays})
+
+    def draw(figure: "Figure") -> None:
+        axes = figure.add_subplot()
+        middles_s = [WINDOW_S * (number + 0.5) for number in range(WINDOWS)]
+        for style, trip_s in zip(STYLES, trips, strict=False):
+            swings = [swing for (at_s, *_), swing in scores.swing.items() if at_s == trip_s]
+            rms_mn = [max(1e3 * swing.rms_n[i] for swing in swings) for i in range(WINDOWS)]
+            axes.plot(middles_s, rms_mn, style, label=_ms(trip_s))
+        axes.set(yscale="log", xlabel="time after the step (s)", ylabel="RMS of the set-point (mN)")
+        axes.legend()
+
+    stiffness = sorted({tissue for _, tissue, _ in scores.swing})
+    gains = [
+        {
+            "pulse's share in the reading": f"{share:g}",
+            "opened loop": f"{measured:.4f}",
+            "as the finger measures it": f"{bound:.4f}",
+            "bar": verdict(max(measured, bound) < MOST_GAIN),
+        }
+        for share, (measured, bound) in scores.gains.items()
+    ]
+    words = (
+        "After a step the hand means a constant force. Energy of the set-point between"
+        f" {BAND_HZ[0]:g} and {BAND_HZ[1]:g} Hz, as RMS in mN over windows of {WINDOW_S:g} s,"
+        " from 0.5 s and a round trip after the step on: the largest over finger and tissue of each"
+        f" {', '.join(f'{each:g}' for each in stiffness)} times the model's stiffness. Bar: no"
+        f" window has more than the one before it, or than {1e3 * REST_N:g} mN. What is in the"
+        " first window is the hand, which follows a tip that yields.",
+        "The gain is measured with the loop opened at the wrist, which is pressed by steps of its"
+        " own while the hand means a constant force: the largest change of the set-point over that"
+        f" of the hold-down. It is compared with the bound {MOST_GAIN:g} of the small-gain"
+        " argument; below 1 no delay can make the loop swing.",
+    )
+    tables = (
+        Table.of("What swings on after a step: RMS of the set-point (mN)", rows),
+        Table.of("Gain of the loop through the network", gains),
+    )
+    plot = Plot("swing", "RMS of the set-point after a step, the worst finger and tissue.", draw)
+    return Chapter("Stability", words, tables, (plot,))
+
+
+def _limits_chapter(scores: PressScores) -> Chapter:
+    limits = ProbeLimits()
+    every = [*(run for runs in scores.follow.values() for run in runs), *scores.tcp.values()]
+    peaks = [(run.greatest_n, run.slew_n_per_s) for run in every]
+    peaks += [(swing.greatest_n, swing.slew_n_per_s) for swing in scores.swing.values()]
+    cases = {"all runs of this study": (max(a for a, _ in peaks), max(b for _, b in peaks))}
+    cases |= {
+        f"hostile display, tissue {tissue:g} times as stiff": peak
+        for tissue, peak in scores.hostile.items()
+    }
+    rows = [
+        {
+            "case": name,
+            "force (N)": f"{force_n:.2f}",
+            "slew (N/s)": f"{slew:.1f}",
+            "bar": verdict(force_n <= limits.force_n and slew <= limits.slew_n_per_s),
+        }
+        for name, (force_n, slew) in cases.items()
+    ]
+    eased = {
+        tissue: max(time_s for (at, _), time_s in scores.eased_s.items() if at == tissue)
+        for tissue, _ in scores.eased_s
+    }
+    times = [
+        {
+            "tissue": f"{tissue:g} times",
+            "eased off": f"{time_s:.2f} s",
+            "bar": verdict(time_s <= EASED_S),
+        }
+        for tissue, time_s in eased.items()
+    ]
+    words = (
+        f"Limits at the wrist: {limits.force_n:g} N and {limits.slew_n_per_s:g} N/s. The hostile"
+        " display sends 1600 set-points a second of 0 to 10⁶ N, repeated, out of order, and of two"
+        " runs.",
+        "Time from the last set-point that arrives before a cut, pressed with 2.5 N, until the"
+        f" force is within 0.05 N of the resting {limits.resting_n:g} N: the longest over the round"
+        " trips.",
+    )
+    tables = Table.of("Largest force and slew", rows), Table.of("Eased off after a cut", times)
+    return Chapter("Limits and cuts", words, tables)
+
+
+def _tcp_chapter(scores: PressScores) -> Chapter:
+    rows = [
+        {
+            "round trip": _ms(trip_s),
+            "connections": f"{count}",
+            "steps followed": f"{_followed(run)} of {len(run.late)}",
+            "applied": f"{run.account.applied} of {run.account.sent}",
+            "height": f"{min(run.heights):+.1%} to {max(run.heights):+.1%}",
+            "bars": f"{verdict(follows(run))}, {verdict(renders(run))}",
+        }
+        for (trip_s, count), run in scores.tcp.items()
+    ]
+    words = (
+        "The same over TCP with 1 % of its packets lost, where everything after a lost packet waits"
+        " 1.25 round trips for its repetition. From a round trip of 240 ms on this is longer than"
+        f" the {ProbeLimits().stale_after_ns * 1e-6:.0f} ms after which the probe eases off, and 50"
+        " set-points a second lose one every 2 s. With set-points that take turns over four"
+        " connections, one connection may stall. The frames of this table have one connection, so"
+        " that from 1 s on the finger itself is blind meanwhile, and sends nothing."
+    )
+    return Chapter("Over TCP", (words,), (Table.of("Steps over TCP", rows),) if rows else ())
+
+
+def _followed(score: FollowScore) -> int:
+    return sum(late <= FOLLOW_ERROR for late in score.late)
+
+
+def _ms(seconds: float) -> str:
+    return f"{1e3 * seconds:.0f} ms"
