@@ -265,14 +265,21 @@ def _window_begins_s(number: int) -> float:
 
 def windows_text(windows: Sequence[Mapping[str, Any]]) -> str | None:
     """Return one line for each window, as JSON has them; None without any."""
+    return largest_windows_text([windows])
+
+
+def largest_windows_text(contactors: Sequence[Sequence[Mapping[str, Any]]]) -> str | None:
+    """Return one line for each window, with the largest error of several contactors."""
     lines = []
-    for each in windows:
+    for each, *others in zip(*contactors, strict=False):
         # The last window ends with the run.
         until = f"{each['to_s']:.1f}".removesuffix(".0")
         times = f"{each['from_s']:.0f} to {until} s"
-        errors = (each["aligned_n"], each["in_phase_n"])
-        aligned, in_phase = (NEWTONS.text(error) or "unknown" for error in errors)
         # An E of 0 is known to the clock's error only; "z" prints no sign before a zero.
-        delay = f"{each['playout_delay_ms']:z.1f} ms"
-        lines.append(f"{times}: E {delay}, aligned {aligned}, in phase {in_phase}")
+        parts = [f"{times}: E {each['playout_delay_ms']:z.1f} ms"]
+        for name, key in (("aligned", "aligned_n"), ("in phase", "in_phase_n")):
+            errors_n = [found[key] for found in (each, *others) if found[key] is not None]
+            most = "at most " if others else ""
+            parts.append(f"{name} {most}{NEWTONS.text(max(errors_n, default=None)) or 'unknown'}")
+        lines.append(", ".join(parts))
     return texts(lines, "\n")

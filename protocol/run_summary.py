@@ -24,6 +24,7 @@ from protocol.counters import (
     Limits,
     availability_text,
     interruptions_text,
+    largest_windows_text,
     limit_texts,
     longest_limit_text,
     windows_text,
@@ -299,9 +300,14 @@ def rows(summary: Mapping[str, Any], surface: Surface) -> list[tuple[str, str]]:
     The rows of several contactors come last, with a line for each.
     """
     found = [(row.name, row.text) for row in REGISTRY.rows(summary, surface)]
+    contactors = summary.get("contactors", {})
     lines: dict[str, list[str]] = {}
-    for contactor, figures in summary.get("contactors", {}).items():
-        for row in REGISTRY.rows(figures, surface):
-            text = row.text.replace("\n", f"\n{contactor}: ")
-            lines.setdefault(row.name, []).append(f"{contactor}: {text}")
-    return found + [(name, "\n".join(texts)) for name, texts in lines.items()]
+    for name, figures in contactors.items():
+        # One line for all contactors, below.
+        alone = {**figures, "windows": []}
+        for row in REGISTRY.rows(alone, surface):
+            lines.setdefault(row.name, []).append(f"{name}: {row.text}")
+    found += [(name, "\n".join(texts)) for name, texts in lines.items()]
+    windows = [figures.get("windows", []) for figures in contactors.values()]
+    by_time = largest_windows_text(windows) if surface is Surface.SUMMARY and windows else None
+    return [*found, ("by time", by_time)] if by_time else found
