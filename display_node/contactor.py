@@ -11,6 +11,7 @@ from display_node.drives.hardware import Hardware
 from display_node.drives.withdrawal import FingerState, describe_finger
 from display_node.plant.feedback import Feedback
 from display_node.plant.filters import delay_line
+from display_node.prediction import Linear, Predictor
 from display_node.prediction.concealment import Concealment
 from display_node.reception.jitter_buffer import JitterBuffer
 from display_node.scene import DisplayScene
@@ -48,6 +49,10 @@ class Contactor:
     lead_ns
         Time by which the sample that is played is later than the played instant of the pulse: the
         group delay of the sensing chain, and the lag of the actuator.
+    reach_ns
+        Time by which the last sample that the loop requires is later: to the end of its horizon.
+    reserve_ns
+        The delay that "auto" adds for the loop: to the sample after the end of its horizon.
     state
         State of the last tick.
     """
@@ -59,7 +64,7 @@ class Contactor:
         self.layer = scene.layer.layer()
         self.state = TickState()
         self.force_ratio = 1.0
-        self.lead_ns = 0
+        self.lead_ns = self.reach_ns = self.reserve_ns = 0
         self.bounds = ForceBounds(scene.safety, scene.tick_ns)
         self.loop = scene.force_loop()
         self.tracking_error = TrackingError(self.layer.strain_per_newton) if score else None
@@ -68,30 +73,28 @@ class Contactor:
         self._tick_ns = scene.tick_ns
         self._count = self.loop.horizon + 1
         self._target = delay_line(self.loop.lead_ns / scene.tick_ns)
-        self._group_delay_ns = self._reach_ns = self._reserve_ns = 0
-        self._concealment = self._build_concealment()
+        self._group_delay_ns = 0
+        self._concealment = Concealment(Linear(0), scene.tick_ns)
         self._prediction = PredictionScore(scene.tick_ns)
         self._beats = BeatStatistics()
         self._reference_n: list[float] = []
         self._reading_n = 0.0
 
-    def _build_concealment(self) -> Concealment:
-        scene = self.scene
-        return Concealment(scene.predictor, scene.tick_ns, auto=scene.compensation_ns is None)
-
     def use(self, hardware: Hardware) -> None:
         """Play on a started real bench instead of the models. Call before the first tick."""
         self._hardware, self.feedback = hardware, hardware.feedback
 
-    def begin(self, description: StreamDescription) -> None:
-        """Begin a session, whose samples, times and clock are unrelated to those before."""
+    def begin(self, description: StreamDescription, predictor: Predictor) -> None:
+        """Begin a session, whose samples, times and clock are unrelated to those before.
+
+        predictor: of the channel; it has seen nothing.
+        """
         self.force_ratio = matching_force_ratio(description.layer, self.layer)
         self._group_delay_ns = description.group_delay_ns
         self.lead_ns = description.group_delay_ns + self.loop.lead_ns
-        self._reach_ns = self.lead_ns + self.loop.horizon * self._tick_ns
-        # "auto" adds this delay for the loop: up to the sample after the end of its horizon.
-        self._reserve_ns = self._reach_ns + description.period_ns
-        self._concealment = self._build_concealment()
+        self.reach_ns = self.lead_ns + self.loop.horizon * self._tick_ns
+        self.reserve_ns = self.reach_ns + description.period_ns
+        self._concealment = Concealment(predictor, self._tick_ns)
         self._prediction.restart()
         self._beats.restart()
 
@@ -105,27 +108,9 @@ class Contactor:
             self.tracking_error.add_reference(samples, self.force_ratio, self._group_delay_ns)
 
     @property
-    def trusted(self) -> bool:
-        """True while the predictor's error is small enough to reduce the perceived delay."""
-        return bool(self._concealment.trusted)
-
-    @property
-    def may_trust(self) -> bool:
-        """True where the predictor's error can reduce the perceived delay."""
-        return self._concealment.trusted is not None
-
-    def delay_ns(self, now_ns: int, delay_ns: int, age_ns: int) -> int:
-        """Return the perceived delay E for "auto" that this contactor requires, once a tick.
-
-        Parameters
-        ----------
-        delay_ns
-            Delay of the link.
-        age_ns
-            Age of the newest sample that has arrived.
-        """
-        reach_ns = self._reach_ns
-        return self._concealment.delay_ns(now_ns, delay_ns + self._reserve_ns, age_ns + reach_ns)
+    def error_shares(self) -> list[float]:
+        """Expected squared errors of the prediction, as `Concealment` returns them."""
+        return self._concealment.error_shares
 
     def follow(self, now_ns: int, elapsed_ticks: int, safety: Safety) -> None:
         """Follow the drive of a real bench since the last tick, and latch its fault."""

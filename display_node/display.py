@@ -10,6 +10,8 @@ from typing import Final
 from display_node.contactor import Contactor
 from display_node.control.safety import Safety
 from display_node.drives.hardware import Hardware
+from display_node.prediction import WITHOUT_ERROR_ESTIMATE, build_predictors
+from display_node.prediction.trust import Trust
 from display_node.reception.playout import PlayedDelays, PlayoutClock
 from display_node.reception.receiver import Receiver
 from display_node.scene import DisplayScene
@@ -52,7 +54,8 @@ class Display:
         self.tracking_errors = [error for error in errors if error is not None]
         self._playout = PlayoutClock()
         self._resets = 0
-        self._lead_ns = 0
+        self._lead_ns = self._reach_ns = self._reserve_ns = 0
+        self._trust = self._build_trust()
         self._next_report_ns = 0
         self._delays = PlayedDelays()
         self._availability = AvailabilityCounter(scene.tick_ns * 1e-9)
@@ -115,9 +118,14 @@ class Display:
         if resets != self._resets and description is not None:
             self._resets = resets
             self._playout = PlayoutClock()
-            for contactor in self.contactors:
-                contactor.begin(description)
+            count = len(self.contactors)
+            predictors = build_predictors(self._scene.predictor, self._tick_ns, count)
+            for contactor, predictor in zip(self.contactors, predictors, strict=True):
+                contactor.begin(description, predictor)
             self._lead_ns = max(contactor.lead_ns for contactor in self.contactors)
+            self._reach_ns = max(contactor.reach_ns for contactor in self.contactors)
+            self._reserve_ns = max(contactor.reserve_ns for contactor in self.contactors)
+            self._trust = self._build_trust()
 
     def requests(self, now_ns: int) -> list[ControlMessage]:
         """Return the requests and reports to send to the sensing node now."""
@@ -163,13 +171,11 @@ class Display:
         sensing_now_ns, trusted = receiver.clock.remote_ns(now_ns), False
         wanted_delay_ns = self._compensation_ns
         if wanted_delay_ns is None:
-            age_ns, trusted = sensing_now_ns - newest_ns, True
-            wanted_delay_ns = 0
-            for contactor in contactors:
-                required_ns = contactor.delay_ns(now_ns, delay_ns, age_ns)
-                trusted = trusted and contactor.trusted
-                if required_ns > wanted_delay_ns:
-                    wanted_delay_ns = required_ns
+            wanted_delay_ns, trust = delay_ns + self._reserve_ns, self._trust
+            if trust is not None:
+                if trust.observe(now_ns, sensing_now_ns + self._reach_ns - newest_ns):
+                    trust.evaluate(now_ns, wanted_delay_ns, self._error_shares())
+                wanted_delay_ns, trusted = trust.delay_ns(wanted_delay_ns), trust.given
         instant_ns = self._playout.instant(now_ns, sensing_now_ns - wanted_delay_ns)
         # The sensing chain delays the pulse by its group delay: the pulse of `instant_ns` is in the
         # sample taken that much later. The actuators' lags are compensated in the same way.
@@ -191,6 +197,19 @@ class Display:
             self._delays.add(sensing_now_ns - instant_ns, longest_ns, trusted)
         return alive
 
+    def _build_trust(self) -> Trust | None:
+        """Return the trust in the predictor; None where E is fixed, or its errors are unknown."""
+        scene = self._scene
+        auto = scene.compensation_ns is None and scene.predictor not in WITHOUT_ERROR_ESTIMATE
+        return Trust() if auto else None
+
+    def _error_shares(self) -> list[float]:
+        """Return the prediction's expected errors, of each horizon the largest of any contactor."""
+        first, *others = (contactor.error_shares for contactor in self.contactors)
+        if not all(others):
+            return []
+        return list(map(max, first, *others)) if others else first
+
     def _report(self, session: int) -> DisplayReport:
         counts, delay_ms = self.receiver.account(), self.receiver.one_way_delay_ms
         errors_n = (errors.force_rmse_n.aligned for errors in self.tracking_errors)
@@ -209,14 +228,13 @@ class Display:
     ) -> Summary:
         """Return the summary so far; the arguments are the figures of the caller's loop."""
         delays, contactors = self._delays, self.contactors
-        may_trust = any(contactor.may_trust for contactor in contactors)
         summary = replace(
             self.receiver.summary(self.states[0].now_ns),
             playout_delay_ms=delays.playout_delay_ms,
             covered_delay_ms=delays.covered_delay_ms,
             availability=self._availability.availability(delays.ticks),
             interruptions=self._interruptions.interruptions(),
-            compensation=delays.compensation(may_trust),
+            compensation=delays.compensation(may_trust=self._trust is not None),
             loop=Loop(self.ticks, deadline_misses, tick_us or TickTime()),
             rejected=dict(self.receiver.rejected),
             faults=list(self.safety.faults),

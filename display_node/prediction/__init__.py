@@ -6,7 +6,7 @@ To add a predictor that learns:
 2. Build it in `ensemble.Ensemble`.
 3. Add its name to `PredictorName`, here.
 
-A predictor that learns nothing is a `Predictor`, like `Linear`; build it in `build_predictor`.
+A predictor that learns nothing is a `Predictor`, like `Linear`; build it in `build_predictors`.
 """
 
 from collections.abc import Sequence
@@ -76,11 +76,15 @@ class Linear(Predictor):
         return newest + slope * min(instant_ns - newest_ns, self._reach_ns)
 
 
-def build_predictor(name: PredictorName, tick_ns: int) -> Predictor:
-    """Build a predictor that has seen nothing; `work` will be called every `tick_ns`."""
+def build_predictors(name: PredictorName, tick_ns: int, count: int = 1) -> list[Predictor]:
+    """Build the predictors of `count` channels of a stream, which have seen nothing.
+
+    `work` of each will be called every `tick_ns`, in this order.
+    """
     if name in WITHOUT_ERROR_ESTIMATE:
-        return Linear(0 if name == "hold" else REACH_NS)
+        return [Linear(0 if name == "hold" else REACH_NS) for _ in range(count)]
     # Imported here, so that a display without these predictors does not load linear algebra.
     from display_node.prediction.ensemble import Ensemble
 
-    return Ensemble(name, tick_ns)
+    ensemble = Ensemble(name, tick_ns, count)
+    return [ensemble, *ensemble.others]

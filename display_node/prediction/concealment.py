@@ -1,13 +1,12 @@
-"""Concealment: the force where no sample has arrived, without jumps, and trust in the predictor.
+"""Concealment: the force where no sample has arrived, without jumps.
 
-With `compensation = "auto"`, the perceived delay E is the delay that the link requires; while the
-predictor is trusted, E is up to 400 ms smaller. Pure: samples, errors and times are arguments.
+Pure: samples and times are arguments.
 """
 
 import math
 
-from display_node.prediction import WITHOUT_ERROR_ESTIMATE, PredictorName, build_predictor
-from display_node.prediction.trust import PulseSize, Trust
+from display_node.prediction import Predictor
+from display_node.prediction.trust import PulseSize
 from protocol.wire.messages import ChannelSamples
 
 # Time constant of the decay, as a share of the horizon of the old prediction: corrections of a
@@ -78,28 +77,30 @@ class Blend:
 
 
 class Concealment:
-    """One session's predictor, with smoothed jumps and a judgement of its error. Pure.
+    """Prediction of one channel where no sample has arrived, blended with the received force.
 
-    Forces are those at the wrist, in N. Times are on the sensing clock, except now_ns. auto:
-    whether the perceived delay follows the link, so that trust may reduce it.
+    Forces are those at the wrist, in N. Times are on the sensing clock. predictor: of the channel.
     """
 
-    def __init__(self, predictor: PredictorName, tick_ns: int, auto: bool) -> None:
+    def __init__(self, predictor: Predictor, tick_ns: int) -> None:
         self._tick_ns = tick_ns
-        self._predictor = build_predictor(predictor, tick_ns)
+        self._predictor = predictor
         self._blend = Blend(tick_ns)
         self._size = PulseSize()
-        self._trust = Trust() if auto and predictor not in WITHOUT_ERROR_ESTIMATE else None
         self.work = self._predictor.work
         self.error_n = self._predictor.error_n
 
     @property
-    def trusted(self) -> bool | None:
-        """True while the predictor's error is small enough to reduce E.
+    def error_shares(self) -> list[float]:
+        """Expected squared errors over the squared height, 10, 20, … ms after the newest sample.
 
-        None where trust is not used: E is fixed, or the predictor does not estimate its error.
+        Empty where they are unknown.
         """
-        return None if self._trust is None else self._trust.given
+        size_n = self._size.size
+        if not size_n:
+            return []
+        scale = 1 / (size_n * size_n)
+        return [square_n2 * scale for square_n2 in self._predictor.squares_n2]
 
     @property
     def height_n(self) -> float | None:
@@ -120,23 +121,6 @@ class Concealment:
         """Take the samples of a frame, late or not."""
         self._predictor.observe(samples.times_ns, samples.forces_n)
         self._size.observe(samples.times_ns[0], samples.forces_n)
-
-    def delay_ns(self, now_ns: int, required_ns: int, age_ns: int) -> int:
-        """Return the perceived delay E for "auto", once a tick.
-
-        Parameters
-        ----------
-        required_ns
-            Delay that the link requires without prediction.
-        age_ns
-            Age of the newest sample that has arrived, at the end of the loop's horizon.
-        """
-        trust = self._trust
-        if trust is None:
-            return required_ns
-        if trust.observe(now_ns, age_ns):
-            trust.evaluate(now_ns, required_ns, self._predictor.squares_n2, self._size.size)
-        return trust.delay_ns(required_ns)
 
     def complete(
         self, path_n: list[float], count: int, instant_ns: int, newest_ns: int

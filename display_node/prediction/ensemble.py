@@ -40,6 +40,43 @@ HORIZON = np.arange(1, HORIZONS + 1)
 ARRIVED = (HORIZON[:, np.newaxis] - 1 - HORIZON) % HORIZONS * HORIZONS + HORIZON - 1
 
 
+class PathErrors:
+    """Squared errors of the last paths of each channel, once their values have come."""
+
+    def __init__(self, channels: int) -> None:
+        # The paths of the last steps, and running sums of their squared errors, by step and
+        # horizon.
+        self._paths = np.zeros((channels, HORIZONS * HORIZONS))
+        self._sums = np.zeros((channels, ERRORS, HORIZONS))
+        self._steps = 0
+
+    def add(self, newest: NDArray[np.floating], paths: Floats) -> None:
+        """Judge the last paths by the newest values, shape (channels, 1), and keep new ones."""
+        position = self._steps % HORIZONS
+        errors = newest - self._paths.take(ARRIVED[position], axis=1)
+        errors *= errors
+        errors[:, self._steps :] = 0.0
+        total = self._sums[:, self._steps % ERRORS]
+        self._steps += 1
+        np.fmin(errors, WORST, out=errors)
+        np.add(total, errors, out=self._sums[:, self._steps % ERRORS])
+        begin = position * HORIZONS
+        self._paths[:, begin : begin + HORIZONS] = paths
+
+    def mean_squares(self, steps: int) -> Floats:
+        """Return the mean square error at each horizon over the last steps, fewer than `ERRORS`.
+
+        It has the shape (channels, horizons), and is infinite at horizons at which fewer values
+        have been predicted.
+        """
+        newest, before = self._steps % ERRORS, (self._steps - steps) % ERRORS
+        means: Floats = np.maximum(self._sums[:, newest] - self._sums[:, before], 0.0)
+        means /= steps
+        # The nearest horizons were the first to be predicted.
+        means[:, max(self._steps - steps, 0) :] = np.inf
+        return means
+
+
 class Stack:
     """Combination of n trajectories, with least-squares weights for every horizon.
 
@@ -55,24 +92,10 @@ class Stack:
         self._products = np.zeros((HORIZONS, count, count + 1))
         self._product = np.zeros_like(self._products)
         self._ridge, self._identity = FIRST_RIDGE, np.eye(count)
-        # The trajectories of the last steps with the values that they began at, and their paths.
+        # The trajectories of the last steps with the values that they began at.
         self._made = np.zeros((HORIZONS, HORIZONS, count + 1))
-        self._paths, self._path = np.zeros((HORIZONS, HORIZONS)), np.zeros(HORIZONS)
+        self._path = np.zeros(HORIZONS)
         self._steps = 0
-        # Running sums of the squared errors, by step and horizon.
-        self._sums = np.zeros((ERRORS, HORIZONS))
-
-    def mean_squares(self, steps: int) -> Floats:
-        """Return the mean square error at each horizon over the last steps, fewer than `ERRORS`.
-
-        It is infinite at horizons at which fewer values have been predicted.
-        """
-        newest, before = self._steps % ERRORS, (self._steps - steps) % ERRORS
-        means: Floats = np.maximum(self._sums[newest] - self._sums[before], 0.0)
-        means /= steps
-        # The nearest horizons were the first to be predicted.
-        means[max(self._steps - steps, 0) :] = np.inf
-        return means
 
     def predict(self, newest: float, trajectories: Floats) -> Floats:
         """Combine trajectories of shape (n, 25) from a newest value into a path."""
@@ -81,20 +104,21 @@ class Stack:
         self._path += newest
         return self._path
 
+    def predict_others(self, newest: NDArray[np.floating], trajectories: Floats) -> Floats:
+        """Combine trajectories of other channels, shape (others, n, 25), by the same weights.
+
+        newest: their newest values, shape (others, 1).
+        """
+        return np.asarray(np.einsum("hi,kih->kh", self._weights, trajectories) + newest)
+
     def learn(self, values: NDArray[np.floating], artefact: bool = False) -> None:
         """Learn from the last 26 values of the steps of learning, the newest last.
 
         artefact: whether one is present; the weights are then kept. Call it after `predict`, at the
         steps from which the experts learn.
         """
-        position = self._steps % HORIZONS
-        made, path = self._made[position], self._paths[position]
-        errors = values[-1] - self._paths.take(ARRIVED[position])
-        errors *= errors
-        errors[self._steps :] = 0.0
-        total = self._sums[self._steps % ERRORS]
+        made = self._made[self._steps % HORIZONS]
         self._steps += 1
-        np.add(total, np.fmin(errors, WORST, out=errors), out=self._sums[self._steps % ERRORS])
         if self._steps > HORIZONS and not artefact:
             np.subtract(values[1:], made[:, -1], out=made[:, -1])
             forget = 1 - 1 / min(MEMORY_STEPS, FIRST_MEMORY_STEPS + self._steps / 2)
@@ -106,7 +130,6 @@ class Stack:
             if self._steps % SOLVED == 0:
                 self._solve()
         made[:, :-1], made[:, -1] = self._trajectories.T, self._newest
-        path[:] = self._path
 
     def _solve(self) -> None:
         # After an enormous sample, the ridge is more than the products' rounding.
@@ -130,40 +153,23 @@ SPACING_NS = SPACING * STEP_NS
 PIECE_NS = 1_000_000
 
 
-class Ensemble:
-    """Predictor of a stream of force in N; it holds the newest value during its warm-up.
+class ChannelPath:
+    """Path of one channel that an ensemble predicts, and the errors to expect of it.
 
-    kind: "stack" of all experts, or the name of a single one. tick_ns: time between two calls of
-    `work`. names: of the combined trajectories, then "stack".
+    level, scale: mean and deviation in N of the channel's warm-up, 1 where it was constant.
+    squares_n2: as in `Predictor`.
     """
 
-    def __init__(self, kind: str, tick_ns: int) -> None:
-        self._kind = kind
-        self._pieces_a_tick = math.ceil(tick_ns / PIECE_NS)
-        self._grid = Grid()
+    def __init__(self) -> None:
+        self.grid = Grid()
         self._newest_ns, self._newest = -(1 << 64), 0.0
-        self._begin()
-        self.names = (*(name for expert in self._experts for name in expert.names), "stack")
+        self.begin()
 
-    def _begin(self) -> None:
-        self._rhythm, self._artefacts = Rhythm(), ArtefactDetector()
-        experts: dict[str, Expert] = {"analogue": Analogue(), "fir": Fir()}
-        chosen = experts if self._kind == "stack" else (self._kind,)
-        self._experts = [experts[name] for name in chosen]
-        trust = np.array([share for expert in self._experts for share in expert.trust])
-        self._stack = Stack(trust if self._kind == "stack" else np.full(len(trust), 1 / len(trust)))
-        self._history = History(CAPACITY)
-        self._warm_up: list[float] = []
-        self._level, self._scale = 0.0, 0.0
-        self._work: Iterator[None] = iter(())
-        # Number of the history's newest cell in the grid.
-        self._number = -1
+    def begin(self) -> None:
+        """Discard what was learnt."""
+        self.warm_up: list[float] = []
+        self.level, self.scale = 0.0, 0.0
         self._middle_ns = 0
-        # Each expert's trajectories, a view of each expert's own, and the combined path.
-        self._rows = np.zeros((len(trust), HORIZONS))
-        ends = np.cumsum([len(expert.names) for expert in self._experts])
-        self._parts = np.split(self._rows, ends[:-1])
-        self._points = np.zeros(HORIZONS + 2)
         self._path: list[float] = []
         self.squares_n2: list[float] = []
 
@@ -171,18 +177,10 @@ class Ensemble:
         """Take new samples in N, in order of time within the call."""
         if times_ns[-1] > self._newest_ns:
             self._newest_ns, self._newest = times_ns[-1], values[-1]
-        self._grid.observe(times_ns, values)
+        self.grid.observe(times_ns, values)
 
     def work(self) -> None:
-        """Do one tick's share of the waiting work, or twice as much after a burst."""
-        fresh = self._grid.new_cells
-        with np.errstate(all="ignore"):
-            # Delayed samples come in a burst, which is processed at double rate.
-            hurry = 2 if len(fresh) > 1 else 1
-            for _ in range(hurry * self._pieces_a_tick):
-                if next(self._work, self) is self and fresh:
-                    self._work = self._step(fresh.popleft())
-                    next(self._work, None)
+        """Do nothing: the ensemble works for all channels."""
 
     def predict(self, instant_ns: int) -> float:
         """Return the force in N at an instant after the newest sample."""
@@ -190,15 +188,6 @@ class Ensemble:
         if not path:
             return self._newest
         return _between(path, (instant_ns - self._middle_ns) / SPACING_NS)
-
-    def predict_each(self, instant_ns: int) -> list[float]:
-        """Return the prediction of each of `names`, for studies."""
-        if not self._path:
-            return [self._newest] * len(self.names)
-        before = self._path[:2]
-        position = (instant_ns - self._middle_ns) / SPACING_NS
-        rows = (before[1] + self._scale * self._rows).tolist()
-        return [*(_between(before + row, position) for row in rows), self.predict(instant_ns)]
 
     def error_n(self, horizon_ns: int) -> float | None:
         """Return the RMSE in N of predictions `horizon_ns` ahead over the last beat and a quarter.
@@ -212,19 +201,102 @@ class Ensemble:
         square_n2 = self.squares_n2[horizon - 1]
         return math.sqrt(square_n2) if square_n2 < math.inf else None
 
+    def normalised(self, value: float) -> float:
+        """Return a value in deviations from the level, limited."""
+        # A value that is no number becomes the limit, too.
+        return max(-LARGEST, min(LARGEST, (value - self.level) / self.scale))
+
+    def publish(self, points: Floats, middle_ns: int) -> bool:
+        """Store a path from its normalised points; return whether all of it is finite."""
+        path = (self.level + self.scale * points).tolist()
+        if not all(map(math.isfinite, path)):
+            return False
+        self._path, self._middle_ns = path, middle_ns
+        return True
+
+
+class Ensemble(ChannelPath):
+    """Predictor of a stream of force in N; it holds the newest value during its warm-up.
+
+    Other channels of the stream, which are the same pulse at other places, are predicted from the
+    past of the first one: by the same analogues, inputs and weights. That costs a fraction of a
+    predictor of their own.
+
+    kind: "stack" of all experts, or the name of a single one. tick_ns: time between two calls of
+    `work`. names: of the combined trajectories, then "stack". others: paths of the other channels.
+    """
+
+    def __init__(self, kind: str, tick_ns: int, channels: int = 1) -> None:
+        self._kind = kind
+        self._pieces_a_tick = math.ceil(tick_ns / PIECE_NS)
+        self.others = [ChannelPath() for _ in range(channels - 1)]
+        super().__init__()
+        self.names = (*(name for expert in self._experts for name in expert.names), "stack")
+
+    def begin(self) -> None:
+        """Discard what was learnt, of all channels."""
+        super().begin()
+        for other in self.others:
+            other.begin()
+        self._rhythm, self._artefacts = Rhythm(), ArtefactDetector()
+        experts: dict[str, Expert] = {"analogue": Analogue(), "fir": Fir()}
+        chosen = experts if self._kind == "stack" else (self._kind,)
+        self._experts = [experts[name] for name in chosen]
+        trust = np.array([share for expert in self._experts for share in expert.trust])
+        self._stack = Stack(trust if self._kind == "stack" else np.full(len(trust), 1 / len(trust)))
+        channels = 1 + len(self.others)
+        self._errors = PathErrors(channels)
+        self._history = History(CAPACITY, channels)
+        self._work: Iterator[None] = iter(())
+        # Number of the history's newest cell in the grid.
+        self._number = -1
+        # Each expert's trajectories, a view of each expert's own, and the combined path.
+        self._rows = np.zeros((len(trust), HORIZONS))
+        self._other_rows = np.zeros((len(self.others), len(trust), HORIZONS))
+        ends = np.cumsum([len(expert.names) for expert in self._experts])
+        self._parts = np.split(self._rows, ends[:-1])
+        self._other_parts = np.split(self._other_rows, ends[:-1], axis=1)
+        # Each channel's path, and the last two values with the path within bounds.
+        self._ahead = np.zeros((channels, HORIZONS))
+        self._points = np.zeros((channels, HORIZONS + 2))
+
+    def work(self) -> None:
+        """Do one tick's share of the waiting work, or twice as much after a burst."""
+        fresh = self.grid.new_cells
+        with np.errstate(all="ignore"):
+            # Delayed samples come in a burst, which is processed at double rate.
+            hurry = 2 if len(fresh) > 1 else 1
+            for _ in range(hurry * self._pieces_a_tick):
+                if next(self._work, self) is self and fresh:
+                    self._work = self._step(fresh.popleft())
+                    next(self._work, None)
+
+    def predict_each(self, instant_ns: int) -> list[float]:
+        """Return the prediction of each of `names`, for studies."""
+        if not self._path:
+            return [self._newest] * len(self.names)
+        before = self._path[:2]
+        position = (instant_ns - self._middle_ns) / SPACING_NS
+        rows = (before[1] + self.scale * self._rows).tolist()
+        return [*(_between(before + row, position) for row in rows), self.predict(instant_ns)]
+
     def _step(self, cell: GridCell) -> Iterator[None]:
         """Do the work for a new cell, piece by piece."""
-        if not self._scale:
-            self._settle(cell)
+        # All channels come with the same frames, so that their cells are the same.
+        beside = [other.grid.new_cells.popleft().value for other in self.others]
+        if not self.scale:
+            self._settle(cell, beside)
             return
         history = self._history
-        self._push(cell.value)
+        self._push(cell.value, beside)
         self._artefacts.observe(history)
         self._number = cell.number
         # Cells that late samples corrected replace the interpolated ones.
-        for late in self._grid.corrections:
-            history.rewrite(self._number - late.number, self._normalised(late.value))
-        self._grid.corrections.clear()
+        for channel, path in enumerate((self, *self.others)):
+            for late in path.grid.corrections:
+                age = self._number - late.number
+                history.rewrite(age, path.normalised(late.value), channel)
+            path.grid.corrections.clear()
         self._publish(cell)
         yield
         if history.count % SPACING:
@@ -232,9 +304,10 @@ class Ensemble:
                 yield from expert.prepare(history)
             return
         artefact = self._artefacts.present
+        self._errors.add(history.rows(1), self._ahead)
         self._stack.learn(history.last(FURTHEST + 1)[::SPACING], artefact)
         self._judge()
-        self._bounds = history.bounds()
+        self._low, self._high = history.ranges()
         for expert in self._experts:
             yield
             expert.learn(history, artefact)
@@ -244,48 +317,55 @@ class Ensemble:
         if interval is not None:
             steps = round(JUDGED_BEATS / SPACING * interval)
             steps = min(max(steps, FEWEST_JUDGED), MOST_JUDGED)
-        self.squares_n2 = (self._scale**2 * self._stack.mean_squares(steps)).tolist()
+        means = self._errors.mean_squares(steps)
+        for path, squares in zip((self, *self.others), means, strict=True):
+            path.squares_n2 = (path.scale**2 * squares).tolist()
 
-    def _settle(self, cell: GridCell) -> None:
+    def _settle(self, cell: GridCell, beside: list[float]) -> None:
         """Collect the warm-up; at its end, compute level and size and fill the history."""
-        seen = self._warm_up
-        seen.append(cell.value)
+        for path, value in zip((self, *self.others), (cell.value, *beside), strict=True):
+            path.warm_up.append(value)
+        seen = self.warm_up
         if len(seen) < WARM_UP:
             return
-        self._level, scale = float(np.mean(seen)), float(np.std(seen))
+        level, scale = float(np.mean(seen)), float(np.std(seen))
         if not 0 < scale < np.inf:
-            del seen[0]
+            for path in (self, *self.others):
+                del path.warm_up[0]
             return
-        self._scale = scale
-        for value in seen:
-            self._push(value)
+        self.level, self.scale = level, scale
+        for other in self.others:
+            level, scale = float(np.mean(other.warm_up)), float(np.std(other.warm_up))
+            constant = not 0 < scale < np.inf
+            other.level, other.scale = (other.warm_up[-1], 1.0) if constant else (level, scale)
+        for value, *rest in zip(seen, *(other.warm_up for other in self.others), strict=True):
+            self._push(value, rest)
         self._number = cell.number
-        self._bounds = self._history.bounds()
+        self._low, self._high = self._history.ranges()
 
-    def _normalised(self, value: float) -> float:
-        # A value that is no number becomes the limit, too.
-        return max(-LARGEST, min(LARGEST, (value - self._level) / self._scale))
-
-    def _push(self, value: float) -> None:
-        self._history.push(self._normalised(value))
+    def _push(self, value: float, beside: list[float]) -> None:
+        others = (path.normalised(x) for path, x in zip(self.others, beside, strict=True))
+        self._history.push(self.normalised(value), *others)
         before, _, newest = self._history.last(3).tolist()
         self._rhythm.push(newest - before)
 
     def _publish(self, cell: GridCell) -> None:
         """Store the stack's path in N, within bounds; start again if it is not finite."""
-        history, points = self._history, self._points
+        history, ahead, points = self._history, self._ahead, self._points
         for expert, part in zip(self._experts, self._parts, strict=True):
             expert.predict(history, part)
-        low, high = self._bounds
-        ahead = np.maximum(self._stack.predict(history.newest, self._rows), low)
-        np.minimum(ahead, high, out=points[2:])
-        points[:2] = history.last(SPACING + 1)[::SPACING]
-        path = (self._level + self._scale * points).tolist()
-        if not all(map(math.isfinite, path)):
-            self._begin()
-            return
-        self._path = path
-        self._middle_ns = cell.end_ns - STEP_NS // 2
+        ahead[0] = self._stack.predict(history.newest, self._rows)
+        rows = history.rows(SPACING + 1)
+        if self.others:
+            for expert, part in zip(self._experts, self._other_parts, strict=True):
+                expert.predict_others(history, part)
+            ahead[1:] = self._stack.predict_others(rows[1:, -1:], self._other_rows)
+        np.minimum(np.maximum(ahead, self._low), self._high, out=points[:, 2:])
+        points[:, :2] = rows[:, ::SPACING]
+        middle_ns = cell.end_ns - STEP_NS // 2
+        channels = zip((self, *self.others), points, strict=True)
+        if not all(path.publish(row, middle_ns) for path, row in channels):
+            self.begin()
 
 
 def _between(path: list[float], position: float) -> float:

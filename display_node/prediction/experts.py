@@ -1,7 +1,8 @@
 """The experts of the stack: beat analogues with a local regression, and a long linear filter.
 
-Each expert predicts the history's values at `HORIZONS` common horizons up to 250 ms ahead. The
-package's docstring lists the places to change when you add a predictor.
+Each expert predicts the history's values at `HORIZONS` common horizons up to 250 ms ahead: of its
+first channel, and from the same past of that channel those of the others, which are the same pulse
+at other places. The package's docstring lists the places to change when you add a predictor.
 """
 
 from collections.abc import Iterator
@@ -37,6 +38,12 @@ class Expert(Protocol):
         """Write the predicted differences from the newest value into `made`, shape (names, 25).
 
         Zeros, which hold the newest value, mean that the expert has not learnt enough.
+        """
+
+    def predict_others(self, history: History, made: Floats) -> None:
+        """Write the trajectories of the other channels into `made`, shape (others, names, 25).
+
+        Call it after `predict`.
         """
 
     def learn(self, history: History, artefact: bool = False) -> None:
@@ -89,6 +96,8 @@ LOCAL = np.array([2, 1, 3, 4, 6, 8, 11, 14, 18, 24, 32, 40, 50, 60, 80, 100, 130
 PASSAGE = np.concatenate([[0], -LOCAL, AHEAD])
 BEFORE, AFTER = slice(1, len(LOCAL) + 1), slice(len(LOCAL) + 1, None)
 PRESENT, DEEPEST = LAGS - LOCAL, int(LOCAL[-1])
+# The same of another channel: steps to its value, and outputs.
+CONTINUATION = np.concatenate([[0], AHEAD])
 # The weights of the analogues add up to 1.
 LOCAL_RIDGE = 0.00003 * np.eye(len(LOCAL), dtype=np.float32)
 
@@ -121,6 +130,8 @@ class Analogue(Expert):
         self._difference, self._slope, self._square = np.zeros((3, LAGS), np.float32)
         self._distances = np.zeros((len(MEMORIES_S), LAGS), np.float32)
         self._found = self._regresses = False
+        # The regression's gains of the other channels, side by side.
+        self._other_gains = np.zeros((len(LOCAL), 0), np.float32)
 
     def predict(self, history: History, made: Floats) -> None:
         """Write the analogues' mean continuations, and their regression."""
@@ -142,10 +153,31 @@ class Analogue(Expert):
             made[-1] = made[0]
             return
         made = made[-1]
-        made += (past.take(PRESENT) - newest - mean[-1, BEFORE]) @ self._gains
+        self._inputs = past.take(PRESENT) - newest - mean[-1, BEFORE]
+        made += self._inputs @ self._gains
         # A present unlike all its analogues is not extrapolated beyond them.
         np.maximum(made, self._low, out=made)
         np.minimum(made, self._high, out=made)
+
+    def predict_others(self, history: History, made: Floats) -> None:
+        """Write the continuations of the other channels after the first one's analogues."""
+        if not self._found:
+            made[:] = 0.0
+            return
+        past = history.rows(LAGS + 1)[1:]
+        places = self._around[:, :1] + CONTINUATION
+        mean = self._weights @ past.take(places, axis=1)
+        origins = mean[..., :1].copy()
+        mean -= origins
+        made[:] = mean[..., 1:]
+        made[:, :-1] += (1 - OFFSET) * (origins[:, :-1] - past[:, np.newaxis, -1:])
+        if not self._regresses:
+            made[:, -1] = made[:, 0]
+            return
+        last = made[:, -1]
+        last += (self._inputs @ self._other_gains).reshape(last.shape)
+        np.maximum(last, self._other_low, out=last)
+        np.minimum(last, self._other_high, out=last)
 
     def prepare(self, history: History) -> Iterator[None]:
         """Update all distances, and find the analogues of the next two steps."""
@@ -202,9 +234,23 @@ class Analogue(Expert):
         around -= weights @ around
         before = around[:, BEFORE]
         weighted = before.T * weights
-        _, self._gains, failed = sposv(weighted @ before + LOCAL_RIDGE, weighted @ after)
+        products = weighted @ after
+        if history.channels > 1:
+            products = np.concatenate([products, weighted @ self._after_others(history)], axis=1)
+        _, gains, failed = sposv(weighted @ before + LOCAL_RIDGE, products)
+        self._gains, self._other_gains = gains[:, :HORIZONS], gains[:, HORIZONS:]
         # Rounding exceeds the ridge where the pulse has become a thousand times as large.
         self._regresses = not failed
+
+    def _after_others(self, history: History) -> Row:
+        """Return the continuations of the other channels after each analogue, side by side."""
+        places = self._around[: COUNTS[0], :1] + CONTINUATION + 1
+        around = history.rows(LAGS + 1)[1:].take(places, axis=1)
+        after = around[..., 1:] - around[..., :1]
+        self._other_low = np.minimum.reduce(after, axis=1)
+        self._other_high = np.maximum.reduce(after, axis=1)
+        beside: Row = after.transpose(1, 0, 2).reshape(COUNTS[0], -1)
+        return beside
 
 
 def _kernels(distances: Row) -> Row:
@@ -250,6 +296,8 @@ class Fir(Expert):
     def __init__(self) -> None:
         # In the memory order of BLAS, which updates in place.
         self._weights = np.zeros((TAPS, HORIZONS), order="F")
+        # Of the other channels, side by side.
+        self._other_weights = np.zeros((TAPS, 0), order="F")
         # One triangle of the covariance over a factor, so that forgetting is no pass over it.
         self._covariance = np.asfortranarray(np.eye(TAPS) / RIDGE)
         self._factor = 1.0
@@ -269,6 +317,13 @@ class Fir(Expert):
         regressor -= past[-1]
         np.matmul(regressor, self._weights, out=made[0])
 
+    def predict_others(self, history: History, made: Floats) -> None:
+        """Write the trajectories of the other channels."""
+        if history.count < REACH or not self._other_weights.shape[1]:
+            made[:] = 0.0
+            return
+        made[:, 0] = (self._regressor @ self._other_weights).reshape(len(made), HORIZONS)
+
     def learn(self, history: History, artefact: bool = False) -> None:
         """Correct the weights by the regressor of 250 ms ago, and store the newest one."""
         if history.count < REACH:
@@ -280,7 +335,10 @@ class Fir(Expert):
             errors = values[1:] - values[0] - regressor @ self._weights
             # BLAS works on one triangle, so the covariance stays symmetric.
             spread = dsymv(self._factor, self._covariance, regressor)
-            self._correct(spread, FORGET + float(regressor @ spread), errors)
+            power = FORGET + float(regressor @ spread)
+            if history.channels > 1:
+                self._correct_others(history, regressor, spread / power)
+            self._correct(spread, power, errors)
             self._factor /= FORGET
             if self._count % RESTORED == 0:
                 self._keep_ridge()
@@ -295,7 +353,18 @@ class Fir(Expert):
         covariance = self._covariance
         spread = self._factor * np.concatenate([covariance[:tap, tap], covariance[tap, tap:]])
         power = 1 / (RIDGE * TAPS * RESTORED * (1 - FORGET)) + spread[tap]
+        if self._other_weights.shape[1]:
+            others = self._other_weights
+            dger(-1.0 / power, spread, others[tap].copy(), a=others, overwrite_a=1)
         self._correct(spread, power, -self._weights[tap])
+
+    def _correct_others(self, history: History, regressor: Floats, gain: Floats) -> None:
+        rows = history.rows(FURTHEST + 1)[1:, ::SPACING]
+        ahead = (rows[:, 1:] - rows[:, :1]).ravel()
+        if not self._other_weights.shape[1]:
+            self._other_weights = np.zeros((TAPS, len(ahead)), order="F")
+        errors = ahead - regressor @ self._other_weights
+        dger(1.0, gain, errors, a=self._other_weights, overwrite_a=1)
 
     def _correct(self, spread: Floats, power: float, errors: Floats) -> None:
         dger(1.0 / power, spread, errors, a=self._weights, overwrite_a=1)

@@ -88,29 +88,24 @@ class Trust:
         self._last_ns = now_ns
         return now_ns >= self._next_ns
 
-    def evaluate(
-        self, now_ns: int, required_ns: int, squares_n2: Sequence[float], size_n: float | None
-    ) -> None:
+    def evaluate(self, now_ns: int, required_ns: int, error_shares: Sequence[float]) -> None:
         """Choose E anew.
 
         Parameters
         ----------
         required_ns
             Delay in ns that the link requires without prediction.
-        squares_n2
-            Expected squares of the error in N² at 10, 20, … 250 ms after the newest sample; empty
-            where unknown.
-        size_n
-            The pulse's height in N.
+        error_shares
+            Expected squares of the error over the square of the pulse's height, at 10, 20, …
+            250 ms after the newest sample; empty where unknown.
         """
         self._next_ns = now_ns + STEP_NS
         # At least one step: the few milliseconds of a local network are predicted as well.
         most = max(required_ns // STEP_NS, 1)
-        if not squares_n2 or not size_n:
+        if not error_shares:
             self._rise_to = self._fall_to = most
         else:
-            scale = 1 / (size_n * size_n)
-            squares = [min(square_n2 * scale, WORST**2) for square_n2 in squares_n2]
+            squares = [min(share, WORST**2) for share in error_shares]
             self._rise_to = self._least(self._rise_to, most, squares, RISE_ABOVE)
             self._fall_to = self._least(self._fall_to, most, squares, FALL_BELOW)
         self._ages = [age * KEPT for age in self._ages]

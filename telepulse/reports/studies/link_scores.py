@@ -23,7 +23,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from display_node.prediction import Predictor, PredictorName, build_predictor
+from display_node.prediction import Predictor, PredictorName, build_predictors
 from display_node.scoring.tracking_error import JND
 from protocol.config.scene_file import find_scene
 from protocol.tactile import matching_force_ratio
@@ -292,7 +292,7 @@ def run_policies(pulse: Pulse, link: str, seed: int = 1) -> PolicyErrors:
         HOLD: (arrived.tolist(), "hold"),
     }
     errors = {
-        name: _policy_nrmse(pulse, known_at, build_predictor(predictor, TICK_NS))
+        name: _policy_nrmse(pulse, known_at, build_predictors(predictor, TICK_NS)[0])
         for name, (known_at, predictor) in policies.items()
     }
     return PolicyErrors(errors, classic_ms)

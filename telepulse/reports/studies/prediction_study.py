@@ -10,7 +10,7 @@ from typing import NamedTuple, get_args
 
 import numpy as np
 
-from display_node.prediction import Predictor, PredictorName, build_predictor
+from display_node.prediction import Predictor, PredictorName, build_predictors
 from display_node.prediction.ensemble import Ensemble
 from telepulse.reports.studies.prediction_oracle import (
     best_filter_errors,
@@ -123,7 +123,7 @@ def score(pulse: Pulse) -> Errors:
     first to the fifth tick after the frame in turn.
     """
     stack = Ensemble("stack", TICK_NS)
-    cheap = [build_predictor(name, TICK_NS) for name in CHEAP]
+    cheap = [build_predictors(name, TICK_NS)[0] for name in CHEAP]
     names = (*CHEAP, *stack.names)
     squares = np.zeros((len(HORIZONS_MS), len(names)))
     counts = np.zeros((len(HORIZONS_MS), 1))
@@ -149,7 +149,7 @@ def score(pulse: Pulse) -> Errors:
 
 def cost(name: PredictorName, sensed: Floats) -> PredictorCost:
     """Measure the processor time of a predictor that predicts once per tick, as in a display."""
-    predictor = build_predictor(name, TICK_NS)
+    predictor = build_predictors(name, TICK_NS)[0]
     taken_us = []
     for frame in range(len(sensed) // FRAME):
         for tick in range(FRAME):

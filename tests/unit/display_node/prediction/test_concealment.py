@@ -3,7 +3,7 @@ import math
 import numpy as np
 import pytest
 
-from display_node.prediction import PredictorName
+from display_node.prediction import build_predictors
 from display_node.prediction.concealment import Blend, Concealment
 from protocol.wire.messages import ChannelSamples, Frame
 
@@ -95,20 +95,8 @@ def samples(first: int, values: list[float]) -> ChannelSamples:
     return Frame(1, first, first * MS, MS, np.array(values)[:, np.newaxis]).samples_of(0)
 
 
-@pytest.mark.parametrize(
-    ("predictor", "auto", "trusted"),
-    [("linear", True, None), ("hold", True, None), ("stack", False, None), ("stack", True, False)],
-)
-def test_only_a_predictor_with_an_error_estimate_can_be_trusted_under_auto(
-    predictor: PredictorName, auto: bool, trusted: bool | None
-) -> None:
-    concealment = Concealment(predictor, MS, auto)
-    assert concealment.delay_ns(5 * MS, 60 * MS, 5 * MS) == 60 * MS
-    assert concealment.trusted is trusted
-
-
 def test_received_values_stay_and_missing_ones_are_predicted_without_a_jump() -> None:
-    concealment = Concealment("hold", MS, auto=True)
+    concealment = Concealment(*build_predictors("hold", MS), MS)
     concealment.observe(samples(0, [0.3, 0.3]))
     received_n = [0.3, 0.3]
     assert concealment.complete(received_n, 2, 0, 1 * MS) is received_n

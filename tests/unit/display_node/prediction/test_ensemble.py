@@ -3,8 +3,8 @@ import math
 import numpy as np
 import pytest
 
-from display_node.prediction import PredictorName, build_predictor
-from display_node.prediction.ensemble import Ensemble, Stack
+from display_node.prediction import PredictorName, build_predictors
+from display_node.prediction.ensemble import Ensemble, PathErrors, Stack
 from display_node.prediction.experts import AHEAD, HORIZONS
 from tests.support.pulse_signals import MS, T0_NS, Floats, beats, feed
 
@@ -12,10 +12,12 @@ STEPS = 4_000
 TRUTH = np.cumsum(np.random.default_rng(1).standard_normal(STEPS + 2 * HORIZONS)) * 0.1
 
 
-def run(stack: Stack, gains: tuple[float, ...], noise: float) -> np.ndarray:
+def run(
+    stack: Stack, gains: tuple[float, ...], noise: float, errors: PathErrors | None = None
+) -> np.ndarray:
     """Return the last RMSE of each expert and of the stack, shape (n + 1, 25).
 
-    Experts predict the future times a gain, with noise.
+    Experts predict the future times a gain, with noise. errors: of the stack's paths.
     """
     rng = np.random.default_rng(2)
     squares = np.zeros((len(gains) + 1, len(AHEAD)))
@@ -24,8 +26,11 @@ def run(stack: Stack, gains: tuple[float, ...], noise: float) -> np.ndarray:
         newest = values[-1]
         coming = TRUTH[step + HORIZONS + 1 : step + 2 * HORIZONS + 1] - newest
         rows = np.array([gain * coming + noise * rng.standard_normal(len(AHEAD)) for gain in gains])
-        stacked = stack.predict(newest, rows) - newest
+        path = stack.predict(newest, rows)
+        stacked = path - newest
         stack.learn(values)
+        if errors is not None:
+            errors.add(values[-1:, np.newaxis], path[np.newaxis])
         if step >= STEPS // 2:
             squares += (np.vstack([rows, stacked]) - coming) ** 2
     return np.sqrt(squares / (STEPS - STEPS // 2))
@@ -48,20 +53,22 @@ def test_a_stack_starts_with_its_initial_weights() -> None:
 
 
 def test_a_stacks_estimate_of_its_error_is_right() -> None:
-    stack = Stack(np.array([1.0]))
-    assert np.isinf(stack.mean_squares(200)).all()
-    rms = run(stack, gains=(1.0,), noise=0.2)
+    errors = PathErrors(1)
+    assert np.isinf(errors.mean_squares(200)).all()
+    rms = run(Stack(np.array([1.0])), gains=(1.0,), noise=0.2, errors=errors)
     for horizon in (0, len(AHEAD) - 1):
-        estimate = math.sqrt(stack.mean_squares(200)[horizon])
+        estimate = math.sqrt(errors.mean_squares(200)[0, horizon])
         assert estimate == pytest.approx(rms[-1][horizon], rel=0.1)
 
 
 def test_an_estimate_of_the_error_contains_no_older_step() -> None:
-    stack = Stack(np.array([1.0]))
+    errors = PathErrors(2)
     for step in range(1_000):
-        stack.predict(0.0, np.zeros((1, len(AHEAD))))
-        stack.learn(np.full(HORIZONS + 1, float(step < 500)))
-        first, last = (math.sqrt(stack.mean_squares(steps)[0]) for steps in (100, 200))
+        newest = float(step < 500)
+        errors.add(np.array([[newest], [2 * newest]]), np.zeros((2, HORIZONS)))
+        means = [errors.mean_squares(steps) for steps in (100, 200)]
+        first, last = (math.sqrt(each[0, 0]) for each in means)
+        assert [math.sqrt(each[1, 0]) for each in means] == [2 * first, 2 * last]
         if step == 110:
             assert math.isfinite(first)
             assert math.isinf(last)
@@ -73,11 +80,10 @@ def test_an_estimate_of_the_error_contains_no_older_step() -> None:
 
 
 def test_one_enormous_sample_leaves_later_estimates_right() -> None:
-    stack = Stack(np.array([1.0]))
+    errors = PathErrors(1)
     for step in range(1_000):
-        stack.predict(0.0, np.zeros((1, len(AHEAD))))
-        stack.learn(np.full(HORIZONS + 1, 1e20 if step == 300 else 1.0))
-    assert stack.mean_squares(200)[0] == pytest.approx(1.0)
+        errors.add(np.array([[1e20 if step == 300 else 1.0]]), np.zeros((1, HORIZONS)))
+    assert errors.mean_squares(200)[0, 0] == pytest.approx(1.0)
 
 
 def test_a_stack_combines_equal_and_enormous_trajectories() -> None:
@@ -271,6 +277,42 @@ def test_slow_ticks_do_more_work_each() -> None:
 
 
 def test_each_name_of_a_scene_builds_an_ensemble() -> None:
-    for predictor in (build_predictor(name, MS) for name in LEARNT):
+    for predictor in (build_predictors(name, MS)[0] for name in LEARNT):
         assert isinstance(predictor, Ensemble)
         assert predictor.names[-1] == "stack"
+
+
+def test_other_channels_are_predicted_by_the_first_ones_analogues() -> None:
+    # The same beats 3 ms later, another size and an offset; and another shape.
+    forces_n = np.stack([FORCE_N, 1.0 + 0.05 * beats(T_S - 0.003), 0.2 + 0.1 * beats(T_S) ** 2])
+    joint = Ensemble("stack", MS, channels=3)
+    paths = [joint, *joint.others]
+    for first in range(0, 12_000, 5):
+        times_ns = [T0_NS + (first + number) * MS for number in range(5)]
+        for path, force_n in zip(paths, forces_n, strict=True):
+            path.observe(times_ns, force_n[first : first + 5].tolist())
+        for _ in range(5):
+            joint.work()
+    for path, force_n in zip(paths, forces_n, strict=True):
+        errors_n = [ahead(path, 12_000, ms) - force_n[11_999 + ms] for ms in range(10, 200)]
+        assert np.sqrt(np.mean(np.square(errors_n))) < 0.1 * force_n.std()
+        expected_n = path.error_n(100 * MS)
+        assert expected_n is not None
+        assert expected_n < 0.1 * force_n.std()
+
+
+@pytest.mark.parametrize("dead_n", [0.0, 1e9])
+def test_a_dead_channel_beside_it_leaves_the_first_ones_prediction_unchanged(dead_n: float) -> None:
+    alone, joint = Ensemble("stack", MS), Ensemble("stack", MS, channels=2)
+    found = []
+    for predictor in (alone, joint):
+        for first in range(0, 6_000, 5):
+            times_ns = [T0_NS + (first + number) * MS for number in range(5)]
+            for other in predictor.others:
+                other.observe(times_ns, [dead_n] * 5)
+            predictor.observe(times_ns, FORCE_N[first : first + 5].tolist())
+            for _ in range(5):
+                predictor.work()
+        found.append([ahead(predictor, 6_000, ms) for ms in range(10, 240, 10)])
+    assert found[0] == pytest.approx(found[1], rel=1e-9)
+    assert ahead(joint.others[0], 6_000, 100) == pytest.approx(dead_n)

@@ -6,44 +6,39 @@ from display_node.prediction.trust import HORIZONS, PulseSize, Trust
 
 MS = 1_000_000
 REQUIRED_NS = 62 * MS
-SIZE_N = 0.3
 
 
 def errors(*shares: float) -> list[float]:
     """Return squared errors: shares of the height at 10, 20 … ms; the last one further on."""
     shares += shares[-1:] * (HORIZONS - len(shares))
-    return [(share * SIZE_N) ** 2 for share in shares]
+    return [share**2 for share in shares]
 
 
 def chosen_ms(
     trust: Trust,
     from_ms: int,
     to_ms: int,
-    squares_n2: list[float],
+    shares: list[float],
     *ages_ms: float,
     required_ns: int = REQUIRED_NS,
-    size_n: float | None = SIZE_N,
 ) -> list[float]:
     """Return E in ms after each tick; the ages repeat, each for 5 ms."""
     found = []
     for at_ms in range(from_ms, to_ms):
         age_ms = ages_ms[at_ms // 5 % len(ages_ms)]
         if trust.observe(at_ms * MS, round(age_ms * MS)):
-            trust.evaluate(at_ms * MS, required_ns, squares_n2, size_n)
+            trust.evaluate(at_ms * MS, required_ns, shares)
         found.append(trust.delay_ns(required_ns) / MS)
     return found
 
 
-@pytest.mark.parametrize(
-    ("squares_n2", "size_n"),
-    [([], SIZE_N), (errors(0.0), None), (errors(0.0), 0.0), (errors(0.05), SIZE_N)],
-)
+@pytest.mark.parametrize("shares", [[], errors(0.05), errors(math.inf)])
 @pytest.mark.parametrize("age_ms", [55, 700])
-def test_e_is_the_required_delay_without_a_pulse_or_a_small_known_error(
-    squares_n2: list[float], size_n: float | None, age_ms: int
+def test_e_is_the_required_delay_without_a_small_known_error(
+    shares: list[float], age_ms: int
 ) -> None:
     trust = Trust()
-    assert set(chosen_ms(trust, 0, 5000, squares_n2, age_ms, size_n=size_n)) == {62}
+    assert set(chosen_ms(trust, 0, 5000, shares, age_ms)) == {62}
     assert not trust.given
 
 
@@ -88,8 +83,8 @@ def test_an_error_in_each_beat_prevents_that_e_falls() -> None:
 def test_a_long_age_counts_for_as_long_as_it_lasts(stalled: int, wanted_ms: int) -> None:
     """A horizon of 150 ms has an error of 4 %: it may last for a tenth of the time."""
     ages_ms = [57.0] * (100 - stalled) + [157.0] * stalled
-    squares_n2 = errors(*[0.005] * 10, 0.04)
-    assert chosen_ms(Trust(), 0, 8000, squares_n2, *ages_ms)[-1] == wanted_ms
+    shares = errors(*[0.005] * 10, 0.04)
+    assert chosen_ms(Trust(), 0, 8000, shares, *ages_ms)[-1] == wanted_ms
 
 
 def test_a_silence_beyond_the_prediction_ends_the_trust() -> None:

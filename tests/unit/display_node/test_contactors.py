@@ -1,0 +1,157 @@
+"""Several contactors of one display: one instant, one E, one safety."""
+
+import numpy as np
+import pytest
+
+from display_node.control.force_loop import ForceLoop
+from display_node.display import Display
+from display_node.scene import DisplayScene
+from protocol.config.scene import validate
+from protocol.errors import SceneError
+from protocol.run_summary import contactors_of
+from protocol.wire.messages import Frame, encode_frame
+from protocol.wire.stream import Channel
+from tests.support.sender import AHEAD_NS, MS, Sender, display_scene
+from tests.support.streams import description
+
+NAMES = ("cun", "guan", "chi")
+STREAM = description(channels=tuple(Channel(name) for name in NAMES))
+# A frame every 5 ms, which arrives after 20 ms.
+ONE_WAY_MS = 20
+
+
+def scene(*contactors: dict[str, object], **changes: object) -> DisplayScene:
+    table: dict[str, object] = {
+        "controller": {"kp": 390, "error": "position", "feed_forward": True, "dead_band": 3.2e-7},
+        "actuator": {"kind": "stepper"},
+        "predictor": "linear",
+        "contactor": list(contactors) or [{"channel": name} for name in NAMES],
+    }
+    return validate(table | changes, DisplayScene, "[display]")
+
+
+def pulse_n(sample: float) -> list[float]:
+    """Return the force of each channel, each later than the one before by 3 samples."""
+    return [0.3 + 0.1 * np.sin(2 * np.pi * 1.25e-3 * (sample - 3 * at)) for at in range(3)]
+
+
+def play(
+    under_test: Display, sender: Sender, from_ms: int, to_ms: int
+) -> tuple[list[int], list[list[float]]]:
+    """Run a display on a pulse; return the instant and the target force of each contactor."""
+    instants_ns, targets_n = [], []
+    for ms in range(from_ms, to_ms):
+        under_test.tick(ms * MS)
+        sender.serve(under_test, ms * MS)
+        first = sender.sent
+        if ms % 5 == 0 and ms >= ONE_WAY_MS:
+            values = np.array([pulse_n(first + number) for number in range(5)], "<f4")
+            taken_ns = (ms - ONE_WAY_MS - 4) * MS + AHEAD_NS
+            frame = Frame(sender.session, first, taken_ns, MS, values)
+            sender.sent += 5
+            under_test.on_frame(encode_frame(frame), ms * MS)
+        instants_ns.append(under_test.states[0].instant_ns)
+        targets_n.append([state.target_n for state in under_test.states])
+        assert len({state.instant_ns for state in under_test.states}) == 1
+    return instants_ns, targets_n
+
+
+def test_each_contactor_plays_its_channel_at_the_same_instant() -> None:
+    under_test, sender = Display(scene(), "test"), Sender(stream=STREAM)
+    instants_ns, targets_n = play(under_test, sender, 0, 3000)
+    for now_ns, forces_n in zip(instants_ns[-1000:], targets_n[-1000:], strict=True):
+        # The first sample is the one of 4 ms before 0.
+        sample = (now_ns - AHEAD_NS) / MS + 4
+        assert forces_n == pytest.approx(pulse_n(sample), abs=1e-3)
+    assert under_test.state == "playing"
+
+
+def test_contactors_are_in_the_summary_by_their_names_and_share_its_account() -> None:
+    under_test, sender = Display(scene(), "test"), Sender(stream=STREAM)
+    play(under_test, sender, 0, 3000)
+    summary = under_test.summary().to_dict()
+    assert tuple(summary["contactors"]) == NAMES
+    counts = summary["samples"]
+    parts = ("played", "predicted", "late", "lost")
+    assert counts["sent"] == sum(counts[part] for part in parts) > 2500
+    for figures in contactors_of(summary).values():
+        assert figures["beats"]["count"] > 0
+        assert 0 < figures["force_rmse_n"]["aligned"] < 2e-3
+    assert summary["force_rmse_n"]["aligned"] is None
+
+
+def test_an_only_contactor_has_its_figures_at_the_top_level() -> None:
+    under_test = Display(scene({"channel": "guan"}), "test")
+    play(under_test, Sender(stream=STREAM), 0, 3000)
+    summary = under_test.summary().to_dict()
+    assert summary["contactors"] == {}
+    assert summary["force_rmse_n"]["aligned"] < 2e-3
+
+
+def test_a_fault_of_one_contactor_brings_all_to_rest(monkeypatch: pytest.MonkeyPatch) -> None:
+    under_test, sender = Display(scene(), "test"), Sender(stream=STREAM)
+    play(under_test, sender, 0, 2000)
+    assert min(state.felt_n for state in under_test.states) > 0.15
+    guan, read_film = under_test.contactors[1].loop, ForceLoop.read_film
+    monkeypatch.setattr(
+        ForceLoop, "read_film", lambda loop: 9.0 if loop is guan else read_film(loop)
+    )
+    play(under_test, sender, 2000, 2100)
+    assert under_test.safety.faults == ["guan: felt force above 2.7 N"]
+    assert under_test.state == "fault"
+    assert all(state.target_n == 0.0 for state in under_test.states)
+    assert max(state.felt_n for state in under_test.states) < 5e-3
+
+
+def test_e_is_the_largest_that_a_contactor_requires() -> None:
+    slow = {
+        "actuator": {"kind": "stepper", "latency": "5 ms"},
+        "controller": {"kp": 30, "error": "position", "feed_forward": True},
+    }
+    delays_ns = []
+    for contactors in (
+        [{"channel": "cun"}, {"channel": "chi"}],
+        [{"channel": "cun"}, {"channel": "chi", **slow}],
+    ):
+        under_test = Display(scene(*contactors), "test")
+        play(under_test, Sender(stream=STREAM), 0, 3000)
+        delays_ns.append(under_test.states[0].playout_delay_ns)
+    assert delays_ns[1] - delays_ns[0] == pytest.approx(5 * MS, abs=MS)
+
+
+def test_each_contactor_inherits_the_displays_tables_and_changes_what_it_gives() -> None:
+    found = scene(
+        {"channel": "cun", "layer": {"thickness": "4 mm"}},
+        {"channel": 2, "name": "third", "actuator": {"kind": "stepper", "lead": "1 mm"}},
+        layer={"young_modulus": "0.1 GPa"},
+    )
+    first, third = found.contactors
+    assert [first.shown_name, third.shown_name] == ["cun", "third"]
+    assert first.layer.young_modulus_pa == third.layer.young_modulus_pa == 0.1e9
+    assert (first.layer.thickness_m, third.layer.thickness_m) == (4e-3, 2e-3)
+    assert first.actuator != third.actuator
+    assert first.contactors == (first,)
+    assert display_scene("radial").contactors == (display_scene("radial"),)
+
+
+@pytest.mark.parametrize(
+    ("contactors", "changes", "named"),
+    [
+        ([{"channel": "a"}, {"channel": "a"}], {}, "two contactors have the name 'a'"),
+        ([{"channel": "a"}], {"channel": "b"}, "belong to each"),
+        ([{"chanel": "a"}], {}, "contactor.0.chanel: unknown key"),
+        ([{"channel": 64}], {}, "contactor.0.channel"),
+        ([{"channel": ""}], {}, "contactor.0.channel"),
+        ([{"layer": {"thickness": "-1 mm"}}], {}, "contactor.0.layer.thickness"),
+        ([{"predictor": "hold"}], {}, "contactor.0.predictor: unknown key"),
+        ([{}] * 9, {}, "contactor"),
+        (["cun"], {}, "contactor.0: must be a table"),
+    ],
+)
+def test_a_contactor_that_cannot_be_used_is_one_line(
+    contactors: list[dict[str, object]], changes: dict[str, object], named: str
+) -> None:
+    with pytest.raises(SceneError) as error:
+        scene(*contactors, **changes)
+    assert named in str(error.value)
+    assert "\n" not in str(error.value)
