@@ -9,6 +9,7 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
+from display_node.prediction.announced import AnnouncedPath
 from display_node.prediction.artefacts import ArtefactDetector
 from display_node.prediction.experts import (
     FURTHEST,
@@ -20,6 +21,8 @@ from display_node.prediction.experts import (
     Floats,
 )
 from display_node.prediction.grid import STEP_NS, Grid, GridCell, History, Rhythm
+from display_node.prediction.r_waves import RWaveTime
+from display_node.prediction.transit import TransitTime
 
 # Memory of the weights, in steps of learning: it grows by half a step a step, so that what the
 # experts predicted before they had learnt is soon forgotten.
@@ -230,6 +233,7 @@ class Ensemble(ChannelPath):
         self._kind = kind
         self._pieces_a_tick = math.ceil(tick_ns / PIECE_NS)
         self.others = [ChannelPath() for _ in range(channels - 1)]
+        self._r_waves: list[RWaveTime] = []
         super().__init__()
         self.names = (*(name for expert in self._experts for name in expert.names), "stack")
 
@@ -250,6 +254,8 @@ class Ensemble(ChannelPath):
         self._work: Iterator[None] = iter(())
         # Number of the history's newest cell in the grid.
         self._number = -1
+        # None until the first R wave.
+        self._announced: AnnouncedPath | None = None
         # Each expert's trajectories, a view of each expert's own, and the combined path.
         self._rows = np.zeros((len(trust), HORIZONS))
         self._other_rows = np.zeros((len(self.others), len(trust), HORIZONS))
@@ -259,6 +265,15 @@ class Ensemble(ChannelPath):
         # Each channel's path, and the last two values with the path within bounds.
         self._ahead = np.zeros((channels, HORIZONS))
         self._points = np.zeros((channels, HORIZONS + 2))
+
+    @property
+    def transit(self) -> TransitTime | None:
+        """Transit time from R waves to the pulse; None without R waves."""
+        return None if self._announced is None else self._announced.transit
+
+    def announce(self, waves: list[RWaveTime]) -> None:
+        """Take R waves of the heart whose pulse is predicted, which announce its beats."""
+        self._r_waves += waves
 
     def work(self) -> None:
         """Do one tick's share of the waiting work, or twice as much after a burst."""
@@ -297,20 +312,40 @@ class Ensemble(ChannelPath):
                 age = self._number - late.number
                 history.rewrite(age, path.normalised(late.value), channel)
             path.grid.corrections.clear()
+        if self._r_waves or self._announced:
+            self._announce(cell)
         self._publish(cell)
         yield
         if history.count % SPACING:
             for expert in self._experts:
                 yield from expert.prepare(history)
+            if self._announced:
+                yield
+                self._announced.prepare(history)
             return
         artefact = self._artefacts.present
         self._errors.add(history.rows(1), self._ahead)
-        self._stack.learn(history.last(FURTHEST + 1)[::SPACING], artefact)
+        values = history.last(FURTHEST + 1)[::SPACING]
+        self._stack.learn(values, artefact)
+        if self._announced:
+            self._announced.learn(values, artefact)
         self._judge()
         self._low, self._high = history.ranges()
         for expert in self._experts:
             yield
             expert.learn(history, artefact)
+
+    def _announce(self, cell: GridCell) -> None:
+        """Give the R waves found until a cell's end, and a pulse that has just arrived."""
+        if self._announced is None:
+            self._announced = AnnouncedPath(self._history.channels)
+        transit, count = self._announced.transit, self._history.count
+        while self._r_waves and self._r_waves[0].found_ns <= cell.end_ns:
+            wave = self._r_waves.pop(0)
+            transit.announce(count + (wave.at_ns - cell.end_ns) / STEP_NS, count)
+        if self._rhythm.steps_ago < 1:
+            transit.arrive(count - self._rhythm.steps_ago)
+        transit.advance(count)
 
     def _judge(self) -> None:
         interval, steps = self._rhythm.interval, MOST_JUDGED
@@ -360,6 +395,8 @@ class Ensemble(ChannelPath):
             for expert, part in zip(self._experts, self._other_parts, strict=True):
                 expert.predict_others(history, part)
             ahead[1:] = self._stack.predict_others(rows[1:, -1:], self._other_rows)
+        if self._announced:
+            self._announced.correct(history, ahead)
         np.minimum(np.maximum(ahead, self._low), self._high, out=points[:, 2:])
         points[:, :2] = rows[:, ::SPACING]
         middle_ns = cell.end_ns - STEP_NS // 2

@@ -202,11 +202,13 @@ class Rhythm:
     """Detector of a signal's beats: the slope rises through a share of its usual peak.
 
     interval: median interval of the last beats in steps of the grid; None before enough beats.
+    steps_ago: steps from the last beat to the newest slope.
     """
 
     def __init__(self) -> None:
         self._step = 0
         self._slope = 0.0
+        self.steps_ago = math.inf
         self._begin()
 
     def _begin(self) -> None:
@@ -221,7 +223,9 @@ class Rhythm:
         """Take the slope at the next step."""
         self._step += 1
         rested = self._beat_step is None or self._step - self._beat_step > REFRACTORY
+        self.steps_ago += 1
         if self._slope < self._threshold <= slope and rested:
+            self.steps_ago = (slope - self._threshold) / (slope - self._slope)
             self._begin_beat()
         elif self._beat_step is not None and self._step - self._beat_step > FADE_STEPS:
             self._begin()

@@ -16,6 +16,7 @@ from pydantic import Field, model_validator
 from protocol.config.quantities import Hertz, Metres, MetresPerSecond, Name, Newtons, Ratio
 from protocol.config.scene import Section
 from protocol.wire.stream import ANNOUNCE, PULSE, Channel, first_repeated
+from sensing_node.sources.ecg import AnnounceScene, EcgColumn
 from sensing_node.sources.heart import NOMINAL_BEAT_S, Heartbeat, SyntheticHeart
 
 
@@ -63,6 +64,7 @@ class SyntheticScene(Section):
     of its wave over the beat's standard deviation. ectopic: share of premature beats. hum:
     amplitude of the mains hum, a sine of hum_rate. position: places of the artery, one channel
     each; without any there is one channel, "pulse". pulse_wave_velocity: from one place to another.
+    announce: an ECG, as one more channel.
     """
 
     kind: Literal["synthetic"]
@@ -81,6 +83,7 @@ class SyntheticScene(Section):
     seed: Annotated[int, Field(ge=0)] = 1
     pulse_wave_velocity_m_per_s: Annotated[MetresPerSecond, Field(ge=2, le=30)] = 8.0
     position: Annotated[tuple[PositionScene, ...], Field(max_length=16)] = ()
+    announce: AnnounceScene | None = None
 
     @model_validator(mode="after")
     def _has_distinct_positions(self) -> Self:
@@ -143,6 +146,9 @@ class SyntheticSource:
             PulseColumn(scene.at(place), place.name, delay_s, period_s, own_rng)
             for place, delay_s, own_rng in zip(scene.places, self.delays_s, rngs, strict=True)
         ]
+        if scene.announce is not None:
+            ecg_rng = np.random.default_rng((scene.seed, len(scene.places)))
+            self._columns.append(EcgColumn(scene.announce, period_s, ecg_rng))
         self.channels = tuple(column.channel for column in self._columns)
         self.beats: deque[Heartbeat] = deque(maxlen=KEPT_BEATS)
         # Samples that are final in all channels, the number of those that were taken, and the
@@ -152,7 +158,7 @@ class SyntheticSource:
         self._ahead = [np.zeros(0) for _ in self._columns]
 
     def take(self, count: int) -> NDArray[np.float64]:
-        """Return the next `count` samples in N, shape (count, channels)."""
+        """Return the next `count` samples in N or mV, shape (count, channels)."""
         first, self._taken = self._taken, self._taken + count
         while self._taken > len(self._ready):
             self._ready = np.concatenate([self._ready[first:], self._next_beat()])

@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 from display_node.prediction.ensemble import Ensemble
 from display_node.scoring.beats import Beat, BeatAnalysis
 from protocol.wire.messages import ChannelSamples, channel_samples
+from sensing_node.sources.heart import NOMINAL_BEAT_S
 from telepulse.reports.studies.prediction_pulses import (
-    NOMINAL_BEAT_S,
     Beats,
     breathing,
     drawn,

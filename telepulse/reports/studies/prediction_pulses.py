@@ -36,6 +36,12 @@ class Beats(NamedTuple):
     intervals_s: Floats
     amplitudes: Floats
 
+    @property
+    def onsets_s(self) -> Floats:
+        """When each beat begins in s; the first two begin before time 0."""
+        begins_s: Floats = np.concatenate([[0.0], np.cumsum(self.intervals_s)[:-1]])
+        return begins_s - 2 * float(self.intervals_s[0])
+
 
 @dataclass(frozen=True, slots=True)
 class Pulse:
@@ -126,8 +132,8 @@ def breathing(pulse: Floats) -> Floats:
     return np.asarray(pulse + BREATH * pulse.std() * wave)
 
 
-def synthetic_pulses(seconds: float, seed: int, predictive_shape: bool = True) -> dict[str, Floats]:
-    """Return eight pulses by name, before the chain."""
+def drawn_beats(seconds: float, seed: int) -> dict[str, Beats]:
+    """Return the beats of the synthetic pulses by name."""
 
     def rng(number: int) -> np.random.Generator:
         return np.random.default_rng((seed, number))
@@ -135,20 +141,31 @@ def synthetic_pulses(seconds: float, seed: int, predictive_shape: bool = True) -
     def rhythm(number: int, variability: float) -> Beats:
         return make_rhythm(rng(number), seconds, variability, lambda _: 75.0)
 
-    def wide(beats: Beats, preset: str = "wide") -> Floats:
-        return drawn(beats, preset, seconds, NOMINAL_BEAT_S, predictive_shape)
-
-    ramp = make_rhythm(rng(4), seconds, 0.0, lambda t_s: 60 + 60 * min(t_s / seconds, 1))
     return {
-        "steady": breathing(wide(rhythm(0, 0.0))),
-        "variability": breathing(wide(rhythm(1, 0.04))),
-        "variability, sharp": breathing(wide(rhythm(2, 0.04), "paper")),
-        "variability, twice": breathing(wide(rhythm(3, 0.08))),
-        "ramp": drawn(ramp, "wide", seconds, 1.0, predictive_shape),
-        "ectopic": wide(with_ectopics(rhythm(5, 0.02), rng(6), 20)),
-        "ectopic, twice": breathing(wide(with_ectopics(rhythm(7, 0.04), rng(8), 10))),
-        "fibrillation": wide(fibrillating(rng(9), seconds)),
+        "steady": rhythm(0, 0.0),
+        "variability": rhythm(1, 0.04),
+        "variability, sharp": rhythm(2, 0.04),
+        "variability, twice": rhythm(3, 0.08),
+        "ramp": make_rhythm(rng(4), seconds, 0.0, lambda t_s: 60 + 60 * min(t_s / seconds, 1)),
+        "ectopic": with_ectopics(rhythm(5, 0.02), rng(6), 20),
+        "ectopic, twice": with_ectopics(rhythm(7, 0.04), rng(8), 10),
+        "fibrillation": fibrillating(rng(9), seconds),
     }
+
+
+# Pulses without respiration.
+STILL = ("ramp", "ectopic", "fibrillation")
+
+
+def synthetic_pulses(seconds: float, seed: int, predictive_shape: bool = True) -> dict[str, Floats]:
+    """Return eight pulses by name, before the chain."""
+    made = {}
+    for name, beats in drawn_beats(seconds, seed).items():
+        preset = "paper" if name == "variability, sharp" else "wide"
+        nominal_s = 1.0 if name == "ramp" else NOMINAL_BEAT_S
+        pulse = drawn(beats, preset, seconds, nominal_s, predictive_shape)
+        made[name] = pulse if name in STILL else breathing(pulse)
+    return made
 
 
 WITHOUT_SHAPE_CUE = ("variability", "ramp", "ectopic", "fibrillation")

@@ -6,11 +6,11 @@ The predictors are driven as a display drives them, by frames and ticks.
 import statistics
 import time
 from dataclasses import dataclass, field
-from typing import NamedTuple, get_args
+from typing import NamedTuple, Protocol, TypeVar, get_args
 
 import numpy as np
 
-from display_node.prediction import Predictor, PredictorName, build_predictors
+from display_node.prediction import PredictorName, build_predictors
 from display_node.prediction.ensemble import Ensemble
 from telepulse.reports.studies.prediction_oracle import (
     best_filter_errors,
@@ -47,6 +47,16 @@ class PredictionEffort:
     seconds: float = 60.0
     cost_seconds: float = 25.0
     seed: int = 1
+
+
+Found = TypeVar("Found", covariant=True)
+
+
+class SampleObserver(Protocol[Found]):
+    """What takes a frame's samples."""
+
+    def observe(self, times_ns: list[int], values: list[float]) -> Found:
+        """Take the samples."""
 
 
 class PredictorCost(NamedTuple):
@@ -130,7 +140,7 @@ def score(pulse: Pulse) -> Errors:
     first_frame = round(SCORED_FROM_S * RATE_HZ) // FRAME
     for frame in range(len(pulse.sensed) // FRAME):
         for predictor in (stack, *cheap):
-            _observe(predictor, pulse.sensed, frame)
+            observe_frame(predictor, pulse.sensed, frame)
         for tick in range(FRAME):
             stack.work()
             if frame < first_frame or tick != frame % FRAME:
@@ -138,9 +148,9 @@ def score(pulse: Pulse) -> Errors:
             for row, horizon_ms in enumerate(HORIZONS_MS):
                 at = frame * FRAME + FRAME - 1 + horizon_ms * RATE_HZ // 1000
                 if at < len(pulse.true):
-                    instant_ns = _instant_ns(at)
-                    found = [each.predict(instant_ns) for each in cheap]
-                    found += stack.predict_each(instant_ns)
+                    at_ns = instant_ns(at)
+                    found = [each.predict(at_ns) for each in cheap]
+                    found += stack.predict_each(at_ns)
                     squares[row] += (np.array(found) - pulse.true[at]) ** 2
                     counts[row] += 1
     errors = np.sqrt(squares / counts)
@@ -155,20 +165,22 @@ def cost(name: PredictorName, sensed: Floats) -> PredictorCost:
         for tick in range(FRAME):
             began_ns = time.thread_time_ns()
             if tick == 0:
-                _observe(predictor, sensed, frame)
+                observe_frame(predictor, sensed, frame)
             predictor.work()
-            predictor.predict(_instant_ns(frame * FRAME + FRAME + 49))
+            predictor.predict(instant_ns(frame * FRAME + FRAME + 49))
             taken_us.append((time.thread_time_ns() - began_ns) * 1e-3)
     costly = np.array(taken_us[round(COSTLY_FROM_S * RATE_HZ) :])
     median, high = np.percentile(costly, [50, 99]).tolist()
     return PredictorCost(median, high, float(costly.mean()) * FRAME)
 
 
-def _observe(predictor: Predictor, sensed: Floats, frame: int) -> None:
+def observe_frame(observer: SampleObserver[Found], sensed: Floats, frame: int) -> Found:
+    """Give a frame's samples to a predictor or detector."""
     samples = range(frame * FRAME, frame * FRAME + FRAME)
     values = sensed[samples.start : samples.stop].tolist()
-    predictor.observe([_instant_ns(number) for number in samples], values)
+    return observer.observe([instant_ns(number) for number in samples], values)
 
 
-def _instant_ns(sample: int) -> int:
+def instant_ns(sample: int) -> int:
+    """Return the time of a sample on the sensing clock."""
     return BEGIN_NS + sample * (1_000_000_000 // RATE_HZ)

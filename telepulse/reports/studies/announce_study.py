@@ -1,0 +1,249 @@
+"""The study of prediction with an ECG: errors with and without it, R waves, and faults of it."""
+
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from display_node.prediction.ensemble import Ensemble
+from display_node.prediction.r_waves import RWaveDetector
+from telepulse.reports.studies.announce_pulses import (
+    FAULTS,
+    SYNTHETIC,
+    AnnouncedPulse,
+    announced_pulses,
+    with_fault,
+)
+from telepulse.reports.studies.announce_records import (
+    AnnotatedLead,
+    annotated_leads,
+    recorded_announced,
+)
+from telepulse.reports.studies.prediction_pulses import RATE_HZ, SCORED_FROM_S, Floats
+from telepulse.reports.studies.prediction_study import (
+    FRAME,
+    HORIZONS_MS,
+    TICK_NS,
+    instant_ns,
+    observe_frame,
+)
+from telepulse.reports.studies.sweep import in_one_thread, sweep
+
+JITTERS_S = (0.005, 0.02)
+FAULT_FROM_S = 25.0
+# ANSI/AAMI EC57: a detection within 150 ms of an annotated beat is that beat. Its learning period
+# of five minutes is not used: only the first 5 s do not count.
+MATCH_S, MATCHED_FROM_S = 0.15, 5.0
+
+
+@dataclass(frozen=True, slots=True)
+class AnnounceEffort:
+    """Amount of computing. The defaults are the study's; tests use less."""
+
+    seconds: float = 60.0
+    recorded_seconds: float = 200.0
+    cost_rounds: int = 5
+    seed: int = 1
+
+
+class BothErrors(NamedTuple):
+    """NRMSE at each horizon without and with the ECG, and the transit time found."""
+
+    name: str
+    without: tuple[float, ...]
+    announced: tuple[float, ...]
+    transit_ms: float
+    deviation_ms: float
+    used: float
+
+
+class FoundOut(NamedTuple):
+    """Time in s from a fault of the ECG until it was no longer used, and NRMSE at 100 ms after."""
+
+    pulse: str
+    fault: str
+    seconds: float
+    without: float
+    announced: float
+
+
+class DetectorScore(NamedTuple):
+    """R waves found of a lead against its annotations: counts, and latency in ms."""
+
+    lead: str
+    beats: int
+    missed: int
+    false: int
+    deviation_ms: float
+    latency_ms: float
+
+    @property
+    def sensitivity(self) -> float:
+        """Share of the annotated beats that were found."""
+        return 1 - self.missed / self.beats
+
+    @property
+    def precision(self) -> float:
+        """Share of the R waves found that are annotated beats."""
+        found = self.beats - self.missed
+        return found / (found + self.false)
+
+
+@dataclass(frozen=True, slots=True)
+class AnnounceScores:
+    """Scores of the study. errors: by the jitter in s of the transit time, or 0 for recordings.
+
+    cost_ratio: processor time of a step with announcement over one without.
+    """
+
+    errors: dict[float, list[BothErrors]]
+    faults: list[FoundOut]
+    detector: list[DetectorScore]
+    cost_ratio: float
+
+
+class AnnouncedRun(NamedTuple):
+    """A run of the predictor: squared errors by frame and horizon, and by frame, whether used."""
+
+    squares: Floats
+    used: Floats
+    stack: Ensemble
+
+
+def run(announced: AnnouncedPulse, with_ecg: bool) -> AnnouncedRun:
+    """Predict a pulse frame by frame, with or without its ECG.
+
+    After each frame, one prediction is made for each horizon, as in the study of predictors.
+    """
+    pulse, ecg_mv = announced
+    stack, detector = Ensemble("stack", TICK_NS), RWaveDetector()
+    count = (len(pulse.true) - max(HORIZONS_MS) * RATE_HZ // 1000) // FRAME - 1
+    squares, used = np.zeros((count, len(HORIZONS_MS))), np.zeros(count)
+    for frame in range(count):
+        observe_frame(stack, pulse.sensed, frame)
+        if with_ecg:
+            stack.announce(observe_frame(detector, ecg_mv, frame))
+        transit = stack.transit
+        used[frame] = transit is not None and transit.reliable
+        for tick in range(FRAME):
+            stack.work()
+            if tick == frame % FRAME:
+                newest = frame * FRAME + FRAME - 1
+                at = [newest + horizon_ms * RATE_HZ // 1000 for horizon_ms in HORIZONS_MS]
+                found = np.array([stack.predict(instant_ns(each)) for each in at])
+                squares[frame] = (found - pulse.true[at]) ** 2
+    return AnnouncedRun(squares, used, stack)
+
+
+def nrmse(squares: Floats, from_s: float, to_s: float = np.inf) -> tuple[float, ...]:
+    """Return the root mean square at each horizon between two times."""
+    frames = np.arange(len(squares)) * FRAME / RATE_HZ
+    chosen = squares[(frames >= from_s) & (frames < to_s)]
+    return tuple(np.sqrt(chosen.mean(axis=0)).tolist())
+
+
+def score_both(announced: AnnouncedPulse) -> BothErrors:
+    """Predict a pulse without and with its ECG."""
+    without, with_ecg = run(announced, False), run(announced, True)
+    transit, step_ms = with_ecg.stack.transit, 5.0
+    known = transit is not None and transit.median is not None
+    return BothErrors(
+        str(announced),
+        nrmse(without.squares, SCORED_FROM_S),
+        nrmse(with_ecg.squares, SCORED_FROM_S),
+        step_ms * (transit.median or np.nan) if known and transit else np.nan,
+        step_ms * transit.deviation if known and transit else np.nan,
+        float(with_ecg.used[round(SCORED_FROM_S * RATE_HZ) // FRAME :].mean()),
+    )
+
+
+def score_fault(case: tuple[AnnouncedPulse, int]) -> FoundOut:
+    """Return when a fault of the ECG is found out, and the errors after it."""
+    announced, number = case
+    fault = FAULTS[number]
+    wrong = with_fault(announced, fault, FAULT_FROM_S)
+    without, with_ecg = run(wrong, False), run(wrong, True)
+    first = round(FAULT_FROM_S * RATE_HZ) // FRAME
+    unused = np.flatnonzero(with_ecg.used[first:] == 0)
+    taken_s = unused[0] * FRAME / RATE_HZ if len(unused) else np.inf
+    column = HORIZONS_MS.index(100)
+    errors = (nrmse(each.squares, FAULT_FROM_S)[column] for each in (without, with_ecg))
+    return FoundOut(str(announced), fault.name, float(taken_s), *errors)
+
+
+def score_lead(lead: AnnotatedLead) -> DetectorScore:
+    """Find the R waves of a lead frame by frame, and match them with its annotations."""
+    detector, found_s, latencies_s = RWaveDetector(), [], []
+    times_ns = np.round(np.arange(len(lead.ecg_mv)) * 1e9 / lead.rate_hz).astype(int).tolist()
+    values = lead.ecg_mv.tolist()
+    for first in range(0, len(values), FRAME):
+        for wave in detector.observe(
+            times_ns[first : first + FRAME], values[first : first + FRAME]
+        ):
+            found_s.append(wave.at_ns * 1e-9)
+            latencies_s.append((wave.found_ns - wave.at_ns) * 1e-9)
+    beats_s = lead.beats_s[lead.beats_s > MATCHED_FROM_S]
+    last_s = float(beats_s[-1]) + MATCH_S
+    candidates = [each for each in found_s if MATCHED_FROM_S < each < last_s]
+    errors_s = _match(beats_s.tolist(), candidates)
+    return DetectorScore(
+        lead.name,
+        len(beats_s),
+        len(beats_s) - len(errors_s),
+        len(candidates) - len(errors_s),
+        1e3 * float(np.std(errors_s)),
+        1e3 * float(np.median(latencies_s)),
+    )
+
+
+def _match(beats_s: list[float], found_s: list[float]) -> list[float]:
+    """Return the differences of matched beats; each detection matches one beat, in order."""
+    errors_s, position = [], 0
+    for beat_s in beats_s:
+        while position < len(found_s) and found_s[position] < beat_s - MATCH_S:
+            position += 1
+        if position < len(found_s) and found_s[position] <= beat_s + MATCH_S:
+            errors_s.append(found_s[position] - beat_s)
+            position += 1
+    return errors_s
+
+
+def measure_cost_ratio(case: tuple[AnnouncedPulse, int]) -> float:
+    """Return the processor time of frames with an ECG over that without, the least of rounds."""
+    announced, rounds = case
+    taken: dict[bool, list[float]] = {False: [], True: []}
+    for _ in range(rounds):
+        for with_ecg, each in taken.items():
+            began_s = time.process_time()
+            run(announced, with_ecg)
+            each.append(time.process_time() - began_s)
+    return min(taken[True]) / min(taken[False])
+
+
+def score_announce(
+    effort: AnnounceEffort, records: Path | None = None, scheduler: str | None = None
+) -> AnnounceScores:
+    """Score everything, on all cores or a Dask cluster; then measure the cost here.
+
+    records: a folder with records 100, 03700181 and a103l of PhysioNet, as in wfdb's sample data.
+
+    Raises SourceError or SweepError.
+    """
+    by_jitter = {each: announced_pulses(effort.seconds, effort.seed, each) for each in JITTERS_S}
+    leads: list[AnnotatedLead] = []
+    if records is not None:
+        by_jitter[0.0] = recorded_announced(records, effort.recorded_seconds)
+        leads = annotated_leads(records)
+    cases = [each for announced in by_jitter.values() for each in announced]
+    found: Iterator[BothErrors] = iter(sweep(score_both, cases, scheduler))
+    errors = {jitter: [next(found) for _ in each] for jitter, each in by_jitter.items()}
+    basis = by_jitter[JITTERS_S[0]][: len(SYNTHETIC)]
+    faults = sweep(
+        score_fault, [(each, number) for each in basis for number in range(len(FAULTS))], scheduler
+    )
+    detector = sweep(score_lead, leads, scheduler)
+    ratio = in_one_thread(measure_cost_ratio, (basis[0], effort.cost_rounds))
+    return AnnounceScores(errors, faults, detector, ratio)

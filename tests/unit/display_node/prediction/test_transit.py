@@ -1,0 +1,107 @@
+"""Transit times are learnt, and R waves that pulses do not follow are found out."""
+
+from collections.abc import Iterable
+
+import numpy as np
+import pytest
+
+from display_node.prediction.transit import FAR, TransitTime
+
+BEAT = 160.0
+RNG = np.random.default_rng(1)
+
+
+def feed(
+    transit: TransitTime, waves: Iterable[float], arrivals: Iterable[float], until: int
+) -> list[float]:
+    """Give R waves, 9 steps late, and arrivals in order; return the steps that were reliable."""
+    events = [(at + 9, at, True) for at in waves] + [(at, at, False) for at in arrivals]
+    events.sort(reverse=True)
+    reliable = []
+    for step in range(until):
+        while events and events[-1][0] <= step:
+            due, at, announces = events.pop()
+            if announces:
+                transit.announce(at, due)
+            else:
+                transit.arrive(at)
+        transit.advance(step)
+        if transit.reliable:
+            reliable.append(step)
+    return reliable
+
+
+BEATS = np.arange(1.0, 60.0) * BEAT
+
+
+@pytest.mark.parametrize(("jitter", "median"), [(0.0, 40.0), (1.0, 45.5), (4.0, 40.0)])
+def test_a_transit_time_and_its_deviation_are_learnt(jitter: float, median: float) -> None:
+    transit = TransitTime()
+    arrivals = BEATS + median + jitter * RNG.standard_normal(len(BEATS))
+    reliable = feed(transit, BEATS, arrivals, 9_500)
+    assert transit.median == pytest.approx(median, abs=1.5 * jitter + 1e-9)
+    assert transit.deviation == pytest.approx(max(jitter, 0.2), rel=0.7)
+    assert 4 * BEAT < reliable[0] < 12 * BEAT
+    assert len(reliable) > 0.8 * (9_500 - reliable[0])
+
+
+def lost_after(waves: np.ndarray, arrivals: np.ndarray, since: float) -> float:
+    """Return how many steps after `since` reliability is lost."""
+    transit = TransitTime()
+    reliable = feed(transit, waves, arrivals, 9_500)
+    before = [step for step in reliable if step <= since]
+    assert before[-1] > since - 2
+    lost = next(step for step in range(int(since), 9_500) if step not in set(reliable))
+    return lost - since
+
+
+SINCE = 30 * BEAT
+ARRIVALS = BEATS + 40.0
+LATER = BEATS > SINCE
+
+
+@pytest.mark.parametrize(
+    "waves",
+    [
+        BEATS[~LATER],
+        np.concatenate([BEATS[~LATER], SINCE + 37 + 131 * np.arange(30.0)]),
+        np.where(LATER, BEATS + 60, BEATS),
+        np.where(LATER, BEATS - 20, BEATS),
+        np.concatenate([BEATS[~LATER], SINCE + np.cumsum(RNG.uniform(60, 200, 30))]),
+    ],
+    ids=["unplugged", "another heart", "late", "jump", "noise"],
+)
+def test_wrong_r_waves_are_found_out_within_3_s(waves: np.ndarray) -> None:
+    assert lost_after(np.sort(waves), ARRIVALS, SINCE) < 600
+
+
+def test_a_pulse_that_pauses_is_found_out_too() -> None:
+    assert lost_after(BEATS, ARRIVALS[~LATER], SINCE + BEAT) < 600
+
+
+def test_a_constant_jump_is_learnt_as_another_transit_time() -> None:
+    transit = TransitTime()
+    feed(transit, np.where(LATER, BEATS - 20, BEATS), ARRIVALS, 9_500)
+    assert transit.reliable
+    assert transit.median == pytest.approx(60.0)
+    _, lags, _ = transit.analogues
+    assert 0 < lags.max() < (60 - 30) * BEAT
+
+
+def test_one_wrong_beat_ends_nothing() -> None:
+    transit = TransitTime()
+    arrivals = np.delete(ARRIVALS, 40)
+    reliable = feed(transit, BEATS, arrivals, 9_500)
+    assert set(range(20 * int(BEAT), 9_400)) <= set(reliable)
+
+
+def test_analogues_are_the_confirmed_beats_with_the_time_to_the_next_r_wave() -> None:
+    transit = TransitTime()
+    arrivals = ARRIVALS.copy()
+    arrivals[20] += FAR + 1
+    feed(transit, BEATS, arrivals, 9_500)
+    newest, lags, lengths = transit.analogues
+    assert newest == BEATS[-1]
+    assert newest - BEATS[20] not in lags
+    assert newest - BEATS[21] in lags
+    np.testing.assert_allclose(lengths, BEAT + 9)
