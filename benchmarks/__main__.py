@@ -8,6 +8,7 @@ NAMES = (
     "simulation",
     "core",
     "beats",
+    "contactors",
     "compensation",
     "paths",
     "peers",

@@ -117,6 +117,21 @@ class DisplayScene(ContactorScene):
         changes = ({key: getattr(each, key) for key in keys} for each in self.contactor)
         return tuple(self.model_copy(update=each | {"contactor": ()}) for each in changes)
 
+    def choose(self, name: str | None) -> "DisplayScene":
+        """Return the settings of the contactor of a name; None: those of the only one.
+
+        Raises SceneError where there is none of that name, or several without one.
+        """
+        found = {each.shown_name: each for each in self.contactors}
+        if name is None and len(found) == 1:
+            return self.contactors[0]
+        if name is None or name not in found:
+            given = "several" if name is None else f"no {name!r}"
+            raise SceneError(
+                f"[display] contactor: {given}: choose with --contactor one of {', '.join(found)}"
+            )
+        return found[name]
+
     def force_loop(self, actual: SecondOrderScene | StepperScene | None = None) -> ForceLoop:
         """Build the force loop; it drives the actuator `actual`, or the scene's where None."""
         return build_force_loop(

@@ -19,6 +19,7 @@ from pulse_sensors.sensor import SensorScene
 from sensing_node.scene import SensingScene
 from telepulse.cli.options import (
     PROGRAM,
+    ContactorOption,
     PageOption,
     SceneArgument,
     TablesOption,
@@ -46,6 +47,7 @@ WARNING = (
 
 def bench(
     scene: SceneArgument = DEFAULT_SCENE,
+    contactor: ContactorOption = None,
     only: Annotated[
         Literal["sensing", "display", "both"],
         typer.Option(help="The end that is on this machine."),
@@ -85,11 +87,14 @@ def bench(
         if only != "display":
             sections["sensing"] = sensing = load_section(path, "sensing", SensingScene)
         if only != "sensing":
-            sections["display"] = display = load_section(path, "display", DisplayScene)
+            display = load_section(path, "display", DisplayScene).choose(contactor)
+            sections["display"] = display
             if force_n > (limit_n := display.safety.force_limit_n):
                 reason = f"{force_n:g} N is above the scene's force_limit, {limit_n:g} N"
                 raise SceneError(f"--force: {reason}")
             check_editable(path, write)
+            if write is not None and contactor is not None:
+                raise SceneError("--write: the keys belong into the table of a contactor; add them")
         provenance = collect(path, sections)
         if only != "display":
             bench_check.check_wrist(findings, sensing, path.parent, seconds)
@@ -99,14 +104,14 @@ def bench(
                 if not typer.confirm(BENCH_IS_CLEAR):
                     raise SystemExit(1)
             bench_check.check_display(findings, display, path.parent, force_n, seconds)
-            bench_check.check_loop(findings, path)
+            bench_check.check_loop(findings, path, contactor)
         return replace(bench_check.report_bench(path.stem, findings), provenance=provenance)
 
     publish(check, out, json)
     if findings.changes:
         found = to_toml({"display": findings.changes})
         console.print("\nfound, as keys of the scene:\n\n" + found, end="")
-        if write is None:
+        if write is None and contactor is None:
             console.print("\n--write SCENE.toml writes a copy of the scene with them")
     if findings.designs is not None and findings.designs[0].worst.unfit is not None:
         console.print("\ngains for it:\n\n" + as_toml(findings.designs[1].controller))
@@ -143,6 +148,7 @@ def calibrate(
         Literal["wrist", "finger"],
         typer.Option(help="The sensor of that scene: at the wrist or under the finger."),
     ] = "wrist",
+    contactor: ContactorOption = None,
     loads: Annotated[
         str,
         typer.Option(
@@ -175,7 +181,10 @@ def calibrate(
     def fit() -> Report:
         if scene is not None:
             path, loads_n = find_scene(scene), parse_loads(loads)
-            name, taken = scene, measure_loads(_sensor(path, at), path.parent, loads_n, ask_for)
+            name, taken = (
+                scene,
+                measure_loads(_sensor(path, at, contactor), path.parent, loads_n, ask_for),
+            )
         elif table is not None:
             name, taken = table.stem, read_loads(table, load_unit, reading_unit)
         else:
@@ -188,9 +197,9 @@ def calibrate(
     plain_console(json=json).print("\nfor the sensor's table in a scene:\n\n" + found[0])
 
 
-def _sensor(path: Path, at: str) -> SensorScene:
+def _sensor(path: Path, at: str, contactor: str | None) -> SensorScene:
     if at == "finger":
-        film = load_section(path, "display", DisplayScene).feedback
+        film = load_section(path, "display", DisplayScene).choose(contactor).feedback
         if film is None:
             raise SceneError(
                 f"{path}: [display.feedback] is missing: describe the film's sensor there"
@@ -202,7 +211,11 @@ def _sensor(path: Path, at: str) -> SensorScene:
     return source
 
 
-def tune(scene: SceneArgument = DEFAULT_SCENE, json: TablesOption = None) -> None:
+def tune(
+    scene: SceneArgument = DEFAULT_SCENE,
+    contactor: ContactorOption = None,
+    json: TablesOption = None,
+) -> None:
     """Print the margins of a scene's force loop, and those of proposed gains.
 
     Exit status 2 when the scene's own loop is not stable: a display refuses to run it.
@@ -214,7 +227,8 @@ def tune(scene: SceneArgument = DEFAULT_SCENE, json: TablesOption = None) -> Non
     with one_line_errors(PROGRAM):
         check_writable(json)
         loaded = load_scene(find_scene(scene))
-        present, proposed = judge(loaded.display, loaded.display.controller), design(loaded.display)
+        display = loaded.display.choose(contactor)
+        present, proposed = judge(display, display.controller), design(display)
         report = report_design(loaded.path.stem, present, proposed)
         if json is not None:
             write_json(report, json)

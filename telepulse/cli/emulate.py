@@ -21,7 +21,7 @@ from protocol.host.output import configure_logging
 from protocol.host.process import freeze_objects, stop_on_signals
 from pulse_sensors.binary_frames import MAX_SAMPLES, SampleFormat
 from sensing_node.scene import SensingScene
-from telepulse.cli.options import PROGRAM
+from telepulse.cli.options import PROGRAM, ContactorOption
 from telepulse.emulators import PtyPort
 from telepulse.emulators.drive_run import FILM_SILENT, MOTOR_FAULTS, DriveRun
 from telepulse.emulators.fault_injection import FaultKind, InjectedFault, parse_fault
@@ -162,6 +162,7 @@ def sensor(
 @app.command()
 def tmcl(
     scene: DriveArgument,
+    contactor: ContactorOption = None,
     link: DriveLink = None,
     film_link: FilmLink = None,
     fault: Annotated[str | None, _fault_option(TMCL_FAULTS)] = None,
@@ -180,7 +181,7 @@ def tmcl(
     with one_line_errors(PROGRAM), ExitStack() as open_things:
         configure_logging(log_level)
         injected = _injected_fault(fault, size, TMCL_FAULTS)
-        drive, motor = _load(scene, TmclScene)
+        drive, motor = _load(scene, contactor, TmclScene)
         module = EmulatedTmclModule(drive, motor)
         line: EmulatedSerialLine | EmulatedCanLine
         if drive.port is not None:
@@ -214,6 +215,7 @@ def tmcl(
 @app.command()
 def cia402(
     scene: DriveArgument,
+    contactor: ContactorOption = None,
     interface: Annotated[
         str | None, typer.Option(help="CAN interface as python-can names it; default: the scene's.")
     ] = None,
@@ -240,7 +242,7 @@ def cia402(
     with one_line_errors(PROGRAM), ExitStack() as open_things:
         configure_logging(log_level)
         injected = _injected_fault(fault, size, CIA402_FAULTS)
-        drive, motor = _load(scene, Cia402Scene)
+        drive, motor = _load(scene, contactor, Cia402Scene)
         changes = {"interface": interface, "channel": channel or (str(link) if link else None)}
         drive = drive.model_copy(update={key: to for key, to in changes.items() if to})
         node = EmulatedCia402Node(drive, motor, _bus(drive, link))
@@ -275,10 +277,10 @@ def _injected_fault(
     return None
 
 
-def _load(name: str, kind: type[SceneT]) -> tuple[SceneT, EmulatedMotor]:
-    """Return the scene's drive, and a motor of its actuator."""
+def _load(name: str, contactor: str | None, kind: type[SceneT]) -> tuple[SceneT, EmulatedMotor]:
+    """Return the drive of a scene's contactor, and a motor of its actuator."""
     path = find_scene(name)
-    display = load_section(path, "display", DisplayScene)
+    display = load_section(path, "display", DisplayScene).choose(contactor)
     if not isinstance(display.drive, kind):
         wanted = "tmcl" if kind is TmclScene else "cia402"
         raise SceneError(f'{path}: [display.drive] kind = "{wanted}" is needed here')

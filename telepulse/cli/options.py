@@ -32,6 +32,10 @@ SceneArgument = Annotated[
 ]
 FileArgument = Annotated[Path, typer.Argument(metavar="FILE", help="A recording.")]
 AddressArgument = Annotated[str, typer.Argument(help="A display's telemetry: tcp://HOST:PORT.")]
+ContactorOption = Annotated[
+    str | None,
+    typer.Option(metavar="NAME", help="Of several [[display.contactor]] tables, the one of NAME."),
+]
 YesOption = Annotated[bool, typer.Option("--yes", help="Do not ask before the drive moves.")]
 PageOption = Annotated[
     Path | None, typer.Option(metavar="FOLDER", help="Write a page with plots here.")

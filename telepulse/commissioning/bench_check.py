@@ -209,13 +209,19 @@ def _check_age(age_s: float) -> Check:
     return grade(name, text, age_s, FILM_AGE_WARN_S, FILM_AGE_FAIL_S, reason)
 
 
-def check_loop(findings: BenchFindings, path: Path) -> None:
+def check_loop(findings: BenchFindings, path: Path, contactor: str | None = None) -> None:
     """Check the margins of the scene's gains on the identified actuator, where there is one."""
     if findings.actuator is None:
         return
-    changed = merge(load_document(path), {"display": findings.changes})
+    table = load_document(path)["display"]
     try:
-        found = validate(changed["display"], DisplayScene, f"{path}: [display]")
+        if "contactor" in table:
+            names = [each.shown_name for each in validate(table, DisplayScene, "").contactor]
+            changed = table["contactor"][names.index(contactor or names[0])]
+            changed.update(merge(changed, findings.changes))
+        else:
+            table = merge(table, findings.changes)
+        found = validate(table, DisplayScene, f"{path}: [display]").choose(contactor)
     except SceneError as error:
         # An identified value is outside a scene's bounds; the other checks remain valid.
         findings.add("loop", Check("margins", "", "fail", str(error)))

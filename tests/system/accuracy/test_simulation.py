@@ -41,8 +41,9 @@ def test_the_pulse_of_every_modelled_scene_is_felt_within_the_jnd_and_its_limits
 ) -> None:
     summary = simulate(load_scene(path), seconds=8, seed=1)
     accounted(summary)
-    assert limit_texts(dataclasses.asdict(summary.limited)) == []
-    assert summary.within_jnd == 1.0
+    for figures in summary.of_each_contactor().values():
+        assert limit_texts(dataclasses.asdict(figures.limited)) == []
+        assert figures.within_jnd == 1.0
     assert summary.faults == []
     assert summary.rejected == {}
 

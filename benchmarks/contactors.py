@@ -1,0 +1,146 @@
+"""Several contactors: what each further one costs, how far apart they are, how well predicted.
+
+The costs are processor time of ticks and frames, in turns; the first contactor's is 1.
+"""
+
+import time
+from collections.abc import Callable, Iterable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from benchmarks.measure import show
+from display_node.prediction.ensemble import ChannelPath, Ensemble
+from protocol.config.scene_file import find_scene
+from sensing_node.sources.synthetic import SyntheticScene, SyntheticSource
+from telepulse.scene import Scene, load_scene
+from telepulse.simulation.link_scene import parse_link
+from telepulse.simulation.virtual_time import Simulation
+from tests.support.contactor_lags import lags_ms
+
+LINK = "delay=40ms,jitter=10ms,loss=1%"
+ROUNDS, SECONDS = 5, 12.0
+LAG_SECONDS, SETTLE_SECONDS = 25.0, 10.0
+MS = 1_000_000
+HORIZONS_MS = (20, 50, 100, 200)
+LEARNT_MS, PULSE_MS, FRAME = 20_000, 60_000, 5
+# All vary by 4 %, with noise of 0.5 mN where none is given.
+PULSES: dict[str, dict[str, Any]] = {
+    "varying": {},
+    "ectopic": {"ectopic": "10 %"},
+    "noisy": {"noise": "10 mN"},
+}
+POSITIONS = [
+    {"name": "2.5 cm on", "distance": "2.5 cm"},
+    {"name": "5 cm on", "distance": "5 cm", "peak_to_peak": "0.2 N"},
+    {"name": "another shape", "preset": "paper"},
+]
+
+
+def fingers(count: int, predictor: str, link: str = LINK) -> Scene:
+    """Return the scene of three fingers with its first contactors, over a link."""
+    scene = load_scene(find_scene("three_fingers"), {"predictor": predictor})
+    several = scene.display.model_copy(update={"contactor": scene.display.contactor[:count]})
+    display = several if count > 1 else several.contactors[0]
+    return replace(scene, display=display, link=parse_link(link))
+
+
+def tick_cost_us(scene: Scene) -> float:
+    """Return the processor time of a tick, with its share of the frames, in µs."""
+    simulation, spent_ns = Simulation(scene, seed=1), [0]
+
+    def timed(call: Callable[..., Any]) -> Callable[..., Any]:
+        def called(*arguments: Any) -> Any:
+            began_ns = time.process_time_ns()
+            result = call(*arguments)
+            spent_ns[0] += time.process_time_ns() - began_ns
+            return result
+
+        return called
+
+    display = simulation.display
+    display.tick, display.on_frame = (  # type: ignore[method-assign]
+        timed(display.tick),
+        timed(display.on_frame),
+    )
+    simulation.run(SECONDS)
+    return spent_ns[0] * 1e-3 / display.ticks
+
+
+def cost_row(predictor: str) -> tuple[str, ...]:
+    """Return the cost of the first contactor, and of the second and third over it."""
+    found: dict[int, list[float]] = {count: [] for count in (1, 2, 3)}
+    for _ in range(ROUNDS):
+        for count, costs in found.items():
+            costs.append(tick_cost_us(fingers(count, predictor)))
+    # The least of the rounds: other load only adds.
+    one, two, three = (min(costs) for costs in found.values())
+    return predictor, f"{one:.0f} µs", f"{(two - one) / one:.2f}", f"{(three - two) / one:.2f}"
+
+
+def skew_row(predictor: str, link: str) -> tuple[str, ...]:
+    """Return each contactor's lag behind the instant that is played, and the skew."""
+    found = lags_ms(fingers(3, predictor, link), LAG_SECONDS, SETTLE_SECONDS)
+    lags = ", ".join(f"{lag:.3f}" for lag in found)
+    return link, predictor, lags, f"{max(found) - min(found):.3f} ms"
+
+
+def nrmse(predictors: Iterable[ChannelPath], pulses_n: np.ndarray) -> np.ndarray:
+    """Return the error over the deviation, shape (channels, horizons)."""
+    predictors = list(predictors)
+    squares = np.zeros((len(predictors), len(HORIZONS_MS)))
+    for first in range(0, PULSE_MS - max(HORIZONS_MS) - FRAME, FRAME):
+        times_ns = [(first + number) * MS for number in range(FRAME)]
+        for predictor, pulse_n in zip(predictors, pulses_n.T, strict=True):
+            predictor.observe(times_ns, pulse_n[first : first + FRAME].tolist())
+        for _ in range(FRAME):
+            for predictor in predictors:
+                predictor.work()
+        if first < LEARNT_MS:
+            continue
+        for row, (predictor, pulse_n) in enumerate(zip(predictors, pulses_n.T, strict=True)):
+            for column, ahead_ms in enumerate(HORIZONS_MS):
+                at = first + FRAME - 1 + ahead_ms
+                squares[row, column] += (predictor.predict(at * MS) - pulse_n[at]) ** 2
+    steps = (PULSE_MS - max(HORIZONS_MS) - FRAME - LEARNT_MS) // FRAME
+    deviations: np.ndarray = pulses_n.std(axis=0)[:, np.newaxis]
+    return np.asarray(np.sqrt(squares / steps) / deviations)
+
+
+def prediction_rows(name: str) -> list[tuple[str, ...]]:
+    """Return the errors of channels predicted with the first one, and by a predictor each."""
+    table = {
+        "kind": "synthetic",
+        "heart_rate_variability": "4 %",
+        "respiration": "10 %",
+        "noise": "0.5 mN",
+        "position": [{"name": "first"}, *POSITIONS],
+    }
+    scene = SyntheticScene.model_validate(table | PULSES[name])
+    pulses_n = SyntheticSource(scene).take(PULSE_MS)
+    ensemble = Ensemble("stack", MS, len(POSITIONS) + 1)
+    together = nrmse([ensemble, *ensemble.others], pulses_n)
+    alone = nrmse([Ensemble("stack", MS) for _ in range(len(POSITIONS) + 1)], pulses_n)
+    rows = zip(POSITIONS, together[1:], alone[1:], strict=True)
+    return [
+        (name, place["name"], *(f"{a:.3f} / {b:.3f}" for a, b in zip(both, own, strict=True)))
+        for place, both, own in rows
+    ]
+
+
+def main() -> None:
+    """Print the three tables."""
+    columns = ("predictor", "first contactor", "second", "third")
+    rows = [cost_row(predictor) for predictor in ("stack", "linear")]
+    show(
+        f"Processor time of a tick over {LINK}, of further contactors over the first", columns, rows
+    )
+    links = ("delay=0ms", LINK)
+    skews = [skew_row(predictor, link) for link in links for predictor in ("linear", "stack")]
+    title = "Lag of each contactor behind the instant that is played, in ms, and the skew"
+    show(title, ("link", "predictor", "cun, guan, chi", "skew"), skews)
+    found = [row for name in PULSES for row in prediction_rows(name)]
+    horizons = [f"{ahead} ms" for ahead in HORIZONS_MS]
+    title = "NRMSE of a further channel: predicted with the first one / by its own predictor"
+    show(title, ("pulse", "channel", *horizons), found)
