@@ -33,9 +33,9 @@ from telepulse.metrics.server import families
 from telepulse.recording.findings import RunFindings
 from telepulse.recording.mcap_writer import as_json
 from telepulse.telemetry.decoder import TelemetryDecoder
-from telepulse.view.live import LiveState
+from telepulse.view.live import MAX_CONTACTORS, LiveState
 from telepulse.view.page import padded
-from telepulse.view.text import alarms, figures, state
+from telepulse.view.text import alarms, contactor_rows, figures, state
 from telepulse.view.window_data import window_data
 
 MS = 1_000_000
@@ -75,8 +75,12 @@ class TelemetryReaders:
         console = Console(width=100, file=io.StringIO(), color_system=None)
         console.print(self.screen.panel(3 * SECOND_NS), self.screen.line(3 * SECOND_NS))
         assert console.file.tell() < MOST_CHARACTERS
-        for window_ns in (SECOND_NS, 10 * SECOND_NS):
-            drawn = window_data(self.live, window_ns)
+        for chosen, window_ns in enumerate((SECOND_NS, 10 * SECOND_NS)):
+            drawn = window_data(self.live, window_ns, chosen)
+            rows = contactor_rows(self.live, drawn)
+            assert len(rows) == len(drawn.fingers) <= MAX_CONTACTORS
+            assert all(text for row in rows for text in row)
+            assert not any(np.isinf(finger["y"]).any() for finger in drawn.fingers)
             for low, high in drawn.limits.values():
                 assert math.isfinite(low)
                 assert math.isfinite(high)
@@ -133,23 +137,28 @@ def preamble() -> list[Message]:
     return [*messages, status_message("playing")]
 
 
-def trace_message(*felt: TickState) -> Message:
-    """Return ticks as a trace message."""
+def trace_message(*felt: TickState, others: Sequence[TickState] = ()) -> Message:
+    """Return ticks as a trace message; others: states of further contactors, at each tick."""
     writer = TraceWriter()
     message = None
     for tick in felt:
-        message = writer.add(tick) or message
+        message = writer.add(tick, *others) or message
     return TRACE, writer.rest() or message or b""
 
 
-def status_message(state: str, playing: PlaybackStatus = PLAYING, **changes: Any) -> Message:
-    """Return a status message, of a display whose clock is known."""
+def status_message(state: str, *playing: PlaybackStatus, **changes: Any) -> Message:
+    """Return a status message, of a display whose clock is known.
+
+    playing: of each contactor; without any, of one.
+    """
     whole: dict[str, Any] = {
         "clock": Clock(AHEAD_NS / MS, 1.0, 0.1, 0.2, 0),
         "samples": SampleCounts(5, 5, 0, 0, 0, 0),
     }
     summary = Summary(**(whole | changes))
-    return STATUS, pack_status(state, "pulse", summary, False, SESSION, playing=[playing])
+    return STATUS, pack_status(
+        state, "pulse", summary, False, SESSION, playing=playing or [PLAYING]
+    )
 
 
 def heard_message(

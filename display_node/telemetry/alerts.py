@@ -3,7 +3,7 @@
 Terminal, live page and metrics share them. Pure.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple
 
 from display_node.fault_advice import FILM_NOTE, SENSING_NOTE, advise, latched
@@ -11,6 +11,7 @@ from display_node.scoring.beat_statistics import pulse_alarm
 from display_node.scoring.deadlines import deadline_alarm
 from display_node.scoring.prediction_score import prediction_alarm
 from protocol.errors import CAUSE_MEANINGS, explain_causes
+from protocol.run_summary import contactors_of
 from protocol.security.socket_monitor import (
     HANDSHAKE,
     NO_KEY,
@@ -45,15 +46,16 @@ def alerts(
 ) -> list[Alert]:
     """Return the alerts for a status, whose fields `state` and `summary` are.
 
-    silent_ns: time without telemetry from the display. After 2 s of it, only latched faults and the
-    silence are reported; for the last status of a display, only latched faults.
+    Of several contactors, the alerts of one have its name after theirs: "pulse: cun". silent_ns:
+    time without telemetry from the display. After 2 s of it, only latched faults and the silence
+    are reported; for the last status of a display, only latched faults.
     """
     faults, rejected = summary.get("faults", []), summary.get("rejected", {})
     silent = silent_ns > SILENT_AFTER_NS and not is_last_status
     finger = "" if silent else finger_note(summary)
     found = [Alert(f"fault: {fault}", f"{advise(fault)}{finger}") for fault in latched(faults)]
     if silent:
-        known = summary.get("finger")
+        known = finger_text(summary)
         before = f", before that: {known}" if known else ""
         text = f"since {silent_ns * 1e-9:.0f} s; finger: unknown{before}"
         found.append(Alert("no telemetry", text))
@@ -74,28 +76,41 @@ def alerts(
         found.append(Alert(NOT_CONNECTED, "; ".join(explain_causes(refused))))
     if state == "stale":
         found.append(Alert("stale", f"no samples to play{finger}"))
-    stiffness = summary.get("finger_stiffness")
+    for name, figures in contactors_of(summary).items():
+        of = f": {name}" if name else ""
+        found += [Alert(kind + of, text) for kind, text in _of_contactor(state, figures)]
+    late = deadline_alarm(summary.get("loop", {}))
+    return found if late is None else [*found, Alert("deadline misses", late)]
+
+
+def _of_contactor(state: str, figures: Mapping[str, Any]) -> Iterator[Alert]:
+    """Yield the alerts of a contactor's figures."""
+    stiffness = figures.get("finger_stiffness")
     if stiffness is not None and not LEAST_STIFFNESS <= stiffness <= MOST_STIFFNESS:
         film, motor = ("little", "less") if stiffness < 1 else ("much", "further")
-        found.append(
-            Alert(
-                STIFFNESS,
-                f"{stiffness:.2f} times the scene's fingertip, implausible for a finger: the film"
-                f" reads too {film} (telepulse calibrate) or the motor moves {motor} than its step"
-                " count says (telepulse bench)",
-            )
+        yield Alert(
+            STIFFNESS,
+            f"{stiffness:.2f} times the scene's fingertip, implausible for a finger: the film"
+            f" reads too {film} (telepulse calibrate) or the motor moves {motor} than its step"
+            " count says (telepulse bench)",
         )
     alarms = {
-        "pulse": pulse_alarm(summary.get("beats", {})) if state == "playing" else None,
-        "deadline misses": deadline_alarm(summary.get("loop", {})),
-        "prediction": prediction_alarm(summary.get("compensation", {})),
+        "pulse": pulse_alarm(figures.get("beats", {})) if state == "playing" else None,
+        "prediction": prediction_alarm(figures.get("compensation", {})),
     }
-    return found + [Alert(name, text) for name, text in alarms.items() if text is not None]
+    yield from (Alert(name, text) for name, text in alarms.items() if text is not None)
+
+
+def finger_text(summary: Mapping[str, Any]) -> str:
+    """Return the state of each finger, of several with the contactor's name; empty if unknown."""
+    fingers = {name: figures.get("finger") for name, figures in contactors_of(summary).items()}
+    found = (f"{name}: {text}" if name else text for name, text in fingers.items() if text)
+    return ", ".join(found)
 
 
 def finger_note(summary: Mapping[str, Any]) -> str:
     """Return "; finger: …", or an empty string where the status has no state of the finger."""
-    finger = summary.get("finger")
+    finger = finger_text(summary)
     return f"; finger: {finger}" if finger else ""
 
 

@@ -25,12 +25,12 @@ from rich.table import Table
 from rich.text import Text
 
 from display_node.scoring.heart_rate import heart_rate_per_min
-from display_node.telemetry.alerts import Alert, StatusAge, alerts, delay_note
+from display_node.telemetry.alerts import Alert, StatusAge, alerts, delay_note, finger_text
 from protocol import sockets
 from protocol.errors import WireError
 from protocol.figures import Surface
 from protocol.host.output import unblocked_output
-from protocol.run_summary import contactors_of, rows
+from protocol.run_summary import rows
 from protocol.security.keys import ClientKeys, read_pair
 from protocol.wire.telemetry import STATUS, TRACE, Status, Trace, read_status, read_trace
 
@@ -197,13 +197,7 @@ class TerminalView:
         current = self._age_ns(now_ns) < CURRENT_NS
         rate = self.heart_rate_per_min if current else None
         last = self._ticks[-1] if self._ticks else None
-        contactors = {} if self.status is None else contactors_of(self.status.summary)
-        fingers = [
-            f"{name}: {figures['finger']}" if name else figures["finger"]
-            for name, figures in contactors.items()
-            if figures.get("finger")
-        ]
-        finger = ", ".join(fingers)
+        finger = "" if self.status is None else finger_text(self.status.summary)
         # The newest values of the first contactor, and of the others.
         newest = [(None, None) if last is None else (last.target_n, last.felt_n)]
         newest += [(float(x.target_n[-1]), float(x.felt_n[-1])) for x in self._others]

@@ -90,7 +90,7 @@ def families(
     help_texts: dict[str, str] = {}
     for figure in REGISTRY.on(Surface.METRICS):
         help_text = help_texts.setdefault(figure.metric, figure.help or figure.meaning)
-        for labels, value in _samples(figure, status.summary):
+        for labels, value in _samples_of_all(figure, status.summary):
             name = PREFIX + figure.metric
             metric = found.setdefault(name, Metric(name, help_text, figure.metric_type))
             metric.add_sample(name + ("_total" if figure.counter else ""), labels, value)
@@ -99,6 +99,16 @@ def families(
 
 def _gauge(name: str, text: str, value: float) -> Metric:
     return GaugeMetricFamily(PREFIX + name, text, value=value)
+
+
+def _samples_of_all(
+    figure: Figure, summary: Mapping[str, Any]
+) -> Iterator[tuple[dict[str, str], float]]:
+    """Yield the samples of a figure: the node's, then those of each of several contactors."""
+    yield from _samples(figure, summary)
+    for name, figures in summary["contactors"].items():
+        for labels, value in _samples(figure, figures):
+            yield labels | {"contactor": name}, value
 
 
 def _samples(figure: Figure, summary: Mapping[str, Any]) -> Iterator[tuple[dict[str, str], float]]:

@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 from display_node.telemetry.alerts import NOT_CONNECTED, Alert, alerts
 from protocol.counters import LIMIT_NAMES
 from protocol.errors import explain_causes
+from protocol.run_summary import contactors_of
 from protocol.security.socket_monitor import REVOKED
 
 # A cut is reported after the time that a display waits for a sensing node.
@@ -49,7 +50,7 @@ class EventDetector:
         self._refused: set[str] = set()
         # Counts of the bench at the last status, and the names of those that were reported.
         self._hardware: dict[str, int] = {}
-        self._frequent: set[str] = {USUAL}
+        self._frequent: set[str] = set()
 
     def begin_session(self) -> None:
         """Note that the display joins a stream, whose frames are to arrive."""
@@ -107,20 +108,27 @@ class EventDetector:
         if steps > self._steps:
             yield Event("WARNING", "clock step", f"a clock has jumped; jumps so far: {steps}")
         self._steps = steps
-        for limit, name in LIMIT_NAMES.items():
-            if summary["limited"][limit].get("times") and limit not in self._limited:
-                self._limited.add(limit)
-                yield Event("WARNING", "limited", f"{name} reached")
+        for contactor, figures in contactors_of(summary).items():
+            of = f"{contactor}: " if contactor else ""
+            for limit, name in LIMIT_NAMES.items():
+                reached = f"{of}{name} reached"
+                if figures["limited"][limit].get("times") and reached not in self._limited:
+                    self._limited.add(reached)
+                    yield Event("WARNING", "limited", reached)
         for cause in sorted(summary["rejected"].keys() - self._refused - {REVOKED}):
             self._refused.add(cause)
             yield Event("WARNING", "refused", *explain_causes({cause: summary["rejected"][cause]}))
-        hardware = summary.get("hardware", {})
+        hardware = {
+            f"{contactor}: {name}" if contactor else name: count
+            for contactor, figures in contactors_of(summary).items()
+            for name, count in figures.get("hardware", {}).items()
+        }
         for name in sorted(hardware.keys() - self._frequent):
             more = hardware[name] - self._hardware.get(name, 0)
-            if more > MANY:
+            if more > MANY and not name.endswith(USUAL):
                 self._frequent.add(name)
                 yield Event("WARNING", "hardware", f"{name}: {more} within one status")
-        self._hardware = dict(hardware)
+        self._hardware = hardware
 
     def _cut(self, now_ns: int) -> list[Alert]:
         if self._frame_ns is None or self._ended or now_ns - self._frame_ns <= CUT_AFTER_NS:

@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 from display_node.reception.receiver import FUTURE_NS, OLDEST_NS
 from display_node.scoring.beats import BeatAnalysis
-from protocol.wire.messages import ChannelSamples, channel_samples
+from protocol.run_summary import contactors_of
+from protocol.wire.messages import channel_samples
 from telepulse.telemetry.decoder import Entry, Fields
 from telepulse.telemetry.schema import EVENT, FRAME, STATUS, STREAM, TICK
 
@@ -121,25 +122,65 @@ MS = 1_000_000
 # Rows of the tables of ticks and samples, 65 s at 1 kHz, and of the table of statuses.
 FAST_ROWS, SLOW_ROWS = 1 << 16, 1 << 11
 EVENTS = 12
+# A status may name hundreds of contactors; a page has room for these.
+MAX_CONTACTORS = 8
 # Shares of lost and late samples are taken over this many statuses: one second.
 LOSS_STATUSES = 5
+
+
+class ContactorState:
+    """State of one contactor in a run of a display.
+
+    Columns of ticks: felt_n (NaN where unknown), playout delay in ns (NaN where the pulse is not
+    felt at full strength), predictor_error_n (NaN without one). wrist: force in N of samples.
+    beats: at the onset of each, force at the foot and height in N, and quality (NaN where unknown).
+    playing: the signal that is played, as in the last status; empty before.
+    """
+
+    def __init__(self) -> None:
+        self.ticks = RollingTable(3, FAST_ROWS)
+        self.wrist = RollingTable(1, FAST_ROWS)
+        self.beats = RollingTable(3, SLOW_ROWS)
+        self.playing: Fields = {}
+        self._analysis = BeatAnalysis()
+
+    def begin_session(self) -> None:
+        """Expect the beats of another session, whose clock and pulse may be others."""
+        self._analysis = BeatAnalysis()
+
+    def add_tick(self, t_ns: int, fields: Fields, delay_ns: float) -> None:
+        """Add a tick, with this contactor's forces."""
+        felt_n, error_n = (fields.get(key, math.nan) for key in ("felt_n", "predictor_error_n"))
+        self.ticks.add(t_ns, felt_n, delay_ns, error_n)
+
+    def add_frame(self, t_ns: Times, fields: Fields) -> None:
+        """Add the played channel's samples of a frame, at Unix times; copies are skipped."""
+        channel, channels = self.playing.get("channel", 0), fields["channels"]
+        period_ns, first_ns = fields["period_ns"], int(t_ns[0])
+        # Copies come over other paths.
+        if channel >= channels or self.wrist.has(first_ns, period_ns // 2):
+            return
+        values = fields["force_n"][channel::channels]
+        self.wrist.insert(t_ns, np.array(values)[:, np.newaxis])
+        samples = channel_samples(0, fields["t_first_ns"], period_ns, values)
+        for beat in self._analysis.observe(samples):
+            quality = math.nan if beat.quality is None else beat.quality
+            onset_ns = beat.onset_ns - samples.times_ns[0] + first_ns
+            self.beats.add(onset_ns, beat.foot_n, beat.height_n, quality)
 
 
 class LiveState:
     """State of one run of a display; another run resets it.
 
-    Columns of ticks: felt_n (NaN where unknown), playout delay in ns (NaN where the pulse is not
-    felt at full strength), predictor_error_n (NaN without one). wrist: force in N of samples.
-    beats: at the onset of each, force at the foot and height in N, and quality (NaN where unknown).
-    delays: one-way delay in ms of frames. statuses: clock offset and its uncertainty in ms, skew in
-    ppm, samples lost and late in %; then, since the run's start: refused messages, seconds at any
-    limit.
+    contactors: of the display, at least one and at most `MAX_CONTACTORS`. beyond: number of further
+    ones. channels: names of the stream's channels. delays: one-way delay in ms of frames. statuses:
+    clock offset and its uncertainty in ms, skew in ppm, samples lost and late in %; then, since the
+    run's start: refused messages, seconds at any limit.
 
-    trusted: whether the predictor was trusted at the last tick.
-    playing: the signal that is played, as in the last status; empty before. stream_ended: the
-    sensing node has ended the stream. display_ended: the display has sent its final status.
-    stepped_ns, telemetry_missed_ns: Unix time of the last clock step, and of the last telemetry
-    that was missed; −∞ before any.
+    trusted: whether the predictor was trusted at the last tick. stream_ended: the sensing node has
+    ended the stream. display_ended: the display has sent its final status. stepped_ns,
+    telemetry_missed_ns: Unix time of the last clock step, and of the last telemetry that was
+    missed; −∞ before any.
     """
 
     def __init__(self) -> None:
@@ -149,23 +190,32 @@ class LiveState:
         self._begin()
 
     def _begin(self) -> None:
-        self.ticks = RollingTable(3, FAST_ROWS)
-        self.wrist = RollingTable(1, FAST_ROWS)
-        self.beats = RollingTable(3, SLOW_ROWS)
-        self._analysis = BeatAnalysis()
+        self.contactors = [ContactorState()]
+        self.beyond = 0
         self.delays = RollingTable(1, FAST_ROWS)
         self.statuses = RollingTable(7, SLOW_ROWS)
         self._samples: deque[Fields] = deque(maxlen=LOSS_STATUSES)
         self._offset_ns: int | None = None
         self._group_delay_ns = 0
         self.trusted = False
-        self.playing: Fields = {}
         self._session: int | None = None
         self.now_ns = self.frame_ns = 0
         self.stepped_ns = self.telemetry_missed_ns = -math.inf
         self.state, self.stream = "", ""
+        self.channels: list[str] = []
         self.summary: Fields = {}
         self.stream_ended = self.display_ended = False
+
+    @property
+    def names(self) -> list[str]:
+        """Names of the contactors, in their order; of an only one, an empty text."""
+        if len(self.contactors) == 1:
+            return [""]
+        return [each.playing["contactor"] for each in self.contactors]
+
+    def contactor(self, number: int) -> ContactorState:
+        """Return the contactor of a number, or the first one where the display has fewer."""
+        return self.contactors[number if number < len(self.contactors) else 0]
 
     def take(self, entry: Entry) -> None:
         """Process a message of the display, or an event."""
@@ -181,39 +231,29 @@ class LiveState:
         if fields["scored"] and self._offset_ns is not None:
             delay_ns = fields["now_ns"] + self._offset_ns - fields["instant_ns"]
         self.trusted = bool(fields.get("trusted"))
-        felt_n, error_n = (fields.get(key, math.nan) for key in ("felt_n", "predictor_error_n"))
-        self.ticks.add(entry.t_ns, felt_n, delay_ns, error_n)
+        # Their numbers may differ in the telemetry of another program.
+        states = fields, *fields.get("others", ())
+        for contactor, state in zip(self.contactors, states, strict=False):
+            contactor.add_tick(entry.t_ns, state, delay_ns)
 
     def _frame(self, entry: Entry) -> None:
         fields, offset_ns = entry.fields, self._offset_ns
         if fields["session"] != self._session:
             return
         self.frame_ns, self.stream_ended = entry.t_ns, False
-        if offset_ns is None or not self.playing:
-            return
-        values = fields["force_n"][self.playing["channel"] :: fields["channels"]]
-        if not values:
+        count = len(fields["force_n"]) // fields["channels"]
+        if offset_ns is None or not count or not self.contactors[0].playing:
             return
         unix_ns, period_ns = entry.t_ns - fields["arrived_ns"], fields["period_ns"]
         sampled_ns = fields["t_first_ns"] - offset_ns + unix_ns
-        one_way_ns = entry.t_ns - sampled_ns - (len(values) - 1) * period_ns
+        one_way_ns = entry.t_ns - sampled_ns - (count - 1) * period_ns
         # The display refuses frames that are further off.
         if not -FUTURE_NS < one_way_ns < OLDEST_NS:
             return
         self.delays.add(entry.t_ns, one_way_ns / MS)
-        t_ns = sampled_ns - self._group_delay_ns + period_ns * np.arange(len(values))
-        # Copies over other paths are skipped.
-        if not self.wrist.has(int(t_ns[0]), period_ns // 2):
-            self.wrist.insert(t_ns, np.array(values)[:, np.newaxis])
-            samples = channel_samples(0, fields["t_first_ns"], period_ns, values)
-            self._add_beats(samples, int(t_ns[0]))
-
-    def _add_beats(self, samples: ChannelSamples, unix_ns: int) -> None:
-        """Add the beats that a frame completes; unix_ns: Unix time of its first sample."""
-        for beat in self._analysis.observe(samples):
-            quality = math.nan if beat.quality is None else beat.quality
-            t_ns = beat.onset_ns - samples.times_ns[0] + unix_ns
-            self.beats.add(t_ns, beat.foot_n, beat.height_n, quality)
+        t_ns = sampled_ns - self._group_delay_ns + period_ns * np.arange(count)
+        for contactor in self.contactors:
+            contactor.add_frame(t_ns, fields)
 
     def _status(self, entry: Entry) -> None:
         fields = entry.fields
@@ -222,15 +262,30 @@ class LiveState:
         clock = self.summary["clock"]
         if "offset_ms" in clock:
             self._offset_ns = round(clock["offset_ms"] * MS)
-        self.playing = fields.get("playing", [self.playing])[0]
+        self._follow(fields.get("playing", []))
         self._samples.append(self.summary["samples"])
         self.statuses.add(
             max(self.now_ns, entry.t_ns),
             *(clock.get(name, math.nan) for name in ("offset_ms", "uncertainty_ms", "skew_ppm")),
             *self._shares(),
             sum(self.summary["rejected"].values()),
-            sum(limit.get("seconds", 0.0) for limit in self.summary["limited"].values()),
+            sum(
+                limit.get("seconds", 0.0)
+                for figures in contactors_of(self.summary).values()
+                for limit in figures["limited"].values()
+            ),
         )
+
+    def _follow(self, playing: list[Fields]) -> None:
+        """Take what each contactor plays; before the stream is known this is empty."""
+        if not playing:
+            return
+        shown = playing[:MAX_CONTACTORS]
+        self.beyond = len(playing) - len(shown)
+        more = len(shown) - len(self.contactors)
+        self.contactors = self.contactors[: len(shown)] + [ContactorState() for _ in range(more)]
+        for contactor, signal in zip(self.contactors, shown, strict=True):
+            contactor.playing = signal
 
     def _shares(self) -> tuple[float, float]:
         """Return the percentages lost and late of the samples due in the last second."""
@@ -246,8 +301,10 @@ class LiveState:
     def _stream(self, entry: Entry) -> None:
         fields = entry.fields
         if fields["session"] != self._session:
-            self._analysis = BeatAnalysis()
+            for contactor in self.contactors:
+                contactor.begin_session()
         self._session, self.stream_ended = fields["session"], False
+        self.channels = [channel["name"] for channel in fields.get("channels", ())]
         self._group_delay_ns = fields["group_delay_ns"]
 
     def _event(self, entry: Entry) -> None:

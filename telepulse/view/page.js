@@ -3,9 +3,15 @@
 const at = (id) => document.getElementById(id);
 const write = (id, text) => { if (at(id).textContent !== text) at(id).textContent = text; };
 const [shown] = texts.data.shown;
+const choose = (change) => { choices.data = { ...choices.data, ...change }; };
+const element = (kind, text, attributes = {}) => {
+  const made = document.createElement(kind);
+  made.textContent = text;
+  for (const [name, value] of Object.entries(attributes)) made.setAttribute(name, value);
+  return made;
+};
 
 function begin() {
-  const choose = (change) => { choices.data = { ...choices.data, ...change }; };
   at("pause").addEventListener("click", () => {
     const paused = at("pause").getAttribute("aria-pressed") !== "true";
     at("pause").setAttribute("aria-pressed", paused);
@@ -55,6 +61,46 @@ function showEvents(events) {
   }));
 }
 
+// A choice for each of several contactors; its element stays while their names do.
+function offerContactors(names) {
+  for (const part of document.querySelectorAll("#contactor, .several")) {
+    part.hidden = names.length < 2;
+  }
+  const group = at("contactor"), key = JSON.stringify(names);
+  if (names.length < 2 || group.dataset.key === key) return;
+  group.dataset.key = key;
+  group.replaceChildren(group.firstElementChild, ...names.map((name, index) => {
+    const label = document.createElement("label");
+    const choice = element("input", "", { type: "radio", name: "contactor", value: index });
+    choice.checked = index === 0;
+    choice.addEventListener("change", () => choose({ contactor: [index] }));
+    label.append(choice, element("span", name));
+    return label;
+  }));
+  at("fingers-keys").replaceChildren(...names.map((name, index) => {
+    const item = document.createElement("span");
+    item.append(element("i", "", { style: `border-top: 3px solid ${shown.colours[index]}` }), name);
+    return item;
+  }));
+  choose({ contactor: [0] });
+}
+
+function showContactors(rows) {
+  const table = at("contactors"), titles = [...document.querySelectorAll(".contactors th")];
+  while (table.rows.length > rows.length) table.lastElementChild.remove();
+  for (const [index, texts] of rows.entries()) {
+    const row = table.rows[index] ?? table.appendChild(element("tr", "", { role: "row" }));
+    if (index === shown.chosen) row.setAttribute("aria-current", "true");
+    else row.removeAttribute("aria-current");
+    for (const [place, text] of texts.entries()) {
+      const label = titles[place].textContent;
+      const cell = row.cells[place] ?? row.appendChild(
+        element("td", "", { role: place ? "cell" : "rowheader", "data-label": label }));
+      if (cell.textContent !== text) cell.textContent = text;
+    }
+  }
+}
+
 if (!document.body.dataset.ready) begin();
 if (shown) {
   write("stream", shown.stream);
@@ -65,6 +111,13 @@ if (shown) {
   for (const [id, [value, note]] of Object.entries(shown.figures)) {
     write(id, value);
     write(`${id}-note`, note);
+  }
+  const names = shown.contactors.map(([name]) => name), chosen = names[shown.chosen];
+  offerContactors(names);
+  showContactors(shown.contactors);
+  write("beyond", shown.beyond);
+  for (const title of document.querySelectorAll("h2 .of")) {
+    title.textContent = chosen === undefined ? "" : ` – ${chosen}`;
   }
   showAlarms(shown.alarms);
   showEvents(shown.events);

@@ -20,7 +20,16 @@ from numpy.typing import NDArray
 
 from telepulse.view import text
 from telepulse.view.live import LiveState
-from telepulse.view.window_data import MUTED, PLOTS, Columns, PagePlot, WindowData, window_data
+from telepulse.view.window_data import (
+    FINGER_COLOURS,
+    FINGERS,
+    MUTED,
+    PLOTS,
+    Columns,
+    PagePlot,
+    WindowData,
+    window_data,
+)
 
 REDRAW_MS = 200
 WINDOWS_S = (5, 10, 30, 60)
@@ -46,21 +55,28 @@ class Plots:
             f"{name}_{axis}": [] for name in _CURVES for axis in ("t", "y")
         }
         self._source = ColumnDataSource(empty)
+        # One row a contactor; empty for an only one.
+        self._fingers = ColumnDataSource({"t": [], "y": [], "colour": []})
         self._times = Range1d(start=-10, end=0)
-        self._limits = {plot.id: Range1d(start=0, end=1) for plot in PLOTS}
+        self._limits = {plot.id: Range1d(start=0, end=1) for plot in (*PLOTS, FINGERS)}
         self._band = BoxAnnotation(
             bottom=0, top=0, fill_color=MUTED, fill_alpha=0.25, line_alpha=0, level="underlay"
         )
-        self.roots = [self._draw(plot) for plot in PLOTS]
+        self.roots = [self._draw(plot) for plot in (*PLOTS, FINGERS)]
+        self.roots[-1].multi_line("t", "y", source=self._fingers, line_color="colour", line_width=2)
 
-    def show(self, data: WindowData, window_s: float) -> None:
+    def show(self, data: WindowData) -> None:
         """Draw the curves of a window."""
-        self._times.start = -window_s
+        self._times.start = -data.window_s
         self._source.data = padded(data.columns)
         for plot, (low, high) in data.limits.items():
             self._limits[plot].update(start=low, end=high)
         jnd_mn = (data.scores.jnd_n or 0.0) * 1e3
         self._band.update(bottom=-jnd_mn, top=jnd_mn)
+        if data.fingers or self._fingers.data["colour"]:
+            curves = {axis: [finger[axis] for finger in data.fingers] for axis in ("t", "y")}
+            colours = list(FINGER_COLOURS[: len(data.fingers)])
+            self._fingers.data = curves | {"colour": colours}
 
     def _draw(self, plot: PagePlot) -> figure:
         drawn = figure(
@@ -130,7 +146,9 @@ class LivePage:
         self._live, self._silent_ns = live, silent_ns
         self._plots = Plots()
         self._texts = ColumnDataSource({"shown": [None]})
-        self._choices = ColumnDataSource({"paused": [False], "window_s": [WINDOW_S], "seen": [0]})
+        self._choices = ColumnDataSource(
+            {"paused": [False], "window_s": [WINDOW_S], "contactor": [0], "seen": [0]}
+        )
         update = CustomJS(
             args={"texts": self._texts, "choices": self._choices}, code=_text("page.js")
         )
@@ -151,8 +169,13 @@ class LivePage:
             window=WINDOW_S,
             figures=text.FIGURES,
             plots=PLOTS,
+            fingers=FINGERS,
+            columns=text.CONTACTOR_COLUMNS,
         )
-        self._figures: dict[str, text.PageFigure] = {}
+        # The data and texts of each contactor at the beginning of a pause; else of the chosen one.
+        self._shown: list[tuple[WindowData, dict[str, Any]]] = []
+        self._paused = False
+        self._drawn: WindowData | None = None
         self._number = 0
         self.draw()
         # Bokeh removes this callback with the viewer's session.
@@ -169,24 +192,42 @@ class LivePage:
             return
         self._number += 1
         silent_ns = self._silent_ns()
-        if not choices["paused"][0]:
-            (choice,) = choices["window_s"]
-            window_s = choice if choice in WINDOWS_S else WINDOW_S
-            shown = window_data(live, window_s * SECOND_NS)
-            self._plots.show(shown, window_s)
-            self._figures = text.figures(live, shown, silent_ns)
+        (paused,), (number,) = choices["paused"], choices["contactor"]
+        if not (paused and self._paused):
+            everyone = range(len(live.contactors))
+            wanted = everyone if paused else [number if number in everyone else 0]
+            self._shown = [self._window(each, silent_ns) for each in wanted]
+        self._paused = paused
+        places = [data.chosen for data, _ in self._shown]
+        data, texts = self._shown[places.index(number) if number in places else 0]
+        if data is not self._drawn:
+            self._drawn = data
+            self._plots.show(data)
         state, note = text.state(live, silent_ns)
         content: dict[str, Any] = {
             "stream": live.stream,
             "state": state,
             "note": note,
-            "figures": self._figures,
+            **texts,
             "old": bool(text.age(live, silent_ns)),
             "alarms": text.alarms(live, silent_ns),
             "events": [(t_ns // 1_000_000, *rest) for t_ns, *rest in reversed(live.events)],
             "number": self._number,
         }
         self._texts.data = {"shown": [content]}
+
+    def _window(self, number: int, silent_ns: int) -> tuple[WindowData, dict[str, Any]]:
+        """Return the data of a contactor in the chosen window, and the texts that belong to it."""
+        (choice,) = self._choices.data["window_s"]
+        window_s = choice if choice in WINDOWS_S else WINDOW_S
+        data = window_data(self._live, window_s * SECOND_NS, number)
+        return data, {
+            "figures": text.figures(self._live, data, silent_ns),
+            "contactors": text.contactor_rows(self._live, data),
+            "beyond": text.beyond(self._live),
+            "chosen": data.chosen,
+            "colours": FINGER_COLOURS,
+        }
 
 
 @cache

@@ -1,5 +1,6 @@
 """Texts of the page: the state, the figures and the alarms. Pure."""
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -16,10 +17,10 @@ from protocol.config.quantities import count_text
 from protocol.counters import limit_texts
 from protocol.errors import explain_causes
 from protocol.figures import Surface
-from protocol.run_summary import REGISTRY
+from protocol.run_summary import REGISTRY, contactors_of
 from telepulse.telemetry.decoder import Fields
 from telepulse.telemetry.events import CUT, CUT_AFTER_NS
-from telepulse.view.live import LiveState
+from telepulse.view.live import MAX_CONTACTORS, LiveState
 from telepulse.view.window_data import WindowData, WindowScores
 
 SECOND_NS = 1_000_000_000
@@ -97,12 +98,80 @@ def figures(live: LiveState, data: WindowData, silent_ns: int = 0) -> dict[str, 
         "in_phase": _error(scores.in_phase_n, scores, window),
         "within": _within(scores, window),
         "loss": _loss(live.summary.get("samples", {})),
-        "predictor": _predictor(live),
+        "predictor": _predictor(live, data.chosen),
     }
     # Before the first status there is no summary.
-    for row in REGISTRY.rows(live.summary, Surface.PAGE) if live.summary else ():
-        shown[row.name.replace(" ", "-")] = PageFigure(row.large, row.note)
-    return shown
+    shown |= _rows(live.summary) if live.summary else {}
+    name = live.names[data.chosen]
+    if not name:
+        return shown
+    of_contactor = {id: shown[id] for id in ("heart", "aligned", "in_phase", "within")}
+    of_contactor |= _rows(_own(live, name))
+    return shown | {
+        id: PageFigure(value, f"{name}: {note}" if note else name)
+        for id, (value, note) in of_contactor.items()
+    }
+
+
+def _rows(summary: Fields) -> dict[str, PageFigure]:
+    """Return the rows of a summary's JSON, by the ids of their figures."""
+    rows = REGISTRY.rows(summary, Surface.PAGE)
+    return {row.name.replace(" ", "-"): PageFigure(row.large, row.note) for row in rows}
+
+
+def _own(live: LiveState, name: str) -> Fields:
+    """Return the figures of one of several contactors in the summary.
+
+    Availability is that of the display; a contactor has the time that its errors could be judged.
+    """
+    figures: Fields = live.summary.get("contactors", {}).get(name, {})
+    return {key: value for key, value in figures.items() if key != "availability"}
+
+
+# Columns of the table of several contactors.
+CONTACTOR_COLUMNS = (
+    *("contactor", "channel", "force now", "aligned error", "in-phase error"),
+    *("height", "rate", "quality", "finger"),
+)
+
+
+def contactor_rows(live: LiveState, data: WindowData) -> list[list[str]]:
+    """Return the rows of the table of several contactors; none for an only one."""
+    rows = []
+    for name, contactor, scores in zip(live.names, live.contactors, data.all_scores, strict=True):
+        if not name:
+            return []
+        own, channel = _own(live, name), contactor.playing["channel"]
+        beats = own.get("beats", {})
+        newest_n = contactor.ticks.since(live.now_ns).values[:, 0]
+        force_n = newest_n[-1] if len(newest_n) else math.nan
+        rate_per_min, quality = beats.get("rate_per_min"), beats.get("quality")
+        rows.append(
+            [
+                name,
+                live.channels[channel] if channel < len(live.channels) else str(channel),
+                _millinewtons(None if math.isnan(force_n) else force_n, 0),
+                _millinewtons(scores.aligned_n, 2),
+                _millinewtons(scores.in_phase_n, 2),
+                _millinewtons(beats.get("height_n"), 0),
+                NOTHING if rate_per_min is None else f"{rate_per_min:.0f} /min",
+                NOTHING if quality is None else f"{quality:.2f}",
+                own.get("finger") or NOTHING,
+            ]
+        )
+    return rows
+
+
+def beyond(live: LiveState) -> str:
+    """Return a sentence on the contactors for which the page has no room; empty without any."""
+    if not live.beyond:
+        return ""
+    count = count_text(live.beyond, "more contactor")
+    return f"{count} of the display not shown: the page has room for {MAX_CONTACTORS}."
+
+
+def _millinewtons(force_n: float | None, digits: int) -> str:
+    return NOTHING if force_n is None else f"{force_n * 1e3:.{digits}f} mN"
 
 
 def _percent(share: float) -> str:
@@ -136,10 +205,11 @@ def _loss(samples: Fields) -> PageFigure:
     return PageFigure(f"{100 * share:.2f} %", note)
 
 
-def _predictor(live: LiveState) -> PageFigure:
+def _predictor(live: LiveState, chosen: int) -> PageFigure:
     """Return the predictor's name, with the present playout delay and the trust in it."""
-    name = live.playing.get("predictor") or NOTHING
-    delays_ns = live.ticks.since(live.now_ns).values[:, 1]
+    contactor = live.contactor(chosen)
+    name = contactor.playing.get("predictor") or NOTHING
+    delays_ns = contactor.ticks.since(live.now_ns).values[:, 1]
     if not len(delays_ns) or np.isnan(delays_ns[-1]):
         return PageFigure(name)
     delay = delay_note(float(delays_ns[-1]) * 1e-6, live.trusted, live.summary)
@@ -167,7 +237,12 @@ def _counted(live: LiveState) -> list[Alert]:
             causes = "; ".join(explain_causes(live.summary["rejected"]))
             found.append(Alert("refused", f"{refused} in the last 5 s; of the whole run {causes}"))
         if np.ptp(recent[:, LIMITED]) > 0:
-            found.append(Alert("limited", "; ".join(limit_texts(live.summary["limited"]))))
+            limits = [
+                f"{name}: {text}" if name else text
+                for name, figures in contactors_of(live.summary).items()
+                for text in limit_texts(figures["limited"])
+            ]
+            found.append(Alert("limited", "; ".join(limits)))
         missing = recent[-1, LOST] + recent[-1, LATE]
         if missing > MUCH_LOSS:
             found.append(Alert("loss", f"{missing:.0f} % of the samples are lost or late"))

@@ -8,7 +8,7 @@ import numpy as np
 from display_node.scoring.beat_quality import GOOD
 from display_node.scoring.heart_rate import heart_rate_per_min
 from display_node.scoring.tracking_error import JND, MAX_GAP_NS, SPAN_NS, interpolate
-from telepulse.view.live import Floats, LiveState, TableSlice, Times, thin
+from telepulse.view.live import ContactorState, Floats, LiveState, TableSlice, Times, thin
 
 SECOND_NS = 1_000_000_000
 # Points of a curve: for ten seconds at 1 kHz the least and the greatest value of each 16 ms.
@@ -36,7 +36,10 @@ class Curve(NamedTuple):
 
 
 class PagePlot(NamedTuple):
-    """A plot; id: its element on the page; axis: label and least range; note: text below it."""
+    """A plot; id: its element on the page; axis: label and least range; note: text below it.
+
+    of_contactor: whether it shows the chosen one of several contactors.
+    """
 
     id: str
     title: str
@@ -45,6 +48,7 @@ class PagePlot(NamedTuple):
     curves: tuple[Curve, ...]
     note: str = ""
     wide: bool = False
+    of_contactor: bool = False
 
 
 PLOTS = (
@@ -58,6 +62,7 @@ PLOTS = (
         ),
         "The finger follows by the playout delay. A beat is marked when the next one has begun.",
         wide=True,
+        of_contactor=True,
     ),
     PagePlot(
         *("error", "Error of the force felt", "error (mN)", (-1.0, 1.0)),
@@ -68,6 +73,7 @@ PLOTS = (
         "Grey band: the just noticeable difference of force, here 10 % of the pulse's peak to peak."
         " A finger notices differences of 7 to 10 %.",
         wide=True,
+        of_contactor=True,
     ),
     PagePlot(
         *("strain", "Compressive strain in the rubber", "strain (10⁻⁶)", (0.0, 0.01)),
@@ -75,10 +81,12 @@ PLOTS = (
             Curve("wrist_strain", "at the wrist", SENSED),
             Curve("finger_strain", "at the finger", FELT),
         ),
+        of_contactor=True,
     ),
     PagePlot(
         *("height", "Height of the beats at the wrist", "height (mN)", (0.0, 1.0)),
         (Curve("height", "from foot to peak", SENSED),),
+        of_contactor=True,
     ),
     PagePlot(
         *("delay", "Delays", "delay (ms)", (0.0, 1.0)),
@@ -91,6 +99,7 @@ PLOTS = (
     PagePlot(
         *("predictor", "Predictor: the error it expects", "RMS error (mN)", (0.0, 1.0)),
         (Curve("predictor", "where it stands in", FELT),),
+        of_contactor=True,
     ),
     PagePlot(
         *("offset", "Clock offset, against now", "offset (ms)", (-0.01, 0.01)),
@@ -104,6 +113,12 @@ PLOTS = (
         *("skew", "Clock skew", "skew (ppm)", (-1.0, 1.0)),
         (Curve("skew", "sensing against display", FELT),),
     ),
+)
+# Shown of several contactors, whose curves have these colours in their order.
+FINGERS = PagePlot("fingers", "Forces at all fingers", "force (mN)", (0.0, 1.0), (), wide=True)
+FINGER_COLOURS = (
+    *("#2f7fd6", "#e8740c", "#1f9a5b", "#e04352"),
+    *("#9a63d8", "#8a7a14", "#d6459a", "#128f9c"),
 )
 
 
@@ -122,32 +137,47 @@ class WindowScores(NamedTuple):
 
 
 class WindowData(NamedTuple):
-    """Data of a window. columns: times in s before now and values, by curve; limits: by axis."""
+    """Data of a window. columns: times in s before now and values, by curve; limits: by axis.
+
+    columns, scores and heart rate are those of the contactor of the number `chosen`. fingers: the
+    felt force of each of several contactors; all_scores: the scores of each contactor.
+    """
 
     window_s: float
     columns: dict[str, Columns]
     limits: dict[str, tuple[float, float]]
     scores: WindowScores
     heart_rate_per_min: float | None
+    chosen: int
+    fingers: tuple[Columns, ...]
+    all_scores: tuple[WindowScores, ...]
 
 
-def window_data(live: LiveState, window_ns: int) -> WindowData:
-    """Return the curves and scores of the last `window_ns`."""
+def window_data(live: LiveState, window_ns: int, chosen: int = 0) -> WindowData:
+    """Return the curves and scores of the last `window_ns`; chosen: number of a contactor."""
     begin_ns = live.now_ns - window_ns
+    contactor = live.contactor(chosen)
+    chosen = live.contactors.index(contactor)
     ticks, wrist, beats, delays, statuses = (
         table.since(begin_ns)
-        for table in (live.ticks, live.wrist, live.beats, live.delays, live.statuses)
+        for table in (
+            *(contactor.ticks, contactor.wrist, contactor.beats),
+            *(live.delays, live.statuses),
+        )
     )
     foot_n, height_n, quality = beats.values.T
     felt_n, delay_ns, predictor_error_n = ticks.values.T
     wrist_n = wrist.values[:, 0]
     finger_per_n, ratio = (
-        live.playing.get(name, math.nan) for name in ("strain_per_newton", "force_ratio")
+        contactor.playing.get(name, math.nan) for name in ("strain_per_newton", "force_ratio")
     )
     offset_ms, uncertainty_ms, skew_ppm, lost, late = statuses.values[:, :5].T
     # Two hosts' clocks may be days apart: the change of their offset matters.
     moved_ms = offset_ms - offset_ms[-1] if len(offset_ms) else offset_ms
-    in_phase_n, aligned_n, jnd_n = _errors(live, ticks, window_ns)
+    errors = [_errors(live, each, window_ns) for each in live.contactors]
+    pairs = zip(live.contactors, errors, strict=True)
+    all_scores = tuple(_scores(live, each, found, window_ns) for each, found in pairs)
+    in_phase_n, aligned_n, jnd_n = errors[chosen]
     curves: dict[str, tuple[TableSlice, Floats]] = {
         "wrist": (wrist, wrist_n * 1e3),
         "onset": (beats, np.where(quality < GOOD, math.nan, foot_n) * 1e3),
@@ -173,29 +203,51 @@ def window_data(live: LiveState, window_ns: int) -> WindowData:
     columns = {}
     for name, (rows, values) in curves.items():
         gap_ns = BEAT_GAP_NS if rows is beats else STATUS_GAP_NS if rows is statuses else MAX_GAP_NS
-        t_ns, y = thin(rows.first, rows.t_ns, values, POINTS, gap_ns)
-        columns[name] = {"t": (t_ns - live.now_ns).astype(np.float64) * 1e-9, "y": y}
-    known_n = aligned_n[~np.isnan(aligned_n)]
-    within = float(np.mean(np.abs(known_n) < jnd_n)) if jnd_n and len(known_n) else None
-    judged = _judged(ticks, len(known_n), begin_ns, live.now_ns)
-    scores = WindowScores(_rms(in_phase_n), _rms(aligned_n), within, jnd_n, judged)
+        columns[name] = _thinned(live, rows, values, gap_ns)
+    fingers: tuple[Columns, ...] = ()
+    if len(live.contactors) > 1:
+        tables = (each.ticks.since(begin_ns) for each in live.contactors)
+        fingers = tuple(
+            _thinned(live, rows, rows.values[:, 0] * 1e3, MAX_GAP_NS) for rows in tables
+        )
     return WindowData(
-        window_ns / SECOND_NS, columns, _limits(columns, jnd_n), scores, _heart_rate(live)
+        window_ns / SECOND_NS,
+        columns,
+        _limits(columns, fingers, jnd_n),
+        all_scores[chosen],
+        _heart_rate(live, contactor),
+        chosen,
+        fingers,
+        all_scores,
     )
 
 
-def _errors(
-    live: LiveState, ticks: TableSlice, window_ns: int
-) -> tuple[Floats, Floats, float | None]:
-    """Return the errors of the felt force in phase and aligned, and the JND, all in N.
+def _thinned(live: LiveState, rows: TableSlice, values: Floats, gap_ns: int) -> Columns:
+    """Return a curve of values at the times of rows, in s before now."""
+    t_ns, y = thin(rows.first, rows.t_ns, values, POINTS, gap_ns)
+    return {"t": (t_ns - live.now_ns).astype(np.float64) * 1e-9, "y": y}
 
-    NaN where the pulse of that instant has not arrived, or is not felt at full strength.
+
+class WindowErrors(NamedTuple):
+    """Errors of a contactor's felt force at each of its ticks, in phase and aligned, in N.
+
+    NaN where the pulse of that instant has not arrived, or is not felt at full strength. jnd_n: the
+    just noticeable difference; None where it is unknown.
     """
-    wrist = live.wrist.since(live.now_ns - window_ns - SPAN_NS)
-    if not live.playing or not len(wrist.t_ns):
+
+    in_phase_n: Floats
+    aligned_n: Floats
+    jnd_n: float | None
+
+
+def _errors(live: LiveState, contactor: ContactorState, window_ns: int) -> WindowErrors:
+    """Return the errors of a contactor in the window."""
+    ticks = contactor.ticks.since(live.now_ns - window_ns)
+    wrist = contactor.wrist.since(live.now_ns - window_ns - SPAN_NS)
+    if not contactor.playing or not len(wrist.t_ns):
         nothing = np.full(len(ticks.t_ns), math.nan)
-        return nothing, nothing, None
-    right_n = live.playing["force_ratio"] * wrist.values[:, 0]
+        return WindowErrors(nothing, nothing, None)
+    right_n = contactor.playing["force_ratio"] * wrist.values[:, 0]
     felt_n, delay_ns, _ = ticks.values.T
     scored = ~np.isnan(delay_ns)
     played_ns: Times = ticks.t_ns - np.where(scored, delay_ns, 0).astype(np.int64)
@@ -204,7 +256,19 @@ def _errors(
         for at_ns in (ticks.t_ns, played_ns)
     )
     lately = right_n[wrist.t_ns > wrist.t_ns[-1] - SPAN_NS]
-    return in_phase_n, aligned_n, JND * float(np.ptp(lately))
+    return WindowErrors(in_phase_n, aligned_n, JND * float(np.ptp(lately)))
+
+
+def _scores(
+    live: LiveState, contactor: ContactorState, errors: WindowErrors, window_ns: int
+) -> WindowScores:
+    """Return the scores of a contactor's errors in the window."""
+    in_phase_n, aligned_n, jnd_n = errors
+    known_n = aligned_n[~np.isnan(aligned_n)]
+    within = float(np.mean(np.abs(known_n) < jnd_n)) if jnd_n and len(known_n) else None
+    begin_ns = live.now_ns - window_ns
+    judged = _judged(contactor.ticks.since(begin_ns), len(known_n), begin_ns, live.now_ns)
+    return WindowScores(_rms(in_phase_n), _rms(aligned_n), within, jnd_n, judged)
 
 
 def _rms(error_n: Floats) -> float | None:
@@ -221,9 +285,9 @@ def _judged(ticks: TableSlice, known: int, begin_ns: int, now_ns: int) -> float 
     return min(1.0, float(known) * tick_ns / whole_ns)
 
 
-def _heart_rate(live: LiveState) -> float | None:
+def _heart_rate(live: LiveState, contactor: ContactorState) -> float | None:
     """Return the heart rate of the pulse that is felt at full strength now, or None."""
-    ticks = live.ticks.since(live.now_ns - HEART_NS)
+    ticks = contactor.ticks.since(live.now_ns - HEART_NS)
     if len(ticks.t_ns) < 2:
         return None
     tick_ns = float(np.median(np.diff(ticks.t_ns)))
@@ -236,13 +300,16 @@ def _heart_rate(live: LiveState) -> float | None:
     return heart_rate_per_min(t_s, felt_n[newest])
 
 
-def _limits(columns: dict[str, Columns], jnd_n: float | None) -> dict[str, tuple[float, float]]:
+def _limits(
+    columns: dict[str, Columns], fingers: tuple[Columns, ...], jnd_n: float | None
+) -> dict[str, tuple[float, float]]:
     band_mn = 1.25e3 * (jnd_n or 0.0)
     limits = {}
     for plot in PLOTS:
         curves = [columns[curve.name]["y"] for curve in plot.curves]
         band = (-band_mn, band_mn) if plot.id == "error" else ()
         limits[plot.id] = nice(np.concatenate([*curves, plot.least, band]))
+    limits[FINGERS.id] = nice(np.concatenate([FINGERS.least, *(each["y"] for each in fingers)]))
     return limits
 
 

@@ -20,6 +20,7 @@ BATCH = 5
 WRIST = ElasticLayer()
 # Twice as stiff: twice the force for the same strain.
 FINGER = ElasticLayer(young_modulus_pa=0.1e9)
+RATIO = WRIST.strain_per_newton / FINGER.strain_per_newton
 SESSION = 7
 
 
@@ -29,10 +30,15 @@ def pulse_n(t_ns: float) -> float:
 
 
 class SimulatedDisplay:
-    """A display whose telemetry goes to `live`, tick by tick."""
+    """A display whose telemetry goes to `live`, tick by tick.
 
-    def __init__(self, live: LiveState, at_ns: int = SECOND_NS) -> None:
-        self.live = live
+    names: of its contactors. The nth plays channel n, whose pulse is n + 1 times as high.
+    """
+
+    def __init__(
+        self, live: LiveState, at_ns: int = SECOND_NS, names: tuple[str, ...] = ("finger",)
+    ) -> None:
+        self.live, self.names = live, names
         self.at_ns = at_ns
         self.summary: dict[str, Any] = {}
         self.played = 0
@@ -40,7 +46,8 @@ class SimulatedDisplay:
         self.trusted = False
         self.event("begin", "the recording")
         layer = {name: getattr(WRIST, name) for name in WRIST.__slots__}
-        self.take(STREAM, at_ns, session=SESSION, layer=layer, group_delay_ns=0)
+        channels = {"channels": [{"name": f"of {name}", "unit": "N"} for name in names]}
+        self.take(STREAM, at_ns, session=SESSION, layer=layer, group_delay_ns=0, **channels)
         self.status("waiting")
 
     def take(self, topic: str, at_ns: int, **fields: Any) -> None:
@@ -58,15 +65,18 @@ class SimulatedDisplay:
             loop=Loop(1000, 0),
         )
         fields = without_none(whole.to_dict() | changes)
-        playing = {
-            "contactor": "finger",
-            "channel": 0,
-            "force_ratio": WRIST.strain_per_newton / FINGER.strain_per_newton,
-            "strain_per_newton": FINGER.strain_per_newton,
-            "predictor": "ensemble",
-            "stale_after_ns": 60 * MS,
-        }
-        display = {"state": state, "stream": "sine", "final": final, "playing": [playing]}
+        playing = [
+            {
+                "contactor": name,
+                "channel": channel,
+                "force_ratio": RATIO,
+                "strain_per_newton": FINGER.strain_per_newton,
+                "predictor": "ensemble",
+                "stale_after_ns": 60 * MS,
+            }
+            for channel, name in enumerate(self.names)
+        ]
+        display = {"state": state, "stream": "sine", "final": final, "playing": playing}
         self.take(STATUS, self.at_ns, **display, summary=fields)
 
     def frame(self, **changes: Any) -> None:
@@ -77,8 +87,12 @@ class SimulatedDisplay:
             "session": SESSION,
             "t_first_ns": first_ns + AHEAD_NS,
             "period_ns": MS,
-            "channels": 1,
-            "force_n": [pulse_n(first_ns + i * MS) for i in range(BATCH)],
+            "channels": len(self.names),
+            "force_n": [
+                pulse_n(first_ns + i * MS) * (1 + channel)
+                for i in range(BATCH)
+                for channel in range(len(self.names))
+            ],
         }
         self.take(FRAME, self.at_ns, **(fields | changes))
 
@@ -90,7 +104,8 @@ class SimulatedDisplay:
             if self.linked and self.at_ns // MS % BATCH == 0:
                 self.frame()
             played_ns = self.at_ns - PLAYOUT_NS
-            felt_n = pulse_n(played_ns) * WRIST.strain(1.0) / FINGER.strain(1.0) if playing else 0.0
+            felt_n = pulse_n(played_ns) * RATIO if playing else 0.0
+            others = [{"felt_n": felt_n * (1 + n), "target_n": 0.0} for n in range(len(self.names))]
             self.played += playing
             self.take(
                 *(TICK, self.at_ns),
@@ -100,6 +115,7 @@ class SimulatedDisplay:
                 target_n=felt_n,
                 scored=playing,
                 trusted=self.trusted,
+                **({"others": others[1:]} if len(others) > 1 else {}),
             )
             if self.at_ns // MS % 200 == 0:
                 self.status(state, **changes)

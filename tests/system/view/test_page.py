@@ -118,8 +118,8 @@ def test_the_page_moves_and_shows_what_is_felt(bench: Bench, visit: Visit) -> No
         await_state(page, "playing")
         assert page.title() == "telepulse: live"
         assert page.locator("html").get_attribute("lang") == "en"
-        page.wait_for_function("document.getElementById('in_phase').textContent !== '–'")
-        page.wait_for_function("document.getElementById('heart').textContent !== '–'")
+        await_figure(page, "in_phase")
+        await_figure(page, "heart")
         plot = page.locator("#plot-force")
         before, newest, ticks = plot.screenshot(), page.evaluate(NEWEST), text_of(page, "loop-note")
         page.wait_for_function(f"{NEWEST} !== {newest}")
@@ -244,6 +244,89 @@ def test_pages_of_other_sites_cannot_read_it(bench: Bench) -> None:
             "Sec-WebSocket-Key: MDEyMzQ1Njc4OWFiY2RlZg==\r\n\r\n".encode()
         )
         assert connection.recv(100).split()[1] == b"403"
+
+
+ROWS = "[...document.getElementById('contactors').rows].map(row => row.cells[0].textContent)"
+CHOSEN = "document.querySelector('#contactors [aria-current=true]').cells[0].textContent"
+FINGERS = "Bokeh.documents[0].get_model_by_name('fingers').renderers[0].data_source.data"
+SMALL = {"width": 390, "height": 800}
+
+
+def test_an_only_contactor_is_no_choice(page: Page) -> None:
+    for selector in ("#contactor", "#plot-fingers", ".contactors"):
+        assert not page.locator(selector).is_visible()
+    assert page.locator("#contactor input").count() == 0
+    assert page.locator(".of").all_inner_texts() == [""] * 5
+
+
+def test_three_fingers_are_shown_and_one_is_chosen_by_keyboard_also_in_a_pause(
+    visit: Visit,
+) -> None:
+    link = "delay=40ms,jitter=10ms,loss=1%"
+    demo = start(
+        *(MODULE, "demo", "three_fingers", "--link", link, "--seconds", "100"),
+        *("--no-ui", "--page"),
+    )
+    try:
+        url = demo.read_line(3 * PATIENCE_S).removeprefix("page: ")
+        with visit(url) as page:
+            await_state(page, "playing")
+            page.wait_for_function(f"{ROWS}.length === 3")
+            assert page.evaluate(ROWS) == ["cun", "guan", "chi"]
+            assert page.locator("#fingers-keys").inner_text().split() == ["cun", "guan", "chi"]
+            page.wait_for_function(f"{FINGERS}.y.length === 3")
+            assert page.locator("#plot-fingers").bounding_box()["height"] > 200
+            assert page.locator("#plot-force h2").inner_text() == "Force – cun"
+            await_figure(page, "aligned")
+            for scheme in ("light", "dark"):
+                page.emulate_media(color_scheme=scheme)
+                for selector in (
+                    *("#contactor input:checked + span", "#contactor input:not(:checked) + span"),
+                    *(".contactors th", ".contactors td", "#fingers-keys"),
+                ):
+                    assert page.evaluate(CONTRAST, selector) > 4.5
+            # Pause, window, contactor.
+            for _ in range(3):
+                page.keyboard.press("Tab")
+            assert page.evaluate("document.activeElement.name") == "contactor"
+            page.keyboard.press("ArrowRight")
+            label = "document.activeElement.nextElementSibling"
+            assert page.evaluate(f"{label}.textContent") == "guan"
+            assert page.evaluate(f"getComputedStyle({label}).outlineStyle") == "solid"
+            page.wait_for_function(f"{CHOSEN} === 'guan'")
+            assert page.locator("#plot-force h2").inner_text() == "Force – guan"
+            assert text_of(page, "aligned-note").startswith("guan: RMS of the last 10 s")
+            keep(page, "view-contactors.png")
+            page.locator("#pause").click()
+            until(lambda: stands_still(page, 500))
+            table = page.locator(".contactors table").inner_text()
+            drawn = page.evaluate(DRAWN)
+            page.locator("#contactor input:checked").focus()
+            page.keyboard.press("ArrowRight")
+            page.wait_for_function(f"{CHOSEN} === 'chi'")
+            until(lambda: page.evaluate(DRAWN) != drawn)
+            assert stands_still(page, 1_500)
+            assert page.locator("#plot-error .of").inner_text() == " – chi"
+            # The data of the pause: that of the others, and the same after a choice and back.
+            assert page.locator(".contactors table").inner_text() == table
+            page.keyboard.press("ArrowLeft")
+            page.wait_for_function(f"{CHOSEN} === 'guan'")
+            until(lambda: page.evaluate(DRAWN) == drawn)
+            page.set_viewport_size(SMALL)
+            page.wait_for_function("document.documentElement.scrollWidth <= 390")
+            boxes = [cell.bounding_box() for cell in page.locator("#contactors td").all()]
+            boxes += [each.bounding_box() for each in page.locator("#contactor span").all()]
+            assert len(boxes) == 3 * 9 + 3
+            assert all(box["x"] >= 0 and box["x"] + box["width"] <= 390 for box in boxes)
+            assert page.locator("#plot-fingers").bounding_box()["width"] <= 390
+            keep(page, "view-contactors-phone.png")
+    finally:
+        demo.kill()
+        demo.communicate()
+
+
+def await_figure(page: Page, id: str) -> None:
+    page.wait_for_function(f"document.getElementById('{id}').textContent !== '–'")
 
 
 def test_the_last_state_stays_when_the_demo_has_ended(visit: Visit) -> None:

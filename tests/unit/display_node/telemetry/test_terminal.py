@@ -125,6 +125,26 @@ def test_a_signal_that_is_no_pulse_is_an_alert_while_it_is_felt() -> None:
     assert view(beats=beats | {"alarm": False}).new_alerts() == []
 
 
+def test_of_several_contactors_alerts_and_fingers_have_their_names() -> None:
+    guan = Summary(
+        beats=BeatFigures(quality=0.12, alarm=True),
+        compensation=Compensation(noticed_5s=0.1, alarm=True),
+        finger="pressed with 245 mN",
+        finger_stiffness=5.0,
+    )
+    chi = Summary(finger="withdrawn", finger_stiffness=1.0)
+    contactors = Summary(contactors={"cun": Summary(), "guan": guan, "chi": chi}).to_dict()
+    several = {"contactors": contactors["contactors"]}
+    texts = view(**several).new_alerts()
+    names = ["finger's stiffness: guan", "pulse: guan", "prediction: guan"]
+    assert [text.rpartition(name)[1] for name, text in zip(names, texts, strict=True)] == names
+    # A pulse is judged only while it is felt, of each contactor.
+    stale = view("stale", **several).new_alerts()
+    assert stale[0].endswith("; finger: guan: pressed with 245 mN, chi: withdrawn")
+    assert not any(text.startswith("pulse") for text in stale)
+    assert "guan: pressed with 245 mN, chi: withdrawn" in printed(view(**several))
+
+
 def test_line_and_panel_name_a_fault_with_its_advice() -> None:
     under_test = view("fault", 0, faults=["feedback lost"], finger="pressed with 245 mN")
     alert = (

@@ -1,6 +1,7 @@
 """Metrics read back by Prometheus's own parser."""
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 from hypothesis import given
 from hypothesis import strategies as st
@@ -9,9 +10,19 @@ from prometheus_client.metrics_core import Metric
 from prometheus_client.parser import text_string_to_metric_families
 from prometheus_client.registry import Collector
 
+from protocol.beats import BeatFigures
+from protocol.counters import Limited, Limits
 from protocol.errors import AddressError
 from protocol.run_summary import Summary
-from protocol.summary_tables import Clock, FrameCounts, Lateness, Loop, OneWayDelay, SampleCounts
+from protocol.summary_tables import (
+    Clock,
+    Compensation,
+    FrameCounts,
+    Lateness,
+    Loop,
+    OneWayDelay,
+    SampleCounts,
+)
 from protocol.wire.telemetry import Status
 from telepulse.metrics.server import SILENT_AFTER_NS, NodeState, families, parse_address
 
@@ -84,6 +95,35 @@ def test_figures_come_in_base_units_and_counts_as_counters() -> None:
     (labels,) = (dict(labels) for name, labels in found if name == "telepulse_node_info")
     assert labels["program"] == "display-node"
     assert (labels["stream"], labels["session"]) == ("my pulse", "abc")
+
+
+def test_the_figures_of_several_contactors_have_their_names_as_labels() -> None:
+    cun = Summary(
+        beats=BeatFigures(count=7, rate_per_min=75.0),
+        compensation=Compensation(error_n=0.002, corrections=3),
+        limited=Limits(force=Limited(2, 0.5, 0.05)),
+        finger="pressed with 245 mN",
+    )
+    chi = Summary(beats=BeatFigures(count=8, alarm=True), hardware={"garbled": 3})
+    compensation = Compensation(predicted=0.25)
+    several = Summary(compensation=compensation, contactors={"cun": cun, 'c"hi': chi})
+    found = scraped(families("display-node", node_state(several), SECOND_NS))
+    only = scraped(
+        families("display-node", node_state(replace(cun, compensation=compensation)), SECOND_NS)
+    )
+    for name, labels, value in [
+        ("beats_total", {"contactor": "cun"}, 7),
+        ("beats_total", {"contactor": 'c"hi'}, 8),
+        ("beat_rate_hertz", {"contactor": "cun"}, 1.25),
+        ("pulse_alarm", {"contactor": 'c"hi'}, 1),
+        ("limited_total", {"contactor": "cun", "limit": "force"}, 2),
+        ("hardware_events_total", {"contactor": 'c"hi', "event": "garbled"}, 3),
+        ("finger", {"contactor": "cun", "name": "pressed with # mN"}, 1),
+    ]:
+        assert found["telepulse_" + name, tuple(sorted(labels.items()))] == value, name
+    # Those of the display have no contactor, nor has any figure of an only one.
+    assert found.keys() >= {key for key in only if "predicted" in key[0]}
+    assert not any("contactor" in dict(labels) for _, labels in only)
 
 
 def test_figures_without_a_value_are_left_out() -> None:

@@ -11,6 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from display_node.fault_advice import FILM_NOTE, advise
+from display_node.scoring.beat_statistics import pulse_alarm
+from protocol.beats import BeatFigures
 from protocol.counters import Limited, Limits
 from protocol.errors import CAUSE_MEANINGS
 from protocol.run_summary import Summary
@@ -117,6 +119,26 @@ def test_each_event_comes_once() -> None:
         ("end", "the display has ended"),
     ]
     assert telemetry.decoder.ended
+
+
+def test_the_events_of_several_contactors_have_their_names() -> None:
+    telemetry = HandmadeTelemetry()
+    telemetry.receive((CONTROL, WELCOME))
+    doubtful = Summary(limited=CUT, beats=BeatFigures(quality=0.0, alarm=True))
+    dirty = Summary(limited=CUT, hardware={"garbled": 30, "drive superseded": 90})
+    entries = [
+        *telemetry.status("playing", contactors={"cun": Summary(), "chi": Summary()}),
+        *telemetry.status("playing", contactors={"cun": doubtful, "chi": Summary()}),
+        *telemetry.status("playing", contactors={"cun": Summary(limited=CUT), "chi": dirty}),
+    ]
+    text = pulse_alarm({"quality": 0.0, "alarm": True})
+    assert events(entries)[2:] == [
+        ("pulse", f"cun: {text}"),
+        ("limited", "cun: force limit reached"),
+        ("pulse: cun", "over after 0.0 s"),
+        ("limited", "chi: force limit reached"),
+        ("hardware", "chi: garbled: 30 within one status"),
+    ]
 
 
 def test_a_lasting_condition_has_an_event_at_begin_and_end() -> None:

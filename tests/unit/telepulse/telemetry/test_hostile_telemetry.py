@@ -59,9 +59,15 @@ near_ticks = st.builds(
     lambda ms, felt_n, scored: TickState(ms * MS, 0, ms * MS + AHEAD_NS, 0.3, felt_n, scored),
     *(st.integers(0, 3_000), awkward, st.booleans()),
 )
-traces = st.lists(ticks | near_ticks, max_size=25).map(lambda felt: trace_message(*felt))
-rising_traces = st.lists(near_ticks, max_size=25).map(
-    lambda felt: trace_message(*sorted(felt, key=lambda tick: tick.now_ns))
+# States of further contactors, whose number need not be that of the status.
+others = st.lists(ticks | near_ticks, max_size=3) | st.lists(near_ticks, min_size=9, max_size=70)
+traces = st.builds(
+    lambda felt, others: trace_message(*felt, others=others),
+    *(st.lists(ticks | near_ticks, max_size=25), others),
+)
+rising_traces = st.builds(
+    lambda felt, others: trace_message(*sorted(felt, key=lambda tick: tick.now_ns), others=others),
+    *(st.lists(near_ticks, max_size=25), others),
 )
 summaries = st.fixed_dictionaries(
     {},
@@ -87,12 +93,30 @@ summaries = st.fixed_dictionaries(
         "faults": st.lists(words, max_size=2),
     },
 )
-played = st.builds(PlaybackStatus, words, st.integers(-1, 70), awkward, awkward, words, times_ns)
-statuses = st.builds(
-    lambda state, playing, changes: status_message(state, playing, **changes),
-    *(words, st.just(PLAYING) | played, summaries),
+names = words | st.sampled_from(["cun", "guan", "<b>", "fault", "\u202ex", "x" * 81])
+played = st.builds(PlaybackStatus, names, st.integers(-1, 70), awkward, awkward, words, times_ns)
+near_played = st.builds(
+    PlaybackStatus,
+    st.sampled_from(["cun", "guan", "<b>", "fault"]),
+    *(st.integers(0, 3), st.floats(-2, 2), st.floats(-2, 2), words, st.just(60 * MS)),
 )
-samples = st.lists(awkward, min_size=1, max_size=5).map(lambda n: np.array(n, "<f8")[:, np.newaxis])
+playing = (
+    st.lists(st.just(PLAYING) | played, max_size=3)
+    | st.lists(near_played, max_size=3)
+    | st.lists(near_played, min_size=7, max_size=70)
+)
+statuses = st.builds(
+    lambda state, playing, changes, contactors: status_message(
+        state, *playing, contactors=contactors, **changes
+    ),
+    *(words, playing, summaries),
+    st.dictionaries(names, st.builds(lambda known: Summary(**known), summaries), max_size=3),
+)
+samples = st.integers(1, 3).flatmap(
+    lambda channels: st.lists(
+        st.lists(awkward, min_size=channels, max_size=channels), min_size=1, max_size=5
+    ).map(lambda rows: np.array(rows, "<f8"))
+)
 frames = st.builds(
     Frame,
     *(st.just(SESSION), st.integers(0, 2_000)),
@@ -163,6 +187,24 @@ def play(readers: TelemetryReaders, ticks: range, felt_n: float | None = None) -
             for tick in range(first, first + 20)
         ]
         readers.take(*trace_message(*felt))
+
+
+@pytest.mark.parametrize("ticked", [1, 2, 12])
+@pytest.mark.parametrize("played_on", [1, 2, 12])
+def test_traces_and_statuses_may_disagree_on_the_number_of_contactors(
+    ticked: int, played_on: int
+) -> None:
+    signals = [PLAYING._replace(contactor=f"<i>{n}</i>", channel=n) for n in range(played_on)]
+    states = [TickState(target_n=0.3, felt_n=0.1 * n) for n in range(1, ticked)]
+    figures = {f"<i>{n}</i>": Summary(within_jnd=0.5) for n in range(ticked)}
+    with little_memory():
+        readers = readers_after(*preamble(), status_message("playing", *signals))
+        for tick in range(100):
+            readers.take(*trace_message(TickState(tick * MS), others=states))
+        readers.take(*status_message("playing", *signals, contactors=figures))
+        readers.draw()
+    assert len(readers.live.contactors) == min(played_on, 8)
+    assert readers.live.beyond == max(0, played_on - 8)
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, 1e300])

@@ -50,7 +50,9 @@ def test_two_layers_have_equal_strains_at_different_forces(display: SimulatedDis
     strain = -1e6 * WRIST.strain(peak_n)
     assert columns["wrist_strain"]["y"].max() == pytest.approx(strain, rel=1e-3)
     assert columns["finger_strain"]["y"].max() == pytest.approx(strain, rel=1e-3)
-    assert display.live.playing["strain_per_newton"] == pytest.approx(FINGER.strain_per_newton)
+    assert display.live.contactors[0].playing["strain_per_newton"] == pytest.approx(
+        FINGER.strain_per_newton
+    )
 
 
 def test_each_beat_is_marked_at_its_onset_once_the_next_one_has_begun(
@@ -147,7 +149,7 @@ def test_late_frames_are_put_in_order_and_copies_left_out() -> None:
     display.frame(arrived_ns=display.at_ns)
     display.frame(arrived_ns=display.at_ns)
     display.at_ns = later_ns
-    wrist = display.live.wrist.since(0)
+    wrist = display.live.contactors[0].wrist.since(0)
     assert len(wrist.t_ns) == 10
     assert np.all(np.diff(wrist.t_ns) == MS)
 
@@ -159,7 +161,7 @@ def test_late_frames_are_put_in_order_and_copies_left_out() -> None:
 def test_frames_that_the_display_refuses_are_not_drawn(changes: dict[str, object]) -> None:
     display = SimulatedDisplay(LiveState())
     display.frame(**changes)
-    assert len(display.live.wrist) == 0
+    assert len(display.live.contactors[0].wrist) == 0
 
 
 def test_another_run_of_the_display_begins_afresh(display: SimulatedDisplay) -> None:
@@ -167,7 +169,8 @@ def test_another_run_of_the_display_begins_afresh(display: SimulatedDisplay) -> 
     display.event("begin", "another run of the display")
     assert display.live.state == ""
     assert not display.live.display_ended
-    assert len(display.live.ticks) == len(display.live.wrist) == 0
+    (contactor,) = display.live.contactors
+    assert len(contactor.ticks) == len(contactor.wrist) == 0
 
 
 def test_limits_are_round_and_change_seldom() -> None:

@@ -1,0 +1,214 @@
+"""The page of a display with several contactors: what it shows of each, and of all."""
+
+import re
+from typing import Any
+
+import pytest
+
+from protocol.beats import BeatFigures
+from protocol.counters import Limited, Limits
+from protocol.run_summary import Summary
+from protocol.summary_tables import Compensation
+from telepulse.telemetry.decoder import without_none
+from telepulse.view.live import MAX_CONTACTORS, LiveState
+from telepulse.view.text import alarms, beyond, contactor_rows, figures
+from telepulse.view.window_data import FINGER_COLOURS, window_data
+from tests.support.page_states import (
+    BEATS_A_SECOND,
+    MEAN_N,
+    MS,
+    RATIO,
+    SECOND_NS,
+    SWING_N,
+    SimulatedDisplay,
+)
+
+NAMES = ("cun", "guan", "chi")
+WINDOW_NS = 5 * SECOND_NS
+PEAK_MN = 1e3 * (MEAN_N + SWING_N)
+FORCE_LIMIT = Limits(force=Limited(3, 1.5, 0.1))
+DOUBTFUL = BeatFigures(count=7, rate_per_min=75.0, height_n=0.3, quality=0.31, alarm=True)
+
+
+@pytest.fixture
+def display() -> SimulatedDisplay:
+    display = SimulatedDisplay(LiveState(), names=NAMES)
+    display.go(6)
+    return display
+
+
+def of_contactors(**figures: Summary) -> dict[str, Any]:
+    """Return the part of a status' summary with the figures of each contactor."""
+    whole: dict[str, Any] = without_none(Summary(contactors=figures).to_dict()["contactors"])
+    return whole
+
+
+def of_guan(**figures: Any) -> dict[str, Any]:
+    return of_contactors(cun=Summary(), guan=Summary(**figures), chi=Summary())
+
+
+@pytest.mark.parametrize("chosen", range(3))
+def test_the_curves_and_scores_are_those_of_the_chosen_contactor(
+    display: SimulatedDisplay, chosen: int
+) -> None:
+    data = window_data(display.live, WINDOW_NS, chosen)
+    peak_mn = (1 + chosen) * PEAK_MN
+    assert data.chosen == chosen
+    assert data.columns["wrist"]["y"].max() == pytest.approx(peak_mn, rel=1e-3)
+    assert data.columns["finger"]["y"].max() == pytest.approx(RATIO * peak_mn, rel=1e-3)
+    assert data.columns["height"]["y"] == pytest.approx(2e3 * SWING_N * (1 + chosen), rel=0.01)
+    assert data.scores == data.all_scores[chosen]
+    # Each is felt as late as the others, so that its error in phase is as large as its pulse.
+    assert data.scores.in_phase_n == pytest.approx(
+        (1 + chosen) * (data.all_scores[0].in_phase_n or 0.0), rel=1e-6
+    )
+    assert data.scores.aligned_n is not None
+    assert data.scores.aligned_n < 1e-4
+    assert data.heart_rate_per_min == pytest.approx(60 * BEATS_A_SECOND, rel=0.02)
+
+
+def test_the_forces_at_all_fingers_are_drawn_whichever_is_chosen(display: SimulatedDisplay) -> None:
+    data = window_data(display.live, WINDOW_NS, 1)
+    peaks_mn = [float(finger["y"].max()) for finger in data.fingers]
+    assert peaks_mn == pytest.approx([RATIO * PEAK_MN * n for n in (1, 2, 3)], rel=1e-3)
+    low, high = data.limits["fingers"]
+    assert low <= 0.0 < peaks_mn[-1] <= high
+
+
+def test_an_only_contactor_has_no_table_and_no_curves_of_all_fingers() -> None:
+    display = SimulatedDisplay(LiveState())
+    display.go(1)
+    data = window_data(display.live, WINDOW_NS)
+    assert data.fingers == ()
+    assert contactor_rows(display.live, data) == []
+    assert len(data.all_scores) == 1
+
+
+def test_the_table_has_a_row_for_each_contactor(display: SimulatedDisplay) -> None:
+    guan = Summary(beats=DOUBTFUL, finger="pressed with 245 mN")
+    display.status("playing", contactors=of_contactors(cun=Summary(), guan=guan))
+    data = window_data(display.live, WINDOW_NS)
+    rows = contactor_rows(display.live, data)
+    assert [row[:2] for row in rows] == [[name, f"of {name}"] for name in NAMES]
+    forces_mn = [float(row[2].removesuffix(" mN")) for row in rows]
+    assert forces_mn[1:] == pytest.approx([2 * forces_mn[0], 3 * forces_mn[0]], abs=3)
+    errors_mn = [float(row[4].removesuffix(" mN")) for row in rows]
+    assert errors_mn[2] == pytest.approx(3 * errors_mn[0], rel=1e-3)
+    assert rows[1][5:] == ["300 mN", "75 /min", "0.31", "pressed with 245 mN"]
+    # What the status does not have is a dash, as is a contactor that it lacks.
+    assert rows[0][5:] == rows[2][5:] == ["–"] * 4
+
+
+def test_figures_of_a_contactor_have_its_name_and_those_of_the_display_none(
+    display: SimulatedDisplay,
+) -> None:
+    guan = {"beats": DOUBTFUL, "compensation": Compensation(error_n=0.001)}
+    display.go(0.4, contactors=of_guan(**guan, limited=FORCE_LIMIT))
+    shown = [figures(display.live, window_data(display.live, WINDOW_NS, n)) for n in range(2)]
+    assert shown[1]["heart"] == ("75 /min", "guan: of the force felt, last 6 s")
+    assert shown[0]["aligned"].note.startswith("cun: RMS of the last 5 s, ")
+    assert shown[1]["within"].note.startswith("guan: of the ")
+    assert shown[1]["pulse"].value == "quality 0.31"
+    assert shown[1]["pulse"].note.startswith("guan: 7 beats")
+    assert shown[1]["prediction"].value == "off by 1.000 mN RMS"
+    assert shown[1]["at-a-limit"] == (
+        "1.5 s",
+        "guan: force limit 3 times, 1.5 s (10.0 % of the run)",
+    )
+    assert shown[0]["pulse"].value == shown[0]["prediction"].value == "–"
+    for id in ("loss", "clock", "loop", "availability", "predictor", "playout-delay"):
+        assert shown[0][id] == shown[1][id]
+        assert "guan" not in "".join(shown[1][id])
+
+
+def test_the_alarms_of_a_contactor_have_its_name(display: SimulatedDisplay) -> None:
+    prediction = Compensation(noticed_5s=0.123, alarm=True)
+    changes = of_guan(beats=DOUBTFUL, compensation=prediction, finger_stiffness=0.1)
+    display.status("playing", contactors=changes)
+    found = {alarm.name: alarm.text for alarm in alarms(display.live, 0)}
+    assert set(found) == {"finger's stiffness: guan", "pulse: guan", "prediction: guan"}
+    assert "quality 0.31" in found["pulse: guan"]
+
+
+def test_a_limit_of_one_contactor_is_an_alarm_with_its_name(display: SimulatedDisplay) -> None:
+    display.status("playing", contactors=of_guan(limited=FORCE_LIMIT))
+    (alarm,) = alarms(display.live, 0)
+    assert alarm == ("limited", "guan: force limit 3 times, 1.5 s (10.0 % of the run)")
+
+
+def test_the_fingers_of_a_fault_are_named(display: SimulatedDisplay) -> None:
+    cun, guan = (Summary(finger=text) for text in ("withdrawn", "pressed with 245 mN"))
+    display.status(
+        "fault", faults=["guan: feedback lost"], contactors=of_contactors(cun=cun, guan=guan)
+    )
+    (alarm,) = alarms(display.live, 0)
+    assert alarm.name == "fault: guan: feedback lost"
+    assert alarm.text.endswith("; finger: cun: withdrawn, guan: pressed with 245 mN")
+
+
+def test_contactors_beyond_the_pages_room_are_counted() -> None:
+    names = tuple(f"finger {n}" for n in range(MAX_CONTACTORS + 2))
+    display = SimulatedDisplay(LiveState(), names=names)
+    display.go(1)
+    data = window_data(display.live, WINDOW_NS, MAX_CONTACTORS - 1)
+    rows = contactor_rows(display.live, data)
+    assert [row[0] for row in rows] == list(names[:MAX_CONTACTORS])
+    assert len(data.fingers) == len(FINGER_COLOURS) == MAX_CONTACTORS
+    assert (
+        beyond(display.live)
+        == "2 more contactors of the display not shown: the page has room for 8."
+    )
+    # A choice that this display does not have is that of the first.
+    assert window_data(display.live, WINDOW_NS, MAX_CONTACTORS).chosen == 0
+
+
+def test_another_run_may_have_other_contactors(display: SimulatedDisplay) -> None:
+    display.event("begin", "another run of the display")
+    assert display.live.names == [""]
+    display.names = NAMES[:2]
+    display.status("waiting")
+    assert display.live.names == ["cun", "guan"]
+    assert window_data(display.live, WINDOW_NS, 2).chosen == 0
+
+
+@pytest.mark.parametrize(("names", "rows"), [(NAMES[:1], 3), (NAMES, 2), (NAMES, 4)])
+def test_ticks_and_status_that_disagree_on_the_contactors_show_what_both_have(
+    names: tuple[str, ...], rows: int
+) -> None:
+    display = SimulatedDisplay(LiveState(), names=NAMES)
+    display.go(1)
+    display.names = names
+    display.status("playing")
+    before = [len(contactor.ticks) for contactor in display.live.contactors]
+    display.names = tuple("abcd"[:rows])
+    display.linked = False
+    display.go(0.1)
+    after = [len(contactor.ticks) for contactor in display.live.contactors]
+    grown = [new - old for new, old in zip(after, before, strict=True)]
+    assert grown == [100 if n < rows else 0 for n in range(len(names))]
+    data = window_data(display.live, WINDOW_NS, len(names) - 1)
+    assert figures(display.live, data).keys()
+
+
+def test_a_channel_that_the_stream_does_not_have_is_left_out(display: SimulatedDisplay) -> None:
+    chi = display.live.contactors[2]
+    count = len(chi.wrist)
+    display.names = NAMES[:2]
+    display.at_ns += 5 * MS
+    display.frame()
+    assert len(display.live.contactors[1].wrist) > len(chi.wrist) == count
+
+
+def _luminance(colour: str) -> float:
+    parts = [int(part, 16) / 255 for part in re.findall("..", colour[1:])]
+    red, green, blue = (p / 12.92 if p <= 0.04045 else ((p + 0.055) / 1.055) ** 2.4 for p in parts)
+    return 0.2126 * red + 0.7152 * green + 0.0722 * blue
+
+
+@pytest.mark.parametrize("ground", ["#ffffff", "#1a2027"])
+def test_every_colour_is_distinct_and_legible_in_light_and_dark(ground: str) -> None:
+    assert len(set(FINGER_COLOURS)) == MAX_CONTACTORS
+    for colour in FINGER_COLOURS:
+        two = sorted((_luminance(colour), _luminance(ground)))
+        # WCAG 2.1, criterion 1.4.11: contrast of graphics.
+        assert (two[1] + 0.05) / (two[0] + 0.05) >= 3.0
