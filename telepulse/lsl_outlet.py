@@ -169,7 +169,7 @@ class LslForwarder:
     def __init__(self, outlets: LslStreams) -> None:
         self._outlets = outlets
         self._time = LslTime(outlets.local_clock)
-        self._receiver = PassiveReceiver()
+        self._entries = PassiveReceiver()
         self._session: int | None = None
         self._reorderer = FrameReorderer()
         self._lost = 0
@@ -189,16 +189,16 @@ class LslForwarder:
                 (entry.fields["target_n"], entry.fields.get("felt_n", math.nan)) for entry in ticks
             ]
             self._outlets.push_finger(forces_n, [self._time.at(entry.t_ns) for entry in ticks])
-            self._receiver.play(ticks[-1].fields["instant_ns"])
+            self._entries.play(ticks[-1].fields["instant_ns"])
             self.passed["ticks"] += len(ticks)
         for entry in entries:
             if entry.topic == EVENT:
                 self._take_event(entry)
             elif entry.topic != TICK:
-                frame = self._receiver.take(entry.topic, entry.fields)
+                frame = self._entries.take(entry.topic, entry.fields)
                 if frame is not None:
                     self._take_frame(frame, entry)
-                elif entry.topic == FRAME and not self._receiver.clock.ready:
+                elif entry.topic == FRAME and not self._entries.receiver.clock.ready:
                     self.passed["frames too early"] += 1
 
     def finish(self) -> None:
@@ -211,13 +211,13 @@ class LslForwarder:
         if frame.session != self._session:
             self.finish()
             self._session = frame.session
-            description = self._receiver.description
+            description = self._entries.receiver.description
             assert description is not None
             verb = "begins" if self._outlets.describe(description) else "continues"
             logger.info(f"{description.name!a} {verb}: session {frame.session}")
         arrived_ns = entry.fields["arrived_ns"]
         # From the sensing clock to the display's, and to Unix time.
-        ahead_ns = self._receiver.clock.offset_ns(arrived_ns) + arrived_ns - entry.t_ns
+        ahead_ns = self._entries.receiver.clock.offset_ns(arrived_ns) + arrived_ns - entry.t_ns
         in_unix_time = frame._replace(t_first_ns=frame.t_first_ns - ahead_ns)
         for each in self._reorderer.take(in_unix_time, arrived_ns):
             self._push(each)
@@ -234,7 +234,7 @@ class LslForwarder:
             # A display that was restarted has another clock.
             self.finish()
             self._time.begin()
-            self._receiver, self._session = PassiveReceiver(), None
+            self._entries, self._session = PassiveReceiver(), None
         self._outlets.push_event(f"{name}: {entry.fields['message']}", self._time.at(entry.t_ns))
         self.passed["events"] += 1
 

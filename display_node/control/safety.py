@@ -22,6 +22,10 @@ class Safety:
     ----------
     gain
         Factor of the references, 0 to 1.
+    held
+        Whether every stream counts as stale, for a caller that presses only at times.
+    alive
+        Whether the stream was not stale in the last tick.
     faults
         Latched faults, the first one first.
     """
@@ -31,6 +35,7 @@ class Safety:
         self._ramp = tick_ns / scene.ramp_ns
         self._stale_ticks = scene.stale_after_ns // tick_ns
         self.gain = 0.0
+        self.held = self.alive = False
         self.faults: list[str] = []
 
     def skip(self, elapsed_ticks: int) -> None:
@@ -54,7 +59,8 @@ class Safety:
         alive
             False where the stream is stale; the gain then falls to 0, as after a fault.
         """
-        if not alive or self.faults:
+        self.alive = alive
+        if not alive or self.held or self.faults:
             self.gain = max(0.0, self.gain - self._fade)
         elif self.gain < 1.0:
             self.gain = min(1.0, self.gain + self._ramp)

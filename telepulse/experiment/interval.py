@@ -13,7 +13,6 @@ from random import Random
 
 from pydantic import BaseModel, ConfigDict
 
-from display_node.control.safety import Safety
 from display_node.display import Display
 from display_node.drives.hardware import Hardware
 from display_node.scoring.deadlines import GAP_NS
@@ -132,18 +131,6 @@ def draw_interval(
     )
 
 
-class GatedSafety(Safety):
-    """Safety that treats the stream as stale while its gate is closed."""
-
-    is_open = False
-    stale_ticks = 0
-
-    def advance(self, alive: bool) -> float:
-        """Return the gain of the next tick, which falls to 0 while the gate is closed."""
-        self.stale_ticks += self.is_open and not alive
-        return super().advance(alive and self.is_open)
-
-
 class IntervalPlayback:
     """An interval that is being felt. Pure: the caller provides the clock and the bench.
 
@@ -154,13 +141,14 @@ class IntervalPlayback:
         scene = interval.scene.display
         self._interval = interval
         self._simulation = Simulation(interval.scene, interval.link_seed, begin_ns, hardware)
-        self._safety = self._simulation.display.safety = GatedSafety(scene.safety, scene.tick_ns)
+        self._safety = self._simulation.display.safety
         self._tick_ns = scene.tick_ns
         self._open_ns = begin_ns + interval.foreperiod_ns
         self._close_ns = self._open_ns + interval.felt_ns
         self._rest_ns = scene.safety.fade_ns + REST_NS
         self._simulation.begin((self._close_ns + self._rest_ns - begin_ns) * 1e-9)
         self._all_ticks, self._longest_ticks, self._scored_ticks = 0, 1, 0
+        self._stale_ticks = 0
         self._least_n, self._most_n = math.inf, -math.inf
         self.deadline_misses = 0
 
@@ -174,8 +162,10 @@ class IntervalPlayback:
         self.deadline_misses += elapsed_ticks - 1
         self._all_ticks += elapsed_ticks
         self._longest_ticks = max(self._longest_ticks, elapsed_ticks)
-        self._safety.is_open = self._open_ns <= now_ns < self._close_ns
+        is_open = self._open_ns <= now_ns < self._close_ns
+        self._safety.held = not is_open
         state = self._simulation.tick(now_ns, elapsed_ticks)
+        self._stale_ticks += is_open and not self._safety.alive
         if state.scored:
             self._scored_ticks += elapsed_ticks
             self._least_n = min(self._least_n, state.target_n)
@@ -203,7 +193,7 @@ class IntervalPlayback:
             pulse_n=max(0.0, self._most_n - self._least_n),
             deadline_misses=self.deadline_misses,
             ticks=self._all_ticks,
-            stale_ticks=self._safety.stale_ticks,
+            stale_ticks=self._stale_ticks,
             longest_gap_ms=self._longest_ticks * self._tick_ns * 1e-6,
         )
 

@@ -63,7 +63,8 @@ class RunFindings:
         self._beats = BeatStatistics()
         self.events: list[tuple[float, int, str, str]] = []
         self.playout_ms = Histogram(0.5, 8_000)
-        self._receiver = PassiveReceiver()
+        self._entries = PassiveReceiver()
+        self._receiver = self._entries.receiver
         self.one_way_delay_ms = self._receiver.one_way_delay_ms
         self._session: int | None = None
         self._offset_ms = 0.0
@@ -118,7 +119,7 @@ class RunFindings:
 
     def _received(self, t_s: float, entry: Entry) -> None:
         receiver, fields = self._receiver, entry.fields
-        frame, description = receiver.take(entry.topic, fields), receiver.description
+        frame, description = self._entries.take(entry.topic, fields), receiver.description
         self._add("round_trip_ms", t_s, fields.get("round_trip_ms"))
         if description is not None and receiver.session != self._session:
             self._session = receiver.session
@@ -147,9 +148,9 @@ class RunFindings:
         if not receiver.ready:
             return
         sensing_now_ns, target_n = receiver.clock.remote_ns(now_ns), float(fields["target_n"])
-        sampled_ns = receiver.sampled_ns(instant_ns)
+        sampled_ns = self._entries.sampled_ns(instant_ns)
         alive = receiver.live(sampled_ns, sensing_now_ns, self._stale_after_ns)
-        receiver.play(instant_ns, trusted=alive and fields.get("trusted", False))
+        self._entries.play(instant_ns, trusted=alive and fields.get("trusted", False))
         if target_n and alive:
             self._played += 1
             delay_ms = (sensing_now_ns - instant_ns) * 1e-6

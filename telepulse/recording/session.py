@@ -36,7 +36,8 @@ class RecordedForce(NamedTuple):
 
 def felt_force(path: Path, session: int) -> RecordedForce:
     """Return force felt and events of a session. Raises SourceError."""
-    receiver = PassiveReceiver()
+    entries = PassiveReceiver()
+    receiver = entries.receiver
     # Of each tick: sensing clock, this clock minus Unix time, and force.
     t_ns, ahead_ns, force_n = list[int](), list[int](), list[float]()
     # Of each event: Unix time, text, and index of the last tick before it; 0 if before the first.
@@ -49,12 +50,12 @@ def felt_force(path: Path, session: int) -> RecordedForce:
                     text = f"{fields['name']}: {fields['message']}"
                     events.append((message.t_ns, text, max(0, len(t_ns) - 1)))
             elif topic != TICK:
-                receiver.take(topic, fields)
+                entries.take(topic, fields)
             elif receiver.session == session and receiver.clock.ready:
                 t_ns.append(receiver.clock.remote_ns(fields["now_ns"]))
                 ahead_ns.append(t_ns[-1] - message.t_ns)
                 force_n.append(float(fields.get("felt_n", math.nan)))
-                receiver.play(fields["instant_ns"])
+                entries.play(fields["instant_ns"])
         times_ns = np.array(t_ns, np.int64)
     except (LookupError, ValueError, TypeError, ArithmeticError) as error:
         raise SourceError(f"{path}: a message is not telepulse's: {error!r:.80}") from None

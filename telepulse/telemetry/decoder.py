@@ -190,16 +190,16 @@ def without_none(fields: Fields) -> Fields:
     }
 
 
-class PassiveReceiver(Receiver):
+class PassiveReceiver:
     """The display's own receiver, fed with the entries of its telemetry or of a recording.
 
-    Clock, delays and sample counts have the same values as in the display. It sends nothing: the
-    clock requests were the display's.
+    receiver: its clock, delays and sample counts have the same values as in the display. It sends
+    nothing: the clock requests were the display's.
     """
 
     def __init__(self) -> None:
         # With more than one path, a frame that arrives twice is a copy and not a refusal.
-        super().__init__("listener", [0], LATE_TARGET, paths=2)
+        self.receiver = Receiver("listener", [0], LATE_TARGET, paths=2)
         # Each reply is accepted once, as in the display.
         self._requests_ns: deque[int] = deque(maxlen=MAX_OPEN_REQUESTS)
 
@@ -210,17 +210,17 @@ class PassiveReceiver(Receiver):
         """
         if topic == FRAME or (topic == REFUSED and fields["path"] != telemetry.CONTROL):
             data = b64decode(fields["data"])
-            accepted = self.on_frame(data, fields["arrived_ns"]) is not None
+            accepted = self.receiver.on_frame(data, fields["arrived_ns"]) is not None
             return wire.decode_frame(data) if accepted else None
         if topic in (STREAM, REFUSED):
-            self.on_control(b64decode(fields["data"]), fields["arrived_ns"])
+            self.receiver.on_control(b64decode(fields["data"]), fields["arrived_ns"])
         elif topic == CLOCK:
             session, *times_ns = (fields[key] for key in ("session", "t1_ns", "t2_ns", "t3_ns"))
             reply = wire.ClockReply(session, *times_ns)
             if reply.t1_ns not in self._requests_ns:
                 self._requests_ns.append(reply.t1_ns)
-                self.expect_reply(reply.t1_ns)
-            self.on_control(wire.encode_control(reply), fields["t4_ns"])
+                self.receiver.expect_reply(reply.t1_ns)
+            self.receiver.on_control(wire.encode_control(reply), fields["t4_ns"])
         return None
 
     def sampled_ns(self, instant_ns: int) -> int:
@@ -228,12 +228,13 @@ class PassiveReceiver(Receiver):
 
         It is later by the sensing chain's group delay.
         """
-        return instant_ns + (0 if self.description is None else self.description.group_delay_ns)
+        description = self.receiver.description
+        return instant_ns + (0 if description is None else description.group_delay_ns)
 
     def play(self, instant_ns: int, trusted: bool = False) -> None:
         """Advance the buffer to an instant of the pulse that a tick played.
 
         trusted: as in `JitterBuffer.advance`.
         """
-        if self.ready:
-            self.buffer.advance(self.sampled_ns(instant_ns), trusted)
+        if self.receiver.ready:
+            self.receiver.buffer.advance(self.sampled_ns(instant_ns), trusted)

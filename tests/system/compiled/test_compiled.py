@@ -53,6 +53,28 @@ def test_each_program_says_that_it_is_compiled(compiled: Path, module: str) -> N
     assert run_in(compiled, "-c", VERSION.format(module)).rstrip().endswith(", compiled")
 
 
+# mypyc refuses to make an object of a class in pure Python that has a compiled base.
+PURE_CLASSES_WITH_A_COMPILED_BASE = """
+import inspect, pkgutil, sys
+from importlib import import_module
+PACKAGES = ("protocol", "pulse_sensors", "sensing_node", "display_node", "telepulse")
+for package in map(import_module, PACKAGES):
+    for found in pkgutil.walk_packages(package.__path__, package.__name__ + "."):
+        if not found.name.endswith("__main__"):
+            import_module(found.name)
+ours = {name: module for name, module in sys.modules.items() if name.split(".")[0] in PACKAGES}
+compiled = {name for name, module in ours.items() if not module.__file__.endswith(".py")}
+for name in ours.keys() - compiled:
+    for _, kind in inspect.getmembers(ours[name], inspect.isclass):
+        if kind.__module__ == name and {base.__module__ for base in kind.__mro__} & compiled:
+            print(name, kind.__name__)
+"""
+
+
+def test_no_class_in_pure_python_has_a_compiled_base(compiled: Path) -> None:
+    assert run_in(compiled, "-c", PURE_CLASSES_WITH_A_COMPILED_BASE) == ""
+
+
 def test_no_compiled_module_is_left_in_the_checkout(compiled: Path) -> None:
     folders = [path for path in ROOT.iterdir() if path.is_dir() and path.name != ".venv"]
     assert [path for folder in folders for path in folder.rglob("*.cpython-*.so")] == []
