@@ -10,7 +10,7 @@ import typer
 
 from display_node.doctor import run_doctor
 from display_node.fault_advice import end_at_faults
-from display_node.node import DisplayNode, start_benches
+from display_node.node import DisplayNode, open_press, start_benches
 from display_node.reception.addresses import discovered
 from display_node.scene import DisplayScene
 from display_node.telemetry.recorder_process import start_recorder
@@ -175,7 +175,12 @@ def display(
         ):
             freeze_objects()
             # Last, so that everything else that can fail does so before the drive moves.
-            with start_benches(section, path.parent, without_film) as benches:
+            with (
+                open_press(section, path.parent) as press,
+                start_benches(section, path.parent, without_film) as benches,
+            ):
+                if press is not None:
+                    node.use_press(press)
                 if served is not None:
                     served.send(address=node.telemetry_address, key=own and str(own))
                 node.use(*benches)

@@ -13,6 +13,7 @@ from display_node.plant.feedback import Feedback
 from display_node.plant.filters import delay_line
 from display_node.prediction import Linear, Predictor
 from display_node.prediction.concealment import Concealment
+from display_node.press.local_press import LocalPress
 from display_node.reception.jitter_buffer import JitterBuffer
 from display_node.scene import DisplayScene
 from display_node.scoring.beat_statistics import BeatStatistics
@@ -53,6 +54,8 @@ class Contactor:
         Time by which the last sample that the loop requires is later: to the end of its horizon.
     reserve_ns
         The delay that "auto" adds for the loop: to the sample after the end of its horizon.
+    press
+        The finger's press, which scales the pulse; None where it is not sent to the wrist.
     state
         State of the last tick.
     """
@@ -68,6 +71,7 @@ class Contactor:
         self.bounds = ForceBounds(scene.safety, scene.tick_ns)
         self.loop = scene.force_loop()
         self.tracking_error = TrackingError(self.layer.strain_per_newton) if score else None
+        self.press: LocalPress | None = None
         self._hardware: Hardware | None = None
         # Copies: attributes of a scene take longer to read.
         self._tick_ns = scene.tick_ns
@@ -98,11 +102,14 @@ class Contactor:
         self._prediction.restart()
         self._beats.restart()
 
-    def observe(self, samples: ChannelSamples) -> None:
-        """Take new samples of the channel."""
-        concealment = self._concealment
+    def observe(self, samples: ChannelSamples, cell: ChannelSamples | None = None) -> None:
+        """Take new samples of the channel; cell: of the load cell, where the finger presses."""
+        concealment, press = self._concealment, self.press
         concealment.observe(samples)
-        self._beats.observe(samples)
+        if press is None or cell is None:
+            self._beats.observe(samples)
+        else:
+            press.take_beats(self._beats.observe(press.observe(samples, cell)))
         self._prediction.add_reference(samples, self.force_ratio, concealment.height_n)
         if self.tracking_error is not None:
             self.tracking_error.add_reference(samples, self.force_ratio, self._group_delay_ns)
@@ -166,7 +173,10 @@ class Contactor:
             self._prediction.add_output(
                 sampled_ns, wrist_n[0], concealment.offset_n, concealment.height_n, full
             )
-        self._reference_n = [ratio * force_n for force_n in wrist_n]
+        if self.press is None:
+            self._reference_n = [ratio * force_n for force_n in wrist_n]
+        else:
+            self._reference_n = self.press.scale(wrist_n, sampled_ns, self._tick_ns, ratio)
         return predicted_ns
 
     def read(self, now_ns: int, elapsed_ticks: int, safety: Safety) -> None:

@@ -12,14 +12,16 @@ from display_node.control.safety import Safety
 from display_node.drives.hardware import Hardware
 from display_node.prediction import WITHOUT_ERROR_ESTIMATE, build_predictors
 from display_node.prediction.trust import Trust
+from display_node.press.local_press import LocalPress
 from display_node.reception.playout import PlayedDelays, PlayoutClock
 from display_node.reception.receiver import Receiver
 from display_node.scene import DisplayScene
 from display_node.scoring.tracking_error import scored
+from protocol.press_figures import PressFigures
 from protocol.run_summary import Summary, with_contactors
 from protocol.summary_tables import Loop, TickTime
 from protocol.ticks import AvailabilityCounter, InterruptionCounter, TickState
-from protocol.wire.messages import ControlMessage, DisplayReport
+from protocol.wire.messages import ControlMessage, DisplayReport, SetPoint
 from protocol.wire.telemetry import pack_status
 
 REPORT_EVERY_NS: Final = 1_000_000_000
@@ -31,12 +33,13 @@ class Display:
     All contactors play the same instant of the pulse, by one playout clock and one perceived delay
     E, which is the largest that any of them requires. A fault of one brings all to rest.
 
-    score: whether to compute the running errors of the felt force against the received one.
+    score: whether to compute the running errors of the felt force against the received one; there
+    is none where the finger presses back. press: random number of the run, for its set-points.
     contactors: one or several. states: of the contactors at the last tick. tracking_errors: of the
     contactors, if they are computed. ticks: number of ticks that were run.
     """
 
-    def __init__(self, scene: DisplayScene, name: str, score: bool = True) -> None:
+    def __init__(self, scene: DisplayScene, name: str, score: bool = True, press: int = 0) -> None:
         self._scene, self._name = scene, name
         # Copies: attributes of a scene take longer to read.
         self._tick_ns = scene.tick_ns
@@ -45,6 +48,7 @@ class Display:
             scene.safety.stale_after_ns,
         )
         several = len(scene.contactors) > 1
+        score = score and scene.press is None
         self.contactors = [
             Contactor(each, score, f"{each.shown_name}: " if several else "")
             for each in scene.contactors
@@ -61,7 +65,14 @@ class Display:
         self._availability = AvailabilityCounter(scene.tick_ns * 1e-9)
         self._interruptions = InterruptionCounter(scene.tick_ns * 1e-9)
         channels = [each.channel for each in scene.contactors]
+        self.press: LocalPress | None = None
+        if scene.press is not None:
+            # The load cell's channel comes after those that are played.
+            channels.append(scene.press.channel)
+            self.press = self.contactors[0].press = LocalPress(scene.press, press)
         self.receiver = Receiver(name, channels, scene.late_target, scene.paths or 1)
+        if self.press is not None:
+            self.receiver.take_probe = self.press.take
         self.safety = Safety(scene.safety, scene.tick_ns)
         self.ticks = 0
 
@@ -92,7 +103,7 @@ class Display:
         receiver = self.receiver
         if receiver.description is None:
             return pack_status(self.state, "", summary, final, receiver.session)
-        pairs = zip(self.contactors, receiver.channels, strict=True)
+        pairs = zip(self.contactors, receiver.channels, strict=self.press is None)
         playing = [contactor.playback(channel) for contactor, channel in pairs]
         name = receiver.description.name
         return pack_status(self.state, name, summary, final, receiver.session, playing=playing)
@@ -108,8 +119,9 @@ class Display:
         channels = self.receiver.on_frame(data, now_ns)
         if channels is None:
             return
+        cell = None if self.press is None else channels.pop()
         for contactor, samples in zip(self.contactors, channels, strict=True):
-            contactor.observe(samples)
+            contactor.observe(samples, cell)
 
     def on_control(self, data: bytes, now_ns: int) -> None:
         """Take a control message."""
@@ -126,6 +138,8 @@ class Display:
             self._reach_ns = max(contactor.reach_ns for contactor in self.contactors)
             self._reserve_ns = max(contactor.reserve_ns for contactor in self.contactors)
             self._trust = self._build_trust()
+            if self.press is not None:
+                self.press.begin()
 
     def requests(self, now_ns: int) -> list[ControlMessage]:
         """Return the requests and reports to send to the sensing node now."""
@@ -133,7 +147,21 @@ class Display:
         if now_ns >= self._next_report_ns and self.receiver.session is not None:
             self._next_report_ns = now_ns + REPORT_EVERY_NS
             wanted.append(self._report(self.receiver.session))
+        if self.press is not None and (set_point := self._set_point(now_ns)) is not None:
+            wanted.append(set_point)
         return wanted
+
+    def _set_point(self, now_ns: int) -> SetPoint | None:
+        """Return the set-point of the finger's press that is due, if any."""
+        receiver, press = self.receiver, self.press
+        if press is None or not receiver.accepts_frames or receiver.session is None:
+            return None
+        if receiver.buffer.ended:
+            return None
+        clock, alive = receiver.clock, self.states[0].scored and not self.safety.faults
+        round_trip_ns = 2 * clock.asymmetry_bound_ns
+        sensing_ns = clock.remote_ns(now_ns)
+        return press.request(receiver.session, sensing_ns, round_trip_ns, now_ns, alive)
 
     def tick(self, now_ns: int, elapsed_ticks: int = 1) -> TickState:
         """Advance the force loops to `now_ns`, `elapsed_ticks` ticks after the last one.
@@ -146,6 +174,8 @@ class Display:
         alive = self._play(now_ns)
         for contactor in contactors:
             contactor.read(now_ns, elapsed_ticks, safety)
+        if self.press is not None:
+            self.press.tick(now_ns, self.states[0].felt_n)
         if elapsed_ticks > 1:
             safety.skip(elapsed_ticks)
         gain = safety.advance(alive)
@@ -236,6 +266,7 @@ class Display:
             interruptions=self._interruptions.interruptions(),
             compensation=delays.compensation(may_trust=self._trust is not None),
             loop=Loop(self.ticks, deadline_misses, tick_us or TickTime()),
+            press=PressFigures() if self.press is None else self.press.figures(),
             rejected=dict(self.receiver.rejected),
             faults=list(self.safety.faults),
         )

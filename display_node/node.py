@@ -34,7 +34,8 @@ from protocol.security.keys import ClientKeys, ServerKeys
 from protocol.summary_tables import Lateness, TickTime
 from protocol.wire.messages import encode_control
 from protocol.wire.telemetry import CONTROL
-from pulse_sensors.sensor import open_sensor
+from pulse_sensors.force_scale import SensorTable
+from pulse_sensors.sensor import Sensor, open_sensor
 
 logger = logging.getLogger(__name__)
 
@@ -62,6 +63,19 @@ def start_benches(
             else stack.enter_context(_start_bench(contactor, contactor.drive, folder, without_film))
             for contactor in scene.contactors
         ]
+
+
+@contextmanager
+def open_press(scene: DisplayScene, folder: Path) -> Iterator[Sensor | None]:
+    """Open the live sensor of the finger's press within a `with`; yield None without one.
+
+    folder: of the scene's file. Raises SourceError.
+    """
+    if scene.press is None or not isinstance(scene.press.sensor, SensorTable):
+        yield None
+        return
+    with closing(open_sensor(scene.press.sensor, folder)) as sensor:
+        yield sensor
 
 
 @contextmanager
@@ -106,7 +120,8 @@ class DisplayNode:
     ) -> None:
         self._scene = scene
         # First, because a loop that is not stable is refused here, before any socket is opened.
-        self._display = Display(scene, f"display-{uuid.uuid4().hex[:6]}")
+        name = f"display-{uuid.uuid4().hex[:6]}"
+        self._display = Display(scene, name, press=secrets.randbits(62))
         self._benches: list[Hardware | None] = [None] * len(self._display.contactors)
         self._stopping = False
         self._pacer = Pacer(scene.tick_ns, time.monotonic_ns())
@@ -139,6 +154,11 @@ class DisplayNode:
         """
         self._benches = list(benches)
         self._display.use(*benches)
+
+    def use_press(self, sensor: Sensor) -> None:
+        """Read the finger's press from a live sensor. Call it before `run`."""
+        if self._display.press is not None:
+            self._display.press.use(sensor)
 
     def stop(self) -> None:
         """End the loop after the present tick."""

@@ -12,6 +12,7 @@ from display_node.drives.scene import DriveTable
 from display_node.plant.feedback import Feedback, RisingForce
 from display_node.plant.scene import FilmTable, SecondOrderScene, StepperScene
 from display_node.prediction import PredictorName
+from display_node.press.scene import PressScene
 from protocol.config.quantities import Name, Nanoseconds, Ratio, parse_quantity
 from protocol.config.scene import Section
 from protocol.config.scene_file import merge
@@ -76,12 +77,15 @@ class DisplayScene(ContactorScene):
     missing samples. paths: number of parallel TCP connections for frames, of which the first copies
     are used, or "auto" (stored as None): one, and further ones while TCP stalls.
 
+    press: the press of the first contactor's finger, which sets the hold-down at the wrist.
+
     contactor: one table for each of several contactors. Each inherits the tables of `display`,
     as a scene does from the one that it extends. Without any, `display` describes the only one.
     """
 
     contactor: Annotated[tuple[ContactorScene, ...], Field(max_length=MAX_CONTACTORS)] = ()
     safety: SafetyScene = SafetyScene()
+    press: PressScene | None = None
     compensation_ns: Annotated[int | None, BeforeValidator(_time_or_auto)] = None
     late_target: Annotated[Ratio, Field(gt=0, le=0.5)] = 0.01
     predictor: PredictorName = "stack"

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from protocol.figures import figure
+from protocol.figures import NEWTONS, RATIO, figure
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,4 +32,37 @@ class SetPointCounts:
     )
     lost: int | None = figure(
         "Set-points that have not arrived", "{} lost", metric="set_points_lost", separator=" + "
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class PressFigures(SetPointCounts):
+    """The account of the set-points, and the state of the press."""
+
+    press_n: float | None = figure(
+        "Static force of the finger",
+        "finger {}",
+        NEWTONS._replace(form=".0f"),
+        metric="press_newtons",
+    )
+    hold_down_n: float | None = figure(
+        "Static force of the probe on the wrist, as last reported",
+        "wrist {}",
+        NEWTONS._replace(form=".0f"),
+        metric="hold_down_newtons",
+    )
+    loop_gain: float | None = figure(
+        "Measured gain of the loop through the network: the share of a change of the hold-down that"
+        " comes back to the set-point",
+        "loop gain {}",
+        RATIO._replace(form=".4f"),
+        metric="press_loop_gain_ratio",
+    )
+    probe: str | None = figure(
+        "State of the probe: off, pressing, easing, leaving or fault; held while another display"
+        " presses",
+        "probe {}",
+        metric="probe",
+        show=lambda state: state or None,
+        label="state",
     )

@@ -45,6 +45,7 @@ from protocol.figures import (
     texts,
 )
 from protocol.host.output import write_whole
+from protocol.press_figures import PressFigures
 from protocol.provenance import Provenance
 from protocol.summary_tables import (
     AT_THE_END,
@@ -156,6 +157,7 @@ class Summary:
         show=lambda limits: texts(limit_texts(limits), "; "),
         headline=longest_limit_text,
     )
+    press: PressFigures = table(PressFigures, "set-points", absent=FOR_24_LINES)
     loop: Loop = table(Loop, "loop")
     speed: float | None = figure(
         "Speed of a simulation",

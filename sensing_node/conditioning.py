@@ -19,6 +19,7 @@ from pulse_sensors.force_scale import SensitivityTable
 from sensing_node.feeds import LiveSource, SampleSource
 from sensing_node.sources.recorded import RecordedSource
 from sensing_node.sources.synthetic import PRESETS
+from sensing_node.sources.wrist import Wrist
 
 # The chain's delay is computed for the pulse of Dargahi et al. (2008), the paper, which has next
 # to no energy above 40 Hz.
@@ -157,6 +158,8 @@ def faults_of(source: object) -> list[str]:
             return list(source.warnings)
         case Conditioned() | LiveSource():
             return source.faults()
+        case Wrist():
+            return list(source.probe.faults)
         case _:
             return []
 

@@ -10,6 +10,7 @@ import zmq
 
 from protocol import sockets
 from protocol.config.quantities import count_text
+from protocol.press_figures import PressFigures
 from protocol.run_summary import Summary
 from protocol.security.authenticator import Authenticator
 from protocol.security.budgets import SubscriptionBudget
@@ -22,6 +23,7 @@ from pulse_sensors.sample_check import SampleCheck
 from sensing_node.conditioning import faults_of, limits_of
 from sensing_node.control_server import ControlServer, RequestBudget, Sender
 from sensing_node.feeds import Framer, LiveSource, Source, feed_of
+from sensing_node.scene import serve_set_points
 
 logger = logging.getLogger(__name__)
 
@@ -121,7 +123,9 @@ class SensingNode:
         self._session = secrets.randbits(62)
         self._framer = Framer(description, self._session)
         self._check = SampleCheck(description.period_ns, description.channels)
-        self._server = ControlServer(description, self._session)
+        self._server = ControlServer(
+            description, self._session, serve_set_points(source, self._session)
+        )
         self._requests = RequestBudget()
         self._context: sockets.Context = zmq.Context()
         self._authenticator = Authenticator(self._context, keys)
@@ -263,9 +267,14 @@ class SensingNode:
             rejected += self._telemetry.rejected
         if isinstance(self._source, LiveSource):
             rejected += self._source.rejected
+        press = PressFigures()
+        if (set_points := self._server.set_points) is not None:
+            rejected += set_points.rejected
+            press = set_points.figures()
         return Summary(
             samples=SampleCounts(sent=self._framer.samples_sent),
             limited=limits_of(self._source),
+            press=press,
             rejected=dict(rejected),
             faults=[*faults_of(self._source), *self._check.faults()],
         )

@@ -17,8 +17,11 @@ from pulse_sensors.force_scale import SensorTable
 from pulse_sensors.sensor import SensorScene, open_sensor
 from sensing_node.conditioning import Conditioned, ConditioningScene, faults_of
 from sensing_node.feeds import LiveSource, SampleSource, Source
+from sensing_node.press.scene import ProbeScene
+from sensing_node.press.set_points import SetPointServer
 from sensing_node.sources.recorded import RecordedSource, RecordingScene
 from sensing_node.sources.synthetic import SyntheticScene, SyntheticSource
+from sensing_node.sources.wrist import Wrist, WristScene
 
 logger = logging.getLogger(__name__)
 
@@ -27,7 +30,7 @@ class SensingScene(Section):
     """The `sensing` table. batch: time that one frame covers, rounded to whole samples."""
 
     source: Annotated[
-        SyntheticScene | RecordingScene | SensorScene,
+        SyntheticScene | RecordingScene | WristScene | SensorScene,
         Field(discriminator="kind"),
     ]
     stream: Name = "pulse"
@@ -35,6 +38,18 @@ class SensingScene(Section):
     samples: Literal["float32", "float64"] = "float32"
     layer: LayerTable = LayerTable()
     conditioning: ConditioningScene | None = None
+    press: ProbeScene | None = None
+
+    @model_validator(mode="after")
+    def _presses_a_wrist(self) -> "SensingScene":
+        is_wrist = isinstance(self.source, WristScene)
+        if is_wrist and self.press is None:
+            raise ValueError('a source of kind "wrist" is pressed by a probe: add [sensing.press]')
+        if self.press is not None and not is_wrist:
+            raise ValueError('press needs a source of kind "wrist", the only one with a probe')
+        if is_wrist and self.conditioning is not None:
+            raise ValueError("conditioning has no load cell's channel; leave it out for a wrist")
+        return self
 
     @model_validator(mode="after")
     def _conditions_what_is_simulated(self) -> "SensingScene":
@@ -70,6 +85,8 @@ def build_source(scene: SensingScene, folder: Path, plausible: bool = True) -> S
     source: SampleSource
     if isinstance(scene.source, SyntheticScene):
         source = SyntheticSource(scene.source)
+    elif isinstance(scene.source, WristScene):
+        source = Wrist(scene.source, None if scene.press is None else scene.press.limits())
     elif isinstance(scene.source, RecordingScene):
         source = RecordedSource(scene.source, folder, plausible)
     else:
@@ -78,6 +95,11 @@ def build_source(scene: SensingScene, folder: Path, plausible: bool = True) -> S
             " it, nothing else can"
         )
     return source if scene.conditioning is None else Conditioned(source, scene.conditioning)
+
+
+def serve_set_points(source: object, session: int) -> SetPointServer | None:
+    """Return a server of the set-points for the probe of a source; None without a probe."""
+    return SetPointServer(session, source) if isinstance(source, Wrist) else None
 
 
 def describe_stream(scene: SensingScene, source: Source) -> StreamDescription:

@@ -143,6 +143,11 @@ class FingerPress:
         return min(self._reading.press_n, self._limits.force_n)
 
     @property
+    def static_n(self) -> float:
+        """Static force that follows the finger at once, within the limit."""
+        return min(self._reading.now_n, self._limits.force_n)
+
+    @property
     def loop_gain(self) -> float:
         """Measured gain of the loop through the network."""
         return self._gain.gain
@@ -158,8 +163,8 @@ class FingerPress:
 
     def observe(
         self, times_ns: Sequence[int], pulse_n: Sequence[float], cell_n: Sequence[float]
-    ) -> list[float]:
-        """Learn from a frame; return its pulse relative to foot and height at its hold-down.
+    ) -> float:
+        """Learn from a frame of film and load cell; return its hold-down force.
 
         Parameters
         ----------
@@ -168,18 +173,29 @@ class FingerPress:
         pulse_n, cell_n
             Channels of the film and of the load cell.
         """
-        count = len(pulse_n)
-        mean_n = sum(pulse_n) / count
-        hold_down_n = sum(cell_n) / count - mean_n
+        mean_n = sum(pulse_n) / len(pulse_n)
+        hold_down_n = sum(cell_n) / len(cell_n) - mean_n
         self._learn(times_ns[-1], hold_down_n, mean_n)
+        if hold_down_n >= TOUCH_N:
+            self._observed += 1
+            part = max((times_ns[-1] - times_ns[0]) * 1e-9 / MEAN_S, 1 / self._observed)
+            self._mean += (self.relative(mean_n, hold_down_n) - self._mean) * part
+        return hold_down_n
+
+    def relative(self, pulse_n: float, hold_down_n: float) -> float:
+        """Return a value of the pulse relative to foot and height at its hold-down.
+
+        Off the wrist there is no pulse: the result is its mean.
+        """
         if hold_down_n < TOUCH_N:
-            return [self._mean] * count
-        height_n, foot = self.height_n(hold_down_n), self.curve.foot(hold_down_n)
-        relative = [each_n / height_n - foot for each_n in pulse_n]
-        self._observed += 1
-        part = max((times_ns[-1] - times_ns[0]) * 1e-9 / MEAN_S, 1 / self._observed)
-        self._mean += (sum(relative) / count - self._mean) * part
-        return relative
+            return self._mean
+        return pulse_n / self.height_n(hold_down_n) - self.curve.foot(hold_down_n)
+
+    def restart(self) -> None:
+        """Begin with times that are unrelated to those before; what was learnt is kept."""
+        self._heights = PulseHeight()
+        self._frames.clear()
+        self._learnt_ns = self._newest_ns = -(1 << 62)
 
     def _learn(self, now_ns: int, hold_down_n: float, pulse_n: float) -> None:
         """Learn the height from the frames that no earlier one can precede any more."""
@@ -197,8 +213,7 @@ class FingerPress:
 
     def felt_n(self, relative: float) -> float:
         """Return the pulse in N, as the present press would give it, for its relative value."""
-        force_n = min(self._reading.now_n, self._limits.force_n)
-        return (relative - self._mean) * self.height_n(force_n)
+        return (relative - self._mean) * self.height_n(self.static_n)
 
     def set_beat(self, interval_s: float) -> None:
         """Take the time of a beat, over which the reading is averaged."""
@@ -220,8 +235,7 @@ class FingerPress:
         """Advance to `now_ns`, and return the distance by which the tip yields."""
         last_ns, self._tick_ns = self._tick_ns, now_ns
         elapsed_s = 0.0 if last_ns is None else max(0, now_ns - last_ns) * 1e-9
-        force_n = min(self._reading.now_n, self._limits.force_n)
-        wanted_m = min(self.stiffness.law.depth_m(force_n), MOST_YIELD_M)
+        wanted_m = min(self.stiffness.law.depth_m(self.static_n), MOST_YIELD_M)
         most_m = YIELD_M_PER_S * elapsed_s
         step_m = (wanted_m - self.yielded_m) * -math.expm1(-elapsed_s / YIELD_S)
         self.yielded_m += min(max(step_m, -most_m), most_m)

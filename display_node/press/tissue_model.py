@@ -99,7 +99,8 @@ class LearntCurve:
 class PulseCurve:
     """Height of the pulse, and level of its foot, against the hold-down force.
 
-    Before learning, both are those of a typical artery by its tube law, of height 1 at best.
+    Before learning, the height is that of a typical artery by its tube law, 1 at best, and the
+    foot is the film's zero.
 
     Parameters
     ----------
@@ -123,10 +124,9 @@ class PulseCurve:
         outside = (1e4 * step_n * np.arange(POINTS)).tolist()
         high_pa = low_pa + 1e4 * TYPICAL_PULSE_N
         heights = np.array([tube.height(each, low_pa, high_pa) for each in outside])
-        feet = np.array([tube.height(each, low_pa, mean_pa) for each in outside]) / heights
         logs = np.log(heights / heights.max())
         self._logs = LearntCurve(step_n, logs, LEVEL, BEND, BEAT_ERROR)
-        self._feet = LearntCurve(step_n, -feet, FOOT_LEVEL, FOOT_BEND, FOOT_ERROR)
+        self._feet = LearntCurve(step_n, np.zeros(POINTS), FOOT_LEVEL, FOOT_BEND, FOOT_ERROR)
         self.beats = 0
         self.best_height = 1.0
 

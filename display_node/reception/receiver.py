@@ -5,7 +5,7 @@ that cannot be used is counted under its cause. Pure: no sockets.
 """
 
 from collections import Counter, deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Final
 
 from display_node.reception.jitter_buffer import JitterBuffer, SampleAccount
@@ -58,6 +58,8 @@ class Receiver:
         is discarded.
     clock_steps
         Number of clock steps in all sessions so far.
+    take_probe
+        Takes answers to set-points; without it they are refused.
     other_version
         Description of the first refused message of another version, or "".
     ready
@@ -84,6 +86,7 @@ class Receiver:
         self._received_ns = 0
         self.copies = 0
         self.rejected: Counter[str] = Counter()
+        self.take_probe: Callable[[wire.ProbeReport], None] | None = None
         self.other_version = ""
         self.one_way_delay_ms = Histogram(0.1, 20_000)
         self.sessions = self.resets = self.clock_steps = 0
@@ -279,6 +282,10 @@ class Receiver:
                 self._last_bye = message
                 # A stream that is too short for a good delay estimate is played as well.
                 self.ready = self.ready or self.buffer.newest_ns is not None
+            case wire.ProbeReport() if self.take_probe is not None:
+                if message.session != self.session:
+                    raise WireError("session", "a probe's report of another session")
+                self.take_probe(message)
             case _:
                 raise WireError("unexpected", "a message that only displays send")
 

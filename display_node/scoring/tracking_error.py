@@ -253,8 +253,10 @@ def _root(total: float, count: int) -> float | None:
 def scored(summary: Summary, errors: Sequence[TrackingError], windows: bool = False) -> Summary:
     """Return a display's summary with the errors of its contactors, in their order.
 
-    windows: whether to add the errors by time.
+    errors: none where the finger presses back. windows: whether to add the errors by time.
     """
+    if not errors:
+        return summary
     ticks = (summary.loop.ticks or 0) + (summary.loop.deadline_misses or 0)
     found = {
         name: error.scored(figures, ticks)

@@ -4,7 +4,7 @@ from collections import Counter
 from dataclasses import dataclass
 from typing import Final, Protocol
 
-from protocol.press_figures import SetPointCounts
+from protocol.press_figures import PressFigures, SetPointCounts
 from protocol.wire.messages import ProbeReport, SetPoint
 
 # A display that sends no set-point for this long loses the permission to press. The probe has left
@@ -133,6 +133,12 @@ class SetPointServer:
         """Return the account of all displays that have pressed; the newest one's is open."""
         totals = self._totals()
         return SetPointCounts(**{key: totals[key] for key in _FIGURES})
+
+    def figures(self) -> PressFigures:
+        """Return the account, and the state of the probe."""
+        totals, probe = self._totals(), self._probe
+        account = {key: totals[key] for key in _FIGURES}
+        return PressFigures(**account, hold_down_n=probe.hold_down_n, probe=probe.state)
 
     def _admit(self, press: int, now_ns: int) -> PressHolder:
         """Give the permission to a display; one that had it before continues its account."""

@@ -44,7 +44,12 @@ class WristScene(Section):
     knee_n: Annotated[Newtons, Field(ge=0.01, le=10)] = 0.3
     length_m: Annotated[Metres, Field(ge=1e-4, le=1e-2)] = 1.2e-3
     noise_n: Annotated[Newtons, Field(ge=0, le=1)] = 0.0
-    cell_noise_n: Annotated[Newtons, Field(ge=0, le=1)] = 2e-3
+    cell_noise_n: Annotated[Newtons, Field(ge=0, le=1)] = 0.3e-3
+
+    @property
+    def rate_hz(self) -> float:
+        """Samples per second."""
+        return self.pulse.rate_hz
 
     @model_validator(mode="after")
     def _has_a_pulse(self) -> "WristScene":
@@ -70,10 +75,9 @@ class Artery:
         self._n_per_pa = scene.peak_to_peak_n / self._height(self.mean_pa)
 
     def pulse_n(self, pressure_pa: float, hold_down_n: float) -> float:
-        """Return the pulse at the film, which is blind to the static force."""
-        outside_pa, tube = max(hold_down_n, 0.0) / self._area_m2, self._tube
-        change = tube.volume(pressure_pa - outside_pa) - tube.volume(self.mean_pa - outside_pa)
-        return self._n_per_pa * change
+        """Return the pulse at the film, which is blind to the static force: above diastole."""
+        outside_pa = max(hold_down_n, 0.0) / self._area_m2
+        return self._n_per_pa * self._tube.height(outside_pa, self.diastolic_pa, pressure_pa)
 
     def height_n(self, hold_down_n: float) -> float:
         """Return the pulse's peak to peak at a hold-down force."""

@@ -38,6 +38,7 @@ from protocol.errors import ProcessError, TelepulseError
 from protocol.host.child_process import ChildProcess
 from protocol.host.output import check_writable, configure_logging
 from protocol.host.process import stop_on_signals
+from protocol.press_figures import PressFigures
 from protocol.run_summary import Summary
 from protocol.tactile import matching_force_ratio
 from protocol.wire.messages import decode_frame
@@ -244,9 +245,11 @@ class _Scorer:
         self, scene: Scene, channels: list[int], truth: ReferenceForce, data: sockets.Socket
     ) -> None:
         data.subscribe(b"")
-        self._channels, self._truth, self._data = channels, truth, data
+        # Where the finger presses, the felt pulse depends on its press, not on the sent one alone.
+        scored = () if scene.display.press is not None else scene.display.contactors
+        self._channels, self._truth, self._data = channels[: len(scored)], truth, data
         wrist = scene.sensing.layer.layer()
-        layers = [contactor.layer.layer() for contactor in scene.display.contactors]
+        layers = [contactor.layer.layer() for contactor in scored]
         self._ratios = [matching_force_ratio(wrist, layer) for layer in layers]
         self.errors = [TrackingError(layer.strain_per_newton) for layer in layers]
 
@@ -261,7 +264,7 @@ class _Scorer:
 
     def add_felt(self, traces: list[Trace]) -> None:
         """Add the felt forces of a trace of the display."""
-        for trace, error in zip(traces, self.errors, strict=True):
+        for trace, error in zip(traces, self.errors, strict=bool(self.errors)):
             columns = (
                 column[trace.scored] for column in (trace.now_ns, trace.instant_ns, trace.felt_n)
             )
@@ -281,9 +284,25 @@ def _compose(sensing: Summary, display: Summary, errors: list[TrackingError]) ->
     if sent != accounted:
         reason = f"the sensing node sent {sent} samples, the display accounts for {accounted}"
         raise ProcessError(reason)
+    if (lacking := _unaccounted(sensing.press, display.press)) is not None:
+        raise ProcessError(lacking)
     return replace(
         scored(display, errors, windows=True),
         rejected=dict(Counter(display.rejected) + Counter(sensing.rejected)),
         limited=replace(display.limited, adc=sensing.limited.adc),
         faults=display.faults + [f"{SENSING_NOTE}{note}" for note in sensing.faults],
     )
+
+
+def _unaccounted(wrist: PressFigures, finger: PressFigures) -> str | None:
+    """Return how the two nodes' accounts of the set-points contradict each other, if they do."""
+    if finger.sent is None:
+        return None
+    parts = finger.applied, finger.superseded, finger.lost
+    if finger.sent != sum(part or 0 for part in parts):
+        return f"of {finger.sent} set-points, the display accounts for {parts}"
+    for outcome in ("applied", "superseded"):
+        known, done = getattr(finger, outcome) or 0, getattr(wrist, outcome) or 0
+        if known != done:
+            return f"the wrist counts {done} set-points {outcome}, the display {known}"
+    return None

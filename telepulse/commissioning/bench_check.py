@@ -123,10 +123,10 @@ def check_wrist(findings: BenchFindings, scene: SensingScene, folder: Path, seco
 def _still_source(scene: SensingScene, folder: Path, seconds: float) -> SensorRecord:
     """Return the record of a synthetic source without its pulse, behind the conditioning.
 
-    Raises BenchError for a recording: there is no sensor to check.
+    Raises BenchError for a recording, or a wrist that is pressed: there is no sensor to check.
     """
     if not isinstance(scene.source, SyntheticScene):
-        raise BenchError("[sensing.source] is a recording: there is no sensor to check")
+        raise BenchError(f"[sensing.source] is a {scene.source.kind}: there is no sensor to check")
     still = {"peak_to_peak_n": 0.0, "preload_n": 0.0}
     changes: dict[str, object] = {"source": scene.source.model_copy(update=still)}
     if scene.conditioning is not None:

@@ -153,9 +153,7 @@ class PressLoop:
         number = (now_ns - self._delay_ns) // TICK_NS + BATCH - 1
         if number < 0:
             return 0.0
-        artery, press_n = self.wrist.artery, self.finger.press_n
-        foot_n = artery.pulse_n(artery.diastolic_pa, press_n)
-        return artery.pulse_n(self._pressures_pa[number], press_n) - foot_n
+        return self.wrist.artery.pulse_n(self._pressures_pa[number], self.finger.press_n)
 
     def _sense(self, now_ns: int) -> None:
         """Take the samples of the last batch at the wrist, and send them."""
@@ -175,7 +173,8 @@ class PressLoop:
     def _receive(self, data: bytes, now_ns: int) -> None:
         frame = decode_frame(data)
         pulse, cell = frame.samples_of(0), frame.samples_of(1)
-        relative = self.press.observe(pulse.times_ns, pulse.forces_n, cell.forces_n)
+        hold_down_n = self.press.observe(pulse.times_ns, pulse.forces_n, cell.forces_n)
+        relative = [self.press.relative(force_n, hold_down_n) for force_n in pulse.forces_n]
         samples = channel_samples(frame.first_sample, frame.t_first_ns, TICK_NS, relative)
         for beat in self._beats.observe(samples):
             self.press.set_beat(beat.interval_s)

@@ -24,7 +24,12 @@ from pulse_sensors.sample_check import SampleCheck
 from sensing_node.conditioning import faults_of, limits_of
 from sensing_node.control_server import ControlServer
 from sensing_node.feeds import Framer, PacedSource
-from sensing_node.scene import SensingScene, build_source, describe_stream
+from sensing_node.scene import (
+    SensingScene,
+    build_source,
+    describe_stream,
+    serve_set_points,
+)
 from sensing_node.sources.synthetic import SyntheticScene
 from telepulse.scene import Scene
 from telepulse.simulation.link_model import MessageLink
@@ -100,7 +105,8 @@ class Simulation:
         self._session = seed + 1
         self._framer = Framer(self._description, self._session)
         self._check = SampleCheck(self._description.period_ns, self._description.channels)
-        self._control_server = ControlServer(self._description, self._session)
+        set_points = serve_set_points(self._source, self._session)
+        self._control_server = ControlServer(self._description, self._session, set_points)
         self.display = Display(scene.display, "simulated display", score=False)
         if hardware is not None:
             self.display.use(hardware)
@@ -111,6 +117,7 @@ class Simulation:
                 TrackingError(contactor.layer.strain_per_newton),
             )
             for contactor in self.display.contactors
+            if scene.display.press is None
         ]
         self._down = MessageLink(scene.link, seed, begin_ns)
         self._up = MessageLink(scene.link, seed + 1, begin_ns)

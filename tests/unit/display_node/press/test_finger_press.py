@@ -71,13 +71,13 @@ def test_the_pulse_felt_has_the_height_of_the_present_press() -> None:
     for hold_down_n, height_n in ((0.6, 0.06), (1.2, 0.3), (0.6, 0.06)):
         observe(press, hold_down_n, height_n)
     # Samples taken at the better hold-down are felt as the present press would give them.
-    relative = press.observe([0], [0.3], [1.5])[0] - press.observe([0], [0.0], [1.2])[0]
-    felt_n = press.felt_n(relative) - press.felt_n(0.0)
+    high, low = (press.felt_n(press.relative(force_n, 1.2)) for force_n in (0.3, 0.0))
+    felt_n = high - low
     assert felt_n == pytest.approx(0.06, rel=0.1)
 
 
 def test_off_the_wrist_no_noise_is_felt() -> None:
     press = pressed(1.2)
     observe(press, 1.2, 0.3)
-    felt = [press.felt_n(each) for each in press.observe([0, 1], [0.02, -0.02], [0.0, 0.0])]
+    felt = [press.felt_n(press.relative(noise_n, 0.01)) for noise_n in (0.02, -0.02)]
     assert felt == [0.0, 0.0]

@@ -1,0 +1,146 @@
+"""The press as a part of a display: sensor, samples and ticks in, set-points and scaled pulse out.
+
+Pure but for a live sensor, whose readings are taken when it has some.
+"""
+
+import math
+from bisect import bisect_right
+from typing import Final
+
+from display_node.press.finger import PressingFinger
+from display_node.press.finger_press import FingerPress
+from display_node.press.scene import PressScene, SyntheticFingerScene
+from display_node.scoring.beats import Beat
+from protocol.press_figures import PressFigures
+from protocol.wire.messages import ChannelSamples, ProbeReport, SetPoint
+from pulse_sensors.sensor import Sensor
+
+# Frames whose hold-down is kept: at least 10 s of frames of 5 ms.
+KEPT: Final = 2_048
+# A modelled hand takes this long for a step.
+RISE_NS: Final = 80_000_000
+
+
+class LocalPress:
+    """The press of a display's first finger.
+
+    press: random number of the display's run. Raises nothing; a silent sensor sends nothing.
+    """
+
+    def __init__(self, scene: PressScene, press: int) -> None:
+        self._scene, self._press = scene, FingerPress(scene.limits(), press)
+        self._sensor: Sensor | None = None
+        self._finger: PressingFinger | None = None
+        if isinstance(table := scene.sensor, SyntheticFingerScene):
+            self._finger = PressingFinger(table.stiffness_n_per_m, table.pulse_share, table.noise_n)
+        # Times of frames and their hold-down, in order.
+        self._times_ns: list[int] = []
+        self._hold_downs_n: list[float] = []
+        self._begun_ns: int | None = None
+        self._last_ns = 0
+        self._static_n = 0.0
+
+    def use(self, sensor: Sensor) -> None:
+        """Read a live sensor. Call before the first tick."""
+        self._sensor = sensor
+
+    def begin(self) -> None:
+        """Begin a session, whose times are unrelated to those before; the model is kept."""
+        self._times_ns.clear()
+        self._hold_downs_n.clear()
+        self._press.restart()
+
+    def observe(self, pulse: ChannelSamples, cell: ChannelSamples) -> ChannelSamples:
+        """Learn from a frame's samples of film and load cell.
+
+        Returns the pulse as it would be at the best hold-down, in which beats can be compared.
+        """
+        press = self._press
+        hold_down_n = press.observe(pulse.times_ns, pulse.forces_n, cell.forces_n)
+        times_ns, first_ns = self._times_ns, pulse.times_ns[0]
+        place = bisect_right(times_ns, first_ns)
+        times_ns.insert(place, first_ns)
+        self._hold_downs_n.insert(place, hold_down_n)
+        if len(times_ns) > 2 * KEPT:
+            del times_ns[:KEPT], self._hold_downs_n[:KEPT]
+        best = press.curve.best_height
+        forces_n = [best * press.relative(force_n, hold_down_n) for force_n in pulse.forces_n]
+        return pulse._replace(forces_n=forces_n)
+
+    def take_beats(self, beats: list[Beat]) -> None:
+        """Take new beats of the pulse, over whose time the reading is averaged."""
+        if beats:
+            self._press.set_beat(beats[-1].interval_s)
+
+    def scale(self, wrist_n: list[float], first_ns: int, step_ns: int, ratio: float) -> list[float]:
+        """Return forces at the finger for forces at the wrist: press, and the pulse it would give.
+
+        Parameters
+        ----------
+        wrist_n
+            Pulse at the wrist, received or predicted.
+        first_ns, step_ns
+            Time of its first value on the sensing clock, and between values.
+        ratio
+            Force at the finger per force at the wrist.
+        """
+        press, times_ns = self._press, self._times_ns
+        self._static_n = static_n = press.static_n
+        felt = []
+        for number, force_n in enumerate(wrist_n):
+            place = max(bisect_right(times_ns, first_ns + number * step_ns) - 1, 0)
+            hold_down_n = self._hold_downs_n[place] if times_ns else 0.0
+            pulse_n = press.felt_n(press.relative(force_n, hold_down_n))
+            felt.append(static_n + ratio * pulse_n)
+        return felt
+
+    def tick(self, now_ns: int, felt_n: float) -> None:
+        """Take the sensor's readings since the last tick; felt_n: force under the finger."""
+        press, pulse_n = self._press, felt_n - self._static_n
+        yielded_m = press.tick(now_ns)
+        if self._sensor is not None:
+            for block in self._sensor.poll():
+                for reading_n, at_ns in zip(block.force_n, block.times_ns, strict=True):
+                    press.read(reading_n, pulse_n, at_ns)
+        elif self._finger is not None:
+            elapsed_s = min(max(0, now_ns - self._last_ns) * 1e-9, 0.1) if self._last_ns else 0.0
+            reading_n = self._finger.step(self._meant_n(now_ns), yielded_m, pulse_n, elapsed_s)
+            press.read(reading_n, pulse_n, now_ns)
+        self._last_ns = now_ns
+
+    def request(
+        self, session: int, sensing_now_ns: int, round_trip_ns: int, now_ns: int, alive: bool
+    ) -> SetPoint | None:
+        """Return the set-point that is due, as `FingerPress.request` does."""
+        return self._press.request(session, sensing_now_ns, round_trip_ns, now_ns, alive)
+
+    def take(self, report: ProbeReport) -> None:
+        """Take an answer of the sensing node."""
+        self._press.take(report)
+
+    def figures(self) -> PressFigures:
+        """Return the figures so far."""
+        press, counts = self._press, self._press.sender.counts()
+        report = press.sender.report
+        return PressFigures(
+            sent=counts.sent,
+            applied=counts.applied,
+            superseded=counts.superseded,
+            lost=counts.lost,
+            press_n=press.press_n,
+            hold_down_n=None if report is None else report.hold_down_n,
+            loop_gain=press.loop_gain,
+            probe="held" if press.sender.held_by_other else report.state if report else None,
+        )
+
+    def _meant_n(self, now_ns: int) -> float:
+        """Return the force that the modelled finger means: its levels in turn, by soft steps."""
+        table = self._scene.sensor
+        assert isinstance(table, SyntheticFingerScene)
+        if self._begun_ns is None:
+            self._begun_ns = now_ns
+        number, since_ns = divmod(now_ns - self._begun_ns, table.every_ns)
+        levels_n = table.levels_n
+        before_n = levels_n[(number - 1) % len(levels_n)] if number else 0.0
+        part = 0.5 - 0.5 * math.cos(math.pi * min(1.0, since_ns / RISE_NS))
+        return before_n + (levels_n[number % len(levels_n)] - before_n) * part

@@ -1,0 +1,48 @@
+"""The `press` table of a sensing node: the limits of the probe at the wrist."""
+
+from typing import Annotated
+
+from pydantic import Field
+
+from protocol.config.quantities import (
+    Metres,
+    MetresPerSecond,
+    Nanoseconds,
+    Newtons,
+    NewtonsPerSecond,
+)
+from protocol.config.scene import Section
+from sensing_node.press.probe import ProbeLimits
+
+_TIME_NS = Field(ge=50_000_000, le=10_000_000_000)
+
+
+class ProbeScene(Section):
+    """The `press` table: the probe follows a distant finger within these limits.
+
+    force_limit and slew_limit: of the force on the wrist. overforce: measured force, as a multiple
+    of the limit, that is a fault. max_speed and travel: of the drive. resting: force to which the
+    probe eases off without set-points for stale_after; after leave_after it leaves the wrist.
+    """
+
+    force_limit_n: Annotated[Newtons, Field(gt=0, le=10)] = 3.0
+    slew_limit_n_per_s: Annotated[NewtonsPerSecond, Field(gt=0, le=100)] = 25.0
+    overforce: Annotated[float, Field(ge=1, le=2)] = 1.25
+    max_speed_m_per_s: Annotated[MetresPerSecond, Field(gt=0, le=0.2)] = 0.06
+    travel_m: Annotated[Metres, Field(gt=2e-3, le=0.05)] = 0.02
+    resting_n: Annotated[Newtons, Field(ge=0, le=1)] = 0.2
+    stale_after_ns: Annotated[Nanoseconds, _TIME_NS] = 300_000_000
+    leave_after_ns: Annotated[Nanoseconds, _TIME_NS] = 2_000_000_000
+
+    def limits(self) -> ProbeLimits:
+        """Return the limits that the table describes."""
+        return ProbeLimits(
+            self.force_limit_n,
+            self.slew_limit_n_per_s,
+            self.overforce,
+            self.max_speed_m_per_s,
+            self.travel_m,
+            self.resting_n,
+            self.stale_after_ns,
+            self.leave_after_ns,
+        )
