@@ -163,8 +163,8 @@ class FingerPress:
 
     def observe(
         self, times_ns: Sequence[int], pulse_n: Sequence[float], cell_n: Sequence[float]
-    ) -> float:
-        """Learn from a frame of film and load cell; return its hold-down force.
+    ) -> list[float]:
+        """Learn from a frame of film and load cell; return the hold-down force of each sample.
 
         Parameters
         ----------
@@ -173,14 +173,14 @@ class FingerPress:
         pulse_n, cell_n
             Channels of the film and of the load cell.
         """
-        mean_n = sum(pulse_n) / len(pulse_n)
-        hold_down_n = sum(cell_n) / len(cell_n) - mean_n
+        hold_downs_n = [cell - pulse for cell, pulse in zip(cell_n, pulse_n, strict=True)]
+        mean_n, hold_down_n = sum(pulse_n) / len(pulse_n), sum(hold_downs_n) / len(pulse_n)
         self._learn(times_ns[-1], hold_down_n, mean_n)
         if hold_down_n >= TOUCH_N:
             self._observed += 1
             part = max((times_ns[-1] - times_ns[0]) * 1e-9 / MEAN_S, 1 / self._observed)
             self._mean += (self.relative(mean_n, hold_down_n) - self._mean) * part
-        return hold_down_n
+        return hold_downs_n
 
     def relative(self, pulse_n: float, hold_down_n: float) -> float:
         """Return a value of the pulse relative to foot and height at its hold-down.

@@ -15,8 +15,8 @@ from protocol.press_figures import PressFigures
 from protocol.wire.messages import ChannelSamples, ProbeReport, SetPoint
 from pulse_sensors.sensor import Sensor
 
-# Frames whose hold-down is kept: at least 10 s of frames of 5 ms.
-KEPT: Final = 2_048
+# Samples whose hold-down is kept: at 1 kHz, 8 s.
+KEPT: Final = 8_192
 # A modelled hand takes this long for a step.
 RISE_NS: Final = 80_000_000
 
@@ -33,7 +33,7 @@ class LocalPress:
         self._finger: PressingFinger | None = None
         if isinstance(table := scene.sensor, SyntheticFingerScene):
             self._finger = PressingFinger(table.stiffness_n_per_m, table.pulse_share, table.noise_n)
-        # Times of frames and their hold-down, in order.
+        # Times of samples and their hold-down, in order.
         self._times_ns: list[int] = []
         self._hold_downs_n: list[float] = []
         self._begun_ns: int | None = None
@@ -56,16 +56,15 @@ class LocalPress:
         Returns the pulse as it would be at the best hold-down, in which beats can be compared.
         """
         press = self._press
-        hold_down_n = press.observe(pulse.times_ns, pulse.forces_n, cell.forces_n)
-        times_ns, first_ns = self._times_ns, pulse.times_ns[0]
-        place = bisect_right(times_ns, first_ns)
-        times_ns.insert(place, first_ns)
-        self._hold_downs_n.insert(place, hold_down_n)
+        hold_downs_n = press.observe(pulse.times_ns, pulse.forces_n, cell.forces_n)
+        times_ns = self._times_ns
+        place = bisect_right(times_ns, pulse.times_ns[0])
+        times_ns[place:place] = pulse.times_ns
+        self._hold_downs_n[place:place] = hold_downs_n
         if len(times_ns) > 2 * KEPT:
             del times_ns[:KEPT], self._hold_downs_n[:KEPT]
-        best = press.curve.best_height
-        forces_n = [best * press.relative(force_n, hold_down_n) for force_n in pulse.forces_n]
-        return pulse._replace(forces_n=forces_n)
+        best, relative = press.curve.best_height, map(press.relative, pulse.forces_n, hold_downs_n)
+        return pulse._replace(forces_n=[best * each for each in relative])
 
     def take_beats(self, beats: list[Beat]) -> None:
         """Take new beats of the pulse, over whose time the reading is averaged."""

@@ -19,8 +19,9 @@ from protocol.wire.stream import Channel
 from sensing_node.press.probe import CLEARANCE_M, Probe, ProbeLimits
 from sensing_node.sources.synthetic import SyntheticScene, SyntheticSource
 
-# The modelled drive and load cell follow with these first-order lags.
-DRIVE_LAG_S, CELL_LAG_S = 5e-3, 2e-3
+# First-order lag of the modelled drive, and of film and load cell. Both sensors have the same, so
+# that each of their samples belongs to one hold-down.
+DRIVE_LAG_S, SENSOR_LAG_S = 5e-3, 2e-3
 # A time that contains a whole beat of the slowest heart.
 BEATS_S = 7.0
 
@@ -120,7 +121,7 @@ class Wrist:
         self.artery = Artery(scene, mean_share)
         self.probe = Probe(limits or ProbeLimits(), StiffeningLaw())
         self._time_ns = 0
-        self._speed_m_per_s = self._position_m = self._cell_n = 0.0
+        self._speed_m_per_s = self._position_m = self._film_n = self._cell_n = 0.0
         self.force_n = 0.0
         self.pressures_pa: list[float] = []
 
@@ -156,9 +157,10 @@ class Wrist:
         artery_n = self.artery.pulse_n(pressure_pa, self.force_n)
         if self.force_n <= 0.0:
             artery_n = 0.0
-        film_n = artery_n + scene.noise_n * noise[0]
-        true_n = self.force_n + artery_n
-        self._cell_n += (true_n - self._cell_n) * -math.expm1(-period_s / CELL_LAG_S)
+        follows = -math.expm1(-period_s / SENSOR_LAG_S)
+        self._film_n += (artery_n - self._film_n) * follows
+        self._cell_n += (self.force_n + artery_n - self._cell_n) * follows
+        film_n = self._film_n + scene.noise_n * noise[0]
         cell_n = self._cell_n + scene.cell_noise_n * noise[1]
         wanted = self.probe.step(cell_n, film_n, self._position_m, self._time_ns)
         self._speed_m_per_s += (wanted - self._speed_m_per_s) * -math.expm1(-period_s / DRIVE_LAG_S)

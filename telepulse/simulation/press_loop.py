@@ -173,8 +173,8 @@ class PressLoop:
     def _receive(self, data: bytes, now_ns: int) -> None:
         frame = decode_frame(data)
         pulse, cell = frame.samples_of(0), frame.samples_of(1)
-        hold_down_n = self.press.observe(pulse.times_ns, pulse.forces_n, cell.forces_n)
-        relative = [self.press.relative(force_n, hold_down_n) for force_n in pulse.forces_n]
+        hold_downs_n = self.press.observe(pulse.times_ns, pulse.forces_n, cell.forces_n)
+        relative = list(map(self.press.relative, pulse.forces_n, hold_downs_n))
         samples = channel_samples(frame.first_sample, frame.t_first_ns, TICK_NS, relative)
         for beat in self._beats.observe(samples):
             self.press.set_beat(beat.interval_s)
