@@ -143,7 +143,7 @@ CAUSE_MEANINGS = {
     "mismatch": "frames that do not match the stream's description",
     "timestamp": "frames whose time is far from the present or does not fit their number:"
     " a clock was set, or the stream is forged",
-    "duplicate": "samples that had arrived already",
+    "duplicate": "samples or set-points that had arrived already",
     "overlap": "samples that had arrived already, in a frame cut differently",
     "too_old": "samples older than the buffer keeps",
     "overflow": "samples too far ahead of what is played",

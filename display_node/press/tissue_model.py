@@ -48,11 +48,6 @@ class LearntCurve:
         Standard deviation from them: of all values together, and of single ones.
     error
         Standard deviation of an observation.
-
-    Attributes
-    ----------
-    values
-        Present values at the points.
     """
 
     def __init__(
@@ -63,13 +58,27 @@ class LearntCurve:
         apart = (forces[:, None] - forces[None, :]) / REACH_N
         self._covariance = level**2 + bend**2 * np.exp(-0.5 * apart**2)
         self._prior = self._covariance.copy()
-        self.values = typical
+        self._set(typical)
+
+    def _set(self, values: Floats) -> None:
+        # As a list too, whose items are quicker to read.
+        self._values = values
+        self._points: list[float] = values.tolist()
+
+    @property
+    def highest(self) -> float:
+        """The largest value."""
+        return max(self._points)
+
+    def shift(self, change: float) -> None:
+        """Add a number to all values."""
+        self._set(self._values + change)
 
     def at(self, force_n: float) -> float:
         """Return the value at a force; beyond the grid, that of its end."""
         at, part = self._place(force_n)
-        low, high = float(self.values[at]), float(self.values[at + 1])
-        return low + part * (high - low)
+        low = self._points[at]
+        return low + part * (self._points[at + 1] - low)
 
     def deviation(self, force_n: float) -> float:
         """Return the standard deviation of the value at a force."""
@@ -82,7 +91,8 @@ class LearntCurve:
         self._covariance += FORGET * (self._prior - self._covariance)
         gains = self._covariance @ weights
         variance = float(weights @ gains) + self._variance
-        self.values = self.values + gains * ((value - float(weights @ self.values)) / variance)
+        error = value - float(weights @ self._values)
+        self._set(self._values + gains * (error / variance))
         self._covariance -= np.outer(gains, gains) / variance
 
     def _place(self, force_n: float) -> tuple[int, float]:
@@ -156,10 +166,10 @@ class PulseCurve:
         log = math.log(height_n)
         if self.beats == 0:
             # The unit of the heights is not known before.
-            self._logs.values = self._logs.values + (log - self._logs.at(force_n))
+            self._logs.shift(log - self._logs.at(force_n))
         self._logs.observe(force_n, log)
         self._feet.observe(force_n, foot_n / height_n)
-        self.best_height = math.exp(float(self._logs.values.max()))
+        self.best_height = math.exp(self._logs.highest)
         self.beats += 1
 
 

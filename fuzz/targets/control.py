@@ -8,6 +8,8 @@ from protocol.wire.messages import (
     ClockRequest,
     DisplayReport,
     Hello,
+    ProbeReport,
+    SetPoint,
     Welcome,
     decode_control,
     encode_control,
@@ -30,6 +32,8 @@ def seeds() -> list[bytes]:
         ClockRequest(-5),
         ClockReply(7, 1, 2, 3),
         DisplayReport(7, "display", 90, 5, 6, 4, 1.5, 2.5, 40.0, 0.25),
+        SetPoint(7, 11, 3, 600_000_000, 400_000_000, 1.5),
+        ProbeReport(7, 11, 4, 2, 1, 9, "pressing", 1.5, -0.25),
     )
     return [encode_control(message) for message in messages]
 

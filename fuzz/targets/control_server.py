@@ -3,11 +3,28 @@
 from fuzz.refusals import check_causes
 from fuzz.targets.control import DESCRIPTION
 from fuzz.targets.control import seeds as messages
-from protocol.wire.messages import Bye, DisplayReport, decode_control, encode_control
+from protocol.wire.messages import (
+    LARGEST_N,
+    Bye,
+    DisplayReport,
+    decode_control,
+    encode_control,
+)
 from sensing_node.control_server import ADDRESS_BYTES, MAX_CLIENTS, MAX_HOPS, ControlServer
+from sensing_node.press.set_points import SetPointServer
 
 SESSION = 7
 STEP_NS = 300_000_000
+
+
+class CheckedProbe:
+    """A probe that checks its set-points."""
+
+    state, hold_down_n, depth_m = "pressing", 0.0, 0.0
+
+    def press(self, force_n: float) -> None:
+        """Take a set-point in N."""
+        assert 0.0 <= force_n <= LARGEST_N
 
 
 def seeds() -> list[bytes]:
@@ -17,7 +34,8 @@ def seeds() -> list[bytes]:
 
 def try_one(data: bytes) -> None:
     """Answer, store or count each message; the number of clients stays limited."""
-    server = ControlServer(DESCRIPTION, SESSION)
+    set_points = SetPointServer(SESSION, CheckedProbe())
+    server = ControlServer(DESCRIPTION, SESSION, set_points)
     answered = noted = count = 0
     for count, (sender, message) in enumerate(_read(data), 1):
         refused = server.rejected.total()
@@ -36,7 +54,10 @@ def try_one(data: bytes) -> None:
             assert all(len(address) == ADDRESS_BYTES for address in envelope[1:])
             client.shown_name.encode("ascii")
     assert answered + noted + server.rejected.total() == count
-    check_causes(server.rejected)
+    account = set_points.counts()
+    parts = account.applied, account.superseded, account.lost
+    assert account.sent == sum(part or 0 for part in parts)
+    check_causes(server.rejected + set_points.rejected)
 
 
 def _written(said: list[tuple[bytes, bytes]]) -> bytes:

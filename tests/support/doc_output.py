@@ -229,6 +229,9 @@ UNRUN = {
     "telepulse study prediction": "minutes; tests/system/reports/test_prediction_study.py",
     "telepulse study link": "minutes; tests/system/reports/test_link_study.py",
     "telepulse study press": "minutes; tests/system/reports/test_press_study.py",
+    "telepulse demo press --link 'delay=150ms,jitter=15ms,loss=1%'": (
+        "15 s; tests/system/nodes/test_press_nodes.py"
+    ),
     "telepulse study cost": "minutes; tests/system/reports/test_cost_study.py",
     "telepulse tune checked.toml": "of a bench that was there",
     "display-node checked.toml --connect tcp://HOST:5555 --key keys/finger.key --peer wrist.pub": (

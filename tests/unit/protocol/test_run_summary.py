@@ -143,7 +143,7 @@ def test_the_printed_rows() -> None:
         "tick lateness": "p50 40 µs, p99 96 µs, p99.9 234 µs, max 448 µs",
         "real-time measures": "slack, fifo=40",
         "speed": "312 times real time",
-        "rejected": "400 duplicate: samples that had arrived already",
+        "rejected": "400 duplicate: samples or set-points that had arrived already",
         "": "2 truncated: messages that end too early; the peer is no node, or bytes were lost",
         "hardware": "3 film crc",
         "faults": "silence; force limit",
