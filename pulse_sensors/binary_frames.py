@@ -5,15 +5,16 @@ order:
 
     format 1 byte | counter 4 | time 4 | samples | CRC 2
 
-format: 0x11 int16, 0x12 int32, 0x13 float32. counter: number of the first sample. time: the
-device's micros() at the last sample. CRC: CRC-16/CCITT-FALSE of all bytes before it. Counter and
-time wrap to 0 after 2^32. A frame has at most `MAX_SAMPLES` samples.
+format: 16 times the number of a sample's values, plus 1 for int16, 2 for int32, 3 for float32; so
+a board with one channel of int16 sends 0x11, one with three 0x31. counter: number of the first
+sample. samples: their values one after the other. time: the device's micros() at the last sample.
+CRC: CRC-16/CCITT-FALSE of all bytes before it. Counter and time wrap to 0 after 2^32. A frame has
+at most `MAX_SAMPLES` samples.
 """
 
 import binascii
 import struct
 from collections import Counter
-from collections.abc import Sequence
 from typing import Literal
 
 import numpy as np
@@ -21,38 +22,44 @@ import numpy as np
 from protocol.errors import WireError
 from pulse_sensors import library
 from pulse_sensors.plausibility import is_usable
-from pulse_sensors.samples import DeviceTime, SampleBlock, SampleCounter, one_channel
+from pulse_sensors.samples import DeviceTime, SampleBlock, SampleCounter, Values, decoded_block
 
 SampleFormat = Literal["int16", "int32", "float32"]
 
 MAX_SAMPLES = 64
-_CODES: dict[SampleFormat, int] = {"int16": 0x11, "int32": 0x12, "float32": 0x13}
+_CODES: dict[SampleFormat, int] = {"int16": 1, "int32": 2, "float32": 3}
 _DTYPES = {code: np.dtype(name).newbyteorder("<") for name, code in _CODES.items()}
+_CHANNELS_SHIFT, _CODE_MASK = 4, 0x0F
 _HEAD = struct.Struct("<BII")
 _CRC_BYTES = 2
-# COBS adds one byte, and one more for each 254 bytes.
-MAX_ENCODED_BYTES = (_HEAD.size + 4 * MAX_SAMPLES + _CRC_BYTES) * 255 // 254 + 1
+
+
+def max_encoded_bytes(channels: int) -> int:
+    """Return the greatest size of a frame; COBS adds a byte, and another for each 254 bytes."""
+    return (_HEAD.size + 4 * MAX_SAMPLES * channels + _CRC_BYTES) * 255 // 254 + 1
 
 
 class FrameEncoder:
     """Encoder of a board's samples, numbered from 0. Raises SourceError without cobs."""
 
-    def __init__(self, sample_format: SampleFormat) -> None:
+    def __init__(self, sample_format: SampleFormat, channels: int = 1) -> None:
         self._cobs = library("cobs.cobs", 'framing = "binary"')
-        self._code = _CODES[sample_format]
+        self._dtype = _DTYPES[_CODES[sample_format]]
+        self._code = channels << _CHANNELS_SHIFT | _CODES[sample_format]
         self._counter = 0
 
-    def frame(self, values: Sequence[float], last_us: int) -> bytes:
+    def frame(self, values: Values, last_us: int) -> bytes:
         """Return a frame of samples.
 
         Parameters
         ----------
-        values : sequence of float
-            1 to 64 samples; integer formats round them and limit them to their range.
+        values : sequence
+            1 to 64 samples, each a number, or as many as there are channels. Integer formats round
+            them and limit them to their range.
         last_us : int
             Device's time at the last one, in µs.
         """
-        dtype = _DTYPES[self._code]
+        dtype = self._dtype
         samples = np.asarray(values, dtype=np.float64)
         if dtype.kind == "i":
             limits = np.iinfo(dtype)
@@ -75,6 +82,8 @@ class FrameDecoder:
     ----------
     period_ns : int
         Nominal time between samples.
+    channels : int
+        Number of values in a sample; frames with another number are rejected.
 
     Raises
     ------
@@ -82,7 +91,8 @@ class FrameDecoder:
         Without the cobs package.
     """
 
-    def __init__(self, period_ns: int) -> None:
+    def __init__(self, period_ns: int, channels: int = 1) -> None:
+        self._channels, self._most_bytes = channels, max_encoded_bytes(channels)
         self._cobs = library("cobs.cobs", 'framing = "binary"')
         self._period_ns = period_ns
         self.rejected: Counter[str] = Counter()
@@ -106,7 +116,7 @@ class FrameDecoder:
                 except WireError as error:
                     self.rejected[error.cause if self._synchronised else "partial"] += 1
             self._skipping, self._synchronised = False, True
-        if len(rest) > MAX_ENCODED_BYTES:
+        if len(rest) > self._most_bytes:
             if not self._skipping:
                 self.rejected["framing"] += 1
             self._skipping, rest = True, b""
@@ -125,18 +135,23 @@ class FrameDecoder:
         if int.from_bytes(body[-_CRC_BYTES:], "little") != crc(body[:-_CRC_BYTES]):
             raise WireError("crc", "the CRC does not fit")
         code, counter, last_us = _HEAD.unpack_from(body)
-        dtype = _DTYPES.get(code)
-        if dtype is None or payload_bytes % dtype.itemsize:
+        dtype, channels = _DTYPES.get(code & _CODE_MASK), code >> _CHANNELS_SHIFT
+        if (
+            dtype is None
+            or channels != self._channels
+            or payload_bytes % (channels * dtype.itemsize)
+        ):
             raise WireError("format", f"format {code:#x} with {payload_bytes} bytes of samples")
-        count = payload_bytes // dtype.itemsize
-        values = np.frombuffer(body, dtype, count, _HEAD.size).tolist()
-        if not all(map(is_usable, values)):
+        count = payload_bytes // (channels * dtype.itemsize)
+        values = np.frombuffer(body, dtype, count * channels, _HEAD.size)
+        if not all(map(is_usable, values.tolist())):
             raise WireError(
                 "not_finite", "a sample is NaN, infinite or too large whatever its unit"
             )
         passed_ns = self._time.since_last_ns(last_us)
         missing = self._counter.missing(counter, count, passed_ns)
-        return one_channel(values, self._time.take(last_us), missing, restarted=passed_ns is None)
+        rows = values.reshape(count, channels).tolist()
+        return decoded_block(rows, self._time.take(last_us), missing, restarted=passed_ns is None)
 
 
 def crc(data: bytes) -> int:

@@ -1,21 +1,24 @@
-"""A sensor on a CAN bus: a signal of a DBC database, over any interface of python-can."""
+"""A sensor on a CAN bus: signals of a DBC database, over any interface of python-can."""
 
 from collections import Counter
 from collections.abc import Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from protocol.errors import SourceError
+from protocol.wire.stream import PULSE
 from pulse_sensors import library
-from pulse_sensors.force_scale import SensorTable
+from pulse_sensors.force_scale import MAX_VALUES, SensorTable
 from pulse_sensors.plausibility import is_usable, unit_contradiction
-from pulse_sensors.samples import LONGEST_PAUSE_NS, SampleBlock, SampleCounter, one_channel
+from pulse_sensors.samples import LONGEST_PAUSE_NS, SampleBlock, SampleCounter, decoded_block
 
 if TYPE_CHECKING:
     import can
 
+SignalName = Annotated[str, Field(min_length=1)]
+SignalNames = Annotated[tuple[SignalName, ...], Field(min_length=1, max_length=MAX_VALUES)]
 WAIT_S = 0.1
 
 
@@ -24,19 +27,37 @@ class CanScene(SensorTable):
 
     interface, channel, bitrate: those of python-can. options: further settings of the interface.
     database: a .dbc (or another kind that cantools reads), relative to the scene's folder. signal:
-    name of the force in it. counter: name of a signal that counts samples, if there is one.
-    message: name of the message, required when several messages have the signal.
+    name of the force in it. signals: those of several channels, all in one message. counter: name
+    of a signal that counts samples, if there is one. message: name of the message, required when
+    several messages have the signals.
     """
 
     kind: Literal["can"]
     interface: Annotated[str, Field(min_length=1)]
     channel: Annotated[str, Field(min_length=1)]
     database: Path
-    signal: Annotated[str, Field(min_length=1)]
+    signal: SignalName | None = None
+    signals: SignalNames | None = None
     bitrate: Annotated[int, Field(ge=1_000, le=1_000_000)] | None = None
     message: str | None = None
     counter: str | None = None
     options: dict[str, str | int | float | bool] = Field(default_factory=dict)
+
+    @model_validator(mode="after")
+    def _has_a_signal(self) -> Self:
+        if (self.signal is None) == (self.signals is None):
+            raise ValueError("signal is one, signals are several; give one of the two keys")
+        return self
+
+    @property
+    def signal_names(self) -> tuple[str, ...]:
+        """Signals of a sample's values."""
+        return self.signals or (self.signal or "",)
+
+    @property
+    def value_names(self) -> tuple[str, ...]:
+        """Names of a sample's values, in order, where the scene gives none."""
+        return (PULSE,) if self.signals is None else self.signals
 
 
 class CanBus:
@@ -76,10 +97,10 @@ class CanBus:
 
 
 class CanDecoder:
-    """Decoder of a signal's values; their times are those of the interface.
+    """Decoder of the signals of one message; their times are those of the interface.
 
     folder: folder of the scene's file. frame_id, extended: id and kind of the message with the
-    signal. Raises SourceError if the database cannot be read or does not fit the scene.
+    signals. Raises SourceError if the database cannot be read or does not fit the scene.
     """
 
     def __init__(self, scene: CanScene, folder: Path) -> None:
@@ -94,15 +115,18 @@ class CanDecoder:
             raise SourceError(f"{path}: cannot be read: {reason:.200}") from None
         self._message = _find_message(scene, path, database.messages)
         signals = {signal.name: signal for signal in self._message.signals}
-        contradiction = unit_contradiction(signals[scene.signal].unit, scene.unit)
-        if contradiction is not None:
-            raise SourceError(f"{path}: {scene.signal!r} {contradiction}")
+        for name, channel in zip(scene.signal_names, scene.wire_channels, strict=True):
+            unit = scene.announce_unit if channel.announces else scene.unit
+            contradiction = unit_contradiction(signals[name].unit, unit)
+            if contradiction is not None:
+                key = "announce_unit" if channel.announces else "unit"
+                raise SourceError(f"{path}: {name!r} {contradiction.replace('unit', key)}")
         if scene.counter and scene.counter not in signals:
             known = _names(self._message.signals)
             raise SourceError(
                 f"{path}: {self._message.name} has no signal {scene.counter!r}; it has {known}"
             )
-        self._signal, self._counter_name = scene.signal, scene.counter
+        self._signals, self._counter_name = scene.signal_names, scene.counter
         self._modulus = 1 << signals[scene.counter].length if scene.counter else 1
         self._decode_error = database_library.DecodeError
         self._period_ns = scene.period_ns
@@ -125,10 +149,10 @@ class CanDecoder:
             counted = int(signals.get(self._counter_name, 0))
         except (self._decode_error, ValueError, OverflowError):
             return self._reject("not_decoded")
-        if self._signal not in signals:
+        if not all(name in signals for name in self._signals):
             return []
-        value = float(signals[self._signal])
-        if not is_usable(value):
+        values = [float(signals[name]) for name in self._signals]
+        if not all(map(is_usable, values)):
             return self._reject("not_finite")
         device_ns = round(message.timestamp * 1e9) or None
         passed_ns = None
@@ -137,7 +161,7 @@ class CanDecoder:
             passed_ns = passed_ns if 0 < passed_ns <= LONGEST_PAUSE_NS else None
         self._last_ns = device_ns
         missing = self._counter.missing(counted, 1, passed_ns) if self._counter_name else 0
-        return [one_channel((value,), device_ns, missing, restarted=passed_ns is None)]
+        return [decoded_block([values], device_ns, missing, restarted=passed_ns is None)]
 
     def _reject(self, cause: str) -> list[SampleBlock]:
         self.rejected[cause] += 1
@@ -145,16 +169,30 @@ class CanDecoder:
 
 
 def _find_message(scene: CanScene, path: Path, messages: Iterable[Any]) -> Any:
-    """Return the message that carries the scene's signal. Raises SourceError."""
+    """Return the message that carries the scene's signals. Raises SourceError."""
     named = [m for m in messages if scene.message in (None, m.name)]
     if not named:
         raise SourceError(f"{path}: no message {scene.message!r}; it has {_names(messages)}")
-    having = [m for m in named if any(s.name == scene.signal for s in m.signals)]
-    if not having:
-        known = _names(signal for message in named for signal in message.signals)
-        raise SourceError(f"{path}: no signal {scene.signal!r}; it has {known}")
+    wanted = scene.signal_names
+    for name in wanted:
+        if not any(s.name == name for m in named for s in m.signals):
+            known = _names(signal for message in named for signal in message.signals)
+            raise SourceError(f"{path}: no signal {name!r}; it has {known}")
+    having = [m for m in named if {s.name for s in m.signals}.issuperset(wanted)]
+    titles = ", ".join(map(repr, wanted))
     if len(having) > 1:
-        raise SourceError(f"{path}: {scene.signal!r} is in {_names(having)}; say which: message")
+        raise SourceError(f"{path}: {titles} is in {_names(having)}; say which: message")
+    if not having:
+        raise SourceError(
+            f"{path}: {titles} are in several messages; the signals of one sensor come together"
+        )
+    pages = [
+        set(s.multiplexer_ids) for s in having[0].signals if s.name in wanted and s.multiplexer_ids
+    ]
+    if pages and not set.intersection(*pages):
+        raise SourceError(
+            f"{path}: {titles} are never in one message: {having[0].name} has them on several pages"
+        )
     return having[0]
 
 

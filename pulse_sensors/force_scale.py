@@ -7,13 +7,25 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from protocol.config.quantities import Hertz, Metres, Newtons, Volts, VoltsPerNewton
+from protocol.config.quantities import (
+    Hertz,
+    Metres,
+    Name,
+    Newtons,
+    Volts,
+    VoltsPerNewton,
+    count_text,
+)
 from protocol.config.scene import Section
 from protocol.tactile import FIG_4_VOLTS_PER_NEWTON, Calibration, Film
+from protocol.wire.stream import ANNOUNCE, PULSE, Channel, first_repeated
 
-# Units that a scene may use, in N and in V.
+# Most values of a sample.
+MAX_VALUES = 15
+# Units that a scene may use, in N, in V, and of a channel that announces in mV.
 FORCES = {"N": 1.0, "mN": 1e-3}
 VOLTAGES = {"V": 1.0, "mV": 1e-3}
+MILLIVOLTS = {"V": 1e3, "mV": 1.0, "uV": 1e-3, "counts": 1.0}
 # Keys that are valid with some units only, in the order of their check.
 UNITS_OF: Mapping[str, tuple[str, ...]] = {
     **dict.fromkeys(("film_radius", "offset", "sensitivity"), tuple(VOLTAGES)),
@@ -61,7 +73,9 @@ class SensorTable(SensitivityTable):
     rate: nominal samples a second; the true rate is measured. unit: N or mN are used unchanged. V
     or mV are converted by the film's calibration, sensitivity or film_radius, with `offset` as the
     voltage at no force. Counts are converted by newtons_per_count, with `zero` at no force.
-    preload: added force, because a film does not measure a static force.
+    preload: added force, because a film does not measure a static force. names: of the channels,
+    where a sample has several values. The one named "announce" is an ECG or the like: it has
+    announce_unit, and no scale but that (counts are sent unchanged).
     """
 
     rate_hz: Annotated[Hertz, Field(ge=1, le=20_000)]
@@ -70,6 +84,8 @@ class SensorTable(SensitivityTable):
     newtons_per_count: Annotated[float, Field(ge=-1e3, le=1e3)] | None = None
     zero: Annotated[float, Field(ge=-1e10, le=1e10)] = 0.0
     preload_n: Annotated[Newtons, Field(ge=0, le=10)] = 0.0
+    names: Annotated[tuple[Name, ...], Field(min_length=1, max_length=MAX_VALUES)] | None = None
+    announce_unit: Literal["V", "mV", "uV", "counts"] = "mV"
 
     @model_validator(mode="after")
     def _has_a_scale(self) -> Self:
@@ -77,6 +93,34 @@ class SensorTable(SensitivityTable):
         if self.unit == "counts" and not self.newtons_per_count:
             raise ValueError('unit "counts" needs newtons_per_count, which is not 0')
         return self
+
+    @model_validator(mode="after")
+    def _names_its_values(self) -> Self:
+        names, values = self.names or self.value_names, len(self.value_names)
+        if len(names) != values:
+            raise ValueError(
+                f"names gives {count_text(len(names), 'name')}, and a sample has"
+                f" {count_text(values, 'value')}"
+            )
+        repeated = first_repeated(names)
+        if repeated is not None:
+            raise ValueError(f"two channels have the name {repeated!r}")
+        if set(names) == {ANNOUNCE}:
+            raise ValueError(f"the only channel is {ANNOUNCE!r}; a pulse needs a channel of force")
+        if "announce_unit" in self.given and ANNOUNCE not in names:
+            raise ValueError(f'announce_unit is for a channel named "{ANNOUNCE}", and none is')
+        return self
+
+    @property
+    def value_names(self) -> tuple[str, ...]:
+        """Names of a sample's values, in order, where the scene gives none."""
+        return (PULSE,)
+
+    @property
+    def wire_channels(self) -> tuple[Channel, ...]:
+        """Channels of the sensor, one for each value of a sample."""
+        names = self.names or self.value_names
+        return tuple(Channel(name, "mV" if name == ANNOUNCE else "N") for name in names)
 
     @property
     def period_ns(self) -> int:

@@ -1,16 +1,20 @@
 """A Lab Streaming Layer stream as a sensor."""
 
 from collections import Counter
-from typing import Annotated, Any, Literal, NamedTuple
+from collections.abc import Sequence
+from typing import Annotated, Any, Literal, NamedTuple, Self
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from protocol.errors import SourceError
+from protocol.wire.stream import PULSE
 from pulse_sensors import library
-from pulse_sensors.force_scale import SensorTable
+from pulse_sensors.force_scale import MAX_VALUES, SensorTable
 from pulse_sensors.plausibility import is_usable, rate_contradiction
 from pulse_sensors.samples import SampleBlock, join_samples
 
+Number = Annotated[int, Field(ge=0)]
+Numbers = Annotated[tuple[Number, ...], Field(min_length=1, max_length=MAX_VALUES)]
 RESOLVE_S = 3.0
 WAIT_S = 0.1
 BUFFER_S = 10
@@ -19,11 +23,32 @@ LARGEST_TIME_S = 1e10
 
 
 class LslScene(SensorTable):
-    """The `source` table of kind "lsl": name of the stream, and number of the channel from 0."""
+    """The `source` table of kind "lsl".
+
+    stream: its name. channel: number of the channel in it, from 0. channels: those of several.
+    """
 
     kind: Literal["lsl"]
     stream: Annotated[str, Field(min_length=1)]
-    channel: Annotated[int, Field(ge=0)] = 0
+    channel: Number = 0
+    channels: Numbers | None = None
+
+    @model_validator(mode="after")
+    def _has_one_key(self) -> Self:
+        if {"channel", "channels"} <= self.given:
+            raise ValueError("channel is one, channels are several; give one of the two keys")
+        return self
+
+    @property
+    def numbers(self) -> tuple[int, ...]:
+        """Numbers of the channels in the stream."""
+        return self.channels or (self.channel,)
+
+    @property
+    def value_names(self) -> tuple[str, ...]:
+        """Names of a sample's values, in order, where the scene gives none."""
+        several = self.channels is not None
+        return tuple(f"channel {number}" if several else PULSE for number in self.numbers)
 
 
 class Chunk(NamedTuple):
@@ -52,8 +77,8 @@ class LslInlet:
             raise SourceError(f"{self.name}: not found within {RESOLVE_S:g} s")
         info = found[0]
         reason = rate_contradiction(info.nominal_srate(), self._scene.rate_hz)
-        if self._scene.channel >= info.channel_count():
-            reason = f"no channel {self._scene.channel}; it has {info.channel_count()}"
+        if max(self._scene.numbers) >= info.channel_count():
+            reason = f"no channel {max(self._scene.numbers)}; it has {info.channel_count()}"
         if info.channel_format() == self._lsl.cf_string:
             reason = "its samples are text"
         if reason is not None:
@@ -76,10 +101,10 @@ class LslInlet:
 
 
 class LslDecoder:
-    """Decoder of one channel of chunks; their times are on the sending host's LSL clock."""
+    """Decoder of channels of chunks; their times are on the sending host's LSL clock."""
 
-    def __init__(self, channel: int) -> None:
-        self._channel = channel
+    def __init__(self, channels: Sequence[int]) -> None:
+        self._channels = channels
         self.rejected: Counter[str] = Counter()
         self.reset()
 
@@ -92,11 +117,11 @@ class LslDecoder:
         """Return the chunk as one block, or as several if unusable samples interrupt it."""
         samples = []
         for sample, time_s in zip(chunk.samples, chunk.times_s, strict=True):
-            value = sample[self._channel]
-            if not (is_usable(value) and abs(time_s) <= LARGEST_TIME_S):
+            values = [sample[channel] for channel in self._channels]
+            if not (all(map(is_usable, values)) and abs(time_s) <= LARGEST_TIME_S):
                 self.rejected["not_finite"] += 1
                 self._unreadable += 1
                 continue
-            samples.append((value, round(time_s * 1e9), self._unreadable, self._restarted))
+            samples.append((values, round(time_s * 1e9), self._unreadable, self._restarted))
             self._unreadable, self._restarted = 0, False
         return join_samples(samples)

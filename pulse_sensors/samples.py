@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from protocol.clock.one_way import DeviceClock
 from protocol.config.quantities import count_text
-from pulse_sensors.force_scale import SensorTable
+from pulse_sensors.force_scale import MILLIVOLTS, SensorTable
 from pulse_sensors.plausibility import RateCheck
 
 
@@ -25,7 +25,7 @@ class SampleBlock(NamedTuple):
     Attributes
     ----------
     values : ndarray, shape (samples, channels)
-        At least one sample, in N; before `Timestamper` in the sensor's own unit.
+        At least one sample, in the channels' units; before `Timestamper` in the sensor's own.
     missing : int
         Number of samples lost right before these, at least 0.
     first_ns, end_ns : int
@@ -62,31 +62,35 @@ class SampleBlock(NamedTuple):
         return forces_n
 
 
-def one_channel(
-    values: Sequence[float], device_ns: int | None = None, missing: int = 0, restarted: bool = False
+Values = Sequence[float] | Sequence[Sequence[float]]
+"""Samples of one channel, or of several: then the values of each sample."""
+
+
+def decoded_block(
+    values: Values, device_ns: int | None = None, missing: int = 0, restarted: bool = False
 ) -> SampleBlock:
     """Return a decoder's values as a block in the sensor's unit, without host timestamps."""
-    column = np.array(values, np.float64)[:, np.newaxis]
-    return SampleBlock(column, missing, device_ns=device_ns, restarted=restarted)
+    table = np.array(values, np.float64).reshape(len(values), -1)
+    return SampleBlock(table, missing, device_ns=device_ns, restarted=restarted)
 
 
 def join_samples(
-    samples: Iterable[tuple[float, int | None, int, bool]],
+    samples: Iterable[tuple[Sequence[float], int | None, int, bool]],
 ) -> list[SampleBlock]:
-    """Return samples, each a value, `device_ns`, `missing` and `restarted`, as blocks.
+    """Return samples, each its values, `device_ns`, `missing` and `restarted`, as blocks.
 
     Each loss and each restart begins a block. A block has the time of its last sample, which has
     waited least.
     """
-    blocks: list[tuple[list[float], int | None, int, bool]] = []
-    for value, device_ns, missing, restarted in samples:
+    blocks: list[tuple[list[Sequence[float]], int | None, int, bool]] = []
+    for sample, device_ns, missing, restarted in samples:
         if blocks and not missing and not restarted:
-            values, _, missing, restarted = blocks.pop()
+            rows, _, missing, restarted = blocks.pop()
         else:
-            values = []
-        values.append(value)
-        blocks.append((values, device_ns, missing, restarted))
-    return [one_channel(*block) for block in blocks]
+            rows = []
+        rows.append(sample)
+        blocks.append((rows, device_ns, missing, restarted))
+    return [decoded_block(*block) for block in blocks]
 
 
 _TURN_US = 1 << 32
@@ -248,7 +252,7 @@ def _bounded(value: float, share: float, of: float) -> float:
 
 
 class Timestamper:
-    """Conversion of one sensor's blocks to newtons on the host's clock. Pure.
+    """Conversion of one sensor's blocks to its channels' units on the host's clock. Pure.
 
     Attributes
     ----------
@@ -260,6 +264,8 @@ class Timestamper:
 
     def __init__(self, table: SensorTable) -> None:
         self._table = table
+        announcing = [number for number, c in enumerate(table.wire_channels) if c.announces]
+        self._announcing, self._millivolts = announcing, MILLIVOLTS[table.announce_unit]
         self._timeline = Timeline(table.period_ns)
         self._clock = DeviceClock()
         self._rate = RateCheck(table.rate_hz)
@@ -271,7 +277,7 @@ class Timestamper:
         return self._clock.skew_ppm
 
     def timestamp(self, block: SampleBlock, arrival_ns: int) -> SampleBlock | None:
-        """Return a decoder's block in N with its times; None if it is earlier than the last."""
+        """Return a decoder's block, scaled, with its times; None if it is earlier than the last."""
         last_ns = arrival_ns
         if block.device_ns is not None:
             if block.restarted:
@@ -290,6 +296,8 @@ class Timestamper:
         self.missing += missing
         self._rate.add(self.samples, arrival_ns, self._timeline.rate_hz, whole=not missing)
         values = self._table.newtons(block.values)
+        if self._announcing:
+            values[:, self._announcing] = self._millivolts * block.values[:, self._announcing]
         return block._replace(values=values, missing=missing, first_ns=first_ns, end_ns=end_ns)
 
     def lasting_rate_fault(self, name: str) -> str | None:

@@ -20,9 +20,10 @@ from collections import Counter, deque
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeVar
 
 from protocol.config.quantities import count_text
+from protocol.config.scene import Section
 from protocol.errors import SourceError
 from pulse_sensors.can_bus import CanBus, CanDecoder, CanScene
 from pulse_sensors.force_scale import SensorTable
@@ -33,6 +34,16 @@ from pulse_sensors.serial_port import SerialPort, SerialScene
 logger = logging.getLogger(__name__)
 
 SensorScene = SerialScene | CanScene | LslScene
+TableT = TypeVar("TableT", bound=Section | None)
+
+
+def one_force(scene: TableT) -> TableT:
+    """Raise ValueError for the table of a live sensor with several channels."""
+    if isinstance(scene, SensorTable) and len(scene.wire_channels) > 1:
+        names = ", ".join(channel.name for channel in scene.wire_channels)
+        raise ValueError(f"one force is read here, and this sensor has several channels: {names}")
+    return scene
+
 
 MAX_WAITING = 10_000
 REOPEN_EVERY_S = 0.2
@@ -86,7 +97,7 @@ class Sensor:
         settings: SensorTable,
         clock: Callable[[], int] = time.monotonic_ns,
     ) -> None:
-        self.period_ns = settings.period_ns
+        self.period_ns, self.channels = settings.period_ns, settings.wire_channels
         self._port = port
         self._decoder = decoder
         self._timestamper = Timestamper(settings)
@@ -214,4 +225,4 @@ def open_sensor(
             bus = CanBus(scene, decoder.frame_id, decoder.extended)
             return Sensor(bus, decoder, scene, clock)
         case LslScene():
-            return Sensor(LslInlet(scene), LslDecoder(scene.channel), scene, clock)
+            return Sensor(LslInlet(scene), LslDecoder(scene.numbers), scene, clock)

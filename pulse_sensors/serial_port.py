@@ -10,10 +10,12 @@ from pydantic import Field, model_validator
 from serial.tools import list_ports
 
 from protocol.errors import SourceError
+from protocol.wire.stream import PULSE
 from pulse_sensors.binary_frames import FrameDecoder
-from pulse_sensors.force_scale import SensorTable
+from pulse_sensors.force_scale import MAX_VALUES, SensorTable
 from pulse_sensors.text_lines import TextDecoder, TimeUnit
 
+Column = Annotated[int, Field(ge=0, le=100)]
 READ_BYTES = 4096
 WAIT_S = 0.1
 
@@ -23,7 +25,8 @@ class SerialScene(SensorTable):
 
     port: a device, or a pyserial URL such as socket://host:port. framing: "text", which is lines of
     numbers, or "binary" (`binary_frames.py`). device_time: unit of a line's first number, if that
-    is the device's time. column: index of the value among the numbers after it, from 0.
+    is the device's time. column: index of the value among the numbers after it, from 0. columns:
+    those of several values; with names and without columns, the first numbers.
     """
 
     kind: Literal["serial"]
@@ -31,20 +34,40 @@ class SerialScene(SensorTable):
     framing: Literal["text", "binary"]
     baud: Annotated[int, Field(ge=300, le=20_000_000)] = 115_200
     device_time: TimeUnit | None = None
-    column: Annotated[int, Field(ge=0, le=100)] = 0
+    column: Column = 0
+    columns: Annotated[tuple[Column, ...], Field(min_length=1, max_length=MAX_VALUES)] | None = None
 
     @model_validator(mode="after")
     def _fits_the_framing(self) -> "SerialScene":
-        given = {"device_time", "column"} & self.model_fields_set
+        given = {"device_time", "column", "columns"} & self.model_fields_set
         if self.framing == "binary" and given:
             raise ValueError(f'{min(given)} is for framing "text"')
+        if {"column", "columns"} <= given:
+            raise ValueError("column is one, columns are several; give one of the two keys")
         return self
+
+    @property
+    def numbers(self) -> tuple[int, ...]:
+        """Indices of a line's values among the numbers after its time."""
+        if self.columns is not None:
+            return self.columns
+        if self.names is None or "column" in self.model_fields_set:
+            return (self.column,)
+        return tuple(range(len(self.names)))
+
+    @property
+    def value_names(self) -> tuple[str, ...]:
+        """Names of a sample's values, in order, where the scene gives none."""
+        if self.framing == "binary":
+            return self.names or (PULSE,)
+        several = len(self.numbers) > 1
+        return tuple(f"column {number}" if several else PULSE for number in self.numbers)
 
     def decoder(self) -> FrameDecoder | TextDecoder:
         """Return the decoder of the framing. Raises SourceError if a library is missing."""
         if self.framing == "binary":
-            return FrameDecoder(self.period_ns)
-        return TextDecoder(self.period_ns, self.column, self.device_time)
+            return FrameDecoder(self.period_ns, len(self.wire_channels))
+        return TextDecoder(self.period_ns, self.numbers, self.device_time)
 
 
 class SerialPort:

@@ -1,4 +1,4 @@
-"""Lines of text as an Arduino sketch prints them: a value, or the device's time and a value.
+"""Lines of text as an Arduino sketch prints them: values, or the device's time and values.
 
 Numbers are separated by blanks, commas or semicolons; a name before a colon, as for a plotter, is
 skipped. Lines have no checksum: a wrong digit is detected in a time, but not in a value.
@@ -7,6 +7,7 @@ skipped. Lines have no checksum: a wrong digit is detected in a time, but not in
 import math
 import re
 from collections import Counter
+from collections.abc import Sequence
 from typing import Literal
 
 from protocol.errors import WireError
@@ -81,15 +82,15 @@ class TextDecoder:
     ----------
     period_ns : int
         Nominal time between samples in ns.
-    column : int
-        Index of the value among the numbers after the time, from 0.
+    columns : sequence of int
+        Indices of the values among the numbers after the time, from 0; one for each channel.
     time_unit : {"us", "ms", "s"}, optional
         Unit of a line's first number; None where lines have no time.
     """
 
-    def __init__(self, period_ns: int, column: int, time_unit: TimeUnit | None) -> None:
+    def __init__(self, period_ns: int, columns: Sequence[int], time_unit: TimeUnit | None) -> None:
         self._period_ns = period_ns
-        self._column = column
+        self._columns = columns
         self._unit = time_unit
         self.rejected: Counter[str] = Counter()
         self.reset()
@@ -128,17 +129,17 @@ class TextDecoder:
         # A partial line at the start does not count as a lost sample.
         self._unreadable += cause != "partial"
 
-    def _decode(self, line: bytes) -> tuple[float, int | None, int, bool]:
-        """Return a line's value, time, missing and restarted. Raises WireError with the cause."""
+    def _decode(self, line: bytes) -> tuple[Sequence[float], int | None, int, bool]:
+        """Return a line's values, time, missing and restarted. Raises WireError with the cause."""
         fields = [field.rpartition(b":")[2] for field in _BETWEEN.split(line.strip())]
         # A time comes first.
-        column = self._column + (self._times is not None)
-        if column >= len(fields):
-            raise WireError("not_a_number", f"{line[:40]!r} has no column {self._column}")
-        value = _number(fields[column])
+        numbers = fields[self._times is not None :]
+        if max(self._columns) >= len(numbers):
+            raise WireError("not_a_number", f"{line[:40]!r} has no column {max(self._columns)}")
+        values = [_number(numbers[column]) for column in self._columns]
         if self._times is None:
-            return value, None, self._unreadable, False
-        return value, *self._times.take(_number(fields[0]), self._unreadable)
+            return values, None, self._unreadable, False
+        return values, *self._times.take(_number(fields[0]), self._unreadable)
 
 
 def _number(field: bytes) -> float:

@@ -69,8 +69,7 @@ class LiveSource:
     exhausted = False
 
     def __init__(self, sensor: Sensor) -> None:
-        self.channels = (Channel("pulse"),)
-        self.period_ns = sensor.period_ns
+        self.channels, self.period_ns = sensor.channels, sensor.period_ns
         self._sensor = sensor
         self._blocks: deque[SampleBlock] = deque()
         self._read_ns = 0

@@ -2,7 +2,7 @@
 
 from typing import Annotated, Literal
 
-from pydantic import Field
+from pydantic import AfterValidator, Field
 
 from display_node.press.finger_press import PressLimits
 from protocol.config.quantities import (
@@ -13,7 +13,7 @@ from protocol.config.quantities import (
     NewtonsPerSecond,
 )
 from protocol.config.scene import Section
-from pulse_sensors.sensor import SensorScene
+from pulse_sensors.sensor import SensorScene, one_force
 
 
 class SyntheticFingerScene(Section):
@@ -41,7 +41,9 @@ class PressScene(Section):
     set-points.
     """
 
-    sensor: Annotated[SensorScene | SyntheticFingerScene, Field(discriminator="kind")]
+    sensor: Annotated[
+        SensorScene | SyntheticFingerScene, Field(discriminator="kind"), AfterValidator(one_force)
+    ]
     channel: Name = "hold-down"
     force_limit_n: Annotated[Newtons, Field(gt=0, le=10)] = 3.0
     slew_limit_n_per_s: Annotated[NewtonsPerSecond, Field(gt=0, le=100)] = 20.0

@@ -18,7 +18,7 @@ def seeds() -> list[bytes]:
 
 def try_one(data: bytes) -> None:
     """Convert any values at any times."""
-    check_fed(LslDecoder(0), _chunks(data))
+    check_fed(LslDecoder((0,)), _chunks(data))
 
 
 def _chunks(data: bytes) -> Iterator[Chunk]:

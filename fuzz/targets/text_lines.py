@@ -18,5 +18,5 @@ def try_one(data: bytes) -> None:
     """Decode any bytes, in pieces of any size."""
     if data:
         how = data[0]
-        decoder = TextDecoder(PERIOD_NS, how >> 2 & 3, UNITS[how & 3])
+        decoder = TextDecoder(PERIOD_NS, (how >> 2 & 3,), UNITS[how & 3])
         check_decoder(decoder, data[1:], 1 + (how >> 4) * 7)

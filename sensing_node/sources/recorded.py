@@ -12,12 +12,10 @@ from protocol.config.quantities import MAX_NAME, Hertz, Newtons
 from protocol.errors import SourceError
 from protocol.wire.messages import LARGEST_N
 from protocol.wire.stream import ANNOUNCE, PULSE, Channel, first_repeated
-from pulse_sensors.force_scale import FORCES, VOLTAGES, SensitivityTable
+from pulse_sensors.force_scale import FORCES, MILLIVOLTS, VOLTAGES, SensitivityTable
 from pulse_sensors.plausibility import RecordedColumn, constant_column, examine
 from sensing_node.sources.column_files import ColumnKey, load_columns
 from sensing_node.sources.synthetic import SyntheticScene
-
-MILLIVOLTS = {"V": 1e3, "mV": 1.0, "uV": 1e-3}
 
 
 class RecordingScene(SensitivityTable):

@@ -150,7 +150,8 @@ def sensor(
         port = PtyPort(link)
     stop_on_signals(stopped.set)
     with closing(port):
-        console.print(source_table(port.path, board.rate_hz, framing, samples))
+        table = source_table(port.path, board.rate_hz, framing, samples, board.channels)
+        console.print(table, markup=False)
         freeze_objects()
         play(board, port, time.monotonic_ns() + round((seconds or FOREVER_S) * 1e9), stopped.is_set)
     console.print(

@@ -40,7 +40,7 @@ class EmulatedFilm:
         forces_n = self._motor.forces_n
         held_back = self._motor.injector.film_delay_ns // TICK_NS
         while len(forces_n) >= FRAME + held_back:
-            values = [forces_n.popleft() for _ in range(FRAME)]
+            values = [[forces_n.popleft()] for _ in range(FRAME)]
             self._sent += FRAME
             self._port.write(self._encode(values, (self._sent - 1) * 1_000))
 

@@ -4,6 +4,7 @@ Not modelled: a crystal whose rate changes, lost bytes, control lines, a board t
 itself, the electrical noise of a real front end.
 """
 
+import json
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -11,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
+from protocol.wire.stream import PULSE, Channel
 from pulse_sensors.binary_frames import FrameEncoder, SampleFormat
 from sensing_node.feeds import SampleSource
 from sensing_node.scene import SensingScene, build_source
@@ -18,30 +20,36 @@ from telepulse.emulators import PtyPort
 
 # Force of one count of an integer sample; the range of an int16 is then ±3.2 N.
 NEWTONS_PER_COUNT = 1e-4
+# The same of a channel that announces: 1 µV.
+MILLIVOLTS_PER_COUNT = 1e-3
 
-Encode = Callable[[Sequence[float], int], bytes]
-"""Encodes forces in N, and the board's micros() at the last of them."""
+Samples = Sequence[Sequence[float]]
+Encode = Callable[[Samples, int], bytes]
+"""Encodes samples, of each its values, and the board's micros() at the last of them."""
+PULSES = (Channel(PULSE),)
 
 
-def binary(sample_format: SampleFormat) -> Encode:
+def binary(sample_format: SampleFormat, channels: Sequence[Channel] = PULSES) -> Encode:
     """Return the encoder of binary frames. Raises SourceError without the cobs package."""
-    encoder = FrameEncoder(sample_format)
-    scale = 1.0 if sample_format == "float32" else NEWTONS_PER_COUNT
+    encoder = FrameEncoder(sample_format, len(channels))
+    scales = np.ones(len(channels))
+    if sample_format != "float32":
+        scales *= [MILLIVOLTS_PER_COUNT if c.announces else NEWTONS_PER_COUNT for c in channels]
 
-    def encode(force_n: Sequence[float], last_us: int) -> bytes:
-        return encoder.frame([value / scale for value in force_n], last_us)
+    def encode(samples: Samples, last_us: int) -> bytes:
+        return encoder.frame((np.array(samples) / scales).tolist(), last_us)
 
     return encode
 
 
-def timed_line(force_n: Sequence[float], last_us: int) -> bytes:
-    """Encode one line with time and value, as micros() and Serial.println print them."""
-    return b"%d,%.6f\r\n" % (last_us % (1 << 32), force_n[-1])
+def timed_line(samples: Samples, last_us: int) -> bytes:
+    """Encode one line with time and values, as micros() and Serial.println print them."""
+    return b"%d,%b" % (last_us % (1 << 32), line(samples, last_us))
 
 
-def line(force_n: Sequence[float], last_us: int) -> bytes:
-    """Encode one line with a value."""
-    return b"%.6f\r\n" % force_n[-1]
+def line(samples: Samples, last_us: int) -> bytes:
+    """Encode one line with the values of a sample."""
+    return b",".join(b"%.6f" % value for value in samples[-1]) + b"\r\n"
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,6 +76,7 @@ class SensorBoard:
         self, samples: SampleSource, encode: Encode, behaviour: BoardBehaviour, start_ns: int
     ) -> None:
         self._samples, self._encode, self._behaviour = samples, encode, behaviour
+        self.channels = samples.channels
         self._start_ns = start_ns
         self._rng = np.random.default_rng(behaviour.seed)
         self.sampled = 0
@@ -87,12 +96,12 @@ class SensorBoard:
         """Return the bytes that USB delivers by now; call it at `next_delivery_ns` or later."""
         parts, frame = [], self._behaviour.frame
         while self.taken_ns(self.sampled + frame - 1) <= now_ns:
-            force_n = self._samples.take(frame)[:, 0].tolist()
-            if not force_n:
+            taken = self._samples.take(frame).tolist()
+            if not taken:
                 break
-            self.sampled += len(force_n)
+            self.sampled += len(taken)
             last_ns = (self.sampled - 1) * self._samples.period_ns
-            parts.append(self._encode(force_n, self._behaviour.begins_us + last_ns // 1_000))
+            parts.append(self._encode(taken, self._behaviour.begins_us + last_ns // 1_000))
         while self.next_delivery_ns <= now_ns:
             self._plan_delivery()
         noisy = np.frombuffer(b"".join(parts), np.uint8).copy()
@@ -122,11 +131,17 @@ def build_board(
     """
     # A real board sends its readings, plausible or not.
     source = build_source(scene, folder, plausible=False)
-    encode = binary(samples) if framing == "binary" else LINES[framing]
+    encode = binary(samples, source.channels) if framing == "binary" else LINES[framing]
     return SensorBoard(source, encode, behaviour, time.monotonic_ns())
 
 
-def source_table(port: Path, rate_hz: float, framing: str, samples: SampleFormat) -> str:
+def source_table(
+    port: Path,
+    rate_hz: float,
+    framing: str,
+    samples: SampleFormat,
+    channels: Sequence[Channel] = PULSES,
+) -> str:
     """Return the [sensing.source] of a scene that reads the board."""
     binary = framing == "binary"
     lines = ["[sensing.source]", 'kind = "serial"', f'port = "{port}"']
@@ -134,8 +149,12 @@ def source_table(port: Path, rate_hz: float, framing: str, samples: SampleFormat
     if framing == "text":
         lines.append('device_time = "us"')
     lines.append(f'rate = "{rate_hz:g} Hz"')
+    if len(channels) > 1:
+        lines.append(f"names = {json.dumps([channel.name for channel in channels])}")
     if binary and samples != "float32":
         lines += ['unit = "counts"', f"newtons_per_count = {NEWTONS_PER_COUNT:g}"]
+        if any(channel.announces for channel in channels):
+            lines.append('announce_unit = "uV"')
     else:
         lines.append('unit = "N"')
     return "\n".join(lines)

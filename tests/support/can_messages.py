@@ -37,7 +37,8 @@ def write_database(folder: Path) -> None:
 def can_scene(channel: str = "none", **keys: object) -> CanScene:
     table = {
         **{"kind": "can", "interface": "virtual", "channel": channel, "database": "film.dbc"},
-        **{"signal": "Force", "rate": "1 kHz", "unit": "N"},
+        **{"rate": "1 kHz", "unit": "N"},
+        **({} if "signals" in keys else {"signal": "Force"}),
     }
     return validate(table | keys, CanScene, "scene")
 

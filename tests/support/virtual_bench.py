@@ -13,7 +13,7 @@ from display_node.drives.axis import Axis, build_axis
 from display_node.drives.supervisor import DriveStatus, Supervisor
 from display_node.plant.scene import StepperScene
 from protocol.ticks import TickState
-from pulse_sensors.samples import SampleBlock, Timestamper, one_channel
+from pulse_sensors.samples import SampleBlock, Timestamper, decoded_block
 from telepulse.emulators.drive_run import FRAME
 from telepulse.emulators.motor import EmulatedMotor, MotorState
 from tests.support.sender import MS, Sender, display_scene
@@ -109,7 +109,7 @@ class VirtualFilm:
             return found
         while len(forces_n) >= FRAME and (self._sent + FRAME) * MS + DELIVERY_NS <= self.now_ns:
             self._sent += FRAME
-            block = one_channel([forces_n.popleft() for _ in range(FRAME)], self._sent * MS)
+            block = decoded_block([forces_n.popleft() for _ in range(FRAME)], self._sent * MS)
             timestamped = self._timestamper.timestamp(block, self._sent * MS + DELIVERY_NS)
             found += [timestamped] if timestamped is not None else []
         return found

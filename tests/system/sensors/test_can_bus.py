@@ -1,3 +1,4 @@
+import struct
 from contextlib import closing
 from pathlib import Path
 
@@ -23,6 +24,22 @@ def test_a_signal_is_read_from_a_bus(tmp_path: Path) -> None:
             bus.send(film_message(number, number * 0.01))
         assert forces(received(sensor, 20)) == pytest.approx([i * 0.01 for i in range(20)])
         assert (sensor.rejected, sensor.faults()) == ({}, [])
+
+
+def test_several_signals_of_a_message_are_read_from_a_bus(tmp_path: Path) -> None:
+    write_database(tmp_path)
+    scene = can_scene(CHANNEL, signals=["Single", "Tick"], names=["cun", "announce"])
+    with (
+        can.Bus(interface="virtual", channel=CHANNEL) as bus,
+        closing(open_sensor(scene, tmp_path)) as sensor,
+    ):
+        for number in range(20):
+            data = struct.pack("<ff", number, -number)
+            bus.send(can.Message(arbitration_id=295, is_extended_id=False, data=data))
+        blocks = received(sensor, 20)
+        assert [channel.unit for channel in sensor.channels] == ["N", "mV"]
+    samples = [row for block in blocks for row in block.values.tolist()]
+    assert samples == [[number, -number] for number in range(20)]
 
 
 @pytest.mark.parametrize(

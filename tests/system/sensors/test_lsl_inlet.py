@@ -40,6 +40,18 @@ def test_a_stream_is_found_and_read_and_its_loss_is_logged(
 
         until(enough)
         assert set(force_n) == {0.25}
+        both = scene(channels=[1, 0], names=["cun", "announce"], announce_unit="uV")
+        with closing(open_sensor(both, Path())) as several:
+            rows: list[list[float]] = []
+
+            def enough_rows() -> bool:
+                outlets[0].push_sample([500.0, 250.0])
+                rows.extend(row for block in several.poll() for row in block.values.tolist())
+                return len(rows) >= 100
+
+            until(enough_rows)
+        assert rows[-1] == [0.25, 0.5]
+        sensor.poll()
         outlets.clear()
         await_log(sensor, logged)
         assert logged == ["LSL stream telepulse test has gone: the stream has been lost."]

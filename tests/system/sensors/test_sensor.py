@@ -9,7 +9,7 @@ from protocol.config.scene import validate
 from protocol.errors import SourceError
 from pulse_sensors import sensor as module
 from pulse_sensors.force_scale import SensorTable
-from pulse_sensors.samples import SampleBlock, one_channel
+from pulse_sensors.samples import SampleBlock, decoded_block
 from pulse_sensors.sensor import Sensor
 from tests.support.sample_blocks import forces, received
 from tests.support.waiting import until
@@ -55,7 +55,7 @@ class AsIs:
         self.resets = 0
 
     def feed(self, data: float) -> list[SampleBlock]:
-        return [one_channel([data])]
+        return [decoded_block([data])]
 
     def reset(self) -> None:
         self.resets += 1

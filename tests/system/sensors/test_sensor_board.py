@@ -77,6 +77,36 @@ def test_a_boards_pulse_reaches_a_display_and_every_sample_is_counted(
     assert display_summary["rejected"] == {}
 
 
+@pytest.mark.parametrize(
+    "options", [("--framing", "text"), (), ("--samples", "int16")], ids=["text", "float", "int"]
+)
+def test_several_values_of_a_board_are_channels_of_the_stream(
+    tmp_path: Path, address: str, client: Client, options: tuple[str, ...]
+) -> None:
+    played = tmp_path / "played.toml"
+    places = "".join(
+        f'[[sensing.source.position]]\nname = "{name}"\npreload = "{preload_n} N"\n'
+        for name, preload_n in (("cun", 0.3), ("guan", 0.6), ("chi", 0.9))
+    )
+    played.write_text(f'[sensing.source]\nkind = "synthetic"\n{places}', encoding="utf-8")
+    link = tmp_path / "board"
+    command = ("emulate", "sensor", str(played), "--link", str(link), *options)
+    with process(BOARD, *command) as child:
+        # The table that the board prints is what a scene needs to read it.
+        lines = [child.read_line(3 * PATIENCE_S)]
+        while not lines[-1].startswith(('unit = "N"', "newtons_per_count")):
+            lines.append(child.read_line(PATIENCE_S))
+        scene = tmp_path / "read.toml"
+        scene.write_text("\n".join(lines) + "\n", encoding="utf-8")
+        with process(SENSING, str(scene), "--bind", address):
+            stream = client.join().description
+            values = np.concatenate([frame.values for frame in frames(client, 200)])
+    assert [channel.name for channel in stream.channels] == ["cun", "guan", "chi"]
+    assert values.mean(axis=0) == pytest.approx([0.3, 0.6, 0.9], abs=0.05)
+    apart_n = values - [0.3, 0.6, 0.9]
+    np.testing.assert_allclose(apart_n[:, 1:], apart_n[:, :2], atol=2e-4)
+
+
 def test_usb_batches_do_not_show_in_the_times_on_the_wire(
     tmp_path: Path, address: str, client: Client
 ) -> None:

@@ -187,7 +187,7 @@ def test_a_closed_sensor_releases_its_port() -> None:
 @pytest.mark.parametrize("framing", ["text", "binary"])
 def test_a_wrong_baud_rate_gives_no_samples_and_is_counted(framing: str, read_at: int) -> None:
     encode = binary("float32") if framing == "binary" else timed_line
-    sent = b"".join(encode([0.3 + 1e-3 * number], 1_000 * number) for number in range(400))
+    sent = b"".join(encode([[0.3 + 1e-3 * number]], 1_000 * number) for number in range(400))
     noise = misread(sent, 115_200, read_at)
     with closing(PtyPort(None)) as board, opened(scene(board.path, framing=framing)) as sensor:
         found = []

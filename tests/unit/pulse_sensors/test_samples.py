@@ -8,7 +8,7 @@ import pytest
 from numpy.typing import NDArray
 
 from protocol.config.scene import validate
-from pulse_sensors.samples import JUMP_NS, SampleBlock, Timeline, Timestamper, one_channel
+from pulse_sensors.samples import JUMP_NS, SampleBlock, Timeline, Timestamper, decoded_block
 from pulse_sensors.serial_port import SerialScene
 from telepulse.emulators.sensor_board import BoardBehaviour, SensorBoard, binary, line, timed_line
 from tests.support.sample_blocks import forces
@@ -115,7 +115,7 @@ def test_a_restart_of_the_board_is_counted() -> None:
     under_test = timestamper("binary")
     for first_s, device_s in ((0, 900), (3, 0)):
         for ms in range(2000):
-            block = one_channel([0.5], device_s * SECOND_NS + ms * MS, restarted=ms == 0)
+            block = decoded_block([0.5], device_s * SECOND_NS + ms * MS, restarted=ms == 0)
             arrival_ns = START_NS + first_s * SECOND_NS + ms * MS
             timestamped = under_test.timestamp(block, arrival_ns)
             assert timestamped is not None
@@ -130,16 +130,16 @@ def test_a_restart_of_the_board_is_counted() -> None:
 def test_no_time_is_after_the_arrival() -> None:
     under_test = timestamper("binary")
     for ms in range(100):
-        under_test.timestamp(one_channel([0.5], ms * MS, restarted=ms == 0), START_NS + ms * MS)
-    ahead = under_test.timestamp(one_channel([0.5], 9 * SECOND_NS), START_NS + 100 * MS)
+        under_test.timestamp(decoded_block([0.5], ms * MS, restarted=ms == 0), START_NS + ms * MS)
+    ahead = under_test.timestamp(decoded_block([0.5], 9 * SECOND_NS), START_NS + 100 * MS)
     assert ahead is not None
     assert ahead.first_ns == pytest.approx(START_NS + 100 * MS, abs=MS)
 
 
 def test_a_block_before_the_last_one_is_refused_and_counted() -> None:
     under_test = timestamper()
-    assert under_test.timestamp(one_channel([0.5]), START_NS) is not None
-    assert under_test.timestamp(one_channel([0.5]), START_NS - SECOND_NS) is None
+    assert under_test.timestamp(decoded_block([0.5]), START_NS) is not None
+    assert under_test.timestamp(decoded_block([0.5]), START_NS - SECOND_NS) is None
     assert under_test.behind == 1
 
 
@@ -149,7 +149,7 @@ def test_a_lasting_wrong_rate_is_a_fault(hz: int) -> None:
     assert under_test.faults(name) == ["no sample came from the board"]
     faults = []
     for number in range(5000):
-        under_test.timestamp(one_channel([0.5]), START_NS + number * SECOND_NS // hz)
+        under_test.timestamp(decoded_block([0.5]), START_NS + number * SECOND_NS // hz)
         faults.append(under_test.lasting_rate_fault(name))
     fault = f"{name} sends 800 Hz, the scene says 1000 Hz: check its rate" if hz == 800 else None
     assert (faults[-1], under_test.faults(name)) == (fault, [fault] if fault else [])

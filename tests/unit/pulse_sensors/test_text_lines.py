@@ -13,13 +13,13 @@ TURN = 1 << 32
 
 
 def untimed(data: bytes, column: int = 0) -> tuple[list[Decoded], dict[str, int]]:
-    decoder = TextDecoder(MS, column, None)
+    decoder = TextDecoder(MS, (column,), None)
     return plain(decoder.feed(b"\n" + data)), dict(decoder.rejected)
 
 
 def timed(data: bytes, unit: TimeUnit = "us") -> tuple[list[Decoded], dict[str, int]]:
     """Decode line by line, so that each line is a block."""
-    decoder = TextDecoder(MS, 0, unit)
+    decoder = TextDecoder(MS, (0,), unit)
     decoder.feed(b"\n")
     blocks = [block for line in data.split(b"\n") for block in decoder.feed(line + b"\n")]
     return plain(blocks), dict(decoder.rejected)
@@ -68,7 +68,7 @@ def test_empty_lines_and_further_columns_are_skipped() -> None:
 
 @given(st.lists(st.integers(1, 30), max_size=30))
 def test_every_line_comes_once_however_the_bytes_are_divided(cuts: list[int]) -> None:
-    data, decoder, blocks = lines(range(30)), TextDecoder(MS, 0, "us"), []
+    data, decoder, blocks = lines(range(30)), TextDecoder(MS, (0,), "us"), []
     for first, last in itertools.pairwise([0, *itertools.accumulate(cuts), len(data)]):
         blocks += plain(decoder.feed(data[first:last]))
     # The first line may be incomplete.
@@ -85,7 +85,7 @@ def test_after_garbage_the_stream_continues(garbage: bytes, at: int) -> None:
 
 
 def test_lines_that_arrive_together_are_one_block_with_the_last_time() -> None:
-    decoder = TextDecoder(MS, 0, "us")
+    decoder = TextDecoder(MS, (0,), "us")
     text = lines(range(1, 6)) + b"x\n" + lines(range(7, 9))
     assert plain(decoder.feed(b"\n" + text)) == [
         Decoded((1, 2, 3, 4, 5), 5 * MS, restarted=True),
@@ -140,7 +140,7 @@ def test_losses_follow_from_the_times(times: list[int], unit: TimeUnit, missing:
 
 
 def test_noise_gives_no_sample_and_uses_bounded_memory() -> None:
-    decoder = TextDecoder(MS, 0, "us")
+    decoder = TextDecoder(MS, (0,), "us")
     rng = np.random.default_rng(1)
     for _ in range(100):
         assert decoder.feed(rng.bytes(1000)) == []
@@ -154,7 +154,7 @@ def test_noise_gives_no_sample_and_uses_bounded_memory() -> None:
 
 
 def test_an_endless_first_line_is_partial() -> None:
-    decoder = TextDecoder(MS, 0, None)
+    decoder = TextDecoder(MS, (0,), None)
     assert decoder.feed(b"1" * 1000) == []
     assert plain(decoder.feed(b"1\n0.26\n")) == [Decoded((0.26,))]
     assert decoder.rejected == {"partial": 1}

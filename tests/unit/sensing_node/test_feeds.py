@@ -89,7 +89,7 @@ class GivenSensor(Sensor):
     """A sensor with given blocks in each poll."""
 
     def __init__(self, *polls: list[SampleBlock]) -> None:
-        self.period_ns = MS
+        self.period_ns, self.channels = MS, (Channel("cun"), Channel("guan"))
         self._polls = list(polls)
 
     def poll(self) -> list[SampleBlock]:
