@@ -6,8 +6,6 @@ as the regression among the most similar moments is (`experts.py`); but these an
 right ones also before the pulse shows the next beat.
 """
 
-from typing import NamedTuple
-
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg.lapack import sposv
@@ -17,36 +15,32 @@ from display_node.prediction.grid import History
 from display_node.prediction.transit import TransitTime
 
 # Lags of the regression's inputs: fewer than among similar moments, since each beat is one
-# analogue. From an analogue, steps to its value and outputs.
+# analogue.
 LOCAL = np.array([1, 2, 3, 4, 6, 8, 11, 14, 18, 24, 32, 40, 60, 100])
-CONTINUATION = np.concatenate([[0], AHEAD])
+# One regression serves so many steps, and is made for one of them. A window around each analogue
+# contains all their values; in it, the analogue itself is at MIDDLE.
+STEPS, MADE_FOR, MIDDLE = 4, 2, int(LOCAL[-1])
+WINDOW = np.arange(-MIDDLE, FURTHEST + STEPS + 1)
+INPUTS, OUTPUTS = MIDDLE - LOCAL, MIDDLE + AHEAD
 # Steps back to the oldest value that is used: 40 s, and from the present to each input.
 REACH = 8_000
 PRESENT = REACH - LOCAL
 # Number of the last analogues that are used, and the least number of them.
 MOST, FEWEST = 60, 4
-NEAREST, FARTHEST = FURTHEST + SPACING + 1, REACH - int(LOCAL[-1]) - 1
+NEAREST, FARTHEST = FURTHEST + STEPS + 1, REACH - MIDDLE
 # Width of their kernel over their mean distance.
 WIDTH = 0.5
 RIDGE = 0.003 * np.eye(len(LOCAL), dtype=np.float32)
-# Memory of the shares in steps of learning: 10 s.
-FORGET = 1 - 1 / 1_000
+# The shares are learnt from every second step of learning, with a memory of 10 s.
+LEARNT, FORGET = 2, 1 - 1 / 500
 # Strength of shares of 0. That of moments when the announced path has just been wrong needs more
 # evidence, since a single beat that comes much too late or too early has enormous errors.
-SHARE_RIDGE = np.array([[0.01], [10.0]])
+SHARE_RIDGE = np.array([[0.005], [5.0]])
 # Paths made 10 to 50 ms ago are judged by the newest value, with a memory of 100 ms. Differences
 # below the root of USUAL decide nothing.
 RECENT, RECENT_KEPT, USUAL = np.arange(1, 6), 0.9, 0.01
-
-
-class Moments(NamedTuple):
-    """Inputs and outputs of the regression, by analogue, or their means.
-
-    Outputs are those of all channels, side by side.
-    """
-
-    inputs: Row
-    outputs: Row
+# Where they are among those of the last 25 steps, for each position of the present one.
+MADE = (np.arange(HORIZONS)[:, np.newaxis] - RECENT) % HORIZONS * HORIZONS + RECENT - 1
 
 
 class AnnouncedPath:
@@ -61,17 +55,19 @@ class AnnouncedPath:
     def __init__(self, channels: int = 1) -> None:
         self.transit = TransitTime()
         self._shares = np.zeros((2, HORIZONS))
-        # Means of the analogues for the next two steps, and the gains; none without analogues.
-        self._means: list[Moments] = []
+        # Analogues' mean inputs and outputs for the next steps; none without analogues. Outputs are
+        # those of all channels, side by side.
+        self._means: list[tuple[Row, Row]] = []
+        self._newest_wave = 0.0
         # Running sums for the shares: the squared differences, and their products with the stack's
         # errors, for both kinds of moments; and the same of the last 100 ms, without horizons.
         self._sums = np.zeros((2, 2, HORIZONS))
-        self._recent_squares = self._recent_products = 0.0
-        # Weights of the two shares at present.
-        self._weights = np.array([1.0, 0.0])
+        self._recent = np.zeros(2)
+        # Weights of the two shares at present, and their mean.
+        self._weights, self._share = np.array([1.0, 0.0]), np.zeros(HORIZONS)
         # The stack's paths, the differences and the weights of the last 25 steps of learning.
         self._paths, self._differences = np.zeros((2, HORIZONS, HORIZONS))
-        self._weighted = np.zeros((HORIZONS, 2))
+        self._weighted = np.zeros((HORIZONS, 2, 1))
         self._steps = 0
         self._path, self._difference = np.zeros(HORIZONS), np.zeros((channels, HORIZONS))
 
@@ -81,69 +77,78 @@ class AnnouncedPath:
         if not self._means:
             self._difference[:] = 0.0
             return
-        mean = self._means.pop(0)
+        inputs, made = self._means.pop(0)
         newest = history.rows(1)
-        present = history.last(REACH + 1).take(PRESENT) - newest[0]
-        made = (present - mean.inputs) @ self._gains
-        made += mean.outputs
+        made += (history.last(REACH + 1).take(PRESENT) - newest[0] - inputs) @ self._gains
         # A present unlike all its analogues is not extrapolated beyond them.
         np.maximum(made, self._low, out=made)
         np.minimum(made, self._high, out=made)
         np.subtract(made.reshape(ahead.shape) + newest, ahead, out=self._difference)
         if self.transit.reliable:
-            ahead += self._weights @ self._shares * self._difference
+            ahead += self._share * self._difference
 
     def learn(self, values: NDArray[np.floating], artefact: bool = False) -> None:
         """Learn the shares from the last 26 values of the steps of learning, the newest last."""
         position = self._steps % HORIZONS
         path, difference = self._paths[position], self._differences[position]
         self._steps += 1
-        if self._steps > HORIZONS and not artefact:
+        if self._steps > HORIZONS and self._steps % LEARNT == 0 and not artefact:
             terms = np.array([difference, values[1:] - path])
             terms *= difference
             self._sums *= FORGET
-            self._sums += terms[:, np.newaxis] * self._weighted[position][:, np.newaxis]
+            self._sums += terms[:, np.newaxis] * self._weighted[position]
             squares, products = self._sums
             np.divide(products, squares + SHARE_RIDGE, out=self._shares)
             np.maximum(self._shares, 0.0, out=self._shares)
             np.minimum(self._shares, 1.0, out=self._shares)
-        self._judge(float(values[-1]), position)
+        self._judge(values[-1], MADE[position])
+        np.matmul(self._weights, self._shares, out=self._share)
         path[:], difference[:] = self._path, self._difference[0]
-        self._weighted[position] = self._weights
+        self._weighted[position, :, 0] = self._weights
 
-    def _judge(self, newest: float, position: int) -> None:
+    def _judge(self, newest: np.floating, made: Places) -> None:
         """Weigh the two shares by how well the announced path predicted the newest values."""
-        made = ((position - RECENT) % HORIZONS, RECENT - 1)
-        differences, errors = self._differences[made], newest - self._paths[made]
-        self._recent_squares = RECENT_KEPT * self._recent_squares + float(differences @ differences)
-        self._recent_products = RECENT_KEPT * self._recent_products + float(differences @ errors)
-        right = (self._recent_products + USUAL) / (self._recent_squares + USUAL)
-        right = min(max(right, 0.0), 1.0)
+        differences = self._differences.take(made)
+        self._recent *= RECENT_KEPT
+        self._recent += differences @ differences, differences @ (newest - self._paths.take(made))
+        squares, products = self._recent.tolist()
+        right = min(max((products + USUAL) / (squares + USUAL), 0.0), 1.0)
         self._weights[:] = right, 1 - right
 
     def prepare(self, history: History) -> None:
-        """Find the analogues of the next two steps, and make the regression for them."""
-        lags = self._lags(history.count)
+        """Find the analogues of the next steps, and make the regression for them, when it is due.
+
+        It is due when that before has served, and when the newest R wave is a new one. Call it at
+        every second step.
+        """
+        newest_wave = self.transit.newest
+        if len(self._means) >= SPACING and newest_wave == self._newest_wave:
+            return
+        self._newest_wave = newest_wave
         self._means = []
+        lags = self._lags(history.count)
         if len(lags) < FEWEST:
             return
-        inputs, outputs = _moments(history, REACH + 1 - lags)
-        later = _moments(history, REACH + 2 - lags)
-        self._low, self._high = np.minimum.reduce(outputs), np.maximum.reduce(outputs)
+        places, past = (REACH - lags)[:, np.newaxis], history.rows(REACH + 1)
+        around = past[0].take(places + WINDOW)
+        around -= around[:, MIDDLE : MIDDLE + 1]
         # The kernel falls with the distance from the present.
-        past = history.last(REACH + 1)
-        apart = inputs - (past.take(PRESENT) - past[-1])
+        apart = around.take(INPUTS, axis=1) - (past[0].take(PRESENT) - past[0, -1])
         distances = np.einsum("ij,ij->i", apart, apart)
         distances *= -len(distances) / (WIDTH * float(np.add.reduce(distances)) + 1e-30)
         weights = np.exp(distances - np.maximum.reduce(distances))
         weights /= np.add.reduce(weights)
-        mean = Moments(weights @ inputs, weights @ outputs)
-        inputs -= mean.inputs
-        weighted = inputs.T * weights
-        products = weighted @ (outputs - mean.outputs)
-        _, self._gains, failed = sposv(weighted @ inputs + RIDGE, products)
+        windows = [around]
+        if history.channels > 1:
+            beside = past[1:].take(places + WINDOW, axis=1)
+            windows += list(beside - beside[..., MIDDLE : MIDDLE + 1])
+        inputs, outputs = _moment(windows, MADE_FOR)
+        self._low, self._high = np.minimum.reduce(outputs), np.maximum.reduce(outputs)
+        weighted = (inputs - weights @ inputs).T * weights
+        _, self._gains, failed = sposv(weighted @ inputs + RIDGE, weighted @ outputs)
         if not failed:
-            self._means = [mean, Moments(weights @ later.inputs, weights @ later.outputs)]
+            means = [weights @ window for window in windows]
+            self._means = [_moment(means, step) for step in range(1, STEPS + 1)]
 
     def _lags(self, count: int) -> Places:
         """Return the lags of the last moments as long after their R wave as the present is."""
@@ -156,11 +161,11 @@ class AnnouncedPath:
         return lags[(lags >= NEAREST) & (lags < longest)][-MOST:]
 
 
-def _moments(history: History, places: Places) -> Moments:
-    """Return inputs and outputs at places in the history's last values."""
-    rows, column = history.rows(REACH + 1), places[:, np.newaxis]
-    inputs = rows[0].take(column - LOCAL)
-    inputs -= rows[0].take(column)
-    around = rows.take(column + CONTINUATION, axis=1)
-    outputs = around[..., 1:] - around[..., :1]
-    return Moments(inputs, outputs.transpose(1, 0, 2).reshape(len(places), -1))
+def _moment(windows: list[Row], step: int) -> tuple[Row, Row]:
+    """Return inputs and outputs at a later step, from the channels' windows or their means."""
+    at = MIDDLE + step
+    inputs = windows[0].take(INPUTS + step, axis=-1) - windows[0][..., at : at + 1]
+    outputs = [
+        window.take(OUTPUTS + step, axis=-1) - window[..., at : at + 1] for window in windows
+    ]
+    return inputs, outputs[0] if len(outputs) == 1 else np.concatenate(outputs, axis=-1)

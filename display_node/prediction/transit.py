@@ -69,6 +69,11 @@ class TransitTime:
         """Greatest difference from the median transit time of a pulse that is on time, in steps."""
         return min(max(DEVIATIONS * self.deviation, NEAR), FAR)
 
+    @property
+    def newest(self) -> float:
+        """Position of the newest R wave, 0 before any."""
+        return self.waves[-1].at if self.waves else 0.0
+
     def confirms(self, wave: RWave) -> bool:
         """Return whether a pulse arrived about the present transit time after an R wave."""
         if wave.transit is None or self.median is None:
@@ -82,7 +87,7 @@ class TransitTime:
         A length is the number of steps from an R wave to when the next one was found.
         """
         if self._analogues is None:
-            newest = self.waves[-1].at if self.waves else 0.0
+            newest = self.newest
             found = [
                 (newest - wave.at, after.found - wave.at)
                 for wave, after in itertools.pairwise(self.waves)
