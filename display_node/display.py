@@ -11,12 +11,14 @@ from display_node.contactor import Contactor
 from display_node.control.safety import Safety
 from display_node.drives.hardware import Hardware
 from display_node.prediction import WITHOUT_ERROR_ESTIMATE, build_predictors
+from display_node.prediction.announcement import BeatAnnouncement
 from display_node.prediction.trust import Trust
 from display_node.press.local_press import LocalPress
 from display_node.reception.playout import PlayedDelays, PlayoutClock
 from display_node.reception.receiver import Receiver
 from display_node.scene import DisplayScene
 from display_node.scoring.tracking_error import scored
+from protocol.beats import AnnounceFigures
 from protocol.press_figures import PressFigures
 from protocol.run_summary import Summary, with_contactors
 from protocol.summary_tables import Loop, TickTime
@@ -60,6 +62,7 @@ class Display:
         self._resets = 0
         self._lead_ns = self._reach_ns = self._reserve_ns = 0
         self._trust = self._build_trust()
+        self._announcement: BeatAnnouncement | None = None
         self._next_report_ns = 0
         self._delays = PlayedDelays()
         self._availability = AvailabilityCounter(scene.tick_ns * 1e-9)
@@ -122,6 +125,8 @@ class Display:
         cell = None if self.press is None else channels.pop()
         for contactor, samples in zip(self.contactors, channels, strict=True):
             contactor.observe(samples, cell)
+        if self._announcement is not None and self.receiver.announcement is not None:
+            self._announcement.observe(self.receiver.announcement)
 
     def on_control(self, data: bytes, now_ns: int) -> None:
         """Take a control message."""
@@ -134,6 +139,8 @@ class Display:
             predictors = build_predictors(self._scene.predictor, self._tick_ns, count)
             for contactor, predictor in zip(self.contactors, predictors, strict=True):
                 contactor.begin(description, predictor)
+            announced = self._scene.announce == "auto" and description.announcing is not None
+            self._announcement = BeatAnnouncement(predictors[0]) if announced else None
             self._lead_ns = max(contactor.lead_ns for contactor in self.contactors)
             self._reach_ns = max(contactor.reach_ns for contactor in self.contactors)
             self._reserve_ns = max(contactor.reserve_ns for contactor in self.contactors)
@@ -265,6 +272,7 @@ class Display:
             availability=self._availability.availability(delays.ticks),
             interruptions=self._interruptions.interruptions(),
             compensation=delays.compensation(may_trust=self._trust is not None),
+            announce=self._announcement.figures() if self._announcement else AnnounceFigures(),
             loop=Loop(self.ticks, deadline_misses, tick_us or TickTime()),
             press=PressFigures() if self.press is None else self.press.figures(),
             rejected=dict(self.receiver.rejected),

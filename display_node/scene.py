@@ -1,6 +1,6 @@
 """The [display] section of a scene."""
 
-from typing import Annotated, Self
+from typing import Annotated, Literal, Self
 
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
@@ -77,7 +77,8 @@ class DisplayScene(ContactorScene):
     delay at which at most `late_target` of the samples are late; with a predictor that learns, E is
     reduced while the predictor's error is small. predictor: name of the predictor that supplies
     missing samples. paths: number of parallel TCP connections for frames, of which the first copies
-    are used, or "auto" (stored as None): one, and further ones while TCP stalls.
+    are used, or "auto" (stored as None): one, and further ones while TCP stalls. announce: whether
+    a channel of the stream that announces the beats is used by the predictor.
 
     press: the press of the first contactor's finger, which sets the hold-down at the wrist.
 
@@ -91,6 +92,7 @@ class DisplayScene(ContactorScene):
     compensation_ns: Annotated[int | None, BeforeValidator(_time_or_auto)] = None
     late_target: Annotated[Ratio, Field(gt=0, le=0.5)] = 0.01
     predictor: PredictorName = "stack"
+    announce: Literal["auto", "off"] = "auto"
     tick_ns: Annotated[Nanoseconds, Field(ge=100_000, le=100_000_000)] = 1_000_000
     paths: Annotated[Annotated[int, Field(ge=1, le=8)] | None, BeforeValidator(_count_or_auto)] = (
         None

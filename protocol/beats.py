@@ -8,6 +8,40 @@ PER_MINUTE = Unit("1/min", "/min", ".0f", base=1 / 60)
 WHOLE_MILLISECONDS = MILLISECONDS._replace(form=".0f")
 
 
+@dataclass(slots=True)
+class AnnounceFigures:
+    """AnnounceFigures of an ECG that announces the beats; of a stream without one, all are null."""
+
+    r_waves: int | None = figure(
+        "R waves found in the channel that announces the beats",
+        metric="r_waves_total",
+        noun=("R wave", "R waves"),
+    )
+    used: float | None = figure(
+        "Share of the R waves that came while the predictor used them",
+        "{} used",
+        SHARE,
+        metric="r_waves_used_ratio",
+    )
+    unused: str | None = figure(
+        "Why R waves are not used at present; null where they are",
+        "now unused: {}",
+        absent=absent("A metric is a number: `used` is one.", Surface.METRICS),
+    )
+    transit_ms: float | None = figure(
+        "Time from an R wave to the steepest rise of its pulse: median of the last 9",
+        "transit time {}",
+        WHOLE_MILLISECONDS,
+        metric="transit_time_seconds",
+    )
+    deviation_ms: float | None = figure(
+        "Robust standard deviation of that time",
+        "varying by {}",
+        WHOLE_MILLISECONDS._replace(form=".1f"),
+        metric="transit_time_deviation_seconds",
+    )
+
+
 @dataclass(frozen=True, slots=True)
 class BeatFigures:
     """BeatFigures of the received pulse; medians are over the last minute of good beats."""

@@ -15,7 +15,7 @@ from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 
-from protocol.beats import BeatFigures
+from protocol.beats import AnnounceFigures, BeatFigures
 from protocol.config.quantities import Name, count_text
 from protocol.counters import (
     Availability,
@@ -101,6 +101,12 @@ class Summary:
     )
     compensation: Compensation = table(Compensation)
     beats: BeatFigures = table(BeatFigures, "pulse", absent=FOR_24_LINES)
+    announce: AnnounceFigures = table(
+        AnnounceFigures,
+        "ECG",
+        absent=FOR_24_LINES
+        | absent("Predictions are those of the display that was recorded.", Surface.REPORT),
+    )
     clock: Clock = table(
         Clock, "clock", absent=absent("It shows the felt pulse only.", Surface.TERMINAL)
     )

@@ -10,7 +10,11 @@ A predictor that learns nothing is a `Predictor`, like `Linear`; build it in `bu
 """
 
 from collections.abc import Sequence
-from typing import Literal, Protocol
+from typing import TYPE_CHECKING, Literal, Protocol
+
+if TYPE_CHECKING:
+    from display_node.prediction.r_waves import RWaveTime
+    from display_node.prediction.transit import TransitTime
 
 PredictorName = Literal["hold", "linear", "fir", "analogue", "stack"]
 WITHOUT_ERROR_ESTIMATE: tuple[PredictorName, ...] = ("hold", "linear")
@@ -35,6 +39,15 @@ class Predictor(Protocol):
 
     def error_n(self, horizon_ns: int) -> float | None:
         """Return the expected RMSE `horizon_ns` after the newest sample; None if unknown."""
+        return None
+
+    def announce(self, waves: "list[RWaveTime]") -> None:
+        """Take R waves of the heart whose pulse is predicted, which announce its beats."""
+        return
+
+    @property
+    def transit(self) -> "TransitTime | None":
+        """Transit time from R waves to the pulse; None without R waves or where none are used."""
         return None
 
     @property

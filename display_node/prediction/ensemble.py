@@ -185,6 +185,14 @@ class ChannelPath:
     def work(self) -> None:
         """Do nothing: the ensemble works for all channels."""
 
+    def announce(self, waves: list[RWaveTime]) -> None:
+        """Do nothing: the ensemble takes R waves for all channels."""
+
+    @property
+    def transit(self) -> TransitTime | None:
+        """Transit time from R waves to the pulse; None without R waves."""
+        return None
+
     def predict(self, instant_ns: int) -> float:
         """Return the force in N at an instant after the newest sample."""
         path = self._path

@@ -64,6 +64,8 @@ class Receiver:
         Description of the first refused message of another version, or "".
     ready
         True when playing can start: the stream, its clock and its usual delay are known.
+    announcement
+        Samples of the newest frame's channel that announces the beats; None without such a channel.
     one_way_delay_ms
         Time from a frame's last sample to its arrival, in ms.
     """
@@ -74,6 +76,8 @@ class Receiver:
         self._name, self.paths = name, paths
         self._wanted, self._late_target = channels, late_target
         self.channels: list[int] = []
+        self._announcing: int | None = None
+        self.announcement: wire.ChannelSamples | None = None
         self._closed = SampleAccount()
         self._next_hello_ns = self._next_clock_ns = 0
         # Nothing is requested before this time, unless a control message or a refusal comes.
@@ -248,6 +252,9 @@ class Receiver:
         samples = [wire.channel_samples(first_sample, t_first_ns, period_ns, forces_n)]
         for other in others:
             samples.append(samples[0]._replace(forces_n=list(numbers[other::channels])))
+        if self._announcing is not None:
+            announced = list(numbers[self._announcing :: channels])
+            self.announcement = samples[0]._replace(forces_n=announced)
         self.buffer.put(*samples)
         self._received_ns = now_ns
         self.clock.add_one_way(last_ns, now_ns)
@@ -263,6 +270,7 @@ class Receiver:
                 self._unanswered_hellos = 0
                 if session != self.session:
                     self.channels = [description.find_force(name) for name in self._wanted]
+                    self._announcing, self.announcement = description.announcing, None
                     # Samples, times and clock of two sessions are unrelated.
                     self._restart(JitterBuffer())
                     self.session, self.description = session, description

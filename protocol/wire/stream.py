@@ -94,6 +94,12 @@ class StreamDescription:
         """Samples per second."""
         return SECOND_NS / self.period_ns
 
+    @property
+    def announcing(self) -> int | None:
+        """Number of the first channel that announces the beats; None without one."""
+        found = (number for number, each in enumerate(self.channels) if each.announces)
+        return next(found, None)
+
     def find(self, channel: int | str) -> int:
         """Return the number of a channel, from its name or number.
 

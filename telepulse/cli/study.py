@@ -96,6 +96,33 @@ def prediction(
 
 
 @app.command()
+def announce(
+    out: FolderOption = Path("out/announce"),
+    json: TablesOption = None,
+    scheduler: SchedulerOption = None,
+    records: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FOLDER",
+            help="Folder with the records 100, 03700181 and a103l of PhysioNet, such as the sample"
+            " data of wfdb; needs telepulse[ecg].",
+        ),
+    ] = None,
+) -> None:
+    """Compare prediction with and without an ECG, and find out ECGs that are wrong.
+
+    Uses all cores; takes about five minutes on two.
+    """
+    from telepulse.reports.studies import announce_study as study
+    from telepulse.reports.studies.announce_report import report_announce
+
+    effort = study.AnnounceEffort()
+    publish(
+        lambda: report_announce(study.score_announce(effort, records, scheduler), effort), out, json
+    )
+
+
+@app.command()
 def cost(
     out: FolderOption = Path("out/cost"),
     json: TablesOption = None,

@@ -1,0 +1,59 @@
+"""A stream with an ECG is predicted with it, unless the scene or the predictor uses none."""
+
+from pathlib import Path
+
+import pytest
+
+from protocol.beats import AnnounceFigures
+from protocol.run_summary import Summary
+from telepulse.scene import load_scene
+from telepulse.simulation.virtual_time import simulate
+
+ROOT = Path(__file__).parents[3]
+SECONDS = 16.0
+
+
+def run(tmp_path: Path, text: str, base: str = "announce") -> Summary:
+    path = tmp_path / "scene.toml"
+    path.write_text(f'extends = "{ROOT / "scenes" / base}.toml"\n{text}', encoding="utf-8")
+    return simulate(load_scene(path), SECONDS, seed=1)
+
+
+def test_r_waves_of_the_stream_are_used_and_counted(tmp_path: Path) -> None:
+    figures = run(tmp_path, "").announce
+    assert figures.r_waves == pytest.approx(SECONDS * 75 / 60, abs=4)
+    assert figures.used is not None
+    assert figures.used > 0.3
+    assert figures.unused is None
+    assert figures.transit_ms == pytest.approx(240, abs=15)
+    assert figures.deviation_ms is not None
+    assert figures.deviation_ms < 15
+
+
+def test_a_scene_can_leave_the_ecg_unused(tmp_path: Path) -> None:
+    summary = run(tmp_path, '[display]\nannounce = "off"')
+    assert summary.announce == AnnounceFigures()
+    assert summary.beats.count is not None
+
+
+def test_a_predictor_that_learns_nothing_uses_no_r_waves(tmp_path: Path) -> None:
+    figures = run(tmp_path, '[display]\npredictor = "linear"').announce
+    assert figures.used == 0.0
+    assert figures.unused == "this predictor uses none"
+
+
+def test_an_ecg_that_is_only_noise_is_not_used(tmp_path: Path) -> None:
+    figures = run(tmp_path, '[sensing.source.announce]\nnoise = "5 mV"').announce
+    assert not figures.used
+    assert figures.unused is not None
+
+
+def test_several_contactors_are_predicted_with_one_ecg(tmp_path: Path) -> None:
+    table = '[sensing.source]\nheart_rate_variability = "15 %"\n[sensing.source.announce]\n'
+    figures = run(tmp_path, table, base="three_fingers").announce
+    assert figures.used is not None
+    assert figures.used > 0.3
+
+
+def test_a_stream_without_an_ecg_has_no_figures_of_one(tmp_path: Path) -> None:
+    assert run(tmp_path, "", base="radial").announce == AnnounceFigures()

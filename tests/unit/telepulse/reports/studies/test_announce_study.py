@@ -1,0 +1,112 @@
+"""The study of prediction with an ECG: matching, faults, records, and its report's verdicts."""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from protocol.errors import SourceError
+from sensing_node.sources.ecg import draw_ecg
+from telepulse.reports.studies.announce_pulses import (
+    FAULTS,
+    TRANSIT_S,
+    AnnouncedPulse,
+    EcgFault,
+    announced_pulses,
+    with_fault,
+)
+from telepulse.reports.studies.announce_records import AnnotatedLead, annotated_leads
+from telepulse.reports.studies.announce_report import bars, report_announce
+from telepulse.reports.studies.announce_study import (
+    AnnounceEffort,
+    AnnounceScores,
+    BothErrors,
+    DetectorScore,
+    FoundOut,
+    score_fault,
+    score_lead,
+)
+from telepulse.reports.studies.prediction_pulses import RATE_HZ, drawn_beats
+
+# Pulses are normalised by what follows 20 s.
+SECONDS = 22.0
+BEATS_S = np.arange(1.0, 60.0, 0.8)
+
+
+def lead(beats_s: np.ndarray, annotated_s: np.ndarray) -> AnnotatedLead:
+    t_s = np.arange(0, 61, 1 / 250.0)
+    return AnnotatedLead("lead", 250.0, draw_ecg(t_s, [(at, 1.0) for at in beats_s]), annotated_s)
+
+
+def test_a_lead_without_errors_has_sensitivity_and_precision_of_1() -> None:
+    score = score_lead(lead(BEATS_S, BEATS_S + 0.01))
+    assert (score.sensitivity, score.precision) == (1.0, 1.0)
+    assert score.deviation_ms < 3
+    assert 20 < score.latency_ms < 50
+
+
+def test_missed_and_false_r_waves_are_counted() -> None:
+    annotated = np.sort(np.append(np.delete(BEATS_S, [30, 31, 32]), BEATS_S[[20, 40]] + 0.4))
+    score = score_lead(lead(BEATS_S, annotated))
+    assert (score.missed, score.false) == (2, 3)
+    late = score_lead(lead(BEATS_S, BEATS_S + 0.17))
+    assert late.sensitivity < 0.05
+
+
+def test_r_waves_of_a_synthetic_ecg_precede_the_onsets() -> None:
+    (first, *_), beats = announced_pulses(SECONDS, 1, 0.0), drawn_beats(SECONDS, 1)["variability"]
+    for onset_s in beats.onsets_s[3:8]:
+        at = round((onset_s - TRANSIT_S) * RATE_HZ)
+        around = first.ecg_mv[at - 100 : at + 100]
+        assert abs(int(around.argmax()) - 100) <= 3
+
+
+@pytest.mark.parametrize("fault", FAULTS, ids=[fault.name for fault in FAULTS])
+def test_a_fault_changes_the_ecg_from_its_time_on(fault: EcgFault) -> None:
+    whole = announced_pulses(SECONDS, 1, 0.0)[0]
+    wrong = with_fault(whole, fault, 5.0)
+    assert len(wrong.ecg_mv) == len(whole.ecg_mv)
+    np.testing.assert_array_equal(wrong.ecg_mv[:5_000], whole.ecg_mv[:5_000])
+    assert np.abs(wrong.ecg_mv[5_000:] - whole.ecg_mv[5_000:]).max() > 0.5
+
+
+def test_a_fault_that_is_never_found_out_takes_forever() -> None:
+    whole = announced_pulses(30.0, 1, 0.0)[0]
+    number = next(n for n, fault in enumerate(FAULTS) if fault.name == "unplugged")
+    assert score_fault((whole, number)).seconds < 3
+    regular = AnnouncedPulse(whole.pulse, np.zeros_like(whole.ecg_mv))
+    assert score_fault((regular, number)).seconds == 0
+
+
+def scores(announced: float, found_out_s: float) -> AnnounceScores:
+    def errors(name: str, value: float) -> BothErrors:
+        return BothErrors(name, (0.1,) * 4, (value,) * 4, 250.0, 5.0, 1.0)
+
+    return AnnounceScores(
+        {0.005: [errors("fibrillation, shape cue", announced)], 0.02: [errors("ectopic", 0.1)]},
+        [FoundOut("fibrillation", "unplugged", found_out_s, 0.5, 0.5)],
+        [DetectorScore("100, V5", 1000, 10, 0, 1.0, 45.0)],
+        1.2,
+    )
+
+
+@pytest.mark.parametrize(
+    ("announced", "found_out_s", "missed"), [(0.15, 3.0, 0), (0.151, 2.0, 1), (0.1, 3.1, 1)]
+)
+def test_the_report_names_the_bars_that_are_missed(
+    announced: float, found_out_s: float, missed: int
+) -> None:
+    result = scores(announced, found_out_s)
+    assert sum(not reached for _, reached in bars(result)) == missed
+    report = report_announce(result, AnnounceEffort())
+    text = " ".join(word for chapter in report.chapters for word in chapter.paragraphs)
+    assert text.count("missed.") == missed
+
+
+def test_records_that_cannot_be_read_are_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "wfdb", None)
+    with pytest.raises(SourceError, match=r"pip install 'telepulse\[ecg\]'"):
+        annotated_leads(tmp_path)
