@@ -1,6 +1,7 @@
 """The study of prediction with an ECG: errors with and without it, R waves, and faults of it."""
 
 import time
+from bisect import bisect_right
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -185,30 +186,35 @@ def score_lead(lead: AnnotatedLead) -> DetectorScore:
         ):
             found_s.append(wave.at_ns * 1e-9)
             latencies_s.append((wave.found_ns - wave.at_ns) * 1e-9)
-    beats_s = lead.beats_s[lead.beats_s > MATCHED_FROM_S]
-    last_s = float(beats_s[-1]) + MATCH_S
-    candidates = [each for each in found_s if MATCHED_FROM_S < each < last_s]
-    errors_s = _match(beats_s.tolist(), candidates)
+    beats_s: list[float] = lead.beats_s.tolist()
+    pairs = _match(beats_s, found_s)
+    scored = range(bisect_right(beats_s, MATCHED_FROM_S), len(beats_s))
+    missed = len(set(scored) - {beat for beat, _ in pairs})
+    matched = {found for _, found in pairs}
+    candidates = range(
+        bisect_right(found_s, MATCHED_FROM_S), bisect_right(found_s, beats_s[-1] + MATCH_S)
+    )
+    errors_s = [found_s[found] - beats_s[beat] for beat, found in pairs if beat in scored]
     return DetectorScore(
         lead.name,
-        len(beats_s),
-        len(beats_s) - len(errors_s),
-        len(candidates) - len(errors_s),
-        1e3 * float(np.std(errors_s)),
+        len(scored),
+        missed,
+        len(set(candidates) - matched),
+        1e3 * float(np.std(errors_s)) if errors_s else np.nan,
         1e3 * float(np.median(latencies_s)),
     )
 
 
-def _match(beats_s: list[float], found_s: list[float]) -> list[float]:
-    """Return the differences of matched beats; each detection matches one beat, in order."""
-    errors_s, position = [], 0
-    for beat_s in beats_s:
+def _match(beats_s: list[float], found_s: list[float]) -> list[tuple[int, int]]:
+    """Return the places of matched beats and R waves; each R wave matches one beat, in order."""
+    pairs, position = [], 0
+    for beat, beat_s in enumerate(beats_s):
         while position < len(found_s) and found_s[position] < beat_s - MATCH_S:
             position += 1
         if position < len(found_s) and found_s[position] <= beat_s + MATCH_S:
-            errors_s.append(found_s[position] - beat_s)
+            pairs.append((beat, position))
             position += 1
-    return errors_s
+    return pairs
 
 
 def measure_cost_ratio(case: tuple[AnnouncedPulse, int]) -> float:
