@@ -228,6 +228,9 @@ UNRUN = {
     "telepulse study playout": "minutes; tests/system/reports/test_playout_study.py",
     "telepulse study prediction": "minutes; tests/system/reports/test_prediction_study.py",
     "telepulse study link": "minutes; tests/system/reports/test_link_study.py",
+    "telepulse study announce": "minutes; tests/unit/telepulse/reports/studies",
+    "telepulse study announce --records FOLDER": "needs records of PhysioNet",
+    "telepulse demo announce": "as of radial; tests/unit/display_node/test_announced_stream.py",
     "telepulse study press": "minutes; tests/system/reports/test_press_study.py",
     "telepulse demo press --link 'delay=150ms,jitter=15ms,loss=1%'": (
         "15 s; tests/system/nodes/test_press_nodes.py"
