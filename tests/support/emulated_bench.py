@@ -97,11 +97,14 @@ class EmulatedBench:
         words = ("emulate", "sensor", self.source, "--link", self.folder / "board")
         self._start("board", "telepulse", *words, "--delivery-ms", "4")
 
-    def start_drive(self) -> None:
-        serial = ("--link", self.folder / "drive") if self.kind == "tmcl" else ()
-        film = ("--film-link", self.folder / "film", "--trace", self.folder / "motor.csv")
-        words = ("emulate", self.kind, self.scene, *serial, *film, *self.drive_options)
-        self._start("drive", "telepulse", *words)
+    def start_drive(self, contactor: str = "") -> None:
+        """Start the drive's emulator; contactor: of which, its name ends those of the files."""
+        serial = ("--link", self.folder / f"drive{contactor}") if self.kind == "tmcl" else ()
+        trace = ("--trace", self.folder / f"motor{contactor}.csv")
+        film = ("--film-link", self.folder / f"film{contactor}", *trace)
+        which = ("--contactor", contactor) if contactor else ()
+        words = ("emulate", self.kind, self.scene, *which, *serial, *film, *self.drive_options)
+        self._start(f"drive{contactor}", "telepulse", *words)
 
     def start_sensing(self) -> None:
         self._start("sensing", "sensing_node.cli", self.scene, "--bind", self._address)
@@ -149,7 +152,8 @@ class EmulatedBench:
 
     def end(self) -> dict[str, Any]:
         """Stop all processes; return the display's summary, empty if it was killed."""
-        for name in ("display", "sensing", "board", "drive"):
+        order = ("display", "sensing")
+        for name in (*order, *(other for other in self.processes if other not in order)):
             process = self.processes.get(name)
             if process is not None and process.poll() is None:
                 process.terminate()
@@ -158,9 +162,9 @@ class EmulatedBench:
         summary: dict[str, Any] = json.loads(path.read_text("utf-8")) if path.exists() else {}
         return summary
 
-    def motor(self) -> MotorTrace:
+    def motor(self, contactor: str = "") -> MotorTrace:
         rows = np.genfromtxt(
-            self.folder / "motor.csv",
+            self.folder / f"motor{contactor}.csv",
             delimiter=",",
             names=True,
             dtype=None,
