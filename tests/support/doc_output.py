@@ -235,6 +235,9 @@ UNRUN = {
     "telepulse demo press --link 'delay=150ms,jitter=15ms,loss=1%'": (
         "15 s; tests/system/nodes/test_press_nodes.py"
     ),
+    "telepulse demo three_fingers --link 'delay=40ms,jitter=10ms,loss=1%'": (
+        "seconds; tests/system/demo/test_demo.py"
+    ),
     "telepulse study cost": "minutes; tests/system/reports/test_cost_study.py",
     "telepulse tune checked.toml": "of a bench that was there",
     "display-node checked.toml --connect tcp://HOST:5555 --key keys/finger.key --peer wrist.pub": (

@@ -60,6 +60,33 @@ def test_the_demo_over_a_bad_link_counts_what_is_late_and_lost(tmp_path: Path) -
     assert summary["playout_delay_ms"]["mean"] > 45
 
 
+def test_a_demo_of_three_fingers_has_the_figures_of_each(tmp_path: Path) -> None:
+    out = tmp_path / "out.json"
+    link = "delay=40ms,jitter=10ms,loss=1%"
+    arguments = ("--seconds", "4", "--json", str(out), "--link", link, "--no-ui")
+    result = run(MODULE, "demo", "three_fingers", *arguments)
+    assert result.returncode == 0, result.stderr
+    summary = read_json(out)
+    assert_accounted(summary["samples"])
+    assert summary["force_rmse_n"]["aligned"] is None
+    heights_n = {}
+    for name, figures in summary["contactors"].items():
+        assert figures["within_jnd"] > 0.9
+        assert figures["force_rmse_n"]["aligned"] < 20e-3
+        assert f"{name}: aligned" in result.stdout
+        heights_n[name] = figures["beats"]["height_n"]
+    expected_n = {"cun": 0.24, "guan": 0.3, "chi": 0.2}
+    assert heights_n == pytest.approx(expected_n, rel=0.05)
+
+
+def test_a_demo_whose_display_cannot_play_a_channel_is_one_line(tmp_path: Path) -> None:
+    scene = tmp_path / "wrong.toml"
+    scene.write_text('extends = "radial"\n[display]\nchannel = "guan"\n', encoding="utf-8")
+    result = run(MODULE, "demo", str(scene), "--seconds", "1", "--no-ui")
+    assert (result.returncode, result.stderr.count("\n")) == (2, 1)
+    assert "the stream has no channel 'guan'; it has ['pulse']" in result.stderr
+
+
 def test_a_demo_whose_display_latches_a_fault_names_it_and_ends_with_status_3(
     tmp_path: Path,
 ) -> None:
