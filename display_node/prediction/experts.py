@@ -165,8 +165,7 @@ class Analogue(Expert):
             made[:] = 0.0
             return
         past = history.rows(LAGS + 1)[1:]
-        places = self._around[:, :1] + CONTINUATION
-        mean = self._weights @ past.take(places, axis=1)
+        mean = self._weights @ past.take(self._beside, axis=1)
         origins = mean[..., :1].copy()
         mean -= origins
         made[:] = mean[..., 1:]
@@ -185,6 +184,8 @@ class Analogue(Expert):
         yield
         first = LAGS - min(LAGS - DEEPEST, history.count - SETTLED)
         self._found = first < LAGS - NEAREST - 2 and self._search(first)
+        if self._found and history.channels > 1:
+            self._beside = self._around[:, :1] + CONTINUATION
 
     def _observe(self, past: Row) -> None:
         # The slopes' difference is the change of the values' difference since the last time.
@@ -244,8 +245,8 @@ class Analogue(Expert):
 
     def _after_others(self, history: History) -> Row:
         """Return the continuations of the other channels after each analogue, side by side."""
-        places = self._around[: COUNTS[0], :1] + CONTINUATION + 1
-        around = history.rows(LAGS + 1)[1:].take(places, axis=1)
+        # One step later, each place is one step nearer to the present.
+        around = history.rows(LAGS)[1:].take(self._beside[: COUNTS[0]], axis=1)
         after = around[..., 1:] - around[..., :1]
         self._other_low = np.minimum.reduce(after, axis=1)
         self._other_high = np.maximum.reduce(after, axis=1)
