@@ -56,12 +56,16 @@ def export_edf(path: Path, file: Path) -> str:
     seconds = math.ceil((t_ns[-1] - begin_ns + period_ns) / SECOND_NS)
     grid_ns = begin_ns + np.arange(seconds * rate_hz, dtype=np.int64) * SECOND_NS // rate_hz
     forces = [
-        (f"Force {channel.name}", _resampled(grid_ns, t_ns, values[:, index]))
+        (
+            f"{'Force' if channel.unit == 'N' else 'ECG'} {channel.name}",
+            _resampled(grid_ns, t_ns, values[:, index]),
+            "mN" if channel.unit == "N" else "uV",
+        )
         for index, channel in enumerate(description.channels)
     ]
-    forces.append(("Force felt", _resampled(grid_ns, felt.t_ns, felt.force_n)))
+    forces.append(("Force felt", _resampled(grid_ns, felt.t_ns, felt.force_n), "mN"))
     try:
-        signals = [_signal(edfio, name, force_n, rate_hz) for name, force_n in forces]
+        signals = [_signal(edfio, name, samples, rate_hz, unit) for name, samples, unit in forces]
     except ValueError as error:
         raise SourceError(f"{path}: holds forces that EDF cannot: {error}") from None
     losses = _losses(t_ns, numbers, period_ns)
@@ -90,8 +94,8 @@ def export_edf(path: Path, file: Path) -> str:
         raise OutputError(f"{file}: cannot be written: {error.strerror}") from None
     codes = HIGHEST_CODE - LOWEST_CODE
     steps = ", ".join(
-        f"{signal.label} {(signal.physical_max - signal.physical_min) / codes:.2g} mN"
-        for signal in signals
+        f"{one.label} {(one.physical_max - one.physical_min) / codes:.2g} {one.physical_dimension}"
+        for one in signals
     )
     return (
         f"{file}: {seconds} s at {rate_hz} Hz, {count_text(len(losses), 'loss', 'losses')}"
@@ -132,14 +136,15 @@ def _resampled(grid_ns: Ints, t_ns: Ints, force_n: Floats) -> Floats:
     return np.where(t_ns[at] == grid_ns, force_n[at], on_grid_n)
 
 
-def _signal(edfio: Any, label: str, force_n: Floats, rate_hz: int) -> Any:
+def _signal(edfio: Any, label: str, force_n: Floats, rate_hz: int, unit: str) -> Any:
+    """Return a signal of forces in N in mN, or of an ECG in mV in uV."""
     force_mn = force_n * 1e3
     low, high = _range(force_mn[~np.isnan(force_mn)])
     return edfio.EdfSignal(
         np.where(np.isnan(force_mn), low, force_mn),
         rate_hz,
         label=label.encode("ascii", "replace").decode()[:LABEL_CHARACTERS],
-        physical_dimension="mN",
+        physical_dimension=unit,
         physical_range=(low, high),
         digital_range=(LOWEST_CODE, HIGHEST_CODE),
     )

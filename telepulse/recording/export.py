@@ -55,6 +55,8 @@ COLUMNS = {
 }
 UNIX = "Unix time of the message or tick by the display's clock; comparable across all tables"
 UNITS = {"_ns": "ns", "_n": "N", "_ms": "ms"}
+# Columns of a tick that each further contactor has too.
+OF_EACH_CONTACTOR = ("target_n", "felt_n")
 Row = list[Any]
 
 
@@ -84,6 +86,11 @@ def columns(message: RecordedMessage) -> list[TableColumn]:
         kind = "float32" if values.itemsize == 4 else "number"
         for n in range(values.shape[1]):
             found.append(TableColumn(f"force_{n}_n", kind, f"force at the wrist, channel {n}"))
+    if topic == TICK:
+        for n in range(1, len(message.fields.get("others", [])) + 1):
+            for force in OF_EACH_CONTACTOR:
+                text = f"{COLUMNS[topic][force]}; of contactor {n}"
+                found.append(TableColumn(force.replace("_n", f"_{n}_n"), "number", text))
     return [*found, TableColumn("unix_ns", "integer", UNIX)]
 
 
@@ -100,7 +107,9 @@ def rows(message: RecordedMessage) -> Iterator[Row]:
         words = (fields[name] for name in ("level", "name", "message"))
         yield [message.t_ns, *words, message.t_ns]
     else:
-        yield [*(fields.get(name) for name in COLUMNS[message.topic]), message.t_ns]
+        others = fields.get("others", []) if message.topic == TICK else []
+        more = [each.get(force) for each in others for force in OF_EACH_CONTACTOR]
+        yield [*(fields.get(name) for name in COLUMNS[message.topic]), *more, message.t_ns]
 
 
 class CsvTable:
