@@ -322,8 +322,10 @@ def test_three_fingers_are_shown_and_one_is_chosen_by_keyboard_also_in_a_pause(
             assert page.locator("#plot-fingers").bounding_box()["width"] <= 390
             keep(page, "view-contactors-phone.png")
     finally:
-        demo.kill()
-        demo.communicate()
+        # A killed demo would leave its page's server behind.
+        demo.send_signal(signal.SIGINT)
+        _, errors = demo.communicate(timeout=40)
+    assert demo.returncode == 0, errors
 
 
 def await_figure(page: Page, id: str) -> None:
