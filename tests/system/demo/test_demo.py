@@ -87,6 +87,20 @@ def test_a_demo_whose_display_cannot_play_a_channel_is_one_line(tmp_path: Path) 
     assert "the stream has no channel 'guan'; it has ['pulse']" in result.stderr
 
 
+def test_the_demo_of_a_press_accounts_for_every_set_point(tmp_path: Path) -> None:
+    path = tmp_path / "demo.json"
+    link = "delay=150ms,jitter=15ms,loss=1%"
+    result = run(
+        "telepulse", "demo", "press", "--seconds", "6", "--no-ui", "--link", link,
+        "--json", str(path),
+    )  # fmt: skip
+    assert result.returncode == 0, result.stderr
+    press = read_json(path)["press"]
+    assert press["sent"] == press["applied"] + press["superseded"] + press["lost"]
+    assert press["applied"] > 50
+    assert "set-points" in result.stdout + result.stderr
+
+
 def test_a_demo_whose_display_latches_a_fault_names_it_and_ends_with_status_3(
     tmp_path: Path,
 ) -> None:
