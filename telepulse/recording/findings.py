@@ -1,6 +1,5 @@
 """Findings about a recording, gathered in one pass and in bounded memory."""
 
-import math
 from collections import defaultdict
 from dataclasses import replace
 from pathlib import Path
@@ -10,15 +9,14 @@ import numpy as np
 from pydantic import TypeAdapter
 
 from display_node.control.scene import SafetyScene
-from display_node.scoring.beat_statistics import BeatStatistics
 from display_node.scoring.tracking_error import scored
 from protocol.counters import Availability
 from protocol.errors import SourceError
 from protocol.histogram import Histogram
-from protocol.run_summary import Summary
+from protocol.run_summary import Summary, with_contactors
 from protocol.summary_tables import Loop, PlayoutDelay
-from protocol.wire.messages import Frame
-from telepulse.recording.forces import AlignedTick, ForceHistory, Trend
+from telepulse.recording.contactor_findings import ContactorFindings
+from telepulse.recording.forces import Trend
 from telepulse.recording.reader import RecordingReader, in_tick_order
 from telepulse.telemetry.decoder import Entry, PassiveReceiver
 from telepulse.telemetry.schema import EVENT, STATUS, TICK
@@ -43,8 +41,8 @@ class RunFindings:
         True if that status was the display's final one.
     trends : dict of Trend
         Values over the time of the recording, in the units of their names.
-    forces : ForceHistory
-        Forces at wrist and finger.
+    contactors : list of ContactorFindings
+        Forces and beats of each contactor, in the display's order.
     events : list
         Time in s, level, name and text of the first events; `more_events` counts the others.
     """
@@ -59,8 +57,7 @@ class RunFindings:
         self.is_final_summary = False
         counts = {name: Trend(COUNT_WIDTH_S) for name in COUNTS}
         self.trends: defaultdict[str, Trend] = defaultdict(Trend, counts)
-        self.forces = ForceHistory()
-        self._beats = BeatStatistics()
+        self.contactors = [ContactorFindings()]
         self.events: list[tuple[float, int, str, str]] = []
         self.playout_ms = Histogram(0.5, 8_000)
         self._entries = PassiveReceiver()
@@ -94,9 +91,10 @@ class RunFindings:
             playout_delay_ms=PlayoutDelay(delay.mean, **delay.quantiles(p99=0.99)),
             availability=availability,
             loop=Loop(self.ticks, self._misses),
-            beats=self._beats.figures(),
         )
-        return scored(summary, [self.forces.alignment.errors])
+        figures = {each.name: Summary(beats=each.beats.figures()) for each in self.contactors}
+        errors = [each.forces.alignment.errors for each in self.contactors]
+        return scored(with_contactors(summary, figures), errors)
 
     def take(self, entry: Entry) -> None:
         """Process a message of the recording, in the order of `in_tick_order`."""
@@ -113,7 +111,8 @@ class RunFindings:
 
     def finish(self) -> None:
         """End the recording."""
-        self.forces.alignment.finish()
+        for contactor in self.contactors:
+            contactor.forces.alignment.finish()
         for name in list(self._batch):
             self._flush(name)
 
@@ -124,22 +123,14 @@ class RunFindings:
         if description is not None and receiver.session != self._session:
             self._session = receiver.session
             self.streams.append(description.name)
-            self.forces.alignment.begin()
-            self._beats.restart()
+            for contactor in self.contactors:
+                contactor.begin()
         if description is not None and frame is not None:
             last_ns = frame.t_first_ns + (len(frame.values) - 1) * frame.period_ns
             one_way_ns = receiver.clock.remote_ns(fields["arrived_ns"]) - last_ns
             self._add("one_way_ms", t_s, one_way_ns * 1e-6)
-            self.forces.alignment.add_frame(frame, description)
-            self._add_beats(t_s - one_way_ns * 1e-9, last_ns, frame)
-
-    def _add_beats(self, last_s: float, last_ns: int, frame: Frame) -> None:
-        """Add the beats that a frame completes; last_s, last_ns: time of its last sample."""
-        for beat in self._beats.observe(frame.samples_of(self.forces.alignment.channel)):
-            t_s = last_s + (beat.onset_ns - last_ns) * 1e-9
-            self._add("beat_interval_ms", t_s, beat.interval_s * 1e3)
-            self._add("beat_height_mn", t_s, beat.height_n * 1e3)
-            self._add("beat_quality", t_s, beat.quality)
+            for contactor in self.contactors:
+                contactor.add_frame(frame, description, t_s - one_way_ns * 1e-9, last_ns)
 
     def _tick(self, t_s: float, fields: dict[str, Any]) -> None:
         now_ns, instant_ns, receiver = fields["now_ns"], fields["instant_ns"], self._receiver
@@ -158,9 +149,10 @@ class RunFindings:
             self._add("playout_ms", t_s, delay_ms)
         if fields["scored"]:
             self._scored += 1
-            felt_n = float(fields.get("felt_n", math.nan))
-            tick = AlignedTick(t_s, sensing_now_ns, instant_ns, felt_n)
-            self.forces.alignment.add_tick(tick)
+            states = (fields, *fields.get("others", ()))
+            # Before the first status, only the first contactor is known.
+            for contactor, state in zip(self.contactors, states, strict=False):
+                contactor.add_tick(t_s, sensing_now_ns, instant_ns, state)
 
     def _count_misses(self, now_ns: int) -> None:
         """Count missed ticks: multiples of the period at which no tick is recorded."""
@@ -175,10 +167,12 @@ class RunFindings:
         new, playing = _SUMMARY.validate_python(fields["summary"]), fields.get("playing")
         if playing:
             # A list since displays have several contactors.
-            playing = playing[0] if isinstance(playing, list) else playing
-            self._stale_after_ns = int(playing["stale_after_ns"])
-            channel, ratio = int(playing["channel"]), float(playing["force_ratio"])
-            self.forces.alignment.set_playback(channel, ratio)
+            listed = playing if isinstance(playing, list) else [playing]
+            self._stale_after_ns = int(listed[0]["stale_after_ns"])
+            while len(self.contactors) < len(listed):
+                self.contactors.append(ContactorFindings())
+            for contactor, each in zip(self.contactors, listed, strict=False):
+                contactor.set_playback(each)
         last = self.display_summary or Summary()
         self.display_summary, self.is_final_summary = new, fields["final"]
         before, now = (

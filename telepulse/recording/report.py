@@ -14,6 +14,7 @@ from display_node.scoring.tracking_error import JND
 from protocol.config.quantities import count_text
 from protocol.figures import Surface
 from protocol.run_summary import REGISTRY, Summary
+from telepulse.recording.contactor_findings import ContactorFindings
 from telepulse.recording.findings import RunFindings, read_findings
 from telepulse.recording.forces import AlignedBlock, Trend
 from telepulse.reports.document import Chapter, Plot, Report, Table, provenance_table
@@ -35,6 +36,7 @@ def build_recording_report(path: Path) -> Report:
     """Read a recording and report it. Raises SourceError."""
     findings = read_findings(path)
     drawn = _Plots(findings)
+    several = len(findings.contactors) > 1
     delays = (
         Plot("delays", "Delays over time: mean, and from the least to the greatest.", drawn.delays),
         Plot(
@@ -61,8 +63,11 @@ def build_recording_report(path: Path) -> Report:
     more = f"{findings.more_events} further events are not shown." if findings.more_events else ""
     chapters = [
         Chapter("In short", tuple(_paragraphs(findings)), (_summary(findings),)),
-        _force(findings, drawn),
-        _beats(findings, drawn),
+        *(
+            chapter
+            for number, contactor in enumerate(findings.contactors)
+            for chapter in _contactor_chapters(contactor, number, several)
+        ),
         Chapter("Delay and loss", plots=delays),
         Chapter("Clock and loop", plots=(clock, loop)),
         Chapter("What happened", tables=(Table("events", ("s", "", "what", ""), events, more),)),
@@ -95,15 +100,23 @@ def _paragraphs(findings: RunFindings) -> Iterable[str]:
 
 
 def _summary(findings: RunFindings) -> Table:
-    recorded, own = (
-        REGISTRY.cells(summary.to_dict(), Surface.REPORT)
-        for summary in (findings.summary(), findings.display_summary or Summary())
-    )
+    summaries = findings.summary(), findings.display_summary or Summary()
+    recorded, own = (REGISTRY.cells(each.to_dict(), Surface.REPORT) for each in summaries)
     rows = [(name, recorded[name] or NONE, own[name] or NONE) for name in recorded]
-    for place, name in enumerate(("wrist", "finger")):
-        rates = [rate for _, *both in findings.forces.heart if (rate := both[place]) is not None]
-        shown = f"{median(rates):.1f} /min" if rates else NONE
-        rows.append((f"heart rate at the {name}, median", shown, NONE))
+    for contactor in findings.contactors:
+        of = f"{contactor.name}: " if len(findings.contactors) > 1 else ""
+        if of:
+            ours, display = (
+                REGISTRY.cells(
+                    figures.to_dict()["contactors"].get(contactor.name, {}), Surface.REPORT
+                )
+                for figures in summaries
+            )
+            rows += [(of + name, ours[name] or NONE, display[name] or NONE) for name in ours]
+        for place, name in enumerate(("wrist", "finger")):
+            rates = [r for _, *ends in contactor.forces.heart if (r := ends[place]) is not None]
+            shown = f"{median(rates):.1f} /min" if rates else NONE
+            rows.append((f"{of}heart rate at the {name}, median", shown, NONE))
     last = (
         "its final status" if findings.is_final_summary else "its last status, since it never ended"
     )
@@ -119,16 +132,26 @@ def _summary(findings: RunFindings) -> Table:
     )
 
 
-def _force(findings: RunFindings, drawn: "_Plots") -> Chapter:
-    forces, alignment = findings.forces, findings.forces.alignment
+def _contactor_chapters(
+    contactor: ContactorFindings, number: int, several: bool
+) -> tuple[Chapter, Chapter]:
+    """Return the chapters on force and beats; number: of the contactor, from 0."""
+    of = f" – {contactor.name}" if several else ""
+    ending = f"-{number + 1}" if several else ""
+    drawn = _ContactorPlots(contactor)
+    return _force(contactor, drawn, of, ending), _beats(contactor, drawn, of, ending)
+
+
+def _force(contactor: ContactorFindings, drawn: "_ContactorPlots", of: str, ending: str) -> Chapter:
+    title, forces, alignment = f"Force{of}", contactor.forces, contactor.forces.alignment
     if alignment.ratio is None or not forces.first:
-        return Chapter("Force", ("The pulse was never played at its full strength.",))
+        return Chapter(title, ("The pulse was never played at its full strength.",))
     first, worst = (_force_plot(blocks) for blocks in (forces.first, forces.worst))
     plots = [
-        Plot("force-first", "The first seconds at full strength.", first),
-        Plot("force-worst", "Around the largest difference.", worst),
+        Plot(f"force-first{ending}", "The first seconds at full strength.", first),
+        Plot(f"force-worst{ending}", "Around the largest difference.", worst),
         Plot(
-            "error",
+            f"error{ending}",
             "Force felt minus force at the wrist, over the whole time. The band is the just"
             " noticeable difference: 10 % of the pulse's peak to peak.",
             drawn.error,
@@ -136,23 +159,23 @@ def _force(findings: RunFindings, drawn: "_Plots") -> Chapter:
     ]
     if forces.heart:
         caption = "Heart rate, by the intervals between beats in six seconds."
-        plots.append(Plot("heart-rate", caption, drawn.heart))
+        plots.append(Plot(f"heart-rate{ending}", caption, drawn.heart))
     found = (
         f"The force at the finger should be {alignment.ratio:.4g} times that of channel"
         f" {alignment.channel}. The wrist's force is shown times that ratio, at the instants that"
         " were played."
     )
-    return Chapter("Force", (found,), plots=tuple(plots))
+    return Chapter(title, (found,), plots=tuple(plots))
 
 
-def _beats(findings: RunFindings, drawn: "_Plots") -> Chapter:
-    if "beat_interval_ms" not in findings.trends:
-        return Chapter("Beats", ("No beat was found in the recorded samples.",))
+def _beats(contactor: ContactorFindings, drawn: "_ContactorPlots", of: str, ending: str) -> Chapter:
+    if not contactor.trends:
+        return Chapter(f"Beats{of}", ("No beat was found in the recorded samples.",))
     caption = (
         "Each beat of the pulse at the wrist: time to the next one, force from foot to peak, and"
         f" quality, the similarity to the good beats before. Below {GOOD:g} a beat is doubtful."
     )
-    return Chapter("Beats", plots=(Plot("beats", caption, drawn.beats),))
+    return Chapter(f"Beats{of}", plots=(Plot(f"beats{ending}", caption, drawn.beats),))
 
 
 def _force_plot(blocks: list[AlignedBlock]) -> "Callable[[Figure], None]":
@@ -179,15 +202,15 @@ def _force_plot(blocks: list[AlignedBlock]) -> "Callable[[Figure], None]":
     return draw
 
 
-class _Plots:
-    """Plots of a recording, each drawn into an empty figure."""
+class _ContactorPlots:
+    """Plots of one contactor, each drawn into an empty figure."""
 
-    def __init__(self, findings: RunFindings) -> None:
-        self._findings, self._trends = findings, findings.trends
+    def __init__(self, contactor: ContactorFindings) -> None:
+        self._forces, self._trends = contactor.forces, contactor.trends
 
     def error(self, figure: "Figure") -> None:
         """Plot the difference of the forces over the whole time."""
-        axes, forces = figure.subplots(), self._findings.forces
+        axes, forces = figure.subplots(), self._forces
         points, jnd = forces.error_n.points(), forces.jnd_n.points()
         band_mn, low, high = 1e3 * jnd.mean, 1e3 * points.low, 1e3 * points.high
         axes.fill_between(
@@ -201,7 +224,7 @@ class _Plots:
 
     def heart(self, figure: "Figure") -> None:
         """Plot the heart rate at both ends."""
-        axes, rates = figure.subplots(), self._findings.forces.heart
+        axes, rates = figure.subplots(), self._forces.heart
         t_s, wrist, felt = (np.array(part, float) for part in zip(*rates, strict=True))
         axes.plot(t_s, wrist, "o-", label="at the wrist")
         axes.plot(t_s, felt, "x--", label="at the finger")
@@ -216,7 +239,7 @@ class _Plots:
         axes = figure.subplots(3, 1, sharex=True)
         for each, name, label in zip(
             axes,
-            ("beat_interval_ms", "beat_height_mn", "beat_quality"),
+            ("interval_ms", "height_mn", "quality"),
             ("interval in ms", "height in mN", "quality"),
             strict=True,
         ):
@@ -225,6 +248,13 @@ class _Plots:
             each.plot(points.t_s, points.mean, ".", color="C0")
             each.set_ylabel(label)
         axes[-1].set(xlabel=TIME, ylim=(-0.05, 1.05))
+
+
+class _Plots:
+    """Plots of a recording, each drawn into an empty figure."""
+
+    def __init__(self, findings: RunFindings) -> None:
+        self._findings, self._trends = findings, findings.trends
 
     def delays(self, figure: "Figure") -> None:
         """Plot one-way and playout delay over time."""

@@ -96,10 +96,10 @@ def test_it_finds_what_is_known_to_be_in_a_recording(path: Path) -> None:
     assert found.playout_delay_ms.mean == pytest.approx(DELAY_TICKS)
     assert found.force_rmse_n.aligned == pytest.approx((GAIN - 1) * 0.3, rel=0.3)
     assert found.within_jnd == 1.0
-    felt = [round(felt or 0) for _, _, felt in findings.forces.heart]
+    felt = [round(felt or 0) for _, _, felt in findings.contactors[0].forces.heart]
     assert felt == pytest.approx([75] * 3, abs=4)
     # Nothing was sensed for half a second: no heart rate of the wrist then.
-    assert [wrist is None for _, wrist, _ in findings.forces.heart] == [False, True, False]
+    assert [wrist is None for _, wrist, _ in findings.contactors[0].forces.heart] == [False, True, False]
     names = [name for _, _, name, _ in findings.events]
     assert names == ["begin", "session", "state", "join", "state", "end"]
 
