@@ -22,13 +22,16 @@ PATIENCE_S = 60.0
 
 @contextmanager
 def recorded_display(
-    path: Path, address: str, room_bytes: int = resource.RLIM_INFINITY
+    path: Path,
+    address: str,
+    scene: str = str(RADIAL),
+    room_bytes: int = resource.RLIM_INFINITY,
 ) -> Iterator["subprocess.Popen[str]"]:
     """Run a display that records, from when its recorder runs; its summary is beside the file.
 
     room_bytes: limit of the size of its files, as on a small disk.
     """
-    arguments = (str(RADIAL), "--connect", address, "--no-screen", "--once", "--seconds", "40")
+    arguments = (scene, "--connect", address, "--no-screen", "--once", "--seconds", "40")
     arguments += ("--record", str(path), "--json", str(path.with_suffix(".json")))
     with process("display_node.cli", *arguments) as display:
         limits = (room_bytes, resource.RLIM_INFINITY)
@@ -101,7 +104,7 @@ def test_a_recording_played_again_gives_the_same_samples_bit_by_bit(tmp_path: Pa
 def test_a_full_disk_under_the_recorder_does_not_disturb_the_display(path: Path) -> None:
     address, room_bytes = free_address(), 20_000
     sensing = ("sensing_node.cli", str(RADIAL), "--bind", address, "--seconds", "2.5", "--quiet")
-    with recorded_display(path, address, room_bytes) as display, process(*sensing):
+    with recorded_display(path, address, room_bytes=room_bytes) as display, process(*sensing):
         _, errors = display.communicate(timeout=PATIENCE_S)
     assert display.returncode == 1
     assert "File too large" in errors

@@ -11,7 +11,7 @@ from telepulse.recording.mcap_writer import McapWriter
 from telepulse.recording.reader import RecordingReader, in_tick_order
 from telepulse.recording.report import build_recording_report
 from telepulse.telemetry.schema import TICK
-from tests.support.nodes import RADIAL, free_address, process, read_json, run
+from tests.support.nodes import RADIAL, ROOT, free_address, process, read_json, run
 from tests.support.recordings import DELAY_TICKS, GAIN, record
 from tests.support.telemetry_publisher import WELCOME, HandmadeTelemetry
 from tests.system.recording.test_replay_command import recorded_display
@@ -68,6 +68,30 @@ def test_the_figures_are_the_displays_own(path: Path) -> None:
 
 
 @pytest.mark.timeout(2 * PATIENCE_S)
+def test_each_contactor_has_its_figures_and_chapters(path: Path) -> None:
+    scene, address = str(ROOT / "scenes" / "three_fingers.toml"), free_address()
+    sensing = ("sensing_node.cli", scene, "--bind", address, "--seconds", "8", "--quiet")
+    with recorded_display(path, address, scene) as display, process(*sensing):
+        display.communicate(timeout=PATIENCE_S)
+        assert display.returncode == 0
+    own = read_json(path.with_suffix(".json"))["contactors"]
+    found = read_findings(path).summary().to_dict()["contactors"]
+    assert tuple(found) == tuple(own) == ("cun", "guan", "chi")
+    for name, figures in found.items():
+        assert figures["beats"] == own[name]["beats"]
+        assert figures["force_rmse_n"] == pytest.approx(own[name]["force_rmse_n"], rel=0.01)
+    report = build_recording_report(path)
+    titles = [chapter.title for chapter in report.chapters]
+    assert [f"Force – {name}" in titles for name in own] == [True] * 3
+    names = [plot.name for chapter in report.chapters for plot in chapter.plots]
+    assert len(names) == len(set(names))
+    rows = {row[0]: row[1:] for row in report.chapters[0].tables[0].rows}
+    recorded, displayed = rows["guan: pulse, height"]
+    assert recorded == displayed
+    assert float(recorded.removesuffix(" mN")) == pytest.approx(300, rel=0.05)
+
+
+@pytest.mark.timeout(2 * PATIENCE_S)
 def test_the_page_has_all_it_shows_beside_it(path: Path, tmp_path: Path) -> None:
     tables = tmp_path / "tables.json"
     record(path, 8)
@@ -99,7 +123,11 @@ def test_it_finds_what_is_known_to_be_in_a_recording(path: Path) -> None:
     felt = [round(felt or 0) for _, _, felt in findings.contactors[0].forces.heart]
     assert felt == pytest.approx([75] * 3, abs=4)
     # Nothing was sensed for half a second: no heart rate of the wrist then.
-    assert [wrist is None for _, wrist, _ in findings.contactors[0].forces.heart] == [False, True, False]
+    assert [wrist is None for _, wrist, _ in findings.contactors[0].forces.heart] == [
+        False,
+        True,
+        False,
+    ]
     names = [name for _, _, name, _ in findings.events]
     assert names == ["begin", "session", "state", "join", "state", "end"]
 
