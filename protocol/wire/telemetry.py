@@ -93,6 +93,8 @@ def read_status(data: bytes) -> Status:
         and all(number is None or type(number) is int for number in (session, displays))
     ):
         raise WireError("malformed", "a status' field has the wrong type")
+    if len({each.contactor for each in playing}) < len(playing):
+        raise WireError("malformed", "two contactors of a status have one name")
     try:
         whole = _SUMMARY.validate_python(summary).to_dict()
     except ValidationError as error:

@@ -31,9 +31,7 @@ class ContactorFindings:
         self.beats.restart()
 
     def set_playback(self, playing: dict[str, Any]) -> None:
-        """Set name, channel and scale by the display's status."""
-        # Recordings of older versions have no name.
-        self.name = str(playing.get("contactor", ""))
+        """Set channel and scale by the display's status."""
         channel, ratio = int(playing["channel"]), float(playing["force_ratio"])
         self.forces.alignment.set_playback(channel, ratio)
 

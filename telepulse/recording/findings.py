@@ -42,7 +42,7 @@ class RunFindings:
     trends : dict of Trend
         Values over the time of the recording, in the units of their names.
     contactors : list of ContactorFindings
-        Forces and beats of each contactor, in the display's order.
+        Forces and beats of each contactor, in the order in which the display named them.
     events : list
         Time in s, level, name and text of the first events; `more_events` counts the others.
     """
@@ -58,6 +58,8 @@ class RunFindings:
         counts = {name: Trend(COUNT_WIDTH_S) for name in COUNTS}
         self.trends: defaultdict[str, Trend] = defaultdict(Trend, counts)
         self.contactors = [ContactorFindings()]
+        # Those of the display's last status, in its order.
+        self._playing = self.contactors[:]
         self.events: list[tuple[float, int, str, str]] = []
         self.playout_ms = Histogram(0.5, 8_000)
         self._entries = PassiveReceiver()
@@ -151,7 +153,7 @@ class RunFindings:
             self._scored += 1
             states = (fields, *fields.get("others", ()))
             # Before the first status, only the first contactor is known.
-            for contactor, state in zip(self.contactors, states, strict=False):
+            for contactor, state in zip(self._playing, states, strict=False):
                 contactor.add_tick(t_s, sensing_now_ns, instant_ns, state)
 
     def _count_misses(self, now_ns: int) -> None:
@@ -169,10 +171,7 @@ class RunFindings:
             # A list since displays have several contactors.
             listed = playing if isinstance(playing, list) else [playing]
             self._stale_after_ns = int(listed[0]["stale_after_ns"])
-            while len(self.contactors) < len(listed):
-                self.contactors.append(ContactorFindings())
-            for contactor, each in zip(self.contactors, listed, strict=False):
-                contactor.set_playback(each)
+            self._playing = [self._follow(each) for each in listed]
         last = self.display_summary or Summary()
         self.display_summary, self.is_final_summary = new, fields["final"]
         before, now = (
@@ -191,6 +190,18 @@ class RunFindings:
             self._add("offset_ms", t_s, clock.offset_ms - self._offset_ms)
             self._add("uncertainty_ms", t_s, clock.uncertainty_ms)
             self._add("skew_ppm", t_s, clock.skew_ppm)
+
+    def _follow(self, playing: dict[str, Any]) -> ContactorFindings:
+        """Return the contactor that a status names; a further run's display may have others."""
+        # Recordings of older versions have no names.
+        name = str(playing.get("contactor", ""))
+        known = (each for each in self.contactors if each.name in ("", name))
+        contactor = next(known, None)
+        if contactor is None:
+            self.contactors.append(contactor := ContactorFindings())
+        contactor.name = name
+        contactor.set_playback(playing)
+        return contactor
 
     def _event(self, t_s: float, fields: dict[str, Any]) -> None:
         self.runs += fields["name"] == "begin"

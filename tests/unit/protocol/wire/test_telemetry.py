@@ -141,6 +141,7 @@ def test_a_displays_status_has_its_playback() -> None:
         [1, 2, [["a", 0, 1.0, -1.0, "stack"]]], [1, 2, [["a", 0, 1.0, -1.0, 5, 60]]],
         [1, 2, [["a\n", 0, 1.0, -1.0, "stack", 60]]], [1, 2, [["", 0, 1.0, -1.0, "stack", 60]]],
         [1, 2, [["a", 0, float("nan"), -1.0, "stack", 60]]], [1, 2, [{"channel": 0}]],
+        [1, 2, [["a", 0, 1.0, -1.0, "stack", 60], ["a", 1, 1.0, -1.0, "stack", 60]]],
     ],
 )  # fmt: skip
 def test_an_invalid_status_is_refused(more: list[object]) -> None:

@@ -97,13 +97,19 @@ names = words | st.sampled_from(["cun", "guan", "<b>", "fault", "\u202ex", "x" *
 played = st.builds(PlaybackStatus, names, st.integers(-1, 70), awkward, awkward, words, times_ns)
 near_played = st.builds(
     PlaybackStatus,
-    st.sampled_from(["cun", "guan", "<b>", "fault"]),
+    st.sampled_from(["cun", "guan", "<b>", "fault"]) | st.integers(0, 99).map(str),
     *(st.integers(0, 3), st.floats(-2, 2), st.floats(-2, 2), words, st.just(60 * MS)),
 )
+
+
+def _name(playing: PlaybackStatus) -> str:
+    return playing.contactor
+
+
 playing = (
     st.lists(st.just(PLAYING) | played, max_size=3)
-    | st.lists(near_played, max_size=3)
-    | st.lists(near_played, min_size=7, max_size=70)
+    | st.lists(near_played, max_size=3, unique_by=_name)
+    | st.lists(near_played, min_size=7, max_size=70, unique_by=_name)
 )
 statuses = st.builds(
     lambda state, playing, changes, contactors: status_message(

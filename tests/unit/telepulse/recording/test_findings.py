@@ -1,0 +1,19 @@
+from fuzz.telemetry_readers import MS, preamble, status_message
+from protocol.wire.telemetry import PlaybackStatus
+from telepulse.recording.findings import RunFindings
+from telepulse.telemetry.decoder import TelemetryDecoder
+
+
+def playing(name: str, channel: int) -> PlaybackStatus:
+    return PlaybackStatus(name, channel, 1.0, -4.8e-6, "linear", 60 * MS)
+
+
+def test_contactors_keep_their_findings_where_a_further_run_has_others() -> None:
+    decoder, findings = TelemetryDecoder(), RunFindings()
+    statuses = [[playing("cun", 0), playing("chi", 2)], [playing("chi", 2), playing("guan", 0)]]
+    for message in preamble()[:-1] + [status_message("playing", *each) for each in statuses]:
+        for entry in decoder.decode(*message):
+            findings.take(entry)
+    assert [each.name for each in findings.contactors] == ["cun", "chi", "guan"]
+    assert [each.forces.alignment.channel for each in findings.contactors] == [0, 2, 0]
+    assert list(findings.summary().contactors) == ["cun", "chi", "guan"]
