@@ -5,7 +5,7 @@ ARGS ?=
 # COMPILED=1 installs and runs the compiled core; it needs a C compiler and Python's headers.
 COMPILED ?=
 INSTALLED := .venv/installed$(if $(COMPILED),-compiled)
-PACKAGES := protocol pulse_sensors sensing_node display_node telepulse
+PACKAGES := protocol pulse_sensors pulse_drives sensing_node display_node telepulse
 PIP := $(BIN)/python -m pip --quiet --disable-pip-version-check
 
 .PHONY: install demo wheels test test-all check compile size report bench soak fuzz docs clean

@@ -13,8 +13,9 @@ import can
 
 from benchmarks.drives import ACTUATOR, CAN_BUS, FORCE_LIMIT_N, LAYER, motor
 from benchmarks.measure import show
-from display_node.drives import Drive, build_drive
-from display_node.drives.scene import Cia402Scene, TmclScene
+from display_node.hardware import build_display_drive
+from pulse_drives import Drive
+from pulse_drives.scene import Cia402Scene, TmclScene
 from telepulse.emulators import PtyPort
 from telepulse.emulators.cia402 import EmulatedCia402Node
 from telepulse.emulators.motor import EmulatedMotor
@@ -93,7 +94,7 @@ def tmcl_bench() -> Iterator[Bench]:
     turned = motor(0.0)
     module = EmulatedTmclModule(scene, turned)
     line = EmulatedSerialLine(module, port)
-    bench = Bench(build_drive(scene, ACTUATOR, LAYER, FORCE_LIMIT_N), turned, module)
+    bench = Bench(build_display_drive(scene, ACTUATOR, LAYER, FORCE_LIMIT_N), turned, module)
 
     open_line = ExitStack()
     open_line.callback(line.close)
@@ -123,7 +124,7 @@ def cia402_bench() -> Iterator[Bench]:
         node.poll()
 
     with polled(poll):
-        bench = Bench(build_drive(scene, ACTUATOR, LAYER, FORCE_LIMIT_N), turned, node)
+        bench = Bench(build_display_drive(scene, ACTUATOR, LAYER, FORCE_LIMIT_N), turned, node)
         yield bench
         bench.drive.close()
     node.close()

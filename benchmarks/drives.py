@@ -17,17 +17,17 @@ import numpy as np
 from pytrinamic.connections.tmcl_interface import TmclInterface
 
 from benchmarks.measure import show
-from display_node.drives import build_drive
-from display_node.drives.axis import build_axis
-from display_node.drives.cia402.drive import Cia402Drive
-from display_node.drives.cia402.node import Cia402Node
-from display_node.drives.cia402.state_machine import Controlword, Mode
-from display_node.drives.drive import Drive
-from display_node.drives.scene import Cia402Scene, TmclScene
-from display_node.drives.tmcl.line import TmclLine
-from display_node.drives.tmcl.module import Command
+from display_node.hardware import build_display_drive
 from display_node.plant.scene import StepperScene
 from protocol.wire.stream import LayerTable
+from pulse_drives.axis import build_axis
+from pulse_drives.cia402.drive import Cia402Drive
+from pulse_drives.cia402.node import Cia402Node
+from pulse_drives.cia402.state_machine import Controlword, Mode
+from pulse_drives.drive import Drive
+from pulse_drives.scene import Cia402Scene, TmclScene
+from pulse_drives.tmcl.line import TmclLine
+from pulse_drives.tmcl.module import Command
 from telepulse.commissioning.rig import TMCL_BITS
 from telepulse.emulators import PtyPort
 from telepulse.emulators.cia402 import EmulatedCia402Node
@@ -105,7 +105,9 @@ def pdos_to_nobody() -> Iterator[dict[str, Call]]:
     """Provide the cost of sending alone: no thread reads the other end of the bus."""
     bus = {**CAN_BUS, "channel": "nobody"}
     scene = Cia402Scene.model_validate({"kind": "cia402", **bus})
-    node = Cia402Node(scene, build_axis(scene, ACTUATOR, LAYER, FORCE_LIMIT_N), Counter())
+    node = Cia402Node(
+        scene, build_axis(scene, ACTUATOR, ACTUATOR.deepest_m(LAYER, FORCE_LIMIT_N)), Counter()
+    )
     frame = can.Message(arbitration_id=0x201, is_extended_id=False, data=bytes(6))
     with can.Bus(**bus), can.Bus(**bus) as bare:  # type: ignore[arg-type]
 
@@ -134,7 +136,7 @@ def cia402_calls(
         emulated.poll()
 
     with polled(poll):
-        drive = build_drive(scene, ACTUATOR, LAYER, FORCE_LIMIT_N)
+        drive = build_display_drive(scene, ACTUATOR, LAYER, FORCE_LIMIT_N)
         assert isinstance(drive, Cia402Drive)
         yield {
             f"CiA 402 command (PDO, SYNC, heartbeat), {where}": Commands(drive),
@@ -170,7 +172,7 @@ def tmcl_calls() -> Iterator[dict[str, Call]]:
             open_things.callback(server.close)
             open_things.enter_context(polled(partial(server.serve, 0.005)))
         lines = TmclLine(on_pty, Counter()), TmclLine(on_can, Counter())
-        drive = build_drive(boxed, ACTUATOR, LAYER, FORCE_LIMIT_N)
+        drive = build_display_drive(boxed, ACTUATOR, LAYER, FORCE_LIMIT_N)
         yield {
             "TMCL drive: command (mailbox)": Commands(drive),
             "TMCL request and reply, pseudo-terminal": lambda: rotate(lines[0]),

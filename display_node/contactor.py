@@ -7,8 +7,7 @@ not arrived of its channel, scales it to its finger and runs its own force loop.
 import math
 
 from display_node.control.safety import ForceBounds, Safety
-from display_node.drives.hardware import Hardware
-from display_node.drives.withdrawal import FingerState, describe_finger
+from display_node.hardware import Hardware
 from display_node.plant.feedback import Feedback
 from display_node.plant.filters import delay_line
 from display_node.prediction import Linear, Predictor
@@ -27,6 +26,7 @@ from protocol.ticks import LimitCounter, TickState
 from protocol.wire.messages import ChannelSamples
 from protocol.wire.stream import StreamDescription
 from protocol.wire.telemetry import PlaybackStatus
+from pulse_drives.withdrawal import FingerState, describe_finger
 
 
 class Contactor:

@@ -9,7 +9,7 @@ from typing import Final
 
 from display_node.contactor import Contactor
 from display_node.control.safety import Safety
-from display_node.drives.hardware import Hardware
+from display_node.hardware import Hardware
 from display_node.prediction import WITHOUT_ERROR_ESTIMATE, build_predictors
 from display_node.prediction.announcement import BeatAnnouncement
 from display_node.prediction.trust import Trust

@@ -13,11 +13,8 @@ from pathlib import Path
 import zmq
 
 from display_node.display import Display
-from display_node.drives import build_drive
-from display_node.drives.hardware import Hardware
-from display_node.drives.scene import Cia402Scene, TmclScene
-from display_node.drives.withdrawal import describe_finger
 from display_node.fault_advice import FILM_NOTE, advise, advised
+from display_node.hardware import Hardware, build_display_drive
 from display_node.reception.connection import Connection
 from display_node.reception.redundancy import Redundancy
 from display_node.scene import DisplayScene
@@ -34,6 +31,8 @@ from protocol.security.keys import ClientKeys, ServerKeys
 from protocol.summary_tables import Lateness, TickTime
 from protocol.wire.messages import encode_control
 from protocol.wire.telemetry import CONTROL
+from pulse_drives.scene import Cia402Scene, TmclScene
+from pulse_drives.withdrawal import describe_finger
 from pulse_sensors.force_scale import SensorTable
 from pulse_sensors.sensor import Sensor, open_sensor
 
@@ -89,7 +88,7 @@ def _start_bench(
             " --without-film if no person's finger is pressed"
         )
     layer, force_limit_n = scene.layer.layer(), scene.safety.force_limit_n
-    drive = build_drive(table, scene.actuator, layer, force_limit_n)
+    drive = build_display_drive(table, scene.actuator, layer, force_limit_n)
     sensor = open_sensor(scene.feedback, folder) if scene.feedback is not None else None
     with closing(scene.hardware(drive, sensor)) as hardware:
         logger.warning("the drive looks for its home: keep the finger away")

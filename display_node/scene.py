@@ -6,9 +6,7 @@ from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
 from display_node.control.force_loop import ForceLoop, build_force_loop
 from display_node.control.scene import ControllerScene, SafetyScene
-from display_node.drives import Drive
-from display_node.drives.hardware import Hardware
-from display_node.drives.scene import DriveTable
+from display_node.hardware import Hardware
 from display_node.plant.feedback import Feedback, RisingForce
 from display_node.plant.scene import FilmTable, SecondOrderScene, StepperScene
 from display_node.prediction import PredictorName
@@ -19,6 +17,8 @@ from protocol.config.scene_file import merge
 from protocol.errors import SceneError
 from protocol.wire.messages import MAX_CHANNELS
 from protocol.wire.stream import LayerTable, first_repeated
+from pulse_drives import Drive
+from pulse_drives.scene import DriveTable
 from pulse_sensors.sensor import Sensor, SensorScene, one_force
 
 MAX_COMPENSATION_NS = 10_000_000_000

@@ -15,7 +15,7 @@ import atheris
 
 from fuzz.msgpack_mutator import mutate
 
-OURS = ("protocol", "pulse_sensors", "sensing_node", "display_node", "telepulse")
+OURS = ("protocol", "pulse_sensors", "pulse_drives", "sensing_node", "display_node", "telepulse")
 PACKAGES = [*OURS, "tomllib", "cobs", "cantools", "textparser", "canopen", "pytrinamic", "mcap"]
 # Limits of one input of a few kB: memory used, and memory requested.
 MOST_BYTES_AN_INPUT = 64 << 20

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from display_node.drives.withdrawal import TOUCH_N
 from display_node.fault_advice import FAULT_STATUS, latched
+from pulse_drives.withdrawal import TOUCH_N
 from soak.claims import pressed_n
 from soak.truth import FORCE_MORE_N, FORCE_SHARE, judge_claims
 from soak.verdict import Check

@@ -25,9 +25,9 @@ NOT_TRACED = (
     *("golden", "unit/telepulse", "unit/soak", "unit/documentation"),
     *("system/accuracy", "system/commissioning", "system/compiled", "system/documentation"),
     *("system/experiment", "system/faults", "system/recording", "system/relay", "system/reports"),
-    *("system/soak", "system/view", "unit/display_node/drives/test_hardware.py"),
+    *("system/soak", "system/view", "unit/display_node/test_hardware.py"),
     "unit/display_node/control/test_controller.py",
-    *("unit/display_node/drives/test_drive.py", "unit/display_node/reception/test_failover.py"),
+    *("unit/pulse_drives/test_drive.py", "unit/display_node/reception/test_failover.py"),
 )
 
 

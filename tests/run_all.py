@@ -9,7 +9,7 @@ import sys
 from pathlib import Path
 
 TESTS = Path(__file__).parent
-CORE = ("protocol", "pulse_sensors", "sensing_node", "display_node")
+CORE = ("protocol", "pulse_sensors", "pulse_drives", "sensing_node", "display_node")
 COVERAGE = [f"--cov={package}" for package in CORE]
 COMPUTING = ("accuracy", "commissioning", "compiled", "reports")
 SYSTEM = sorted({path.parent for path in TESTS.glob("system/*/test_*.py")})

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
-PRODUCT = ("protocol", "pulse_sensors", "sensing_node", "display_node", "telepulse")
+PRODUCT = ("protocol", "pulse_sensors", "pulse_drives", "sensing_node", "display_node", "telepulse")
 PRODUCT_LINES, PRODUCT_FILES, TEST_LINES = 30_000, 230, 26_000
 
 

@@ -13,17 +13,15 @@ from display_node.plant.filters import LowPass
 from protocol.config.quantities import (
     Hertz,
     Metres,
-    MetresPerSecond,
-    MetresPerSecond2,
     Nanoseconds,
     Newtons,
     NewtonsPerMetre,
-    Radians,
     Volts,
     VoltsPerNewton,
 )
 from protocol.config.scene import Section
 from protocol.tactile import Adc, ElasticLayer, Film
+from pulse_drives.scene import MotorScene
 
 
 class SecondOrderScene(Section):
@@ -40,7 +38,7 @@ class SecondOrderScene(Section):
     voltage_limit: Annotated[float, Field(gt=0)] = 1e6
 
 
-class StepperScene(Section):
+class StepperScene(MotorScene):
     """The `actuator` table of kind "stepper".
 
     rotor_resonance, rotor_damping (ζ): without a resonance, the rotor follows the commanded
@@ -48,12 +46,6 @@ class StepperScene(Section):
     """
 
     kind: Literal["stepper"]
-    step_angle_rad: Annotated[Radians, Field(gt=0)] = math.radians(1.8)
-    microsteps: Annotated[int, Field(ge=1, le=256)] = 16
-    lead_m: Annotated[Metres, Field(gt=0, le=0.1)] = 2e-3
-    max_speed_m_per_s: Annotated[MetresPerSecond, Field(gt=0)] = 0.4
-    max_acceleration_m_per_s2: Annotated[MetresPerSecond2, Field(gt=0)] = 20.0
-    stroke_m: Annotated[Metres, Field(gt=0)] = 0.1
     thrust_n: Annotated[Newtons, Field(gt=0)] = 100.0
     tip_radius_m: Annotated[Metres, Field(ge=1e-6, le=1)] = 5e-3
     fingertip_n_per_m: Annotated[NewtonsPerMetre, Field(ge=1e-3, le=1e12)] = 1e3
@@ -61,11 +53,6 @@ class StepperScene(Section):
     rotor_damping: Annotated[float, Field(ge=0, le=10)] = 0.2
     backlash_m: Annotated[Metres, Field(ge=0, le=1e-3)] = 0.0
     latency_ns: Annotated[Nanoseconds, Field(ge=0, le=50_000_000)] = 0
-
-    @property
-    def step_m(self) -> float:
-        """Travel of one microstep."""
-        return self.lead_m * self.step_angle_rad / (2 * math.pi) / self.microsteps
 
     @property
     def steps_per_m(self) -> float:
@@ -79,6 +66,10 @@ class StepperScene(Section):
         """Return the contact law of this tip on the local layer; the tip itself is rigid."""
         reduced_pa = layer.young_modulus_pa / (1 - layer.poisson_ratio**2)
         return ContactLaw(self.tip_radius_m, reduced_pa, self.fingertip_n_per_m)
+
+    def deepest_m(self, layer: ElasticLayer, force_limit_n: float) -> float:
+        """Return the position at which the contact law gives the force limit or the thrust."""
+        return self.contact(layer).position(min(self.thrust_n, force_limit_n))
 
 
 class FilmTable(Section):

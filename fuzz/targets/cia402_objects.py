@@ -8,14 +8,14 @@ from unittest.mock import patch
 
 import can
 
-from display_node.drives.axis import build_axis
-from display_node.drives.cia402 import node as cia402_node
-from display_node.drives.cia402.node import EMERGENCY, TPDO1, TPDO2, Cia402Node
-from display_node.drives.scene import Cia402Scene
 from display_node.plant.scene import StepperScene
 from protocol.config.scene import validate
 from protocol.errors import DriveError
 from protocol.wire.stream import LayerTable
+from pulse_drives.axis import build_axis
+from pulse_drives.cia402 import node as cia402_node
+from pulse_drives.cia402.node import EMERGENCY, TPDO1, TPDO2, Cia402Node
+from pulse_drives.scene import Cia402Scene
 
 REQUEST, ANSWER = 0x600, 0x580
 SAYS = (TPDO1, TPDO2, EMERGENCY)
@@ -53,7 +53,9 @@ def _node() -> Cia402Node:
         patch.object(can, "Notifier"),
     ):
         node = Cia402Node(
-            _SCENE, build_axis(_SCENE, _STEPPER, LayerTable().layer(), 2.5), Counter()
+            _SCENE,
+            build_axis(_SCENE, _STEPPER, _STEPPER.deepest_m(LayerTable().layer(), 2.5)),
+            Counter(),
         )
     network = node._network
     _BUS.hear = lambda can_id, data: network.notify(can_id, data, 0.0)

@@ -6,11 +6,11 @@ from unittest.mock import patch
 
 import serial
 
-from display_node.drives.scene import TmclScene
-from display_node.drives.tmcl.line import DATAGRAM_BYTES, TmclLine
-from display_node.drives.tmcl.module import Command, Parameter
 from protocol.config.scene import validate
 from protocol.errors import DriveError
+from pulse_drives.scene import TmclScene
+from pulse_drives.tmcl.line import DATAGRAM_BYTES, TmclLine
+from pulse_drives.tmcl.module import Command, Parameter
 from telepulse.emulators.tmcl import DATAGRAM, checksum
 
 

@@ -27,7 +27,15 @@ from protocol.errors import OptionError, OutputError
 
 LEVELS = ("debug", "info", "warning", "error")
 # A module run by `python -m` logs as `__main__`.
-OUR_LOGGERS = ("protocol", "pulse_sensors", "sensing_node", "display_node", "telepulse", "__main__")
+OUR_LOGGERS = (
+    "protocol",
+    "pulse_sensors",
+    "pulse_drives",
+    "sensing_node",
+    "display_node",
+    "telepulse",
+    "__main__",
+)
 # Greatest number of queued characters: some seconds of a terminal panel, many summaries.
 MAX_QUEUED = 65_536
 # Longest waits for queued text at the end: without progress, and in all.

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
 
 import typer
 
-from display_node.drives.scene import Cia402Scene, DriveScene, TmclScene, open_bus
 from display_node.plant.scene import StepperScene
 from display_node.scene import DisplayScene
 from protocol.cli_options import LogLevelOption, StopAfterOption, one_line_errors, plain_console
@@ -19,6 +18,7 @@ from protocol.config.scene_file import find_scene, scene_names
 from protocol.errors import SceneError
 from protocol.host.output import configure_logging
 from protocol.host.process import freeze_objects, stop_on_signals
+from pulse_drives.scene import Cia402Scene, DriveScene, TmclScene, open_bus
 from pulse_sensors.binary_frames import MAX_SAMPLES, SampleFormat
 from sensing_node.scene import SensingScene
 from telepulse.cli.options import PROGRAM, ContactorOption

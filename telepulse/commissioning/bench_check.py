@@ -11,14 +11,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from display_node.drives import build_drive
-from display_node.drives.scene import Cia402Scene, TmclScene
 from display_node.fault_advice import advised
+from display_node.hardware import build_display_drive
 from display_node.plant.scene import StepperScene
 from display_node.scene import DisplayScene
 from protocol.config.scene import validate
 from protocol.config.scene_file import load_document, merge
 from protocol.errors import BenchError, DriveError, SceneError, SourceError
+from pulse_drives.scene import Cia402Scene, TmclScene
 from pulse_sensors.force_scale import SensorTable
 from pulse_sensors.sensor import open_sensor
 from sensing_node.scene import SensingScene, build_source
@@ -168,7 +168,7 @@ def _check_drive(
     seconds: float,
 ) -> None:
     actuator, film, tick_s = scene.actuator, scene.feedback, scene.tick_ns * 1e-9
-    drive = build_drive(table, actuator, scene.layer.layer(), scene.safety.force_limit_n)
+    drive = build_display_drive(table, actuator, scene.layer.layer(), scene.safety.force_limit_n)
     if film is None or not isinstance(actuator, StepperScene):
         raise SceneError(
             "[display.feedback] is missing: a drive is checked by the force on the film"

@@ -5,10 +5,7 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from display_node.drives.drive import PERIOD_S, Drive
-from display_node.drives.hardware import WITHDRAWN_WITHIN_S
-from display_node.drives.scene import Cia402Scene, TmclScene
-from display_node.drives.withdrawal import WithdrawalOutcome
+from display_node.hardware import WITHDRAWN_WITHIN_S
 from display_node.plant.film import FeedbackFilm
 from display_node.plant.scene import SecondOrderScene
 from display_node.plant.second_order import SecondOrder
@@ -16,6 +13,9 @@ from display_node.plant.stepper import Stepper
 from display_node.scene import DisplayScene
 from protocol.errors import BenchError, DriveError
 from protocol.host.realtime import Pacer
+from pulse_drives.drive import PERIOD_S, Drive
+from pulse_drives.scene import Cia402Scene, TmclScene
+from pulse_drives.withdrawal import WithdrawalOutcome
 from pulse_sensors.samples import SampleBlock
 from pulse_sensors.sensor import Sensor
 from telepulse.commissioning.sensor_check import Check, SensorRecord, grade

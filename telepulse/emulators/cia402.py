@@ -14,8 +14,8 @@ from typing import Any
 import can
 import canopen
 
-from display_node.drives.cia402.node import HEARTBEAT, QUICK_STOP_ON_ABORT, RPDO1, SYNC
-from display_node.drives.cia402.state_machine import (
+from pulse_drives.cia402.node import HEARTBEAT, QUICK_STOP_ON_ABORT, RPDO1, SYNC
+from pulse_drives.cia402.state_machine import (
     HEARTBEAT_ERROR,
     HERE,
     HOMING_ATTAINED,
@@ -26,7 +26,7 @@ from display_node.drives.cia402.state_machine import (
     Mode,
     State,
 )
-from display_node.drives.scene import Cia402Scene
+from pulse_drives.scene import Cia402Scene
 from telepulse.emulators.fault_injection import FaultInjector
 from telepulse.emulators.motor import EmulatedMotor
 
@@ -230,7 +230,7 @@ class EmulatedCia402Node:
         self._sent_s = 0.0
         self._network = _FaultyNetwork(bus, motor.injector)
         self._network.NOTIFIER_CYCLE = NOTIFIER_CYCLE_S
-        sheet = str(files("display_node.drives.cia402") / "cia402.eds")
+        sheet = str(files("pulse_drives.cia402") / "cia402.eds")
         self._node = canopen.LocalNode(scene.node, sheet)
         self._node.add_read_callback(self._on_read)  # type: ignore[no-untyped-call]
         self._node.add_write_callback(self._on_write)  # type: ignore[no-untyped-call]

@@ -10,8 +10,8 @@ import struct
 import time
 from typing import TYPE_CHECKING
 
-from display_node.drives.scene import TmclScene
-from display_node.drives.tmcl.module import (
+from pulse_drives.scene import TmclScene
+from pulse_drives.tmcl.module import (
     LEFT_SWITCH,
     RIGHT_SWITCH,
     Command,

@@ -14,7 +14,7 @@ from random import Random
 from pydantic import BaseModel, ConfigDict
 
 from display_node.display import Display
-from display_node.drives.hardware import Hardware
+from display_node.hardware import Hardware
 from display_node.scoring.deadlines import GAP_NS
 from sensing_node.sources.synthetic import SyntheticScene
 from telepulse.experiment.psychometrics import IntervalErrors

@@ -14,8 +14,8 @@ from functools import partial
 from typing import Any, NamedTuple
 
 from display_node.display import Display
-from display_node.drives.hardware import Hardware
 from display_node.fault_advice import advise
+from display_node.hardware import Hardware
 from protocol.config.quantities import count_text
 from protocol.errors import BenchError, SourceError
 from protocol.host.realtime import Pacer

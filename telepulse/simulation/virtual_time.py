@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import Final
 
 from display_node.display import Display
-from display_node.drives.hardware import Hardware
 from display_node.fault_advice import SENSING_NOTE
+from display_node.hardware import Hardware
 from display_node.scoring.tracking_error import TrackingError, scored
 from protocol.run_summary import Summary
 from protocol.ticks import TickState

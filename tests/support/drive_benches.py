@@ -14,11 +14,11 @@ from typing import Any
 
 import can
 
-from display_node.drives import build_drive
-from display_node.drives.drive import Drive
-from display_node.drives.scene import Cia402Scene, TmclScene
+from display_node.hardware import build_display_drive
 from display_node.plant.scene import StepperScene
 from protocol.wire.stream import LayerTable
+from pulse_drives.drive import Drive
+from pulse_drives.scene import Cia402Scene, TmclScene
 from telepulse.emulators import PtyPort
 from telepulse.emulators.cia402 import ALL_MODES, EmulatedCia402Node
 from telepulse.emulators.motor import TICK_NS, EmulatedMotor
@@ -32,7 +32,7 @@ FORCE_LIMIT_N = 2.5
 # For a machine so busy that threads wait: far longer than a bench's usual 50 ms.
 PATIENT = {"watchdog": "800 ms", "homing_speed": "20 mm/s", "touch": "0.6 mm"}
 LONGEST_WAIT_S = 20.0
-VIRTUAL = ("display_node.drives", "telepulse.emulators")
+VIRTUAL = ("pulse_drives", "telepulse.emulators")
 
 
 def stepper(**keys: Any) -> StepperScene:
@@ -65,7 +65,7 @@ class Bench:
     clock: Any = time
 
     def __post_init__(self) -> None:
-        self.drive: Drive = build_drive(self.scene, self.actuator, LAYER, FORCE_LIMIT_N)
+        self.drive: Drive = build_display_drive(self.scene, self.actuator, LAYER, FORCE_LIMIT_N)
 
     def wait(self, until: Callable[[], object], step: Callable[[], object] = bool) -> None:
         """Take steps until something holds."""

@@ -10,11 +10,12 @@ from contextlib import ExitStack
 from dataclasses import dataclass, field
 
 from display_node.display import Display
-from display_node.drives import Drive, build_drive
-from display_node.drives.scene import Cia402Scene, DriveScene, TmclScene
+from display_node.hardware import build_display_drive
 from display_node.plant.scene import StepperScene
 from display_node.scene import DisplayScene
 from protocol.host.realtime import Pacer
+from pulse_drives import Drive
+from pulse_drives.scene import Cia402Scene, DriveScene, TmclScene
 from pulse_sensors.sensor import Sensor
 from pulse_sensors.serial_port import SerialScene
 from telepulse.emulators.drive_run import EmulatedFilm
@@ -25,8 +26,8 @@ from tests.support.virtual_time import VirtualThread, VirtualTime
 
 # The modules that wait or read the clock.
 VIRTUAL = (
-    "display_node.drives",
-    "display_node.drives.hardware",
+    "pulse_drives",
+    "display_node.hardware",
     "pulse_sensors.sensor",
     "telepulse.emulators",
 )
@@ -157,7 +158,9 @@ class ThreadedBench:
         scene, actuator = self.scene, self.scene.actuator
         assert scene.drive is not None
         force_limit_n = scene.safety.force_limit_n
-        self.drive: Drive = build_drive(scene.drive, actuator, scene.layer.layer(), force_limit_n)
+        self.drive: Drive = build_display_drive(
+            scene.drive, actuator, scene.layer.layer(), force_limit_n
+        )
         sensor = None
         if isinstance(scene.feedback, SerialScene):
             clock = self.world.monotonic_ns

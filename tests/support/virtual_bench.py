@@ -9,10 +9,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from display_node.display import Display
-from display_node.drives.axis import Axis, build_axis
-from display_node.drives.supervisor import DriveStatus, Supervisor
 from display_node.plant.scene import StepperScene
 from protocol.ticks import TickState
+from pulse_drives.axis import Axis, build_axis
+from pulse_drives.supervisor import DriveStatus, Supervisor
 from pulse_sensors.samples import SampleBlock, Timestamper, decoded_block
 from telepulse.emulators.drive_run import FRAME
 from telepulse.emulators.motor import EmulatedMotor, MotorState
@@ -151,7 +151,7 @@ class VirtualBench:
         motor.set_watchdog(drive.watchdog_ns)
         self.moments: list[MotorState] = []
         motor.trace = self.moments.append
-        axis = build_axis(drive, actuator, layer, scene.safety.force_limit_n)
+        axis = build_axis(drive, actuator, actuator.deepest_m(layer, scene.safety.force_limit_n))
         # The film's delivery is part of the latency that a bench shows.
         late_ns = actuator.latency_ns - DELIVERY_NS
         self.drive = VirtualDrive(motor, axis, late_ns, drive.watchdog_ns)

@@ -10,7 +10,7 @@ from unittest.mock import patch
 
 import can
 
-from display_node.drives.scene import Cia402Scene, TmclScene
+from pulse_drives.scene import Cia402Scene, TmclScene
 from telepulse.emulators.cia402 import ALL_MODES, EmulatedCia402Node
 from telepulse.emulators.motor import TICK_NS, EmulatedMotor
 from telepulse.emulators.tmcl import DatagramSplitter, EmulatedTmclModule, checksum

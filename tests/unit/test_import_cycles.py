@@ -9,7 +9,14 @@ from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
-PACKAGES = ("protocol", "pulse_sensors", "sensing_node", "display_node", "telepulse")
+PACKAGES = (
+    "protocol",
+    "pulse_sensors",
+    "pulse_drives",
+    "sensing_node",
+    "display_node",
+    "telepulse",
+)
 
 
 def product_modules() -> dict[str, ast.Module]:

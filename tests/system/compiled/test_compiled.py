@@ -57,7 +57,8 @@ def test_each_program_says_that_it_is_compiled(compiled: Path, module: str) -> N
 PURE_CLASSES_WITH_A_COMPILED_BASE = """
 import inspect, pkgutil, sys
 from importlib import import_module
-PACKAGES = ("protocol", "pulse_sensors", "sensing_node", "display_node", "telepulse")
+NODES = ("sensing_node", "display_node")
+PACKAGES = ("protocol", "pulse_sensors", "pulse_drives", *NODES, "telepulse")
 for package in map(import_module, PACKAGES):
     for found in pkgutil.walk_packages(package.__path__, package.__name__ + "."):
         if not found.name.endswith("__main__"):

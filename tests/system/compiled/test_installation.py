@@ -10,7 +10,15 @@ import pytest
 from tests.support.nodes import ROOT
 
 COPIED = ("Makefile", "pyproject.toml", "constraints.txt", "compile_core.py", "hatch_build.py")
-PACKAGES = ("protocol", "pulse_sensors", "sensing_node", "display_node", "telepulse", "scenes")
+PACKAGES = (
+    "protocol",
+    "pulse_sensors",
+    "pulse_drives",
+    "sensing_node",
+    "display_node",
+    "telepulse",
+    "scenes",
+)
 EARLIER_S, INSTALLED_S, LATER_S = 1_000_000_000, 1_000_000_100, 1_000_000_200
 
 

@@ -13,11 +13,11 @@ import can
 import pytest
 import serial
 
-from display_node.drives import build_drive
-from display_node.drives.drive import Drive
+from display_node.hardware import build_display_drive
 from display_node.scene import DisplayScene
 from protocol.config.scene import load_section
 from protocol.host.child_process import ChildProcess
+from pulse_drives.drive import Drive
 from pulse_sensors.binary_frames import FrameDecoder
 from tests.support.log_lines import refused
 from tests.support.nodes import ROOT, process
@@ -45,12 +45,12 @@ SCENE = """
 PRESS_ON = """
     import sys, time
     from pathlib import Path
-    from display_node.drives import build_drive
+    from display_node.hardware import build_display_drive
     from display_node.scene import DisplayScene
     from protocol.config.scene import load_section
 
     scene = load_section(Path(sys.argv[1]), "display", DisplayScene)
-    drive = build_drive(scene.drive, scene.actuator, scene.layer.layer(), 2.5)
+    drive = build_display_drive(scene.drive, scene.actuator, scene.layer.layer(), 2.5)
     drive.start()
     print("started", flush=True)
     while True:
@@ -83,7 +83,7 @@ def scene_with(folder: Path, drive: str) -> Path:
 def drive_of(scene: Path) -> Drive:
     display = load_section(scene, "display", DisplayScene)
     assert display.drive is not None
-    return build_drive(display.drive, display.actuator, display.layer.layer(), 2.5)
+    return build_display_drive(display.drive, display.actuator, display.layer.layer(), 2.5)
 
 
 def keep(drive: Drive, rate_hz: float, until: Callable[[], bool]) -> None:

@@ -1,7 +1,7 @@
 """The whole emulated bench as processes: board, sensing node, display node, drive and film.
 
 On a busy machine a watchdog may stop the bench; the assertions hold then, too. Times from a fault
-to rest are in tests/unit/display_node/drives/test_hardware.py, in virtual time.
+to rest are in tests/unit/display_node/test_hardware.py, in virtual time.
 """
 
 import signal

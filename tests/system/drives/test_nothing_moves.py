@@ -35,7 +35,7 @@ respiration_rate = "15 /min"
 CLEAR = "Is the bench clear of fingers? [y/N]"
 ENDS_WITHIN_S = 60.0
 # Modules that reach a TMCL module; ours too, as another test may have imported it already.
-LINE = ("pytrinamic.tmcl", "display_node.drives.tmcl.line")
+LINE = ("pytrinamic.tmcl", "pulse_drives.tmcl.line")
 
 
 @dataclass

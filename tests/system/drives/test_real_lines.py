@@ -1,6 +1,6 @@
 """Drives on real lines: pseudo-terminals, CAN buses, slcan adapters, sockets, and noise on them.
 
-tests/unit/display_node/drives has the tests that need no real line, in virtual time.
+tests/unit/pulse_drives has the tests that need no real line, in virtual time.
 """
 
 import os
@@ -13,12 +13,12 @@ from contextlib import closing
 
 import pytest
 
-from display_node.drives import build_drive
-from display_node.drives.scene import Cia402Scene, TmclScene
-from display_node.drives.tmcl.line import TmclLine
-from display_node.drives.tmcl.module import Command, Parameter
-from display_node.drives.withdrawal import WithdrawalOutcome
+from display_node.hardware import build_display_drive
 from protocol.errors import DriveError
+from pulse_drives.scene import Cia402Scene, TmclScene
+from pulse_drives.tmcl.line import TmclLine
+from pulse_drives.tmcl.module import Command, Parameter
+from pulse_drives.withdrawal import WithdrawalOutcome
 from telepulse.emulators.tmcl import DATAGRAM, EmulatedTmclModule
 from tests.support.drive_benches import (
     FORCE_LIMIT_N,
@@ -71,7 +71,7 @@ def test_noise_from_a_can_adapter_is_only_counted(kind: str) -> None:
 )
 def test_a_missing_line_is_named_in_one_line(scene: TmclScene | Cia402Scene, words: str) -> None:
     with pytest.raises(DriveError, match=words) as error:
-        build_drive(scene, stepper(), LAYER, FORCE_LIMIT_N).start()
+        build_display_drive(scene, stepper(), LAYER, FORCE_LIMIT_N).start()
     assert "\n" not in str(error.value)
 
 

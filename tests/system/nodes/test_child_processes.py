@@ -13,7 +13,15 @@ from telepulse.simulation.link_scene import parse_link
 from tests.support.nodes import RADIAL, ROOT, assert_accounted, free_address, read_json
 
 PATIENCE_S = 60.0
-NAMES = ("protocol", "telepulse", "sensors", "pulse_sensors", "sensing_node", "display_node")
+NAMES = (
+    "protocol",
+    "telepulse",
+    "sensors",
+    "pulse_sensors",
+    "pulse_drives",
+    "sensing_node",
+    "display_node",
+)
 
 
 @pytest.fixture

@@ -14,7 +14,14 @@ from sensing_node.scene import SensingScene
 from telepulse.simulation.link_scene import LinkScene
 from tests.support.nodes import ROOT
 
-PACKAGES = ("protocol", "pulse_sensors", "sensing_node", "display_node", "telepulse")
+PACKAGES = (
+    "protocol",
+    "pulse_sensors",
+    "pulse_drives",
+    "sensing_node",
+    "display_node",
+    "telepulse",
+)
 
 
 def keys(schema: type[BaseModel]) -> Iterator[str]:

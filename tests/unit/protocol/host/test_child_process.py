@@ -9,7 +9,7 @@ from protocol.errors import SidecarError
 from protocol.host.child_process import python_command, sidecar_module
 
 ROOT = Path(__file__).parents[4]
-PRODUCT = ("protocol", "pulse_sensors", "sensing_node", "display_node", "telepulse")
+PRODUCT = ("protocol", "pulse_sensors", "pulse_drives", "sensing_node", "display_node", "telepulse")
 STARTS = re.compile(
     r"sys\.executable|\bPopen\(|\bsubprocess\.(?:run|call|check_)"
     r"|\bos\.(?:exec|spawn|posix_spawn|system|popen)"

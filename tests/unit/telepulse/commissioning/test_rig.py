@@ -5,8 +5,8 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
-from display_node.drives.scene import Cia402Scene, TmclScene
 from protocol.errors import BenchError, DriveError
+from pulse_drives.scene import Cia402Scene, TmclScene
 from pulse_sensors.samples import SampleBlock
 from telepulse.commissioning.actuator_check import check_actuator
 from telepulse.commissioning.press import PressRecorder, press_stepper

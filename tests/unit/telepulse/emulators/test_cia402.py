@@ -2,7 +2,7 @@
 
 import pytest
 
-from display_node.drives.cia402.state_machine import (
+from pulse_drives.cia402.state_machine import (
     HEARTBEAT_ERROR,
     HERE,
     HOMING_ATTAINED,

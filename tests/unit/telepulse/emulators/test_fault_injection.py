@@ -2,10 +2,10 @@
 
 import pytest
 
-from display_node.drives.scene import TmclScene
 from display_node.plant.scene import StepperScene
 from protocol.errors import SceneError
 from protocol.wire.stream import LayerTable
+from pulse_drives.scene import TmclScene
 from telepulse.emulators.fault_injection import FaultInjector, FaultKind, InjectedFault, parse_fault
 from telepulse.emulators.motor import TICK_NS, EmulatedMotor
 from telepulse.emulators.tmcl import EmulatedTmclModule

@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pytrinamic.tmcl import TMCLReply, TMCLRequest
 
-from display_node.drives.tmcl.module import Command, Parameter, Search
+from pulse_drives.tmcl.module import Command, Parameter, Search
 from telepulse.emulators.motor import EmulatedMotor
 from telepulse.emulators.tmcl import (
     INVALID_COMMAND,

@@ -4,9 +4,9 @@ import random
 
 import pytest
 
-from display_node.drives.axis import Axis, build_axis
-from display_node.drives.supervisor import PATIENCE_S, Supervisor, TimeoutLock
-from display_node.drives.withdrawal import WithdrawalOutcome
+from pulse_drives.axis import Axis, build_axis
+from pulse_drives.supervisor import PATIENCE_S, Supervisor, TimeoutLock
+from pulse_drives.withdrawal import WithdrawalOutcome
 from tests.support.drive_benches import FORCE_LIMIT_N, LAYER, stepper, tmcl_scene
 from tests.support.virtual_time import VirtualTime
 
@@ -16,7 +16,7 @@ WATCHDOG_NS = 50 * MS
 
 def axis() -> Axis:
     scene = tmcl_scene(port="x", touch="2 mm", watchdog="50 ms", reply_timeout="10 ms")
-    return build_axis(scene, stepper(), LAYER, FORCE_LIMIT_N)
+    return build_axis(scene, stepper(), stepper().deepest_m(LAYER, FORCE_LIMIT_N))
 
 
 class Bench:
@@ -154,7 +154,7 @@ def test_a_command_slowed_at_the_end_of_the_travel_is_reported() -> None:
 
 def test_a_lock_times_out_while_its_holder_stalls_and_then_excludes_again() -> None:
     world, entries = VirtualTime(now_ns=0), list[tuple[str, float]]()
-    with world.substituted(("display_node.drives.supervisor",)):
+    with world.substituted(("pulse_drives.supervisor",)):
         lock = TimeoutLock()
 
     def loop() -> None:

@@ -2,7 +2,7 @@
 
 import pytest
 
-from display_node.drives.withdrawal import (
+from pulse_drives.withdrawal import (
     FAST_M_PER_S,
     MARGIN_M,
     PATIENCE_NS,

@@ -7,9 +7,10 @@ from unittest.mock import patch
 import can
 import pytest
 
-from display_node.drives import build_drive
-from display_node.drives.cia402 import node as cia402_node
-from display_node.drives.cia402.node import (
+from display_node.hardware import build_display_drive
+from protocol.errors import DriveError
+from pulse_drives.cia402 import node as cia402_node
+from pulse_drives.cia402.node import (
     EMERGENCY,
     SPEED_TPDO,
     STATE_TPDO,
@@ -17,15 +18,14 @@ from display_node.drives.cia402.node import (
     TPDO2,
     Cia402Node,
 )
-from display_node.drives.cia402.state_machine import (
+from pulse_drives.cia402.state_machine import (
     Controlword,
     Mode,
     State,
     state_of,
     towards_enabled,
 )
-from display_node.drives.withdrawal import WithdrawalOutcome
-from protocol.errors import DriveError
+from pulse_drives.withdrawal import WithdrawalOutcome
 from telepulse.emulators.cia402 import EmulatedCia402Drive
 from telepulse.emulators.motor import EmulatedMotor
 from tests.support.drive_benches import (
@@ -153,7 +153,7 @@ def test_an_empty_address_is_named_in_one_line(
     bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(cia402_node, "SDO_TIMEOUT_S", 1e-3)
-    other = build_drive(cia402_scene(node=9), stepper(), LAYER, FORCE_LIMIT_N)
+    other = build_display_drive(cia402_scene(node=9), stepper(), LAYER, FORCE_LIMIT_N)
     with pytest.raises(DriveError, match="no answer from node 9") as error:
         other.start()
     assert "\n" not in str(error.value)

@@ -9,10 +9,10 @@ from collections import Counter
 from collections.abc import Callable
 from enum import IntEnum, IntFlag
 
-from display_node.drives.axis import Axis
-from display_node.drives.drive import WRONG_WAY, bound_search
-from display_node.drives.scene import TmclScene
 from protocol.errors import DriveError
+from pulse_drives.axis import Axis
+from pulse_drives.drive import WRONG_WAY, bound_search
+from pulse_drives.scene import TmclScene
 
 TRIES = 3
 # Time for repeating a request; a CANopen drive has the same time for an answer.
@@ -107,7 +107,7 @@ class TmclModule:
     def __init__(self, scene: TmclScene, axis: Axis, counts: Counter[str]) -> None:
         """Open the line. Raises DriveError."""
         try:
-            from display_node.drives.tmcl.line import TmclLine
+            from pulse_drives.tmcl.line import TmclLine
         except ImportError as error:
             raise DriveError(
                 "unplugged", f"PyTrinamic is missing ({error}); pip install 'telepulse[drives]'"

@@ -6,10 +6,10 @@ from unittest.mock import patch
 
 import pytest
 
-from display_node.drives.tmcl.line import TmclLine
-from display_node.drives.tmcl.module import Command, Parameter
-from display_node.drives.withdrawal import WithdrawalOutcome
 from protocol.errors import DriveError
+from pulse_drives.tmcl.line import TmclLine
+from pulse_drives.tmcl.module import Command, Parameter
+from pulse_drives.withdrawal import WithdrawalOutcome
 from telepulse.emulators.motor import EmulatedMotor
 from telepulse.emulators.tmcl import DATAGRAM, INVALID_VALUE, checksum
 from tests.support.drive_benches import Bench, tmcl_scene, virtual_bench

@@ -4,11 +4,11 @@ from collections.abc import Iterator
 
 import pytest
 
-from display_node.drives.axis import build_axis
-from display_node.drives.drive import OPENED_M, SEARCH_MARGIN_M, TouchGuard, bound_search
-from display_node.drives.supervisor import Supervisor
-from display_node.drives.withdrawal import WithdrawalOutcome
 from protocol.errors import DriveError
+from pulse_drives.axis import build_axis
+from pulse_drives.drive import OPENED_M, SEARCH_MARGIN_M, TouchGuard, bound_search
+from pulse_drives.supervisor import Supervisor
+from pulse_drives.withdrawal import WithdrawalOutcome
 from telepulse.emulators.fault_injection import FaultKind, InjectedFault
 from tests.support.drive_benches import (
     FORCE_LIMIT_N,
@@ -214,7 +214,7 @@ def test_a_press_before_first_touch_ends_the_motion() -> None:
 
 
 def test_a_search_for_home_ends_where_home_cannot_be() -> None:
-    axis = build_axis(tmcl_scene(port="x"), stepper(), LAYER, FORCE_LIMIT_N)
+    axis = build_axis(tmcl_scene(port="x"), stepper(), stepper().deepest_m(LAYER, FORCE_LIMIT_N))
     assert -axis.lowest_m > OPENED_M
     most_m = axis.furthest_m - axis.lowest_m + SEARCH_MARGIN_M
     bound_search(axis, 1e-3, 1e-3 - 0.99 * most_m)

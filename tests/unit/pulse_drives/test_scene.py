@@ -2,11 +2,11 @@ from typing import Any
 
 import pytest
 
-from display_node.drives import build_drive
-from display_node.drives.scene import Cia402Scene, TmclScene
+from display_node.hardware import build_display_drive
 from display_node.scene import DisplayScene
 from protocol.config.scene import validate
 from protocol.errors import SceneError
+from pulse_drives.scene import Cia402Scene, TmclScene
 from tests.support.drive_benches import FORCE_LIMIT_N, LAYER
 
 STEPPER = {"kind": "stepper"}
@@ -61,4 +61,4 @@ def test_an_actuator_that_the_drive_cannot_move_is_refused(
     scene = display(SERIAL, actuator)
     assert scene.drive is not None
     with pytest.raises(SceneError, match=words):
-        build_drive(scene.drive, scene.actuator, LAYER, FORCE_LIMIT_N)
+        build_display_drive(scene.drive, scene.actuator, LAYER, FORCE_LIMIT_N)

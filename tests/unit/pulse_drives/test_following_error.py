@@ -1,6 +1,6 @@
 import pytest
 
-from display_node.drives.following_error import CommandedPosition
+from pulse_drives.following_error import CommandedPosition
 
 MS = 1_000_000
 

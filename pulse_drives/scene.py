@@ -1,10 +1,18 @@
-"""The `drive` table: bus, units and homing of the real drive. Its mechanics are in `actuator`."""
+"""The tables of a real drive: its motor and screw, and its bus, units and homing."""
 
+import math
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import Field, model_validator
 
-from protocol.config.quantities import BitsPerSecond, Metres, MetresPerSecond, Nanoseconds
+from protocol.config.quantities import (
+    BitsPerSecond,
+    Metres,
+    MetresPerSecond,
+    MetresPerSecond2,
+    Nanoseconds,
+    Radians,
+)
 from protocol.config.scene import Section
 from protocol.errors import DriveError
 
@@ -12,6 +20,22 @@ if TYPE_CHECKING:
     import can
 
 Scale = Annotated[float, Field(gt=0, le=1e9)]
+
+
+class MotorScene(Section):
+    """The keys of a stepper motor and its screw."""
+
+    step_angle_rad: Annotated[Radians, Field(gt=0)] = math.radians(1.8)
+    microsteps: Annotated[int, Field(ge=1, le=256)] = 16
+    lead_m: Annotated[Metres, Field(gt=0, le=0.1)] = 2e-3
+    max_speed_m_per_s: Annotated[MetresPerSecond, Field(gt=0)] = 0.4
+    max_acceleration_m_per_s2: Annotated[MetresPerSecond2, Field(gt=0)] = 20.0
+    stroke_m: Annotated[Metres, Field(gt=0)] = 0.1
+
+    @property
+    def step_m(self) -> float:
+        """Travel of one microstep."""
+        return self.lead_m * self.step_angle_rad / (2 * math.pi) / self.microsteps
 
 
 class DriveScene(Section):
@@ -24,7 +48,7 @@ class DriveScene(Section):
     homing: "switch" moves away from the finger to a limit switch; "none" takes the present position
     as home. homing_method: number of a homing method of the drive, which replaces `homing`. touch:
     distance from home to first touch of the finger. furthest: greatest depth beyond that, by
-    default where the contact law gives the force limit.
+    default where a display's contact law gives the force limit, or the probe's travel.
 
     period: greatest time between two commands. watchdog: time without a command after which the
     drive stops by itself, and without an answer after which it has failed.

@@ -8,10 +8,10 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from display_node.drives.supervisor import DriveStatus
-from display_node.drives.withdrawal import WithdrawalOutcome
 from display_node.scene import DisplayScene
 from protocol.errors import SceneError, SourceError
+from pulse_drives.supervisor import DriveStatus
+from pulse_drives.withdrawal import WithdrawalOutcome
 from pulse_sensors.samples import SampleBlock
 from tests.support.sender import MS, Sender, display_scene
 from tests.support.streams import synthetic
@@ -303,7 +303,7 @@ class QuietFilm:
 def test_a_bench_starts_with_the_films_first_sample(scene: DisplayScene, first: int) -> None:
     bench, world = VirtualBench(lambda ms: 0.3), VirtualTime()
     film = QuietFilm(world, first)
-    with world.substituted(("display_node.drives.hardware",)):
+    with world.substituted(("display_node.hardware",)):
         started = scene.hardware(bench.drive, film)  # type: ignore[arg-type]
         if first == 10_000:
             with pytest.raises(SourceError, match="no sample within 5 s"):

@@ -11,8 +11,9 @@ from functools import partial
 from importlib.resources import files
 from typing import Any
 
-from display_node.drives.axis import Axis
-from display_node.drives.cia402.state_machine import (
+from protocol.errors import DriveError
+from pulse_drives.axis import Axis
+from pulse_drives.cia402.state_machine import (
     ERRORS,
     HERE,
     HOMING_ATTAINED,
@@ -25,10 +26,9 @@ from display_node.drives.cia402.state_machine import (
     state_of,
     towards_enabled,
 )
-from display_node.drives.drive import bound_search
-from display_node.drives.scene import Cia402Scene, discard_spoilt_line, is_noise, open_bus
-from display_node.drives.supervisor import TimeoutLock
-from protocol.errors import DriveError
+from pulse_drives.drive import bound_search
+from pulse_drives.scene import Cia402Scene, discard_spoilt_line, is_noise, open_bus
+from pulse_drives.supervisor import TimeoutLock
 
 SYNC = 0x80
 EMERGENCY, TPDO1, TPDO2, RPDO1, HEARTBEAT = 0x80, 0x180, 0x280, 0x200, 0x700
@@ -103,7 +103,7 @@ class Cia402Node:
         self._network.NOTIFIER_CYCLE = 0.1
         # canopen's own threads send as well.
         self._sending = TimeoutLock(self._network.send_lock)
-        sheet = str(files("display_node.drives.cia402") / "cia402.eds")
+        sheet = str(files("pulse_drives.cia402") / "cia402.eds")
         self._node = canopen.RemoteNode(scene.node, sheet)
         self._node.sdo.RESPONSE_TIMEOUT = SDO_TIMEOUT_S
         self._network.add_node(self._node)

@@ -7,11 +7,11 @@ messages with the module, and the force loop only stores its latest command (dec
 import time
 from itertools import cycle
 
-from display_node.drives.axis import Axis
-from display_node.drives.drive import PERIOD_S, REST_WITHIN_S, Drive, DriveDevice
-from display_node.drives.scene import TmclScene
-from display_node.drives.tmcl.module import TRANSIENT, Parameter, TmclModule
 from protocol.errors import DriveError
+from pulse_drives.axis import Axis
+from pulse_drives.drive import PERIOD_S, REST_WITHIN_S, Drive, DriveDevice
+from pulse_drives.scene import TmclScene
+from pulse_drives.tmcl.module import TRANSIENT, Parameter, TmclModule
 
 # Axis parameters that are read in turn: one in each period of the thread in which no new command
 # waits, and at least one in POLL_NS.

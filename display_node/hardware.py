@@ -3,13 +3,14 @@
 import time
 from collections import Counter
 
-from display_node.drives import Drive
-from display_node.drives.withdrawal import FingerState, WithdrawalOutcome
 from display_node.plant.feedback import Feedback, FilmPlausibility, RisingForce
-from display_node.plant.scene import StepperScene
-from protocol.errors import SourceError
+from display_node.plant.scene import SecondOrderScene, StepperScene
+from protocol.errors import SceneError, SourceError
 from protocol.tactile import ElasticLayer
 from protocol.ticks import LimitCounter
+from pulse_drives import Drive, build_drive
+from pulse_drives.scene import Cia402Scene, TmclScene
+from pulse_drives.withdrawal import FingerState, WithdrawalOutcome
 from pulse_sensors.sensor import Sensor
 
 FIRST_SAMPLE_WITHIN_S = 5.0
@@ -17,6 +18,18 @@ POLL_S = 0.01
 # Longest withdrawal: a whole stroke without confirmation, at the slow speed.
 WITHDRAWN_WITHIN_S = 1.5
 _FAILED = (WithdrawalOutcome.UNCONFIRMED, WithdrawalOutcome.WRONG_WAY)
+
+
+def build_display_drive(
+    scene: TmclScene | Cia402Scene,
+    actuator: StepperScene | SecondOrderScene,
+    layer: ElasticLayer,
+    force_limit_n: float,
+) -> Drive:
+    """Build the drive of a contactor, without starting it. Raises SceneError."""
+    if not isinstance(actuator, StepperScene):
+        raise SceneError('[display] drive: it needs an actuator of kind "stepper"')
+    return build_drive(scene, actuator, actuator.deepest_m(layer, force_limit_n))
 
 
 class Hardware:

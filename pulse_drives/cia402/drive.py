@@ -9,12 +9,12 @@ explains why canopen's `BaseNode402` does not suffice.
 
 import time
 
-from display_node.drives.axis import Axis
-from display_node.drives.cia402.node import Cia402Node
-from display_node.drives.cia402.state_machine import Controlword, State, towards_enabled
-from display_node.drives.drive import Drive, DriveDevice
-from display_node.drives.scene import Cia402Scene
 from protocol.errors import DriveError
+from pulse_drives.axis import Axis
+from pulse_drives.cia402.node import Cia402Node
+from pulse_drives.cia402.state_machine import Controlword, State, towards_enabled
+from pulse_drives.drive import Drive, DriveDevice
+from pulse_drives.scene import Cia402Scene
 
 # Number of heartbeats in the drive's watchdog time.
 BEATS = 4

@@ -11,9 +11,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 
-from display_node.drives.axis import Axis
-from display_node.drives.following_error import CommandedPosition, FollowingError
-from display_node.drives.withdrawal import Withdrawal, WithdrawalOutcome
+from pulse_drives.axis import Axis
+from pulse_drives.following_error import CommandedPosition, FollowingError
+from pulse_drives.withdrawal import Withdrawal, WithdrawalOutcome
 
 # The loop holds the lock for microseconds, or while a full bus accepts a command: 50 ms at most.
 PATIENCE_S = 0.05

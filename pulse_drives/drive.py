@@ -22,10 +22,10 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import Protocol
 
-from display_node.drives.axis import Axis
-from display_node.drives.scene import DriveScene
-from display_node.drives.supervisor import DriveStatus, Supervisor, TimeoutLock
 from protocol.errors import DriveError
+from pulse_drives.axis import Axis
+from pulse_drives.scene import DriveScene
+from pulse_drives.supervisor import DriveStatus, Supervisor, TimeoutLock
 
 # Time between two commands on the way to first touch or to rest.
 PERIOD_S = 2e-3

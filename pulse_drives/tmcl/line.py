@@ -14,8 +14,8 @@ import can
 import serial
 from pytrinamic.tmcl import TMCLReply, TMCLRequest, TMCLStatus
 
-from display_node.drives.scene import TmclScene, discard_spoilt_line, is_noise, open_bus
 from protocol.errors import DriveError
+from pulse_drives.scene import TmclScene, discard_spoilt_line, is_noise, open_bus
 
 DATAGRAM_BYTES = 9
 # More than can wait after two failed requests: bytes on a serial line, frames on CAN.

@@ -6,9 +6,7 @@
 import math
 from dataclasses import dataclass
 
-from display_node.drives.scene import Cia402Scene, DriveScene
-from display_node.plant.scene import StepperScene
-from protocol.tactile import ElasticLayer
+from pulse_drives.scene import Cia402Scene, DriveScene, MotorScene
 
 # Positions and velocities of a drive have 32 bits.
 LARGEST = 2**31 - 1
@@ -105,20 +103,17 @@ class Axis:
         return min(max(speed_m_per_s, -fastest), fastest)
 
 
-def build_axis(
-    scene: DriveScene, actuator: StepperScene, layer: ElasticLayer, force_limit_n: float
-) -> Axis:
-    """Return the axis of a scene's drive and actuator.
+def build_axis(scene: DriveScene, motor: MotorScene, deepest_m: float) -> Axis:
+    """Return the axis of a scene's drive and motor.
 
-    Its travel begins at home. It ends where the contact law gives the force limit or the thrust, at
-    the stroke's end, or at `furthest`, whichever comes first.
+    Its travel begins at home. It ends at `deepest_m`, at the stroke's end, or at `furthest`,
+    whichever comes first.
     """
-    pressing_m = actuator.contact(layer).position(min(actuator.thrust_n, force_limit_n))
     # Positions count whole microsteps, so the tip may be almost one microstep further.
-    ends_m = [actuator.stroke_m - scene.touch_m, pressing_m - actuator.step_m]
+    ends_m = [motor.stroke_m - scene.touch_m, deepest_m - motor.step_m]
     return Axis(
         units=Units(
-            step_m=actuator.step_m,
+            step_m=motor.step_m,
             per_step=scene.position_scale if isinstance(scene, Cia402Scene) else 1.0,
             per_step_rate=scene.velocity_scale,
             direction=-1 if scene.inverted else 1,
@@ -126,11 +121,11 @@ def build_axis(
         ),
         lowest_m=-scene.touch_m,
         furthest_m=min(ends_m + ([] if scene.furthest_m is None else [scene.furthest_m])),
-        max_speed_m_per_s=actuator.max_speed_m_per_s,
-        max_acceleration_m_per_s2=actuator.max_acceleration_m_per_s2,
-        microsteps=actuator.microsteps,
+        max_speed_m_per_s=motor.max_speed_m_per_s,
+        max_acceleration_m_per_s2=motor.max_acceleration_m_per_s2,
+        microsteps=motor.microsteps,
         # If no command follows, the last one acts until the drive's watchdog ends it.
         reaction_s=REACTION_S + scene.watchdog_ns * 1e-9,
-        search_s=5.0 + 2 * actuator.stroke_m / scene.homing_speed_m_per_s,
+        search_s=5.0 + 2 * motor.stroke_m / scene.homing_speed_m_per_s,
         clear_m=-min(CLEAR_M, scene.touch_m / 2),
     )

@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from display_node.drives.axis import LARGEST, Axis, Units, build_axis
+from pulse_drives.axis import LARGEST, Axis, Units, build_axis
 from telepulse.emulators.motor import TICK_NS, EmulatedMotor
 from tests.support.drive_benches import FORCE_LIMIT_N, LAYER, stepper, tmcl_scene
 from tests.support.virtual_bench import to_touch
@@ -61,7 +61,7 @@ def test_the_watchdog_stops_the_tip_within_its_travel_whenever_the_commands_end(
 ) -> None:
     scene = tmcl_scene(port="x", watchdog="50 ms", touch="2 mm", reply_timeout="10 ms")
     actuator = stepper()
-    axis = build_axis(scene, actuator, LAYER, FORCE_LIMIT_N)
+    axis = build_axis(scene, actuator, actuator.deepest_m(LAYER, FORCE_LIMIT_N))
     motor = EmulatedMotor(actuator, actuator.contact(LAYER), 2e-3, now_ns=0)
     began_ns = to_touch(motor, 0)
     motor.set_watchdog(WATCHDOG_NS)
