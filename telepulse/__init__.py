@@ -1,1 +1,54 @@
-"""Programs around the two nodes: simulation, demo, emulation, recordings, reports, commands."""
+"""Touch over a network: simulate and record runs, read them as arrays, and follow live streams.
+
+The commands are `sensing-node`, `display-node` and `telepulse`. From Python:
+
+>>> import telepulse
+>>> run = telepulse.simulate("radial", seconds=5, link="delay=40ms,jitter=10ms")
+>>> print(f"{1e3 * run.summary.force_rmse_n.aligned:.0f} mN")
+2 mN
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any, Final
+
+if TYPE_CHECKING:
+    from protocol.errors import TelepulseError
+    from telepulse.recording.recorded_run import read_recording
+    from telepulse.reports.studies.sweep import sweep
+    from telepulse.run import ContactorRun, Run
+    from telepulse.scene import Scene, load_scene
+    from telepulse.simulation.simulated_run import simulate
+
+# Each name's module, imported when it is used: commands import this package and need none of them.
+_MODULES: Final = {
+    "ContactorRun": "telepulse.run",
+    "Run": "telepulse.run",
+    "Scene": "telepulse.scene",
+    "TelepulseError": "protocol.errors",
+    "load_scene": "telepulse.scene",
+    "read_recording": "telepulse.recording.recorded_run",
+    "simulate": "telepulse.simulation.simulated_run",
+    "sweep": "telepulse.reports.studies.sweep",
+}
+__all__ = [
+    "ContactorRun",
+    "Run",
+    "Scene",
+    "TelepulseError",
+    "load_scene",
+    "read_recording",
+    "simulate",
+    "sweep",
+]
+
+
+def __getattr__(name: str) -> Any:
+    """Import a name of `__all__` from its module."""
+    if name not in _MODULES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(_MODULES[name]), name)
+
+
+def __dir__() -> list[str]:
+    """Return the names that this package offers."""
+    return sorted({*globals(), *__all__})

@@ -7,7 +7,7 @@ clock, a simulation runs a display in real time over the modelled link.
 import heapq
 import itertools
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -83,16 +83,22 @@ class Simulation:
     """One run of a scene in virtual time; the same scene and seed give the same summary.
 
     begin_ns: time of the display's clock at which the simulation starts. hardware: a real bench to
-    play on, for a display with one contactor.
+    play on, for a display with one contactor. take_frame: receives each frame that is sensed, with
+    the true values.
 
     Raises SceneError for a force loop that is not stable. Raises SourceError for a source that
     cannot be built.
     """
 
     def __init__(
-        self, scene: Scene, seed: int, begin_ns: int = 0, hardware: Hardware | None = None
+        self,
+        scene: Scene,
+        seed: int,
+        begin_ns: int = 0,
+        hardware: Hardware | None = None,
+        take_frame: Callable[[Frame], None] | None = None,
     ) -> None:
-        self._scene = scene
+        self._scene, self._take_frame = scene, take_frame
         self._source = build_source(scene.sensing, scene.path.parent)
         self._reference = ReferenceForce(scene.sensing, scene.path.parent)
         self._description = describe_stream(scene.sensing, self._source)
@@ -138,14 +144,18 @@ class Simulation:
         Ticks before the stream is `settle_seconds` old are not scored. `watch` receives every
         scored tick until the stream ends.
         """
-        began_s, tick_ns = time.perf_counter(), self._scene.display.tick_ns
-        begin_ns, last_ns = self._now_ns, self.begin(seconds, settle_seconds)
-        while not self.display.over and self._now_ns < last_ns + DRAIN_LIMIT_NS:
-            state = self.tick(self._now_ns + tick_ns)
-            if watch and state.scored and self._scored_from_ns <= self._now_ns <= last_ns:
+        began_s, begin_ns = time.perf_counter(), self._now_ns
+        for state in self.ticks(seconds, settle_seconds):
+            if watch and state.scored and self._scored_from_ns <= self._now_ns <= self._last_ns:
                 watch(state)
         speed = (self._now_ns - begin_ns) / 1e9 / (time.perf_counter() - began_s)
         return replace(self.end(), speed=speed)
+
+    def ticks(self, seconds: float, settle_seconds: float = 0.0) -> Iterator[TickState]:
+        """Simulate `seconds` of stream, and yield the state after each tick."""
+        last_ns, tick_ns = self.begin(seconds, settle_seconds), self._scene.display.tick_ns
+        while not self.display.over and self._now_ns < last_ns + DRAIN_LIMIT_NS:
+            yield self.tick(self._now_ns + tick_ns)
 
     def begin(self, seconds: float, settle_seconds: float = 0.0) -> int:
         """Begin `seconds` of stream; return the time in ns at which its last sample is due.
@@ -222,6 +232,8 @@ class Simulation:
             self._check.add(block.values)
             for frame in self._framer.frames(block):
                 true_frame = self._reference.of(frame)
+                if self._take_frame is not None:
+                    self._take_frame(true_frame)
                 for channel, contactor, error in self._scored:
                     samples = true_frame.samples_of(channel)
                     error.add_reference(samples, contactor.force_ratio)

@@ -22,7 +22,7 @@ BLOCKS = list(blocks())
 SECTIONS = {"sensing": SensingScene, "display": DisplayScene, "link": LinkScene}
 # Neither commands nor data of ours: bytes, output, files of other programs.
 SHOWN = {
-    ("docs/wire.md", "[1, session, first_sample"),
+    ("docs/wire.md", "[2, session, first_sample"),
     ("docs/fuzzing.md", "frame "),
     ("docs/realtime.md", "USER - rtprio"),
     ("docs/discovery.md", "looking for a sensing node"),

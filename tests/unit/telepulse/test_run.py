@@ -1,0 +1,86 @@
+"""Runs as arrays agree with the summaries, simulated and recorded."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import telepulse
+from protocol.errors import SceneError, SourceError
+from tests.support.recordings import record
+
+LINK = "delay=40ms,jitter=10ms,loss=1%"
+
+
+@pytest.fixture(scope="module")
+def run() -> telepulse.Run:
+    return telepulse.simulate("radial", seconds=6, link=LINK, display={"predictor": "linear"})
+
+
+def test_the_arrays_give_the_errors_of_the_summary(run: telepulse.Run) -> None:
+    errors = run.summary.force_rmse_n
+    target_n = run.first.force_ratio * run.wrist_n
+    in_phase_n = run.felt_n - target_n
+    # The last ticks are later than the last sample.
+    assert np.sqrt(np.nanmean(in_phase_n[run.played] ** 2)) == pytest.approx(errors.in_phase)
+    then_n = np.interp(run.t_s - run.delay_s, run.t_s, target_n)
+    aligned_n = (run.felt_n - then_n)[run.played]
+    assert np.sqrt(np.nanmean(aligned_n**2)) == pytest.approx(errors.aligned, rel=0.02)
+    np.testing.assert_allclose(run.strain, run.first.strain_per_newton * run.felt_n)
+
+
+def test_the_masks_and_delays_are_those_of_the_summary(run: telepulse.Run) -> None:
+    summary = run.summary
+    assert np.count_nonzero(run.played) / len(run.t_s) == pytest.approx(summary.availability.felt)
+    # The display's own figure has the error of its clock over the run.
+    assert 1e3 * np.nanmean(run.delay_s) == pytest.approx(summary.playout_delay_ms.mean, abs=2)
+    assert not run.predicted[np.isnan(run.delay_s)].any()
+    due = telepulse.simulate("radial", seconds=3, display={"compensation": "0 ms"}, link=LINK)
+    assert due.predicted[due.played].all()
+
+
+def test_columns_name_each_contactor_but_the_first() -> None:
+    run = telepulse.simulate("three_fingers", seconds=1.5, display={"predictor": "linear"})
+    assert list(run.contactors) == ["cun", "guan", "chi"]
+    columns = run.columns()
+    np.testing.assert_array_equal(columns["chi felt_n"], run.contactors["chi"].felt_n)
+    assert {len(column) for column in columns.values()} == {len(run.t_s)}
+    frame = run.to_dataframe()
+    assert list(frame) == list(columns)
+    assert len(run.plot(0.5, 1.0).axes) == 4
+
+
+def test_a_recording_has_the_same_shape(tmp_path: Path) -> None:
+    record(tmp_path / "run.mcap", 2)
+    run = telepulse.read_recording(tmp_path / "run.mcap")
+    assert len(run.t_s) == 2_000
+    assert run.name == "run"
+    np.testing.assert_allclose(run.felt_n, run.target_n, atol=1e-3)
+    assert (~np.isnan(run.wrist_n))[run.played].mean() > 0.95
+    assert np.median(run.delay_s[run.played]) == pytest.approx(0.04, abs=1e-3)
+
+
+def test_a_file_that_is_no_recording_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "x.mcap").write_bytes(b"{}")
+    with pytest.raises(SourceError, match="not an MCAP file"):
+        telepulse.read_recording(tmp_path / "x.mcap")
+
+
+def test_changes_of_a_scene_are_validated() -> None:
+    scene = telepulse.load_scene("radial", display={"predictor": "analogue"}, link=LINK)
+    assert scene.display.predictor == "analogue"
+    assert scene.link.loss == 0.01
+    with pytest.raises(SceneError, match=r"changed: \[display\] predicto: unknown key"):
+        telepulse.simulate("radial", display={"predicto": "linear"})
+    with pytest.raises(SceneError, match="loaded already"):
+        telepulse.simulate(scene, link=LINK)
+    with pytest.raises(SceneError, match="no such scene"):
+        telepulse.load_scene("radiall")
+
+
+def test_every_name_of_the_package_is_imported_when_it_is_used() -> None:
+    assert set(telepulse.__all__) <= set(dir(telepulse))
+    for name in telepulse.__all__:
+        assert getattr(telepulse, name).__name__ == name
+    with pytest.raises(AttributeError, match="no attribute 'simulat'"):
+        telepulse.simulat  # noqa: B018
