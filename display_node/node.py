@@ -13,7 +13,7 @@ from pathlib import Path
 import zmq
 
 from display_node.display import Display
-from display_node.fault_advice import FILM_NOTE, advise, advised
+from display_node.fault_advice import FILM_NOTE, advise
 from display_node.hardware import Hardware, build_display_drive
 from display_node.reception.connection import Connection
 from display_node.reception.redundancy import Redundancy
@@ -32,6 +32,7 @@ from protocol.summary_tables import Lateness, TickTime
 from protocol.wire.messages import encode_control
 from protocol.wire.telemetry import CONTROL
 from pulse_drives.scene import Cia402Scene, TmclScene
+from pulse_drives.start_advice import advised
 from pulse_drives.withdrawal import describe_finger
 from pulse_sensors.force_scale import SensorTable
 from pulse_sensors.sensor import Sensor, open_sensor

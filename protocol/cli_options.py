@@ -25,6 +25,8 @@ from protocol.sockets import beyond_loopback, control_address
 logger = logging.getLogger(__name__)
 
 USAGE_ERROR = 2
+# Exit status of a node, or of a demo, that ended at a latched fault.
+FAULT_STATUS = 3
 LONGEST_S = 1e9
 ALLOWED = "allowed"
 BENCH_IS_CLEAR = "Is the bench clear of fingers?"

@@ -41,7 +41,7 @@ PRESSED_N = 0.1
 # Kind of DriveError, and advice. With a wrong `inverted` or two swapped wires, every withdrawal
 # would press. The drive's own count does not show this, so the home switch and the film must.
 WRONG_WAY = "wrong way"
-ADVICE = "look at [display.drive] inverted and at the motor's wiring"
+ADVICE = "look at inverted in its table and at the motor's wiring"
 
 
 class TouchGuard:
@@ -202,6 +202,11 @@ class Drive(ABC):
         """Return the commanded travel in m until a time, from an arbitrary origin."""
         with self._lock:
             return self._supervisor.travel_m(now_ns)
+
+    def commanded_m(self, now_ns: int) -> float:
+        """Return the commanded position in m from first touch at a time, which reports correct."""
+        with self._lock:
+            return self._supervisor.commanded_m(now_ns)
 
     def withdraw(self, reason: str) -> None:
         """Take the tip off the finger from now on, and keep it there until `start`.

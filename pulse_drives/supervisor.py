@@ -179,7 +179,7 @@ class Supervisor:
             return
         if self.verified:
             # NaN before the first report: then the reported position stands alone.
-            furthest_m = max(self.position_m, self._following.position_m(now_ns))
+            furthest_m = max(self.position_m, self.commanded_m(now_ns))
             self.withdrawal = Withdrawal(
                 now_ns,
                 min(furthest_m, self._axis.furthest_m),
@@ -244,6 +244,10 @@ class Supervisor:
             self._held_back,
         )
 
+    def commanded_m(self, now_ns: int) -> float:
+        """Return the commanded position in m from first touch; NaN before the first report."""
+        return self._following.position_m(now_ns)
+
     def travel_m(self, now_ns: int) -> float:
         """Return the commanded travel in m until a time, from an arbitrary origin."""
         return self._commanded.travel_m(now_ns)
@@ -253,7 +257,7 @@ class Supervisor:
         wanted = min(max(speed_m_per_s, -limit), limit)
         bounded = axis.bounded(wanted, self.position_m, (now_ns - self.position_ns) * 1e-9)
         # The commanded position is bounded too, in case the reported one is wrong.
-        commanded_m = self._following.position_m(now_ns)
+        commanded_m = self.commanded_m(now_ns)
         # NaN before the first report.
         if commanded_m == commanded_m:
             bounded = axis.bounded(bounded, commanded_m, 0.0)

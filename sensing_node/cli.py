@@ -72,8 +72,8 @@ def sense(
     Open ports 5555 (data) and 5556 (control). Ctrl-C or SIGTERM ends the stream cleanly: every
     display receives the number of samples sent, so that every sample is accounted for.
 
-    Exit status: 0 at the end of the stream, 2 when the scene, the source or the address
-    cannot be used; the reason is one line on stderr.
+    Exit status: 0 at the end of the stream, 2 when the scene, the source, the probe's drive or
+    the address cannot be used, 3 when a probe ended at a fault; the reason is on stderr.
     """
     console = options.plain_console(quiet, json)
     with ExitStack() as until_the_end:
@@ -114,6 +114,8 @@ def sense(
         with options.apply_and_log_realtime(PROGRAM, request) as grant:
             summary = options.with_realtime_settings(node.run(seconds), grant)
     options.sum_up(PROGRAM, summary, "sensing node", console, json, provenance)
+    if summary.press.probe == "fault":
+        raise SystemExit(options.FAULT_STATUS)
 
 
 def main() -> None:

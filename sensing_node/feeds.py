@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from protocol.wire.messages import Frame
 from protocol.wire.stream import Channel, StreamDescription
 from pulse_sensors.samples import SampleBlock
-from pulse_sensors.sensor import Sensor
+from sensing_node.press.load_cell import SampleSensor
+from sensing_node.press.set_points import PressedProbe
 
 
 class SampleSource(Protocol):
@@ -63,12 +64,13 @@ class LiveSource:
     """Feed of a live sensor's samples as they arrive; it never ends by itself.
 
     A gap begins a new block. The `missing` samples keep their sequence numbers, so that displays
-    count them as lost.
+    count them as lost. probe: the probe that takes set-points, if the sensor is under one.
     """
 
     exhausted = False
 
-    def __init__(self, sensor: Sensor) -> None:
+    def __init__(self, sensor: SampleSensor, probe: PressedProbe | None = None) -> None:
+        self.probe = probe
         self.channels, self.period_ns = sensor.channels, sensor.period_ns
         self._sensor = sensor
         self._blocks: deque[SampleBlock] = deque()

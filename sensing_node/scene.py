@@ -2,7 +2,7 @@
 
 import logging
 from collections.abc import Iterator
-from contextlib import closing, contextmanager
+from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -13,10 +13,14 @@ from protocol.config.scene import Section
 from protocol.errors import SceneError
 from protocol.wire.messages import HEADER_BYTES, MAX_FRAME_BYTES
 from protocol.wire.stream import LayerTable, StreamDescription
+from pulse_drives import build_drive
+from pulse_drives.scene import Cia402Scene, TmclScene
 from pulse_sensors.force_scale import SensorTable
 from pulse_sensors.sensor import SensorScene, open_sensor
 from sensing_node.conditioning import Conditioned, ConditioningScene, faults_of
 from sensing_node.feeds import LiveSource, SampleSource, Source
+from sensing_node.press.live_probe import LiveProbe
+from sensing_node.press.load_cell import JoinedSensors, SampleSensor
 from sensing_node.press.scene import ProbeScene
 from sensing_node.press.set_points import SetPointServer
 from sensing_node.sources.recorded import RecordedSource, RecordingScene
@@ -45,8 +49,15 @@ class SensingScene(Section):
         is_wrist = isinstance(self.source, WristScene)
         if is_wrist and self.press is None:
             raise ValueError('a source of kind "wrist" is pressed by a probe: add [sensing.press]')
-        if self.press is not None and not is_wrist:
-            raise ValueError('press needs a source of kind "wrist", the only one with a probe')
+        if self.press is not None:
+            drive, live = self.press.drive, isinstance(self.source, SensorTable)
+            if is_wrist and (drive is not None or self.press.sensor is not None):
+                raise ValueError('press: a source of kind "wrist" models drive and load cell')
+            if not is_wrist and (drive is None or not live):
+                raise ValueError(
+                    'press needs a source of kind "wrist", or a live sensor and a table'
+                    " [sensing.press.drive]"
+                )
         if is_wrist and self.conditioning is not None:
             raise ValueError("conditioning has no load cell's channel; leave it out for a wrist")
         return self
@@ -67,6 +78,10 @@ def open_source(scene: SensingScene, folder: Path) -> Iterator[Source]:
     folder: folder of the scene's file. Raises SourceError or SceneError.
     """
     if isinstance(scene.source, SensorTable):
+        if scene.press is not None and scene.press.drive is not None:
+            with _start_probe(scene.source, scene.press, scene.press.drive, folder) as probe:
+                yield LiveSource(probe, probe)
+            return
         with closing(open_sensor(scene.source, folder)) as sensor:
             yield LiveSource(sensor)
         return
@@ -74,6 +89,30 @@ def open_source(scene: SensingScene, folder: Path) -> Iterator[Source]:
     for warning in faults_of(source):
         logger.warning(warning)
     yield source
+
+
+@contextmanager
+def _start_probe(
+    source: SensorScene, press: ProbeScene, table: TmclScene | Cia402Scene, folder: Path
+) -> Iterator[LiveProbe]:
+    """Start a probe on a real drive within a `with`, which ends with its withdrawal.
+
+    Raises SceneError, SourceError or DriveError.
+    """
+    drive = build_drive(table, press.motor, press.travel_m)
+    with ExitStack() as unless_joined:
+        film = open_sensor(source, folder)
+        sensor: SampleSensor = film
+        unless_joined.callback(film.close)
+        if press.sensor is not None:
+            cell = open_sensor(press.sensor, folder)
+            unless_joined.callback(cell.close)
+            sensor = JoinedSensors(film, cell)
+        probe = LiveProbe(press.limits(), drive, sensor)
+        unless_joined.pop_all()
+    with closing(probe):
+        probe.start()
+        yield probe
 
 
 def build_source(scene: SensingScene, folder: Path, plausible: bool = True) -> SampleSource:
@@ -99,7 +138,8 @@ def build_source(scene: SensingScene, folder: Path, plausible: bool = True) -> S
 
 def serve_set_points(source: object, session: int) -> SetPointServer | None:
     """Return a server of the set-points for the probe of a source; None without a probe."""
-    return SetPointServer(session, source) if isinstance(source, Wrist) else None
+    probe = source.probe if isinstance(source, LiveSource) else source
+    return SetPointServer(session, probe) if isinstance(probe, Wrist | LiveProbe) else None
 
 
 def describe_stream(scene: SensingScene, source: Source) -> StreamDescription:

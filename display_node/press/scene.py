@@ -13,6 +13,7 @@ from protocol.config.quantities import (
     NewtonsPerSecond,
 )
 from protocol.config.scene import Section
+from protocol.wire.stream import HOLD_DOWN
 from pulse_sensors.sensor import SensorScene, one_force
 
 
@@ -44,7 +45,7 @@ class PressScene(Section):
     sensor: Annotated[
         SensorScene | SyntheticFingerScene, Field(discriminator="kind"), AfterValidator(one_force)
     ]
-    channel: Name = "hold-down"
+    channel: Name = HOLD_DOWN
     force_limit_n: Annotated[Newtons, Field(gt=0, le=10)] = 3.0
     slew_limit_n_per_s: Annotated[NewtonsPerSecond, Field(gt=0, le=100)] = 20.0
 

@@ -24,6 +24,8 @@ ANNOUNCE = "announce"
 """Name of a channel that announces the beats, whatever its unit."""
 PULSE = "pulse"
 """Name of the channel of a source with one channel."""
+HOLD_DOWN = "hold-down"
+"""Name of the channel of the load cell under a probe at the wrist."""
 SECOND_NS = 1_000_000_000
 
 

@@ -6,6 +6,7 @@ wrist. A fault is latched, and the probe leaves.
 """
 
 import math
+from collections import deque
 from dataclasses import dataclass
 from typing import Final, Literal
 
@@ -24,6 +25,8 @@ APPROACH_PER_S: Final = 50.0
 # Crossover of the loop where the tissue is as the model. Drive, load cell and step lag by some
 # 8 ms together; 120 rad/s, three times as much, leaves a phase margin of 35°.
 CROSSOVER_RAD_PER_S: Final = 40.0
+# Where readings are old when they are read, the crossover times the whole lag stays below this.
+PHASE_RAD: Final = 0.5
 # The stiffness is learnt from motions of this length, relative to the model's; a motion of
 # KNOWN_AFTER_N counts as much as the assumption that both are equal.
 LEARN_NS: Final = 20_000_000
@@ -32,6 +35,8 @@ FORGET: Final = 0.98
 SOFTEST, STIFFEST = 0.2, 3.0
 # Uncertainty of the learnt stiffness, as a factor.
 MARGIN: Final = 1.3
+# The same delay without the age of readings.
+DRIVE_LAG_S: Final = 8e-3
 # Delay of drive, load cell and step, by which the tissue has stiffened before it is measured.
 LAG_S: Final = 10e-3
 # Distance from first touch at which the probe rests off the wrist.
@@ -133,6 +138,9 @@ class Probe:
         self._last_ns: int | None = None
         self._position_m = 0.0
         self._returning = True
+        # Age of the readings, the largest of the last second; references of the last steps.
+        self._age_s = 0.0
+        self._references: deque[tuple[int, float]] = deque(maxlen=256)
         self.state: ProbeState = "off"
         self.faults: list[str] = []
         self.reference_n = self.hold_down_n = 0.0
@@ -152,7 +160,14 @@ class Probe:
         if name not in self.faults:
             self.faults.append(name)
 
-    def step(self, cell_n: float | None, pulse_n: float, position_m: float, now_ns: int) -> float:
+    def step(
+        self,
+        cell_n: float | None,
+        pulse_n: float,
+        position_m: float,
+        now_ns: int,
+        age_ns: int = 0,
+    ) -> float:
         """Advance to `now_ns` and return the speed in m/s, positive into the wrist.
 
         Parameters
@@ -163,6 +178,9 @@ class Probe:
             Pulse that the film measures at the same time, which the load cell contains.
         position_m
             Position of the drive; 0 at rest, off the wrist.
+        age_ns
+            Time since the newest reading and this position. The loop compares the reading with
+            the reference at that time.
         """
         elapsed_s = 0.0 if self._last_ns is None else max(0, now_ns - self._last_ns) * 1e-9
         self._last_ns = now_ns
@@ -175,6 +193,10 @@ class Probe:
         if math.isfinite(position_m):
             self._position_m = position_m
         slope_n_per_s = self._follow(self._wanted_n(now_ns), elapsed_s)
+        self._age_s = max(age_ns * 1e-9, self._age_s * math.exp(-elapsed_s))
+        self._references.append((now_ns, self.reference_n))
+        while len(self._references) > 1 and self._references[1][0] <= now_ns - age_ns:
+            self._references.popleft()
         return self._bounded(self._speed(slope_n_per_s, position_m), position_m)
 
     def _check(self, cell_n: float | None, position_m: float, now_ns: int) -> None:
@@ -234,7 +256,8 @@ class Probe:
         gone = self.state in ("off", "leaving") and self.reference_n < TOUCH_N
         if self.state == "fault" or gone:
             return -CROSSOVER_RAD_PER_S * position_m
-        slope = CROSSOVER_RAD_PER_S * (self.reference_n - self.hold_down_n) + slope_n_per_s
+        crossover = min(CROSSOVER_RAD_PER_S, PHASE_RAD / (DRIVE_LAG_S + self._age_s))
+        slope = crossover * (self._references[0][1] - self.hold_down_n) + slope_n_per_s
         stiffness = self._law.stiffness_n_per_m(self.hold_down_n)
         return slope / (self._relative.ratio * stiffness)
 
@@ -243,7 +266,7 @@ class Probe:
         limits = self._limits
         if not math.isfinite(speed_m_per_s) or not math.isfinite(position_m):
             return -limits.speed_m_per_s
-        soon_n = max(self.hold_down_n, 0.0) + limits.slew_n_per_s * LAG_S
+        soon_n = max(self.hold_down_n, 0.0) + limits.slew_n_per_s * (LAG_S + self._age_s)
         stiffness = self._relative.greatest * self._law.stiffness_n_per_m(soon_n)
         most = min(limits.speed_m_per_s, limits.slew_n_per_s / stiffness)
         # Towards its ends the drive is slowed, so that it stops at them.

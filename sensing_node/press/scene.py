@@ -1,8 +1,8 @@
-"""The `press` table of a sensing node: the limits of the probe at the wrist."""
+"""The `press` table of a sensing node: the limits of the probe at the wrist, and its drive."""
 
 from typing import Annotated
 
-from pydantic import Field
+from pydantic import AfterValidator, Field, model_validator
 
 from protocol.config.quantities import (
     Metres,
@@ -12,7 +12,9 @@ from protocol.config.quantities import (
     NewtonsPerSecond,
 )
 from protocol.config.scene import Section
-from sensing_node.press.probe import ProbeLimits
+from pulse_drives.scene import DriveTable, MotorScene
+from pulse_sensors.sensor import SensorScene, one_force
+from sensing_node.press.probe import CLEARANCE_M, ProbeLimits
 
 _TIME_NS = Field(ge=50_000_000, le=10_000_000_000)
 
@@ -23,6 +25,10 @@ class ProbeScene(Section):
     force_limit and slew_limit: of the force on the wrist. overforce: measured force, as a multiple
     of the limit, that is a fault. max_speed and travel: of the drive. resting: force to which the
     probe eases off without set-points for stale_after; after leave_after it leaves the wrist.
+
+    drive and motor: of a real probe. Its `touch` leads from home to the place where the probe rests
+    off the wrist; `travel` begins there. sensor: the load cell, where it is not a channel of the
+    source.
     """
 
     force_limit_n: Annotated[Newtons, Field(gt=0, le=10)] = 3.0
@@ -33,6 +39,28 @@ class ProbeScene(Section):
     resting_n: Annotated[Newtons, Field(ge=0, le=1)] = 0.2
     stale_after_ns: Annotated[Nanoseconds, _TIME_NS] = 300_000_000
     leave_after_ns: Annotated[Nanoseconds, _TIME_NS] = 2_000_000_000
+    drive: DriveTable | None = None
+    motor: MotorScene = MotorScene()
+    sensor: Annotated[
+        Annotated[SensorScene, Field(discriminator="kind")] | None, AfterValidator(one_force)
+    ] = None
+
+    @model_validator(mode="after")
+    def _has_limits_in_order(self) -> "ProbeScene":
+        if self.resting_n > self.force_limit_n:
+            raise ValueError("resting must be at most force_limit")
+        if self.stale_after_ns > self.leave_after_ns:
+            raise ValueError("stale_after must be at most leave_after")
+        drive, motor = self.drive, self.motor
+        if drive is None:
+            return self
+        if self.max_speed_m_per_s > motor.max_speed_m_per_s:
+            raise ValueError("max_speed is more than motor.max_speed")
+        if drive.touch_m + self.travel_m > motor.stroke_m:
+            raise ValueError("drive.touch and travel together are more than motor.stroke")
+        if drive.furthest_m is not None and drive.furthest_m <= CLEARANCE_M:
+            raise ValueError("drive.furthest ends before the wrist; leave it out for travel")
+        return self
 
     def limits(self) -> ProbeLimits:
         """Return the limits that the table describes."""

@@ -15,7 +15,7 @@ from pydantic import Field, model_validator
 from protocol.config.quantities import Metres, Newtons, Pascals
 from protocol.config.scene import Section
 from protocol.tissue import StiffeningLaw, TubeLaw
-from protocol.wire.stream import Channel
+from protocol.wire.stream import HOLD_DOWN, Channel
 from sensing_node.press.probe import CLEARANCE_M, Probe, ProbeLimits
 from sensing_node.sources.synthetic import SyntheticScene, SyntheticSource
 
@@ -88,6 +88,44 @@ class Artery:
         return self._tube.height(outside_pa, self.diastolic_pa, self._systolic_pa)
 
 
+class WristSensors:
+    """The arterial pressure under a probe, and film and load cell that sense it.
+
+    artery: the artery under the probe. period_ns: time between samples.
+    """
+
+    channels = (Channel("pulse"), Channel(HOLD_DOWN))
+
+    def __init__(self, scene: WristScene) -> None:
+        clean = {"peak_to_peak_n": 1.0, "preload_n": 0.0, "noise_n": 0.0, "hum_n": 0.0}
+        waveform = scene.pulse.model_copy(update=clean)
+        regular = {"heart_rate_variability": 0.0, "respiration": 0.0, "ectopic": 0.0}
+        beats = SyntheticSource(waveform.model_copy(update=regular))
+        mean_share = -float(beats.take(round(BEATS_S * waveform.rate_hz)).min())
+        self._waveform = SyntheticSource(waveform)
+        self._scene, self._pulse_pa = scene, scene.systolic_pa - scene.diastolic_pa
+        self._rng = np.random.default_rng([scene.pulse.seed, 1])
+        self.period_ns = self._waveform.period_ns
+        self.artery = Artery(scene, mean_share)
+        self._film_n = self._cell_n = 0.0
+
+    def next_samples(self, count: int) -> tuple[list[float], list[list[float]]]:
+        """Return the arterial pressures in Pa of the next samples, and their noise for `sense`."""
+        pressures = self.artery.mean_pa + self._pulse_pa * self._waveform.take(count)[:, 0]
+        return pressures.tolist(), self._rng.standard_normal((count, 2)).tolist()
+
+    def sense(self, pressure_pa: float, noise: list[float], force_n: float) -> tuple[float, float]:
+        """Return what film and load cell read in N, a period later, for a static force."""
+        artery_n = self.artery.pulse_n(pressure_pa, force_n)
+        if force_n <= 0.0:
+            artery_n = 0.0
+        follows = -math.expm1(-self.period_ns * 1e-9 / SENSOR_LAG_S)
+        self._film_n += (artery_n - self._film_n) * follows
+        self._cell_n += (force_n + artery_n - self._cell_n) * follows
+        film_n = self._film_n + self._scene.noise_n * noise[0]
+        return film_n, self._cell_n + self._scene.cell_noise_n * noise[1]
+
+
 class Wrist:
     """Source of the channels "pulse" (the film) and "hold-down" (the load cell) of a pressed wrist.
 
@@ -105,23 +143,15 @@ class Wrist:
         Arterial pressures of the samples that were taken last.
     """
 
-    channels = (Channel("pulse"), Channel("hold-down"))
+    channels = WristSensors.channels
 
     def __init__(self, scene: WristScene, limits: ProbeLimits | None = None) -> None:
-        clean = {"peak_to_peak_n": 1.0, "preload_n": 0.0, "noise_n": 0.0, "hum_n": 0.0}
-        waveform = scene.pulse.model_copy(update=clean)
-        regular = {"heart_rate_variability": 0.0, "respiration": 0.0, "ectopic": 0.0}
-        beats = SyntheticSource(waveform.model_copy(update=regular))
-        mean_share = -float(beats.take(round(BEATS_S * waveform.rate_hz)).min())
-        self._waveform = SyntheticSource(waveform)
-        self._scene, self._pulse_pa = scene, scene.systolic_pa - scene.diastolic_pa
+        self._sensors = sensors = WristSensors(scene)
         self._law = StiffeningLaw(scene.knee_n, scene.length_m)
-        self._rng = np.random.default_rng([scene.pulse.seed, 1])
-        self.period_ns = self._waveform.period_ns
-        self.artery = Artery(scene, mean_share)
+        self.period_ns, self.artery = sensors.period_ns, sensors.artery
         self.probe = Probe(limits or ProbeLimits(), StiffeningLaw())
         self._time_ns = 0
-        self._speed_m_per_s = self._position_m = self._film_n = self._cell_n = 0.0
+        self._speed_m_per_s = self._position_m = 0.0
         self.force_n = 0.0
         self.pressures_pa: list[float] = []
 
@@ -146,22 +176,13 @@ class Wrist:
 
     def take(self, count: int) -> NDArray[np.float64]:
         """Return the next samples in N, shape (count, 2)."""
-        pressures = self.artery.mean_pa + self._pulse_pa * self._waveform.take(count)[:, 0]
-        self.pressures_pa = pressures.tolist()
-        noise = self._rng.standard_normal((count, 2)).tolist()
+        self.pressures_pa, noise = self._sensors.next_samples(count)
         rows = [self._step(*each) for each in zip(self.pressures_pa, noise, strict=True)]
         return np.array(rows).reshape(count, 2)
 
     def _step(self, pressure_pa: float, noise: list[float]) -> tuple[float, float]:
-        period_s, scene = self.period_ns * 1e-9, self._scene
-        artery_n = self.artery.pulse_n(pressure_pa, self.force_n)
-        if self.force_n <= 0.0:
-            artery_n = 0.0
-        follows = -math.expm1(-period_s / SENSOR_LAG_S)
-        self._film_n += (artery_n - self._film_n) * follows
-        self._cell_n += (self.force_n + artery_n - self._cell_n) * follows
-        film_n = self._film_n + scene.noise_n * noise[0]
-        cell_n = self._cell_n + scene.cell_noise_n * noise[1]
+        period_s = self.period_ns * 1e-9
+        film_n, cell_n = self._sensors.sense(pressure_pa, noise, self.force_n)
         wanted = self.probe.step(cell_n, film_n, self._position_m, self._time_ns)
         self._speed_m_per_s += (wanted - self._speed_m_per_s) * -math.expm1(-period_s / DRIVE_LAG_S)
         self._position_m += self._speed_m_per_s * period_s

@@ -21,6 +21,7 @@ from protocol.host.process import freeze_objects, stop_on_signals
 from pulse_drives.scene import Cia402Scene, DriveScene, TmclScene, open_bus
 from pulse_sensors.binary_frames import MAX_SAMPLES, SampleFormat
 from sensing_node.scene import SensingScene
+from sensing_node.sources.wrist import WristScene
 from telepulse.cli.options import PROGRAM, ContactorOption
 from telepulse.emulators import PtyPort
 from telepulse.emulators.drive_run import FILM_SILENT, MOTOR_FAULTS, DriveRun
@@ -33,6 +34,7 @@ from telepulse.emulators.tmcl import (
     EmulatedSerialLine,
     EmulatedTmclModule,
 )
+from telepulse.emulators.wrist import TissueContact, WristBoard
 from telepulse.scene import DEFAULT_SCENE
 
 if TYPE_CHECKING:
@@ -69,6 +71,13 @@ _TO_FILM = (
     ' finger, in framing = "binary".'
 )
 FilmLink = Annotated[Path | None, typer.Option(metavar="PATH", help=_TO_FILM)]
+_WRIST = (
+    "Emulate the probe's drive, [sensing.press.drive], over the wrist of this scene's source; the"
+    " board on --film-link then sends film and load cell."
+)
+WristOption = Annotated[
+    str | None, typer.Option(metavar="SCENE", help=_WRIST, autocompletion=scene_names)
+]
 _SIZE = (
     "Size of a fault that has one, with its unit: --fault delayed --size '45 ms', --fault gain"
     " --size 0.3."
@@ -164,6 +173,7 @@ def sensor(
 def tmcl(
     scene: DriveArgument,
     contactor: ContactorOption = None,
+    wrist: WristOption = None,
     link: DriveLink = None,
     film_link: FilmLink = None,
     fault: Annotated[str | None, _fault_option(TMCL_FAULTS)] = None,
@@ -182,7 +192,7 @@ def tmcl(
     with one_line_errors(PROGRAM), ExitStack() as open_things:
         configure_logging(log_level)
         injected = _injected_fault(fault, size, TMCL_FAULTS)
-        drive, motor = _load(scene, contactor, TmclScene)
+        drive, motor, board = _load(scene, contactor, wrist, TmclScene)
         module = EmulatedTmclModule(drive, motor)
         line: EmulatedSerialLine | EmulatedCanLine
         if drive.port is not None:
@@ -207,7 +217,7 @@ def tmcl(
             serve(POLL_S)
             motor.advance(time.monotonic_ns())
 
-        run = DriveRun(motor, film_link, trace, open_things)
+        run = DriveRun(motor, film_link, trace, open_things, board)
         _say(f"TMCL module on {place}", film_link)
         after_s = None if fault_from_start else fault_after
         run.run(poll, begin_fault, fault, injected, after_s, seconds)
@@ -217,6 +227,7 @@ def tmcl(
 def cia402(
     scene: DriveArgument,
     contactor: ContactorOption = None,
+    wrist: WristOption = None,
     interface: Annotated[
         str | None, typer.Option(help="CAN interface as python-can names it; default: the scene's.")
     ] = None,
@@ -243,7 +254,7 @@ def cia402(
     with one_line_errors(PROGRAM), ExitStack() as open_things:
         configure_logging(log_level)
         injected = _injected_fault(fault, size, CIA402_FAULTS)
-        drive, motor = _load(scene, contactor, Cia402Scene)
+        drive, motor, board = _load(scene, contactor, wrist, Cia402Scene)
         changes = {"interface": interface, "channel": channel or (str(link) if link else None)}
         drive = drive.model_copy(update={key: to for key, to in changes.items() if to})
         node = EmulatedCia402Node(drive, motor, _bus(drive, link))
@@ -259,7 +270,7 @@ def cia402(
             time.sleep(POLL_S)
             node.poll()
 
-        run = DriveRun(motor, film_link, trace, open_things)
+        run = DriveRun(motor, film_link, trace, open_things, board)
         _say(f"CiA 402 node {drive.node} on CAN {drive.interface} {drive.channel}", film_link)
         after_s = None if fault_from_start else fault_after
         run.run(poll, begin_fault, fault, injected, after_s, seconds)
@@ -278,9 +289,16 @@ def _injected_fault(
     return None
 
 
-def _load(name: str, contactor: str | None, kind: type[SceneT]) -> tuple[SceneT, EmulatedMotor]:
-    """Return the drive of a scene's contactor, and a motor of its actuator."""
+def _load(
+    name: str, contactor: str | None, wrist: str | None, kind: type[SceneT]
+) -> tuple[SceneT, EmulatedMotor, WristBoard | None]:
+    """Return the drive of a scene's contactor or probe, and its motor.
+
+    wrist: name of the scene of the wrist under the probe, whose board is returned too.
+    """
     path = find_scene(name)
+    if wrist is not None:
+        return _load_probe(path, find_scene(wrist), kind)
     display = load_section(path, "display", DisplayScene).choose(contactor)
     if not isinstance(display.drive, kind):
         wanted = "tmcl" if kind is TmclScene else "cia402"
@@ -289,7 +307,26 @@ def _load(name: str, contactor: str | None, kind: type[SceneT]) -> tuple[SceneT,
         raise SceneError(f'{path}: a drive needs [display.actuator] kind = "stepper"')
     law = display.actuator.contact(display.layer.layer())
     now_ns = time.monotonic_ns()
-    return display.drive, EmulatedMotor(display.actuator, law, display.drive.touch_m, now_ns)
+    motor = EmulatedMotor(display.actuator, law, display.drive.touch_m, now_ns)
+    return display.drive, motor, None
+
+
+def _load_probe(
+    path: Path, wrist: Path, kind: type[SceneT]
+) -> tuple[SceneT, EmulatedMotor, WristBoard]:
+    """Return the drive of a scene's probe, its motor, and the board at a wrist."""
+    press = load_section(path, "sensing", SensingScene).press
+    source = load_section(wrist, "sensing", SensingScene).source
+    if press is None or not isinstance(press.drive, kind):
+        wanted = "tmcl" if kind is TmclScene else "cia402"
+        raise SceneError(f'{path}: [sensing.press.drive] kind = "{wanted}" is needed here')
+    if not isinstance(source, WristScene):
+        raise SceneError(f'--wrist {wrist}: [sensing.source] kind = "wrist" is needed there')
+    stepper = StepperScene.model_validate({"kind": "stepper"})
+    stepper = stepper.model_copy(update=press.motor.model_dump())
+    now_ns = time.monotonic_ns()
+    motor = EmulatedMotor(stepper, TissueContact(source), press.drive.touch_m, now_ns)
+    return press.drive, motor, WristBoard(source)
 
 
 def _bus(drive: DriveScene, link: Path | None) -> "can.BusABC":

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from display_node.fault_advice import advised
 from display_node.hardware import build_display_drive
 from display_node.plant.scene import StepperScene
 from display_node.scene import DisplayScene
@@ -19,6 +18,7 @@ from protocol.config.scene import validate
 from protocol.config.scene_file import load_document, merge
 from protocol.errors import BenchError, DriveError, SceneError, SourceError
 from pulse_drives.scene import Cia402Scene, TmclScene
+from pulse_drives.start_advice import advised
 from pulse_sensors.force_scale import SensorTable
 from pulse_sensors.sensor import open_sensor
 from sensing_node.scene import SensingScene, build_source

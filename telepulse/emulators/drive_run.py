@@ -12,7 +12,8 @@ from protocol.host.process import freeze_objects, stop_on_signals
 from telepulse.emulators import PtyPort
 from telepulse.emulators.fault_injection import InjectedFault
 from telepulse.emulators.motor import TICK_NS, EmulatedMotor, MotorFault, MotorState
-from telepulse.emulators.sensor_board import binary
+from telepulse.emulators.sensor_board import PULSES, binary
+from telepulse.emulators.wrist import WristBoard
 
 FRAME = 4
 TRACE_HEADER = "time_ns,tip_m,speed_m_per_s,force_n,trouble\n"
@@ -28,11 +29,15 @@ MOTOR_FAULTS: dict[str, MotorFault] = {
 class EmulatedFilm:
     """Film that sends the finger's force in float32 newtons at 1 kHz, four samples in a frame.
 
+    wrist: film and load cell of a wrist under a probe, in place of the one force of a finger.
     Raises SourceError without the cobs package.
     """
 
-    def __init__(self, motor: EmulatedMotor, port: PtyPort) -> None:
-        self._motor, self._port, self._encode = motor, port, binary("float32")
+    def __init__(
+        self, motor: EmulatedMotor, port: PtyPort, wrist: WristBoard | None = None
+    ) -> None:
+        self._motor, self._port, self._wrist = motor, port, wrist
+        self._encode = binary("float32", PULSES if wrist is None else wrist.channels)
         self._sent = 0
 
     def deliver(self) -> None:
@@ -40,7 +45,9 @@ class EmulatedFilm:
         forces_n = self._motor.forces_n
         held_back = self._motor.injector.film_delay_ns // TICK_NS
         while len(forces_n) >= FRAME + held_back:
-            values = [[forces_n.popleft()] for _ in range(FRAME)]
+            forces = [forces_n.popleft() for _ in range(FRAME)]
+            one = [[force_n] for force_n in forces]
+            values = one if self._wrist is None else self._wrist.read(forces)
             self._sent += FRAME
             self._port.write(self._encode(values, (self._sent - 1) * 1_000))
 
@@ -52,7 +59,12 @@ class DriveRun:
     """
 
     def __init__(
-        self, motor: EmulatedMotor, film_link: Path | None, trace: Path | None, resources: ExitStack
+        self,
+        motor: EmulatedMotor,
+        film_link: Path | None,
+        trace: Path | None,
+        resources: ExitStack,
+        wrist: WristBoard | None = None,
     ) -> None:
         self._motor = motor
         self._film: EmulatedFilm | None = None
@@ -60,7 +72,7 @@ class DriveRun:
         if film_link is not None:
             port = PtyPort(film_link)
             resources.callback(port.close)
-            self._film = EmulatedFilm(motor, port)
+            self._film = EmulatedFilm(motor, port, wrist)
         if trace is not None:
             try:
                 file = resources.enter_context(trace.open("w", encoding="utf-8"))

@@ -47,6 +47,9 @@ class VirtualDrive:
     def travel_m(self, now_ns: int) -> float:
         return self.supervisor.travel_m(now_ns)
 
+    def commanded_m(self, now_ns: int) -> float:
+        return self.supervisor.commanded_m(now_ns)
+
     def start(self, force_n: Callable[[], float | None] = lambda: None) -> None:
         """Do nothing: it stands at first touch already."""
 

@@ -16,11 +16,11 @@ import serial
 from typer.testing import CliRunner
 
 from display_node.cli import app
-from display_node.fault_advice import OTHERWISE, START_ADVICE, advised, start_advice
 from display_node.node import DisplayNode, start_benches
 from display_node.scene import DisplayScene
 from protocol.config.scene import load_section
 from protocol.errors import DriveError, SceneError
+from pulse_drives.start_advice import OTHERWISE, START_ADVICE, advised, start_advice
 from pulse_drives.tmcl.line import TmclLine
 from tests.support.drive_benches import tmcl_scene
 from tests.support.log_lines import strays

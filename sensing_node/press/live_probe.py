@@ -1,0 +1,267 @@
+"""A probe on a real drive: a thread that reads film and load cell, and steps the force loop.
+
+The thread is apart from the node's, so that neither displays nor a slow disk delay the loop. If it
+stops, the drive's own watchdog stops the motor, and the drive's supervision withdraws the probe.
+"""
+
+import logging
+import math
+import threading
+import time
+from collections import Counter, deque
+from collections.abc import Callable
+from typing import Final, NamedTuple
+
+from protocol.errors import SourceError
+from protocol.tissue import StiffeningLaw
+from protocol.wire.stream import HOLD_DOWN, Channel
+from pulse_drives.drive import Drive
+from pulse_drives.start_advice import advised
+from pulse_drives.withdrawal import WithdrawalOutcome
+from pulse_sensors.samples import SampleBlock
+from sensing_node.press.load_cell import SampleSensor
+from sensing_node.press.probe import TOUCH_N, Probe, ProbeLimits
+
+logger = logging.getLogger(__name__)
+
+DRIVE_TABLE: Final = "[sensing.press.drive]"
+PERIOD_S: Final = 2e-3
+# A reading older than this is none.
+OLDEST_NS: Final = 50_000_000
+FIRST_SAMPLE_WITHIN_S: Final = 5.0
+# Longest withdrawal: the whole travel at the slow speed.
+WITHDRAWN_WITHIN_S: Final = 3.0
+# The load cell's zero is the mean over this time, off the wrist.
+ZERO_S: Final = 0.2
+# Blocks that wait for the node's thread: some seconds of any sensor.
+MOST_BLOCKS: Final = 4_096
+# A load cell that reads exactly the same over this travel is frozen: one that works has noise in
+# its last digit. Less where the wrist was pressed just before, and a broken one reads 0 now.
+FROZEN_M: Final = 0.5e-3
+FROZEN_PRESSED_M: Final = 0.1e-3
+
+
+class Reading(NamedTuple):
+    """A sample of both sensors in N, and its time."""
+
+    taken_ns: int
+    film_n: float
+    cell_n: float
+
+
+class FrozenCell:
+    """Check for a load cell whose reading stays exactly the same while the drive moves."""
+
+    def __init__(self) -> None:
+        self._cell_n = math.nan
+        self._low_m = self._high_m = 0.0
+        # Where the wrist was pressed last.
+        self._pressed_m = math.inf
+
+    def check(self, cell_n: float, position_m: float) -> str | None:
+        """Take a reading and the position at its time; return the fault, if it is one."""
+        if cell_n != self._cell_n:
+            self._cell_n, self._low_m, self._high_m = cell_n, position_m, position_m
+        self._low_m, self._high_m = min(self._low_m, position_m), max(self._high_m, position_m)
+        if cell_n >= TOUCH_N:
+            self._pressed_m = position_m
+        travel_m = self._high_m - self._low_m
+        beyond = position_m >= self._pressed_m
+        if travel_m <= (FROZEN_PRESSED_M if beyond else FROZEN_M):
+            return None
+        return f"load cell: {cell_n * 1e3:.0f} mN unchanged over {travel_m * 1e3:.1f} mm of travel"
+
+
+class LiveProbe:
+    """A probe: its force loop, its drive, and its sensors, whose samples are the stream.
+
+    sensor: of film and load cell. clock: the host's, in ns. Positions are 0 where the probe rests,
+    off the wrist, `touch` from the drive's home.
+    """
+
+    def __init__(
+        self,
+        limits: ProbeLimits,
+        drive: Drive,
+        sensor: SampleSensor,
+        clock: Callable[[], int] = time.monotonic_ns,
+    ) -> None:
+        self.channels, self.period_ns = sensor.channels, sensor.period_ns
+        self._drive, self._sensor, self._clock = drive, sensor, clock
+        self._film_at, self._cell_at = columns_of(sensor.channels)
+        self._probe, self._frozen = Probe(limits, StiffeningLaw()), FrozenCell()
+        self._lock = threading.Lock()
+        self._blocks: deque[SampleBlock] = deque(maxlen=MOST_BLOCKS)
+        self._newest: Reading | None = None
+        self._position_m = self._touched_m = 0.0
+        self._named = 0
+        self._closing = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="probe", daemon=True)
+        self.dropped = 0
+
+    @property
+    def state(self) -> str:
+        """What the probe does."""
+        return self._probe.state
+
+    @property
+    def hold_down_n(self) -> float:
+        """Static force that the load cell measures."""
+        return self._probe.hold_down_n
+
+    @property
+    def depth_m(self) -> float:
+        """Travel of the probe since it has touched the wrist; 0 off the wrist."""
+        return self._position_m - self._touched_m
+
+    def press(self, force_n: float) -> None:
+        """Take a set-point in N."""
+        with self._lock:
+            self._probe.press(force_n, self._clock())
+
+    def start(self) -> None:
+        """Wait for the first sample, bring the drive to its rest and follow set-points; blocks.
+
+        Raises SourceError where no sample comes, or the load cell is loaded off the wrist.
+        Raises DriveError.
+        """
+        deadline_s = time.monotonic() + FIRST_SAMPLE_WITHIN_S
+        while self._read() is None:
+            if time.monotonic() > deadline_s:
+                raise SourceError(
+                    f"[sensing.press] no sample of film and load cell within"
+                    f" {FIRST_SAMPLE_WITHIN_S:g} s: check that the sensors are the right ones, and"
+                    " on"
+                )
+            time.sleep(PERIOD_S)
+        logger.warning("the probe's drive looks for its home: keep the wrist away")
+        with advised(DRIVE_TABLE):
+            self._drive.start(self._cell_n)
+        self._check_zero()
+        self._blocks.clear()
+        self._thread.start()
+        logger.info("the probe is at rest, off the wrist")
+
+    def poll(self) -> list[SampleBlock]:
+        """Return the samples since the last call. Never waits."""
+        blocks = []
+        while self._blocks:
+            blocks.append(self._blocks.popleft())
+        return blocks
+
+    @property
+    def rejected(self) -> Counter[str]:
+        """Count of data that could not be used, by cause, of sensors and drive."""
+        counts = Counter({f"drive {name}": n for name, n in self._drive.counts.items()})
+        counts.pop("drive superseded", None)
+        counts["backlog"] += self.dropped
+        return +(counts + self._sensor.rejected)
+
+    def faults(self) -> list[str]:
+        """Return the faults of the sensors and of the probe, one line each."""
+        return [*self._sensor.faults(), *self._probe.faults]
+
+    def close(self) -> None:
+        """Take the probe off the wrist, bring the drive to rest, and close drive and sensors."""
+        self._closing.set()
+        if self._thread.is_alive():
+            self._thread.join()
+        self._drive.withdraw("ended")
+        deadline_s = time.monotonic() + WITHDRAWN_WITHIN_S
+        while self._drive.status().withdrawal is WithdrawalOutcome.UNDER_WAY:
+            if time.monotonic() > deadline_s:
+                break
+            time.sleep(PERIOD_S)
+            self._read()
+        outcome = self._drive.status().withdrawal
+        if outcome not in (None, WithdrawalOutcome.WITHDRAWN):
+            logger.error(
+                f"the probe may still press, its withdrawal is {outcome.value}:"
+                " switch the drive's power off"
+            )
+        self._drive.close()
+        self._sensor.close()
+
+    def _run(self) -> None:
+        try:
+            while not self._closing.wait(PERIOD_S):
+                self.step(self._clock())
+        finally:
+            if not self._closing.is_set():
+                self._probe.fault("probe: its loop has ended")
+
+    def step(self, now_ns: int) -> None:
+        """Read the sensors, and command the drive; the thread calls it every 2 ms."""
+        probe, drive, reading = self._probe, self._drive, self._read()
+        status = drive.status()
+        with self._lock:
+            if status.fault is not None and not probe.faults:
+                probe.fault(f"drive: {status.fault}")
+            position_m = self._position_m
+            if reading is not None:
+                position_m = drive.commanded_m(reading.taken_ns)
+                if now_ns - reading.taken_ns > OLDEST_NS:
+                    reading = None
+                elif not probe.faults and (fault := self._frozen.check(reading.cell_n, position_m)):
+                    probe.fault(fault)
+            if probe.hold_down_n < TOUCH_N:
+                self._touched_m = position_m
+            self._position_m = position_m
+            cell_n, film_n = (None, 0.0) if reading is None else (reading.cell_n, reading.film_n)
+            age_ns = 0 if self._newest is None else max(0, now_ns - self._newest.taken_ns)
+            speed_m_per_s = probe.step(cell_n, film_n, position_m, now_ns, age_ns)
+        if probe.faults:
+            drive.withdraw(probe.faults[0])
+        else:
+            drive.command(speed_m_per_s)
+        for fault in probe.faults[self._named :]:
+            logger.error(f"the probe leaves the wrist: {fault}; then start the node again")
+        self._named = len(probe.faults)
+
+    def _read(self) -> Reading | None:
+        """Take the new samples; return the newest one, None without any."""
+        newest = None
+        for block in self._sensor.poll():
+            self.dropped += len(block.values) * (len(self._blocks) == MOST_BLOCKS)
+            self._blocks.append(block)
+            values = block.values[-1]
+            newest = Reading(
+                block.times_ns[-1], float(values[self._film_at]), float(values[self._cell_at])
+            )
+        if newest is not None:
+            self._newest = newest
+            self._drive.add_film_reading(newest.cell_n, newest.taken_ns)
+        return newest
+
+    def _cell_n(self) -> float | None:
+        """Return the newest reading of the load cell."""
+        self._read()
+        return None if self._newest is None else self._newest.cell_n
+
+    def _check_zero(self) -> None:
+        """Raise SourceError if the load cell reads a force where nothing presses it."""
+        readings, until_s = [], time.monotonic() + ZERO_S
+        while time.monotonic() < until_s:
+            self._drive.command(0.0)
+            if (reading := self._read()) is not None:
+                readings.append(reading.cell_n - reading.film_n)
+            time.sleep(PERIOD_S)
+        mean_n = sum(readings) / len(readings) if readings else math.nan
+        if not abs(mean_n) < TOUCH_N:
+            raise SourceError(
+                f"[sensing.press] the load cell reads {mean_n * 1e3:.0f} mN off the wrist: set its"
+                " zero, or a smaller `touch` of the drive where the wrist is nearer"
+            )
+
+
+def columns_of(channels: tuple[Channel, ...]) -> tuple[int, int]:
+    """Return the columns of film and load cell. Raises SourceError where one is missing."""
+    names = [channel.name for channel in channels]
+    films = [at for at, each in enumerate(channels) if each.unit == "N" and each.name != HOLD_DOWN]
+    if HOLD_DOWN not in names or not films:
+        raise SourceError(
+            f"[sensing.press] the source has the channels {', '.join(names)}: a film and"
+            f' "{HOLD_DOWN}", the load cell, are needed; name the latter in `names`, or add'
+            " [sensing.press.sensor]"
+        )
+    return films[0], names.index(HOLD_DOWN)

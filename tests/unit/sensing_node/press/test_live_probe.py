@@ -1,0 +1,223 @@
+"""A probe on a supervised drive over an emulated wrist, in virtual time."""
+
+from collections import Counter
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from protocol.errors import SourceError
+from protocol.tissue import StiffeningLaw
+from protocol.wire.stream import Channel
+from pulse_drives.axis import build_axis
+from pulse_drives.scene import MotorScene, TmclScene
+from pulse_sensors.samples import SampleBlock
+from sensing_node.press.live_probe import LiveProbe, columns_of
+from sensing_node.press.load_cell import PATIENCE_NS, JoinedSensors
+from sensing_node.press.probe import ProbeLimits
+from sensing_node.sources.wrist import WristScene
+from telepulse.emulators.motor import EmulatedMotor, MotorState
+from telepulse.emulators.wrist import TissueContact, WristBoard
+from tests.support.drive_benches import stepper
+from tests.support.virtual_bench import VirtualDrive, to_touch
+
+MS = 1_000_000
+FRAME = 4
+LIMITS = ProbeLimits(speed_m_per_s=0.03, travel_m=0.014)
+DRIVE = TmclScene.model_validate({"kind": "tmcl", "port": "x", "touch": "5 mm"})
+DRIVE_LATE_NS = 3 * MS
+
+
+class VirtualBoard:
+    """Film and load cell of a wrist, delivered some milliseconds late in frames of four."""
+
+    channels, period_ns = WristBoard.channels, MS
+
+    def __init__(self, motor: EmulatedMotor, wrist: WristScene, late_ms: int) -> None:
+        self._motor, self._board, self._late_ns = motor, WristBoard(wrist), late_ms * MS
+        self._blocks: list[SampleBlock] = []
+        self.now_ns = self._taken_ns = 0
+        self.silent = False
+        self.cell_n: float | None = None
+        self.rejected: Counter[str] = Counter()
+
+    def take(self) -> None:
+        """Sample the forces of the last four milliseconds."""
+        forces_n = [self._motor.forces_n.popleft() for _ in range(FRAME)]
+        values = np.array(self._board.read(forces_n))
+        if self.cell_n is not None:
+            values[:, 1] = self.cell_n
+        first_ns = self.now_ns - (FRAME - 1) * MS
+        self._blocks.append(SampleBlock(values, 0, first_ns, first_ns + FRAME * MS))
+
+    def poll(self) -> list[SampleBlock]:
+        due = [b for b in self._blocks if b.end_ns - MS + self._late_ns <= self.now_ns]
+        self._blocks = self._blocks[len(due) :]
+        return [] if self.silent else due
+
+    def faults(self) -> list[str]:
+        return []
+
+    def close(self) -> None:
+        """Have nothing to close."""
+
+
+class PressedBench:
+    """A probe over a wrist; force_n: the true force, one a millisecond."""
+
+    def __init__(self, stiffness: float = 1.0, late_ms: int = 4) -> None:
+        length_m = StiffeningLaw().scaled(stiffness).length_m
+        wrist = WristScene.model_validate({"kind": "wrist", "length": f"{length_m} m"})
+        motor = EmulatedMotor(stepper(), TissueContact(wrist), DRIVE.touch_m, -10_000 * MS)
+        to_touch(motor, -10_000 * MS)
+        motor.advance(0)
+        motor.forces_n.clear()
+        motor.set_watchdog(DRIVE.watchdog_ns)
+        self.moments: list[MotorState] = []
+        motor.trace = self.moments.append
+        axis = build_axis(DRIVE, MotorScene(), LIMITS.travel_m)
+        self.drive = VirtualDrive(motor, axis, DRIVE_LATE_NS, DRIVE.watchdog_ns)
+        self.board = VirtualBoard(motor, wrist, late_ms)
+        self.now_ns = 0
+        self.probe = LiveProbe(
+            LIMITS,
+            self.drive,  # type: ignore[arg-type]
+            self.board,
+            lambda: self.now_ns,
+        )
+
+    def run(self, ms: int, set_point_n: float | None = None, steps: bool = True) -> None:
+        for _ in range(ms):
+            self.now_ns += MS
+            at_ms, motor = self.now_ns // MS, self.drive.motor
+            motor.advance(self.now_ns)
+            self.board.now_ns = self.drive.now_ns = self.now_ns
+            if at_ms % FRAME == 0:
+                self.board.take()
+            if set_point_n is not None and at_ms % 20 == 0:
+                self.probe.press(set_point_n)
+            if steps and at_ms % 2 == 0:
+                self.probe.step(self.now_ns)
+            self.drive.run_thread(self.now_ns)
+
+    @property
+    def force_n(self) -> NDArray[np.float64]:
+        return np.array([moment.force_n for moment in self.moments])
+
+
+@pytest.mark.parametrize("late_ms", [2, 16])
+@pytest.mark.parametrize("stiffness", [0.3, 1.0, 3.0])
+def test_set_points_are_followed_by_a_supervised_drive_without_swinging(
+    stiffness: float, late_ms: int
+) -> None:
+    bench = PressedBench(stiffness, late_ms)
+    bench.run(1_500, 0.6)
+    assert bench.probe.state == "pressing"
+    for wanted_n in (1.5, 0.5, 2.5):
+        bench.run(1_500, wanted_n)
+        forces_n = bench.force_n
+        assert np.abs(forces_n[-1_000:] / wanted_n - 1).max() < 0.05
+    assert bench.force_n.max() <= LIMITS.force_n
+    # Over 5 ms, as the drive moves in whole microsteps.
+    assert np.abs(np.diff(bench.force_n[::5])).max() / 5e-3 < LIMITS.slew_n_per_s
+    assert bench.probe.depth_m == pytest.approx(
+        StiffeningLaw().scaled(stiffness).depth_m(2.5), abs=0.2e-3
+    )
+    assert not bench.probe.faults()
+
+
+def silence(bench: PressedBench) -> None:
+    bench.board.silent = True
+
+
+def stop_motor(bench: PressedBench) -> None:
+    bench.drive.motor.fail("overtemperature")
+
+
+def freeze_cell(bench: PressedBench) -> None:
+    bench.board.cell_n = 0.0
+
+
+@pytest.mark.parametrize(
+    ("happens", "fault", "follows"),
+    [
+        (silence, "load cell: silent", True),
+        (freeze_cell, "load cell: 0 mN unchanged", True),
+        (stop_motor, "drive: fault: overtemperature", False),
+    ],
+)
+def test_after_a_fault_the_probe_leaves_the_wrist(
+    happens: Callable[[PressedBench], None], fault: str, follows: bool
+) -> None:
+    bench = PressedBench()
+    bench.run(1_500, 1.5)
+    pressed_ms = len(bench.moments)
+    happens(bench)
+    bench.run(1_000, 1.5)
+    assert fault in bench.probe.faults()[0]
+    assert bench.probe.state == "fault"
+    assert bench.force_n[pressed_ms:].max() < LIMITS.force_n * LIMITS.overforce
+    # A motor that stops itself leaves the probe where it is.
+    assert bool(bench.force_n[-1] == 0) is follows
+
+
+def test_a_loop_that_hangs_leaves_the_withdrawal_to_the_drives_thread() -> None:
+    bench = PressedBench()
+    bench.run(1_500, 1.5)
+    bench.run(1_000, 1.5, steps=False)
+    assert bench.force_n[-1] == 0
+    bench.run(10)
+    assert "drive: no command" in bench.probe.faults()[0]
+
+
+def test_a_load_cell_that_is_frozen_before_the_wrist_is_found_before_it_presses() -> None:
+    bench = PressedBench()
+    bench.board.cell_n = 0.01
+    bench.run(2_000, 1.5)
+    assert "unchanged over" in bench.probe.faults()[0]
+    assert bench.force_n.max() == 0
+
+
+def test_a_source_without_a_load_cell_is_refused() -> None:
+    with pytest.raises(SourceError, match=r"add \[sensing.press.sensor\]"):
+        columns_of((Channel("pulse"),))
+
+
+class Blocks:
+    """A sensor whose blocks a test queues."""
+
+    period_ns = MS
+
+    def __init__(self, name: str) -> None:
+        self.channels = (Channel(name),)
+        self.rejected: Counter[str] = Counter()
+        self.waiting: list[SampleBlock] = []
+
+    def add(self, first_ms: int, values: list[float], period_ms: int = 1) -> None:
+        end_ms = first_ms + period_ms * len(values)
+        block = SampleBlock(np.array(values)[:, None], 0, first_ms * MS, end_ms * MS)
+        self.waiting.append(block)
+
+    def poll(self) -> list[SampleBlock]:
+        found, self.waiting = self.waiting, []
+        return found
+
+
+def test_each_sample_of_the_film_gets_the_load_cells_force_at_its_time() -> None:
+    film, cell = Blocks("pulse"), Blocks("force")
+    joined = JoinedSensors(film, cell)  # type: ignore[arg-type]
+    assert [channel.name for channel in joined.channels] == ["pulse", "hold-down"]
+    cell.add(0, [0.0, 1.0, 2.0], period_ms=10)
+    film.add(3, [0.5, 0.6])
+    film.add(19, [0.7, 0.8, 0.9])
+    (block,) = joined.poll()
+    assert block.values == pytest.approx(np.array([[0.5, 0.3], [0.6, 0.4]]))
+    assert joined.poll() == []
+    # Without a force, samples count as missing.
+    film.add(PATIENCE_NS // MS + 30, [1.0])
+    assert joined.poll() == []
+    assert joined.rejected == {"without_load_cell": 3}
+    cell.add(30, [3.0] * 20, period_ms=10)
+    (block,) = joined.poll()
+    assert block.missing == 3
