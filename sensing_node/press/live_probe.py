@@ -26,8 +26,6 @@ logger = logging.getLogger(__name__)
 
 DRIVE_TABLE: Final = "[sensing.press.drive]"
 PERIOD_S: Final = 2e-3
-# A reading older than this is none.
-OLDEST_NS: Final = 50_000_000
 FIRST_SAMPLE_WITHIN_S: Final = 5.0
 # Longest withdrawal: the whole travel at the slow speed.
 WITHDRAWN_WITHIN_S: Final = 3.0
@@ -89,7 +87,8 @@ class LiveProbe:
         self.channels, self.period_ns = sensor.channels, sensor.period_ns
         self._drive, self._sensor, self._clock = drive, sensor, clock
         self._film_at, self._cell_at = columns_of(sensor.channels)
-        self._probe, self._frozen = Probe(limits, StiffeningLaw()), FrozenCell()
+        self._limits, self._probe = limits, Probe(limits, StiffeningLaw())
+        self._frozen = FrozenCell()
         self._lock = threading.Lock()
         self._blocks: deque[SampleBlock] = deque(maxlen=MOST_BLOCKS)
         self._newest: Reading | None = None
@@ -200,7 +199,7 @@ class LiveProbe:
             position_m = self._position_m
             if reading is not None:
                 position_m = drive.commanded_m(reading.taken_ns)
-                if now_ns - reading.taken_ns > OLDEST_NS:
+                if now_ns - reading.taken_ns > self._limits.silent_after_ns:
                     reading = None
                 elif not probe.faults and (fault := self._frozen.check(reading.cell_n, position_m)):
                     probe.fault(fault)

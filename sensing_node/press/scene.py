@@ -25,6 +25,7 @@ class ProbeScene(Section):
     force_limit and slew_limit: of the force on the wrist. overforce: measured force, as a multiple
     of the limit, that is a fault. max_speed and travel: of the drive. resting: force to which the
     probe eases off without set-points for stale_after; after leave_after it leaves the wrist.
+    cell_within: time without a reading of the load cell that is a fault.
 
     drive and motor: of a real probe. Its `touch` leads from home to the place where the probe rests
     off the wrist; `travel` begins there. sensor: the load cell, where it is not a channel of the
@@ -39,6 +40,7 @@ class ProbeScene(Section):
     resting_n: Annotated[Newtons, Field(ge=0, le=1)] = 0.2
     stale_after_ns: Annotated[Nanoseconds, _TIME_NS] = 300_000_000
     leave_after_ns: Annotated[Nanoseconds, _TIME_NS] = 2_000_000_000
+    cell_within_ns: Annotated[Nanoseconds, Field(ge=10_000_000, le=100_000_000)] = 50_000_000
     drive: DriveTable | None = None
     motor: MotorScene = MotorScene()
     sensor: Annotated[
@@ -73,4 +75,5 @@ class ProbeScene(Section):
             self.resting_n,
             self.stale_after_ns,
             self.leave_after_ns,
+            self.cell_within_ns,
         )

@@ -189,6 +189,7 @@ COMPILED = "installs, and compiles for a minute; tests/system/compiled"
 MULTICAST = "needs a network that carries multicast; tests/system/discovery"
 OBSERVER = "a minute; tests/system/experiment/test_experiment_command.py"
 SUBJECT = "asks a person; tests/system/experiment"
+PRESSED = "tests/system/drives/test_pressed_wrist.py"
 UNRUN = {
     PROTECTED.replace("scenes/radial.toml", "radial"): "run above, with the scene's file",
     AT_THE_FINGER.replace("scenes/radial.toml", "radial"): "run above, with the scene's file",
@@ -247,6 +248,11 @@ UNRUN = {
     "telepulse bench my_bench.toml --only display": BENCH,
     "telepulse bench my_bench.toml --only display --write checked.toml --out out/bench": BENCH,
     "telepulse bench real_bench": BENCH,
+    "telepulse scenes copy real_press my_press.toml": PRESSED,
+    "telepulse emulate tmcl real_press --wrist press --link /tmp/telepulse-probe"
+    " --film-link /tmp/telepulse-wrist": PRESSED,
+    "sensing-node real_press": PRESSED,
+    "display-node real_press": PRESSED,
     "telepulse emulate tmcl my_bench.toml --link drive --film-link film": BENCH,
     "telepulse emulate cia402 SCENE --interface udp_multicast --channel 239.74.163.2": (
         "needs multicast; tests/system/drives/test_drive_commands.py"

@@ -16,12 +16,14 @@ from display_node.fault_advice import (
 )
 from display_node.plant.feedback import FilmFault
 
-PACKAGE = Path(__file__).parents[3] / "display_node"
+ROOT = Path(__file__).parents[3]
+PACKAGES = ("display_node", "pulse_drives")
 
 
 def named_faults() -> set[str]:
     """Return the texts of all faults that the display's code latches, without numbers."""
-    sources = "\n".join(path.read_text(encoding="utf-8") for path in PACKAGE.rglob("*.py"))
+    paths = [path for package in PACKAGES for path in (ROOT / package).rglob("*.py")]
+    sources = "\n".join(path.read_text(encoding="utf-8") for path in paths)
     safety = re.findall(r'\.fault\(\s*f?"([^"{]+)', sources)
     drive = re.findall(r'(?:DriveError\(|\.?_?fail\()\s*f?"([a-z][^":{]+)', sources)
     film = (fault.value.split("{")[0] for fault in FilmFault)

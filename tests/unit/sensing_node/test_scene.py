@@ -29,7 +29,8 @@ def source(**keys: Any) -> dict[str, Any]:
 
 
 # Scenes with a live sensor, which `build_source` refuses.
-LIVE = ("tmcl_bench", "cia402_bench")
+PROBE = {"kind": "tmcl", "port": "x"}
+LIVE = ("tmcl_bench", "cia402_bench", "real_press")
 SENSED = [path for path in sorted((ROOT / "scenes").glob("*.toml")) if path.stem not in LIVE]
 
 
@@ -168,3 +169,27 @@ def test_the_kind_decides_the_source(tmp_path: Path, logged: list[str]) -> None:
         build_source(recording, tmp_path / "elsewhere")
     with pytest.raises(SceneError, match='kind "serial" is a live sensor'):
         build_source(scene(source=SERIAL), tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("press", "reason"),
+    [
+        ({}, r"press needs a source of kind .wrist., or a live sensor"),
+        ({"resting": "0.9 N", "force_limit": "0.5 N"}, "resting must be at most force_limit"),
+        ({"stale_after": "3 s"}, "stale_after must be at most leave_after"),
+        ({"drive": PROBE, "max_speed": "0.15 m/s", "motor": {"max_speed": "0.1 m/s"}}, "max_speed"),
+        ({"drive": PROBE, "motor": {"stroke": "20 mm"}}, "more than motor.stroke"),
+        ({"drive": {**PROBE, "furthest": "1 mm"}}, "ends before the wrist"),
+    ],
+)
+def test_a_real_probe_with_limits_that_do_not_fit_is_refused(
+    press: dict[str, Any], reason: str
+) -> None:
+    board = {"kind": "serial", "port": "x", "framing": "binary", "rate": "1 kHz", "unit": "N"}
+    with pytest.raises(ValueError, match=reason):
+        SensingScene.model_validate({"source": board, "press": press})
+
+
+def test_a_modelled_wrist_takes_no_real_drive() -> None:
+    with pytest.raises(ValueError, match="models drive and load cell"):
+        SensingScene.model_validate({"source": {"kind": "wrist"}, "press": {"drive": PROBE}})

@@ -122,7 +122,7 @@ def test_set_points_are_followed_by_a_supervised_drive_without_swinging(
     # Over 5 ms, as the drive moves in whole microsteps.
     assert np.abs(np.diff(bench.force_n[::5])).max() / 5e-3 < LIMITS.slew_n_per_s
     assert bench.probe.depth_m == pytest.approx(
-        StiffeningLaw().scaled(stiffness).depth_m(2.5), abs=0.2e-3
+        StiffeningLaw().scaled(stiffness).depth_m(2.5), rel=0.2
     )
     assert not bench.probe.faults()
 
