@@ -10,7 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from display_node.fault_advice import FAULT_STATUS, latched
+from display_node.fault_advice import latched
+from protocol.cli_options import FAULT_STATUS
 from pulse_drives.withdrawal import TOUCH_N
 from soak.claims import pressed_n
 from soak.truth import FORCE_MORE_N, FORCE_SHARE, judge_claims

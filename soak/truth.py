@@ -5,7 +5,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from itertools import pairwise
 from typing import Any
 
-from display_node.fault_advice import FAULT_STATUS, latched
+from display_node.fault_advice import latched
+from protocol.cli_options import FAULT_STATUS
 from pulse_drives.withdrawal import TOUCH_N
 from soak.claims import LineClaim, StatusClaim, pressed_n
 from soak.tick_record import TickRecord

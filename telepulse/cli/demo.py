@@ -19,11 +19,12 @@ import typer
 import zmq
 from rich.console import Console
 
-from display_node.fault_advice import FAULT_STATUS, SENSING_NOTE, end_at_faults
+from display_node.fault_advice import SENSING_NOTE, end_at_faults
 from display_node.scoring.tracking_error import TrackingError, scored
 from display_node.telemetry.terminal import watch
 from protocol import sockets
 from protocol.cli_options import (
+    FAULT_STATUS,
     CompensationOption,
     DurationOption,
     JsonOption,

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from display_node.fault_advice import FAULT_STATUS
+from protocol.cli_options import FAULT_STATUS
 from tests.support.emulated_bench import BenchFailedError, EmulatedBench, MotorTrace, playing
 from tests.support.unread import unread
 from tests.support.waiting import until

@@ -6,7 +6,6 @@ from pathlib import Path
 import pytest
 
 from display_node.fault_advice import (
-    FAULT_STATUS,
     FILM_NOTE,
     OTHERWISE,
     SENSING_NOTE,
@@ -15,6 +14,7 @@ from display_node.fault_advice import (
     latched,
 )
 from display_node.plant.feedback import FilmFault
+from protocol.cli_options import FAULT_STATUS
 
 ROOT = Path(__file__).parents[3]
 PACKAGES = ("display_node", "pulse_drives")
