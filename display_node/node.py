@@ -138,7 +138,8 @@ class DisplayNode:
             # A loopback loses no packets, and several networks are redundant already.
             if scene.paths is None and paths == 1 and sockets.beyond_loopback(addresses[0]):
                 redundancy = Redundancy(scene.late_target)
-            self._connection = Connection(self._context, addresses, paths, keys, redundancy)
+            turns = 0 if scene.press is None else scene.press.connections
+            self._connection = Connection(self._context, addresses, paths, keys, redundancy, turns)
             self._readers = readers = Authenticator(self._context, telemetry_keys)
             telemetry = sockets.bind(self._context, zmq.XPUB, telemetry_address, readers)
             self._telemetry = Publisher(telemetry, secrets.randbits(62), readers, provenance)
@@ -209,7 +210,7 @@ class DisplayNode:
                 if now_ns >= until_ns and number >= LEAST_READ:
                     break
             route.frames_first += receiver.frames[0] - before
-        for number, message in enumerate(connection.control.messages()):
+        for number, message in enumerate(connection.control_messages()):
             now_ns, sessions = time.monotonic_ns(), receiver.sessions
             display.on_control(message, now_ns)
             captured.add(now_ns, CONTROL, message)
@@ -235,8 +236,9 @@ class DisplayNode:
             logger.warning(f"refused: {self._display.receiver.other_version}")
         if self._connection.poll(now_ns):
             self._display.receiver.introduce()
-        control = self._connection.control.socket
-        for message in self._display.requests(time.monotonic_ns()):
+        requested_ns = time.monotonic_ns()
+        for message in self._display.requests(requested_ns):
+            control = self._connection.control_for(message, requested_ns)
             sockets.send(control, encode_control(message))
         if self._telemetry.add(*self._display.states):
             self._telemetry.status(self._status(final=False))

@@ -111,6 +111,8 @@ class ControlServer:
         self.set_points = set_points
         self._session = session
         self.clients: dict[Sender, Client] = {}
+        # Further connections of displays, which began with a set-point.
+        self._further: dict[Sender, Client] = {}
         self.rejected: Counter[str] = Counter()
         self.other_version = ""
         self._strangers = TokenBucket(STRANGERS_PER_S, STRANGERS_PER_S)
@@ -164,8 +166,13 @@ class ControlServer:
 
     def forget_silent(self, now_ns: int) -> list[Client]:
         """Remove the displays without a message for 5 s, and return them."""
-        silent = [k for k, c in self.clients.items() if now_ns - c.seen_ns > FORGET_AFTER_NS]
-        return [self.clients.pop(sender) for sender in silent]
+        displays, further = (
+            [k for k, c in table.items() if now_ns - c.seen_ns > FORGET_AFTER_NS]
+            for table in (self.clients, self._further)
+        )
+        for sender in further:
+            del self._further[sender]
+        return [self.clients.pop(sender) for sender in displays]
 
     def _client(self, sender: Sender, message: ControlMessage, now_ns: int) -> Client:
         """Return the display that sent a message. Raises WireError.
@@ -181,15 +188,32 @@ class ControlServer:
             case _:
                 raise WireError("unexpected", "a message that only sensing nodes send")
         client = self.clients.get(sender)
+        further = client is None and not name and not isinstance(message, Bye)
+        if further and (sender in self._further or isinstance(message, SetPoint)):
+            return self._further_connection(sender, now_ns)
         # Most messages are clock requests without a name, for which nothing is searched.
         if name and (client is None or client.name != name):
             # The display may have an entry under an old address, or from a request before its name.
             for namesake in [k for k, other in self.clients.items() if other.name == name]:
                 del self.clients[namesake]
         if client is None:
-            if len(self.clients) >= MAX_CLIENTS:
-                raise WireError("too_many_displays", f"there are {MAX_CLIENTS} already")
+            self._further.pop(sender, None)
+            self._check_room()
             client = self.clients[sender] = Client(name, now_ns)
         client.name = name or client.name
         client.seen_ns = now_ns
         return client
+
+    def _further_connection(self, sender: Sender, now_ns: int) -> Client:
+        """Return the further connection of a display, which is no display of its own."""
+        client = self._further.get(sender)
+        if client is None:
+            self._check_room()
+            client = self._further[sender] = Client("", now_ns)
+        client.seen_ns = now_ns
+        return client
+
+    def _check_room(self) -> None:
+        """Raise WireError where there are as many displays and further connections as may be."""
+        if len(self.clients) + len(self._further) >= MAX_CLIENTS:
+            raise WireError("too_many_displays", f"there are {MAX_CLIENTS} already")

@@ -282,7 +282,8 @@ class Relay:
         self._frames.poll(now_ns)
         if answered := self._handshakes.poll(now_ns):
             for endpoint in self._path.endpoints:
-                endpoint.answered |= endpoint.socket in answered
+                if endpoint.socket in answered:
+                    endpoint.answer(now_ns)
         self._authenticator.poll(now_ns)
         # `running` is read first: a look-up that ends in between would otherwise be started again.
         looking, address = self._lookup.running, self._lookup.take()

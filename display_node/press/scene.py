@@ -39,7 +39,8 @@ class PressScene(Section):
 
     sensor: what measures the static force of the finger; kinds as of other sensors, and "finger".
     channel: the stream's channel of the load cell at the wrist. force_limit and slew_limit: of the
-    set-points.
+    set-points. connections: number of TCP connections over which the set-points go in turns; 0: with
+    all other requests.
     """
 
     sensor: Annotated[
@@ -48,6 +49,7 @@ class PressScene(Section):
     channel: Name = HOLD_DOWN
     force_limit_n: Annotated[Newtons, Field(gt=0, le=10)] = 3.0
     slew_limit_n_per_s: Annotated[NewtonsPerSecond, Field(gt=0, le=100)] = 20.0
+    connections: Annotated[int, Field(strict=True, ge=0, le=16)] = 8
 
     def limits(self) -> PressLimits:
         """Return the limits that the table describes."""

@@ -7,14 +7,21 @@ from collections.abc import Iterator, Sequence
 import zmq
 
 from display_node.reception.addresses import Lookup
-from display_node.reception.endpoint import ANSWER_NS, FLOODED_NS, Endpoint
-from display_node.reception.failover import FOLLOWS_WITHIN_NS, DataPath
+from display_node.reception.endpoint import (
+    ANSWER_NS,
+    ANSWER_ROUND_TRIPS,
+    FLOODED_NS,
+    Endpoint,
+)
+from display_node.reception.failover import FOLLOWS_WITHIN_NS, REPEATED_NS, DataPath
 from display_node.reception.redundancy import Redundancy
+from display_node.reception.turns import ControlTurns
 from protocol import sockets
 from protocol.config.quantities import count_text
 from protocol.security.keys import ClientKeys
 from protocol.security.socket_monitor import HandshakeMonitor
 from protocol.summary_tables import DataConnections, Reconnections
+from protocol.wire.messages import ClockRequest, ControlMessage, SetPoint
 
 logger = logging.getLogger(__name__)
 
@@ -60,10 +67,8 @@ class Route:
             self.lookup.start()
 
 
-# An unanswered connection request is repeated after this many round trips, but not before
-# `ANSWER_NS`. The kernel alone would repeat it after 1 s.
-ANSWER_ROUND_TRIPS = 3
-# When all endpoints together are silent for this time, data and control are connected anew.
+# When all endpoints together are silent for this time, data and control are connected anew; over a
+# long round trip, for the time after which each path is silent (`Failover.silence_ns`).
 CUT_NS = 500_000_000
 # After a pause of this process of at least this time, the first messages may be queued ones, which
 # do not show that the connection still works.
@@ -90,6 +95,7 @@ class Connection:
         paths: int,
         keys: ClientKeys | None = None,
         redundancy: Redundancy | None = None,
+        turns: int = 0,
     ) -> None:
         self._redundancy = redundancy
         self.routes = [
@@ -102,15 +108,17 @@ class Connection:
         self._received_ns: int | None = None
         self._polled_ns: int | None = None
         self._cut_ns = CUT_NS
-        self._controls = 0
+        self._controls = self._clock_requests = 0
         self.control = Endpoint(sockets.unconnected(context, zmq.DEALER, keys))
+        self._further = ControlTurns(context, turns, keys)
         self._handshakes = HandshakeMonitor(context, keys)
         self.most_paths = 0
         self._use_paths()
-        for endpoint in self._endpoints:
+        for endpoint in (*self._endpoints, *self._further.endpoints):
             self._handshakes.watch(endpoint.socket)
         self.rejected = self._handshakes.rejected
         self._named: list[tuple[DataPath | Endpoint, str]] = [(self.control, "control")]
+        self._named += [(endpoint, "control") for endpoint in self._further.endpoints]
         self._named += [(path, route.address) for route in self.routes for path in route.paths]
         # Names of the endpoints whose flood was reported.
         self._flooded: set[str] = set()
@@ -140,6 +148,7 @@ class Connection:
             *(endpoint for path in self._paths for endpoint in path.endpoints),
         ]
         self.descriptors = sockets.descriptors([endpoint.socket for endpoint in self._endpoints])
+        self.descriptors += self._further.descriptors
 
     def subscribe(self, frame_ns: int, round_trip_ns: int, now_ns: int) -> None:
         """Subscribe to frames; one frame covers `frame_ns`.
@@ -166,20 +175,44 @@ class Connection:
         """
         control = self.control
         if answered := self._handshakes.poll(now_ns):
-            for endpoint in self._endpoints:
-                endpoint.answered |= endpoint.socket in answered
+            for endpoint in (*self._endpoints, *self._further.endpoints):
+                if endpoint.socket in answered:
+                    endpoint.answer(now_ns)
         self._close_floods(now_ns)
         cut = self._cut(now_ns)
         for path in self._paths if cut else ():
             path.failover.give_up()
         for route in self.routes:
             route.poll(now_ns)
+        if self._times_ns is not None:
+            addresses = [route.paths[0].first.address for route in self.routes]
+            known = [sockets.control_address(each) for each in addresses if each is not None]
+            self._further.poll(known, self._times_ns[1], now_ns)
         if self._redundancy is not None and (reason := self._redundancy.change(now_ns)):
             self._resize(self._redundancy.paths, reason, now_ns)
         introduce = self._repeat_request(now_ns)
         if cut and control.address is not None:
             return self._connect_control(control.address, now_ns)
         return introduce or (control.silent(now_ns) and self._move_control(now_ns))
+
+    def control_for(self, message: ControlMessage, now_ns: int) -> sockets.Socket:
+        """Return the control connection for a message, which is sent now.
+
+        Set-points go over the further ones in turns, clock requests also over control.
+        """
+        control, further = self.control.socket, None
+        if isinstance(message, SetPoint):
+            further = self._further.next(self._handshakes.established, now_ns, set_point=True)
+        elif isinstance(message, ClockRequest):
+            self._clock_requests += 1
+            if self._clock_requests % (len(self._further.endpoints) + 1):
+                further = self._further.next(self._handshakes.established, now_ns, set_point=False)
+        return further or control
+
+    def control_messages(self) -> Iterator[bytes]:
+        """Yield the messages that wait on the control connections; call it each tick."""
+        yield from self.control.messages()
+        yield from self._further.messages()
 
     def _resize(self, count: int, reason: str, now_ns: int) -> None:
         """Use `count` paths to the one address from now on."""
@@ -224,7 +257,9 @@ class Connection:
                 or sockets.control_address(data.address) != control.address
             ):
                 continue
-            # A repetition may come too early for a slow network: only the kernel repeats this one.
+            # A repetition may come too early for a slow network: only the kernel repeats this one,
+            # and it waits for the other's answer time.
+            pending.answer_ns = max(control.answer_ns, data.answer_ns)
             if pending is control:
                 return self._connect_control(control.address, now_ns, fast_retry=False)
             data.connect(data.address, now_ns, fast_retry=False)
@@ -243,7 +278,9 @@ class Connection:
             self._redundancy.received(counts[0], received, now_ns, polled_ns)
         if received + self.control.received(now_ns):
             self._received_ns = now_ns
-            self._cut_ns = FOLLOWS_WITHIN_NS if stalled else CUT_NS
+            answer_ns = self.control.answer_ns
+            least_ns, usual_ns = max(FOLLOWS_WITHIN_NS, answer_ns), REPEATED_NS + answer_ns
+            self._cut_ns = least_ns if stalled else max(CUT_NS, usual_ns)
         elif self._received_ns is not None and now_ns - self._received_ns >= self._cut_ns:
             self._received_ns = None
             return True

@@ -5,11 +5,15 @@ from collections.abc import Iterator
 from protocol import sockets
 from protocol.security.budgets import TokenBucket
 
-# Silence after which the socket is connected anew.
-PATIENCE_NS = 2_000_000_000
+# Silence after which the socket is connected anew: this time, or so many times `answer_ns`. Over a
+# long round trip, the handshakes take some six of them, and so does TCP where a repetition is lost.
+PATIENCE_NS, PATIENCE_ANSWERS = 2_000_000_000, 4
+# An unanswered connection request is repeated after this many round trips, but not before
+# `ANSWER_NS`. The kernel alone would repeat it after 1 s.
+ANSWER_ROUND_TRIPS = 3
 # Wait for the answer to a request to connect. Ten requests are repeated early; then, as the network
-# may have become slower, one is not repeated.
-ANSWER_NS = 100_000_000
+# may have become slower, one is not repeated for as long as the kernel's first three attempts.
+ANSWER_NS, UNHURRIED_NS = 100_000_000, 6_000_000_000
 FAST_RETRIES = 10
 # A hostile peer may send any number of messages. After a stall of the display, some 5 000 queued
 # frames come at once (docs/decisions/0022). At 10 to 20 µs each, the highest sustained rate takes a
@@ -24,12 +28,15 @@ BYTES_PER_TOKEN = 4_096
 class Endpoint:
     """A socket that is connected to one address at a time.
 
-    address: the present one; None while it is not connected. answer_ns: time after which an
+    least_per_s, burst: messages that it may receive. address: the present one; None while it is not
+    connected. answer_ns: time after which an
     unanswered request to connect is repeated. asked_ns, answered: time of the present request, and
     whether a host has answered it.
     """
 
-    def __init__(self, socket: sockets.Socket) -> None:
+    def __init__(
+        self, socket: sockets.Socket, least_per_s: float = LEAST_PER_S, burst: float = BURST
+    ) -> None:
         self.socket = socket
         self.address: str | None = None
         self.answer_ns = ANSWER_NS
@@ -38,7 +45,7 @@ class Endpoint:
         self._tries = 0
         self._received = 0
         self._silent_ns = self._closed_until_ns = 0
-        self._budget = TokenBucket(LEAST_PER_S, BURST)
+        self._budget = TokenBucket(least_per_s, burst)
         self._spent = 0
 
     def messages(self) -> Iterator[bytes]:
@@ -62,8 +69,20 @@ class Endpoint:
         received, self._received = self._received, 0
         if received:
             self._tries = 0
-            self._silent_ns = now_ns + PATIENCE_NS
+            self._silent_ns = now_ns + self._patience_ns
         return received
+
+    def answer(self, now_ns: int) -> None:
+        """Note that a host has answered the request to connect; its time bounds the round trip."""
+        if self.answered:
+            return
+        self.answered = True
+        self.answer_ns = max(self.answer_ns, ANSWER_ROUND_TRIPS * (now_ns - self.asked_ns))
+        self._silent_ns = now_ns + self._patience_ns
+
+    @property
+    def _patience_ns(self) -> int:
+        return max(PATIENCE_NS, PATIENCE_ANSWERS * self.answer_ns)
 
     def close(self, until_ns: int) -> int:
         """Disconnect, and stay closed until a time; return the number of dropped messages."""
@@ -75,7 +94,7 @@ class Endpoint:
         return now_ns < self._closed_until_ns
 
     def silent(self, now_ns: int) -> bool:
-        """Return whether it is not connected, or has received nothing for `PATIENCE_NS`."""
+        """Return whether it is not connected, or has received nothing for too long."""
         if self.closed(now_ns):
             return False
         return self.address is None or now_ns >= self._silent_ns
@@ -91,7 +110,7 @@ class Endpoint:
         self.asked_ns, self.answered = now_ns, False
         sockets.reconnect(self.socket, self.address, address, self.answer_ns if fast_retry else 0)
         self.address = address
-        self._silent_ns = now_ns + PATIENCE_NS
+        self._silent_ns = now_ns + (self._patience_ns if fast_retry else UNHURRIED_NS)
 
     def disconnect(self) -> int:
         """Close the connection; return how many queued messages were dropped."""

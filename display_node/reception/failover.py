@@ -62,6 +62,7 @@ class Failover:
     def __init__(self) -> None:
         self.silence_ns, self._follows_ns = 2 * REPEATED_NS, FOLLOWS_WITHIN_NS
         self._stalled_ns = self._stalls_after_ns = STALLED_NS
+        self._unanswered_ns = UNANSWERED_NS
         self._budget = TokenBucket(OPENED_PER_S, OPENED_AT_ONCE)
         self._frame_ns = REPEATED_NS
         # After a silence: number of messages still missing, and the time by which they are due.
@@ -81,7 +82,8 @@ class Failover:
         was_ns, self.silence_ns = self.silence_ns, max(REPEATED_NS + answer_ns, least_ns)
         if not self.racing:
             self._due_ns += self.silence_ns - was_ns
-        self._follows_ns = max(FOLLOWS_WITHIN_NS, least_ns)
+        self._follows_ns = max(FOLLOWS_WITHIN_NS, least_ns, answer_ns)
+        self._unanswered_ns = max(UNANSWERED_NS, answer_ns)
         self._stalls_after_ns = max(STALLED_NS, STALLED_ANSWERS * answer_ns) + frame_ns
 
     def start(self, now_ns: int) -> None:
@@ -173,9 +175,9 @@ class Failover:
         if not self.racing:
             self._stalled_ns = self._stalls_after_ns
         elif self._answered:
-            self._stalled_ns = min(2 * self._stalled_ns, UNANSWERED_NS)
+            self._stalled_ns = min(2 * self._stalled_ns, self._unanswered_ns)
         self.racing, self._answered, self._second_ns = True, False, None
-        self._due_ns = now_ns + UNANSWERED_NS
+        self._due_ns = now_ns + self._unanswered_ns
         self.opened += 1
         return True
 

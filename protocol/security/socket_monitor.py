@@ -30,7 +30,11 @@ POLL_EVERY_NS = 10_000_000
 # Number of broken handshakes that is reported; a node that shuts down breaks one or two.
 REPEATED_BREAKS = 3
 _HANDSHAKE_EVENTS = (
-    zmq.EVENT_CONNECTED | zmq.EVENT_HANDSHAKE_SUCCEEDED | zmq.EVENT_HANDSHAKE_FAILED_AUTH | FAILURES
+    zmq.EVENT_CONNECTED
+    | zmq.EVENT_HANDSHAKE_SUCCEEDED
+    | zmq.EVENT_HANDSHAKE_FAILED_AUTH
+    | zmq.EVENT_DISCONNECTED
+    | FAILURES
 )
 
 
@@ -72,6 +76,7 @@ class HandshakeMonitor:
     """Monitor of connecting sockets: counts failed handshakes and reports each reason once.
 
     ZeroMQ itself retries without end and reports nothing. rejected: failed handshakes by cause.
+    established: sockets with a connection that can carry messages.
     """
 
     def __init__(self, context: Context, keys: ClientKeys | None) -> None:
@@ -84,6 +89,7 @@ class HandshakeMonitor:
         self._reported: set[tuple[str, str]] = set()
         self._poll_ns = 0
         self.rejected: Counter[str] = Counter()
+        self.established: set[Socket] = set()
 
     def watch(self, socket: Socket) -> None:
         """Monitor a socket; call this before it connects."""
@@ -100,9 +106,13 @@ class HandshakeMonitor:
         answered = []
         for socket, monitor in self._monitors:
             for event, value, endpoint in monitor.events():
+                if event == zmq.EVENT_HANDSHAKE_SUCCEEDED:
+                    self.established.add(socket)
+                else:
+                    self.established.discard(socket)
                 if event == zmq.EVENT_CONNECTED:
                     answered.append(socket)
-                else:
+                elif event != zmq.EVENT_DISCONNECTED:
                     self._count(event, value, endpoint)
         return answered
 
