@@ -11,6 +11,7 @@ NAMES = (
     "contactors",
     "compensation",
     "paths",
+    "press_paths",
     "peers",
     "keys",
     "clock",

@@ -6,24 +6,19 @@ root, for the link emulator.
 """
 
 import math
-import sys
 import threading
-import time
-from collections.abc import Iterator
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
-from itertools import product
 from pathlib import Path
 from subprocess import PIPE
 from tempfile import TemporaryDirectory
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 import numpy as np
 import zmq
 from numpy.typing import NDArray
 
 from benchmarks.measure import show
-from display_node.press.local_press import RISE_NS
 from protocol.config.scene_file import find_scene
 from protocol.run_summary import Summary
 from protocol.wire.messages import decode_frame
@@ -31,25 +26,53 @@ from protocol.wire.telemetry import TRACE, read_trace
 from telepulse.netem import EmulatedLink, emulate, unavailable
 from telepulse.netem.emulated_link import PORT
 from telepulse.processes import NodeProcess
-from telepulse.reports.studies.press_scores import FOLLOW_ERROR, FOLLOWED_S
+from telepulse.reports.studies.press_scores import FOLLOW_ERROR, FOLLOWED_S, LEVELS_N, STEP_S
 from telepulse.simulation.link_scene import parse_link
 
-LEVELS_N = (0.6, 1.2, 0.9, 1.5, 0.7, 1.3, 0.8, 1.1, 1.4, 1.0)
-STEP_S = 4.0
-ROUND_TRIPS_MS = 100, 300, 1000, 2000
-CONNECTIONS = 1, 2, 4, 8
-SECONDS = 40.0
-# Steps before this many round trips, and this time, are part of the start.
+SECONDS = 70.0
+# Steps before this time, and so many round trips, are those of the start.
 START_S, START_ROUND_TRIPS = 8.0, 12
-POLL_MS, ENDS_WITHIN_S = 50, 60.0
-Floats = NDArray[np.float64]
+ENDS_WITHIN_S = 60.0
+POLL_MS = 50
+CONGESTION_CONTROL = Path("/proc/sys/net/ipv4/tcp_congestion_control")
+SCENE = """\
+extends = "{press}"
+
+[sensing]
+batch = "{batch}"
+
+[display]
+paths = {paths}
+
+[display.press]
+connections = {connections}
+
+[display.press.sensor]
+levels = [{levels}]
+stiffness = "0 N/m"
+"""
+
+
+class Case(NamedTuple):
+    """A run: round trip, connections of the set-points, duration of a frame, data connections."""
+
+    round_trip_ms: int
+    connections: int
+    batch: str = "5 ms"
+    paths: str = '"auto"'
+
+
+CASES = (
+    *(Case(100, count) for count in (0, 8)),
+    *(Case(300, count) for count in (0, 2, 4, 8)),
+    Case(1000, 8),
+    *(Case(1000, count, "50 ms", "6") for count in (0, 4, 8)),
+    *(Case(2000, count, "50 ms", "8") for count in (0, 4, 8, 16)),
+)
 
 
 class Followed(NamedTuple):
-    """One run: its steps, those followed, the share of judged time within the bar, the account.
-
-    errors: largest error after each step, as a share of the press.
-    """
+    """One run: largest error after each step and share of the time within the bar, and summary."""
 
     errors: list[float]
     within: float
@@ -62,65 +85,62 @@ def main() -> None:
     if reason is not None:
         print(f"press_paths: left out: {reason}")
         return
-    control = Path("/proc/sys/net/ipv4/tcp_congestion_control").read_text(encoding="ascii").strip()
-    cases = list(product(ROUND_TRIPS_MS, CONNECTIONS))
     with ThreadPoolExecutor(2) as pool:
-        runs = list(pool.map(lambda case: follow(*case), cases))
+        rows = list(pool.map(lambda case: row(case, follow(case)), CASES))
+    control = CONGESTION_CONTROL.read_text(encoding="ascii").strip()
     show(
-        f"Press over TCP ({control}) with 1 % loss and 10 % of jitter, {SECONDS:g} s each",
-        ("round trip (ms)", "connections", "followed", "within", "sent", "applied", "superseded",
-         "lost"),
-        [row(*case, run) for case, run in zip(cases, runs, strict=True)],
-    )
+        f"Press over TCP ({control}), 1 % loss and 10 % of jitter, {SECONDS:g} s each: steps after"
+        f" which the hold-down is within {FOLLOW_ERROR:.0%}, and the share of the judged time",
+        ("round trip", "connections", "frames", "paths", "steps followed", "within", "blind",
+         "sent", "applied", "superseded", "lost"),
+        rows,
+    )  # fmt: skip
 
 
-def row(round_trip_ms: int, connections: int, run: Followed) -> tuple[str, ...]:
+def row(case: Case, run: Followed) -> tuple[str, ...]:
     """Return the row of a run."""
     met = sum(error <= FOLLOW_ERROR for error in run.errors)
-    press = run.display.press
-    counts = press.sent, press.applied, press.superseded, press.lost
+    press, stale = run.display.press, run.display.availability.stale
     return (
-        str(round_trip_ms),
-        str(connections),
+        f"{case.round_trip_ms} ms",
+        str(case.connections or 1),
+        case.batch,
+        case.paths.strip('"'),
         f"{met} of {len(run.errors)}",
         f"{run.within:.1%}",
-        *map(str, counts),
+        f"{stale or 0.0:.1%}",
+        *map(str, (press.sent, press.applied, press.superseded, press.lost)),
     )
 
 
-def follow(round_trip_ms: int, connections: int, loss: str = "1%") -> Followed:
+def follow(case: Case) -> Followed:
     """Run both nodes, and score the steps."""
-    delay_ms = round_trip_ms / 2
-    link = parse_link(f"delay={delay_ms:g}ms,jitter={delay_ms / 10:g}ms,loss={loss}")
+    delay_ms = case.round_trip_ms / 2
+    link = parse_link(f"delay={delay_ms:g}ms,jitter={delay_ms / 10:g}ms,loss=1%")
     with TemporaryDirectory(prefix="telepulse-") as folder:
         scene = Path(folder, "press.toml")
-        text = find_scene("press").read_text(encoding="utf-8")
-        text = text.replace('extends = "radial"', f'extends = "{find_scene("radial")}"')
-        levels = ", ".join(f'"{each} N"' for each in LEVELS_N)
-        text = text.replace('levels = ["0.7 N", "1.2 N", "0.9 N", "1.3 N"]', f"levels = [{levels}]\nstiffness = \"0 N/m\"")
-        text = text.replace("[display.press]\n", f"[display.press]\nconnections = {connections}\n")
-        scene.write_text(text, encoding="utf-8")
-        with emulate(link, seed=round_trip_ms + connections) as emulated:
-            return play(Path(folder), scene, emulated, round_trip_ms * 1e-3)
+        levels = ", ".join(f'"{level_n} N"' for level_n in LEVELS_N)
+        settings = {"press": find_scene("press"), "levels": levels} | case._asdict()
+        scene.write_text(SCENE.format(**settings), encoding="utf-8")
+        with emulate(link, seed=case.round_trip_ms + case.connections) as emulated:
+            return play(scene, emulated, case.round_trip_ms * 1e-3)
 
 
-def play(folder: Path, scene: Path, emulated: EmulatedLink, round_trip_s: float) -> Followed:
-    """Run both nodes over a link."""
-    common = (str(scene), "--quiet", "--insecure", "--seconds")
+def play(scene: Path, emulated: EmulatedLink, round_trip_s: float) -> Followed:
+    """Run both nodes over a link; take the ticks of the display, and the frames as they leave."""
+    folder, common = scene.parent, (str(scene), "--quiet", "--insecure", "--seconds")
     telemetry = f"ipc://{folder}/telemetry"
-    at_s: list[float] = []
     ticks_ns: list[int] = []
     times_ns: list[NDArray[np.int64]] = []
-    forces_n: list[Floats] = []
+    forces_n: list[NDArray[np.float64]] = []
 
-    def ticked(parts: list[bytes]) -> None:
+    def take_ticks(parts: list[bytes]) -> None:
         if parts[0] == TRACE:
             ticks_ns.append(int(read_trace(parts[1])[0].now_ns[-1]))
 
-    def sensed(parts: list[bytes]) -> None:
+    def take_frame(parts: list[bytes]) -> None:
         frame = decode_frame(parts[0])
-        count = len(frame.values)
-        times_ns.append(frame.t_first_ns + frame.period_ns * np.arange(count))
+        times_ns.append(frame.t_first_ns + frame.period_ns * np.arange(len(frame.values)))
         forces_n.append(frame.values[:, 1] - frame.values[:, 0])
 
     with emulated.display.entered():
@@ -131,8 +151,7 @@ def play(folder: Path, scene: Path, emulated: EmulatedLink, round_trip_s: float)
             summary=folder / "display.json",
             stderr=PIPE,
         )
-    with display, tap(telemetry, ticked):
-        time.sleep(1.0)
+    with display, Tap(telemetry, take_ticks):
         with emulated.sensing.entered():
             sensing = NodeProcess(
                 *("sensing node", "sensing_node.cli", *common, str(SECONDS)),
@@ -140,60 +159,57 @@ def play(folder: Path, scene: Path, emulated: EmulatedLink, round_trip_s: float)
                 summary=folder / "sensing.json",
                 stderr=PIPE,
             )
-        with sensing:
-            with emulated.sensing.entered():
-                tapped = tap(f"tcp://127.0.0.1:{PORT}", sensed)
-                tapped.__enter__()
+            frames = Tap(f"tcp://127.0.0.1:{PORT}", take_frame)
+        with sensing, frames:
             sensing.await_summary(SECONDS + ENDS_WITHIN_S)
             summary = display.await_summary(ENDS_WITHIN_S)
-            time.sleep(0.2)
-            tapped.__exit__(None, None, None)
-    # The first tick.
-    begun_ns = ticks_ns[-1] - round(summary.availability.seconds * 1e9)
-    return score(np.concatenate(times_ns) - begun_ns, np.concatenate(forces_n), round_trip_s, summary)
+    # The finger's first step is at the display's first tick.
+    began_ns = ticks_ns[-1] - round(summary.availability.seconds * 1e9)
+    errors, within = score(
+        np.concatenate(times_ns) - began_ns, np.concatenate(forces_n), round_trip_s
+    )
+    return Followed(errors, within, summary)
 
 
-def score(times_ns, forces_n, round_trip_s, summary) -> Followed:
-    errors, within = [], []
-    wait_s = FOLLOWED_S + round_trip_s
+def score(
+    times_ns: NDArray[np.int64], forces_n: NDArray[np.float64], round_trip_s: float
+) -> tuple[list[float], float]:
+    """Score the hold-down at times since the finger's first step, as in `Followed`."""
+    errors, within = list[float](), list[float]()
     first = math.ceil((START_S + START_ROUND_TRIPS * round_trip_s) / STEP_S)
-    # The finger sends nothing after the end of the stream.
     for number in range(first, int(times_ns[-1] * 1e-9 / STEP_S)):
-        level_n = LEVELS_N[number % len(LEVELS_N)]
-        begin_ns, end_ns = ((number * STEP_S + wait_s) * 1e9, (number + 1) * STEP_S * 1e9)
-        judged = forces_n[(times_ns >= begin_ns) & (times_ns < end_ns)]
-        error = np.abs(judged / level_n - 1)
+        begin_ns = (number * STEP_S + FOLLOWED_S + round_trip_s) * 1e9
+        judged = (times_ns >= begin_ns) & (times_ns < (number + 1) * STEP_S * 1e9)
+        error = np.abs(forces_n[judged] / LEVELS_N[number % len(LEVELS_N)] - 1)
         errors.append(float(error.max()))
         within.append(float((error <= FOLLOW_ERROR).mean()))
-    return Followed(errors, float(np.mean(within)), summary)
+    return errors, float(np.mean(within))
 
 
-@contextmanager
-def tap(address, take) -> Iterator[None]:
-    """Give `take` the parts of each message published at an address."""
-    over = threading.Event()
-    context = zmq.Context()
-    socket = context.socket(zmq.SUB)
-    socket.subscribe(b"")
-    socket.connect(address)
+class Tap:
+    """A reader of what is published at an address, in the network namespace of its making.
 
-    def run() -> None:
-        while not over.is_set():
-            if socket.poll(POLL_MS):
-                take(socket.recv_multipart())
+    take: is given the parts of each message, in another thread.
+    """
 
-    thread = threading.Thread(target=run)
-    thread.start()
-    try:
-        yield
-    finally:
-        over.set()
-        thread.join()
-        context.destroy(linger=0)
+    def __init__(self, address: str, take: Callable[[list[bytes]], None]) -> None:
+        self._context, self._take = zmq.Context[zmq.Socket[bytes]](), take
+        self._socket = self._context.socket(zmq.SUB)
+        self._socket.subscribe(b"")
+        self._socket.connect(address)
+        self._over = threading.Event()
+        self._thread = threading.Thread(target=self._run)
+        self._thread.start()
 
+    def __enter__(self) -> Self:
+        return self
 
-if __name__ == "__main__":
-    for case in sys.argv[1:]:
-        trip, count = map(int, case.split(","))
-        run = follow(trip, count)
-        print(*row(trip, count, run), [f"{e:.3f}" for e in run.errors], run.display.data_connections, run.display.reconnections, run.display.playout_delay_ms, run.display.clock, run.display.availability, run.display.rejected, sep="\n  ", flush=True)
+    def __exit__(self, *_: object) -> None:
+        self._over.set()
+        self._thread.join()
+        self._context.destroy(linger=0)
+
+    def _run(self) -> None:
+        while not self._over.is_set():
+            if self._socket.poll(POLL_MS):
+                self._take(self._socket.recv_multipart())

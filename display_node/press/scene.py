@@ -39,8 +39,8 @@ class PressScene(Section):
 
     sensor: what measures the static force of the finger; kinds as of other sensors, and "finger".
     channel: the stream's channel of the load cell at the wrist. force_limit and slew_limit: of the
-    set-points. connections: number of TCP connections over which the set-points go in turns; 0: with
-    all other requests.
+    set-points. connections: number of TCP connections over which the set-points go in turns; with
+    0, they go over that of all other requests.
     """
 
     sensor: Annotated[

@@ -117,6 +117,7 @@ class Connection:
         for endpoint in (*self._endpoints, *self._further.endpoints):
             self._handshakes.watch(endpoint.socket)
         self.rejected = self._handshakes.rejected
+        self.established = self._handshakes.established
         self._named: list[tuple[DataPath | Endpoint, str]] = [(self.control, "control")]
         self._named += [(endpoint, "control") for endpoint in self._further.endpoints]
         self._named += [(path, route.address) for route in self.routes for path in route.paths]
@@ -202,11 +203,11 @@ class Connection:
         """
         control, further = self.control.socket, None
         if isinstance(message, SetPoint):
-            further = self._further.next(self._handshakes.established, now_ns, set_point=True)
+            further = self._further.next(self.established, now_ns, set_point=True)
         elif isinstance(message, ClockRequest):
             self._clock_requests += 1
             if self._clock_requests % (len(self._further.endpoints) + 1):
-                further = self._further.next(self._handshakes.established, now_ns, set_point=False)
+                further = self._further.next(self.established, now_ns, set_point=False)
         return further or control
 
     def control_messages(self) -> Iterator[bytes]:

@@ -12,8 +12,8 @@ PATIENCE_NS, PATIENCE_ANSWERS = 2_000_000_000, 4
 # `ANSWER_NS`. The kernel alone would repeat it after 1 s.
 ANSWER_ROUND_TRIPS = 3
 # Wait for the answer to a request to connect. Ten requests are repeated early; then, as the network
-# may have become slower, one is not repeated for as long as the kernel's first three attempts.
-ANSWER_NS, UNHURRIED_NS = 100_000_000, 6_000_000_000
+# may have become slower, one is left to the kernel, which repeats it after 1 s.
+ANSWER_NS, UNHURRIED_NS = 100_000_000, 3_000_000_000
 FAST_RETRIES = 10
 # A hostile peer may send any number of messages. After a stall of the display, some 5 000 queued
 # frames come at once (docs/decisions/0022). At 10 to 20 µs each, the highest sustained rate takes a
@@ -28,15 +28,13 @@ BYTES_PER_TOKEN = 4_096
 class Endpoint:
     """A socket that is connected to one address at a time.
 
-    least_per_s, burst: messages that it may receive. address: the present one; None while it is not
+    budget: of the messages that it receives. address: the present one; None while it is not
     connected. answer_ns: time after which an
     unanswered request to connect is repeated. asked_ns, answered: time of the present request, and
     whether a host has answered it.
     """
 
-    def __init__(
-        self, socket: sockets.Socket, least_per_s: float = LEAST_PER_S, burst: float = BURST
-    ) -> None:
+    def __init__(self, socket: sockets.Socket, budget: TokenBucket | None = None) -> None:
         self.socket = socket
         self.address: str | None = None
         self.answer_ns = ANSWER_NS
@@ -45,7 +43,7 @@ class Endpoint:
         self._tries = 0
         self._received = 0
         self._silent_ns = self._closed_until_ns = 0
-        self._budget = TokenBucket(least_per_s, burst)
+        self._budget = budget or TokenBucket(LEAST_PER_S, BURST)
         self._spent = 0
 
     def messages(self) -> Iterator[bytes]:

@@ -27,8 +27,9 @@ EARLIER_EVERY: Final = 8
 CLOCK_FAST_NS: Final = 20_000_000
 CLOCK_FAST_COUNT: Final = 3_000
 CLOCK_EVERY_NS: Final = 50_000_000
-# Number of unanswered requests that are remembered.
-MAX_OPEN_REQUESTS: Final = 256
+# Number of unanswered requests that are remembered: of 10 s, in which TCP repeats what was lost
+# over a round trip of 2 s.
+MAX_OPEN_REQUESTS: Final = 512
 SILENT_AFTER_NS: Final = 1_000_000_000
 FUTURE_NS: Final = 1_000_000_000
 OLDEST_NS: Final = 60_000_000_000

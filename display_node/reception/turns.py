@@ -12,6 +12,7 @@ import zmq
 
 from display_node.reception.endpoint import Endpoint
 from protocol import sockets
+from protocol.security.budgets import TokenBucket
 from protocol.security.keys import ClientKeys
 
 # A connection receives the answers to its share of the set-points and clock requests, at most 100 a
@@ -30,7 +31,8 @@ class ControlTurns:
     def __init__(self, context: sockets.Context, count: int, keys: ClientKeys | None) -> None:
         self.endpoints = [
             Endpoint(
-                sockets.unconnected(context, zmq.DEALER, keys), ANSWERS_PER_S, ANSWERS_AT_ONCE
+                sockets.unconnected(context, zmq.DEALER, keys),
+                TokenBucket(ANSWERS_PER_S, ANSWERS_AT_ONCE),
             )
             for _ in range(count)
         ]

@@ -15,6 +15,8 @@ from protocol.wire.messages import (
     DisplayReport,
     EarlierHello,
     Hello,
+    ProbeReport,
+    SetPoint,
     Welcome,
     encode_control,
 )
@@ -34,6 +36,7 @@ from sensing_node.control_server import (
     RequestBudget,
     Sender,
 )
+from sensing_node.press.set_points import SetPointServer
 from tests.support.streams import description
 
 SESSION = 99
@@ -42,6 +45,15 @@ NOW_NS = 8 * SECOND_NS
 ANNA, BERT = (b"anna",), (b"bert",)
 HELLO = Hello("anna's")
 MOST_BYTES = 3_000_000
+
+
+class StillProbe:
+    """A probe that rests."""
+
+    state, hold_down_n, depth_m = "pressing", 0.0, 0.0
+
+    def press(self, force_n: float) -> None:
+        """Take a set-point."""
 
 
 @pytest.fixture
@@ -202,6 +214,35 @@ def test_a_display_that_connects_again_is_one_client(
         assert len(server.clients) == 2
     ask(server, BERT, message)
     assert list(server.clients) == [BERT]
+
+
+def test_a_connection_that_began_with_a_set_point_is_no_display() -> None:
+    server = ControlServer(description(), SESSION, SetPointServer(SESSION, StillProbe()))
+    ask(server, ANNA, HELLO)
+    set_point = SetPoint(SESSION, 5, 0, NOW_NS, SECOND_NS, 1.0)
+    assert isinstance(ask(server, BERT, set_point), ProbeReport)
+    assert isinstance(ask(server, BERT, ClockRequest(1)), ClockReply)
+    assert list(server.clients) == [ANNA]
+    ask(server, ANNA, Bye(SESSION, 1234))
+    assert server.all_confirmed
+    # It is forgotten without a word, and a hello makes it a display.
+    later_ns = NOW_NS + FORGET_AFTER_NS + 1
+    ask(server, ANNA, HELLO, later_ns)
+    assert server.forget_silent(later_ns) == []
+    ask(server, BERT, set_point._replace(number=1, t_ns=later_ns), later_ns)
+    ask(server, BERT, Hello("bert's"), later_ns)
+    assert [client.name for client in server.clients.values()] == ["anna's", "bert's"]
+    assert not server.rejected
+
+
+def test_further_connections_count_among_the_bounded_clients() -> None:
+    server = ControlServer(description(), SESSION, SetPointServer(SESSION, StillProbe()))
+    set_point = SetPoint(SESSION, 5, 0, NOW_NS, SECOND_NS, 1.0)
+    for number in range(MAX_CLIENTS):
+        ask(server, (number.to_bytes(4, "little"),), set_point._replace(number=number))
+    assert ask(server, BERT, set_point._replace(number=MAX_CLIENTS)) is None
+    assert ask(server, ANNA, HELLO) is None
+    assert server.rejected == {"too_many_displays": 2}
 
 
 @pytest.mark.parametrize(
