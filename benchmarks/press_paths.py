@@ -164,7 +164,7 @@ def play(scene: Path, emulated: EmulatedLink, round_trip_s: float) -> Followed:
             sensing.await_summary(SECONDS + ENDS_WITHIN_S)
             summary = display.await_summary(ENDS_WITHIN_S)
     # The finger's first step is at the display's first tick.
-    began_ns = ticks_ns[-1] - round(summary.availability.seconds * 1e9)
+    began_ns = ticks_ns[-1] - round((summary.availability.seconds or 0.0) * 1e9)
     errors, within = score(
         np.concatenate(times_ns) - began_ns, np.concatenate(forces_n), round_trip_s
     )
