@@ -10,9 +10,11 @@ that it is ready, or the reason why it cannot start.
 import json
 import logging
 import os
+import signal
 import subprocess
 import sys
 import threading
+import weakref
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from importlib.metadata import entry_points
@@ -39,6 +41,8 @@ def python_command(*arguments: str) -> list[str]:
 class ChildProcess(subprocess.Popen[str]):
     """A process that this interpreter runs; within a `with`, it is killed at the end.
 
+    It is terminated when this process ends, even by `kill -9` (Linux).
+
     name: used in error messages. arguments: those of the interpreter, such as "-m", a module and
     the module's arguments. own_session: Ctrl-C at the terminal is not sent to the child; this
     process ends it. options: those of `subprocess.Popen`.
@@ -49,7 +53,18 @@ class ChildProcess(subprocess.Popen[str]):
     ) -> None:
         self.name = name
         command = python_command(*arguments)
-        super().__init__(command, start_new_session=own_session, encoding="utf-8", **options)
+        options |= {"start_new_session": own_session, "encoding": "utf-8"}
+        if sys.platform != "linux":
+            super().__init__(command, **options)
+            return
+        reader, writer = os.pipe()
+        weakref.finalize(self, os.close, writer)
+        try:
+            options["pass_fds"] = (*options.get("pass_fds", ()), reader)
+            super().__init__(command, **options)
+            _terminate_at_end_of(reader, self.pid)
+        finally:
+            os.close(reader)
 
     def __exit__(self, *raised: Any) -> None:
         self.kill()
@@ -125,6 +140,19 @@ class ChildProcess(subprocess.Popen[str]):
             _, errors = self.communicate()
         last = (errors or "").strip().splitlines()[-1:] or ["it printed no reason"]
         return ProcessError(f"the {self.name} {what}: {last[0]}")
+
+
+def _terminate_at_end_of(reader: int, pid: int) -> None:
+    """Let the kernel send SIGTERM to a process when the last writer of a pipe has closed it.
+
+    The process inherits the pipe's end for reading, and does nothing with it. The signal that a
+    kernel offers at a parent's death (PR_SET_PDEATHSIG) comes when the starting thread ends.
+    """
+    import fcntl
+
+    fcntl.fcntl(reader, fcntl.F_SETOWN, pid)
+    fcntl.fcntl(reader, fcntl.F_SETSIG, signal.SIGTERM)
+    fcntl.fcntl(reader, fcntl.F_SETFL, fcntl.fcntl(reader, fcntl.F_GETFL) | os.O_ASYNC)
 
 
 class Sidecar:

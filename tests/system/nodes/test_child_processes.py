@@ -1,5 +1,6 @@
 """Child processes: silent, failing and endless ones, and in a folder with modules of our names."""
 
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from subprocess import PIPE
@@ -11,8 +12,23 @@ from protocol.host.child_process import ChildProcess
 from telepulse.netem import emulate, unavailable
 from telepulse.simulation.link_scene import parse_link
 from tests.support.nodes import RADIAL, ROOT, assert_accounted, free_address, read_json
+from tests.support.waiting import until
 
 PATIENCE_S = 60.0
+PARENT = """
+import threading
+from protocol.host.child_process import ChildProcess
+
+def start():
+    children.append(ChildProcess("child", "-c", "import time; time.sleep(600)"))
+
+children = []
+thread = threading.Thread(target=start)
+thread.start()
+thread.join()
+print(children[0].pid, flush=True)
+threading.Event().wait(600)
+"""
 NAMES = (
     "protocol",
     "telepulse",
@@ -36,6 +52,25 @@ def hostile(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     monkeypatch.setenv("PYTHONPATH", str(ROOT))
     yield
     assert not (folder / "imported").exists(), (folder / "imported").read_text()
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="the signal at the end of a pipe is Linux's")
+def test_a_child_ends_with_its_killed_parent_and_not_with_the_thread_that_started_it() -> None:
+    with ChildProcess("parent", "-c", PARENT, stdout=PIPE, stderr=PIPE) as parent:
+        child = int(parent.read_line(PATIENCE_S))
+        assert is_running(child)
+        parent.kill()
+        parent.wait()
+        until(lambda: not is_running(child))
+
+
+def is_running(pid: int) -> bool:
+    """Return whether a process has not ended; one that its parent has not awaited has."""
+    try:
+        status = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8")
+    except OSError:
+        return False
+    return status.rpartition(")")[2].split()[0] != "Z"
 
 
 @pytest.mark.usefixtures("hostile")
