@@ -90,7 +90,7 @@ class TelemetryReaders:
         assert all(alarm.name for alarm in alarms(self.live, 0))
         assert len(state(self.live)) == 2
         if self.screen.status is not None:
-            reported = ReportedStatus(self.screen.status, 0, self.screen.heart_rate_per_min)
+            reported = ReportedStatus(self.screen.status, 0, self.screen.heart_rates_per_min)
             for metric in families("fuzz", reported, 0):
                 assert all(type(sample.value) in (int, float, bool) for sample in metric.samples)
         self.forwarder.finish()
@@ -114,8 +114,11 @@ class KeptOutlets:
         assert np.isfinite(values).all()
         assert np.isfinite(times_s).all()
 
-    def push_finger(self, forces_n: Sequence[tuple[float, float]], times_s: list[float]) -> None:
+    def push_finger(
+        self, contactors: Sequence[str], forces_n: Sequence[list[float]], times_s: list[float]
+    ) -> None:
         """Check forces at the finger."""
+        assert np.shape(forces_n) == (len(times_s), 2 * len(contactors))
         assert not np.isinf(forces_n).any()
         assert np.isfinite(times_s).all()
 

@@ -5,6 +5,7 @@ Messages that cannot be forwarded are counted. Labels, units and types of the st
 (https://github.com/sccn/xdf/wiki/Meta-Data).
 """
 
+import itertools
 import logging
 import math
 import time
@@ -15,13 +16,14 @@ from typing import Any
 import numpy as np
 
 from protocol.config.quantities import count_text
+from protocol.run_summary import contactors_of
 from protocol.security.keys import ClientKeys
 from protocol.wire.messages import Frame
 from protocol.wire.stream import StreamDescription
 from pulse_sensors import library
 from telepulse.telemetry.client import TelemetryClient
 from telepulse.telemetry.decoder import Entry, PassiveReceiver
-from telepulse.telemetry.schema import EVENT, FRAME, TICK
+from telepulse.telemetry.schema import EVENT, FRAME, STATUS, TICK
 
 logger = logging.getLogger(__name__)
 
@@ -29,6 +31,8 @@ logger = logging.getLogger(__name__)
 HOLD_NS = 500_000_000
 # Number of comparisons of the two clocks; the one that took the least time is used.
 TRIES = 9
+# Ticks of several contactors that wait for a status; there is one for every 200 ticks.
+MOST_WAITING = 2_000
 
 
 class FrameReorderer:
@@ -103,6 +107,7 @@ class LslStreams:
         self._address = address
         self._wrist: Any = None
         self._finger: Any = None
+        self._contactors: Sequence[str] = ()
         self._description: StreamDescription | None = None
         self._events = self._open("events", "Markers", 0.0, "string", [("event", "")])
 
@@ -125,11 +130,21 @@ class LslStreams:
         """Push samples of all channels with their times."""
         self._wrist.push_chunk(values, times_s)
 
-    def push_finger(self, forces_n: Sequence[tuple[float, float]], times_s: list[float]) -> None:
-        """Push target and felt force of ticks with their times."""
-        if self._finger is None:
+    def push_finger(
+        self, contactors: Sequence[str], forces_n: Sequence[list[float]], times_s: list[float]
+    ) -> None:
+        """Push target and felt force of each contactor at ticks, with the ticks' times.
+
+        contactors: their names; "" of an only one.
+        """
+        if self._finger is None or contactors != self._contactors:
+            self._contactors = contactors
             # Irregular rate: a real loop's ticks come late, and missed ones are left out.
-            channels = [("target", "N"), ("felt", "N")]
+            channels = [
+                (f"{force} {name}".rstrip(), "N")
+                for name in contactors
+                for force in ("target", "felt")
+            ]
             self._finger = self._open("finger", "Force", 0.0, "double64", channels)
         self._finger.push_chunk(np.array(forces_n), times_s)
 
@@ -173,6 +188,9 @@ class LslForwarder:
         self._session: int | None = None
         self._reorderer = FrameReorderer()
         self._lost = 0
+        # Ticks of several contactors, whose names the next status has.
+        self._waiting: list[Entry] = []
+        self._contactors: list[str] = [""]
         self.passed: Counter[str] = Counter()
 
     @property
@@ -184,17 +202,16 @@ class LslForwarder:
         """Forward the entries of one telemetry message."""
         ticks = [entry for entry in entries if entry.topic == TICK]
         if ticks:
-            # An unknown felt force is sent as NaN.
-            forces_n = [
-                (entry.fields["target_n"], entry.fields.get("felt_n", math.nan)) for entry in ticks
-            ]
-            self._outlets.push_finger(forces_n, [self._time.at(entry.t_ns) for entry in ticks])
+            self._waiting += ticks
             self._entries.play(ticks[-1].fields["instant_ns"])
-            self.passed["ticks"] += len(ticks)
+        for entry in entries:
+            if entry.topic == STATUS:
+                self._contactors = list(contactors_of(entry.fields["summary"]))
+        self._push_ticks()
         for entry in entries:
             if entry.topic == EVENT:
                 self._take_event(entry)
-            elif entry.topic != TICK:
+            elif entry.topic not in (TICK, STATUS):
                 frame = self._entries.take(entry.topic, entry.fields)
                 if frame is not None:
                     self._take_frame(frame, entry)
@@ -202,14 +219,39 @@ class LslForwarder:
                     self.passed["frames too early"] += 1
 
     def finish(self) -> None:
-        """Forward the frames that are held back."""
+        """Forward the frames that are held back, and count the ticks that are."""
+        self._flush_frames()
+        self.passed["ticks without names"] += len(self._waiting)
+        self._waiting = []
+
+    def _flush_frames(self) -> None:
         for frame in self._reorderer.flush():
             self._push(frame)
         self._lost, self._reorderer = self.lost, FrameReorderer()
 
+    def _push_ticks(self) -> None:
+        """Forward the ticks that have as many contactors as the last status names."""
+        count = len(self._contactors)
+        states = [(entry.fields, *entry.fields.get("others", ())) for entry in self._waiting]
+        fit = [len(each) == count for each in states]
+        if any(fit):
+            forces_n = [
+                # An unknown felt force is sent as NaN.
+                [x for each in tick for x in (each["target_n"], each.get("felt_n", math.nan))]
+                for tick in itertools.compress(states, fit)
+            ]
+            times_s = [
+                self._time.at(entry.t_ns) for entry in itertools.compress(self._waiting, fit)
+            ]
+            self._outlets.push_finger(self._contactors, forces_n, times_s)
+            self.passed["ticks"] += len(forces_n)
+        unfit = [entry for entry, fits in zip(self._waiting, fit, strict=True) if not fits]
+        self._waiting = unfit[-MOST_WAITING:]
+        self.passed["ticks without names"] += len(unfit) - len(self._waiting)
+
     def _take_frame(self, frame: Frame, entry: Entry) -> None:
         if frame.session != self._session:
-            self.finish()
+            self._flush_frames()
             self._session = frame.session
             description = self._entries.receiver.description
             assert description is not None
@@ -273,6 +315,8 @@ class LslOutlet:
         missing = f"{count_text(self._forwarder.lost, 'sample')} missing"
         if early := passed["frames too early"]:
             missing += f"; {count_text(early, 'frame')} came before the sensing clock was known"
+        if unnamed := passed["ticks without names"]:
+            missing += f"; {count_text(unnamed, 'tick')} without a status that names the contactors"
         logger.info(f"{self._address}: {', '.join(counts)}; {missing}")
         if decoder.missed:
             missed = ", ".join(f"{n} {name}" for name, n in sorted(decoder.missed.items()))

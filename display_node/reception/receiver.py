@@ -45,7 +45,8 @@ class Receiver:
     Parameters
     ----------
     channels
-        The channels of the stream that are buffered: names, or numbers from 0.
+        The channels of the stream that are buffered: names, or numbers from 0. Of none, the first
+        force.
 
     Attributes
     ----------
@@ -270,7 +271,8 @@ class Receiver:
                 self._received_ns = now_ns
                 self._unanswered_hellos = 0
                 if session != self.session:
-                    self.channels = [description.find_force(name) for name in self._wanted]
+                    wanted = self._wanted or [description.first_force]
+                    self.channels = [description.find_force(name) for name in wanted]
                     self._announcing, self.announcement = description.announcing, None
                     # Samples, times and clock of two sessions are unrelated.
                     self._restart(JitterBuffer())

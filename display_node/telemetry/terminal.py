@@ -61,6 +61,16 @@ class TerminalTick(NamedTuple):
     at_full_strength: bool
 
 
+def _no_ticks() -> deque[TerminalTick]:
+    return deque(maxlen=KEEP_NS // APART_NS + 1)
+
+
+def _heart_rate_per_min(ticks: Sequence[TerminalTick]) -> float | None:
+    t_s = np.array([tick.now_ns * 1e-9 for tick in ticks])
+    felt_n = [tick.felt_n if tick.at_full_strength else math.nan for tick in ticks]
+    return heart_rate_per_min(t_s, np.array(felt_n))
+
+
 class TerminalView:
     """State of a display as a line or a panel.
 
@@ -68,11 +78,10 @@ class TerminalView:
     """
 
     def __init__(self, local: bool = False) -> None:
-        self._ticks: deque[TerminalTick] = deque(maxlen=KEEP_NS // APART_NS + 1)
+        # Of each contactor; that of the first one is always there.
+        self._ticks = [_no_ticks()]
         self._age = StatusAge(local)
         self._trusted = False
-        # The newest ticks of further contactors.
-        self._others: tuple[Trace, ...] = ()
         self.status: Status | None = None
         self.unreadable = 0
         # Names of alerts that `new_alerts` has returned and that are still active.
@@ -97,26 +106,26 @@ class TerminalView:
             self.unreadable += 1
         return []
 
-    def add_trace(self, trace: Trace, *others: Trace) -> None:
+    def add_trace(self, *traces: Trace) -> None:
         """Take ticks of each contactor; where their clock goes back, the earlier are removed."""
-        ticks, self._others = self._ticks, others
-        columns = (trace.now_ns, trace.instant_ns, trace.target_n, trace.felt_n, trace.scored)
-        if len(trace.trusted):
-            self._trusted = bool(trace.trusted[-1])
-        for tick in map(TerminalTick, *(column.tolist() for column in columns)):
-            if ticks and tick.now_ns < ticks[-1].now_ns:
-                ticks.clear()
-            if not ticks or tick.now_ns - ticks[-1].now_ns >= APART_NS:
-                ticks.append(tick)
-        while ticks and ticks[0].now_ns < ticks[-1].now_ns - KEEP_NS:
-            ticks.popleft()
+        if len(traces) != len(self._ticks):
+            self._ticks = [_no_ticks() for _ in traces]
+        if len(traces[0].trusted):
+            self._trusted = bool(traces[0].trusted[-1])
+        for ticks, trace in zip(self._ticks, traces, strict=True):
+            columns = (trace.now_ns, trace.instant_ns, trace.target_n, trace.felt_n, trace.scored)
+            for tick in map(TerminalTick, *(column.tolist() for column in columns)):
+                if ticks and tick.now_ns < ticks[-1].now_ns:
+                    ticks.clear()
+                if not ticks or tick.now_ns - ticks[-1].now_ns >= APART_NS:
+                    ticks.append(tick)
+            while ticks and ticks[0].now_ns < ticks[-1].now_ns - KEEP_NS:
+                ticks.popleft()
 
     @property
-    def heart_rate_per_min(self) -> float | None:
-        """Heart rate of the pulse that is felt; None while none is felt at full strength."""
-        t_s = np.array([tick.now_ns * 1e-9 for tick in self._ticks])
-        felt_n = [tick.felt_n if tick.at_full_strength else math.nan for tick in self._ticks]
-        return heart_rate_per_min(t_s, np.array(felt_n))
+    def heart_rates_per_min(self) -> list[float | None]:
+        """Heart rate of the pulse that each finger feels; None while none is at full strength."""
+        return [_heart_rate_per_min(ticks) for ticks in self._ticks]
 
     def line(self, now_ns: int = 0) -> str:
         """Return the state at `now_ns` in one line of at most `LINE_WIDTH` characters.
@@ -195,18 +204,15 @@ class TerminalView:
     def _now_rows(self, now_ns: int) -> list[tuple[str, str]]:
         """Return the figures of this moment; a heart rate only of a pulse that is felt now."""
         current = self._age_ns(now_ns) < CURRENT_NS
-        rate = self.heart_rate_per_min if current else None
-        last = self._ticks[-1] if self._ticks else None
+        rates = self.heart_rates_per_min if current else [None]
         finger = "" if self.status is None else finger_text(self.status.summary)
-        # The newest values of the first contactor, and of the others.
-        newest = [(None, None) if last is None else (last.target_n, last.felt_n)]
-        newest += [(float(x.target_n[-1]), float(x.felt_n[-1])) for x in self._others]
+        newest = [(t[-1].target_n, t[-1].felt_n) if t else (None, None) for t in self._ticks]
         target, felt = (
             ", ".join(map(_millinewtons, forces)) for forces in zip(*newest, strict=True)
         )
         delay = self._delay_text() if current else ""
         return [
-            ("heart rate", "–" if rate is None else f"{rate:.0f} /min"),
+            ("heart rate", ", ".join("–" if r is None else f"{r:.0f} /min" for r in rates)),
             ("force target", target),
             ("force felt", felt),
             *([("finger", _printable(finger))] if finger and current else []),
@@ -217,7 +223,7 @@ class TerminalView:
         """Return the playout delay of the last tick, and whether the predictor is trusted."""
         summary = {} if self.status is None else self.status.summary
         offset_ms = summary.get("clock", {}).get("offset_ms")
-        last = self._ticks[-1] if self._ticks else None
+        last = self._ticks[0][-1] if self._ticks[0] else None
         if offset_ms is None or last is None or not last.at_full_strength:
             return ""
         delay_ms = (last.now_ns - last.instant_ns) * 1e-6 + offset_ms
@@ -230,7 +236,7 @@ class TerminalView:
         return [*rows(self.status.summary, Surface.TERMINAL), *unreadable]
 
     def _plot(self, current: bool) -> list[RenderableType]:
-        ticks = list(self._ticks)[-PLOTTED_TICKS:]
+        ticks = list(self._ticks[0])[-PLOTTED_TICKS:]
         felt_n, target_n = [tick.felt_n for tick in ticks], [tick.target_n for tick in ticks]
         known_n = [force_n for force_n in felt_n + target_n if math.isfinite(force_n)]
         if len(ticks) < 2 or not known_n:

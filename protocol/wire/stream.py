@@ -102,6 +102,12 @@ class StreamDescription:
         found = (number for number, each in enumerate(self.channels) if each.announces)
         return next(found, None)
 
+    @property
+    def first_force(self) -> int:
+        """Number of the first channel in N; 0 without one."""
+        found = (number for number, each in enumerate(self.channels) if each.unit == "N")
+        return next(found, 0)
+
     def find(self, channel: int | str) -> int:
         """Return the number of a channel, from its name or number.
 

@@ -149,6 +149,10 @@ def calibrate(
         typer.Option(help="The sensor of that scene: at the wrist or under the finger."),
     ] = "wrist",
     contactor: ContactorOption = None,
+    channel: Annotated[
+        str | None,
+        typer.Option(help="The channel of a sensor that has several; the load is on this one."),
+    ] = None,
     loads: Annotated[
         str,
         typer.Option(
@@ -181,10 +185,8 @@ def calibrate(
     def fit() -> Report:
         if scene is not None:
             path, loads_n = find_scene(scene), parse_loads(loads)
-            name, taken = (
-                scene,
-                measure_loads(_sensor(path, at, contactor), path.parent, loads_n, ask_for),
-            )
+            sensor = _sensor(path, at, contactor)
+            name, taken = scene, measure_loads(sensor, path.parent, loads_n, ask_for, channel)
         elif table is not None:
             name, taken = table.stem, read_loads(table, load_unit, reading_unit)
         else:

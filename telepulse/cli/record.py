@@ -127,7 +127,7 @@ def export(
     to: Annotated[
         Literal["csv", "parquet", "edf", "mcap"],
         typer.Option(
-            help="csv, parquet: one table per topic; edf: forces as signals; mcap: a repaired file."
+            help="csv, parquet: one table per topic, and beats; edf: forces as signals; mcap: a repaired file."
         ),
     ],
     out: Annotated[
@@ -140,9 +140,9 @@ def export(
 ) -> None:
     """Write a recording as tables or signals, or repair one that was cut short.
 
-    csv, parquet: samples, ticks, clock and events in a new folder. edf: wrist force and felt
-    force of the longest session as EDF+, events and losses as annotations. mcap: the readable part
-    of a recording whose recorder was killed, with the index that Foxglove needs.
+    csv, parquet: samples, ticks, clock, events and beats in a new folder. edf: wrist forces and
+    felt forces of the longest session as EDF+, events and losses as annotations. mcap: the readable
+    part of a recording whose recorder was killed, with the index that Foxglove needs.
     """
     from telepulse.recording.edf import export_edf
     from telepulse.recording.export import export_csv, export_mcap, export_parquet

@@ -34,7 +34,14 @@ from telepulse.commissioning.rig import (
     listen,
 )
 from telepulse.commissioning.scene_edit import Changes
-from telepulse.commissioning.sensor_check import Check, SensorRecord, grade, judge_sensor, measure
+from telepulse.commissioning.sensor_check import (
+    Check,
+    SensorRecord,
+    grade,
+    judge_sensor,
+    measure,
+    of_each_force,
+)
 from telepulse.commissioning.tuning import MOST_SENSITIVITY, Design, design, judge, report_design
 from telepulse.reports.document import Chapter, Plot, Report, Table
 
@@ -108,33 +115,39 @@ class BenchFindings:
 
 
 def check_wrist(findings: BenchFindings, scene: SensingScene, folder: Path, seconds: float) -> None:
-    """Check the sensing node's sensor, on which nothing presses."""
+    """Check each channel of force of the sensing node's sensor, on which nothing presses."""
     with findings.part("wrist"):
         live = isinstance(scene.source, SensorTable)
         if isinstance(scene.source, SensorTable):
             unloaded = scene.source.model_copy(update={"preload_n": 0.0})
             with closing(open_sensor(unloaded, folder)) as sensor:
-                record = listen(sensor, seconds)
+                records = listen(sensor, seconds)
         else:
-            record = _still_source(scene, folder, seconds)
-        findings.add_still("wrist", record, scene.source.rate_hz, live)
+            records = _still_source(scene, folder, seconds)
+        for name, record in records.items():
+            part = f"wrist, {name}" if len(records) > 1 else "wrist"
+            findings.add_still(part, record, scene.source.rate_hz, live)
 
 
-def _still_source(scene: SensingScene, folder: Path, seconds: float) -> SensorRecord:
-    """Return the record of a synthetic source without its pulse, behind the conditioning.
+def _still_source(scene: SensingScene, folder: Path, seconds: float) -> dict[str, SensorRecord]:
+    """Return the records of a synthetic source without its pulse, behind the conditioning.
 
     Raises BenchError for a recording, or a wrist that is pressed: there is no sensor to check.
     """
     if not isinstance(scene.source, SyntheticScene):
         raise BenchError(f"[sensing.source] is a {scene.source.kind}: there is no sensor to check")
     still = {"peak_to_peak_n": 0.0, "preload_n": 0.0}
-    changes: dict[str, object] = {"source": scene.source.model_copy(update=still)}
+    positions = tuple(each.model_copy(update=still) for each in scene.source.position)
+    silent = scene.source.model_copy(update=still | {"position": positions})
+    changes: dict[str, object] = {"source": silent}
     if scene.conditioning is not None:
         changes["conditioning"] = scene.conditioning.model_copy(update={"hold_down_n": 0.0})
     source = build_source(scene.model_copy(update=changes), folder)
     count = round(seconds * 1e9 / source.period_ns)
     times_ns = np.arange(count) * source.period_ns
-    return SensorRecord(times_ns, source.take(count)[:, 0], times_ns, np.ones(count, np.int64))
+    values = source.take(count)
+    record = SensorRecord(times_ns, values[:, 0], times_ns, np.ones(count, np.int64))
+    return of_each_force(record, values, source.channels)
 
 
 def check_display(
@@ -180,7 +193,7 @@ def _check_drive(
             with advised():
                 # The newest reading since the last call, if any.
                 drive.start(lambda: next((r.force_n[-1] for r in reversed(sensor.poll())), None))
-            record = listen(sensor, seconds)
+            record = next(iter(listen(sensor, seconds).values()))
             age_s = findings.add_still("film", record, film.rate_hz, live=True)
             findings.add("film", _check_age(age_s))
             findings.add("drive", check_answers(drive))

@@ -134,22 +134,31 @@ def parse_loads(text: str) -> list[float]:
 
 
 def measure_loads(
-    scene: SensorScene, folder: Path, loads_n: list[float], ask: Callable[[float], None]
+    scene: SensorScene,
+    folder: Path,
+    loads_n: list[float],
+    ask: Callable[[float], None],
+    channel: str | None = None,
 ) -> LoadReadings:
-    """Average the sensor's reading under each load; `ask` returns once that load is on.
+    """Average a channel's reading under each load; `ask` returns once that load is on.
 
+    channel: its name; None for the only channel of force.
     Raises SourceError when the sensor is not there, and BenchError when it sends nothing or its
     reading does not settle.
     """
     if scene.unit not in READINGS:
         raise SceneError(f'the sensor\'s unit is "{scene.unit}": it is calibrated already')
+    forces = [each.name for each in scene.wire_channels if not each.announces]
+    if channel not in forces and (channel is not None or len(forces) > 1):
+        given = "several channels" if channel is None else f"no channel {channel!r}"
+        raise SceneError(f"the sensor has {given}: choose with --channel one of {forces}")
     # With the unit N, the sensor's own numbers come through unscaled.
     raw = scene.model_copy(update={"unit": "N", "preload_n": 0.0})
     readings = []
     with closing(open_sensor(raw, folder)) as sensor:
         for load_n in loads_n:
             ask(load_n)
-            readings.append(_settled_reading(sensor, load_n))
+            readings.append(_settled_reading(sensor, channel or forces[0], load_n))
     return LoadReadings(
         np.array(loads_n),
         np.array(readings) * READINGS[scene.unit],
@@ -164,10 +173,10 @@ def is_moving(reading: Array) -> bool:
     return bool(abs(second.mean() - first.mean()) > noise)
 
 
-def _settled_reading(sensor: Sensor, load_n: float) -> float:
+def _settled_reading(sensor: Sensor, channel: str, load_n: float) -> float:
     for _ in range(TRIES):
         time.sleep(SETTLE_S)
-        reading = listen(sensor, AVERAGE_S).force_n
+        reading = listen(sensor, AVERAGE_S)[channel].force_n
         if not is_moving(reading):
             return float(reading.mean())
     raise BenchError(

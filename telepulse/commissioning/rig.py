@@ -18,7 +18,7 @@ from pulse_drives.scene import Cia402Scene, TmclScene
 from pulse_drives.withdrawal import WithdrawalOutcome
 from pulse_sensors.samples import SampleBlock
 from pulse_sensors.sensor import Sensor
-from telepulse.commissioning.sensor_check import Check, SensorRecord, grade
+from telepulse.commissioning.sensor_check import Check, SensorRecord, grade, of_each_force
 
 # A TMCL datagram has 9 bytes, each with a start and a stop bit; every request has its reply.
 TMCL_BITS = 9 * 10
@@ -130,8 +130,11 @@ class HardwareRig:
             time.sleep(PERIOD_S)
 
 
-def listen(sensor: Sensor, seconds: float) -> SensorRecord:
-    """Record a sensor for `seconds`. Raises BenchError when no sample comes."""
+def listen(sensor: Sensor, seconds: float) -> dict[str, SensorRecord]:
+    """Record a sensor for `seconds`; return a record of each channel of force, by its name.
+
+    Raises BenchError when no sample comes.
+    """
     sensor.poll()
     end_s = time.monotonic() + seconds
     arrivals_ns: list[int] = []
@@ -145,13 +148,15 @@ def listen(sensor: Sensor, seconds: float) -> SensorRecord:
         raise BenchError(
             f"no sample came from the sensor in {seconds:g} s: " + "; ".join(sensor.faults())
         )
-    return SensorRecord(
+    values = np.concatenate([reading.values for reading in readings])
+    record = SensorRecord(
         taken_ns=np.array([t for reading in readings for t in reading.times_ns], np.int64),
-        force_n=np.array([f for reading in readings for f in reading.force_n]),
+        force_n=values[:, 0],
         arrival_ns=np.array(arrivals_ns, np.int64),
-        batch_sizes=np.array([len(reading.force_n) for reading in readings], np.int64),
+        batch_sizes=np.array([len(reading.values) for reading in readings], np.int64),
         missing=sum(reading.missing for reading in readings),
     )
+    return of_each_force(record, values, sensor.channels)
 
 
 def can_frame_bits(data_bytes: int) -> int:

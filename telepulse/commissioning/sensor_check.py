@@ -1,5 +1,6 @@
 """Checks of a bench, and those of a sensor that nothing presses: rate, times, noise, zero. Pure."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -7,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from protocol.errors import BenchError
+from protocol.wire.stream import Channel
 
 Verdict = Literal["ok", "warn", "fail"]
 LEAST_SAMPLES = 200
@@ -56,6 +58,17 @@ class SensorRecord:
     arrival_ns: NDArray[np.int64]
     batch_sizes: NDArray[np.int64]
     missing: int = 0
+
+
+def of_each_force(
+    record: SensorRecord, values: NDArray[np.float64], channels: Sequence[Channel]
+) -> dict[str, SensorRecord]:
+    """Return the record of each channel of force by its name; values: shape (n, channels)."""
+    return {
+        channel.name: replace(record, force_n=values[:, n])
+        for n, channel in enumerate(channels)
+        if not channel.announces
+    }
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,7 +7,7 @@ import re
 import socket
 import threading
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
@@ -23,7 +23,7 @@ from display_node.telemetry.terminal import TerminalView
 from protocol import sockets
 from protocol.errors import AddressError, SidecarError, WireError
 from protocol.figures import COUNT, Figure, Surface
-from protocol.run_summary import REGISTRY
+from protocol.run_summary import REGISTRY, contactors_of
 from protocol.security.keys import ClientKeys, read_pair
 from protocol.wire.telemetry import STATUS, TRACE, Status, read_status, read_trace
 from telepulse.http_site import Site, in_url
@@ -52,11 +52,15 @@ _NUMBER = re.compile(r"\d+(\.\d+)?")
 
 @dataclass(frozen=True, slots=True)
 class NodeState:
-    """Last status of a node; sent_ns: when the node sent it, on this process's clock."""
+    """Last status of a node.
+
+    sent_ns: when the node sent it, on this process's clock. heart_rates_per_min: of the pulse that
+    is felt, of each contactor of a display.
+    """
 
     status: Status
     sent_ns: int
-    heart_rate_per_min: float | None = None
+    heart_rates_per_min: Sequence[float | None] = ()
 
 
 def families(
@@ -70,7 +74,7 @@ def families(
     yield misread
     if node is None:
         return
-    status, rate_per_min = node.status, node.heart_rate_per_min
+    status = node.status
     yield _gauge("status_age_seconds", "Age of the figures.", (now_ns - node.sent_ns) * 1e-9)
     words = {"program": program, "version": version("telepulse"), "stream": status.stream}
     # As text: Prometheus's numbers are floats, which cannot represent 63 bits.
@@ -80,9 +84,10 @@ def families(
         return
     known = {name: name == status.state for name in (*STATES, status.state)}
     yield StateSetMetricFamily(PREFIX + "state", "State of the node.", known)
-    if rate_per_min is not None and status.state == "playing":
-        text = "Heart rate of the pulse that is felt."
-        yield _gauge("heart_rate_hertz", text, rate_per_min / 60)
+    if status.state == "playing":
+        heart_rates = _heart_rates(contactors_of(status.summary), node.heart_rates_per_min)
+        if heart_rates.samples:
+            yield heart_rates
     if status.displays is not None:
         yield _gauge("displays", "Displays that are connected.", status.displays)
     # Prometheus requires all samples of a name in one group, with one help text.
@@ -99,6 +104,16 @@ def families(
 
 def _gauge(name: str, text: str, value: float) -> Metric:
     return GaugeMetricFamily(PREFIX + name, text, value=value)
+
+
+def _heart_rates(contactors: Iterable[str], rates_per_min: Iterable[float | None]) -> Metric:
+    name = PREFIX + "heart_rate_hertz"
+    found = Metric(name, "Heart rate of the pulse that is felt.", "gauge")
+    # Traces and statuses of a display that was restarted may have other contactors.
+    for contactor, rate_per_min in zip(contactors, rates_per_min, strict=False):
+        if rate_per_min is not None:
+            found.add_sample(name, {"contactor": contactor} if contactor else {}, rate_per_min / 60)
+    return found
 
 
 def _samples_of_all(
@@ -261,4 +276,4 @@ class MetricsServer(Collector):
             status = read_status(data)
             age.take_status(now_ns)
             sent_ns = now_ns - (age.age_ns(now_ns) or 0)
-            self._node = NodeState(status, sent_ns, view.heart_rate_per_min)
+            self._node = NodeState(status, sent_ns, view.heart_rates_per_min)

@@ -63,7 +63,9 @@ def export_edf(path: Path, file: Path) -> str:
         )
         for index, channel in enumerate(description.channels)
     ]
-    forces.append(("Force felt", _resampled(grid_ns, felt.t_ns, felt.force_n), "mN"))
+    for name, force_n in zip(felt.contactors, felt.forces_n.T, strict=True):
+        label = f"Felt {name}" if name else "Force felt"
+        forces.append((label, _resampled(grid_ns, felt.t_ns, force_n), "mN"))
     try:
         signals = [_signal(edfio, name, samples, rate_hz, unit) for name, samples, unit in forces]
     except ValueError as error:

@@ -1,11 +1,16 @@
-"""Export of a recording as tables in CSV or Parquet, or as a repaired MCAP file."""
+"""Export of a recording as tables in CSV or Parquet, or as a repaired MCAP file.
+
+The table of beats is computed from the recorded frames (`recorded_beats.py`); each other table has
+the messages of one topic.
+"""
 
 import csv
 import json
 from base64 import b64decode
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import ExitStack
+from functools import partial
 from itertools import chain
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -15,10 +20,22 @@ from protocol.errors import OutputError, SourceError
 from protocol.host.output import write_whole
 from protocol.wire.messages import decode_frame
 from telepulse.recording.mcap_writer import McapWriter
-from telepulse.recording.reader import RecordedMessage, RecordingReader
-from telepulse.telemetry.schema import CLOCK, EVENT, FRAME, SCHEMAS, TICK
+from telepulse.recording.reader import RecordingReader
+from telepulse.recording.recorded_beats import RecordedBeats
+from telepulse.telemetry.decoder import Entry
+from telepulse.telemetry.schema import (
+    CLOCK,
+    EVENT,
+    FRAME,
+    NUMBER,
+    SCHEMAS,
+    STRING,
+    TICK,
+    Schema,
+)
 
-TABLES = {FRAME: "samples", TICK: "ticks", CLOCK: "clock", EVENT: "events"}
+BEATS = "beats"
+TABLES = {FRAME: "samples", TICK: "ticks", CLOCK: "clock", EVENT: "events", BEATS: "beats"}
 # Columns of each table and their descriptions. The table of samples also has one for each channel.
 COLUMNS = {
     FRAME: {
@@ -52,9 +69,25 @@ COLUMNS = {
         "name": "kind of event",
         "message": "the event in words",
     },
+    BEATS: {
+        "contactor": "name of the contactor that played the beat; empty in older recordings",
+        "channel": "number of its channel",
+        "session": "session of the sensing node",
+        "onset_ns": "where the steepest rise's tangent meets the foot, on the sensing clock",
+        "peak_ns": "systolic peak, on the sensing clock",
+        "notch_ns": "dicrotic notch, on the sensing clock; none without one",
+        "foot_n": "force at the foot",
+        "height_n": "force from foot to peak",
+        "upstroke_ms": "from onset to peak",
+        "interval_ms": "to the next onset",
+        "rate_per_min": "heart rate by this interval",
+        "quality": "0 to 1: similarity to the good beats before; none for the first three",
+    },
 }
-UNIX = "Unix time of the message or tick by the display's clock; comparable across all tables"
-UNITS = {"_ns": "ns", "_n": "N", "_ms": "ms"}
+NUMBERS = ("foot_n", "height_n", "upstroke_ms", "interval_ms", "rate_per_min", "quality")
+BEAT_KINDS = {"contactor": STRING} | dict.fromkeys(NUMBERS, NUMBER)
+UNIX = "Unix time of message, tick or onset by the display's clock; comparable across all tables"
+UNITS = {"_ns": "ns", "_n": "N", "_ms": "ms", "_mv": "mV", "_per_min": "1/min"}
 # Columns of a tick that each further contactor has too.
 OF_EACH_CONTACTOR = ("target_n", "felt_n")
 Row = list[Any]
@@ -73,28 +106,45 @@ class TableColumn(NamedTuple):
         return next((unit for end, unit in UNITS.items() if self.name.endswith(end)), "")
 
 
-def columns(message: RecordedMessage) -> list[TableColumn]:
-    """Return the columns of a table from its first message. Raises KeyError or ValueError."""
-    topic = message.topic
-    properties = SCHEMAS[topic][1]["properties"]
-    found = [
-        TableColumn(name, properties.get(name, {}).get("type", "integer"), text)
-        for name, text in COLUMNS[topic].items()
-    ]
+UNIX_COLUMN = TableColumn("unix_ns", "integer", UNIX)
+
+
+def columns(first: Entry, units: Sequence[str] = ()) -> list[TableColumn]:
+    """Return the columns of a table of messages from the first one.
+
+    units: of the stream's channels, where they are known; those of others are N. Raises KeyError
+    or ValueError.
+    """
+    topic, fields = first.topic, first.fields
+    found = _fixed_columns(topic, SCHEMAS[topic][1]["properties"])
     if topic == FRAME:
-        values = decode_frame(b64decode(message.fields["data"])).values
+        values = decode_frame(b64decode(fields["data"])).values
         kind = "float32" if values.itemsize == 4 else "number"
         for n in range(values.shape[1]):
-            found.append(TableColumn(f"force_{n}_n", kind, f"force at the wrist, channel {n}"))
+            if n < len(units) and units[n] == "mV":
+                found.append(TableColumn(f"ecg_{n}_mv", kind, f"ECG, channel {n}"))
+            else:
+                found.append(TableColumn(f"force_{n}_n", kind, f"force at the wrist, channel {n}"))
     if topic == TICK:
-        for n in range(1, len(message.fields.get("others", [])) + 1):
+        for n in range(1, len(fields.get("others", [])) + 1):
             for force in OF_EACH_CONTACTOR:
                 text = f"{COLUMNS[topic][force]}; of contactor {n}"
                 found.append(TableColumn(force.replace("_n", f"_{n}_n"), "number", text))
-    return [*found, TableColumn("unix_ns", "integer", UNIX)]
+    return [*found, UNIX_COLUMN]
 
 
-def rows(message: RecordedMessage) -> Iterator[Row]:
+def _fixed_columns(topic: str, properties: Schema) -> list[TableColumn]:
+    return [
+        TableColumn(name, properties.get(name, {}).get("type", "integer"), text)
+        for name, text in COLUMNS[topic].items()
+    ]
+
+
+def _beat_columns() -> list[TableColumn]:
+    return [*_fixed_columns(BEATS, BEAT_KINDS), UNIX_COLUMN]
+
+
+def rows(message: Entry) -> Iterator[Row]:
     """Yield a message's rows, None without a value. Raises KeyError, ValueError, TypeError."""
     fields = message.fields
     if message.topic == FRAME:
@@ -226,24 +276,30 @@ def export_parquet(path: Path, folder: Path) -> str:
 
 
 def _export_tables(path: Path, folder: Path, kind: type[CsvTable] | type[ParquetTable]) -> str:
-    reader = RecordingReader(path)
+    reader, beats = RecordingReader(path), RecordedBeats()
     tables: dict[str, CsvTable | ParquetTable] = {}
     counts: Counter[str] = Counter()
     try:
         with ExitStack() as stack:
+
+            def add(name: str, header: Callable[[], list[TableColumn]], new: Iterable[Row]) -> None:
+                for row in new:
+                    if name not in tables:
+                        if not tables:
+                            folder.mkdir(parents=True)
+                        tables[name] = kind(folder / (TABLES[name] + kind.suffix), header())
+                        stack.callback(tables[name].close)
+                    tables[name].add(row)
+                    counts[name] += 1
+
             for message in reader:
-                topic = message.topic
-                if topic not in TABLES:
+                if message.topic not in SCHEMAS:
                     continue
-                if topic not in tables:
-                    if not tables:
-                        folder.mkdir(parents=True)
-                    file = folder / (TABLES[topic] + kind.suffix)
-                    tables[topic] = kind(file, columns(message))
-                    stack.callback(tables[topic].close)
-                for row in rows(message):
-                    tables[topic].add(row)
-                    counts[topic] += 1
+                entry = Entry(message.topic, message.t_ns, message.fields)
+                found = list(beats.take(entry))
+                if entry.topic in TABLES:
+                    add(entry.topic, partial(columns, entry, beats.units), rows(entry))
+                add(BEATS, _beat_columns, found)
             if tables:
                 described = _description(path, reader, list(tables.values()))
                 for table in tables.values():
@@ -255,7 +311,7 @@ def _export_tables(path: Path, folder: Path, kind: type[CsvTable] | type[Parquet
         raise
     except OSError as error:
         raise OutputError(f"{folder}: cannot be written: {error.strerror or error}") from None
-    except (LookupError, ValueError, TypeError, ArithmeticError) as error:
+    except (LookupError, ValueError, TypeError, AttributeError, ArithmeticError) as error:
         raise SourceError(f"{path}: a message is not telepulse's: {error!r:.80}") from None
     reader.log_gaps()
     return f"{folder}: " + ", ".join(f"{counts[topic]} {name}" for topic, name in TABLES.items())

@@ -228,7 +228,7 @@ def read_findings(path: Path) -> RunFindings:
         for entry in in_tick_order(reader):
             findings.take(entry)
         findings.finish()
-    except (LookupError, ValueError, TypeError, ArithmeticError) as error:
+    except (LookupError, ValueError, TypeError, AttributeError, ArithmeticError) as error:
         raise SourceError(f"{path}: a message is not telepulse's: {error!r:.80}") from None
     if findings.begin_ns is None:
         raise SourceError(f"{path}: holds no message")

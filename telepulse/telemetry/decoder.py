@@ -166,7 +166,10 @@ def _known(names: Iterable[str], values: Iterable[float]) -> Fields:
 
 
 def _frame_fields(frame: wire.Frame) -> Fields:
-    """Return the fields of a frame; samples in N, instant by instant, each with all channels."""
+    """Return the fields of a frame; samples instant by instant, each with all channels.
+
+    Their units are those of the channels. newest_n: of the first channel.
+    """
     fields = frame._asdict()
     values = fields.pop("values")
     fields |= {"channels": values.shape[1], "bytes_per_sample": values.itemsize}
@@ -199,7 +202,7 @@ class PassiveReceiver:
 
     def __init__(self) -> None:
         # With more than one path, a frame that arrives twice is a copy and not a refusal.
-        self.receiver = Receiver("listener", [0], LATE_TARGET, paths=2)
+        self.receiver = Receiver("listener", [], LATE_TARGET, paths=2)
         # Each reply is accepted once, as in the display.
         self._requests_ns: deque[int] = deque(maxlen=MAX_OPEN_REQUESTS)
 

@@ -80,7 +80,7 @@ def _numbers(cells: list[str]) -> list[str]:
 def figures() -> dict[str, Any]:
     """Return a full summary, its Prometheus metrics, and the schemas of recordings."""
     summary = full_summary().to_dict()
-    node = NodeState(Status("playing", "a stream", summary, False, 1), 0, 75.0)
+    node = NodeState(Status("playing", "a stream", summary, False, 1), 0, [75.0])
     metrics = {
         f"{sample.name} {json.dumps(sample.labels, sort_keys=True)}": [metric.type, sample.value]
         for metric in families("display-node", node, 0)

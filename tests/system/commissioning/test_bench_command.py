@@ -82,6 +82,16 @@ def test_a_noisy_wrist_sensor_is_named(tmp_path: Path) -> None:
     assert found[("wrist", "mains")]["found"] == "99 % of the noise"
 
 
+def test_each_channel_of_force_is_checked_and_no_ecg(tmp_path: Path) -> None:
+    path = tmp_path / "bench.json"
+    for scene, parts in (
+        ("three_fingers", {"wrist, cun", "wrist, guan", "wrist, chi"}),
+        ("announce", {"wrist"}),
+    ):
+        assert bench(scene, "--only", "sensing", "--json", str(path))[0] == 0
+        assert {part for part, _ in rows(path)} == parts
+
+
 def test_a_recording_is_no_sensor(tmp_path: Path) -> None:
     text = (ROOT / "scenes" / "radial.toml").read_text(encoding="utf-8")
     (tmp_path / "pulse.csv").write_text("0.1\n0.2\n0.3\n", encoding="utf-8")

@@ -123,17 +123,18 @@ def test_a_live_sensor_is_calibrated_load_by_load(
     board, port = pty.openpty()
     scene = tmp_path / "board.toml"
     source = f'kind = "serial"\nport = "{os.ttyname(port)}"\nframing = "text"\nrate = "100 Hz"'
-    scene.write_text(f'[sensing.source]\n{source}\nunit = "mV"\n', encoding="utf-8")
+    names = 'names = ["announce", "cun", "chi"]'
+    scene.write_text(f'[sensing.source]\n{source}\nunit = "mV"\n{names}\n', encoding="utf-8")
     asked: list[str] = []
     done = threading.Event()
 
     def say() -> None:
-        """The board: 3 mV, and 44 mV for each newton that was asked for last."""
+        """The board: of chi 3 mV, and 44 mV for each newton that was asked for last."""
         noise_mv = 0.01
         while not done.wait(0.01):
             load_n = float(asked[-1].split()[1]) if asked else 0.0
             noise_mv = -noise_mv
-            os.write(board, f"{3 + 44 * load_n + noise_mv}\r\n".encode())
+            os.write(board, f"0.5,7.5,{3 + 44 * load_n + noise_mv}\r\n".encode())
 
     def prompt(text: str, **_: object) -> str:
         asked.append(text)
@@ -143,12 +144,16 @@ def test_a_live_sensor_is_calibrated_load_by_load(
     talker = threading.Thread(target=say)
     talker.start()
     try:
-        status, out, error = calibrate("--scene", str(scene), "--loads", "0, 1, 2 N")
+        arguments = "--scene", str(scene), "--loads", "0, 1, 2 N"
+        refused, _, reason = calibrate(*arguments)
+        status, out, error = calibrate(*arguments, "--channel", "chi")
     finally:
         done.set()
         talker.join()
         os.close(board)
         os.close(port)
+    assert refused == 2
+    assert "several channels: choose with --channel one of ['cun', 'chi']" in reason
     assert (status, error) == (0, "")
     assert asked == [f"Put {load} N on, then press Enter" for load in (0, 1, 2)]
     assert 'sensitivity = "44 mV/N"' in out.replace("44.00", "44").replace("43.99", "44")

@@ -29,7 +29,7 @@ from tests.support.nodes import RADIAL, ROOT, run
 from tests.support.recordings import AHEAD_NS, BATCH, BEGIN_NS, DELAY_TICKS, GAIN, UNIX_NS, record
 
 MODULE = "telepulse"
-TABLES = ("samples", "ticks", "clock", "events")
+TABLES = ("samples", "ticks", "clock", "events", "beats")
 TO: dict[str, Callable[[Path, Path], str]] = {
     "csv": export_csv,
     "parquet": export_parquet,

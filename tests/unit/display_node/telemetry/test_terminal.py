@@ -220,13 +220,19 @@ def test_the_heart_rate_is_of_the_last_seconds_at_full_strength() -> None:
     under_test = TerminalView()
     for start_s in range(0, 120, 2):
         under_test.add_trace(pulse(2, start_s))
-    assert under_test.heart_rate_per_min == pytest.approx(60 / BEAT_S, rel=0.3)
+    assert under_test.heart_rates_per_min == pytest.approx([60 / BEAT_S], rel=0.3)
     # A clock that goes back removes the earlier pulse.
     under_test.add_trace(pulse(3))
-    assert under_test.heart_rate_per_min == pytest.approx(60 / BEAT_S, rel=0.02)
+    assert under_test.heart_rates_per_min == pytest.approx([60 / BEAT_S], rel=0.02)
     trace = pulse(6)
     under_test.add_trace(trace._replace(scored=trace.now_ns < 5_900_000_000))
-    assert under_test.heart_rate_per_min is None
+    assert under_test.heart_rates_per_min == [None]
+    # Of each contactor.
+    still = pulse(6)._replace(felt_n=np.zeros(6_000))
+    under_test.add_trace(still, pulse(6))
+    none, rate_per_min = under_test.heart_rates_per_min
+    assert none is None
+    assert rate_per_min == pytest.approx(60 / BEAT_S, rel=0.02)
 
 
 def test_unreadable_telemetry_is_counted_and_shown() -> None:

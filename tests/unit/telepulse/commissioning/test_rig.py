@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from protocol.errors import BenchError, DriveError
+from protocol.wire.stream import Channel
 from pulse_drives.scene import Cia402Scene, TmclScene
 from pulse_sensors.samples import SampleBlock
 from telepulse.commissioning.actuator_check import check_actuator
@@ -28,6 +29,8 @@ TICK_S = 4e-3
 
 class Film:
     """The film under an emulated motor, 1 kHz. silent: it sends nothing."""
+
+    channels = (Channel("film"),)
 
     def __init__(self, bench: Bench) -> None:
         self._motor, self._clock = bench.motor, bench.clock
@@ -116,7 +119,8 @@ def test_the_drives_answer_is_timed(late_ms: int, verdict: str) -> None:
 
 
 def test_a_record_has_every_samples_time(rig: HardwareRig, film: Film) -> None:
-    figures = measure(listen(film, 0.3))  # type: ignore[arg-type]
+    (record,) = listen(film, 0.3).values()  # type: ignore[arg-type]
+    figures = measure(record)
     assert figures.rate_hz == pytest.approx(1000.0)
     assert {c.name: c.verdict for c in judge_sensor(figures, 1000.0)}["rate"] == "ok"
     film.silent = True

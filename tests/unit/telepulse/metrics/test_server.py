@@ -53,7 +53,7 @@ def scraped(metrics: Iterator[Metric]) -> Scraped:
 
 def node_state(summary: Summary, state: str = "playing", stream: str = "my pulse") -> NodeState:
     status = Status(state, stream, summary.to_dict(), False, session=0xABC)
-    return NodeState(status, sent_ns=SECOND_NS, heart_rate_per_min=75.0)
+    return NodeState(status, sent_ns=SECOND_NS, heart_rates_per_min=[75.0, 90.0])
 
 
 def test_figures_come_in_base_units_and_counts_as_counters() -> None:
@@ -116,6 +116,8 @@ def test_the_figures_of_several_contactors_have_their_names_as_labels() -> None:
         ("beats_total", {"contactor": 'c"hi'}, 8),
         ("beat_rate_hertz", {"contactor": "cun"}, 1.25),
         ("pulse_alarm", {"contactor": 'c"hi'}, 1),
+        ("heart_rate_hertz", {"contactor": "cun"}, 1.25),
+        ("heart_rate_hertz", {"contactor": 'c"hi'}, 1.5),
         ("limited_total", {"contactor": "cun", "limit": "force"}, 2),
         ("hardware_events_total", {"contactor": 'c"hi', "event": "garbled"}, 3),
         ("finger", {"contactor": "cun", "name": "pressed with # mN"}, 1),
