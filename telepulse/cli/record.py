@@ -127,7 +127,8 @@ def export(
     to: Annotated[
         Literal["csv", "parquet", "edf", "mcap"],
         typer.Option(
-            help="csv, parquet: one table per topic, and beats; edf: forces as signals; mcap: a repaired file."
+            help="csv, parquet: tables of samples, ticks, clock, events and beats; edf: forces as"
+            " signals; mcap: a repaired file."
         ),
     ],
     out: Annotated[
