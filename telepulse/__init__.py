@@ -13,18 +13,23 @@ from typing import TYPE_CHECKING, Any, Final
 
 if TYPE_CHECKING:
     from protocol.errors import TelepulseError
+    from telepulse.live_stream import LiveStream, connect
     from telepulse.recording.recorded_run import read_recording
     from telepulse.reports.studies.sweep import sweep
     from telepulse.run import ContactorRun, Run
+    from telepulse.sample_queue import StreamBlock
     from telepulse.scene import Scene, load_scene
     from telepulse.simulation.simulated_run import simulate
 
 # Each name's module, imported when it is used: commands import this package and need none of them.
 _MODULES: Final = {
     "ContactorRun": "telepulse.run",
+    "LiveStream": "telepulse.live_stream",
     "Run": "telepulse.run",
     "Scene": "telepulse.scene",
+    "StreamBlock": "telepulse.sample_queue",
     "TelepulseError": "protocol.errors",
+    "connect": "telepulse.live_stream",
     "load_scene": "telepulse.scene",
     "read_recording": "telepulse.recording.recorded_run",
     "simulate": "telepulse.simulation.simulated_run",
@@ -32,9 +37,12 @@ _MODULES: Final = {
 }
 __all__ = [
     "ContactorRun",
+    "LiveStream",
     "Run",
     "Scene",
+    "StreamBlock",
     "TelepulseError",
+    "connect",
     "load_scene",
     "read_recording",
     "simulate",

@@ -10,7 +10,7 @@ import logging
 import math
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -21,53 +21,17 @@ from protocol.security.keys import ClientKeys
 from protocol.wire.messages import Frame
 from protocol.wire.stream import StreamDescription
 from pulse_sensors import library
+from telepulse.sample_queue import FrameReorderer
 from telepulse.telemetry.client import TelemetryClient
 from telepulse.telemetry.decoder import Entry, PassiveReceiver
 from telepulse.telemetry.schema import EVENT, FRAME, STATUS, TICK
 
 logger = logging.getLogger(__name__)
 
-# A frame is held back for longer than reordering usually delays one; later ones count as lost.
-HOLD_NS = 500_000_000
 # Number of comparisons of the two clocks; the one that took the least time is used.
 TRIES = 9
 # Ticks of several contactors that wait for a status; there is one for every 200 ticks.
 MOST_WAITING = 2_000
-
-
-class FrameReorderer:
-    """Buffer that holds a frame back while an earlier one may still arrive.
-
-    lost: samples that did not arrive in time.
-    """
-
-    def __init__(self) -> None:
-        self._held: dict[int, tuple[int, Frame]] = {}
-        self._next_sample: int | None = None
-        self.lost = 0
-
-    def take(self, frame: Frame, now_ns: int) -> Iterator[Frame]:
-        """Add a frame; yield the frames that can be passed on, in order."""
-        if self._next_sample is None:
-            self._next_sample = frame.first_sample
-        if frame.first_sample >= self._next_sample:
-            self._held[frame.first_sample] = (now_ns, frame)
-        while self._held:
-            first = min(self._held)
-            if first > self._next_sample and now_ns - self._held[first][0] < HOLD_NS:
-                return
-            yield self._release(first)
-
-    def flush(self) -> Iterator[Frame]:
-        """Yield the frames that are still held."""
-        while self._held:
-            yield self._release(min(self._held))
-
-    def _release(self, first: int) -> Frame:
-        _, frame = self._held.pop(first)
-        self.lost += first - (self._next_sample or 0)
-        self._next_sample = first + len(frame.values)
-        return frame
 
 
 class LslTime:

@@ -258,6 +258,9 @@ class Receiver:
             announced = list(numbers[self._announcing :: channels])
             self.announcement = samples[0]._replace(forces_n=announced)
         self.buffer.put(*samples)
+        if self._last_bye is not None:
+            # The answer to it may have waited for this frame.
+            self._quiet_until_ns = 0
         self._received_ns = now_ns
         self.clock.add_one_way(last_ns, now_ns)
         self.delay.observe(sensing_now_ns - t_first_ns, now_ns)

@@ -1,7 +1,8 @@
 from collections.abc import Iterable
 from typing import Any, cast
 
-from telepulse.lsl_outlet import HOLD_NS, FrameReorderer, LslForwarder, LslStreams
+from telepulse.lsl_outlet import LslForwarder, LslStreams
+from telepulse.sample_queue import HOLD_NS, FrameReorderer
 from telepulse.telemetry.decoder import Entry
 from telepulse.telemetry.schema import STATUS, TICK
 from tests.support.telemetry_publisher import BATCH, MS, numbered_frame
