@@ -29,16 +29,17 @@ class WireError(TelepulseError, ValueError):
 class VersionError(WireError):
     """A message is of another version of the protocol, so that its other fields may differ.
 
-    is_hello: it asks for the stream's description, as displays of every version do.
+    hello_from: name of a display that asks for the stream's description, as displays of every
+    version do; None for any other message.
     """
 
-    def __init__(self, version: str, own: int, is_hello: bool = False) -> None:
+    def __init__(self, version: str, own: int, hello_from: str | None = None) -> None:
         super().__init__(
             "version",
             f"the peer has version {version} of the protocol, this node version {own}; install"
             " the same version of telepulse on both machines",
         )
-        self.is_hello = is_hello
+        self.hello_from = hello_from
 
 
 class AddressError(TelepulseError, OSError):

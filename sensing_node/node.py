@@ -167,6 +167,8 @@ class SensingNode:
                     for client in self._server.forget_silent(self._clock()):
                         logger.warning(f"{client.shown_name} is silent, forgotten")
                     self._requests.expect(len(self._server.clients))
+                    self._name_other_version(self._clock())
+            self._name_other_version(None)
             self._finish()
             return self._summary()
         finally:
@@ -214,9 +216,6 @@ class SensingNode:
         reply = self._server.answer(sender, data, self._clock(), self._framer.samples_sent)
         if reply is not None:
             sockets.send(self._control, *sender, encode_control(reply))
-        if self._server.other_version and not self._refused_version:
-            self._refused_version = True
-            logger.warning(f"refused: {self._server.other_version}")
         if len(clients) > known:
             self._requests.expect(len(clients))
             logger.info(f"{clients[sender].shown_name} joined")
@@ -226,6 +225,12 @@ class SensingNode:
                 f"{count_text(known, 'display')} here, which is the most;"
                 " no further one is answered"
             )
+
+    def _name_other_version(self, now_ns: int | None) -> None:
+        self._server.count_other_versions(now_ns)
+        if self._server.other_version and not self._refused_version:
+            self._refused_version = True
+            logger.warning(f"refused: {self._server.other_version}")
 
     def _finish(self) -> None:
         """Send every display the end of the stream, and wait until each has received all of it.

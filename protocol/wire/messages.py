@@ -329,7 +329,8 @@ def _unpack(data: bytes) -> list[Any]:
         raise WireError("malformed", "a message is a msgpack array")
     if type(fields[0]) is not int or fields[0] != VERSION:
         is_hello = type(fields[0]) is int and fields[1:2] == [_HELLO]
-        raise VersionError(_shown(fields[0]), VERSION, is_hello)
+        display = fields[2] if len(fields) > 2 and _fits(fields[2], str) else ""
+        raise VersionError(_shown(fields[0]), VERSION, display if is_hello else None)
     return fields
 
 

@@ -78,7 +78,8 @@ def test_telemetry_has_the_expected_error_of_the_predictor(predictor: PredictorN
     under_test, writer = display(predictor=predictor, compensation_ns=0), TraceWriter()
     play(under_test, Sender(), 0, 4_000)
     traces = [writer.add(under_test.states[0]) for _ in range(TRACE_TICKS)]
-    expected_n = read_trace(traces[-1] or b"").predictor_error_n
+    (trace,) = read_trace(traces[-1] or b"")
+    expected_n = trace.predictor_error_n
     if predictor == "hold":
         assert all(map(math.isnan, expected_n))
     else:

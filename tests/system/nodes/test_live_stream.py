@@ -1,0 +1,65 @@
+"""A live stream in Python has every sample, in order, of the sensing node's own pulse."""
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+import telepulse
+from protocol.errors import ProtectionError, SourceError
+from sensing_node.scene import build_source
+from telepulse.scene import load_scene
+from tests.support.log_lines import strays
+from tests.support.nodes import RADIAL, process
+
+MODULE = "sensing_node.cli"
+
+
+@pytest.mark.smoke
+def test_no_sample_is_missing_while_the_reader_computes(address: str) -> None:
+    sensing = (MODULE, str(RADIAL), "--bind", address, "--seconds", "3")
+    with telepulse.connect(address) as stream, process(*sensing) as node:
+        description = stream.describe()
+        blocks = list(stream.blocks(700))
+        _, errors = node.communicate(timeout=20)
+    assert (description.rate_hz, description.channels[0].unit) == (1000.0, "N")
+    assert {len(block.values) for block in blocks[:-1]} == {700}
+    values = np.concatenate([block.values for block in blocks])
+    unix_s = np.concatenate([block.unix_s for block in blocks])
+    first = blocks[0].first_sample
+    assert first + len(values) == 3_000
+    assert (stream.lost, stream.dropped) == (0, 0)
+    scene = load_scene(RADIAL)
+    expected = build_source(scene.sensing, RADIAL.parent).take(3_000)[first:]
+    np.testing.assert_array_equal(values, expected.astype("<f4"))
+    np.testing.assert_allclose(np.diff(unix_s), 1e-3, atol=5e-4)
+    assert not strays(errors)
+    with pytest.raises(SourceError, match="the stream has ended"):
+        stream.read(1)
+
+
+def test_all_channels_are_read(address: str) -> None:
+    scene = RADIAL.with_name("three_fingers.toml")
+    sensing = (MODULE, str(scene), "--bind", address, "--seconds", "1.5")
+    with process(*sensing), telepulse.connect(address) as stream:
+        block = stream.read(500)
+        names = [channel.name for channel in stream.describe().channels]
+    assert names == ["cun", "guan", "chi"]
+    assert block.values.shape == (500, 3)
+
+
+def test_who_cannot_be_received_is_named_in_one_line(address: str) -> None:
+    with telepulse.connect(address) as stream:
+        with pytest.raises(SourceError, match=f"{address}: no sample came for 0.2 s"):
+            stream.read(10, timeout_s=0.2)
+        with pytest.raises(SourceError, match="count: at least 1, got 0"):
+            stream.read(0)
+    with pytest.raises(ProtectionError, match=r"192\.0\.2\.1"):
+        telepulse.connect("tcp://192.0.2.1:5555")
+
+
+def test_import_costs_nothing_until_a_name_is_used() -> None:
+    code = "import sys, telepulse; print('numpy' in sys.modules, len(telepulse.__all__))"
+    found = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
+    assert found.stdout.split() == ["False", str(len(telepulse.__all__))]
