@@ -131,7 +131,7 @@ class DisplayNode:
         self._tick_us = Histogram(1.0, 5_000)
         self._late_us = Histogram(2.0, 2_500)
         self._named_faults = 0
-        self._refused_version = False
+        self._refused: set[str] = set()
         self._context: sockets.Context = zmq.Context()
         try:
             paths, redundancy = max(scene.paths or 1, len(addresses)), None
@@ -231,9 +231,10 @@ class DisplayNode:
         for fault in faults[self._named_faults :]:
             logger.error(f"fault: {fault}: {advise(fault)}")
         self._named_faults = len(faults)
-        if self._display.receiver.other_version and not self._refused_version:
-            self._refused_version = True
-            logger.warning(f"refused: {self._display.receiver.other_version}")
+        for reason in (self._display.receiver.other_version, self._display.receiver.false_report):
+            if reason and reason not in self._refused:
+                self._refused.add(reason)
+                logger.warning(f"refused: {reason}")
         if self._connection.poll(now_ns):
             self._display.receiver.introduce()
         requested_ns = time.monotonic_ns()

@@ -152,6 +152,7 @@ CAUSE_MEANINGS = {
     " or an end with an impossible number of samples",
     "unasked": "clock replies to an unknown or already answered request",
     "unexpected": "messages that only the other kind of node sends: check the address",
+    "false_report": "reports of the probe that cannot be true",
     "press_held": "set-points of a display while another one presses",
     "no_probe": "set-points to a sensing node without a probe: add [sensing.press]",
     "flood": "messages dropped because a peer sent far more than it should:"

@@ -23,6 +23,7 @@ from pulse_sensors.sample_check import SampleCheck
 from sensing_node.conditioning import faults_of, limits_of
 from sensing_node.control_server import ControlServer, RequestBudget, Sender
 from sensing_node.feeds import Framer, LiveSource, Source, feed_of
+from sensing_node.press.set_points import REASONS
 from sensing_node.scene import serve_set_points
 
 logger = logging.getLogger(__name__)
@@ -120,6 +121,7 @@ class SensingNode:
         self._description = description
         self._clock = clock
         self._stopping = self._full = self._refused_version = False
+        self._refused_set_points: set[str] = set()
         self._session = secrets.randbits(62)
         self._framer = Framer(description, self._session)
         self._check = SampleCheck(description.period_ns, description.channels)
@@ -216,6 +218,10 @@ class SensingNode:
         reply = self._server.answer(sender, data, self._clock(), self._framer.samples_sent)
         if reply is not None:
             sockets.send(self._control, *sender, encode_control(reply))
+        if self._server.set_points is not None:
+            for cause in self._server.set_points.rejected.keys() - self._refused_set_points:
+                self._refused_set_points.add(cause)
+                logger.warning(f"refused a set-point: {REASONS[cause]}")
         if len(clients) > known:
             self._requests.expect(len(clients))
             logger.info(f"{clients[sender].shown_name} joined")

@@ -49,7 +49,7 @@ class PressScene(Section):
     channel: Name = HOLD_DOWN
     force_limit_n: Annotated[Newtons, Field(gt=0, le=10)] = 3.0
     slew_limit_n_per_s: Annotated[NewtonsPerSecond, Field(gt=0, le=100)] = 20.0
-    connections: Annotated[int, Field(strict=True, ge=0, le=16)] = 8
+    connections: Annotated[int, Field(strict=True, ge=0, le=32)] = 16
 
     def limits(self) -> PressLimits:
         """Return the limits that the table describes."""

@@ -2,6 +2,7 @@
 
 from typing import Final
 
+from protocol.errors import WireError
 from protocol.press_figures import SetPointCounts
 from protocol.wire.messages import ProbeReport, SetPoint
 
@@ -10,6 +11,8 @@ PERIOD_NS: Final = 20_000_000
 # connection delivers at last is not.
 VALID_NS: Final = 300_000_000
 MOST_VALID_NS: Final = 10_000_000_000
+# No probe has a greater travel, or a load cell with twice the greatest force limit.
+MOST_N, MOST_M = 20.0, 0.05
 
 
 class SetPointSender:
@@ -84,13 +87,27 @@ class SetPointSender:
         return SetPoint(session, self._press, number, sensing_now_ns, valid_ns, self.set_point_n)
 
     def take(self, report: ProbeReport) -> bool:
-        """Take an answer of the sensing node; return whether it is a newer one to this display."""
+        """Take an answer of the sensing node; return whether it is a newer one to this display.
+
+        Raises WireError, with the cause "false_report", for one that cannot be true.
+        """
         if report.press != self._press or report.session != self._session:
             return False
         self.held_by_other = report.state == "held"
         known = self.report
         arrived = report.applied + report.superseded
-        if report.received > self.sent or arrived > report.received or self.held_by_other:
+        if report.received > self.sent or arrived > report.received:
+            raise WireError(
+                "false_report",
+                f"the probe reports {report.received} set-points, {arrived} of them taken,"
+                f" and {self.sent} were sent",
+            )
+        if abs(report.hold_down_n) > MOST_N or abs(report.depth_m) > MOST_M:
+            raise WireError(
+                "false_report",
+                f"the probe reports {report.hold_down_n:.3g} N at {report.depth_m:.3g} m",
+            )
+        if self.held_by_other:
             return False
         if known is not None and arrived <= known.applied + known.superseded:
             return False

@@ -62,6 +62,8 @@ class Receiver:
         Number of clock steps in all sessions so far.
     take_probe
         Takes answers to set-points; without it they are refused.
+    false_report
+        Description of the first report of the probe that cannot be true, or "".
     other_version
         Description of the first refused message of another version, or "".
     ready
@@ -93,7 +95,7 @@ class Receiver:
         self.copies = 0
         self.rejected: Counter[str] = Counter()
         self.take_probe: Callable[[wire.ProbeReport], None] | None = None
-        self.other_version = ""
+        self.other_version = self.false_report = ""
         self.one_way_delay_ms = Histogram(0.1, 20_000)
         self.sessions = self.resets = self.clock_steps = 0
         self.session: int | None = None
@@ -129,6 +131,8 @@ class Receiver:
         self.rejected[error.cause] += 1
         if isinstance(error, VersionError):
             self.other_version = self.other_version or str(error)
+        if error.cause == "false_report":
+            self.false_report = self.false_report or str(error)
 
     @property
     def accepts_frames(self) -> bool:

@@ -18,6 +18,13 @@ REMEMBERED: Final = 4_096
 LARGEST_STEP: Final = 65_536
 # Accounts of so many displays are kept apart.
 MOST_HOLDERS: Final = 64
+REASONS: Final = {
+    "press_held": "another display presses, until it has sent none for 2 s",
+    "timestamp": "its time is not near the present",
+    "implausible": "its number is far beyond the newest",
+    "too_old": "its number is far below the newest",
+    "duplicate": "its number came before",
+}
 _FIGURES: Final = ("sent", "applied", "superseded", "lost")
 
 

@@ -71,7 +71,9 @@ class PressSetting:
 
     tissue, finger: stiffness over that of the models. pulse_share: share of the rendered pulse in
     the press sensor's reading. connections: TCP connections over which the set-points take turns.
-    open_loop: forces at the wrist that replace the received set-points.
+    copies: connections over which each set-point is sent. batch: samples in a frame. paths: TCP
+    connections of the frames, of which the first copies are used. open_loop: forces at the wrist
+    that replace the received set-points.
     """
 
     link: LinkScene
@@ -80,6 +82,9 @@ class PressSetting:
     pulse_share: float = 1.0
     seed: int = 1
     connections: int = 1
+    copies: int = 1
+    batch: int = BATCH
+    paths: int = 1
     open_loop: Meant | None = None
 
 
@@ -100,6 +105,7 @@ class PressLoop:
         self._down, *self._up = (MessageLink(link, seed) for seed in seeds)
         self._tcp = link.transport == "tcp"
         self._delay_ns = link.delay_ns + 4 * link.jitter_ns + SPARE_NS
+        self._delay_ns += (setting.batch - BATCH) * TICK_NS
         self._round_trip_ns = 2 * (link.delay_ns + 4 * link.jitter_ns)
         if self._tcp:
             # A lost packet arrives 1.25 round trips later.
@@ -120,7 +126,7 @@ class PressLoop:
         return PressTrace(*np.array(rows).T)
 
     def _tick(self, now_ns: int) -> tuple[float, ...]:
-        if now_ns % (BATCH * TICK_NS) == 0:
+        if now_ns % (self._setting.batch * TICK_NS) == 0:
             self._sense(now_ns)
         events = self._events
         while events and events[0][0] <= now_ns:
@@ -135,8 +141,10 @@ class PressLoop:
         clock_ns = now_ns + AHEAD_NS
         wanted = press.request(SESSION, clock_ns, self._round_trip_ns, now_ns, alive)
         if wanted is not None:
-            link = self._up[wanted.number % len(self._up)]
-            self._send(link, now_ns, self._answer, encode_control(wanted))
+            for copy in range(self._setting.copies):
+                place = wanted.number * self._setting.copies + copy
+                link = self._up[place % len(self._up)]
+                self._send(link, now_ns, self._answer, encode_control(wanted))
         return (
             now_ns * 1e-9,
             meant_n,
@@ -150,7 +158,7 @@ class PressLoop:
         )
 
     def _truth_n(self, now_ns: int) -> float:
-        number = (now_ns - self._delay_ns) // TICK_NS + BATCH - 1
+        number = (now_ns - self._delay_ns) // TICK_NS + self._setting.batch - 1
         if number < 0:
             return 0.0
         return self.wrist.artery.pulse_n(self._pressures_pa[number], self.finger.press_n)
@@ -161,14 +169,16 @@ class PressLoop:
             self.server.answer(message, now_ns + AHEAD_NS)
         if self._setting.open_loop is not None:
             self.wrist.press(self._setting.open_loop(now_ns * 1e-9))
-        values = self.wrist.take(BATCH).astype(np.float32)
+        batch = self._setting.batch
+        values = self.wrist.take(batch).astype(np.float32)
         self._pressures_pa += self.wrist.pressures_pa
-        first_ns = now_ns + AHEAD_NS - (BATCH - 1) * TICK_NS
+        first_ns = now_ns + AHEAD_NS - (batch - 1) * TICK_NS
         frame = encode_frame(Frame(SESSION, self._sample, first_ns, TICK_NS, values))
-        self._sample += BATCH
-        arrival_ns = self._down.data_arrival_ns(now_ns, len(frame))
-        if arrival_ns is not None:
-            self._schedule(arrival_ns, self._receive, frame)
+        self._sample += batch
+        paths = range(self._setting.paths)
+        arrivals = [self._down.data_arrival_ns(now_ns, len(frame), path) for path in paths]
+        if arrived := [at_ns for at_ns in arrivals if at_ns is not None]:
+            self._schedule(min(arrived), self._receive, frame)
 
     def _receive(self, data: bytes, now_ns: int) -> None:
         frame = decode_frame(data)

@@ -224,21 +224,24 @@ def _tcp_chapter(scores: PressScores) -> Chapter:
     rows = [
         {
             "round trip": _ms(trip_s),
-            "connections": f"{count}",
+            "connections": f"{variant.connections}"
+            + (", each twice" if variant.copies > 1 else ""),
+            "frames": f"{variant.batch} ms over {variant.paths}",
             "steps followed": f"{_followed(run)} of {len(run.late)}",
             "applied": f"{run.account.applied} of {run.account.sent}",
             "height": f"{min(run.heights):+.1%} to {max(run.heights):+.1%}",
             "bars": f"{verdict(follows(run))}, {verdict(renders(run))}",
         }
-        for (trip_s, count), run in scores.tcp.items()
+        for (trip_s, variant), run in scores.tcp.items()
     ]
     words = (
         "The same over TCP with 1 % of its packets lost, where everything after a lost packet waits"
         " 1.25 round trips for its repetition. From a round trip of 240 ms on this is longer than"
         f" the {ProbeLimits().stale_after_ns * 1e-6:.0f} ms after which the probe eases off, and 50"
-        " set-points a second lose one every 2 s. With set-points that take turns over four"
-        " connections, one connection may stall. The frames of this table have one connection, so"
-        " that from 1 s on the finger itself is blind meanwhile, and sends nothing."
+        " set-points a second lose one every 2 s. Set-points take turns over several connections,"
+        " of which some may stall; where each is sent twice, over two, both stall as often as one."
+        " The frames stall as well: from 1 s on, 200 a second over one connection leave the finger"
+        " blind, and it sends nothing; fewer frames, over several connections, do not."
     )
     return Chapter("Over TCP", (words,), (Table.of("Steps over TCP", rows),) if rows else ())
 

@@ -21,6 +21,7 @@ from telepulse.reports.studies.sweep import sweep
 from telepulse.simulation.link_scene import LinkScene
 from telepulse.simulation.press_loop import (
     AHEAD_NS,
+    BATCH,
     PRESS,
     SESSION,
     TICK_NS,
@@ -90,6 +91,21 @@ class SwingScore(NamedTuple):
         return all(later <= max(earlier, REST_N) for earlier, later in pairs)
 
 
+class TcpVariant(NamedTuple):
+    """Connections of the set-points, copies of each, samples in a frame, connections of those."""
+
+    connections: int
+    copies: int = 1
+    batch: int = BATCH
+    paths: int = 1
+
+
+# What is compared over TCP: the bars are for the scene's own variant, from 1 s on with long frames.
+VARIANTS: Final = (TcpVariant(1), TcpVariant(2, 2), TcpVariant(4), TcpVariant(16))
+LONG_FRAMES: Final = TcpVariant(16, 1, 50, 8)
+LONG_FROM_S: Final = 1.0
+
+
 class PressStep(NamedTuple):
     """Press and hold-down around one step, at times relative to it."""
 
@@ -110,13 +126,13 @@ class HeightPoints(NamedTuple):
 class PressScores:
     """All scores.
 
-    follow: by round trip, of all seeds. tcp: by round trip and number of connections. swing: by
+    follow: by round trip, of all seeds. tcp: by round trip and variant. swing: by
     round trip, tissue and finger. gains: measured gain of the opened loop, by the pulse's share.
     eased_s: by tissue and round trip. hostile: greatest force and slew, by tissue.
     """
 
     follow: dict[float, list[FollowScore]]
-    tcp: dict[tuple[float, int], FollowScore]
+    tcp: dict[tuple[float, TcpVariant], FollowScore]
     swing: dict[tuple[float, float, float], SwingScore]
     gains: dict[float, tuple[float, float]]
     eased_s: dict[tuple[float, float], float]
@@ -237,13 +253,13 @@ def score_press(effort: PressEffort, scheduler: str | None = None) -> PressScore
         [(a, b) for a in effort.stiffnesses for b in effort.stiffnesses],
     )
     plain = [PressSetting(link_of(trip), seed=seed) for trip in trips for seed in effort.seeds]
-    counts = 1, 4
-    tcp = [
-        PressSetting(link_of(trip, "tcp"), connections=count)
+    variants = {
+        trip: (*VARIANTS, LONG_FRAMES) if trip >= LONG_FROM_S else VARIANTS
         for trip in trips
         if trip
-        for count in counts
-    ]
+    }
+    tcp_cases = [(trip, variant) for trip, each in variants.items() for variant in each]
+    tcp = [PressSetting(link_of(trip, "tcp"), **variant._asdict()) for trip, variant in tcp_cases]
     followed = sweep(partial(follow, seconds=effort.seconds), [*plain, *tcp], scheduler)
     swings = [
         PressSetting(link_of(trip), tissue, finger, pulse_share=finger)
@@ -262,10 +278,7 @@ def score_press(effort: PressEffort, scheduler: str | None = None) -> PressScore
             trip: [score for score, *_ in followed[each_seed * at : each_seed * (at + 1)]]
             for at, trip in enumerate(trips)
         },
-        {
-            (_round_trip_s(case), case.connections): score
-            for case, (score, *_) in zip(tcp, followed[len(plain) :], strict=True)
-        },
+        {case: score for case, (score, *_) in zip(tcp_cases, followed[len(plain) :], strict=True)},
         {
             (_round_trip_s(case), case.tissue, case.finger): score
             for case, score in zip(swings, swung, strict=True)

@@ -12,14 +12,22 @@ import pytest
 import zmq
 
 from protocol import sockets
+from protocol.sockets import Context
 from protocol.wire import messages as wire
-from tests.support.nodes import ROOT, process, read_json
+from protocol.wire.telemetry import Status
+from tests.support.felt_force import recording
+from tests.support.live_display import await_state, await_status, subscribe
+from tests.support.log_lines import strays
+from tests.support.nodes import ROOT, free_address, process, read_json
 from tests.support.sensing_client import Client
 
 pytestmark = pytest.mark.system
 SCENE = str(ROOT / "scenes" / "press.toml")
 SENSING, DISPLAY = "sensing_node.cli", "display_node.cli"
 RESTING_N, EASED_N = 0.2, 0.26
+# Limits of the scene: slew at the wrist; force, with what is a fault, and slew at the finger.
+SLEW_N_PER_S = 25.0
+FINGER_N, FINGER_N_PER_S = 2.5 * 1.08, 50.0
 PATIENCE_S = 20.0
 
 
@@ -29,8 +37,19 @@ def client(address: str) -> Iterator[Client]:
         yield client
 
 
-def display(address: str) -> tuple[str, ...]:
-    return (DISPLAY, SCENE, "--connect", address, "--telemetry", "tcp://127.0.0.1:*", "--quiet")
+def display(address: str, telemetry: str = "tcp://127.0.0.1:*") -> tuple[str, ...]:
+    return (DISPLAY, SCENE, "--connect", address, "--telemetry", telemetry, "--quiet")
+
+
+def probe_of(status: Status) -> str | None:
+    state: str | None = status.summary["press"].get("probe")
+    return state
+
+
+def hold_down_of(message: bytes) -> float:
+    """Return the mean hold-down of a frame."""
+    values = wire.decode_frame(message).values
+    return float(np.mean(values[:, 1] - values[:, 0]))
 
 
 def newest_hold_down(client: Client) -> float:
@@ -38,8 +57,7 @@ def newest_hold_down(client: Client) -> float:
     messages = [client.data.recv()]
     while client.data.poll(0):
         messages.append(client.data.recv())
-    values = wire.decode_frame(messages[-1]).values
-    return float(np.mean(values[:, 1] - values[:, 0]))
+    return hold_down_of(messages[-1])
 
 
 def await_hold_down(client: Client, low_n: float, high_n: float) -> float:
@@ -84,6 +102,7 @@ def test_a_killed_display_leaves_the_wrist_free(address: str, client: Client) ->
             eased_s = await_hold_down(client, -0.1, EASED_N)
         # A busy host may read late; the bound of 0.5 s is proved in virtual time.
         assert eased_s < 1.5
+        await_hold_down(client, -0.1, 0.03)
         # Later another display may press.
         began_s = time.monotonic()
         while True:
@@ -95,16 +114,73 @@ def test_a_killed_display_leaves_the_wrist_free(address: str, client: Client) ->
             time.sleep(0.1)
 
 
-def test_a_restarted_wrist_is_pressed_again_by_the_same_display(
-    address: str, client: Client
+def test_a_restarted_wrist_is_shown_and_pressed_again_by_a_ramp(
+    address: str, client: Client, context: Context
 ) -> None:
-    with process(*display(address)):
-        for _ in range(2):
-            with process(SENSING, SCENE, "--bind", address, "--quiet") as wrist:
-                await_hold_down(client, 0.5, 2.0)
-                wrist.kill()
-            while client.data.poll(0):
-                client.data.recv()
+    telemetry = free_address()
+    reader = subscribe(context, telemetry)
+    with process(*display(address, telemetry)):
+        with process(SENSING, SCENE, "--bind", address, "--quiet") as wrist:
+            await_hold_down(client, 0.5, 2.0)
+            wrist.kill()
+        await_state(reader, "stale")
+        while client.data.poll(0):
+            client.data.recv()
+        hold_downs_n: list[float] = []
+        with process(SENSING, SCENE, "--bind", address, "--quiet"):
+            while not hold_downs_n or hold_downs_n[-1] < 0.5:
+                hold_downs_n.append(hold_down_of(client.data.recv()))
+        assert hold_downs_n[0] < EASED_N
+        # Over four frames of 5 ms; the ramp has a fifth of the slew limit.
+        rises_n = np.array(hold_downs_n)[4:] - np.array(hold_downs_n)[:-4]
+        assert rises_n.max() < 0.3 * SLEW_N_PER_S * 0.02
+        await_state(reader, "playing")
+
+
+def test_a_second_display_that_presses_is_refused_and_shows_it(
+    address: str, client: Client, context: Context
+) -> None:
+    telemetry = free_address()
+    reader = subscribe(context, telemetry)
+    with process(SENSING, SCENE, "--bind", address) as wrist:
+        with process(*display(address)):
+            await_hold_down(client, 0.5, 2.0)
+            with process(*display(address, telemetry)):
+                held = await_status(reader, lambda status: probe_of(status) == "held")
+                assert held.summary["press"]["applied"] == 0
+                assert 0.5 < newest_hold_down(client) < 2.0
+        wrist.terminate()
+        _, log = wrist.communicate(timeout=30)
+    assert log.count("refused a set-point: another display presses") == 1
+    assert strays(log) == ""
+
+
+def test_a_flood_of_others_set_points_presses_no_harder_and_the_press_returns(
+    address: str, client: Client, tmp_path: Path
+) -> None:
+    json = tmp_path / "finger.json"
+    with (
+        process(SENSING, SCENE, "--bind", address, "--quiet"),
+        process(*display(address), "--json", str(json)) as finger,
+        closing(Client(address)) as other,
+    ):
+        await_hold_down(client, 0.5, 2.0)
+        session, hold_downs_n = client.join().session, list[float]()
+        for number in range(100):
+            for press in range(20):
+                forged = wire.encode_control(set_point(session, press, number % 7, 1e6))
+                for flooding in (client, other):
+                    flooding.control.send(forged, zmq.NOBLOCK)
+            hold_downs_n.append(newest_hold_down(client))
+            time.sleep(0.01)
+        await_hold_down(client, 0.5, 2.0)
+        finger.terminate()
+        finger.wait(timeout=30)
+    # The finger's own levels end at 1.3 N. A node that is busy with the flood may ease off.
+    assert max(hold_downs_n) < 1.5
+    press = read_json(json)["press"]
+    assert press["sent"] == press["applied"] + press["superseded"] + press["lost"]
+    assert press["applied"] > 50
 
 
 def test_hostile_set_points_pass_no_limit_and_are_counted(
@@ -137,6 +213,28 @@ def test_hostile_set_points_pass_no_limit_and_are_counted(
     press = summary["press"]
     assert press["sent"] == press["applied"] + press["superseded"] + press["lost"]
     assert not summary["faults"]
+
+
+def test_a_lying_wrist_passes_no_limit_at_the_finger_and_is_named(
+    address: str, tmp_path: Path
+) -> None:
+    """Its reports and hold-downs cannot be: the finger keeps its limits and its account."""
+    json, telemetry = tmp_path / "finger.json", f"ipc://{tmp_path}/telemetry"
+    lying = ("tests.support.altered_node", "lie=press", SENSING, SCENE)
+    options = ("--once", "--json", str(json))
+    with recording(telemetry) as felt, process(*display(address, telemetry), *options) as finger:
+        with process(*lying, "--bind", address, "--seconds", "5", "--quiet") as wrist:
+            wrist.wait(timeout=60)
+        _, log = finger.communicate(timeout=60)
+    summary = read_json(json)
+    assert summary["rejected"]["false_report"] > 10
+    assert log.count(" WARNING refused: the probe reports ") == 1
+    press = summary["press"]
+    assert press["sent"] == press["applied"] + press["superseded"] + press["lost"]
+    assert press["applied"] > 20
+    greatest_n, target_n_per_s, _ = felt.peaks()
+    assert greatest_n <= FINGER_N
+    assert target_n_per_s <= FINGER_N_PER_S + 1e-6
 
 
 def test_a_hostile_wrist_cannot_make_the_finger_press_or_break_its_account(

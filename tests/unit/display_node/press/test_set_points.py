@@ -3,6 +3,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from display_node.press.set_points import PERIOD_NS, VALID_NS, SetPointSender
+from protocol.errors import WireError
 from protocol.press_figures import SetPointCounts
 from protocol.wire.messages import ProbeReport, SetPoint
 
@@ -72,19 +73,39 @@ def test_the_account_closes_over_sessions() -> None:
     [
         report(9, 7, 1, press=PRESS + 1),
         report(9, 7, 1, session=SESSION + 1),
-        report(11, 7, 1),
-        report(9, 9, 1),
         report(8, 5, 1),
         report(9, 6, 0),
     ],
-    ids=["another display's", "another session's", "too many", "more than arrived", "old", "same"],
+    ids=["another display's", "another session's", "old", "same"],
 )
-def test_an_answer_that_cannot_be_is_ignored(wrong: ProbeReport) -> None:
+def test_an_answer_to_another_or_an_older_one_is_ignored(wrong: ProbeReport) -> None:
     each = sender()
     for number in range(10):
         sent(each, number * PERIOD_NS)
     each.take(report(8, 5, 1))
     assert not each.take(wrong)
+    assert each.counts() == SetPointCounts(10, 5, 1, 4)
+
+
+@pytest.mark.parametrize(
+    ("false", "reason"),
+    [
+        (report(11, 7, 1), "11 set-points, 8 of them taken, and 10 were sent"),
+        (report(9, 9, 1), "9 set-points, 10 of them taken, and 10 were sent"),
+        (report(9, 6, 1, hold_down_n=-21.0), "-21 N at 0.001 m"),
+        (report(9, 6, 1, depth_m=0.051), "1 N at 0.051 m"),
+    ],
+)
+def test_an_answer_that_cannot_be_is_refused_with_the_reason(
+    false: ProbeReport, reason: str
+) -> None:
+    each = sender()
+    for number in range(10):
+        sent(each, number * PERIOD_NS)
+    each.take(report(8, 5, 1))
+    with pytest.raises(WireError, match=reason) as refused:
+        each.take(false)
+    assert refused.value.cause == "false_report"
     assert each.counts() == SetPointCounts(10, 5, 1, 4)
 
 
