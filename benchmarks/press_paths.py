@@ -62,12 +62,12 @@ class Case(NamedTuple):
     paths: str = '"auto"'
 
 
+LONG_FRAMES = {1000: ("50 ms", "8"), 2000: ("50 ms", "8")}
 CASES = (
-    *(Case(100, count) for count in (0, 8)),
-    *(Case(300, count) for count in (0, 2, 4, 8)),
-    Case(1000, 8),
-    *(Case(1000, count, "50 ms", "6") for count in (0, 4, 8)),
-    *(Case(2000, count, "50 ms", "8") for count in (0, 4, 8, 16)),
+    *(Case(100, count) for count in (0, 16)),
+    *(Case(300, count) for count in (0, 2, 4, 16)),
+    Case(1000, 16),
+    *(Case(trip, count, *rest) for trip, rest in LONG_FRAMES.items() for count in (0, 4, 8, 16)),
 )
 
 

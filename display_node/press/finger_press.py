@@ -36,6 +36,8 @@ MOST_YIELD_M: Final = 0.01
 SILENT_NS: Final = 50_000_000
 # Without a felt sample for this long, the finger sends nothing.
 BLIND_NS: Final = 300_000_000
+# Longer frames are learnt in parts of this length.
+LEARN_NS: Final = 5_000_000
 # Frames are learnt in order, so they wait this long for earlier ones.
 ORDER_NS: Final = 600_000_000
 # Time over which the loop's gain is the largest one.
@@ -174,13 +176,24 @@ class FingerPress:
             Channels of the film and of the load cell.
         """
         hold_downs_n = [cell - pulse for cell, pulse in zip(cell_n, pulse_n, strict=True)]
+        first, longest_ns = 0, float(times_ns[0] + LEARN_NS)
+        for end, time_ns in enumerate((*times_ns[1:], math.inf), 1):
+            if time_ns >= longest_ns:
+                part = slice(first, end)
+                self._observe_part(times_ns[part], pulse_n[part], hold_downs_n[part])
+                longest_ns, first = time_ns + LEARN_NS, end
+        return hold_downs_n
+
+    def _observe_part(
+        self, times_ns: Sequence[int], pulse_n: Sequence[float], hold_downs_n: Sequence[float]
+    ) -> None:
+        """Learn from the means of a part of a frame, over which a pulse is hardly smoothed."""
         mean_n, hold_down_n = sum(pulse_n) / len(pulse_n), sum(hold_downs_n) / len(pulse_n)
         self._learn(times_ns[-1], hold_down_n, mean_n)
         if hold_down_n >= TOUCH_N:
             self._observed += 1
             part = max((times_ns[-1] - times_ns[0]) * 1e-9 / MEAN_S, 1 / self._observed)
             self._mean += (self.relative(mean_n, hold_down_n) - self._mean) * part
-        return hold_downs_n
 
     def relative(self, pulse_n: float, hold_down_n: float) -> float:
         """Return a value of the pulse relative to foot and height at its hold-down.

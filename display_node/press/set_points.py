@@ -96,17 +96,14 @@ class SetPointSender:
         self.held_by_other = report.state == "held"
         known = self.report
         arrived = report.applied + report.superseded
+        counted = (
+            f"{report.received} set-points, {arrived} of them taken, and {self.sent} were sent"
+        )
+        measured = f"{report.hold_down_n:.3g} N at {report.depth_m:.3g} m"
         if report.received > self.sent or arrived > report.received:
-            raise WireError(
-                "false_report",
-                f"the probe reports {report.received} set-points, {arrived} of them taken,"
-                f" and {self.sent} were sent",
-            )
+            raise WireError("false_report", f"the probe reports {counted}")
         if abs(report.hold_down_n) > MOST_N or abs(report.depth_m) > MOST_M:
-            raise WireError(
-                "false_report",
-                f"the probe reports {report.hold_down_n:.3g} N at {report.depth_m:.3g} m",
-            )
+            raise WireError("false_report", f"the probe reports {measured}")
         if self.held_by_other:
             return False
         if known is not None and arrived <= known.applied + known.superseded:

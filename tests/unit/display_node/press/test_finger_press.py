@@ -21,10 +21,12 @@ def request(press: FingerPress, now_ns: int, alive: bool = True) -> SetPoint | N
     return press.request(SESSION, now_ns, 0, now_ns, alive)
 
 
-def observe(press: FingerPress, hold_down_n: float, height_n: float, seconds: float = 4.0) -> None:
+def observe(
+    press: FingerPress, hold_down_n: float, height_n: float, seconds: float = 4.0, batch: int = 5
+) -> None:
     """Let frames of a pulse at a hold-down arrive."""
-    for frame in range(round(seconds / 5e-3)):
-        times_s = [5e-3 * frame + 1e-3 * number for number in range(5)]
+    for frame in range(round(seconds * 1e3) // batch):
+        times_s = [1e-3 * (batch * frame + number) for number in range(batch)]
         pulse = [height_n * (0.5 + 0.5 * math.sin(2 * math.pi * 1.25 * t_s)) for t_s in times_s]
         cell = [hold_down_n + force_n for force_n in pulse]
         press.observe([round(t_s * 1e9) for t_s in times_s], pulse, cell)
@@ -74,6 +76,16 @@ def test_the_pulse_felt_has_the_height_of_the_present_press() -> None:
     high, low = (press.felt_n(press.relative(force_n, 1.2)) for force_n in (0.3, 0.0))
     felt_n = high - low
     assert felt_n == pytest.approx(0.06, rel=0.1)
+
+
+def test_long_frames_teach_the_same_height_as_short_ones() -> None:
+    heights_n = []
+    for batch in (5, 50):
+        press = pressed(0.8)
+        observe(press, 0.8, 0.15, batch=batch)
+        heights_n.append(press.height_n(0.8))
+    assert heights_n[1] == pytest.approx(heights_n[0], rel=1e-3)
+    assert heights_n[0] == pytest.approx(0.15, rel=0.1)
 
 
 def test_off_the_wrist_no_noise_is_felt() -> None:
