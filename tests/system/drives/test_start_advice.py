@@ -29,7 +29,7 @@ from tests.support.sender import SCENES
 from tests.support.virtual_bench import VirtualBench
 from tests.system.commissioning.test_bench_command import drive_scene
 
-DRIVES = ROOT / "display_node" / "drives"
+DRIVES = ROOT / "pulse_drives"
 
 
 def refused(start: Callable[[], object]) -> str:
