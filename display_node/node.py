@@ -15,6 +15,7 @@ import zmq
 from display_node.display import Display
 from display_node.fault_advice import FILM_NOTE, advise
 from display_node.hardware import Hardware, build_display_drive
+from display_node.press.sweep import DepthSweep
 from display_node.reception.connection import Connection
 from display_node.reception.redundancy import Redundancy
 from display_node.scene import DisplayScene
@@ -124,6 +125,7 @@ class DisplayNode:
         self._display = Display(scene, name, press=secrets.randbits(62))
         self._benches: list[Hardware | None] = [None] * len(self._display.contactors)
         self._stopping = False
+        self._sweep: DepthSweep | None = None
         self._pacer = Pacer(scene.tick_ns, time.monotonic_ns())
         drives = (contactor.drive for contactor in scene.contactors)
         watchdogs_ns = [drive.watchdog_ns for drive in drives if drive is not None]
@@ -160,6 +162,12 @@ class DisplayNode:
         """Read the finger's press from a live sensor. Call it before `run`."""
         if self._display.press is not None:
             self._display.press.use(sensor)
+
+    def sweep_with(self, sweep: DepthSweep) -> None:
+        """Press as a sweep does instead of a finger, until it is over. Call it before `run`."""
+        if self._display.press is not None:
+            self._display.press.sweep_with(sweep)
+            self._sweep = sweep
 
     def stop(self) -> None:
         """End the loop after the present tick."""
@@ -227,6 +235,8 @@ class DisplayNode:
 
     def _tick(self, now_ns: int, elapsed_ticks: int) -> None:
         self._display.tick(now_ns, elapsed_ticks)
+        if self._sweep is not None and self._sweep.over:
+            self.stop()
         faults = self._display.safety.faults
         for fault in faults[self._named_faults :]:
             logger.error(f"fault: {fault}: {advise(fault)}")

@@ -101,6 +101,10 @@ class BenchError(TelepulseError, RuntimeError):
     """
 
 
+class DepthError(TelepulseError, RuntimeError):
+    """A sweep of the hold-down gives no curve: too few beats, a probe that does not press."""
+
+
 class RealtimeError(TelepulseError, RuntimeError):
     """Real-time settings cannot be applied as requested.
 

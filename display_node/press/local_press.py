@@ -10,6 +10,7 @@ from typing import Final
 from display_node.press.finger import PressingFinger
 from display_node.press.finger_press import FingerPress
 from display_node.press.scene import PressScene, SyntheticFingerScene
+from display_node.press.sweep import DepthSweep
 from display_node.scoring.beats import Beat
 from protocol.press_figures import PressFigures
 from protocol.wire.messages import ChannelSamples, ProbeReport, SetPoint
@@ -31,6 +32,7 @@ class LocalPress:
         self._scene, self._press = scene, FingerPress(scene.limits(), press)
         self._sensor: Sensor | None = None
         self._finger: PressingFinger | None = None
+        self._sweep: DepthSweep | None = None
         if isinstance(table := scene.sensor, SyntheticFingerScene):
             self._finger = PressingFinger(table.stiffness_n_per_m, table.pulse_share, table.noise_n)
         # Times of samples and their hold-down, in order.
@@ -44,11 +46,17 @@ class LocalPress:
         """Read a live sensor. Call before the first tick."""
         self._sensor = sensor
 
+    def sweep_with(self, sweep: DepthSweep) -> None:
+        """Press as a sweep does, with no finger at the tip. Call before the first tick."""
+        self._sweep = sweep
+
     def begin(self) -> None:
         """Begin a session, whose times are unrelated to those before; the model is kept."""
         self._times_ns.clear()
         self._hold_downs_n.clear()
         self._press.restart()
+        if self._sweep is not None:
+            self._sweep.restart()
 
     def observe(self, pulse: ChannelSamples, cell: ChannelSamples) -> ChannelSamples:
         """Learn from a frame's samples of film and load cell.
@@ -57,6 +65,8 @@ class LocalPress:
         """
         press = self._press
         hold_downs_n = press.observe(pulse.times_ns, pulse.forces_n, cell.forces_n)
+        if self._sweep is not None:
+            self._sweep.observe(pulse, hold_downs_n)
         times_ns = self._times_ns
         place = bisect_right(times_ns, pulse.times_ns[0])
         times_ns[place:place] = pulse.times_ns
@@ -84,7 +94,7 @@ class LocalPress:
             Force at the finger per force at the wrist.
         """
         press, times_ns = self._press, self._times_ns
-        self._static_n = static_n = press.static_n
+        self._static_n = static_n = press.static_n if self._sweep is None else 0.0
         felt = []
         for number, force_n in enumerate(wrist_n):
             place = max(bisect_right(times_ns, first_ns + number * step_ns) - 1, 0)
@@ -97,7 +107,10 @@ class LocalPress:
         """Take the sensor's readings since the last tick; felt_n: force under the finger."""
         press, pulse_n = self._press, felt_n - self._static_n
         yielded_m = press.tick(now_ns)
-        if self._sensor is not None:
+        if self._sweep is not None:
+            self._sweep.tick(now_ns, self._probe)
+            press.read(self._sweep.press_n, 0.0, now_ns)
+        elif self._sensor is not None:
             for block in self._sensor.poll():
                 for reading_n, at_ns in zip(block.force_n, block.times_ns, strict=True):
                     press.read(reading_n, pulse_n, at_ns)
@@ -129,8 +142,14 @@ class LocalPress:
             press_n=press.press_n,
             hold_down_n=None if report is None else report.hold_down_n,
             loop_gain=press.loop_gain,
-            probe="held" if press.sender.held_by_other else report.state if report else None,
+            probe=self._probe,
         )
+
+    @property
+    def _probe(self) -> str | None:
+        """State of the probe as last reported."""
+        sender = self._press.sender
+        return "held" if sender.held_by_other else sender.report.state if sender.report else None
 
     def _meant_n(self, now_ns: int) -> float:
         """Return the force that the modelled finger means: its levels in turn, by soft steps."""

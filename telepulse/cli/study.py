@@ -182,3 +182,19 @@ def press(
         out,
         json,
     )
+
+
+@app.command()
+def depth(
+    out: FolderOption = Path("out/depth"),
+    json: TablesOption = None,
+    scheduler: SchedulerOption = None,
+) -> None:
+    """Sweep modelled wrists of several pressures, repeatedly: the best hold-down against the truth.
+
+    Uses all cores; takes about a minute on two.
+    """
+    from telepulse.reports.studies import depth_study as study
+
+    effort = study.DepthEffort()
+    publish(lambda: study.report_depths(study.score_depths(effort, scheduler), effort), out, json)
