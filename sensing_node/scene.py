@@ -25,7 +25,7 @@ from sensing_node.press.scene import ProbeScene
 from sensing_node.press.set_points import SetPointServer
 from sensing_node.sources.recorded import RecordedSource, RecordingScene
 from sensing_node.sources.synthetic import SyntheticScene, SyntheticSource
-from sensing_node.sources.wrist import Wrist, WristScene
+from sensing_node.sources.wrist import ProbedTissue, Wrist, WristScene
 
 logger = logging.getLogger(__name__)
 
@@ -139,7 +139,7 @@ def build_source(scene: SensingScene, folder: Path, plausible: bool = True) -> S
 def serve_set_points(source: object, session: int) -> SetPointServer | None:
     """Return a server of the set-points for the probe of a source; None without a probe."""
     probe = source.probe if isinstance(source, LiveSource) else source
-    return SetPointServer(session, probe) if isinstance(probe, Wrist | LiveProbe) else None
+    return SetPointServer(session, probe) if isinstance(probe, ProbedTissue | LiveProbe) else None
 
 
 def describe_stream(scene: SensingScene, source: Source) -> StreamDescription:

@@ -49,7 +49,7 @@ PARTS: Final = 12
 # Beyond the largest height, where the curve is steepest, a steady sweep rises more slowly: once so
 # many beats have fallen below this share of it.
 FALLING_BEATS, FALLEN, SLOWER = 3, 0.85, 0.3
-# In a steady sweep the pulse may fall faster than the search for beats follows. The search begins
+# With the hold-down the pulse may fall faster than the search for beats follows. The search begins
 # anew after this time without a beat; before its first one it takes longer.
 PULSELESS_NS, FIRST_NS = 2_500_000_000, 5_000_000_000
 # The wrist is released for this time at the end.
@@ -108,6 +108,26 @@ class SweptLevel(NamedTuple):
         return statistics.median(point.height_n for point in good) if len(good) > 1 else 0.0
 
 
+class RenewedAnalysis:
+    """Analysis of beats that begins anew where none was found for a while."""
+
+    def __init__(self) -> None:
+        self._analysis = BeatAnalysis()
+        self._until_ns: int | None = None
+
+    def observe(self, pulse: ChannelSamples) -> list[Beat]:
+        """Take a frame's samples; return the beats that became complete."""
+        now_ns = pulse.times_ns[-1]
+        beats = self._analysis.observe(pulse)
+        if beats:
+            self._until_ns = now_ns + PULSELESS_NS
+        elif self._until_ns is None:
+            self._until_ns = now_ns + FIRST_NS
+        elif now_ns > self._until_ns:
+            self._until_ns, self._analysis = now_ns + FIRST_NS, BeatAnalysis()
+        return beats
+
+
 class DepthSweep:
     """A sweep in progress.
 
@@ -155,8 +175,8 @@ class DepthSweep:
         # Beats and their shapes; the first `_reported` ones are reported already.
         self._points: list[BeatPoint] = []
         self._shapes: list[BeatShape] = []
-        self._analysis = BeatAnalysis()
-        self._near_ns = self._search_until_ns = self._reported = 0
+        self._analysis = RenewedAnalysis()
+        self._near_ns = self._reported = 0
 
     def curve(self) -> DepthCurve:
         """Fit the curve to all beats so far. Raises DepthError."""
@@ -215,10 +235,7 @@ class DepthSweep:
         self._samples.append((first_ns, pulse, sum(hold_downs_n)))
         beats = self._analysis.observe(pulse)
         if beats:
-            self._search_until_ns = now_ns + PULSELESS_NS
             self._add(beats)
-        elif now_ns > self._search_until_ns:
-            self._search_until_ns, self._analysis = now_ns + FIRST_NS, BeatAnalysis()
         if self._plan.ramp_ns is None:
             good = sum(point.quality >= GOOD for point in self._points)
             if good >= self._plan.beats or now_ns - self._settled_ns > self._plan.at_most_ns:
@@ -228,10 +245,9 @@ class DepthSweep:
 
     def _begin_level(self) -> None:
         self._begin_ns = self._settled_ns = None
-        self._near_ns = self._search_until_ns = 0
-        self._analysis = BeatAnalysis()
+        self._analysis = RenewedAnalysis()
         self._samples, self._points, self._shapes = [], [], []
-        self._reported = 0
+        self._near_ns = self._reported = 0
 
     def _settle(self, hold_down_n: float, now_ns: int) -> None:
         """Begin to measure once the hold-down is at the level, or does not get there."""
@@ -243,7 +259,7 @@ class DepthSweep:
             if waited_ns > WITHOUT_NS:
                 self.release(f"the probe does not press: {self._wanted:.2f} N are set for 20 s")
         elif near or waited_ns >= UNSETTLED_NS:
-            self._settled_ns, self._search_until_ns = now_ns, now_ns + FIRST_NS
+            self._settled_ns = now_ns
 
     def _add(self, beats: list[Beat]) -> None:
         """Add beats, and judge all of this level by their similarity to each other."""
@@ -252,14 +268,16 @@ class DepthSweep:
         order = np.argsort(times_ns, kind="stable")
         times_ns, forces_n = times_ns[order], forces_n[order]
         for beat in beats:
-            shape = _shape(beat, times_ns, forces_n)
+            shape = beat_shape(beat, times_ns, forces_n)
             # Beats at the edge of what is kept are not whole.
             if shape is not None:
                 self._shapes.append(shape)
-                self._points.append(_measure(beat, times_ns, forces_n, self._around_peak_n(beat)))
+                self._points.append(
+                    measure_beat(beat, times_ns, forces_n, self._around_peak_n(beat))
+                )
         points, shapes = self._points, self._shapes
         for number in range(max(len(points) - len(beats) - NEIGHBOURS, 0), len(points)):
-            points[number] = points[number]._replace(quality=_quality(number, points, shapes))
+            points[number] = points[number]._replace(quality=judge_beat(number, points, shapes))
         if self._plan.ramp_ns is not None:
             oldest_ns = self._newest_ns - KEPT_NS
             self._samples = [frame for frame in self._samples if frame[0] > oldest_ns]
@@ -347,7 +365,7 @@ class DepthSweep:
             self.release()
 
 
-def _shape(beat: Beat, times_ns: Floats, forces_n: Floats) -> BeatShape | None:
+def beat_shape(beat: Beat, times_ns: Floats, forces_n: Floats) -> BeatShape | None:
     """Return a beat's shape in steps around its onset; None where samples are missing."""
     grid_ns = beat.onset_ns + STEP_NS * np.arange(-BEFORE, AFTER + 1.0)
     if len(times_ns) < 2 or not times_ns[0] <= grid_ns[0] <= grid_ns[-1] <= times_ns[-1]:
@@ -359,7 +377,7 @@ def _shape(beat: Beat, times_ns: Floats, forces_n: Floats) -> BeatShape | None:
     return BeatShape(means, beat.height_n)
 
 
-def _measure(beat: Beat, times_ns: Floats, forces_n: Floats, hold_down_n: float) -> BeatPoint:
+def measure_beat(beat: Beat, times_ns: Floats, forces_n: Floats, hold_down_n: float) -> BeatPoint:
     """Measure a beat's height and shape."""
     interval_ns = beat.interval_s * 1e9
     first, last = np.searchsorted(times_ns, [beat.onset_ns, beat.onset_ns + interval_ns])
@@ -376,7 +394,7 @@ def _measure(beat: Beat, times_ns: Floats, forces_n: Floats, hold_down_n: float)
     )
 
 
-def _quality(number: int, points: Sequence[BeatPoint], shapes: Sequence[BeatShape]) -> float:
+def judge_beat(number: int, points: Sequence[BeatPoint], shapes: Sequence[BeatShape]) -> float:
     """Return a beat's similarity to its neighbours of the same level."""
     before = shapes[max(number - NEIGHBOURS, 0) : number]
     others = [*before, *shapes[number + 1 : number + 1 + NEIGHBOURS]]

@@ -1,8 +1,8 @@
 """The pulse against the hold-down force: its curve, the best force, and a person's three levels.
 
-Beats at many hold-down forces give the curve of the pulse's height by Gaussian process regression
-(Rasmussen and Williams, Gaussian Processes for Machine Learning, 2006, chapters 2 and 5). Outliers
-count less, as with errors of Student's t distribution. Pure.
+Beats at many hold-down forces give the curve of the height's logarithm by Gaussian process
+regression (Rasmussen and Williams, Gaussian Processes for Machine Learning, 2006, chapters 2 and
+5). Outliers count less, as with errors of Student's t distribution. Pure.
 """
 
 import math
@@ -22,9 +22,12 @@ Floats = NDArray[np.float64]
 FEWEST_BEATS, FEWEST_FORCES, APART_N = 12, 4, 0.04
 # Points of the curve.
 POINTS: Final = 601
-# Distances in N over which a curve may bend, and errors of a beat's height over the largest one.
-REACHES_N: Final = (0.2, 0.28, 0.4, 0.56, 0.8)
+# Deviations of the logarithm from a parabola, distances in N over which they change, and relative
+# errors of a beat's height. Heights of a tenth of the largest one have 1.4 times the error.
+BENDS: Final = (0.3, 1.0)
+REACHES_N: Final = (0.2, 0.3, 0.45, 0.7)
 ERRORS: Final = (0.003, 0.006, 0.012, 0.025, 0.05, 0.1)
+SMALL: Final = 0.1
 # Degrees of freedom of the errors, and rounds in which outliers lose their weight.
 FREEDOM, ROUNDS = 4.0, 4
 # Heights within this share of the largest one are as large. So the best force is the lower one
@@ -33,6 +36,8 @@ FLAT: Final = 0.001
 # Light and deepest: where the height is this share of the largest one, before and after it.
 LEVEL_SHARE: Final = 0.5
 DRAWS: Final = 200
+# Heights count as this share of the largest one at least.
+LEAST: Final = 1e-3
 
 
 class BeatPoint(NamedTuple):
@@ -139,32 +144,33 @@ def fit_depth_curve(points: Sequence[BeatPoint]) -> DepthCurve:
         )
     scale_n = float(np.quantile(heights, 0.9))
     grid = np.linspace(forces.min(), forces.max(), POINTS)
-    mean, covariance = _regress(forces, heights / scale_n, grid)
-    deviation = np.sqrt(np.maximum(covariance.diagonal(), 0.0))
+    logs, covariance = _regress(forces, np.maximum(heights / scale_n, LEAST), grid)
     rng = np.random.default_rng(1)
-    factor = np.linalg.cholesky(covariance + 1e-9 * np.eye(POINTS))
-    draws = mean + rng.standard_normal((DRAWS, POINTS)) @ factor.T
-    best, light, deepest = _levels(grid, mean)
+    variances, axes = np.linalg.eigh(covariance)
+    spread = np.sqrt(np.maximum(variances, 0.0))
+    draws = logs + (rng.standard_normal((DRAWS, POINTS)) * spread) @ axes.T
+    best, light, deepest = _levels(grid, logs)
     found = [_levels(grid, draw) for draw in draws]
-    top = int(mean.argmax())
+    height_n = scale_n * np.exp(logs)
+    deviation_n = height_n * np.sqrt(np.maximum(covariance.diagonal(), 0.0))
+    top = int(logs.argmax())
     return DepthCurve(
         points,
         grid,
-        scale_n * mean,
-        scale_n * deviation,
+        height_n,
+        deviation_n,
         Estimate(best, float(np.std([each[0] for each in found]))),
-        Estimate(scale_n * float(mean[top]), scale_n * float(deviation[top])),
+        Estimate(float(height_n[top]), float(deviation_n[top])),
         _estimate(light, [each[1] for each in found]),
         _estimate(deepest, [each[2] for each in found]),
     )
 
 
-def _levels(grid: Floats, curve: Floats) -> tuple[float, float | None, float | None]:
+def _levels(grid: Floats, logs: Floats) -> tuple[float, float | None, float | None]:
     """Return the best force, and those of the levels before and after it."""
-    most = float(curve.max())
-    best = int((curve >= (1 - FLAT) * most).argmax())
-    top = int(curve.argmax())
-    low = curve < LEVEL_SHARE * most
+    top = int(logs.argmax())
+    best = int((logs >= logs[top] + math.log(1 - FLAT)).argmax())
+    low = logs < logs[top] + math.log(LEVEL_SHARE)
     before, after = np.flatnonzero(low[:top]), np.flatnonzero(low[top:])
     light = float(grid[before[-1] + 1]) if len(before) else None
     deepest = float(grid[top + after[0]]) if len(after) else None
@@ -177,41 +183,44 @@ def _estimate(value: float | None, draws: Sequence[float | None]) -> Estimate | 
 
 
 def _regress(forces: Floats, heights: Floats, grid: Floats) -> tuple[Floats, Floats]:
-    """Return mean and covariance on a grid; reach and error have the largest likelihood."""
-    weights = np.ones(len(forces))
-    reach_n, error = REACHES_N[0], ERRORS[-1]
+    """Return mean and covariance of the logarithm on a grid, with the likeliest constants."""
+    logs, weights = np.log(heights), 1 / (1 + (SMALL / heights) ** 2)
+    parabola = np.polyfit(forces, logs, 2, w=np.sqrt(weights))
+    logs = logs - np.polyval(parabola, forces)
+    bend, reach_n, error = BENDS[0], REACHES_N[0], ERRORS[-1]
+    robust = weights
     for _ in range(ROUNDS):
-        reach_n, error = max(
-            product(REACHES_N, ERRORS),
-            key=lambda each: _log_likelihood(forces, heights, weights, *each),
+        bend, reach_n, error = max(
+            product(BENDS, REACHES_N, ERRORS),
+            key=lambda each: _log_likelihood(forces, logs, robust, *each),
         )
-        gains = _gains(forces, weights, reach_n, error)
-        rest = heights - _kernel(forces, forces, reach_n) @ (gains @ heights)
-        weights = (FREEDOM + 1) / (FREEDOM + (rest / error) ** 2)
-    across = _kernel(grid, forces, reach_n)
-    gains = _gains(forces, weights, reach_n, error)
-    mean: Floats = across @ (gains @ heights)
-    covariance: Floats = _kernel(grid, grid, reach_n) - across @ gains @ across.T
+        gains = np.linalg.inv(_noisy(forces, robust, bend, reach_n, error))
+        rest = logs - _kernel(forces, forces, bend, reach_n) @ (gains @ logs)
+        robust = weights * (FREEDOM + 1) / (FREEDOM + weights * (rest / error) ** 2)
+    across = _kernel(grid, forces, bend, reach_n)
+    gains = np.linalg.inv(_noisy(forces, robust, bend, reach_n, error))
+    mean: Floats = np.polyval(parabola, grid) + across @ (gains @ logs)
+    covariance: Floats = _kernel(grid, grid, bend, reach_n) - across @ gains @ across.T
     return mean, covariance
 
 
-def _kernel(a: Floats, b: Floats, reach_n: float) -> Floats:
-    """Return the covariance of heights at two sets of forces, before any is measured."""
-    covariance: Floats = np.exp(-0.5 * ((a[:, None] - b[None, :]) / reach_n) ** 2)
+def _kernel(a: Floats, b: Floats, bend: float, reach_n: float) -> Floats:
+    """Return the covariance at two sets of forces, before anything is measured."""
+    apart = (a[:, None] - b[None, :]) / reach_n
+    covariance: Floats = bend**2 * np.exp(-0.5 * apart**2)
     return covariance
 
 
-def _gains(forces: Floats, weights: Floats, reach_n: float, error: float) -> Floats:
-    """Return the inverse covariance of the measured heights."""
-    covariance = _kernel(forces, forces, reach_n) + np.diag(error**2 / weights)
-    return np.asarray(np.linalg.inv(covariance), np.float64)
+def _noisy(forces: Floats, weights: Floats, bend: float, reach_n: float, error: float) -> Floats:
+    """Return the covariance of what is measured."""
+    covariance: Floats = _kernel(forces, forces, bend, reach_n) + np.diag(error**2 / weights)
+    return covariance
 
 
 def _log_likelihood(
-    forces: Floats, heights: Floats, weights: Floats, reach_n: float, error: float
+    forces: Floats, logs: Floats, weights: Floats, bend: float, reach_n: float, error: float
 ) -> float:
     """Return the log marginal likelihood (Rasmussen and Williams, equation 2.30)."""
-    covariance = _kernel(forces, forces, reach_n) + np.diag(error**2 / weights)
-    factor = np.linalg.cholesky(covariance)
-    white = np.linalg.solve(factor, heights)
+    factor = np.linalg.cholesky(_noisy(forces, weights, bend, reach_n, error))
+    white = np.linalg.solve(factor, logs)
     return -0.5 * float(white @ white) - float(np.log(factor.diagonal()).sum())

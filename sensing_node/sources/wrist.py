@@ -126,34 +126,27 @@ class WristSensors:
         return film_n, self._cell_n + self._scene.cell_noise_n * noise[1]
 
 
-class Wrist:
-    """Source of the channels "pulse" (the film) and "hold-down" (the load cell) of a pressed wrist.
-
-    The probe's drive and the tissue are integrated sample by sample, as samples are taken.
+class ProbedTissue:
+    """Soft tissue under a probe with a modelled drive, both integrated sample by sample.
 
     Attributes
     ----------
+    period_ns
+        Time between samples.
     probe
         Controller of the probe, which takes the set-points.
-    artery
-        Artery under the probe.
     force_n
         True static force on the wrist after the last sample.
-    pressures_pa
-        Arterial pressures of the samples that were taken last.
     """
 
     channels = WristSensors.channels
 
-    def __init__(self, scene: WristScene, limits: ProbeLimits | None = None) -> None:
-        self._sensors = sensors = WristSensors(scene)
-        self._law = StiffeningLaw(scene.knee_n, scene.length_m)
-        self.period_ns, self.artery = sensors.period_ns, sensors.artery
+    def __init__(self, period_ns: int, limits: ProbeLimits | None, law: StiffeningLaw) -> None:
+        self._law, self.period_ns = law, period_ns
         self.probe = Probe(limits or ProbeLimits(), StiffeningLaw())
         self._time_ns = 0
         self._speed_m_per_s = self._position_m = 0.0
         self.force_n = 0.0
-        self.pressures_pa: list[float] = []
 
     @property
     def state(self) -> str:
@@ -174,6 +167,33 @@ class Wrist:
         """Take a set-point in N."""
         self.probe.press(force_n, self._time_ns)
 
+    def _move(self, film_n: float, cell_n: float) -> None:
+        """Advance probe, drive and tissue by a sample of film and load cell."""
+        period_s = self.period_ns * 1e-9
+        wanted = self.probe.step(cell_n, film_n, self._position_m, self._time_ns)
+        self._speed_m_per_s += (wanted - self._speed_m_per_s) * -math.expm1(-period_s / DRIVE_LAG_S)
+        self._position_m += self._speed_m_per_s * period_s
+        self.force_n = self._law.force_n(self.depth_m)
+        self._time_ns += self.period_ns
+
+
+class Wrist(ProbedTissue):
+    """Source of the channels "pulse" (the film) and "hold-down" (the load cell) of a pressed wrist.
+
+    Attributes
+    ----------
+    artery
+        Artery under the probe.
+    pressures_pa
+        Arterial pressures of the samples that were taken last.
+    """
+
+    def __init__(self, scene: WristScene, limits: ProbeLimits | None = None) -> None:
+        self._sensors = sensors = WristSensors(scene)
+        super().__init__(sensors.period_ns, limits, StiffeningLaw(scene.knee_n, scene.length_m))
+        self.artery = sensors.artery
+        self.pressures_pa: list[float] = []
+
     def take(self, count: int) -> NDArray[np.float64]:
         """Return the next samples in N, shape (count, 2)."""
         self.pressures_pa, noise = self._sensors.next_samples(count)
@@ -181,11 +201,6 @@ class Wrist:
         return np.array(rows).reshape(count, 2)
 
     def _step(self, pressure_pa: float, noise: list[float]) -> tuple[float, float]:
-        period_s = self.period_ns * 1e-9
         film_n, cell_n = self._sensors.sense(pressure_pa, noise, self.force_n)
-        wanted = self.probe.step(cell_n, film_n, self._position_m, self._time_ns)
-        self._speed_m_per_s += (wanted - self._speed_m_per_s) * -math.expm1(-period_s / DRIVE_LAG_S)
-        self._position_m += self._speed_m_per_s * period_s
-        self.force_n = self._law.force_n(self.depth_m)
-        self._time_ns += self.period_ns
+        self._move(film_n, cell_n)
         return film_n, cell_n

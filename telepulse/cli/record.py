@@ -4,6 +4,7 @@
 """
 
 import logging
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -89,6 +90,13 @@ def replay(
     key: KeyOption = None,
     allow: AllowOption = None,
     insecure: InsecureOption = False,
+    press: Annotated[
+        bool,
+        typer.Option(
+            "--press",
+            help="Let a finger press a recorded sweep anew: the pulse follows its hold-down.",
+        ),
+    ] = False,
 ) -> None:
     """Play a recording as a sensing node would: the same samples at the same intervals.
 
@@ -96,11 +104,15 @@ def replay(
     recording lacks count as lost. Of several sessions, the longest is played. Displays connect
     as to a sensing node; --allow limits them.
 
+    With --press, a recording of a sweep (`telepulse sweep --record`) becomes a wrist: its beats are
+    played again and again, with height and shape of the hold-down that a display's finger sets.
+
     Exit status: 0 at the end of the recording, 2 when the recording cannot be read or the
     address cannot be used; the reason is one line on stderr.
     """
-    from sensing_node.feeds import ReplaySource
+    from sensing_node.feeds import ReplaySource, Source
     from sensing_node.node import SensingNode
+    from telepulse.recording.recorded_wrist import RecordedWrist
     from telepulse.recording.session import longest_session
 
     console = plain_console(quiet, json)
@@ -111,7 +123,10 @@ def replay(
         keys = server_keys(bind, key, allow, insecure)
         session = longest_session(file)
         description = session.description
-        source = ReplaySource(description, session.frames())
+        source: Source = ReplaySource(description, session.frames())
+        if press:
+            source = RecordedWrist(session)
+            description = replace(description, channels=source.channels)
         node = SensingNode(source, description, bind, keys=keys)
         provenance = collect()
     stop_on_signals(node.stop)

@@ -1,0 +1,208 @@
+"""A recorded sweep as a wrist that can be pressed: its pulse follows the hold-down of a new press.
+
+The recorded beats are sorted into levels of hold-down. A beat is played with a recorded interval;
+at each sample, the shape is that of the two nearest levels at the same part of a beat, blended, and
+the height that of the curve fitted to all beats.
+"""
+
+from bisect import bisect_right
+from collections.abc import Sequence
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from display_node.press.sweep import RenewedAnalysis, beat_shape, judge_beat, measure_beat
+from display_node.scoring.beat_quality import GOOD, BeatShape
+from display_node.scoring.beats import Beat
+from display_node.scoring.depth_curve import BeatPoint, DepthCurve, fit_depth_curve
+from protocol.errors import SourceError
+from protocol.tissue import StiffeningLaw
+from protocol.wire.messages import channel_samples
+from protocol.wire.stream import HOLD_DOWN, PULSE
+from sensing_node.press.probe import ProbeLimits
+from sensing_node.sources.wrist import ProbedTissue
+from telepulse.recording.session import RecordedSession
+
+Floats = NDArray[np.float64]
+# Beats whose hold-down differs by less belong to one level; a beat's own may change by this share
+# and force, as in a steady sweep.
+LEVEL_N: Final = 0.04
+STEADY_SHARE, STEADY_N = 0.03, 0.03
+# The hold-down steps where it changes by this share and force within this number of samples. The
+# beats of the next level are searched anew.
+STEP_SHARE, STEP_N, STEP_SAMPLES = 0.02, 0.015, 300
+# Parts of a beat's shape, and the part at which its peak is put: beats of two levels are blended
+# peak to peak, since a stronger press shortens the rise.
+PARTS, PEAK_AT = 400, 60
+
+
+class RecordedBeat(NamedTuple):
+    """A beat at a hold-down force: its measures, interval, and shape of height 1 in equal parts."""
+
+    point: BeatPoint
+    interval_s: float
+    shape: Floats
+
+
+class RecordedLevel(NamedTuple):
+    """Beats at about one hold-down force, and their shapes."""
+
+    force_n: float
+    shapes: Sequence[list[float]]
+
+
+class RecordedWrist(ProbedTissue):
+    """Source of the channels "pulse" and "hold-down" of a recorded sweep, pressed anew.
+
+    Below the least recorded hold-down the pulse fades to nothing at no force; beyond the greatest
+    one it stays as there. The depth of the tissue is that of a typical wrist.
+
+    curve: the curve fitted to the recording's beats. Raises SourceError without the two channels,
+    and DepthError with too few good beats, or too few hold-down forces.
+    """
+
+    def __init__(self, session: RecordedSession, limits: ProbeLimits | None = None) -> None:
+        super().__init__(session.description.period_ns, limits, StiffeningLaw())
+        beats, points = _read_beats(session)
+        self.curve: DepthCurve = fit_depth_curve(points)
+        self._levels = _sort_into_levels(beats)
+        self._forces_n = [level.force_n for level in self._levels]
+        self._heights: list[float] = self.curve.height_n.tolist()
+        self._least_n = float(self.curve.force_n[0])
+        self._step_n = float(self.curve.force_n[1]) - self._least_n
+        self._intervals_s = [beat.interval_s for beat in beats]
+        self._number = 0
+        self._phase = 0.0
+
+    def take(self, count: int) -> Floats:
+        """Return the next samples in N, shape (count, 2)."""
+        return np.array([self._next() for _ in range(count)]).reshape(count, 2)
+
+    def _next(self) -> tuple[float, float]:
+        force_n = self.force_n
+        film_n = self._height_n(force_n) * self._shape(force_n) if force_n > 0 else 0.0
+        interval_s = self._intervals_s[self._number % len(self._intervals_s)]
+        self._phase += self.period_ns * 1e-9 / interval_s
+        if self._phase >= 1.0:
+            self._phase -= 1.0
+            self._number += 1
+        cell_n = force_n + film_n
+        self._move(film_n, cell_n)
+        return film_n, cell_n
+
+    def _height_n(self, force_n: float) -> float:
+        if force_n < self._least_n:
+            return self._heights[0] * force_n / self._least_n
+        place = min((force_n - self._least_n) / self._step_n, len(self._heights) - 1.001)
+        at = int(place)
+        low_n = self._heights[at]
+        return low_n + (self._heights[at + 1] - low_n) * (place - at)
+
+    def _shape(self, force_n: float) -> float:
+        """Return the present value of the shape at a force, between 0 and about 1."""
+        forces, levels = self._forces_n, self._levels
+        above = bisect_right(forces, force_n)
+        if above == 0 or above == len(forces):
+            return self._value(levels[min(above, len(forces) - 1)])
+        low_n, high_n = forces[above - 1], forces[above]
+        part = (force_n - low_n) / (high_n - low_n)
+        low, high = self._value(levels[above - 1]), self._value(levels[above])
+        return low + (high - low) * part
+
+    def _value(self, level: RecordedLevel) -> float:
+        shape = level.shapes[self._number % len(level.shapes)]
+        place = self._phase * PARTS
+        at = int(place)
+        return shape[at] + (shape[at + 1] - shape[at]) * (place - at)
+
+
+def _read_beats(session: RecordedSession) -> tuple[list[RecordedBeat], list[BeatPoint]]:
+    """Return the good beats of a recording in the order of hold-down, and the points of all beats.
+
+    Raises SourceError.
+    """
+    times_ns, pulse_n, hold_downs_n, beats = _analyse(session)
+    steady: list[tuple[BeatPoint, BeatShape, Beat]] = []
+    for beat in beats:
+        shape = beat_shape(beat, times_ns, pulse_n)
+        held_n = hold_downs_n[_span(beat, times_ns)]
+        if shape is None or len(held_n) * session.description.period_ns < 0.9e9 * beat.interval_s:
+            continue
+        force_n, edge = float(held_n.mean()), len(held_n) // 10 + 1
+        moved_n = abs(float(held_n[-edge:].mean() - held_n[:edge].mean()))
+        if moved_n <= STEADY_SHARE * force_n + STEADY_N:
+            steady.append((measure_beat(beat, times_ns, pulse_n, force_n), shape, beat))
+    # In the order of the hold-down, neighbours are alike.
+    steady.sort(key=lambda each: each[0].hold_down_n)
+    points, shapes = [each[0] for each in steady], [each[1] for each in steady]
+    points = [
+        point._replace(quality=judge_beat(number, points, shapes))
+        for number, point in enumerate(points)
+    ]
+    found = [
+        RecordedBeat(point, beat.interval_s, _drawn(beat, times_ns, pulse_n))
+        for point, (*_, beat) in zip(points, steady, strict=True)
+        if point.quality >= GOOD
+    ]
+    return found, points
+
+
+def _analyse(session: RecordedSession) -> tuple[Floats, Floats, Floats, list[Beat]]:
+    """Return times, pulse and hold-down of all samples, and the beats. Raises SourceError."""
+    description, analysis, beats = session.description, RenewedAnalysis(), list[Beat]()
+    names = [channel.name for channel in description.channels]
+    if HOLD_DOWN not in names or PULSE not in names:
+        raise SourceError(
+            f"the recording has the channels {', '.join(names)}; to be pressed it needs"
+            f" {PULSE!r} and {HOLD_DOWN!r}, as one of a pressed wrist has"
+        )
+    film, cell = names.index(PULSE), names.index(HOLD_DOWN)
+    times, pulse, held = list[int](), list[Floats](), list[Floats]()
+    for frame in session.frames():
+        values = frame.values.astype(np.float64)
+        samples = channel_samples(
+            frame.first_sample, frame.t_first_ns, frame.period_ns, values[:, film].tolist()
+        )
+        times += samples.times_ns
+        pulse.append(values[:, film])
+        held.append(values[:, cell] - values[:, film])
+        now_n = float(held[-1].mean())
+        earlier_n = float(held[-min(STEP_SAMPLES // len(values) + 1, len(held))].mean())
+        if abs(now_n - earlier_n) > STEP_SHARE * abs(now_n) + STEP_N:
+            analysis = RenewedAnalysis()
+        else:
+            beats += analysis.observe(samples)
+    return np.array(times, float), np.concatenate(pulse), np.concatenate(held), beats
+
+
+def _span(beat: Beat, times_ns: Floats) -> slice:
+    end_ns = beat.onset_ns + round(beat.interval_s * 1e9)
+    first, last = np.searchsorted(times_ns, [beat.onset_ns, end_ns])
+    return slice(int(first), int(last))
+
+
+def _drawn(beat: Beat, times_ns: Floats, pulse_n: Floats) -> Floats:
+    """Return a beat's shape, without the line from its begin to its end, with its peak in place."""
+    at_ns = beat.onset_ns + np.linspace(0, beat.interval_s * 1e9, PARTS + 1)
+    values: Floats = np.interp(at_ns, times_ns, pulse_n)
+    values = (values - np.linspace(values[0], values[-1], PARTS + 1))[:PARTS]
+    # Without that line, the beat's begin follows its end.
+    values = np.roll(values, PEAK_AT - int(values.argmax()))
+    return np.append(values, values[0]) / np.ptp(values)
+
+
+def _sort_into_levels(beats: Sequence[RecordedBeat]) -> list[RecordedLevel]:
+    """Return the levels of hold-down, from the least to the greatest."""
+    groups: list[list[RecordedBeat]] = []
+    for beat in beats:
+        if not groups or beat.point.hold_down_n - groups[-1][0].point.hold_down_n > LEVEL_N:
+            groups.append([])
+        groups[-1].append(beat)
+    return [
+        RecordedLevel(
+            float(np.mean([beat.point.hold_down_n for beat in group])),
+            [[*beat.shape.tolist(), 0.0] for beat in group],
+        )
+        for group in groups
+    ]
