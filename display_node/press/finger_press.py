@@ -115,6 +115,8 @@ class FingerPress:
         Static force of the finger.
     yielded_m
         Distance by which the tip has yielded.
+    swept_n
+        Force that a sweep presses with in place of the finger; None without a sweep.
     loop_gain
         Measured gain of the loop through the network.
     curve, stiffness
@@ -138,11 +140,13 @@ class FingerPress:
         self.curve, self.stiffness = PulseCurve(limits.force_n), StiffnessFit()
         self.sender = SetPointSender(press, limits.force_n, limits.slew_n_per_s)
         self.yielded_m = 0.0
+        self.swept_n: float | None = None
 
     @property
     def press_n(self) -> float:
         """Static force of the finger, within the limit."""
-        return min(self._reading.press_n, self._limits.force_n)
+        press_n = self._reading.press_n if self.swept_n is None else self.swept_n
+        return min(press_n, self._limits.force_n)
 
     @property
     def static_n(self) -> float:

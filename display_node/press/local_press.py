@@ -109,7 +109,8 @@ class LocalPress:
         yielded_m = press.tick(now_ns)
         if self._sweep is not None:
             self._sweep.tick(now_ns, self._probe)
-            press.read(self._sweep.press_n, 0.0, now_ns)
+            press.swept_n = self._sweep.press_n
+            press.read(press.swept_n, 0.0, now_ns)
         elif self._sensor is not None:
             for block in self._sensor.poll():
                 for reading_n, at_ns in zip(block.force_n, block.times_ns, strict=True):

@@ -28,10 +28,10 @@ Floats = NDArray[np.float64]
 # Beats whose hold-down differs by less belong to one level; a beat's own may change by this share
 # and force, as in a steady sweep.
 LEVEL_N: Final = 0.04
-STEADY_SHARE, STEADY_N = 0.03, 0.03
+STEADY_SHARE, STEADY_N = 0.03, 0.05
 # The hold-down steps where it changes by this share and force within this number of samples. The
 # beats of the next level are searched anew.
-STEP_SHARE, STEP_N, STEP_SAMPLES = 0.02, 0.015, 300
+STEP_SHARE, STEP_N, STEP_SAMPLES = 0.03, 0.03, 300
 # Parts of a beat's shape, and the part at which its peak is put: beats of two levels are blended
 # peak to peak, since a stronger press shortens the rise.
 PARTS, PEAK_AT = 400, 60
