@@ -51,7 +51,7 @@ PARTS: Final = 12
 FALLING_BEATS, FALLEN, SLOWER = 3, 0.85, 0.3
 # With the hold-down the pulse may fall faster than the search for beats follows. The search begins
 # anew after this time without a beat; before its first one it takes longer.
-PULSELESS_NS, FIRST_NS = 2_500_000_000, 5_000_000_000
+PULSELESS_NS, FIRST_NS = 2_500_000_000, 10_000_000_000
 # The wrist is released for this time at the end.
 RELEASE_NS: Final = 1_000_000_000
 # A beat is flat where it is within this share of its height above the foot.

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from protocol.wire import messages as wire
-from tests.support.nodes import ROOT, free_address, process, run
+from tests.support.nodes import ROOT, process, run
+from tests.support.recorded_sweeps import SweptWrist, record_session, session_of
 from tests.support.sensing_client import Client
 from tests.system.nodes.test_press_nodes import await_hold_down, set_point
 
@@ -48,32 +49,32 @@ def test_what_cannot_be_swept_is_one_line(arguments: tuple[str, ...], reason: st
     assert done.stderr.count("\n") == 1
 
 
-@pytest.mark.timeout(200)
-def test_a_live_sweep_is_recorded_and_its_recording_pressed(tmp_path: Path) -> None:
-    address, again = free_address(), free_address()
-    recording = tmp_path / "sweep.mcap"
-    live = ("sweep", SCENE, "--connect", address, "--ramp", "20", "--low", "0.6 N")
-    live += ("--high", "1.8 N", "--out", str(tmp_path / "out"), "--record", str(recording))
+def test_a_stopped_live_sweep_eases_off_and_names_what_is_missing(
+    address: str, tmp_path: Path
+) -> None:
+    live = ("sweep", SCENE, "--connect", address, "--out", str(tmp_path / "out"))
     with process("sensing_node.cli", SCENE, "--bind", address, "--quiet"):
-        done = run(MODULE, *live)
-        assert done.returncode == 0, done.stderr
-        with process(MODULE, *live[:4], "--out", str(tmp_path / "stopped")) as stopped:
-            with closing(Client(address)) as client:
-                client.join()
-                await_hold_down(client, 0.15, 0.3)
+        with process(MODULE, *live) as stopped, closing(Client(address)) as client:
+            client.join()
+            await_hold_down(client, 0.15, 0.25)
             stopped.send_signal(signal.SIGINT)
             _, errors = stopped.communicate(timeout=30)
+            await_hold_down(client, -0.05, 0.05)
         assert stopped.returncode == 2
         assert "too few beats for a curve" in errors
-    heights_n = {}
-    arguments = (str(recording), "--press", "--bind", again, "--quiet")
-    with process(MODULE, "replay", *arguments), closing(Client(again)) as client:
+
+
+def test_a_recorded_sweep_is_pressed_anew(address: str, tmp_path: Path) -> None:
+    recording, heights_n = tmp_path / "sweep.mcap", {}
+    record_session(recording, session_of(SweptWrist().taken))
+    arguments = (str(recording), "--press", "--bind", address, "--quiet")
+    with process(MODULE, "replay", *arguments), closing(Client(address)) as client:
         session, number = client.join().session, 0
         for force_n in (0.8, 1.2):
             values = []
-            for _ in range(200):
+            for _ in range(500):
                 client.ask(set_point(session, 1, number, force_n))
                 number += 1
                 values.append(wire.decode_frame(client.data.recv()).values)
-            heights_n[force_n] = float(np.ptp(np.concatenate(values)[-500:, 0]))
+            heights_n[force_n] = float(np.ptp(np.concatenate(values)[-900:, 0]))
     assert heights_n[1.2] > 1.5 * heights_n[0.8] > 0.1

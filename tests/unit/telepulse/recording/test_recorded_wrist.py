@@ -4,53 +4,20 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from display_node.press.sweep import DepthSweep, SweepPlan
 from protocol.errors import DepthError, SourceError
-from protocol.tactile import ElasticLayer
-from protocol.wire.messages import Frame, encode_frame
-from protocol.wire.stream import Channel, StreamDescription
+from protocol.wire.stream import Channel
 from sensing_node.scene import serve_set_points
-from sensing_node.sources.wrist import Wrist, WristScene
 from telepulse.recording.recorded_wrist import RecordedWrist
-from telepulse.recording.session import RecordedSession
-from telepulse.simulation.depth_loop import BATCH, sweep_wrist
-
-PERIOD_NS = 1_000_000
-
-
-class Recorded(Wrist):
-    """A wrist that keeps the samples that were taken."""
-
-    taken: list[NDArray[np.float64]]
-
-    def take(self, count: int) -> NDArray[np.float64]:
-        self.taken.append(super().take(count))
-        return self.taken[-1]
-
-
-def session_of(
-    taken: list[NDArray[np.float64]], channels: tuple[Channel, ...] = Wrist.channels
-) -> RecordedSession:
-    description = StreamDescription("swept", PERIOD_NS, BATCH, channels, ElasticLayer())
-    data = {
-        number * BATCH: encode_frame(
-            Frame(1, number * BATCH, number * BATCH * PERIOD_NS, PERIOD_NS, values.astype("<f4"))
-        )
-        for number, values in enumerate(taken)
-    }
-    return RecordedSession(1, description, data, BATCH * len(taken))
+from telepulse.simulation.depth_loop import BATCH
+from tests.support.recorded_sweeps import PERIOD_NS, SweptWrist, session_of
 
 
 @pytest.fixture(scope="module")
-def wrist() -> Recorded:
-    """Return a wrist that was swept once."""
-    swept = Recorded(WristScene.model_validate({"kind": "wrist", "noise": "0.5 mN"}))
-    swept.taken = []
-    sweep_wrist(swept, DepthSweep(SweepPlan()), 2.5)
-    return swept
+def wrist() -> SweptWrist:
+    return SweptWrist()
 
 
-def press(wrist: RecordedWrist | Wrist, force_n: float, seconds: float) -> NDArray[np.float64]:
+def press(wrist: RecordedWrist, force_n: float, seconds: float) -> NDArray[np.float64]:
     """Press with a force, and return the samples meanwhile."""
     taken = []
     for _ in range(round(seconds * 1e9) // (BATCH * PERIOD_NS)):
@@ -59,7 +26,7 @@ def press(wrist: RecordedWrist | Wrist, force_n: float, seconds: float) -> NDArr
     return np.concatenate(taken)
 
 
-def test_height_and_shape_follow_the_finger(wrist: Recorded) -> None:
+def test_height_and_shape_follow_the_finger(wrist: SweptWrist) -> None:
     recorded = RecordedWrist(session_of(wrist.taken))
     for force_n in (0.4, 0.9, 1.6, 1.05, 1.2):
         press(recorded, force_n, 2.0)
@@ -75,7 +42,7 @@ def test_height_and_shape_follow_the_finger(wrist: Recorded) -> None:
     assert np.diff(np.flatnonzero(np.diff(high.astype(int)) > 0)) == pytest.approx(800, abs=80)
 
 
-def test_without_set_points_it_eases_off_and_the_pulse_fades(wrist: Recorded) -> None:
+def test_without_set_points_it_eases_off_and_the_pulse_fades(wrist: SweptWrist) -> None:
     recorded = RecordedWrist(session_of(wrist.taken))
     press(recorded, 1.2, 1.0)
     for _ in range(800):
@@ -84,7 +51,7 @@ def test_without_set_points_it_eases_off_and_the_pulse_fades(wrist: Recorded) ->
     assert np.ptp(recorded.take(1000)[:, 0]) < 1e-3
 
 
-def test_recordings_that_cannot_be_pressed_are_refused_with_the_reason(wrist: Recorded) -> None:
+def test_recordings_that_cannot_be_pressed_are_refused_with_the_reason(wrist: SweptWrist) -> None:
     with pytest.raises(DepthError, match="too few beats"):
         RecordedWrist(session_of(wrist.taken[:3000]))
     others = Channel("pulse"), Channel("left")

@@ -1,0 +1,57 @@
+"""A recorded sweep of the modelled wrist, as a session and as a file, without a display."""
+
+from base64 import b64encode
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from display_node.press.sweep import DepthSweep, SweepPlan
+from protocol.tactile import ElasticLayer
+from protocol.wire.messages import Frame, Welcome, encode_control, encode_frame
+from protocol.wire.stream import Channel, StreamDescription
+from sensing_node.sources.wrist import Wrist, WristScene
+from telepulse.recording.mcap_writer import McapWriter
+from telepulse.recording.session import RecordedSession
+from telepulse.simulation.depth_loop import BATCH, sweep_wrist
+from telepulse.telemetry.decoder import Entry
+from telepulse.telemetry.schema import FRAME, STREAM
+
+PERIOD_NS = 1_000_000
+
+
+class SweptWrist(Wrist):
+    """A wrist that was swept once, and the samples that were taken."""
+
+    def __init__(self) -> None:
+        super().__init__(WristScene.model_validate({"kind": "wrist", "noise": "0.5 mN"}))
+        self.taken: list[NDArray[np.float64]] = []
+        sweep_wrist(self, DepthSweep(SweepPlan()), 2.5)
+
+    def take(self, count: int) -> NDArray[np.float64]:
+        """Return the next samples, and keep them."""
+        self.taken.append(super().take(count))
+        return self.taken[-1]
+
+
+def session_of(
+    taken: list[NDArray[np.float64]], channels: tuple[Channel, ...] = Wrist.channels
+) -> RecordedSession:
+    """Return samples as a recorded session."""
+    description = StreamDescription("swept", PERIOD_NS, BATCH, channels, ElasticLayer())
+    data = {
+        number * BATCH: encode_frame(
+            Frame(1, number * BATCH, number * BATCH * PERIOD_NS, PERIOD_NS, values.astype("<f4"))
+        )
+        for number, values in enumerate(taken)
+    }
+    return RecordedSession(1, description, data, BATCH * len(taken))
+
+
+def record_session(path: Path, session: RecordedSession) -> None:
+    """Write a session as a recording."""
+    writer = McapWriter(path)
+    welcome = encode_control(Welcome(session.number, 0, session.description))
+    for topic, data in ((STREAM, welcome), *((FRAME, data) for data in session.data.values())):
+        writer.add(Entry(topic, 1, {"data": b64encode(data).decode()}))
+    writer.close()
