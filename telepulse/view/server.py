@@ -3,9 +3,12 @@
 Needs the extra `view` (Bokeh), which the caller has checked (`telepulse.cli.view.check_bokeh`).
 """
 
+import errno
 import logging
 import math
+import socket
 import time
+from contextlib import ExitStack
 from http import HTTPStatus
 from typing import Any
 from urllib.parse import urlsplit
@@ -13,7 +16,6 @@ from urllib.parse import urlsplit
 from bokeh.document import Document
 from bokeh.server.server import BaseServer
 from bokeh.server.tornado import BokehTornado
-from bokeh.server.util import bind_sockets
 from tornado import httputil
 from tornado.httpserver import HTTPServer
 from tornado.httputil import HTTPServerRequest
@@ -100,6 +102,29 @@ LINGER_S = 0.5
 TRIES = 5
 
 
+def bind(host: str, port: int) -> tuple[list[socket.socket], int]:
+    """Listen on one port of each address of a host; return the sockets and the port.
+
+    Raises OSError; then, unlike with tornado's function for this, no socket stays open.
+    """
+    bound: list[socket.socket] = []
+    with ExitStack() as stack:
+        found = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)
+        for family, *_, address in sorted(set(found)):
+            try:
+                listening = socket.create_server((str(address[0]), port), family=family)
+            except OSError as error:
+                # Hosts without IPv6 may still resolve a name to an address of it.
+                if bound and family == socket.AF_INET6 and error.errno != errno.EADDRINUSE:
+                    continue
+                raise
+            bound.append(stack.enter_context(listening))
+            listening.setblocking(False)
+            port = listening.getsockname()[1]
+        stack.pop_all()
+    return bound, port
+
+
 class PageServer:
     """Server of the live page of the display that publishes at `address`.
 
@@ -152,7 +177,7 @@ class PageServer:
         numbers = [port] if port is not None else [PORT, *free]
         for number in numbers:
             try:
-                listening, bound = bind_sockets(host, number)
+                listening, bound = bind(host, number)
             except OSError as error:
                 reason = error.strerror
                 continue

@@ -72,7 +72,8 @@ def recipes(arguments: list[str]) -> list[str]:
     )
     assert made.returncode == 0, f"make {shlex.join(arguments)}: {made.stderr}"
     lines = [line.removeprefix(".venv/bin/") for line in made.stdout.splitlines()]
-    return [line for line in lines if not re.search(r"-m (pip|venv)\b|^touch .venv|^make: ", line)]
+    installs = r"-m (pip|venv)\b|^(touch|rm -f) .venv|^make: "
+    return [line for line in lines if not re.search(installs, line)]
 
 
 def _filled(word: str) -> str:
