@@ -8,9 +8,9 @@ PER_MINUTE = Unit("1/min", "/min", ".0f", base=1 / 60)
 WHOLE_MILLISECONDS = MILLISECONDS._replace(form=".0f")
 
 
-@dataclass(slots=True)
+@dataclass(frozen=True, slots=True)
 class AnnounceFigures:
-    """AnnounceFigures of an ECG that announces the beats; of a stream without one, all are null."""
+    """Figures of an ECG that announces the beats; of a stream without one, all are null."""
 
     r_waves: int | None = figure(
         "R waves found in the channel that announces the beats",
@@ -44,10 +44,10 @@ class AnnounceFigures:
 
 @dataclass(frozen=True, slots=True)
 class BeatFigures:
-    """BeatFigures of the received pulse; medians are over the last minute of good beats."""
+    """Figures of the received pulse; medians are over the last minute of good beats."""
 
     count: int | None = figure(
-        "BeatFigures of the received pulse",
+        "Beats of the received pulse",
         metric="beats_total",
         noun=("beat", "beats"),
     )

@@ -1,5 +1,7 @@
 """The channel that announces the beats of a stream: its R waves go to the predictor. Pure."""
 
+from dataclasses import replace
+
 from display_node.prediction import Predictor
 from display_node.prediction.grid import STEP_NS
 from display_node.prediction.r_waves import RWaveDetector
@@ -30,10 +32,10 @@ class BeatAnnouncement:
         """Return the figures of the announcement so far."""
         transit, count = self._predictor.transit, self._count
         figures = AnnounceFigures(count, self._used / count if count else None, self._unused)
-        if transit is not None and transit.median is not None:
-            figures.transit_ms = STEP_MS * transit.median
-            figures.deviation_ms = STEP_MS * transit.deviation
-        return figures
+        if transit is None or transit.median is None:
+            return figures
+        transit_ms, deviation_ms = STEP_MS * transit.median, STEP_MS * transit.deviation
+        return replace(figures, transit_ms=transit_ms, deviation_ms=deviation_ms)
 
     @property
     def _unused(self) -> str | None:
