@@ -129,6 +129,8 @@ class FingerPress:
         self._limits = limits
         self._reading, self._gain = PressReading(), LoopGain()
         self._heights = PulseHeight()
+        # The newest beat was doubtful; it is known before the heights of its time are learnt.
+        self._doubtful = False
         self._read_ns: int | None = None
         self._tick_ns: int | None = None
         self._alive_ns: int | None = None
@@ -212,6 +214,7 @@ class FingerPress:
         """Begin with times that are unrelated to those before; what was learnt is kept."""
         self._heights = PulseHeight()
         self._frames.clear()
+        self._doubtful = False
         self._learnt_ns = self._newest_ns = -(1 << 62)
 
     def _learn(self, now_ns: int, hold_down_n: float, pulse_n: float) -> None:
@@ -225,16 +228,22 @@ class FingerPress:
             self._learnt_ns = at_ns
             beat_ns = self._reading.beat_ns
             found = self._heights.add(mean_hold_down_n, mean_n, at_ns, beat_ns)
-            if found is not None and found[0] > TOUCH_N:
+            if found is not None and found[0] > TOUCH_N and not self._doubtful:
                 self.curve.observe(*found)
 
     def felt_n(self, relative: float) -> float:
         """Return the pulse in N, as the present press would give it, for its relative value."""
         return (relative - self._mean) * self.height_n(self.static_n)
 
-    def set_beat(self, interval_s: float) -> None:
-        """Take the time of a beat, over which the reading is averaged."""
-        self._reading.beat_ns = round(min(max(interval_s, 0.3), 2.0) * 1e9)
+    def take_beat(self, interval_s: float, good: bool) -> None:
+        """Take the time of a new beat, over which the reading is averaged, if the beat is good.
+
+        After a doubtful one nothing is learnt until the next good one: a hand that moves gives
+        heights of its own.
+        """
+        self._doubtful = not good
+        if good:
+            self._reading.beat_ns = round(min(max(interval_s, 0.3), 2.0) * 1e9)
 
     def read(self, reading_n: float, pulse_n: float, now_ns: int) -> None:
         """Take a reading of the press sensor, and the pulse that was rendered at its time."""

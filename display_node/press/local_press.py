@@ -77,9 +77,9 @@ class LocalPress:
         return pulse._replace(forces_n=[best * each for each in relative])
 
     def take_beats(self, beats: list[Beat]) -> None:
-        """Take new beats of the pulse, over whose time the reading is averaged."""
-        if beats:
-            self._press.set_beat(beats[-1].interval_s)
+        """Take new beats of the pulse; from doubtful ones nothing is learnt."""
+        for beat in beats:
+            self._press.take_beat(beat.interval_s, beat.good)
 
     def scale(self, wrist_n: list[float], first_ns: int, step_ns: int, ratio: float) -> list[float]:
         """Return forces at the finger for forces at the wrist: press, and the pulse it would give.

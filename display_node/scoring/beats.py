@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from display_node.scoring.beat_quality import AFTER, BEFORE, BeatShape, ShapeMemory
+from display_node.scoring.beat_quality import AFTER, BEFORE, GOOD, BeatShape, ShapeMemory
 from protocol.wire.messages import ChannelSamples
 
 Floats = NDArray[np.float64]
@@ -67,6 +67,11 @@ class Beat(NamedTuple):
     height_n: float
     interval_s: float
     quality: float | None
+
+    @property
+    def good(self) -> bool:
+        """True unless the beat is doubtful; one that cannot be compared yet counts as good."""
+        return self.quality is None or self.quality >= GOOD
 
     @property
     def upstroke_s(self) -> float:

@@ -187,7 +187,7 @@ class PressLoop:
         relative = list(map(self.press.relative, pulse.forces_n, hold_downs_n))
         samples = channel_samples(frame.first_sample, frame.t_first_ns, TICK_NS, relative)
         for beat in self._beats.observe(samples):
-            self.press.set_beat(beat.interval_s)
+            self.press.take_beat(beat.interval_s, beat.good)
         times_ns = self._times_ns
         place = bisect_right(times_ns, samples.times_ns[0])
         times_ns[place:place] = samples.times_ns

@@ -22,11 +22,16 @@ def request(press: FingerPress, now_ns: int, alive: bool = True) -> SetPoint | N
 
 
 def observe(
-    press: FingerPress, hold_down_n: float, height_n: float, seconds: float = 4.0, batch: int = 5
+    press: FingerPress,
+    hold_down_n: float,
+    height_n: float,
+    seconds: float = 4.0,
+    batch: int = 5,
+    from_s: float = 0.0,
 ) -> None:
     """Let frames of a pulse at a hold-down arrive."""
     for frame in range(round(seconds * 1e3) // batch):
-        times_s = [1e-3 * (batch * frame + number) for number in range(batch)]
+        times_s = [from_s + 1e-3 * (batch * frame + number) for number in range(batch)]
         pulse = [height_n * (0.5 + 0.5 * math.sin(2 * math.pi * 1.25 * t_s)) for t_s in times_s]
         cell = [hold_down_n + force_n for force_n in pulse]
         press.observe([round(t_s * 1e9) for t_s in times_s], pulse, cell)
@@ -86,6 +91,18 @@ def test_long_frames_teach_the_same_height_as_short_ones() -> None:
         heights_n.append(press.height_n(0.8))
     assert heights_n[1] == pytest.approx(heights_n[0], rel=1e-3)
     assert heights_n[0] == pytest.approx(0.15, rel=0.1)
+
+
+def test_nothing_is_learnt_while_the_pulse_is_doubtful() -> None:
+    press = pressed(1.2)
+    press.take_beat(0.8, good=True)
+    observe(press, 1.2, 0.3)
+    press.take_beat(0.3, good=False)
+    observe(press, 1.2, 3.0, from_s=4)
+    assert press.curve.height(1.2) == pytest.approx(0.3, rel=0.02)
+    press.take_beat(0.8, good=True)
+    observe(press, 1.2, 0.6, seconds=40, from_s=8)
+    assert press.curve.height(1.2) > 0.45
 
 
 def test_off_the_wrist_no_noise_is_felt() -> None:
