@@ -81,9 +81,9 @@ def sweep(
 ) -> None:
     """Press a wrist over a range of forces, and find the best hold-down and three levels.
 
-    Each level is held until five good beats have come, at most 9 s; five finer ones follow around
-    the best. A pulse that is nearly gone is not pressed further. Prints height and shape of the
-    pulse at each level, and writes a report. Ctrl-C eases off and reports what there is.
+    Each level is held until five good beats have come, at most 9 s; finer levels follow around the
+    three. A pulse that is nearly gone is not pressed further. Prints height and shape of the pulse
+    at each level, and writes a report. Ctrl-C eases off and reports what there is.
 
     Exit status: 0 with a report; 2 when the wrist cannot be pressed, the sweep ended early for
     another reason than Ctrl-C, or there are too few beats; the reason is a line on stderr.

@@ -232,6 +232,12 @@ UNRUN = {
     "telepulse study announce": "minutes; tests/unit/telepulse/reports/studies",
     "telepulse study announce --records FOLDER": "needs records of PhysioNet",
     "telepulse demo announce": "as of radial; tests/unit/display_node/test_announced_stream.py",
+    "telepulse study depth": "minutes; tests/system/reports/test_sweep_command.py",
+    "telepulse sweep": "as in tests/system/reports/test_sweep_command.py",
+    "telepulse sweep --ramp 90": "tests/unit/display_node/press/test_sweep.py",
+    "telepulse sweep --connect tcp://HOST:5555 --key keys/finger.key --peer keys/wrist.pub"
+    " --record sweep.mcap": "tests/system/reports/test_sweep_command.py",
+    "telepulse replay sweep.mcap --press": "tests/system/reports/test_sweep_command.py",
     "telepulse study press": "minutes; tests/system/reports/test_press_study.py",
     "telepulse demo press --link 'delay=150ms,jitter=15ms,loss=1%'": (
         "15 s; tests/system/nodes/test_press_nodes.py"
