@@ -10,9 +10,11 @@ from display_node.control.safety import ForceBounds, Safety
 from display_node.hardware import Hardware
 from display_node.plant.feedback import Feedback
 from display_node.plant.filters import delay_line
+from display_node.plant.scene import StepperScene
 from display_node.prediction import Linear, Predictor
 from display_node.prediction.concealment import Concealment
 from display_node.press.local_press import LocalPress
+from display_node.press.yielding_tip import YieldingTip
 from display_node.reception.jitter_buffer import JitterBuffer
 from display_node.scene import DisplayScene
 from display_node.scoring.beat_statistics import BeatStatistics
@@ -73,6 +75,8 @@ class Contactor:
         self.tracking_error = TrackingError(self.layer.strain_per_newton) if score else None
         self.press: LocalPress | None = None
         self._hardware: Hardware | None = None
+        self._tip: YieldingTip | None = None
+        self._gain = self._added_m_per_s = self._rendered_n = 0.0
         # Copies: attributes of a scene take longer to read.
         self._tick_ns = scene.tick_ns
         self._count = self.loop.horizon + 1
@@ -87,6 +91,10 @@ class Contactor:
     def use(self, hardware: Hardware) -> None:
         """Play on a started real bench instead of the models. Call before the first tick."""
         self._hardware, self.feedback = hardware, hardware.feedback
+        actuator, drive = self.scene.actuator, self.scene.drive
+        if self.press is not None and drive is not None and isinstance(actuator, StepperScene):
+            law = actuator.contact(self.layer)
+            self._tip = YieldingTip(law, drive.touch_m, self._tick_ns * 1e-9)
 
     def begin(self, description: StreamDescription, predictor: Predictor) -> None:
         """Begin a session, whose samples, times and clock are unrelated to those before.
@@ -127,7 +135,8 @@ class Contactor:
         fault = hardware.read() or hardware.overrun(elapsed_ticks)
         if fault is not None and not safety.faults:
             safety.fault(self._prefix + fault)
-        loop.shift(hardware.deviation_m(now_ns, loop.output, elapsed_ticks))
+        speed_m_per_s = loop.output + self._added_m_per_s
+        loop.shift(hardware.deviation_m(now_ns, speed_m_per_s, elapsed_ticks))
 
     def rest(self, now_ns: int) -> None:
         """Request no force in this tick, since no stream is played."""
@@ -189,7 +198,9 @@ class Contactor:
             fault = self.bounds.reading_fault(self._reading_n)
         else:
             state.felt_n = self._reading_n = feedback.read(now_ns)
-            fault = feedback.silent_fault(now_ns) or self.bounds.reading_fault(self._reading_n)
+            if self._tip is not None and self.press is not None:
+                self._read_around_press(self._tip, self.press)
+            fault = feedback.silent_fault(now_ns) or self.bounds.reading_fault(state.felt_n)
             if fault is None and not safety.faults:
                 fault = feedback.late_fault
         if fault is not None:
@@ -204,6 +215,7 @@ class Contactor:
         loop, state = self.loop, self.state
         reference_n = self.bounds.bound(self._reference_n, gain)
         loop.tick(reference_n, self._reading_n)
+        self._gain = gain
         target_n = reference_n[0]
         state.target_n = target_n if self._target is None else self._target.step(target_n)
         state.scored = alive and gain == 1.0
@@ -215,8 +227,34 @@ class Contactor:
             )
         if self._hardware is None:
             return None
-        fault = self._hardware.command(loop.output, faults)
+        if self._tip is not None and self.press is not None:
+            self._yield(self._tip, self.press, self._hardware, reference_n[0])
+        fault = self._hardware.command(loop.output + self._added_m_per_s, faults)
         return None if fault is None else self._prefix + fault
+
+    def rendered_n(self, press: LocalPress) -> float:
+        """Return the pulse under the finger that presses."""
+        if self._tip is None:
+            return self.state.felt_n - press.target_static_n
+        return self._rendered_n
+
+    def _read_around_press(self, tip: YieldingTip, press: LocalPress) -> None:
+        """Complete the film's reading by the press, and give the loop the pulse around it."""
+        static_n, state = press.static_n, self.state
+        state.felt_n = self._reading_n + press.unseen_n
+        wanted_n, rendered_n = self._gain * static_n, self._rendered_n
+        self._reading_n = tip.reading_n(state.felt_n, static_n, wanted_n, rendered_n, press.still)
+
+    def _yield(
+        self, tip: YieldingTip, press: LocalPress, hardware: Hardware, target_n: float
+    ) -> None:
+        """Let the tip yield to the finger by the model of the tissue."""
+        static_n = press.static_n
+        wanted_n = self._gain * static_n
+        self._rendered_n = target_n - wanted_n
+        tip.follow(static_n, wanted_n, target_n, press.yielded_m, hardware.position_m)
+        hardware.place_finger(tip.origin_m, press.unseen_n)
+        self._added_m_per_s = tip.speed_m_per_s
 
     def playback(self, channel: int) -> PlaybackStatus:
         """Return which channel is played, and how."""

@@ -182,7 +182,7 @@ class Display:
         for contactor in contactors:
             contactor.read(now_ns, elapsed_ticks, safety)
         if self.press is not None:
-            self.press.tick(now_ns, self.states[0].felt_n)
+            self.press.tick(now_ns, contactors[0].rendered_n(self.press))
         if elapsed_ticks > 1:
             safety.skip(elapsed_ticks)
         gain = safety.advance(alive)

@@ -77,6 +77,7 @@ class Hardware:
         # The drive's last status, and the travel that was commanded until the last tick.
         self._status = drive.status()
         self._travel_m: float | None = None
+        self._origin_m = self._unseen_n = 0.0
         self._received_ns = 0
         self.at_end = LimitCounter()
         self._began_ns = time.monotonic_ns()
@@ -111,13 +112,29 @@ class Hardware:
         if self._sensor is None:
             if status.received_ns != self._received_ns:
                 self._received_ns = status.received_ns
-                self.feedback.add(status.received_ns, self._contact.force(status.position_m))
+                self.feedback.add(status.received_ns, self._contact.force(self.depth_m))
         else:
-            self._plausibility.add_position(status.position_m, status.received_ns)
+            self._plausibility.add_position(self.depth_m, status.received_ns)
             if newest is not None and status.fault is None:
-                contradiction = self._plausibility.check_reading(newest[1], newest[0])
+                felt_n = newest[1] + self._unseen_n
+                contradiction = self._plausibility.check_reading(felt_n, newest[0])
                 return self._film_fault or contradiction
         return None if status.fault is None else f"drive: {status.fault}"
+
+    @property
+    def position_m(self) -> float:
+        """Position of the drive's last report, from first touch."""
+        return self._status.position_m
+
+    @property
+    def depth_m(self) -> float:
+        """The same from the place where the tip touches the finger now."""
+        return self._status.position_m - self._origin_m
+
+    def place_finger(self, origin_m: float, unseen_n: float) -> None:
+        """Set the position of a finger that presses, and its force that the film does not see."""
+        self._origin_m, self._unseen_n = origin_m, unseen_n
+        self._drive.place_finger(origin_m)
 
     def overrun(self, elapsed_ticks: int) -> str | None:
         """Return the fault if the drive came to rest because a tick is too late."""

@@ -86,8 +86,16 @@ class Axis:
     search_s: float
     clear_m: float
 
-    def bounded(self, speed_m_per_s: float, position_m: float, age_s: float) -> float:
+    def clear_of(self, origin_m: float) -> float:
+        """Return the position where the tip is off a finger that begins at `origin_m`."""
+        return max(self.clear_m + origin_m, self.lowest_m - 0.5 * self.clear_m)
+
+    def bounded(
+        self, speed_m_per_s: float, position_m: float, age_s: float, origin_m: float = 0.0
+    ) -> float:
         """Return the speed in m/s that still stops before an end of the travel; 0 for NaN.
+
+        origin_m: position of the finger, from which the greatest depth counts.
 
         Until the drive reacts, for a time t, the tip may move at the full speed v; then it brakes.
         So v t + v²/2a must not exceed the remaining distance. Since the position was reported,
@@ -95,7 +103,9 @@ class Axis:
         fall by at most a factor of e in a time t. t contains twice the age, so within the age they
         fall by at most √e, which is less than 2.
         """
-        to_end_m = self.furthest_m - position_m if speed_m_per_s > 0 else position_m - self.lowest_m
+        to_end_m = position_m - self.lowest_m
+        if speed_m_per_s > 0:
+            to_end_m = self.furthest_m + origin_m - position_m
         if not (abs(speed_m_per_s) > 0 and to_end_m > 0):
             return 0.0
         late_s, braking = 2 * age_s + self.reaction_s, self.max_acceleration_m_per_s2

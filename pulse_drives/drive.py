@@ -208,6 +208,11 @@ class Drive(ABC):
         with self._lock:
             return self._supervisor.commanded_m(now_ns)
 
+    def place_finger(self, origin_m: float) -> None:
+        """Set the position of a finger that has followed the tip, from which depths count."""
+        with self._lock:
+            self._supervisor.origin_m = min(origin_m, 0.0)
+
     def withdraw(self, reason: str) -> None:
         """Take the tip off the finger from now on, and keep it there until `start`.
 

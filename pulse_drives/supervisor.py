@@ -107,6 +107,8 @@ class Supervisor:
     verified
         The motor turns in the commanded direction. Until that is known, a fault leaves the drive at
         rest, because a withdrawal might move towards the finger.
+    origin_m
+        Position of the finger, at most 0: below 0 where it has followed a tip that yields.
     position_m, position_ns
         Last reported position in m from first touch, and its time.
     answered_ns
@@ -125,6 +127,7 @@ class Supervisor:
         self.fault: str | None = "not started"
         self.withdrawal: Withdrawal | None = None
         self.verified = False
+        self.origin_m = 0.0
         self.position_m = axis.lowest_m
         self.position_ns = self.answered_ns = 0
 
@@ -137,6 +140,7 @@ class Supervisor:
         """Follow the loop's commands from now on, and forget an earlier fault."""
         self.fault = self.withdrawal = None
         self.verified = False
+        self.origin_m = 0.0
         self._following.begin()
         self.position_ns = self.answered_ns = self._stepped_ns = now_ns
         self.pause()
@@ -184,7 +188,7 @@ class Supervisor:
                 now_ns,
                 min(furthest_m, self._axis.furthest_m),
                 self.travel_m(now_ns),
-                self._axis.clear_m,
+                self._axis.clear_of(self.origin_m),
                 trusted=not self._following.failed,
             )
         # Set last, so that no other thread sees a fault without its withdrawal.
@@ -255,11 +259,12 @@ class Supervisor:
     def _within_limits(self, speed_m_per_s: float, now_ns: int) -> float:
         axis, limit = self._axis, self._axis.max_speed_m_per_s
         wanted = min(max(speed_m_per_s, -limit), limit)
-        bounded = axis.bounded(wanted, self.position_m, (now_ns - self.position_ns) * 1e-9)
+        age_s, origin_m = (now_ns - self.position_ns) * 1e-9, self.origin_m
+        bounded = axis.bounded(wanted, self.position_m, age_s, origin_m)
         # The commanded position is bounded too, in case the reported one is wrong.
         commanded_m = self.commanded_m(now_ns)
         # NaN before the first report.
         if commanded_m == commanded_m:
-            bounded = axis.bounded(bounded, commanded_m, 0.0)
+            bounded = axis.bounded(bounded, commanded_m, 0.0, origin_m)
         self._held_back = 0 <= bounded < wanted
         return bounded

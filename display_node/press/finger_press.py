@@ -156,6 +156,11 @@ class FingerPress:
         return min(self._reading.now_n, self._limits.force_n)
 
     @property
+    def still(self) -> bool:
+        """True while the finger has not moved lately."""
+        return self._reading.still
+
+    @property
     def loop_gain(self) -> float:
         """Measured gain of the loop through the network."""
         return self._gain.gain

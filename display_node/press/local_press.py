@@ -25,7 +25,9 @@ RISE_NS: Final = 80_000_000
 class LocalPress:
     """The press of a display's first finger.
 
-    press: random number of the display's run. Raises nothing; a silent sensor sends nothing.
+    press: random number of the display's run. target_static_n: static part of the forces that
+    `scale` returned last. yielded_m: depth by which the model of the tissue
+    yields. Raises nothing; a silent sensor sends nothing.
     """
 
     def __init__(self, scene: PressScene, press: int) -> None:
@@ -40,7 +42,7 @@ class LocalPress:
         self._hold_downs_n: list[float] = []
         self._begun_ns: int | None = None
         self._last_ns = 0
-        self._static_n = 0.0
+        self.target_static_n = self.yielded_m = 0.0
 
     def use(self, sensor: Sensor) -> None:
         """Read a live sensor. Call before the first tick."""
@@ -94,7 +96,7 @@ class LocalPress:
             Force at the finger per force at the wrist.
         """
         press, times_ns = self._press, self._times_ns
-        self._static_n = static_n = press.static_n if self._sweep is None else 0.0
+        self.target_static_n = static_n = self.static_n
         felt = []
         for number, force_n in enumerate(wrist_n):
             place = max(bisect_right(times_ns, first_ns + number * step_ns) - 1, 0)
@@ -103,10 +105,26 @@ class LocalPress:
             felt.append(static_n + ratio * pulse_n)
         return felt
 
-    def tick(self, now_ns: int, felt_n: float) -> None:
-        """Take the sensor's readings since the last tick; felt_n: force under the finger."""
-        press, pulse_n = self._press, felt_n - self._static_n
+    @property
+    def unseen_n(self) -> float:
+        """Static force that the film under the finger does not measure."""
+        return 0.0 if self._scene.film_reads_press else self.static_n
+
+    @property
+    def still(self) -> bool:
+        """True while the finger has not moved lately."""
+        return self._press.still
+
+    @property
+    def static_n(self) -> float:
+        """Static force of the finger now; none in a sweep, which presses in its place."""
+        return self._press.static_n if self._sweep is None else 0.0
+
+    def tick(self, now_ns: int, pulse_n: float) -> None:
+        """Take the sensor's readings since the last tick; pulse_n: rendered under the finger."""
+        press = self._press
         yielded_m = press.tick(now_ns)
+        self.yielded_m = yielded_m if self._sweep is None else 0.0
         if self._sweep is not None:
             self._sweep.tick(now_ns, self._probe)
             press.swept_n = self._sweep.press_n

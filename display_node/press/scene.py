@@ -40,7 +40,8 @@ class PressScene(Section):
     sensor: what measures the static force of the finger; kinds as of other sensors, and "finger".
     channel: the stream's channel of the load cell at the wrist. force_limit and slew_limit: of the
     set-points. connections: number of TCP connections over which the set-points go in turns; with
-    0, they go over that of all other requests.
+    0, they go over that of all other requests. film_reads_press: whether a real film under the
+    finger measures its static force, and not only the pulse.
     """
 
     sensor: Annotated[
@@ -50,6 +51,7 @@ class PressScene(Section):
     force_limit_n: Annotated[Newtons, Field(gt=0, le=10)] = 3.0
     slew_limit_n_per_s: Annotated[NewtonsPerSecond, Field(gt=0, le=100)] = 20.0
     connections: Annotated[int, Field(strict=True, ge=0, le=32)] = 16
+    film_reads_press: bool = False
 
     def limits(self) -> PressLimits:
         """Return the limits that the table describes."""

@@ -73,6 +73,9 @@ class VirtualDrive:
         self._read_reports()
         return self.supervisor.status(self.motor.rate_hz * self._axis.units.step_m)
 
+    def place_finger(self, origin_m: float) -> None:
+        self.supervisor.origin_m = origin_m
+
     def withdraw(self, reason: str) -> None:
         self.supervisor.fail(reason, self.now_ns)
 

@@ -80,3 +80,13 @@ def test_the_watchdog_stops_the_tip_within_its_travel_whenever_the_commands_end(
     assert max(tips_m) <= axis.furthest_m + actuator.step_m
     # The limit still permits a motion.
     assert max(abs(tip_m) for tip_m in tips_m) > 20e-6
+
+
+def test_depths_count_from_a_finger_that_has_followed_the_tip() -> None:
+    axis = build_axis(tmcl_scene(port="x", touch="5 mm"), stepper(), 2e-3)
+    assert axis.bounded(1.0, -1e-3, 0.0, -3e-3) == 0.0
+    assert axis.bounded(1.0, -1.5e-3, 0.0, -3e-3) == axis.bounded(1.0, 1.5e-3, 0.0)
+    assert axis.bounded(-1.0, -1.5e-3, 0.0, -3e-3) == axis.bounded(-1.0, -1.5e-3, 0.0)
+    assert axis.clear_of(-3e-3) == axis.clear_m - 3e-3
+    # A withdrawal keeps some distance from home.
+    assert axis.lowest_m < axis.clear_of(-1.0) < axis.clear_m
