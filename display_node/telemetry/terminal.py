@@ -46,7 +46,7 @@ LINE_WIDTH = 120
 # Characters for the alerts in a status line; each alert is printed in full when it begins.
 ALERTS_WIDTH = 45
 # Figures of this moment, in the order in which they get room in a line.
-IMPORTANCE = ("force felt", "finger", "force target", "heart rate", "delay now")
+IMPORTANCE = ("force felt", "press", "finger", "force target", "heart rate", "delay now")
 # Statuses come five times a second; an older one is not shown as current.
 CURRENT_NS = 1_000_000_000
 
@@ -215,9 +215,22 @@ class TerminalView:
             ("heart rate", ", ".join("–" if r is None else f"{r:.0f} /min" for r in rates)),
             ("force target", target),
             ("force felt", felt),
+            *([("press", press)] if (press := self._press_text()) and current else []),
             *([("finger", _printable(finger))] if finger and current else []),
             *([("delay now", delay)] if delay else []),
         ]
+
+    def _press_text(self) -> str:
+        """Return the finger's press, the hold-down at the wrist, and the state of the probe."""
+        press = {} if self.status is None else self.status.summary.get("press", {})
+        if press.get("press_n") is None:
+            return ""
+        if press.get("probe") == "held":
+            return f"{_millinewtons(press['press_n'])}, but another display holds the wrist"
+        if press.get("hold_down_n") is None:
+            return f"{_millinewtons(press['press_n'])}, no answer of the wrist yet"
+        at_wrist = f"wrist {_millinewtons(press['hold_down_n'])}"
+        return f"{_millinewtons(press['press_n'])}, {at_wrist} {_printable(press['probe'] or '')}"
 
     def _delay_text(self) -> str:
         """Return the playout delay of the last tick, and whether the predictor is trusted."""

@@ -114,6 +114,20 @@ def test_the_panel_of_a_predicted_pulse_fits_into_24_lines() -> None:
     assert len(lines) < 24
 
 
+@pytest.mark.parametrize(
+    ("press", "shown"),
+    [
+        ({"hold_down_n": 1.1995, "probe": "pressing"}, "1200.0 mN, wrist 1199.5 mN pressing"),
+        ({"hold_down_n": 0.0, "probe": "held"}, "1200.0 mN, but another display holds the wrist"),
+        ({"hold_down_n": None, "probe": None}, "1200.0 mN, no answer of the wrist yet"),
+    ],
+)
+def test_a_press_is_among_the_figures_of_this_moment(press: dict[str, object], shown: str) -> None:
+    under_test = view(press={"press_n": 1.2} | press, finger="not pressed (model, no drive)")
+    assert f", press {shown}" in under_test.line()
+    assert shown in printed(under_test)
+
+
 def test_a_signal_that_is_no_pulse_is_an_alert_while_it_is_felt() -> None:
     beats = asdict(BeatFigures(count=22, quality=0.12, alarm=True))
     alert = (
