@@ -52,14 +52,33 @@ BEAT_TICKS, MEAN_TICKS = 800, 5
 Floats = NDArray[np.float64]
 
 
+class TcpVariant(NamedTuple):
+    """Connections of the set-points, copies of each, samples in a frame, connections of those."""
+
+    connections: int
+    copies: int = 1
+    batch: int = BATCH
+    paths: int = 1
+
+
+# What is compared over TCP: the bars are for the scene's own variant, from 1 s on with long frames.
+VARIANTS: Final = (TcpVariant(1), TcpVariant(2, 2), TcpVariant(4), TcpVariant(16))
+LONG_FRAMES: Final = TcpVariant(16, 1, 50, 8)
+LONG_FROM_S: Final = 1.0
+
+
 @dataclass(frozen=True, slots=True)
 class PressEffort:
-    """Round trips, seeds, and the length of a run; of it, the first 30 s are for learning."""
+    """Round trips, seeds, and the length of a run; of it, the first 30 s are for learning.
+
+    variants: what is compared over TCP.
+    """
 
     round_trips_s: tuple[float, ...] = ROUND_TRIPS_S
     stiffnesses: tuple[float, ...] = STIFFNESSES
     seeds: tuple[int, ...] = (1, 2)
     seconds: float = 70.0
+    variants: tuple[TcpVariant, ...] = VARIANTS
 
 
 class FollowScore(NamedTuple):
@@ -89,21 +108,6 @@ class SwingScore(NamedTuple):
         """True if no later window has more than the one before, or than a set-point at rest."""
         pairs = zip(self.rms_n, self.rms_n[1:], strict=False)
         return all(later <= max(earlier, REST_N) for earlier, later in pairs)
-
-
-class TcpVariant(NamedTuple):
-    """Connections of the set-points, copies of each, samples in a frame, connections of those."""
-
-    connections: int
-    copies: int = 1
-    batch: int = BATCH
-    paths: int = 1
-
-
-# What is compared over TCP: the bars are for the scene's own variant, from 1 s on with long frames.
-VARIANTS: Final = (TcpVariant(1), TcpVariant(2, 2), TcpVariant(4), TcpVariant(16))
-LONG_FRAMES: Final = TcpVariant(16, 1, 50, 8)
-LONG_FROM_S: Final = 1.0
 
 
 class PressStep(NamedTuple):

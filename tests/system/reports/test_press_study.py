@@ -8,6 +8,7 @@ from telepulse.reports.studies.press_report import report_press
 from telepulse.reports.studies.press_scores import (
     EASED_S,
     MOST_GAIN,
+    VARIANTS,
     FollowScore,
     PressEffort,
     PressScores,
@@ -15,7 +16,9 @@ from telepulse.reports.studies.press_scores import (
 )
 
 pytestmark = pytest.mark.system
-LITTLE = PressEffort(round_trips_s=(0.1,), stiffnesses=(0.3, 3.0), seeds=(1,), seconds=44.0)
+LITTLE = PressEffort(
+    (0.1,), stiffnesses=(0.3, 3.0), seeds=(1,), seconds=44.0, variants=VARIANTS[::3]
+)
 
 
 @pytest.fixture(scope="module")
