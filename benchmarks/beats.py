@@ -5,6 +5,8 @@ The last table is the predictors' error after an artefact, from which they learn
 
 import itertools
 import time
+from importlib import import_module
+from importlib.util import find_spec
 from unittest.mock import patch
 
 import heartpy
@@ -66,6 +68,33 @@ def drawn_row(name: str, preset: str) -> tuple[str, ...]:
     )
 
 
+def peaks_row(name: str, preset: str) -> tuple[str, ...]:
+    """Return how many drawn peaks this analysis, heartpy and neurokit2 find, and peaks beside.
+
+    neurokit2 is no dependency; without it, its column is empty.
+    """
+    pulse = draw(name, preset)
+    force_n = noisy(pulse.force_n)
+    expected = [at_s for at_s in pulse.beats_s if FOUND_FROM_S < at_s < SECONDS - 3.0]
+    true_s = np.array([true_onset_and_peak_s(pulse, at_s)[1] for at_s in expected])
+    found, _ = heartpy.process(force_n, float(RATE_HZ))
+    peaks = {
+        "here": np.array([seconds(beat.peak_ns) for beat in analysed(frames(force_n))]),
+        "heartpy": np.array(found["peaklist"])[np.array(found["binary_peaklist"], bool)] / RATE_HZ,
+    }
+    if find_spec("neurokit2") is not None:
+        neurokit = import_module("neurokit2")
+        cleaned = neurokit.ppg_clean(force_n, RATE_HZ)
+        peaks["neurokit2"] = neurokit.ppg_findpeaks(cleaned, RATE_HZ)["PPG_Peaks"] / RATE_HZ
+    cells = []
+    for peaks_s in peaks.values():
+        within_s = peaks_s[(peaks_s > true_s[0] - NEAR_S) & (peaks_s < true_s[-1] + NEAR_S)]
+        near = sum(np.abs(within_s - at_s).min() < NEAR_S for at_s in true_s)
+        beside = sum(np.abs(true_s - at_s).min() >= NEAR_S for at_s in within_s)
+        cells.append(f"{near} of {len(true_s)}, {beside} beside")
+    return f"{name}, {preset}", *cells, *[""] * (3 - len(cells))
+
+
 def recorded_row(name: str, force_n: Floats) -> tuple[str, ...]:
     """Return beats found, against the peaks that heartpy accepts in the whole recording."""
     beats = good(analysed(frames(force_n)))
@@ -105,13 +134,12 @@ def after_artefact_rows(name: str) -> list[tuple[str, ...]]:
 
 def main() -> None:
     """Run the benchmark."""
-    drawn = [
-        drawn_row(name, preset)
-        for name in ("regular", "ectopic", "fibrillation")
-        for preset in ("wide", "paper")
-    ]
+    names = list(itertools.product(("regular", "ectopic", "fibrillation"), ("wide", "paper")))
+    drawn = [drawn_row(*each) for each in names]
     header = ("pulse", "found", "onset, ms", "peak, ms", "good")
     show("drawn pulses, 1 % noise: RMS / greatest error", header, drawn)
+    libraries = ("pulse", "here", "heartpy", "neurokit2")
+    show("peaks of drawn pulses within 60 ms", libraries, [peaks_row(*each) for each in names])
     recorded = [recorded_row(name, each) for name, each in recorded_pulses(60.0).items()]
     columns = ("recording", "of heartpy's beats", "good beats that heartpy lacks or rejects")
     show("recordings", columns, recorded)
