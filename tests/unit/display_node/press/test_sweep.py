@@ -1,12 +1,13 @@
 """Sweeps of the modelled wrist in virtual time."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
 from display_node.press.sweep import DepthSweep, SweepPlan
+from display_node.scoring.depth_curve import BeatPoint
 from protocol.wire.messages import channel_samples
 from sensing_node.press.probe import ProbeLimits
 from sensing_node.sources.wrist import Wrist, WristScene
@@ -56,14 +57,21 @@ def test_the_best_hold_down_is_the_mean_arterial_pressure(ramp_ns: int | None) -
     assert wrist.force_n < 0.1
 
 
-def test_knocks_do_not_move_the_best_force() -> None:
+def test_knocks_are_doubtful_beats_and_do_not_move_the_best_force() -> None:
     def knock(at_s: float, values: NDArray[np.float64]) -> NDArray[np.float64]:
-        return values + (0.4 if at_s % 7.1 < 0.12 else 0.0) * np.array([1.0, 1.0])
+        return values + (0.15 if at_s % 4.3 < 0.12 else 0.0)
 
     wrist = Disturbed(wrist_scene())
     wrist.change = knock
     curve = sweep(wrist).curve()
+
+    def wrong(points: Sequence[BeatPoint]) -> list[float]:
+        errors = [each.height_n / wrist.artery.height_n(each.hold_down_n) - 1 for each in points]
+        return [error for error in errors if abs(error) > 0.25]
+
     assert curve.best_n.value == pytest.approx(wrist.artery.best_n, rel=0.05)
+    assert wrong(curve.points)
+    assert not wrong(curve.good)
 
 
 def test_a_probe_that_reaches_its_limit_is_noted_and_pressed_no_further() -> None:
