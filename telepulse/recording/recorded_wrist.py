@@ -6,6 +6,7 @@ the height that of the curve fitted to all beats.
 """
 
 from bisect import bisect_right
+from collections import deque
 from collections.abc import Sequence
 from typing import Final, NamedTuple
 
@@ -29,9 +30,9 @@ Floats = NDArray[np.float64]
 # and force, as in a steady sweep.
 LEVEL_N: Final = 0.04
 STEADY_SHARE, STEADY_N = 0.03, 0.05
-# The hold-down steps where it changes by this share and force within this number of samples. The
-# beats of the next level are searched anew.
-STEP_SHARE, STEP_N, STEP_SAMPLES = 0.03, 0.03, 300
+# The hold-down steps where it changes by this share and force within this time; the beats of the
+# next level are searched anew.
+STEP_SHARE, STEP_N, STEP_NS = 0.03, 0.03, 300_000_000
 # Parts of a beat's shape, and the part at which its peak is put: beats of two levels are blended
 # peak to peak, since a stronger press shortens the rise.
 PARTS, PEAK_AT = 400, 60
@@ -159,6 +160,7 @@ def _analyse(session: RecordedSession) -> tuple[Floats, Floats, Floats, list[Bea
         )
     film, cell = names.index(PULSE), names.index(HOLD_DOWN)
     times, pulse, held = list[int](), list[Floats](), list[Floats]()
+    recent: deque[tuple[int, float]] = deque()
     for frame in session.frames():
         values = frame.values.astype(np.float64)
         samples = channel_samples(
@@ -168,8 +170,10 @@ def _analyse(session: RecordedSession) -> tuple[Floats, Floats, Floats, list[Bea
         pulse.append(values[:, film])
         held.append(values[:, cell] - values[:, film])
         now_n = float(held[-1].mean())
-        earlier_n = float(held[-min(STEP_SAMPLES // len(values) + 1, len(held))].mean())
-        if abs(now_n - earlier_n) > STEP_SHARE * abs(now_n) + STEP_N:
+        recent.append((frame.t_first_ns, now_n))
+        while frame.t_first_ns - recent[0][0] > STEP_NS:
+            recent.popleft()
+        if abs(now_n - recent[0][1]) > STEP_SHARE * abs(now_n) + STEP_N:
             analysis = RenewedAnalysis()
         else:
             beats += analysis.observe(samples)

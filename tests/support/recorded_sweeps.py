@@ -39,12 +39,13 @@ def session_of(
 ) -> RecordedSession:
     """Return samples as a recorded session."""
     description = StreamDescription("swept", PERIOD_NS, BATCH, channels, ElasticLayer())
-    data = {
-        number * BATCH: encode_frame(
-            Frame(1, number * BATCH, number * BATCH * PERIOD_NS, PERIOD_NS, values.astype("<f4"))
-        )
-        for number, values in enumerate(taken)
-    }
+    # A live node's frames differ in length.
+    values, data, first = np.concatenate(taken).astype("<f4"), dict[int, bytes](), 0
+    while first < len(values):
+        part = values[first : first + (1 if first % 3 else BATCH)]
+        frame = Frame(1, first, first * PERIOD_NS, PERIOD_NS, part)
+        data[first] = encode_frame(frame)
+        first += len(part)
     return RecordedSession(1, description, data, BATCH * len(taken))
 
 
