@@ -61,22 +61,31 @@ class StreamBlock:
         Number of the session; another one begins where the sensing node starts again.
     first_sample : int
         Number of the first sample in the session.
+    t_ns : ndarray of int, shape (samples,)
+        Time at which each sample was taken, on the sensing clock, in ns.
     unix_s : ndarray of float, shape (samples,)
-        Unix time at which each sample was taken, in s, by this machine's clock.
+        The same by this machine's clock, as Unix time in s. It follows the present estimate of
+        the sensing clock, so that its steps differ slightly at first.
     values : ndarray of float, shape (samples, channels)
         Samples in the units of the channels; NaN where a sample did not arrive.
     """
 
     session: int
     first_sample: int
+    t_ns: NDArray[np.int64]
     unix_s: NDArray[np.float64]
     values: NDArray[np.float64]
 
     def split(self, count: int) -> tuple["StreamBlock", "StreamBlock"]:
         """Return the first `count` samples, and the others."""
-        number, first = self.session, self.first_sample
-        head = StreamBlock(number, first, self.unix_s[:count], self.values[:count])
-        return head, StreamBlock(number, first + count, self.unix_s[count:], self.values[count:])
+        head, rest = (
+            StreamBlock(self.session, first, self.t_ns[part], self.unix_s[part], self.values[part])
+            for first, part in (
+                (self.first_sample, slice(count)),
+                (self.first_sample + count, slice(count, None)),
+            )
+        )
+        return head, rest
 
 
 class SampleQueue:
@@ -130,21 +139,25 @@ class SampleQueue:
             self.waiting -= len(part.values)
         if not taken:
             return None
-        unix_s = np.concatenate([part.unix_s for part in taken])
-        values = np.concatenate([part.values for part in taken])
-        return StreamBlock(taken[0].session, taken[0].first_sample, unix_s, values)
+        return StreamBlock(
+            taken[0].session,
+            taken[0].first_sample,
+            np.concatenate([part.t_ns for part in taken]),
+            np.concatenate([part.unix_s for part in taken]),
+            np.concatenate([part.values for part in taken]),
+        )
 
     def _append(self, frame: Frame, ahead_ns: int) -> None:
         most = round(self._kept_s * 1e9 / frame.period_ns)
         missing = frame.first_sample - self._next_sample
         self._lost += missing
         at = np.arange(-min(missing, most), len(frame.values))
-        unix_ns = frame.t_first_ns - ahead_ns + at * frame.period_ns
-        unix_s = unix_ns.astype(np.float64) * 1e-9
+        t_ns = frame.t_first_ns + at.astype(np.int64) * frame.period_ns
+        unix_s = (t_ns - ahead_ns).astype(np.float64) * 1e-9
         values = np.full((len(at), frame.values.shape[1]), np.nan)
         values[len(at) - len(frame.values) :] = frame.values
         first = frame.first_sample + int(at[0])
-        self._parts.append(StreamBlock(frame.session, first, unix_s, values))
+        self._parts.append(StreamBlock(frame.session, first, t_ns, unix_s, values))
         self.waiting += len(at)
         self._next_sample = frame.first_sample + len(frame.values)
         while self.waiting > most:

@@ -1,7 +1,6 @@
 """A live stream in Python has every sample, in order, of the sensing node's own pulse."""
 
-import subprocess
-import sys
+import time
 
 import numpy as np
 import pytest
@@ -11,7 +10,7 @@ from protocol.errors import ProtectionError, SourceError
 from sensing_node.scene import build_source
 from telepulse.scene import load_scene
 from tests.support.log_lines import strays
-from tests.support.nodes import RADIAL, process
+from tests.support.nodes import RADIAL, process, run_python
 
 MODULE = "sensing_node.cli"
 
@@ -26,14 +25,15 @@ def test_no_sample_is_missing_while_the_reader_computes(address: str) -> None:
     assert (description.rate_hz, description.channels[0].unit) == (1000.0, "N")
     assert {len(block.values) for block in blocks[:-1]} == {700}
     values = np.concatenate([block.values for block in blocks])
-    unix_s = np.concatenate([block.unix_s for block in blocks])
+    t_ns = np.concatenate([block.t_ns for block in blocks])
     first = blocks[0].first_sample
     assert first + len(values) == 3_000
     assert (stream.lost, stream.dropped) == (0, 0)
     scene = load_scene(RADIAL)
     expected = build_source(scene.sensing, RADIAL.parent).take(3_000)[first:]
     np.testing.assert_array_equal(values, expected.astype("<f4"))
-    np.testing.assert_allclose(np.diff(unix_s), 1e-3, atol=5e-4)
+    assert set(np.diff(t_ns).tolist()) == {1_000_000}
+    assert abs(blocks[-1].unix_s[-1] - time.time()) < 30
     assert not strays(errors)
     with pytest.raises(SourceError, match="the stream has ended"):
         stream.read(1)
@@ -61,5 +61,4 @@ def test_who_cannot_be_received_is_named_in_one_line(address: str) -> None:
 
 def test_import_costs_nothing_until_a_name_is_used() -> None:
     code = "import sys, telepulse; print('numpy' in sys.modules, len(telepulse.__all__))"
-    found = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
-    assert found.stdout.split() == ["False", str(len(telepulse.__all__))]
+    assert run_python("-c", code).stdout.split() == ["False", str(len(telepulse.__all__))]
