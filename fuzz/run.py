@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from subprocess import TimeoutExpired
 from tempfile import TemporaryDirectory
+from typing import Any
 
 from protocol.host.child_process import ChildProcess
 
@@ -49,7 +50,7 @@ def run_target(name: str, seconds: int, folder: Path) -> Outcome:
     with log.open("w", encoding="utf-8") as file, TemporaryDirectory() as scratch:
         # Threads of numerical libraries would only take memory.
         environment = os.environ | {"OPENBLAS_NUM_THREADS": "1", "TMPDIR": scratch}
-        streams = {"stdout": file, "stderr": file}
+        streams: dict[str, Any] = {"stdout": file, "stderr": file}
         # Ctrl-C ends the target, too.
         with ChildProcess(name, *command, own_session=False, env=environment, **streams) as target:
             try:

@@ -41,20 +41,25 @@ def python_command(*arguments: str) -> list[str]:
 class ChildProcess(subprocess.Popen[str]):
     """A process that this interpreter runs; within a `with`, it is killed at the end.
 
-    It is terminated when this process ends, even by `kill -9` (Linux).
-
     name: used in error messages. arguments: those of the interpreter, such as "-m", a module and
     the module's arguments. own_session: Ctrl-C at the terminal is not sent to the child; this
-    process ends it. options: those of `subprocess.Popen`.
+    process ends it. ends_with_parent: it receives SIGTERM when this process ends, even by `kill -9`
+    (Linux); otherwise it can do what is left when its input ends. options: those of
+    `subprocess.Popen`.
     """
 
     def __init__(
-        self, name: str, *arguments: str, own_session: bool = True, **options: Any
+        self,
+        name: str,
+        *arguments: str,
+        own_session: bool = True,
+        ends_with_parent: bool = True,
+        **options: Any,
     ) -> None:
         self.name = name
         command = python_command(*arguments)
         options |= {"start_new_session": own_session, "encoding": "utf-8"}
-        if sys.platform != "linux":
+        if sys.platform != "linux" or not ends_with_parent:
             super().__init__(command, **options)
             return
         reader, writer = os.pipe()
@@ -167,7 +172,10 @@ class Sidecar:
         self._name = name
         self._ending = False
         pipe = subprocess.PIPE
-        self._process = ChildProcess(name, "-m", module, *arguments, stdin=pipe, stdout=pipe)
+        # It ends with its input, after its last work: a recording's end, a withdrawn announcement.
+        self._process = ChildProcess(
+            name, "-m", module, *arguments, ends_with_parent=False, stdin=pipe, stdout=pipe
+        )
         try:
             message = json.loads(self._process.read_line(STARTS_WITHIN_S))
             if "ready" not in message:
