@@ -71,9 +71,9 @@ class PressSetting:
 
     tissue, finger: stiffness over that of the models. pulse_share: share of the rendered pulse in
     the press sensor's reading. connections: TCP connections over which the set-points take turns.
-    copies: connections over which each set-point is sent. batch: samples in a frame. paths: TCP
-    connections of the frames, of which the first copies are used. open_loop: forces at the wrist
-    that replace the received set-points.
+    copies: connections over which each set-point is sent. batch: samples in a frame, a multiple of
+    5. paths: TCP connections of the frames, of which the first copies are used. open_loop: forces
+    at the wrist that replace the received set-points.
     """
 
     link: LinkScene
@@ -116,6 +116,7 @@ class PressLoop:
         self._events: list[tuple[int, int, Callable[[bytes, int], None], bytes]] = []
         self._order = itertools.count()
         self._sample = 0
+        self._unsent: list[NDArray[np.float32]] = []
         self._pressures_pa: list[float] = []
         self._rendered_n = 0.0
         self.arrived_ns = 0
@@ -126,7 +127,7 @@ class PressLoop:
         return PressTrace(*np.array(rows).T)
 
     def _tick(self, now_ns: int) -> tuple[float, ...]:
-        if now_ns % (self._setting.batch * TICK_NS) == 0:
+        if now_ns % (BATCH * TICK_NS) == 0:
             self._sense(now_ns)
         events = self._events
         while events and events[0][0] <= now_ns:
@@ -158,20 +159,24 @@ class PressLoop:
         )
 
     def _truth_n(self, now_ns: int) -> float:
-        number = (now_ns - self._delay_ns) // TICK_NS + self._setting.batch - 1
+        number = (now_ns - self._delay_ns) // TICK_NS + BATCH - 1
         if number < 0:
             return 0.0
         return self.wrist.artery.pulse_n(self._pressures_pa[number], self.finger.press_n)
 
     def _sense(self, now_ns: int) -> None:
-        """Take the samples of the last batch at the wrist, and send them."""
+        """Take the samples of the last 5 ms at the wrist, and send those of a complete frame."""
         for message in self._intruder(now_ns) if self._intruder is not None else ():
             self.server.answer(message, now_ns + AHEAD_NS)
         if self._setting.open_loop is not None:
             self.wrist.press(self._setting.open_loop(now_ns * 1e-9))
-        batch = self._setting.batch
-        values = self.wrist.take(batch).astype(np.float32)
+        self._unsent.append(self.wrist.take(BATCH).astype(np.float32))
         self._pressures_pa += self.wrist.pressures_pa
+        batch = self._setting.batch
+        if len(self._unsent) * BATCH < batch:
+            return
+        values = np.concatenate(self._unsent)
+        self._unsent.clear()
         first_ns = now_ns + AHEAD_NS - (batch - 1) * TICK_NS
         frame = encode_frame(Frame(SESSION, self._sample, first_ns, TICK_NS, values))
         self._sample += batch
