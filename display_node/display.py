@@ -55,6 +55,9 @@ class Display:
             Contactor(each, score, f"{each.shown_name}: " if several else "")
             for each in scene.contactors
         ]
+        # The first building imports linear algebra, for some 100 ms. In the loop, these would spoil
+        # the first exchanges of the clock.
+        build_predictors(scene.predictor, scene.tick_ns)
         self.states = [contactor.state for contactor in self.contactors]
         errors = (contactor.tracking_error for contactor in self.contactors)
         self.tracking_errors = [error for error in errors if error is not None]

@@ -30,7 +30,15 @@ from tests.support.live_display import (
     subscribe,
 )
 from tests.support.log_lines import refused, unusual
-from tests.support.nodes import RADIAL, assert_accounted, free_address, process, read_json, run
+from tests.support.nodes import (
+    RADIAL,
+    assert_accounted,
+    free_address,
+    process,
+    read_json,
+    run,
+    run_python,
+)
 from tests.support.streams import description
 
 SENSING = "sensing_node.cli"
@@ -327,3 +335,23 @@ def test_the_loss_of_one_of_two_addresses_loses_no_sample(
     assert set(result["frames"]["first"]) == {relayed, address}
     assert sum(result["frames"]["first"].values()) == result["frames"]["received"]
     assert result["rejected"] == {}
+
+
+LOADED_IN_THE_LOOP = """
+import sys
+from telepulse.scene import load_scene
+from telepulse.simulation.virtual_time import Simulation
+simulation = Simulation(load_scene(sys.argv[1]), 1)
+before = set(sys.modules)
+for _ in simulation.ticks(1.5):
+    pass
+print(sorted(set(sys.modules) - before))
+"""
+
+
+@pytest.mark.smoke
+@pytest.mark.parametrize("scene", ["radial", "announce", "press"])
+def test_no_module_is_loaded_in_the_loop(scene: str) -> None:
+    """Loading takes 100 ms, and delays the clock's first exchanges: it was 10 ms off for 3 s."""
+    loaded = run_python("-c", LOADED_IN_THE_LOOP, scene)
+    assert loaded.stdout == "[]\n", loaded.stderr
