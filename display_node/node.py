@@ -35,7 +35,6 @@ from protocol.wire.telemetry import CONTROL
 from pulse_drives.scene import Cia402Scene, TmclScene
 from pulse_drives.start_advice import advised
 from pulse_drives.withdrawal import describe_finger
-from pulse_sensors.force_scale import SensorTable
 from pulse_sensors.sensor import Sensor, open_sensor
 
 logger = logging.getLogger(__name__)
@@ -72,10 +71,10 @@ def open_press(scene: DisplayScene, folder: Path) -> Iterator[Sensor | None]:
 
     folder: of the scene's file. Raises SourceError.
     """
-    if scene.press is None or not isinstance(scene.press.sensor, SensorTable):
+    if scene.press is None or (table := scene.press.live_sensor) is None:
         yield None
         return
-    with closing(open_sensor(scene.press.sensor, folder)) as sensor:
+    with closing(open_sensor(table, folder)) as sensor:
         yield sensor
 
 

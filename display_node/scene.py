@@ -2,7 +2,7 @@
 
 from typing import Annotated, Literal, Self
 
-from pydantic import AfterValidator, BeforeValidator, Field, model_validator
+from pydantic import BeforeValidator, Field, model_validator
 
 from display_node.control.force_loop import ForceLoop, build_force_loop
 from display_node.control.scene import ControllerScene, SafetyScene
@@ -19,7 +19,7 @@ from protocol.wire.messages import MAX_CHANNELS
 from protocol.wire.stream import LayerTable, first_repeated
 from pulse_drives import Drive
 from pulse_drives.scene import DriveTable
-from pulse_sensors.sensor import Sensor, SensorScene, one_force
+from pulse_sensors.sensor import OneForceSensor, Sensor
 
 MAX_COMPENSATION_NS = 10_000_000_000
 MAX_CONTACTORS = 8
@@ -51,9 +51,7 @@ class ContactorScene(Section):
     controller: ControllerScene
     actuator: Annotated[SecondOrderScene | StepperScene, Field(discriminator="kind")]
     drive: DriveTable | None = None
-    feedback: Annotated[
-        SensorScene | None, Field(discriminator="kind"), AfterValidator(one_force)
-    ] = None
+    feedback: OneForceSensor | None = None
     layer: LayerTable = LayerTable()
     film: FilmTable = FilmTable()
 

@@ -10,9 +10,10 @@ from pydantic import Field, model_validator
 from protocol.errors import SourceError
 from protocol.wire.stream import PULSE
 from pulse_sensors import library
-from pulse_sensors.force_scale import MAX_VALUES, SensorTable
+from pulse_sensors.force_scale import MAX_VALUES
 from pulse_sensors.plausibility import is_usable, unit_contradiction
 from pulse_sensors.samples import LONGEST_PAUSE_NS, SampleBlock, SampleCounter, decoded_block
+from pulse_sensors.sensor import SensorScene
 
 if TYPE_CHECKING:
     import can
@@ -22,7 +23,7 @@ SignalNames = Annotated[tuple[SignalName, ...], Field(min_length=1, max_length=M
 WAIT_S = 0.1
 
 
-class CanScene(SensorTable):
+class CanScene(SensorScene):
     """The `source` table of kind "can".
 
     interface, channel, bitrate: those of python-can. options: further settings of the interface.
@@ -48,6 +49,11 @@ class CanScene(SensorTable):
         if (self.signal is None) == (self.signals is None):
             raise ValueError("signal is one, signals are several; give one of the two keys")
         return self
+
+    def device(self, folder: Path) -> "tuple[CanBus, CanDecoder]":
+        """See `SensorScene.device`."""
+        decoder = CanDecoder(self, folder)
+        return CanBus(self, decoder.frame_id, decoder.extended), decoder
 
     @property
     def signal_names(self) -> tuple[str, ...]:

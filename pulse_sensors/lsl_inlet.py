@@ -2,6 +2,7 @@
 
 from collections import Counter
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple, Self
 
 from pydantic import Field, model_validator
@@ -9,9 +10,10 @@ from pydantic import Field, model_validator
 from protocol.errors import SourceError
 from protocol.wire.stream import PULSE
 from pulse_sensors import library
-from pulse_sensors.force_scale import MAX_VALUES, SensorTable
+from pulse_sensors.force_scale import MAX_VALUES
 from pulse_sensors.plausibility import is_usable, rate_contradiction
 from pulse_sensors.samples import SampleBlock, join_samples
+from pulse_sensors.sensor import SensorScene
 
 Number = Annotated[int, Field(ge=0)]
 Numbers = Annotated[tuple[Number, ...], Field(min_length=1, max_length=MAX_VALUES)]
@@ -22,7 +24,7 @@ BUFFER_S = 10
 LARGEST_TIME_S = 1e10
 
 
-class LslScene(SensorTable):
+class LslScene(SensorScene):
     """The `source` table of kind "lsl".
 
     stream: its name. channel: number of the channel in it, from 0. channels: those of several.
@@ -38,6 +40,10 @@ class LslScene(SensorTable):
         if {"channel", "channels"} <= self.given:
             raise ValueError("channel is one, channels are several; give one of the two keys")
         return self
+
+    def device(self, folder: Path) -> "tuple[LslInlet, LslDecoder]":
+        """See `SensorScene.device`."""
+        return LslInlet(self), LslDecoder(self.numbers)
 
     @property
     def numbers(self) -> tuple[int, ...]:

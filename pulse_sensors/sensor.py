@@ -5,45 +5,33 @@ caller's thread does the rest in `Sensor.poll`.
 
 To add a sensor type:
 
-1. Write a module here like `lsl_inlet.py`, with its settings (a `SensorTable` with a `kind`), its
-   `Port` and its `Decoder`.
-2. Add the settings to the union `SensorScene` below. `source` of a sensing node
-   (`sensing_node/scene.py`) and `feedback` of a display (`display_node/scene.py`) then accept them.
-3. Build its port and its decoder in `open_sensor`.
-4. Describe its keys in `docs/scenes.md` and the device in `docs/sensors.md`.
+1. Write a module like `lsl_inlet.py`, with its settings (a `SensorScene`), its `Port`
+   and its `Decoder`.
+2. Name the settings in `SENSORS` below, or in an entry point of another distribution
+   (`docs/howto/plugins.md`). Each table of a scene that describes a sensor then accepts them.
+3. Describe its keys in `docs/scenes.md` and the device in `docs/sensors.md`.
 """
 
 import logging
 import threading
 import time
+from abc import abstractmethod
 from collections import Counter, deque
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, Protocol, TypeVar
+from typing import Annotated, Any, Protocol, TypeVar
 
+from pydantic import AfterValidator
+
+from protocol.config.kinds import KindGroup, KindTable, OfKind
 from protocol.config.quantities import count_text
 from protocol.config.scene import Section
 from protocol.errors import SourceError
-from pulse_sensors.can_bus import CanBus, CanDecoder, CanScene
 from pulse_sensors.force_scale import SensorTable
-from pulse_sensors.lsl_inlet import LslDecoder, LslInlet, LslScene
 from pulse_sensors.samples import SampleBlock, Timestamper
-from pulse_sensors.serial_port import SerialPort, SerialScene
 
 logger = logging.getLogger(__name__)
-
-SensorScene = SerialScene | CanScene | LslScene
-TableT = TypeVar("TableT", bound=Section | None)
-
-
-def one_force(scene: TableT) -> TableT:
-    """Raise ValueError for the table of a live sensor with several channels."""
-    if isinstance(scene, SensorTable) and len(scene.wire_channels) > 1:
-        names = ", ".join(channel.name for channel in scene.wire_channels)
-        raise ValueError(f"one force is read here, and this sensor has several channels: {names}")
-    return scene
-
 
 MAX_WAITING = 10_000
 REOPEN_EVERY_S = 0.2
@@ -81,6 +69,41 @@ class Decoder(Protocol):
 
     def reset(self) -> None:
         """Start anew with the next data, for example after the cable was unplugged."""
+
+
+class SensorScene(SensorTable, KindTable):
+    """Base of the tables of live sensors."""
+
+    @abstractmethod
+    def device(self, folder: Path) -> tuple[Port, Decoder]:
+        """Return the port and the decoder of its data; `Sensor` opens the port.
+
+        folder: of the scene's file. Raises SourceError where a library or a file is missing.
+        """
+
+
+SENSORS = KindGroup[SensorScene](
+    "telepulse.sensors",
+    "sensor",
+    SensorScene,
+    {
+        "serial": "pulse_sensors.serial_port:SerialScene",
+        "can": "pulse_sensors.can_bus:CanScene",
+        "lsl": "pulse_sensors.lsl_inlet:LslScene",
+    },
+)
+TableT = TypeVar("TableT", bound=Section)
+
+
+def one_force(scene: TableT) -> TableT:
+    """Raise ValueError for the table of a live sensor with several channels."""
+    if isinstance(scene, SensorScene) and len(scene.wire_channels) > 1:
+        names = ", ".join(channel.name for channel in scene.wire_channels)
+        raise ValueError(f"one force is read here, and this sensor has several channels: {names}")
+    return scene
+
+
+OneForceSensor = Annotated[SensorScene, OfKind(SENSORS), AfterValidator(one_force)]
 
 
 class Sensor:
@@ -217,12 +240,4 @@ def open_sensor(
     SourceError
         When the device is not there, or a library is missing.
     """
-    match scene:
-        case SerialScene():
-            return Sensor(SerialPort(scene), scene.decoder(), scene, clock)
-        case CanScene():
-            decoder = CanDecoder(scene, folder)
-            bus = CanBus(scene, decoder.frame_id, decoder.extended)
-            return Sensor(bus, decoder, scene, clock)
-        case LslScene():
-            return Sensor(LslInlet(scene), LslDecoder(scene.numbers), scene, clock)
+    return Sensor(*scene.device(folder), scene, clock)

@@ -3,6 +3,7 @@
 import io
 import os
 import select
+from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import serial
@@ -12,7 +13,8 @@ from serial.tools import list_ports
 from protocol.errors import SourceError
 from protocol.wire.stream import PULSE
 from pulse_sensors.binary_frames import FrameDecoder
-from pulse_sensors.force_scale import MAX_VALUES, SensorTable
+from pulse_sensors.force_scale import MAX_VALUES
+from pulse_sensors.sensor import SensorScene
 from pulse_sensors.text_lines import TextDecoder, TimeUnit
 
 Column = Annotated[int, Field(ge=0, le=100)]
@@ -20,7 +22,7 @@ READ_BYTES = 4096
 WAIT_S = 0.1
 
 
-class SerialScene(SensorTable):
+class SerialScene(SensorScene):
     """The `source` table of kind "serial".
 
     port: a device, or a pyserial URL such as socket://host:port. framing: "text", which is lines of
@@ -62,6 +64,10 @@ class SerialScene(SensorTable):
             return self.names or (PULSE,)
         several = len(self.numbers) > 1
         return tuple(f"column {number}" if several else PULSE for number in self.numbers)
+
+    def device(self, folder: Path) -> "tuple[SerialPort, FrameDecoder | TextDecoder]":
+        """See `SensorScene.device`."""
+        return SerialPort(self), self.decoder()
 
     def decoder(self) -> FrameDecoder | TextDecoder:
         """Return the decoder of the framing. Raises SourceError if a library is missing."""

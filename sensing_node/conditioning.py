@@ -16,10 +16,8 @@ from protocol.errors import SceneError
 from protocol.tactile import Adc
 from protocol.ticks import LimitCounter
 from pulse_sensors.force_scale import SensitivityTable
-from sensing_node.feeds import LiveSource, SampleSource
-from sensing_node.sources.recorded import RecordedSource
+from sensing_node.sources.source import SampleSource
 from sensing_node.sources.synthetic import PRESETS
-from sensing_node.sources.wrist import Wrist
 
 # The chain's delay is computed for the pulse of Dargahi et al. (2008), the paper, which has next
 # to no energy above 40 Hz.
@@ -68,7 +66,7 @@ class ConditioningScene(SensitivityTable):
         return self.model_copy(update={"mains_hz": None, "anti_alias_hz": None, "adc_bits": None})
 
 
-class Conditioned:
+class Conditioned(SampleSource):
     """A source with the chain applied; the filters start settled at the source's first sample.
 
     Each channel of force has a chain of its own. A channel that announces passes unchanged.
@@ -135,7 +133,7 @@ class Conditioned:
 
     def faults(self) -> list[str]:
         """Return the faults of the source and of the chain, one line each."""
-        faults = faults_of(self._source)
+        faults = self._source.faults()
         if self._clipped.ticks:
             clipped = f"{count_text(self._clipped.ticks, 'sample')} beyond the ADC's range"
             if len(self._pulses) > 1:
@@ -149,24 +147,6 @@ class Conditioned:
         if self._adc is None:
             return Limits()
         return Limits(adc=self._clipped.limited(self.period_ns * 1e-9, self._taken))
-
-
-def faults_of(source: object) -> list[str]:
-    """Return the faults of a source and its chain, one line each, for the summary."""
-    match source:
-        case RecordedSource():
-            return list(source.warnings)
-        case Conditioned() | LiveSource():
-            return source.faults()
-        case Wrist():
-            return list(source.probe.faults)
-        case _:
-            return []
-
-
-def limits_of(source: object) -> Limits:
-    """Return the figures of a source's own limits, for the summary."""
-    return source.limits() if isinstance(source, Conditioned) else Limits()
 
 
 def pulse_delay_s(sections: NDArray[np.float64], rate_hz: float) -> float:

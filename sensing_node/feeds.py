@@ -6,31 +6,16 @@ A source whose samples are known in advance has `take`; `PacedSource` releases t
 
 from collections import Counter, deque
 from collections.abc import Iterable
-from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from protocol.counters import Limits
 from protocol.wire.messages import Frame
-from protocol.wire.stream import Channel, StreamDescription
+from protocol.wire.stream import StreamDescription
 from pulse_sensors.samples import SampleBlock
 from sensing_node.press.load_cell import SampleSensor
 from sensing_node.press.set_points import PressedProbe
-
-
-class SampleSource(Protocol):
-    """A source whose samples are known in advance."""
-
-    @property
-    def period_ns(self) -> int:
-        """Time between samples."""
-
-    @property
-    def channels(self) -> tuple[Channel, ...]:
-        """Channels of the columns."""
-
-    def take(self, count: int) -> NDArray[np.float64]:
-        """Return the next samples in N, shape (at most count, channels); fewer only at the end."""
+from sensing_node.sources.source import SampleSource
 
 
 class PacedSource:
@@ -64,13 +49,14 @@ class LiveSource:
     """Feed of a live sensor's samples as they arrive; it never ends by itself.
 
     A gap begins a new block. The `missing` samples keep their sequence numbers, so that displays
-    count them as lost. probe: the probe that takes set-points, if the sensor is under one.
+    count them as lost. pressed: the probe that takes set-points, if the sensor is under one.
     """
 
     exhausted = False
+    group_delay_ns = 0
 
-    def __init__(self, sensor: SampleSensor, probe: PressedProbe | None = None) -> None:
-        self.probe = probe
+    def __init__(self, sensor: SampleSensor, pressed: PressedProbe | None = None) -> None:
+        self.pressed = pressed
         self.channels, self.period_ns = sensor.channels, sensor.period_ns
         self._sensor = sensor
         self._blocks: deque[SampleBlock] = deque()
@@ -101,6 +87,10 @@ class LiveSource:
         """Return the faults of the sensor, one line each."""
         return self._sensor.faults()
 
+    def limits(self) -> Limits:
+        """Return no limits: a sensor's electronics count none."""
+        return Limits()
+
 
 class ReplaySource:
     """Feed of an earlier session's frames: the same samples at the same intervals.
@@ -114,6 +104,9 @@ class ReplaySource:
         Frames of one session, ordered by first_sample; repeated samples are left out.
     """
 
+    pressed: PressedProbe | None = None
+    group_delay_ns = 0
+
     def __init__(self, description: StreamDescription, frames: Iterable[Frame]) -> None:
         self.period_ns = description.period_ns
         self.channels = description.channels
@@ -126,6 +119,19 @@ class ReplaySource:
     def exhausted(self) -> bool:
         """True when all frames were read."""
         return self._next is None
+
+    @property
+    def rejected(self) -> Counter[str]:
+        """Return no causes: a recording has no data that could not be used."""
+        return Counter()
+
+    def faults(self) -> list[str]:
+        """Return no faults: those of the recorded session are in its recording."""
+        return []
+
+    def limits(self) -> Limits:
+        """Return no limits: those of the recorded session are in its recording."""
+        return Limits()
 
     def begin(self, start_ns: int) -> None:
         """Shift all times so that the first sample is due at `start_ns`."""

@@ -20,9 +20,8 @@ from protocol.wire.messages import HEADER_BYTES, Bye, encode_control, encode_fra
 from protocol.wire.stream import StreamDescription
 from protocol.wire.telemetry import STATUS, pack_status
 from pulse_sensors.sample_check import SampleCheck
-from sensing_node.conditioning import faults_of, limits_of
 from sensing_node.control_server import ControlServer, RequestBudget, Sender
-from sensing_node.feeds import Framer, LiveSource, Source, feed_of
+from sensing_node.feeds import Framer, Source, feed_of
 from sensing_node.press.set_points import REASONS
 from sensing_node.scene import serve_set_points
 
@@ -276,16 +275,15 @@ class SensingNode:
             rejected["held_back"] = self._requests.held
         if self._telemetry is not None:
             rejected += self._telemetry.rejected
-        if isinstance(self._source, LiveSource):
-            rejected += self._source.rejected
+        rejected += self._source.rejected
         press = PressFigures()
         if (set_points := self._server.set_points) is not None:
             rejected += set_points.rejected
             press = set_points.figures()
         return Summary(
             samples=SampleCounts(sent=self._framer.samples_sent),
-            limited=limits_of(self._source),
+            limited=self._source.limits(),
             press=press,
             rejected=dict(rejected),
-            faults=[*faults_of(self._source), *self._check.faults()],
+            faults=[*self._source.faults(), *self._check.faults()],
         )

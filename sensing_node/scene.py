@@ -8,6 +8,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
+from protocol.config.kinds import OfKind
 from protocol.config.quantities import Name, Nanoseconds, count_text
 from protocol.config.scene import Section
 from protocol.errors import SceneError
@@ -15,17 +16,14 @@ from protocol.wire.messages import HEADER_BYTES, MAX_FRAME_BYTES
 from protocol.wire.stream import LayerTable, StreamDescription
 from pulse_drives import build_drive
 from pulse_drives.scene import Cia402Scene, TmclScene
-from pulse_sensors.force_scale import SensorTable
-from pulse_sensors.sensor import SensorScene, open_sensor
-from sensing_node.conditioning import Conditioned, ConditioningScene, faults_of
-from sensing_node.feeds import LiveSource, SampleSource, Source
+from pulse_sensors.sensor import SENSORS, SensorScene, open_sensor
+from sensing_node.conditioning import Conditioned, ConditioningScene
+from sensing_node.feeds import LiveSource, Source
 from sensing_node.press.live_probe import LiveProbe
 from sensing_node.press.load_cell import JoinedSensors, SampleSensor
 from sensing_node.press.scene import ProbeScene
 from sensing_node.press.set_points import SetPointServer
-from sensing_node.sources.recorded import RecordedSource, RecordingScene
-from sensing_node.sources.synthetic import SyntheticScene, SyntheticSource
-from sensing_node.sources.wrist import ProbedTissue, Wrist, WristScene
+from sensing_node.sources.source import SOURCES, SampleSource, SourceContext, SourceScene
 
 logger = logging.getLogger(__name__)
 
@@ -33,10 +31,7 @@ logger = logging.getLogger(__name__)
 class SensingScene(Section):
     """The `sensing` table. batch: time that one frame covers, rounded to whole samples."""
 
-    source: Annotated[
-        SyntheticScene | RecordingScene | WristScene | SensorScene,
-        Field(discriminator="kind"),
-    ]
+    source: Annotated[SourceScene | SensorScene, OfKind(SOURCES, SENSORS)]
     stream: Name = "pulse"
     batch_ns: Annotated[Nanoseconds, Field(ge=100_000, le=1_000_000_000)] = 5_000_000
     samples: Literal["float32", "float64"] = "float32"
@@ -46,29 +41,49 @@ class SensingScene(Section):
 
     @model_validator(mode="after")
     def _presses_a_wrist(self) -> "SensingScene":
-        is_wrist = isinstance(self.source, WristScene)
-        if is_wrist and self.press is None:
-            raise ValueError('a source of kind "wrist" is pressed by a probe: add [sensing.press]')
+        kind, pressable = self.source.kind, self.sensor is None and self.modelled.pressable
+        if pressable and self.press is None:
+            raise ValueError(
+                f'a source of kind "{kind}" is pressed by a probe: add [sensing.press]'
+            )
         if self.press is not None:
-            drive, live = self.press.drive, isinstance(self.source, SensorTable)
-            if is_wrist and (drive is not None or self.press.sensor is not None):
-                raise ValueError('press: a source of kind "wrist" models drive and load cell')
-            if not is_wrist and (drive is None or not live):
+            drive = self.press.drive
+            if pressable and (drive is not None or self.press.sensor is not None):
+                raise ValueError(f'press: a source of kind "{kind}" models drive and load cell')
+            if not pressable and (drive is None or self.sensor is None):
                 raise ValueError(
                     'press needs a source of kind "wrist", or a live sensor and a table'
                     " [sensing.press.drive]"
                 )
-        if is_wrist and self.conditioning is not None:
-            raise ValueError("conditioning has no load cell's channel; leave it out for a wrist")
+        if pressable and self.conditioning is not None:
+            raise ValueError(f"conditioning has no load cell's channel; leave it out for a {kind}")
         return self
 
     @model_validator(mode="after")
     def _conditions_what_is_simulated(self) -> "SensingScene":
-        if self.conditioning is not None and isinstance(self.source, SensorTable):
+        if self.conditioning is not None and self.sensor is not None:
             raise ValueError(
                 "conditioning simulates electronics, and a live sensor has its own; leave it out"
             )
         return self
+
+    @property
+    def sensor(self) -> SensorScene | None:
+        """The table of a live sensor; None for a source whose samples are known in advance."""
+        return self.source if isinstance(self.source, SensorScene) else None
+
+    @property
+    def modelled(self) -> SourceScene:
+        """The table of a source whose samples are known in advance.
+
+        Raises SceneError for a live sensor, which `open_source` opens.
+        """
+        if isinstance(self.source, SensorScene):
+            raise SceneError(
+                f'[sensing] source: kind "{self.source.kind}" is a live sensor; a sensing node'
+                " reads it, nothing else can"
+            )
+        return self.source
 
 
 @contextmanager
@@ -77,16 +92,16 @@ def open_source(scene: SensingScene, folder: Path) -> Iterator[Source]:
 
     folder: folder of the scene's file. Raises SourceError or SceneError.
     """
-    if isinstance(scene.source, SensorTable):
+    if (table := scene.sensor) is not None:
         if scene.press is not None and scene.press.drive is not None:
-            with _start_probe(scene.source, scene.press, scene.press.drive, folder) as probe:
+            with _start_probe(table, scene.press, scene.press.drive, folder) as probe:
                 yield LiveSource(probe, probe)
             return
-        with closing(open_sensor(scene.source, folder)) as sensor:
+        with closing(open_sensor(table, folder)) as sensor:
             yield LiveSource(sensor)
         return
     source = build_source(scene, folder)
-    for warning in faults_of(source):
+    for warning in source.faults():
         logger.warning(warning)
     yield source
 
@@ -121,25 +136,15 @@ def build_source(scene: SensingScene, folder: Path, plausible: bool = True) -> S
     folder: folder of the scene's file. plausible: refuse a recording that cannot be a pulse. Raises
     SourceError or SceneError, the latter also for a live sensor, which `open_source` opens.
     """
-    source: SampleSource
-    if isinstance(scene.source, SyntheticScene):
-        source = SyntheticSource(scene.source)
-    elif isinstance(scene.source, WristScene):
-        source = Wrist(scene.source, None if scene.press is None else scene.press.limits())
-    elif isinstance(scene.source, RecordingScene):
-        source = RecordedSource(scene.source, folder, plausible)
-    else:
-        raise SceneError(
-            f'[sensing] source: kind "{scene.source.kind}" is a live sensor; a sensing node reads'
-            " it, nothing else can"
-        )
+    press = None if scene.press is None else scene.press.limits()
+    source = scene.modelled.build(SourceContext(folder, plausible, press))
     return source if scene.conditioning is None else Conditioned(source, scene.conditioning)
 
 
-def serve_set_points(source: object, session: int) -> SetPointServer | None:
+def serve_set_points(source: Source, session: int) -> SetPointServer | None:
     """Return a server of the set-points for the probe of a source; None without a probe."""
-    probe = source.probe if isinstance(source, LiveSource) else source
-    return SetPointServer(session, probe) if isinstance(probe, ProbedTissue | LiveProbe) else None
+    probe = source.pressed
+    return None if probe is None else SetPointServer(session, probe)
 
 
 def describe_stream(scene: SensingScene, source: Source) -> StreamDescription:
@@ -161,5 +166,5 @@ def describe_stream(scene: SensingScene, source: Source) -> StreamDescription:
         channels=source.channels,
         layer=scene.layer.layer(),
         bytes_per_sample=width,
-        group_delay_ns=source.group_delay_ns if isinstance(source, Conditioned) else 0,
+        group_delay_ns=source.group_delay_ns,
     )

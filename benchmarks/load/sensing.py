@@ -10,6 +10,7 @@ from protocol.security.keys import ServerKeys
 from protocol.tactile import ElasticLayer
 from protocol.wire.stream import Channel, StreamDescription
 from sensing_node.node import SensingNode
+from sensing_node.sources.source import SampleSource
 from sensing_node.sources.synthetic import SyntheticScene, SyntheticSource
 
 
@@ -26,7 +27,7 @@ class Stream:
         return 1000 / self.batch
 
 
-class Array:
+class Array(SampleSource):
     """An array of films with the same pulse."""
 
     def __init__(self, channels: int) -> None:

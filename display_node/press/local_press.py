@@ -35,7 +35,8 @@ class LocalPress:
         self._sensor: Sensor | None = None
         self._finger: PressingFinger | None = None
         self._sweep: DepthSweep | None = None
-        if isinstance(table := scene.sensor, SyntheticFingerScene):
+        self._table = table = scene.finger
+        if table is not None:
             self._finger = PressingFinger(table.stiffness_n_per_m, table.pulse_share, table.noise_n)
         # Times of samples and their hold-down, in order.
         self._times_ns: list[int] = []
@@ -133,9 +134,10 @@ class LocalPress:
             for block in self._sensor.poll():
                 for reading_n, at_ns in zip(block.force_n, block.times_ns, strict=True):
                     press.read(reading_n, pulse_n, at_ns)
-        elif self._finger is not None:
+        elif self._finger is not None and self._table is not None:
             elapsed_s = min(max(0, now_ns - self._last_ns) * 1e-9, 0.1) if self._last_ns else 0.0
-            reading_n = self._finger.step(self._meant_n(now_ns), yielded_m, pulse_n, elapsed_s)
+            meant_n = self._meant_n(self._table, now_ns)
+            reading_n = self._finger.step(meant_n, yielded_m, pulse_n, elapsed_s)
             press.read(reading_n, pulse_n, now_ns)
         self._last_ns = now_ns
 
@@ -170,10 +172,8 @@ class LocalPress:
         sender = self._press.sender
         return "held" if sender.held_by_other else sender.report.state if sender.report else None
 
-    def _meant_n(self, now_ns: int) -> float:
+    def _meant_n(self, table: SyntheticFingerScene, now_ns: int) -> float:
         """Return the force that the modelled finger means: its levels in turn, by soft steps."""
-        table = self._scene.sensor
-        assert isinstance(table, SyntheticFingerScene)
         if self._begun_ns is None:
             self._begun_ns = now_ns
         number, since_ns = divmod(now_ns - self._begun_ns, table.every_ns)

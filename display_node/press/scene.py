@@ -5,6 +5,7 @@ from typing import Annotated, Literal
 from pydantic import AfterValidator, Field
 
 from display_node.press.finger_press import PressLimits
+from protocol.config.kinds import OfKind
 from protocol.config.quantities import (
     Name,
     Nanoseconds,
@@ -14,7 +15,7 @@ from protocol.config.quantities import (
 )
 from protocol.config.scene import Section
 from protocol.wire.stream import HOLD_DOWN
-from pulse_sensors.sensor import SensorScene, one_force
+from pulse_sensors.sensor import SENSORS, SensorScene, one_force
 
 
 class SyntheticFingerScene(Section):
@@ -45,13 +46,25 @@ class PressScene(Section):
     """
 
     sensor: Annotated[
-        SensorScene | SyntheticFingerScene, Field(discriminator="kind"), AfterValidator(one_force)
+        SensorScene | SyntheticFingerScene,
+        OfKind(SENSORS, also={"finger": SyntheticFingerScene}),
+        AfterValidator(one_force),
     ]
     channel: Name = HOLD_DOWN
     force_limit_n: Annotated[Newtons, Field(gt=0, le=10)] = 3.0
     slew_limit_n_per_s: Annotated[NewtonsPerSecond, Field(gt=0, le=100)] = 20.0
     connections: Annotated[int, Field(strict=True, ge=0, le=32)] = 16
     film_reads_press: bool = False
+
+    @property
+    def live_sensor(self) -> SensorScene | None:
+        """The table of a live sensor; None for a modelled finger."""
+        return self.sensor if isinstance(self.sensor, SensorScene) else None
+
+    @property
+    def finger(self) -> SyntheticFingerScene | None:
+        """The table of a modelled finger; None for a live sensor."""
+        return None if isinstance(self.sensor, SensorScene) else self.sensor
 
     def limits(self) -> PressLimits:
         """Return the limits that the table describes."""

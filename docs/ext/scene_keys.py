@@ -10,6 +10,7 @@ from pydantic import BeforeValidator
 from pydantic.fields import FieldInfo
 
 from ext.from_code import load
+from protocol.config.kinds import OfKind
 from protocol.config.quantities import UNITS, parse_ratio
 from protocol.config.scene import Section
 
@@ -70,7 +71,7 @@ def _chapter(
     inner = []
     for field_name, field in section.model_fields.items():
         key = field.alias or field_name
-        tables = list(_tables(field.annotation))
+        tables = list(_sections(field))
         inner_name = f"[[{name}.{key}]]" if _is_list(field) else f"{name}.{key}"
         inner += [(table, inner_name) for table in tables]
         if not (kind and key == "kind"):
@@ -111,6 +112,12 @@ def _kind(section: type[Section]) -> str | None:
     field = section.model_fields.get("kind")
     values = get_args(field.annotation) if field else ()
     return values[0] if len(values) == 1 else None
+
+
+def _sections(field: FieldInfo) -> Iterator[type[Section]]:
+    """Yield the sections that a field may hold: those of its type, or of telepulse's kinds."""
+    kinds = next((part for part in _metadata(field) if isinstance(part, OfKind)), None)
+    yield from _tables(field.annotation) if kinds is None else kinds.sections()
 
 
 def _tables(annotation: Any) -> Iterator[type[Section]]:

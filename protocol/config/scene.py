@@ -5,7 +5,7 @@ the key.
 """
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -49,6 +49,8 @@ class Section(BaseModel):
 
 
 SectionT = TypeVar("SectionT", bound=Section)
+# Type of the error of a table that its kind's own model refuses; its context has the `error`.
+IN_KIND = "in_kind"
 
 
 def load_section(
@@ -89,29 +91,36 @@ def validate(table: object, schema: type[SectionT], where: str) -> SectionT:
 
 def _first_error(error: ValidationError, table: Any) -> tuple[list[int | str], str]:
     """Return the first of pydantic's errors: its keys, and a line with how many more there are."""
-    first = error.errors(include_url=False)[0]
+    every = list(_errors(error))
+    location, first = every[0]
     context = first.get("ctx", {})
-    keys, written = _follow(first["loc"], table)
+    keys, written = _follow(location, table)
     match first["type"]:
         case "unknown_key":
             keys.append(context["key"])
             text = "unknown key" + suggest(context["key"], context["known"])
         case "missing":
-            keys.append(first["loc"][-1])
+            keys.append(location[-1])
             text = "missing; it must be given"
         case "model_type" | "model_attributes_type":
             text = f"must be a table, got {shown(written)}"
-        case "union_tag_invalid":
-            text = f"unknown kind {shown(context['tag'])}; known: {context['expected_tags']}"
-        case "union_tag_not_found":
-            text = f"{context['discriminator']} is missing; it must be given"
         case "value_error":
             text = str(context["error"])
         case _:
             text = f"{_demand(first, written)}, got {shown(written)}"
     at = f"{place(keys)}: " if keys else ""
-    more = error.error_count() - 1
+    more = len(every) - 1
     return keys, at + text + (f" (and {more} more)" if more else "")
+
+
+def _errors(error: ValidationError) -> Iterator[tuple[tuple[int | str, ...], ErrorDetails]]:
+    """Yield each error with its location, also those of a table's kind."""
+    for each in error.errors(include_url=False):
+        if each["type"] == IN_KIND:
+            for location, inner in _errors(each["ctx"]["error"]):
+                yield (*each["loc"], *location), inner
+        else:
+            yield each["loc"], each
 
 
 def _follow(location: Sequence[int | str], table: Any) -> tuple[list[int | str], Any]:

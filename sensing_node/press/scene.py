@@ -2,7 +2,7 @@
 
 from typing import Annotated
 
-from pydantic import AfterValidator, Field, model_validator
+from pydantic import Field, model_validator
 
 from protocol.config.quantities import (
     Metres,
@@ -13,7 +13,7 @@ from protocol.config.quantities import (
 )
 from protocol.config.scene import Section
 from pulse_drives.scene import DriveTable, MotorScene
-from pulse_sensors.sensor import SensorScene, one_force
+from pulse_sensors.sensor import OneForceSensor
 from sensing_node.press.probe import CLEARANCE_M, ProbeLimits
 
 _TIME_NS = Field(ge=50_000_000, le=10_000_000_000)
@@ -43,9 +43,7 @@ class ProbeScene(Section):
     cell_within_ns: Annotated[Nanoseconds, Field(ge=10_000_000, le=100_000_000)] = 50_000_000
     drive: DriveTable | None = None
     motor: MotorScene = MotorScene()
-    sensor: Annotated[
-        Annotated[SensorScene, Field(discriminator="kind")] | None, AfterValidator(one_force)
-    ] = None
+    sensor: OneForceSensor | None = None
 
     @model_validator(mode="after")
     def _has_limits_in_order(self) -> "ProbeScene":

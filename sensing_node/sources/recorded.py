@@ -15,10 +15,11 @@ from protocol.wire.stream import ANNOUNCE, PULSE, Channel, first_repeated
 from pulse_sensors.force_scale import FORCES, MILLIVOLTS, VOLTAGES, SensitivityTable
 from pulse_sensors.plausibility import RecordedColumn, constant_column, examine
 from sensing_node.sources.column_files import ColumnKey, load_columns
+from sensing_node.sources.source import SampleSource, SourceContext, SourceScene
 from sensing_node.sources.synthetic import SyntheticScene
 
 
-class RecordingScene(SensitivityTable):
+class RecordingScene(SensitivityTable, SourceScene):
     """The `source` table of kind "recording".
 
     path: .csv, .npy or .npz, relative to the scene's folder. column: a name in the CSV's first line
@@ -58,6 +59,10 @@ class RecordingScene(SensitivityTable):
             raise ValueError("announce_unit needs announce, which is not given")
         return self
 
+    def build(self, context: SourceContext) -> "RecordedSource":
+        """See `SourceScene.build`."""
+        return RecordedSource(self, context.folder, context.plausible)
+
     @property
     def forces_of(self) -> tuple[ColumnKey, ...]:
         """Columns of the pulse."""
@@ -82,7 +87,7 @@ class RecordingScene(SensitivityTable):
         return self.rest_n + (values - float(values.mean())) * scale
 
 
-class RecordedSource:
+class RecordedSource(SampleSource):
     """A recorded pulse in N, one channel for each column; `warnings` lists doubtful properties.
 
     Parameters
@@ -135,6 +140,10 @@ class RecordedSource:
         last = first + count if self._loop else min(first + count, length)
         self._position = last
         return self._values[np.arange(first, last) % length]
+
+    def faults(self) -> list[str]:
+        """See `SampleSource.faults`."""
+        return list(self.warnings)
 
 
 def _announcing(column: RecordedColumn, unit: str, path: Path) -> NDArray[np.float64]:

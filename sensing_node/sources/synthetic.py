@@ -18,6 +18,7 @@ from protocol.config.scene import Section
 from protocol.wire.stream import ANNOUNCE, PULSE, Channel, first_repeated
 from sensing_node.sources.ecg import AnnounceScene, EcgColumn
 from sensing_node.sources.heart import NOMINAL_BEAT_S, Heartbeat, SyntheticHeart
+from sensing_node.sources.source import SampleSource, SourceContext, SourceScene
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,7 +58,7 @@ class PositionScene(Section):
     preload_n: Preload | None = None
 
 
-class SyntheticScene(Section):
+class SyntheticScene(SourceScene):
     """The `source` table of kind "synthetic".
 
     heart_rate_variability: standard deviation of the beat interval over its mean. respiration: RMS
@@ -97,6 +98,24 @@ class SyntheticScene(Section):
             raise ValueError("pulse_wave_velocity needs [[sensing.source.position]] tables")
         return self
 
+    def build(self, context: SourceContext) -> "SyntheticSource":
+        """See `SourceScene.build`."""
+        return SyntheticSource(self)
+
+    def ideal(self) -> Self:
+        """Return the table without mains hum."""
+        return self.model_copy(update={"hum_n": 0.0})
+
+    def with_seed(self, seed: int) -> Self:
+        """Return the table with another seed."""
+        return self.model_copy(update={"seed": seed})
+
+    def still(self) -> Self:
+        """Return the table without its pulse."""
+        no_force = {"peak_to_peak_n": 0.0, "preload_n": 0.0}
+        positions = tuple(each.model_copy(update=no_force) for each in self.position)
+        return self.model_copy(update=no_force | {"position": positions})
+
     @property
     def places(self) -> tuple[PositionScene, ...]:
         """The positions; without any, the one of the channel "pulse"."""
@@ -120,7 +139,7 @@ class Column(Protocol):
         """Draw one beat, and return the further samples that no later beat can change."""
 
 
-class SyntheticSource:
+class SyntheticSource(SampleSource):
     """A synthetic pulse in N, one channel for each position of one heart's artery.
 
     beats: the beats drawn so far, at most the last 5 000; the pulse of one begins at each channel

@@ -6,17 +6,18 @@ one, then falls; beyond, the artery is closed in diastole and the pulse is flat 
 """
 
 import math
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from protocol.config.quantities import Metres, Newtons, Pascals
-from protocol.config.scene import Section
 from protocol.tissue import StiffeningLaw, TubeLaw
 from protocol.wire.stream import HOLD_DOWN, Channel
 from sensing_node.press.probe import CLEARANCE_M, Probe, ProbeLimits
+from sensing_node.press.set_points import PressedProbe
+from sensing_node.sources.source import SampleSource, SourceContext, SourceScene
 from sensing_node.sources.synthetic import SyntheticScene, SyntheticSource
 
 # First-order lag of the modelled drive, and of film and load cell. Both sensors have the same, so
@@ -26,7 +27,7 @@ DRIVE_LAG_S, SENSOR_LAG_S = 5e-3, 2e-3
 BEATS_S = 7.0
 
 
-class WristScene(Section):
+class WristScene(SourceScene):
     """The `source` table of kind "wrist".
 
     pulse: the waveform of the arterial pressure, a synthetic pulse; its height is that from
@@ -36,6 +37,7 @@ class WristScene(Section):
     and of the load cell.
     """
 
+    pressable: ClassVar[bool] = True
     kind: Literal["wrist"]
     pulse: SyntheticScene = SyntheticScene(kind="synthetic")
     systolic_pa: Annotated[Pascals, Field(ge=5e3, le=4e4)] = 16e3
@@ -51,6 +53,10 @@ class WristScene(Section):
     def rate_hz(self) -> float:
         """Samples per second."""
         return self.pulse.rate_hz
+
+    def build(self, context: SourceContext) -> "Wrist":
+        """See `SourceScene.build`."""
+        return Wrist(self, context.press)
 
     @model_validator(mode="after")
     def _has_a_pulse(self) -> "WristScene":
@@ -126,7 +132,7 @@ class WristSensors:
         return film_n, self._cell_n + self._scene.cell_noise_n * noise[1]
 
 
-class ProbedTissue:
+class ProbedTissue(SampleSource):
     """Soft tissue under a probe with a modelled drive, both integrated sample by sample.
 
     Attributes
@@ -147,6 +153,15 @@ class ProbedTissue:
         self._time_ns = 0
         self._speed_m_per_s = self._position_m = 0.0
         self.force_n = 0.0
+
+    @property
+    def pressed(self) -> PressedProbe:
+        """See `SampleSource.pressed`."""
+        return self
+
+    def faults(self) -> list[str]:
+        """See `SampleSource.faults`."""
+        return list(self.probe.faults)
 
     @property
     def state(self) -> str:

@@ -14,7 +14,6 @@ from protocol.config.scene_file import find_scene, scene_names, to_toml
 from protocol.errors import SceneError
 from protocol.host.output import check_writable, configure_logging
 from protocol.provenance import collect
-from pulse_sensors.force_scale import SensorTable
 from pulse_sensors.sensor import SensorScene
 from sensing_node.scene import SensingScene
 from telepulse.cli.options import (
@@ -207,10 +206,11 @@ def _sensor(path: Path, at: str, contactor: str | None) -> SensorScene:
                 f"{path}: [display.feedback] is missing: describe the film's sensor there"
             )
         return film
-    source = load_section(path, "sensing", SensingScene).source
-    if not isinstance(source, SensorTable):
-        raise SceneError(f'{path}: [sensing] source: kind "{source.kind}" is not a live sensor')
-    return source
+    sensing = load_section(path, "sensing", SensingScene)
+    if sensing.sensor is None:
+        kind = sensing.source.kind
+        raise SceneError(f'{path}: [sensing] source: kind "{kind}" is not a live sensor')
+    return sensing.sensor
 
 
 def tune(

@@ -316,12 +316,12 @@ def _load_probe(
 ) -> tuple[SceneT, EmulatedMotor, WristBoard]:
     """Return the drive of a scene's probe, its motor, and the board at a wrist."""
     press = load_section(path, "sensing", SensingScene).press
-    source = load_section(wrist, "sensing", SensingScene).source
+    source = WristScene.narrow(
+        load_section(wrist, "sensing", SensingScene).source, f"--wrist {wrist}: [sensing.source]"
+    )
     if press is None or not isinstance(press.drive, kind):
         wanted = "tmcl" if kind is TmclScene else "cia402"
         raise SceneError(f'{path}: [sensing.press.drive] kind = "{wanted}" is needed here')
-    if not isinstance(source, WristScene):
-        raise SceneError(f'--wrist {wrist}: [sensing.source] kind = "wrist" is needed there')
     stepper = StepperScene.model_validate({"kind": "stepper"})
     stepper = stepper.model_copy(update=press.motor.model_dump())
     now_ns = time.monotonic_ns()

@@ -28,8 +28,7 @@ from protocol.errors import DepthError, OptionError
 from protocol.host.output import configure_logging
 from protocol.host.process import freeze_objects, raise_file_limit, stop_on_signals
 from protocol.provenance import collect
-from sensing_node.scene import SensingScene
-from sensing_node.sources.wrist import Wrist, WristScene
+from sensing_node.scene import SensingScene, build_source
 from telepulse.cli.options import PROGRAM, FolderOption, SceneArgument, TablesOption, publish
 from telepulse.reports.depth_report import describe_level, report_depth
 from telepulse.reports.document import Report
@@ -102,13 +101,13 @@ def sweep(
             if record is not None:
                 raise OptionError("--record needs --connect: nothing is recorded in virtual time")
             sensing = load_section(path, "sensing", SensingScene)
-            if not isinstance(sensing.source, WristScene):
+            if sensing.sensor is not None or not sensing.modelled.pressable:
                 raise OptionError(
                     f'{path}: its source is of kind "{sensing.source.kind}", which only a sensing'
                     " node can press: give --connect ADDRESS, or a scene with a source of kind"
                     ' "wrist"'
                 )
-            wrist = Wrist(sensing.source, None if sensing.press is None else sensing.press.limits())
+            wrist = build_source(sensing, path.parent)
         else:
             display = load_section(path, "display", DisplayScene)
             keys = client_keys([connect], key, peer, insecure)

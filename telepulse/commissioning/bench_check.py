@@ -19,10 +19,8 @@ from protocol.config.scene_file import load_document, merge
 from protocol.errors import BenchError, DriveError, SceneError, SourceError
 from pulse_drives.scene import Cia402Scene, TmclScene
 from pulse_drives.start_advice import advised
-from pulse_sensors.force_scale import SensorTable
 from pulse_sensors.sensor import open_sensor
 from sensing_node.scene import SensingScene, build_source
-from sensing_node.sources.synthetic import SyntheticScene
 from telepulse.commissioning.actuator_check import ActuatorFindings, check_actuator
 from telepulse.commissioning.identification import NAMES, respond, step_response
 from telepulse.commissioning.rig import (
@@ -117,28 +115,29 @@ class BenchFindings:
 def check_wrist(findings: BenchFindings, scene: SensingScene, folder: Path, seconds: float) -> None:
     """Check each channel of force of the sensing node's sensor, on which nothing presses."""
     with findings.part("wrist"):
-        live = isinstance(scene.source, SensorTable)
-        if isinstance(scene.source, SensorTable):
-            unloaded = scene.source.model_copy(update={"preload_n": 0.0})
+        if scene.sensor is not None:
+            unloaded = scene.sensor.model_copy(update={"preload_n": 0.0})
+            rate_hz = unloaded.rate_hz
             with closing(open_sensor(unloaded, folder)) as sensor:
                 records = listen(sensor, seconds)
         else:
-            records = _still_source(scene, folder, seconds)
+            rate_hz, records = _still_source(scene, folder, seconds)
         for name, record in records.items():
             part = f"wrist, {name}" if len(records) > 1 else "wrist"
-            findings.add_still(part, record, scene.source.rate_hz, live)
+            findings.add_still(part, record, rate_hz, live=scene.sensor is not None)
 
 
-def _still_source(scene: SensingScene, folder: Path, seconds: float) -> dict[str, SensorRecord]:
-    """Return the records of a synthetic source without its pulse, behind the conditioning.
+def _still_source(
+    scene: SensingScene, folder: Path, seconds: float
+) -> tuple[float, dict[str, SensorRecord]]:
+    """Return the rate in Hz of a source without its pulse, and its records.
 
-    Raises BenchError for a recording, or a wrist that is pressed: there is no sensor to check.
+    They are those behind the conditioning. Raises BenchError for a source that has a pulse always,
+    such as a recording: there is no sensor to check.
     """
-    if not isinstance(scene.source, SyntheticScene):
+    silent = scene.modelled.still()
+    if silent is None:
         raise BenchError(f"[sensing.source] is a {scene.source.kind}: there is no sensor to check")
-    still = {"peak_to_peak_n": 0.0, "preload_n": 0.0}
-    positions = tuple(each.model_copy(update=still) for each in scene.source.position)
-    silent = scene.source.model_copy(update=still | {"position": positions})
     changes: dict[str, object] = {"source": silent}
     if scene.conditioning is not None:
         changes["conditioning"] = scene.conditioning.model_copy(update={"hold_down_n": 0.0})
@@ -147,7 +146,7 @@ def _still_source(scene: SensingScene, folder: Path, seconds: float) -> dict[str
     times_ns = np.arange(count) * source.period_ns
     values = source.take(count)
     record = SensorRecord(times_ns, values[:, 0], times_ns, np.ones(count, np.int64))
-    return of_each_force(record, values, source.channels)
+    return 1e9 / source.period_ns, of_each_force(record, values, source.channels)
 
 
 def check_display(

@@ -14,8 +14,8 @@ import numpy as np
 
 from protocol.wire.stream import PULSE, Channel
 from pulse_sensors.binary_frames import FrameEncoder, SampleFormat
-from sensing_node.feeds import SampleSource
 from sensing_node.scene import SensingScene, build_source
+from sensing_node.sources.source import SampleSource
 from telepulse.emulators import PtyPort
 
 # Force of one count of an integer sample; the range of an int16 is then ±3.2 N.

@@ -16,7 +16,6 @@ from pydantic import BaseModel, ConfigDict
 from display_node.display import Display
 from display_node.hardware import Hardware
 from display_node.scoring.deadlines import GAP_NS
-from sensing_node.sources.synthetic import SyntheticScene
 from telepulse.experiment.psychometrics import IntervalErrors
 from telepulse.experiment.session import Letter, SessionPlan, Trial
 from telepulse.scene import Scene
@@ -117,9 +116,7 @@ def draw_interval(
     random = Random(f"interval {seed} {index} {letter} {nth}")
     on_link = trial.on_link(letter)
     scene = plan.impaired[trial.condition] if on_link and trial.condition else plan.direct
-    source = scene.sensing.source
-    if isinstance(source, SyntheticScene):
-        source = source.model_copy(update={"seed": trial.pulse_seed})
+    source = scene.sensing.modelled.with_seed(trial.pulse_seed)
     session = plan.session
     return Interval(
         letter=letter,

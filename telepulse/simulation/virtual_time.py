@@ -21,7 +21,6 @@ from protocol.run_summary import Summary
 from protocol.ticks import TickState
 from protocol.wire.messages import Bye, ControlMessage, Frame, encode_control, encode_frame
 from pulse_sensors.sample_check import SampleCheck
-from sensing_node.conditioning import faults_of, limits_of
 from sensing_node.control_server import ControlServer
 from sensing_node.feeds import Framer, PacedSource
 from sensing_node.scene import (
@@ -30,7 +29,6 @@ from sensing_node.scene import (
     describe_stream,
     serve_set_points,
 )
-from sensing_node.sources.synthetic import SyntheticScene
 from telepulse.scene import Scene
 from telepulse.simulation.link_model import MessageLink
 from telepulse.simulation.parallel_paths import ParallelPaths
@@ -55,9 +53,7 @@ class ReferenceForce:
 
     def __init__(self, scene: SensingScene, folder: Path) -> None:
         """`folder` is the scene file's. Raises SourceError or SceneError."""
-        source, conditioning = scene.source, scene.conditioning
-        if isinstance(source, SyntheticScene):
-            source = source.model_copy(update={"hum_n": 0.0})
+        source, conditioning = scene.modelled.ideal(), scene.conditioning
         if conditioning is not None:
             conditioning = conditioning.ideal_film()
         true_scene = scene.model_copy(update={"source": source, "conditioning": conditioning})
@@ -190,9 +186,9 @@ class Simulation:
         for error in errors:
             error.finish()
         display = self.display.summary()
-        notes = faults_of(self._source) + self._check.faults()
+        notes = self._source.faults() + self._check.faults()
         faults = display.faults + [f"{SENSING_NOTE}{note}" for note in notes]
-        limited = replace(display.limited, adc=limits_of(self._source).adc)
+        limited = replace(display.limited, adc=self._source.limits().adc)
         clock = display.clock
         if clock.offset_ms is not None:
             # The true offset is known: report the error of the estimate.

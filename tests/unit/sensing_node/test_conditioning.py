@@ -14,8 +14,9 @@ from protocol.counters import Limited, Limits
 from protocol.errors import SceneError
 from protocol.tactile import Film
 from protocol.wire.stream import Channel
-from sensing_node.conditioning import Conditioned, ConditioningScene, faults_of, limits_of
+from sensing_node.conditioning import Conditioned, ConditioningScene
 from sensing_node.scene import SensingScene, build_source, describe_stream
+from sensing_node.sources.source import SampleSource
 from tests.support.streams import synthetic
 
 RATE_HZ = 1000
@@ -27,7 +28,7 @@ WHOLE = CHARGE | MAINS | LOW_PASS | {"adc_bits": 16}
 OCTAVE = math.tan(math.pi * 80 / RATE_HZ) / math.tan(math.pi * 40 / RATE_HZ)
 
 
-class GivenSource:
+class GivenSource(SampleSource):
     """A source of given values, with one column per channel."""
 
     def __init__(self, values: NDArray[np.float64], rate_hz: float = RATE_HZ) -> None:
@@ -93,8 +94,8 @@ def test_samples_beyond_the_adcs_range_are_counted_by_channel() -> None:
     keys = {"adc_bits": 8, "adc_range": "0.1 V"}
     under_test = Conditioned(source, validate(keys, ConditioningScene, "scene"))
     under_test.take(3)
-    assert faults_of(under_test) == ["2 samples beyond the ADC's range: 1 1, 2 2"]
-    assert limits_of(under_test).adc.times == 1
+    assert under_test.faults() == ["2 samples beyond the ADC's range: 1 1, 2 2"]
+    assert under_test.limits().adc.times == 1
 
 
 def test_the_chain_ends_with_its_source() -> None:
@@ -177,11 +178,11 @@ def test_the_output_is_in_newtons_in_steps_of_the_adc(
 def test_samples_beyond_the_adcs_range_are_counted_and_reported() -> None:
     force_n = np.array([0.0, 0.9, 1.1, -1.1, 0.5])
     under_test = chain(force_n, sensitivity="1 V/N", adc_bits=16, adc_range="1 V")
-    assert faults_of(under_test) == faults_of(GivenSource(force_n)) == []
+    assert under_test.faults() == GivenSource(force_n).faults() == []
     read_n = np.concatenate([under_test.take(3), under_test.take(2)]).ravel()
-    assert limits_of(under_test).adc == Limited(1, pytest.approx(0.002), 0.4)
-    assert limits_of(GivenSource(force_n)) == limits_of(chain(force_n)) == Limits()
-    assert faults_of(under_test) == ["2 samples beyond the ADC's range"]
+    assert under_test.limits().adc == Limited(1, pytest.approx(0.002), 0.4)
+    assert GivenSource(force_n).limits() == chain(force_n).limits() == Limits()
+    assert under_test.faults() == ["2 samples beyond the ADC's range"]
     np.testing.assert_allclose(read_n, [0, 0.9, 1, -1, 0.5], atol=1e-4)
 
 

@@ -1,0 +1,201 @@
+"""Kinds of a scene's tables: telepulse's own, and those of plug-ins.
+
+A table such as [sensing.source] says by its `kind` which section model reads it. The model is an
+entry point in the table's group: `KindGroup.own` lists telepulse's, an installed distribution
+declares others. The distributions are searched only for a kind that is not telepulse's own, and
+only the plug-in that a scene names is imported.
+"""
+
+import inspect
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from functools import cache
+from importlib.metadata import EntryPoint, entry_points, version
+from typing import Any, Generic, Self, TypeVar, get_args
+
+from pydantic import GetCoreSchemaHandler, ValidationError
+from pydantic_core import CoreSchema, PydanticCustomError, core_schema
+
+from protocol.config.quantities import shown
+from protocol.config.scene import IN_KIND, Section
+from protocol.errors import SceneError
+
+OWN_DISTRIBUTION = "telepulse"
+
+
+class KindTable(Section):
+    """Base of the section models of kinds; that of one kind has a `kind: Literal["its name"]`."""
+
+    kind: str
+
+    @classmethod
+    def narrow(cls, table: Section | None, where: str) -> Self:
+        """Return a table that is of this kind. Raises SceneError, which begins with `where`."""
+        if not isinstance(table, cls):
+            wanted = get_args(cls.model_fields["kind"].annotation)[0]
+            raise SceneError(f'{where} kind = "{wanted}" is needed here')
+        return table
+
+
+TableT_co = TypeVar("TableT_co", bound=KindTable, covariant=True)
+
+
+@dataclass(frozen=True, slots=True)
+class ListedKind:
+    """One kind of a group; `problem` is the reason why it cannot be used, None without any."""
+
+    group: str
+    kind: str
+    distribution: str
+    version: str
+    problem: str | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class KindGroup(Generic[TableT_co]):
+    """The kinds that one table of a scene can have.
+
+    name: the group of entry points, such as "telepulse.sources". noun: what a kind is. base: class
+    of the group's section models. own: telepulse's kinds, as entry points: "module:class".
+    """
+
+    name: str
+    noun: str
+    base: type[KindTable]
+    own: Mapping[str, str]
+
+    def find(self, kind: str) -> type[TableT_co] | None:
+        """Return the section model of a kind; None where there is none.
+
+        Raises SceneError, which names the distribution, for a plug-in that cannot be used.
+        """
+        found = self._entries(kind)
+        if not found:
+            return None
+        if len(found) > 1:
+            names = " and ".join(sorted(_distribution(each) for each in found))
+            raise SceneError(
+                f'{self.noun} kind "{kind}" comes from {names}, and only one of them can be meant:'
+                " uninstall the other"
+            )
+        return _load(self, found[0])
+
+    def sections(self) -> dict[str, type[TableT_co]]:
+        """Return the section models of telepulse's own kinds."""
+        return {kind: _load(self, self._own(kind)) for kind in self.own}
+
+    def names(self) -> list[str]:
+        """Return the names of all kinds, telepulse's own first."""
+        found = sorted({entry.name for entry in entry_points(group=self.name)})
+        return [*self.own, *(name for name in found if name not in self.own)]
+
+    def listed(self) -> Iterator[ListedKind]:
+        """Yield all kinds; each plug-in is imported."""
+        for kind in self.own:
+            yield ListedKind(self.name, kind, OWN_DISTRIBUTION, version(OWN_DISTRIBUTION))
+        for entry in sorted(entry_points(group=self.name), key=lambda each: each.name):
+            problem = None
+            if entry.name in self.own:
+                problem = "telepulse has a kind of this name, which is used"
+            else:
+                try:
+                    self.find(entry.name)
+                except SceneError as error:
+                    problem = str(error)
+            name, _, number = _distribution(entry).partition(" ")
+            yield ListedKind(self.name, entry.name, name, number, problem)
+
+    def _own(self, kind: str) -> EntryPoint:
+        return EntryPoint(kind, self.own[kind], self.name)
+
+    def _entries(self, kind: str) -> list[EntryPoint]:
+        if kind in self.own:
+            return [self._own(kind)]
+        return list(entry_points(group=self.name, name=kind))
+
+
+@cache
+def _load(group: KindGroup[Any], entry: EntryPoint) -> type[Any]:
+    """Return the section model of an entry point. Raises SceneError."""
+    try:
+        found = entry.load()
+        _refuse_misfit(group, entry, found)
+    except (Exception, SystemExit) as error:  # a plug-in may fail in any way
+        name = "" if isinstance(error, SceneError) else f"{type(error).__name__}: "
+        reason = " ".join(f"{name}{error}".split())
+        raise SceneError(
+            f'{group.noun} kind "{entry.name}" of {_distribution(entry)} cannot be used: {reason}'
+        ) from None
+    section: type[Any] = found
+    return section
+
+
+def _refuse_misfit(group: KindGroup[Any], entry: EntryPoint, found: Any) -> None:
+    """Raise SceneError where an object cannot be a kind of the group."""
+    if not (isinstance(found, type) and issubclass(found, group.base)):
+        raise SceneError(f"{entry.value} is no subclass of {group.base.__name__}")
+    if inspect.isabstract(found):
+        lacking = ", ".join(sorted(found.__abstractmethods__))
+        own = version(OWN_DISTRIBUTION)
+        raise SceneError(
+            f"{entry.value} lacks {lacking}; it may be for another telepulse than {own}"
+        )
+    if entry.name not in get_args(found.model_fields["kind"].annotation):
+        raise SceneError(f'{entry.value} lacks the field kind: Literal["{entry.name}"]')
+
+
+def _distribution(entry: EntryPoint) -> str:
+    """Return name and version of the distribution of an entry point."""
+    dist = entry.dist
+    return OWN_DISTRIBUTION if dist is None else f"{dist.metadata['Name']} {dist.version}"
+
+
+class OfKind:
+    """Annotation of a field whose value is a table of any kind of some groups.
+
+    also: kinds that only this field can have. Errors of the kind's own model keep their keys.
+    """
+
+    def __init__(
+        self, *groups: KindGroup[KindTable], also: Mapping[str, type[Section]] | None = None
+    ) -> None:
+        self._groups = groups
+        self._also = also or {}
+
+    def sections(self) -> list[type[Section]]:
+        """Return the section models of telepulse's own kinds, for the reference."""
+        own = [section for group in self._groups for section in group.sections().values()]
+        return [*own, *self._also.values()]
+
+    def __get_pydantic_core_schema__(
+        self, source: object, handler: GetCoreSchemaHandler
+    ) -> CoreSchema:
+        """Return the schema of a field: its value is of a type that the value itself names."""
+        return core_schema.no_info_plain_validator_function(self._validate)
+
+    def _validate(self, value: object) -> Section:
+        if isinstance(value, Section):
+            return value
+        if not isinstance(value, dict):
+            raise PydanticCustomError("model_type", "must be a table")
+        if "kind" not in value:
+            raise SceneError("kind is missing; it must be given")
+        section = self._find(value["kind"])
+        try:
+            return section.model_validate(value)
+        except ValidationError as error:
+            raise PydanticCustomError(IN_KIND, "is refused by its kind", {"error": error}) from None
+
+    def _find(self, kind: object) -> type[Section]:
+        """Return the section model of a kind. Raises SceneError where there is none."""
+        if isinstance(kind, str):
+            if kind in self._also:
+                return self._also[kind]
+            for group in self._groups:
+                if (section := group.find(kind)) is not None:
+                    return section
+        known = [name for group in self._groups for name in group.names()] + list(self._also)
+        listed = ", ".join(f"'{name}'" for name in known)
+        names = " or ".join(group.name for group in self._groups)
+        further = f"; plug-ins add kinds by entry points in {names}" if names else ""
+        raise SceneError(f"unknown kind {shown(kind)}; known: {listed}{further}")

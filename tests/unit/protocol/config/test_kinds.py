@@ -1,0 +1,143 @@
+from pathlib import Path
+from typing import Annotated
+
+import pytest
+
+from protocol.config.kinds import KindGroup, KindTable, ListedKind, OfKind
+from protocol.config.scene import Section, load_section, validate
+from protocol.errors import SceneError
+from tests.support.distributions import install
+
+OWN = "protocol.config.kinds:KindTable"
+MOTORS = KindGroup[KindTable]("telepulse.motors", "motor", KindTable, {"own": OWN})
+
+
+class Axis(Section):
+    """A section with a table of any kind."""
+
+    motor: Annotated[KindTable, OfKind(MOTORS)]
+
+
+LINEAR = """
+from typing import Annotated, Literal
+from pydantic import Field
+from protocol.config.kinds import KindTable
+from protocol.config.quantities import Metres
+
+class Linear(KindTable):
+    kind: Literal["linear"]
+    lead_m: Annotated[Metres, Field(gt=0)]
+
+class Misnamed(KindTable):
+    kind: Literal["another"]
+
+class Unrelated:
+    pass
+"""
+KINDS = (
+    "linear = Linear\nmisnamed = Misnamed\nunrelated = Unrelated\nmissing = Missing\nown = Linear"
+)
+
+
+@pytest.fixture(autouse=True)
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Folder of distributions that are installed."""
+    monkeypatch.syspath_prepend(tmp_path)
+    return tmp_path
+
+
+def read(**motor: object) -> KindTable:
+    return validate({"motor": motor}, Axis, "scene: [axis]").motor
+
+
+def test_a_plug_ins_table_is_read_by_its_own_model(folder: Path) -> None:
+    install(folder, "linears", LINEAR, telepulse_motors=KINDS)
+    table = read(kind="linear", lead="2 mm")
+    assert table.model_dump() == {"kind": "linear", "lead_m": 2e-3}
+    # What is dumped is what the kind's own model has, not the base's fields.
+    assert Axis(motor=table).model_dump() == {"motor": table.model_dump()}
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ('lead = "2 mm"', "motor: kind is missing; it must be given"),
+        ('kind = "linear"\nlead = "-2 mm"', "motor.lead: must be greater than 0 mm, got '-2 mm'"),
+        ('kind = "linear"\nlaed = "2 mm"', "motor.laed: unknown key; did you mean lead?"),
+        ('kind = "linear"', "motor.lead: missing; it must be given"),
+        (
+            'kind = "linaer"',
+            "motor: unknown kind 'linaer'; known: 'own', 'linear', 'misnamed', 'missing',"
+            " 'unrelated'; plug-ins add kinds by entry points in telepulse.motors",
+        ),
+        (
+            'kind = "misnamed"',
+            'motor: motor kind "misnamed" of linears 1.2 cannot be used: linears:Misnamed lacks'
+            ' the field kind: Literal["misnamed"]',
+        ),
+        (
+            'kind = "unrelated"',
+            'motor: motor kind "unrelated" of linears 1.2 cannot be used: linears:Unrelated is no'
+            " subclass of KindTable",
+        ),
+        (
+            'kind = "missing"',
+            'motor: motor kind "missing" of linears 1.2 cannot be used: AttributeError: module'
+            " 'linears' has no attribute 'Missing'",
+        ),
+    ],
+)
+def test_errors_are_one_line_with_file_and_key(folder: Path, text: str, message: str) -> None:
+    install(folder, "linears", LINEAR, telepulse_motors=KINDS)
+    scene = folder / "scene.toml"
+    scene.write_text(f"[display]\n[display.motor]\n{text}\n")
+    with pytest.raises(SceneError) as caught:
+        load_section(scene, "display", Axis)
+    assert str(caught.value) == f"{scene}: [display] {message}"
+
+
+@pytest.mark.parametrize(
+    ("code", "reason"),
+    [
+        ("import a_library_that_is_missing", "ModuleNotFoundError: No module named 'a_library_th"),
+        ("raise SystemExit('three\\nlines\\nof text')", "SystemExit: three lines of text"),
+        ("import", "SyntaxError: invalid syntax"),
+    ],
+)
+def test_a_broken_plug_in_is_named_and_disturbs_no_other_kind(
+    folder: Path, code: str, reason: str
+) -> None:
+    install(folder, "broken_one", code, "0.3", telepulse_motors="broken = Broken")
+    install(folder, "linears_two", LINEAR, telepulse_motors="linear = Linear")
+    assert read(kind="linear", lead="2 mm").kind == "linear"
+    with pytest.raises(SceneError, match=r"of broken_one 0\.3 cannot be used") as caught:
+        read(kind="broken")
+    assert f"cannot be used: {reason}" in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_two_distributions_with_one_kind_are_refused_by_name(folder: Path) -> None:
+    install(folder, "linears_a", LINEAR, telepulse_motors="linear = Linear")
+    install(folder, "linears_b", LINEAR, "3", telepulse_motors="linear = Linear")
+    with pytest.raises(SceneError, match=r"linears_a 1\.2 and linears_b 3, and only one of them"):
+        read(kind="linear", lead="2 mm")
+
+
+def test_a_kind_that_lacks_a_method_names_it_and_this_version(folder: Path) -> None:
+    code = (
+        "from typing import Literal\nfrom pulse_sensors.sensor import SensorScene\n"
+        "class Older(SensorScene):\n    kind: Literal['older']\n"
+    )
+    install(folder, "older", code, telepulse_motors="older = Older")
+    with pytest.raises(SceneError, match="older:Older lacks device; it may be for another telepul"):
+        read(kind="older")
+
+
+def test_all_kinds_are_listed_with_their_distribution_and_problem(folder: Path) -> None:
+    install(folder, "linears", LINEAR, telepulse_motors="linear = Linear\nown = Linear")
+    install(folder, "absent", "import nothing_like_it", telepulse_motors="absent = Absent")
+    listed = {(each.kind, each.distribution): each for each in MOTORS.listed()}
+    assert listed["linear", "linears"] == ListedKind(MOTORS.name, "linear", "linears", "1.2")
+    assert listed["own", "telepulse"].problem is None
+    assert listed["own", "linears"].problem == "telepulse has a kind of this name, which is used"
+    assert "nothing_like_it" in (listed["absent", "absent"].problem or "")
