@@ -12,20 +12,15 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from display_node.scoring.beat_quality import (
-    AFTER,
-    BEFORE,
-    GOOD,
-    BeatShape,
-    similarity,
-)
-from display_node.scoring.beats import STEP_NS, STEP_S, Beat, BeatAnalysis
-from display_node.scoring.depth_curve import (
-    LEVEL_SHARE,
-    BeatPoint,
-    DepthCurve,
-    Floats,
-    fit_depth_curve,
+from display_node.scoring.beat_quality import GOOD, BeatShape
+from display_node.scoring.beats import Beat
+from display_node.scoring.depth_curve import LEVEL_SHARE, BeatPoint, DepthCurve, fit_depth_curve
+from display_node.scoring.pressed_beats import (
+    NEIGHBOURS,
+    RenewedAnalysis,
+    beat_shape,
+    judge_beat,
+    measure_beat,
 )
 from protocol.errors import DepthError
 from protocol.wire.messages import ChannelSamples
@@ -49,17 +44,8 @@ PARTS: Final = 12
 # Beyond the largest height, where the curve is steepest, a steady sweep rises more slowly: once so
 # many beats have fallen below this share of it.
 FALLING_BEATS, FALLEN, SLOWER = 3, 0.85, 0.3
-# With the hold-down the pulse may fall faster than the search for beats follows. The search begins
-# anew after this time without a beat; before its first one it takes longer.
-PULSELESS_NS, FIRST_NS = 2_500_000_000, 10_000_000_000
 # The wrist is released for this time at the end.
 RELEASE_NS: Final = 1_000_000_000
-# A beat is flat where it is within this share of its height above the foot.
-NEAR_FOOT: Final = 0.1
-# A beat is compared with so many before and after it, as far as they are of the same level.
-NEIGHBOURS: Final = 4
-# A beat is compared over this time after its onset; what follows may be the next one.
-COMPARED_S: Final = 0.5
 # Samples that are kept, and the longest wait for samples, which begins with the sweep.
 KEPT_NS: Final = 12_000_000_000
 WITHOUT_NS: Final = 20_000_000_000
@@ -106,26 +92,6 @@ class SweptLevel(NamedTuple):
         """Median height; 0 with fewer than two good beats, which are no pulse."""
         good = self.good
         return statistics.median(point.height_n for point in good) if len(good) > 1 else 0.0
-
-
-class RenewedAnalysis:
-    """Analysis of beats that begins anew where none was found for a while."""
-
-    def __init__(self) -> None:
-        self._analysis = BeatAnalysis()
-        self._until_ns: int | None = None
-
-    def observe(self, pulse: ChannelSamples) -> list[Beat]:
-        """Take a frame's samples; return the beats that became complete."""
-        now_ns = pulse.times_ns[-1]
-        beats = self._analysis.observe(pulse)
-        if beats:
-            self._until_ns = now_ns + PULSELESS_NS
-        elif self._until_ns is None:
-            self._until_ns = now_ns + FIRST_NS
-        elif now_ns > self._until_ns:
-            self._until_ns, self._analysis = now_ns + FIRST_NS, BeatAnalysis()
-        return beats
 
 
 class DepthSweep:
@@ -363,40 +329,3 @@ class DepthSweep:
                 self.release()
         if passed >= 1.0:
             self.release()
-
-
-def beat_shape(beat: Beat, times_ns: Floats, forces_n: Floats) -> BeatShape | None:
-    """Return a beat's shape in steps around its onset; None where samples are missing."""
-    grid_ns = beat.onset_ns + STEP_NS * np.arange(-BEFORE, AFTER + 1.0)
-    if len(times_ns) < 2 or not times_ns[0] <= grid_ns[0] <= grid_ns[-1] <= times_ns[-1]:
-        return None
-    areas = np.concatenate(
-        [[0.0], np.cumsum(0.5 * np.diff(times_ns) * (forces_n[1:] + forces_n[:-1]))]
-    )
-    means = np.diff(np.interp(grid_ns, times_ns, areas)) / STEP_NS
-    return BeatShape(means, beat.height_n)
-
-
-def measure_beat(beat: Beat, times_ns: Floats, forces_n: Floats, hold_down_n: float) -> BeatPoint:
-    """Measure a beat's height and shape."""
-    interval_ns = beat.interval_s * 1e9
-    first, last = np.searchsorted(times_ns, [beat.onset_ns, beat.onset_ns + interval_ns])
-    above = (forces_n[first:last] - beat.foot_n) / beat.height_n
-    notch_ns = beat.notch_ns
-    return BeatPoint(
-        hold_down_n,
-        beat.height_n,
-        float(above.mean()),
-        beat.upstroke_s / beat.interval_s,
-        float("nan") if notch_ns is None else (notch_ns - beat.onset_ns) / interval_ns,
-        float((above < NEAR_FOOT).mean()),
-        1.0 if beat.quality is None else beat.quality,
-    )
-
-
-def judge_beat(number: int, points: Sequence[BeatPoint], shapes: Sequence[BeatShape]) -> float:
-    """Return a beat's similarity to its neighbours of the same level."""
-    before = shapes[max(number - NEIGHBOURS, 0) : number]
-    others = [*before, *shapes[number + 1 : number + 1 + NEIGHBOURS]]
-    found = similarity(shapes[number], others, round(COMPARED_S / STEP_S))
-    return points[number].quality if found is None else found

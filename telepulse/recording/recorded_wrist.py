@@ -6,17 +6,22 @@ the height that of the curve fitted to all beats.
 """
 
 from bisect import bisect_right
-from collections import deque
 from collections.abc import Sequence
 from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from display_node.press.sweep import RenewedAnalysis, beat_shape, judge_beat, measure_beat
 from display_node.scoring.beat_quality import GOOD, BeatShape
 from display_node.scoring.beats import Beat
 from display_node.scoring.depth_curve import BeatPoint, DepthCurve, fit_depth_curve
+from display_node.scoring.pressed_beats import (
+    SteadyAnalysis,
+    beat_shape,
+    judge_beat,
+    measure_beat,
+    steady_hold_down_n,
+)
 from protocol.errors import SourceError
 from protocol.tissue import StiffeningLaw
 from protocol.wire.messages import channel_samples
@@ -26,13 +31,8 @@ from sensing_node.sources.wrist import ProbedTissue
 from telepulse.recording.session import RecordedSession
 
 Floats = NDArray[np.float64]
-# Beats whose hold-down differs by less belong to one level; a beat's own may change by this share
-# and force, as in a steady sweep.
+# Beats whose hold-down differs by less belong to one level.
 LEVEL_N: Final = 0.04
-STEADY_SHARE, STEADY_N = 0.03, 0.05
-# The hold-down steps where it changes by this share and force within this time; the beats of the
-# next level are searched anew.
-STEP_SHARE, STEP_N, STEP_NS = 0.03, 0.03, 300_000_000
 # Parts of a beat's shape, and the part at which its peak is put: beats of two levels are blended
 # peak to peak, since a stronger press shortens the rise.
 PARTS, PEAK_AT = 400, 60
@@ -130,9 +130,8 @@ def _read_beats(session: RecordedSession) -> tuple[list[RecordedBeat], list[Beat
         held_n = hold_downs_n[_span(beat, times_ns)]
         if shape is None or len(held_n) * session.description.period_ns < 0.9e9 * beat.interval_s:
             continue
-        force_n, edge = float(held_n.mean()), len(held_n) // 10 + 1
-        moved_n = abs(float(held_n[-edge:].mean() - held_n[:edge].mean()))
-        if moved_n <= STEADY_SHARE * force_n + STEADY_N:
+        force_n = steady_hold_down_n(held_n)
+        if force_n is not None:
             steady.append((measure_beat(beat, times_ns, pulse_n, force_n), shape, beat))
     # In the order of the hold-down, neighbours are alike.
     steady.sort(key=lambda each: each[0].hold_down_n)
@@ -151,7 +150,7 @@ def _read_beats(session: RecordedSession) -> tuple[list[RecordedBeat], list[Beat
 
 def _analyse(session: RecordedSession) -> tuple[Floats, Floats, Floats, list[Beat]]:
     """Return times, pulse and hold-down of all samples, and the beats. Raises SourceError."""
-    description, analysis, beats = session.description, RenewedAnalysis(), list[Beat]()
+    description, analysis, beats = session.description, SteadyAnalysis(), list[Beat]()
     names = [channel.name for channel in description.channels]
     if HOLD_DOWN not in names or PULSE not in names:
         raise SourceError(
@@ -160,7 +159,6 @@ def _analyse(session: RecordedSession) -> tuple[Floats, Floats, Floats, list[Bea
         )
     film, cell = names.index(PULSE), names.index(HOLD_DOWN)
     times, pulse, held = list[int](), list[Floats](), list[Floats]()
-    recent: deque[tuple[int, float]] = deque()
     for frame in session.frames():
         values = frame.values.astype(np.float64)
         samples = channel_samples(
@@ -169,14 +167,7 @@ def _analyse(session: RecordedSession) -> tuple[Floats, Floats, Floats, list[Bea
         times += samples.times_ns
         pulse.append(values[:, film])
         held.append(values[:, cell] - values[:, film])
-        now_n = float(held[-1].mean())
-        recent.append((frame.t_first_ns, now_n))
-        while frame.t_first_ns - recent[0][0] > STEP_NS:
-            recent.popleft()
-        if abs(now_n - recent[0][1]) > STEP_SHARE * abs(now_n) + STEP_N:
-            analysis = RenewedAnalysis()
-        else:
-            beats += analysis.observe(samples)
+        beats += analysis.observe(samples, float(held[-1].mean()))
     return np.array(times, float), np.concatenate(pulse), np.concatenate(held), beats
 
 
