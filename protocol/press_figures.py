@@ -2,7 +2,9 @@
 
 from dataclasses import dataclass
 
-from protocol.figures import NEWTONS, RATIO, figure
+from protocol.figures import NEWTONS, RATIO, Surface, absent, figure
+
+OWN = absent("The page has a figure of them.", Surface.PAGE)
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,12 +46,14 @@ class PressFigures(SetPointCounts):
         "finger {}",
         NEWTONS._replace(form=".0f"),
         metric="press_newtons",
+        absent=OWN,
     )
     hold_down_n: float | None = figure(
         "Static force of the probe on the wrist, as last reported",
         "wrist {}",
         NEWTONS._replace(form=".0f"),
         metric="hold_down_newtons",
+        absent=OWN,
     )
     loop_gain: float | None = figure(
         "Measured gain of the loop through the network: the share of a change of the hold-down that"
@@ -57,6 +61,7 @@ class PressFigures(SetPointCounts):
         "loop gain {}",
         RATIO._replace(form=".4f"),
         metric="press_loop_gain_ratio",
+        absent=OWN,
     )
     probe: str | None = figure(
         "State of the probe: off, pressing, easing, leaving or fault; held while another display"
@@ -65,4 +70,5 @@ class PressFigures(SetPointCounts):
         metric="probe",
         show=lambda state: state or None,
         label="state",
+        absent=OWN,
     )

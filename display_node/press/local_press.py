@@ -96,6 +96,9 @@ class LocalPress:
         ratio
             Force at the finger per force at the wrist.
         """
+        if self._sweep is not None:
+            # No finger presses, so the pulse is played as it is at the wrist.
+            return [ratio * force_n for force_n in wrist_n]
         press, times_ns = self._press, self._times_ns
         self.target_static_n = static_n = self.static_n
         felt = []

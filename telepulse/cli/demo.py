@@ -35,7 +35,7 @@ from protocol.cli_options import (
     sum_up,
 )
 from protocol.config.scene_file import find_scene
-from protocol.errors import ProcessError, TelepulseError
+from protocol.errors import ProcessError
 from protocol.host.child_process import ChildProcess
 from protocol.host.output import check_writable, configure_logging
 from protocol.host.process import stop_on_signals
@@ -46,7 +46,7 @@ from protocol.wire.messages import decode_frame
 from protocol.wire.telemetry import Trace
 from sensing_node.scene import describe_stream, open_source
 from telepulse.cli.options import PROGRAM, LinkOption, SceneArgument, SeedOption
-from telepulse.cli.view import check_bokeh
+from telepulse.cli.view import open_page
 from telepulse.processes import NodeProcess, free_addresses, log_warnings
 from telepulse.scene import DEFAULT_SCENE, Scene, load_scene, scene_provenance
 from telepulse.simulation import virtual_time
@@ -55,7 +55,6 @@ from telepulse.simulation.virtual_time import ReferenceForce
 
 logger = logging.getLogger(__name__)
 
-STARTS_WITHIN_S = 30.0
 ENDS_WITHIN_S = 10.0
 PIPES: dict[str, Any] = {"stdout": PIPE, "stderr": PIPE}
 # Time for the display to start before the sensing node does.
@@ -167,7 +166,7 @@ def run_demo(
         live_page = None
         if page or (page is None and draw):
             # Started first, so that it shows the beginning.
-            live_page = _open_page(stack, telemetry_address, bool(page), console)
+            live_page = open_page(stack, telemetry_address, bool(page), console)
         display = NodeProcess(
             *("display node", "display_node.cli", str(path), "--connect", display_address),
             *("--telemetry", telemetry_address, "--once", "--quiet", *time_limit),
@@ -217,26 +216,6 @@ def run_demo(
         sensed = sensing.await_summary(ENDS_WITHIN_S)
         played = display.await_summary(ENDS_WITHIN_S, may_end_with=FAULT_STATUS)
         return _compose(sensed, played, scorer.errors)
-
-
-def _open_page(
-    stack: ExitStack, telemetry: str, required: bool, console: Console
-) -> ChildProcess | None:
-    """Serve the live page until `stack` closes, and print its address; None where that fails.
-
-    With `required`, raise OutputError or ProcessError instead.
-    """
-    try:
-        check_bokeh()
-        page = ChildProcess(*("live page", "-m", "telepulse", "view", telemetry), **PIPES)
-        stack.callback(page.stop)
-        console.print(page.read_line(STARTS_WITHIN_S))
-    except TelepulseError as error:
-        if required:
-            raise
-        logger.warning(f"no live page: {error}")
-        return None
-    return page
 
 
 class _Scorer:

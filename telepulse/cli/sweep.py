@@ -1,7 +1,7 @@
 """`telepulse sweep`: press a wrist over a range of forces, and find its best hold-down."""
 
 import logging
-from contextlib import closing
+from contextlib import ExitStack, closing
 from pathlib import Path
 from typing import Annotated
 
@@ -24,12 +24,13 @@ from protocol.cli_options import (
 from protocol.config.quantities import parse_quantity
 from protocol.config.scene import load_section
 from protocol.config.scene_file import find_scene
-from protocol.errors import DepthError, OptionError
+from protocol.errors import DepthError, OptionError, explain_causes
 from protocol.host.output import configure_logging
 from protocol.host.process import freeze_objects, raise_file_limit, stop_on_signals
 from protocol.provenance import collect
 from sensing_node.scene import SensingScene, build_source
 from telepulse.cli.options import PROGRAM, FolderOption, SceneArgument, TablesOption, publish
+from telepulse.cli.view import open_page
 from telepulse.reports.depth_report import describe_level, report_depth
 from telepulse.reports.document import Report
 from telepulse.simulation.depth_loop import sweep_wrist
@@ -71,6 +72,9 @@ def sweep(
         Path | None,
         typer.Option(metavar="FILE.mcap", help="Record the sweep: telepulse replay --press."),
     ] = None,
+    page: Annotated[
+        bool, typer.Option("--page", help="Serve the live page; its address is printed first.")
+    ] = False,
     out: FolderOption = Path("out/sweep"),
     json: TablesOption = None,
     log_level: LogLevelOption = None,
@@ -98,8 +102,9 @@ def sweep(
         path = find_scene(scene)
         run = DepthSweep(plan, watch)
         if connect is None:
-            if record is not None:
-                raise OptionError("--record needs --connect: nothing is recorded in virtual time")
+            if record is not None or page:
+                option = "--page" if record is None else "--record"
+                raise OptionError(f"{option} needs --connect: virtual time has no telemetry")
             sensing = load_section(path, "sensing", SensingScene)
             if sensing.sensor is not None or not sensing.modelled.pressable:
                 raise OptionError(
@@ -113,6 +118,7 @@ def sweep(
             keys = client_keys([connect], key, peer, insecure)
 
     def build() -> Report:
+        causes: list[str] = []
         if connect is None:
             sweep_wrist(wrist, run, plan.high_n)
         else:
@@ -125,18 +131,21 @@ def sweep(
                 keys,
                 provenance=provenance.to_bytes(),
             )
-            with closing(node):
+            with closing(node), ExitStack() as stack:
+                if page:
+                    open_page(stack, node.telemetry_address, True, console)
                 address, starts = node.telemetry_address, node.await_recorder
                 with start_recorder(address, starts, record, None, []) as recorder:
                     logger.info(f"waiting for {connect}; telemetry on {address}")
                     node.sweep_with(run)
                     stop_on_signals(run.release)
                     freeze_objects()
-                    node.run()
+                    causes = explain_causes(node.run().rejected)
                 if recorder is not None and recorder.returncode != 0:
                     logger.warning(f"{record}: the recording is not whole")
         if run.fault:
-            raise DepthError(f"the sweep ended after {len(run.levels)} levels: {run.fault}")
+            reason = "; ".join((run.fault, *causes))
+            raise DepthError(f"the sweep ended after {len(run.levels)} levels: {reason}")
         return report_depth(run.curve(), run.levels, run.notes, connect or path.stem)
 
     publish(build, out, json)

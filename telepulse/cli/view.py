@@ -1,12 +1,16 @@
 """`telepulse view` and `lsl`: show a display live, in a browser or to tools of LSL."""
 
 import ipaddress
+import logging
 import os
 import sys
+from contextlib import ExitStack
 from importlib.util import find_spec
+from subprocess import PIPE
 from typing import Annotated
 
 import typer
+from rich.console import Console
 
 from protocol.cli_options import (
     InsecureOption,
@@ -19,11 +23,15 @@ from protocol.cli_options import (
     plain_console,
     telemetry_keys,
 )
-from protocol.errors import AddressError, OutputError, ProtectionError
+from protocol.errors import AddressError, OutputError, ProtectionError, TelepulseError
+from protocol.host.child_process import ChildProcess
 from protocol.host.output import configure_logging
 from protocol.host.process import stop_on_signals
 from telepulse.cli.options import NOT_WHOLE, PROGRAM, AddressArgument, SilenceOption
 
+logger = logging.getLogger(__name__)
+
+STARTS_WITHIN_S = 30.0
 # Lower priority than the display's loop, which may be on the same machine.
 NICENESS = 10
 
@@ -83,6 +91,28 @@ def view(
     console.print(f"page: {page.url}")
     sys.stdout.flush()
     page.run(seconds)
+
+
+def open_page(
+    stack: ExitStack, telemetry: str, required: bool, console: Console
+) -> ChildProcess | None:
+    """Serve the live page until `stack` closes, and print its address; None where that fails.
+
+    With `required`, raise OutputError or ProcessError instead.
+    """
+    try:
+        check_bokeh()
+        page = ChildProcess(
+            *("live page", "-m", "telepulse", "view", telemetry), stdout=PIPE, stderr=PIPE
+        )
+        stack.callback(page.stop)
+        console.print(page.read_line(STARTS_WITHIN_S))
+    except TelepulseError as error:
+        if required:
+            raise
+        logger.warning(f"no live page: {error}")
+        return None
+    return page
 
 
 def _check_host(host: str, insecure: bool) -> None:

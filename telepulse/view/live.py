@@ -6,121 +6,20 @@ offset of the last status.
 
 import math
 from collections import deque
-from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from display_node.reception.receiver import FUTURE_NS, OLDEST_NS
 from display_node.scoring.beats import BeatAnalysis
 from protocol.run_summary import contactors_of
 from protocol.wire.messages import channel_samples
+from protocol.wire.stream import HOLD_DOWN
 from telepulse.telemetry.decoder import Entry, Fields
 from telepulse.telemetry.schema import EVENT, FRAME, STATUS, STREAM, TICK
-
-Times = NDArray[np.int64]
-Floats = NDArray[np.float64]
-# A thinned curve is interrupted where at least this many consecutive buckets would be empty.
-EMPTY_BUCKETS = 3
-
-
-class TableSlice(NamedTuple):
-    """Rows in order of time; first: number of earlier rows, dropped ones included.
-
-    values: shape (rows, columns).
-    """
-
-    first: int
-    t_ns: Times
-    values: Floats
-
-
-class RollingTable:
-    """Table of the newest rows: at least `capacity` of them, at most twice as many."""
-
-    def __init__(self, columns: int, capacity: int) -> None:
-        self._capacity = capacity
-        self._t_ns = np.empty(2 * capacity, np.int64)
-        self._values = np.empty((2 * capacity, columns))
-        self._end = self._dropped = 0
-
-    def __len__(self) -> int:
-        return self._end
-
-    def add(self, t_ns: int, *values: float) -> None:
-        """Add a row that is newer than those before."""
-        self._make_room(1)
-        self._t_ns[self._end] = t_ns
-        self._values[self._end] = values
-        self._end += 1
-
-    def insert(self, t_ns: Times, values: Floats) -> None:
-        """Add rows in order of time, shape (rows, columns), also between older ones."""
-        count = len(t_ns)
-        self._make_room(count)
-        at = int(np.searchsorted(self._t_ns[: self._end], t_ns[0]))
-        begin, self._end = self._end, self._end + count
-        self._t_ns[begin : self._end] = t_ns
-        self._values[begin : self._end] = values
-        if at < begin:
-            tail = slice(at, self._end)
-            order = np.argsort(self._t_ns[tail], kind="stable")
-            self._t_ns[tail] = self._t_ns[tail][order]
-            self._values[tail] = self._values[tail][order]
-
-    def has(self, t_ns: int, within_ns: int) -> bool:
-        """Return whether there is a row within `within_ns` of a time."""
-        at = int(np.searchsorted(self._t_ns[: self._end], t_ns - within_ns))
-        return at < self._end and int(self._t_ns[at]) <= t_ns + within_ns
-
-    def since(self, t_ns: int) -> TableSlice:
-        """Return the rows from a time on, as views that hold until the next row is added."""
-        at = int(np.searchsorted(self._t_ns[: self._end], t_ns))
-        first = self._dropped + at
-        return TableSlice(first, self._t_ns[at : self._end], self._values[at : self._end])
-
-    def _make_room(self, count: int) -> None:
-        if count > self._capacity:
-            raise ValueError(f"{count} rows at once; there is room for {self._capacity}")
-        if self._end + count <= len(self._t_ns):
-            return
-        drop = self._end - (self._capacity - count)
-        kept = slice(drop, self._end)
-        self._dropped += drop
-        self._end -= drop
-        self._t_ns[: self._end] = self._t_ns[kept].copy()
-        self._values[: self._end] = self._values[kept].copy()
-
-
-def thin(first: int, t_ns: Times, values: Floats, points: int, gap_ns: int) -> tuple[Times, Floats]:
-    """Return a curve of about `points` points at most: least and greatest value of each bucket.
-
-    `first` keeps the buckets the same from call to call, so a curve keeps its shape while it
-    moves. A gap longer than `gap_ns` gets a NaN, which breaks the line.
-    """
-    stride = 1
-    while len(values) > stride * points // 2:
-        stride *= 2
-    if stride > 2:
-        skip = -first % stride
-        count = (len(values) - skip) // stride
-        buckets = values[skip : skip + count * stride].reshape(count, stride)
-        low = np.argmin(np.where(np.isnan(buckets), np.inf, buckets), axis=1)
-        high = np.argmax(np.where(np.isnan(buckets), -np.inf, buckets), axis=1)
-        pairs = np.sort(np.column_stack([low, high]), axis=1)
-        at = (skip + stride * np.arange(count)[:, np.newaxis] + pairs).ravel()
-        # The newest row, too, which may be in no whole bucket yet.
-        at = np.append(at, len(values) - 1)
-        typical_ns = int(np.median(np.diff(t_ns)))
-        gap_ns = max(gap_ns, EMPTY_BUCKETS * stride * typical_ns)
-        t_ns, values = t_ns[at], values[at]
-    breaks = np.flatnonzero(np.diff(t_ns) > gap_ns) + 1
-    return np.insert(t_ns, breaks, t_ns[breaks]), np.insert(values, breaks, np.nan)
-
+from telepulse.view.depth import DepthState
+from telepulse.view.tables import FAST_ROWS, SLOW_ROWS, RollingTable, Times
 
 MS = 1_000_000
-# Rows of the tables of ticks and samples, 65 s at 1 kHz, and of the table of statuses.
-FAST_ROWS, SLOW_ROWS = 1 << 16, 1 << 11
 EVENTS = 12
 # A status may name hundreds of contactors; a page has room for these.
 MAX_CONTACTORS = 8
@@ -175,7 +74,8 @@ class LiveState:
     contactors: of the display, at least one and at most `MAX_CONTACTORS`. beyond: number of further
     ones. channels: names of the stream's channels. delays: one-way delay in ms of frames. statuses:
     clock offset and its uncertainty in ms, skew in ppm, samples lost and late in %; then, since the
-    run's start: refused messages, seconds at any limit.
+    run's start: refused messages, seconds at any limit; the finger's press in N. depth: the beats
+    by hold-down, of a wrist that is pressed.
 
     trusted: whether the predictor was trusted at the last tick. stream_ended: the sensing node has
     ended the stream. display_ended: the display has sent its final status. stepped_ns,
@@ -193,7 +93,8 @@ class LiveState:
         self.contactors = [ContactorState()]
         self.beyond = 0
         self.delays = RollingTable(1, FAST_ROWS)
-        self.statuses = RollingTable(7, SLOW_ROWS)
+        self.statuses = RollingTable(8, SLOW_ROWS)
+        self.depth = DepthState()
         self._samples: deque[Fields] = deque(maxlen=LOSS_STATUSES)
         self._offset_ns: int | None = None
         self._group_delay_ns = 0
@@ -205,6 +106,11 @@ class LiveState:
         self.channels: list[str] = []
         self.summary: Fields = {}
         self.stream_ended = self.display_ended = False
+
+    @property
+    def pressing(self) -> bool:
+        """Whether the finger's press is part of the felt force, or a sweep presses."""
+        return "press_n" in self.summary.get("press", {})
 
     @property
     def names(self) -> list[str]:
@@ -254,6 +160,11 @@ class LiveState:
         t_ns = sampled_ns - self._group_delay_ns + period_ns * np.arange(count)
         for contactor in self.contactors:
             contactor.add_frame(t_ns, fields)
+        played = self.contactors[0].playing["channel"]
+        if HOLD_DOWN in self.channels and played < fields["channels"] == len(self.channels):
+            values = np.reshape(fields["force_n"], (count, -1))
+            cell_n, pulse_n = values[:, self.channels.index(HOLD_DOWN)], values[:, played]
+            self.depth.add_frame(t_ns, fields["t_first_ns"], period_ns, pulse_n, cell_n - pulse_n)
 
     def _status(self, entry: Entry) -> None:
         fields = entry.fields
@@ -274,6 +185,7 @@ class LiveState:
                 for figures in contactors_of(self.summary).values()
                 for limit in figures["limited"].values()
             ),
+            self.summary.get("press", {}).get("press_n", math.nan),
         )
 
     def _follow(self, playing: list[Fields]) -> None:
@@ -303,6 +215,7 @@ class LiveState:
         if fields["session"] != self._session:
             for contactor in self.contactors:
                 contactor.begin_session()
+            self.depth.begin_session()
         self._session, self.stream_ended = fields["session"], False
         self.channels = [channel["name"] for channel in fields.get("channels", ())]
         self._group_delay_ns = fields["group_delay_ns"]

@@ -111,6 +111,11 @@ if (shown) {
   for (const [id, [value, note]] of Object.entries(shown.figures)) {
     write(id, value);
     write(`${id}-note`, note);
+    // A figure without a value and a note does not apply to this display.
+    at(id).parentElement.hidden = value === "–" && !note;
+  }
+  for (const plot of document.querySelectorAll(".plots > figure")) {
+    plot.hidden = shown.hidden.includes(plot.id.replace("plot-", ""));
   }
   const names = shown.contactors.map(([name]) => name), chosen = names[shown.chosen];
   offerContactors(names);

@@ -20,16 +20,8 @@ from numpy.typing import NDArray
 
 from telepulse.view import text
 from telepulse.view.live import LiveState
-from telepulse.view.window_data import (
-    FINGER_COLOURS,
-    FINGERS,
-    MUTED,
-    PLOTS,
-    Columns,
-    PagePlot,
-    WindowData,
-    window_data,
-)
+from telepulse.view.plots import FINGER_COLOURS, FINGERS, MUTED, PLOTS, PagePlot
+from telepulse.view.window_data import Columns, WindowData, window_data
 
 REDRAW_MS = 200
 WINDOWS_S = (5, 10, 30, 60)
@@ -57,7 +49,7 @@ class Plots:
         self._source = ColumnDataSource(empty)
         # One row a contactor; empty for an only one.
         self._fingers = ColumnDataSource({"t": [], "y": [], "colour": []})
-        self._times = Range1d(start=-10, end=0)
+        self._times, self._forces = Range1d(start=-10, end=0), Range1d(start=0, end=1)
         self._limits = {plot.id: Range1d(start=0, end=1) for plot in (*PLOTS, FINGERS)}
         self._band = BoxAnnotation(
             bottom=0, top=0, fill_color=MUTED, fill_alpha=0.25, line_alpha=0, level="underlay"
@@ -68,6 +60,7 @@ class Plots:
     def show(self, data: WindowData) -> None:
         """Draw the curves of a window."""
         self._times.start = -data.window_s
+        self._forces.update(start=data.force_n[0], end=data.force_n[1])
         self._source.data = padded(data.columns)
         for plot, (low, high) in data.limits.items():
             self._limits[plot].update(start=low, end=high)
@@ -83,9 +76,9 @@ class Plots:
             name=plot.id,
             height=HEIGHT,
             sizing_mode="stretch_width",
-            x_range=self._times,
+            x_range=self._forces if plot.across else self._times,
             y_range=self._limits[plot.id],
-            x_axis_label="time from now (s)",
+            x_axis_label=plot.across or "time from now (s)",
             y_axis_label=plot.axis,
             tools="",
             toolbar_location=None,
@@ -226,6 +219,7 @@ class LivePage:
             "contactors": text.contactor_rows(self._live, data),
             "beyond": text.beyond(self._live),
             "chosen": data.chosen,
+            "hidden": data.hidden,
             "colours": FINGER_COLOURS,
         }
 

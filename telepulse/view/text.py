@@ -5,6 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from display_node.scoring.beat_quality import GOOD
 from display_node.scoring.tracking_error import JND
 from display_node.telemetry.alerts import (
     SILENT_AFTER_NS,
@@ -20,6 +21,7 @@ from protocol.figures import Surface
 from protocol.run_summary import REGISTRY, contactors_of
 from telepulse.telemetry.decoder import Fields
 from telepulse.telemetry.events import CUT, CUT_AFTER_NS
+from telepulse.view.depth import DepthState, levels
 from telepulse.view.live import MAX_CONTACTORS, LiveState
 from telepulse.view.window_data import WindowData, WindowScores
 
@@ -51,6 +53,8 @@ FIGURES = {
     "within": "within JND",
     "loss": "loss",
     "predictor": "predictor",
+    "press": "press",
+    "levels": "levels",
     **{each.row.replace(" ", "-"): each.row for each in REGISTRY.on(Surface.PAGE)},
 }
 
@@ -99,7 +103,11 @@ def figures(live: LiveState, data: WindowData, silent_ns: int = 0) -> dict[str, 
         "within": _within(scores, window),
         "loss": _loss(live.summary.get("samples", {})),
         "predictor": _predictor(live, data.chosen),
+        "press": _press(live.summary.get("press", {})),
+        "levels": _levels(live.depth),
     }
+    if live.pressing:
+        shown |= dict.fromkeys(("aligned", "in_phase", "within"), PageFigure(NOTHING))
     # Before the first status there is no summary.
     shown |= _rows(live.summary) if live.summary else {}
     name = live.names[data.chosen]
@@ -214,6 +222,35 @@ def _predictor(live: LiveState, chosen: int) -> PageFigure:
         return PageFigure(name)
     delay = delay_note(float(delays_ns[-1]) * 1e-6, live.trusted, live.summary)
     return PageFigure(name, f"playout delay now {delay}")
+
+
+def _press(press: Fields) -> PageFigure:
+    """Return the finger's press, the hold-down that it gives, and the loop's gain."""
+    if "press_n" not in press:
+        return PageFigure(NOTHING)
+    texts = [f"wrist {press['hold_down_n']:.2f} N"] if "hold_down_n" in press else []
+    texts += [f"loop gain {press['loop_gain']:.4f}"] if "loop_gain" in press else []
+    texts += [f"probe {press['probe']}"] if press.get("probe") else []
+    return PageFigure(f"finger {press['press_n']:.2f} N", ", ".join(texts))
+
+
+def _levels(depth: DepthState) -> PageFigure:
+    """Return the best hold-down and the two levels around it, as far as the beats show them."""
+    if not depth.pressed:
+        return PageFigure(NOTHING)
+    good, beats = (
+        sum(point.quality >= GOOD for point in depth.points),
+        len(depth.points),
+    )
+    of = f"{good} good of {count_text(beats, 'beat')} at a steady hold-down"
+    if depth.curve is None:
+        return PageFigure(NOTHING, f"too few for a curve: {of}")
+    texts = {
+        name: "not reached" if at_n is None else f"{at_n:.2f} N"
+        for name, at_n in levels(depth.curve).items()
+    }
+    note = f"light {texts['light']}, deepest {texts['deepest']}; {of}"
+    return PageFigure(f"best {texts['deeper']}", note)
 
 
 def alarms(live: LiveState, silent_ns: int) -> list[Alert]:

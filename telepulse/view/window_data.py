@@ -8,7 +8,10 @@ import numpy as np
 from display_node.scoring.beat_quality import GOOD
 from display_node.scoring.heart_rate import heart_rate_per_min
 from display_node.scoring.tracking_error import JND, MAX_GAP_NS, SPAN_NS, interpolate
-from telepulse.view.live import ContactorState, Floats, LiveState, TableSlice, Times, thin
+from telepulse.view.depth import depth_columns
+from telepulse.view.live import ContactorState, LiveState
+from telepulse.view.plots import FINGERS, PLOTS, PRESSED, UNPRESSED
+from telepulse.view.tables import Floats, TableSlice, Times, thin
 
 SECOND_NS = 1_000_000_000
 # Points of a curve: for ten seconds at 1 kHz the least and the greatest value of each 16 ms.
@@ -18,108 +21,9 @@ HEART_NS, HEART_APART_NS = 6 * SECOND_NS, SECOND_NS // 100
 STATUS_GAP_NS, BEAT_GAP_NS = SECOND_NS, 3 * SECOND_NS
 # Approximate number of steps of a plot's axis.
 STEPS = 4
+# Above the highest mark, as a share of it.
+HEADROOM = 0.05
 Columns = dict[str, Floats]
-SENSED, FELT, MUTED, WRONG = "#e8740c", "#2f7fd6", "#8a94a0", "#c0182b"
-
-
-class Curve(NamedTuple):
-    """A curve; name: name of its columns; words: its text in the legend.
-
-    marker: shape of its points, which no line then joins.
-    """
-
-    name: str
-    words: str
-    colour: str
-    dash: str = "solid"
-    marker: str = ""
-
-
-class PagePlot(NamedTuple):
-    """A plot; id: its element on the page; axis: label and least range; note: text below it.
-
-    of_contactor: whether it shows the chosen one of several contactors.
-    """
-
-    id: str
-    title: str
-    axis: str
-    least: tuple[float, float]
-    curves: tuple[Curve, ...]
-    note: str = ""
-    wide: bool = False
-    of_contactor: bool = False
-
-
-PLOTS = (
-    PagePlot(
-        *("force", "Force", "force (mN)", (0.0, 1.0)),
-        (
-            Curve("wrist", "at the wrist", SENSED),
-            Curve("finger", "at the finger", FELT),
-            Curve("onset", "onset of a beat", SENSED, marker="circle"),
-            Curve("doubtful", "of a doubtful one", WRONG, marker="x"),
-        ),
-        "The finger follows by the playout delay. A beat is marked when the next one has begun.",
-        wide=True,
-        of_contactor=True,
-    ),
-    PagePlot(
-        *("error", "Error of the force felt", "error (mN)", (-1.0, 1.0)),
-        (
-            Curve("in_phase", "in phase: against the pulse at that instant", SENSED),
-            Curve("aligned", "aligned: against the instant that is played", FELT),
-        ),
-        "Grey band: the just noticeable difference of force, here 10 % of the pulse's peak to peak."
-        " A finger notices differences of 7 to 10 %.",
-        wide=True,
-        of_contactor=True,
-    ),
-    PagePlot(
-        *("strain", "Compressive strain in the rubber", "strain (10⁻⁶)", (0.0, 0.01)),
-        (
-            Curve("wrist_strain", "at the wrist", SENSED),
-            Curve("finger_strain", "at the finger", FELT),
-        ),
-        of_contactor=True,
-    ),
-    PagePlot(
-        *("height", "Height of the beats at the wrist", "height (mN)", (0.0, 1.0)),
-        (Curve("height", "from foot to peak", SENSED),),
-        of_contactor=True,
-    ),
-    PagePlot(
-        *("delay", "Delays", "delay (ms)", (0.0, 1.0)),
-        (Curve("one_way", "one-way delay", SENSED), Curve("playout", "playout delay", FELT)),
-    ),
-    PagePlot(
-        *("loss", "Loss", "samples (%)", (0.0, 1.0)),
-        (Curve("lost", "lost", SENSED), Curve("late", "late", FELT, "dashed")),
-    ),
-    PagePlot(
-        *("predictor", "Predictor: the error it expects", "RMS error (mN)", (0.0, 1.0)),
-        (Curve("predictor", "where it stands in", FELT),),
-        of_contactor=True,
-    ),
-    PagePlot(
-        *("offset", "Clock offset, against now", "offset (ms)", (-0.01, 0.01)),
-        (
-            Curve("offset", "offset", FELT),
-            Curve("offset_low", "uncertainty", MUTED, "dashed"),
-            Curve("offset_high", "", MUTED, "dashed"),
-        ),
-    ),
-    PagePlot(
-        *("skew", "Clock skew", "skew (ppm)", (-1.0, 1.0)),
-        (Curve("skew", "sensing against display", FELT),),
-    ),
-)
-# Shown of several contactors, whose curves have these colours in their order.
-FINGERS = PagePlot("fingers", "Forces at all fingers", "force (mN)", (0.0, 1.0), (), wide=True)
-FINGER_COLOURS = (
-    *("#2f7fd6", "#e8740c", "#1f9a5b", "#e04352"),
-    *("#9a63d8", "#8a7a14", "#d6459a", "#128f9c"),
-)
 
 
 class WindowScores(NamedTuple):
@@ -140,7 +44,8 @@ class WindowData(NamedTuple):
     """Data of a window. columns: times in s before now and values, by curve; limits: by axis.
 
     columns, scores and heart rate are those of the contactor of the number `chosen`. fingers: the
-    felt force of each of several contactors; all_scores: the scores of each contactor.
+    felt force of each of several contactors; all_scores: the scores of each contactor. force_n:
+    limits of the axes of hold-down. hidden: ids of the plots that do not apply.
     """
 
     window_s: float
@@ -151,6 +56,8 @@ class WindowData(NamedTuple):
     chosen: int
     fingers: tuple[Columns, ...]
     all_scores: tuple[WindowScores, ...]
+    force_n: tuple[float, float]
+    hidden: tuple[str, ...]
 
 
 def window_data(live: LiveState, window_ns: int, chosen: int = 0) -> WindowData:
@@ -171,7 +78,8 @@ def window_data(live: LiveState, window_ns: int, chosen: int = 0) -> WindowData:
     finger_per_n, ratio = (
         contactor.playing.get(name, math.nan) for name in ("strain_per_newton", "force_ratio")
     )
-    offset_ms, uncertainty_ms, skew_ppm, lost, late = statuses.values[:, :5].T
+    offset_ms, uncertainty_ms, skew_ppm, lost, late, *_, press_n = statuses.values.T
+    held = live.depth.since(begin_ns)
     # Two hosts' clocks may be days apart: the change of their offset matters.
     moved_ms = offset_ms - offset_ms[-1] if len(offset_ms) else offset_ms
     errors = [_errors(live, each, window_ns) for each in live.contactors]
@@ -199,11 +107,17 @@ def window_data(live: LiveState, window_ns: int, chosen: int = 0) -> WindowData:
         "late": (statuses, late),
         "in_phase": (ticks, in_phase_n * 1e3),
         "aligned": (ticks, aligned_n * 1e3),
+        "hold_down": (held, held.values[:, 0]),
+        "finger_press": (statuses, press_n),
     }
     columns = {}
     for name, (rows, values) in curves.items():
         gap_ns = BEAT_GAP_NS if rows is beats else STATUS_GAP_NS if rows is statuses else MAX_GAP_NS
         columns[name] = _thinned(live, rows, values, gap_ns)
+    by_depth = depth_columns(live.depth)
+    columns |= {name: {"t": t, "y": y} for name, (t, y) in by_depth.items()}
+    forces_n = np.concatenate([(0.0, 0.1), *(t for t, _ in by_depth.values())])
+    kinds = {PRESSED: live.depth.pressed, UNPRESSED: not live.pressing}
     fingers: tuple[Columns, ...] = ()
     if len(live.contactors) > 1:
         tables = (each.ticks.since(begin_ns) for each in live.contactors)
@@ -219,6 +133,8 @@ def window_data(live: LiveState, window_ns: int, chosen: int = 0) -> WindowData:
         chosen,
         fingers,
         all_scores,
+        nice(forces_n),
+        tuple(plot.id for plot in PLOTS if not kinds.get(plot.only, True)),
     )
 
 
@@ -244,7 +160,8 @@ def _errors(live: LiveState, contactor: ContactorState, window_ns: int) -> Windo
     """Return the errors of a contactor in the window."""
     ticks = contactor.ticks.since(live.now_ns - window_ns)
     wrist = contactor.wrist.since(live.now_ns - window_ns - SPAN_NS)
-    if not contactor.playing or not len(wrist.t_ns):
+    # The felt force contains the finger's own press, which the wrist's does not.
+    if live.pressing or not contactor.playing or not len(wrist.t_ns):
         nothing = np.full(len(ticks.t_ns), math.nan)
         return WindowErrors(nothing, nothing, None)
     right_n = contactor.playing["force_ratio"] * wrist.values[:, 0]
@@ -308,7 +225,9 @@ def _limits(
     for plot in PLOTS:
         curves = [columns[curve.name]["y"] for curve in plot.curves]
         band = (-band_mn, band_mn) if plot.id == "error" else ()
-        limits[plot.id] = nice(np.concatenate([*curves, plot.least, band]))
+        # Marks at the top of an axis would be cut.
+        top = (1 + HEADROOM) * np.nanmax(np.concatenate([*curves, (0,)])) if plot.across else 0.0
+        limits[plot.id] = nice(np.concatenate([*curves, plot.least, band, (top,)]))
     limits[FINGERS.id] = nice(np.concatenate([FINGERS.least, *(each["y"] for each in fingers)]))
     return limits
 

@@ -236,7 +236,7 @@ UNRUN = {
     "telepulse sweep": "as in tests/system/reports/test_sweep_command.py",
     "telepulse sweep --ramp 90": "tests/unit/display_node/press/test_sweep.py",
     "telepulse sweep --connect tcp://HOST:5555 --key keys/finger.key --peer keys/wrist.pub"
-    " --record sweep.mcap": "tests/system/reports/test_sweep_command.py",
+    " --page --record sweep.mcap": "tests/system/reports/test_sweep_command.py",
     "telepulse replay sweep.mcap --press": "tests/system/reports/test_sweep_command.py",
     "telepulse study press": "minutes; tests/system/reports/test_press_study.py",
     "telepulse demo press --link 'delay=150ms,jitter=15ms,loss=1%'": (

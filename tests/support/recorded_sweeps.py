@@ -23,10 +23,10 @@ PERIOD_NS = 1_000_000
 class SweptWrist(Wrist):
     """A wrist that was swept once, and the samples that were taken."""
 
-    def __init__(self) -> None:
+    def __init__(self, plan: SweepPlan | None = None) -> None:
         super().__init__(WristScene.model_validate({"kind": "wrist", "noise": "0.5 mN"}))
         self.taken: list[NDArray[np.float64]] = []
-        sweep_wrist(self, DepthSweep(SweepPlan()), 2.5)
+        sweep_wrist(self, DepthSweep(plan or SweepPlan()), 2.5)
 
     def take(self, count: int) -> NDArray[np.float64]:
         """Return the next samples, and keep them."""

@@ -12,8 +12,8 @@ PATIENCE_MS = 20_000
 class Client:
     """A raw ZeroMQ peer of a sensing node."""
 
-    def __init__(self, address: str) -> None:
-        self._context = zmq.Context()
+    def __init__(self, address: str, keys: ClientKeys | None = None) -> None:
+        self._context, self._keys = zmq.Context(), keys
         self.data = self._connected(zmq.SUB, address)
         self.data.subscribe(b"")
         self.control = self._connected(zmq.DEALER, sockets.control_address(address))
@@ -21,6 +21,8 @@ class Client:
     def _connected(self, kind: int, address: str) -> zmq.Socket[bytes]:
         connected = self._context.socket(kind)
         connected.setsockopt(zmq.RCVTIMEO, PATIENCE_MS)
+        if self._keys is not None:
+            self._keys.protect(connected)
         connected.connect(address)
         return connected
 

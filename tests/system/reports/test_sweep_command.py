@@ -2,6 +2,7 @@
 
 import json
 import signal
+import urllib.request
 from contextlib import closing
 from pathlib import Path
 
@@ -9,10 +10,11 @@ import numpy as np
 import pytest
 
 from protocol.wire import messages as wire
+from tests.support.keyring import Keyring
 from tests.support.nodes import ROOT, process, run
 from tests.support.recorded_sweeps import SweptWrist, record_session, session_of
 from tests.support.sensing_client import Client
-from tests.system.nodes.test_press_nodes import await_hold_down, set_point
+from tests.system.nodes.test_press_nodes import await_hold_down, newest_hold_down, set_point
 
 pytestmark = pytest.mark.system
 SCENE = str(ROOT / "scenes" / "press.toml")
@@ -52,16 +54,32 @@ def test_what_cannot_be_swept_is_one_line(arguments: tuple[str, ...], reason: st
 def test_a_stopped_live_sweep_eases_off_and_names_what_is_missing(
     address: str, tmp_path: Path
 ) -> None:
-    live = ("sweep", SCENE, "--connect", address, "--out", str(tmp_path / "out"))
-    with process("sensing_node.cli", SCENE, "--bind", address, "--quiet"):
-        with process(MODULE, *live) as stopped, closing(Client(address)) as client:
-            client.join()
+    keyring = Keyring(tmp_path / "keys")
+    keyring.allow("finger")
+    live = (
+        *("sweep", SCENE, "--connect", address, "--out", str(tmp_path / "out")),
+        *("--peer", keyring.path("wrist", "pub")),
+    )
+    stranger, finger = (("--key", keyring.path(name)) for name in ("stranger", "finger"))
+    wrist = (SCENE, "--bind", address, "--key", keyring.path("wrist"), "--quiet")
+    with (
+        process("sensing_node.cli", *wrist) as sensing,
+        closing(Client(address, keyring.client("finger"))) as client,
+    ):
+        client.join()
+        with process(MODULE, *live, *stranger) as refused:
+            assert "is not allowed" in sensing.read_line(30, from_stderr=True)
+            assert abs(newest_hold_down(client)) < 0.05
+            refused.kill()
+        with process(MODULE, *live, *finger, "--page") as stopped:
             await_hold_down(client, 0.15, 0.25)
+            page = stopped.read_line(30).removeprefix("page: ")
+            assert "by hold-down" in urllib.request.urlopen(page, timeout=30).read().decode()
             stopped.send_signal(signal.SIGINT)
             _, errors = stopped.communicate(timeout=30)
             await_hold_down(client, -0.05, 0.05)
-        assert stopped.returncode == 2
-        assert "too few beats for a curve" in errors
+    assert stopped.returncode == 2
+    assert "too few beats for a curve" in errors
 
 
 def test_a_recorded_sweep_is_pressed_anew(address: str, tmp_path: Path) -> None:

@@ -1,6 +1,7 @@
 """Sweeps of the modelled wrist in virtual time."""
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 
 import numpy as np
 import pytest
@@ -8,6 +9,7 @@ from numpy.typing import NDArray
 
 from display_node.press.sweep import DepthSweep, SweepPlan
 from display_node.scoring.depth_curve import BeatPoint
+from protocol.errors import DepthError
 from protocol.wire.messages import channel_samples
 from sensing_node.press.probe import ProbeLimits
 from sensing_node.sources.wrist import Wrist, WristScene
@@ -123,3 +125,16 @@ def test_a_stream_that_begins_anew_ends_the_sweep() -> None:
     run.restart()
     assert run.over
     assert "began anew" in run.fault
+
+
+def test_a_wrist_that_lies_is_pressed_no_harder_than_the_sweeps_limit() -> None:
+    rng, plan = np.random.default_rng(3), SweepPlan(high_n=1.5)
+    for size_n in (1.0, 1e6):
+        run = DepthSweep(plan)
+        for number in range(0, 60_000, 50):
+            forces_n = (size_n * rng.standard_normal(50)).tolist()
+            held_n = run.press_n * float(rng.choice([0.5, 1.0, 2.0]))
+            run.observe(channel_samples(number, number * 1_000_000, 1_000_000, forces_n), [held_n])
+            assert 0.0 <= run.press_n <= plan.high_n
+        with suppress(DepthError):
+            run.curve()

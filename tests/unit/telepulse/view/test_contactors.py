@@ -11,8 +11,9 @@ from protocol.run_summary import Summary
 from protocol.summary_tables import Compensation
 from telepulse.telemetry.decoder import without_none
 from telepulse.view.live import MAX_CONTACTORS, LiveState
+from telepulse.view.plots import FINGER_COLOURS
 from telepulse.view.text import alarms, beyond, contactor_rows, figures
-from telepulse.view.window_data import FINGER_COLOURS, window_data
+from telepulse.view.window_data import window_data
 from tests.support.page_states import (
     BEATS_A_SECOND,
     MEAN_N,

@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from telepulse.view.live import RollingTable, thin
+from telepulse.view.tables import RollingTable, thin
 
 CAPACITY = 100
 

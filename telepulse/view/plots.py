@@ -1,0 +1,151 @@
+"""Plots of the page: their curves, axes and notes."""
+
+from typing import NamedTuple
+
+SENSED, FELT, MUTED, WRONG = "#e8740c", "#2f7fd6", "#8a94a0", "#c0182b"
+# Colours of several contactors, in their order.
+FINGER_COLOURS = (
+    *("#2f7fd6", "#e8740c", "#1f9a5b", "#e04352"),
+    *("#9a63d8", "#8a7a14", "#d6459a", "#128f9c"),
+)
+# Displays of a wrist that is pressed, and those whose finger does not press.
+PRESSED, UNPRESSED = "pressed", "unpressed"
+GREEN, VIOLET = FINGER_COLOURS[2], FINGER_COLOURS[4]
+
+
+class Curve(NamedTuple):
+    """A curve; name: name of its columns; words: its text in the legend.
+
+    marker: shape of its points, which no line then joins.
+    """
+
+    name: str
+    words: str
+    colour: str
+    dash: str = "solid"
+    marker: str = ""
+
+
+class PagePlot(NamedTuple):
+    """A plot; id: its element on the page; axis: label and least range; note: text below it.
+
+    of_contactor: whether it shows the chosen one of several contactors. across: label of the
+    horizontal axis, where that is not the time. only: of which displays it is shown, if not of all.
+    """
+
+    id: str
+    title: str
+    axis: str
+    least: tuple[float, float]
+    curves: tuple[Curve, ...]
+    note: str = ""
+    wide: bool = False
+    of_contactor: bool = False
+    across: str = ""
+    only: str = ""
+
+
+PLOTS = (
+    PagePlot(
+        *("force", "Force", "force (mN)", (0.0, 1.0)),
+        (
+            Curve("wrist", "at the wrist", SENSED),
+            Curve("finger", "at the finger", FELT),
+            Curve("onset", "onset of a beat", SENSED, marker="circle"),
+            Curve("doubtful", "of a doubtful one", WRONG, marker="x"),
+        ),
+        "The finger follows by the playout delay. A beat is marked when the next one has begun.",
+        wide=True,
+        of_contactor=True,
+    ),
+    PagePlot(
+        *("error", "Error of the force felt", "error (mN)", (-1.0, 1.0)),
+        (
+            Curve("in_phase", "in phase: against the pulse at that instant", SENSED),
+            Curve("aligned", "aligned: against the instant that is played", FELT),
+        ),
+        "Grey band: the just noticeable difference of force, here 10 % of the pulse's peak to peak."
+        " A finger notices differences of 7 to 10 %.",
+        wide=True,
+        of_contactor=True,
+        only=UNPRESSED,
+    ),
+    PagePlot(
+        *("press", "Press", "force (N)", (0.0, 0.1)),
+        (
+            Curve("hold_down", "hold-down at the wrist", SENSED),
+            Curve("finger_press", "press of the finger, or of the sweep", FELT),
+        ),
+        "The probe at the wrist presses with the force of the finger. The pulse is not part of it.",
+        wide=True,
+        only=PRESSED,
+    ),
+    PagePlot(
+        *("depth", "Height of the pulse by hold-down", "height (mN)", (0.0, 1.0)),
+        (
+            Curve("depth_beats", "a beat", SENSED, marker="circle"),
+            Curve("depth_doubtful", "a doubtful one", WRONG, marker="x"),
+            Curve("depth_curve", "curve", SENSED),
+            Curve("light", "light", GREEN, "dashed"),
+            Curve("deeper", "deeper: the best", FELT),
+            Curve("deepest", "deepest", VIOLET, "dashed"),
+            Curve("depth_now", "now", MUTED, "dotted"),
+        ),
+        "All beats at a steady hold-down since the start. The best hold-down is that of the highest"
+        " pulse; light and deepest are where the height is half of that.",
+        across="hold-down at the wrist (N)",
+        only=PRESSED,
+    ),
+    PagePlot(
+        *("shape", "Shape of the pulse by hold-down", "share (%)", (0.0, 60.0)),
+        (
+            Curve("shape_mean", "mean, of the height", SENSED, marker="circle"),
+            Curve("shape_upstroke", "upstroke, of the beat", FELT, marker="triangle"),
+            Curve("shape_flat", "flat, of the beat", VIOLET, marker="square"),
+        ),
+        "Flat: within a tenth of the height above the foot. It grows where the artery is closed"
+        " between beats: beyond the best hold-down.",
+        across="hold-down at the wrist (N)",
+        only=PRESSED,
+    ),
+    PagePlot(
+        *("strain", "Compressive strain in the rubber", "strain (10⁻⁶)", (0.0, 0.01)),
+        (
+            Curve("wrist_strain", "at the wrist", SENSED),
+            Curve("finger_strain", "at the finger", FELT),
+        ),
+        of_contactor=True,
+    ),
+    PagePlot(
+        *("height", "Height of the beats at the wrist", "height (mN)", (0.0, 1.0)),
+        (Curve("height", "from foot to peak", SENSED),),
+        of_contactor=True,
+    ),
+    PagePlot(
+        *("delay", "Delays", "delay (ms)", (0.0, 1.0)),
+        (Curve("one_way", "one-way delay", SENSED), Curve("playout", "playout delay", FELT)),
+    ),
+    PagePlot(
+        *("loss", "Loss", "samples (%)", (0.0, 1.0)),
+        (Curve("lost", "lost", SENSED), Curve("late", "late", FELT, "dashed")),
+    ),
+    PagePlot(
+        *("predictor", "Predictor: the error it expects", "RMS error (mN)", (0.0, 1.0)),
+        (Curve("predictor", "where it stands in", FELT),),
+        of_contactor=True,
+    ),
+    PagePlot(
+        *("offset", "Clock offset, against now", "offset (ms)", (-0.01, 0.01)),
+        (
+            Curve("offset", "offset", FELT),
+            Curve("offset_low", "uncertainty", MUTED, "dashed"),
+            Curve("offset_high", "", MUTED, "dashed"),
+        ),
+    ),
+    PagePlot(
+        *("skew", "Clock skew", "skew (ppm)", (-1.0, 1.0)),
+        (Curve("skew", "sensing against display", FELT),),
+    ),
+)
+# Shown of several contactors.
+FINGERS = PagePlot("fingers", "Forces at all fingers", "force (mN)", (0.0, 1.0), (), wide=True)

@@ -1,0 +1,69 @@
+"""The pulse against hold-down on the page, during a sweep."""
+
+from dataclasses import asdict
+
+import numpy as np
+import pytest
+
+from display_node.press.sweep import SweepPlan
+from protocol.press_figures import PressFigures
+from telepulse.telemetry.schema import FRAME, STREAM
+from telepulse.view.live import LiveState
+from telepulse.view.text import figures
+from telepulse.view.window_data import window_data
+from tests.support.page_states import AHEAD_NS, MS, ONE_WAY_NS, SECOND_NS, SimulatedDisplay
+from tests.support.recorded_sweeps import SweptWrist
+
+WINDOW_NS = 5 * SECOND_NS
+ONLY_PRESSED = {"press", "depth", "shape"}
+
+
+def play(display: SimulatedDisplay, wrist: SweptWrist, press_n: float) -> None:
+    """Send the samples of a sweep as the frames of a pressed wrist."""
+    channels = [{"name": name, "unit": "N"} for name in ("pulse", "hold-down")]
+    display.take(STREAM, display.at_ns, session=8, group_delay_ns=0, channels=channels)
+    pressed = PressFigures(press_n=press_n, hold_down_n=press_n, loop_gain=2e-4, probe="pressing")
+    display.status("playing", press=asdict(pressed))
+    for values in wrist.taken:
+        display.at_ns += len(values) * MS
+        fields = {
+            "arrived_ns": display.at_ns,
+            "session": 8,
+            "t_first_ns": display.at_ns - ONE_WAY_NS - (len(values) - 1) * MS + AHEAD_NS,
+            "period_ns": MS,
+            "channels": 2,
+            "force_n": values.ravel().tolist(),
+        }
+        display.take(FRAME, display.at_ns, **fields)
+        display.live.now_ns = display.live.frame_ns
+
+
+def test_the_page_shows_curve_and_levels_of_a_sweep_as_its_report_does() -> None:
+    plan = SweepPlan(low_n=0.4, high_n=2.0, steps=6, beats=3)
+    display, wrist = SimulatedDisplay(LiveState()), SweptWrist(plan)
+    assert set(window_data(display.live, WINDOW_NS).hidden) == ONLY_PRESSED
+    play(display, wrist, 1.2)
+    data = window_data(display.live, WINDOW_NS)
+    assert data.hidden == ("error",)
+    curve = display.live.depth.curve
+    assert curve is not None
+    best_n = wrist.artery.best_n
+    assert curve.best_n.value == pytest.approx(best_n, rel=0.03)
+    assert data.columns["deeper"]["t"].tolist() == [curve.best_n.value] * 2
+    for name in ("light", "deepest"):
+        top_mn = data.columns[name]["y"].max()
+        assert top_mn == pytest.approx(0.5e3 * curve.largest_n.value, rel=0.02)
+    beats = data.columns["depth_beats"]
+    heights_mn = [1e3 * wrist.artery.height_n(force_n) for force_n in beats["t"]]
+    assert len(heights_mn) > 20
+    assert beats["y"] == pytest.approx(heights_mn, rel=0.1, abs=3)
+    # The artery is closed between beats beyond the best hold-down.
+    flat, deep = data.columns["shape_flat"], data.columns["shape_flat"]["t"] > 1.3 * best_n
+    assert np.median(flat["y"][deep]) > 1.5 * np.median(flat["y"][~deep])
+    shown = figures(display.live, data)
+    assert shown["press"] == ("finger 1.20 N", "wrist 1.20 N, loop gain 0.0002, probe pressing")
+    assert shown["levels"].value == f"best {curve.best_n.value:.2f} N"
+    assert shown["aligned"] == ("–", "")
+    # Another run has beats of its own.
+    display.event("begin", "another run of the display")
+    assert window_data(display.live, WINDOW_NS).columns["depth_beats"]["t"].size == 0
