@@ -16,7 +16,7 @@ from protocol.run_summary import Summary
 from telepulse.netem import NodesOutcome, run_nodes, unavailable
 from telepulse.scene import load_scene
 from telepulse.simulation.link_scene import parse_link
-from telepulse.simulation.virtual_time import simulate
+from telepulse.simulation.virtual_time import summarise
 
 SECONDS = 30.0
 LOSS_FREE = "delay=20ms,jitter=3ms"
@@ -138,7 +138,7 @@ def simulated(folder: Path) -> Summary:
     """Return the summary of one path with loss by the model of TCP."""
     scene = load_scene(scene_of(folder, "1"))
     link = parse_link(LOSSY + ",transport=tcp")
-    return simulate(replace(scene, link=link), SECONDS, seed=1)
+    return summarise(replace(scene, link=link), SECONDS, seed=1)
 
 
 def scene_of(folder: Path, paths: str) -> Path:

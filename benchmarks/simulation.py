@@ -8,7 +8,7 @@ from protocol.config.scene import Section
 from protocol.config.scene_file import find_scene
 from telepulse.scene import Scene, load_scene
 from telepulse.simulation.link_scene import parse_link
-from telepulse.simulation.virtual_time import simulate
+from telepulse.simulation.virtual_time import summarise
 
 SECONDS = 20.0
 REPEATS = 5
@@ -32,7 +32,7 @@ def main() -> None:
     base = 0.0
     rows = []
     for name, scene in scenes.items():
-        speeds = [simulate(scene, SECONDS, seed=1).speed or 0.0 for _ in range(REPEATS)]
+        speeds = [summarise(scene, SECONDS, seed=1).speed or 0.0 for _ in range(REPEATS)]
         speed = statistics.median(speeds)
         base = base or speed
         rows.append(

@@ -13,7 +13,7 @@ project = "telepulse"
 author = copyright = "The telepulse contributors"
 version = release = installed_version("telepulse")
 
-extensions = ["myst_parser", "sphinx.ext.autodoc", "ext.from_code"]
+extensions = ["myst_parser", "sphinx.ext.autodoc", "ext.from_code", "sphinx_gallery.gen_gallery"]
 exclude_patterns = ["images", "firmware", "ext"]
 myst_enable_extensions = ["dollarmath"]
 myst_heading_anchors = 3
@@ -25,6 +25,22 @@ autodoc_member_order = "bysource"
 autodoc_typehints_format = "short"
 default_role = "code"
 smartquotes = False
+
+# Each lesson is executed; one that fails fails the build.
+sphinx_gallery_conf = {
+    "examples_dirs": "../examples/lessons",
+    "gallery_dirs": "lessons",
+    "within_subsection_order": "FileNameSortKey",
+    # Also where only the package changed.
+    "run_stale_examples": True,
+    "filename_pattern": r"\.py$",
+    "abort_on_example_error": True,
+    "download_all_examples": False,
+    "show_memory": False,
+    "show_signature": False,
+    "write_computation_times": False,
+    "copyfile_regex": "",
+}
 
 html_theme = "furo"
 html_title = "telepulse"

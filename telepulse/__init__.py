@@ -12,6 +12,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any, Final
 
 if TYPE_CHECKING:
+    from display_node.scoring.beats import Beat, find_beats
     from protocol.errors import TelepulseError
     from telepulse.live_stream import LiveStream, connect
     from telepulse.recording.recorded_run import read_recording
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
 
 # Each name's module, imported when it is used: commands import this package and need none of them.
 _MODULES: Final = {
+    "Beat": "display_node.scoring.beats",
     "ContactorRun": "telepulse.run",
     "LiveStream": "telepulse.live_stream",
     "Run": "telepulse.run",
@@ -30,12 +32,14 @@ _MODULES: Final = {
     "StreamBlock": "telepulse.sample_queue",
     "TelepulseError": "protocol.errors",
     "connect": "telepulse.live_stream",
+    "find_beats": "display_node.scoring.beats",
     "load_scene": "telepulse.scene",
     "read_recording": "telepulse.recording.recorded_run",
     "simulate": "telepulse.simulation.simulated_run",
     "sweep": "telepulse.reports.studies.sweep",
 }
 __all__ = [
+    "Beat",
     "ContactorRun",
     "LiveStream",
     "Run",
@@ -43,6 +47,7 @@ __all__ = [
     "StreamBlock",
     "TelepulseError",
     "connect",
+    "find_beats",
     "load_scene",
     "read_recording",
     "simulate",
@@ -51,7 +56,9 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
-    """Import a name of `__all__` from its module."""
+    """Import a name of `__all__` from its module; look up `__version__`."""
+    if name == "__version__":
+        return import_module("importlib.metadata").version("telepulse")
     if name not in _MODULES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     return getattr(import_module(_MODULES[name]), name)

@@ -16,7 +16,6 @@ from protocol.wire.telemetry import PlaybackStatus
 
 if TYPE_CHECKING:
     import pandas as pd
-    from matplotlib.figure import Figure
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -152,13 +151,20 @@ class Run:
             ) from None
         return pd.DataFrame(self.columns())
 
-    def plot(self, begin_s: float = 0.0, end_s: float = np.inf) -> "Figure":
-        """Draw the forces, the delay and what was predicted, and return the figure.
+    def plot(self, begin_s: float = 0.0, end_s: float = np.inf) -> "NDArray[np.object_]":
+        """Draw each contactor's forces, what was predicted, and below them the delay.
+
+        The figure is pyplot's current one: a notebook shows it, `matplotlib.pyplot.show` opens it.
 
         Parameters
         ----------
         begin_s, end_s
             Part of the run to draw, in s since its first tick.
+
+        Returns
+        -------
+        ndarray of matplotlib.axes.Axes
+            The axes from above, shape (contactors + 1,).
 
         Raises
         ------
@@ -166,7 +172,7 @@ class Run:
             If matplotlib is not installed.
         """
         try:
-            from matplotlib.figure import Figure
+            from matplotlib import pyplot as plt
         except ImportError as error:
             raise OutputError(
                 f"plot needs matplotlib, which cannot be loaded ({error});"
@@ -174,8 +180,11 @@ class Run:
             ) from None
         shown = (self.t_s >= begin_s) & (self.t_s <= end_s)
         t_s, predicted = self.t_s[shown], self.predicted[shown]
-        figure = Figure(figsize=(9, 2 * len(self.contactors) + 1.5), layout="constrained")
-        *forces, below = figure.subplots(len(self.contactors) + 1, sharex=True, squeeze=False).flat
+        rows = len(self.contactors) + 1
+        size = (9, 2 * rows - 0.5)
+        grid: NDArray[np.object_]
+        figure, grid = plt.subplots(rows, sharex=True, figsize=size, layout="constrained")
+        *forces, below = grid
         for axes, contactor in zip(forces, self.contactors.values(), strict=True):
             wrist_n = contactor.force_ratio * contactor.wrist_n[shown]
             felt_n = contactor.felt_n[shown]
@@ -188,7 +197,7 @@ class Run:
         below.set(xlabel=f"{self.name}: time, s", ylabel="perceived delay, ms")
         lines, labels = forces[0].get_legend_handles_labels()
         figure.legend(lines, labels, loc="outside upper center", ncols=3, fontsize="small")
-        return figure
+        return grid
 
 
 class RunTick(NamedTuple):

@@ -5,6 +5,7 @@ compared with the last seconds; a second wave within the same beat rises as far 
 level. A beat is complete, and reported, when the next one has begun.
 """
 
+import math
 from bisect import bisect_left
 from collections import deque
 from operator import attrgetter
@@ -14,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from display_node.scoring.beat_quality import AFTER, BEFORE, GOOD, BeatShape, ShapeMemory
-from protocol.wire.messages import ChannelSamples
+from protocol.wire.messages import ChannelSamples, channel_samples
 
 Floats = NDArray[np.float64]
 STEP_NS = 5_000_000
@@ -299,3 +300,45 @@ def _notch(wave: Floats, peak: int, height_n: float) -> float | None:
         if smooth[at : at + RISE].max() - smooth[at] > NOTCH_SHARE * height_n:
             return _vertex(smooth, at)
     return None
+
+
+def find_beats(force_n: Floats, rate_hz: float) -> list[Beat]:
+    """Return the beats of a pulse, as a display finds them.
+
+    Parameters
+    ----------
+    force_n : ndarray of float
+        Force or pressure at equal intervals, shape (samples,); NaN where it is unknown. Heights
+        have the unit of the values. Light falls with each beat: give its negative.
+    rate_hz : float
+        Samples a second, 20 to 100 000.
+
+    Returns
+    -------
+    list of Beat
+        Times in ns since the first sample. The search begins anew after a gap of 0.1 s. The first
+        and the last beat are not complete, and missing.
+
+    Raises
+    ------
+    ValueError
+        If the rate or the shape is not as above.
+    """
+    if not 20 <= rate_hz <= 100_000:
+        raise ValueError(f"rate_hz is {rate_hz}; it must be in 20 to 100000")
+    if np.ndim(force_n) != 1:
+        raise ValueError(f"force_n has the shape {np.shape(force_n)}; it must have one dimension")
+    period_ns, analysis, beats = round(1e9 / rate_hz), BeatAnalysis(), list[Beat]()
+    # Held after the last sample, so that it is averaged as well.
+    padded = np.concatenate([force_n, np.repeat(force_n[-1:], math.ceil(0.5 * rate_hz))])
+    known = np.isfinite(padded)
+    # Frames of about 0.1 s: levels are those of the last seconds before a frame's end.
+    ends = np.arange(0, len(padded), math.ceil(0.1 * rate_hz))[1:]
+    ends = np.union1d(ends, np.flatnonzero(np.diff(known)) + 1)
+    for samples in np.split(np.arange(len(padded)), ends):
+        if len(samples) and known[samples[0]]:
+            first, forces_n = int(samples[0]), padded[samples].tolist()
+            beats += analysis.observe(
+                channel_samples(first, first * period_ns, period_ns, forces_n)
+            )
+    return beats

@@ -82,7 +82,7 @@ def simulate(
         choice = {"predictor": predictor, "compensation": compensation}
         loaded = _load(scene, link, choice)
         provenance = scene_provenance(loaded, {"link": seed})
-        summary = virtual_time.simulate(loaded, seconds, seed)
+        summary = virtual_time.summarise(loaded, seconds, seed)
     title = f"simulation of {loaded.path.stem}, {seconds:g} s"
     sum_up(PROGRAM, summary, title, plain_console(json=json), json, provenance)
     end_at_faults(PROGRAM, summary.faults)

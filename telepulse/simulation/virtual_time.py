@@ -259,6 +259,6 @@ class Simulation:
         heapq.heappush(self._events, (at_ns, next(self._order), event, data))
 
 
-def simulate(scene: Scene, seconds: float, seed: int) -> Summary:
-    """Run a scene in virtual time. Raises SceneError or SourceError."""
+def summarise(scene: Scene, seconds: float, seed: int) -> Summary:
+    """Return the summary of a scene in virtual time. Raises SceneError or SourceError."""
     return Simulation(scene, seed).run(seconds)

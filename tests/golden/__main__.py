@@ -17,7 +17,7 @@ from telepulse.cli.study import build_paper
 from telepulse.metrics.server import NodeState, families
 from telepulse.scene import load_scene
 from telepulse.simulation.link_scene import parse_link
-from telepulse.simulation.virtual_time import simulate
+from telepulse.simulation.virtual_time import summarise
 from telepulse.telemetry.schema import SCHEMAS
 from tests.support.full_summary import full_summary
 
@@ -51,7 +51,7 @@ def run(scene: str, seed: int) -> dict[str, Any]:
     """
     loaded = load_scene(find_scene(scene), {"predictor": "linear"})
     loaded = replace(loaded, link=parse_link(LINK))
-    summary: dict[str, Any] = json.loads(json.dumps(simulate(loaded, SECONDS, seed).to_dict()))
+    summary: dict[str, Any] = json.loads(json.dumps(summarise(loaded, SECONDS, seed).to_dict()))
     del summary["speed"], summary["windows"]
     return summary
 

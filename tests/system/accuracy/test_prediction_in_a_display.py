@@ -12,7 +12,7 @@ from display_node.telemetry.alerts import alerts
 from protocol.wire.telemetry import TRACE_TICKS, TraceWriter, read_trace
 from telepulse.scene import load_scene
 from telepulse.simulation.link_scene import parse_link
-from telepulse.simulation.virtual_time import simulate
+from telepulse.simulation.virtual_time import summarise
 from tests.support.nodes import RADIAL, assert_accounted, known
 from tests.support.sender import MS, Sender, display, run
 
@@ -31,12 +31,12 @@ def test_the_stack_is_nearer_the_present_pulse_than_linear_over_a_late_link() ->
     for predictor in ("stack", "linear"):
         changes = {"predictor": predictor, "compensation_ns": 0}
         late = replace(scene, display=scene.display.model_copy(update=changes), link=link)
-        rmse_n.append(known(simulate(late, 20, seed=1).force_rmse_n.in_phase))
+        rmse_n.append(known(summarise(late, 20, seed=1).force_rmse_n.in_phase))
     assert rmse_n[0] < 0.65 * rmse_n[1]
 
 
 def test_samples_whose_instant_was_predicted_well_are_not_late_and_their_error_is_small() -> None:
-    summary = simulate(replace(load_scene(RADIAL), link=parse_link("delay=20ms")), 25, seed=1)
+    summary = summarise(replace(load_scene(RADIAL), link=parse_link("delay=20ms")), 25, seed=1)
     samples, used = summary.samples, summary.compensation
     assert_accounted(asdict(samples))
     assert known(samples.predicted) > 10_000
@@ -100,7 +100,7 @@ def test_received_samples_and_a_new_session_have_no_expected_error() -> None:
 
 def test_samples_of_a_stale_stream_are_late_however_far_prediction_was_trusted_before() -> None:
     cut = parse_link("delay=20ms,transport=tcp,cut.from=15s,cut.for=400ms")
-    samples = simulate(replace(load_scene(RADIAL), link=cut), 18, seed=1).samples
+    samples = summarise(replace(load_scene(RADIAL), link=cut), 18, seed=1).samples
     assert_accounted(asdict(samples))
     assert known(samples.predicted) > 5_000
     # The force fades once the newest sample is 60 ms older than usual.

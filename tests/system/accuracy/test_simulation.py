@@ -11,7 +11,7 @@ from protocol.errors import SceneError
 from protocol.run_summary import Summary, print_summary
 from telepulse.scene import Scene, load_scene
 from telepulse.simulation.link_scene import parse_link
-from telepulse.simulation.virtual_time import Simulation, simulate
+from telepulse.simulation.virtual_time import Simulation, summarise
 from tests.support.nodes import RADIAL, ROOT, assert_accounted, known
 from tests.support.recording_files import heartpy_recording
 
@@ -40,7 +40,7 @@ def accounted(summary: Summary) -> int:
 def test_the_pulse_of_every_modelled_scene_is_felt_within_the_jnd_and_its_limits(
     path: Path,
 ) -> None:
-    summary = simulate(load_scene(path), seconds=8, seed=1)
+    summary = summarise(load_scene(path), seconds=8, seed=1)
     accounted(summary)
     for figures in summary.of_each_contactor().values():
         assert limit_texts(dataclasses.asdict(figures.limited)) == []
@@ -52,11 +52,11 @@ def test_the_pulse_of_every_modelled_scene_is_felt_within_the_jnd_and_its_limits
 @pytest.mark.parametrize("path", LIVE, ids=lambda path: path.stem)
 def test_a_scene_of_a_live_bench_is_not_simulated(path: Path) -> None:
     with pytest.raises(SceneError, match='kind "serial" is a live sensor'):
-        simulate(load_scene(path), seconds=1, seed=1)
+        summarise(load_scene(path), seconds=1, seed=1)
 
 
 def test_over_a_perfect_link_every_sample_is_played() -> None:
-    summary = simulate(load_scene(RADIAL, BUFFERED), seconds=10, seed=1)
+    summary = summarise(load_scene(RADIAL, BUFFERED), seconds=10, seed=1)
     assert accounted(summary) == summary.samples.played == 10_000
     # The error of the nearest microstep alone is 0.18 mN.
     assert summary.force_rmse_n.aligned == pytest.approx(0.18e-3, rel=0.1)
@@ -73,7 +73,7 @@ def test_the_display_counts_the_samples_that_the_link_lost() -> None:
 
 
 def test_jitter_makes_disorder_and_at_most_the_target_share_of_late_samples() -> None:
-    summary = simulate(with_link("delay=40ms,jitter=10ms"), seconds=60, seed=1)
+    summary = summarise(with_link("delay=40ms,jitter=10ms"), seconds=60, seed=1)
     accounted(summary)
     assert summary.samples.lost == 0
     assert summary.frames.reordered
@@ -93,7 +93,7 @@ def test_the_offset_of_a_sensing_clock_an_hour_ahead_is_found() -> None:
 
 
 def test_a_total_loss_ends_with_nothing_played() -> None:
-    summary = simulate(with_link("loss=100%"), seconds=3, seed=1)
+    summary = summarise(with_link("loss=100%"), seconds=3, seed=1)
     assert summary.samples.played == 0
     assert summary.samples.before_joining == 3000
     assert summary.force_rmse_n.aligned is None
@@ -105,7 +105,7 @@ def test_two_different_layers_are_strained_alike(tmp_path: Path) -> None:
     path = tmp_path / "layers.toml"
     thick = sensing.replace('thickness = "2 mm"', 'thickness = "4 mm"')
     path.write_text(thick + "[display]" + display, encoding="utf-8")
-    summary = simulate(load_scene(path), seconds=5, seed=1)
+    summary = summarise(load_scene(path), seconds=5, seed=1)
     # Twice the thickness at the wrist is half the strain, and so half the force at the finger.
     assert known(summary.strain_rmse.aligned) < 2e-9
     assert summary.within_jnd == 1.0
@@ -121,14 +121,14 @@ def test_a_real_recording_is_felt(tmp_path: Path) -> None:
     )
     path = tmp_path / "recorded.toml"
     path.write_text(text.replace('batch = "5 ms"', 'batch = "10 ms"'), encoding="utf-8")
-    summary = simulate(load_scene(path, BUFFERED), seconds=20, seed=1)
+    summary = summarise(load_scene(path, BUFFERED), seconds=20, seed=1)
     assert accounted(summary) == summary.samples.played == 2000
     assert summary.within_jnd == 1.0
     assert known(summary.force_rmse_n.aligned) < 0.5e-3
 
 
 def test_shares_of_time_name_the_time_to_which_they_refer() -> None:
-    summary = simulate(with_link("delay=20ms,cut.from=2.5s,cut.for=10s"), seconds=14, seed=1)
+    summary = summarise(with_link("delay=20ms,cut.from=2.5s,cut.for=10s"), seconds=14, seed=1)
     times = summary.availability
     seconds, judged = known(times.seconds), known(times.judged)
     assert known(summary.within_jnd) > 0.9
@@ -152,7 +152,7 @@ def test_a_pulse_above_the_force_limit_is_counted_as_cut(tmp_path: Path) -> None
     path = tmp_path / "hard.toml"
     text = RADIAL.read_text(encoding="utf-8")
     path.write_text(text.replace('peak_to_peak = "0.3 N"', 'peak_to_peak = "6 N"'), "utf-8")
-    limited = simulate(load_scene(path), seconds=8, seed=1).limited
+    limited = summarise(load_scene(path), seconds=8, seed=1).limited
     # Each of ten beats is limited at its peak, and once or twice below 0 N between the peaks.
     for limit in (limited.force, limited.negative):
         assert 7 <= known(limit.times) <= 20
@@ -161,7 +161,7 @@ def test_a_pulse_above_the_force_limit_is_counted_as_cut(tmp_path: Path) -> None
 
 
 def play(text: str) -> Summary:
-    return simulate(with_link("delay=20ms," + text), SECONDS, seed=1)
+    return summarise(with_link("delay=20ms," + text), SECONDS, seed=1)
 
 
 def late_and_lost(summary: Summary) -> tuple[int, int]:
@@ -228,7 +228,7 @@ def test_over_tcp_the_paths_of_the_scene_are_modelled() -> None:
     played = {}
     for paths in (1, 3, None):
         display = lossy.display.model_copy(update={"paths": paths})
-        played[paths] = simulate(dataclasses.replace(lossy, display=display), SECONDS, seed=1)
+        played[paths] = summarise(dataclasses.replace(lossy, display=display), SECONDS, seed=1)
         assert accounted(played[paths]) == SAMPLES
         assert played[paths].rejected == {}
     single, triple, auto = played.values()

@@ -48,6 +48,16 @@ def test_every_page_is_in_the_site(site: Path) -> None:
     assert written - built == set()
 
 
+def test_every_lesson_was_executed(site: Path) -> None:
+    lessons = sorted((ROOT / "examples/lessons").glob("*.py"))
+    assert lessons
+    for lesson in lessons:
+        page = (site / "lessons" / lesson.with_suffix(".html").name).read_text(encoding="utf-8")
+        assert f"images/sphx_glr_{lesson.stem}_001.png" in page
+        assert len(re.findall("sphx-glr-script-out", page)) >= 3
+        assert f"{lesson.stem}.ipynb" in page
+
+
 def test_a_browser_fetches_nothing_from_elsewhere(site: Path) -> None:
     foreign = []
     for page in site.rglob("*.html"):

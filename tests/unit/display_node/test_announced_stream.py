@@ -7,7 +7,7 @@ import pytest
 from protocol.beats import AnnounceFigures
 from protocol.run_summary import Summary
 from telepulse.scene import load_scene
-from telepulse.simulation.virtual_time import simulate
+from telepulse.simulation.virtual_time import summarise
 
 ROOT = Path(__file__).parents[3]
 SECONDS = 16.0
@@ -16,7 +16,7 @@ SECONDS = 16.0
 def run(tmp_path: Path, text: str, base: str = "announce") -> Summary:
     path = tmp_path / "scene.toml"
     path.write_text(f'extends = "{ROOT / "scenes" / base}.toml"\n{text}', encoding="utf-8")
-    return simulate(load_scene(path), SECONDS, seed=1)
+    return summarise(load_scene(path), SECONDS, seed=1)
 
 
 def test_r_waves_of_the_stream_are_used_and_counted(tmp_path: Path) -> None:

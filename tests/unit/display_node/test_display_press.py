@@ -12,7 +12,7 @@ from protocol.wire.messages import ProbeReport, encode_control
 from sensing_node.scene import SensingScene
 from telepulse.scene import Scene, load_scene
 from telepulse.simulation.link_scene import parse_link
-from telepulse.simulation.virtual_time import Simulation, simulate
+from telepulse.simulation.virtual_time import Simulation, summarise
 
 
 def scene(link: str = "delay=20ms,jitter=2ms,loss=1%") -> Scene:
@@ -20,7 +20,7 @@ def scene(link: str = "delay=20ms,jitter=2ms,loss=1%") -> Scene:
 
 
 def test_the_finger_presses_the_wrist_and_every_set_point_is_accounted_for() -> None:
-    summary = simulate(scene(), 10.0, 1)
+    summary = summarise(scene(), 10.0, 1)
     press = summary.press
     assert press.sent == (press.applied or 0) + (press.superseded or 0) + (press.lost or 0)
     assert (press.sent or 0) > 350

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from protocol.config.scene import validate
 from sensing_node.sources.recorded import RecordedSource, RecordingScene
 from telepulse.scene import load_scene
-from telepulse.simulation.virtual_time import simulate
+from telepulse.simulation.virtual_time import summarise
 from tests.support.nodes import RADIAL
 from tests.support.recording_files import csv_file, recording, refusal, table
 from tests.support.streams import synthetic
@@ -184,7 +184,7 @@ def test_an_emulated_board_may_send_implausible_forces(
 def test_a_simulation_reports_a_synthetic_pulse_without_a_preload(tmp_path: Path) -> None:
     path = tmp_path / "light.toml"
     path.write_text(RADIAL.read_text("utf-8").replace('preload = "0.3 N"', 'preload = "0 N"'))
-    summary = simulate(load_scene(path), seconds=5, seed=1)
+    summary = summarise(load_scene(path), seconds=5, seed=1)
     (fault,) = summary.faults
     assert "below 0 N, which no display can play: set a higher preload" in fault
     assert summary.limited.negative.share is not None

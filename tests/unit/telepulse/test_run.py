@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from matplotlib import pyplot as plt
 
 import telepulse
 from protocol.errors import SceneError, SourceError
@@ -47,7 +48,12 @@ def test_columns_name_each_contactor_but_the_first() -> None:
     assert {len(column) for column in columns.values()} == {len(run.t_s)}
     frame = run.to_dataframe()
     assert list(frame) == list(columns)
-    assert len(run.plot(0.5, 1.0).axes) == 4
+    panels = run.plot(0.5, 1.0)
+    assert len(panels) == 4
+    assert panels[0].get_lines()[0].get_xdata()[0] == pytest.approx(0.5, abs=1e-3)
+    # A notebook shows pyplot's figures, and no others.
+    assert plt.gcf() is panels[0].figure
+    plt.close()
 
 
 def test_a_recording_has_the_same_shape(tmp_path: Path) -> None:

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from display_node.scoring.beat_quality import GOOD
+from display_node.scoring.beats import find_beats
 from telepulse.reports.studies.prediction_pulses import NOMINAL_BEAT_S, recorded_pulses
 from tests.support.drawn_beats import (
     BEGIN_NS,
@@ -55,6 +56,25 @@ def test_figures_of_a_beat_are_those_of_its_shape() -> None:
         assert beat.notch_ns is not None
         # The dicrotic wave is at 0.45 s of a beat of 0.8 s, the tidal one at 0.28 s.
         assert 0.28 < (beat.notch_ns - beat.onset_ns) * 1e-9 / NOMINAL_BEAT_S**0.5 < 0.46
+
+
+def test_an_array_has_the_beats_of_its_frames_and_begins_anew_after_a_gap() -> None:
+    force_n = noisy(draw().force_n)
+    whole = find_beats(force_n, RATE_HZ)
+    framed = analysed(frames(force_n))
+    assert [b.onset_ns for b in whole[: len(framed)]] == pytest.approx(
+        [b.onset_ns - BEGIN_NS for b in framed], abs=1e6
+    )
+    force_n[20 * RATE_HZ : 21 * RATE_HZ] = np.nan
+    torn = find_beats(force_n, RATE_HZ)
+    assert {b.onset_ns for b in torn if b.onset_ns < 18e9} <= {b.onset_ns for b in whole}
+    assert not any(19.9e9 < b.onset_ns < 21e9 for b in torn)
+    assert any(b.onset_ns > 25e9 for b in torn)
+    assert find_beats(force_n[:0], RATE_HZ) == []
+    with pytest.raises(ValueError, match="rate_hz is 2"):
+        find_beats(force_n, 2)
+    with pytest.raises(ValueError, match="one dimension"):
+        find_beats(force_n.reshape(2, -1), RATE_HZ)
 
 
 def test_beats_do_not_depend_on_frames_or_their_order() -> None:

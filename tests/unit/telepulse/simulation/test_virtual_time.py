@@ -12,7 +12,7 @@ from protocol.wire.messages import Frame
 from sensing_node.feeds import Framer, PacedSource
 from sensing_node.scene import SensingScene, build_source, describe_stream
 from telepulse.scene import Scene, load_scene
-from telepulse.simulation.virtual_time import ReferenceForce, simulate
+from telepulse.simulation.virtual_time import ReferenceForce, summarise
 from tests.support.nodes import RADIAL, ROOT
 
 RESTLESS = {"kind": "synthetic", "heart_rate_variability": "5 %", "noise": "1 mN"}
@@ -93,7 +93,7 @@ def conditioned(keys: dict[str, Any], **source: object) -> Scene:
 
 def rmse_mn(scene: Scene) -> float:
     """Return the aligned force RMSE of four simulated seconds."""
-    aligned_n = simulate(scene, seconds=4, seed=1).force_rmse_n.aligned
+    aligned_n = summarise(scene, seconds=4, seed=1).force_rmse_n.aligned
     assert aligned_n is not None
     return aligned_n * 1e3
 
@@ -115,18 +115,18 @@ def test_a_simulation_shifts_by_the_chains_delay() -> None:
 
 
 def test_a_simulation_reports_samples_beyond_the_adcs_range() -> None:
-    summary = simulate(conditioned({"adc_bits": 16, "adc_range": "5 mV"}), seconds=2, seed=1)
+    summary = summarise(conditioned({"adc_bits": 16, "adc_range": "5 mV"}), seconds=2, seed=1)
     assert summary.faults == ["sensing node: 2000 samples beyond the ADC's range"]
     assert summary.limited.adc == Limited(1, 2.0, 1.0)
 
 
 def test_a_simulation_reports_the_beats_and_a_signal_that_is_no_pulse() -> None:
     scene = conditioned({})
-    pulse = simulate(scene, seconds=12, seed=1).beats
+    pulse = summarise(scene, seconds=12, seed=1).beats
     assert pulse.rate_per_min == pytest.approx(75, rel=0.05)
     assert pulse.height_n == pytest.approx(0.3, rel=0.05)
     assert (pulse.quality, pulse.alarm) == (pytest.approx(1.0, abs=0.02), False)
-    noise = simulate(conditioned({}, peak_to_peak_n=1e-3, noise_n=0.05), seconds=12, seed=1).beats
+    noise = summarise(conditioned({}, peak_to_peak_n=1e-3, noise_n=0.05), seconds=12, seed=1).beats
     assert noise.alarm
     assert noise.quality is not None
     assert noise.quality < 0.5

@@ -1,0 +1,50 @@
+"""The public names and signatures, which users' programs depend on."""
+
+import inspect
+from pathlib import Path
+
+import telepulse
+from tests.support.nodes import ROOT
+
+HELD = ROOT / "tests/golden/python_api.txt"
+
+
+def parameters(function: object) -> str:
+    """Return a function's parameters with their defaults; their types belong to mypy."""
+    signature = inspect.signature(function)  # type: ignore[arg-type]
+    bare = [p.replace(annotation=inspect.Parameter.empty) for p in signature.parameters.values()]
+    return str(inspect.Signature(bare))
+
+
+def described(name: str) -> list[str]:
+    """Return a name's parameters, and those of its public members."""
+    value = getattr(telepulse, name)
+    if not inspect.isclass(value) or issubclass(value, BaseException):
+        return [name + (parameters(value) if inspect.isfunction(value) else "")]
+    lines = [f"class {name}{parameters(value)}"]
+    for key, member in sorted(vars(value).items()):
+        if not key.startswith("_"):
+            lines.append(f"    {key}{parameters(member) if inspect.isfunction(member) else ''}")
+    return lines
+
+
+def test_a_change_of_a_signature_is_deliberate() -> None:
+    found = [line for name in telepulse.__all__ if name != "Scene" for line in described(name)]
+    text = "\n".join(found) + "\n"
+    assert text == HELD.read_text(encoding="utf-8"), (
+        f"read in docs/reference/api.md what users are promised, then write {HELD}:\n{text}"
+    )
+
+
+def test_the_version_and_the_names_are_those_of_the_package() -> None:
+    assert telepulse.__version__.count(".") == 2
+    assert telepulse.__all__ == sorted(telepulse.__all__)
+    reference = (ROOT / "docs/reference/api.md").read_text(encoding="utf-8")
+    howto = (ROOT / "docs/howto/python.md").read_text(encoding="utf-8")
+    missing = [name for name in telepulse.__all__ if name not in reference + howto]
+    assert missing == []
+
+
+def test_the_packages_carry_their_types() -> None:
+    packages = [p.parent for p in Path(ROOT).glob("*/py.typed")]
+    assert {p.name for p in packages} >= {"protocol", "sensing_node", "display_node", "telepulse"}
