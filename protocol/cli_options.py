@@ -35,6 +35,23 @@ StopAfterOption = Annotated[
     float | None, typer.Option(min=0.1, max=LONGEST_S, help="Stop after this long; else at Ctrl-C.")
 ]
 DurationOption = Annotated[float, typer.Option(min=1, max=LONGEST_S, help="Seconds of pulse.")]
+SourceOption = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="RECORD",
+        help="Play this file in place of the scene's source: a WFDB record (PhysioNet), EDF, XDF,"
+        " MCAP, Parquet, CSV, NumPy or WAV.",
+    ),
+]
+RecordChannelOption = Annotated[
+    str | None,
+    typer.Option(
+        "--channel",
+        metavar="NAME",
+        help="Name or number of the signal of --source to play. Default: the first that is a"
+        " pulse by its name or unit.",
+    ),
+]
 JsonOption = Annotated[
     Path | None,
     typer.Option(metavar="FILE", help="Write the closing summary here as JSON; -: print it alone."),

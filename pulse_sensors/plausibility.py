@@ -45,6 +45,8 @@ DECLARED_RATE_TOLERANCE: Final = 0.1
 SHORTEST_S, LONGEST_S = 1e-7, 1e3
 # A longer step between two times than this multiple of the usual one is a gap.
 GAP_STEPS: Final = 5
+# Range of the rates of recorded pulses, which decides the unit of times that state none.
+USUAL_HZ = (10.0, 20_000.0)
 SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 _UNIT = re.compile(r"(?:^|[\s_(\[,])(s|sec|seconds|ms|us|µs|ns)[)\]]?$", re.IGNORECASE)
 _TIME_NAME = re.compile(r"time|^t$|^t[_\s(\[]", re.IGNORECASE)
@@ -141,14 +143,40 @@ class RecordedColumn:
 
 
 def unusable_values(values: NDArray[np.float64]) -> str | None:
-    """Return the reason why a file's values are not samples of a signal, or None."""
+    """Return the reason why a file's values are not samples of a signal, or None.
+
+    NaN are missing samples.
+    """
     if len(values) < 2:
         return f"number of samples is {len(values)}; it must be 2 or more"
-    bad = np.flatnonzero(~(np.abs(values) <= LARGEST))
+    if np.all(np.isnan(values)):
+        return "all values are NaN"
+    bad = np.flatnonzero(np.abs(values) > LARGEST)
     if not len(bad):
         return None
     count = count_text(len(bad), "value is", "values are")
-    return f"{count} NaN or beyond {LARGEST:g}, the first is sample {bad[0]}; cut or fill them"
+    return f"{count} beyond {LARGEST:g}, the first is sample {bad[0]}; cut or fill them"
+
+
+def stated_rate(column: RecordedColumn) -> float | None:
+    """Return the rate in Hz by the file's own times; None without them.
+
+    Times in a column whose name has no unit are in the largest unit that gives a usual rate.
+    """
+    for name, step, _, _ in _time_columns(column):
+        found = _UNIT.search(name)
+        units = (
+            [SECONDS.get(found[1].lower().replace("µ", "u"), 1.0)] if found else SECONDS.values()
+        )
+        for seconds in units:
+            if found or USUAL_HZ[0] <= 1 / (step * seconds) <= USUAL_HZ[1]:
+                return 1 / (step * seconds)
+    return None
+
+
+def is_time_name(name: str) -> bool:
+    """Return whether a column's name is that of times."""
+    return _TIME_NAME.search(name) is not None
 
 
 def constant_column(column: RecordedColumn) -> str | None:

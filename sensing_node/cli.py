@@ -7,7 +7,6 @@ from typing import Annotated
 import typer
 
 from protocol import cli_options as options
-from protocol.config.scene import load_section
 from protocol.config.scene_file import find_scene, scene_names
 from protocol.discovery.announcer import start_announcer
 from protocol.host.output import check_writable, configure_logging, unblocked_output
@@ -16,7 +15,7 @@ from protocol.host.realtime import check_strict, parse_realtime
 from protocol.provenance import collect
 from protocol.sockets import control_address
 from sensing_node.node import SensingNode
-from sensing_node.scene import SensingScene, describe_stream, open_source
+from sensing_node.scene import describe_stream, load_sensing, open_source
 
 logger = logging.getLogger(__name__)
 
@@ -41,6 +40,8 @@ def sense(
             " for this machine alone, or ipc://PATH. Control uses the next port."
         ),
     ] = "tcp://127.0.0.1:5555",
+    source: options.SourceOption = None,
+    channel: options.RecordChannelOption = None,
     seconds: options.StopAfterOption = None,
     json: options.JsonOption = None,
     quiet: options.QuietOption = False,
@@ -86,16 +87,16 @@ def sense(
             control = control_address(bind)
             keys = options.server_keys(bind, key, allow, insecure)
             path = find_scene(scene)
-            section = load_section(path, "sensing", SensingScene)
+            section = load_sensing(path, source, channel)
             provenance = collect(path, {"sensing": section})
             served = until_the_end.enter_context(options.start_metrics(PROGRAM, metrics))
             announce_node = until_the_end.enter_context(
                 start_announcer(announce, bind, section.stream, keys)
             )
-            source = until_the_end.enter_context(open_source(section, path.parent))
-            description = describe_stream(section, source)
+            samples = until_the_end.enter_context(open_source(section, path.parent))
+            description = describe_stream(section, samples)
             node = SensingNode(
-                *(source, description, bind),
+                *(samples, description, bind),
                 keys=keys,
                 telemetry_address=TELEMETRY if served else None,
             )

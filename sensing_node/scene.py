@@ -9,8 +9,9 @@ from typing import Annotated, Literal
 from pydantic import Field, model_validator
 
 from protocol.config.kinds import OfKind
-from protocol.config.quantities import Name, Nanoseconds, count_text
-from protocol.config.scene import Section
+from protocol.config.quantities import MAX_NAME, Name, Nanoseconds, count_text
+from protocol.config.scene import Section, load_section, validate
+from protocol.config.scene_file import load_document
 from protocol.errors import SceneError
 from protocol.wire.messages import HEADER_BYTES, MAX_FRAME_BYTES
 from protocol.wire.stream import LayerTable, StreamDescription
@@ -23,6 +24,7 @@ from sensing_node.press.live_probe import LiveProbe
 from sensing_node.press.load_cell import JoinedSensors, SampleSensor
 from sensing_node.press.scene import ProbeScene
 from sensing_node.press.set_points import SetPointServer
+from sensing_node.sources.choice import record_table
 from sensing_node.sources.source import SOURCES, SampleSource, SourceContext, SourceScene
 
 logger = logging.getLogger(__name__)
@@ -84,6 +86,26 @@ class SensingScene(Section):
                 " reads it, nothing else can"
             )
         return self.source
+
+
+def load_sensing(
+    path: Path, record: Path | None = None, channel: str | None = None
+) -> SensingScene:
+    """Read the [sensing] section of a scene, with a record in place of its source if one is given.
+
+    channel: name or number of the record's signal to play; None chooses. Logs the choice. Raises
+    SceneError or SourceError.
+    """
+    if record is None:
+        if channel is not None:
+            raise SceneError("--channel names a signal of a record; give it by --source")
+        return load_section(path, "sensing", SensingScene)
+    source, chosen = record_table(record, channel)
+    logger.info(chosen)
+    sensing = {**load_document(path).get("sensing", {}), "source": source}
+    if record.stem.isprintable():
+        sensing["stream"] = record.stem[:MAX_NAME]
+    return validate(sensing, SensingScene, f"{path}, with {record} as its source: [sensing]")
 
 
 @contextmanager

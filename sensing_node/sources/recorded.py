@@ -1,6 +1,7 @@
-"""A recording as a source: columns of a CSV or NumPy file, played once or in a loop."""
+"""A recording as a source: signals of a file in any known format, played once or in a loop."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Literal, Self
 
@@ -13,32 +14,55 @@ from protocol.errors import SourceError
 from protocol.wire.messages import LARGEST_N
 from protocol.wire.stream import ANNOUNCE, PULSE, Channel, first_repeated
 from pulse_sensors.force_scale import FORCES, MILLIVOLTS, VOLTAGES, SensitivityTable
-from pulse_sensors.plausibility import RecordedColumn, constant_column, examine
-from sensing_node.sources.column_files import ColumnKey, load_columns
+from pulse_sensors.plausibility import (
+    RATE_TOLERANCE,
+    RecordedColumn,
+    constant_column,
+    examine,
+    stated_rate,
+    unit_contradiction,
+    unusable_values,
+)
+from sensing_node.files.formats import open_signals
+from sensing_node.files.signals import (
+    ColumnKey,
+    SignalFile,
+    SignalInfo,
+    aligned,
+    fill_gaps,
+    find_gaps,
+)
+from sensing_node.sources.choice import BEAT_N, NEWTONS_PER_MMHG, PRESSURES, choose_pulse
 from sensing_node.sources.source import SampleSource, SourceContext, SourceScene
 from sensing_node.sources.synthetic import SyntheticScene
+
+# Length of the stretches in which a beat's height is looked for: a beat or more.
+BEAT_S = 1.5
 
 
 class RecordingScene(SensitivityTable, SourceScene):
     """The `source` table of kind "recording".
 
-    path: .csv, .npy or .npz, relative to the scene's folder. column: a name in the CSV's first line
-    (or an array's name in the .npz), or a number from 0. columns: several of them; each is a
-    channel with the column's name. announce: column of an ECG, in announce_unit, which becomes the
-    channel "announce". unit: N or mN are used unchanged. V or mV are converted by the film: by
-    film_radius with eq 21, or by sensitivity, such as 44 mV/N. "raw" is scaled to peak_to_peak,
-    each column by itself, with the mean at preload. inverted: the values fall where the pulse
-    presses. preload: added force; by default 0.3 N for "raw", as for a synthetic pulse, else 0 N.
+    path: a file in any format of docs/howto/bring_your_recording.md, relative to the scene's
+    folder. column: name or number from 0 of a signal, column or array; by default, the first one
+    that is a pulse by its name or unit. columns: several of them; each is a channel with the
+    column's name. announce: column of an ECG, in announce_unit, which becomes the channel
+    "announce". rate, unit, announce_unit: by default those of the file. unit: N or mN are used
+    unchanged. V or mV are converted by the film: by film_radius with eq 21, or by sensitivity, such
+    as 44 mV/N. mmHg and kPa become 7.5 mN/mmHg. "raw" is scaled to peak_to_peak, each column by
+    itself, with the mean at preload. Any other unit of the file is scaled so that the median beat
+    is peak_to_peak (0.3 N) high. inverted: the values fall where the pulse presses. preload: added
+    force; by default 0.3 N where the scale is by peak_to_peak, as for a synthetic pulse, else 0 N.
     """
 
     kind: Literal["recording"]
     path: Path
-    rate_hz: Annotated[Hertz, Field(ge=1, le=100_000)]
-    unit: Literal["N", "mN", "V", "mV", "raw"]
-    column: ColumnKey = 0
+    rate_hz: Annotated[Hertz, Field(ge=1, le=100_000)] | None = None
+    unit: Literal["N", "mN", "V", "mV", "mmHg", "kPa", "raw"] | None = None
+    column: ColumnKey | None = None
     columns: Annotated[tuple[ColumnKey, ...], Field(min_length=1, max_length=16)] | None = None
     announce: ColumnKey | None = None
-    announce_unit: Literal["V", "mV", "uV"] = "mV"
+    announce_unit: Literal["V", "mV", "uV"] | None = None
     peak_to_peak_n: Annotated[Newtons, Field(gt=0, le=10)] | None = None
     preload_n: Annotated[Newtons, Field(ge=0, le=10)] | None = None
     inverted: bool = False
@@ -46,7 +70,8 @@ class RecordingScene(SensitivityTable, SourceScene):
 
     @model_validator(mode="after")
     def _has_a_scale(self) -> Self:
-        self.refuse_keys_beside(self.unit)
+        if self.unit is not None:
+            self.refuse_keys_beside(self.unit)
         if self.unit in VOLTAGES and not {"sensitivity", "film_radius"} & self.given:
             raise ValueError(
                 f'unit "{self.unit}" needs film_radius or sensitivity to become a force'
@@ -63,28 +88,48 @@ class RecordingScene(SensitivityTable, SourceScene):
         """See `SourceScene.build`."""
         return RecordedSource(self, context.folder, context.plausible)
 
-    @property
-    def forces_of(self) -> tuple[ColumnKey, ...]:
-        """Columns of the pulse."""
-        return (self.column,) if self.columns is None else self.columns
+    def unit_of(self, stated: str) -> str:
+        """Return the unit that values are converted from; "beat": scaled by their median beat.
 
-    @property
-    def rest_n(self) -> float:
-        """Force in N that is added, or that a raw recording's mean becomes."""
+        stated: the file's unit, which may be empty.
+        """
+        if self.unit is not None:
+            return self.unit
+        if stated in VOLTAGES and {"sensitivity", "film_radius"} & self.given:
+            return stated
+        plain = (stated in FORCES or stated in PRESSURES) and "peak_to_peak" not in self.given
+        return stated if plain else "beat"
+
+    def rest_n(self, unit: str) -> float:
+        """Return the force in N that is added, or that the mean of a scaled recording becomes."""
         if self.preload_n is not None:
             return self.preload_n
-        return SyntheticScene(kind="synthetic").preload_n if self.unit == "raw" else 0.0
+        return SyntheticScene(kind="synthetic").preload_n if unit in ("raw", "beat") else 0.0
 
-    def forces(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
+    def forces(self, values: NDArray[np.float64], unit: str, rate_hz: float) -> NDArray[np.float64]:
         """Return forces in N, shape (samples,), for values that are not all equal."""
+        rest_n = self.rest_n(unit)
         if self.inverted:
             values = -values
-        if self.unit in FORCES:
-            return values * FORCES[self.unit] + self.rest_n
-        if self.unit in VOLTAGES:
-            return self.calibration().newtons(values * VOLTAGES[self.unit]) + self.rest_n
-        scale = (self.peak_to_peak_n or 0.0) / float(np.ptp(values))
-        return self.rest_n + (values - float(values.mean())) * scale
+        if unit in FORCES:
+            return values * FORCES[unit] + rest_n
+        if unit in PRESSURES:
+            mmhg = values * (PRESSURES[unit] / PRESSURES["mmHg"])
+            return mmhg * NEWTONS_PER_MMHG + rest_n
+        if unit in VOLTAGES:
+            return self.calibration().newtons(values * VOLTAGES[unit]) + rest_n
+        height = float(np.ptp(values)) if unit == "raw" else beat_height(values, rate_hz)
+        return rest_n + (values - float(values.mean())) * ((self.peak_to_peak_n or BEAT_N) / height)
+
+
+def beat_height(values: NDArray[np.float64], rate_hz: float) -> float:
+    """Return the height of a usual beat: the median peak-to-peak value of stretches of 1.5 s.
+
+    Of a signal that is constant most of the time, it is the greatest one.
+    """
+    width = min(len(values), max(2, round(BEAT_S * rate_hz)))
+    stretches = values[: len(values) // width * width].reshape(-1, width)
+    return float(np.median(np.ptp(stretches, axis=1))) or float(np.ptp(values))
 
 
 class RecordedSource(SampleSource):
@@ -105,17 +150,26 @@ class RecordedSource(SampleSource):
 
     def __init__(self, scene: RecordingScene, folder: Path, plausible: bool = True) -> None:
         path = folder / scene.path
+        file = open_signals(path)
+        pulse_keys = scene.columns or (
+            choose_pulse(file).signal.number if scene.column is None else scene.column,
+        )
         announcing = () if scene.announce is None else (scene.announce,)
-        loaded = load_columns(path, (*scene.forces_of, *announcing))
-        pulses = loaded[: len(scene.forces_of)]
-        self.warnings: list[str] = []
+        loaded = file.load((*pulse_keys, *announcing))
+        infos = [_info(file, column, scene.rate_hz) for column in loaded]
+        rate_hz = max(info.rate_hz or 0.0 for info in infos)
+        self.warnings = [f"{path}: {note}" for note in file.notes]
+        loaded = self._on_one_grid(path, loaded, infos, rate_hz)
+        pulses = loaded[: len(pulse_keys)]
         values = []
-        for column in pulses:
-            constant = constant_column(column)
-            if constant is not None and scene.unit == "raw":
+        for column, info in zip(pulses, infos, strict=False):
+            constant, unit = constant_column(column), scene.unit_of(info.unit)
+            if constant is not None and unit in ("raw", "beat"):
                 raise SourceError(f"{path}: {constant}")
-            force_n = scene.forces(column.values)
-            refusal, warnings = examine(column, force_n, scene.unit, scene.rate_hz, scene.rest_n)
+            if (contradiction := unit_contradiction(info.unit, unit)) is not None:
+                raise SourceError(f"{path}: {column.title} {contradiction}")
+            force_n, rest_n = scene.forces(column.values, unit, rate_hz), scene.rest_n(unit)
+            refusal, warnings = examine(column, force_n, unit, rate_hz, rest_n)
             of_column = f"{column.title}: " if scene.columns else ""
             doubts = [
                 f"{path}: {text if text.startswith('column ') else of_column + text}"
@@ -126,13 +180,34 @@ class RecordedSource(SampleSource):
             # Those of the file itself are the same for each column.
             self.warnings += [doubt for doubt in doubts if doubt not in self.warnings]
             values.append(force_n)
-        for column in loaded[len(pulses) :]:
-            values.append(_announcing(column, scene.announce_unit, path))
+        for column, info in zip(loaded[len(pulses) :], infos[len(pulses) :], strict=True):
+            stated = info.unit if info.unit in MILLIVOLTS else "mV"
+            values.append(_announcing(column, scene.announce_unit or stated, path))
         self._values = np.stack(values, axis=1)
         self.channels = _channels(scene, pulses, path)
         self._loop = scene.repeat == "loop"
         self._position = 0
-        self.period_ns = round(1e9 / scene.rate_hz)
+        self.period_ns = round(1e9 / rate_hz)
+
+    def _on_one_grid(
+        self, path: Path, loaded: list[RecordedColumn], infos: list[SignalInfo], rate_hz: float
+    ) -> list[RecordedColumn]:
+        """Return columns of one rate and length, their gaps filled; warn of each gap."""
+        several = len(loaded) > 1
+        for column, info in zip(loaded, infos, strict=True):
+            unusable = unusable_values(column.values)
+            if unusable is not None:
+                raise SourceError(f"{path}: {f'{column.title}: ' if several else ''}{unusable}")
+            gaps = find_gaps(column.values)
+            if gaps.samples:
+                text = gaps.text(len(column.values), info.rate_hz or rate_hz)
+                filled = f"{path}: {column.title}: {text}; straight lines replace them"
+                self.warnings.append(filled)
+        _, grid = aligned(infos, [fill_gaps(column.values) for column in loaded], rate_hz)
+        return [
+            replace(column, values=fill_gaps(np.ascontiguousarray(values)))
+            for column, values in zip(loaded, grid.T, strict=True)
+        ]
 
     def take(self, count: int) -> NDArray[np.float64]:
         """Return the next samples, shape (count, channels); fewer at the end of one pass."""
@@ -144,6 +219,24 @@ class RecordedSource(SampleSource):
     def faults(self) -> list[str]:
         """See `SampleSource.faults`."""
         return list(self.warnings)
+
+
+def _info(file: SignalFile, column: RecordedColumn, rate_hz: float | None) -> SignalInfo:
+    """Return what a file states of a column, with the rate to play it at. Raises SourceError."""
+    known = [signal for signal in file.signals if signal.number == column.number]
+    info = known[0] if known else SignalInfo(column.number, column.name)
+    if info.rate_hz is None:
+        if rate_hz is None:
+            rate_hz = stated_rate(column)
+        if rate_hz is None:
+            raise SourceError(f'{file.path}: states no rate; set rate, such as "500 Hz"')
+        return info._replace(rate_hz=rate_hz)
+    if rate_hz is not None and abs(info.rate_hz / rate_hz - 1) > RATE_TOLERANCE:
+        raise SourceError(
+            f"{file.path}: {column.title} has {info.rate_hz:.4g} samples a second, the scene's rate"
+            f" is {rate_hz:g} Hz; leave rate out"
+        )
+    return info
 
 
 def _announcing(column: RecordedColumn, unit: str, path: Path) -> NDArray[np.float64]:

@@ -30,6 +30,8 @@ from protocol.cli_options import (
     JsonOption,
     LogLevelOption,
     PredictorOption,
+    RecordChannelOption,
+    SourceOption,
     one_line_errors,
     plain_console,
     sum_up,
@@ -44,7 +46,7 @@ from protocol.run_summary import Summary
 from protocol.tactile import matching_force_ratio
 from protocol.wire.messages import decode_frame
 from protocol.wire.telemetry import Trace
-from sensing_node.scene import describe_stream, open_source
+from sensing_node.scene import describe_stream, load_sensing, open_source
 from telepulse.cli.options import PROGRAM, LinkOption, SceneArgument, SeedOption
 from telepulse.cli.view import open_page
 from telepulse.processes import NodeProcess, free_addresses, log_warnings
@@ -65,6 +67,8 @@ def simulate(
     scene: SceneArgument = DEFAULT_SCENE,
     seconds: DurationOption = 60.0,
     seed: SeedOption = 1,
+    source: SourceOption = None,
+    channel: RecordChannelOption = None,
     link: LinkOption = None,
     predictor: PredictorOption = None,
     compensation: CompensationOption = None,
@@ -80,10 +84,10 @@ def simulate(
         configure_logging(log_level)
         check_writable(json)
         choice = {"predictor": predictor, "compensation": compensation}
-        loaded = _load(scene, link, choice)
+        loaded = _load(scene, link, choice, source, channel)
         provenance = scene_provenance(loaded, {"link": seed})
         summary = virtual_time.summarise(loaded, seconds, seed)
-    title = f"simulation of {loaded.path.stem}, {seconds:g} s"
+    title = f"simulation of {source or loaded.path.stem}, {seconds:g} s"
     sum_up(PROGRAM, summary, title, plain_console(json=json), json, provenance)
     end_at_faults(PROGRAM, summary.faults)
 
@@ -91,6 +95,8 @@ def simulate(
 def demo(
     scene: SceneArgument = DEFAULT_SCENE,
     seconds: DurationOption = 15.0,
+    source: SourceOption = None,
+    channel: RecordChannelOption = None,
     link: LinkOption = None,
     predictor: PredictorOption = None,
     compensation: CompensationOption = None,
@@ -125,22 +131,32 @@ def demo(
         configure_logging(log_level)
         check_writable(json)
         choice = {"predictor": predictor, "compensation": compensation}
-        loaded = _load(scene, link, choice)
+        loaded = _load(scene, link, choice, source, channel)
         provenance = scene_provenance(loaded)
-        summary = run_demo(loaded, choice, seconds, ui, page, console)
-    title = f"demo of {loaded.path.stem}, {seconds:g} s"
+        record = {"source": None if source is None else str(source), "channel": channel}
+        summary = run_demo(loaded, choice, record, seconds, ui, page, console)
+    title = f"demo of {source or loaded.path.stem}, {seconds:g} s"
     sum_up(PROGRAM, summary, title, console, json, provenance)
     end_at_faults(PROGRAM, summary.faults)
 
 
-def _load(scene: str, link: str | None, choice: Mapping[str, str | None]) -> Scene:
+def _load(
+    scene: str,
+    link: str | None,
+    choice: Mapping[str, str | None],
+    source: Path | None,
+    channel: str | None,
+) -> Scene:
     loaded = load_scene(find_scene(scene), choice)
+    if source is not None or channel is not None:
+        loaded = replace(loaded, sensing=load_sensing(loaded.path, source, channel))
     return replace(loaded, link=parse_link(link)) if link else loaded
 
 
 def run_demo(
     scene: Scene,
     choice: Mapping[str, str | None],
+    record: Mapping[str, str | None],
     seconds: float,
     draw: bool,
     page: bool | None,
@@ -148,9 +164,10 @@ def run_demo(
 ) -> Summary:
     """Run both nodes for `seconds` of pulse, over the scene's link.
 
-    choice: options of the display node that `scene` was loaded with, by name. page: True serves the
-    live page; None serves it if `draw` is set, and only logs a warning where that fails. Raises
-    SceneError, SourceError, ProcessError, or OutputError where a required page cannot be served.
+    choice, record: options of display node and sensing node that `scene` was loaded with, by name.
+    page: True serves the live page; None serves it if `draw` is set, and only logs a warning where
+    that fails. Raises SceneError, SourceError, ProcessError, or OutputError where a required page
+    cannot be served.
     """
     path = scene.path
     truth = ReferenceForce(scene.sensing, path.parent)
@@ -170,7 +187,7 @@ def run_demo(
         display = NodeProcess(
             *("display node", "display_node.cli", str(path), "--connect", display_address),
             *("--telemetry", telemetry_address, "--once", "--quiet", *time_limit),
-            *(f"--{name}={value}" for name, value in choice.items() if value is not None),
+            *_given(choice),
             summary=Path(folder, "display.json"),
             **PIPES,
         )
@@ -187,7 +204,7 @@ def run_demo(
         time.sleep(HEAD_START_S)
         sensing = NodeProcess(
             *("sensing node", "sensing_node.cli", str(path), "--bind", sensing_address),
-            *("--seconds", str(seconds), "--quiet"),
+            *("--seconds", str(seconds), "--quiet", *_given(record)),
             summary=Path(folder, "sensing.json"),
             **PIPES,
         )
@@ -216,6 +233,10 @@ def run_demo(
         sensed = sensing.await_summary(ENDS_WITHIN_S)
         played = display.await_summary(ENDS_WITHIN_S, may_end_with=FAULT_STATUS)
         return _compose(sensed, played, scorer.errors)
+
+
+def _given(options: Mapping[str, str | None]) -> list[str]:
+    return [f"--{name}={value}" for name, value in options.items() if value is not None]
 
 
 class _Scorer:

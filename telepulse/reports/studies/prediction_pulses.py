@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sensing_node.sources.column_files import load_column
+from sensing_node.files.formats import open_signals
 from sensing_node.sources.heart import NOMINAL_BEAT_S
 from sensing_node.sources.synthetic import PRESETS, REACH
 
@@ -189,7 +189,8 @@ def recorded_pulses(seconds: float) -> dict[str, Floats]:
     pulses = {}
     for name, (file, column, rate_hz, from_s) in RECORDED.items():
         first = round(from_s * rate_hz)
-        recorded = load_column(Path(package.origin).parent / "data" / file, column).values
+        path = Path(package.origin).parent / "data" / file
+        recorded = open_signals(path).load((column,))[0].values
         values = recorded[first : first + round(seconds * rate_hz)]
         given_s = np.arange(len(values)) / rate_hz
         pulses[name] = np.interp(np.arange(0, given_s[-1], 1 / RATE_HZ), given_s, values)

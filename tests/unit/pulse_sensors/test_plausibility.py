@@ -74,10 +74,10 @@ ONLY_RISES = "never falls, so it is a time and not a pulse"
         ),
         ({"force": PULSE_N}, {**RAW, "preload": "0 N"}, "which no display can play"),
         ({"force": -PULSE_N}, {}, "set inverted = true"),
-        ({"time": TIMES_S, "force": PULSE_N}, {}, f'column 0 ("time") {ONLY_RISES}'),
-        ({"t": TIMES_S // 0.02, "i": TIMES_S, "adc": PULSE_N}, {},
+        ({"time": TIMES_S, "force": PULSE_N}, {"column": 0}, f'column 0 ("time") {ONLY_RISES}'),
+        ({"t": TIMES_S // 0.02, "i": TIMES_S, "adc": PULSE_N}, {"column": "i"},
          'set column = "adc", or the one with the force'),
-        ({"time": TIMES_S}, {}, f'column 0 ("time") {ONLY_RISES}'),
+        ({"time": TIMES_S}, {"column": "time"}, f'column 0 ("time") {ONLY_RISES}'),
         *(
             (
                 {"force": np.full(100, 0.3)},
@@ -128,7 +128,7 @@ def test_a_doubtful_recording_has_a_warning(
 def test_a_column_of_times_in_a_numpy_table_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "pulse.npy"
     np.save(path, np.column_stack([TIMES_S, PULSE_N]))
-    assert refusal(path) == f"column 0 {ONLY_RISES}; set column to the one with the force"
+    assert refusal(path, column=0) == f"column 0 {ONLY_RISES}; set column to the one with the force"
     assert warnings(path, column=1) == []
     assert 'set rate = "100 Hz"' in refusal(path, column=1, rate="250 Hz")
 

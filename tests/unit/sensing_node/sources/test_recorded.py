@@ -130,10 +130,10 @@ def test_a_missing_file_and_a_directory_are_refused(tmp_path: Path, suffix: str)
     assert refusal(path) == f"cannot be read: {os.strerror(21)}"
 
 
-@pytest.mark.parametrize("name", ["pulse.wav", "pulse"])
+@pytest.mark.parametrize("name", ["pulse.mp3", "pulse"])
 def test_another_suffix_is_refused(tmp_path: Path, name: str) -> None:
     (tmp_path / name).write_text("1\n2\n")
-    assert "is not .csv, .npy or .npz" in refusal(tmp_path / name)
+    assert "is none of .csv, .txt, .npy, " in refusal(tmp_path / name)
 
 
 REAL = "needs real numbers in one or two dimensions, has"
@@ -149,10 +149,9 @@ FEW = "number of samples is {}; it must be 2 or more"
         ("time,force\n0,1\n1\n2,3\n", 1, "line 3: no column 1; it has 1"),
         ("time,force\n0,1\n1,high\n2,3\n", "force", "line 3: 'high' is not a number"),
         ("time,force\n\n0,1\n1,\n2,3\n", 1, "line 4: '' is not a number"),
-        ("1\n2\nnan\n4\n", 0,
-         "1 value is NaN or beyond 1e+30, the first is sample 2; cut or fill them"),
         ("1\n-inf\nnan\n1e31\n", 0,
-         "3 values are NaN or beyond 1e+30, the first is sample 1; cut or fill them"),
+         "2 values are beyond 1e+30, the first is sample 1; cut or fill them"),
+        ("nan\nnan\n", 0, "all values are NaN"),
         ("", 0, "is empty, or its first line is"),
         ("force\n", 0, FEW.format(0)),
         ("force\n1\n", 0, FEW.format(1)),
@@ -169,8 +168,6 @@ FEW = "number of samples is {}; it must be 2 or more"
         (np.zeros(4, complex), 0, f"{REAL} complex128 in 1"),
         (["1", "2"], 0, f"{REAL} <U1 in 1"),
         ([1, None], 0, "cannot be read: Object arrays cannot be loaded when allow_pickle=False"),
-        ([1, 2, np.nan, 4], 0,
-         "1 value is NaN or beyond 1e+30, the first is sample 2; cut or fill them"),
         (ARCHIVE, "pressure", "no array 'pressure'; it has time, force"),
         (ARCHIVE, 2, "no array 2; it has time, force"),
     ],
@@ -278,7 +275,7 @@ def test_scale_keys_hold_for_every_column_and_raw_ones_are_scaled_each(tmp_path:
         ({"guan": [30.0, 31.0] * 30}, {}, 'column 2 ("guan"): reaches 31 N in unit "N"'),
         ({"guan": [-1.0, 1.0] * 30}, {}, 'column 2 ("guan"): is below 0 N for 50 % of the'),
         ({"guan": [0.3] * 60}, {}, 'column 2 ("guan"): all values are equal, 0.3'),
-        ({"guan": [0.3] * 59 + ["nan"]}, {}, 'column 2 ("guan"): 1 value is NaN'),
+        ({"guan": [0.3] * 59 + ["inf"]}, {}, 'column 2 ("guan"): 1 value is beyond 1e+30'),
         ({"II": [0.3] * 60}, {"announce": "II"}, 'announce: column 3 ("II"): all values are equal'),
         (
             {"II": [0.0, 1e4] * 30},

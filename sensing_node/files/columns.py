@@ -1,69 +1,75 @@
-"""Columns of a CSV or NumPy file: the samples of a recording, and what stands beside them."""
+"""Columns of a CSV or NumPy file: the samples of a recording, and what stands beside them.
+
+A unit in brackets after a column's name is the unit of its values: "ABP [mmHg]". An array
+`rate_hz` of one value in an .npz is the rate.
+"""
 
 import csv
 import math
 from collections.abc import Sequence
 from datetime import datetime
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
 
 from protocol.errors import SourceError
 from protocol.wire.stream import first_repeated
-from pulse_sensors.plausibility import RecordedColumn, unusable_values
+from pulse_sensors.plausibility import RecordedColumn
+from sensing_node.files.signals import ColumnKey, SignalFile, SignalInfo, split_unit
 
-ColumnKey = Annotated[int, Field(ge=0)] | str
-"""Number of a column from 0, or its name."""
-
-
-def load_column(path: Path, column: ColumnKey) -> RecordedColumn:
-    """Return one column of a file. Raises SourceError as `load_columns` does."""
-    return load_columns(path, (column,))[0]
+RATE = "rate_hz"
 
 
-def load_columns(path: Path, columns: Sequence[ColumnKey]) -> list[RecordedColumn]:
-    """Return columns of a file.
+def read(path: Path) -> SignalFile:
+    """Open a .csv, .txt, .npy or .npz file. Raises SourceError, and others for a damaged file.
 
-    Parameters
-    ----------
-    path : Path
-        A .csv, .txt, .npy or .npz file.
-    columns : sequence of int or str
-        Numbers from 0, or names; each column once.
-
-    Raises
-    ------
-    SourceError
-        If the file cannot be read, or a column is missing, repeated, or has no usable numbers.
+    Its signals are the columns whose first value is a number, or the arrays of numbers.
     """
-    try:
-        match path.suffix.lower():
-            case ".csv" | ".txt":
-                loaded = _load_csv(path, columns)
-            case ".npy" | ".npz":
-                loaded = _load_numpy(path, columns)
-            case suffix:
-                raise SourceError(f"{path}: {suffix or 'no suffix'} is not .csv, .npy or .npz")
-    except SourceError:
-        raise
-    except FileNotFoundError:
-        raise SourceError(f"{path}: no such recording") from None
-    except Exception as error:  # NumPy, zipfile and csv raise many kinds for a damaged file
-        lines = str(getattr(error, "strerror", None) or error).splitlines()
-        reason = lines[0] if lines else type(error).__name__
-        raise SourceError(f"{path}: cannot be read: {reason}") from None
-    several = len(loaded) > 1
-    for column in loaded:
-        unusable = unusable_values(column.values)
-        if unusable is not None:
-            raise SourceError(f"{path}: {f'{column.title}: ' if several else ''}{unusable}")
-    return loaded
+    if path.suffix.lower() in (".npy", ".npz"):
+        signals = _numpy_signals(path)
+        return SignalFile(path, tuple(signals), lambda keys: _load_numpy(path, keys))
+    return SignalFile(path, tuple(_csv_signals(path)), lambda keys: _load_csv(path, keys))
 
 
-def _distinct(numbers: list[int], path: Path) -> list[int]:
+def _csv_signals(path: Path) -> list[SignalInfo]:
+    with path.open(newline="", encoding="utf-8-sig") as file:
+        rows = csv.reader(file)
+        first = [name.strip() for name in next(rows, [])]
+        following = next((row for row in rows if row), first)
+    has_header = any(_number(name) is None for name in first)
+    return [
+        SignalInfo(number, *(split_unit(name) if has_header else ("", "")))
+        for number, name in enumerate(first)
+        if number < len(following) and _number(following[number] or "nan") is not None
+    ]
+
+
+def _numpy_signals(path: Path) -> list[SignalInfo]:
+    with path.open("rb") as file:
+        loaded = np.load(file, allow_pickle=False)
+        if isinstance(loaded, np.ndarray):
+            return [SignalInfo(number, "") for number in range(_table(loaded, path).shape[1])]
+        with loaded:
+            rate_hz = float(loaded[RATE]) if RATE in loaded and loaded[RATE].ndim == 0 else None
+            return [
+                SignalInfo(number, *split_unit(name), rate_hz)
+                for number, name in enumerate(loaded)
+                if name != RATE
+            ]
+
+
+def _place(column: ColumnKey, titles: Sequence[str]) -> int | None:
+    """Return the number of a column, from its number, title, or title without the unit."""
+    if isinstance(column, int):
+        return column
+    names = titles if column in titles else [split_unit(title)[0] for title in titles]
+    return names.index(column) if column in names else None
+
+
+def _distinct(found: Sequence[int | None], path: Path) -> list[int]:
+    numbers = [number for number in found if number is not None]
     repeated = first_repeated(numbers)
     if repeated is not None:
         raise SourceError(f"{path}: column {repeated} is named twice; a column is one channel")
@@ -77,11 +83,11 @@ def _load_csv(path: Path, columns: Sequence[ColumnKey]) -> list[RecordedColumn]:
         if not first:
             raise SourceError(f"{path}: is empty, or its first line is")
         for column in columns:
-            if isinstance(column, str) and column not in first:
+            if isinstance(column, str) and _place(column, first) is None:
                 raise SourceError(f"{path}: no column {column!r}; it has {', '.join(first)[:200]}")
             if isinstance(column, int) and column >= len(first):
                 raise SourceError(f"{path}: no column {column}; it has {len(first)}")
-        numbers = _distinct([c if isinstance(c, int) else first.index(c) for c in columns], path)
+        numbers = _distinct([_place(column, first) for column in columns], path)
         has_header = any(isinstance(c, str) or _number(first[c]) is None for c in columns)
         # Columns whose values have not fallen yet; a pulse falls within a beat.
         rising: dict[int, list[float]] = {at: [] for at in range(len(first)) if at not in numbers}
@@ -112,9 +118,13 @@ def _load_csv(path: Path, columns: Sequence[ColumnKey]) -> list[RecordedColumn]:
     others = tuple(name for place, name in enumerate(names) if place not in numbers)
     times = {names[place] or str(place): np.array(kept) for place, kept in rising.items()}
     return [
-        RecordedColumn(np.array(kept, dtype=np.float64), number, names[number], others, times)
+        RecordedColumn(np.array(kept, np.float64), number, _name(names[number]), others, times)
         for kept, number in zip(values, numbers, strict=True)
     ]
+
+
+def _name(title: str) -> str:
+    return split_unit(title)[0]
 
 
 def _number(text: str) -> float | None:
@@ -144,11 +154,9 @@ def _load_numpy(path: Path, columns: Sequence[ColumnKey]) -> list[RecordedColumn
         with loaded:
             names = list(loaded)
             for c in columns:
-                if c not in (range(len(names)) if isinstance(c, int) else names):
+                if _place(c, names) not in range(len(names)):
                     raise SourceError(f"{path}: no array {c!r}; it has {', '.join(names)[:200]}")
-            numbers = _distinct(
-                [c if isinstance(c, int) else names.index(c) for c in columns], path
-            )
+            numbers = _distinct([_place(c, names) for c in columns], path)
             wanted = [names[number] for number in numbers]
             arrays = [_vector(np.asarray(loaded[name]), path) for name in wanted]
             beside = {other: np.asarray(loaded[other]) for other in names if other not in wanted}
@@ -157,7 +165,7 @@ def _load_numpy(path: Path, columns: Sequence[ColumnKey]) -> list[RecordedColumn
         raise SourceError(f"{path}: the arrays {', '.join(wanted)} differ in length")
     rising = _rising(beside, lengths.pop())
     return [
-        RecordedColumn(array, number, name, tuple(beside), rising)
+        RecordedColumn(array, number, _name(name), tuple(beside), rising)
         for array, number, name in zip(arrays, numbers, wanted, strict=True)
     ]
 
@@ -183,7 +191,7 @@ def _table_columns(
     for column in columns:
         if not isinstance(column, int) or column >= table.shape[1]:
             raise SourceError(f"{path}: no column {column!r}; it has {table.shape[1]}")
-    numbers = _distinct([column for column in columns if isinstance(column, int)], path)
+    numbers = _distinct([each for each in columns if isinstance(each, int)], path)
     # NumPy warns of signalling NaN, which are refused later like other NaN.
     with np.errstate(invalid="ignore"):
         beside = {str(at): table[:, at] for at in range(table.shape[1]) if at not in numbers}

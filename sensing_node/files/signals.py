@@ -1,0 +1,223 @@
+"""Signals of a file, whatever its format: names, units, rates, samples, and what is missing."""
+
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from protocol.config.quantities import count_text
+from protocol.errors import SourceError
+from protocol.wire.stream import first_repeated
+from pulse_sensors.plausibility import RecordedColumn
+
+ColumnKey = Annotated[int, Field(ge=0)] | str
+"""Number of a signal from 0, or its name."""
+
+Floats = NDArray[np.float64]
+# Limits of a rate in Hz that a file may state.
+LEAST_HZ, MOST_HZ = 1.0, 100_000.0
+# Largest share of a signal that gaps may be: times beyond it are damaged.
+MOST_GAPS = 20
+_NAMED_UNIT = re.compile(r"(.*\S)\s*[\[(]\s*([^\[\]()]*?)\s*[\])]")
+
+
+class SignalInfo(NamedTuple):
+    """Properties of a signal: its number from 0, name, unit as in the file, and rate.
+
+    rate_hz: None where the file states none. begin_s: time of the first sample after the file's
+    begin.
+    """
+
+    number: int
+    name: str
+    unit: str = ""
+    rate_hz: float | None = None
+    samples: int = 0
+    begin_s: float = 0.0
+
+
+class FileMark(NamedTuple):
+    """An annotation: seconds after the file's begin, and text."""
+
+    at_s: float
+    text: str
+
+
+@dataclass(frozen=True)
+class SignalFile:
+    """An open file of signals.
+
+    Attributes
+    ----------
+    signals : tuple of SignalInfo
+        The file's signals.
+    load : callable
+        Return the samples of signals, given by names or numbers; NaN are missing. Raises
+        SourceError.
+    begin_ns : int or None
+        Unix time of the begin; None where the file states none.
+    notes : tuple of str
+        What was left out or is doubtful.
+    marks : tuple of FileMark
+        Annotations in the file.
+    metadata : mapping of str to str
+        Further texts of the file.
+    """
+
+    path: Path
+    signals: tuple[SignalInfo, ...]
+    load: Callable[[Sequence[ColumnKey]], list[RecordedColumn]]
+    begin_ns: int | None = None
+    notes: tuple[str, ...] = ()
+    marks: tuple[FileMark, ...] = ()
+    metadata: Mapping[str, str] = field(default_factory=dict)
+
+    def find(self, key: ColumnKey) -> SignalInfo:
+        """Return the signal of a name or number. Raises SourceError."""
+        for signal in self.signals:
+            if key in (signal.number, signal.name):
+                return signal
+        names = ", ".join(signal.name for signal in self.signals)
+        raise SourceError(f"{self.path}: no signal {key!r}; it has {names[:200]}")
+
+
+class SignalReader(Protocol):
+    """A format's reader."""
+
+    def __call__(self, path: Path) -> SignalFile:
+        """Open a file. Any error of it becomes one line."""
+
+
+def signal_file(
+    path: Path,
+    signals: Sequence[SignalInfo],
+    values: Callable[[SignalInfo], Floats],
+    begin_ns: int | None = None,
+    notes: Sequence[str] = (),
+    marks: Sequence[FileMark] = (),
+    metadata: Mapping[str, str] = {},
+) -> SignalFile:
+    """Return a file whose signals are read one by one, by `values`. Raises SourceError."""
+    if not signals:
+        raise SourceError(f"{path}: holds no signal of numbers")
+    for signal in signals:
+        if signal.rate_hz is not None and not LEAST_HZ <= signal.rate_hz <= MOST_HZ:
+            raise SourceError(
+                f"{path}: signal {signal.name!r} has a rate of {signal.rate_hz:g} Hz; rates are"
+                f" {LEAST_HZ:g} Hz to {MOST_HZ:g} Hz"
+            )
+
+    def load(keys: Sequence[ColumnKey]) -> list[RecordedColumn]:
+        found = [opened.find(key) for key in keys]
+        twice = first_repeated(signal.number for signal in found)
+        if twice is not None:
+            raise SourceError(f"{path}: column {twice} is named twice; a column is one channel")
+        return [RecordedColumn(values(each), each.number, each.name) for each in found]
+
+    opened = SignalFile(
+        path, tuple(signals), load, begin_ns, tuple(notes), tuple(marks), dict(metadata)
+    )
+    return opened
+
+
+def split_unit(name: str) -> tuple[str, str]:
+    """Return name and unit of a column's title such as "ABP [mmHg]"; the unit may be empty."""
+    found = _NAMED_UNIT.fullmatch(name.strip())
+    return (found[1], found[2]) if found else (name, "")
+
+
+def on_grid(t_s: Floats, values: Floats, rate_hz: float, path: Path) -> Floats:
+    """Return values at a constant rate, NaN where no time is near.
+
+    Parameters
+    ----------
+    t_s : ndarray, shape (samples,)
+        Ascending times in s.
+    values : ndarray, shape (samples,)
+        Value at each time.
+
+    Raises
+    ------
+    SourceError
+        If times fall, or gaps are longer than `MOST_GAPS` times the signal.
+    """
+    falls = np.flatnonzero(~(np.diff(t_s) >= 0))
+    if len(falls) or not np.all(np.isfinite(t_s)):
+        at = int(falls[0]) + 1 if len(falls) else 0
+        raise SourceError(f"{path}: the times fall at sample {at}; sort or repair the file")
+    places = (t_s - t_s[0]) * rate_hz if len(t_s) else t_s
+    if len(t_s) and places[-1] > MOST_GAPS * len(t_s) + 1e6:
+        raise SourceError(
+            f"{path}: {count_text(len(t_s), 'sample')} at {rate_hz:g} Hz extend over"
+            f" {t_s[-1] - t_s[0]:.4g} s; its times are damaged"
+        )
+    numbers = np.rint(places).astype(np.int64)
+    grid = np.full(int(numbers[-1]) + 1 if len(numbers) else 0, np.nan)
+    grid[numbers] = values
+    return grid
+
+
+class Gaps(NamedTuple):
+    """Missing samples of a signal: their number, that of runs of them, and the longest run."""
+
+    samples: int
+    runs: int
+    longest: int
+
+    def text(self, length: int, rate_hz: float) -> str:
+        """Return the gaps of a signal of some length, for people."""
+        return (
+            f"{count_text(self.samples, 'sample is', 'samples are')} missing"
+            f" ({100 * self.samples / length:.2g} %) in {count_text(self.runs, 'gap')}, the longest"
+            f" of {self.longest / rate_hz:.3g} s"
+        )
+
+
+def find_gaps(values: Floats) -> Gaps:
+    """Count the NaN of a signal."""
+    missing = np.isnan(values)
+    edges = np.flatnonzero(np.diff(missing, prepend=False, append=False))
+    lengths = edges[1::2] - edges[::2]
+    return Gaps(int(missing.sum()), len(lengths), int(lengths.max(initial=0)))
+
+
+def fill_gaps(values: Floats) -> Floats:
+    """Return a signal with straight lines through its gaps; it must have a value."""
+    known = np.flatnonzero(~np.isnan(values))
+    if len(known) == len(values):
+        return values
+    filled: Floats = np.interp(np.arange(len(values)), known, values[known])
+    return filled
+
+
+def aligned(
+    signals: Sequence[SignalInfo], values: Sequence[Floats], rate_hz: float
+) -> tuple[float, Floats]:
+    """Return signals on one grid: its begin in s, and an array of shape (samples, signals).
+
+    Signals of another rate or phase are interpolated linearly; NaN before and after a signal.
+    """
+    begins = [signal.begin_s for signal in signals]
+    rates = [signal.rate_hz or rate_hz for signal in signals]
+    ends = [
+        begin + len(each) / rate for begin, each, rate in zip(begins, values, rates, strict=True)
+    ]
+    begin_s = min(begins)
+    if len(set(begins)) == 1 and all(rate == rate_hz for rate in rates):
+        length = max(map(len, values))
+    else:
+        length = round((max(ends) - begin_s) * rate_hz)
+    grid = np.full((length, len(values)), np.nan)
+    at_s = begin_s + np.arange(length) / rate_hz
+    for column, (begin, each, rate) in enumerate(zip(begins, values, rates, strict=True)):
+        if begin == begin_s and rate == rate_hz:
+            grid[: len(each), column] = each[:length]
+        else:
+            times_s = begin + np.arange(len(each)) / rate
+            grid[:, column] = np.interp(at_s, times_s, each, np.nan, np.nan)
+    return begin_s, grid

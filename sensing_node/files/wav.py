@@ -1,0 +1,35 @@
+"""WAV files: one signal a channel, without a unit; integers are scaled to -1 to 1."""
+
+import warnings
+from pathlib import Path
+
+import numpy as np
+from scipy.io import wavfile
+
+from protocol.errors import SourceError
+from sensing_node.files.signals import Floats, SignalFile, SignalInfo, signal_file
+
+
+def read(path: Path) -> SignalFile:
+    """Open a WAV file. Raises SourceError, and other errors for a damaged file."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        rate_hz, data = wavfile.read(path)
+    if data.ndim == 1:
+        data = data[:, np.newaxis]
+    if data.ndim != 2 or not len(data):
+        raise SourceError(f"{path}: holds no sample")
+    # Of more bits than 16, scipy returns those of 24 in the upper ones of 32.
+    scale = 1.0 if data.dtype.kind == "f" else float(1 << (8 * data.dtype.itemsize - 1))
+    zero = 128.0 if data.dtype == np.uint8 else 0.0
+
+    def values(signal: SignalInfo) -> Floats:
+        one: Floats = (data[:, signal.number].astype(np.float64) - zero) / scale
+        return one
+
+    signals = [
+        SignalInfo(number, f"channel {number}", "", float(rate_hz), len(data))
+        for number in range(data.shape[1])
+    ]
+    notes = [str(each.message).splitlines()[0] for each in caught]
+    return signal_file(path, signals, values, notes=notes)

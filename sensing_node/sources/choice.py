@@ -1,0 +1,109 @@
+"""Choice of the signals of a file that are played: its pulse, and the ECG that announces it.
+
+Also the scales to newtons that a file's unit stands for.
+"""
+
+import re
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from protocol.errors import SourceError
+from pulse_sensors.force_scale import FORCES, MILLIVOLTS
+from pulse_sensors.plausibility import is_time_name
+from sensing_node.files.formats import open_signals
+from sensing_node.files.signals import ColumnKey, SignalFile, SignalInfo
+
+# Units of pressure, in Pa.
+PRESSURES = {"mmHg": 133.322, "cmH2O": 98.0665, "kPa": 1e3, "Pa": 1.0}
+# Force of a pressure: a contact of 56 mm², so that 40 mmHg, a usual pulse pressure, are 0.3 N.
+NEWTONS_PER_MMHG = 7.5e-3
+# Height of the median beat of a signal that is neither force nor pressure.
+BEAT_N = 0.3
+# Names of pulses, and of the leads of an ECG, as PhysioNet's databases and others use them.
+_PULSE = re.compile(
+    r"\b(abp|art|ubp|pleth|ppg|bvp|force|pulse|radial|tono)(?!.*\brate\b)", re.IGNORECASE
+)
+_ECG = re.compile(
+    r"\b(ecg|ekg|fecg|mli{1,3}|mcl\d?|mv\d?|avr|avl|avf|i{1,3}|v\d?)\b", re.IGNORECASE
+)
+
+
+class ChosenSignal(NamedTuple):
+    """A signal, and the reason for it."""
+
+    signal: SignalInfo
+    reason: str
+
+
+def choose_pulse(file: SignalFile) -> ChosenSignal:
+    """Return the signal to play: a pulse by its name or unit, else the first one.
+
+    Raises SourceError for a file without signals.
+    """
+    signals = [signal for signal in file.signals if not is_time_name(signal.name)]
+    for signal in signals:
+        if _PULSE.search(signal.name.replace("_", " ")):
+            return ChosenSignal(signal, "by its name")
+    for signal in signals:
+        if signal.unit in FORCES or signal.unit in PRESSURES:
+            return ChosenSignal(signal, f"by its unit, {signal.unit}")
+    for signal in signals:
+        # Files without rates may have times in any column.
+        if signal is signals[-1] or signal.rate_hz is not None or not _only_rises(file, signal):
+            return ChosenSignal(signal, "as the first signal; none is a pulse by its name or unit")
+    raise SourceError(f"{file.path}: holds no signal of numbers")
+
+
+def choose_announcing(file: SignalFile, pulse: SignalInfo) -> SignalInfo | None:
+    """Return the first ECG of a file besides the pulse, or None."""
+    for signal in file.signals:
+        lead = signal.unit in MILLIVOLTS and _ECG.search(signal.name.replace("_", " "))
+        if lead and signal.number != pulse.number:
+            return signal
+    return None
+
+
+def record_table(path: Path, channel: str | None = None) -> tuple[dict[str, Any], str]:
+    """Return the table of a source that plays a record, and a line with what was chosen.
+
+    channel: name or number of the signal to play; None chooses. Raises SourceError.
+    """
+    file = open_signals(path)
+    if channel is None:
+        chosen = choose_pulse(file)
+    else:
+        names = [signal.name for signal in file.signals]
+        key: ColumnKey = int(channel) if channel.isdecimal() and channel not in names else channel
+        chosen = ChosenSignal(file.find(key), "as asked for")
+    pulse, announcing = chosen.signal, choose_announcing(file, chosen.signal)
+    table: dict[str, Any] = {"kind": "recording", "path": str(path.absolute())}
+    table["column"] = pulse.number
+    text = f"{path}: plays {_title(pulse)}, chosen {chosen.reason}; {_scale_text(pulse.unit)}"
+    if announcing is not None:
+        table["announce"] = announcing.number
+        text += f"; the ECG {_title(announcing)} announces its beats"
+    if len(file.signals) > 1:
+        others = [each.name or str(each.number) for each in file.signals if each != pulse]
+        text += f"; the file also has {', '.join(others)[:120]} (--channel)"
+    return table, text
+
+
+def _title(signal: SignalInfo) -> str:
+    name = signal.name or f"column {signal.number}"
+    rate = "" if signal.rate_hz is None else f", {signal.rate_hz:g} Hz"
+    return f"{name} ({signal.unit or 'no unit'}{rate})"
+
+
+def _scale_text(unit: str) -> str:
+    if unit in FORCES:
+        return "as the force at the wrist"
+    if unit in PRESSURES:
+        return f"its pressure becomes a force, {NEWTONS_PER_MMHG * 1e3:g} mN/mmHg"
+    return f"its median beat becomes {BEAT_N:g} N high"
+
+
+def _only_rises(file: SignalFile, signal: SignalInfo) -> bool:
+    values = file.load((signal.number,))[0].values
+    return bool(len(values) > 2 and np.all(np.diff(values) >= 0))
