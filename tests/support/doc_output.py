@@ -7,6 +7,7 @@ from pathlib import Path
 from tests.support.doc_pages import PYTHON, blocks
 from tests.support.doc_sessions import Do, Step, Stop
 from tests.support.nodes import run_python
+from tests.support.signal_files import pulse_and_ecg, wfdb_record
 
 SENSE = "sensing-node scenes/radial.toml"
 PLAY = "display-node scenes/radial.toml"
@@ -121,6 +122,12 @@ SESSIONS: dict[str, list[Step | Stop | Do]] = {
         Step("telepulse export pulse.mcap --to edf"),
         Step("telepulse report pulse.mcap"),
         snippets_of("docs/analysis.md"),
+    ],
+    "a recording of others": [
+        lambda folder: wfdb_record(folder, pulse_and_ecg(), name="03700181") and None,
+        Step("telepulse demo --source 03700181", more="--seconds 2 --no-ui", says="plays ABP"),
+        Step("telepulse simulate --source 03700181 --channel RESP", more="--seconds 2"),
+        Step("sensing-node radial --source 03700181", more=f"{SERVED} --seconds 1"),
     ],
     "one machine": [
         Step(f"{SENSE} --metrics 9101", more=SERVED, shows=STREAMING),

@@ -10,6 +10,7 @@ import pytest
 from protocol.host.child_process import ChildProcess
 from tests.support.log_lines import refused
 from tests.support.nodes import RADIAL, ROOT, assert_accounted, process, read_json, run, run_python
+from tests.support.signal_files import pulse_and_ecg, wfdb_record
 
 MODULE = "telepulse"
 PATIENCE_S = 60.0
@@ -77,6 +78,20 @@ def test_a_demo_of_three_fingers_has_the_figures_of_each(tmp_path: Path) -> None
         heights_n[name] = figures["beats"]["height_n"]
     expected_n = {"cun": 0.24, "guan": 0.3, "chi": 0.2}
     assert heights_n == pytest.approx(expected_n, rel=0.05)
+
+
+def test_a_record_is_felt_by_one_command(tmp_path: Path) -> None:
+    path, out = wfdb_record(tmp_path, pulse_and_ecg()), tmp_path / "out.json"
+    result = run(
+        MODULE, "demo", "--source", str(path), "--seconds", "4", "--json", str(out), "--no-ui"
+    )
+    assert result.returncode == 0, result.stderr
+    assert "plays ABP (mmHg, 250 Hz), chosen by its name" in result.stderr
+    assert "the ECG II (mV, 250 Hz) announces its beats" in result.stderr
+    summary = read_json(out)
+    assert_accounted(summary["samples"])
+    assert summary["samples"]["sent"] + summary["samples"]["before_joining"] == 1000
+    assert summary["within_jnd"] > 0.9
 
 
 def test_a_demo_whose_display_cannot_play_a_channel_is_one_line(tmp_path: Path) -> None:

@@ -57,9 +57,8 @@ def test_records_of_the_package_wfdb_are_read_to_the_last_bit(tmp_path: Path, co
     if code != fmt:
         dat, header = tmp_path / "w.dat", tmp_path / "w.hea"
         codes = np.fromfile(dat, "<i2")
-        (codes.astype(">i2") if code == "61" else (codes.astype(int) + 32768).astype("<u2")).tofile(
-            dat
-        )
+        offset = (codes.astype(int) + 32768).astype("<u2")
+        (codes.astype(">i2") if code == "61" else offset).tofile(dat)
         header.write_text(header.read_text().replace("w.dat 16", f"w.dat {code}"))
     expected, _ = wfdb.rdsamp(str(tmp_path / "w"))
     read = np.stack(list(samples(open_signals(tmp_path / "w")).values()), axis=1)

@@ -1,0 +1,152 @@
+"""A record of any format as a source: what is chosen from it, and what it becomes in newtons."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from protocol.config.scene import validate
+from protocol.config.scene_file import find_scene
+from protocol.errors import SceneError, SourceError
+from protocol.wire.stream import Channel
+from sensing_node.files.formats import open_signals
+from sensing_node.files.signals import SignalFile, SignalInfo
+from sensing_node.scene import load_sensing
+from sensing_node.sources.choice import choose_announcing, choose_pulse, record_table
+from sensing_node.sources.recorded import RecordedSource, RecordingScene
+from tests.support.signal_files import pulse_and_ecg, wfdb_record
+
+SIGNALS = pulse_and_ecg()
+
+
+def source(path: Path, **keys: Any) -> RecordedSource:
+    table, _ = record_table(path)
+    scene = validate(table | keys, RecordingScene, "source")
+    return RecordedSource(scene, Path())
+
+
+@pytest.mark.parametrize(
+    ("names", "chosen", "announcing"),
+    [
+        ([("II", "mV"), ("ABP", "mmHg"), ("RESP", "V")], "ABP", "II"),
+        ([("MCL1", "mV"), ("RESP", "V"), ("ART", "mmHg")], "ART", "MCL1"),
+        ([("II", "mV"), ("Pleth", "NU")], "Pleth", "II"),
+        ([("Pulse rate", "1/min"), ("Force felt", "mN")], "Force felt", None),
+        ([("time", "s"), ("x", "N")], "x", None),
+        ([("ECG lead II", "mV"), ("CVP", "mmHg")], "CVP", "ECG lead II"),
+        ([("heart", ""), ("other", "")], "heart", None),
+        ([("MLII", "mV"), ("V5", "mV")], "MLII", "V5"),
+    ],
+)
+def test_the_pulse_is_chosen_by_name_then_unit_then_place(
+    names: list[tuple[str, str]], chosen: str, announcing: str | None
+) -> None:
+    signals = tuple(SignalInfo(n, *each, 250.0) for n, each in enumerate(names))
+    file = SignalFile(Path("x"), signals, lambda keys: [])
+    pulse = choose_pulse(file).signal
+    found = choose_announcing(file, pulse)
+    assert (pulse.name, found and found.name) == (chosen, announcing)
+
+
+def test_a_pressure_becomes_a_force_and_the_ecg_announces_it(tmp_path: Path) -> None:
+    played = source(wfdb_record(tmp_path, SIGNALS))
+    assert played.channels == (Channel("pulse"), Channel("announce", "mV"))
+    assert played.period_ns == 4_000_000
+    values = played.take(1000)
+    np.testing.assert_allclose(values[:, 0], 7.5e-3 * SIGNALS["ABP"], atol=1e-4)
+    np.testing.assert_allclose(values[:, 1], SIGNALS["II"], atol=1e-3)
+    assert played.warnings == []
+
+
+def test_other_units_are_scaled_by_their_median_beat(tmp_path: Path) -> None:
+    beats = pulse_and_ecg(12.0)["ABP"] / 40
+    beats[500] = 9
+    path = wfdb_record(tmp_path, {"RESP": beats})
+    force_n = source(path).take(3000)[:, 0]
+    assert np.ptp(np.delete(force_n, 500)) == pytest.approx(0.3, rel=0.01)
+    assert force_n.mean() == pytest.approx(0.3)
+    force_n = source(path, peak_to_peak="0.1 N", preload="0.5 N").take(3000)[:, 0]
+    assert np.ptp(np.delete(force_n, 500)) == pytest.approx(0.1, rel=0.01)
+    assert force_n.mean() == pytest.approx(0.5)
+
+
+def test_gaps_are_filled_by_lines_and_counted(tmp_path: Path) -> None:
+    abp = SIGNALS["ABP"].copy()
+    abp[100:150] = abp[400] = np.nan
+    played = source(wfdb_record(tmp_path, {"ABP": abp}))
+    assert np.isfinite(played.take(1000)).all()
+    (warning,) = played.warnings
+    assert warning.endswith(
+        'column 0 ("ABP"): 51 samples are missing (5.1 %) in 2 gaps, the longest of 0.2 s;'
+        " straight lines replace them"
+    )
+
+
+def test_an_ecg_of_another_rate_sets_the_rate_of_both(tmp_path: Path) -> None:
+    path = wfdb_record(tmp_path, {"ABP": SIGNALS["ABP"][::2]}, rate="125")
+    ecg = wfdb_record(tmp_path, {"II": SIGNALS["II"]}, name="e").with_suffix(".dat")
+    (tmp_path / "both.hea").write_text(
+        "both 2 125\nrec.dat 16 100/mmHg 16 0 0 0 0 ABP\ne.dat 16x2 2000/mV 16 0 0 0 0 II\n"
+    )
+    assert ecg.exists()
+    played = source(tmp_path / "both", repeat="once")
+    assert played.period_ns == 4_000_000
+    values = played.take(2000)
+    assert len(values) == 1000
+    np.testing.assert_allclose(values[:, 1], SIGNALS["II"], atol=1e-3)
+    np.testing.assert_allclose(values[::2, 0], 7.5e-3 * SIGNALS["ABP"][::2], atol=1e-4)
+    assert path.name == "rec"
+
+
+def test_a_table_states_its_rate_and_unit_by_its_titles(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    rows = "".join(f"{n * 4},{v:.2f},\n" for n, v in enumerate(SIGNALS["ABP"]))
+    path.write_text(f"t [ms],ABP [mmHg],note\n{rows}")
+    table, text = record_table(path)
+    assert "plays ABP (mmHg), chosen by its name" in text
+    played = source(path)
+    assert played.period_ns == 4_000_000
+    np.testing.assert_allclose(played.take(1000)[:, 0], 7.5e-3 * SIGNALS["ABP"], atol=1e-4)
+    np.save(tmp_path / "a.npy", SIGNALS["ABP"])
+    with pytest.raises(SourceError, match='states no rate; set rate, such as "500 Hz"'):
+        source(tmp_path / "a.npy")
+    np.savez(tmp_path / "a.npz", **{"rate_hz": 250.0, "ABP [mmHg]": SIGNALS["ABP"]})
+    force_n = source(tmp_path / "a.npz").take(1000)
+    np.testing.assert_allclose(force_n, played.take(2000)[1000:], atol=1e-4)
+    assert table["column"] == 1
+
+
+@pytest.mark.parametrize(
+    ("keys", "message"),
+    [
+        ({"rate": "100 Hz"}, 'column 1 ("ABP") has 250 samples a second, the scene\'s rate is 100'),
+        ({"column": "PAP"}, "no signal 'PAP'; it has II, ABP, RESP"),
+        ({"column": 0, "unit": "V", "sensitivity": "44 mV/N", "announce": "RESP"},
+         'is in mV, the scene says unit = "V"; set unit = "mV"'),
+        ({"announce": 1}, "column 1 is named twice"),
+    ],
+)  # fmt: skip
+def test_keys_that_contradict_the_file_are_refused(
+    tmp_path: Path, keys: dict[str, Any], message: str
+) -> None:
+    with pytest.raises(SourceError) as caught:
+        source(wfdb_record(tmp_path, SIGNALS), **keys)
+    assert message in str(caught.value)
+
+
+def test_a_record_replaces_the_source_of_a_scene(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    path, scene = wfdb_record(tmp_path, SIGNALS), find_scene("radial")
+    caplog.set_level("INFO")
+    sensing = load_sensing(scene, path, "RESP")
+    assert isinstance(sensing.source, RecordingScene)
+    assert (sensing.stream, sensing.source.column, sensing.source.announce) == ("rec", 2, 0)
+    assert "plays RESP (V, 250 Hz), chosen as asked for; its median beat" in caplog.text
+    assert sensing.layer == load_sensing(scene).layer
+    with pytest.raises(SourceError, match="no signal 'x'"):
+        load_sensing(scene, path, "x")
+    with pytest.raises(SceneError, match="--channel names a signal of a record"):
+        load_sensing(scene, None, "x")
+    assert len(open_signals(path).signals) == 3
