@@ -19,6 +19,7 @@ import numpy as np
 from benchmarks.measure import show
 from benchmarks.peers import BARE, BARE_CURVE, OURS, OURS_CURVE
 from benchmarks.peers.race import run
+from display_node.prediction.scene import own_predictor
 from display_node.reception.playout import LATE_TARGET
 from display_node.reception.receiver import Receiver
 from protocol.config.scene_file import find_scene
@@ -43,7 +44,7 @@ def simulate() -> dict[str, float]:
     """Return the simulated time over the processor time of `radial`, without and with learning."""
     radial, speeds = load_scene(find_scene("radial")), {}
     for predictor in ("linear", "stack"):
-        display = radial.display.model_copy(update={"predictor": predictor})
+        display = radial.display.model_copy(update={"predictor": own_predictor(predictor)})
         simulation = Simulation(replace(radial, display=display), seed=1)
         began_s = time.process_time()
         simulation.run(SECONDS)

@@ -25,10 +25,9 @@ from pulse_drives.cia402.drive import Cia402Drive
 from pulse_drives.cia402.node import Cia402Node
 from pulse_drives.cia402.state_machine import Controlword, Mode
 from pulse_drives.drive import Drive
-from pulse_drives.scene import Cia402Scene, TmclScene
+from pulse_drives.scene import TMCL_BITS, Cia402Scene, TmclScene
 from pulse_drives.tmcl.line import TmclLine
 from pulse_drives.tmcl.module import Command
-from telepulse.commissioning.rig import TMCL_BITS
 from telepulse.emulators import PtyPort
 from telepulse.emulators.cia402 import EmulatedCia402Node
 from telepulse.emulators.motor import EmulatedMotor

@@ -10,7 +10,6 @@ from display_node.control.safety import ForceBounds, Safety
 from display_node.hardware import Hardware
 from display_node.plant.feedback import Feedback
 from display_node.plant.filters import delay_line
-from display_node.plant.scene import StepperScene
 from display_node.prediction import Linear, Predictor
 from display_node.prediction.concealment import Concealment
 from display_node.press.local_press import LocalPress
@@ -91,9 +90,9 @@ class Contactor:
     def use(self, hardware: Hardware) -> None:
         """Play on a started real bench instead of the models. Call before the first tick."""
         self._hardware, self.feedback = hardware, hardware.feedback
-        actuator, drive = self.scene.actuator, self.scene.drive
-        if self.press is not None and drive is not None and isinstance(actuator, StepperScene):
-            law = actuator.contact(self.layer)
+        stepper, drive = self.scene.actuator.stepper, self.scene.drive
+        if self.press is not None and drive is not None and stepper is not None:
+            law = stepper.contact(self.layer)
             self._tip = YieldingTip(law, drive.touch_m, self._tick_ns * 1e-9)
 
     def begin(self, description: StreamDescription, predictor: Predictor) -> None:
@@ -264,7 +263,7 @@ class Contactor:
             channel,
             self.force_ratio,
             self.layer.strain_per_newton,
-            scene.predictor,
+            scene.predictor.kind,
             scene.safety.stale_after_ns,
         )
 

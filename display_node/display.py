@@ -10,7 +10,6 @@ from typing import Final
 from display_node.contactor import Contactor
 from display_node.control.safety import Safety
 from display_node.hardware import Hardware
-from display_node.prediction import WITHOUT_ERROR_ESTIMATE, build_predictors
 from display_node.prediction.announcement import BeatAnnouncement
 from display_node.prediction.trust import Trust
 from display_node.press.local_press import LocalPress
@@ -57,7 +56,7 @@ class Display:
         ]
         # The first building imports linear algebra, for some 100 ms. In the loop, these would spoil
         # the first exchanges of the clock.
-        build_predictors(scene.predictor, scene.tick_ns)
+        scene.predictor.build(scene.tick_ns, 1)
         self.states = [contactor.state for contactor in self.contactors]
         errors = (contactor.tracking_error for contactor in self.contactors)
         self.tracking_errors = [error for error in errors if error is not None]
@@ -139,7 +138,7 @@ class Display:
             self._resets = resets
             self._playout = PlayoutClock()
             count = len(self.contactors)
-            predictors = build_predictors(self._scene.predictor, self._tick_ns, count)
+            predictors = self._scene.predictor.build(self._tick_ns, count)
             for contactor, predictor in zip(self.contactors, predictors, strict=True):
                 contactor.begin(description, predictor)
             announced = self._scene.announce == "auto" and description.announcing is not None
@@ -240,7 +239,7 @@ class Display:
     def _build_trust(self) -> Trust | None:
         """Return the trust in the predictor; None where E is fixed, or its errors are unknown."""
         scene = self._scene
-        auto = scene.compensation_ns is None and scene.predictor not in WITHOUT_ERROR_ESTIMATE
+        auto = scene.compensation_ns is None and scene.predictor.estimates_error
         return Trust() if auto else None
 
     def _error_shares(self) -> list[float]:

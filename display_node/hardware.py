@@ -4,12 +4,12 @@ import time
 from collections import Counter
 
 from display_node.plant.feedback import Feedback, FilmPlausibility, RisingForce
-from display_node.plant.scene import SecondOrderScene, StepperScene
+from display_node.plant.scene import ActuatorScene, StepperScene
 from protocol.errors import SceneError, SourceError
 from protocol.tactile import ElasticLayer
 from protocol.ticks import LimitCounter
 from pulse_drives import Drive, build_drive
-from pulse_drives.scene import Cia402Scene, TmclScene
+from pulse_drives.scene import DriveScene
 from pulse_drives.withdrawal import FingerState, WithdrawalOutcome
 from pulse_sensors.sensor import Sensor
 
@@ -21,15 +21,15 @@ _FAILED = (WithdrawalOutcome.UNCONFIRMED, WithdrawalOutcome.WRONG_WAY)
 
 
 def build_display_drive(
-    scene: TmclScene | Cia402Scene,
-    actuator: StepperScene | SecondOrderScene,
+    scene: DriveScene,
+    actuator: ActuatorScene,
     layer: ElasticLayer,
     force_limit_n: float,
 ) -> Drive:
     """Build the drive of a contactor, without starting it. Raises SceneError."""
-    if not isinstance(actuator, StepperScene):
+    if (stepper := actuator.stepper) is None:
         raise SceneError('[display] drive: it needs an actuator of kind "stepper"')
-    return build_drive(scene, actuator, actuator.deepest_m(layer, force_limit_n))
+    return build_drive(scene, stepper, stepper.deepest_m(layer, force_limit_n))
 
 
 class Hardware:

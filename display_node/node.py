@@ -32,7 +32,7 @@ from protocol.security.keys import ClientKeys, ServerKeys
 from protocol.summary_tables import Lateness, TickTime
 from protocol.wire.messages import encode_control
 from protocol.wire.telemetry import CONTROL
-from pulse_drives.scene import Cia402Scene, TmclScene
+from pulse_drives.scene import DriveScene
 from pulse_drives.start_advice import advised
 from pulse_drives.withdrawal import describe_finger
 from pulse_sensors.sensor import Sensor, open_sensor
@@ -80,7 +80,7 @@ def open_press(scene: DisplayScene, folder: Path) -> Iterator[Sensor | None]:
 
 @contextmanager
 def _start_bench(
-    scene: DisplayScene, table: TmclScene | Cia402Scene, folder: Path, without_film: bool
+    scene: DisplayScene, table: DriveScene, folder: Path, without_film: bool
 ) -> Iterator[Hardware]:
     if scene.feedback is None and not without_film:
         raise SceneError(

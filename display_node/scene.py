@@ -8,9 +8,10 @@ from display_node.control.force_loop import ForceLoop, build_force_loop
 from display_node.control.scene import ControllerScene, SafetyScene
 from display_node.hardware import Hardware
 from display_node.plant.feedback import Feedback, RisingForce
-from display_node.plant.scene import FilmTable, SecondOrderScene, StepperScene
-from display_node.prediction import PredictorName
+from display_node.plant.scene import ACTUATORS, ActuatorScene, FilmTable
+from display_node.prediction.scene import DEFAULT_PREDICTOR, PredictorTable
 from display_node.press.scene import PressScene
+from protocol.config.kinds import OfKind
 from protocol.config.quantities import Name, Nanoseconds, Ratio, parse_quantity
 from protocol.config.scene import Section
 from protocol.config.scene_file import merge
@@ -49,7 +50,7 @@ class ContactorScene(Section):
     name: Name | None = None
     channel: Annotated[int, Field(strict=True, ge=0, lt=MAX_CHANNELS)] | Name = 0
     controller: ControllerScene
-    actuator: Annotated[SecondOrderScene | StepperScene, Field(discriminator="kind")]
+    actuator: Annotated[ActuatorScene, OfKind(ACTUATORS)]
     drive: DriveTable | None = None
     feedback: OneForceSensor | None = None
     layer: LayerTable = LayerTable()
@@ -89,7 +90,7 @@ class DisplayScene(ContactorScene):
     press: PressScene | None = None
     compensation_ns: Annotated[int | None, BeforeValidator(_time_or_auto)] = None
     late_target: Annotated[Ratio, Field(gt=0, le=0.5)] = 0.01
-    predictor: PredictorName = "stack"
+    predictor: PredictorTable = DEFAULT_PREDICTOR
     announce: Literal["auto", "off"] = "auto"
     tick_ns: Annotated[Nanoseconds, Field(ge=100_000, le=100_000_000)] = 1_000_000
     paths: Annotated[Annotated[int, Field(ge=1, le=8)] | None, BeforeValidator(_count_or_auto)] = (
@@ -138,7 +139,7 @@ class DisplayScene(ContactorScene):
             )
         return found[name]
 
-    def force_loop(self, actual: SecondOrderScene | StepperScene | None = None) -> ForceLoop:
+    def force_loop(self, actual: ActuatorScene | None = None) -> ForceLoop:
         """Build the force loop; it drives the actuator `actual`, or the scene's where None."""
         return build_force_loop(
             self.controller,
@@ -157,14 +158,15 @@ class DisplayScene(ContactorScene):
 
         Raises SceneError for a scene that names no drive, or whose actuator is no stepper.
         """
-        if self.drive is None or not isinstance(self.actuator, StepperScene):
+        stepper = self.actuator.stepper
+        if self.drive is None or stepper is None:
             raise SceneError('[display] drive: it needs an actuator of kind "stepper"')
         safety, latency_ns = self.safety, self.film.latency_ns
         overforce_n = safety.force_limit_n * safety.overforce
         return Hardware(
             drive,
             sensor,
-            self.actuator,
+            stepper,
             self.layer.layer(),
             Feedback(latency_ns, safety.feedback_within_ns),
             RisingForce(overforce_n, safety.slew_limit_n_per_s, latency_ns),

@@ -6,7 +6,7 @@
 import math
 from dataclasses import dataclass
 
-from pulse_drives.scene import Cia402Scene, DriveScene, MotorScene
+from pulse_drives.scene import DriveScene, MotorScene
 
 # Positions and velocities of a drive have 32 bits.
 LARGEST = 2**31 - 1
@@ -124,7 +124,7 @@ def build_axis(scene: DriveScene, motor: MotorScene, deepest_m: float) -> Axis:
     return Axis(
         units=Units(
             step_m=motor.step_m,
-            per_step=scene.position_scale if isinstance(scene, Cia402Scene) else 1.0,
+            per_step=scene.units_per_step,
             per_step_rate=scene.velocity_scale,
             direction=-1 if scene.inverted else 1,
             home_m=-scene.touch_m,

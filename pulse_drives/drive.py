@@ -5,12 +5,10 @@ withdraws the tip after a fault, even if the loop hangs.
 
 To add a drive:
 
-1. Add its settings to `scene.py`: a `DriveScene` with a `kind`, also in the union `DriveTable`.
-2. Write a package like `tmcl/`, with a `DriveDevice` (the drive at its bus) and a `Drive`.
-3. Build it in `build_drive` (`__init__.py`), and extend `axis.build_axis` where its units differ.
-4. Add the time of an exchange to `exchange_s` and `check_line` of the bench check
-   (`telepulse/commissioning/rig.py`).
-5. Describe its keys in `docs/scenes.md`.
+1. Write a package like `tmcl/`, with a `DriveDevice` (the drive at its bus) and a `Drive`.
+2. Write its settings, a `DriveScene` that names the `Drive`, and name them in `DRIVES`
+   (`scene.py`), or in an entry point of another distribution (`docs/howto/plugins.md`).
+3. Describe its keys in `docs/scenes.md`.
 """
 
 import math

@@ -1,10 +1,11 @@
 """The tables of a real drive: its motor and screw, and its bus, units and homing."""
 
 import math
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 from pydantic import Field, model_validator
 
+from protocol.config.kinds import KindGroup, KindTable, OfKind
 from protocol.config.quantities import (
     BitsPerSecond,
     Metres,
@@ -19,6 +20,12 @@ from protocol.errors import DriveError
 if TYPE_CHECKING:
     import can
 
+# A TMCL datagram has 9 bytes, each with a start and a stop bit; every request has its reply.
+TMCL_BITS = 9 * 10
+TMCL_CAN_BYTES = 7
+# One cycle: RPDO (control word, target velocity), SYNC, TPDOs (status, mode and position; speed
+# and error code).
+CIA402_BYTES = (6, 0, 7, 6)
 Scale = Annotated[float, Field(gt=0, le=1e9)]
 
 
@@ -38,7 +45,7 @@ class MotorScene(Section):
         return self.lead_m * self.step_angle_rad / (2 * math.pi) / self.microsteps
 
 
-class DriveScene(Section):
+class DriveScene(KindTable):
     """Keys of all kinds of drive.
 
     interface, channel, bitrate: a CAN bus in python-can's terms. options: further settings of the
@@ -54,6 +61,9 @@ class DriveScene(Section):
     drive stops by itself, and without an answer after which it has failed.
     """
 
+    # Its class, a `Drive`, as "module:class"; it is made of this table and an `Axis`.
+
+    driver: ClassVar[str]
     interface: str | None = None
     channel: str | None = None
     bitrate_bit_per_s: Annotated[BitsPerSecond, Field(ge=10_000, le=8_000_000)] = 1e6
@@ -76,6 +86,16 @@ class DriveScene(Section):
             raise ValueError("a CAN bus needs both interface and channel")
         return self
 
+    @property
+    def units_per_step(self) -> float:
+        """The drive's position units in one microstep."""
+        return 1.0
+
+    @property
+    def exchange_s(self) -> float | None:
+        """Time in s for which one command and its answer occupy the line; None if unknown."""
+        return None
+
 
 class TmclScene(DriveScene):
     """The `drive` table of kind "tmcl": a TMCL module on a serial port or on CAN.
@@ -84,6 +104,7 @@ class TmclScene(DriveScene):
     acceleration_scale: the module's acceleration units in one microstep a second squared.
     """
 
+    driver: ClassVar[str] = "pulse_drives.tmcl.drive:TmclDrive"
     kind: Literal["tmcl"]
     port: str | None = None
     baud: Annotated[int, Field(ge=1200, le=20_000_000)] = 115_200
@@ -101,6 +122,13 @@ class TmclScene(DriveScene):
             raise ValueError("reply_timeout must be at most a quarter of watchdog")
         return self
 
+    @property
+    def exchange_s(self) -> float:
+        """See `DriveScene.exchange_s`."""
+        if self.port is None:
+            return 2 * can_frame_bits(TMCL_CAN_BYTES) / self.bitrate_bit_per_s
+        return 2 * TMCL_BITS / self.baud
+
 
 class Cia402Scene(DriveScene):
     """The `drive` table of kind "cia402": a CANopen drive of profile CiA 402.
@@ -110,6 +138,7 @@ class Cia402Scene(DriveScene):
     position_scale: the drive's position units in one microstep.
     """
 
+    driver: ClassVar[str] = "pulse_drives.cia402.drive:Cia402Drive"
     kind: Literal["cia402"]
     interface: str
     channel: str
@@ -118,8 +147,30 @@ class Cia402Scene(DriveScene):
     mode: Literal["auto", "cyclic", "profile"] = "auto"
     position_scale: Scale = 1.0
 
+    @property
+    def units_per_step(self) -> float:
+        """See `DriveScene.units_per_step`."""
+        return self.position_scale
 
-DriveTable = Annotated[TmclScene | Cia402Scene, Field(discriminator="kind")]
+    @property
+    def exchange_s(self) -> float:
+        """See `DriveScene.exchange_s`."""
+        return sum(map(can_frame_bits, CIA402_BYTES)) / self.bitrate_bit_per_s
+
+
+DRIVES = KindGroup[DriveScene](
+    "telepulse.drives",
+    "drive",
+    DriveScene,
+    {"tmcl": "pulse_drives.scene:TmclScene", "cia402": "pulse_drives.scene:Cia402Scene"},
+)
+DriveTable = Annotated[DriveScene, OfKind(DRIVES)]
+
+
+def can_frame_bits(data_bytes: int) -> int:
+    """Return the most bits of a CAN frame with an 11-bit identifier (ISO 11898-1)."""
+    # Frame and pause, the data, and a stuffed bit after every 4 bits of the stuffed part.
+    return 47 + 8 * data_bytes + (34 + 8 * data_bytes - 1) // 4
 
 
 def open_bus(scene: DriveScene) -> "can.BusABC":

@@ -16,7 +16,7 @@ from protocol.errors import SceneError
 from protocol.wire.messages import HEADER_BYTES, MAX_FRAME_BYTES
 from protocol.wire.stream import LayerTable, StreamDescription
 from pulse_drives import build_drive
-from pulse_drives.scene import Cia402Scene, TmclScene
+from pulse_drives.scene import DriveScene
 from pulse_sensors.sensor import SENSORS, SensorScene, open_sensor
 from sensing_node.conditioning import Conditioned, ConditioningScene
 from sensing_node.feeds import LiveSource, Source
@@ -130,7 +130,7 @@ def open_source(scene: SensingScene, folder: Path) -> Iterator[Source]:
 
 @contextmanager
 def _start_probe(
-    source: SensorScene, press: ProbeScene, table: TmclScene | Cia402Scene, folder: Path
+    source: SensorScene, press: ProbeScene, table: DriveScene, folder: Path
 ) -> Iterator[LiveProbe]:
     """Start a probe on a real drive within a `with`, which ends with its withdrawal.
 

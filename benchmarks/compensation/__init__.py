@@ -7,6 +7,7 @@ from benchmarks.compensation.learning import show_learning
 from benchmarks.compensation.trust import show_trust
 from benchmarks.measure import show
 from display_node.prediction import PredictorName
+from display_node.prediction.scene import own_predictor
 from protocol.config.scene_file import find_scene
 from protocol.run_summary import Summary
 from telepulse.scene import load_scene
@@ -70,7 +71,7 @@ def _played(
     link: str, predictor: PredictorName, compensation_ns: int | None, batch_ms: int
 ) -> Summary:
     radial = load_scene(find_scene("radial"))
-    changes = {"predictor": predictor, "compensation_ns": compensation_ns}
+    changes = {"predictor": own_predictor(predictor), "compensation_ns": compensation_ns}
     scene = replace(
         radial,
         sensing=radial.sensing.model_copy(update={"batch_ns": batch_ms * 1_000_000}),

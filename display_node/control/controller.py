@@ -12,8 +12,7 @@ from display_node.control.observer import Observer
 from display_node.control.scene import ControllerScene
 from display_node.plant.contact import ContactLaw
 from display_node.plant.filters import delay_line
-from display_node.plant.scene import FilmTable, SecondOrderScene, StepperScene
-from display_node.plant.second_order import SecondOrder
+from display_node.plant.scene import FilmTable, ForceModel, StepperScene
 from display_node.plant.stepper import Stepper
 
 # Time constants of decay, of the usual holding time and of the worst stall and the peak force.
@@ -237,17 +236,25 @@ class StepperController:
 
 
 class VoltageController:
-    """Controller of the second-order actuator's voltage, with a model of that actuator."""
+    """Controller of the voltage, or another output, that becomes the force of an actuator.
+
+    model: of the actuator. limit: largest output.
+    """
 
     STATE: ClassVar = ("_pid", "_twin")
     horizon = 1
     finger_stiffness: float | None = None
 
     def __init__(
-        self, scene: ControllerScene, actuator: SecondOrderScene, film: FilmTable, tick_s: float
+        self,
+        scene: ControllerScene,
+        model: ForceModel,
+        limit: float,
+        film: FilmTable,
+        tick_s: float,
     ) -> None:
-        self._pid = scene.pid(tick_s, actuator.voltage_limit)
-        self._twin = SecondOrder(actuator, tick_s)
+        self._pid = scene.pid(tick_s, limit)
+        self._twin = model
         self._unit = scene.error_per_newton(film)
 
     def output(self, reference_n: list[float], reading_n: float) -> float:

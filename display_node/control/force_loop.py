@@ -10,8 +10,7 @@ from display_node.control.controller import StepperController, VoltageController
 from display_node.control.linear_loop import refuse_unstable
 from display_node.control.scene import ControllerScene
 from display_node.plant.film import FeedbackFilm
-from display_node.plant.scene import FilmTable, SecondOrderScene, StepperScene
-from display_node.plant.second_order import SecondOrder
+from display_node.plant.scene import ActuatorScene, FilmTable
 from display_node.plant.stepper import Stepper
 from protocol.errors import SceneError
 from protocol.tactile import ElasticLayer
@@ -113,12 +112,12 @@ class ForceLoop:
 
 def build_force_loop(
     controller: ControllerScene,
-    actuator: SecondOrderScene | StepperScene,
+    actuator: ActuatorScene,
     layer: ElasticLayer,
     film: FilmTable,
     force_limit_n: float,
     tick_s: float,
-    actual: SecondOrderScene | StepperScene | None = None,
+    actual: ActuatorScene | None = None,
     slew_limit_n_per_s: float = math.inf,
     overforce: float = 1.08,
 ) -> ForceLoop:
@@ -143,28 +142,31 @@ def build_force_loop(
         Where the parts do not fit, or the loop is not stable enough.
     """
     needs_law = controller.feed_forward or controller.error == "position"
-    if needs_law and isinstance(actuator, SecondOrderScene):
+    stepper_scene = actuator.stepper
+    if needs_law and stepper_scene is None:
         raise SceneError(
             "[display] controller: feed_forward and error = 'position' need a stepper's contact"
-            " law; this actuator is second_order"
+            f" law; this actuator is {actuator.kind}"
         )
     refuse_unstable(controller, actuator, layer, film, force_limit_n, tick_s)
     reading, overforce_n = FeedbackFilm(film, tick_s), overforce * force_limit_n
-    if isinstance(actuator, SecondOrderScene):
-        plant = SecondOrder(actual if isinstance(actual, SecondOrderScene) else actuator, tick_s)
-        voltage = VoltageController(controller, actuator, film, tick_s)
+    if stepper_scene is None:
+        plant = (actual or actuator).build(tick_s)
+        voltage = VoltageController(
+            controller, actuator.build(tick_s), actuator.output_limit, film, tick_s
+        )
         return ForceLoop(voltage, plant.step, reading, overforce_n, tick_s)
-    truth = actual if isinstance(actual, StepperScene) else actuator
+    truth = stepper_scene if actual is None or actual.stepper is None else actual.stepper
     stepper = Stepper(truth, truth.contact(layer), force_limit_n, tick_s)
-    law = actuator.contact(layer)
+    law = stepper_scene.contact(layer)
     speed = StepperController(
-        controller, actuator, law, film, force_limit_n, tick_s, slew_limit_n_per_s
+        controller, stepper_scene, law, film, force_limit_n, tick_s, slew_limit_n_per_s
     )
     # Not that of the actual actuator, which may move differently.
-    steps_per_m = actuator.steps_per_m
+    steps_per_m = stepper_scene.steps_per_m
 
     def move(speed_m_per_s: float) -> float:
         return stepper.step(speed_m_per_s * steps_per_m)
 
-    lead_ns = actuator.latency_ns + round(speed.lead_s * 1e9)
+    lead_ns = stepper_scene.latency_ns + round(speed.lead_s * 1e9)
     return ForceLoop(speed, move, reading, overforce_n, tick_s, lead_ns, stepper.at_end)

@@ -18,8 +18,7 @@ from display_node.control.observer import DESIGN_FORCE_N, observer_gains
 from display_node.control.scene import ControllerScene
 from display_node.plant.contact import LinearContact
 from display_node.plant.film import FeedbackFilm
-from display_node.plant.scene import FilmTable, SecondOrderScene, StepperScene
-from display_node.plant.second_order import SecondOrder
+from display_node.plant.scene import ActuatorScene, FilmTable, ForceModel
 from display_node.plant.stepper import Stepper
 from protocol.errors import SceneError
 from protocol.tactile import ElasticLayer
@@ -81,7 +80,7 @@ class LinearLoop:
 
 def linear_loop(
     controller: ControllerScene,
-    actuator: SecondOrderScene | StepperScene,
+    actuator: ActuatorScene,
     layer: ElasticLayer,
     film: FilmTable,
     tick_s: float,
@@ -90,19 +89,19 @@ def linear_loop(
     """Return the loop that `build_force_loop` builds, linearised at a force in N."""
     reading = FeedbackFilm(film.model_copy(update={"noise_n": 0.0, "adc_bits": None}), tick_s)
     gains = controller.model_copy(update={"dead_band": 0.0})
-    if isinstance(actuator, SecondOrderScene):
-        free = actuator.model_copy(update={"voltage_limit": np.inf})
-        voltage = VoltageController(gains, free, film, tick_s)
-        return _linear(voltage, SecondOrder(free, tick_s), reading, tick_s)
-    contact = actuator.contact(layer)
+    stepper = actuator.stepper
+    if stepper is None:
+        voltage = VoltageController(gains, actuator.build(tick_s), np.inf, film, tick_s)
+        return _linear(voltage, actuator.build(tick_s), reading, tick_s)
+    contact = stepper.contact(layer)
     stiffness = 1.0 if controller.error == "position" else contact.stiffness(force_n)
     unbounded = {"max_speed_m_per_s": np.inf, "backlash_m": 0.0}
-    endless = actuator.model_copy(update=unbounded)
+    endless = stepper.model_copy(update=unbounded)
     observer = controller.observer
     fixed = None
     if observer is not None:
         per_m = contact.stiffness(DESIGN_FORCE_N)
-        step_n = actuator.step_m * per_m / np.sqrt(12)
+        step_n = stepper.step_m * per_m / np.sqrt(12)
         fixed = observer_gains(film, observer.wander_m * per_m, step_n, tick_s)
     law = LinearContact(stiffness)
     speed = StepperController(gains, endless, law, film, np.inf, tick_s, observer_gains=fixed)
@@ -113,7 +112,7 @@ def linear_loop(
 
 def _linear(
     controller: StepperController | VoltageController,
-    plant: Stepper | SecondOrder,
+    plant: Stepper | ForceModel,
     film: FeedbackFilm,
     tick_s: float,
     stiffness_n: float = 1.0,
@@ -310,7 +309,7 @@ def felt_noise(loop: LinearLoop, wander: float, noise: float) -> float:
 
 def refuse_unstable(
     controller: ControllerScene,
-    actuator: SecondOrderScene | StepperScene,
+    actuator: ActuatorScene,
     layer: ElasticLayer,
     film: FilmTable,
     force_limit_n: float,

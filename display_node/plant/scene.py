@@ -4,12 +4,14 @@ The classes that they describe are compiled where a compiler is there; pydantic'
 """
 
 import math
-from typing import Annotated, Literal
+from abc import abstractmethod
+from typing import Annotated, ClassVar, Literal, Protocol, Self
 
 from pydantic import Field
 
 from display_node.plant.contact import ContactLaw
 from display_node.plant.filters import LowPass
+from protocol.config.kinds import KindGroup, KindTable, load_object
 from protocol.config.quantities import (
     Hertz,
     Metres,
@@ -20,11 +22,61 @@ from protocol.config.quantities import (
     VoltsPerNewton,
 )
 from protocol.config.scene import Section
+from protocol.errors import SceneError
 from protocol.tactile import Adc, ElasticLayer, Film
 from pulse_drives.scene import MotorScene
 
 
-class SecondOrderScene(Section):
+class ForceModel(Protocol):
+    """Model of an actuator whose output, held for a tick, becomes a force. Linear, and pure.
+
+    Attributes
+    ----------
+    STATE
+        Names of its state variables.
+    force_n
+        Force in N at the last tick's end.
+    """
+
+    STATE: ClassVar[tuple[str, ...]]
+    force_n: float
+
+    @property
+    def response(self) -> float:
+        """Force in N at a tick's end for each unit of the output held during it."""
+
+    def drift(self) -> float:
+        """Return the force's change in N in the next tick without an output."""
+
+    def step(self, output: float) -> float:
+        """Hold an output for one tick and return the force in N at its end."""
+
+    def place(self, force_n: float) -> None:
+        """Set the state to a force in N, at rest."""
+
+
+class ActuatorScene(KindTable):
+    """Base of the `actuator` tables.
+
+    An actuator is either driven by speeds, a `StepperScene`, or by an output that becomes a force.
+    """
+
+    @property
+    def stepper(self) -> "StepperScene | None":
+        """The table where speeds drive the actuator; None where an output becomes a force."""
+        return None
+
+    @property
+    def output_limit(self) -> float:
+        """Largest output, of either sign."""
+        return math.inf
+
+    @abstractmethod
+    def build(self, tick_s: float) -> ForceModel:
+        """Build the model of an output that becomes a force."""
+
+
+class SecondOrderScene(ActuatorScene):
     """The `actuator` table of kind "second_order"; defaults are the paper's Table 4.
 
     The paper gives m in kg, c in N·s/m and k in N/m. These cannot be the units where the output is
@@ -37,8 +89,18 @@ class SecondOrderScene(Section):
     k: Annotated[float, Field(ge=0, le=1e12)] = 4.23
     voltage_limit: Annotated[float, Field(gt=0)] = 1e6
 
+    @property
+    def output_limit(self) -> float:
+        """See `ActuatorScene.output_limit`."""
+        return self.voltage_limit
 
-class StepperScene(MotorScene):
+    def build(self, tick_s: float) -> ForceModel:
+        """See `ActuatorScene.build`."""
+        model: ForceModel = load_object("display_node.plant.second_order:SecondOrder")(self, tick_s)
+        return model
+
+
+class StepperScene(MotorScene, ActuatorScene):
     """The `actuator` table of kind "stepper".
 
     rotor_resonance, rotor_damping (ζ): without a resonance, the rotor follows the commanded
@@ -53,6 +115,15 @@ class StepperScene(MotorScene):
     rotor_damping: Annotated[float, Field(ge=0, le=10)] = 0.2
     backlash_m: Annotated[Metres, Field(ge=0, le=1e-3)] = 0.0
     latency_ns: Annotated[Nanoseconds, Field(ge=0, le=50_000_000)] = 0
+
+    @property
+    def stepper(self) -> Self:
+        """See `ActuatorScene.stepper`."""
+        return self
+
+    def build(self, tick_s: float) -> ForceModel:
+        """Raise SceneError: the force of a stepper depends on its contact law."""
+        raise SceneError(f"[display] actuator: speeds drive an actuator of kind {self.kind!r}")
 
     @property
     def steps_per_m(self) -> float:
@@ -70,6 +141,17 @@ class StepperScene(MotorScene):
     def deepest_m(self, layer: ElasticLayer, force_limit_n: float) -> float:
         """Return the position at which the contact law gives the force limit or the thrust."""
         return self.contact(layer).position(min(self.thrust_n, force_limit_n))
+
+
+ACTUATORS = KindGroup[ActuatorScene](
+    "telepulse.actuators",
+    "actuator",
+    ActuatorScene,
+    {
+        "second_order": "display_node.plant.scene:SecondOrderScene",
+        "stepper": "display_node.plant.scene:StepperScene",
+    },
+)
 
 
 class FilmTable(Section):

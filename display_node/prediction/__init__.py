@@ -7,6 +7,8 @@ To add a predictor that learns:
 3. Add its name to `PredictorName`, here.
 
 A predictor that learns nothing is a `Predictor`, like `Linear`; build it in `build_predictors`.
+
+A predictor of another distribution is a kind of `PREDICTORS` (`scene.py`, `docs/howto/plugins.md`).
 """
 
 from collections.abc import Sequence

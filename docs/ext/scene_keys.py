@@ -84,8 +84,14 @@ def _chapter(
 def _row(key: str, field_name: str, field: FieldInfo, is_table: bool) -> str:
     dimension = _dimension(key, field_name, field)
     table = "tables" if _is_list(field) else "a table"
-    what = table if is_table else dimension or _choices(field.annotation)
-    default = _default(field, dimension, is_table)
+    kinds = None if is_table else _kinds(field)
+    if kinds is not None:
+        # Kinds without keys, which are written as a name.
+        what = ", ".join(dict.fromkeys(_choices(_annotation(each)) for each in kinds.sections()))
+        default = _code(field.default.kind)
+    else:
+        what = table if is_table else dimension or _choices(field.annotation)
+        default = _default(field, dimension, is_table)
     if _takes_auto(field):
         what, default = f'{what} or `"auto"`', '`"auto"`'
     return f"| `{key}` | {what} | {default} | {_bounds(field, dimension)} |"
@@ -108,6 +114,10 @@ def _explained(section: type[Section]) -> str:
     return " ".join((section.__doc__ or "").split())
 
 
+def _annotation(section: type[Section]) -> Any:
+    return section.model_fields["kind"].annotation
+
+
 def _kind(section: type[Section]) -> str | None:
     field = section.model_fields.get("kind")
     values = get_args(field.annotation) if field else ()
@@ -116,8 +126,13 @@ def _kind(section: type[Section]) -> str | None:
 
 def _sections(field: FieldInfo) -> Iterator[type[Section]]:
     """Yield the sections that a field may hold: those of its type, or of telepulse's kinds."""
-    kinds = next((part for part in _metadata(field) if isinstance(part, OfKind)), None)
-    yield from _tables(field.annotation) if kinds is None else kinds.sections()
+    kinds = _kinds(field)
+    tables = _tables(field.annotation) if kinds is None else kinds.sections()
+    yield from (table for table in tables if set(table.model_fields) != {"kind"})
+
+
+def _kinds(field: FieldInfo) -> OfKind | None:
+    return next((part for part in _metadata(field) if isinstance(part, OfKind)), None)
 
 
 def _tables(annotation: Any) -> Iterator[type[Section]]:

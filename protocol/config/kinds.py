@@ -23,6 +23,11 @@ from protocol.errors import SceneError
 OWN_DISTRIBUTION = "telepulse"
 
 
+def load_object(path: str) -> Any:
+    """Return an object by "module:name", for a table whose module must not import it."""
+    return EntryPoint("", path, "").load()
+
+
 class KindTable(Section):
     """Base of the section models of kinds; that of one kind has a `kind: Literal["its name"]`."""
 

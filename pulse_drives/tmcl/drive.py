@@ -7,7 +7,7 @@ messages with the module, and the force loop only stores its latest command (dec
 import time
 from itertools import cycle
 
-from protocol.errors import DriveError
+from protocol.errors import DriveError, SceneError
 from pulse_drives.axis import Axis
 from pulse_drives.drive import PERIOD_S, REST_WITHIN_S, Drive, DriveDevice
 from pulse_drives.scene import TmclScene
@@ -30,12 +30,19 @@ AMBIGUOUS_NS = 200_000_000
 
 
 class TmclDrive(Drive):
-    """A `Drive` over TMCL. counts: those of `TmclLine`, and "superseded" for commands not sent."""
+    """A `Drive` over TMCL. counts: those of `TmclLine`, and "superseded" for commands not sent.
+
+    Raises SceneError for a number of microsteps that no TMCL module has.
+    """
 
     _module: TmclModule
 
     def __init__(self, scene: TmclScene, axis: Axis) -> None:
         super().__init__(scene, axis)
+        if axis.microsteps.bit_count() != 1:
+            raise SceneError(
+                f"actuator.microsteps: a TMCL module has 1, 2, 4, to 256, got {axis.microsteps}"
+            )
         self._scene = scene
         self.step_s = scene.period_ns * 1e-9
 

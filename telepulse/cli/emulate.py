@@ -300,15 +300,12 @@ def _load(
     if wrist is not None:
         return _load_probe(path, find_scene(wrist), kind)
     display = load_section(path, "display", DisplayScene).choose(contactor)
-    if not isinstance(display.drive, kind):
-        wanted = "tmcl" if kind is TmclScene else "cia402"
-        raise SceneError(f'{path}: [display.drive] kind = "{wanted}" is needed here')
-    if not isinstance(display.actuator, StepperScene):
+    drive = kind.narrow(display.drive, f"{path}: [display.drive]")
+    if (stepper := display.actuator.stepper) is None:
         raise SceneError(f'{path}: a drive needs [display.actuator] kind = "stepper"')
-    law = display.actuator.contact(display.layer.layer())
+    law = stepper.contact(display.layer.layer())
     now_ns = time.monotonic_ns()
-    motor = EmulatedMotor(display.actuator, law, display.drive.touch_m, now_ns)
-    return display.drive, motor, None
+    return drive, EmulatedMotor(stepper, law, drive.touch_m, now_ns), None
 
 
 def _load_probe(
@@ -319,14 +316,13 @@ def _load_probe(
     source = WristScene.narrow(
         load_section(wrist, "sensing", SensingScene).source, f"--wrist {wrist}: [sensing.source]"
     )
-    if press is None or not isinstance(press.drive, kind):
-        wanted = "tmcl" if kind is TmclScene else "cia402"
-        raise SceneError(f'{path}: [sensing.press.drive] kind = "{wanted}" is needed here')
+    drive = kind.narrow(None if press is None else press.drive, f"{path}: [sensing.press.drive]")
+    assert press is not None
     stepper = StepperScene.model_validate({"kind": "stepper"})
     stepper = stepper.model_copy(update=press.motor.model_dump())
     now_ns = time.monotonic_ns()
-    motor = EmulatedMotor(stepper, TissueContact(source), press.drive.touch_m, now_ns)
-    return press.drive, motor, WristBoard(source)
+    motor = EmulatedMotor(stepper, TissueContact(source), drive.touch_m, now_ns)
+    return drive, motor, WristBoard(source)
 
 
 def _bus(drive: DriveScene, link: Path | None) -> "can.BusABC":

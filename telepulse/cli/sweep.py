@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from display_node.node import DisplayNode
+from display_node.prediction.scene import own_predictor
 from display_node.press.scene import PressScene
 from display_node.press.sweep import DepthSweep, SweepPlan, SweptLevel
 from display_node.scene import DisplayScene
@@ -175,4 +176,4 @@ def _without_finger(scene: DisplayScene, plan: SweepPlan) -> DisplayScene:
         keys["channel"] = scene.press.channel
     press = PressScene.model_validate(keys)
     models = {"drive": None, "feedback": None, "contactor": ()}
-    return scene.model_copy(update={**models, "press": press, "predictor": "hold"})
+    return scene.model_copy(update={**models, "press": press, "predictor": own_predictor("hold")})

@@ -84,20 +84,22 @@ def check_actuator(
     pressed = PressRecorder(rig, GUARD * force_n, scene.safety.feedback_within_ns * 1e-9)
     actuator, film = scene.actuator, scene.film
     keys: dict[str, float | str] = {}
-    if isinstance(actuator, SecondOrderScene):
-        press_voltage(pressed, actuator, force_n)
+    stepper = actuator.stepper
+    if stepper is None:
+        model = SecondOrderScene.narrow(actuator, "[display] actuator: a press is designed for")
+        press_voltage(pressed, model, force_n)
         command = through_film(pressed.command(pressed.stairs, held=True), film)
         identified = identify(command, *pressed.film(pressed.stairs), MAX_LATENCY_S)
         if _fits(identified):
             values = zip("mck", identified.values, strict=False)
             keys = {key: float(f"{value:.4g}") for key, value in values}
         return ActuatorFindings(pressed, command, identified, None, (_check_fit(identified),), keys)
-    press_stepper(pressed, actuator, force_n)
+    press_stepper(pressed, stepper, force_n)
     # Filtered from the beginning of the press, so that the filter has settled by the staircase.
     begin_s = pressed.commanded_s[0]
     travel = pressed.command(PressPhase(begin_s, pressed.stairs.end_s))
     first = round((pressed.stairs.begin_s - begin_s) / travel.tick_s)
-    contact_law, lag_s = actuator.contact(scene.layer.layer()), 0.0
+    contact_law, lag_s = stepper.contact(scene.layer.layer()), 0.0
     for _ in range(ROUNDS):
         contact = fit_contact(pressed, contact_law, film, lag_s)
         fitted = copy.copy(contact_law)
@@ -106,16 +108,16 @@ def check_actuator(
         command = ActuatorInput(filtered.values[first:], filtered.tick_s, held=False)
         identified = identify(command, *pressed.film(pressed.stairs), MAX_LATENCY_S)
         lag_s = identified.delay_s
-    latency_s = _latency_s(actuator, identified, contact) - film_age_s
+    latency_s = _latency_s(stepper, identified, contact) - film_age_s
     latency, plausible = check_latency(
-        actuator, identified, contact, latency_s, line_latency_s=line_latency_s, tick_s=rig.tick_s
+        stepper, identified, contact, latency_s, line_latency_s=line_latency_s, tick_s=rig.tick_s
     )
     if _fits(identified):
-        keys = _keys(actuator, identified, contact, latency_s if plausible else None)
+        keys = _keys(stepper, identified, contact, latency_s if plausible else None)
     checks = (
         _check_fit(identified),
         _check_travel(identified),
-        *check_contact(actuator, contact),
+        *check_contact(stepper, contact),
         latency,
     )
     return ActuatorFindings(pressed, command, identified, contact, checks, keys)

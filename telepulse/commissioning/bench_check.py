@@ -12,12 +12,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from display_node.hardware import build_display_drive
-from display_node.plant.scene import StepperScene
 from display_node.scene import DisplayScene
 from protocol.config.scene import validate
 from protocol.config.scene_file import load_document, merge
 from protocol.errors import BenchError, DriveError, SceneError, SourceError
-from pulse_drives.scene import Cia402Scene, TmclScene
+from pulse_drives.scene import DriveScene
 from pulse_drives.start_advice import advised
 from pulse_sensors.sensor import open_sensor
 from sensing_node.scene import SensingScene, build_source
@@ -28,7 +27,6 @@ from telepulse.commissioning.rig import (
     ModelRig,
     check_answers,
     check_line,
-    exchange_s,
     listen,
 )
 from telepulse.commissioning.scene_edit import Changes
@@ -174,19 +172,19 @@ def check_display(
 def _check_drive(
     findings: BenchFindings,
     scene: DisplayScene,
-    table: TmclScene | Cia402Scene,
+    table: DriveScene,
     folder: Path,
     force_n: float,
     seconds: float,
 ) -> None:
     actuator, film, tick_s = scene.actuator, scene.feedback, scene.tick_ns * 1e-9
     drive = build_display_drive(table, actuator, scene.layer.layer(), scene.safety.force_limit_n)
-    if film is None or not isinstance(actuator, StepperScene):
+    if film is None:
         raise SceneError(
             "[display.feedback] is missing: a drive is checked by the force on the film"
         )
     findings.add("drive", check_line(table, tick_s))
-    line_s = exchange_s(table)
+    line_s = table.exchange_s or 0.0
     with findings.part("film"), closing(open_sensor(film, folder)) as sensor:
         with findings.part("drive"), closing(drive):
             with advised():

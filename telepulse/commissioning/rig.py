@@ -7,25 +7,18 @@ import numpy as np
 
 from display_node.hardware import WITHDRAWN_WITHIN_S
 from display_node.plant.film import FeedbackFilm
-from display_node.plant.scene import SecondOrderScene
-from display_node.plant.second_order import SecondOrder
+from display_node.plant.scene import ForceModel
 from display_node.plant.stepper import Stepper
 from display_node.scene import DisplayScene
 from protocol.errors import BenchError, DriveError
 from protocol.host.realtime import Pacer
 from pulse_drives.drive import PERIOD_S, Drive
-from pulse_drives.scene import Cia402Scene, TmclScene
+from pulse_drives.scene import DriveScene
 from pulse_drives.withdrawal import WithdrawalOutcome
 from pulse_sensors.samples import SampleBlock
 from pulse_sensors.sensor import Sensor
 from telepulse.commissioning.sensor_check import Check, SensorRecord, grade, of_each_force
 
-# A TMCL datagram has 9 bytes, each with a start and a stop bit; every request has its reply.
-TMCL_BITS = 9 * 10
-TMCL_CAN_BYTES = 7
-# One cycle: RPDO (control word, target velocity), SYNC, TPDOs (status, mode and position; speed
-# and error code).
-CIA402_BYTES = (6, 0, 7, 6)
 POLL_S = 2e-4
 ANSWER_SPEED_M_PER_S = 1e-3
 ANSWERS = 20
@@ -66,22 +59,20 @@ class ModelRig:
     def __init__(self, scene: DisplayScene) -> None:
         self.tick_s = scene.tick_ns * 1e-9
         self._film = FeedbackFilm(scene.film, self.tick_s)
-        self._actuator: Stepper | SecondOrder
-        actuator = scene.actuator
-        if isinstance(actuator, SecondOrderScene):
-            self._actuator = SecondOrder(actuator, self.tick_s)
+        self._actuator: Stepper | ForceModel
+        # Input of the model for each unit of the output.
+        self._scale = 1.0
+        if (stepper := scene.actuator.stepper) is None:
+            self._actuator = scene.actuator.build(self.tick_s)
         else:
-            law = actuator.contact(scene.layer.layer())
-            self._actuator = Stepper(actuator, law, scene.safety.force_limit_n, self.tick_s)
-            self._steps_per_m = actuator.steps_per_m
+            law = stepper.contact(scene.layer.layer())
+            self._actuator = Stepper(stepper, law, scene.safety.force_limit_n, self.tick_s)
+            self._scale = stepper.steps_per_m
         self._ticks = 0
 
     def tick(self, output: float) -> tuple[float, list[FilmSample]]:
         """See `Rig.tick`."""
-        if isinstance(self._actuator, SecondOrder):
-            self._actuator.step(output)
-        else:
-            self._actuator.step(output * self._steps_per_m)
+        self._actuator.step(output * self._scale)
         commanded_s = self._ticks * self.tick_s
         self._ticks += 1
         reading_n = self._film.read(self._actuator.force_n)
@@ -159,24 +150,11 @@ def listen(sensor: Sensor, seconds: float) -> dict[str, SensorRecord]:
     return of_each_force(record, values, sensor.channels)
 
 
-def can_frame_bits(data_bytes: int) -> int:
-    """Return the most bits of a CAN frame with an 11-bit identifier (ISO 11898-1)."""
-    # Frame and pause, the data, and a stuffed bit after every 4 bits of the stuffed part.
-    return 47 + 8 * data_bytes + (34 + 8 * data_bytes - 1) // 4
-
-
-def exchange_s(scene: TmclScene | Cia402Scene) -> float:
-    """Return the time in s for which one command and its answer occupy the line."""
-    if isinstance(scene, Cia402Scene):
-        return sum(map(can_frame_bits, CIA402_BYTES)) / scene.bitrate_bit_per_s
-    if scene.port is None:
-        return 2 * can_frame_bits(TMCL_CAN_BYTES) / scene.bitrate_bit_per_s
-    return 2 * TMCL_BITS / scene.baud
-
-
-def check_line(scene: TmclScene | Cia402Scene, tick_s: float) -> Check:
+def check_line(scene: DriveScene, tick_s: float) -> Check:
     """Check that the line can carry one command per tick, or at least one per `period`."""
-    busy_s, period_s = exchange_s(scene), scene.period_ns * 1e-9
+    busy_s, period_s = scene.exchange_s, scene.period_ns * 1e-9
+    if busy_s is None:
+        return Check("line", f"not known for a drive of kind {scene.kind}")
     found = f"{busy_s * 1e3:.2f} ms each: at most {1 / busy_s:.0f} commands a second"
     reason = f"slower than the loop's {1 / tick_s:.0f} Hz: only the newest command is sent"
     if busy_s > period_s:

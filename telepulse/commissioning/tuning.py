@@ -78,16 +78,17 @@ def judge(scene: DisplayScene, controller: ControllerScene) -> Design:
         peak_sensitivity=max(each.peak_sensitivity for each in every),
     )
     felt_n = None
-    if worst.stable and isinstance(scene.actuator, StepperScene):
-        felt_n = _felt_n(scene, scene.actuator, controller)
+    if worst.stable and (stepper := scene.actuator.stepper) is not None:
+        felt_n = _felt_n(scene, stepper, controller)
     return Design(controller, worst, felt_n)
 
 
 def design(scene: DisplayScene) -> Design:
-    """Return the designed controller for a scene's actuator and film."""
-    if isinstance(scene.actuator, StepperScene):
-        return _design_stepper(scene, scene.actuator)
-    return _design_second_order(scene, scene.actuator)
+    """Return the designed controller for a scene's actuator and film. Raises SceneError."""
+    if (stepper := scene.actuator.stepper) is not None:
+        return _design_stepper(scene, stepper)
+    model = SecondOrderScene.narrow(scene.actuator, "[display] actuator: gains are designed for")
+    return _design_second_order(scene, model)
 
 
 def report_design(name: str, present: Design, proposed: Design) -> Report:

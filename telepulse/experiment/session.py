@@ -10,7 +10,6 @@ from typing import Annotated, Any, Literal, NamedTuple, Self
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 
-from display_node.prediction import PredictorName
 from display_node.scene import DisplayScene
 from protocol.config.quantities import Name, Nanoseconds
 from protocol.config.scene import Section, validate
@@ -38,7 +37,7 @@ class Condition(Section):
     name: Name
     link: Annotated[LinkScene, BeforeValidator(_link)]
     compensation: str | None = None
-    predictor: PredictorName | None = None
+    predictor: str | None = None
 
 
 class SessionTable(Section):

@@ -16,6 +16,7 @@ import can
 
 from display_node.hardware import build_display_drive
 from display_node.plant.scene import StepperScene
+from protocol.config.kinds import load_object
 from protocol.wire.stream import LayerTable
 from pulse_drives.drive import Drive
 from pulse_drives.scene import Cia402Scene, TmclScene
@@ -125,6 +126,7 @@ def virtual_bench(
     keys = {"homing_speed": "20 mm/s", "touch": "0.6 mm", **keys}
     scene = drive_scene(kind, "virtual" if kind == "tmcl" else "c", **keys)
     world, actuator = VirtualTime(), actuator or stepper()
+    load_object(scene.driver)  # so that its clock is replaced too
     with world.substituted((*VIRTUAL, *also)), ExitStack() as open_things:
         motor = emulated_motor(scene, actuator, world.now_ns)
         bench = Bench(scene, actuator, motor, clock=world)

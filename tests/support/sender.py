@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from display_node.display import Display
+from display_node.prediction.scene import own_predictor
 from display_node.reception.receiver import Receiver
 from display_node.scene import DisplayScene
 from protocol.config.scene import load_section
@@ -34,7 +35,7 @@ def display_scene(name: str, **changes: object) -> DisplayScene:
     to foresee, and a tick costs a fraction.
     """
     scene = load_section(SCENES / f"{name}.toml", "display", DisplayScene)
-    return scene.model_copy(update={"predictor": "linear", **changes})
+    return scene.model_copy(update={"predictor": own_predictor("linear"), **changes})
 
 
 def display(name: str = "radial", **changes: object) -> Display:

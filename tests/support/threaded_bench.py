@@ -13,6 +13,7 @@ from display_node.display import Display
 from display_node.hardware import build_display_drive
 from display_node.plant.scene import StepperScene
 from display_node.scene import DisplayScene
+from protocol.config.kinds import load_object
 from protocol.host.realtime import Pacer
 from pulse_drives import Drive
 from pulse_drives.scene import Cia402Scene, DriveScene, TmclScene
@@ -104,6 +105,7 @@ class ThreadedBench:
 
     def __enter__(self) -> "ThreadedBench":
         world, patches = self.world, self._patches
+        load_object(self.drive_scene.driver)  # so that its clock is replaced too
         patches.enter_context(world.substituted(VIRTUAL))
         if isinstance(self.drive_scene, Cia402Scene):
             patches.enter_context(cia402_line(world, self.drive_scene, self.motor))

@@ -47,8 +47,7 @@ Rows = Sequence[tuple[str, ...]]
 def chapter() -> Chapter:
     """Compute the paper's figures. Raises SceneError or SourceError."""
     scene = load_scene(find_scene("paper"))
-    source = scene.sensing.source
-    assert isinstance(source, SyntheticScene), "scenes/paper.toml names a synthetic pulse"
+    source = SyntheticScene.narrow(scene.sensing.source, f"{scene.path}: [sensing] source:")
     height_n, run = source.peak_to_peak_n, run_scene(scene)
     wanted_n = height_n * beats("paper", gain_units.RATE_HZ, FIRST_S)
     simulated_n = gain_units.follow(FILM_MV, SIMULATION, wanted_n)

@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 
 from display_node.control.safety import ForceBounds, Safety
 from display_node.control.scene import SafetyScene
-from display_node.plant.scene import SecondOrderScene
 from display_node.scene import DisplayScene
 from protocol.config.scene_file import find_scene
 from protocol.errors import SceneError
@@ -113,10 +112,10 @@ def settled_range_n(
     The paper's actuator: within 1 %.
     """
     actuator, controller, film = setup.actuator, setup.controller, setup.film
-    if isinstance(actuator, SecondOrderScene):
+    if (stepper := actuator.stepper) is None:
         return (1 - SETTLED_SHARE) * force_n, (1 + SETTLED_SHARE) * force_n
-    law = actuator.contact(setup.layer.layer())
-    x_m, step_m = law.position(force_n), microsteps * actuator.step_m
+    law = stepper.contact(setup.layer.layer())
+    x_m, step_m = law.position(force_n), microsteps * stepper.step_m
     error_per_m = 1.0
     if controller.error != "position":
         error_per_m = controller.error_per_newton(film) * law.stiffness(force_n)

@@ -200,14 +200,14 @@ class Chatter(NamedTuple):
 
 def chatter(setup: DisplayScene, felt_n: Array) -> Chatter:
     """Return the motion in a run's second half, when a stepper's loop has settled."""
-    assert isinstance(setup.actuator, StepperScene), "microsteps are a stepper's"
+    stepper = StepperScene.narrow(setup.actuator, "[display] actuator:")
     felt_n = felt_n[len(felt_n) // 2 :]
-    law = setup.actuator.contact(setup.layer.layer())
+    law = stepper.contact(setup.layer.layer())
     travel_m = law.position(float(felt_n.max())) - law.position(float(felt_n.min()))
     moves = np.diff(felt_n)
     signs = np.sign(moves[np.abs(moves) > ROUNDING_N])
     reversals_hz = int(np.count_nonzero(np.diff(signs))) / (len(felt_n) * setup.tick_ns * 1e-9)
-    return Chatter(travel_m / setup.actuator.step_m, reversals_hz, float(np.ptp(felt_n)))
+    return Chatter(travel_m / stepper.step_m, reversals_hz, float(np.ptp(felt_n)))
 
 
 def direction_chatter() -> Iterator[CaseResult]:
@@ -228,8 +228,7 @@ def direction_chatter() -> Iterator[CaseResult]:
     )
     for name, controller, actuator, film, dead_band in cases:
         setup = make_setup(controller, actuator, film)
-        stepper = setup.actuator
-        assert isinstance(stepper, StepperScene), "chatter is a stepper's"
+        stepper = StepperScene.narrow(setup.actuator, "[display] actuator:")
         per_step = stepper.step_m
         if setup.controller.error == "force":
             per_step *= stepper.contact(setup.layer.layer()).stiffness(BETWEEN_N)

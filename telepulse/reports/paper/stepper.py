@@ -204,10 +204,7 @@ def _with_controller(scene: Scene, changes: Changes) -> Scene:
 
 
 def _stepper(scene: Scene) -> StepperScene:
-    actuator = scene.display.actuator
-    if not isinstance(actuator, StepperScene):
-        raise SceneError(f"{scene.path}: [display] actuator: a stepper is needed here")
-    return actuator
+    return StepperScene.narrow(scene.display.actuator, f"{scene.path}: [display] actuator:")
 
 
 def chapter() -> Chapter:

@@ -14,7 +14,6 @@ from itertools import product
 from pathlib import Path
 from typing import NamedTuple
 
-from display_node.prediction import PredictorName
 from protocol.config.scene_file import find_scene
 from protocol.histogram import Histogram
 from protocol.run_summary import Summary
@@ -38,7 +37,7 @@ class Settings(NamedTuple):
     """Settings of a scene; delay_ms None is E = auto, paths None is auto."""
 
     tick_ms: float
-    predictor: PredictorName
+    predictor: str
     delay_ms: float | None
     batch_ms: float
     paths: int | None
@@ -67,7 +66,7 @@ def shipped() -> Settings:
     display, delay_ns = scene.display, scene.display.compensation_ns
     return Settings(
         display.tick_ns * 1e-6,
-        display.predictor,
+        display.predictor.kind,
         None if delay_ns is None else delay_ns * 1e-6,
         scene.sensing.batch_ns * 1e-6,
         display.paths,
@@ -84,14 +83,14 @@ class CostEffort:
     """
 
     ticks_ms: tuple[float, ...] = (0.5, 1.0, 2.0, 4.0)
-    predictors: tuple[PredictorName, ...] = ("hold", "linear", "stack")
+    predictors: tuple[str, ...] = ("hold", "linear", "stack")
     delays_ms: tuple[float | None, ...] = (None, 0.0, 40.0)
     batches_ms: tuple[float, ...] = (1.0, 5.0, 20.0)
     paths: tuple[int | None, ...] = (None, 1, 3)
     seconds: float = 10.0
     settle_seconds: float = 10.0
     live_seconds: float = 16.0
-    slow: tuple[tuple[float, PredictorName, float], ...] = (
+    slow: tuple[tuple[float, str, float], ...] = (
         (1.0, "stack", 5.0),
         (1.0, "linear", 5.0),
         (2.0, "stack", 5.0),

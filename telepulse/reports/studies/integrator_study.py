@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from protocol.config.scene import load_section
 from protocol.config.scene_file import find_scene
-from protocol.errors import SceneError
 from sensing_node.scene import SensingScene
 from sensing_node.sources.synthetic import SyntheticScene
 from telepulse.reports.document import STYLES, Chapter, Plot, Report, Table
@@ -105,9 +104,8 @@ class IntegratorScores(NamedTuple):
 def score_integrators(effort: IntegratorEffort) -> IntegratorScores:
     """Score every integrator on the paper's loop and on the rotors. Raises SceneError."""
     path = find_scene("paper")
-    scene = load_section(path, "sensing", SensingScene).source
-    if not isinstance(scene, SyntheticScene):
-        raise SceneError(f"{path}: [sensing.source]: this study needs a synthetic pulse")
+    source = load_section(path, "sensing", SensingScene).source
+    scene = SyntheticScene.narrow(source, f"{path}: [sensing] source:")
     pulse_n, plant = integrators.pulse_from_rest(scene, effort.seconds, TICK_S), PAPER_PLANT
 
     def true_loop(

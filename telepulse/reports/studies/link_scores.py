@@ -24,6 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from display_node.prediction import Predictor, PredictorName, build_predictors
+from display_node.prediction.scene import own_predictor
 from display_node.scoring.tracking_error import JND
 from protocol.config.scene_file import find_scene
 from protocol.tactile import matching_force_ratio
@@ -225,7 +226,7 @@ def run_link(case: LinkCase, effort: LinkEffort) -> LinkResult:
     scene = load_scene(find_scene("radial"))
     source = scene.sensing.source.model_copy(update={"seed": case.seed})
     delay_ns = None if case.delay_ms is None else round(case.delay_ms * 1e6)
-    display = {"predictor": case.predictor, "compensation_ns": delay_ns}
+    display = {"predictor": own_predictor(case.predictor), "compensation_ns": delay_ns}
     scene = replace(
         scene,
         sensing=scene.sensing.model_copy(update={"source": source}),

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 import telepulse.simulation.virtual_time
 from display_node.prediction import PredictorName
+from display_node.prediction.scene import own_predictor
 from protocol.run_summary import Summary
 from protocol.ticks import TickState
 from sensing_node.sources.recorded import RecordingScene
@@ -46,7 +47,7 @@ def scene(
         source = RecordingScene.model_validate({"kind": "recording", **table})
         sensing = sensing.model_copy(update={"source": source})
     compensation_ns = None if compensation_ms is None else compensation_ms * MS
-    changes = {"predictor": predictor, "compensation_ns": compensation_ns}
+    changes = {"predictor": own_predictor(predictor), "compensation_ns": compensation_ns}
     display = radial.display.model_copy(update=changes)
     return dataclasses.replace(radial, sensing=sensing, display=display, link=parse_link(link))
 

@@ -61,7 +61,7 @@ def test_the_shipped_settings_are_those_of_the_default_scene_and_every_case_can_
         scene = load_scene(path)
         display, delay_ns = scene.display, scene.display.compensation_ns
         assert display.tick_ns == case.tick_ms * 1e6
-        assert (display.predictor, display.paths) == (case.predictor, case.paths)
+        assert (display.predictor.kind, display.paths) == (case.predictor, case.paths)
         assert delay_ns == (None if case.delay_ms is None else case.delay_ms * 1e6)
         assert scene.sensing.batch_ns == case.batch_ms * 1e6
 

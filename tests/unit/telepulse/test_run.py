@@ -74,7 +74,7 @@ def test_a_file_that_is_no_recording_is_refused(tmp_path: Path) -> None:
 
 def test_changes_of_a_scene_are_validated() -> None:
     scene = telepulse.load_scene("radial", display={"predictor": "analogue"}, link=LINK)
-    assert scene.display.predictor == "analogue"
+    assert scene.display.predictor.kind == "analogue"
     assert scene.link.loss == 0.01
     with pytest.raises(SceneError, match=r"changed: \[display\] predicto: unknown key"):
         telepulse.simulate("radial", display={"predicto": "linear"})

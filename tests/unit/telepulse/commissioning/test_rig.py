@@ -7,16 +7,14 @@ import pytest
 
 from protocol.errors import BenchError, DriveError
 from protocol.wire.stream import Channel
-from pulse_drives.scene import Cia402Scene, TmclScene
+from pulse_drives.scene import Cia402Scene, TmclScene, can_frame_bits
 from pulse_sensors.samples import SampleBlock
 from telepulse.commissioning.actuator_check import check_actuator
 from telepulse.commissioning.press import PressRecorder, press_stepper
 from telepulse.commissioning.rig import (
     HardwareRig,
-    can_frame_bits,
     check_answers,
     check_line,
-    exchange_s,
     listen,
 )
 from telepulse.commissioning.sensor_check import judge_sensor, measure
@@ -134,13 +132,13 @@ def serial(baud: int, **keys: str) -> TmclScene:
 
 
 def test_a_command_occupies_the_line_for_its_bits_with_all_stuffing() -> None:
-    assert exchange_s(serial(115_200)) / 2 == pytest.approx(0.78e-3, abs=2e-6)
-    assert exchange_s(serial(9_600)) / 2 == pytest.approx(9.4e-3, abs=3e-5)
+    assert serial(115_200).exchange_s / 2 == pytest.approx(0.78e-3, abs=2e-6)
+    assert serial(9_600).exchange_s / 2 == pytest.approx(9.4e-3, abs=3e-5)
     assert (can_frame_bits(0), can_frame_bits(8)) == (55, 135)
     bus = {"interface": "virtual", "channel": "0", "bitrate": "1 Mbit/s"}
-    assert exchange_s(tmcl_scene(**bus)) == pytest.approx(250e-6)
+    assert tmcl_scene(**bus).exchange_s == pytest.approx(250e-6)
     cia402 = Cia402Scene.model_validate({"kind": "cia402", **bus})
-    assert exchange_s(cia402) == pytest.approx(410e-6)
+    assert cia402.exchange_s == pytest.approx(410e-6)
 
 
 @pytest.mark.parametrize(
@@ -155,5 +153,5 @@ def test_a_command_occupies_the_line_for_its_bits_with_all_stuffing() -> None:
 def test_the_command_rate_that_the_line_allows_is_judged(scene: TmclScene, verdict: str) -> None:
     check = check_line(scene, 1e-3)
     assert check.verdict == verdict
-    assert f"at most {1 / exchange_s(scene):.0f} commands a second" in check.text
+    assert f"at most {1 / scene.exchange_s:.0f} commands a second" in check.text
     assert bool(check.reason) == (verdict != "ok")

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from display_node.prediction.scene import own_predictor
 from protocol.config.scene import validate
 from protocol.counters import Limited
 from protocol.wire.messages import Frame
@@ -87,7 +88,7 @@ def conditioned(keys: dict[str, Any], **source: object) -> Scene:
     return dataclasses.replace(
         scene,
         sensing=scene.sensing.model_copy(update=changed | chain),
-        display=scene.display.model_copy(update={"predictor": "linear"}),
+        display=scene.display.model_copy(update={"predictor": own_predictor("linear")}),
     )
 
 
