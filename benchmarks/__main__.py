@@ -12,6 +12,7 @@ NAMES = (
     "compensation",
     "paths",
     "press_paths",
+    "behind_routers",
     "peers",
     "keys",
     "clock",

@@ -237,14 +237,14 @@ def sidecar_module(name: str) -> str:
 
 
 @contextmanager
-def run_as_sidecar() -> Iterator[Callable[[str], None]]:
+def run_as_sidecar(niceness: int = NICENESS) -> Iterator[Callable[[str], None]]:
     """Yield a callback that reports readiness to the node.
 
     A TelepulseError is reported as well and ends the process with status 1. The process lowers its
-    own priority (`nice`), so that the node's loop comes first.
+    own priority by `niceness`, so that the node's loop comes first.
     """
     if hasattr(os, "nice"):
-        os.nice(NICENESS)
+        os.nice(niceness)
     logging.getLogger().addHandler(_NodeHandler())
     for ours in OUR_LOGGERS:
         # All records are sent; the node drops those below its own level.

@@ -15,7 +15,7 @@ from protocol.host.output import configure_logging, unblocked_output
 from telepulse.cli.options import PROGRAM
 
 # Commands that run beside nodes or as one: a terminal that is not read must not delay them.
-LIVE = {"demo": "demo", "link": "link", "bench": "commissioning", "relay": "link"}
+LIVE = {"demo": "demo", "link": "link", "bench": "commissioning", "relay": "link", "tunnel": "link"}
 LIVE |= {"record": "record", "replay": "record", "view": "view", "lsl": "view"}
 LIVE |= {"sweep": "sweep"}
 OTHERS = {"simulate": "demo", "paper": "study", "tune": "commissioning"}

@@ -86,7 +86,7 @@ def unavailable() -> str | None:
 class Namespace:
     """A network namespace with a loopback and a TUN device at each of `addresses`.
 
-    tuns: the descriptors of the devices. Raises EmulatorError.
+    descriptor: that of the namespace. tuns: those of the devices. Raises EmulatorError.
     """
 
     def __init__(self, addresses: Sequence[str]) -> None:
@@ -95,7 +95,7 @@ class Namespace:
         try:
             with _back_afterwards():
                 _check(_libc.unshare(_CLONE_NEWNET))
-                self._namespace = self._kept(os.open(_OURS, os.O_RDONLY))
+                self.descriptor = self._kept(os.open(_OURS, os.O_RDONLY))
                 bring_up("lo")
                 self.tuns = tuple(
                     self._kept(open_tun(f"tun{number}", address))
@@ -122,7 +122,7 @@ class Namespace:
     def entered(self) -> Iterator[None]:
         """Enter the namespace; sockets and programs opened inside stay there."""
         with _back_afterwards():
-            _check(_libc.setns(self._namespace, _CLONE_NEWNET))
+            _check(_libc.setns(self.descriptor, _CLONE_NEWNET))
             yield
 
 

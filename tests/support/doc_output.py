@@ -15,6 +15,8 @@ SERVED = "--bind tcp://127.0.0.1:5555"
 FROM_THERE = "--connect tcp://127.0.0.1:5555"
 STREAMING = "streaming 'radial pulse'"
 PROTECTED = "sensing-node scenes/radial.toml --bind tcp://*:5555 --key keys/wrist.key"
+BEHIND = "tests/system/links/test_behind_routers.py"
+SSH = "ssh -o ExitOnForwardFailure=yes -o ServerAliveInterval=5"
 RELAY = (
     "telepulse relay --connect tcp://SENSING:5555 --bind tcp://*:5655 --key keys/relay.key"
     " --peer keys/wrist.pub"
@@ -198,6 +200,21 @@ OBSERVER = "a minute; tests/system/experiment/test_experiment_command.py"
 SUBJECT = "asks a person; tests/system/experiment"
 PRESSED = "tests/system/drives/test_pressed_wrist.py"
 UNRUN = {
+    f"{SSH} -R 5655:localhost:5555 -R 5656:localhost:5556 THIRD cat": BEHIND,
+    f"{SSH} -L 5655:localhost:5655 -L 5656:localhost:5656 THIRD cat": BEHIND,
+    "wg-quick up ./wg0.conf": BEHIND,
+    "telepulse keys allow wrist.pub": "as of finger.pub, run above",
+    "telepulse tunnel --key keys/relay.key": BEHIND,
+    "sensing-node radial --dial-out tcp://RELAY:5755 --key keys/wrist.key --peer relay.pub": BEHIND,
+    "display-node radial --connect tcp://RELAY:5655 --key keys/finger.key --peer wrist.pub": BEHIND,
+    "sensing-node radial --bind tcp://127.0.0.1:5555 --key keys/wrist.key": BEHIND,
+    "display-node radial --connect tcp://localhost:5655 --key keys/finger.key --peer wrist.pub": (
+        BEHIND
+    ),
+    "sensing-node radial --bind tcp://10.9.0.2:5555 --key keys/wrist.key": BEHIND,
+    "display-node radial --connect tcp://10.9.0.2:5555 --key keys/finger.key --peer wrist.pub": (
+        BEHIND
+    ),
     PROTECTED.replace("scenes/radial.toml", "radial"): "run above, with the scene's file",
     AT_THE_FINGER.replace("scenes/radial.toml", "radial"): "run above, with the scene's file",
     "telepulse experiment run mine.toml --log anna.jsonl": SUBJECT,

@@ -4,12 +4,13 @@ import socket
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import pytest
 
 from telepulse.netem import EmulatedLink, unavailable
+from telepulse.netem.namespace import Namespace
 
 PORT = 5000
 PATIENCE_S = 20.0
@@ -22,6 +23,13 @@ def retransmissions(pid: int, port: int) -> int:
     lines = Path(f"/proc/{pid}/net/tcp").read_text(encoding="ascii").splitlines()[1:]
     sockets = [line.split() for line in lines]
     return max((int(s[6], 16) for s in sockets if s[1].endswith(f":{port:04X}")), default=0)
+
+
+def answers(namespace: Namespace, host: str, port: int) -> bool:
+    """Return whether a port accepts connections from within a namespace."""
+    with namespace.entered(), suppress(OSError), socket.create_connection((host, port), 1):
+        return True
+    return False
 
 
 @contextmanager

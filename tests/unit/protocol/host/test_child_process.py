@@ -20,6 +20,7 @@ STARTERS = {
     "protocol/provenance.py": "git",
     "tests/run_all.py": "pytest",
     "tests/support/doc_commands.py": "make",
+    "tests/support/routers.py": "ip, iptables, ssh, wg",
     "tests/system/compiled/test_installation.py": "make",
     "tests/system/discovery/test_discovery.py": "unshare",
     "tests/system/recording/test_recorder.py": "mount",
