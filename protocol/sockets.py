@@ -11,8 +11,9 @@ import re
 import select
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
+from socket import if_indextoname
 from types import MappingProxyType
-from typing import Protocol, cast
+from typing import Any, Protocol, cast
 
 import zmq
 
@@ -83,6 +84,19 @@ def control_address(address: str) -> str:
     raise AddressError(
         f"{address}: not an address; write tcp://HOST:PORT with a port of 1 to 65534, or ipc://PATH"
     )
+
+
+def tcp_address(place: tuple[Any, ...], port: int | None = None) -> str:
+    """Return the address of a place as `getaddrinfo` gives it, at its port or another one.
+
+    An IPv6 address of one link alone keeps its interface.
+    """
+    host, own_port, *more = place
+    if ":" not in host:
+        return f"tcp://{host}:{port or own_port}"
+    if more[1:] and more[1] and "%" not in host:
+        host = f"{host}%{if_indextoname(more[1])}"
+    return f"tcp://[{host}]:{port or own_port}"
 
 
 def beyond_loopback(address: str) -> bool:

@@ -82,8 +82,8 @@ def listen(host: str, port: int) -> socket.socket:
     return listener
 
 
-def dial(place: tuple[str, int]) -> socket.socket:
-    """Return a socket that connects to an IP address and port, without waiting for it."""
+def dial(place: tuple[Any, ...]) -> socket.socket:
+    """Return a socket that connects to a place of `getaddrinfo`, without waiting for it."""
     connection = socket.socket(socket.AF_INET6 if ":" in place[0] else socket.AF_INET)
     prepare(connection)
     connection.connect_ex(place)

@@ -9,6 +9,7 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import zmq
 
@@ -61,7 +62,8 @@ class DialOut:
         self._registry = sockets.unconnected(self._context, zmq.DEALER, keys)
         self._monitor = HandshakeMonitor(self._context, keys)
         self._monitor.watch(self._registry)
-        self._connected: tuple[str, int] | None = None
+        # As `getaddrinfo` gives it.
+        self._connected: tuple[Any, ...] | None = None
         self._state = b""
         self._next_ns = self._answered_ns = 0
         self._ends_s = float("inf")
@@ -115,8 +117,9 @@ class DialOut:
         except OSError as error:
             logger.warning(f"{host} is not found: {error.strerror}; retrying")
             return
-        before, self._connected = self._connected, (str(found[0]), port)
-        sockets.reconnect(self._registry, before and _address(before), _address(self._connected))
+        before, self._connected = self._connected, found
+        old = None if before is None else sockets.tcp_address(before)
+        sockets.reconnect(self._registry, old, sockets.tcp_address(found))
 
     def _report(self, state: bytes) -> None:
         if state == self._state:
@@ -132,8 +135,8 @@ class DialOut:
     def _open(self, channel: int, token: bytes) -> None:
         """Open a connection to the relay; join it to the node once a display's bytes arrive."""
         assert self._connected is not None
-        host, port = self._connected
-        outer = TunnelEnd(tunnel.dial((host, port + 1)))
+        host, port, *scope = self._connected
+        outer = TunnelEnd(tunnel.dial((host, port + 1, *scope)))
         outer.pending = token
         self._tunnels.add(outer, lambda: self._join(outer, channel))
 
@@ -147,11 +150,6 @@ class DialOut:
             return
         host, port = self._place
         self._tunnels.join(outer, TunnelEnd(tunnel.dial((host, port + channel))), received)
-
-
-def _address(place: tuple[str, int]) -> str:
-    host, port = place
-    return f"tcp://[{host}]:{port}" if ":" in host else f"tcp://{host}:{port}"
 
 
 def main() -> None:

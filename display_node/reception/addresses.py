@@ -15,6 +15,7 @@ from pathlib import Path
 from protocol.discovery.announcement import Announcement, fingerprint, matching, only_match
 from protocol.errors import DiscoveryError, ProtectionError
 from protocol.security.keys import read_public
+from protocol.sockets import tcp_address
 
 logger = logging.getLogger(__name__)
 
@@ -58,7 +59,7 @@ def discovered(name: str | None, peer: Path | None, seconds: float | None) -> li
         raise ProtectionError(
             f"{one.name!r} requires keys; give --key keys/NAME.key --peer keys/PEER.pub"
         )
-    addresses = [f"tcp://{address}:{one.port}" for address in one.addresses]
+    addresses = [tcp_address((address, one.port)) for address in one.addresses]
     logger.info(f"found {one.name!r} at {', '.join(addresses)}")
     return addresses
 
@@ -116,10 +117,9 @@ class Lookup:
             time.sleep(LOOK_UP_AGAIN_S)
             return
         # A name may have several IP addresses, not all of them reachable: they are tried in turn.
-        ips = sorted({(family != socket.AF_INET, name[0]) for family, *_, name in found})
-        is_ipv6, ip = ips[self._lookups % len(ips)]
+        places = sorted({(family != socket.AF_INET, place) for family, *_, place in found})
+        self._found = tcp_address(places[self._lookups % len(places)][1])
         self._lookups += 1
-        self._found = f"tcp://[{ip}]:{port}" if is_ipv6 else f"tcp://{ip}:{port}"
 
     def _warn(self, text: str) -> None:
         if text != self._logged:

@@ -8,7 +8,7 @@ import hashlib
 import ipaddress
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from ipaddress import IPv4Interface
+from ipaddress import IPv4Interface, IPv6Interface
 from typing import Self
 
 from protocol.config.quantities import MAX_NAME
@@ -22,7 +22,9 @@ MAX_PORT = 65_534
 MAX_ADDRESSES = 16
 MAX_VERSION = 20
 FINGERPRINT_BYTES, NODE_BYTES = 16, 8
-ALL_INTERFACES = ("*", "0.0.0.0")
+# The second is bound for both versions of IP, the others for IPv4 alone.
+EVERYWHERE = ("*", "[::]", "0.0.0.0")
+Interface = IPv4Interface | IPv6Interface
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,7 +32,7 @@ class Announcement:
     """A sensing node as it is announced.
 
     name: instance name, unique on its network. stream: name of its stream. node: identity that
-    stays the same after a restart, in hexadecimal digits. addresses: IPv4 addresses of its host.
+    stays the same after a restart, in hexadecimal digits. addresses: IP addresses of its host.
     port: of data; control is one higher. fingerprint: of its public key; None without keys.
     """
 
@@ -91,11 +93,19 @@ def read_announcement(
 
 
 def _usable(addresses: Sequence[bytes]) -> tuple[str, ...]:
-    """Return the IPv4 addresses that a node can have. Raises WireError."""
+    """Return the addresses that a node can have, those of IPv4 first. Raises WireError.
+
+    An IPv6 address of one link alone has no meaning without the receiver's interface.
+    """
     if len(addresses) > MAX_ADDRESSES:
         raise WireError("malformed", f"it has more than {MAX_ADDRESSES} addresses")
-    numbers = {ipaddress.IPv4Address(address) for address in addresses if len(address) == 4}
-    usable = [n for n in sorted(numbers) if not (n.is_multicast or n.is_unspecified)]
+    numbers = {ipaddress.ip_address(address) for address in addresses if len(address) in (4, 16)}
+    usable = [
+        n
+        for n in sorted(numbers, key=lambda n: (n.version, n))
+        if not (n.is_multicast or n.is_unspecified)
+        and (n.version == 4 or not (n.is_link_local or n.ipv4_mapped))
+    ]
     if not usable:
         raise WireError("malformed", "it has no address")
     return tuple(map(str, usable))
@@ -147,32 +157,38 @@ def only_match(candidates: Sequence[Announcement]) -> Announcement:
 
 
 def announced_addresses(
-    host: str, own: Iterable[IPv4Interface], interfaces: dict[str, list[str]]
+    host: str, own: Iterable[Interface], interfaces: dict[str, list[str]]
 ) -> list[str]:
     """Return the addresses to announce for a node that is bound to `host`.
 
-    host: address or interface, or "*". own: this machine's addresses. interfaces: addresses of each
-    interface, by its name. Raises DiscoveryError when there is no address to announce.
+    host: address or interface, or all of them ("*", "[::]"). own: this machine's addresses.
+    interfaces: addresses of each interface, by its name. Raises DiscoveryError when there is no
+    address to announce.
     """
-    if host in ALL_INTERFACES:
+    if host in EVERYWHERE:
         reason = "this machine is on no network"
-        found = [str(one.ip) for one in own if not one.ip.is_loopback]
+        versions = (4, 6) if host == "[::]" else (4,)
+        found = [str(one.ip) for one in own if one.version in versions and not one.ip.is_loopback]
     else:
-        reason = "is no IPv4 address here"
-        found = interfaces.get(host) or [host for one in own if str(one.ip) == host]
+        reason = "is no address here"
+        bound = host.strip("[]")
+        found = interfaces.get(host) or [bound for one in own if str(one.ip) == bound]
     if not found:
         raise DiscoveryError(f"--announce: {host}: {reason}; there is nothing to announce")
     return found
 
 
-def reachable(announcement: Announcement, own: Sequence[IPv4Interface]) -> list[str]:
+def reachable(announcement: Announcement, own: Sequence[Interface]) -> list[str]:
     """Return the announced addresses that are on networks of this machine.
 
     For a node on this machine, one address is returned. For any other node, addresses that this
-    machine has too are left out: container bridges have the same address on many machines.
+    machine has too are left out: container bridges have the same address on many machines. An
+    IPv6 address is returned only where there is none of IPv4, since it leads over the same network.
     """
     ours = {str(one.ip) for one in own}
     if ours.issuperset(announcement.addresses):
         return [announcement.addresses[0]]
-    there = [address for address in announcement.addresses if address not in ours]
-    return [a for a in there if any(IPv4Interface(a).ip in one.network for one in own)]
+    there = map(ipaddress.ip_address, (a for a in announcement.addresses if a not in ours))
+    near = [a for a in there if any(a in one.network for one in own)]
+    first = near[0].version if near else 4
+    return [str(address) for address in near if address.version == first]

@@ -4,9 +4,15 @@ import logging
 import socket
 from collections import Counter
 from dataclasses import replace
-from ipaddress import IPv4Interface
+from ipaddress import ip_address, ip_interface
 
-from protocol.discovery.announcement import SERVICE, Announcement, reachable, read_announcement
+from protocol.discovery.announcement import (
+    SERVICE,
+    Announcement,
+    Interface,
+    reachable,
+    read_announcement,
+)
 from protocol.errors import DiscoveryError, WireError
 
 logger = logging.getLogger(__name__)
@@ -24,6 +30,8 @@ except ImportError as error:
 __all__ = ["Browser", "ServiceInfo", "ZeroconfError", "open_multicast", "own_addresses"]
 
 MULTICAST_GROUP = ("224.0.0.251", 5353)
+# The same of a site, since that of a link needs an interface; only the route is looked up.
+GROUP_OF_IPV6 = ("ff05::fb", 5353)
 # More nodes than any one network has; further names are counted only.
 MAX_NAMES = 256
 # Longest wait for a name's other records; a node sends them together with the name.
@@ -84,7 +92,8 @@ class Browser:
             raise WireError("malformed", ascii(str(error))) from None
         if not answered:
             raise WireError("malformed", "its host does not send its address")
-        announcement = read_announcement(name, info.addresses, info.port, info.properties)
+        packed = info.addresses_by_version(IPVersion.All)
+        announcement = read_announcement(name, packed, info.port, info.properties)
         addresses = reachable(announcement, self._own)
         if not addresses:
             raise WireError(UNREACHABLE, "none of its addresses is on a network of this machine")
@@ -98,15 +107,22 @@ class Browser:
             logger.warning(f"not a sensing node: {shown}: {reason}")
 
 
-def own_addresses() -> tuple[list[IPv4Interface], dict[str, list[str]]]:
-    """Return this machine's IPv4 addresses with their networks, and the addresses by interface."""
-    own: list[IPv4Interface] = []
+def own_addresses() -> tuple[list[Interface], dict[str, list[str]]]:
+    """Return this machine's addresses with their networks, and those of IPv4 by interface.
+
+    Two kinds of IPv6 addresses are left out: those of one link alone, which differ by interface and
+    not by network, and that of loopback, which carries no multicast.
+    """
+    own: list[Interface] = []
     names: dict[str, list[str]] = {}
     for adapter in ifaddr.get_adapters():
         for address in adapter.ips:
-            if address.is_IPv4:
-                own.append(IPv4Interface(f"{address.ip}/{address.network_prefix}"))
-                names.setdefault(adapter.name, []).append(str(address.ip))
+            ip = address.ip if isinstance(address.ip, str) else address.ip[0]
+            one = ip_interface(f"{ip}/{address.network_prefix}")
+            if one.version == 4:
+                names.setdefault(adapter.name, []).append(ip)
+            if one.version == 4 or not (one.ip.is_link_local or one.ip.is_loopback):
+                own.append(one)
     return own, names
 
 
@@ -118,18 +134,29 @@ def open_multicast(addresses: list[str]) -> Zeroconf:
             f"no network here carries multicast ({', '.join(addresses) or 'there is none'}), which"
             " discovery needs; give the sensing node's address: --connect tcp://HOST:5555"
         )
+    versions = {ip_address(address).version for address in able}
+    ip_version = IPVersion.All
+    if len(versions) == 1:
+        ip_version = IPVersion.V4Only if versions == {4} else IPVersion.V6Only
     try:
-        return Zeroconf(interfaces=able, ip_version=IPVersion.V4Only)
+        return Zeroconf(interfaces=able, ip_version=ip_version)
     except OSError as error:
         raise DiscoveryError(f"multicast DNS cannot be opened here: {error.strerror}") from None
 
 
 def _carries_multicast(address: str) -> bool:
     """Return whether the kernel has a route from an address to the group; nothing is sent."""
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+    family, group = (
+        (socket.AF_INET6, GROUP_OF_IPV6) if ":" in address else (socket.AF_INET, MULTICAST_GROUP)
+    )
+    with socket.socket(family, socket.SOCK_DGRAM) as probe:
         try:
-            probe.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, socket.inet_aton(address))
-            probe.connect(MULTICAST_GROUP)
+            if family == socket.AF_INET:
+                interface = socket.inet_aton(address)
+                probe.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, interface)
+            else:
+                probe.bind((address, 0))
+            probe.connect(group)
         except OSError:
             return False
     return True

@@ -189,7 +189,11 @@ class ConnectionTable:
 
 
 def network_address(address: str) -> str:
-    """Return an IP address unchanged, and "" for what ipc gives instead (user and process)."""
+    """Return an IP address without its interface, as `getpeername` gives it.
+
+    Returns "" for what ipc gives instead (user and process).
+    """
+    address, _, _ = address.partition("%")
     with suppress(ValueError):
         ipaddress.ip_address(address)
         return address

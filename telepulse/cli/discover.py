@@ -7,6 +7,7 @@ import typer
 
 from protocol.cli_options import one_line_errors, plain_console
 from protocol.host.output import check_writable
+from protocol.sockets import tcp_address
 from telepulse.cli.options import PROGRAM, TablesOption
 from telepulse.reports.document import Chapter, Report, Table, write_json
 
@@ -34,7 +35,7 @@ def discover(
             found, refused = sorted(look.found, key=lambda one: one.name), look.refused
         rows = []
         for one in found:
-            addresses = " ".join(f"tcp://{address}:{one.port}" for address in one.addresses)
+            addresses = " ".join(tcp_address((address, one.port)) for address in one.addresses)
             key = one.fingerprint or "none: any display may connect"
             rows.append((one.name, one.stream, addresses, key, one.node))
             console.print(

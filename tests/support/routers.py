@@ -78,10 +78,10 @@ def _connect(stack: ExitStack) -> Sites:
     wrist, router, third, other_router, finger = (
         stack.enter_context(closing(Namespace([]))) for _ in range(5)
     )
-    _cable(router, "outer", f"{ROUTER_ADDRESS}/24", third, "one", f"{THIRD_ADDRESS}/24")
-    _cable(other_router, "outer", "198.51.100.2/24", third, "two", f"{OTHER_THIRD_ADDRESS}/24")
-    _cable(wrist, "lan", "192.168.1.10/24", router, "inner", "192.168.1.1/24")
-    _cable(finger, "lan", "192.168.1.10/24", other_router, "inner", "192.168.1.1/24")
+    cable(router, "outer", f"{ROUTER_ADDRESS}/24", third, "one", f"{THIRD_ADDRESS}/24")
+    cable(other_router, "outer", "198.51.100.2/24", third, "two", f"{OTHER_THIRD_ADDRESS}/24")
+    cable(wrist, "lan", "192.168.1.10/24", router, "inner", "192.168.1.1/24")
+    cable(finger, "lan", "192.168.1.10/24", other_router, "inner", "192.168.1.1/24")
     run_within(wrist, "ip route add default via 192.168.1.1")
     run_within(finger, "ip route add default via 192.168.1.1")
     for one, beyond in ((router, THIRD_ADDRESS), (other_router, OTHER_THIRD_ADDRESS)):
@@ -98,7 +98,7 @@ def _connect(stack: ExitStack) -> Sites:
     return Sites(wrist, router, third, finger)
 
 
-def _cable(one: Namespace, name: str, address: str, other: Namespace, *end: str) -> None:
+def cable(one: Namespace, name: str, address: str, other: Namespace, *end: str) -> None:
     """Connect two namespaces by a pair of virtual Ethernet interfaces."""
     other_name, other_address = end
     path = f"/proc/{os.getpid()}/fd/{other.descriptor}"

@@ -198,7 +198,7 @@ def test_discovery_without_a_network_is_refused() -> None:
         pytest.skip("needs the right to a network namespace")
     for module, option, word in (
         (DISPLAY, "--discover", "no network here carries multicast (there is none)"),
-        (SENSING, "--announce", "is no IPv4 address here; there is nothing to announce"),
+        (SENSING, "--announce", "is no address here; there is nothing to announce"),
     ):
         command = ["unshare", "-n", *python_command("-m", module, str(RADIAL), option)]
         result = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)

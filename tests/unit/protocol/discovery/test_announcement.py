@@ -1,6 +1,6 @@
 """Encoding, decoding and selection of announcements, also of arbitrary bytes."""
 
-from ipaddress import IPv4Interface
+from ipaddress import ip_interface
 
 import pytest
 from hypothesis import given
@@ -122,7 +122,10 @@ def test_any_announcement_is_read_or_refused_in_one_line(
     assert 0 < len(read.addresses) <= 16
 
 
-OWN = [IPv4Interface(one) for one in ("127.0.0.1/8", "192.0.2.2/24", "172.17.0.1/16")]
+OWN = [
+    ip_interface(one)
+    for one in ("127.0.0.1/8", "192.0.2.2/24", "172.17.0.1/16", "::1/128", "2001:db8::2/64")
+]
 
 
 @pytest.mark.parametrize(
@@ -137,6 +140,9 @@ OWN = [IPv4Interface(one) for one in ("127.0.0.1/8", "192.0.2.2/24", "172.17.0.1
         # This machine.
         (("192.0.2.2", "172.17.0.1"), ["192.0.2.2"]),
         (("127.0.0.1",), ["127.0.0.1"]),
+        # The same network by both versions of IP, and by the newer one alone.
+        (("192.0.2.7", "2001:db8::7"), ["192.0.2.7"]),
+        (("203.0.113.9", "2001:db8::7"), ["2001:db8::7"]),
         # An address on another network.
         (("203.0.113.9",), []),
     ],
@@ -152,8 +158,11 @@ def test_the_addresses_that_are_bound_are_announced() -> None:
     names = {"eth0": ["192.0.2.2"]}
     assert announced_addresses("*", OWN, names) == ["192.0.2.2", "172.17.0.1"]
     assert announced_addresses("127.0.0.1", OWN, names) == ["127.0.0.1"]
+    everywhere = ["192.0.2.2", "172.17.0.1", "2001:db8::2"]
+    assert announced_addresses("[::]", OWN, names) == everywhere
+    assert announced_addresses("[2001:db8::2]", OWN, names) == ["2001:db8::2"]
     assert announced_addresses("eth0", OWN, names) == ["192.0.2.2"]
-    with pytest.raises(DiscoveryError, match=r"192\.0\.2\.9: is no IPv4 address here"):
+    with pytest.raises(DiscoveryError, match=r"192\.0\.2\.9: is no address here"):
         announced_addresses("192.0.2.9", OWN, names)
     with pytest.raises(DiscoveryError, match="on no network"):
         announced_addresses("*", OWN[:1], {})
