@@ -88,7 +88,7 @@ def tried(once: Callable[[Path], Outcome]) -> Outcome | None:
 def kill_one(name: str, signal_number: int, kind: str, folder: Path) -> Outcome:
     """Send a process of the bench a signal; a stopped one continues after a while."""
     with playing(folder, kind) as bench:
-        at_ns = time.monotonic_ns()
+        at_ns = time.perf_counter_ns()
         bench.processes[name].send_signal(signal_number)
         if signal_number == signal.SIGSTOP:
             time.sleep(STOPPED_S)
@@ -111,7 +111,7 @@ def ended(bench: EmulatedBench, at_ns: int | None) -> Outcome:
 
     at_ns: time of the fault; None: as the emulator recorded it.
     """
-    last_ns = time.monotonic_ns()
+    last_ns = time.perf_counter_ns()
     summary = bench.end()
     motor = bench.motor()
     at_ns = at_ns or motor.trouble_ns
@@ -172,7 +172,7 @@ def display_restarted(folder: Path, kind: str) -> MotorTrace:
 
 def felt_again(bench: EmulatedBench, start: Callable[[], None]) -> MotorTrace:
     """Start a missing node, and return the record since. Raises BenchFailedError for a fault."""
-    began_ns = time.monotonic_ns()
+    began_ns = time.perf_counter_ns()
     start()
     bench.await_state("playing")
     time.sleep(AFTER_S)

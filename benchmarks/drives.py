@@ -230,4 +230,4 @@ class MakersInterface(TmclInterface):  # type: ignore[misc]
 
 def motor(touch_m: float) -> EmulatedMotor:
     """Return the emulated drives' motor."""
-    return EmulatedMotor(ACTUATOR, ACTUATOR.contact(LAYER), touch_m, time.monotonic_ns())
+    return EmulatedMotor(ACTUATOR, ACTUATOR.contact(LAYER), touch_m, time.perf_counter_ns())

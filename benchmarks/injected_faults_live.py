@@ -52,7 +52,7 @@ def stopped_row(kind: str, seconds: float) -> tuple[str, ...]:
         display = bench.processes["display"]
         display.send_signal(signal.SIGSTOP)
         time.sleep(seconds)
-        continued_ns = time.monotonic_ns()
+        continued_ns = time.perf_counter_ns()
         display.send_signal(signal.SIGCONT)
         time.sleep(AFTER_S)
         return continued_ns
@@ -85,7 +85,7 @@ def _row(
             try:
                 with playing(Path(folder), kind, "real_bench", *options) as bench:
                     at_ns = act(bench)
-                    last_ns = time.monotonic_ns()
+                    last_ns = time.perf_counter_ns()
                     faults = bench.end().get("faults", [])
                     return what, kind, *_figures(bench.motor(), at_ns, last_ns), "; ".join(faults)
             except BenchFailedError as error:

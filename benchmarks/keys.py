@@ -58,7 +58,7 @@ class Stream:
         while not done() and time.perf_counter() < end_s:
             for reader in self.readers:
                 reader.read()
-            self.authenticator.poll(time.monotonic_ns())
+            self.authenticator.poll(time.perf_counter_ns())
             if time.perf_counter() >= next_s:
                 next_s += FRAME_S
                 self._sent += 1
@@ -126,6 +126,6 @@ def _look_round_us(own: KeyPair, allowed: Path) -> float:
     context: sockets.Context = zmq.Context()
     try:
         stream = Stream(context, ServerKeys(own, allowed), "tcp://127.0.0.1:*")
-        return time_call(lambda: stream.authenticator.poll(time.monotonic_ns())).median_us
+        return time_call(lambda: stream.authenticator.poll(time.perf_counter_ns())).median_us
     finally:
         context.destroy(linger=0)

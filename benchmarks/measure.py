@@ -36,10 +36,10 @@ def time_call(call: Callable[[], object]) -> Timing:
 
 def paced(period_ns: int) -> Iterator[int]:
     """Yield the times at which periods end, each when it is due."""
-    due_ns = time.monotonic_ns()
+    due_ns = time.perf_counter_ns()
     while True:
         due_ns += period_ns
-        time.sleep(max(0, due_ns - time.monotonic_ns()) * 1e-9)
+        time.sleep(max(0, due_ns - time.perf_counter_ns()) * 1e-9)
         yield due_ns
 
 

@@ -80,7 +80,7 @@ class Hardware:
         self._origin_m = self._unseen_n = 0.0
         self._received_ns = 0
         self.at_end = LimitCounter()
-        self._began_ns = time.monotonic_ns()
+        self._began_ns = time.perf_counter_ns()
         self._tick_ns = tick_ns
         self._watchdog_ns = watchdog_ns
         self.feedback = feedback

@@ -125,7 +125,7 @@ class DisplayNode:
         self._benches: list[Hardware | None] = [None] * len(self._display.contactors)
         self._stopping = False
         self._sweep: DepthSweep | None = None
-        self._pacer = Pacer(scene.tick_ns, time.monotonic_ns())
+        self._pacer = Pacer(scene.tick_ns, time.perf_counter_ns())
         drives = (contactor.drive for contactor in scene.contactors)
         watchdogs_ns = [drive.watchdog_ns for drive in drives if drive is not None]
         self._deadlines = DeadlineWatch(scene.tick_ns, min(watchdogs_ns, default=GAP_NS))
@@ -182,13 +182,13 @@ class DisplayNode:
 
     def run(self, seconds: float | None = None, once: bool = False) -> Summary:
         """Run the loop until `stop`, for `seconds`, or with `once` to the end of the stream."""
-        start_ns = time.monotonic_ns()
+        start_ns = time.perf_counter_ns()
         end_ns = None if seconds is None else start_ns + round(seconds * 1e9)
         pacer = self._pacer = Pacer(self._scene.tick_ns, start_ns)
         try:
             while not self._stopping:
                 self._receive(pacer.due_ns)
-                now_ns = time.monotonic_ns()
+                now_ns = time.perf_counter_ns()
                 tick = pacer.begin(now_ns)
                 if tick is None:
                     sockets.wait_on_descriptors(self._connection.descriptors, pacer.due_ns - now_ns)
@@ -196,7 +196,7 @@ class DisplayNode:
                 self._late_us.add(tick.late_ns * 1e-3)
                 self._deadlines.add(now_ns, tick.elapsed_ticks)
                 self._tick(tick.due_ns, tick.elapsed_ticks)
-                self._tick_us.add((time.monotonic_ns() - now_ns) * 1e-3)
+                self._tick_us.add((time.perf_counter_ns() - now_ns) * 1e-3)
                 if (end_ns is not None and now_ns >= end_ns) or (once and self._display.over):
                     break
             return self._finish()
@@ -211,14 +211,14 @@ class DisplayNode:
         for path, route in enumerate(connection.routes):
             before, _ = receiver.frames
             for number, message in enumerate(route.messages()):
-                now_ns = time.monotonic_ns()
+                now_ns = time.perf_counter_ns()
                 display.on_frame(message, now_ns)
                 captured.add(now_ns, path, message)
                 if now_ns >= until_ns and number >= LEAST_READ:
                     break
             route.frames_first += receiver.frames[0] - before
         for number, message in enumerate(connection.control_messages()):
-            now_ns, sessions = time.monotonic_ns(), receiver.sessions
+            now_ns, sessions = time.perf_counter_ns(), receiver.sessions
             display.on_control(message, now_ns)
             captured.add(now_ns, CONTROL, message)
             if receiver.sessions > sessions:
@@ -230,7 +230,7 @@ class DisplayNode:
             if receiver.buffer.ended:
                 frame_ns = max(frame_ns, ENDED_NS)
             round_trip_ns = 2 * receiver.clock.asymmetry_bound_ns
-            connection.subscribe(frame_ns, round_trip_ns, time.monotonic_ns())
+            connection.subscribe(frame_ns, round_trip_ns, time.perf_counter_ns())
 
     def _tick(self, now_ns: int, elapsed_ticks: int) -> None:
         self._display.tick(now_ns, elapsed_ticks)
@@ -246,7 +246,7 @@ class DisplayNode:
                 logger.warning(f"refused: {reason}")
         if self._connection.poll(now_ns):
             self._display.receiver.introduce()
-        requested_ns = time.monotonic_ns()
+        requested_ns = time.perf_counter_ns()
         for message in self._display.requests(requested_ns):
             control = self._connection.control_for(message, requested_ns)
             sockets.send(control, encode_control(message))
@@ -294,7 +294,7 @@ class DisplayNode:
                 limited=replace(figures.limited, travel=travel),
                 hardware=dict(hardware.counts),
                 finger_stiffness=figures.finger_stiffness if hardware.measures_force else None,
-                finger=describe_finger(hardware.finger(time.monotonic_ns())),
+                finger=describe_finger(hardware.finger(time.perf_counter_ns())),
             )
             of = f"{name}: " if name else ""
             notes += [f"{FILM_NOTE}{of}{note}" for note in hardware.faults()]

@@ -193,7 +193,7 @@ class Drive(ABC):
         with self._lock:
             if self._device is None:
                 return self._supervisor.status(0.0)
-            self._read_reports(time.monotonic_ns())
+            self._read_reports(time.perf_counter_ns())
             return self._supervisor.status(self._device.speed_m_per_s)
 
     def travel_m(self, now_ns: int) -> float:
@@ -217,7 +217,7 @@ class Drive(ABC):
         Never waits for the drive. The reason becomes the fault, unless there is one.
         """
         with self._lock:
-            self._supervisor.fail(reason, time.monotonic_ns())
+            self._supervisor.fail(reason, time.perf_counter_ns())
         self._woken.set()
 
     def close(self) -> None:
@@ -256,7 +256,7 @@ class Drive(ABC):
 
     def _follow(self, device: DriveDevice) -> None:
         """Start to send commands, and to check that they come."""
-        now_ns = time.monotonic_ns()
+        now_ns = time.perf_counter_ns()
         self._supervisor.arm(now_ns)
         self._supervisor.add_position(device.position_m, now_ns)
         self._closing = False
@@ -290,7 +290,7 @@ class Drive(ABC):
             if status.fault is not None:
                 raise DriveError("fault", f"on its way to first touch: {status.fault}")
             # On a busy host or bus the report is old, and the tip has moved since.
-            age_s = (time.monotonic_ns() - status.received_ns) * 1e-9
+            age_s = (time.perf_counter_ns() - status.received_ns) * 1e-9
             left_m = position_m - status.position_m - sent_m_per_s * age_s
             if abs(left_m) <= step_m:
                 size = 0.0

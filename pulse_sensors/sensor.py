@@ -118,7 +118,7 @@ class Sensor:
         port: Port,
         decoder: Decoder,
         settings: SensorTable,
-        clock: Callable[[], int] = time.monotonic_ns,
+        clock: Callable[[], int] = time.perf_counter_ns,
     ) -> None:
         self.period_ns, self.channels = settings.period_ns, settings.wire_channels
         self._port = port
@@ -224,7 +224,7 @@ class Sensor:
 
 
 def open_sensor(
-    scene: SensorScene, folder: Path, clock: Callable[[], int] = time.monotonic_ns
+    scene: SensorScene, folder: Path, clock: Callable[[], int] = time.perf_counter_ns
 ) -> Sensor:
     """Open the sensor of a scene, for the caller to close.
 

@@ -112,7 +112,7 @@ class SensingNode:
         source: Source,
         description: StreamDescription,
         address: str,
-        clock: Callable[[], int] = time.monotonic_ns,
+        clock: Callable[[], int] = time.perf_counter_ns,
         keys: ServerKeys | None = None,
         telemetry_address: str | None = None,
     ) -> None:
@@ -195,7 +195,7 @@ class SensingNode:
 
     def _answer_all(self, until_ns: int) -> None:
         """Answer waiting messages until a time; the rest waits until the next batch is sent."""
-        self._authenticator.poll(time.monotonic_ns())
+        self._authenticator.poll(time.perf_counter_ns())
         if self._requests.held_for_ns(self._clock()):
             return
         for number, (*envelope, data) in enumerate(sockets.receive_multipart(self._control)):

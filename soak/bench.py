@@ -82,7 +82,7 @@ def _listen(
             _, data = socket.recv_multipart()
             status = read_status(data)
             finger = status.summary["finger"] or ""
-            found.append(FingerClaim(time.monotonic_ns(), status.state, finger))
+            found.append(FingerClaim(time.perf_counter_ns(), status.state, finger))
             if time.monotonic() > until_s > 0:
                 break
     return found

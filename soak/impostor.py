@@ -42,10 +42,10 @@ def main(arguments: list[str]) -> None:
     context: sockets.Context = zmq.Context()
     control = sockets.bind(context, zmq.ROUTER, sockets.control_address(address))
     data = sockets.bind(context, zmq.PUB, address)
-    first, due_ns = 0, time.monotonic_ns()
+    first, due_ns = 0, time.perf_counter_ns()
     while os.getppid() == parent:
         for *envelope, message in sockets.receive_multipart(control):
-            now_ns = time.monotonic_ns()
+            now_ns = time.perf_counter_ns()
             reply = server.answer(tuple(envelope), message, now_ns, first)
             if reply is not None:
                 sockets.send(control, *envelope, encode_control(reply))
@@ -53,8 +53,8 @@ def main(arguments: list[str]) -> None:
             false_ns = random.getrandbits(61), random.getrandbits(61)
             unrequested = encode_control(ClockReply(session, now_ns, *false_ns))
             sockets.send(control, *envelope, unrequested)
-        if time.monotonic_ns() < due_ns:
-            sockets.wait_readable([control], due_ns - time.monotonic_ns())
+        if time.perf_counter_ns() < due_ns:
+            sockets.wait_readable([control], due_ns - time.perf_counter_ns())
             continue
         forces_n = [[random.choice(FORCES_N)] for _ in range(BATCH)]
         values = np.array(forces_n, "<f4")

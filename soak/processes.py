@@ -66,18 +66,18 @@ class SoakProcess:
     def running(self) -> bool:
         """True until the process has ended."""
         if self.over_ns is None and self.process.poll() is not None:
-            self.over_ns = time.monotonic_ns()
+            self.over_ns = time.perf_counter_ns()
         return self.over_ns is None
 
     async def up(self) -> int:
         """Wait until its loop runs or it has ended, and return the time."""
-        until_ns = time.monotonic_ns() + round(UP_WITHIN_S * 1e9)
-        while self.up_ns is None and self.running and time.monotonic_ns() < until_ns:
+        until_ns = time.perf_counter_ns() + round(UP_WITHIN_S * 1e9)
+        while self.up_ns is None and self.running and time.perf_counter_ns() < until_ns:
             if self.up_text in self.errors.read_text(encoding="utf-8"):
-                self.up_ns = time.monotonic_ns()
+                self.up_ns = time.perf_counter_ns()
             else:
                 await asyncio.sleep(POLL_S)
-        return self.up_ns or time.monotonic_ns()
+        return self.up_ns or time.perf_counter_ns()
 
     def kill(self) -> None:
         """Kill it with SIGKILL, so that it reports nothing at its end."""
@@ -85,22 +85,22 @@ class SoakProcess:
             self.ending = "killed"
             self.process.kill()
             self.process.wait()
-            self.over_ns = time.monotonic_ns()
+            self.over_ns = time.perf_counter_ns()
 
     async def stop(self) -> None:
         """Send SIGTERM and wait; kill a node that does not end, as its exit status shows."""
         if self.running:
             self.ending = "stopped"
             await asyncio.to_thread(self.process.stop, ENDS_WITHIN_S)
-            self.over_ns = self.over_ns or time.monotonic_ns()
+            self.over_ns = self.over_ns or time.perf_counter_ns()
 
     async def freeze(self, seconds: float) -> None:
         """Stop it with SIGSTOP for some time."""
-        began_ns = time.monotonic_ns()
+        began_ns = time.perf_counter_ns()
         self.process.send_signal(signal.SIGSTOP)
         await asyncio.sleep(seconds)
         self.process.send_signal(signal.SIGCONT)
-        self.frozen_ns += time.monotonic_ns() - began_ns
+        self.frozen_ns += time.perf_counter_ns() - began_ns
 
     def measure(self) -> None:
         """Record its present resources."""
@@ -113,7 +113,7 @@ class SoakProcess:
             if "RssAnon" in table:
                 kilobytes = sum(int(table[key].split()[0]) for key in ("RssAnon", "VmSwap"))
                 handles = len(os.listdir(folder / "fd"))
-                now_ns = time.monotonic_ns()
+                now_ns = time.perf_counter_ns()
                 self.usage.append(Usage(now_ns, kilobytes * 1024, handles, int(table["Threads"])))
 
     def result_summary(self) -> dict[str, Any] | None:
@@ -151,4 +151,4 @@ def begin(
     entered = nullcontext() if namespace is None else namespace.entered()
     with output.open("wb") as out, errors.open("wb") as err, entered:
         node = NodeProcess(role, module, *arguments, summary=result, stdout=out, stderr=err)
-    return SoakProcess(role, node, errors, result, time.monotonic_ns(), _UP[module])
+    return SoakProcess(role, node, errors, result, time.perf_counter_ns(), _UP[module])

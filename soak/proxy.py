@@ -35,7 +35,7 @@ class Link:
 
     def due_ns(self, back: bool, size_bytes: int) -> int:
         """Return the arrival of bytes that are sent now, retransmissions included."""
-        now_ns = sent_ns = time.monotonic_ns()
+        now_ns = sent_ns = time.perf_counter_ns()
         way = self._back if back else self._there
         while (due_ns := way.arrival_ns(sent_ns, size_bytes)) is None:
             sent_ns += REPEAT_NS
@@ -79,7 +79,7 @@ async def _carry(
     with suppress(OSError):
         while data := await reader.read(CHUNK_BYTES):
             await waiting.put((link.due_ns(back, len(data)), data))
-    await waiting.put((time.monotonic_ns(), b""))
+    await waiting.put((time.perf_counter_ns(), b""))
     await sender
 
 
@@ -88,7 +88,7 @@ async def _write(
 ) -> None:
     while True:
         due_ns, data = await waiting.get()
-        while (wait_ns := due_ns - time.monotonic_ns()) > 0 or link.cut:
+        while (wait_ns := due_ns - time.perf_counter_ns()) > 0 or link.cut:
             await asyncio.sleep(max(wait_ns * 1e-9, 0.01))
         if not data:
             break

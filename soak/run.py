@@ -34,7 +34,7 @@ class Run:
     terminals: Terminals = field(default_factory=Terminals)
     played: list[Played] = field(default_factory=list)
     namespaces: set[int] = field(default_factory=set)
-    began_ns: int = field(default_factory=time.monotonic_ns)
+    began_ns: int = field(default_factory=time.perf_counter_ns)
 
     async def play(self) -> None:
         """Start all nodes, make faults until the time is over, and end them."""
@@ -65,15 +65,15 @@ class Run:
     async def _make_faults(self) -> None:
         until_ns = self.began_ns + round(self.seconds * 1e9)
         for number, episode in enumerate(episodes(self.seed)):
-            if time.monotonic_ns() + round(_length_s(episode) * 1e9) > until_ns:
+            if time.perf_counter_ns() + round(_length_s(episode) * 1e9) > until_ns:
                 return
-            began_ns = time.monotonic_ns()
+            began_ns = time.perf_counter_ns()
             seed = self.seed + number
             done = await asyncio.gather(
                 *(do(fault, self.scenario, seed) for fault in episode.faults)
             )
             await asyncio.sleep(episode.rest_s)
-            self.played.append(Played(tuple(done), began_ns, time.monotonic_ns()))
+            self.played.append(Played(tuple(done), began_ns, time.perf_counter_ns()))
 
     async def _end(self) -> None:
         """End the sensing nodes, whose end reaches every display, then the displays."""
@@ -81,8 +81,8 @@ class Run:
         sensing = [nodes[SENSING], nodes[CALM_SENSING]]
         displays = [nodes[CONTINUOUS], nodes[RESTARTED], nodes[CALM_DISPLAY]]
         await asyncio.gather(*(node.stop() for node in sensing))
-        until_ns = time.monotonic_ns() + round(ENDED_WITHIN_S * 1e9)
-        while time.monotonic_ns() < until_ns:
+        until_ns = time.perf_counter_ns() + round(ENDED_WITHIN_S * 1e9)
+        while time.perf_counter_ns() < until_ns:
             if all(node.marks and node.marks[-1].state == "ended" for node in displays):
                 break
             await asyncio.sleep(0.1)

@@ -107,7 +107,7 @@ class Taps:
         record, process = self.records[role], None
         while True:
             topic, data, *_ = await socket.recv_multipart()
-            node, now_ns = nodes[role], time.monotonic_ns()
+            node, now_ns = nodes[role], time.perf_counter_ns()
             if node.process is not process:
                 process = node.process
                 record.begin_process()
@@ -136,7 +136,7 @@ class Taps:
                 frame.session, SessionFrames(began_ns, frame.period_ns, count, count, 0)
             )
             session.sent = max(session.sent, frame.first_sample + len(frame.values))
-            session.last_ns = time.monotonic_ns()
+            session.last_ns = time.perf_counter_ns()
 
 
 def _take_status(data: bytes, node: SoakProcess, record: TickRecord, now_ns: int) -> None:

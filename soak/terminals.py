@@ -56,6 +56,6 @@ class Terminals:
     async def _read(self, process: asyncio.subprocess.Process, role: str) -> None:
         assert process.stdout is not None
         async for data in process.stdout:
-            claim = read_line(data.decode("utf-8", "replace").rstrip("\n"), time.monotonic_ns())
+            claim = read_line(data.decode("utf-8", "replace").rstrip("\n"), time.perf_counter_ns())
             if claim is not None:
                 self.lines[role].append(claim)

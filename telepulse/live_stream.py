@@ -39,7 +39,7 @@ class LiveStream(AbstractContextManager["LiveStream"]):
         self._queue, self._changed = SampleQueue(), threading.Condition()
         self._description: StreamDescription | None = None
         self._ended, self._stopping = False, False
-        self._unix_minus_local_ns = time.time_ns() - time.monotonic_ns()
+        self._unix_minus_local_ns = time.time_ns() - time.perf_counter_ns()
         self._error: Exception | None = None
         self._context: sockets.Context = zmq.Context()
         try:
@@ -146,7 +146,7 @@ class LiveStream(AbstractContextManager["LiveStream"]):
             self._take_control(data)
         for data in connection.routes[0].messages():
             self._take_frame(data)
-        receiver, now_ns = self._receiver, time.monotonic_ns()
+        receiver, now_ns = self._receiver, time.perf_counter_ns()
         description = receiver.description
         if receiver.accepts_frames and description is not None:
             frame_ns = description.batch * description.period_ns
@@ -164,7 +164,7 @@ class LiveStream(AbstractContextManager["LiveStream"]):
 
     def _take_control(self, data: bytes) -> None:
         """Take a control message; the first description decides what the receiver plays."""
-        now_ns = time.monotonic_ns()
+        now_ns = time.perf_counter_ns()
         if self._receiver.session is None:
             try:
                 message = decode_control(data)
@@ -183,7 +183,7 @@ class LiveStream(AbstractContextManager["LiveStream"]):
             self._ended = False
 
     def _take_frame(self, data: bytes) -> None:
-        now_ns = time.monotonic_ns()
+        now_ns = time.perf_counter_ns()
         if self._receiver.on_frame(data, now_ns) is not None:
             self._queue.add(decode_frame(data), now_ns, self._ahead_ns(now_ns))
 

@@ -264,12 +264,12 @@ class Relay:
 
     def run(self, seconds: float | None = None) -> Summary:
         """Pass messages on until stopped, or for `seconds`."""
-        end_ns = math.inf if seconds is None else time.monotonic_ns() + seconds * 1e9
+        end_ns = math.inf if seconds is None else time.perf_counter_ns() + seconds * 1e9
         self._lookup.start()
         readable = [*self._frames.sockets, *self._authenticator.sockets]
         try:
             self._control.start()
-            while not self._stopping and (now_ns := time.monotonic_ns()) < end_ns:
+            while not self._stopping and (now_ns := time.perf_counter_ns()) < end_ns:
                 self._poll(now_ns)
                 sockets.wait_readable(readable, WAIT_NS)
         finally:

@@ -1,40 +1,43 @@
 """Run every test, with the coverage of the core; the arguments are pytest's.
 
 Those in real time run three at a time: they mostly wait. Those that compute run beside them in the
-time that is left, two at a time: the scheduler lets an idle process run only when no other one wants to.
-With `-n0` one test runs at a time.
+time that is left: the scheduler runs an idle process only when no other one wants to run. With
+`-n0` one test runs at a time.
 """
 
 import os
 import subprocess
 import sys
 import tempfile
+from contextlib import ExitStack
 from pathlib import Path
 
 TESTS = Path(__file__).parent
+SYSTEM = TESTS / "system"
 CORE = ("protocol", "pulse_sensors", "pulse_drives", "sensing_node", "display_node")
-COMPUTING = ("accuracy", "commissioning", "compiled", "reports")
-# Of these folders, what measures real processes.
+COVERAGE = (*(f"--cov={package}" for package in CORE), "--cov-report=", "--cov-fail-under=0")
+# Of the folders that compute, these measure real processes.
 MEASURING = ("commissioning/test_bench_command.py", "reports/test_cost_study.py")
-SYSTEM = sorted({path.parent for path in TESTS.glob("system/*/test_*.py")})
-REAL_TIME = [
-    *(str(folder) for folder in SYSTEM if folder.name not in COMPUTING),
-    *(str(TESTS / "system" / file) for file in MEASURING),
-]
-COMPUTED = [f"--ignore={path}" for path in REAL_TIME]
+COMPUTING = [str(SYSTEM / name) for name in ("accuracy", "commissioning", "compiled", "reports")]
+REAL_TIME = sorted({str(path.parent) for path in SYSTEM.glob("*/test_*.py")} - set(COMPUTING))
+MEASURED = [str(SYSTEM / file) for file in MEASURING]
+# The units cover the lines that computing would, in a third less time than with its coverage.
+PARTS = {
+    "real_time": (*REAL_TIME, *MEASURED, "--numprocesses=3", *COVERAGE),
+    "units": (str(TESTS), f"--ignore={SYSTEM}", "--numprocesses=1", *COVERAGE),
+    "computing": (*COMPUTING, *(f"--ignore={file}" for file in MEASURED), "--numprocesses=1"),
+}
 NO_TESTS_MATCHED = 5
 
 
-def command(name: str, *options: str) -> list[str]:
-    """Return the command of a part; its failures and its coverage are kept apart from the other's."""
-    return [
-        *(sys.executable, "-m", "pytest", f"--override-ini=cache_dir=.pytest_cache/{name}"),
-        *(f"--cov={package}" for package in CORE),
-        *("--cov-report=", "--cov-fail-under=0", *options, *sys.argv[1:]),
-    ]
+def command(name: str) -> list[str]:
+    """Return the command of a part; its failures are kept apart from those of the others."""
+    kept = f"--override-ini=cache_dir=.pytest_cache/{name}"
+    return [sys.executable, "-m", "pytest", kept, *PARTS[name], *sys.argv[1:]]
 
 
 def environment(name: str) -> dict[str, str]:
+    """Return the environment of a part, whose coverage is combined with that of the others."""
     return os.environ | {"COVERAGE_FILE": f".coverage.{name}"}
 
 
@@ -46,33 +49,41 @@ def give_way() -> None:
         os.nice(19)
 
 
-def run() -> list[int]:
-    """Run both parts; return their statuses."""
-    real_time = command("real_time", *REAL_TIME, "--numprocesses=3")
-    computing = command("computing", *COMPUTED)
-    if "-n0" in sys.argv:
-        return [
-            subprocess.run(part, env=environment(name), check=False).returncode
-            for name, part in (("real_time", real_time), ("computing", computing))
-        ]
-    with tempfile.TemporaryFile() as printed:
-        beside = subprocess.Popen(
-            computing,
-            env=environment("computing"),
-            stdout=printed,
-            stderr=subprocess.STDOUT,
-            preexec_fn=give_way,
-        )
-        first = subprocess.run(real_time, env=environment("real_time"), check=False).returncode
-        second = beside.wait()
-        printed.seek(0)
-        sys.stdout.buffer.write(printed.read())
-        sys.stdout.flush()
-    return [first, second]
+def run_in_turn() -> list[int]:
+    """Run the parts one after another; return their statuses."""
+    return [
+        subprocess.run(command(name), env=environment(name), check=False).returncode
+        for name in PARTS
+    ]
+
+
+def run_beside_each_other() -> list[int]:
+    """Run the parts at once; return their statuses. What gave way is printed at the end."""
+    first, *others = PARTS
+    with ExitStack() as files:
+        beside = []
+        for name in others:
+            output = files.enter_context(tempfile.TemporaryFile())
+            process = subprocess.Popen(
+                command(name),
+                env=environment(name),
+                stdout=output,
+                stderr=subprocess.STDOUT,
+                preexec_fn=give_way,
+            )
+            beside.append((process, output))
+        run = subprocess.run(command(first), env=environment(first), check=False)
+        statuses = [run.returncode]
+        for process, output in beside:
+            statuses.append(process.wait())
+            output.seek(0)
+            sys.stdout.flush()
+            sys.stdout.buffer.write(output.read())
+    return statuses
 
 
 if __name__ == "__main__":
-    statuses = run()
+    statuses = run_in_turn() if "-n0" in sys.argv else run_beside_each_other()
     if "--no-cov" not in sys.argv:
         coverage = (sys.executable, "-m", "coverage")
         subprocess.run([*coverage, "combine", "--quiet"], check=False)

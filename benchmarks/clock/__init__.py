@@ -50,7 +50,7 @@ def main() -> None:
 
 def run(seed: int) -> dict[str, Floats]:
     """Return the lines of each listener: one of each skew of ours, and of LSL."""
-    origin_ns = time.monotonic_ns()
+    origin_ns = time.perf_counter_ns()
     with ExitStack() as stack:
         link = stack.enter_context(emulate(parse_link(LINK), seed=seed))
         listeners = {}

@@ -52,15 +52,15 @@ def follow(address: str, skew_ppm: str, origin_ns: str, seconds: str) -> None:
     data.setsockopt(zmq.SUBSCRIBE, b"")
     receiver = Receiver("clock", channels=[0], late_target=0.01)
     began_ns: int | None = None
-    next_ns = time.monotonic_ns()
+    next_ns = time.perf_counter_ns()
     while began_ns is None or next_ns < began_ns + float(seconds) * 1e9:
         for parts in sockets.receive_multipart(control):
-            receiver.on_control(b"".join(parts), time.monotonic_ns())
+            receiver.on_control(b"".join(parts), time.perf_counter_ns())
         for parts in sockets.receive_multipart(data):
-            receiver.on_frame(b"".join(parts), time.monotonic_ns())
-        for request in receiver.requests(time.monotonic_ns()):
+            receiver.on_frame(b"".join(parts), time.perf_counter_ns())
+        for request in receiver.requests(time.perf_counter_ns()):
             sockets.send(control, encode_control(request))
-        local_ns, clock = time.monotonic_ns(), receiver.clock
+        local_ns, clock = time.perf_counter_ns(), receiver.clock
         if began_ns is None and receiver.session is not None:
             began_ns = next_ns = local_ns
         if began_ns is not None and local_ns >= next_ns and clock.ready:

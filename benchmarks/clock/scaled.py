@@ -16,4 +16,4 @@ def scaled_ns(local_ns: int, origin_ns: int, skew_ppm: float) -> int:
 
 def now_ns(origin_ns: int, skew_ppm: float) -> int:
     """Return the wrong clock's present time."""
-    return scaled_ns(time.monotonic_ns(), origin_ns, skew_ppm)
+    return scaled_ns(time.perf_counter_ns(), origin_ns, skew_ppm)

@@ -88,12 +88,12 @@ class CutRunner:
         """Make one cut and wait for the pulse to be felt again."""
         rng = self._rng
         time.sleep(rng.uniform(*BETWEEN_S))
-        began_ns = time.monotonic_ns()
+        began_ns = time.perf_counter_ns()
         for filters, lengths_s in cut.phases:
             self._link.drop(*filters)
             time.sleep(rng.uniform(*rng.choice(lengths_s)))
         self._link.drop()
-        ended_ns = time.monotonic_ns()
+        ended_ns = time.perf_counter_ns()
         felt_ns = self._felt.steady_from_ns(ended_ns, BACK_WITHIN_S)
         back_ms = BACK_WITHIN_S * 1e3 if felt_ns is None else (felt_ns - ended_ns) * 1e-6
         return Recovery((ended_ns - began_ns) * 1e-6, back_ms)

@@ -39,7 +39,7 @@ class OwnTime:
     def read(self) -> None:
         """Read until `finish`."""
         while not self._over.wait(READ_EVERY_S):
-            reading = read_core_time(self._pid, time.monotonic_ns())
+            reading = read_core_time(self._pid, time.perf_counter_ns())
             if reading is not None:
                 self._readings.append((reading, _beside_ns(self._pid)))
 

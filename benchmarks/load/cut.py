@@ -82,4 +82,4 @@ class Display:
     def _ask(self) -> None:
         for _ in sockets.receive_parts(self._control):
             pass
-        sockets.send(self._control, encode_control(ClockRequest(time.monotonic_ns())))
+        sockets.send(self._control, encode_control(ClockRequest(time.perf_counter_ns())))

@@ -82,7 +82,7 @@ class ManyDisplays:
     def listen(self, seconds: float) -> DisplayTimings:
         """Return the timings of frames whose first sample is within the next `seconds`."""
         self._frames.clear()
-        begin_ns = time.monotonic_ns()
+        begin_ns = time.perf_counter_ns()
         self._live(round((seconds + GRACE_S) * 1e9))
         end_ns = begin_ns + round(seconds * 1e9)
         measured = [
@@ -108,9 +108,9 @@ class ManyDisplays:
 
     def _live(self, duration_ns: int) -> None:
         """Receive and request for `duration_ns`."""
-        end_ns = time.monotonic_ns() + duration_ns
+        end_ns = time.perf_counter_ns() + duration_ns
         descriptors = sockets.descriptors([self._data])
-        while (now_ns := time.monotonic_ns()) < end_ns:
+        while (now_ns := time.perf_counter_ns()) < end_ns:
             self._ask(now_ns)
             self._receive_all()
             sockets.wait_on_descriptors(descriptors, SLOT_NS)
@@ -128,7 +128,7 @@ class ManyDisplays:
                 frame = decode_frame(data)
                 last_ns = frame.t_first_ns + (len(frame.values) - 1) * frame.period_ns
                 known = frames[data] = frame, last_ns, array("q")
-            known[2].append(time.monotonic_ns() - known[1])
+            known[2].append(time.perf_counter_ns() - known[1])
 
     def _ask(self, now_ns: int) -> None:
         """Send the requests of each slot."""

@@ -18,7 +18,7 @@ def publish(wire: Wire, numbers: Iterable[int]) -> None:
     socket.bind(f"tcp://127.0.0.1:{wire.port}")
     pack = msgpack.Packer().pack
     for sequence in numbers:
-        socket.send(pack((sequence, time.monotonic_ns(), VALUE)))
+        socket.send(pack((sequence, time.perf_counter_ns(), VALUE)))
 
 
 def subscribe(wire: Wire) -> Iterator[Arrival]:
@@ -29,4 +29,4 @@ def subscribe(wire: Wire) -> Iterator[Arrival]:
     socket.connect(f"tcp://127.0.0.1:{wire.port}")
     while True:
         sequence, sent_ns, _ = msgpack.unpackb(socket.recv())
-        yield Arrival(sequence, sent_ns, time.monotonic_ns())
+        yield Arrival(sequence, sent_ns, time.perf_counter_ns())

@@ -23,5 +23,5 @@ def subscribe(wire: Wire) -> Iterator[Arrival]:
     while True:
         for message in sockets.receive_parts(data):
             _, sequence, sent_ns, *_ = unpack_frame(message)
-            yield Arrival(sequence, sent_ns, time.monotonic_ns())
+            yield Arrival(sequence, sent_ns, time.perf_counter_ns())
         sockets.wait_on_descriptors(descriptors, ours.WAIT_NS)

@@ -30,7 +30,7 @@ def publish(wire: Wire, numbers: Iterable[int]) -> None:
     info = pylsl.StreamInfo("pulse", "force", 2, RATE_HZ, pylsl.cf_double64, f"{wire.port}")
     outlet = pylsl.StreamOutlet(info, chunk_size=1)
     for sequence in numbers:
-        outlet.push_sample((sequence, time.monotonic_ns()))
+        outlet.push_sample((sequence, time.perf_counter_ns()))
 
 
 def subscribe(wire: Wire) -> Iterator[Arrival]:
@@ -42,7 +42,7 @@ def subscribe(wire: Wire) -> Iterator[Arrival]:
     inlet = pylsl.StreamInlet(found[0], processing_flags=0)
     while True:
         (sequence, sent_ns), _ = inlet.pull_sample()
-        yield Arrival(int(sequence), int(sent_ns), time.monotonic_ns())
+        yield Arrival(int(sequence), int(sent_ns), time.perf_counter_ns())
 
 
 def _configure(wire: Wire) -> None:

@@ -36,10 +36,10 @@ def publish(wire: Wire, numbers: Iterable[int]) -> None:
     values = np.full((1, 1), VALUE, np.float32)
     for sequence in numbers:
         for *sender, message in sockets.receive_multipart(control):
-            reply = desk.answer(tuple(sender), message, time.monotonic_ns(), sequence)
+            reply = desk.answer(tuple(sender), message, time.perf_counter_ns(), sequence)
             if reply is not None:
                 sockets.send(control, *sender, encode_control(reply))
-        frame = Frame(SESSION, sequence, time.monotonic_ns(), PERIOD_NS, values)
+        frame = Frame(SESSION, sequence, time.perf_counter_ns(), PERIOD_NS, values)
         sockets.send(data, encode_frame(frame))
 
 
@@ -56,7 +56,7 @@ def stamped_buffer() -> tuple[JitterBuffer, list[int]]:
     class StampedBuffer(JitterBuffer):
         def put(self, samples: ChannelSamples, *others: ChannelSamples) -> None:
             super().put(samples, *others)
-            put_ns[:] = [time.monotonic_ns()]
+            put_ns[:] = [time.perf_counter_ns()]
 
     return StampedBuffer(), put_ns
 
@@ -73,16 +73,16 @@ def subscribe(wire: Wire) -> Iterator[Arrival]:
     descriptors = sockets.descriptors((control, data))
     while True:
         for message in sockets.receive_parts(data):
-            samples = receiver.on_frame(message, time.monotonic_ns())
+            samples = receiver.on_frame(message, time.perf_counter_ns())
             if samples is not None:
-                usable_ns = put_ns[0] if put_ns else time.monotonic_ns()
+                usable_ns = put_ns[0] if put_ns else time.perf_counter_ns()
                 yield Arrival(samples[0].first_sample, samples[0].times_ns[0], usable_ns)
         for message in sockets.receive_parts(control):
-            receiver.on_control(message, time.monotonic_ns())
+            receiver.on_control(message, time.perf_counter_ns())
         if receiver.accepts_frames and receiver.buffer is not buffer:
             receiver.buffer = buffer
             data.subscribe(b"")
-        requests = receiver.requests(time.monotonic_ns())
+        requests = receiver.requests(time.perf_counter_ns())
         for request in requests:
             sockets.send(control, encode_control(request))
         if not requests:

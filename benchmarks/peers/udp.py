@@ -12,7 +12,7 @@ def publish(wire: Wire, numbers: Iterable[int]) -> None:
     sender = socket(AF_INET, SOCK_DGRAM)
     address = ("127.0.0.1", wire.port)
     for sequence in numbers:
-        sender.sendto(FIELDS.pack(sequence, time.monotonic_ns(), VALUE), address)
+        sender.sendto(FIELDS.pack(sequence, time.perf_counter_ns(), VALUE), address)
 
 
 def subscribe(wire: Wire) -> Iterator[Arrival]:
@@ -21,4 +21,4 @@ def subscribe(wire: Wire) -> Iterator[Arrival]:
     receiver.bind(("127.0.0.1", wire.port))
     while True:
         sequence, sent_ns, _ = FIELDS.unpack(receiver.recv(FIELDS.size))
-        yield Arrival(sequence, sent_ns, time.monotonic_ns())
+        yield Arrival(sequence, sent_ns, time.perf_counter_ns())

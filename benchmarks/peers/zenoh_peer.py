@@ -16,7 +16,7 @@ def publish(wire: Wire, numbers: Iterable[int]) -> None:
     session = zenoh.open(zenoh.Config.from_json5(_config("listen", wire)))
     force = session.declare_publisher(KEY, express=True)
     for sequence in numbers:
-        force.put(FIELDS.pack(sequence, time.monotonic_ns(), VALUE))
+        force.put(FIELDS.pack(sequence, time.perf_counter_ns(), VALUE))
 
 
 def subscribe(wire: Wire) -> Iterator[Arrival]:
@@ -28,7 +28,7 @@ def subscribe(wire: Wire) -> Iterator[Arrival]:
     force = session.declare_subscriber(KEY)
     for sample in force:
         sequence, sent_ns, _ = FIELDS.unpack(sample.payload.to_bytes())
-        yield Arrival(sequence, sent_ns, time.monotonic_ns())
+        yield Arrival(sequence, sent_ns, time.perf_counter_ns())
 
 
 def _config(side: str, wire: Wire) -> str:

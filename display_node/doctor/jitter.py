@@ -57,11 +57,11 @@ def run_ticks(
     ticks: Ticks, tick_ns: int, seconds: float, descriptors: Sequence[int], work: Work
 ) -> None:
     """Wait for ticks as a display does, and call `work` in each."""
-    pacer = Pacer(tick_ns, time.monotonic_ns())
+    pacer = Pacer(tick_ns, time.perf_counter_ns())
     end_ns = pacer.due_ns + round(seconds * 1e9)
     # A tick that was due before the end but begins after it counts: it may be the latest.
     while pacer.due_ns <= end_ns:
-        now_ns = time.monotonic_ns()
+        now_ns = time.perf_counter_ns()
         tick = pacer.begin(now_ns)
         if tick is None:
             sockets.wait_on_descriptors(descriptors, pacer.due_ns - now_ns)

@@ -80,12 +80,12 @@ class Publisher:
     def _publish_captured(self) -> None:
         self._serve_readers()
         if self.captured.wanted:
-            for message in self.captured.take(time.monotonic_ns(), time.time_ns()):
+            for message in self.captured.take(time.perf_counter_ns(), time.time_ns()):
                 sockets.send(self._socket, CAPTURE, message)
 
     def _serve_readers(self) -> None:
         if self._authenticator is not None:
-            self._authenticator.poll(time.monotonic_ns())
+            self._authenticator.poll(time.perf_counter_ns())
         for subscription in self._subscriptions.receive():
             self.captured.follow(subscription)
             if subscription == b"\1" + PROVENANCE and self._provenance:

@@ -313,7 +313,7 @@ def _printable(text: str) -> str:
 
 def _print_line(screen: TerminalView, console: Console) -> None:
     """Print the status line, and each alert in full when it begins."""
-    now_ns = time.monotonic_ns()
+    now_ns = time.perf_counter_ns()
     alerts_begun = (f"alert: {text}" for text in screen.new_alerts(now_ns))
     for text in (screen.line(now_ns), *alerts_begun):
         console.print(text, soft_wrap=True)
@@ -351,7 +351,7 @@ def watch(
             sockets.wait_readable([socket], 1_000_000_000 // FRAMES_PER_S)
             messages = list(sockets.receive_multipart(socket))
             for message in messages:
-                traces = screen.take(message, time.monotonic_ns())
+                traces = screen.take(message, time.perf_counter_ns())
                 if traces and on_traces is not None:
                     on_traces(traces)
                 if screen.status is not None and screen.status.final:
@@ -362,14 +362,14 @@ def watch(
             if len(messages) == sockets.MAX_MESSAGES:
                 continue  # more has queued, and only the newest is shown
             if live is not None:
-                live.update(screen.panel(time.monotonic_ns()))
+                live.update(screen.panel(time.perf_counter_ns()))
             elif draw and time.monotonic() - line_s >= LINE_EVERY_S:
                 line_s = time.monotonic()
                 _print_line(screen, console)
         return screen.status
     finally:
         if live is not None:
-            live.update(screen.panel(time.monotonic_ns()))
+            live.update(screen.panel(time.perf_counter_ns()))
             live.stop()
         context.destroy(linger=0)
 

@@ -39,7 +39,7 @@ class Cia402Drive(Drive):
         if self._supervisor.fault is not None:
             return
         with self._lock:
-            now_ns = time.monotonic_ns()
+            now_ns = time.perf_counter_ns()
             self._read_reports(now_ns)
             self._supervisor.command(speed_m_per_s, now_ns)
             self._send(now_ns)
@@ -51,7 +51,7 @@ class Cia402Drive(Drive):
 
     def _step(self) -> None:
         with self._lock.acquire_or_proceed():
-            now_ns = time.monotonic_ns()
+            now_ns = time.perf_counter_ns()
             self._read_reports(now_ns)
             if self._supervisor.withdrawal is not None:
                 self._send(now_ns)

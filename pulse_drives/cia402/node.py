@@ -181,7 +181,7 @@ class Cia402Node:
         self.command(Controlword.ENABLE, 0)
         self.command(Controlword.START_HOMING, 0)
         deadline_s = time.monotonic() + axis.search_s
-        began_ns, began_m = time.monotonic_ns(), self.position_m
+        began_ns, began_m = time.perf_counter_ns(), self.position_m
         while self.received_ns < began_ns or self.statusword & HOMING_ATTAINED != HOMING_ATTAINED:
             guard()
             bound_search(axis, began_m, self.position_m)
@@ -214,7 +214,7 @@ class Cia402Node:
         """Send a controlword and a target velocity; return the time of sending in ns."""
         COMMAND.pack_into(self._command.data, 0, control, velocity)
         self._send(self._command)
-        sent_ns = time.monotonic_ns()
+        sent_ns = time.perf_counter_ns()
         if self.mode is Mode.CYCLIC_VELOCITY:
             self._send(self._sync)
         return sent_ns
@@ -317,10 +317,10 @@ class Cia402Node:
         state, position_m = state_of(statusword), self._axis.units.position_m(position)
         if state is None or abs(position_m) > self._implausible_m:
             self.counts["implausible"] += 1
-            self._implausible_ns = time.monotonic_ns()
+            self._implausible_ns = time.perf_counter_ns()
             return
         self.statusword, self.state, self.position_m = statusword, state, position_m
-        self.received_ns = time.monotonic_ns()
+        self.received_ns = time.perf_counter_ns()
 
     def _on_speed(self, _: int, data: bytearray, __: float) -> None:
         if len(data) != SPEED_TPDO.size:

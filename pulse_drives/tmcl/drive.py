@@ -54,7 +54,7 @@ class TmclDrive(Drive):
         with self._lock:
             if supervisor.commanded_ns > self._taken_ns:
                 self.counts["superseded"] += 1
-            supervisor.command(speed_m_per_s, time.monotonic_ns())
+            supervisor.command(speed_m_per_s, time.perf_counter_ns())
         self._woken.set()
 
     def _connect(self) -> DriveDevice:
@@ -67,7 +67,7 @@ class TmclDrive(Drive):
         module = self._module
         if self._scene.homing != "switch" or self._scene.homing_method:
             return None
-        requested_ns, module.switch_requested = time.monotonic_ns(), True
+        requested_ns, module.switch_requested = time.perf_counter_ns(), True
         deadline_s = time.monotonic() + REST_WITHIN_S
         while module.switch_ns < requested_ns and time.monotonic() < deadline_s:
             self.command(0.0)
@@ -78,7 +78,7 @@ class TmclDrive(Drive):
         return module.switch_closed
 
     def _step(self) -> None:
-        module, now_ns = self._module, time.monotonic_ns()
+        module, now_ns = self._module, time.perf_counter_ns()
         try:
             # A rotate command separates any two reads. So an answer that is late by a whole request
             # meets a request with another command number, and is ignored.
@@ -113,7 +113,7 @@ class TmclDrive(Drive):
         The withdrawal continues in either case, as the module may execute commands without
         answering.
         """
-        now_ns = time.monotonic_ns()
+        now_ns = time.perf_counter_ns()
         with self._lock.acquire_or_proceed():
             self._supervisor.mark_unsent(now_ns)
             if error.kind in TRANSIENT:

@@ -187,12 +187,12 @@ class TmclModule:
     def rotate(self, velocity: int) -> None:
         """Run at a velocity in the module's units."""
         self._line.request(Command.ROTATE_RIGHT, 0, self._scene.motor, velocity)
-        self.received_ns = time.monotonic_ns()
+        self.received_ns = time.perf_counter_ns()
 
     def read(self, parameter: Parameter) -> None:
         """Read an axis parameter. A DriveError of kind "fault" names the cause of a stop."""
         number = self._line.request(Command.GET_AXIS, parameter, self._scene.motor)
-        self.received_ns = time.monotonic_ns()
+        self.received_ns = time.perf_counter_ns()
         match parameter:
             case Parameter.ACTUAL_POSITION:
                 self.position_m = self._axis.units.position_m(number)

@@ -82,7 +82,7 @@ class LiveProbe:
         limits: ProbeLimits,
         drive: Drive,
         sensor: SampleSensor,
-        clock: Callable[[], int] = time.monotonic_ns,
+        clock: Callable[[], int] = time.perf_counter_ns,
     ) -> None:
         self.channels, self.period_ns = sensor.channels, sensor.period_ns
         self._drive, self._sensor, self._clock = drive, sensor, clock

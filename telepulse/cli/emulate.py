@@ -162,7 +162,12 @@ def sensor(
         table = source_table(port.path, board.rate_hz, framing, samples, board.channels)
         console.print(table, markup=False)
         freeze_objects()
-        play(board, port, time.monotonic_ns() + round((seconds or FOREVER_S) * 1e9), stopped.is_set)
+        play(
+            board,
+            port,
+            time.perf_counter_ns() + round((seconds or FOREVER_S) * 1e9),
+            stopped.is_set,
+        )
     console.print(
         f"{count_text(board.sampled, 'sample')} sent,"
         f" {count_text(port.dropped, 'byte')} that nobody read"
@@ -215,7 +220,7 @@ def tmcl(
 
         def poll() -> None:
             serve(POLL_S)
-            motor.advance(time.monotonic_ns())
+            motor.advance(time.perf_counter_ns())
 
         run = DriveRun(motor, film_link, trace, open_things, board)
         _say(f"TMCL module on {place}", film_link)
@@ -304,7 +309,7 @@ def _load(
     if (stepper := display.actuator.stepper) is None:
         raise SceneError(f'{path}: a drive needs [display.actuator] kind = "stepper"')
     law = stepper.contact(display.layer.layer())
-    now_ns = time.monotonic_ns()
+    now_ns = time.perf_counter_ns()
     return drive, EmulatedMotor(stepper, law, drive.touch_m, now_ns), None
 
 
@@ -320,7 +325,7 @@ def _load_probe(
     assert press is not None
     stepper = StepperScene.model_validate({"kind": "stepper"})
     stepper = stepper.model_copy(update=press.motor.model_dump())
-    now_ns = time.monotonic_ns()
+    now_ns = time.perf_counter_ns()
     motor = EmulatedMotor(stepper, TissueContact(source), drive.touch_m, now_ns)
     return drive, motor, WristBoard(source)
 

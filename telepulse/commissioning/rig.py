@@ -89,7 +89,7 @@ class HardwareRig:
         self.tick_s = tick_s
         self._drive = drive
         self._film = film
-        self._began_ns = time.monotonic_ns()
+        self._began_ns = time.perf_counter_ns()
         self._pacer = Pacer(round(tick_s * 1e9), self._began_ns)
         film.poll()
 
@@ -98,9 +98,9 @@ class HardwareRig:
 
         Raises DriveError when the drive has failed.
         """
-        commanded_ns = time.monotonic_ns()
+        commanded_ns = time.perf_counter_ns()
         self._drive.command(output)
-        while self._pacer.begin(now_ns := time.monotonic_ns()) is None:
+        while self._pacer.begin(now_ns := time.perf_counter_ns()) is None:
             time.sleep((self._pacer.due_ns - now_ns) * 1e-9)
         fault = self._drive.status().fault
         if fault is not None:
@@ -133,7 +133,7 @@ def listen(sensor: Sensor, seconds: float) -> dict[str, SensorRecord]:
     while time.monotonic() < end_s:
         time.sleep(POLL_S)
         for reading in sensor.poll():
-            arrivals_ns.append(time.monotonic_ns())
+            arrivals_ns.append(time.perf_counter_ns())
             readings.append(reading)
     if not readings:
         raise BenchError(

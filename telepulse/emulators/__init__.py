@@ -1,7 +1,7 @@
 """Emulated sensor boards and drives, byte for byte; their serial ports are pseudo-terminals."""
 
 import os
-import tty
+import sys
 from contextlib import suppress
 from pathlib import Path
 
@@ -13,10 +13,14 @@ class PtyPort:
 
     path: the other end, which another program opens, or `link`, a symbolic link to it that replaces
     one of an earlier run. dropped: bytes dropped because the kernel's buffer was full, as on a
-    board with USB. Raises OutputError where the link cannot be made.
+    board with USB. Raises OutputError where the link cannot be made, and on Windows.
     """
 
     def __init__(self, link: Path | None) -> None:
+        if sys.platform == "win32":
+            raise OutputError("Windows has no pseudo-terminals, which emulated serial ports need")
+        import tty
+
         self._ours, self._theirs = os.openpty()
         # Kept open: otherwise the terminal would end when its first reader closes it.
         tty.setraw(self._theirs)

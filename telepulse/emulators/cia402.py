@@ -193,13 +193,13 @@ class _FaultyNetwork(canopen.Network):
     def send_message(self, can_id: int, data: bytes, remote: bool = False) -> None:
         """Send a frame, unless the injected fault drops or delays it."""
         self._injector.queue_answer(
-            _IDENTIFIER.pack(can_id) + bytes(data), time.monotonic_ns(), header=_IDENTIFIER.size
+            _IDENTIFIER.pack(can_id) + bytes(data), time.perf_counter_ns(), header=_IDENTIFIER.size
         )
         self.send_due()
 
     def send_due(self) -> None:
         """Send the frames that were delayed until now."""
-        for frame in self._injector.due_answers(time.monotonic_ns()):
+        for frame in self._injector.due_answers(time.perf_counter_ns()):
             (can_id,) = _IDENTIFIER.unpack_from(frame)
             super().send_message(can_id, frame[_IDENTIFIER.size :])
 
@@ -246,7 +246,7 @@ class EmulatedCia402Node:
         """Advance to the present and send due frames; call it every few milliseconds."""
         with self._lock:
             drive, now_s = self.drive, time.monotonic()
-            drive.advance(time.monotonic_ns())
+            drive.advance(time.perf_counter_ns())
             state = (drive.statusword, drive.error_code)
             due = now_s - self._sent_s >= TPDO_S or state != self._last_sent
             if due and self._operational and not self.silent:
@@ -274,13 +274,13 @@ class EmulatedCia402Node:
         if self.silent:
             raise canopen.SdoAbortedError(0x0504_0000)
         with self._lock:
-            self.drive.advance(time.monotonic_ns())
+            self.drive.advance(time.perf_counter_ns())
             return self._value(index)
 
     def _on_write(self, index: int, subindex: int, od: Any, data: bytes) -> None:
         value: int = od.decode_raw(data)
         with self._lock:
-            self.drive.advance(time.monotonic_ns())
+            self.drive.advance(time.perf_counter_ns())
             match index, subindex:
                 case 0x6060, _:
                     self.drive.select(value)
@@ -295,7 +295,7 @@ class EmulatedCia402Node:
 
     def _on_heartbeat(self, can_id: int, _: bytearray, __: float) -> None:
         with self._lock:
-            self.drive.advance(time.monotonic_ns())
+            self.drive.advance(time.perf_counter_ns())
             if can_id == self._heartbeat_id and self._heartbeat_ns:
                 self.motor.set_watchdog(self._heartbeat_ns)
 
@@ -323,7 +323,7 @@ class EmulatedCia402Node:
 
     def _on_sync(self, _: int, __: bytearray, ___: float) -> None:
         with self._lock:
-            self.drive.advance(time.monotonic_ns())
+            self.drive.advance(time.perf_counter_ns())
             if self._waiting is not None:
                 stored = self._stored
                 self.drive.search_by(stored(0x6098), stored(0x6099, 1), stored(0x6099, 2))

@@ -114,7 +114,7 @@ class DriveRun:
             if fault and not self._active_fault and due:
                 self._active_fault = fault
                 if injected is not None:
-                    self._motor.injector.begin(injected, time.monotonic_ns())
+                    self._motor.injector.begin(injected, time.perf_counter_ns())
                 elif fault in MOTOR_FAULTS:
                     self._motor.fail(MOTOR_FAULTS[fault])
                 elif fault != FILM_SILENT:

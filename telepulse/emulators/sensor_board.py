@@ -132,7 +132,7 @@ def build_board(
     # A real board sends its readings, plausible or not.
     source = build_source(scene, folder, plausible=False)
     encode = binary(samples, source.channels) if framing == "binary" else LINES[framing]
-    return SensorBoard(source, encode, behaviour, time.monotonic_ns())
+    return SensorBoard(source, encode, behaviour, time.perf_counter_ns())
 
 
 def source_table(
@@ -162,9 +162,9 @@ def source_table(
 
 def play(board: SensorBoard, port: PtyPort, until_ns: int, stopped: Callable[[], bool]) -> None:
     """Write the board's deliveries until it is stopped, or until a time."""
-    while not stopped() and (now_ns := time.monotonic_ns()) < until_ns:
+    while not stopped() and (now_ns := time.perf_counter_ns()) < until_ns:
         wait_ns = min(board.next_delivery_ns, until_ns) - now_ns
         if wait_ns > 0:
             time.sleep(min(wait_ns * 1e-9, 0.1))
-        if time.monotonic_ns() >= board.next_delivery_ns:
-            port.write(board.deliver(time.monotonic_ns()))
+        if time.perf_counter_ns() >= board.next_delivery_ns:
+            port.write(board.deliver(time.perf_counter_ns()))

@@ -212,9 +212,9 @@ class EmulatedSerialLine:
         """Take the requests that come within `wait_s`, and send the answers that are due."""
         readable, _, _ = select.select([self._port], [], [], wait_s)
         if readable:
-            for request in self._datagrams.feed(self._port.read(), time.monotonic_ns()):
-                self._module.receive(request, time.monotonic_ns())
-        for reply in self._module.injector.due_answers(time.monotonic_ns()):
+            for request in self._datagrams.feed(self._port.read(), time.perf_counter_ns()):
+                self._module.receive(request, time.perf_counter_ns())
+        for reply in self._module.injector.due_answers(time.perf_counter_ns()):
             self._port.write(reply)
 
     def close(self) -> None:
@@ -238,8 +238,8 @@ class EmulatedCanLine:
         # A bus that also delivers our own frames does so with the host's identifier.
         if frame is not None and len(frame.data) >= 7:
             request = self._address + bytes(frame.data[:7])
-            self._module.receive(request + bytes([checksum(request)]), time.monotonic_ns())
-        for reply in self._module.injector.due_answers(time.monotonic_ns()):
+            self._module.receive(request + bytes([checksum(request)]), time.perf_counter_ns())
+        for reply in self._module.injector.due_answers(time.perf_counter_ns()):
             data, identifier = reply[1:8], reply[0]
             self._bus.send(can.Message(arbitration_id=identifier, is_extended_id=False, data=data))
 

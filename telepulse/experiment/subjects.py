@@ -239,7 +239,7 @@ class Person:
     def _play(self, interval: Interval) -> PlayedInterval | None:
         """Play an interval to its end; return None if the session ends."""
         hardware = self._hardware
-        playing = IntervalPlayback(interval, time.monotonic_ns(), hardware)
+        playing = IntervalPlayback(interval, time.perf_counter_ns(), hardware)
         if hardware is not None:
             _await_film(hardware)
         self._display = playing.display
@@ -269,16 +269,16 @@ def _await_film(hardware: Hardware) -> None:
     Building a display takes a while, in which nothing is read. The display reports a silent film.
     """
     until_s = time.monotonic() + FILM_WITHIN_S
-    while not hardware.feedback.alive(time.monotonic_ns()) and time.monotonic() < until_s:
+    while not hardware.feedback.alive(time.perf_counter_ns()) and time.monotonic() < until_s:
         hardware.read()
         time.sleep(POLL_S)
 
 
 def _run_ticks(tick_ns: int, tick: Callable[[int, int], bool]) -> None:
     """Call tick(due_ns, elapsed_ticks) when it is due, until it returns False."""
-    pacer, goes_on = Pacer(tick_ns, time.monotonic_ns()), True
+    pacer, goes_on = Pacer(tick_ns, time.perf_counter_ns()), True
     while goes_on:
-        now_ns = time.monotonic_ns()
+        now_ns = time.perf_counter_ns()
         begun = pacer.begin(now_ns)
         if begun is None:
             time.sleep((pacer.due_ns - now_ns) * 1e-9)

@@ -245,7 +245,7 @@ class MetricsServer(Collector):
 
     def collect(self) -> Iterator[Metric]:
         """Yield the metrics of now, for a request; called from any thread."""
-        yield from families(self._program, self._node, time.monotonic_ns(), self._unreadable)
+        yield from families(self._program, self._node, time.perf_counter_ns(), self._unreadable)
 
     def follow(self, address: str, key: str | None) -> None:
         """Read a node's telemetry, without end."""
@@ -265,7 +265,7 @@ class MetricsServer(Collector):
                     self._unreadable += 1
 
     def _take(self, view: TerminalView, age: StatusAge, topic: bytes, data: bytes) -> None:
-        now_ns = time.monotonic_ns()
+        now_ns = time.perf_counter_ns()
         if topic == TRACE:
             traces = read_trace(data)
             trace = traces[0]

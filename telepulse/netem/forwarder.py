@@ -81,7 +81,7 @@ class Forwarder:
     """
 
     def __init__(self, pairs: Sequence[tuple[int, int]], links: Sequence[str], seed: int) -> None:
-        self.began_ns = time.monotonic_ns()
+        self.began_ns = time.perf_counter_ns()
         self._pairs, self._seed = pairs, seed
         # By device: the direction that its packets take, and the device they come out of.
         self._paths: dict[int, tuple[Direction, int]] = {}
@@ -148,14 +148,14 @@ class Forwarder:
             if any(one.drops(packet, towards) for one in filters):
                 self._lost += 1
                 continue
-            due_ns = direction.arrival_ns(time.monotonic_ns(), len(packet))
+            due_ns = direction.arrival_ns(time.perf_counter_ns(), len(packet))
             if due_ns is not None:
                 heapq.heappush(self._waiting, (due_ns, next(self._order), other, packet))
 
     def _deliver(self) -> int:
         """Write the due packets; return the time in ns until the next one."""
         while self._waiting:
-            late_ns = time.monotonic_ns() - self._waiting[0][0]
+            late_ns = time.perf_counter_ns() - self._waiting[0][0]
             if late_ns < 0:
                 return min(-late_ns, IDLE_NS)
             _, _, tun, packet = heapq.heappop(self._waiting)

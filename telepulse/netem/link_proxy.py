@@ -36,7 +36,7 @@ class LinkProxy:
         client_keys: ClientKeys | None = None,
         server_keys: ServerKeys | None = None,
     ) -> None:
-        now_ns = time.monotonic_ns()
+        now_ns = time.perf_counter_ns()
         down, up = (MessageLink(scene, seed + i, now_ns) for i in (0, 1))
         self._stopping = False
         self._waiting: list[tuple[int, int, sockets.Socket, list[bytes]]] = []
@@ -66,10 +66,10 @@ class LinkProxy:
 
     def run(self, seconds: float | None = None) -> None:
         """Pass messages on until stopped, or for `seconds`."""
-        end_ns = math.inf if seconds is None else time.monotonic_ns() + seconds * 1e9
+        end_ns = math.inf if seconds is None else time.perf_counter_ns() + seconds * 1e9
         readable = [*self._paths, *self._authenticator.sockets]
         try:
-            while not self._stopping and (now_ns := time.monotonic_ns()) < end_ns:
+            while not self._stopping and (now_ns := time.perf_counter_ns()) < end_ns:
                 self._authenticator.poll(now_ns)
                 self._receive()
                 sockets.wait_readable(readable, self._deliver())
@@ -80,14 +80,14 @@ class LinkProxy:
         self._subscribers.poll()
         for source, (onto, arrival_ns) in self._paths.items():
             for parts in sockets.receive_multipart(source):
-                due_ns = arrival_ns(time.monotonic_ns(), sum(map(len, parts)))
+                due_ns = arrival_ns(time.perf_counter_ns(), sum(map(len, parts)))
                 if due_ns is not None:
                     heapq.heappush(self._waiting, (due_ns, next(self._order), onto, parts))
 
     def _deliver(self) -> int:
         """Send the due messages; return the time in ns until the next one."""
         while self._waiting:
-            wait_ns = self._waiting[0][0] - time.monotonic_ns()
+            wait_ns = self._waiting[0][0] - time.perf_counter_ns()
             if wait_ns > 0:
                 return min(wait_ns, IDLE_NS)
             _, _, socket, parts = heapq.heappop(self._waiting)

@@ -5,12 +5,13 @@ and flags are those of <linux/if_tun.h>, <linux/if.h> and <linux/sockios.h>.
 """
 
 import ctypes
-import fcntl
 import os
 import socket
 import struct
+import sys
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
+from functools import cache
 
 from protocol.errors import TelepulseError
 
@@ -32,7 +33,7 @@ def open_tun(name: str, address: str) -> int:
     descriptor = os.open(TUN_PATH, os.O_RDWR | os.O_NONBLOCK | os.O_CLOEXEC)
     try:
         flags = _IFF_TUN | _IFF_NO_PI
-        fcntl.ioctl(descriptor, _TUNSETIFF, struct.pack("16sH14x", name.encode(), flags))
+        _control(descriptor, _TUNSETIFF, struct.pack("16sH14x", name.encode(), flags))
         _set(name, _SIOCSIFADDR, _internet(address))
         _set(name, _SIOCSIFNETMASK, _internet(_NETMASK))
         _set(name, _SIOCSIFMTU, struct.pack("i", MTU_BYTES))
@@ -50,7 +51,14 @@ def bring_up(name: str) -> None:
 
 def _set(name: str, request: int, value: bytes) -> None:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as control:
-        fcntl.ioctl(control, request, struct.pack("16s24s", name.encode(), value))
+        _control(control.fileno(), request, struct.pack("16s24s", name.encode(), value))
+
+
+def _control(descriptor: int, request: int, argument: bytes) -> None:
+    # Windows has no such module; the link proxy, in this package, runs there.
+    import fcntl
+
+    fcntl.ioctl(descriptor, request, argument)
 
 
 def _internet(address: str) -> bytes:
@@ -60,7 +68,11 @@ def _internet(address: str) -> bytes:
 
 _CLONE_NEWNET = 0x40000000
 _OURS = "/proc/thread-self/ns/net"
-_libc = ctypes.CDLL(None, use_errno=True)
+
+
+@cache
+def _libc() -> ctypes.CDLL:
+    return ctypes.CDLL(None, use_errno=True)
 
 
 class EmulatorError(TelepulseError, OSError):
@@ -72,12 +84,14 @@ class EmulatorError(TelepulseError, OSError):
 
 def unavailable() -> str | None:
     """Return why namespaces and TUN devices cannot be made here; None when they can."""
+    if sys.platform != "linux":
+        return "the link emulator needs Linux"
     if os.geteuid() != 0:
         return "the link emulator needs root"
     try:
         os.close(os.open(TUN_PATH, os.O_RDWR))
         with _back_afterwards():
-            _check(_libc.unshare(_CLONE_NEWNET))
+            _check(_libc().unshare(_CLONE_NEWNET))
     except OSError as error:
         return f"the link emulator needs {TUN_PATH} and network namespaces: {error.strerror}"
     return None
@@ -94,7 +108,7 @@ class Namespace:
         self._descriptors = ExitStack()
         try:
             with _back_afterwards():
-                _check(_libc.unshare(_CLONE_NEWNET))
+                _check(_libc().unshare(_CLONE_NEWNET))
                 self.descriptor = self._kept(os.open(_OURS, os.O_RDONLY))
                 bring_up("lo")
                 self.tuns = tuple(
@@ -122,7 +136,7 @@ class Namespace:
     def entered(self) -> Iterator[None]:
         """Enter the namespace; sockets and programs opened inside stay there."""
         with _back_afterwards():
-            _check(_libc.setns(self.descriptor, _CLONE_NEWNET))
+            _check(_libc().setns(self.descriptor, _CLONE_NEWNET))
             yield
 
 
@@ -133,7 +147,7 @@ def _back_afterwards() -> Iterator[None]:
     try:
         yield
     finally:
-        _check(_libc.setns(home, _CLONE_NEWNET))
+        _check(_libc().setns(home, _CLONE_NEWNET))
         os.close(home)
 
 

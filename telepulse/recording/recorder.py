@@ -48,7 +48,7 @@ class McapRecorder:
             message is removed.
         """
         provenance = None
-        flush_ns = time.monotonic_ns() + FLUSH_EVERY_NS
+        flush_ns = time.perf_counter_ns() + FLUSH_EVERY_NS
         self._client.subscribe()
         try:
             for entries in self._client.follow(str(self._path), seconds, silence_s, display_pid):
@@ -57,7 +57,7 @@ class McapRecorder:
                 if self._decoder.provenance != provenance:
                     provenance = self._decoder.provenance
                     self._file.describe(provenance or {})
-                now_ns = time.monotonic_ns()
+                now_ns = time.perf_counter_ns()
                 if now_ns >= flush_ns:
                     flush_ns = now_ns + FLUSH_EVERY_NS
                     self._report_disk(self._file.flush())

@@ -79,12 +79,12 @@ class TelemetryClient:
         started this process. Its first message comes only after its drive has homed: before that,
         silence counts only once the display has ended.
         """
-        begin_ns = received_ns = time.monotonic_ns()
+        begin_ns = received_ns = time.perf_counter_ns()
         longest_ns, silent_ns = (
             math.inf if given_s is None else given_s * 1e9 for given_s in (seconds, silence_s)
         )
         while not (self._stopping or self.decoder.ended):
-            now_ns = time.monotonic_ns()
+            now_ns = time.perf_counter_ns()
             if not self.decoder.started and os.getppid() == display_pid:
                 received_ns = now_ns
             for entries in self.messages():

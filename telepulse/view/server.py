@@ -68,7 +68,7 @@ class AdmittingRouter(Router):
         elif request.path in OPENING:
             if len(self._pages.get_sessions("/")) >= MAX_VIEWERS:
                 reason = f"{MAX_VIEWERS} pages are open, the largest number allowed; close one"
-            elif not self._opened.take(time.monotonic_ns()):
+            elif not self._opened.take(time.perf_counter_ns()):
                 reason = "too many pages were opened at once; try again in a few seconds"
         if reason is None:
             return self._pages.find_handler(request)
@@ -135,7 +135,7 @@ class PageServer:
         self, address: str, host: str, port: int | None, keys: ClientKeys | None = None
     ) -> None:
         self._live = LiveState()
-        self._began_ns = time.monotonic_ns()
+        self._began_ns = time.perf_counter_ns()
         self._local = not beyond_loopback(address)
         self._age = StatusAge(self._local)
         self._client = TelemetryClient(address, keys)
@@ -161,7 +161,7 @@ class PageServer:
     def run(self, seconds: float | None = None) -> None:
         """Serve until stopped, or for `seconds`."""
         if seconds is not None:
-            self._end_ns = time.monotonic_ns() + seconds * 1e9
+            self._end_ns = time.perf_counter_ns() + seconds * 1e9
         try:
             self._server.start()
             self._polling.start()
@@ -203,12 +203,12 @@ class PageServer:
 
     def _silent_ns(self) -> int:
         """Return the age of the display's last status; before the first, the time without one."""
-        now_ns = time.monotonic_ns()
+        now_ns = time.perf_counter_ns()
         age_ns = self._age.age_ns(now_ns)
         return now_ns - self._began_ns if age_ns is None else age_ns
 
     def _poll_telemetry(self) -> None:
-        now_ns = time.monotonic_ns()
+        now_ns = time.perf_counter_ns()
         for entries in self._client.messages():
             stamps_ns = [entry.fields["now_ns"] for entry in entries if entry.topic == TICK]
             if stamps_ns:

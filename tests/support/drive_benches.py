@@ -177,7 +177,7 @@ def real_bench(kind: str, **keys: Any) -> Iterator[Bench]:
     place = str(port.path) if kind == "tmcl" else channel
     scene = drive_scene(kind, place, **PATIENT, **keys)
     actuator = stepper()
-    motor = emulated_motor(scene, actuator, time.monotonic_ns())
+    motor = emulated_motor(scene, actuator, time.perf_counter_ns())
     bench = Bench(scene, actuator, motor, line=port)
     if isinstance(scene, Cia402Scene):
         node = bench.emulator = EmulatedCia402Node(scene, motor, bus)
@@ -188,7 +188,7 @@ def real_bench(kind: str, **keys: Any) -> Iterator[Bench]:
         line = (
             EmulatedSerialLine(module, port) if bus is None else EmulatedCanLine(module, scene, bus)
         )
-        parts = [partial(line.serve, 0.002), lambda: motor.advance(time.monotonic_ns())]
+        parts = [partial(line.serve, 0.002), lambda: motor.advance(time.perf_counter_ns())]
         close = line.close
     with closing(bench.drive), polled(lambda: [part() for part in parts]):
         yield bench

@@ -139,7 +139,7 @@ class EmulatedBench:
 
     def await_rest(self, withdrawn: bool = False) -> None:
         """Wait until the motor has rested for 100 ms; withdrawn: and its film is free of force."""
-        began_ns = time.monotonic_ns()
+        began_ns = time.perf_counter_ns()
 
         def rests() -> bool:
             text = (self.folder / "motor.csv").read_text("utf-8")

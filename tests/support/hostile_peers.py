@@ -121,7 +121,7 @@ def flood_with_requests(address: str, seconds: float) -> int:
         while time.monotonic() < end_s:
             for _ in range(100):
                 try:
-                    peer.send(encode_control(ClockRequest(time.monotonic_ns())), zmq.NOBLOCK)
+                    peer.send(encode_control(ClockRequest(time.perf_counter_ns())), zmq.NOBLOCK)
                     count += 1
                 except zmq.Again:
                     time.sleep(0.0005)

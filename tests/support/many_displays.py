@@ -35,9 +35,9 @@ class Listener:
         """Process what has arrived, and send due requests."""
         receiver = self.receiver
         for message in sockets.receive_parts(self.control):
-            receiver.on_control(message, time.monotonic_ns())
+            receiver.on_control(message, time.perf_counter_ns())
         for message in sockets.receive_parts(self.data):
-            receiver.on_frame(message, time.monotonic_ns())
+            receiver.on_frame(message, time.perf_counter_ns())
         for request in receiver.requests(now_ns):
             sockets.send(self.control, encode_control(request))
         if receiver.accepts_frames:
@@ -48,7 +48,7 @@ class Listener:
 
     @property
     def over(self) -> bool:
-        buffer, now_ns = self.receiver.buffer, time.monotonic_ns()
+        buffer, now_ns = self.receiver.buffer, time.perf_counter_ns()
         return buffer.ended and self.receiver.over(now_ns, PLAYED_AFTER_NS)
 
 
@@ -63,7 +63,7 @@ def main() -> None:
     print("listening", flush=True)
     while not all(listener.over for listener in displays):
         poller.poll(POLL_MS)
-        now_ns = time.monotonic_ns()
+        now_ns = time.perf_counter_ns()
         for listener in displays:
             listener.poll(now_ns)
     accounts = [listener.receiver.account() for listener in displays]

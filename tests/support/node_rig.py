@@ -42,7 +42,7 @@ class Node(NodeProcess):
             self.read_line(STARTS_WITHIN_S, from_stderr=True)
         except ProcessError as error:
             raise RigError(str(error)) from None
-        self.listening_ns = time.monotonic_ns()
+        self.listening_ns = time.perf_counter_ns()
 
     def pause(self) -> None:
         self.send_signal(signal.SIGSTOP)

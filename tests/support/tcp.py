@@ -56,7 +56,7 @@ def stream(
 
     def send() -> None:
         for number in range(messages):
-            sent_ns.append(time.monotonic_ns())
+            sent_ns.append(time.perf_counter_ns())
             sensing.sendall(bytes([number % 256]))
             time.sleep(step_ms * 1e-3)
 
@@ -65,7 +65,7 @@ def stream(
     read_ns: list[int] = []
     try:
         while len(read_ns) < messages:
-            data, now_ns = display.recv(4096), time.monotonic_ns()
+            data, now_ns = display.recv(4096), time.perf_counter_ns()
             assert data == bytes((len(read_ns) + i) % 256 for i in range(len(data)))
             read_ns += [now_ns] * len(data)
     finally:

@@ -67,7 +67,7 @@ class TelemetryPublisher:
         self.receive(CONTROL, encode_control(Welcome(session, 0, description())))
 
     def receive(self, path: int, data: bytes) -> None:
-        now_ns = time.monotonic_ns()
+        now_ns = time.perf_counter_ns()
         self.publisher.captured.add(now_ns, path, data)
         if path == CONTROL:
             self.publisher.captured.welcome(now_ns, data)
@@ -80,7 +80,7 @@ class TelemetryPublisher:
 
     def tick(self, session: int = SESSION) -> bool:
         """Tick, with a frame every fifth time; return whether a status is due."""
-        now_ns = time.monotonic_ns()
+        now_ns = time.perf_counter_ns()
         if self.ticks % BATCH == 0:
             self.receive(0, encode_frame(numbered_frame(self.frames, session)))
             self.frames += 1

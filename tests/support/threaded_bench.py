@@ -165,7 +165,7 @@ class ThreadedBench:
         )
         sensor = None
         if isinstance(scene.feedback, SerialScene):
-            clock = self.world.monotonic_ns
+            clock = self.world.perf_counter_ns
             sensor = Sensor(self.film, scene.feedback.decoder(), scene.feedback, clock=clock)
         self.hardware = scene.hardware(self.drive, sensor)
         try:
@@ -195,9 +195,9 @@ class ThreadedBench:
     def _loop(self) -> None:
         """Run the loop of `display_node.node.DisplayNode.run`, without sockets."""
         world = self.world
-        pacer = Pacer(self.scene.tick_ns, world.monotonic_ns())
+        pacer = Pacer(self.scene.tick_ns, world.perf_counter_ns())
         while not self._stopping:
-            now_ns = world.monotonic_ns()
+            now_ns = world.perf_counter_ns()
             tick = pacer.begin(now_ns)
             if tick is None:
                 world.sleep((pacer.due_ns - now_ns) * 1e-9)
@@ -220,7 +220,7 @@ class ThreadedBench:
         self.on_tick(now_ns, felt.target_n)
         if self.faults and self.fault_ns is None:
             self.fault_ns = self.world.now_ns
-        for request in self.display.requests(self.world.monotonic_ns()):
+        for request in self.display.requests(self.world.perf_counter_ns()):
             sent_ns = self.world.now_ns
             answer = self._sender.answer(request, sent_ns + NETWORK_NS)
             if answer is not None and self.sending:

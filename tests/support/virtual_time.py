@@ -206,7 +206,7 @@ class VirtualTime:
             self._push(until_ns, thread, thread.waits)
         self.hub.switch()
 
-    def monotonic_ns(self) -> int:
+    def perf_counter_ns(self) -> int:
         look_ns = self.now_ns
         if self.current is not None and self._interruption is not None:
             readings, begin = self._interruption
@@ -218,7 +218,7 @@ class VirtualTime:
         return look_ns
 
     def monotonic(self) -> float:
-        return self.monotonic_ns() * 1e-9
+        return self.perf_counter_ns() * 1e-9
 
     def sleep(self, seconds: float) -> None:
         VirtualEvent(self).wait(seconds)
@@ -232,7 +232,7 @@ class VirtualTime:
     def substituted(self, prefixes: Sequence[str]) -> Iterator[None]:
         """Replace `time` and `threading` in all loaded modules with one of these prefixes."""
         clock = SimpleNamespace(
-            monotonic_ns=self.monotonic_ns, monotonic=self.monotonic, sleep=self.sleep
+            perf_counter_ns=self.perf_counter_ns, monotonic=self.monotonic, sleep=self.sleep
         )
         kinds = {"Thread": VirtualThread, "Event": VirtualEvent, "Lock": VirtualLock}
         threads = SimpleNamespace(**{name: partial(kind, self) for name, kind in kinds.items()})

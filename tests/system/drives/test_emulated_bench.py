@@ -68,7 +68,7 @@ def test_a_terminated_display_withdraws_the_tip(tmp_path: Path) -> None:
         bench.processes["sensing"].kill()
         played = bench.await_state("stale")["samples"]["played"]
         bench.await_rest(withdrawn=True)
-        silent_ns.append(time.monotonic_ns())
+        silent_ns.append(time.perf_counter_ns())
         bench.start_sensing()
         bench.await_state("playing", played=played + PLAYED)
         summary = bench.end()
@@ -103,7 +103,7 @@ def test_a_display_that_was_stopped_withdraws_the_tip(kind: str, tmp_path: Path)
         time.sleep(2e-3 * PATIENCE_MS)
         display.send_signal(signal.SIGCONT)
         until(lambda: bench.await_state("fault")["finger"] == "withdrawn", WITHDRAWN_WITHIN_S)
-        withdrawn_ns.append(time.monotonic_ns())
+        withdrawn_ns.append(time.perf_counter_ns())
         summary = bench.end()
         assert summary["samples"]["played"] > 0
         assert "no command for" in summary["faults"][0]

@@ -21,11 +21,11 @@ def round_trips_ms(link: EmulatedLink, count: int, number: int = 0) -> list[floa
     trips_ms = []
     with connected(link, number) as (sensing, display):
         for _ in range(count):
-            began_ns = time.monotonic_ns()
+            began_ns = time.perf_counter_ns()
             display.sendall(b"?")
             sensing.sendall(sensing.recv(1))
             assert display.recv(1) == b"?"
-            trips_ms.append((time.monotonic_ns() - began_ns) / MS)
+            trips_ms.append((time.perf_counter_ns() - began_ns) / MS)
     return trips_ms
 
 
@@ -98,13 +98,13 @@ def test_a_rate_limit_is_kept() -> None:
         emulate(parse_link("delay=5ms,rate=1Mbit/s")) as link,
         connected(link) as (sensing, display),
     ):
-        began_ns = time.monotonic_ns()
+        began_ns = time.perf_counter_ns()
         data = bytes(60_000)
         sensing.sendall(data)
         received = 0
         while received < len(data):
             received += len(display.recv(65_536))
-        elapsed_s = (time.monotonic_ns() - began_ns) * 1e-9
+        elapsed_s = (time.perf_counter_ns() - began_ns) * 1e-9
     # Headers add some percent; a sender that slows down may take twice as long.
     assert 1 < elapsed_s / (len(data) * 8 / 1e6) < 4
 

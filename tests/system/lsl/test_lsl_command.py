@@ -33,9 +33,9 @@ class Source(TelemetryPublisher):
 
     def send_clock(self, session: int = SESSION) -> None:
         """Send replies until the clock is accepted; its first sample is now."""
-        self.ahead_ns = FIRST_NS + self.ticks * MS - time.monotonic_ns()
+        self.ahead_ns = FIRST_NS + self.ticks * MS - time.perf_counter_ns()
         for _ in range(4):
-            self.receive(CONTROL, clock_reply(time.monotonic_ns(), self.ahead_ns, session))
+            self.receive(CONTROL, clock_reply(time.perf_counter_ns(), self.ahead_ns, session))
             time.sleep(0.025)
 
     def publish_for(self, ms: int, session: int = SESSION) -> None:
@@ -105,7 +105,7 @@ def test_an_inlet_receives_the_same_samples_at_the_same_intervals(
         assert apart_s[gap] == pytest.approx((1 + BATCH) * 1e-3, abs=2e-5)
         # The sample's instant on the host's clock, which LSL uses.
         sensing_s = (FIRST_NS + first * BATCH * MS - source.ahead_ns) * 1e-9
-        lsl_ahead_s = pylsl.local_clock() - time.monotonic_ns() * 1e-9
+        lsl_ahead_s = pylsl.local_clock() - time.perf_counter_ns() * 1e-9
         assert times_s[0] == pytest.approx(sensing_s + lsl_ahead_s, abs=0.05)
         forces_n, ticks_s = pulled(finger, 600)
         assert forces_n[0, 0] == 0.5

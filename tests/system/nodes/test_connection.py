@@ -78,7 +78,7 @@ def poll_until_connected(connection: Connection, monitor: Socket) -> None:
     end_s = time.monotonic() + PATIENCE_S
     while not monitor.poll(5):
         assert time.monotonic() < end_s
-        connection.poll(time.monotonic_ns())
+        connection.poll(time.perf_counter_ns())
 
 
 def poll(connection: Connection, from_ms: int, to_ms: int) -> list[int]:
@@ -210,7 +210,7 @@ def turning(context: Context, turns: int) -> tuple[Connection, Socket]:
     connection.subscribe(5 * MS, 0, 0)
 
     def connected() -> bool:
-        connection.poll(time.monotonic_ns())
+        connection.poll(time.perf_counter_ns())
         return len(connection.established) == turns + 1
 
     until(connected)
@@ -221,7 +221,7 @@ def test_set_points_take_turns_over_further_connections_and_clock_requests_follo
     context: Context,
 ) -> None:
     connection, server = turning(context, 3)
-    now_ns = time.monotonic_ns()
+    now_ns = time.perf_counter_ns()
     point = SetPoint(7, 5, 0, 0, 1, 1.0)
     # Before a set-point has opened them, the further ones would be taken for other displays.
     control = connection.control.socket
@@ -247,7 +247,7 @@ def test_further_connections_are_used_while_they_are_established(context: Contex
     address, point = str(server.getsockopt_string(zmq.LAST_ENDPOINT)), SetPoint(7, 5, 0, 0, 1, 1.0)
 
     def used() -> set[Socket]:
-        now_ns = time.monotonic_ns()
+        now_ns = time.perf_counter_ns()
         connection.poll(now_ns)
         return {connection.control_for(point, now_ns) for _ in range(4)}
 

@@ -220,7 +220,7 @@ def answer_for(control: zmq.Socket, seconds: float) -> bytes:
         if not control.poll(left_ms):
             break
         peer, message = control.recv_multipart()
-        now_ns = time.monotonic_ns()
+        now_ns = time.perf_counter_ns()
         match decode_control(message):
             case Hello():
                 reply = encode_control(Welcome(7, 0, description()))
@@ -233,7 +233,7 @@ def answer_for(control: zmq.Socket, seconds: float) -> bytes:
 
 
 def frame_now(first: int, session: int = 7, force_n: float = 0.3, ahead_s: float = 0.0) -> bytes:
-    t_ns = time.monotonic_ns() - 4_000_000 + round(ahead_s * 1e9)
+    t_ns = time.perf_counter_ns() - 4_000_000 + round(ahead_s * 1e9)
     return encode_frame(Frame(session, first, t_ns, 1_000_000, np.full((5, 1), force_n, "<f4")))
 
 

@@ -25,7 +25,7 @@ def test_late_and_missed_ticks_are_counted_separately(monkeypatch: pytest.Monkey
         now_ns += next(waits_ns)
 
     monkeypatch.setattr("display_node.doctor.jitter.sockets.wait_on_descriptors", wait)
-    monkeypatch.setattr("display_node.doctor.jitter.time.monotonic_ns", lambda: now_ns)
+    monkeypatch.setattr("display_node.doctor.jitter.time.perf_counter_ns", lambda: now_ns)
     ticks = Ticks()
     run_ticks(ticks, 1_000_000, 0.0055, [], lambda due_ns, n: worked.append((due_ns, n)))
     # The third began 2.4 ms late, when the next two were due; the last 9 ms late, after the end.

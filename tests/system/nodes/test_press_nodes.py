@@ -69,7 +69,7 @@ def await_hold_down(client: Client, low_n: float, high_n: float) -> float:
 
 
 def set_point(session: int, press: int, number: int, force_n: float) -> wire.SetPoint:
-    return wire.SetPoint(session, press, number, time.monotonic_ns(), 10**9, force_n)
+    return wire.SetPoint(session, press, number, time.perf_counter_ns(), 10**9, force_n)
 
 
 def test_both_nodes_account_for_every_set_point(address: str, tmp_path: Path) -> None:

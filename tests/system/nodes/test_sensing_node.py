@@ -64,9 +64,9 @@ def test_a_stream_from_hello_to_bye(address: str, client: Client, tmp_path: Path
         welcome = client.join()
         stream = welcome.description
         assert (stream.name, stream.period_ns, stream.batch) == ("radial pulse", 1_000_000, 5)
-        before_ns = time.monotonic_ns()
+        before_ns = time.perf_counter_ns()
         clock = client.ask(ClockRequest(12_345))
-        after_ns = time.monotonic_ns()
+        after_ns = time.perf_counter_ns()
         assert isinstance(clock, ClockReply)
         assert (clock.session, clock.t1_ns) == (welcome.session, 12_345)
         assert before_ns <= clock.t2_ns <= clock.t3_ns <= after_ns

@@ -34,7 +34,7 @@ class Connecting:
         while not done():
             assert time.monotonic() < end_s, self.monitor.rejected
             if authenticator is not None:
-                authenticator.poll(time.monotonic_ns())
+                authenticator.poll(time.perf_counter_ns())
             self._now_ns += 1_000_000_000
             self.monitor.poll(self._now_ns)
             time.sleep(0.002)
