@@ -184,9 +184,9 @@ class Tunnels:
 
         until_ns: on the monotonic clock; one that has passed serves what is ready.
         """
-        wait_ns = until_ns - time.monotonic_ns()
+        wait_ns = until_ns - time.perf_counter_ns()
         while not self._serve(max(0, wait_ns) * 1e-9) and wait_ns > 0:
-            wait_ns = until_ns - time.monotonic_ns()
+            wait_ns = until_ns - time.perf_counter_ns()
 
     def _serve(self, timeout_s: float) -> bool:
         """Serve the sockets that are ready; return whether one of them is no joined connection."""

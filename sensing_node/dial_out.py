@@ -74,7 +74,7 @@ class DialOut:
         (descriptor,) = sockets.descriptors([self._registry])
         self._tunnels.call(descriptor, lambda: None)
         while time.monotonic() < self._ends_s:
-            self._poll(now_ns := time.monotonic_ns())
+            self._poll(now_ns := time.perf_counter_ns())
             self._tunnels.run(0 if sockets.has_message(self._registry) else now_ns + WAIT_NS)
             if self._ends_s < float("inf") and not self._tunnels.open:
                 break

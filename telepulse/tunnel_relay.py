@@ -111,12 +111,12 @@ class TunnelRelay:
 
     def run(self, seconds: float | None = None) -> Summary:
         """Join connections and pass their bytes on until stopped, or for `seconds`."""
-        end_ns = math.inf if seconds is None else time.monotonic_ns() + seconds * 1e9
+        end_ns = math.inf if seconds is None else time.perf_counter_ns() + seconds * 1e9
         zeromq = [self._registry, *self._authenticator.sockets]
         for descriptor in sockets.descriptors(zeromq):
             self._tunnels.call(descriptor, lambda: None)
         try:
-            while not self._stopping and (now_ns := time.monotonic_ns()) < end_ns:
+            while not self._stopping and (now_ns := time.perf_counter_ns()) < end_ns:
                 self._authenticator.poll(now_ns)
                 self._receive_registrations(now_ns)
                 if now_ns >= self._next_check_ns:
@@ -139,7 +139,7 @@ class TunnelRelay:
         self._tunnels.call(listener, lambda: self._accept(listener, channel))
 
     def _accept(self, listener: socket.socket, channel: int | None) -> None:
-        now_ns = time.monotonic_ns()
+        now_ns = time.perf_counter_ns()
         for _ in range(ACCEPT_AT_ONCE):
             try:
                 connection, (host, *_) = listener.accept()
@@ -200,7 +200,7 @@ class TunnelRelay:
             self._drop(one)
         elif proven and one in self._unproven:
             self._unproven.remove(one)
-            one.deadline_ns = time.monotonic_ns() + WAIT_FOR_NODE_NS
+            one.deadline_ns = time.perf_counter_ns() + WAIT_FOR_NODE_NS
             assert one.channel is not None
             self._waiting[one.channel].append(one)
             self._join_waiting(one.channel)
