@@ -16,6 +16,7 @@ FROM_THERE = "--connect tcp://127.0.0.1:5555"
 STREAMING = "streaming 'radial pulse'"
 PROTECTED = "sensing-node scenes/radial.toml --bind tcp://*:5555 --key keys/wrist.key"
 BEHIND = "tests/system/links/test_behind_routers.py"
+PROMETHEUS = "tests/system/metrics/test_prometheus.py"
 SSH = "ssh -o ExitOnForwardFailure=yes -o ServerAliveInterval=5"
 RELAY = (
     "telepulse relay --connect tcp://SENSING:5555 --bind tcp://*:5655 --key keys/relay.key"
@@ -227,6 +228,10 @@ UNRUN = {
     f"{PLAY} --named 'radial pulse on ward-3' --key keys/finger.key --peer wrist.pub": MULTICAST,
     "telepulse discover": MULTICAST,
     "curl -s http://127.0.0.1:9100/metrics": "a reader's own; tests/system/metrics",
+    "promtool check config docs/monitoring/prometheus.yml": PROMETHEUS,
+    "prometheus --config.file docs/monitoring/prometheus.yml --web.listen-address 127.0.0.1:9090": (
+        PROMETHEUS
+    ),
     "make test": "is what runs this",
     "make test-all": "is what runs this",
     "make size": "counts lines",

@@ -11,7 +11,7 @@ from tests.support.nodes import ROOT
 
 PROGRAMS = ("telepulse", "sensing-node", "display-node", "make", "python", "pip", "docker")
 # Programs that are not telepulse's.
-OTHERS = ("source", "pre-commit", "curl", "ssh", "wg-quick")
+OTHERS = ("source", "pre-commit", "curl", "ssh", "wg-quick", "promtool", "prometheus")
 # Names of the streams of `telepulse lsl`.
 NAMES = ("telepulse wrist", "telepulse finger", "telepulse events")
 PYTHON = "python"

@@ -151,7 +151,7 @@ def test_hostile_peers_at_the_relay_are_cut_and_a_display_still_passes(
             with closing(call(port_of(nodes) + 1)) as again:
                 again.sendall(tokens[tunnel.DATA])
                 assert ended(again)
-            large = bytes(4_000_000)
+            large = bytes(16_000_000)
             sending = threading.Thread(target=dialled.sendall, args=(large,))
             sending.start()
             time.sleep(0.3)

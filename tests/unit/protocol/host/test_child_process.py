@@ -23,6 +23,7 @@ STARTERS = {
     "tests/support/routers.py": "ip, iptables, ssh, wg",
     "tests/system/compiled/test_installation.py": "make",
     "tests/system/discovery/test_discovery.py": "unshare",
+    "tests/system/metrics/test_prometheus.py": "prometheus, promtool",
     "tests/system/recording/test_recorder.py": "mount",
     "tests/system/sensors/test_firmware.py": "a compiler",
 }
