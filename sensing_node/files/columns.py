@@ -6,7 +6,7 @@ A unit in brackets after a column's name is the unit of its values: "ABP [mmHg]"
 
 import csv
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from protocol.errors import SourceError
 from protocol.wire.stream import first_repeated
 from pulse_sensors.plausibility import RecordedColumn
-from sensing_node.files.signals import ColumnKey, SignalFile, SignalInfo, split_unit
+from sensing_node.files.signals import ColumnKey, SignalFile, SignalInfo, SignalTable, split_unit
 
 RATE = "rate_hz"
 
@@ -31,6 +31,25 @@ def read(path: Path) -> SignalFile:
         signals = _numpy_signals(path)
         return SignalFile(path, tuple(signals), lambda keys: _load_numpy(path, keys))
     return SignalFile(path, tuple(_csv_signals(path)), lambda keys: _load_csv(path, keys))
+
+
+def write(path: Path, table: SignalTable) -> list[str]:
+    """Write a .csv or .npz file, with a column of times in s."""
+    notes: list[str] = []
+    grid = table.at_one_rate(notes)
+    times_s = np.arange(len(grid)) / table.rate_hz
+    titles = [f"{s.name} [{s.unit}]" if s.unit else s.name for s in table.signals]
+    if path.suffix.lower() == ".npz":
+        columns = dict(zip(titles, grid.T, strict=True))
+        if len(columns) < len(titles):
+            raise ValueError("two signals have one name")
+        np.savez(path, **{"t [s]": times_s, RATE: np.float64(table.rate_hz)} | columns)
+    else:
+        with path.open("x", newline="", encoding="utf-8") as file:
+            rows = csv.writer(file)
+            rows.writerow(["t [s]", *titles])
+            rows.writerows(np.column_stack([times_s, grid]).tolist())
+    return notes
 
 
 def _csv_signals(path: Path) -> list[SignalInfo]:
@@ -152,21 +171,28 @@ def _load_numpy(path: Path, columns: Sequence[ColumnKey]) -> list[RecordedColumn
         if isinstance(loaded, np.ndarray):
             return _table_columns(loaded, columns, path)
         with loaded:
-            names = list(loaded)
-            for c in columns:
-                if _place(c, names) not in range(len(names)):
-                    raise SourceError(f"{path}: no array {c!r}; it has {', '.join(names)[:200]}")
-            numbers = _distinct([_place(c, names) for c in columns], path)
-            wanted = [names[number] for number in numbers]
-            arrays = [_vector(np.asarray(loaded[name]), path) for name in wanted]
-            beside = {other: np.asarray(loaded[other]) for other in names if other not in wanted}
-    lengths = {len(array) for array in arrays}
+            return named_columns(loaded, columns, path)
+
+
+def named_columns(
+    arrays: Mapping[str, NDArray[Any]], columns: Sequence[ColumnKey], path: Path
+) -> list[RecordedColumn]:
+    """Return some of the arrays of a file. Raises SourceError as a reader does."""
+    names = list(arrays)
+    for c in columns:
+        if _place(c, names) not in range(len(names)):
+            raise SourceError(f"{path}: no array {c!r}; it has {', '.join(names)[:200]}")
+    numbers = _distinct([_place(c, names) for c in columns], path)
+    wanted = [names[number] for number in numbers]
+    found = [_vector(np.asarray(arrays[name]), path) for name in wanted]
+    beside = {other: np.asarray(arrays[other]) for other in names if other not in wanted}
+    lengths = {len(array) for array in found}
     if len(lengths) > 1:
         raise SourceError(f"{path}: the arrays {', '.join(wanted)} differ in length")
     rising = _rising(beside, lengths.pop())
     return [
         RecordedColumn(array, number, _name(name), tuple(beside), rising)
-        for array, number, name in zip(arrays, numbers, wanted, strict=True)
+        for array, number, name in zip(found, numbers, wanted, strict=True)
     ]
 
 

@@ -1,12 +1,14 @@
 """EDF, EDF+ and BDF files (Kemp et al. 1992 and 2003, https://www.edfplus.info; BioSemi's BDF).
 
-A discontinuous file (EDF+D) gets its gaps back from the onset of each record.
+A discontinuous file (EDF+D) gets its gaps back from the onset of each record. Files are written by
+edfio, with the lowest code as a missing value; read here, since edfio leaves out an EDF+D's gaps.
 """
 
+import math
 import re
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +19,7 @@ from sensing_node.files.signals import (
     Floats,
     SignalFile,
     SignalInfo,
+    SignalTable,
     on_grid,
     signal_file,
 )
@@ -26,6 +29,8 @@ HEADER_BYTES = 256
 # Widths of a signal's header fields.
 LABEL, TRANSDUCER, UNIT, NUMBER, FILTERS, RESERVED = 16, 80, 8, 8, 80, 32
 MOST_SIGNALS = 1000
+# Margin, as a share of the range, that keeps written values above the lowest code.
+RANGE_MARGIN = 0.02
 _ONSET = re.compile(rb"([+-]\d+(?:\.\d*)?)(?:\x15(\d+(?:\.\d*)?))?\x14")
 
 
@@ -143,7 +148,9 @@ def _read_header(data: NDArray[np.uint8], path: Path) -> tuple[EdfLayout, int]:
 
 
 def _begin_ns(text: str) -> int | None:
-    """Return the Unix time of the begin; the header's time is taken as UTC."""
+    """Return the Unix time of the begin, taken as UTC; None for a date that is left out."""
+    if text[88:168].startswith("Startdate X"):
+        return None
     try:
         at = datetime.strptime(text[168:184], "%d.%m.%y%H.%M.%S").replace(tzinfo=UTC)
     except ValueError:
@@ -177,6 +184,82 @@ def _annotations(
                 if place == 0 and number == 0:
                     onsets_s[record] = at_s
                 texts = entry[found.end() :].split(b"\x14")
-                marks += [FileMark(at_s, text.decode("utf-8", "replace")) for text in texts if text]
+                length_s = float(found[2]) if found[2] else None
+                marks += [
+                    FileMark(at_s, text.decode("utf-8", "replace"), length_s)
+                    for text in texts
+                    if text
+                ]
     first_s = float(onsets_s[0])
-    return onsets_s - first_s, [FileMark(mark.at_s - first_s, mark.text) for mark in marks]
+    return onsets_s - first_s, [mark._replace(at_s=mark.at_s - first_s) for mark in marks]
+
+
+def write(path: Path, table: SignalTable) -> list[str]:
+    """Write a file of whole seconds, at whole rates: BDF with 24 bits by its suffix, else EDF+."""
+    import edfio
+
+    wide = path.suffix.lower() == ".bdf"
+    notes: list[str] = []
+    rates = [signal.rate_hz or table.rate_hz for signal in table.signals]
+    values, together = table.values, len({signal.begin_s for signal in table.signals}) == 1
+    if not together or any(rate != round(rate) for rate in rates):
+        rates = [float(round(table.rate_hz))] * len(rates)
+        values = list(table.at_one_rate(notes, rates[0]).T)
+    seconds = max(
+        math.ceil(len(each) / rate - 1e-9) for each, rate in zip(values, rates, strict=True)
+    )
+    bits = 24 if wide else 16
+    signals = [
+        _signal(edfio, info.name, info.unit, each, round(rate), seconds, bits)
+        for info, each, rate in zip(table.signals, values, rates, strict=True)
+    ]
+    start: dict[str, Any] = {}
+    recording: dict[str, Any] = {}
+    if table.begin_ns is not None:
+        begin = datetime.fromtimestamp(table.begin_ns // 1000 / 1e6, UTC)
+        start, recording = {"starttime": begin.time()}, {"startdate": begin.date()}
+    marks = [edfio.EdfAnnotation(mark.at_s, mark.length_s, mark.text) for mark in table.marks]
+    (edfio.Bdf if wide else edfio.Edf)(
+        signals,
+        recording=edfio.Recording(
+            equipment_code=WRITER, additional=("times_are_UTC",), **recording
+        ),
+        **start,
+        annotations=sorted(marks, key=lambda mark: float(mark.onset)),
+    ).write(path)
+    steps = ", ".join(
+        f"{one.label} {(one.physical_max - one.physical_min) / ((1 << bits) - 1):.2g}"
+        f" {one.physical_dimension}"
+        for one in signals
+    )
+    return [*notes, f"{bits} bits; quantisation steps: {steps}"]
+
+
+def _signal(
+    edfio: Any, name: str, unit: str, values: Floats, rate_hz: int, seconds: int, bits: int
+) -> Any:
+    """Return a signal of whole seconds; the lowest code marks its missing samples."""
+    whole = np.full(seconds * rate_hz, np.nan)
+    whole[: len(values)] = values
+    low, high = _range(whole[~np.isnan(whole)])
+    return (edfio.BdfSignal if bits == 24 else edfio.EdfSignal)(
+        np.where(np.isnan(whole), low, whole),
+        rate_hz,
+        label=name.encode("ascii", "replace").decode()[:LABEL],
+        physical_dimension=unit.encode("ascii", "replace").decode()[:UNIT],
+        physical_range=(low, high),
+        digital_range=(-(1 << (bits - 1)), (1 << (bits - 1)) - 1),
+    )
+
+
+def _range(values: Floats) -> tuple[float, float]:
+    """Return limits just outside the values; each fits the 8 characters of an EDF header."""
+    if not len(values):
+        return -1.0, 1.0
+    low, high = float(values.min()), float(values.max())
+    width = max(high - low, 1e-3, 1e-4 * abs(low), 1e-4 * abs(high))
+    power = math.floor(math.log10(width))
+    unit, digits = 10.0 ** (power - 1), max(0, 1 - power)
+    low = math.floor((low - RANGE_MARGIN * width) / unit) * unit
+    high = math.ceil((high + RANGE_MARGIN * width) / unit) * unit
+    return round(low, digits), round(high, digits)

@@ -7,29 +7,40 @@ from importlib import import_module
 from pathlib import Path
 from typing import NamedTuple
 
-from protocol.errors import SourceError
+from protocol.errors import OutputError, SourceError
 from pulse_sensors.plausibility import RecordedColumn
-from sensing_node.files.signals import ColumnKey, SignalFile, SignalReader
+from sensing_node.files.signals import (
+    ColumnKey,
+    SignalFile,
+    SignalReader,
+    SignalTable,
+    SignalWriter,
+)
 
 
 class FileFormat(NamedTuple):
     """A format: its name, the suffixes of its files, the module in this package that reads it.
 
-    extra: extra of telepulse that installs the library which the module imports.
+    extra: extra of telepulse that installs the library which the module imports. written: suffixes
+    of files that it also writes.
     """
 
     name: str
     suffixes: tuple[str, ...]
     module: str
     extra: str = ""
+    written: tuple[str, ...] = ()
 
 
 FORMATS = (
-    FileFormat("CSV", (".csv", ".txt"), "columns"),
-    FileFormat("NumPy", (".npy", ".npz"), "columns"),
-    FileFormat("WFDB", (".hea", ".dat"), "wfdb_record"),
-    FileFormat("EDF+ or BDF", (".edf", ".bdf"), "edf"),
-    FileFormat("WAV", (".wav",), "wav"),
+    FileFormat("CSV", (".csv", ".txt"), "columns", written=(".csv",)),
+    FileFormat("NumPy", (".npy", ".npz"), "columns", written=(".npz",)),
+    FileFormat("WFDB", (".hea", ".dat"), "wfdb_record", written=(".hea",)),
+    FileFormat("EDF+ or BDF", (".edf", ".bdf"), "edf", "analysis", (".edf", ".bdf")),
+    FileFormat("XDF", (".xdf", ".xdfz"), "xdf", "files", (".xdf",)),
+    FileFormat("MCAP", (".mcap",), "mcap_messages", "files"),
+    FileFormat("Parquet", (".parquet",), "parquet", "files", (".parquet",)),
+    FileFormat("WAV", (".wav",), "wav", written=(".wav",)),
 )
 
 
@@ -62,6 +73,40 @@ def open_signals(path: Path) -> SignalFile:
     return replace(file, load=load)
 
 
+def write_signals(path: Path, table: SignalTable, suffix: str | None = None) -> list[str]:
+    """Write signals into a new file, in the format of its suffix or of the given one.
+
+    Returns
+    -------
+    list of str
+        What the format could not hold.
+
+    Raises
+    ------
+    OutputError
+        If the file exists already or cannot be written, or its format is not written.
+    """
+    suffix = suffix or path.suffix.lower()
+    chosen = next((known for known in FORMATS if suffix in known.written), None)
+    if chosen is None:
+        suffixes = ", ".join(suffix for known in FORMATS for suffix in known.written)
+        raise OutputError(f"{path}: {suffix or 'no suffix'} is none of {suffixes}")
+    if path.exists():
+        raise OutputError(f"{path}: exists already; name another file")
+    try:
+        write: SignalWriter = import_module(f"{__package__}.{chosen.module}").write
+        return write(path, table)
+    except ImportError as error:
+        raise OutputError(
+            f"{path}: writing {chosen.name} needs {error.name}, which cannot be loaded ({error});"
+            f" pip install 'telepulse[{chosen.extra}]'"
+        ) from None
+    except OSError as error:
+        raise OutputError(f"{path}: cannot be written: {error.strerror or error}") from None
+    except ValueError as error:
+        raise OutputError(f"{path}: cannot hold these signals: {error}") from None
+
+
 @contextmanager
 def _one_line(path: Path, chosen: FileFormat) -> Iterator[None]:
     try:
@@ -70,7 +115,7 @@ def _one_line(path: Path, chosen: FileFormat) -> Iterator[None]:
         raise
     except ImportError as error:
         raise SourceError(
-            f"{path}: to read {chosen.name}, a library is needed that cannot be loaded ({error});"
+            f"{path}: reading {chosen.name} needs {error.name}, which cannot be loaded ({error});"
             f" pip install 'telepulse[{chosen.extra}]'"
         ) from None
     except FileNotFoundError as error:

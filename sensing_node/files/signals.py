@@ -13,7 +13,7 @@ from pydantic import Field
 from protocol.config.quantities import count_text
 from protocol.errors import SourceError
 from protocol.wire.stream import first_repeated
-from pulse_sensors.plausibility import RecordedColumn
+from pulse_sensors.plausibility import GAP_STEPS, RecordedColumn
 
 ColumnKey = Annotated[int, Field(ge=0)] | str
 """Number of a signal from 0, or its name."""
@@ -42,10 +42,11 @@ class SignalInfo(NamedTuple):
 
 
 class FileMark(NamedTuple):
-    """An annotation: seconds after the file's begin, and text."""
+    """An annotation: seconds after the file's begin, text, and its length in s if it has one."""
 
     at_s: float
     text: str
+    length_s: float | None = None
 
 
 @dataclass(frozen=True)
@@ -84,6 +85,36 @@ class SignalFile:
                 return signal
         names = ", ".join(signal.name for signal in self.signals)
         raise SourceError(f"{self.path}: no signal {key!r}; it has {names[:200]}")
+
+
+class SignalTable(NamedTuple):
+    """Signals with their samples, to be written into a file; NaN are missing."""
+
+    signals: Sequence[SignalInfo]
+    values: Sequence[Floats]
+    begin_ns: int | None = None
+    marks: Sequence[FileMark] = ()
+    metadata: Mapping[str, str] = {}
+
+    @property
+    def rate_hz(self) -> float:
+        """The highest rate."""
+        return max(signal.rate_hz or 0.0 for signal in self.signals)
+
+    def at_one_rate(self, notes: list[str], rate_hz: float | None = None) -> Floats:
+        """Return all signals at the highest rate, shape (samples, signals); note a change."""
+        rate_hz = rate_hz or self.rate_hz
+        slower = [s.name for s in self.signals if s.rate_hz != rate_hz]
+        if slower:
+            notes.append(f"interpolated at {rate_hz:g} Hz: {', '.join(slower)[:200]}")
+        return aligned(self.signals, self.values, rate_hz)[1]
+
+
+class SignalWriter(Protocol):
+    """A format's writer."""
+
+    def __call__(self, path: Path, table: SignalTable) -> list[str]:
+        """Write a new file; return what it could not hold. Raises OSError or SourceError."""
 
 
 class SignalReader(Protocol):
@@ -160,6 +191,48 @@ def on_grid(t_s: Floats, values: Floats, rate_hz: float, path: Path) -> Floats:
     grid = np.full(int(numbers[-1]) + 1 if len(numbers) else 0, np.nan)
     grid[numbers] = values
     return grid
+
+
+def evenly(
+    t_s: Floats, values: Floats, path: Path, rate_hz: float | None = None
+) -> tuple[float, Floats]:
+    """Return the rate in Hz of time-stamped values, and the values at that rate.
+
+    Values whose times are even within half a sample are returned as they are; others are
+    interpolated linearly, with NaN in gaps longer than `GAP_STEPS` usual steps.
+
+    Parameters
+    ----------
+    t_s : ndarray, shape (samples,)
+        Ascending times in s.
+    rate_hz : float, optional
+        The rate, where it is known.
+
+    Raises
+    ------
+    SourceError
+        If times fall, do not differ, or extend too far.
+    """
+    steps = np.diff(t_s)
+    rises = steps[steps > 0]
+    if not len(rises):
+        raise SourceError(f"{path}: its times do not rise")
+    usual = float(np.median(rises))
+    rate_hz = rate_hz or 1 / float(steps[steps <= GAP_STEPS * usual].mean())
+    count = round(float(t_s[-1] - t_s[0]) * rate_hz) + 1 if np.all(np.isfinite(t_s)) else 0
+    if count == len(t_s):
+        at_s = t_s[0] + np.arange(count) / rate_hz
+        if float(np.abs(t_s - at_s).max()) < 0.5 / rate_hz:
+            return rate_hz, values
+    # Checks the times, too.
+    length = len(on_grid(t_s, values, rate_hz, path))
+    at_s = t_s[0] + np.arange(length) / rate_hz
+    after = np.clip(np.searchsorted(t_s, at_s), 1, len(t_s) - 1)
+    even: Floats = np.interp(at_s, t_s, values)
+    near_s = np.minimum(np.abs(t_s[after] - at_s), np.abs(at_s - t_s[after - 1]))
+    apart = (steps[after - 1] > GAP_STEPS * usual) & (near_s > 0.5 / rate_hz)
+    even[apart] = np.nan
+    return rate_hz, even
 
 
 class Gaps(NamedTuple):

@@ -1,4 +1,7 @@
-"""WAV files: one signal a channel, without a unit; integers are scaled to -1 to 1."""
+"""WAV files: one signal a channel, without a unit; integers are scaled to -1 to 1.
+
+Written as 32-bit floats, in the signals' own units.
+"""
 
 import warnings
 from pathlib import Path
@@ -7,7 +10,14 @@ import numpy as np
 from scipy.io import wavfile
 
 from protocol.errors import SourceError
-from sensing_node.files.signals import Floats, SignalFile, SignalInfo, signal_file
+from sensing_node.files.signals import (
+    Floats,
+    SignalFile,
+    SignalInfo,
+    SignalTable,
+    fill_gaps,
+    signal_file,
+)
 
 
 def read(path: Path) -> SignalFile:
@@ -33,3 +43,17 @@ def read(path: Path) -> SignalFile:
     ]
     notes = [str(each.message).splitlines()[0] for each in caught]
     return signal_file(path, signals, values, notes=notes)
+
+
+def write(path: Path, table: SignalTable) -> list[str]:
+    """Write a WAV file. Its rate is a whole number, and it has no missing samples."""
+    notes: list[str] = []
+    grid = table.at_one_rate(notes)
+    rate_hz = round(table.rate_hz)
+    if abs(rate_hz - table.rate_hz) > 1e-6:
+        raise ValueError(f"a rate of {table.rate_hz:g} Hz is not a whole number")
+    if np.isnan(grid).any():
+        notes.append(f"{np.isnan(grid).sum()} missing samples are replaced by straight lines")
+        grid = np.stack([fill_gaps(column) for column in grid.T], axis=1)
+    wavfile.write(path, rate_hz, grid.astype(np.float32))
+    return [*notes, "names and units are left out"]

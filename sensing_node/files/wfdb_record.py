@@ -15,7 +15,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from protocol.errors import SourceError
-from sensing_node.files.signals import Floats, SignalFile, SignalInfo, signal_file
+from sensing_node.files.signals import (
+    Floats,
+    SignalFile,
+    SignalInfo,
+    SignalTable,
+    find_gaps,
+    signal_file,
+)
 
 Ints = NDArray[np.int64]
 DEFAULT_GAIN = 200.0
@@ -25,6 +32,8 @@ FORMATS = {
     **{"24": (24, -(1 << 23)), "32": (32, -(1 << 31)), "80": (8, -128), "212": (12, -(1 << 11))},
 }
 MOST_SEGMENTS = 100_000
+# Greatest code that is written, in format 16.
+HIGHEST_CODE = 32_000
 _STORAGE = re.compile(r"(\d+)(?:x(\d{1,5}))?(?::(\d{1,9}))?(?:\+(\d{1,12}))?")
 _GAIN = re.compile(r"([-+.\deE]+)(?:\((-?\d+)\))?(?:/(\S+))?")
 
@@ -247,3 +256,44 @@ def _decode(data: NDArray[np.uint8], code: str, first: int, count: int, width: i
     frames = samples[: len(samples) // width * width].reshape(-1, width)
     chosen = frames[:, first : first + count].ravel().astype(np.int64)
     return chosen - {"160": 1 << 15, "80": 128}.get(code, 0)
+
+
+def write(path: Path, table: SignalTable) -> list[str]:
+    """Write a record in format 16: NAME.hea, and NAME.dat beside it."""
+    name, data = path.stem, path.with_suffix(".dat")
+    if re.fullmatch(r"[\w-]+", name, re.ASCII) is None:
+        raise ValueError(f"a record's name has letters, digits, _ and -, not {name!r}")
+    notes: list[str] = []
+    grid = table.at_one_rate(notes)
+    began = ""
+    if table.begin_ns is not None:
+        begin = datetime.fromtimestamp(table.begin_ns // 1_000_000 / 1e3, UTC)
+        began = f"{begin:%H:%M:%S}.{begin.microsecond // 1000:03d} {begin:%d/%m/%Y}"
+    lines = [f"{name} {grid.shape[1]} {table.rate_hz:.12g} {len(grid)} {began}".rstrip()]
+    codes = np.full(grid.shape, FORMATS["16"][1], "<i2")
+    for column, (signal, values) in enumerate(zip(table.signals, grid.T, strict=True)):
+        known = values[~np.isnan(values)]
+        low, high = (float(known.min()), float(known.max())) if len(known) else (-1.0, 1.0)
+        middle, half = (low + high) / 2, max((high - low) / 2, 1e-9 * max(abs(low), abs(high), 1))
+        gain = float(f"{HIGHEST_CODE / half:.6g}")
+        baseline = -round(middle * gain)
+        scaled = np.rint(values * gain) + baseline
+        codes[~np.isnan(values), column] = scaled[~np.isnan(values)].astype("<i2")
+        unit = re.sub(r"\s", "_", signal.unit) or "NU"
+        check = int(codes[:, column].sum(dtype=np.int64)) & 0xFFFF
+        first = int(codes[0, column]) if len(codes) else 0
+        lines.append(
+            f"{data.name} 16 {gain!r}({baseline})/{unit} 16 0 {first}"
+            f" {check - 0x10000 if check > 0x7FFF else check} 0 {signal.name}"
+        )
+        notes.append(f"{signal.name} in steps of {1 / gain:.2g} {unit}")
+        if gaps := find_gaps(values).samples:
+            notes.append(f"{signal.name}: {gaps} missing samples have WFDB's code for them")
+    lines += [f"# {key}: {text}" for key, value in table.metadata.items()
+              for text in value.splitlines()]  # fmt: skip
+    if table.marks:
+        notes.append(f"{len(table.marks)} annotations are left out")
+    with data.open("xb") as file:
+        file.write(codes.tobytes())
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return notes

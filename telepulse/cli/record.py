@@ -4,7 +4,9 @@
 """
 
 import logging
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -140,10 +142,10 @@ def replay(
 def export(
     file: FileArgument,
     to: Annotated[
-        Literal["csv", "parquet", "edf", "mcap"],
+        Literal["csv", "parquet", "edf", "wfdb", "xdf", "mcap"],
         typer.Option(
-            help="csv, parquet: tables of samples, ticks, clock, events and beats; edf: forces as"
-            " signals; mcap: a repaired file."
+            help="csv, parquet: tables of samples, ticks, clock, events and beats; edf, wfdb, xdf:"
+            " forces as signals; mcap: a repaired file."
         ),
     ],
     out: Annotated[
@@ -156,22 +158,49 @@ def export(
 ) -> None:
     """Write a recording as tables or signals, or repair one that was cut short.
 
-    csv, parquet: samples, ticks, clock, events and beats in a new folder. edf: wrist forces and
-    felt forces of the longest session as EDF+, events and losses as annotations. mcap: the readable
-    part of a recording whose recorder was killed, with the index that Foxglove needs.
+    csv, parquet: samples, ticks, clock, events and beats in a new folder. edf, wfdb, xdf: wrist
+    forces and felt forces of the longest session; in EDF+ and XDF with events and losses as
+    annotations. mcap: the readable part of a recording whose recorder was killed, with the index
+    that Foxglove needs.
     """
-    from telepulse.recording.edf import export_edf
     from telepulse.recording.export import export_csv, export_mcap, export_parquet
+    from telepulse.recording.signal_export import export_signals
 
-    export_to, suffix = {
+    ways: dict[str, tuple[Callable[[Path, Path], str], str]] = {
         "csv": (export_csv, ""),
         "parquet": (export_parquet, ".parquet"),
-        "edf": (export_edf, ".edf"),
+        "edf": (export_signals, ".edf"),
+        "wfdb": (partial(export_signals, suffix=".hea"), ".hea"),
+        "xdf": (partial(export_signals, suffix=".xdf"), ".xdf"),
         "mcap": (export_mcap, ".whole.mcap"),
-    }[to]
+    }
+    export_to, suffix = ways[to]
     with one_line_errors(PROGRAM):
         configure_logging(log_level)
         plain_console().print(export_to(file, out or file.with_suffix(suffix)))
+
+
+def convert(
+    source: Annotated[Path, typer.Argument(metavar="IN", help="A file of signals.")],
+    out: Annotated[
+        Path,
+        typer.Argument(
+            metavar="OUT",
+            help="The file to write, in the format of its suffix: .hea (WFDB), .edf, .bdf, .xdf,"
+            " .parquet, .csv, .npz or .wav; it must not exist yet.",
+        ),
+    ],
+) -> None:
+    """Convert a file of signals into another format, with names, units, rates and gaps.
+
+    IN is a WFDB record, EDF, BDF, XDF, MCAP, Parquet, CSV, NumPy or WAV. Prints each signal with
+    its missing samples, and what OUT cannot hold.
+    """
+    from telepulse.recording.conversion import convert_file
+
+    with one_line_errors(PROGRAM):
+        for line in convert_file(source, out):
+            plain_console().print(line)
 
 
 def report(

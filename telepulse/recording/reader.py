@@ -2,24 +2,21 @@
 
 import json
 import logging
-import os
-from base64 import b64decode, b64encode
 from collections import deque
 from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import IO, Any, NamedTuple
+from typing import IO, TYPE_CHECKING, Any, NamedTuple
 
 from protocol.config.quantities import count_text
 from protocol.errors import SourceError
-from protocol.wire.messages import VERSION
 from telepulse.recording.mcap_writer import PROVENANCE
 from telepulse.telemetry.decoder import Entry
 from telepulse.telemetry.schema import CLOCK, FRAME, REFUSED, SCHEMAS, STREAM, TICK
 
-logger = logging.getLogger(__name__)
+if TYPE_CHECKING:
+    from sensing_node.files.mcap_messages import McapRecords
 
-MAX_RECORD_BYTES = 1 << 28
-_MAGIC = b"\x89MCAP0\r\n"
+logger = logging.getLogger(__name__)
 
 
 class RecordedMessage(NamedTuple):
@@ -39,19 +36,10 @@ class RecordedMessage(NamedTuple):
         if type(fields) is not dict:
             raise ValueError(f"not a table: {fields!r:.40}")
         if self.topic in (FRAME, STREAM) and isinstance(data := fields.get("data"), str):
-            fields["data"] = _in_this_version(data)
+            from sensing_node.files.mcap_messages import in_this_version
+
+            fields["data"] = in_this_version(data)
         return fields
-
-
-def _in_this_version(data: str) -> str:
-    """Return a received message, in base64, of which only the version is changed from 1.
-
-    Frames and descriptions of version 1 are valid in this version.
-    """
-    head = b64decode(data[:4])
-    if head[1:2] != b"\1":
-        return data
-    return b64encode(head[:1] + bytes([VERSION]) + head[2:]).decode("ascii") + data[4:]
 
 
 class RecordingReader:
@@ -67,22 +55,36 @@ class RecordingReader:
     def __init__(self, path: Path) -> None:
         """Set the path; the file is opened when it is read. Raises SourceError without mcap."""
         try:
-            from mcap import stream_reader
+            from sensing_node.files import mcap_messages
         except ImportError as error:
             raise SourceError(
                 f"{path}: to read a recording, mcap is needed, which cannot be loaded ({error});"
                 " pip install 'telepulse[record]'"
             ) from None
-        self._mcap: Any = stream_reader
+        self._mcap = mcap_messages
         self._path = path
         self._begin()
 
     def _begin(self) -> None:
-        self.whole = False
-        self.damaged = self.cut_bytes = 0
+        self._records: McapRecords | None = None
         self.begin_ns: int | None = None
         self.end_ns = 0
         self.provenance: list[dict[str, str]] = []
+
+    @property
+    def whole(self) -> bool:
+        """True once the end of the recording was read."""
+        return self._records is not None and self._records.whole
+
+    @property
+    def damaged(self) -> int:
+        """Number of chunks with a wrong checksum, which are left out."""
+        return 0 if self._records is None else self._records.damaged
+
+    @property
+    def cut_bytes(self) -> int:
+        """Number of bytes at the end of the file that cannot be read."""
+        return 0 if self._records is None else self._records.cut_bytes
 
     def gaps(self) -> list[str]:
         """Return a line for each part that could not be read; complete once all was read."""
@@ -118,14 +120,11 @@ class RecordingReader:
             raise SourceError(f"{self._path}: cannot be read: {reason}") from None
 
     def _messages(self, file: IO[bytes]) -> Iterator[RecordedMessage]:
-        magic = file.read(len(_MAGIC))
-        if magic != _MAGIC:
-            raise SourceError(f"{self._path}: is {'not an MCAP file' if magic else 'empty'}")
-        file.seek(0)
+        self._records = records = self._mcap.McapRecords(file, self._path)
         channels: dict[int, str] = {}
         schemas: dict[int, str] = {}
         ours = False
-        for record in self._records(file):
+        for record in records:
             match type(record).__name__:
                 case "Schema":
                     schemas[record.id] = record.name
@@ -144,47 +143,6 @@ class RecordingReader:
             topics = ", ".join(sorted(set(channels.values())))
             held = f"its topics are {topics[:200]}" if topics else "it is empty"
             raise SourceError(f"{self._path}: holds no telepulse recording; {held}")
-
-    def _records(self, file: IO[bytes]) -> Iterator[Any]:
-        """Yield the records of the data section, also those in chunks, until one is unreadable."""
-        records = self._mcap.StreamReader(
-            _BoundedFile(file), emit_chunks=True, record_size_limit=MAX_RECORD_BYTES
-        ).records
-        size_bytes = os.fstat(file.fileno()).st_size
-        while True:
-            self.cut_bytes = size_bytes - file.tell()
-            try:
-                record = next(records)
-            except StopIteration:
-                return
-            except OSError:
-                raise
-            except Exception:  # the exceptions for a broken end depend on its bytes
-                return
-            kind = type(record).__name__
-            if kind == "DataEnd":
-                self.whole, self.cut_bytes = True, 0
-                return
-            if kind != "Chunk":
-                yield record
-                continue
-            try:
-                inner = self._mcap.breakup_chunk(record, validate_crc=True)
-            except Exception:  # likewise
-                self.damaged += 1
-                continue
-            yield from inner
-
-
-class _BoundedFile:
-    """File that limits reads to its size: a damaged length would allocate gigabytes."""
-
-    def __init__(self, file: IO[bytes]) -> None:
-        self._file = file
-        self._size = os.fstat(file.fileno()).st_size
-
-    def read(self, count: int) -> bytes:
-        return self._file.read(min(count, max(0, self._size - self._file.tell())))
 
 
 # Field with the time at which the display received a message, on its clock.

@@ -123,6 +123,8 @@ SESSIONS: dict[str, list[Step | Stop | Do]] = {
         Step("telepulse export pulse.mcap --to mcap"),
         Step("telepulse export pulse.mcap --to parquet"),
         Step("telepulse export pulse.mcap --to edf"),
+        Step("telepulse export pulse.mcap --to wfdb"),
+        Step("telepulse export pulse.mcap --to xdf"),
         Step("telepulse report pulse.mcap"),
         snippets_of("docs/analysis.md"),
     ],
@@ -131,6 +133,7 @@ SESSIONS: dict[str, list[Step | Stop | Do]] = {
         Step("telepulse demo --source 03700181", more="--seconds 2 --no-ui", says="plays ABP"),
         Step("telepulse simulate --source 03700181 --channel RESP", more="--seconds 2"),
         Step("sensing-node radial --source 03700181", more=f"{SERVED} --seconds 1"),
+        Step("telepulse convert 03700181 pulse.edf", says="no sample is missing"),
     ],
     "one machine": [
         Step(f"{SENSE} --metrics 9101", more=SERVED, shows=STREAMING),

@@ -17,11 +17,11 @@ from pyarrow import parquet
 
 from protocol.errors import OutputError
 from protocol.provenance import PROVENANCE, collect
-from telepulse.recording.edf import LOWEST_CODE, export_edf
 from telepulse.recording.export import export_csv, export_mcap, export_parquet
 from telepulse.recording.mcap_writer import McapWriter
 from telepulse.recording.reader import RecordingReader
 from telepulse.recording.report import build_recording_report
+from telepulse.recording.signal_export import export_signals
 from telepulse.telemetry.decoder import TelemetryDecoder
 from telepulse.telemetry.schema import FRAME
 from tests.support.log_lines import refused
@@ -33,8 +33,9 @@ TABLES = ("samples", "ticks", "clock", "events", "beats")
 TO: dict[str, Callable[[Path, Path], str]] = {
     "csv": export_csv,
     "parquet": export_parquet,
-    "edf": export_edf,
+    "edf": export_signals,
 }
+LOWEST_CODE = -32_768
 # A single frame, and a gap of a tenth of a second.
 LOST = {100, *range(300, 320)}
 
@@ -129,7 +130,7 @@ def test_many_rows_are_written_in_groups(
 def test_edf_holds_forces_at_their_times_with_losses_and_events(
     recording: Path, tmp_path: Path
 ) -> None:
-    line = export_edf(recording, tmp_path / "a.edf")
+    line = export_signals(recording, tmp_path / "a.edf")
     edf = edfio.read_edf(tmp_path / "a.edf")
     assert (edf.local_patient_identification, edf.reserved) == ("X X X X", "EDF+C")
     wrist, felt = edf.signals
@@ -246,7 +247,9 @@ def test_no_file_is_overwritten(recording: Path, tmp_path: Path) -> None:
     assert there.read_bytes() == b"precious"
 
 
-@pytest.mark.parametrize(("library", "to"), [("pyarrow", export_parquet), ("edfio", export_edf)])
+@pytest.mark.parametrize(
+    ("library", "to"), [("pyarrow", export_parquet), ("edfio", export_signals)]
+)
 def test_a_library_that_is_not_installed_is_named(
     library: str, to: Any, recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

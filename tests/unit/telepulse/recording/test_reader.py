@@ -13,12 +13,12 @@ from mcap.writer import Writer
 
 from protocol.errors import OutputError, SourceError
 from protocol.wire.messages import VERSION, Frame
-from telepulse.recording.edf import export_edf
 from telepulse.recording.export import export_csv, export_mcap, export_parquet
 from telepulse.recording.findings import read_findings
 from telepulse.recording.mcap_writer import McapWriter
 from telepulse.recording.reader import MAX_WAITING, RecordedMessage, RecordingReader, in_tick_order
 from telepulse.recording.session import longest_session
+from telepulse.recording.signal_export import export_signals
 from telepulse.telemetry.decoder import Entry
 from telepulse.telemetry.schema import CLOCK, EVENT, FRAME, STREAM, TICK
 from tests.support.recordings import record
@@ -147,7 +147,7 @@ READERS: dict[str, Callable[[Path, Path], Any]] = {
     "report": lambda path, _: read_findings(path),
     "csv": export_csv,
     "parquet": export_parquet,
-    "edf": export_edf,
+    "edf": export_signals,
 }
 
 

@@ -1,0 +1,241 @@
+"""MCAP files: the frames of telepulse's recordings, and any number in messages in JSON."""
+
+import json
+import math
+import os
+from base64 import b64decode, b64encode
+from collections import defaultdict
+from collections.abc import Iterator
+from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+from mcap import stream_reader
+from mcap.records import Message
+
+from protocol.errors import SourceError, WireError
+from protocol.wire.messages import VERSION, Welcome, decode_control, decode_frame
+from protocol.wire.stream import Channel
+from sensing_node.files.signals import Floats, SignalFile, SignalInfo, evenly, signal_file
+
+MAGIC = b"\x89MCAP0\r\n"
+MAX_RECORD_BYTES = 1 << 28
+FRAME_SCHEMA, STREAM_SCHEMA = "telepulse.Frame", "telepulse.Stream"
+# Most signals of a file, and tables in tables of a message.
+MOST_FIELDS, DEEPEST = 256, 4
+# Unit of a field by the end of its name, as telepulse names fields.
+UNITS = {"_n": "N", "_mv": "mV", "_ms": "ms", "_ns": "ns"}
+
+
+class McapRecords:
+    """Records of an MCAP file up to the first one that is unreadable.
+
+    The attributes are complete once all records were read.
+
+    whole: the file has its end. damaged: chunks with a wrong checksum, which are left out.
+    cut_bytes: bytes at the end of the file that cannot be read.
+    """
+
+    def __init__(self, file: IO[bytes], path: Path) -> None:
+        """Check the first bytes. Raises SourceError."""
+        self.whole = False
+        self.damaged = self.cut_bytes = 0
+        self._file = file
+        magic = file.read(len(MAGIC))
+        if magic != MAGIC:
+            raise SourceError(f"{path}: is {'not an MCAP file' if magic else 'empty'}")
+        file.seek(0)
+
+    def __iter__(self) -> Iterator[Any]:
+        """Yield the records of the data section, also those in chunks."""
+        records = stream_reader.StreamReader(
+            _BoundedFile(self._file),  # type: ignore[arg-type]
+            emit_chunks=True,
+            record_size_limit=MAX_RECORD_BYTES,
+        ).records
+        size_bytes = os.fstat(self._file.fileno()).st_size
+        while True:
+            self.cut_bytes = size_bytes - self._file.tell()
+            try:
+                record = next(records)
+            except StopIteration:
+                return
+            except OSError:
+                raise
+            except Exception:  # the exceptions for a broken end depend on its bytes
+                return
+            kind = type(record).__name__
+            if kind == "DataEnd":
+                self.whole, self.cut_bytes = True, 0
+                return
+            if kind != "Chunk":
+                yield record
+                continue
+            try:
+                inner = stream_reader.breakup_chunk(record, validate_crc=True)  # type: ignore[arg-type]
+            except Exception:  # likewise
+                self.damaged += 1
+                continue
+            yield from inner
+
+
+class _BoundedFile:
+    """File that limits reads to its size: a damaged length would allocate gigabytes."""
+
+    def __init__(self, file: IO[bytes]) -> None:
+        self._file = file
+        self._size = os.fstat(file.fileno()).st_size
+
+    def read(self, count: int) -> bytes:
+        return self._file.read(min(count, max(0, self._size - self._file.tell())))
+
+
+def in_this_version(data: str) -> str:
+    """Return a received message, in base64, of which only the version is changed from 1.
+
+    Frames and descriptions of version 1 are valid in this version.
+    """
+    head = b64decode(data[:4])
+    if head[1:2] != b"\1":
+        return data
+    return b64encode(head[:1] + bytes([VERSION]) + head[2:]).decode("ascii") + data[4:]
+
+
+class _Frames:
+    """Frames of a recording: the samples of its longest session, by number."""
+
+    def __init__(self) -> None:
+        self._channels: dict[int, tuple[Channel, ...]] = {}
+        self._sessions: dict[int, dict[int, tuple[int, Floats]]] = defaultdict(dict)
+
+    def take(self, schema: str, data: str) -> None:
+        """Take a message's exact bytes, in base64. Raises WireError or ValueError."""
+        received = b64decode(in_this_version(data))
+        if schema == STREAM_SCHEMA:
+            welcome = decode_control(received)
+            if isinstance(welcome, Welcome):
+                self._channels[welcome.session] = welcome.description.channels
+            return
+        frame = decode_frame(received)
+        values = frame.values.astype(np.float64)
+        self._sessions[frame.session][frame.first_sample] = (frame.period_ns, values)
+
+    def signals(self, notes: list[str]) -> list[tuple[SignalInfo, Floats]]:
+        """Return the channels of the longest session; NaN where samples were lost."""
+        if not self._sessions:
+            return []
+        number = max(self._sessions, key=lambda each: len(self._sessions[each]))
+        frames = sorted(self._sessions[number].items())
+        if len(self._sessions) > 1:
+            notes.append(f"of {len(self._sessions)} sessions, the longest is read")
+        first, (period_ns, values) = frames[0]
+        width = values.shape[1]
+        frames = [each for each in frames if each[1][1].shape[1] == width]
+        last, (_, tail) = frames[-1]
+        held = sum(len(each) for _, (_, each) in frames)
+        length = last + len(tail) - first
+        if length > 20 * held + 1_000_000:
+            raise ValueError(f"{held} samples with numbers over {length}")
+        grid = np.full((length, width), np.nan)
+        for at, (_, part) in frames:
+            grid[at - first :][: len(part)] = part
+        named = self._channels.get(number, ())
+        channels = named if len(named) == width else [Channel(f"force {n}") for n in range(width)]
+        return [
+            (SignalInfo(n, channel.name, channel.unit, 1e9 / period_ns, length), grid[:, n])
+            for n, channel in enumerate(channels)
+        ]
+
+
+def read(path: Path) -> SignalFile:
+    """Open a file. Raises SourceError, and other errors for a damaged one."""
+    channels: dict[int, tuple[str, str, str]] = {}
+    schemas: dict[int, str] = {}
+    frames, others, unread = _Frames(), set[str](), 0
+    # Of each field: times in ns and values.
+    fields: dict[str, tuple[list[int], list[float]]] = {}
+    with path.open("rb") as file:
+        records = McapRecords(file, path)
+        for record in records:
+            match type(record).__name__:
+                case "Schema":
+                    schemas[record.id] = record.name
+                case "Channel":
+                    schema = schemas.get(record.schema_id, "")
+                    channels[record.id] = (record.topic, schema, record.message_encoding)
+                case "Message" if record.channel_id in channels:
+                    topic, schema, encoding = channels[record.channel_id]
+                    if encoding != "json":
+                        others.add(f"{topic} ({encoding})")
+                        continue
+                    try:
+                        _take(record, topic, schema, frames, fields)
+                    except (ValueError, TypeError, KeyError, RecursionError, WireError):
+                        unread += 1
+    notes = []
+    if not records.whole:
+        notes.append(f"breaks off: {records.cut_bytes} bytes at its end cannot be read")
+    if records.damaged:
+        notes.append(f"damaged chunks are left out: {records.damaged}")
+    if unread:
+        notes.append(f"messages that cannot be decoded are left out: {unread}")
+    if others:
+        notes.append(f"only messages in JSON are read, not {', '.join(sorted(others))[:200]}")
+    ours = frames.signals(notes)
+    # Frames' own times are of another clock than the messages'.
+    begin_ns = None if ours else min((times[0] for times, _ in fields.values()), default=None)
+    found = ours or list(_numbers(fields, begin_ns or 0, path, notes))
+    signals = [info._replace(number=number) for number, (info, _) in enumerate(found)]
+    if not signals and others:
+        raise SourceError(f"{path}: {notes[-1]}")
+    return signal_file(path, signals, lambda each: found[each.number][1], begin_ns, notes)
+
+
+def _take(
+    message: Message,
+    topic: str,
+    schema: str,
+    frames: _Frames,
+    fields: dict[str, tuple[list[int], list[float]]],
+) -> None:
+    """Take the numbers of a message. Raises several errors for one that is damaged."""
+    content = json.loads(message.data)
+    if schema in (FRAME_SCHEMA, STREAM_SCHEMA):
+        frames.take(schema, content["data"])
+        return
+    for name, value in _flat(content, topic, DEEPEST):
+        if name not in fields and len(fields) >= MOST_FIELDS:
+            continue
+        times_ns, values = fields.setdefault(name, ([], []))
+        times_ns.append(message.log_time)
+        values.append(value)
+
+
+def _flat(value: Any, name: str, depth: int) -> Iterator[tuple[str, float]]:
+    """Yield the numbers in a table, and in tables in it, by dotted names."""
+    if isinstance(value, dict) and depth:
+        for key, inner in value.items():
+            yield from _flat(inner, f"{name}.{key}", depth - 1)
+    elif isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value):
+        yield name, float(value)
+
+
+def _numbers(
+    fields: dict[str, tuple[list[int], list[float]]], begin_ns: int, path: Path, notes: list[str]
+) -> Iterator[tuple[SignalInfo, Floats]]:
+    rare = []
+    for name, (times_ns, values) in fields.items():
+        order = np.argsort(times_ns, kind="stable")
+        since_ns = np.array(times_ns, np.int64)[order] - begin_ns
+        t_s = since_ns.astype(np.float64) * 1e-9
+        try:
+            rate_hz, even = evenly(t_s, np.array(values)[order], path)
+        except SourceError:
+            rate_hz = 0.0
+        if rate_hz < 1:
+            rare.append(name)
+            continue
+        unit = next((unit for end, unit in UNITS.items() if name.endswith(end)), "")
+        yield SignalInfo(0, name, unit, rate_hz, len(even), float(t_s[0])), even
+    if rare:
+        notes.append(f"left out, less than one a second: {', '.join(rare)[:200]}")

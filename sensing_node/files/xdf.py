@@ -1,0 +1,142 @@
+"""XDF files, as LabRecorder writes them of streams of LSL (https://github.com/sccn/xdf/wiki)."""
+
+import struct
+from pathlib import Path
+from typing import Any
+from xml.sax.saxutils import escape
+
+import numpy as np
+import pyxdf
+
+from protocol.errors import SourceError
+from sensing_node.files.signals import (
+    FileMark,
+    Floats,
+    SignalFile,
+    SignalInfo,
+    SignalTable,
+    evenly,
+    signal_file,
+)
+
+MAGIC = b"XDF:"
+FILE_HEADER, STREAM_HEADER, SAMPLES, STREAM_FOOTER = 1, 2, 3, 6
+SAMPLES_A_CHUNK = 10_000
+
+
+def read(path: Path) -> SignalFile:
+    """Open a file by pyxdf, which removes jitter and corrects clocks.
+
+    Raises SourceError, and other errors for a damaged file.
+    """
+    with path.open("rb") as file:
+        if file.read(2) != b"\x1f\x8b" and not path.read_bytes()[:4] == MAGIC:
+            raise SourceError(f"{path}: is no XDF file")
+    streams, _ = pyxdf.load_xdf(str(path))
+    starts = [float(each["time_stamps"][0]) for each in streams if len(each["time_stamps"])]
+    begin_s = min(starts, default=0.0)
+    signals, samples = list[SignalInfo](), list[Floats]()
+    notes, marks = list[str](), list[FileMark]()
+    for stream in streams:
+        name, times_s = _text(stream["info"], "name"), np.asarray(stream["time_stamps"], float)
+        if stream.get("footer") is None:
+            notes.append(f"stream {name!r} has no end: the file breaks off")
+        if not len(times_s):
+            notes.append(f"stream {name!r} holds no sample")
+            continue
+        series = stream["time_series"]
+        if not isinstance(series, np.ndarray):
+            found = zip(times_s.tolist(), series, strict=False)
+            marks += [FileMark(at_s - begin_s, " ".join(map(str, row))) for at_s, row in found]
+            continue
+        stated_hz = float(_text(stream["info"], "nominal_srate") or 0)
+        for (label, unit), values in zip(_labels(stream, name), series.T, strict=True):
+            rate_hz, even = evenly(times_s, values.astype(np.float64), path, stated_hz or None)
+            info = SignalInfo(len(signals), label, unit, rate_hz, len(even), times_s[0] - begin_s)
+            signals.append(info)
+            samples.append(even)
+    marks.sort()
+    return signal_file(path, signals, lambda each: samples[each.number], None, notes, marks)
+
+
+def _labels(stream: dict[str, Any], name: str) -> list[tuple[str, str]]:
+    """Return name and unit of each channel."""
+    count = len(stream["time_series"].T)
+    try:
+        described = stream["info"]["desc"][0]["channels"][0]["channel"]
+        labels = [(_text(each, "label"), _text(each, "unit")) for each in described]
+    except (KeyError, IndexError, TypeError):
+        labels = []
+    if len(labels) != count:
+        labels = [("", "")] * count
+    units = {"microvolts": "uV", "millivolts": "mV", "volts": "V"}
+    return [
+        (label or (name if count == 1 else f"{name} {number}"), units.get(unit, unit))
+        for number, (label, unit) in enumerate(labels)
+    ]
+
+
+def _text(table: Any, key: str) -> str:
+    """Return a text of pyxdf's tables, whose values are lists."""
+    found = table.get(key) if isinstance(table, dict) else None
+    return str(found[0]) if isinstance(found, list) and found and found[0] is not None else ""
+
+
+def write(path: Path, table: SignalTable) -> list[str]:
+    """Write a stream for each signal, and one of texts for the marks."""
+    origin_s = 0.0 if table.begin_ns is None else table.begin_ns * 1e-9
+    with path.open("xb") as file:
+        file.write(MAGIC + _chunk(FILE_HEADER, b"<info><version>1.0</version></info>"))
+        number = 0
+        for signal, values in zip(table.signals, table.values, strict=True):
+            number += 1
+            rate_hz, begin_s = signal.rate_hz or table.rate_hz, origin_s + signal.begin_s
+            channel = f"<channel><label>{escape(signal.name)}</label>"
+            channel += f"<unit>{escape(signal.unit)}</unit></channel>"
+            file.write(_header(number, signal.name, "pulse", rate_hz, "double64", channel))
+            for first in range(0, len(values), SAMPLES_A_CHUNK):
+                part = values[first : first + SAMPLES_A_CHUNK]
+                times_s = begin_s + (first + np.arange(len(part))) / rate_hz
+                rows = np.empty(len(part), np.dtype([("n", "u1"), ("t", "<f8"), ("v", "<f8")]))
+                rows["n"], rows["t"], rows["v"] = 8, times_s, part
+                file.write(_samples(number, len(part), rows.tobytes()))
+            end_s = begin_s + (len(values) - 1) / rate_hz
+            file.write(_footer(number, begin_s, end_s, len(values)))
+        if table.marks:
+            number += 1
+            file.write(_header(number, "marks", "Markers", 0, "string", ""))
+            for mark in sorted(table.marks):
+                text = mark.text.encode()
+                row = struct.pack("<Bd", 8, origin_s + mark.at_s) + _length(len(text)) + text
+                file.write(_samples(number, 1, row))
+            file.write(_footer(number, origin_s, origin_s, len(table.marks)))
+    return []
+
+
+def _length(count: int) -> bytes:
+    return struct.pack("<BI", 4, count)
+
+
+def _chunk(tag: int, content: bytes) -> bytes:
+    return _length(len(content) + 2) + struct.pack("<H", tag) + content
+
+
+def _header(number: int, name: str, kind: str, rate_hz: float, values: str, channels: str) -> bytes:
+    text = (
+        f"<info><name>{escape(name)}</name><type>{kind}</type><channel_count>1</channel_count>"
+        f"<nominal_srate>{rate_hz!r}</nominal_srate><channel_format>{values}</channel_format>"
+        f"<desc><channels>{channels}</channels></desc></info>"
+    )
+    return _chunk(STREAM_HEADER, struct.pack("<I", number) + text.encode())
+
+
+def _samples(number: int, count: int, rows: bytes) -> bytes:
+    return _chunk(SAMPLES, struct.pack("<I", number) + _length(count) + rows)
+
+
+def _footer(number: int, first_s: float, last_s: float, count: int) -> bytes:
+    text = (
+        f"<info><first_timestamp>{first_s!r}</first_timestamp><last_timestamp>{last_s!r}"
+        f"</last_timestamp><sample_count>{count}</sample_count></info>"
+    )
+    return _chunk(STREAM_FOOTER, struct.pack("<I", number) + text.encode())
