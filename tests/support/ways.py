@@ -111,7 +111,7 @@ def over_ssh(sites: Sites, keys: ThreeKeyrings, folder: Path) -> Iterator[Ends]:
 def over_wireguard(sites: Sites, keys: ThreeKeyrings, folder: Path) -> Iterator[Ends]:
     """Write the page's configurations, and bring WireGuard up on the three machines."""
     third, other = (
-        block.text for block in blocks() if (block.page, block.language) == (PAGE, "ini")
+        block.text for block in blocks() if (block.page, block.language) == (PAGE, "text")
     )
     configured = {
         "third": (sites.third, third),
