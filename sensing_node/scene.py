@@ -55,7 +55,8 @@ class SensingScene(Section):
             if not pressable and (drive is None or self.sensor is None):
                 raise ValueError(
                     'press needs a source of kind "wrist", or a live sensor and a table'
-                    " [sensing.press.drive]"
+                    " [sensing.press.drive]; a recorded sweep is pressed with telepulse replay"
+                    " --press"
                 )
         if pressable and self.conditioning is not None:
             raise ValueError(f"conditioning has no load cell's channel; leave it out for a {kind}")

@@ -238,7 +238,8 @@ class FingerPress:
 
     def felt_n(self, relative: float) -> float:
         """Return the pulse in N, as the present press would give it, for its relative value."""
-        return (relative - self._mean) * self.height_n(self.static_n)
+        press_n = min(self._reading.scaling_n, self._limits.force_n)
+        return (relative - self._mean) * self.height_n(press_n)
 
     def take_beat(self, interval_s: float, good: bool) -> None:
         """Take the time of a new beat, over which the reading is averaged, if the beat is good.

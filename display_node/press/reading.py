@@ -10,9 +10,10 @@ import math
 from collections import deque
 from typing import Final
 
-# Corner of the high-pass by which pulse and reading are compared, and of the low-pass of readings.
+# Corner of the high-pass by which pulse and reading are compared, and time constants of readings:
+# of what moves the tip, and of what scales the pulse, which is felt wrong where it lags a step.
 COMPARE_FROM_HZ: Final = 1.0
-FOLLOW_S: Final = 15e-3
+FOLLOW_S, SCALE_S = 15e-3, 5e-3
 # Time over which the pulse's share in the reading is learnt.
 LEARN_S: Final = 5.0
 MOST_SHARE: Final = 4.0
@@ -107,6 +108,8 @@ class PressReading:
         Time of a beat, over which readings are averaged; set it to the pulse's.
     follow_n
         Estimate without the average, for what has to follow the finger at once.
+    scale_n
+        A faster one, which does not move the tip.
     mean_pulse_n
         Mean of the rendered pulse over the readings that were averaged.
     """
@@ -115,7 +118,7 @@ class PressReading:
         self._pulse = PulseShare()
         self._window: deque[tuple[int, float, float]] = deque()
         self._sum_n = self._pulse_sum_n = 0.0
-        self.follow_n = 0.0
+        self.follow_n = self.scale_n = 0.0
         self._begun = False
         self._last_ns = self._moved_ns = 0
         self._differs_ns: int | None = None
@@ -142,14 +145,21 @@ class PressReading:
         """Estimate for what follows the finger at once, without an average once it may be."""
         return max(0.0, self.follow_n) if self._pulse.known else self.press_n
 
+    @property
+    def scaling_n(self) -> float:
+        """Estimate by which the pulse is scaled, without an average once it may be."""
+        return max(0.0, self.scale_n) if self._pulse.known else self.press_n
+
     def add(self, reading_n: float, pulse_n: float, now_ns: int) -> float:
         """Take a finite reading in N, and the pulse rendered at its time; return the press."""
         if not self._begun:
             self._begun = True
-            self.follow_n, self._last_ns, self._moved_ns = reading_n, now_ns, now_ns
+            self.follow_n = self.scale_n = reading_n
+            self._last_ns = self._moved_ns = now_ns
         elapsed_s, self._last_ns = max(0, now_ns - self._last_ns) * 1e-9, now_ns
         rest_n = reading_n - self._pulse.share * pulse_n
         self.follow_n += (rest_n - self.follow_n) * -math.expm1(-elapsed_s / FOLLOW_S)
+        self.scale_n += (rest_n - self.scale_n) * -math.expm1(-elapsed_s / SCALE_S)
         if self._moves(self.follow_n, now_ns):
             self._window.clear()
             self._moved_ns = now_ns

@@ -108,13 +108,14 @@ def replay(
 
     With --press, a recording of a sweep (`telepulse sweep --record`) becomes a wrist: its beats are
     played again and again, with height and shape of the hold-down that a display's finger sets.
+    FILE may then also be its table samples.csv, as `telepulse export` writes it.
 
     Exit status: 0 at the end of the recording, 2 when the recording cannot be read or the
     address cannot be used; the reason is one line on stderr.
     """
     from sensing_node.feeds import ReplaySource, Source
     from sensing_node.node import SensingNode
-    from telepulse.recording.recorded_wrist import RecordedWrist
+    from telepulse.recording.recorded_wrist import RecordedWrist, exported_session
     from telepulse.recording.session import longest_session
 
     console = plain_console(quiet, json)
@@ -123,7 +124,8 @@ def replay(
         raise_file_limit()
         check_writable(json)
         keys = server_keys(bind, key, allow, insecure)
-        session = longest_session(file)
+        exported = press and file.suffix == ".csv"
+        session = exported_session(file) if exported else longest_session(file)
         description = session.description
         source: Source = ReplaySource(description, session.frames())
         if press:

@@ -7,6 +7,8 @@ the height that of the curve fitted to all beats.
 
 from bisect import bisect_right
 from collections.abc import Sequence
+from itertools import pairwise
+from pathlib import Path
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -23,16 +25,21 @@ from display_node.scoring.pressed_beats import (
     steady_hold_down_n,
 )
 from protocol.errors import SourceError
+from protocol.tactile import ElasticLayer
 from protocol.tissue import StiffeningLaw
-from protocol.wire.messages import channel_samples
-from protocol.wire.stream import HOLD_DOWN, PULSE
+from protocol.wire.messages import Frame, channel_samples, encode_frame
+from protocol.wire.stream import HOLD_DOWN, PULSE, StreamDescription
 from sensing_node.press.probe import ProbeLimits
-from sensing_node.sources.wrist import ProbedTissue
+from sensing_node.sources.column_files import load_columns
+from sensing_node.sources.wrist import ProbedTissue, Wrist
 from telepulse.recording.session import RecordedSession
 
 Floats = NDArray[np.float64]
 # Beats whose hold-down differs by less belong to one level.
 LEVEL_N: Final = 0.04
+# Columns of an exported table: film and load cell are a wrist's first two channels.
+TABLE_COLUMNS = ("session", "sample", "t_ns", "force_0_n", "force_1_n")
+BATCH: Final = 50
 # Parts of a beat's shape, and the part at which its peak is put: beats of two levels are blended
 # peak to peak, since a stronger press shortens the rise.
 PARTS, PEAK_AT = 400, 60
@@ -116,6 +123,36 @@ class RecordedWrist(ProbedTissue):
         place = self._phase * PARTS
         at = int(place)
         return shape[at] + (shape[at + 1] - shape[at]) * (place - at)
+
+
+def exported_session(path: Path) -> RecordedSession:
+    """Return the pulse and hold-down of an exported table of samples as a session.
+
+    Of several sessions, the longest is taken. Raises SourceError.
+    """
+    session, sample, t_ns, film_n, cell_n = (
+        column.values for column in load_columns(path, TABLE_COLUMNS)
+    )
+    numbers, counts = np.unique(session, return_counts=True)
+    mine = session == numbers[counts.argmax()]
+    # Copies came over other connections.
+    samples, first_of = np.unique(sample[mine].astype(np.int64), return_index=True)
+    times_ns = t_ns[mine][first_of]
+    values = np.column_stack([film_n, cell_n])[mine][first_of].astype("<f4")
+    if len(samples) < 2:
+        raise SourceError(f"{path}: holds no stream of samples")
+    period_ns = round(float(np.median(np.diff(times_ns) / np.diff(samples))))
+    if period_ns <= 0:
+        raise SourceError(f"{path}: its samples do not follow one another in time")
+    description = StreamDescription(path.stem, period_ns, BATCH, Wrist.channels, ElasticLayer())
+    found = RecordedSession(1, description, samples=len(samples))
+    gaps = np.flatnonzero(np.diff(samples) != 1) + 1
+    for begin, end in pairwise([0, *gaps.tolist(), len(samples)]):
+        for at in range(begin, end, BATCH):
+            part = values[at : min(at + BATCH, end)]
+            frame = Frame(1, int(samples[at]), int(times_ns[at]), period_ns, part)
+            found.data[frame.first_sample] = encode_frame(frame)
+    return found
 
 
 def _read_beats(session: RecordedSession) -> tuple[list[RecordedBeat], list[BeatPoint]]:

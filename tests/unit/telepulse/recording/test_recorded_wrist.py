@@ -1,5 +1,7 @@
 """A recorded sweep that is pressed anew."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -7,7 +9,7 @@ from numpy.typing import NDArray
 from protocol.errors import DepthError, SourceError
 from protocol.wire.stream import Channel
 from sensing_node.scene import serve_set_points
-from telepulse.recording.recorded_wrist import RecordedWrist
+from telepulse.recording.recorded_wrist import RecordedWrist, exported_session
 from telepulse.simulation.depth_loop import BATCH
 from tests.support.recorded_sweeps import PERIOD_NS, SweptWrist, session_of
 
@@ -57,3 +59,25 @@ def test_recordings_that_cannot_be_pressed_are_refused_with_the_reason(wrist: Sw
     others = Channel("pulse"), Channel("left")
     with pytest.raises(SourceError, match="has the channels pulse, left; to be pressed it needs"):
         RecordedWrist(session_of(wrist.taken, others))
+
+
+def test_an_exported_table_is_the_session_that_was_recorded(
+    wrist: SweptWrist, tmp_path: Path
+) -> None:
+    path, values = tmp_path / "samples.csv", np.concatenate(wrist.taken[:200]).astype("<f4")
+    numbers = np.arange(len(values))
+    table = np.column_stack([np.full(len(values), 7), numbers, numbers * PERIOD_NS, values])
+    # A gap, copies of some samples, and a sample of another session.
+    rows = np.concatenate([table[:300], table[400:], table[:50], [[8, 0, 0, 0, 0]]])
+    names = "session,sample,t_ns,force_0_n,force_1_n"
+    np.savetxt(path, rows, "%.9g", ",", header=names, comments="")
+    session = exported_session(path)
+    frames = list(session.frames())
+    kept = np.concatenate([values[:300], values[400:]])
+    assert np.array_equal(np.concatenate([frame.values for frame in frames]), kept)
+    assert [frame.first_sample for frame in frames[:8]] == [0, 50, 100, 150, 200, 250, 400, 450]
+    assert session.description.period_ns == PERIOD_NS
+    assert session.description.channels == wrist.channels
+    path.write_text("session,sample,t_ns,force_0_n\n1,2,3,0.1\n")
+    with pytest.raises(SourceError, match="no column 'force_1_n'; it has session"):
+        exported_session(path)
