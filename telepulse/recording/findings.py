@@ -95,8 +95,14 @@ class RunFindings:
             loop=Loop(self.ticks, self._misses),
         )
         figures = {each.name: Summary(beats=each.beats.figures()) for each in self.contactors}
+        whole = with_contactors(summary, figures)
         errors = [each.forces.alignment.errors for each in self.contactors]
-        return scored(with_contactors(summary, figures), errors)
+        return whole if self.pressed else scored(whole, errors)
+
+    @property
+    def pressed(self) -> bool:
+        """Whether a finger or a sweep pressed: the felt force is not that of the wrist alone."""
+        return self.display_summary is not None and self.display_summary.press.press_n is not None
 
     def take(self, entry: Entry) -> None:
         """Process a message of the recording, in the order of `in_tick_order`."""

@@ -29,6 +29,12 @@ FAINT = 0.3
 GAP_S = 0.1
 SHARES = np.concatenate([np.linspace(0.001, 0.99, 150), np.linspace(0.9905, 1, 20)])
 TIME = "time in s"
+# Plots of a difference that a press makes meaningless, and why they are left out.
+DIFFERENCES = ("force-worst", "error")
+PRESSED = (
+    "A finger or a sweep pressed the wrist. The force felt then contains the finger's own press,"
+    " and the pulse that this press gives, so it is not compared with the pulse at the wrist."
+)
 Floats = NDArray[np.float64]
 
 
@@ -66,7 +72,7 @@ def build_recording_report(path: Path) -> Report:
         *(
             chapter
             for number, contactor in enumerate(findings.contactors)
-            for chapter in _contactor_chapters(contactor, number, several)
+            for chapter in _contactor_chapters(contactor, number, several, findings.pressed)
         ),
         Chapter("Delay and loss", plots=delays),
         Chapter("Clock and loop", plots=(clock, loop)),
@@ -133,13 +139,20 @@ def _summary(findings: RunFindings) -> Table:
 
 
 def _contactor_chapters(
-    contactor: ContactorFindings, number: int, several: bool
+    contactor: ContactorFindings, number: int, several: bool, pressed: bool
 ) -> tuple[Chapter, Chapter]:
-    """Return the chapters on force and beats; number: of the contactor, from 0."""
+    """Return the chapters on force and beats.
+
+    number: of the contactor, from 0. pressed: whether the felt force contains a press.
+    """
     of = f" – {contactor.name}" if several else ""
     ending = f"-{number + 1}" if several else ""
     drawn = _ContactorPlots(contactor)
-    return _force(contactor, drawn, of, ending), _beats(contactor, drawn, of, ending)
+    force = _force(contactor, drawn, of, ending)
+    if pressed:
+        plots = [plot for plot in force.plots if not plot.name.startswith(DIFFERENCES)]
+        force = Chapter(force.title, (*force.paragraphs, PRESSED), plots=plots)
+    return force, _beats(contactor, drawn, of, ending)
 
 
 def _force(contactor: ContactorFindings, drawn: "_ContactorPlots", of: str, ending: str) -> Chapter:

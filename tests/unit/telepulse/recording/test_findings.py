@@ -1,4 +1,6 @@
 from fuzz.telemetry_readers import MS, preamble, status_message
+from protocol.press_figures import PressFigures
+from protocol.run_summary import Summary
 from protocol.wire.telemetry import PlaybackStatus
 from telepulse.recording.findings import RunFindings
 from telepulse.telemetry.decoder import TelemetryDecoder
@@ -17,3 +19,14 @@ def test_contactors_keep_their_findings_where_a_further_run_has_others() -> None
     assert [each.name for each in findings.contactors] == ["cun", "chi", "guan"]
     assert [each.forces.alignment.channel for each in findings.contactors] == [0, 2, 0]
     assert list(findings.summary().contactors) == ["cun", "chi", "guan"]
+
+
+def test_a_pressing_fingers_force_is_not_compared_with_the_wrists() -> None:
+    findings = RunFindings()
+    errors = findings.contactors[0].forces.alignment.errors
+    errors.add_reference_force([0, 10 * MS, 20 * MS], [0.1, 0.3, 0.2])
+    errors.add_output(10 * MS, 10 * MS, 1.3)
+    findings.finish()
+    assert findings.summary().force_rmse_n.aligned is not None
+    findings.display_summary = Summary(press=PressFigures(press_n=1.0))
+    assert findings.summary().force_rmse_n.aligned is None
