@@ -6,8 +6,9 @@ If the end was not announced (a sensing node killed with SIGKILL, an end lost in
 sent since shortly before the fault may be missing.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 # Samples of this time before a fault may be in transit, buffered, or not yet reported.
 GRACE_NS = 1_000_000_000
@@ -116,3 +117,13 @@ def _received_by(until_ns: int, session: Session, faults: Sequence[tuple[int, in
         if from_ns <= until_ns <= to_ns + AFTERMATH_NS:
             until_ns = from_ns
     return (until_ns - GRACE_NS - session.began_ns) // session.period_ns
+
+
+def unaccounted(presses: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Return the accounts of set-points that do not add up; nodes without a press have none."""
+    parts = ("applied", "superseded", "lost")
+    return [
+        f"{press['sent']} sent, {' + '.join(str(press[part]) for part in parts)}"
+        for press in presses
+        if press["sent"] is not None and press["sent"] != sum(press[part] for part in parts)
+    ]

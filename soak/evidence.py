@@ -7,7 +7,7 @@ import numpy as np
 
 from display_node.scene import DisplayScene
 from sensing_node.sources.synthetic import SyntheticScene
-from soak.accounts import Session, reckon
+from soak.accounts import Session, reckon, unaccounted
 from soak.core_time import NONE_EXCUSED, excuse
 from soak.processes import SoakProcess
 from soak.recovery import gaps_s, recoveries, undisturbed_gaps_s
@@ -120,6 +120,7 @@ def _judge_accounts(run: Run, nodes: dict[str, list[SoakProcess]]) -> Iterator[C
     last = [node.summary for node in run.scenario.all_nodes if node.summary]
     yield judge_none("clock steps", [str(x["clock"]["steps"]) for x in last if x["clock"]["steps"]])
     yield judge_none("faults latched", [fault for x in last for fault in x["faults"]])
+    yield judge_none("set-points unaccounted", unaccounted([x["press"] for x in last]))
     calm = next((node.summary for node in nodes[CALM_DISPLAY] if node.summary), None)
     refused = [f"{count} {cause}" for cause, count in (calm["rejected"] if calm else {}).items()]
     lost = [f"{calm['samples']['lost']} lost"] if calm and calm["samples"]["lost"] else []

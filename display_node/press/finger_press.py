@@ -65,26 +65,31 @@ class PulseHeight:
         self._newest_ns = 0
         self._hold_down_n = self._sum_n = 0.0
         self._count = 0
-        self._low_n = self._high_n = 0.0
+        self._low_n = self._high_n = self._moved_n = 0.0
 
     def add(
         self, hold_down_n: float, pulse_n: float, now_ns: int, beat_ns: int
-    ) -> tuple[float, float, float] | None:
-        """Take a frame's means; return hold-down, foot and height of a complete window."""
+    ) -> tuple[float, float, float, float] | None:
+        """Take a frame's means; return hold-down, foot, height and motion of a complete window.
+
+        The motion is the largest distance of the hold-down from that at the window's begin.
+        """
         steady_n = STEADY_SHARE * abs(self._hold_down_n) + STEADY_N
         late = self._begin_ns is not None and now_ns - self._newest_ns > beat_ns // 8
         if self._begin_ns is None or late or abs(hold_down_n - self._hold_down_n) > steady_n:
             self._begin_ns, self._hold_down_n = now_ns, hold_down_n
-            self._sum_n, self._count = 0.0, 0
+            self._sum_n, self._count, self._moved_n = 0.0, 0, 0.0
             self._low_n = self._high_n = pulse_n
         self._newest_ns = now_ns
         self._sum_n += hold_down_n
         self._count += 1
+        self._moved_n = max(self._moved_n, abs(hold_down_n - self._hold_down_n))
         self._low_n, self._high_n = min(self._low_n, pulse_n), max(self._high_n, pulse_n)
         if now_ns - self._begin_ns < OVER_BEATS * beat_ns:
             return None
         self._begin_ns = None
-        return self._sum_n / self._count, self._low_n, self._high_n - self._low_n
+        height_n = self._high_n - self._low_n
+        return self._sum_n / self._count, self._low_n, height_n, self._moved_n
 
 
 class LoopGain:

@@ -85,12 +85,13 @@ class LearntCurve:
         weights = self._weights(force_n)
         return math.sqrt(max(0.0, float(weights @ self._covariance @ weights)))
 
-    def observe(self, force_n: float, value: float) -> None:
-        """Take an observation of the value at a force."""
+    def observe(self, force_n: float, value: float, moved_n: float = 0.0) -> None:
+        """Take an observation of the value at a force that moved by `moved_n` meanwhile."""
         weights = self._weights(force_n)
         self._covariance += FORGET * (self._prior - self._covariance)
         gains = self._covariance @ weights
-        variance = float(weights @ gains) + self._variance
+        slope = (self.at(force_n + moved_n) - self.at(force_n - moved_n)) / 2
+        variance = float(weights @ gains) + self._variance + slope**2
         error = value - float(weights @ self._values)
         self._set(self._values + gains * (error / variance))
         self._covariance -= np.outer(gains, gains) / variance
@@ -157,8 +158,8 @@ class PulseCurve:
         """Return the standard deviation of the height at a force, as a share of it."""
         return self._logs.deviation(force_n)
 
-    def observe(self, force_n: float, foot_n: float, height_n: float) -> None:
-        """Take foot and height of a beat during which the hold-down force was constant."""
+    def observe(self, force_n: float, foot_n: float, height_n: float, moved_n: float = 0.0) -> None:
+        """Take foot and height of a beat during which the hold-down force moved by `moved_n`."""
         if not LEAST_HEIGHT_N <= height_n <= LARGEST_N or not abs(force_n) <= LARGEST_N:
             return
         if not abs(foot_n) <= MOST_FOOT * height_n:
@@ -167,8 +168,8 @@ class PulseCurve:
         if self.beats == 0:
             # The unit of the heights is not known before.
             self._logs.shift(log - self._logs.at(force_n))
-        self._logs.observe(force_n, log)
-        self._feet.observe(force_n, foot_n / height_n)
+        self._logs.observe(force_n, log, moved_n)
+        self._feet.observe(force_n, foot_n / height_n, moved_n)
         self.best_height = math.exp(self._logs.highest)
         self.beats += 1
 

@@ -73,7 +73,8 @@ class PressSetting:
     the press sensor's reading. connections: TCP connections over which the set-points take turns.
     copies: connections over which each set-point is sent. batch: samples in a frame, a multiple of
     5. paths: TCP connections of the frames, of which the first copies are used. open_loop: forces
-    at the wrist that replace the received set-points.
+    at the wrist that replace the received set-points. later_ns: further perceived delay, by which a
+    step meets another part of the beat.
     """
 
     link: LinkScene
@@ -86,6 +87,7 @@ class PressSetting:
     batch: int = BATCH
     paths: int = 1
     open_loop: Meant | None = None
+    later_ns: int = 0
 
 
 class PressLoop:
@@ -104,7 +106,7 @@ class PressLoop:
         seeds = range(setting.seed, setting.seed + setting.connections + 1)
         self._down, *self._up = (MessageLink(link, seed) for seed in seeds)
         self._tcp = link.transport == "tcp"
-        self._delay_ns = link.delay_ns + 4 * link.jitter_ns + SPARE_NS
+        self._delay_ns = link.delay_ns + 4 * link.jitter_ns + SPARE_NS + setting.later_ns
         self._delay_ns += (setting.batch - BATCH) * TICK_NS
         self._round_trip_ns = 2 * (link.delay_ns + 4 * link.jitter_ns)
         if self._tcp:

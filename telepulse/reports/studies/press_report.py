@@ -111,7 +111,8 @@ def _steps_chapter(scores: PressScores, effort: PressEffort) -> Chapter:
     words = (
         f"A finger steps between forces of 0.6 and 1.5 N every 4 s, for {effort.seconds:g} s, over"
         " links with 10 % of jitter and 1 % of loss of every message; the steps after the first"
-        f" {LEARNT_S:g} s count, of {len(effort.seeds)} runs with their own seeds."
+        f" {LEARNT_S:g} s count, of {len(effort.seeds)} runs with their own seeds. In each, steps"
+        " meet another part of the beat."
         f" Hold-down: largest error against the press from {FOLLOWED_S:g} s and a round trip after"
         f" a step on (bar: {FOLLOW_ERROR:.0%}). Height: of the felt pulse, over each beat, against"
         " that which the present press would give; it is judged from the step on, also while the"

@@ -49,6 +49,9 @@ WINDOW_S, WINDOWS = 4.0, 4
 # Deviation of a set-point at rest, by the noise of the sensor.
 REST_N: Final = 3e-3
 BEAT_TICKS, MEAN_TICKS = 800, 5
+# A step is five beats long. So that not all runs step in the same part of a beat, each plays this
+# much later than the one before.
+LATER_NS: Final = 700_000_000
 Floats = NDArray[np.float64]
 
 
@@ -256,7 +259,11 @@ def score_press(effort: PressEffort, scheduler: str | None = None) -> PressScore
         effort.round_trips_s,
         [(a, b) for a in effort.stiffnesses for b in effort.stiffnesses],
     )
-    plain = [PressSetting(link_of(trip), seed=seed) for trip in trips for seed in effort.seeds]
+    plain = [
+        PressSetting(link_of(trip), seed=seed, later_ns=number * LATER_NS)
+        for trip in trips
+        for number, seed in enumerate(effort.seeds)
+    ]
     variants = {
         trip: (*VARIANTS, LONG_FRAMES) if trip >= LONG_FROM_S else VARIANTS
         for trip in trips

@@ -1,6 +1,6 @@
 import pytest
 
-from soak.accounts import Mark, Session, reckon
+from soak.accounts import Mark, Session, reckon, unaccounted
 
 S, MS = 1_000_000_000, 1_000_000
 FIRST = Session(began_ns=0, ended_ns=10 * S, period_ns=MS, least=10_000, most=10_000)
@@ -102,3 +102,10 @@ def test_a_session_that_was_over_before_the_display_joined_may_count_or_not(
 ) -> None:
     (found,) = reckon(marks(*rows), [KILLED, LAST], [])
     assert found.off == off
+
+
+def test_set_points_that_do_not_add_up_are_found() -> None:
+    none: dict[str, int | None] = dict.fromkeys(("sent", "applied", "superseded", "lost"))
+    whole = {"sent": 10, "applied": 7, "superseded": 2, "lost": 1}
+    assert unaccounted([none, whole]) == []
+    assert unaccounted([whole | {"sent": 11}]) == ["11 sent, 7 + 2 + 1"]

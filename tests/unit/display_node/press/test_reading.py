@@ -56,3 +56,10 @@ def test_a_slow_motion_is_followed_within_a_few_per_cent() -> None:
 def test_a_press_is_never_negative() -> None:
     _, row = estimated(1.0, 2.0, lambda t_s: -0.5)
     assert row.max() == 0.0
+
+
+def test_the_pulse_is_scaled_by_a_reading_that_follows_a_step_sooner_than_the_tip() -> None:
+    # The step is 20 ms old.
+    reading, _ = estimated(1.0, 8.021, lambda t_s: 1.5 if t_s < 8.0 else 0.7)
+    assert reading.scaling_n == pytest.approx(0.7, abs=0.03)
+    assert reading.now_n > 0.85

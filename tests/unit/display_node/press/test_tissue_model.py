@@ -107,3 +107,14 @@ def test_noise_at_a_constant_press_teaches_nothing() -> None:
         noise_n = 0.02 * LEAST_CHANGE_N * float(random.standard_normal())
         fit.observe(1.0 + noise_n, 2e-3)
     assert fit.law == StiffeningLaw()
+
+
+def test_a_beat_during_which_the_hold_down_moved_changes_a_steep_curve_less() -> None:
+    truth = artery()
+    changes = []
+    for moved_n in (0.0, 0.04):
+        curve = learnt(truth)
+        before_n = curve.height(1.5)
+        curve.observe(1.5, 0.0, 1.3 * before_n, moved_n)
+        changes.append(curve.height(1.5) / before_n - 1)
+    assert changes[0] > 1.5 * changes[1] > 0
