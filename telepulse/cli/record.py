@@ -108,7 +108,7 @@ def replay(
 
     With --press, a recording of a sweep (`telepulse sweep --record`) becomes a wrist: its beats are
     played again and again, with height and shape of the hold-down that a display's finger sets.
-    FILE may then also be its table samples.csv, as `telepulse export` writes it.
+    FILE may then also be its table samples.csv or .parquet, as `telepulse export` writes it.
 
     Exit status: 0 at the end of the recording, 2 when the recording cannot be read or the
     address cannot be used; the reason is one line on stderr.
@@ -124,7 +124,7 @@ def replay(
         raise_file_limit()
         check_writable(json)
         keys = server_keys(bind, key, allow, insecure)
-        exported = press and file.suffix == ".csv"
+        exported = press and file.suffix in (".csv", ".parquet")
         session = exported_session(file) if exported else longest_session(file)
         description = session.description
         source: Source = ReplaySource(description, session.frames())

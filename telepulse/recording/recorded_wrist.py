@@ -29,8 +29,8 @@ from protocol.tactile import ElasticLayer
 from protocol.tissue import StiffeningLaw
 from protocol.wire.messages import Frame, channel_samples, encode_frame
 from protocol.wire.stream import HOLD_DOWN, PULSE, StreamDescription
+from sensing_node.files.formats import open_signals
 from sensing_node.press.probe import ProbeLimits
-from sensing_node.sources.column_files import load_columns
 from sensing_node.sources.wrist import ProbedTissue, Wrist
 from telepulse.recording.session import RecordedSession
 
@@ -130,9 +130,10 @@ def exported_session(path: Path) -> RecordedSession:
 
     Of several sessions, the longest is taken. Raises SourceError.
     """
-    session, sample, t_ns, film_n, cell_n = (
-        column.values for column in load_columns(path, TABLE_COLUMNS)
-    )
+    table = np.stack([column.values for column in open_signals(path).load(TABLE_COLUMNS)])
+    if not np.isfinite(table).all():
+        raise SourceError(f"{path}: a value of {', '.join(TABLE_COLUMNS)} is missing")
+    session, sample, t_ns, film_n, cell_n = table
     numbers, counts = np.unique(session, return_counts=True)
     mine = session == numbers[counts.argmax()]
     # Copies came over other connections.
