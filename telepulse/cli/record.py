@@ -51,6 +51,21 @@ def record(
     ],
     seconds: StopAfterOption = None,
     until_silent: SilenceOption = None,
+    about: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="KEY=TEXT",
+            help="State subject, position, side or notes of the recording, once for each.",
+        ),
+    ] = None,
+    marks: Annotated[
+        bool,
+        typer.Option("--marks", help="Mark the time at each line of standard input: type Enter."),
+    ] = False,
+    marks_from: Annotated[
+        str | None,
+        typer.Option(metavar="NAME", help="Mark the texts of this LSL stream."),
+    ] = None,
     quiet: QuietOption = False,
     log_level: LogLevelOption = None,
     key: KeyOption = None,
@@ -64,17 +79,26 @@ def record(
     events. Ends with the display. If killed, it loses at most its last second; on a full disk it
     waits for space. `display-node --record FILE` starts this command beside the display.
 
+    With --marks, Enter in this terminal marks the present time, with the text before it if there is
+    one; a program can write such lines into a pipe. Marks are events of the recording. --about is
+    kept in the file's metadata. Neither is sent to anybody.
+
     --key is the display's own key file. With another key, give the display's public key as --peer.
 
     Exit status: 0 when all was written, 1 when something is missing, which it prints, 2 when it
     cannot begin.
     """
+    from telepulse.recording.marks import LineMarks, LslMarks, MarkSource, read_about
     from telepulse.recording.recorder import McapRecorder
 
     with one_line_errors(PROGRAM):
         configure_logging(log_level, quiet)
         keys = telemetry_keys(address, key, peer, insecure)
-        recorder = McapRecorder(address, file, keys)
+        stated = read_about(about or ())
+        sources: list[MarkSource] = [LineMarks()] if marks else []
+        if marks_from is not None:
+            sources.append(LslMarks(marks_from))
+        recorder = McapRecorder(address, file, keys, stated, sources)
     stop_on_signals(recorder.stop)
     if not recorder.run(seconds, until_silent, display_pid):
         raise SystemExit(NOT_WHOLE)

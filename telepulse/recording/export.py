@@ -352,6 +352,8 @@ def export_mcap(path: Path, copy: Path) -> str:
         writer.put(*message)
         if number % MESSAGES_A_CHUNK == 0:
             writer.flush()
+    if reader.about:
+        writer.state(reader.about)
     for provenance in reader.provenance:
         writer.describe(provenance)
     reason = writer.close()

@@ -33,7 +33,7 @@ class RunFindings:
 
     Attributes
     ----------
-    gaps, provenance
+    gaps, provenance, about
         See `RecordingReader`.
     display_summary : Summary or None
         The summary in the display's last recorded status.
@@ -50,6 +50,7 @@ class RunFindings:
     def __init__(self) -> None:
         self.gaps: list[str] = []
         self.provenance: list[dict[str, str]] = []
+        self.about: dict[str, str] = {}
         self.begin_ns: int | None = None
         self.end_ns = self.ticks = self.runs = self.more_events = 0
         self.streams: list[str] = []
@@ -239,4 +240,5 @@ def read_findings(path: Path) -> RunFindings:
     if findings.begin_ns is None:
         raise SourceError(f"{path}: holds no message")
     findings.gaps, findings.provenance = reader.gaps(), reader.provenance
+    findings.about = reader.about
     return findings

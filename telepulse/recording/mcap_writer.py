@@ -94,7 +94,7 @@ class RetryingFile:
 
 # Limit of the waiting pieces while the disk is full: about seven minutes of a 1 kHz stream.
 MAX_WAITING_BYTES = 32 * 1024 * 1024
-PROVENANCE = "telepulse.provenance"
+PROVENANCE, ABOUT = "telepulse.provenance", "telepulse.about"
 # Limit of the runs of a display in one recording whose provenance is kept.
 MAX_RUNS = 100
 
@@ -152,6 +152,10 @@ class McapWriter:
             self.dropped += 1
             return
         self._writer.add_metadata(PROVENANCE, provenance)
+
+    def state(self, about: dict[str, str]) -> None:
+        """Add what a person states about the recording."""
+        self._writer.add_metadata(ABOUT, about)
 
     def flush(self) -> str | None:
         """End the chunk and write it; return the reason if it could not be written yet."""

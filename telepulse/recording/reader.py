@@ -9,7 +9,7 @@ from typing import IO, TYPE_CHECKING, Any, NamedTuple
 
 from protocol.config.quantities import count_text
 from protocol.errors import SourceError
-from telepulse.recording.mcap_writer import PROVENANCE
+from telepulse.recording.mcap_writer import ABOUT, PROVENANCE
 from telepulse.telemetry.decoder import Entry
 from telepulse.telemetry.schema import CLOCK, FRAME, REFUSED, SCHEMAS, STREAM, TICK
 
@@ -49,7 +49,8 @@ class RecordingReader:
 
     whole: the recording has its end. damaged: chunks with a wrong checksum, which are left out.
     cut_bytes: bytes at the end of the file that cannot be read. begin_ns, end_ns: Unix time of the
-    first and last message. provenance: of each run of the display, as text by key.
+    first and last message. provenance: of each run of the display, as text by key. about: what a
+    person stated about the recording, by key.
     """
 
     def __init__(self, path: Path) -> None:
@@ -70,6 +71,7 @@ class RecordingReader:
         self.begin_ns: int | None = None
         self.end_ns = 0
         self.provenance: list[dict[str, str]] = []
+        self.about: dict[str, str] = {}
 
     @property
     def whole(self) -> bool:
@@ -133,6 +135,8 @@ class RecordingReader:
                     ours = ours or schemas.get(record.schema_id) == SCHEMAS[FRAME][0]
                 case "Metadata" if record.name == PROVENANCE:
                     self.provenance.append(dict(record.metadata))
+                case "Metadata" if record.name == ABOUT:
+                    self.about |= record.metadata
                 case "Message" if ours and record.channel_id in channels:
                     if self.begin_ns is None:
                         self.begin_ns = record.log_time

@@ -2,10 +2,12 @@
 
 import logging
 import time
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from protocol.config.quantities import count_text
 from protocol.security.keys import ClientKeys
+from telepulse.recording.marks import MarkSource
 from telepulse.recording.mcap_writer import McapWriter
 from telepulse.telemetry.client import TelemetryClient
 from telepulse.telemetry.events import Event
@@ -15,14 +17,23 @@ logger = logging.getLogger(__name__)
 
 # A recorder that is killed loses the messages since the last flush, those of about 0.5 s.
 FLUSH_EVERY_NS = 500_000_000
+MARK = "mark"
 
 
 class McapRecorder:
     """Recorder that runs until the display ends, falls silent or `stop` is called."""
 
-    def __init__(self, address: str, path: Path, keys: ClientKeys | None = None) -> None:
+    def __init__(
+        self,
+        address: str,
+        path: Path,
+        keys: ClientKeys | None = None,
+        about: Mapping[str, str] = {},
+        marks: Sequence[MarkSource] = (),
+    ) -> None:
         """Connect, and create the file. Raises AddressError or OutputError."""
         self._address, self._path = address, path
+        self._about, self._marks = dict(about), marks
         self._reason: str | None = None
         self._client = TelemetryClient(address, keys)
         self._decoder = self._client.decoder
@@ -48,6 +59,8 @@ class McapRecorder:
             message is removed.
         """
         provenance = None
+        if self._about:
+            self._file.state(self._about)
         flush_ns = time.perf_counter_ns() + FLUSH_EVERY_NS
         self._client.subscribe()
         try:
@@ -57,6 +70,8 @@ class McapRecorder:
                 if self._decoder.provenance != provenance:
                     provenance = self._decoder.provenance
                     self._file.describe(provenance or {})
+                if self._decoder.started:
+                    self._add_marks()
                 now_ns = time.perf_counter_ns()
                 if now_ns >= flush_ns:
                     flush_ns = now_ns + FLUSH_EVERY_NS
@@ -64,6 +79,12 @@ class McapRecorder:
             return self._end(started_by_display=display_pid is not None)
         finally:
             self._client.close()
+
+    def _add_marks(self) -> None:
+        for source in self._marks:
+            for text, age_ns in source.take():
+                self._file.add(self._decoder.event(Event("INFO", MARK, text), age_ns))
+                logger.info(f"{self._path}: mark: {text}")
 
     def _report_disk(self, reason: str | None) -> None:
         """Warn once when writing fails, and once when it succeeds again."""

@@ -78,6 +78,9 @@ def build_recording_report(path: Path) -> Report:
         Chapter("Clock and loop", plots=(clock, loop)),
         Chapter("What happened", tables=(Table("events", ("s", "", "what", ""), events, more),)),
     ]
+    if findings.about:
+        stated = Table("stated by the person who recorded", ("", ""), tuple(findings.about.items()))
+        chapters.append(Chapter("About the recording", tables=(stated,)))
     # Recordings of older versions have no provenance.
     if runs := findings.provenance:
         titles = [f"run {n}" for n in range(1, len(runs) + 1)] if len(runs) > 1 else ["the run"]

@@ -76,10 +76,11 @@ class TelemetryDecoder:
             self.missed["unreadable messages"] += 1
         return []
 
-    def event(self, event: Event) -> Entry:
-        """Return an event as an entry, at the latest instant of the telemetry."""
+    def event(self, event: Event, age_ns: int = 0) -> Entry:
+        """Return an event as an entry, some time before the latest instant of the telemetry."""
         fields = {"level": LEVELS[event.level], "message": event.text, "name": event.name}
         entry = self._entry(EVENT, fields | {"file": "", "line": 0})
+        entry = entry._replace(t_ns=max(0, entry.t_ns - age_ns))
         sec, nsec = divmod(entry.t_ns, 1_000_000_000)
         entry.fields["timestamp"] = {"sec": sec, "nsec": nsec}
         return entry

@@ -115,6 +115,12 @@ SESSIONS: dict[str, list[Step | Stop | Do]] = {
             shows="playing",
         ),
         Step("telepulse record tcp://127.0.0.1:PORT pulse.mcap", more="--seconds 1", at="beside"),
+        Step(
+            "telepulse record tcp://127.0.0.1:PORT pulse.mcap --marks --about subject=S01"
+            " --about side=left",
+            more="--seconds 1",
+            at="marked",
+        ),
         Step("telepulse lsl tcp://127.0.0.1:PORT", more="--seconds 1"),
         Stop(f"{PLAY} --record pulse.mcap"),
         Stop(SENSE),

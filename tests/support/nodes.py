@@ -20,15 +20,16 @@ def free_address() -> str:
     return free_addresses(1)[0]
 
 
-def start(module: str, *arguments: str) -> ChildProcess:
+def start(module: str, *arguments: str, **options: Any) -> ChildProcess:
     """Start a module of ours as a process; its output is piped."""
-    return ChildProcess(module, "-m", module, *arguments, cwd=ROOT, stdout=PIPE, stderr=PIPE)
+    usual: dict[str, Any] = {"cwd": ROOT, "stdout": PIPE, "stderr": PIPE}
+    return ChildProcess(module, "-m", module, *arguments, **usual | options)
 
 
 @contextmanager
-def process(module: str, *arguments: str) -> Iterator[ChildProcess]:
+def process(module: str, *arguments: str, **options: Any) -> Iterator[ChildProcess]:
     """Run a module until the end of the `with`; pytest shows its output if the test fails."""
-    child = start(module, *arguments)
+    child = start(module, *arguments, **options)
     try:
         yield child
     finally:

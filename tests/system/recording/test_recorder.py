@@ -16,7 +16,9 @@ import pytest
 from protocol.errors import SourceError
 from protocol.host.child_process import ChildProcess, python_command
 from protocol.wire.messages import decode_frame, encode_frame
+from telepulse.recording.export import export_mcap
 from telepulse.recording.reader import RecordedMessage, RecordingReader
+from telepulse.recording.report import build_recording_report
 from telepulse.telemetry.schema import EVENT, FRAME, STATUS, STREAM, TICK
 from tests.support.keyring import Keyring
 from tests.support.log_lines import messages as messages_of
@@ -53,13 +55,13 @@ def events_of(path: Path) -> list[str]:
 
 @contextmanager
 def recording(
-    path: Path, *options: str, ring: Keyring | None = None
+    path: Path, *options: str, ring: Keyring | None = None, stdin: int | None = None
 ) -> Iterator[tuple[TelemetryPublisher, ChildProcess]]:
     """Publish a display's telemetry and record it."""
     address = free_address()
     with (
         publishing(address, ring and ring.server()) as display,
-        process(MODULE, "record", address, str(path), *options) as recorder,
+        process(MODULE, "record", address, str(path), *options, stdin=stdin) as recorder,
     ):
         yield display, recorder
 
@@ -100,6 +102,36 @@ def test_everything_that_a_display_publishes_is_in_the_file(path: Path) -> None:
         *("begin", "session", "state", "join", "end of stream", "state", "end")
     ]
     assert abs(messages[TICK][-1].t_ns - time.time_ns()) < 60 * SECOND_NS
+
+
+def test_marks_and_what_is_stated_are_in_the_file_alone(path: Path) -> None:
+    about = ("--about", "subject=S01", "--about", "side=left\x1b[2J")
+    with recording(path, "--marks", *about, stdin=subprocess.PIPE) as (display, recorder):
+        display.begin()
+        publish_for(display, 0.5)
+        assert recorder.stdin is not None
+        for line in ("cuff on\n", "\n"):
+            recorder.stdin.write(line)
+            recorder.stdin.flush()
+            publish_for(display, 0.3)
+        errors = end(display, recorder)
+    assert "mark: cuff on" in errors
+    messages, reader = read(path)
+    marks = {m.fields["message"]: m.t_ns for m in messages[EVENT] if m.fields["name"] == "mark"}
+    assert list(marks) == ["cuff on", "mark 2"]
+    assert 0.2e9 < marks["mark 2"] - marks["cuff on"] < 1e9
+    assert reader.about == {"subject": "S01", "side": "left [2J"}
+    export_mcap(path, path.with_name("b.mcap"))
+    assert read(path.with_name("b.mcap"))[1].about == reader.about
+    chapters = {chapter.title: chapter for chapter in build_recording_report(path).chapters}
+    (stated,) = chapters["About the recording"].tables
+    assert ("subject", "S01") in stated.rows
+
+
+def test_a_key_that_cannot_be_stated_is_one_line(path: Path) -> None:
+    line = refused(MODULE, "record", "tcp://127.0.0.1:9", str(path), "--about", "sujet=S01")
+    assert "'sujet=S01' is none of its keys" in line
+    assert not path.exists()
 
 
 @pytest.mark.parametrize("seed", [1, 2])
