@@ -133,11 +133,11 @@ def _linear(
         return output
 
     def states() -> Array:
-        return np.array([_read(holder, key) for holder, key in _states(parts)])
+        return np.array([read_state(holder, key) for holder, key in state_variables(parts)])
 
     def set_states(state: Array) -> None:
-        for (holder, key), value in zip(_states(parts), state.tolist(), strict=True):
-            _write(holder, key, value)
+        for (holder, key), value in zip(state_variables(parts), state.tolist(), strict=True):
+            write_state(holder, key, value)
 
     def column(state: Array, push: float = 0.0, noise: float = 0.0) -> tuple[Array, float]:
         set_states(PROBE * state)
@@ -161,19 +161,21 @@ def _linear(
     return LinearLoop(tick_s, a, pushed, c, noise, through, np.array(tips), states(), counts)
 
 
-def _read(holder: Any, key: str | int) -> float:
+def read_state(holder: Any, key: str | int) -> float:
+    """Return a state variable, as `state_variables` yields it."""
     value: float = getattr(holder, key) if isinstance(key, str) else holder[key]
     return value
 
 
-def _write(holder: Any, key: str | int, value: float) -> None:
+def write_state(holder: Any, key: str | int, value: float) -> None:
+    """Set a state variable, as `state_variables` yields it."""
     if isinstance(key, str):
         setattr(holder, key, value)
     else:
         holder[key] = value
 
 
-def _states(parts: Iterable[Any]) -> Iterator[tuple[Any, str | int]]:
+def state_variables(parts: Iterable[Any]) -> Iterator[tuple[Any, str | int]]:
     """Yield each state variable as a part and an attribute's name, or a sequence and an index.
 
     A part's `STATE` names its state variables: numbers, sequences of numbers, or parts with a
@@ -183,7 +185,7 @@ def _states(parts: Iterable[Any]) -> Iterator[tuple[Any, str | int]]:
         for name in part.STATE:
             value = getattr(part, name)
             if hasattr(value, "STATE"):
-                yield from _states([value])
+                yield from state_variables([value])
             elif isinstance(value, float):
                 yield part, name
             elif value is not None:

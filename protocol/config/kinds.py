@@ -7,7 +7,7 @@ only the plug-in that a scene names is imported.
 """
 
 import inspect
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points, version
@@ -74,20 +74,12 @@ class KindGroup(Generic[TableT_co]):
 
         Raises SceneError, which names the distribution, for a plug-in that cannot be used.
         """
-        found = self._entries(kind)
-        if not found:
-            return None
-        if len(found) > 1:
-            names = " and ".join(sorted(_distribution(each) for each in found))
-            raise SceneError(
-                f'{self.noun} kind "{kind}" comes from {names}, and only one of them can be meant:'
-                " uninstall the other"
-            )
-        return _load(self, found[0])
+        found: type[TableT_co] | None = find_kind(kind, [self])
+        return found
 
     def sections(self) -> dict[str, type[TableT_co]]:
         """Return the section models of telepulse's own kinds."""
-        return {kind: _load(self, self._own(kind)) for kind in self.own}
+        return {kind: _load(self, self.own_entry(kind)) for kind in self.own}
 
     def names(self) -> list[str]:
         """Return the names of all kinds, telepulse's own first."""
@@ -110,13 +102,29 @@ class KindGroup(Generic[TableT_co]):
             name, _, number = _distribution(entry).partition(" ")
             yield ListedKind(self.name, entry.name, name, number, problem)
 
-    def _own(self, kind: str) -> EntryPoint:
+    def own_entry(self, kind: str) -> EntryPoint:
+        """Return the entry point of one of telepulse's own kinds."""
         return EntryPoint(kind, self.own[kind], self.name)
 
-    def _entries(self, kind: str) -> list[EntryPoint]:
-        if kind in self.own:
-            return [self._own(kind)]
-        return list(entry_points(group=self.name, name=kind))
+
+def find_kind(kind: str, groups: Sequence[KindGroup[KindTable]]) -> type[Any] | None:
+    """Return the section model of a kind of one of the groups; None where there is none.
+
+    Raises SceneError for a plug-in that cannot be used, and for several of one name.
+    """
+    for group in groups:
+        if kind in group.own:
+            return _load(group, group.own_entry(kind))
+    found = [
+        (group, each) for group in groups for each in entry_points(group=group.name, name=kind)
+    ]
+    if len(found) > 1:
+        names = " and ".join(sorted(f"{_distribution(each)} ({each.group})" for _, each in found))
+        raise SceneError(
+            f'{groups[0].noun} kind "{kind}" comes from {names}, and only one of them can be meant:'
+            " uninstall the other"
+        )
+    return _load(*found[0]) if found else None
 
 
 @cache
@@ -196,9 +204,9 @@ class OfKind:
         if isinstance(kind, str):
             if kind in self._also:
                 return self._also[kind]
-            for group in self._groups:
-                if (section := group.find(kind)) is not None:
-                    return section
+            section: type[Section] | None = find_kind(kind, self._groups)
+            if section is not None:
+                return section
         known = [name for group in self._groups for name in group.names()] + list(self._also)
         listed = ", ".join(f"'{name}'" for name in known)
         names = " or ".join(group.name for group in self._groups)

@@ -20,7 +20,7 @@ LIVE |= {"record": "record", "replay": "record", "view": "view", "lsl": "view"}
 LIVE |= {"sweep": "sweep"}
 OTHERS = {"simulate": "demo", "paper": "study", "tune": "commissioning"}
 OTHERS |= {"calibrate": "commissioning", "discover": "discover"}
-OTHERS |= {"export": "record", "convert": "record", "report": "record"}
+OTHERS |= {"export": "record", "convert": "record", "report": "record", "plugins": "plugins"}
 GROUPS = {name: name for name in ("scenes", "study", "emulate", "experiment", "keys")}
 MODULES = LIVE | OTHERS | GROUPS
 

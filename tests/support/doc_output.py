@@ -134,6 +134,10 @@ SESSIONS: dict[str, list[Step | Stop | Do]] = {
         Step("telepulse report pulse.mcap"),
         snippets_of("docs/analysis.md"),
     ],
+    "plug-ins": [
+        Step("telepulse plugins", says="telepulse.predictors  stack"),
+        snippets_of("docs/howto/plugins.md"),
+    ],
     "a recording of others": [
         lambda folder: wfdb_record(folder, pulse_and_ecg(), name="03700181") and None,
         Step("telepulse demo --source 03700181", more="--seconds 2 --no-ui", says="plays ABP"),
@@ -209,6 +213,7 @@ MULTICAST = "needs a network that carries multicast; tests/system/discovery"
 OBSERVER = "a minute; tests/system/experiment/test_experiment_command.py"
 SUBJECT = "asks a person; tests/system/experiment"
 PRESSED = "tests/system/drives/test_pressed_wrist.py"
+EXAMPLE = "tests/system/plugins/test_example.py installs and simulates it"
 UNRUN = {
     f"{SSH} -R 5655:localhost:5555 -R 5656:localhost:5556 THIRD cat": BEHIND,
     f"{SSH} -L 5655:localhost:5655 -L 5656:localhost:5656 THIRD cat": BEHIND,
@@ -241,6 +246,8 @@ UNRUN = {
     "prometheus --config.file docs/monitoring/prometheus.yml --web.listen-address 127.0.0.1:9090": (
         PROMETHEUS
     ),
+    "pip install ./examples/plugin": EXAMPLE,
+    "telepulse simulate examples/plugin/scene.toml --seconds 5": EXAMPLE,
     "make test": "is what runs this",
     "make test-all": "is what runs this",
     "make size": "counts lines",

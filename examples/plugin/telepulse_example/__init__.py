@@ -1,0 +1,1 @@
+"""A plug-in for telepulse with one kind of each group; no device is needed."""

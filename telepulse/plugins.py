@@ -1,0 +1,55 @@
+"""What a plug-in imports: the bases of its kinds, and what they build.
+
+Each kind is a section model: a subclass of one of the bases below, with a `kind` of its own name. A
+distribution names it in an entry point of the group. `telepulse.testing` checks it, and
+`protocol.config.quantities` has the types of keys with units.
+
+| group | base | what it builds |
+|---|---|---|
+| `telepulse.sources` | `SourceScene` | `SampleSource` |
+| `telepulse.sensors` | `SensorScene` | `Port` and `Decoder` |
+| `telepulse.drives` | `DriveScene` | `Drive` |
+| `telepulse.actuators` | `ActuatorScene`, `StepperScene` | `ForceModel` |
+| `telepulse.predictors` | `PredictorScene` | `Predictor` |
+"""
+
+from display_node.plant.scene import ACTUATORS, ActuatorScene, ForceModel, StepperScene
+from display_node.prediction import Predictor
+from display_node.prediction.scene import PREDICTORS, BasePredictor, PredictorScene
+from protocol.config.kinds import KindGroup, KindTable
+from protocol.config.scene import Section
+from protocol.errors import DriveError, SceneError, SourceError
+from protocol.wire.stream import Channel
+from pulse_drives.axis import Axis
+from pulse_drives.drive import Drive, DriveDevice
+from pulse_drives.scene import DRIVES, DriveScene
+from pulse_sensors.samples import SampleBlock, decoded_block
+from pulse_sensors.sensor import SENSORS, Decoder, Port, SensorScene
+from sensing_node.sources.source import SOURCES, SampleSource, SourceContext, SourceScene
+
+__all__ = [
+    "ActuatorScene",
+    "Axis",
+    "BasePredictor",
+    "Channel",
+    "Decoder",
+    "Drive",
+    "DriveDevice",
+    "DriveError",
+    "DriveScene",
+    "ForceModel",
+    "Port",
+    "Predictor",
+    "PredictorScene",
+    "SampleBlock",
+    "SampleSource",
+    "SceneError",
+    "Section",
+    "SensorScene",
+    "SourceContext",
+    "SourceError",
+    "SourceScene",
+    "StepperScene",
+    "decoded_block",
+]
+GROUPS: tuple[KindGroup[KindTable], ...] = (SOURCES, SENSORS, DRIVES, ACTUATORS, PREDICTORS)

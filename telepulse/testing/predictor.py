@@ -1,0 +1,152 @@
+"""Conformance of predictors: pure, causal, and fast enough for each tick."""
+
+import math
+import time
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+from display_node.prediction import Predictor
+from display_node.prediction.scene import PredictorScene
+from protocol.config.scene import validate
+from sensing_node.sources.synthetic import SyntheticScene, SyntheticSource
+from telepulse.testing.conformance import call_within, read_table, require
+
+TICK_NS = 1_000_000
+FRAME = 5
+LEARNS_S = 8.0
+STEPS_AHEAD_MS = (1, 7, 20, 60, 150, 250, 1000)
+# Horizons at which `squares_n2` has the expected errors, and one at which `error_n` is asked.
+SQUARES = 25
+HORIZON_NS = 50 * TICK_NS
+LARGEST_N = 1e3
+
+Feed = Callable[[Predictor, list[int], list[float]], None]
+
+
+def check_predictor(section: type[PredictorScene], keys: Mapping[str, Any]) -> None:
+    """Check a kind of predictor on a synthetic pulse of 1 kHz.
+
+    Parameters
+    ----------
+    section
+        Section model of the kind.
+    keys
+        Its keys as in a scene, with the kind.
+
+    Raises
+    ------
+    ConformanceError
+        With what does not hold: predictions that are not finite, that change when they are
+        repeated, or that depend on samples which the predictor has not been given; an estimate of
+        the error that is not one; work that takes longer than a tick.
+    """
+    table = read_table(section, keys)
+    pulse_n = _pulse(LEARNS_S)
+    first = _build(table, 1)[0]
+    require(first.predict(0) == 0.0, "a prediction before any sample is not 0")
+    began_s = time.process_time()
+    _play([first], pulse_n, _given)
+    busy_s = (time.process_time() - began_s) / len(pulse_n)
+    require(
+        busy_s < TICK_NS * 1e-9,
+        f"observing and predicting takes {busy_s * 1e3:.2f} ms of each tick of 1 ms",
+    )
+    predicted_n = _predictions(first, len(pulse_n))
+    again_n = _predictions(first, len(pulse_n), backwards=True)
+    require(predicted_n == again_n, "predict changes later predictions: it must not keep anything")
+    other = _build(table, 1)[0]
+    _play([other], pulse_n, _overwritten)
+    require(
+        _predictions(other, len(pulse_n)) == predicted_n,
+        "it looks ahead: its predictions follow the lists that observe was given, after the caller"
+        " had written later samples into them (copy what is kept)",
+    )
+    _check_instances(table, pulse_n, predicted_n)
+    _check_error(table, first)
+    _play(_build(table, 3), pulse_n[: 100 * FRAME], _given)
+    _check_extremes(_build(table, 1)[0])
+
+
+def _check_instances(table: PredictorScene, pulse_n: list[float], predicted_n: list[float]) -> None:
+    """Check that what one predictor is given does not reach another."""
+    ahead, later = _build(table, 1)[0], _build(table, 1)[0]
+    _play([ahead], [*pulse_n, *(1.0 + each for each in pulse_n[:500])], _given)
+    _play([later], pulse_n, _given)
+    require(
+        _predictions(later, len(pulse_n)) == predicted_n,
+        "it looks ahead: predictions depend on later samples that another predictor was given",
+    )
+
+
+def _check_error(table: PredictorScene, predictor: Predictor) -> None:
+    error_n, squares = predictor.error_n(HORIZON_NS), predictor.squares_n2
+    require(
+        error_n is None or (math.isfinite(error_n) and error_n >= 0),
+        f"error_n returns {error_n}, not a finite error or None",
+    )
+    require(
+        len(squares) in (0, SQUARES) and all(each >= 0 for each in squares),
+        f"squares_n2 has {len(squares)} values: none, or {SQUARES} that are not negative",
+    )
+    if table.estimates_error:
+        require(
+            len(squares) and error_n is not None,
+            f"estimates_error is true, and after {LEARNS_S:g} s of a regular pulse there is none",
+        )
+
+
+def _check_extremes(predictor: Predictor) -> None:
+    """Check predictions after a step, a gap, and samples that come late."""
+    for first, level_n in ((0, 0.0), (200, LARGEST_N), (150, -LARGEST_N), (3_000, 0.3)):
+        times_ns = [(first + number) * TICK_NS for number in range(FRAME)]
+        predictor.observe(times_ns, [level_n] * FRAME)
+        predictor.work()
+        _predictions(predictor, max(first, 200) + FRAME)
+
+
+def _build(table: PredictorScene, count: int) -> Sequence[Predictor]:
+    found = call_within(10.0, "build", lambda: table.build(TICK_NS, count))
+    require(len(found) == count, f"build returns {len(found)} predictors for {count} channels")
+    return found
+
+
+def _play(predictors: Sequence[Predictor], pulse_n: list[float], feed: Feed) -> None:
+    """Give each channel the same pulse, frame by frame, as a display does."""
+    for first in range(0, len(pulse_n), FRAME):
+        values = pulse_n[first : first + FRAME]
+        for predictor in predictors:
+            times_ns = [(first + number) * TICK_NS for number in range(len(values))]
+            feed(predictor, times_ns, list(values))
+        for _ in values:
+            for predictor in predictors:
+                predictor.work()
+
+
+def _given(predictor: Predictor, times_ns: list[int], values: list[float]) -> None:
+    predictor.observe(times_ns, values)
+
+
+def _overwritten(predictor: Predictor, times_ns: list[int], values: list[float]) -> None:
+    predictor.observe(times_ns, values)
+    for number in range(len(values)):
+        times_ns[number] += len(values) * TICK_NS
+        values[number] += 1.0
+
+
+def _predictions(predictor: Predictor, samples: int, backwards: bool = False) -> list[float]:
+    """Return the predictions at some times after the newest of these samples."""
+    steps = STEPS_AHEAD_MS[::-1] if backwards else STEPS_AHEAD_MS
+    found = {step: predictor.predict((samples - 1 + step) * TICK_NS) for step in steps}
+    for step, value in found.items():
+        require(
+            isinstance(value, float) and math.isfinite(value),
+            f"the prediction {step} ms after the newest sample is {value!r}",
+        )
+    return [found[step] for step in STEPS_AHEAD_MS]
+
+
+def _pulse(seconds: float) -> list[float]:
+    scene = validate({"kind": "synthetic", "noise": "1 mN"}, SyntheticScene, "")
+    samples = SyntheticSource(scene).take(round(seconds * 1e9 / TICK_NS))
+    pulse_n: list[float] = samples[:, 0].tolist()
+    return pulse_n

@@ -1,0 +1,129 @@
+"""Conformance of live sensors: a port that is read by a thread, and a decoder of its data."""
+
+import itertools
+import time
+from collections import Counter
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pulse_sensors.samples import SampleBlock
+from pulse_sensors.sensor import Decoder, Port, Sensor, SensorScene
+from telepulse.testing.conformance import call_within, check_release, read_table, require
+
+# `Sensor.close` waits for a read, so that no read may take longer.
+READ_WITHIN_S = 1.0
+OPEN_WITHIN_S = 10.0
+# The rate over a second or two may differ from the nominal one by this share.
+RATE_ERROR = 0.2
+ENDS_S = 3.0
+# Blocks that are looked at before a device is closed and opened again.
+BLOCKS = 10
+
+
+def check_sensor(
+    section: type[SensorScene],
+    keys: Mapping[str, Any],
+    folder: Path | None = None,
+    seconds: float = 2.0,
+) -> None:
+    """Check a kind of live sensor, on a device that sends, or an emulation of one.
+
+    Parameters
+    ----------
+    section
+        Section model of the kind.
+    keys
+        Its keys as in a scene, with the kind.
+    folder
+        Folder from which paths among the keys count; by default the current one.
+    seconds
+        Time for which the sensor is read.
+
+    Raises
+    ------
+    ConformanceError
+        With what does not hold: a read that waits too long, samples of another shape than the
+        channels, values that are not finite, time that goes back, another rate than that of the
+        table, a device that is not released or cannot be opened again.
+    """
+    table = read_table(section, keys)
+    folder = Path() if folder is None else folder
+    with check_release("close"):
+        port, decoder = table.device(folder)
+        require(isinstance(port.name, str) and port.name, "the port's name is no text")
+        _check_port(port, decoder, table)
+    with check_release("Sensor.close"):
+        sensor = Sensor(*table.device(folder), table)
+        try:
+            _check_stream(sensor, seconds)
+        finally:
+            call_within(ENDS_S, "close, while a read waits,", sensor.close)
+
+
+def _check_port(port: Port, decoder: Decoder, table: SensorScene) -> None:
+    """Check a port that is opened, read, closed, and opened again."""
+    for _ in range(2):
+        call_within(OPEN_WITHIN_S, "open", port.open)
+        blocks: list[SampleBlock] = []
+        until_s = time.monotonic() + READ_WITHIN_S
+        while len(blocks) < BLOCKS and time.monotonic() < until_s:
+            data = call_within(READ_WITHIN_S, "read", port.read)
+            if data:
+                blocks += decoder.feed(data)
+        for block in blocks:
+            _check_block(block, len(table.wire_channels))
+        _check_device_times(blocks)
+        require(isinstance(decoder.rejected, Counter), "rejected is no Counter")
+        call_within(ENDS_S, "close", port.close)
+        call_within(ENDS_S, "a second close", port.close)
+        decoder.reset()
+
+
+def _check_block(block: object, channels: int) -> None:
+    require(isinstance(block, SampleBlock), f"feed returns {type(block).__name__}, no SampleBlock")
+    assert isinstance(block, SampleBlock)
+    shape = np.shape(block.values)
+    require(
+        len(shape) == 2 and shape[1] == channels,
+        f"feed returns values of shape {shape}, and the table has {channels} channels",
+    )
+    require(
+        np.isfinite(block.values).all(), "feed returns a value that is not finite: count it instead"
+    )
+    require(block.missing >= 0, "missing is negative")
+
+
+def _check_device_times(blocks: list[SampleBlock]) -> None:
+    for before, block in itertools.pairwise(blocks):
+        then_ns, now_ns = before.device_ns, block.device_ns
+        if then_ns is not None and now_ns is not None and not block.restarted:
+            require(
+                now_ns > then_ns,
+                f"the device's time goes back, from {then_ns} to {now_ns} ns, without a restart",
+            )
+
+
+def _check_stream(sensor: Sensor, seconds: float) -> None:
+    """Check the samples that a sensor yields as a sensing node reads it."""
+    begun_s, count, last_ns = time.monotonic(), 0, 0
+    while time.monotonic() < begun_s + seconds:
+        time.sleep(0.005)
+        for block in call_within(READ_WITHIN_S, "poll", sensor.poll):
+            count += len(block.values) + block.missing
+            times_ns = list(block.times_ns)
+            require(
+                all(a < b for a, b in itertools.pairwise([last_ns, *times_ns])),
+                "the samples' times go back",
+            )
+            last_ns = times_ns[-1]
+    faults = [fault for fault in sensor.faults() if "gone" in fault]
+    require(not faults, f"the device was lost: {'; '.join(faults)}")
+    require(count, f"no sample in {seconds:g} s: {'; '.join(sensor.faults())}")
+    rate_hz, nominal_hz = count / (time.monotonic() - begun_s), 1e9 / sensor.period_ns
+    require(
+        abs(rate_hz / nominal_hz - 1) <= RATE_ERROR,
+        f"{rate_hz:.0f} samples a second came, and the table's rate is {nominal_hz:.0f} Hz",
+    )
