@@ -3,14 +3,6 @@
 Each kind is a section model: a subclass of one of the bases below, with a `kind` of its own name. A
 distribution names it in an entry point of the group. `telepulse.testing` checks it, and
 `protocol.config.quantities` has the types of keys with units.
-
-| group | base | what it builds |
-|---|---|---|
-| `telepulse.sources` | `SourceScene` | `SampleSource` |
-| `telepulse.sensors` | `SensorScene` | `Port` and `Decoder` |
-| `telepulse.drives` | `DriveScene` | `Drive` |
-| `telepulse.actuators` | `ActuatorScene`, `StepperScene` | `ForceModel` |
-| `telepulse.predictors` | `PredictorScene` | `Predictor` |
 """
 
 from display_node.plant.scene import ACTUATORS, ActuatorScene, ForceModel, StepperScene
