@@ -32,14 +32,14 @@ def build_paper() -> Report:
     from telepulse.reports.paper import comparison, gain_units, pulse_spectrum, stability, stepper
 
     chapters = (
-        comparison.chapter,
-        comparison.contradictions,
-        gain_units.chapter,
-        pulse_spectrum.chapter,
-        stepper.chapter,
-        stability.chapter,
+        comparison.chapter(),
+        comparison.contradictions(),
+        gain_units.chapter(),
+        pulse_spectrum.chapter(),
+        stepper.chapter(),
+        *stability.chapters(),
     )
-    return Report("Dargahi, Xie and Ji (2008), recomputed", [chapter() for chapter in chapters])
+    return Report("Dargahi, Xie and Ji (2008), recomputed", chapters)
 
 
 @app.command()

@@ -41,17 +41,18 @@ def build_report(logs: Sequence[SessionLog], with_spoilt: bool = False) -> Repor
     """
     results = gather(logs, with_spoilt)
     answers = _abx_chapter(results) if results.kind == "abx" else _rating_chapter(results)
-    labels, (first, *others) = _labels(results), answers.tables
+    labels, others = _labels(results), list[Table]()
     if results.spoilt:
         spoilt = [
             (o.subject, str(o.answered.index + 1), o.trial.condition or DIRECT, o.spoilt)
             for o in results.spoilt
         ]
         others.append(Table("Spoilt trials", ("subject", "trial", "condition", "why"), spoilt))
-    # A terminal shows only tables, so the labels are repeated under the first one.
-    first = replace(first, note=" ".join([*labels, first.note]))
-    paragraphs = (*labels, *answers.paragraphs)
-    answers = replace(answers, paragraphs=paragraphs, tables=(first, *others))
+    # What qualifies the answers comes before them.
+    found = (*labels, *answers.paragraphs)
+    answers = replace(
+        answers, paragraphs=found[5:], findings=found[:5], tables=(*answers.tables, *others)
+    )
     made = [
         provenance_table(log.path.stem, log.header.provenance)
         for log in logs

@@ -68,7 +68,12 @@ def build_recording_report(path: Path) -> Report:
     )
     more = f"{findings.more_events} further events are not shown." if findings.more_events else ""
     chapters = [
-        Chapter("In short", tuple(_paragraphs(findings)), (_summary(findings),)),
+        Chapter(
+            "In short",
+            tuple(_paragraphs(findings)),
+            (_summary(findings),),
+            findings=tuple(_in_short(findings)),
+        ),
         *(
             chapter
             for number, contactor in enumerate(findings.contactors)
@@ -87,6 +92,28 @@ def build_recording_report(path: Path) -> Report:
         tables = tuple(map(provenance_table, titles, runs))
         chapters.append(Chapter("Provenance of the recording", tables=tables))
     return Report(f"Recording {path.name}", tuple(chapters))
+
+
+def _in_short(findings: RunFindings) -> Iterable[str]:
+    """Yield at most five sentences on the run."""
+    summary = findings.summary()
+    samples, errors, felt = summary.samples, summary.force_rmse_n, summary.availability
+    if felt.felt is not None:
+        yield f"A pulse was felt for {felt.felt:.1%} of {findings.seconds:.1f} s."
+    if errors.aligned is not None and errors.in_phase is not None:
+        yield (
+            f"The felt force is {1e3 * errors.aligned:.2f} mN RMS off the pulse of the played"
+            f" instant, and {1e3 * errors.in_phase:.2f} mN off the pulse of the same moment."
+        )
+    if (delay_ms := summary.playout_delay_ms.mean) is not None:
+        yield f"The played instant was {delay_ms:.1f} ms old on average."
+    if samples.sent:
+        yield (
+            f"Of {samples.sent} samples, {samples.played} were played, {samples.predicted}"
+            f" predicted, {samples.late} late and {samples.lost} lost."
+        )
+    if summary.faults:
+        yield f"Faults: {'; '.join(summary.faults)}."
 
 
 def _paragraphs(findings: RunFindings) -> Iterable[str]:

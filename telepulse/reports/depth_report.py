@@ -58,7 +58,13 @@ def report_depth(
         f" fit. {NONE}: the sweep did not get there."
     )
     chapters = (
-        Chapter("The three levels", words, (Table.of("Levels", rows, note),), (_height(curve),)),
+        Chapter(
+            "The three levels",
+            words[1:],
+            (Table.of("Levels", rows, note),),
+            (_height(curve),),
+            words[:1],
+        ),
         _shape_chapter(levels, good),
     )
     return Report(f"Sweep of the hold-down: {source}", chapters)

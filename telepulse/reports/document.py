@@ -5,6 +5,8 @@ dark, and the browser shows the one of its theme.
 """
 
 import json
+import re
+import shlex
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -18,6 +20,7 @@ from protocol.host.output import write_whole
 from protocol.provenance import Provenance
 
 if TYPE_CHECKING:
+    from markupsafe import Markup
     from matplotlib.figure import Figure
 
 PAGE = "index.html"
@@ -57,12 +60,18 @@ class Plot:
 
 @dataclass(frozen=True, slots=True)
 class Chapter:
-    """A chapter: paragraphs, then tables, then plots."""
+    """A chapter: paragraphs, then tables, then plots.
+
+    findings: its results in a sentence each; the report begins with those of all chapters. folded:
+    on the page it is closed until it is opened. Words between grave accents are shown as code.
+    """
 
     title: str
     paragraphs: Sequence[str] = ()
     tables: Sequence[Table] = ()
     plots: Sequence[Plot] = ()
+    findings: Sequence[str] = ()
+    folded: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,11 +82,25 @@ class Report:
     chapters: Sequence[Chapter]
     provenance: Provenance | None = None
 
+    @property
+    def findings(self) -> list[str]:
+        """Findings of all chapters, in order."""
+        return [finding for chapter in self.chapters for finding in chapter.findings]
+
+    @property
+    def made(self) -> str:
+        """Version, date and command of the report."""
+        if (origin := self.provenance) is None:
+            return ""
+        date = f"{origin.start_utc[:10]} {origin.start_utc[11:16]} UTC"
+        return f"telepulse {origin.version}, {date}: `{shlex.join(origin.command)}`"
+
     def to_dict(self) -> dict[str, Any]:
         """Return titles, paragraphs and tables as plain types for JSON."""
         made = {} if self.provenance is None else {"provenance": self.provenance.to_dict()}
         return made | {
             "title": self.title,
+            "findings": self.findings,
             "chapters": [
                 {
                     "title": chapter.title,
@@ -165,7 +188,7 @@ def write_report(report: Report, folder: Path) -> Path:
     write_json(report, folder / "report.json")
     if report.provenance is not None:
         made = provenance_table("how this was made", report.provenance.to_dict())
-        last = Chapter("Provenance of this report", tables=(made,))
+        last = Chapter("Provenance of this report", tables=(made,), folded=True)
         report = replace(report, chapters=(*report.chapters, last))
     for chapter in report.chapters:
         for plot in chapter.plots:
@@ -178,6 +201,7 @@ def write_report(report: Report, folder: Path) -> Path:
         trim_blocks=True,
         lstrip_blocks=True,
     )
+    environment.filters["code"] = _code
     page = folder / PAGE
     write_whole(page, environment.get_template("report.html").render(report=report))
     return page
@@ -188,8 +212,15 @@ def write_json(report: Report, path: Path) -> None:
     write_whole(path, json.dumps(report.to_dict(), indent=2, ensure_ascii=False) + "\n")
 
 
+def _code(text: str) -> "Markup":
+    """Return a text as HTML, with the words between grave accents as code."""
+    from markupsafe import Markup, escape
+
+    return Markup(re.sub(r"`([^`]+)`", r"<code>\1</code>", str(escape(text))))
+
+
 def print_tables(report: Report, console: Console) -> None:
-    """Print the report's tables to the terminal; numbers are never cut, however narrow it is."""
+    """Print the report's tables and findings; numbers are never cut, however narrow it is."""
     for chapter in report.chapters:
         for table in chapter.tables:
             if table.summary:
@@ -208,6 +239,8 @@ def print_tables(report: Report, console: Console) -> None:
             for row in table.rows:
                 shown.add_row(*row)
             console.print(shown, width=max(console.width, least), crop=False)
+    for finding in report.findings:
+        console.print(finding, markup=False, highlight=False)
 
 
 def _draw(plot: Plot, theme: Theme, path: Path) -> None:

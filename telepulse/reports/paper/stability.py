@@ -214,8 +214,8 @@ def case_results() -> Iterator[CaseResult]:
     yield from input_cases.peer_frames()
 
 
-def chapter() -> Chapter:
-    """Run every case; takes some seconds."""
+def chapters() -> tuple[Chapter, Chapter]:
+    """Run every case, by tick rate and others; takes some seconds."""
     rates, results = measure(), list(case_results())
     count = Counter(result.verdict for result in results)
     counts = ", ".join(f"{count[verdict]} {verdict}" for verdict in CaseVerdict if count[verdict])
@@ -226,6 +226,7 @@ def chapter() -> Chapter:
     ]
     fate = f"Defects: {'; '.join(defects)}." if defects else "No case fails or is silently wrong."
     summary = f"Of the other {len(results)} rows: {counts}. {fate}"
+    finding = f"Of {len(results)} hard cases for the force loop: {counts}. {fate}"
     rates_summary = _rates_summary(rates)
     cases = Table(
         "Hard cases",
@@ -247,9 +248,13 @@ def chapter() -> Chapter:
         "The paper's gains in mV by eq 21 over the tick rate, derivative without a filter. The"
         " explicit PID is stable where its largest pole is below 1; elsewhere it has no RMSE."
     )
-    return Chapter(
-        "Numerical stability on hard cases",
-        (method, rates_summary, summary),
-        (_rates_table(rates, rates_summary), cases),
-        (Plot("stability", caption, lambda figure: _draw_rates(figure, rates)),),
+    plot = Plot("stability", caption, lambda figure: _draw_rates(figure, rates))
+    return (
+        Chapter(
+            "Numerical stability over the tick rate",
+            (rates_summary,),
+            (_rates_table(rates, rates_summary),),
+            (plot,),
+        ),
+        Chapter("Hard cases", (method, summary), (cases,), findings=(finding,), folded=True),
     )

@@ -62,7 +62,14 @@ def _errors_chapter(scores: AnnounceScores, effort: AnnounceEffort) -> Chapter:
         figure.legend(loc="outside lower center", ncols=3, fontsize="small")
 
     caption = "NRMSE against the horizon: without the ECG (pale) and with it."
-    return Chapter("Errors", words, tables, (Plot("announced-error", caption, draw),))
+    at_100_ms = HORIZONS_MS.index(100)
+    errors = [
+        f"{each.name} {each.without[at_100_ms]:.3f} → {each.announced[at_100_ms]:.3f}"
+        for each in scores.errors[BAR_JITTER_S]
+    ]
+    finding = f"NRMSE 100 ms ahead, without → with the ECG: {'; '.join(errors)}."
+    plots = (Plot("announced-error", caption, draw),)
+    return Chapter("Errors", words, tables, plots, (finding,))
 
 
 def _errors_table(title: str, errors: Iterable[BothErrors]) -> Table:
@@ -117,7 +124,10 @@ def _faults_chapter(scores: AnnounceScores) -> Chapter:
         for each in scores.faults
     ]
     columns = ("pulse", "the ECG", "found out after, s", "NRMSE at 100 ms")
-    return Chapter("A wrong ECG", words, (Table("Faults of the ECG", columns, rows),))
+    slowest_s = max(each.seconds for each in scores.faults)
+    finding = f"A wrong ECG is no longer used after at most {slowest_s:.2f} s."
+    tables = (Table("Faults of the ECG", columns, rows),)
+    return Chapter("A wrong ECG", words, tables, findings=(finding,))
 
 
 def _cost_chapter(scores: AnnounceScores) -> Chapter:
@@ -126,7 +136,12 @@ def _cost_chapter(scores: AnnounceScores) -> Chapter:
         f" without: {scores.cost_ratio:.2f}.",
         *(f"{what}: {'reached' if reached else 'missed'}." for what, reached in bars(scores)),
     )
-    return Chapter("Cost and bars", words)
+    found = bars(scores)
+    missed = [what for what, reached in found if not reached]
+    findings = [f"{len(found) - len(missed)} of {len(found)} bars are reached."]
+    if missed:
+        findings.append(f"Missed: {'; '.join(missed)}.")
+    return Chapter("Cost and bars", words, findings=findings)
 
 
 def bars(scores: AnnounceScores) -> list[tuple[str, bool]]:

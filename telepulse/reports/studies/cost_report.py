@@ -75,7 +75,6 @@ def _front_chapter(scores: CostScores, effort: CostEffort) -> Chapter:
     rows = [_simulated_row(one, cost, front[one], one == default) for one, cost in ordered]
     best = [row for row in rows if row["mark"]]
     paragraphs = (
-        verdict(scores),
         REASONS,
         f"{len(rows)} settings over {LINK} (TCP) in virtual time, {effort.seconds:g} s each after"
         f" {effort.settle_seconds:g} s. Load is the processor time of both nodes, link and scoring"
@@ -94,7 +93,7 @@ def _front_chapter(scores: CostScores, effort: CostEffort) -> Chapter:
         Table.of("The front, and what is shipped", best),
         Table.of("All settings", rows, summary=f"{len(rows)} settings, on the page and in --json"),
     )
-    return Chapter("Simulated", paragraphs, tables, (plot,))
+    return Chapter("Simulated", paragraphs, tables, (plot,), (verdict(scores),))
 
 
 def _simulated_row(

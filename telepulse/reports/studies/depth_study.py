@@ -178,4 +178,13 @@ def report_depths(scores: dict[tuple[str, float], list[DepthScore]], effort: Dep
         draw,
     )
     table = Table.of("Sweeps by mean arterial pressure", rows)
-    return Report("Sweeps of the hold-down", (Chapter("Repeats", (words,), (table,), (plot,)),))
+    errors = [score.error for repeats in scores.values() for score in repeats]
+    widest = max(value for repeats in scores.values() for value in ranges(repeats).values())
+    findings = (
+        f"The best hold-down is {min(errors):+.1%} to {max(errors):+.1%} off the mean arterial"
+        f" pressure (bar {MOST_ERROR:.0%}).",
+        f"Repeats of one person lie within {widest:.1%} (bar {MOST_RANGE:.0%}).",
+        f"{sum(map(meets, scores.values()))} of {len(scores)} persons and sweeps meet both bars.",
+    )
+    chapter = Chapter("Repeats", (words,), (table,), (plot,), findings)
+    return Report("Sweeps of the hold-down", (chapter,))

@@ -220,7 +220,6 @@ def report_integrators(scores: IntegratorScores, effort: IntegratorEffort) -> Re
 def _loop_chapter(scores: IntegratorScores, effort: IntegratorEffort) -> Chapter:
     points, radius = scores.points, spectral_radius(1 / TICK_S, EXPERIMENT, FILTER_RAD_PER_S)
     paragraphs = (
-        verdict(points),
         f"The paper's pulse for {effort.seconds:g} s, the experiment's gains of Table 5 (on the"
         " error in millivolts by eq 21, its derivative filtered), the actuator of eq 22 with"
         f" Table 4. The controller's tick is {TICK_S * 1e3:g} ms and the voltage is held over"
@@ -254,7 +253,7 @@ def _loop_chapter(scores: IntegratorScores, effort: IntegratorEffort) -> Chapter
     if CONTROL not in {point.name for point in points}:
         rows.append(dict.fromkeys(rows[0], "") | {"integrator": f"{CONTROL}: {NOT_INSTALLED}"})
     note = (
-        f"{verdict(points)} × n: n sub-steps per tick. On the frontier: no other row"
+        f"× n: n sub-steps per tick. On the frontier: no other row"
         f" is both as accurate and as fast, where errors below {ROUNDING:g} are rounding and count"
         " as equal."
     )
@@ -269,7 +268,7 @@ def _loop_chapter(scores: IntegratorScores, effort: IntegratorEffort) -> Chapter
         "Over the pulse's peak to peak, as the errors above.",
     )
     tables = (Table.of("Cost per step against error", rows, note), reference)
-    return Chapter("The paper's loop", paragraphs, tables, (plot,))
+    return Chapter("The paper's loop", paragraphs, tables, (plot,), (verdict(points),))
 
 
 def _rotor_chapter(scores: IntegratorScores, effort: IntegratorEffort) -> Chapter:

@@ -93,7 +93,21 @@ def _choice_chapter(scores: LinkScores, effort: LinkEffort) -> Chapter:
         " Above 25 Hz: energy of the felt force over the pulse's. Felt: share of the time; in the"
         " rest the force was faded out, since samples were missing.",
     )
-    return Chapter("Choice of the perceived delay", paragraphs, (table,))
+    return Chapter(
+        "Choice of the perceived delay",
+        paragraphs,
+        (table,),
+        findings=[_short(scores, link) for link in scores.results],
+    )
+
+
+def _short(scores: LinkScores, link: str) -> str:
+    buffered = scores.results[link][BUFFERED][None]
+    _, best = least_in_phase(scores, link, BEST)
+    return (
+        f"{link}: {_mn(buffered.in_phase_n)} mN in phase with a buffer of"
+        f" {buffered.delay_ms:.0f} ms, {_mn(best.in_phase_n)} mN with the {BEST}."
+    )
 
 
 def _choice(link: str, predictor: str, delay: str, result: LinkResult) -> dict[str, str]:

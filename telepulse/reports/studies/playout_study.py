@@ -254,7 +254,6 @@ def _frontier_chapter(scores: PlayoutScores, effort: PlayoutEffort) -> Chapter:
         met = len(judged) - len(missed)
         verdict = f"{met} of {len(judged)} targets are met; missed: {'; '.join(missed)}."
     paragraphs = (
-        verdict,
         f"Each link is a trace of {effort.seconds:g} s with a frame every 5 ms; every rule"
         " gets the same delays. Each instant is played once, as soon as its age reaches the"
         " delay then in use. A delay that grows because a frame came late therefore cannot save"
@@ -272,7 +271,8 @@ def _frontier_chapter(scores: PlayoutScores, effort: PlayoutEffort) -> Chapter:
         " late share is shown, with that share after the delay."
     )
     tables = (*_tables(title, scores.links, rows, note), _targets_table(scores))
-    return Chapter(f"At {effort.permitted_late:.0%} late", paragraphs, tables)
+    title = f"At {effort.permitted_late:.0%} late"
+    return Chapter(title, paragraphs, tables, findings=(verdict,))
 
 
 def _tables(

@@ -153,7 +153,15 @@ def _targets_chapter(scores: PredictionScores) -> Chapter:
         _targets_table("The same where no shape predicts the next beat", silent),
         _oracle_table(scores),
     )
-    return Chapter("Beside the prototype", paragraphs, tables)
+    at_100_ms = HORIZONS_MS.index(100)
+    findings = [
+        f"{_reached(results)} of {len(results)} of the prototype's figures are reached, and"
+        f" {_reached(silent)} of {len(silent)} where no shape predicts the next beat."
+    ]
+    if scores.medians:
+        stack, hold = (scores.medians[name][at_100_ms] for name in ("stack", "hold"))
+        findings.insert(0, f"NRMSE 100 ms ahead, median: stack {stack:.3f}, hold {hold:.3f}.")
+    return Chapter("Beside the prototype", paragraphs, tables, findings=findings)
 
 
 def _oracle_table(scores: PredictionScores) -> Table:

@@ -122,7 +122,15 @@ def _steps_chapter(scores: PressScores, effort: PressEffort) -> Chapter:
     note = "Sent = applied + superseded + lost, of the first run; those under way count as lost."
     table = Table.of("Steps by round trip", rows, note)
     plot = Plot("steps", "A step of the press, and the hold-down over several round trips.", draw)
-    return Chapter("Steps", (words,), (table,), (plot,))
+    every = [run for runs in scores.follow.values() for run in runs]
+    finding = (
+        f"Up to a round trip of {_ms(max(scores.follow))}, the hold-down follows the press within"
+        f" {max(max(run.late) for run in every):.1%} (bar {FOLLOW_ERROR:.0%}:"
+        f" {verdict(all(map(follows, every)))}), and the felt pulse has the height of the present"
+        f" press within {max(max(map(abs, run.heights)) for run in every):.1%} (bar"
+        f" {HEIGHT_ERROR:.0%}: {verdict(all(map(renders, every)))})."
+    )
+    return Chapter("Steps", (words,), (table,), (plot,), (finding,))
 
 
 def _stability_chapter(scores: PressScores) -> Chapter:
@@ -175,7 +183,13 @@ def _stability_chapter(scores: PressScores) -> Chapter:
         Table.of("Gain of the loop through the network", gains),
     )
     plot = Plot("swing", "RMS of the set-point after a step, the worst finger and tissue.", draw)
-    return Chapter("Stability", words, tables, (plot,))
+    largest_gain = max(max(pair) for pair in scores.gains.values())
+    finding = (
+        "After a step nothing swings on, for any round trip, finger or tissue:"
+        f" {verdict(all(swing.decays for swing in scores.swing.values()))}. The loop's gain is at"
+        f" most {largest_gain:.4f} (bar {MOST_GAIN:g}: {verdict(largest_gain < MOST_GAIN)})."
+    )
+    return Chapter("Stability", words, tables, (plot,), (finding,))
 
 
 def _limits_chapter(scores: PressScores) -> Chapter:
@@ -218,7 +232,15 @@ def _limits_chapter(scores: PressScores) -> Chapter:
         " trips.",
     )
     tables = Table.of("Largest force and slew", rows), Table.of("Eased off after a cut", times)
-    return Chapter("Limits and cuts", words, tables)
+    force_n, slew = (max(values) for values in zip(*cases.values(), strict=True))
+    within = force_n <= limits.force_n and slew <= limits.slew_n_per_s
+    finding = (
+        f"No display makes the probe press with more than {force_n:.2f} N or {slew:.1f} N/s"
+        f" ({limits.force_n:g} N, {limits.slew_n_per_s:g} N/s: {verdict(within)}); after a cut it"
+        f" eases off within {max(eased.values()):.2f} s (bar {EASED_S:g} s:"
+        f" {verdict(max(eased.values()) <= EASED_S)})."
+    )
+    return Chapter("Limits and cuts", words, tables, findings=(finding,))
 
 
 def _tcp_chapter(scores: PressScores) -> Chapter:
@@ -244,7 +266,8 @@ def _tcp_chapter(scores: PressScores) -> Chapter:
         " The frames stall as well: from 1 s on, 200 a second over one connection leave the finger"
         " blind, and it sends nothing; fewer frames, over several connections, do not."
     )
-    return Chapter("Over TCP", (words,), (Table.of("Steps over TCP", rows),) if rows else ())
+    tables = (Table.of("Steps over TCP", rows),) if rows else ()
+    return Chapter("Over TCP", (words,), tables, folded=True)
 
 
 def _followed(score: FollowScore) -> int:

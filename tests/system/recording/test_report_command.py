@@ -33,7 +33,8 @@ class Page(HTMLParser):
         self.feed(text)
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        self.needed |= {value for name, value in attrs if name in ("src", "srcset", "href")}
+        found = {value for name, value in attrs if name in ("src", "srcset", "href")}
+        self.needed |= {value for value in found if not str(value).startswith("#")}
 
 
 @pytest.mark.timeout(2 * PATIENCE_S)

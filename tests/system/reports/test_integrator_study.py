@@ -61,7 +61,7 @@ def test_the_reference_is_good_to_1e_12(report: Report) -> None:
 
 def test_the_sentence_on_the_default_agrees_with_its_row(report: Report) -> None:
     *_, frontier = rows(report, 0, 0)[DEFAULT]
-    sentence = report.chapters[0].paragraphs[0]
+    sentence = report.chapters[0].findings[0]
     assert (frontier == "yes") == ("is on the frontier" in sentence)
     assert sentence in report.chapters[0].tables[0].note
 

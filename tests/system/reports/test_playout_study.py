@@ -72,4 +72,4 @@ def test_the_verdict_is_counted_from_the_ratios(scores: PlayoutScores, report: R
     met = sum(ratio <= target for _, _, target, ratio in judged)
     assert [row[3] for row in report.chapters[0].tables[-1].rows].count("met") == met
     count = f"All {met}" if met == len(judged) else f"{met} of {len(judged)}"
-    assert report.chapters[0].paragraphs[0].startswith(f"{count} targets")
+    assert report.chapters[0].findings[0].startswith(f"{count} targets")

@@ -259,11 +259,12 @@ def test_the_chapter_reports_the_results(
     defect = results[0]._replace(verdict=WRONG)
     monkeypatch.setattr(stability, "measure", lambda: rates)
     monkeypatch.setattr(stability, "case_results", lambda: [defect, *results[1:]])
-    chapter = stability.chapter()
-    assert [len(table.rows) for table in chapter.tables] == [28, len(results)]
-    assert "0 of 28 loops diverge" in chapter.paragraphs[1]
-    assert chapter.paragraphs[2].endswith(f"Defects: {defect.run} (silently wrong).")
-    page = write_report(Report("", (chapter,)), tmp_path).read_text("utf-8")
+    chapters = stability.chapters()
+    tables = [table for chapter in chapters for table in chapter.tables]
+    assert [len(table.rows) for table in tables] == [28, len(results)]
+    assert "0 of 28 loops diverge" in chapters[0].paragraphs[0]
+    assert chapters[1].findings[0].endswith(f"Defects: {defect.run} (silently wrong).")
+    page = write_report(Report("", chapters), tmp_path).read_text("utf-8")
     assert not re.search(r"\b(nan|inf|None)\b", page)
     for theme in ("light", "dark"):
         assert (tmp_path / f"stability-{theme}.png").read_bytes().startswith(b"\x89PNG")

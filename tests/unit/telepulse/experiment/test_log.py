@@ -48,14 +48,14 @@ def test_people_and_simulated_observers_are_reported_apart(tmp_path: Path) -> No
         gather([person, observer])
     with pytest.raises(LogError, match="on the scene's models"):
         gather([person, models])
-    text = " ".join(build_report([observer]).chapters[0].paragraphs)
+    text = " ".join(build_report([observer]).chapters[0].findings)
     assert "Simulated" in text
     assert "threshold 5 %" in text
     assert "by one simulated observer" in text
     # A terminal shows only tables.
-    assert "Simulated" in build_report([observer]).chapters[0].tables[0].note
-    assert "Nobody felt" in " ".join(build_report([models]).chapters[0].paragraphs)
-    assert "imulated" not in " ".join(build_report([person]).chapters[0].paragraphs)
+    assert any("Simulated" in finding for finding in build_report([observer]).findings)
+    assert "Nobody felt" in " ".join(build_report([models]).chapters[0].findings)
+    assert "imulated" not in " ".join(build_report([person]).chapters[0].findings)
 
 
 def test_other_sessions_and_scenes_are_reported_apart(tmp_path: Path) -> None:
@@ -91,7 +91,7 @@ def test_a_spoilt_trial_is_named_and_left_out_unless_asked_for(
     results = gather([made])
     assert (len(results.outcomes), len(results.spoilt), results.pooled) == (1, 1, False)
     chapter = build_report([made]).chapters[0]
-    assert any("1 answered trial is spoilt" in text for text in chapter.paragraphs)
+    assert any("1 answered trial is spoilt" in text for text in chapter.findings)
     (table,) = [table for table in chapter.tables if table.title == "Spoilt trials"]
     assert table.rows == [("anna", "2", "plain", why)]
     assert len(gather([made], with_spoilt=True).outcomes) == 2
@@ -133,7 +133,7 @@ def test_a_stream_that_its_own_link_leaves_stale_is_named_and_counted(tmp_path: 
     assert "stale" in broken.model_copy(update={"on_link": False}).spoilt
     made = log(cut, "anna", [[*CLEAN[:2], broken.model_copy(update={"letter": "X"})]])
     assert gather([made]).spoilt == ()
-    text = " ".join(build_report([made]).chapters[0].paragraphs)
+    text = " ".join(build_report([made]).chapters[0].findings)
     assert "an effect of the condition: plain: 1." in text
 
 
