@@ -14,7 +14,7 @@ import math
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -158,19 +158,28 @@ def unusable_values(values: NDArray[np.float64]) -> str | None:
     return f"{count} beyond {LARGEST:g}, the first is sample {bad[0]}; cut or fill them"
 
 
-def stated_rate(column: RecordedColumn) -> float | None:
-    """Return the rate in Hz by the file's own times; None without them.
+class StatedTimes(NamedTuple):
+    """Times of a file in s, the rate in Hz between their gaps, and the number of gaps."""
+
+    times_s: NDArray[np.float64]
+    rate_hz: float
+    gaps: int
+
+
+def stated_times(column: RecordedColumn) -> StatedTimes | None:
+    """Return the file's own times; None without them.
 
     Times in a column whose name has no unit are in the largest unit that gives a usual rate.
     """
-    for name, step, _, _ in _time_columns(column):
+    for name, step, gaps, _ in _time_columns(column):
         found = _UNIT.search(name)
         units = (
             [SECONDS.get(found[1].lower().replace("µ", "u"), 1.0)] if found else SECONDS.values()
         )
         for seconds in units:
             if found or USUAL_HZ[0] <= 1 / (step * seconds) <= USUAL_HZ[1]:
-                return 1 / (step * seconds)
+                times_s = column.rising[name] * seconds
+                return StatedTimes(times_s, 1 / (step * seconds), gaps)
     return None
 
 
@@ -255,6 +264,9 @@ def _warn_of_gaps(column: RecordedColumn) -> Iterator[str]:
                 f'column "{name}" has {count_text(gaps, "gap")}; samples after a gap are played'
                 " right after those before it"
             )
+    for other in column.others:
+        if is_time_name(other) and other not in column.rising:
+            yield f'column "{other}" has the name of times, and falls or is no number: not used'
 
 
 def _time_columns(column: RecordedColumn) -> Iterator[tuple[str, float, int, float]]:

@@ -4,10 +4,13 @@ import io
 from contextlib import suppress
 
 import numpy as np
+from mcap.writer import Writer
 
 from fuzz.scratch import scratch_folder
 from protocol.config.scene import validate
 from protocol.errors import SourceError
+from sensing_node.files.formats import write_signals
+from sensing_node.files.signals import SignalInfo, SignalTable
 from sensing_node.sources.recorded import RecordedSource, RecordingScene
 
 _FOLDER = scratch_folder()
@@ -22,7 +25,7 @@ _SCENES = [
         RecordingScene,
         where="fuzz",
     )
-    for suffix in ("csv", "npy", "npz")
+    for suffix in ("csv", "npy", "npz", "edf", "wav", "xdf", "mcap")
     for table in _TABLES
 ]
 
@@ -34,7 +37,25 @@ def seeds() -> list[bytes]:
     np.save(npy, table)
     np.savez(npz, force=table[:, 0], more=table[:, 1])
     csv = b"time,force\n0,0.1\n1,0.2\n2,0.3\n"
-    files = (csv, npy.getvalue(), npz.getvalue())
+    files = [csv, npy.getvalue(), npz.getvalue()]
+    pulse = SignalTable(
+        [SignalInfo(number, name, "mV", 100.0) for number, name in enumerate(("force", "more"))],
+        [np.arange(200.0) % 80, np.arange(200.0) % 70],
+    )
+    for suffix in ("edf", "wav", "xdf"):
+        path = _FOLDER / f"seed.{suffix}"
+        path.unlink(missing_ok=True)
+        write_signals(path, pulse)
+        files.append(path.read_bytes())
+    mcap = io.BytesIO()
+    writer = Writer(mcap)
+    writer.start()
+    channel = writer.register_channel("force", "json", 0)
+    for number in range(200):
+        data = b'{"n": %d}' % (number % 80)
+        writer.add_message(channel, number * 10_000_000, data, number * 10_000_000)
+    writer.finish()  # type: ignore[no-untyped-call]
+    files.append(mcap.getvalue())
     plain = [bytes([number]) + files[number // len(_TABLES)] for number in range(len(_SCENES))]
     rows = [b"2016-11-24 13:58:%02d,%d,%g" % (at, at % 5, 0.01 * at) for at in range(20)]
     timed = b"time,force,t_ms\n" + b"\n".join(rows)

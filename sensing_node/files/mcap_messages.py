@@ -16,7 +16,15 @@ from mcap.records import Message
 from protocol.errors import SourceError, WireError
 from protocol.wire.messages import VERSION, Welcome, decode_control, decode_frame
 from protocol.wire.stream import Channel
-from sensing_node.files.signals import Floats, SignalFile, SignalInfo, evenly, signal_file
+from sensing_node.files.signals import (
+    FREE_GAP,
+    MOST_GAPS,
+    Floats,
+    SignalFile,
+    SignalInfo,
+    evenly,
+    signal_file,
+)
 
 MAGIC = b"\x89MCAP0\r\n"
 MAX_RECORD_BYTES = 1 << 28
@@ -134,7 +142,7 @@ class _Frames:
         last, (_, tail) = frames[-1]
         held = sum(len(each) for _, (_, each) in frames)
         length = last + len(tail) - first
-        if length > 20 * held + 1_000_000:
+        if length > MOST_GAPS * held + FREE_GAP:
             raise ValueError(f"{held} samples with numbers over {length}")
         grid = np.full((length, width), np.nan)
         for at, (_, part) in frames:

@@ -23,6 +23,8 @@ Floats = NDArray[np.float64]
 LEAST_HZ, MOST_HZ = 1.0, 100_000.0
 # Largest share of a signal that gaps may be: times beyond it are damaged.
 MOST_GAPS = 20
+# Samples of a gap that any signal may have.
+FREE_GAP = 200_000
 _NAMED_UNIT = re.compile(r"(.*\S)\s*[\[(]\s*([^\[\]()]*?)\s*[\])]")
 
 
@@ -182,7 +184,7 @@ def on_grid(t_s: Floats, values: Floats, rate_hz: float, path: Path) -> Floats:
         at = int(falls[0]) + 1 if len(falls) else 0
         raise SourceError(f"{path}: the times fall at sample {at}; sort or repair the file")
     places = (t_s - t_s[0]) * rate_hz if len(t_s) else t_s
-    if len(t_s) and places[-1] > MOST_GAPS * len(t_s) + 1e6:
+    if len(t_s) and places[-1] > MOST_GAPS * len(t_s) + FREE_GAP:
         raise SourceError(
             f"{path}: {count_text(len(t_s), 'sample')} at {rate_hz:g} Hz extend over"
             f" {t_s[-1] - t_s[0]:.4g} s; its times are damaged"

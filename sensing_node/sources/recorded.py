@@ -19,7 +19,7 @@ from pulse_sensors.plausibility import (
     RecordedColumn,
     constant_column,
     examine,
-    stated_rate,
+    stated_times,
     unit_contradiction,
     unusable_values,
 )
@@ -227,7 +227,8 @@ def _info(file: SignalFile, column: RecordedColumn, rate_hz: float | None) -> Si
     info = known[0] if known else SignalInfo(column.number, column.name)
     if info.rate_hz is None:
         if rate_hz is None:
-            rate_hz = stated_rate(column)
+            times = stated_times(column)
+            rate_hz = None if times is None else times.rate_hz
         if rate_hz is None:
             raise SourceError(f'{file.path}: states no rate; set rate, such as "500 Hz"')
         return info._replace(rate_hz=rate_hz)

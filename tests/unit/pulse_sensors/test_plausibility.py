@@ -125,6 +125,14 @@ def test_a_doubtful_recording_has_a_warning(
     assert warnings(csv_file(tmp_path, columns), **keys) == [text]
 
 
+UNUSED = 'column "time" has the name of times, and falls or is no number: not used'
+
+
+def test_times_that_fall_are_named(tmp_path: Path) -> None:
+    path = csv_file(tmp_path, {"time": TIMES_S[::-1], "force": PULSE_N})
+    assert warnings(path, **FORCE) == [UNUSED]
+
+
 def test_a_column_of_times_in_a_numpy_table_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "pulse.npy"
     np.save(path, np.column_stack([TIMES_S, PULSE_N]))
@@ -164,9 +172,11 @@ def test_the_scenes_rate_is_compared_with_the_files_own_times(
     ],
 )
 def test_impossible_times_are_ignored(tmp_path: Path, times: NDArray[np.float64]) -> None:
-    assert warnings(csv_file(tmp_path, {"time": times, "force": PULSE_N}), column="force") == []
+    expected = [] if np.all(np.isfinite(times)) else [UNUSED]
+    path = csv_file(tmp_path, {"time": times, "force": PULSE_N})
+    assert warnings(path, column="force") == expected
     np.savez(tmp_path / "pulse.npz", time=times, force=PULSE_N)
-    assert warnings(tmp_path / "pulse.npz", column="force") == []
+    assert warnings(tmp_path / "pulse.npz", column="force") == expected
 
 
 @pytest.mark.parametrize("force_n", [np.full(100, 1e3), np.tile([-1e29, 1e29], 50), TIMES_S])

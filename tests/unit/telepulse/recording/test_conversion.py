@@ -93,6 +93,24 @@ def test_what_is_converted_is_read_back_by_us_and_by_others(
     assert len(back) == 4
 
 
+def test_a_gap_in_a_tables_times_is_counted_and_times_that_fall_are_refused(
+    tmp_path: Path,
+) -> None:
+    path = tmp_path / "a.csv"
+    times_s = np.arange(100) / 100 + 2.0 * (np.arange(100) >= 50)
+    rows = [f"{t_s:.2f},{n % 9}" for n, t_s in enumerate(times_s)]
+    path.write_text("\n".join(["t [s],force [N]", *rows]))
+    first, _ = convert_file(path, tmp_path / "b.csv")
+    assert first.endswith(
+        "force, N, 100 Hz, 3 s: 200 samples are missing (67 %) in 1 gap, the longest of 2 s"
+    )
+    (column,) = open_signals(tmp_path / "b.csv").load(("force",))
+    np.testing.assert_allclose(column.values[250:], np.arange(50, 100) % 9, atol=1e-9)
+    path.write_text("\n".join(["t [s],force [N]", *rows[50:], *rows[:50]]))
+    with pytest.raises(SourceError, match="add a column of times that never fall"):
+        list(convert_file(path, tmp_path / "c.csv"))
+
+
 def test_signals_of_several_rates_keep_them_or_are_interpolated_aloud(tmp_path: Path) -> None:
     wfdb_record(tmp_path, {"ABP": SIGNALS["RESP"][::2] * 10}, rate="125")
     wfdb_record(tmp_path, {"II": SIGNALS["II"]}, name="e")
