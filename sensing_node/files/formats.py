@@ -37,7 +37,7 @@ FORMATS = (
     FileFormat("NumPy", (".npy", ".npz"), "columns", written=(".npz",)),
     FileFormat("WFDB", (".hea", ".dat"), "wfdb_record", written=(".hea",)),
     FileFormat("EDF+ or BDF", (".edf", ".bdf"), "edf", "analysis", (".edf", ".bdf")),
-    FileFormat("XDF", (".xdf", ".xdfz"), "xdf", "files", (".xdf",)),
+    FileFormat("XDF", (".xdf",), "xdf", "files", (".xdf",)),
     FileFormat("MCAP", (".mcap",), "mcap_messages", "files"),
     FileFormat("Parquet", (".parquet",), "parquet", "files", (".parquet",)),
     FileFormat("WAV", (".wav",), "wav", written=(".wav",)),

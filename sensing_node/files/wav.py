@@ -3,6 +3,7 @@
 Written as 32-bit floats, in the signals' own units.
 """
 
+import io
 import warnings
 from pathlib import Path
 
@@ -24,7 +25,8 @@ def read(path: Path) -> SignalFile:
     """Open a WAV file. Raises SourceError, and other errors for a damaged file."""
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
-        rate_hz, data = wavfile.read(path)
+        # From memory, so that a damaged length allocates no more than the file has.
+        rate_hz, data = wavfile.read(io.BytesIO(path.read_bytes()))
     if data.ndim == 1:
         data = data[:, np.newaxis]
     if data.ndim != 2 or not len(data):

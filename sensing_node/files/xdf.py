@@ -1,5 +1,7 @@
 """XDF files, as LabRecorder writes them of streams of LSL (https://github.com/sccn/xdf/wiki)."""
 
+import io
+import re
 import struct
 from pathlib import Path
 from typing import Any
@@ -22,6 +24,7 @@ from sensing_node.files.signals import (
 MAGIC = b"XDF:"
 FILE_HEADER, STREAM_HEADER, SAMPLES, STREAM_FOOTER = 1, 2, 3, 6
 SAMPLES_A_CHUNK = 10_000
+_CHANNELS = re.compile(rb"<channel_count>\s*(\d{1,9})\s*<")
 
 
 def read(path: Path) -> SignalFile:
@@ -29,10 +32,11 @@ def read(path: Path) -> SignalFile:
 
     Raises SourceError, and other errors for a damaged file.
     """
-    with path.open("rb") as file:
-        if file.read(2) != b"\x1f\x8b" and not path.read_bytes()[:4] == MAGIC:
-            raise SourceError(f"{path}: is no XDF file")
-    streams, _ = pyxdf.load_xdf(str(path))
+    data = path.read_bytes()
+    if data[:4] != MAGIC:
+        raise SourceError(f"{path}: is no XDF file")
+    _check_counts(data, path)
+    streams, _ = pyxdf.load_xdf(io.BytesIO(data))
     starts = [float(each["time_stamps"][0]) for each in streams if len(each["time_stamps"])]
     begin_s = min(starts, default=0.0)
     signals, samples = list[SignalInfo](), list[Floats]()
@@ -57,6 +61,33 @@ def read(path: Path) -> SignalFile:
             samples.append(even)
     marks.sort()
     return signal_file(path, signals, lambda each: samples[each.number], None, notes, marks)
+
+
+def _check_counts(data: bytes, path: Path) -> None:
+    """Refuse a chunk with more samples than bytes, for which pyxdf would allocate memory.
+
+    Raises SourceError.
+    """
+    at, channels = len(MAGIC), dict[bytes, int]()
+    while at < len(data):
+        length, begin = _count(data, at)
+        at = begin + length
+        tag, stream, content = data[begin : begin + 2], data[begin + 2 : begin + 6], begin + 6
+        if tag == struct.pack("<H", STREAM_HEADER):
+            found = _CHANNELS.search(data, content, at)
+            channels[stream] = int(found[1]) if found else 1
+        elif tag == struct.pack("<H", SAMPLES):
+            count, _ = _count(data, content)
+            if count * max(1, channels.get(stream, 1)) > length:
+                raise SourceError(
+                    f"{path}: a chunk of {length} bytes at byte {begin} states {count} samples"
+                )
+
+
+def _count(data: bytes, at: int) -> tuple[int, int]:
+    """Return a count of variable length, and the place after it."""
+    width = data[at] if at < len(data) else 0
+    return int.from_bytes(data[at + 1 : at + 1 + width], "little"), at + 1 + width
 
 
 def _labels(stream: dict[str, Any], name: str) -> list[tuple[str, str]]:
