@@ -7,7 +7,7 @@ WORKDIR /src
 COPY . .
 # The core compiled, into an environment of its own: the compiler stays in this stage.
 RUN python -m venv /opt/telepulse \
-    && TELEPULSE_COMPILED=1 /opt/telepulse/bin/pip install --no-cache-dir -c constraints.txt .
+    && TELEPULSE_COMPILED=1 /opt/telepulse/bin/pip install --no-cache-dir -c constraints.txt '.[view]'
 
 FROM python:3.11-slim-bookworm
 

@@ -121,8 +121,6 @@ def _check_host(host: str, insecure: bool) -> None:
         address = ipaddress.ip_address("127.0.0.1" if host == "localhost" else host)
     except ValueError:
         raise AddressError(f"--host {host}: give an IP address of this machine") from None
-    if address.is_unspecified:
-        raise AddressError(f"--host {host}: give the address that browsers will use")
     if not (address.is_loopback or insecure):
         raise ProtectionError(
             f"--host {host} shows the page to all who reach this machine; --insecure allows it"

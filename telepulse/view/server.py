@@ -182,9 +182,12 @@ class PageServer:
                 reason = error.strerror
                 continue
             site = Site.at(host)
+            # Every request is checked by `site` before.
+            origins = [f"{in_url(name)}:{bound}" for name in site.names]
+            origins = ["*"] if site.any_address else origins
             pages = BokehTornado(
                 {"/": self._open},
-                extra_websocket_origins=[f"{in_url(name)}:{bound}" for name in site.names],
+                extra_websocket_origins=origins,
                 unused_session_lifetime_milliseconds=UNUSED_MS,
                 check_unused_sessions_milliseconds=CHECK_UNUSED_MS,
                 # A browser answers a ping even while its tab is hidden; a peer that does not read

@@ -16,6 +16,7 @@ FROM_THERE = "--connect tcp://127.0.0.1:5555"
 STREAMING = "streaming 'radial pulse'"
 PROTECTED = "sensing-node scenes/radial.toml --bind tcp://*:5555 --key keys/wrist.key"
 BEHIND = "tests/system/links/test_behind_routers.py"
+COMPOSE = "needs an engine, and a registry for the base image; tests/system/containers"
 PROMETHEUS = "tests/system/metrics/test_prometheus.py"
 SSH = "ssh -o ExitOnForwardFailure=yes -o ServerAliveInterval=5"
 RELAY = (
@@ -260,7 +261,8 @@ UNRUN = {
     "make wheels": COMPILED,
     "telepulse --version": "tests/unit/telepulse/cli/test_programs.py",
     "make bench ARGS=wire": "a minute",
-    "docker compose up": "needs an engine, and a registry for the base image",
+    "docker compose up": COMPOSE,
+    "docker compose --profile view --profile wan up": COMPOSE,
     "make report": "a minute; tests/system/reports/test_paper_command.py",
     "make bench": "an hour",
     'make demo ARGS="--seconds 300"': "five minutes; the like is run above",

@@ -16,7 +16,7 @@ TELEMETRY = "tcp://127.0.0.1:5600"
     ("arguments", "words"),
     [
         (("nonsense",), "nonsense"),
-        ((TELEMETRY, "--host", "0.0.0.0"), "the address that browsers will use"),
+        ((TELEMETRY, "--host", "0.0.0.0"), "shows the page to all who reach"),
         ((TELEMETRY, "--host", "wrist"), "IP address"),
         ((TELEMETRY, "--host", "192.0.2.7"), "--insecure"),
         ((TELEMETRY, "--host", "192.0.2.7", "--insecure"), "cannot serve the page on 192.0.2.7"),

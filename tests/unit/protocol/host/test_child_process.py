@@ -22,6 +22,7 @@ STARTERS = {
     "tests/support/doc_commands.py": "make",
     "tests/support/routers.py": "ip, iptables, ssh, wg",
     "tests/system/compiled/test_installation.py": "make",
+    "tests/system/containers/test_compose.py": "docker",
     "tests/system/discovery/test_discovery.py": "unshare",
     "tests/system/metrics/test_prometheus.py": "prometheus, promtool",
     "tests/system/recording/test_recorder.py": "mount",
