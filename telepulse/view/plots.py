@@ -54,7 +54,8 @@ PLOTS = (
             Curve("onset", "onset of a beat", SENSED, marker="circle"),
             Curve("doubtful", "of a doubtful one", WRONG, marker="x"),
         ),
-        "The finger follows by the playout delay. A beat is marked when the next one has begun.",
+        "The finger follows by the playout delay. A beat is marked when the next one has begun."
+        " Where a finger presses, its force contains the press.",
         wide=True,
         of_contactor=True,
     ),

@@ -228,7 +228,9 @@ def _press(press: Fields) -> PageFigure:
     """Return the finger's press, the hold-down that it gives, and the loop's gain."""
     if "press_n" not in press:
         return PageFigure(NOTHING)
-    texts = [f"wrist {press['hold_down_n']:.2f} N"] if "hold_down_n" in press else []
+    # A little below 0 N is no −0.00 N.
+    held_n = press.get("hold_down_n")
+    texts = [] if held_n is None else [f"wrist {round(held_n, 2) + 0.0:.2f} N"]
     texts += [f"loop gain {press['loop_gain']:.4f}"] if "loop_gain" in press else []
     texts += [f"probe {press['probe']}"] if press.get("probe") else []
     return PageFigure(f"finger {press['press_n']:.2f} N", ", ".join(texts))
