@@ -24,8 +24,20 @@ OWN_DISTRIBUTION = "telepulse"
 
 
 def load_object(path: str) -> Any:
-    """Return an object by "module:name", for a table whose module must not import it."""
-    return EntryPoint("", path, "").load()
+    """Return an object by "module:name", for a table whose module must not import it.
+
+    Raises SceneError with the reason, such as a library that is missing.
+    """
+    try:
+        return EntryPoint("", path, "").load()
+    except (Exception, SystemExit) as error:  # a plug-in may fail in any way
+        raise SceneError(f"{path} cannot be loaded: {_reason(error)}") from None
+
+
+def _reason(error: BaseException) -> str:
+    """Return an error in one line, with its type where it is not ours."""
+    name = "" if isinstance(error, SceneError) else f"{type(error).__name__}: "
+    return " ".join(f"{name}{error}".split())
 
 
 class KindTable(Section):
@@ -134,10 +146,9 @@ def _load(group: KindGroup[Any], entry: EntryPoint) -> type[Any]:
         found = entry.load()
         _refuse_misfit(group, entry, found)
     except (Exception, SystemExit) as error:  # a plug-in may fail in any way
-        name = "" if isinstance(error, SceneError) else f"{type(error).__name__}: "
-        reason = " ".join(f"{name}{error}".split())
         raise SceneError(
-            f'{group.noun} kind "{entry.name}" of {_distribution(entry)} cannot be used: {reason}'
+            f'{group.noun} kind "{entry.name}" of {_distribution(entry)} cannot be used:'
+            f" {_reason(error)}"
         ) from None
     section: type[Any] = found
     return section

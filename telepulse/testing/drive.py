@@ -52,6 +52,7 @@ def check_drive(
         drive that cannot be started again or is not released.
     """
     table = read_table(section, keys)
+    require(hasattr(section, "driver"), f'{section.__name__} lacks driver = "module:class"')
     motor = validate({"kind": "stepper", **(actuator or {})}, StepperScene, "actuator:")
     with check_release("close"):
         drive = call_within(10.0, "the drive's class", lambda: build_drive(table, motor, DEEPEST_M))

@@ -49,5 +49,5 @@ def test_the_predictor_conforms() -> None:
 
 def test_the_drive_conforms() -> None:
     """The stage itself says where the tip is."""
-    keys = {"kind": "stage", "name": "conformance"}
+    keys = {"kind": "stage", "name": "conformance", "watchdog": "300 ms"}
     check_drive(StageScene, keys, lambda: STAGES["conformance"].position_m)

@@ -106,7 +106,7 @@ def test_a_drives_defect_is_named(message: str, monkeypatch: pytest.MonkeyPatch)
     made = type("BrokenDrive", (StageDrive,), DRIVES[message])
     monkeypatch.setattr("pulse_drives.load_object", lambda path: made)
     monkeypatch.setattr("telepulse.testing.conformance.ENDS_WITHIN_S", 0.2)
-    keys = {"kind": "stage", "name": message, "homing_speed": "20 mm/s"}
+    keys = {"kind": "stage", "name": message, "homing_speed": "20 mm/s", "watchdog": "300 ms"}
     with pytest.raises(ConformanceError) as caught:
         check_drive(StageScene, keys, lambda: STAGES[message].position_m)
     assert message in str(caught.value)

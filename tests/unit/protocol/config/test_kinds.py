@@ -3,7 +3,7 @@ from typing import Annotated
 
 import pytest
 
-from protocol.config.kinds import KindGroup, KindTable, ListedKind, OfKind
+from protocol.config.kinds import KindGroup, KindTable, ListedKind, OfKind, load_object
 from protocol.config.scene import Section, load_section, validate
 from protocol.errors import SceneError
 from tests.support.distributions import install
@@ -131,6 +131,12 @@ def test_a_kind_that_lacks_a_method_names_it_and_this_version(folder: Path) -> N
     install(folder, "older", code, telepulse_motors="older = Older")
     with pytest.raises(SceneError, match="older:Older lacks device; it may be for another telepul"):
         read(kind="older")
+
+
+def test_a_class_that_a_table_names_is_loaded_or_refused_in_one_line() -> None:
+    assert load_object("protocol.config.kinds:KindTable") is KindTable
+    with pytest.raises(SceneError, match=r"^absent:Drive cannot be loaded: ModuleNotFoundError: No"):
+        load_object("absent:Drive")
 
 
 def test_all_kinds_are_listed_with_their_distribution_and_problem(folder: Path) -> None:
