@@ -1,5 +1,6 @@
 """The example of a plug-in is built, installed and used, as a third party's is."""
 
+import math
 import os
 import re
 import threading
@@ -71,10 +72,15 @@ def test_live_nodes_use_its_sensor_drive_and_predictor(
     assert figures["faults"] == []
 
 
-def ignore_limits(drive: Any, speed_m_per_s: float) -> None:
-    StageDrive.command(drive, speed_m_per_s)
-    if speed_m_per_s == speed_m_per_s:
-        drive._stage.run(max(min(speed_m_per_s, 0.02), -0.02))
+def ignore_limits(drive: Any, now_ns: int) -> None:
+    supervisor, units = drive._supervisor, drive._axis.units
+    speed_m_per_s = supervisor._command[0]
+    if supervisor.fault is not None or not math.isfinite(speed_m_per_s):
+        StageDrive._send(drive, now_ns)
+        return
+    velocity = units.velocity(speed_m_per_s)
+    drive._stage.run(units.speed_m_per_s(velocity))
+    supervisor.sent(velocity, now_ns)
 
 
 def wait(drive: Any, speed_m_per_s: float) -> None:
@@ -93,7 +99,7 @@ def run_on(drive: Any) -> None:
 
 
 DRIVES: dict[str, dict[str, Any]] = {
-    "mm, and the soft limit is 1 mm: commands must pass": {"command": ignore_limits},
+    "mm, and the soft limit is 1 mm: commands must pass": {"_send": ignore_limits},
     "ms: it must not wait for the drive": {"command": wait},
     "without commands the tip is": {"_step": lambda self: None},
     "close leaves a thread that runs on: left over": {"close": start_a_thread},
