@@ -24,6 +24,7 @@ STARTERS = {
     "tests/system/compiled/test_installation.py": "make",
     "tests/system/containers/test_compose.py": "docker",
     "tests/system/discovery/test_discovery.py": "unshare",
+    "tests/system/lsl/test_lab_recorder.py": "LabRecorder",
     "tests/system/metrics/test_prometheus.py": "prometheus, promtool",
     "tests/system/recording/test_recorder.py": "mount",
     "tests/system/sensors/test_firmware.py": "a compiler",
