@@ -294,5 +294,7 @@ def aligned(
             grid[: len(each), column] = each[:length]
         else:
             times_s = begin + np.arange(len(each)) / rate
-            grid[:, column] = np.interp(at_s, times_s, each, np.nan, np.nan)
+            # The last sample holds for its period.
+            known = (at_s >= begin) & (at_s < begin + len(each) / rate - 1e-9)
+            grid[known, column] = np.interp(at_s[known], times_s, each)
     return begin_s, grid

@@ -22,7 +22,7 @@ from sensing_node.files.signals import (
 )
 
 MAGIC = b"XDF:"
-FILE_HEADER, STREAM_HEADER, SAMPLES, STREAM_FOOTER = 1, 2, 3, 6
+FILE_HEADER, STREAM_HEADER, SAMPLES, CLOCK_OFFSET, STREAM_FOOTER = 1, 2, 3, 4, 6
 SAMPLES_A_CHUNK = 10_000
 _CHANNELS = re.compile(rb"<channel_count>\s*(\d{1,9})\s*<")
 
@@ -132,6 +132,9 @@ def write(path: Path, table: SignalTable) -> list[str]:
                 rows["n"], rows["t"], rows["v"] = 8, times_s, part
                 file.write(_samples(number, len(part), rows.tobytes()))
             end_s = begin_s + (len(values) - 1) / rate_hz
+            # One clock: readers that correct clocks expect its offset.
+            for at_s in (begin_s, end_s):
+                file.write(_chunk(CLOCK_OFFSET, struct.pack("<Idd", number, at_s, 0.0)))
             file.write(_footer(number, begin_s, end_s, len(values)))
         if table.marks:
             number += 1
