@@ -15,7 +15,12 @@ function begin() {
   at("pause").addEventListener("click", () => {
     const paused = at("pause").getAttribute("aria-pressed") !== "true";
     at("pause").setAttribute("aria-pressed", paused);
-    write("pause", paused ? "Go on" : "Pause");
+    write("pause", paused ? "Resume" : "Pause");
+    at("explore").hidden = !paused;
+    // In a pause the wheel zooms, a drag moves, and the pointer shows values.
+    for (const root of Bokeh.documents[0].roots()) {
+      for (const tool of root.toolbar?.tools ?? []) tool.active = paused;
+    }
     choose({ paused: [paused] });
   });
   for (const choice of document.querySelectorAll("input[name=window]")) {
@@ -115,7 +120,9 @@ if (shown) {
     at(id).parentElement.hidden = value === "–" && !note;
   }
   for (const plot of document.querySelectorAll(".plots > figure")) {
-    plot.hidden = shown.hidden.includes(plot.id.replace("plot-", ""));
+    const id = plot.id.replace("plot-", ""), why = plot.querySelector(".empty");
+    plot.hidden = shown.hidden.includes(id);
+    if (why) why.hidden = !shown.empty.includes(id);
   }
   const names = shown.contactors.map(([name]) => name), chosen = names[shown.chosen];
   offerContactors(names);

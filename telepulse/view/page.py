@@ -7,20 +7,30 @@ legible on both.
 from collections.abc import Callable
 from functools import cache
 from importlib.resources import files
+from itertools import product
 from typing import Any
 
 import numpy as np
 from bokeh.document import Document
 from bokeh.events import ConnectionLost, DocumentReady
-from bokeh.models import BasicTicker, ColumnDataSource, CustomJS, Range1d
+from bokeh.models import (
+    BasicTicker,
+    ColumnDataSource,
+    CustomJS,
+    HoverTool,
+    PanTool,
+    Range1d,
+    WheelZoomTool,
+)
 from bokeh.models.annotations import BoxAnnotation
+from bokeh.models.renderers import GlyphRenderer
 from bokeh.plotting import figure
 from jinja2 import Template
 from numpy.typing import NDArray
 
 from telepulse.view import text
 from telepulse.view.live import LiveState
-from telepulse.view.plots import FINGER_COLOURS, FINGERS, MUTED, PLOTS, PagePlot
+from telepulse.view.plots import FINGER_COLOURS, FINGERS, MUTED, PLOTS, WRONG, PagePlot
 from telepulse.view.window_data import Columns, WindowData, window_data
 
 REDRAW_MS = 200
@@ -35,6 +45,8 @@ document.getElementById("state-note").textContent =
   "the server of this page has ended: it shows the last state";
 """
 HEIGHT = 220
+# Colours of events by their level: of information, warnings and errors.
+EVENT_COLOURS = {2: MUTED, 3: FINGER_COLOURS[5], 4: WRONG}
 _CURVES = tuple(curve.name for plot in PLOTS for curve in plot.curves)
 
 
@@ -49,19 +61,23 @@ class Plots:
         self._source = ColumnDataSource(empty)
         # One row a contactor; empty for an only one.
         self._fingers = ColumnDataSource({"t": [], "y": [], "colour": []})
+        self._events = ColumnDataSource({"t": [], "colour": [], "text": []})
         self._times, self._forces = Range1d(start=-10, end=0), Range1d(start=0, end=1)
         self._limits = {plot.id: Range1d(start=0, end=1) for plot in (*PLOTS, FINGERS)}
         self._band = BoxAnnotation(
             bottom=0, top=0, fill_color=MUTED, fill_alpha=0.25, line_alpha=0, level="underlay"
         )
         self.roots = [self._draw(plot) for plot in (*PLOTS, FINGERS)]
-        self.roots[-1].multi_line("t", "y", source=self._fingers, line_color="colour", line_width=2)
 
     def show(self, data: WindowData) -> None:
         """Draw the curves of a window."""
-        self._times.start = -data.window_s
+        # The end as well: a reader may have zoomed in a pause.
+        self._times.update(start=-data.window_s, end=0)
         self._forces.update(start=data.force_n[0], end=data.force_n[1])
         self._source.data = padded(data.columns)
+        times_s, levels, texts = zip(*data.events, strict=True) if data.events else ((), (), ())
+        colours = [EVENT_COLOURS.get(level, MUTED) for level in levels]
+        self._events.data = {"t": list(times_s), "colour": colours, "text": list(texts)}
         for plot, (low, high) in data.limits.items():
             self._limits[plot].update(start=low, end=high)
         jnd_mn = (data.scores.jnd_n or 0.0) * 1e3
@@ -95,8 +111,9 @@ class Plots:
         )
         for curve in plot.curves:
             columns = f"{curve.name}_t", f"{curve.name}_y"
+            glyph: GlyphRenderer[Any]
             if curve.marker:
-                drawn.scatter(
+                glyph = drawn.scatter(
                     *columns,
                     source=self._source,
                     marker=curve.marker,
@@ -106,16 +123,36 @@ class Plots:
                     fill_color=None,
                 )
             else:
-                drawn.line(
+                glyph = drawn.line(
                     *columns,
                     source=self._source,
                     line_color=curve.colour,
                     line_dash=curve.dash,
                     line_width=2,
                 )
+            value = f"{curve.words or curve.name}: $snap_y{{0.[000]}} at $snap_x{{0.000}}"
+            drawn.add_tools(HoverTool(renderers=[glyph], tooltips=f"<div>{value}</div>", limit=1))
+        if plot.id == FINGERS.id:
+            drawn.multi_line("t", "y", source=self._fingers, line_color="colour", line_width=2)
         if plot.id == "error":
             drawn.add_layout(self._band)
+        self._explore(drawn, plot)
         return drawn
+
+    def _explore(self, drawn: figure, plot: PagePlot) -> None:
+        """Add what a reader uses in a pause, in which `page.js` activates it."""
+        toolbar = drawn.toolbar
+        toolbar.active_drag = toolbar.active_scroll = toolbar.active_inspect = None
+        if plot.across:
+            return
+        events = drawn.vspan(
+            x="t", source=self._events, line_color="colour", line_dash="dotted", line_width=2
+        )
+        drawn.add_tools(
+            HoverTool(renderers=[events], tooltips="<div>@text</div>"),
+            PanTool(dimensions="width"),
+            WheelZoomTool(dimensions="width"),
+        )
 
 
 def padded(columns: dict[str, Columns]) -> dict[str, NDArray[np.float32]]:
@@ -165,8 +202,9 @@ class LivePage:
             fingers=FINGERS,
             columns=text.CONTACTOR_COLUMNS,
         )
-        # The data and texts of each contactor at the beginning of a pause; else of the chosen one.
-        self._shown: list[tuple[WindowData, dict[str, Any]]] = []
+        # Data and texts by window and contactor: of all at the beginning of a pause, else of the
+        # chosen ones.
+        self._shown: dict[tuple[int, int], tuple[WindowData, dict[str, Any]]] = {}
         self._paused = False
         self._drawn: WindowData | None = None
         self._number = 0
@@ -185,14 +223,17 @@ class LivePage:
             return
         self._number += 1
         silent_ns = self._silent_ns()
-        (paused,), (number,) = choices["paused"], choices["contactor"]
-        if not (paused and self._paused):
-            everyone = range(len(live.contactors))
-            wanted = everyone if paused else [number if number in everyone else 0]
-            self._shown = [self._window(each, silent_ns) for each in wanted]
+        (paused,), (number,), (window_s,) = (
+            choices[name] for name in ("paused", "contactor", "window_s")
+        )
+        window_s = window_s if window_s in WINDOWS_S else WINDOW_S
+        everyone = range(len(live.contactors))
+        number = number if number in everyone else 0
+        if not (paused and self._paused and (window_s, number) in self._shown):
+            wanted = product(WINDOWS_S, everyone) if paused else [(window_s, number)]
+            self._shown = {each: self._window(*each, silent_ns) for each in wanted}
         self._paused = paused
-        places = [data.chosen for data, _ in self._shown]
-        data, texts = self._shown[places.index(number) if number in places else 0]
+        data, texts = self._shown[window_s, number]
         if data is not self._drawn:
             self._drawn = data
             self._plots.show(data)
@@ -209,10 +250,10 @@ class LivePage:
         }
         self._texts.data = {"shown": [content]}
 
-    def _window(self, number: int, silent_ns: int) -> tuple[WindowData, dict[str, Any]]:
-        """Return the data of a contactor in the chosen window, and the texts that belong to it."""
-        (choice,) = self._choices.data["window_s"]
-        window_s = choice if choice in WINDOWS_S else WINDOW_S
+    def _window(
+        self, window_s: int, number: int, silent_ns: int
+    ) -> tuple[WindowData, dict[str, Any]]:
+        """Return the data of a contactor in a window, and the texts that belong to it."""
         data = window_data(self._live, window_s * SECOND_NS, number)
         return data, {
             "figures": text.figures(self._live, data, silent_ns),
@@ -220,6 +261,7 @@ class LivePage:
             "beyond": text.beyond(self._live),
             "chosen": data.chosen,
             "hidden": data.hidden,
+            "empty": data.empty,
             "colours": FINGER_COLOURS,
         }
 

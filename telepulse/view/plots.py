@@ -29,8 +29,9 @@ class Curve(NamedTuple):
 class PagePlot(NamedTuple):
     """A plot; id: its element on the page; axis: label and least range; note: text below it.
 
-    of_contactor: whether it shows the chosen one of several contactors. across: label of the
-    horizontal axis, where that is not the time. only: of which displays it is shown, if not of all.
+    empty: text shown while no curve has a value. of_contactor: whether it shows the chosen one of
+    several contactors. across: label of the horizontal axis, where that is not the time. only: of
+    which displays it is shown, if not of all.
     """
 
     id: str
@@ -38,6 +39,7 @@ class PagePlot(NamedTuple):
     axis: str
     least: tuple[float, float]
     curves: tuple[Curve, ...]
+    empty: str
     note: str = ""
     wide: bool = False
     of_contactor: bool = False
@@ -54,6 +56,7 @@ PLOTS = (
             Curve("onset", "onset of a beat", SENSED, marker="circle"),
             Curve("doubtful", "of a doubtful one", WRONG, marker="x"),
         ),
+        "No sample from the wrist and no tick of the display in this window.",
         "The finger follows by the playout delay. A beat is marked when the next one has begun."
         " Where a finger presses, its force contains the press.",
         wide=True,
@@ -65,6 +68,8 @@ PLOTS = (
             Curve("in_phase", "in phase: against the pulse at that instant", SENSED),
             Curve("aligned", "aligned: against the instant that is played", FELT),
         ),
+        "No instant of this window is judged: the pulse was not felt at its full strength, or the"
+        " wrist's samples have not arrived.",
         "Grey band: the just noticeable difference of force, here 10 % of the pulse's peak to peak."
         " A finger notices differences of 7 to 10 %.",
         wide=True,
@@ -77,6 +82,7 @@ PLOTS = (
             Curve("hold_down", "hold-down at the wrist", SENSED),
             Curve("finger_press", "press of the finger, or of the sweep", FELT),
         ),
+        "No force of a finger or a probe in this window.",
         "The probe at the wrist presses with the force of the finger. The pulse is not part of it.",
         wide=True,
         only=PRESSED,
@@ -92,6 +98,7 @@ PLOTS = (
             Curve("deepest", "deepest", VIOLET, "dashed"),
             Curve("depth_now", "now", MUTED, "dotted"),
         ),
+        "No beat at a steady hold-down yet.",
         "All beats at a steady hold-down since the start. The best hold-down is that of the highest"
         " pulse; light and deepest are where the height is half of that.",
         across="hold-down at the wrist (N)",
@@ -104,6 +111,7 @@ PLOTS = (
             Curve("shape_upstroke", "upstroke, of the beat", FELT, marker="triangle"),
             Curve("shape_flat", "flat, of the beat", VIOLET, marker="square"),
         ),
+        "No beat at a steady hold-down yet.",
         "Flat: within a tenth of the height above the foot. It grows where the artery is closed"
         " between beats: beyond the best hold-down.",
         across="hold-down at the wrist (N)",
@@ -115,24 +123,29 @@ PLOTS = (
             Curve("wrist_strain", "at the wrist", SENSED),
             Curve("finger_strain", "at the finger", FELT),
         ),
+        "No sample and no tick in this window, or a layer that is not known yet.",
         of_contactor=True,
     ),
     PagePlot(
         *("height", "Height of the beats at the wrist", "height (mN)", (0.0, 1.0)),
         (Curve("height", "from foot to peak", SENSED),),
+        "No beat was found in this window. The first one takes some seconds.",
         of_contactor=True,
     ),
     PagePlot(
         *("delay", "Delays", "delay (ms)", (0.0, 1.0)),
         (Curve("one_way", "one-way delay", SENSED), Curve("playout", "playout delay", FELT)),
+        "No frame has arrived in this window, or the clocks are not related yet.",
     ),
     PagePlot(
         *("loss", "Loss", "samples (%)", (0.0, 1.0)),
         (Curve("lost", "lost", SENSED), Curve("late", "late", FELT, "dashed")),
+        "No sample was due in this window.",
     ),
     PagePlot(
         *("predictor", "Predictor: the error it expects", "RMS error (mN)", (0.0, 1.0)),
         (Curve("predictor", "where it stands in", FELT),),
+        "The predictor has not stood in, or not learnt its error yet.",
         of_contactor=True,
     ),
     PagePlot(
@@ -142,11 +155,17 @@ PLOTS = (
             Curve("offset_low", "uncertainty", MUTED, "dashed"),
             Curve("offset_high", "", MUTED, "dashed"),
         ),
+        "The sensing node has not answered for its clock yet.",
     ),
     PagePlot(
         *("skew", "Clock skew", "skew (ppm)", (-1.0, 1.0)),
         (Curve("skew", "sensing against display", FELT),),
+        "The clocks were not compared for long enough yet.",
     ),
 )
 # Shown of several contactors.
-FINGERS = PagePlot("fingers", "Forces at all fingers", "force (mN)", (0.0, 1.0), (), wide=True)
+FINGERS = PagePlot(
+    *("fingers", "Forces at all fingers", "force (mN)", (0.0, 1.0), ()),
+    "No tick of the display in this window.",
+    wide=True,
+)

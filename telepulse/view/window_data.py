@@ -45,7 +45,8 @@ class WindowData(NamedTuple):
 
     columns, scores and heart rate are those of the contactor of the number `chosen`. fingers: the
     felt force of each of several contactors; all_scores: the scores of each contactor. force_n:
-    limits of the axes of hold-down. hidden: ids of the plots that do not apply.
+    limits of the axes of hold-down. hidden: ids of the plots that do not apply; empty: of those
+    without a value. events: time in s before now, level and text of each in the window.
     """
 
     window_s: float
@@ -58,6 +59,8 @@ class WindowData(NamedTuple):
     all_scores: tuple[WindowScores, ...]
     force_n: tuple[float, float]
     hidden: tuple[str, ...]
+    empty: tuple[str, ...]
+    events: tuple[tuple[float, int, str], ...]
 
 
 def window_data(live: LiveState, window_ns: int, chosen: int = 0) -> WindowData:
@@ -135,7 +138,17 @@ def window_data(live: LiveState, window_ns: int, chosen: int = 0) -> WindowData:
         all_scores,
         nice(forces_n),
         tuple(plot.id for plot in PLOTS if not kinds.get(plot.only, True)),
+        tuple(plot.id for plot in PLOTS if not any(_known(columns[c.name]) for c in plot.curves)),
+        tuple(
+            ((t_ns - live.now_ns) * 1e-9, level, text)
+            for t_ns, level, text in live.events
+            if begin_ns < t_ns <= live.now_ns
+        ),
     )
+
+
+def _known(curve: Columns) -> bool:
+    return bool(np.isfinite(curve["y"]).any())
 
 
 def _thinned(live: LiveState, rows: TableSlice, values: Floats, gap_ns: int) -> Columns:

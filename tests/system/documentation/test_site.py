@@ -29,6 +29,10 @@ class Fetches(HTMLParser):
             self.addresses += [v or "" for k, v in attrs if (tag, k) in FETCHED]
 
 
+# The lessons are executed as well.
+pytestmark = pytest.mark.timeout(400)
+
+
 @pytest.fixture(scope="module")
 def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Build the site; a warning fails the build."""

@@ -27,6 +27,17 @@ DRAWN = f"JSON.stringify([...{CURVES}.finger_y])"
 STYLE = "getComputedStyle(document.querySelector('.drawn'))"
 COLOUR_OF_STATE = "getComputedStyle(document.getElementById('state')).color"
 SPAN = "-Bokeh.documents[0].get_model_by_name('force').x_range.start"
+# Bokeh's tooltips are in the shadow roots of its plots.
+TOOLTIP = """(() => {
+  const found = [], search = (root) => {
+    for (const element of root.querySelectorAll("*")) {
+      if (element.matches(".bk-tooltip-content")) found.push(element.textContent);
+      if (element.shadowRoot) search(element.shadowRoot);
+    }
+  };
+  search(document);
+  return found.join(" ");
+})()"""
 # Contrast of two colours by WCAG 2.
 CONTRAST = """(selector) => {
   const light = (colour) => {
@@ -184,6 +195,37 @@ def test_a_display_that_goes_and_comes_back(bench: Bench, page: Page) -> None:
     assert page.evaluate(NEWEST) is not None
     bench.play()
     await_state(page, "playing")
+
+
+def test_a_pause_is_explored_and_resumed(page: Page) -> None:
+    page.wait_for_function(f"{SPAN} === 10")
+    page.locator("#pause").click()
+    assert page.locator("#pause").inner_text() == "Resume"
+    until(lambda: stands_still(page, 500))
+    plot = page.locator("#plot-force .drawn")
+    plot.scroll_into_view_if_needed()
+    box = plot.bounding_box()
+    assert box is not None
+    page.mouse.move(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
+    page.mouse.wheel(0, -300)
+    page.wait_for_function(f"{SPAN} < 9")
+    # Along the plot, until the pointer meets a curve.
+    for share in range(20, 80):
+        page.mouse.move(box["x"] + box["width"] * share / 100, box["y"] + box["height"] * 0.6)
+        if found := re.search(r"at the (wrist|finger): [\d.]+ at -[\d.]+", page.evaluate(TOOLTIP)):
+            break
+    assert found
+    # Another window of the same moment.
+    newest = page.evaluate(NEWEST)
+    page.locator("input[name=window][value='5']").check(force=True)
+    page.wait_for_function(f"{SPAN} === 5")
+    assert page.evaluate(NEWEST) == newest
+    until(lambda: stands_still(page, 1_000))
+    page.locator("#pause").click()
+    assert page.locator("#pause").inner_text() == "Pause"
+    page.wait_for_function(f"{NEWEST} !== {newest}")
+    page.locator("input[name=window][value='10']").check(force=True)
+    page.wait_for_function(f"{SPAN} === 10")
 
 
 def test_everything_is_reached_by_keyboard(page: Page) -> None:
