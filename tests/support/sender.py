@@ -28,18 +28,18 @@ AHEAD_NS = 5_000_000_000
 SCENES = Path(__file__).parents[2] / "scenes"
 
 
-def display_scene(name: str, **changes: object) -> DisplayScene:
+def display_scene(name: str, predictor: str = "linear", **changes: object) -> DisplayScene:
     """Return the display's section of a shipped scene, with changes.
 
-    The predictor is one that does not learn, unless the changes name another: its output is simple
-    to foresee, and a tick costs a fraction.
+    By default, the predictor is one that does not learn: its output is simple to foresee, and a
+    tick costs a fraction.
     """
     scene = load_section(SCENES / f"{name}.toml", "display", DisplayScene)
-    return scene.model_copy(update={"predictor": own_predictor("linear"), **changes})
+    return scene.model_copy(update={"predictor": own_predictor(predictor), **changes})
 
 
-def display(name: str = "radial", **changes: object) -> Display:
-    return Display(display_scene(name, **changes), "test")
+def display(name: str = "radial", predictor: str = "linear", **changes: object) -> Display:
+    return Display(display_scene(name, predictor, **changes), "test")
 
 
 @dataclass

@@ -104,7 +104,6 @@ class PressedWrist:
         )
 
 
-@pytest.mark.smoke
 def test_the_hold_down_follows_the_finger_and_the_probe_leaves_at_the_end(tmp_path: Path) -> None:
     for attempt in range(TRIES):
         (folder := tmp_path / str(attempt)).mkdir()

@@ -65,7 +65,6 @@ def samples(frames: list[dict[str, object]]) -> tuple[int, NDArray[np.float32]]:
     return ordered[0]["first_sample"], np.concatenate(values)
 
 
-@pytest.mark.smoke
 def test_a_recording_played_again_gives_the_same_samples_bit_by_bit(tmp_path: Path) -> None:
     address, first, again = free_address(), tmp_path / "first.mcap", tmp_path / "again.mcap"
     sensing = ("sensing_node.cli", str(RADIAL), "--bind", address, "--seconds", "2.5", "--quiet")

@@ -32,7 +32,6 @@ def display(
     return (str(RADIAL), "--connect", address, "--no-screen", *keys, *more)
 
 
-@pytest.mark.smoke
 @pytest.mark.skipif(not zmq.has("ipc"), reason="no ipc here")
 def test_with_keys_over_ipc_a_display_plays_all_of_the_stream(
     context: Context, keyring: Keyring, tmp_path: Path

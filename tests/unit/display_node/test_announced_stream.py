@@ -11,6 +11,8 @@ from telepulse.simulation.virtual_time import summarise
 
 ROOT = Path(__file__).parents[3]
 SECONDS = 16.0
+# `make test` has the predictor's own test, and that of the scene.
+pytestmark = pytest.mark.system
 
 
 def run(tmp_path: Path, text: str, base: str = "announce") -> Summary:

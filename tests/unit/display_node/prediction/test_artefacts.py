@@ -70,6 +70,7 @@ def test_nothing_is_found_before_a_beat_was_seen() -> None:
     assert present(values) == []
 
 
+@pytest.mark.system
 def test_predictions_are_soon_as_good_as_without_the_artefact() -> None:
     pulse = draw().force_n[: 30 * RATE_HZ]
     disturbed = moved(noisy(pulse))

@@ -89,6 +89,7 @@ def rig(link: str, seconds: int, frame_ms: int = FRAME_MS) -> Rig:
     return Rig([arrivals_ns(link, frame_ms, seconds, seed) for seed in seeds], frame_ms).play()
 
 
+@pytest.mark.system
 @pytest.mark.parametrize(
     ("link", "frame_ms"),
     [
