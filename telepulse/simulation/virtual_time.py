@@ -29,6 +29,7 @@ from sensing_node.scene import (
     describe_stream,
     serve_set_points,
 )
+from sensing_node.sources.source import SampleSource
 from telepulse.scene import Scene
 from telepulse.simulation.link_model import MessageLink
 from telepulse.simulation.parallel_paths import ParallelPaths
@@ -53,12 +54,17 @@ class ReferenceForce:
 
     def __init__(self, scene: SensingScene, folder: Path) -> None:
         """`folder` is the scene file's. Raises SourceError or SceneError."""
+        self._source: SampleSource | None = None
+        self._taken = 0
+        # What a live sensor sends is the truth that there is.
+        if scene.sensor is not None:
+            return
         source, conditioning = scene.modelled.ideal(), scene.conditioning
         if conditioning is not None:
             conditioning = conditioning.ideal_film()
         true_scene = scene.model_copy(update={"source": source, "conditioning": conditioning})
-        self._source = None if true_scene == scene else build_source(true_scene, folder)
-        self._taken = 0
+        if true_scene != scene:
+            self._source = build_source(true_scene, folder)
 
     def of(self, frame: Frame) -> Frame:
         """Return the frame with the true values; the frame itself where the chain is ideal.

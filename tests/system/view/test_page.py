@@ -1,5 +1,6 @@
 """The live page in a real browser, fed by real nodes."""
 
+import itertools
 import os
 import re
 import signal
@@ -209,9 +210,11 @@ def test_a_pause_is_explored_and_resumed(page: Page) -> None:
     page.mouse.move(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
     page.mouse.wheel(0, -300)
     page.wait_for_function(f"{SPAN} < 9")
-    # Along the plot, until the pointer meets a curve.
-    for share in range(20, 80):
-        page.mouse.move(box["x"] + box["width"] * share / 100, box["y"] + box["height"] * 0.6)
+    # Down the plot at several instants, until the pointer meets a curve.
+    for share, depth in itertools.product((50, 65, 80, 95), range(10, 90, 2)):
+        page.mouse.move(
+            box["x"] + box["width"] * share / 100, box["y"] + box["height"] * depth / 100
+        )
         if found := re.search(r"at the (wrist|finger): [\d.]+ at -[\d.]+", page.evaluate(TOOLTIP)):
             break
     assert found
