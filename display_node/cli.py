@@ -13,11 +13,12 @@ from display_node.fault_advice import end_at_faults
 from display_node.node import DisplayNode, open_press, start_benches
 from display_node.reception.addresses import discovered
 from display_node.scene import DisplayScene
+from display_node.telemetry.key_presses import terminal_restored
 from display_node.telemetry.recorder_process import start_recorder
 from protocol import cli_options as options
 from protocol.config.scene import load_section
 from protocol.config.scene_file import find_scene, scene_names
-from protocol.errors import DiscoveryError, ProtectionError, SceneError
+from protocol.errors import DiscoveryError, OutputError, ProtectionError, SceneError
 from protocol.host.child_process import ChildProcess
 from protocol.host.output import check_writable, configure_logging, unblocked_output
 from protocol.host.process import (
@@ -78,6 +79,7 @@ def display(
         Path | None,
         typer.Option(metavar="FILE.mcap", help="Record all of this run: see telepulse record."),
     ] = None,
+    about: options.AboutOption = None,
     quiet: options.QuietOption = False,
     log_level: options.LogLevelOption = None,
     key: options.KeyOption = None,
@@ -162,15 +164,18 @@ def display(
         provenance = collect(path, {"display": section})
         # A signal raises KeyboardInterrupt, so that a drive on its way home is brought to rest.
         interrupt_on_signals()
-        log_options = [] if log_level is None else ["--log-level", log_level]
-        log_options += ["--quiet"] if quiet else []
+        if about and record is None:
+            raise OutputError("--about states something of a recording: add --record FILE.mcap")
+        recorder_options = [f"--about={each}" for each in about or ()]
+        recorder_options += [] if log_level is None else ["--log-level", log_level]
+        recorder_options += ["--quiet"] if quiet else []
         with (
             options.start_metrics(PROGRAM, metrics) as served,
             closing(
                 DisplayNode(section, connect, telemetry, keys, readers, provenance.to_bytes())
             ) as node,
             start_recorder(
-                node.telemetry_address, node.await_recorder, record, own, log_options
+                node.telemetry_address, node.await_recorder, record, own, recorder_options
             ) as recorder,
         ):
             freeze_objects()
@@ -211,11 +216,13 @@ def _run(
             "screen", "-m", "display_node.telemetry.terminal", *arguments, own_session=False
         )
     # Applied last, because processes started later would inherit some of the settings.
-    with options.apply_and_log_realtime(PROGRAM, request) as grant:
-        summary = options.with_realtime_settings(node.run(seconds, once), grant)
-    if watcher is not None:
-        with watcher, suppress(subprocess.TimeoutExpired):
-            watcher.wait(SCREEN_ENDS_WITHIN_S)
+    # The screen reads single keys, and might be killed before it restores the terminal.
+    with terminal_restored():
+        with options.apply_and_log_realtime(PROGRAM, request) as grant:
+            summary = options.with_realtime_settings(node.run(seconds, once), grant)
+        if watcher is not None:
+            with watcher, suppress(subprocess.TimeoutExpired):
+                watcher.wait(SCREEN_ENDS_WITHIN_S)
     return summary
 
 

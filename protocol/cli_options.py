@@ -52,6 +52,13 @@ RecordChannelOption = Annotated[
         " pulse by its name or unit.",
     ),
 ]
+AboutOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        metavar="KEY=TEXT",
+        help="State subject, position, side or notes of the recording, once for each.",
+    ),
+]
 JsonOption = Annotated[
     Path | None,
     typer.Option(metavar="FILE", help="Write the closing summary here as JSON; -: print it alone."),

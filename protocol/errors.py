@@ -116,6 +116,10 @@ class ProcessLimitError(TelepulseError, OSError):
     """The system's limits for this process are below a node's needs, such as `ulimit -n 14`."""
 
 
+class ArgumentError(TelepulseError, ValueError):
+    """An argument of a function cannot be used: a text in place of a number, a rate out of range."""
+
+
 class OptionError(TelepulseError, ValueError):
     """An option of a command has no such value, such as an unknown level of the log."""
 
@@ -164,7 +168,9 @@ CAUSE_MEANINGS = {
     "held_back": "times when a sensing node left messages unread for 5 ms:"
     " displays send far more than they should",
     "too_many_displays": "displays beyond the 1 000 that a sensing node serves: use a relay",
-    "subscription": "subscriptions to topics that are not published here; the connection was cut",
+    "subscription": "subscriptions to topics that are not published here, or far too many marks;"
+    " the connection was cut",
+    "mark": "requests of a telemetry reader for marks that are malformed or older than a minute",
     "too_many_connections": "connections beyond this node's file descriptors, which were cut:"
     " a peer connects repeatedly, or the limit is too low (ulimit -n)",
     # Connections, where keys are used.

@@ -27,6 +27,7 @@ from protocol.errors import WireError
 # The modules of `compiled` in pyproject.toml are compiled together, or none is.
 BUILD = "pure Python" if histogram.__file__.endswith(".py") else "compiled"
 REDACTED = "(redacted)"
+ABOUT = "--about"
 _SECRET = (
     r"(?:password|passwd|passphrase|passwort|pwd|secret|token|credentials?|auth|authorization"
     r"|(?:api|access|private|secret|shared|licen[cs]e)[_-]?key)"
@@ -63,14 +64,18 @@ def redact(value: Any) -> Any:
 def redact_command(arguments: list[str]) -> list[str]:
     """Return a command line's arguments without the secrets in them.
 
-    The value after an option with a secret's name is replaced as well.
+    The value after an option with a secret's name is replaced as well, and what `--about` states of
+    a person: telemetry has the command, and statements stay in the recording.
     """
     found: list[str] = []
     follows = False
     for argument in arguments:
         secret = follows and not argument.startswith("--")
-        found.append(REDACTED if secret else redact(argument))
-        follows = argument.startswith("--") and bool(_SECRET_NAME.fullmatch(argument[2:]))
+        stated = argument.startswith(f"{ABOUT}=")
+        plain = f"{ABOUT}={REDACTED}" if stated else redact(argument)
+        found.append(REDACTED if secret else plain)
+        secret_name = argument.startswith("--") and _SECRET_NAME.fullmatch(argument[2:])
+        follows = argument == ABOUT or bool(secret_name)
     return found
 
 

@@ -6,23 +6,47 @@ from pathlib import Path
 from typing import Any
 
 from display_node.scene import DisplayScene
+from protocol.config.arguments import table
+from protocol.config.quantities import shown
 from protocol.config.scene import SectionT, load_section, validate
 from protocol.config.scene_file import find_scene, load_document, merge
+from protocol.errors import ArgumentError
 from protocol.provenance import Provenance, collect
 from sensing_node.scene import SensingScene
 from telepulse.simulation.link_scene import LinkScene, parse_link
 
 DEFAULT_SCENE = "radial"
+# Keys of a scene whose values are files.
+FILE_KEYS = ("path", "database")
+EXAMPLES = {
+    "sensing": '{"source": {"heart_rate": "90 /min"}}',
+    "display": '{"predictor": "linear"}',
+    "link": '{"delay": "40 ms"}, or a text such as "delay=40ms"',
+}
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, repr=False)
 class Scene:
-    """A scene's three sections; a scene without [link] has a link without delay or loss."""
+    """A scene's three sections; a scene without [link] has a link without delay or loss.
+
+    Attributes
+    ----------
+    path : Path
+        File of the scene.
+    sensing, display, link
+        The sections, with the values in SI units: `scene.display.compensation_ns`.
+    """
 
     path: Path
     sensing: SensingScene
     display: DisplayScene
     link: LinkScene
+
+    def __repr__(self) -> str:
+        """Return the path, and the link's impairments."""
+        plain = LinkScene().text().split(",")
+        link = ",".join(each for each in self.link.text().split(",") if each not in plain)
+        return f"Scene({str(self.path)!r}, link={link!r})"
 
 
 def scene_provenance(scene: Scene, seeds: Mapping[str, int] | None = None) -> Provenance:
@@ -49,34 +73,47 @@ def load_scene(
         Values of the command line's options for [display]; None leaves the scene's.
     sensing, display, link
         Changes of the sections, key by key as in a scene that extends this one. A `link` that is a
-        text, such as "delay=40ms,jitter=10ms", replaces the scene's link.
+        text, such as "delay=40ms,jitter=10ms", replaces the scene's link. Files in a change are
+        relative to the working directory; those in a scene's file are relative to its folder.
 
     Raises
     ------
+    ArgumentError
+        If an argument is of another type.
     SceneError
         If the scene or a change of it is not valid.
     """
+    if not isinstance(scene, str | Path):
+        raise ArgumentError(f"scene: must be a name or the path of a file, got {shown(scene)}")
     path = find_scene(scene) if isinstance(scene, str) else scene
-    changes = {
-        "sensing": sensing,
-        "display": display,
-        "link": {} if isinstance(link, str) else link,
-    }
+    given = {"sensing": sensing, "display": display, "link": {} if isinstance(link, str) else link}
+    changes = {name: _from_here(table(name, given[name], EXAMPLES[name])) for name in given}
 
     def section(name: str, schema: type[SectionT]) -> SectionT:
         if not (change := changes[name]):
             return load_section(path, name, schema)
-        document = merge(load_document(path), {name: dict(change)})
+        document = merge(load_document(path), {name: change})
         return validate(document[name], schema, f"{path}, changed: [{name}]")
 
     if isinstance(link, str):
         link_scene = parse_link(link)
     else:
-        given = link or "link" in load_document(path)
-        link_scene = section("link", LinkScene) if given else LinkScene()
+        described = link or "link" in load_document(path)
+        link_scene = section("link", LinkScene) if described else LinkScene()
     display_scene = (
         section("display", DisplayScene)
         if display
         else load_section(path, "display", DisplayScene, display_options)
     )
     return Scene(path, section("sensing", SensingScene), display_scene, link_scene)
+
+
+def _from_here(change: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a change whose files are relative to the working directory as absolute paths."""
+    absolute = dict(change)
+    for key, value in change.items():
+        if isinstance(value, Mapping):
+            absolute[key] = _from_here(value)
+        elif key in FILE_KEYS and isinstance(value, str | Path):
+            absolute[key] = str(Path(value).absolute())
+    return absolute

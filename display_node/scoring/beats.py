@@ -15,6 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from display_node.scoring.beat_quality import AFTER, BEFORE, GOOD, BeatShape, ShapeMemory
+from protocol.config.arguments import number
+from protocol.errors import ArgumentError
 from protocol.wire.messages import ChannelSamples, channel_samples
 
 Floats = NDArray[np.float64]
@@ -321,13 +323,16 @@ def find_beats(force_n: Floats, rate_hz: float) -> list[Beat]:
 
     Raises
     ------
-    ValueError
-        If the rate or the shape is not as above.
+    ArgumentError
+        If the rate or the array is not as above. It is a ValueError as well.
     """
-    if not 20 <= rate_hz <= 100_000:
-        raise ValueError(f"rate_hz is {rate_hz}; it must be in 20 to 100000")
-    if np.ndim(force_n) != 1:
-        raise ValueError(f"force_n has the shape {np.shape(force_n)}; it must have one dimension")
+    rate_hz = number("rate_hz", rate_hz, 20, 100_000)
+    try:
+        force_n = np.asarray(force_n, np.float64)
+    except (ValueError, TypeError) as error:
+        raise ArgumentError(f"force_n: must be an array of numbers: {error}") from None
+    if force_n.ndim != 1:
+        raise ArgumentError(f"force_n: must have one dimension, got the shape {force_n.shape}")
     period_ns, analysis, beats = round(1e9 / rate_hz), BeatAnalysis(), list[Beat]()
     # Held after the last sample, so that it is averaged as well.
     padded = np.concatenate([force_n, np.repeat(force_n[-1:], math.ceil(0.5 * rate_hz))])

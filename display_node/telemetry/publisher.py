@@ -1,14 +1,17 @@
-"""Traces, statuses and, on request, copies of received messages of a display, over one socket."""
+"""Traces, statuses, marks and, on request, copies of received messages, over one socket."""
 
 import time
+from collections import Counter
 
 import zmq
 
 from protocol import sockets
+from protocol.errors import WireError
 from protocol.provenance import PROVENANCE
 from protocol.security.authenticator import Authenticator
 from protocol.security.budgets import SubscriptionBudget
 from protocol.ticks import TickState
+from protocol.wire.marks import MARK, REQUEST, Mark, pack_mark, read_request
 from protocol.wire.telemetry import (
     CAPTURE,
     STATUS,
@@ -19,13 +22,44 @@ from protocol.wire.telemetry import (
 )
 
 LOOK_EVERY_S = 0.01
+# A request for a mark may have waited for its connection; an older one is refused.
+OLDEST_NS = 60_000_000_000
+# A reader on the same machine reads its clock after the display has read its own.
+NEWEST_NS = 1_000_000_000
+
+
+class MarkCounter:
+    """Marks of a display's run: checks requests and numbers them. Pure.
+
+    published: number of marks. rejected: number of requests that are malformed or not of the last
+    minute.
+    """
+
+    def __init__(self) -> None:
+        self.published = 0
+        self.rejected: Counter[str] = Counter()
+
+    def take(self, data: bytes, now_ns: int) -> Mark | None:
+        """Return the mark that a request asks for at `now_ns`, or None where it is refused."""
+        try:
+            request = read_request(data)
+        except WireError:
+            self.rejected["mark"] += 1
+            return None
+        at_ns = now_ns if request.at_ns is None else request.at_ns
+        if not now_ns - OLDEST_NS <= at_ns <= now_ns + NEWEST_NS:
+            self.rejected["mark"] += 1
+            return None
+        self.published += 1
+        text = request.text or f"mark {self.published}"
+        return Mark(self.published, request.id, min(at_ns, now_ns), text)
 
 
 class Publisher:
     """Publisher of a display's telemetry over one bound XPUB socket.
 
     run: random number of this run of the display. authenticator: of the readers. provenance: sent
-    to readers that request it. rejected: number of refused subscriptions by cause.
+    to readers that request it.
     """
 
     def __init__(
@@ -36,12 +70,18 @@ class Publisher:
         provenance: bytes = b"",
     ) -> None:
         self._socket, self._authenticator = socket, authenticator
-        self._subscriptions = SubscriptionBudget(socket, (TRACE, STATUS, CAPTURE, PROVENANCE))
+        topics = (TRACE, STATUS, MARK, CAPTURE, PROVENANCE)
+        self._subscriptions = SubscriptionBudget(socket, topics, REQUEST)
         self._provenance = provenance
-        self.rejected = self._subscriptions.rejected
+        self._marks = MarkCounter()
         self._trace = TraceWriter()
         self.captured = CaptureWriter(run)
         self.address = socket.getsockopt_string(zmq.LAST_ENDPOINT)
+
+    @property
+    def rejected(self) -> Counter[str]:
+        """Numbers of refused subscriptions and marks by cause."""
+        return self._subscriptions.rejected + self._marks.rejected
 
     def add(self, *states: TickState) -> bool:
         """Add a tick, of which each contactor has a state; return whether a status is due."""
@@ -86,7 +126,12 @@ class Publisher:
     def _serve_readers(self) -> None:
         if self._authenticator is not None:
             self._authenticator.poll(time.perf_counter_ns())
-        for subscription in self._subscriptions.receive():
-            self.captured.follow(subscription)
-            if subscription == b"\1" + PROVENANCE and self._provenance:
+        for message in self._subscriptions.receive():
+            if message.startswith(REQUEST):
+                mark = self._marks.take(message, time.perf_counter_ns())
+                if mark is not None:
+                    sockets.send(self._socket, MARK, pack_mark(mark))
+                continue
+            self.captured.follow(message)
+            if message == b"\1" + PROVENANCE and self._provenance:
                 sockets.send(self._socket, PROVENANCE, self._provenance)

@@ -27,7 +27,7 @@ def start_recorder(
     await_recorder: Callable[[float], bool],
     path: Path | None,
     key: Path | None,
-    log_options: Sequence[str],
+    options: Sequence[str],
 ) -> Iterator[ChildProcess | None]:
     """Record a display's telemetry to `path` within a `with`; None records nothing.
 
@@ -35,9 +35,9 @@ def start_recorder(
     with the `with`, with status 0 where the recording is whole. A display that fails before its
     first tick leaves no file.
 
-    await_recorder: function that waits up to a time in s for a recorder, and returns whether one
-    has subscribed. Raises SystemExit, OutputError or SidecarError where the recorder refuses to
-    begin, does not subscribe in time, or is not installed.
+    options: of `telepulse record`. await_recorder: function that waits up to a time in s for a
+    recorder, and returns whether one has subscribed. Raises SystemExit, OutputError or SidecarError
+    where the recorder refuses to begin, does not subscribe in time, or is not installed.
     """
     if path is None:
         yield None
@@ -46,7 +46,7 @@ def start_recorder(
         *("recorder", "-m", sidecar_module("recorder"), address, str(path)),
         *("--until-silent", str(SILENT_AFTER_S), "--display-pid", str(os.getpid())),
         *(("--key", str(key)) if key else ("--insecure",)),
-        *log_options,
+        *options,
     ) as process:
         until_s = time.monotonic() + STARTS_WITHIN_S
         while not await_recorder(LOOK_EVERY_S):

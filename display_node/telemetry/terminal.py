@@ -1,13 +1,15 @@
 """Live state of a display in a terminal, drawn from the telemetry in a process of its own.
 
 `python -m display_node.telemetry.terminal ADDRESS [KEY]` shows a display's telemetry: a panel in a
-terminal, a line a second elsewhere. It ends with the display, or with the process that started it.
-KEY is the file of the display's own secret key; it is needed where the telemetry is protected.
+terminal, where the key m marks the time, and a line a second elsewhere. It ends with the display,
+or with the process that started it. KEY is the file of the display's own secret key; it is needed
+where the telemetry is protected.
 """
 
 import itertools
 import math
 import os
+import secrets
 import signal
 import sys
 import time
@@ -26,21 +28,24 @@ from rich.text import Text
 
 from display_node.scoring.heart_rate import heart_rate_per_min
 from display_node.telemetry.alerts import Alert, StatusAge, alerts, delay_note, finger_text
+from display_node.telemetry.braille_plot import braille_plot
+from display_node.telemetry.key_presses import key_presses, terminal_restored
 from protocol import sockets
 from protocol.errors import WireError
 from protocol.figures import Surface
 from protocol.host.output import unblocked_output
 from protocol.run_summary import rows
 from protocol.security.keys import ClientKeys, read_pair
+from protocol.wire.marks import MARK, Mark, MarkRequest, pack_request, read_mark
 from protocol.wire.telemetry import STATUS, TRACE, Status, Trace, read_status, read_trace
 
 FRAMES_PER_S = 8
 LINE_EVERY_S = 1.0
+MARK_KEY = "m"
+MARK_WIDTH = 40
 # One tick in 10 ms is kept, for 6 s.
 KEEP_NS, APART_NS = 6_000_000_000, 10_000_000
 PLOTTED_TICKS = 300
-PLOT_COLUMNS, PLOT_ROWS = 64, 6
-BRAILLE_BITS = ((0x01, 0x02, 0x04, 0x40), (0x08, 0x10, 0x20, 0x80))
 # A log or a journal shows a status line of this width without wrapping.
 LINE_WIDTH = 120
 # Characters for the alerts in a status line; each alert is printed in full when it begins.
@@ -84,6 +89,7 @@ class TerminalView:
         self._trusted = False
         self.status: Status | None = None
         self.unreadable = 0
+        self.mark: Mark | None = None
         # Names of alerts that `new_alerts` has returned and that are still active.
         self._named: set[str] = set()
 
@@ -100,6 +106,8 @@ class TerminalView:
                 case [topic, data] if topic == STATUS:
                     self.status = read_status(data)
                     self._age.take_status(now_ns)
+                case [topic, data] if topic == MARK:
+                    self.mark = read_mark(data)
                 case _:
                     self.unreadable += 1
         except WireError:
@@ -180,8 +188,9 @@ class TerminalView:
         stream = _printable(self.status.stream) or "no stream"
         title = Text(f"telepulse · {stream} · {self._state(now_ns)}")
         wrong = [Text(f"{name}: {text}", "bold red") for name, text in self._alerts(now_ns)]
-        of_the_run = Text("of the run so far", "dim")
-        whole = Group(*wrong, now, *self._plot(current), of_the_run, run)
+        last = _cut(f"; last: {self.mark_text}", MARK_WIDTH) if self.mark else ""
+        between = Text(f"of the run so far; {MARK_KEY} marks the time{last}", "dim")
+        whole = Group(*wrong, now, *self._plot(current), between, run)
         return Panel(whole, title=title, expand=False, style="" if current else "dim")
 
     def _alerts(self, now_ns: int) -> list[Alert]:
@@ -219,6 +228,11 @@ class TerminalView:
             *([("finger", _printable(finger))] if finger and current else []),
             *([("delay now", delay)] if delay else []),
         ]
+
+    @property
+    def mark_text(self) -> str:
+        """Text of the newest mark; empty without one."""
+        return "" if self.mark is None else _printable(self.mark.text)
 
     def _press_text(self) -> str:
         """Return the finger's press, the hold-down at the wrist, and the state of the probe."""
@@ -263,39 +277,6 @@ class TerminalView:
         ]
 
 
-def braille_plot(
-    line: Sequence[float], dots: Sequence[float], low: float, high: float
-) -> list[str]:
-    """Draw two curves as rows of characters, each of 2 × 4 dots; NaN is a gap.
-
-    low, high: values of the lowest and the highest row of dots.
-    """
-    columns, rows = 2 * PLOT_COLUMNS, 4 * PLOT_ROWS
-
-    def heights(curve: Sequence[float]) -> list[int | None]:
-        """Return the curve at each column as a row counted from the top, None in a gap."""
-        at = np.interp(np.linspace(0, len(curve) - 1, columns), np.arange(len(curve)), curve)
-        share = (at - low) / (high - low) if high > low else np.where(np.isnan(at), at, 0.0)
-        return [
-            None if math.isnan(part) else rows - 1 - round(min(max(part, 0.0), 1.0) * (rows - 1))
-            for part in share.tolist()
-        ]
-
-    marked = np.zeros((rows, columns), int)
-    line_y, dots_y = heights(line), heights(dots)
-    for x, (here, dot) in enumerate(zip(line_y, dots_y, strict=True)):
-        if here is not None:
-            # A vertical stroke joins the line to its end in the column before.
-            before = line_y[max(x - 1, 0)]
-            before = here if before is None else before
-            marked[min(before + 1, here) : max(before, here + 1), x] = 1
-        if x % 3 == 0 and dot is not None:
-            marked[dot, x] = 1
-    cells = marked.reshape(PLOT_ROWS, 4, PLOT_COLUMNS, 2)
-    characters = 0x2800 + np.einsum("rycx,xy->rc", cells, BRAILLE_BITS)
-    return ["".join(map(chr, row)) for row in characters.tolist()]
-
-
 def _millinewtons(force_n: float | None) -> str:
     if force_n is None:
         return "–"
@@ -338,40 +319,60 @@ def watch(
         heart_rate_per_min(np.empty(0), np.empty(0))
     screen = TerminalView(local=not sockets.beyond_loopback(address))
     context: sockets.Context = zmq.Context()
-    socket = sockets.connect(context, zmq.SUB, address, keys)
-    for wanted in (TRACE, STATUS):
-        socket.subscribe(wanted)
+    socket = sockets.connect(context, zmq.XSUB, address, keys)
+    for wanted in (TRACE, STATUS, MARK):
+        socket.send(b"\1" + wanted)
     live = None
     if draw and console.is_terminal:
         live = Live(screen.panel(), console=console, refresh_per_second=FRAMES_PER_S)
         live.start()
-    line_s = time.monotonic()
     try:
-        while keep_watching():
-            sockets.wait_readable([socket], 1_000_000_000 // FRAMES_PER_S)
-            messages = list(sockets.receive_multipart(socket))
-            for message in messages:
-                traces = screen.take(message, time.perf_counter_ns())
-                if traces and on_traces is not None:
-                    on_traces(traces)
-                if screen.status is not None and screen.status.final:
-                    if draw and live is None:
-                        # The last line shows how the display ended.
-                        _print_line(screen, console)
-                    return screen.status
-            if len(messages) == sockets.MAX_MESSAGES:
-                continue  # more has queued, and only the newest is shown
-            if live is not None:
-                live.update(screen.panel(time.perf_counter_ns()))
-            elif draw and time.monotonic() - line_s >= LINE_EVERY_S:
-                line_s = time.monotonic()
-                _print_line(screen, console)
+        with terminal_restored():
+            _follow(screen, socket, console, on_traces, draw, live, keep_watching)
         return screen.status
     finally:
         if live is not None:
             live.update(screen.panel(time.perf_counter_ns()))
             live.stop()
         context.destroy(linger=0)
+
+
+def _follow(
+    screen: TerminalView,
+    socket: sockets.Socket,
+    console: Console,
+    on_traces: Callable[[list[Trace]], None] | None,
+    draw: bool,
+    live: Live | None,
+    keep_watching: Callable[[], bool],
+) -> None:
+    """Read and draw until the display's last status; see `watch`."""
+    line_s = time.monotonic()
+    while keep_watching():
+        sockets.wait_readable([socket], 1_000_000_000 // FRAMES_PER_S)
+        messages = list(sockets.receive_multipart(socket))
+        for message in messages:
+            marked = screen.mark
+            traces = screen.take(message, time.perf_counter_ns())
+            if traces and on_traces is not None:
+                on_traces(traces)
+            if screen.mark is not marked and draw and live is None:
+                console.print(f"mark: {screen.mark_text}", soft_wrap=True)
+            if screen.status is not None and screen.status.final:
+                if draw and live is None:
+                    # The last line shows how the display ended.
+                    _print_line(screen, console)
+                return
+        if len(messages) == sockets.MAX_MESSAGES:
+            continue  # more has queued, and only the newest is shown
+        if live is not None:
+            live.update(screen.panel(time.perf_counter_ns()))
+            for _ in range(key_presses().count(MARK_KEY)):
+                request = MarkRequest(secrets.randbits(62), time.perf_counter_ns(), "")
+                sockets.send(socket, pack_request(request))
+        elif draw and time.monotonic() - line_s >= LINE_EVERY_S:
+            line_s = time.monotonic()
+            _print_line(screen, console)
 
 
 if __name__ == "__main__":

@@ -3,10 +3,12 @@
 import msgpack
 import numpy as np
 
+from display_node.telemetry.publisher import MarkCounter
 from fuzz.refusals import refusals
 from fuzz.telemetry_readers import TelemetryReaders, preamble
 from protocol.run_summary import Summary
 from protocol.ticks import TickState
+from protocol.wire.marks import MARK, Mark, MarkRequest, pack_mark, pack_request
 from protocol.wire.telemetry import (
     CAPTURE,
     STATUS,
@@ -23,7 +25,7 @@ MSGPACK = True
 
 
 def seeds() -> list[bytes]:
-    """Return a trace, two statuses, and captured messages."""
+    """Return a trace, two statuses, captured messages, a mark and a request for one."""
     writer = TraceWriter()
     traces = [
         writer.add(TickState(tick, tick, tick, 0.5, 0.4, True)) for tick in range(TRACE_TICKS)
@@ -34,7 +36,8 @@ def seeds() -> list[bytes]:
     for number in range(3):
         heard.add(number, number - 1, b"a message")
     packed = (msgpack.packb(status) for status in statuses)
-    return [traces[-1] or b"", *packed, *heard.take(10, 20)]
+    marks = [pack_mark(Mark(1, 2, 3, "cuff on")), pack_request(MarkRequest(2, 3, "cuff on"))]
+    return [traces[-1] or b"", *packed, *heard.take(10, 20), *marks]
 
 
 def try_one(data: bytes) -> None:
@@ -46,9 +49,11 @@ def try_one(data: bytes) -> None:
         assert all(type(message.data) is bytes for message in read_capture(data).messages)
     with refusals():
         read_status(data)
+    mark = MarkCounter().take(data, 10)
+    assert mark is None or mark.text.isprintable()
     readers = TelemetryReaders()
     for message in preamble():
         readers.take(*message)
-    for topic in (TRACE, STATUS, CAPTURE):
+    for topic in (TRACE, STATUS, CAPTURE, MARK):
         readers.take(topic, data)
     readers.draw()

@@ -43,7 +43,7 @@ class Section(BaseModel):
         for key in table if isinstance(table, dict) else ():
             if key not in known:
                 raise PydanticCustomError(
-                    "unknown_key", "unknown key {key}", {"key": key, "known": known}
+                    "unknown_key", "unknown key {key}", {"key": str(key), "known": known}
                 )
         return table
 

@@ -1,6 +1,7 @@
 """Budgets that bound what peers can use: events per second, connections, subscriptions."""
 
 import logging
+import time
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from statistics import mode
@@ -18,6 +19,8 @@ MAX_CUTS = 32
 SUBSCRIPTION = "subscription"
 # Bytes for subscriptions to topics of other versions.
 FOREIGN_BYTES = 1_000
+# Requests of a connection that are not charged.
+REQUESTS_PER_S, REQUESTS_AT_ONCE = 20.0, 100.0
 MAX_NAMED = 100
 
 
@@ -106,13 +109,18 @@ class SubscriptionBudget:
     ZeroMQ stores each subscription of each peer, about 50 bytes per character, and has no option
     that bounds them. `sockets.bind` makes it read one short subscription of a connection at a time.
     Here each connection has a budget of bytes; beyond it, the connection is cut and counted in
-    `rejected`. topics: published topics; b"" stands for a subscription to everything.
+    `rejected`. topics: published topics; b"" stands for a subscription to everything. request:
+    first byte of messages that are no subscriptions, and are charged only where a connection sends
+    too many; b"" for none.
     """
 
-    def __init__(self, socket: sockets.Socket, topics: Sequence[bytes]) -> None:
+    def __init__(
+        self, socket: sockets.Socket, topics: Sequence[bytes], request: bytes = b""
+    ) -> None:
         self._socket = socket
-        self._topics = topics
+        self._topics, self._request = topics, request
         self._named: set[str] = set()
+        self._requests: dict[int, TokenBucket] = {}
         # Address, and used bytes of the budget, by descriptor.
         self._spent: dict[int, tuple[str, int]] = {}
         self.rejected: Counter[str] = Counter()
@@ -120,15 +128,20 @@ class SubscriptionBudget:
     def receive(self) -> Iterator[bytes]:
         r"""Yield waiting subscriptions to and cancellations of published topics. Call it often.
 
-        Each is XPUB's message: b"\x01" or b"\x00", then the topic. Others are charged.
+        Each is XPUB's message: b"\x01" or b"\x00", then the topic. Requests are yielded, too.
+        Others are charged.
         """
         for _ in range(sockets.MAX_MESSAGES):
             if not sockets.has_message(self._socket):
                 return
             frame = self._socket.recv(zmq.NOBLOCK, copy=False)
             message = frame.bytes
-            published = any(topic.startswith(message[1:]) for topic in self._topics)
-            if message[:1] in (b"\0", b"\1") and published:
+            if self._request and message.startswith(self._request):
+                wanted = self._permits(frame)
+            else:
+                published = any(topic.startswith(message[1:]) for topic in self._topics)
+                wanted = published and message[:1] in (b"\0", b"\1")
+            if wanted:
                 yield message
             else:
                 self._charge(frame, len(message))
@@ -137,6 +150,15 @@ class SubscriptionBudget:
         """Charge the waiting subscriptions, for a caller that does not use them."""
         for _ in self.receive():
             pass
+
+    def _permits(self, frame: zmq.Frame) -> bool:
+        try:
+            descriptor = int(frame.get(zmq.SRCFD))
+        except zmq.ZMQError:  # its connection has gone
+            return False
+        if descriptor not in self._requests:
+            self._requests[descriptor] = TokenBucket(REQUESTS_PER_S, REQUESTS_AT_ONCE)
+        return self._requests[descriptor].take(time.perf_counter_ns())
 
     def _charge(self, frame: zmq.Frame, size_bytes: int) -> None:
         try:
@@ -155,5 +177,6 @@ class SubscriptionBudget:
         if address not in self._named and len(self._named) < MAX_NAMED:
             self._named.add(address)
             logger.warning(
-                f"refused {address or 'a peer'}: it subscribes to topics not published here"
+                f"refused {address or 'a peer'}: it subscribes to topics not published here, or"
+                " sends too many marks"
             )

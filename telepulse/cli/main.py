@@ -16,7 +16,7 @@ from telepulse.cli.options import PROGRAM
 
 # Commands that run beside nodes or as one: a terminal that is not read must not delay them.
 LIVE = {"demo": "demo", "link": "link", "bench": "commissioning", "relay": "link", "tunnel": "link"}
-LIVE |= {"record": "record", "replay": "record", "view": "view", "lsl": "view"}
+LIVE |= {"record": "record", "mark": "record", "replay": "record", "view": "view", "lsl": "view"}
 LIVE |= {"sweep": "sweep"}
 OTHERS = {"simulate": "demo", "paper": "study", "tune": "commissioning"}
 OTHERS |= {"calibrate": "commissioning", "discover": "discover"}

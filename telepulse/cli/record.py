@@ -1,4 +1,4 @@
-"""`telepulse record`, `replay`, `export` and `report`: make recordings and use them.
+"""`telepulse record`, `mark`, `replay`, `export` and `report`: make recordings and use them.
 
 `display-node --record` runs this module as its recorder.
 """
@@ -13,6 +13,7 @@ from typing import Annotated, Literal
 import typer
 
 from protocol.cli_options import (
+    AboutOption,
     AllowOption,
     InsecureOption,
     JsonOption,
@@ -42,6 +43,8 @@ from telepulse.cli.options import (
 
 logger = logging.getLogger(__name__)
 
+MARKED_WITHIN_S = 5.0
+
 
 def record(
     address: AddressArgument,
@@ -51,13 +54,7 @@ def record(
     ],
     seconds: StopAfterOption = None,
     until_silent: SilenceOption = None,
-    about: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="KEY=TEXT",
-            help="State subject, position, side or notes of the recording, once for each.",
-        ),
-    ] = None,
+    about: AboutOption = None,
     marks: Annotated[
         bool,
         typer.Option("--marks", help="Mark the time at each line of standard input: type Enter."),
@@ -80,8 +77,9 @@ def record(
     waits for space. `display-node --record FILE` starts this command beside the display.
 
     With --marks, Enter in this terminal marks the present time, with the text before it if there is
-    one; a program can write such lines into a pipe. Marks are events of the recording. --about is
-    kept in the file's metadata. Neither is sent to anybody.
+    one; a program can write such lines into a pipe. Marks are events of the recording, and the
+    display shows them to all readers of its telemetry; --about is kept in the file's metadata
+    alone. Neither is sent to the sensing node.
 
     --key is the display's own key file. With another key, give the display's public key as --peer.
 
@@ -102,6 +100,34 @@ def record(
     stop_on_signals(recorder.stop)
     if not recorder.run(seconds, until_silent, display_pid):
         raise SystemExit(NOT_WHOLE)
+
+
+def mark(
+    address: AddressArgument,
+    text: Annotated[str, typer.Argument(help="Text of the mark; without one it is numbered.")] = "",
+    key: KeyOption = None,
+    peer: PeerOption = None,
+    insecure: InsecureOption = False,
+) -> None:
+    """Mark the present time of a display: in its recording, on its page and in its terminal.
+
+    Prints the mark as the display has published it. The text does not go to the sensing node.
+
+    --key is the display's own key file. With another key, give the display's public key as --peer.
+
+    Exit status: 0 when the display has published the mark, 1 when it did not within 5 s, 2 when
+    the command cannot begin.
+    """
+    from telepulse.telemetry.client import await_mark
+
+    with one_line_errors(PROGRAM):
+        configure_logging()
+        keys = telemetry_keys(address, key, peer, insecure)
+        published = await_mark(address, keys, text, MARKED_WITHIN_S)
+    if published is None:
+        logger.error(f"{address}: no mark, the display did not answer within {MARKED_WITHIN_S:g} s")
+        raise SystemExit(NOT_WHOLE)
+    plain_console().print(f"mark: {published.text}")
 
 
 def replay(

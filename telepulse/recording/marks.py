@@ -1,6 +1,7 @@
-"""Marks of a person or a program, and what a person states about a recording.
+"""Sources of marks beside a recorder, and what a person states about a recording.
 
-They are written by the recorder alone: the display does not receive them, so that no peer does.
+Marks are published by the display (`protocol.wire.marks`). Statements are written by the recorder
+alone.
 """
 
 import os
@@ -11,17 +12,18 @@ from collections.abc import Iterable
 from typing import Any, NamedTuple, Protocol
 
 from protocol.errors import SourceError, suggest
+from protocol.wire.marks import printable
 from pulse_sensors import library
 
-# Keys that may be stated, and limits of their texts and of a mark.
+# Keys that may be stated, and the limit of their texts.
 STATED = ("subject", "position", "side", "notes")
 MOST_CHARACTERS = 1000
 STDIN = 0
 RESOLVE_S = 5.0
 
 
-class Mark(NamedTuple):
-    """A mark, and its age in ns when it is taken."""
+class TakenMark(NamedTuple):
+    """Text of a mark, empty for a numbered one, and its age in ns when it is taken."""
 
     text: str
     age_ns: int
@@ -30,7 +32,7 @@ class Mark(NamedTuple):
 class MarkSource(Protocol):
     """A source of marks."""
 
-    def take(self) -> list[Mark]:
+    def take(self) -> list[TakenMark]:
         """Return the marks since the last call."""
 
 
@@ -45,30 +47,23 @@ def read_about(texts: Iterable[str]) -> dict[str, str]:
             raise SourceError(f"--about: {text[:80]!r} is none of its keys{advice}")
         if key in about:
             raise SourceError(f"--about: {key} is given twice")
-        about[key] = printable(value)
+        about[key] = printable(value, MOST_CHARACTERS)
     return about
 
 
-def printable(text: str) -> str:
-    """Return a text in one line, without what a terminal cannot show."""
-    return "".join(each if each.isprintable() else " " for each in text).strip()[:MOST_CHARACTERS]
-
-
 class LineMarks:
-    """Marks by the lines of standard input; an empty one is numbered. A thread reads them."""
+    """Marks by the lines of standard input, which a thread reads."""
 
     def __init__(self) -> None:
         self._waiting: deque[tuple[int, str]] = deque()
-        self._number = 0
         threading.Thread(target=self._read, daemon=True).start()
 
-    def take(self) -> list[Mark]:
+    def take(self) -> list[TakenMark]:
         """See `MarkSource.take`."""
         now_ns, marks = time.perf_counter_ns(), []
         while self._waiting:
             at_ns, text = self._waiting.popleft()
-            self._number += 1
-            marks.append(Mark(text or f"mark {self._number}", now_ns - at_ns))
+            marks.append(TakenMark(text, now_ns - at_ns))
         return marks
 
     def _read(self) -> None:
@@ -108,13 +103,13 @@ class LslMarks:
         except Exception as error:  # pylsl has errors of its own for a stream that is gone
             raise SourceError(f"LSL stream {name}: {error}") from None
 
-    def take(self) -> list[Mark]:
+    def take(self) -> list[TakenMark]:
         """See `MarkSource.take`."""
         samples: list[list[Any]]
         samples, times_s = self._inlet.pull_chunk(timeout=0.0)
         now_s = self._lsl.local_clock()
         return [
-            Mark(
+            TakenMark(
                 printable(" ".join(map(str, sample))),
                 max(0, round((now_s - at_s - self._ahead_s) * 1e9)),
             )

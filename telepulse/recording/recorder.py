@@ -10,14 +10,14 @@ from protocol.security.keys import ClientKeys
 from telepulse.recording.marks import MarkSource
 from telepulse.recording.mcap_writer import McapWriter
 from telepulse.telemetry.client import TelemetryClient
+from telepulse.telemetry.decoder import MARK_EVENT
 from telepulse.telemetry.events import Event
-from telepulse.telemetry.schema import TOPIC_NAMES
+from telepulse.telemetry.schema import EVENT, TOPIC_NAMES
 
 logger = logging.getLogger(__name__)
 
 # A recorder that is killed loses the messages since the last flush, those of about 0.5 s.
 FLUSH_EVERY_NS = 500_000_000
-MARK = "mark"
 
 
 class McapRecorder:
@@ -67,11 +67,13 @@ class McapRecorder:
             for entries in self._client.follow(str(self._path), seconds, silence_s, display_pid):
                 for entry in entries:
                     self._file.add(entry)
+                    if entry.topic == EVENT and entry.fields["name"] == MARK_EVENT:
+                        logger.info(f"{self._path}: mark: {entry.fields['message']}")
                 if self._decoder.provenance != provenance:
                     provenance = self._decoder.provenance
                     self._file.describe(provenance or {})
                 if self._decoder.started:
-                    self._add_marks()
+                    self._request_marks()
                 now_ns = time.perf_counter_ns()
                 if now_ns >= flush_ns:
                     flush_ns = now_ns + FLUSH_EVERY_NS
@@ -80,11 +82,10 @@ class McapRecorder:
         finally:
             self._client.close()
 
-    def _add_marks(self) -> None:
+    def _request_marks(self) -> None:
         for source in self._marks:
-            for text, age_ns in source.take():
-                self._file.add(self._decoder.event(Event("INFO", MARK, text), age_ns))
-                logger.info(f"{self._path}: mark: {text}")
+            for mark in source.take():
+                self._client.mark(*mark)
 
     def _report_disk(self, reason: str | None) -> None:
         """Warn once when writing fails, and once when it succeeds again."""
@@ -115,6 +116,9 @@ class McapRecorder:
             self._path.unlink(missing_ok=True)
             if not started_by_display:
                 warnings.append(f"no telemetry came from {self._address}")
+        if unmarked := self._client.unmarked:
+            count = count_text(len(unmarked), "mark")
+            warnings.append(f"{count} did not come back from the display: {', '.join(unmarked)}")
         if missed:
             counts = (f"{count} {name}" for name, count in sorted(missed.items()))
             warnings.append(f"the recorder missed {', '.join(counts)}")
@@ -125,4 +129,4 @@ class McapRecorder:
             warnings.append(f"has no index: {reason}")
         for warning in warnings:
             logger.warning(f"{self._path}: {warning}")
-        return self._decoder.started and not (missed or file.dropped or reason)
+        return self._decoder.started and not (missed or unmarked or file.dropped or reason)

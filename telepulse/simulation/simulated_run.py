@@ -4,10 +4,14 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from protocol.config.arguments import number, whole_number
 from protocol.errors import SceneError
 from telepulse.run import Run, RunBuilder, RunTick
 from telepulse.scene import DEFAULT_SCENE, Scene, load_scene
 from telepulse.simulation.virtual_time import SENSING_CLOCK_AHEAD_NS, Simulation
+
+# A day in s, and the greatest number of a session.
+LONGEST_S, MOST_SEED = 86_400, (1 << 63) - 2
 
 
 def simulate(
@@ -28,9 +32,9 @@ def simulate(
     scene
         Scene, its file, or the name of one that comes with telepulse.
     seconds
-        Length of the stream, in s.
+        Length of the stream, in s; at most a day.
     seed
-        Seed of the link's delays and losses.
+        Seed of the link's delays and losses, a whole number from 0.
     sensing, display, link
         Changes of the scene's sections, as `load_scene` takes them.
 
@@ -42,6 +46,8 @@ def simulate(
 
     Raises
     ------
+    ArgumentError
+        If an argument is of another type, or out of range.
     SceneError
         If the scene or a change of it is not valid, or its force loop is not stable.
     SourceError
@@ -54,13 +60,13 @@ def simulate(
     >>> run.felt_n.shape == run.t_s.shape
     True
     """
+    seconds = number("seconds", seconds, 1e-3, LONGEST_S)
+    seed = whole_number("seed", seed, 0, MOST_SEED)
     if isinstance(scene, Scene):
         if sensing or display or link:
             raise SceneError("changes of a scene that is loaded already: give them to load_scene")
     else:
         scene = load_scene(scene, sensing=sensing, display=display, link=link)
-    if not seconds > 0:
-        raise SceneError(f"seconds: must be more than 0, got {seconds:g}")
     builder = RunBuilder()
     simulation = Simulation(scene, seed, take_frame=builder.add_frame)
     node, tick_ns = simulation.display, scene.display.tick_ns

@@ -3,8 +3,9 @@
 import logging
 import math
 import os
+import secrets
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import zmq
 
@@ -12,6 +13,7 @@ from protocol import sockets
 from protocol.provenance import PROVENANCE
 from protocol.security.keys import ClientKeys
 from protocol.security.socket_monitor import HandshakeMonitor
+from protocol.wire.marks import MARK, Mark, MarkRequest, pack_request
 from protocol.wire.telemetry import CAPTURE, STATUS, TRACE
 from telepulse.telemetry.decoder import Entry, TelemetryDecoder
 
@@ -23,7 +25,7 @@ POLL_EVERY_NS = 100_000_000
 
 
 class TelemetryClient:
-    """Client of everything that a display publishes.
+    """Client of everything that a display publishes, which can request marks.
 
     decoder: has the state of the telemetry and counts of missed messages. Raises AddressError.
     """
@@ -32,7 +34,7 @@ class TelemetryClient:
         self._address = address
         self._context: sockets.Context = zmq.Context()
         try:
-            self._socket = sockets.connect(self._context, zmq.SUB, address, keys)
+            self._socket = sockets.connect(self._context, zmq.XSUB, address, keys)
         except BaseException:
             self._context.destroy(linger=0)
             raise
@@ -41,18 +43,46 @@ class TelemetryClient:
         self._refused = 0
         self._reconnect_ns: int | None = None
         self._stopping = False
+        self._local = not sockets.beyond_loopback(address)
+        # Time of arrival of the newest message.
+        self._arrived_ns = 0
+        self._requested: dict[int, str] = {}
         self.decoder = TelemetryDecoder()
 
-    def subscribe(self) -> None:
-        """Subscribe to all topics; a display that waits for its recorder then continues."""
-        for topic in (PROVENANCE, TRACE, STATUS, CAPTURE):
-            self._socket.subscribe(topic)
+    def subscribe(
+        self, topics: Sequence[bytes] = (PROVENANCE, TRACE, STATUS, MARK, CAPTURE)
+    ) -> None:
+        """Subscribe to topics; a display that waits for its recorder continues at CAPTURE."""
+        for topic in topics:
+            self._socket.send(b"\1" + topic)
+
+    def mark(self, text: str, age_ns: int = 0) -> None:
+        """Request a mark at the instant `age_ns` ago; an empty text becomes a number.
+
+        The clock of a display on another machine is known from its telemetry, and late by the
+        transit of a message.
+        """
+        now_ns, at_ns = time.perf_counter_ns(), None
+        if self._local:
+            at_ns = now_ns - age_ns
+        elif self.decoder.started:
+            at_ns = self.decoder.now_ns + now_ns - self._arrived_ns - age_ns
+        request = MarkRequest(secrets.randbits(62), at_ns, text)
+        self._requested[request.id] = text
+        sockets.send(self._socket, pack_request(request))
+
+    @property
+    def unmarked(self) -> list[str]:
+        """Texts of requested marks that the display has not published."""
+        return list(self._requested.values())
 
     def messages(self) -> Iterator[list[Entry]]:
         """Yield the entries of each waiting message; an empty list for one without any."""
         for message in sockets.receive_multipart(self._socket):
-            self._reconnect_ns = None
+            self._reconnect_ns, self._arrived_ns = None, time.perf_counter_ns()
             yield self.decoder.decode(*message) if len(message) == 2 else []
+            if (mark := self.decoder.last_mark) is not None:
+                self._requested.pop(mark.id, None)
 
     def poll(self, now_ns: int) -> None:
         """Count refusals, and connect again some time after one; call it often."""
@@ -106,3 +136,20 @@ class TelemetryClient:
     def close(self) -> None:
         """Close the socket."""
         self._context.destroy(linger=0)
+
+
+def await_mark(address: str, keys: ClientKeys | None, text: str, within_s: float) -> Mark | None:
+    """Mark the present time of a display; return its mark, or None if none comes in time.
+
+    Raises AddressError.
+    """
+    client = TelemetryClient(address, keys)
+    try:
+        client.subscribe([MARK])
+        client.mark(text)
+        for _ in client.follow(address, within_s):
+            if not client.unmarked:
+                return client.decoder.last_mark
+        return None
+    finally:
+        client.close()

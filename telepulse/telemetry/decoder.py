@@ -17,10 +17,13 @@ from protocol.errors import WireError
 from protocol.provenance import PROVENANCE, read_provenance
 from protocol.wire import messages as wire
 from protocol.wire import telemetry
+from protocol.wire.marks import MARK, Mark, read_mark
 from telepulse.telemetry.events import Event, EventDetector
 from telepulse.telemetry.schema import CLOCK, EVENT, FRAME, LEVELS, REFUSED, STATUS, STREAM, TICK
 
 Fields = dict[str, Any]
+# Name of the event of a mark.
+MARK_EVENT = "mark"
 LATEST_NS = (1 << 63) - 1
 
 
@@ -36,7 +39,8 @@ class TelemetryDecoder:
     """Decoder of the telemetry of one display, over any number of its runs.
 
     missed: counts by kind of messages that did not arrive or could not be read. ended: the display
-    has sent its last status. provenance: of the display's run; None before it arrives.
+    has sent its last status. provenance: of the display's run; None before it arrives. last_mark:
+    newest mark of the run.
     """
 
     def __init__(self) -> None:
@@ -49,6 +53,12 @@ class TelemetryDecoder:
         self.missed: Counter[str] = Counter()
         self.ended = False
         self.provenance: dict[str, str] | None = None
+        self.last_mark: Mark | None = None
+
+    @property
+    def now_ns(self) -> int:
+        """Latest instant of the telemetry, on the display's clock."""
+        return self._now_ns
 
     @property
     def started(self) -> bool:
@@ -72,12 +82,14 @@ class TelemetryDecoder:
             elif topic == telemetry.STATUS:
                 self._arrived["statuses"] += 1
                 return list(self._status(telemetry.read_status(data))) if self.started else []
+            elif topic == MARK:
+                return list(self._mark(read_mark(data)))
         except WireError:
             self.missed["unreadable messages"] += 1
         return []
 
     def event(self, event: Event, age_ns: int = 0) -> Entry:
-        """Return an event as an entry, some time before the latest instant of the telemetry."""
+        """Return an event as an entry, `age_ns` before the latest instant of the telemetry."""
         fields = {"level": LEVELS[event.level], "message": event.text, "name": event.name}
         entry = self._entry(EVENT, fields | {"file": "", "line": 0})
         entry = entry._replace(t_ns=max(0, entry.t_ns - age_ns))
@@ -96,7 +108,7 @@ class TelemetryDecoder:
             text = "another run of the display" if self.started else "the recording"
             self._run, self._arrived = captured.run, published
             self._unix_offset_ns = captured.wall_ns - captured.now_ns
-            self._events = EventDetector()
+            self._events, self.last_mark = EventDetector(), None
             yield self.event(Event("INFO", "begin", text))
         lost = published - self._arrived
         self._arrived = published + Counter({"captured messages": len(captured.messages)})
@@ -151,6 +163,13 @@ class TelemetryDecoder:
                 fields["others"] = [{k: f[k] for k in keys if k in f} for f in others]
             self._now_ns = fields["now_ns"]
             yield self._entry(TICK, fields)
+
+    def _mark(self, mark: Mark) -> Iterator[Entry]:
+        before, self.last_mark = self.last_mark, mark
+        if before is not None and mark.number > before.number + 1:
+            self.missed["marks"] += mark.number - before.number - 1
+        if self.started:
+            yield self.event(Event("INFO", MARK_EVENT, mark.text), self._now_ns - mark.at_ns)
 
     def _status(self, status: telemetry.Status) -> Iterator[Entry]:
         playing = [each._asdict() for each in status.playing] or None

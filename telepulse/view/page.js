@@ -1,5 +1,6 @@
 // Runs in the browser when the document is ready and whenever `texts` change.
-// texts: content of the page; choices: what its reader has chosen, which goes back to the server.
+// texts: content of the page; choices: what its reader has chosen, and marked: his last mark, which
+// go back to the server.
 const at = (id) => document.getElementById(id);
 const write = (id, text) => { if (at(id).textContent !== text) at(id).textContent = text; };
 const [shown] = texts.data.shown;
@@ -22,6 +23,16 @@ function begin() {
       for (const tool of root.toolbar?.tools ?? []) tool.active = paused;
     }
     choose({ paused: [paused] });
+  });
+  const mark = (event) => {
+    event.preventDefault();
+    marked.data = { number: [marked.data.number[0] + 1], text: [at("mark-text").value] };
+    at("mark-text").value = "";
+  };
+  at("mark").addEventListener("submit", mark);
+  document.addEventListener("keydown", (event) => {
+    const typing = event.target.matches("input[type=text]") || event.repeat;
+    if (event.key === "m" && !typing && !event.ctrlKey && !event.metaKey && !event.altKey) mark(event);
   });
   for (const choice of document.querySelectorAll("input[name=window]")) {
     choice.addEventListener("change", () => choose({ window_s: [Number(choice.value)] }));

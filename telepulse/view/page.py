@@ -169,18 +169,29 @@ def padded(columns: dict[str, Columns]) -> dict[str, NDArray[np.float32]]:
 class LivePage:
     """Page of one viewer, drawn five times a second.
 
-    silent_ns: returns the time in ns since the last message from the display.
+    silent_ns: returns the time in ns since the last message from the display. mark: requests a
+    mark with a text, which may be empty.
     """
 
-    def __init__(self, document: Document, live: LiveState, silent_ns: Callable[[], int]) -> None:
-        self._live, self._silent_ns = live, silent_ns
+    def __init__(
+        self,
+        document: Document,
+        live: LiveState,
+        silent_ns: Callable[[], int],
+        mark: Callable[[str], None],
+    ) -> None:
+        self._live, self._silent_ns, self._mark = live, silent_ns, mark
         self._plots = Plots()
         self._texts = ColumnDataSource({"shown": [None]})
         self._choices = ColumnDataSource(
             {"paused": [False], "window_s": [WINDOW_S], "contactor": [0], "seen": [0]}
         )
+        # Number and text of the reader's last mark.
+        self._marked = ColumnDataSource({"number": [0], "text": [""]})
+        self._marked.on_change("data", lambda _, __, data: self._mark(str(data["text"][0])))
         update = CustomJS(
-            args={"texts": self._texts, "choices": self._choices}, code=_text("page.js")
+            args={"texts": self._texts, "choices": self._choices, "marked": self._marked},
+            code=_text("page.js"),
         )
         document.js_on_event(DocumentReady, update)
         document.js_on_event(ConnectionLost, CustomJS(code=SERVER_LOST))
@@ -188,7 +199,7 @@ class LivePage:
         document.config.update(notify_connection_status=False, reconnect_session=False)
         self._texts.js_on_change("data", update)
         # A source without a plot is sent only if some model refers to it.
-        self._plots.roots[0].tags = [self._texts, self._choices]
+        self._plots.roots[0].tags = [self._texts, self._choices, self._marked]
         for root in self._plots.roots:
             document.add_root(root)
         document.title = "telepulse: live"

@@ -122,6 +122,7 @@ SESSIONS: dict[str, list[Step | Stop | Do]] = {
             more="--seconds 1",
             at="marked",
         ),
+        Step('telepulse mark tcp://127.0.0.1:PORT "cuff on"', says="mark: cuff on"),
         Step("telepulse lsl tcp://127.0.0.1:PORT", more="--seconds 1"),
         Stop(f"{PLAY} --record pulse.mcap"),
         Stop(SENSE),

@@ -6,7 +6,7 @@ import pytest
 
 from protocol.errors import SourceError
 from telepulse.recording import marks
-from telepulse.recording.marks import LslMarks, Mark
+from telepulse.recording.marks import LslMarks, TakenMark
 from tests.support.lsl_loopback import lsl_on_loopback
 from tests.support.waiting import until
 
@@ -24,7 +24,7 @@ def test_texts_of_a_stream_are_marks_with_their_age(
     source = LslMarks("telepulse stimuli")
     until(outlets[1].have_consumers)
     outlets[1].push_sample(["tone\n on"], pylsl.local_clock() - 0.5)
-    found: list[Mark] = []
+    found: list[TakenMark] = []
     until(lambda: bool(found.extend(source.take()) or found))
     assert found[0].text == "tone  on"
     assert 0.49e9 < found[0].age_ns < 10e9

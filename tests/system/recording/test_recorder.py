@@ -104,7 +104,7 @@ def test_everything_that_a_display_publishes_is_in_the_file(path: Path) -> None:
     assert abs(messages[TICK][-1].t_ns - time.time_ns()) < 60 * SECOND_NS
 
 
-def test_marks_and_what_is_stated_are_in_the_file_alone(path: Path) -> None:
+def test_marks_and_statements_are_in_the_file(path: Path) -> None:
     about = ("--about", "subject=S01", "--about", "side=left\x1b[2J")
     with recording(path, "--marks", *about, stdin=subprocess.PIPE) as (display, recorder):
         display.begin()

@@ -198,6 +198,21 @@ def test_a_display_that_goes_and_comes_back(bench: Bench, page: Page) -> None:
     await_state(page, "playing")
 
 
+def test_the_key_m_and_a_text_mark_the_time(page: Page) -> None:
+    page.keyboard.press("m")
+    page.locator("#events", has_text=re.compile("mark: mark \\d")).wait_for()
+    page.locator("#mark-text").click()
+    page.keyboard.type("mm, tom")
+    assert page.locator("#mark-text").input_value() == "mm, tom"
+    page.keyboard.press("Enter")
+    page.locator("#events", has_text="mark: mm, tom").wait_for()
+    assert page.locator("#mark-text").input_value() == ""
+    # Letters of the text are no keys.
+    assert page.locator("#events li", has_text="mark: ").count() == 2
+    events = "Bokeh.documents[0].get_model_by_name('force').renderers.at(-1).data_source.data.text"
+    page.wait_for_function(f"[...{events}].some((text) => text.includes('mm, tom'))")
+
+
 def test_a_pause_is_explored_and_resumed(page: Page) -> None:
     page.wait_for_function(f"{SPAN} === 10")
     page.locator("#pause").click()

@@ -24,6 +24,7 @@ from protocol.summary_tables import (
     Roughness,
     SampleCounts,
 )
+from protocol.wire.marks import MARK, Mark, pack_mark
 from protocol.wire.telemetry import STATUS, TRACE, Status, Trace, pack_status
 
 BEAT_S = 0.8
@@ -305,3 +306,13 @@ def test_a_status_line_has_at_most_120_characters(
     for now_ns in (0, 10**17):
         assert len(under_test.line(now_ns)) <= 120
         assert "\n" not in under_test.line(now_ns)
+
+
+def test_the_panel_names_the_newest_mark_in_one_line() -> None:
+    under_test = view()
+    assert "m marks the time " in printed(under_test)
+    for number, text in ((1, "cuff on"), (2, "a long text " * 10)):
+        under_test.take((MARK, pack_mark(Mark(number, 1, 0, text.strip()))))
+        assert f"m marks the time; last: {text[:20]}" in printed(under_test)
+    under_test.take((MARK, b"garbage"))
+    assert under_test.unreadable == 1

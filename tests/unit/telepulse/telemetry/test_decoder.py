@@ -18,6 +18,7 @@ from protocol.errors import CAUSE_MEANINGS
 from protocol.run_summary import Summary
 from protocol.summary_tables import Clock, Compensation, Deadlines, Loop, SampleCounts
 from protocol.ticks import TickState
+from protocol.wire.marks import MARK, Mark, pack_mark
 from protocol.wire.messages import Hello, encode_control, encode_frame
 from protocol.wire.telemetry import CAPTURE, CONTROL, TRACE
 from protocol.wire.telemetry import STATUS as STATUS_TOPIC
@@ -263,3 +264,18 @@ def test_any_message_is_decoded_or_counted(messages: list[tuple[bytes, bytes]]) 
         for entry in telemetry.decoder.decode(topic, data):
             assert 0 <= entry.t_ns < 2**63
             assert math.isfinite(entry.t_ns)
+
+
+def test_a_mark_is_an_event_at_its_instant_and_missing_ones_are_counted() -> None:
+    telemetry = HandmadeTelemetry()
+    telemetry.receive((CONTROL, WELCOME))
+    decode = telemetry.decoder.decode
+    (entry,) = decode(MARK, pack_mark(Mark(4, 9, NOW_NS - 5_000_000, "cuff on")))
+    assert events([entry]) == [("mark", "cuff on")]
+    assert entry.t_ns == NOW_NS - 5_000_000 + WALL_NS
+    assert telemetry.decoder.last_mark == Mark(4, 9, NOW_NS - 5_000_000, "cuff on")
+    assert not telemetry.decoder.missed
+    decode(MARK, pack_mark(Mark(7, 9, NOW_NS, "cuff off")))
+    assert telemetry.decoder.missed == {"marks": 2}
+    assert decode(MARK, b"garbage") == []
+    assert telemetry.decoder.missed == {"marks": 2, "unreadable messages": 1}
