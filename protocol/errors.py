@@ -117,7 +117,7 @@ class ProcessLimitError(TelepulseError, OSError):
 
 
 class ArgumentError(TelepulseError, ValueError):
-    """An argument of a function cannot be used: a text in place of a number, a rate out of range."""
+    """An argument of a function cannot be used: a text for a number, a rate out of range."""
 
 
 class OptionError(TelepulseError, ValueError):

@@ -20,9 +20,7 @@ def number(name: str, value: object, least: float, most: float) -> float:
     # A text such as "5" is no number, although `float` reads it.
     known = float(value) if isinstance(value, Real) else math.nan
     if not least <= known <= most:
-        raise ArgumentError(
-            f"{name}: must be a number from {least:g} to {most:g}, got {shown(value)}"
-        )
+        raise ArgumentError(f"{name}: must be a number from {least} to {most}, got {shown(value)}")
     return known
 
 
@@ -33,8 +31,9 @@ def whole_number(name: str, value: Any, least: int, most: int) -> int:
     except TypeError:
         known = None
     if known is None or not least <= known <= most:
-        limits = f"at least {least}" if most >= 1 << 62 else f"from {least} to {most}"
-        raise ArgumentError(f"{name}: must be a whole number, {limits}, got {shown(value)}")
+        raise ArgumentError(
+            f"{name}: must be a whole number from {least} to {most}, got {shown(value)}"
+        )
     return known
 
 

@@ -1,0 +1,81 @@
+"""A wrong argument of the Python API is one line that names it; numbers of numpy are right ones."""
+
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import telepulse
+from protocol.errors import AddressError, ArgumentError, SceneError
+
+# Wrong on purpose: a type checker would refuse most of them.
+api: Any = telepulse
+ADDRESS = "tcp://127.0.0.1:5555"
+WAVE = np.zeros(100)
+CASES: list[tuple[Callable[[], object], type[Exception], str]] = [
+    (lambda: api.simulate(None), ArgumentError, "scene: must be a name or .*, got None"),
+    (lambda: api.simulate(5), ArgumentError, "scene: must be a name or .*, got 5"),
+    (lambda: api.load_scene(b"radial"), ArgumentError, "scene: must be .*, got b'radial'"),
+    (lambda: api.simulate(seed="a"), ArgumentError, "seed: must be a whole number .*, got 'a'"),
+    (lambda: api.simulate(seed=None), ArgumentError, "seed: must be .*, got None"),
+    (lambda: api.simulate(seed=1.0), ArgumentError, "seed: must be .*, got 1.0"),
+    (lambda: api.simulate(seed=-1), ArgumentError, "seed: must be .* from 0 to .*, got -1"),
+    (
+        lambda: api.simulate(seed=1 << 63),
+        ArgumentError,
+        "seed: must be .*, got 9223372036854775808",
+    ),
+    (lambda: api.simulate(seconds="5"), ArgumentError, "seconds: must be a number .*, got '5'"),
+    (lambda: api.simulate(seconds=0), ArgumentError, "seconds: must be .*, got 0"),
+    (lambda: api.simulate(seconds=math.nan), ArgumentError, "seconds: must be .*, got nan"),
+    (lambda: api.simulate(seconds=math.inf), ArgumentError, "seconds: .* to 86400, got inf"),
+    (lambda: api.simulate(seconds=1e300), ArgumentError, r"seconds: .* to 86400, got 1e\+300"),
+    (lambda: api.simulate(display="predictor=linear"), ArgumentError, "display: must be a table"),
+    (lambda: api.simulate(display=None), ArgumentError, "display: must be a table .*, got None"),
+    (lambda: api.simulate(link=["delay=1ms"]), ArgumentError, "link: must be a table .* or a text"),
+    (lambda: api.simulate(link=40), ArgumentError, "link: must be a table .*, got 40"),
+    (lambda: api.simulate(link={1: 2}), SceneError, r".*\[link\] 1: unknown key; known: delay"),
+    (lambda: api.simulate(sensing={1: 2}), SceneError, r".*\[sensing\] 1: unknown key; known: "),
+    (lambda: api.simulate(display={"film": {1: 2}}), SceneError, r".* film.1: unknown key; known"),
+    (lambda: api.connect(None), AddressError, "address: must be a text tcp.*, got None"),
+    (lambda: api.connect(ADDRESS, key=5), ArgumentError, "key: must be the path of a file, got 5"),
+    (lambda: api.connect(ADDRESS, peer=5), ArgumentError, "peer: must be the path .*, got 5"),
+    (lambda: api.read_recording(None), ArgumentError, "path: must be the path .*, got None"),
+    (lambda: api.find_beats(WAVE, "5"), ArgumentError, "rate_hz: must be a number .*, got '5'"),
+    (lambda: api.find_beats(WAVE, 5), ArgumentError, "rate_hz: must be a number .*, got 5"),
+    (lambda: api.find_beats(["a"], 100), ArgumentError, "force_n: must be an array of numbers"),
+    (lambda: api.sweep(math.sqrt, 5), ArgumentError, "cases: must be a list or .*, got 5"),
+]
+
+
+@pytest.mark.parametrize(("call", "error", "line"), CASES)
+def test_a_wrong_argument_is_named_in_one_line(
+    call: Callable[[], object], error: type[Exception], line: str
+) -> None:
+    with pytest.raises(telepulse.TelepulseError, match=f"^{line}") as caught:
+        call()
+    assert type(caught.value) is error
+    assert isinstance(caught.value, ValueError | OSError)
+    assert "\n" not in str(caught.value)
+
+
+def test_numbers_of_numpy_are_numbers() -> None:
+    run = telepulse.simulate("radial", np.float32(1), np.int64(3))  # type: ignore[arg-type]
+    expected = telepulse.simulate("radial", 1.0, 3)
+    np.testing.assert_array_equal(run.felt_n, expected.felt_n)
+
+
+def test_a_file_of_a_change_is_found_from_the_working_directory(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    wave = 1 + np.sin(np.arange(2_000) / 40)
+    np.savetxt("pulse.csv", wave, header="light", comments="")
+    source = {"kind": "recording", "path": "pulse.csv", "rate": "1 kHz", "column": "light"}
+    change = {"source": source | {"unit": "raw", "peak_to_peak": "0.3 N"}}
+    run = telepulse.simulate("radial", seconds=1, sensing=change)
+    assert np.nanmax(run.wrist_n) - np.nanmin(run.wrist_n) == pytest.approx(0.3, rel=0.01)
+    assert source["path"] == "pulse.csv"
