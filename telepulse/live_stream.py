@@ -16,13 +16,16 @@ from display_node.reception.playout import LATE_TARGET
 from display_node.reception.receiver import Receiver
 from protocol import sockets
 from protocol.cli_options import client_keys
-from protocol.errors import SourceError, WireError
+from protocol.config.arguments import file_path, number, whole_number
+from protocol.config.quantities import shown
+from protocol.errors import AddressError, SourceError, WireError
 from protocol.security.keys import ClientKeys
 from protocol.wire.messages import Welcome, decode_control, decode_frame, encode_control
 from protocol.wire.stream import StreamDescription
 from telepulse.sample_queue import SampleQueue, StreamBlock
 
 POLL_NS: Final = 5_000_000
+MOST_SAMPLES: Final = (1 << 63) - 1
 
 
 class LiveStream(AbstractContextManager["LiveStream"]):
@@ -55,7 +58,9 @@ class LiveStream(AbstractContextManager["LiveStream"]):
 
     def close(self) -> None:
         """End the connection; it may be called again."""
-        self._stopping = True
+        with self._changed:
+            self._stopping = True
+            self._changed.notify_all()
         self._thread.join()
 
     @property
@@ -93,8 +98,11 @@ class LiveStream(AbstractContextManager["LiveStream"]):
 
         Raises
         ------
+        ArgumentError
+            If `count` or `timeout_s` is no number, or out of range.
         SourceError
-            If no sample came for `timeout_s`, the stream has ended, or it cannot be received.
+            If no sample came for `timeout_s`, the stream has ended or was closed, or it cannot be
+            received.
         """
         block = self._next(count, timeout_s)
         if block is None:
@@ -107,8 +115,7 @@ class LiveStream(AbstractContextManager["LiveStream"]):
             yield block
 
     def _next(self, count: int, timeout_s: float) -> StreamBlock | None:
-        if count < 1:
-            raise SourceError(f"count: at least 1, got {count}")
+        count = whole_number("count", count, 1, MOST_SAMPLES)
         queue = self._queue
         with self._changed:
             while queue.waiting < count and not queue.session_ends and not self._ended:
@@ -119,12 +126,16 @@ class LiveStream(AbstractContextManager["LiveStream"]):
         return self._queue.waiting > waiting or self._ended
 
     def _await(self, condition: Callable[[], bool], timeout_s: float) -> None:
-        """Wait for a change. Raises SourceError."""
-        met = self._changed.wait_for(lambda: condition() or self._error is not None, timeout_s)
+        """Wait for a change. Raises SourceError, and ArgumentError for a time that is none."""
+        timeout_s = number("timeout_s", timeout_s, 0, threading.TIMEOUT_MAX)
+        self._changed.wait_for(lambda: condition() or self._stopping or self._error, timeout_s)
         if self._error is not None:
             raise SourceError(f"{self.address}: cannot be received: {self._error}")
-        if not met:
-            raise SourceError(f"{self.address}: no sample came for {timeout_s:g} s")
+        if condition():
+            return
+        if self._stopping:
+            raise SourceError(f"{self.address}: this stream was closed")
+        raise SourceError(f"{self.address}: no sample came for {timeout_s:g} s")
 
     def _run(self) -> None:
         try:
@@ -221,6 +232,8 @@ def connect(
     ------
     AddressError
         If the address is not one.
+    ArgumentError
+        If `key` or `peer` is no path.
     ProtectionError, KeyFileError
         If keys are required, or cannot be read.
 
@@ -230,10 +243,12 @@ def connect(
     ...     block = stream.read(1000)
     ...     print(block.values.mean(axis=0))
     """
+    if not isinstance(address, str):
+        raise AddressError(f"address: must be a text tcp://HOST:PORT, got {shown(address)}")
     keys = client_keys(
         [address],
-        None if key is None else Path(key),
-        None if peer is None else Path(peer),
+        None if key is None else file_path("key", key),
+        None if peer is None else file_path("peer", peer),
         insecure,
     )
     return LiveStream(address, keys)

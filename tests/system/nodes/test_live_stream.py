@@ -1,12 +1,14 @@
 """A live stream in Python has every sample, in order, of the sensing node's own pulse."""
 
+import ctypes
+import threading
 import time
 
 import numpy as np
 import pytest
 
 import telepulse
-from protocol.errors import ProtectionError, SourceError
+from protocol.errors import ArgumentError, ProtectionError, SourceError
 from sensing_node.scene import build_source
 from telepulse.scene import load_scene
 from tests.support.log_lines import strays
@@ -20,7 +22,10 @@ def test_no_sample_is_missing_while_the_reader_computes(address: str) -> None:
     sensing = (MODULE, str(RADIAL), "--bind", address, "--seconds", "3")
     with telepulse.connect(address) as stream, process(*sensing) as node:
         description = stream.describe()
-        blocks = list(stream.blocks(700))
+        blocks = [stream.read(700)]
+        # Holds the interpreter, as a long computation in C does: nothing else of Python runs.
+        ctypes.PyDLL(None).usleep(1_200_000)
+        blocks += stream.blocks(700)
         _, errors = node.communicate(timeout=20)
     assert (description.rate_hz, description.channels[0].unit) == (1000.0, "N")
     assert {len(block.values) for block in blocks[:-1]} == {700}
@@ -53,10 +58,25 @@ def test_who_cannot_be_received_is_named_in_one_line(address: str) -> None:
     with telepulse.connect(address) as stream:
         with pytest.raises(SourceError, match=f"{address}: no sample came for 0.2 s"):
             stream.read(10, timeout_s=0.2)
-        with pytest.raises(SourceError, match="count: at least 1, got 0"):
+        with pytest.raises(ArgumentError, match=r"^count: must be a whole number from 1 .*, got 0"):
             stream.read(0)
+        with pytest.raises(ArgumentError, match=r"^timeout_s: must be a number .*, got '1'$"):
+            stream.read(1, timeout_s="1")  # type: ignore[arg-type]
     with pytest.raises(ProtectionError, match=r"192\.0\.2\.1"):
         telepulse.connect("tcp://192.0.2.1:5555")
+
+
+def test_a_closed_stream_is_named_as_closed(address: str) -> None:
+    with telepulse.connect(address) as stream:
+        closing = threading.Timer(0.2, stream.close)
+        closing.start()
+        # The one that waits is woken.
+        with pytest.raises(SourceError, match=f"^{address}: this stream was closed$"):
+            stream.read(1, timeout_s=60)
+        closing.join()
+    for call in (lambda: stream.read(1), stream.describe, lambda: list(stream.blocks(1))):
+        with pytest.raises(SourceError, match=f"^{address}: this stream was closed$"):
+            call()
 
 
 def test_import_costs_nothing_until_a_name_is_used() -> None:
