@@ -2,13 +2,14 @@
 
 from array import array
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from display_node.scoring.tracking_error import interpolate
+from protocol.config.quantities import count_text
 from protocol.errors import OutputError
 from protocol.run_summary import Summary
 from protocol.wire.messages import Frame
@@ -20,6 +21,8 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Mask = NDArray[np.bool_]
+# Characters of a mark's text that a plot shows.
+MARK_SHOWN = 30
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -60,7 +63,7 @@ class ContactorRun:
         return self.strain_per_newton * self.force_ratio * self.wrist_n
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Run:
     """A run of a scene, simulated or recorded. The arrays have the shape (ticks,).
 
@@ -83,6 +86,11 @@ class Run:
         Each contactor, by name, in the display's order.
     summary : Summary
         Figures of the run, as the nodes print them.
+    about : dict of str to str
+        What a person stated about a recording (`--about`), by key; empty for a simulated run.
+    marks : list of (float, str)
+        Time in s since the first tick, and text, of each mark of a recording; empty for a simulated
+        run.
     """
 
     name: str
@@ -92,6 +100,17 @@ class Run:
     predicted: Mask
     contactors: dict[str, ContactorRun]
     summary: Summary
+    about: dict[str, str] = field(default_factory=dict)
+    marks: list[tuple[float, str]] = field(default_factory=list)
+
+    def __repr__(self) -> str:
+        """Return name, length and contactors; the arrays would fill a screen."""
+        seconds = self.t_s[-1] if len(self.t_s) else 0.0
+        contactors = ", ".join(filter(None, self.contactors)) or "one"
+        return (
+            f"Run({self.name!r}, {seconds:.1f} s, {count_text(len(self.t_s), 'tick')},"
+            f" contactors: {contactors})"
+        )
 
     @property
     def first(self) -> ContactorRun:
@@ -152,7 +171,7 @@ class Run:
         return pd.DataFrame(self.columns())
 
     def plot(self, begin_s: float = 0.0, end_s: float = np.inf) -> "NDArray[np.object_]":
-        """Draw each contactor's forces, what was predicted, and below them the delay.
+        """Draw each contactor's forces, what was predicted, the marks, and below them the delay.
 
         The figure is pyplot's current one: a notebook shows it, `matplotlib.pyplot.show` opens it.
 
@@ -194,6 +213,21 @@ class Run:
             axes.plot(t_s, only, label="of it predicted", color="C3", lw=2.5, alpha=0.5)
             axes.set(ylabel="force, N", title=contactor.name)
         below.plot(t_s, 1e3 * self.delay_s[shown], color="C2")
+        for at_s, text in self.marks:
+            if begin_s <= at_s <= end_s:
+                for axes in grid:
+                    axes.axvline(at_s, color="0.4", ls=":", lw=1)
+                # As it is: "$" begins no formula.
+                forces[0].annotate(
+                    text[:MARK_SHOWN],
+                    (at_s, 1),
+                    xycoords=("data", "axes fraction"),
+                    rotation="vertical",
+                    ha="right",
+                    va="top",
+                    fontsize="x-small",
+                    parse_math=False,
+                )
         below.set(xlabel=f"{self.name}: time, s", ylabel="perceived delay, ms")
         lines, labels = forces[0].get_legend_handles_labels()
         figure.legend(lines, labels, loc="outside upper center", ncols=3, fontsize="small")

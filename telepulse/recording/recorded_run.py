@@ -1,17 +1,21 @@
 """Reading of a recording into arrays."""
 
 import math
+from array import array
+from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 from pydantic import TypeAdapter
 
+from protocol.config.arguments import file_path
 from protocol.errors import SourceError
 from protocol.run_summary import Summary
 from protocol.wire.telemetry import PlaybackStatus
 from telepulse.recording.reader import RecordingReader, in_tick_order
 from telepulse.run import Run, RunBuilder, RunTick
-from telepulse.telemetry.decoder import Entry, Fields, PassiveReceiver
-from telepulse.telemetry.schema import STATUS, TICK
+from telepulse.telemetry.decoder import MARK_EVENT, Entry, Fields, PassiveReceiver
+from telepulse.telemetry.schema import EVENT, STATUS, TICK
 
 _SUMMARY = TypeAdapter(Summary)
 
@@ -25,11 +29,20 @@ class RecordedRun:
         self._summary = Summary()
         self._session: int | None = None
         self._group_delay_ns = 0
+        # Of each tick: display's clock and Unix time. Of each mark: Unix time, text, tick before.
+        self._now_ns, self._unix_ns = array("q"), array("q")
+        self._marks: list[tuple[int, str, int]] = []
 
     def take(self, entry: Entry) -> None:
         """Process an entry. Raises LookupError, ValueError or TypeError for one that is not."""
         if entry.topic == TICK:
+            self._now_ns.append(entry.fields["now_ns"])
+            self._unix_ns.append(entry.t_ns)
             self._tick(entry.fields)
+        elif entry.topic == EVENT:
+            if entry.fields["name"] == MARK_EVENT:
+                before = max(0, len(self._now_ns) - 1)
+                self._marks.append((entry.t_ns, str(entry.fields["message"]), before))
         elif entry.topic == STATUS:
             self._status(entry.fields)
         else:
@@ -64,9 +77,17 @@ class RecordedRun:
             listed = playing if isinstance(playing, list) else [{"contactor": "", **playing}]
             self._playback = [PlaybackStatus(**each) for each in listed]
 
-    def run(self, name: str) -> Run:
-        """Return the run."""
-        return self._builder.run(name, self._playback, self._summary)
+    def run(self, name: str, about: dict[str, str]) -> Run:
+        """Return the run; about: what a person stated about the recording."""
+        run = self._builder.run(name, self._playback, self._summary)
+        return replace(run, about=about, marks=sorted(self._timed_marks()))
+
+    def _timed_marks(self) -> Iterator[tuple[float, str]]:
+        """Yield the marks by the display's clock, in s since the first tick."""
+        for unix_ns, text, tick in self._marks:
+            if self._now_ns:
+                after_ns = unix_ns - self._unix_ns[tick]
+                yield (self._now_ns[tick] + after_ns - self._now_ns[0]) * 1e-9, text
 
 
 def read_recording(path: Path | str) -> Run:
@@ -83,18 +104,22 @@ def read_recording(path: Path | str) -> Run:
     -------
     Run
         The arrays have one value for each tick of the display. The force at the wrist is the
-        received one. The summary is the display's last recorded one.
+        received one. The summary is the display's last recorded one. `about` and `marks` are
+        those of the recording.
 
     Raises
     ------
+    ArgumentError
+        If the path is none.
     SourceError
         If the file is no recording of a display, or mcap is not installed.
     """
-    reader, recorded = RecordingReader(Path(path)), RecordedRun()
+    path = file_path("path", path)
+    reader, recorded = RecordingReader(path), RecordedRun()
     try:
         for entry in in_tick_order(reader):
             recorded.take(entry)
-        run = recorded.run(Path(path).stem)
+        run = recorded.run(path.stem, reader.about)
     except (LookupError, ValueError, TypeError, ArithmeticError) as error:
         raise SourceError(f"{path}: a message is not telepulse's: {error!r:.80}") from None
     reader.log_gaps()

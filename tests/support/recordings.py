@@ -1,6 +1,6 @@
 """Recordings as a display's telemetry makes them, without a display."""
 
-from collections.abc import Container, Iterator
+from collections.abc import Container, Iterator, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +13,7 @@ from protocol.wire.stream import Channel, StreamDescription
 from protocol.wire.telemetry import CONTROL
 from telepulse.recording.mcap_writer import McapWriter
 from telepulse.telemetry.decoder import Entry
+from telepulse.telemetry.schema import EVENT, TICK
 from tests.support.streams import synthetic
 from tests.support.telemetry_publisher import WALL_NS, HandmadeTelemetry
 
@@ -26,13 +27,28 @@ DESCRIPTION = StreamDescription("radial pulse", TICK_NS, BATCH, (Channel("pulse"
 Samples = NDArray[np.float32]
 
 
-def record(path: Path, seconds: int, lost: Container[int] = ()) -> None:
-    """Record a pulse that is felt 40 ms later, without the frames of the numbers in `lost`."""
+def record(
+    path: Path,
+    seconds: int,
+    lost: Container[int] = (),
+    marks: Mapping[int, str] = {},
+    about: dict[str, str] | None = None,
+) -> None:
+    """Record a pulse that is felt 40 ms later, without the frames of the numbers in `lost`.
+
+    marks: texts by tick. about: what a person states.
+    """
     force_n = synthetic().take(seconds * 1000)[:, 0].astype("<f4")
     writer = McapWriter(path)
+    if about is not None:
+        writer.state(about)
     for tick, entries in _telemetry(force_n, lost):
         for entry in entries:
             writer.add(entry)
+        for at, text in marks.items():
+            if tick == at + TRACE_TICKS and entries and entries[-1].topic == TICK:
+                t_ns = UNIX_NS + BEGIN_NS + at * TICK_NS
+                writer.add(Entry(EVENT, t_ns, {"level": 2, "name": "mark", "message": text}))
         if tick % TICKS_A_CHUNK == 0:
             writer.flush()
     writer.close()

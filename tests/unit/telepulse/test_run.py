@@ -48,6 +48,7 @@ def test_columns_name_each_contactor_but_the_first() -> None:
     assert {len(column) for column in columns.values()} == {len(run.t_s)}
     frame = run.to_dataframe()
     assert list(frame) == list(columns)
+    assert (run.about, run.marks) == ({}, [])
     panels = run.plot(0.5, 1.0)
     assert len(panels) == 4
     assert panels[0].get_lines()[0].get_xdata()[0] == pytest.approx(0.5, abs=1e-3)
@@ -58,12 +59,34 @@ def test_columns_name_each_contactor_but_the_first() -> None:
 
 def test_a_recording_has_the_same_shape(tmp_path: Path) -> None:
     record(tmp_path / "run.mcap", 2)
-    run = telepulse.read_recording(tmp_path / "run.mcap")
+    run = telepulse.read_recording(str(tmp_path / "run.mcap"))
     assert len(run.t_s) == 2_000
     assert run.name == "run"
     np.testing.assert_allclose(run.felt_n, run.target_n, atol=1e-3)
     assert (~np.isnan(run.wrist_n))[run.played].mean() > 0.95
     assert np.median(run.delay_s[run.played]) == pytest.approx(0.04, abs=1e-3)
+
+
+def test_a_recording_has_its_marks_and_what_was_stated(tmp_path: Path) -> None:
+    record(tmp_path / "run.mcap", 2, marks={500: "cuff on", 1_500: "$ off"}, about={"side": "left"})
+    run = telepulse.read_recording(tmp_path / "run.mcap")
+    assert run.about == {"side": "left"}
+    assert [text for _, text in run.marks] == ["cuff on", "$ off"]
+    assert [at_s for at_s, _ in run.marks] == pytest.approx([0.5, 1.5], abs=1e-9)
+    panels = run.plot(begin_s=1.0)
+    panels[0].figure.canvas.draw()
+    for axes in panels:
+        vertical = [line for line in axes.get_lines() if list(line.get_ydata()) == [0, 1]]
+        assert [line.get_xdata()[0] for line in vertical] == pytest.approx([1.5])
+    assert [text.get_text() for text in panels[0].texts] == ["$ off"]
+    plt.close()
+
+
+def test_a_notebook_shows_one_line(run: telepulse.Run) -> None:
+    ticks = len(run.t_s)
+    assert repr(run) == f"Run('radial', {ticks / 1e3:.1f} s, {ticks} ticks, contactors: channel 0)"
+    scene = telepulse.load_scene("radial", link="delay=20ms")
+    assert repr(scene) == f"Scene({str(scene.path)!r}, link='delay=20000000ns')"
 
 
 def test_a_file_that_is_no_recording_is_refused(tmp_path: Path) -> None:
