@@ -1,5 +1,6 @@
 """A database of CAN messages with a film's force, a scene that reads it, and its messages."""
 
+import uuid
 from pathlib import Path
 
 import can
@@ -48,3 +49,17 @@ def film_message(number: int, force_n: float = 0.25, at_s: float | None = None) 
     data = round(force_n * 1e4).to_bytes(2, "little", signed=True) + bytes([number % 256, 0])
     when_s = 1e9 + number * 1e-3 if at_s is None else at_s
     return can.Message(when_s, arbitration_id=291, is_extended_id=False, data=data)
+
+
+def udp_multicast_reason() -> str | None:
+    """Return why udp_multicast cannot carry CAN here; None where it can."""
+    channel = f"239.74.163.{2 + uuid.uuid4().int % 200}"
+    try:
+        with (
+            can.Bus(interface="udp_multicast", channel=channel) as one,
+            can.Bus(interface="udp_multicast", channel=channel) as other,
+        ):
+            one.send(can.Message(arbitration_id=1, is_extended_id=False, data=b"\1"))
+            return None if other.recv(2.0) else "no multicast comes through"
+    except (OSError, can.CanError) as error:
+        return str(error)

@@ -263,7 +263,7 @@ UNRUN = {
     "telepulse --version": "tests/unit/telepulse/cli/test_programs.py",
     "make bench ARGS=wire": "a minute",
     "docker compose up": COMPOSE,
-    "docker compose --profile view --profile wan up": COMPOSE,
+    "TELEPULSE_SECONDS=300 docker compose --profile view --profile wan up": COMPOSE,
     "make report": "a minute; tests/system/reports/test_paper_command.py",
     "make bench": "an hour",
     'make demo ARGS="--seconds 300"': "five minutes; the like is run above",

@@ -153,10 +153,12 @@ def unaccounted(sensing: Summary, display: Summary) -> int:
 
 
 @contextmanager
-def node_rig(folder: Path, link: EmulatedLink | None = None) -> Iterator[NodeRig]:
-    """Provide a rig whose nodes end with it."""
+def node_rig(
+    folder: Path, link: EmulatedLink | None = None, scene: str = "radial"
+) -> Iterator[NodeRig]:
+    """Provide a rig whose nodes end with it; scene: name of a shipped one."""
     with ExitStack() as stack:
-        yield NodeRig(folder, stack, link)
+        yield NodeRig(folder, stack, link, find_scene(scene))
 
 
 @contextmanager

@@ -9,7 +9,6 @@ from contextlib import contextmanager
 from pathlib import Path
 from subprocess import PIPE
 
-import can
 import pytest
 import serial
 
@@ -19,6 +18,7 @@ from protocol.config.scene import load_section
 from protocol.host.child_process import ChildProcess
 from pulse_drives.drive import Drive
 from pulse_sensors.binary_frames import FrameDecoder
+from tests.support.can_messages import udp_multicast_reason
 from tests.support.log_lines import refused
 from tests.support.nodes import ROOT, process
 from tests.support.sample_blocks import forces
@@ -57,20 +57,6 @@ PRESS_ON = """
         drive.command(400.0 * scene.actuator.step_m)
         time.sleep(0.002)
 """
-
-
-def udp_multicast_reason() -> str | None:
-    """Return why udp_multicast cannot carry CAN here; None where it can."""
-    channel = f"239.74.163.{2 + uuid.uuid4().int % 200}"
-    try:
-        with (
-            can.Bus(interface="udp_multicast", channel=channel) as one,
-            can.Bus(interface="udp_multicast", channel=channel) as other,
-        ):
-            one.send(can.Message(arbitration_id=1, is_extended_id=False, data=b"\1"))
-            return None if other.recv(2.0) else "no multicast comes through"
-    except (OSError, can.CanError) as error:
-        return str(error)
 
 
 def scene_with(folder: Path, drive: str) -> Path:

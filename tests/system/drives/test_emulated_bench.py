@@ -12,10 +12,10 @@ from pathlib import Path
 import pytest
 
 from protocol.cli_options import FAULT_STATUS
+from tests.support.can_messages import udp_multicast_reason
 from tests.support.emulated_bench import BenchFailedError, EmulatedBench, MotorTrace, playing
 from tests.support.unread import unread
 from tests.support.waiting import until
-from tests.system.drives.test_drive_commands import udp_multicast_reason
 
 LIMIT_N = 2.5
 TRIES = 4

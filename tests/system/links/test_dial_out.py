@@ -75,6 +75,23 @@ def test_the_relay_carries_ciphertext_and_displays_return_after_its_restart(
     assert NAME not in passed
 
 
+def test_a_node_dials_out_and_displays_connect_by_ipv6(tmp_path: Path) -> None:
+    nodes, near, own = (free_address().replace("127.0.0.1", "[::1]") for _ in range(3))
+    played = tmp_path / "played.json"
+    sense = (str(RADIAL), "--bind", own, "--dial-out", nodes, "--seconds", "2")
+    play = (str(RADIAL), "--connect", near, "--no-screen", "--once", "--json", str(played))
+    with (
+        process("telepulse", "tunnel", "--nodes", nodes, "--bind", near),
+        process("display_node.cli", *play) as display,
+        process("sensing_node.cli", *sense) as sensing,
+    ):
+        assert sensing.wait(PATIENCE_S) == 0
+        assert display.wait(PATIENCE_S) == 0
+    samples = read_json(played)["samples"]
+    assert_accounted(samples)
+    assert samples["played"] > 0
+
+
 @contextmanager
 def relaying(keys: ServerKeys | None) -> Iterator[tuple[TunnelRelay, str, str]]:
     """Run a relay in a thread; provide it and its addresses for displays and sensing nodes."""
