@@ -13,7 +13,12 @@ from display_node.reception.endpoint import (
     FLOODED_NS,
     Endpoint,
 )
-from display_node.reception.failover import FOLLOWS_WITHIN_NS, REPEATED_NS, DataPath
+from display_node.reception.failover import (
+    FOLLOWS_WITHIN_NS,
+    PATIENCE_FRAMES,
+    REPEATED_NS,
+    DataPath,
+)
 from display_node.reception.redundancy import Redundancy
 from display_node.reception.turns import ControlTurns
 from protocol import sockets
@@ -282,9 +287,13 @@ class Connection:
             answer_ns = self.control.answer_ns
             least_ns, usual_ns = max(FOLLOWS_WITHIN_NS, answer_ns), REPEATED_NS + answer_ns
             self._cut_ns = least_ns if stalled else max(CUT_NS, usual_ns)
-        elif self._received_ns is not None and now_ns - self._received_ns >= self._cut_ns:
-            self._received_ns = None
-            return True
+        elif self._received_ns is not None:
+            # After its end a stream is silent, which is no cut.
+            frame_ns = 0 if self._times_ns is None else self._times_ns[0]
+            silent_ns = max(self._cut_ns, PATIENCE_FRAMES * frame_ns)
+            if now_ns - self._received_ns >= silent_ns:
+                self._received_ns = None
+                return True
         return False
 
     def _move_control(self, now_ns: int) -> bool:

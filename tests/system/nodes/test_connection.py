@@ -270,6 +270,20 @@ def test_patience_is_shorter_after_a_stall_of_the_display(
     assert poll(connection, 1_000, 1_490) == [1_150]
 
 
+def test_the_silence_after_the_end_of_a_stream_is_no_cut(
+    context: Context, asked: list[str], no_answers: None
+) -> None:
+    publisher, address = bound(context)
+    connection, path = subscribed(context, address)
+    deliver(publisher, path)
+    poll(connection, 20, 30)
+    # As `DisplayNode` does once the stream has ended.
+    connection.subscribe(1_000 * MS, 0, 30 * MS)
+    assert poll(connection, 30, 2_000) == []
+    assert connection.reconnections == Reconnections(0, 0, 0)
+    assert poll(connection, 2_500, 3_100) == [3_020]
+
+
 def test_once_one_port_answers_the_request_to_the_other_is_repeated(
     context: Context, asked: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
