@@ -6,20 +6,28 @@ and on a busy machine the threads wait for each other far longer than they compu
 
 import asyncio
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import CancelledError, Executor, Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from multiprocessing import get_context
 from typing import TypeVar
 
-from protocol.errors import SweepError
+from protocol.config.quantities import shown
+from protocol.errors import ArgumentError, SweepError
 
 Case = TypeVar("Case")
 Result = TypeVar("Result")
 CONNECT_S = 10
 # OpenBLAS and similar libraries read it only when they are loaded, so new processes are needed.
 THREADS = "OMP_NUM_THREADS"
+# Each worker imports the program, and would begin the sweep again.
+DIED = (
+    "a worker process died: for lack of memory, or because the program calls sweep outside of"
+    """ `if __name__ == "__main__":`"""
+)
+# Characters of a case that an error shows.
+CASE_SHOWN = 80
 
 
 def in_one_thread(function: Callable[[Case], Result], case: Case) -> Result:
@@ -43,7 +51,7 @@ def _one_thread_pool(processes: int) -> Iterator[Executor]:
 
 
 def sweep(
-    function: Callable[[Case], Result], cases: Sequence[Case], scheduler: str | None = None
+    function: Callable[[Case], Result], cases: Iterable[Case], scheduler: str | None = None
 ) -> list[Result]:
     """Return the function's result for each case, in the order of the cases.
 
@@ -52,24 +60,44 @@ def sweep(
     function
         A pure module-level function, which other processes can import.
     cases
-        Arguments of the function, one for each case. Errors name a case by its `str`.
+        Arguments of the function, one for each case. Errors name a case by the begin of its `str`.
     scheduler
         Address of a Dask scheduler such as `tcp://HOST:8786`, whose workers have this version
         of telepulse. Without one, all cores of this machine are used; the results are the same.
 
     Raises
     ------
+    ArgumentError
+        If `cases` cannot be iterated over.
     SweepError
         A case failed; cases that have not begun are not run. Or the cluster cannot be used.
+
+    Notes
+    -----
+    Each worker process imports the program that calls this function. So the call of a program is
+    within `if __name__ == "__main__":`.
+
+    Examples
+    --------
+    >>> import math
+    >>> if __name__ == "__main__":  # doctest: +SKIP
+    ...     print(telepulse.sweep(math.sqrt, [4, 9]))
+    [2.0, 3.0]
     """
+    if not isinstance(cases, Iterable):
+        raise ArgumentError(f"cases: must be a list or another iterable, got {shown(cases)}")
+    cases = list(cases)
     if not cases:
         return []
     processes = min(len(cases), os.cpu_count() or 1)
     pool = _one_thread_pool(processes) if scheduler is None else _cluster(scheduler)
     with pool as workers:
-        jobs = [workers.submit(function, case) for case in cases]
+        jobs = list[Future[Result]]()
         try:
+            jobs += [workers.submit(function, case) for case in cases]
             return [_result(job, case) for job, case in zip(jobs, cases, strict=True)]
+        except BrokenProcessPool:
+            raise SweepError(DIED) from None
         finally:
             for job in jobs:
                 job.cancel()
@@ -79,11 +107,16 @@ def _result(job: Future[Result], case: object) -> Result:
     try:
         return job.result()
     except BrokenProcessPool:
-        raise SweepError(f"{case}: a worker process died, perhaps for lack of memory") from None
+        raise SweepError(f"{_short(case)}: {DIED}") from None
     except CancelledError:
-        raise SweepError(f"{case}: the connection to the Dask scheduler was lost") from None
+        raise SweepError(f"{_short(case)}: the connection to the Dask scheduler was lost") from None
     except Exception as error:
-        raise SweepError(f"{case}: {type(error).__name__}: {error}") from error
+        raise SweepError(f"{_short(case)}: {type(error).__name__}: {error}") from error
+
+
+def _short(case: object) -> str:
+    text = str(case)
+    return text if len(text) <= CASE_SHOWN else f"{text[:CASE_SHOWN]}…"
 
 
 @contextmanager

@@ -110,7 +110,9 @@ def test_a_snippet_runs_and_prints_what_the_page_shows(block: Block, tmp_path: P
     text = block.text
     for long, short in SHORTER.items():
         text = text.replace(long, short)
-    run = run_python("-c", text, cwd=tmp_path, timeout=None)
+    # A file, as a reader saves it: other processes import it.
+    (tmp_path / "snippet.py").write_text(text, encoding="utf-8")
+    run = run_python("snippet.py", cwd=tmp_path, timeout=None)
     assert run.returncode == 0, run.stderr
     after = [b for b in BLOCKS if b.page == block.page and b.line > block.line]
     if text == block.text and after and after[0].language == "text":

@@ -3,6 +3,7 @@ import os
 import sys
 from collections.abc import Iterator
 from functools import partial
+from pathlib import Path
 from urllib.parse import urlsplit
 
 import pytest
@@ -14,7 +15,7 @@ from telepulse.reports.studies.link_scores import LinkCase, LinkEffort, run_link
 from telepulse.reports.studies.playout_links import GAUSSIAN
 from telepulse.reports.studies.playout_study import PlayoutEffort, score_playout
 from telepulse.reports.studies.sweep import THREADS, in_one_thread, sweep
-from tests.support.nodes import free_address, process
+from tests.support.nodes import free_address, process, run_python
 
 LONG_S = 60
 LITTLE = PlayoutEffort(seconds=3, scan=2, bisections=1, links=(GAUSSIAN,))
@@ -51,6 +52,7 @@ def cluster() -> Iterator[str]:
 def test_results_come_in_the_order_of_the_cases_from_workers_of_one_thread() -> None:
     # The first case takes far longer than the second.
     assert sweep(math.factorial, [60_000, 3, 2]) == [math.factorial(60_000), 6, 2]
+    assert sweep(math.sqrt, (number for number in (4, 9))) == [2, 3]
     assert sweep(math.sqrt, []) == []
     assert sweep(os.getenv, [THREADS] * 3) == ["1"] * 3
 
@@ -88,8 +90,21 @@ def test_a_case_that_fails_is_named(cluster: str) -> None:
 
 
 def test_a_worker_that_dies_is_reported() -> None:
-    with pytest.raises(SweepError, match=r"^3: a worker process died"):
+    with pytest.raises(SweepError, match=r"^3: a worker process died: for lack of memory, or"):
         sweep(os._exit, [3])
+
+
+def test_a_program_without_a_guard_is_told_of_it(tmp_path: Path) -> None:
+    call = "telepulse.sweep(len, ['abc' * 100] * 2)"
+    program = tmp_path / "program.py"
+    program.write_text(f"import telepulse\n{call}\n", encoding="utf-8")
+    failed = run_python(str(program), cwd=tmp_path).stderr.splitlines()[-1]
+    assert failed.startswith("protocol.errors.SweepError: abcabc")
+    assert failed.endswith('calls sweep outside of `if __name__ == "__main__":`')
+    assert len(failed) < 300
+    guarded = f"import telepulse\nif __name__ == '__main__':\n    print({call})\n"
+    program.write_text(guarded, encoding="utf-8")
+    assert run_python(str(program), cwd=tmp_path).stdout == "[300, 300]\n"
 
 
 def test_no_scheduler_is_one_line(monkeypatch: pytest.MonkeyPatch, address: str) -> None:
