@@ -13,14 +13,23 @@ project = "telepulse"
 author = copyright = "The telepulse contributors"
 version = release = installed_version("telepulse")
 
-extensions = ["myst_parser", "sphinx.ext.autodoc", "ext.from_code", "sphinx_gallery.gen_gallery"]
+extensions = [
+    "myst_parser",
+    "sphinx.ext.autodoc",
+    "sphinx.ext.napoleon",
+    "ext.from_code",
+    "sphinx_gallery.gen_gallery",
+]
 exclude_patterns = ["images", "firmware", "ext"]
 myst_enable_extensions = ["dollarmath"]
 myst_heading_anchors = 3
 
 nitpicky = True
 # Types in signatures are text: not every one has a page, and no inventory is downloaded.
-nitpick_ignore_regex = [("py:(class|obj)", ".*")]
+nitpick_ignore_regex = [("py:(class|obj|exc)", ".*")]
+napoleon_google_docstring = False
+# Attributes of a class are a list in its text, beside the members that autodoc finds.
+napoleon_use_ivar = True
 autodoc_member_order = "bysource"
 autodoc_typehints_format = "short"
 default_role = "code"
