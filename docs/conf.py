@@ -28,6 +28,8 @@ nitpicky = True
 # Types in signatures are text: not every one has a page, and no inventory is downloaded.
 nitpick_ignore_regex = [("py:(class|obj|exc)", ".*")]
 napoleon_google_docstring = False
+# Parameters that share a text stay one entry.
+napoleon_use_param = False
 # Attributes of a class are a list in its text, beside the members that autodoc finds.
 napoleon_use_ivar = True
 autodoc_member_order = "bysource"

@@ -56,6 +56,23 @@ run.plot(begin_s=20, end_s=24)
 plt.show()
 
 # %%
+# A WFDB record
+# -------------
+# A record, as PhysioNet has them, states rate and unit itself, so the scene needs its path alone.
+# ``telepulse convert`` writes one from another file; this is the same from an array. A unit that is
+# neither force nor pressure is scaled so that the median beat is felt with 0.3 N.
+
+from sensing_node.files.formats import write_signals
+from sensing_node.files.signals import SignalInfo, SignalTable
+
+record = SignalTable([SignalInfo(0, "PLETH", "NU", RATE_HZ)], [-light])
+write_signals(folder / "oximeter.hea", record)
+source = {"kind": "recording", "path": str(folder / "oximeter.hea")}
+of_record = telepulse.simulate("radial", seconds=10, sensing={"source": source})
+beats = telepulse.find_beats(of_record.wrist_n, 1000)
+print(f"median height at the wrist {np.median([beat.height_n for beat in beats]):.2f} N")
+
+# %%
 # The figures
 # -----------
 # ``summary`` has what the nodes print. ``to_dataframe`` has the arrays, one row for each tick.
