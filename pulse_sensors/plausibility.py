@@ -159,8 +159,12 @@ def unusable_values(values: NDArray[np.float64]) -> str | None:
 
 
 class StatedTimes(NamedTuple):
-    """Times of a file in s, the rate in Hz between their gaps, and the number of gaps."""
+    """Times of a file in s, the rate in Hz between their gaps, and the number of gaps.
 
+    name: of their column, or its number.
+    """
+
+    name: str
     times_s: NDArray[np.float64]
     rate_hz: float
     gaps: int
@@ -179,7 +183,7 @@ def stated_times(column: RecordedColumn) -> StatedTimes | None:
         for seconds in units:
             if found or USUAL_HZ[0] <= 1 / (step * seconds) <= USUAL_HZ[1]:
                 times_s = column.rising[name] * seconds
-                return StatedTimes(times_s, 1 / (step * seconds), gaps)
+                return StatedTimes(name, times_s, 1 / (step * seconds), gaps)
     return None
 
 
@@ -252,7 +256,7 @@ def _refuse_rate(column: RecordedColumn, rate_hz: float) -> str | None:
             return None
         return (
             f'column "{name}" has {own_hz:.4g} samples a second, the scene\'s rate is'
-            f' {rate_hz:g} Hz; set rate = "{own_hz:.4g} Hz"'
+            f" {rate_hz:g} Hz; set {_setting('rate', f'{own_hz:.4g} Hz')}"
         )
     return None
 
@@ -304,7 +308,7 @@ def _refuse_forces(force_n: NDArray[np.float64], unit: str, rest_n: float) -> st
     text = f"is below 0 N for {100 * share:.0f} % of the samples, which no display can play"
     if highest_n <= 0:
         return f"{text}; set inverted = true if the pulse presses where the values fall"
-    return f'{text}; set preload = "{_preload(rest_n - lowest_n):g} N" or more'
+    return f"{text}; set {_setting('preload', f'{_preload(rest_n - lowest_n):g} N', ' or more')}"
 
 
 def _warn_of_forces(force_n: NDArray[np.float64], unit: str, rest_n: float) -> Iterator[str]:
@@ -322,8 +326,13 @@ def _warn_of_forces(force_n: NDArray[np.float64], unit: str, rest_n: float) -> I
         preload_n = _preload(rest_n - float(force_n.min()))
         yield (
             f"is below 0 N for {100 * share:.2g} % of the samples, which are not played;"
-            f' preload = "{preload_n:g} N" prevents it'
+            f" {_setting('preload', f'{preload_n:g} N')} prevents it"
         )
+
+
+def _setting(key: str, value: str, more: str = "") -> str:
+    """Return a key with its value as a scene has it, and the option of a record for it."""
+    return f'{key} = "{value}"{more} (beside --source: --{key})'
 
 
 def _share_below(force_n: NDArray[np.float64]) -> float:

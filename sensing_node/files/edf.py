@@ -6,7 +6,9 @@ edfio, with the lowest code as a missing value; read here, since edfio leaves ou
 
 import math
 import re
-from datetime import UTC, datetime
+import unicodedata
+from collections.abc import Mapping
+from datetime import datetime
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -14,17 +16,27 @@ import numpy as np
 from numpy.typing import NDArray
 
 from protocol.errors import SourceError
+from sensing_node.files.grids import on_grid
 from sensing_node.files.signals import (
     FileMark,
     Floats,
     SignalFile,
     SignalInfo,
     SignalTable,
-    on_grid,
+    plain_micro,
     signal_file,
+    unix_ns,
+    utc,
 )
 
-WRITER = "telepulse"
+WRITER, UTC_TIMES = "telepulse", "times_are_UTC"
+# Names of the first parts of the header's two fields in EDF+, as texts of a file.
+PATIENT = ("subject", "sex", "birthdate", "name")
+RECORDING = ("investigation", "technician", "equipment")
+# Characters of a part, so that those of the patient fit into their field of 80.
+LONGEST_PART = 30
+# Limit of values, so that each fits the 8 characters of the header.
+LARGEST = 1e7
 HEADER_BYTES = 256
 # Widths of a signal's header fields.
 LABEL, TRANSDUCER, UNIT, NUMBER, FILTERS, RESERVED = 16, 80, 8, 8, 80, 32
@@ -71,10 +83,12 @@ def read(path: Path) -> SignalFile:
     starts = np.cumsum([0, *layout.per_record]) * size
     annotations = [n for n, label in enumerate(layout.labels) if label.endswith(" Annotations")]
     even_s = np.arange(records, dtype=np.float64) * layout.record_s
-    onsets_s, marks = even_s, list[FileMark]()
+    onsets_s, marks, begin_ns = even_s, list[FileMark](), layout.begin_ns
     if layout.plus and annotations:
         columns = [table[:, starts[n] : starts[n + 1]] for n in annotations]
-        onsets_s, marks = _annotations(columns, even_s)
+        onsets_s, marks, first_s = _annotations(columns, even_s)
+        # The header has whole seconds, and the first record the rest.
+        begin_ns = None if begin_ns is None else begin_ns + round(first_s * 1e9)
     plain = [n for n in range(len(layout.labels)) if n not in annotations]
     if plain and not layout.record_s > 0:
         raise SourceError(f"{path}: its records last {layout.record_s:g} s")
@@ -97,7 +111,7 @@ def read(path: Path) -> SignalFile:
         t_s: Floats = (onsets_s[:, np.newaxis] + within_s).ravel()
         return on_grid(t_s, scaled.ravel(), rate_hz, path)
 
-    return signal_file(path, signals, values, layout.begin_ns, notes, marks, layout.metadata)
+    return signal_file(path, signals, values, begin_ns, notes, marks, layout.metadata)
 
 
 def _read_header(data: NDArray[np.uint8], path: Path) -> tuple[EdfLayout, int]:
@@ -130,8 +144,7 @@ def _read_header(data: NDArray[np.uint8], path: Path) -> tuple[EdfLayout, int]:
         raise ValueError(f"a record of {min(counts)} samples")
     reserved = text[192:236].strip()
     plus = reserved[4] if reserved[:4] in ("EDF+", "BDF+") and len(reserved) > 4 else ""
-    recording = text[88:168].strip()
-    metadata = {"patient": text[8:88].strip(), "recording": recording}
+    patient, recording = text[8:88].strip(), text[88:168].strip()
     layout = EdfLayout(
         labels,
         ["" if unit in ("-", "") else unit for unit in units],
@@ -142,7 +155,7 @@ def _read_header(data: NDArray[np.uint8], path: Path) -> tuple[EdfLayout, int]:
         _begin_ns(text),
         plus,
         WRITER in recording.split(),
-        {key: value for key, value in metadata.items() if value},
+        _texts(patient, recording),
     )
     return layout, int(text[236:244])
 
@@ -152,12 +165,34 @@ def _begin_ns(text: str) -> int | None:
     if text[88:168].startswith("Startdate X"):
         return None
     try:
-        at = datetime.strptime(text[168:184], "%d.%m.%y%H.%M.%S").replace(tzinfo=UTC)
+        at = datetime.strptime(text[168:184], "%d.%m.%y%H.%M.%S")
     except ValueError:
         return None
     # Two digits of a year: 85 to 99 are those of 1985 to 1999.
     year = at.year % 100 + (1900 if at.year % 100 >= 85 else 2000)
-    return round(at.replace(year=year).timestamp() * 1e9)
+    return unix_ns(at.replace(year=year))
+
+
+def _texts(patient: str, recording: str) -> dict[str, str]:
+    """Return the texts of the header's two fields, by the names of their parts as in EDF+."""
+    if not recording.startswith("Startdate "):
+        return {"patient": patient, "recording": recording}
+    _, _, *parts = recording.split()
+    texts, rest = dict[str, str](), list[str]()
+    for names, values in ((PATIENT, patient.split()), (RECORDING, parts)):
+        texts |= dict(zip(names, values, strict=False))
+        rest += values[len(names) :]
+    for each in rest:
+        key, equals, value = each.partition("=")
+        if equals:
+            texts[key] = value
+        elif each not in (WRITER, UTC_TIMES):
+            texts["recording"] = f"{texts.get('recording', '')} {each}".strip()
+    return {
+        key.replace("_", " "): value.replace("_", " ")
+        for key, value in texts.items()
+        if value not in ("X", WRITER)
+    }
 
 
 def _decode(table: NDArray[np.uint8], wide: bool) -> Floats:
@@ -171,8 +206,8 @@ def _decode(table: NDArray[np.uint8], wide: bool) -> Floats:
 
 def _annotations(
     columns: list[NDArray[np.uint8]], expected_s: Floats
-) -> tuple[Floats, list[FileMark]]:
-    """Return the onset of each record in s after the first one, and the annotations."""
+) -> tuple[Floats, list[FileMark], float]:
+    """Return the onset of each record in s after the first one, the annotations, and that one."""
     onsets_s, marks = np.array(expected_s, float), list[FileMark]()
     for place, column in enumerate(columns):
         for record, row in enumerate(column):
@@ -191,7 +226,8 @@ def _annotations(
                     if text
                 ]
     first_s = float(onsets_s[0])
-    return onsets_s - first_s, [mark._replace(at_s=mark.at_s - first_s) for mark in marks]
+    marks = [mark._replace(at_s=mark.at_s - first_s) for mark in marks]
+    return onsets_s - first_s, marks, first_s
 
 
 def write(path: Path, table: SignalTable) -> list[str]:
@@ -213,26 +249,81 @@ def write(path: Path, table: SignalTable) -> list[str]:
         _signal(edfio, info.name, info.unit, each, round(rate), seconds, bits)
         for info, each, rate in zip(table.signals, values, rates, strict=True)
     ]
-    start: dict[str, Any] = {}
-    recording: dict[str, Any] = {}
-    if table.begin_ns is not None:
-        begin = datetime.fromtimestamp(table.begin_ns // 1000 / 1e6, UTC)
-        start, recording = {"starttime": begin.time()}, {"startdate": begin.date()}
+    if any(len(each) < seconds * rate for each, rate in zip(values, rates, strict=True)):
+        notes.append(f"missing samples fill up whole seconds, {seconds} s")
+    begin = None if table.begin_ns is None else utc(table.begin_ns)
+    patient, recording = _identifications(edfio, table.metadata, begin)
     marks = [edfio.EdfAnnotation(mark.at_s, mark.length_s, mark.text) for mark in table.marks]
     (edfio.Bdf if wide else edfio.Edf)(
         signals,
-        recording=edfio.Recording(
-            equipment_code=WRITER, additional=("times_are_UTC",), **recording
-        ),
-        **start,
+        patient=patient,
+        recording=recording,
+        starttime=None if begin is None else begin.time(),
         annotations=sorted(marks, key=lambda mark: float(mark.onset)),
     ).write(path)
     steps = ", ".join(
         f"{one.label} {(one.physical_max - one.physical_min) / ((1 << bits) - 1):.2g}"
-        f" {one.physical_dimension}"
+        f" {one.physical_dimension}".rstrip()
         for one in signals
     )
     return [*notes, f"{bits} bits; quantisation steps: {steps}"]
+
+
+def _identifications(
+    edfio: Any, texts: Mapping[str, str], begin: datetime | None
+) -> tuple[Any, Any]:
+    """Return the header's two fields with as many of the texts as they hold."""
+    named = {_word(key): _word(text) for key, text in texts.items() if text}
+    parts = [named.pop(key, "X")[:LONGEST_PART] for key in (*PATIENT, *RECORDING)]
+    code, sex, born, name, investigation, technician, equipment = parts
+    # These have no other form than their own.
+    named |= {"sex": sex} if sex not in ("F", "M", "X") else {}
+    birthdate = None
+    try:
+        birthdate = datetime.strptime(born, "%d-%b-%Y").date()
+    except ValueError:
+        named |= {"birthdate": born} if born != "X" else {}
+    fixed = {
+        "code": code,
+        "sex": sex if sex in ("F", "M") else "X",
+        "birthdate": birthdate,
+        "name": name,
+    }
+    about = {
+        "startdate": begin and begin.date(),
+        "hospital_administration_code": investigation,
+        "investigator_technician_code": technician,
+        "equipment_code": WRITER if equipment == "X" else equipment,
+    }
+    further = [f"{key}={text}" for key, text in named.items()]
+    patient = _filled(edfio.Patient, fixed, [], further)
+    ours = [UTC_TIMES] if equipment == "X" else [WRITER, UTC_TIMES]
+    return patient, _filled(edfio.Recording, about, ours, further)
+
+
+def _filled(field: Any, parts: dict[str, Any], always: list[str], further: list[str]) -> Any:
+    """Return a field of the header; take from `further` what it has space for."""
+    whole = field(**parts, additional=always)
+    for each in list(further):
+        try:
+            whole = field(**parts, additional=[*always, each])
+        except ValueError:
+            continue
+        always.append(each)
+        further.remove(each)
+    return whole
+
+
+def _word(text: str) -> str:
+    """Return a text in ASCII, with _ in place of spaces."""
+    return "_".join(_ascii(text).split())
+
+
+def _ascii(text: str) -> str:
+    """Return a text in ASCII: letters without their marks, u for micro, ? for the others."""
+    plain = unicodedata.normalize("NFKD", plain_micro(text))
+    kept = "".join(each for each in plain if not unicodedata.combining(each))
+    return kept.encode("ascii", "replace").decode()
 
 
 def _signal(
@@ -242,11 +333,15 @@ def _signal(
     whole = np.full(seconds * rate_hz, np.nan)
     whole[: len(values)] = values
     low, high = _range(whole[~np.isnan(whole)])
+    if max(abs(low), abs(high)) >= LARGEST:
+        raise ValueError(
+            f"{name} reaches {max(low, high, key=abs):.3g}; scale it below {LARGEST:g}"
+        )
     return (edfio.BdfSignal if bits == 24 else edfio.EdfSignal)(
         np.where(np.isnan(whole), low, whole),
         rate_hz,
-        label=name.encode("ascii", "replace").decode()[:LABEL],
-        physical_dimension=unit.encode("ascii", "replace").decode()[:UNIT],
+        label=_ascii(name)[:LABEL],
+        physical_dimension=_ascii(unit)[:UNIT],
         physical_range=(low, high),
         digital_range=(-(1 << (bits - 1)), (1 << (bits - 1)) - 1),
     )

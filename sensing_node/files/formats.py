@@ -1,6 +1,6 @@
 """The formats of files of signals: one table for sources, `telepulse convert` and exports."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from importlib import import_module
@@ -8,14 +8,22 @@ from pathlib import Path
 from typing import NamedTuple
 
 from protocol.errors import OutputError, SourceError
+from protocol.wire.marks import printable
 from pulse_sensors.plausibility import RecordedColumn
+from sensing_node.files.losses import losses
 from sensing_node.files.signals import (
     ColumnKey,
+    FileMark,
     SignalFile,
     SignalReader,
     SignalTable,
     SignalWriter,
+    finite,
+    rate_fault,
 )
+
+MOST_NOTES = 10
+MOST_CHARACTERS = 1000
 
 
 class FileFormat(NamedTuple):
@@ -33,8 +41,8 @@ class FileFormat(NamedTuple):
 
 
 FORMATS = (
-    FileFormat("CSV", (".csv", ".txt"), "columns", written=(".csv",)),
-    FileFormat("NumPy", (".npy", ".npz"), "columns", written=(".npz",)),
+    FileFormat("CSV", (".csv", ".txt"), "csv_table", written=(".csv",)),
+    FileFormat("NumPy", (".npy", ".npz"), "numpy_arrays", written=(".npz",)),
     FileFormat("WFDB", (".hea", ".dat"), "wfdb_record", written=(".hea",)),
     FileFormat("EDF+ or BDF", (".edf", ".bdf"), "edf", "analysis", (".edf", ".bdf")),
     FileFormat("XDF", (".xdf",), "xdf", "files", (".xdf",)),
@@ -60,17 +68,79 @@ def format_of(path: Path) -> FileFormat:
 
 
 def open_signals(path: Path) -> SignalFile:
-    """Open a file of signals. Raises SourceError, one line whatever is wrong with the file."""
-    chosen = format_of(path)
+    """Open a file of signals. Raises SourceError, one line whatever is wrong with the file.
+
+    Its signals have rates within the limits and names in one printable line. Values that are not
+    finite are missing samples, NaN.
+    """
+    return _open(path, format_of(path))
+
+
+def _open(path: Path, chosen: FileFormat) -> SignalFile:
     with _one_line(path, chosen):
+        if path.is_file() and not path.stat().st_size:
+            raise SourceError(f"{path}: is empty")
         read: SignalReader = import_module(f"{__package__}.{chosen.module}").read
         file = read(path)
+    left_out: dict[ColumnKey, str] = {_clean(str(n)): r for n, r in file.left_out.items()}
+    signals, numbers = [], dict[ColumnKey, str]()
+    for signal in file.signals:
+        named = signal._replace(name=_clean(signal.name), unit=_clean(signal.unit))
+        if (fault := rate_fault(signal.rate_hz)) is None:
+            signals.append(named)
+        else:
+            left_out[named.name] = numbers[named.number] = fault
+    if not signals:
+        reasons = (f"signal {name!r} {reason}" for name, reason in left_out.items())
+        raise SourceError(f"{path}: {next(reasons, 'holds no signal of numbers')}")
+    notes = [f"left out: signal {name!r} {reason}" for name, reason in left_out.items()]
+    if len(notes) > MOST_NOTES:
+        notes[MOST_NOTES:] = [f"left out: {len(notes) - MOST_NOTES} further signals"]
 
     def load(keys: Sequence[ColumnKey]) -> list[RecordedColumn]:
+        for key in keys:
+            if key in opened.left_out:
+                opened.find(key)
         with _one_line(path, chosen):
-            return file.load(keys)
+            return [_clean_column(column) for column in file.load(keys)]
 
-    return replace(file, load=load)
+    opened = replace(
+        file,
+        signals=tuple(signals),
+        load=load,
+        notes=(*map(_clean, file.notes), *notes),
+        marks=_clean_marks(file.marks),
+        metadata=_clean_texts(file.metadata),
+        left_out=left_out | numbers,
+    )
+    return opened
+
+
+def _clean(text: str) -> str:
+    return printable(text, MOST_CHARACTERS)
+
+
+def _clean_marks(marks: Sequence[FileMark]) -> tuple[FileMark, ...]:
+    return tuple(mark._replace(text=_clean(mark.text)) for mark in marks)
+
+
+def _clean_texts(texts: Mapping[str, str]) -> dict[str, str]:
+    """Return texts, which may have several lines, without other control characters."""
+    return {
+        _clean(key): "\n".join(line for line in map(_clean, text.splitlines()) if line)
+        for key, text in texts.items()
+        if text.strip()
+    }
+
+
+def _clean_column(column: RecordedColumn) -> RecordedColumn:
+    return replace(
+        column,
+        values=finite(column.values),
+        name=_clean(column.name),
+        others=tuple(map(_clean, column.others)),
+        rising={_clean(name): times for name, times in column.rising.items()},
+    )
 
 
 def write_signals(path: Path, table: SignalTable, suffix: str | None = None) -> list[str]:
@@ -79,23 +149,27 @@ def write_signals(path: Path, table: SignalTable, suffix: str | None = None) -> 
     Returns
     -------
     list of str
-        What the format could not hold.
+        What the file does not hold, by reading it back.
 
     Raises
     ------
     OutputError
-        If the file exists already or cannot be written, or its format is not written.
+        If the file exists already or cannot be written, its format is not written, or the signals
+        have no sample.
     """
     suffix = suffix or path.suffix.lower()
     chosen = next((known for known in FORMATS if suffix in known.written), None)
     if chosen is None:
         suffixes = ", ".join(suffix for known in FORMATS for suffix in known.written)
         raise OutputError(f"{path}: {suffix or 'no suffix'} is none of {suffixes}")
+    if not any(map(len, table.values)):
+        raise OutputError(f"{path}: is not written, the signals have no sample")
     if path.exists():
         raise OutputError(f"{path}: exists already; name another file")
+    table = table.from_first_sample()
     try:
         write: SignalWriter = import_module(f"{__package__}.{chosen.module}").write
-        return write(path, table)
+        notes = write(path, _clean_table(table))
     except ImportError as error:
         raise OutputError(
             f"{path}: writing {chosen.name} needs {error.name}, which cannot be loaded ({error});"
@@ -105,14 +179,33 @@ def write_signals(path: Path, table: SignalTable, suffix: str | None = None) -> 
         raise OutputError(f"{path}: cannot be written: {error.strerror or error}") from None
     except ValueError as error:
         raise OutputError(f"{path}: cannot hold these signals: {error}") from None
+    return [*notes, *losses(table, _open(path, chosen))]
+
+
+def _clean_table(table: SignalTable) -> SignalTable:
+    """Return a table whose names are printable and distinct, so that each format can hold them."""
+    signals, taken = [], set[str]()
+    for signal in table.signals:
+        name = plain = _clean(signal.name) or f"signal {signal.number}"
+        number = 2
+        while name in taken:
+            name, number = f"{plain} {number}", number + 1
+        taken.add(name)
+        signals.append(signal._replace(name=name, unit=_clean(signal.unit)))
+    return table._replace(
+        signals=signals,
+        values=[finite(values) for values in table.values],
+        marks=_clean_marks(table.marks),
+        metadata=_clean_texts(table.metadata),
+    )
 
 
 @contextmanager
 def _one_line(path: Path, chosen: FileFormat) -> Iterator[None]:
     try:
         yield
-    except SourceError:
-        raise
+    except SourceError as error:
+        raise SourceError(_clean(str(error))) from None
     except ImportError as error:
         raise SourceError(
             f"{path}: reading {chosen.name} needs {error.name}, which cannot be loaded ({error});"

@@ -16,21 +16,25 @@ from mcap.records import Message
 from protocol.errors import SourceError, WireError
 from protocol.wire.messages import VERSION, Welcome, decode_control, decode_frame
 from protocol.wire.stream import Channel
+from sensing_node.files.grids import FREE_GAP, MOST_GAPS, evenly, unsteady
 from sensing_node.files.signals import (
-    FREE_GAP,
-    MOST_GAPS,
+    ColumnKey,
     Floats,
     SignalFile,
     SignalInfo,
-    evenly,
+    finite,
     signal_file,
 )
 
 MAGIC = b"\x89MCAP0\r\n"
 MAX_RECORD_BYTES = 1 << 28
+# Metadata record with what a person states about a recording of telepulse.
+ABOUT = "telepulse.about"
 FRAME_SCHEMA, STREAM_SCHEMA = "telepulse.Frame", "telepulse.Stream"
 # Most signals of a file, and tables in tables of a message.
 MOST_FIELDS, DEEPEST = 256, 4
+# Longest list whose items are fields.
+LONGEST_LIST = 16
 # Unit of a field by the end of its name, as telepulse names fields.
 UNITS = {"_n": "N", "_mv": "mV", "_ms": "ms", "_ns": "ns"}
 
@@ -160,6 +164,7 @@ def read(path: Path) -> SignalFile:
     channels: dict[int, tuple[str, str, str]] = {}
     schemas: dict[int, str] = {}
     frames, others, unread = _Frames(), set[str](), 0
+    texts = dict[str, str]()
     # Of each field: times in ns and values.
     fields: dict[str, tuple[list[int], list[float]]] = {}
     with path.open("rb") as file:
@@ -171,6 +176,8 @@ def read(path: Path) -> SignalFile:
                 case "Channel":
                     schema = schemas.get(record.schema_id, "")
                     channels[record.id] = (record.topic, schema, record.message_encoding)
+                case "Metadata" if record.name == ABOUT:
+                    texts |= record.metadata
                 case "Message" if record.channel_id in channels:
                     topic, schema, encoding = channels[record.channel_id]
                     if encoding != "json":
@@ -192,11 +199,20 @@ def read(path: Path) -> SignalFile:
     ours = frames.signals(notes)
     # Frames' own times are of another clock than the messages'.
     begin_ns = None if ours else min((times[0] for times, _ in fields.values()), default=None)
-    found = ours or list(_numbers(fields, begin_ns or 0, path, notes))
+    left_out = dict[ColumnKey, str]()
+    found = ours or list(_numbers(fields, begin_ns or 0, path, left_out))
     signals = [info._replace(number=number) for number, (info, _) in enumerate(found)]
     if not signals and others:
-        raise SourceError(f"{path}: {notes[-1]}")
-    return signal_file(path, signals, lambda each: found[each.number][1], begin_ns, notes)
+        raise SourceError(f"{path}: {notes[-1]}; convert them to JSON, or export a table of them")
+    return signal_file(
+        path,
+        signals,
+        lambda each: found[each.number][1],
+        begin_ns,
+        notes,
+        metadata=texts,
+        left_out=left_out,
+    )
 
 
 def _take(
@@ -220,30 +236,43 @@ def _take(
 
 
 def _flat(value: Any, name: str, depth: int) -> Iterator[tuple[str, float]]:
-    """Yield the numbers in a table, and in tables in it, by dotted names."""
+    """Yield the numbers in a table, and in tables and short lists in it, by their paths.
+
+    NaN for null, which stands for a missing number, and for one that is too large.
+    """
     if isinstance(value, dict) and depth:
         for key, inner in value.items():
             yield from _flat(inner, f"{name}.{key}", depth - 1)
-    elif isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value):
-        yield name, float(value)
+    elif isinstance(value, list) and depth and len(value) <= LONGEST_LIST:
+        for place, inner in enumerate(value):
+            yield from _flat(inner, f"{name}[{place}]", depth - 1)
+    elif value is None:
+        yield name, math.nan
+    elif isinstance(value, int | float) and not isinstance(value, bool):
+        try:
+            yield name, float(value)
+        except OverflowError:
+            yield name, math.nan
 
 
 def _numbers(
-    fields: dict[str, tuple[list[int], list[float]]], begin_ns: int, path: Path, notes: list[str]
+    fields: dict[str, tuple[list[int], list[float]]],
+    begin_ns: int,
+    path: Path,
+    left_out: dict[ColumnKey, str],
 ) -> Iterator[tuple[SignalInfo, Floats]]:
-    rare = []
-    for name, (times_ns, values) in fields.items():
+    for name, (times_ns, read) in fields.items():
         order = np.argsort(times_ns, kind="stable")
         since_ns = np.array(times_ns, np.int64)[order] - begin_ns
-        t_s = since_ns.astype(np.float64) * 1e-9
-        try:
-            rate_hz, even = evenly(t_s, np.array(values)[order], path)
-        except SourceError:
-            rate_hz = 0.0
-        if rate_hz < 1:
-            rare.append(name)
+        t_s, values = since_ns.astype(np.float64) * 1e-9, finite(np.array(read)[order])
+        if np.isnan(values).all():
+            left_out[name] = "holds no number"
             continue
-        unit = next((unit for end, unit in UNITS.items() if name.endswith(end)), "")
+        try:
+            rate_hz, even = evenly(t_s, values, path)
+        except SourceError as error:
+            left_out[name] = unsteady(error, path)
+            continue
+        plain = name.partition("[")[0]
+        unit = next((unit for end, unit in UNITS.items() if plain.endswith(end)), "")
         yield SignalInfo(0, name, unit, rate_hz, len(even), float(t_s[0])), even
-    if rare:
-        notes.append(f"left out, less than one a second: {', '.join(rare)[:200]}")

@@ -2,46 +2,81 @@
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pyarrow
 from pyarrow import parquet
 
-from pulse_sensors.plausibility import RecordedColumn
+from pulse_sensors.plausibility import SECONDS, RecordedColumn
 from sensing_node.files.columns import named_columns
-from sensing_node.files.signals import ColumnKey, SignalFile, SignalInfo, SignalTable, split_unit
+from sensing_node.files.signals import (
+    ColumnKey,
+    Floats,
+    SignalFile,
+    SignalInfo,
+    SignalTable,
+    split_unit,
+)
 
 TIME = "t_s"
+# Key of the file's metadata with the Unix time of its begin.
+BEGIN = "begin_unix_ns"
+# Keys of other programs and of exported tables, which describe columns.
+DESCRIPTIONS = ("pandas", "ARROW:", "telepulse.", "creator", BEGIN)
 
 
 def read(path: Path) -> SignalFile:
     """Open a file. Raises errors of pyarrow for a damaged one."""
     with parquet.ParquetFile(path) as file:
         schema, rows = file.schema_arrow, file.metadata.num_rows
-    names = [
-        field.name
+    units = [
+        split_unit(field.name)[1]
+        or (field.metadata or {}).get(b"unit", b"").decode("utf-8", "replace")
         for field in schema
-        if pyarrow.types.is_integer(field.type) or pyarrow.types.is_floating(field.type)
     ]
-    units = {
-        name: (schema.field(name).metadata or {}).get(b"unit", b"").decode("utf-8", "replace")
-        for name in names
-    }
     signals = [
-        SignalInfo(number, split_unit(name)[0], units[name] or split_unit(name)[1], samples=rows)
-        for number, name in enumerate(names)
+        SignalInfo(number, split_unit(field.name)[0], units[number], samples=rows)
+        for number, field in enumerate(schema)
+        if _is_number(field.type)
     ]
 
     def load(keys: Sequence[ColumnKey]) -> list[RecordedColumn]:
         with parquet.ParquetFile(path) as opened:
-            table = opened.read(columns=names)
-        arrays = {
-            name: np.asarray(table[name].to_numpy(), dtype=np.float64)
-            for name in table.column_names
-        }
-        return named_columns(arrays, keys, path)
+            table = opened.read()
+        arrays, times = dict[int, Floats](), dict[int, Floats]()
+        for number, field in enumerate(schema):
+            if _is_number(field.type):
+                column = table.column(number).cast(pyarrow.float64(), safe=False)
+                arrays[number] = np.asarray(column.to_numpy(), dtype=np.float64)
+            elif (seconds := _seconds(field.type)) is not None:
+                column = table.column(number).cast(pyarrow.int64()).cast(pyarrow.float64(), False)
+                times[number] = np.asarray(column.to_numpy()) * seconds
+        return named_columns(path, schema.names, arrays, keys, times)
 
-    return SignalFile(path, tuple(signals), load)
+    texts = {
+        key.decode("utf-8", "replace"): text.decode("utf-8", "replace")
+        for key, text in (schema.metadata or {}).items()
+    }
+    begin = texts.get(BEGIN, "")
+    return SignalFile(
+        path,
+        tuple(signals),
+        load,
+        int(begin) if begin.isdecimal() else None,
+        metadata={key: text for key, text in texts.items() if not key.startswith(DESCRIPTIONS)},
+    )
+
+
+def _is_number(kind: Any) -> bool:
+    types = pyarrow.types
+    return bool(types.is_integer(kind) or types.is_floating(kind) or types.is_decimal(kind))
+
+
+def _seconds(kind: Any) -> float | None:
+    """Return the unit of a type of times, in s; None for another type."""
+    types = pyarrow.types
+    return SECONDS[kind.unit] if types.is_timestamp(kind) or types.is_duration(kind) else None
 
 
 def write(path: Path, table: SignalTable) -> list[str]:
@@ -53,6 +88,7 @@ def write(path: Path, table: SignalTable) -> list[str]:
     for signal, values in zip(table.signals, grid.T, strict=True):
         fields.append(pyarrow.field(signal.name, pyarrow.float64(), metadata={"unit": signal.unit}))
         arrays.append(pyarrow.array(values, mask=np.isnan(values)))
-    schema = pyarrow.schema(fields, metadata=dict(table.metadata))
+    begin = {} if table.begin_ns is None else {BEGIN: str(table.begin_ns)}
+    schema = pyarrow.schema(fields, metadata={**table.metadata, **begin})
     parquet.write_table(pyarrow.table(arrays, schema=schema), path, compression="zstd")
     return notes

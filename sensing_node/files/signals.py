@@ -1,8 +1,10 @@
 """Signals of a file, whatever its format: names, units, rates, samples, and what is missing."""
 
+import codecs
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Annotated, NamedTuple, Protocol
 
@@ -10,10 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from protocol.config.quantities import count_text
 from protocol.errors import SourceError
 from protocol.wire.stream import first_repeated
-from pulse_sensors.plausibility import GAP_STEPS, RecordedColumn
+from pulse_sensors.plausibility import RecordedColumn, StatedTimes, stated_times
 
 ColumnKey = Annotated[int, Field(ge=0)] | str
 """Number of a signal from 0, or its name."""
@@ -21,10 +22,6 @@ ColumnKey = Annotated[int, Field(ge=0)] | str
 Floats = NDArray[np.float64]
 # Limits of a rate in Hz that a file may state.
 LEAST_HZ, MOST_HZ = 1.0, 100_000.0
-# Largest share of a signal that gaps may be: times beyond it are damaged.
-MOST_GAPS = 20
-# Samples of a gap that any signal may have.
-FREE_GAP = 200_000
 _NAMED_UNIT = re.compile(r"(.*\S)\s*[\[(]\s*([^\[\]()]*?)\s*[\])]")
 
 
@@ -70,6 +67,8 @@ class SignalFile:
         Annotations in the file.
     metadata : mapping of str to str
         Further texts of the file.
+    left_out : mapping of str or int to str
+        Reasons why signals, by name or number, are not among `signals`: "has a rate of 0.5 Hz".
     """
 
     path: Path
@@ -79,14 +78,39 @@ class SignalFile:
     notes: tuple[str, ...] = ()
     marks: tuple[FileMark, ...] = ()
     metadata: Mapping[str, str] = field(default_factory=dict)
+    left_out: Mapping[ColumnKey, str] = field(default_factory=dict)
 
     def find(self, key: ColumnKey) -> SignalInfo:
         """Return the signal of a name or number. Raises SourceError."""
         for signal in self.signals:
             if key in (signal.number, signal.name):
                 return signal
+        if key in self.left_out:
+            raise SourceError(f"{self.path}: signal {key!r} {self.left_out[key]}")
         names = ", ".join(signal.name for signal in self.signals)
         raise SourceError(f"{self.path}: no signal {key!r}; it has {names[:200]}")
+
+    def describe(
+        self, column: RecordedColumn, rate_hz: float | None = None
+    ) -> tuple[SignalInfo, StatedTimes | None]:
+        """Return what is known of a loaded column, with its rate, and the times that state it.
+
+        rate_hz: rate of a file that states none. Raises SourceError without a usable rate.
+        """
+        known = [signal for signal in self.signals if signal.number == column.number]
+        info = known[0] if known else SignalInfo(column.number, column.name)
+        times = stated_times(column) if info.rate_hz is None and rate_hz is None else None
+        if info.rate_hz is None:
+            info = info._replace(rate_hz=rate_hz if times is None else times.rate_hz)
+        if info.rate_hz is None:
+            raise SourceError(
+                f"{self.path}: states no rate; add a column of times that never fall, or state the"
+                ' rate: --rate "500 Hz" beside --source, rate = "500 Hz" in a scene, or the array'
+                " rate_hz in an .npz"
+            )
+        if (fault := rate_fault(info.rate_hz)) is not None:
+            raise SourceError(f"{self.path}: {column.title} {fault}")
+        return info, times
 
 
 class SignalTable(NamedTuple):
@@ -103,10 +127,21 @@ class SignalTable(NamedTuple):
         """The highest rate."""
         return max(signal.rate_hz or 0.0 for signal in self.signals)
 
+    def from_first_sample(self) -> "SignalTable":
+        """Return the table with its begin and times from its first sample on."""
+        first_s = min(signal.begin_s for signal in self.signals)
+        begin_ns = None if self.begin_ns is None else self.begin_ns + round(first_s * 1e9)
+        return self._replace(
+            signals=[each._replace(begin_s=each.begin_s - first_s) for each in self.signals],
+            marks=[mark._replace(at_s=mark.at_s - first_s) for mark in self.marks],
+            begin_ns=begin_ns,
+        )
+
     def at_one_rate(self, notes: list[str], rate_hz: float | None = None) -> Floats:
         """Return all signals at the highest rate, shape (samples, signals); note a change."""
         rate_hz = rate_hz or self.rate_hz
-        slower = [s.name for s in self.signals if s.rate_hz != rate_hz]
+        begin_s = min(signal.begin_s for signal in self.signals)
+        slower = [s.name for s in self.signals if (s.rate_hz, s.begin_s) != (rate_hz, begin_s)]
         if slower:
             notes.append(f"interpolated at {rate_hz:g} Hz: {', '.join(slower)[:200]}")
         return aligned(self.signals, self.values, rate_hz)[1]
@@ -134,16 +169,9 @@ def signal_file(
     notes: Sequence[str] = (),
     marks: Sequence[FileMark] = (),
     metadata: Mapping[str, str] = {},
+    left_out: Mapping[ColumnKey, str] = {},
 ) -> SignalFile:
-    """Return a file whose signals are read one by one, by `values`. Raises SourceError."""
-    if not signals:
-        raise SourceError(f"{path}: holds no signal of numbers")
-    for signal in signals:
-        if signal.rate_hz is not None and not LEAST_HZ <= signal.rate_hz <= MOST_HZ:
-            raise SourceError(
-                f"{path}: signal {signal.name!r} has a rate of {signal.rate_hz:g} Hz; rates are"
-                f" {LEAST_HZ:g} Hz to {MOST_HZ:g} Hz"
-            )
+    """Return a file whose signals are read one by one, by `values`."""
 
     def load(keys: Sequence[ColumnKey]) -> list[RecordedColumn]:
         found = [opened.find(key) for key in keys]
@@ -153,121 +181,58 @@ def signal_file(
         return [RecordedColumn(values(each), each.number, each.name) for each in found]
 
     opened = SignalFile(
-        path, tuple(signals), load, begin_ns, tuple(notes), tuple(marks), dict(metadata)
+        path, tuple(signals), load, begin_ns, tuple(notes), tuple(marks), metadata, left_out
     )
     return opened
 
 
+def rate_fault(rate_hz: float | None) -> str | None:
+    """Return the fault of a signal's rate, or None; a file may state no rate."""
+    if rate_hz is None or LEAST_HZ <= rate_hz <= MOST_HZ:
+        return None
+    return f"has a rate of {rate_hz:g} Hz; rates are {LEAST_HZ:g} Hz to {MOST_HZ:g} Hz"
+
+
+def utc(unix_ns: int) -> datetime:
+    """Return a Unix time as UTC, in whole microseconds."""
+    return datetime(1970, 1, 1, tzinfo=UTC) + timedelta(microseconds=unix_ns // 1000)
+
+
+def unix_ns(at: datetime) -> int:
+    """Return the Unix time of a time, which is UTC where it states no zone."""
+    since = at.replace(tzinfo=at.tzinfo or UTC) - datetime(1970, 1, 1, tzinfo=UTC)
+    return since // timedelta(microseconds=1) * 1000
+
+
+def finite(values: Floats) -> Floats:
+    """Return values with NaN, which is a missing sample, for each that is not finite."""
+    good = np.isfinite(values)
+    return values if good.all() else np.where(good, values, np.nan)
+
+
+def read_text(path: Path) -> str:
+    """Return the text of a file in UTF-8, in UTF-16 with its mark, or else in Latin-1."""
+    data = path.read_bytes()
+    if data[:2] in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE):
+        return data.decode("utf-16")
+    try:
+        return data.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        return data.decode("latin-1")
+
+
 def split_unit(name: str) -> tuple[str, str]:
-    """Return name and unit of a column's title such as "ABP [mmHg]"; the unit may be empty."""
+    """Return name and unit of a column's title such as "ABP [mmHg]"; the unit may be empty.
+
+    A number in brackets, as in "data[0]", is no unit.
+    """
     found = _NAMED_UNIT.fullmatch(name.strip())
-    return (found[1], found[2]) if found else (name, "")
+    return (found[1], found[2]) if found and not found[2].isdecimal() else (name, "")
 
 
-def on_grid(t_s: Floats, values: Floats, rate_hz: float, path: Path) -> Floats:
-    """Return values at a constant rate, NaN where no time is near.
-
-    Parameters
-    ----------
-    t_s : ndarray, shape (samples,)
-        Ascending times in s.
-    values : ndarray, shape (samples,)
-        Value at each time.
-
-    Raises
-    ------
-    SourceError
-        If times fall, or gaps are longer than `MOST_GAPS` times the signal.
-    """
-    falls = np.flatnonzero(~(np.diff(t_s) >= 0))
-    if len(falls) or not np.all(np.isfinite(t_s)):
-        at = int(falls[0]) + 1 if len(falls) else 0
-        raise SourceError(f"{path}: the times fall at sample {at}; sort or repair the file")
-    places = (t_s - t_s[0]) * rate_hz if len(t_s) else t_s
-    if len(t_s) and places[-1] > MOST_GAPS * len(t_s) + FREE_GAP:
-        raise SourceError(
-            f"{path}: {count_text(len(t_s), 'sample')} at {rate_hz:g} Hz extend over"
-            f" {t_s[-1] - t_s[0]:.4g} s; its times are damaged"
-        )
-    numbers = np.rint(places).astype(np.int64)
-    grid = np.full(int(numbers[-1]) + 1 if len(numbers) else 0, np.nan)
-    grid[numbers] = values
-    return grid
-
-
-def evenly(
-    t_s: Floats, values: Floats, path: Path, rate_hz: float | None = None
-) -> tuple[float, Floats]:
-    """Return the rate in Hz of time-stamped values, and the values at that rate.
-
-    Values whose times are even within half a sample are returned as they are; others are
-    interpolated linearly, with NaN in gaps longer than `GAP_STEPS` usual steps.
-
-    Parameters
-    ----------
-    t_s : ndarray, shape (samples,)
-        Ascending times in s.
-    rate_hz : float, optional
-        The rate, where it is known.
-
-    Raises
-    ------
-    SourceError
-        If times fall, do not differ, or extend too far.
-    """
-    steps = np.diff(t_s)
-    rises = steps[steps > 0]
-    if not len(rises):
-        raise SourceError(f"{path}: its times do not rise")
-    usual = float(np.median(rises))
-    rate_hz = rate_hz or 1 / float(steps[steps <= GAP_STEPS * usual].mean())
-    count = round(float(t_s[-1] - t_s[0]) * rate_hz) + 1 if np.all(np.isfinite(t_s)) else 0
-    if count == len(t_s):
-        at_s = t_s[0] + np.arange(count) / rate_hz
-        if float(np.abs(t_s - at_s).max()) < 0.5 / rate_hz:
-            return rate_hz, values
-    # Checks the times, too.
-    length = len(on_grid(t_s, values, rate_hz, path))
-    at_s = t_s[0] + np.arange(length) / rate_hz
-    after = np.clip(np.searchsorted(t_s, at_s), 1, len(t_s) - 1)
-    even: Floats = np.interp(at_s, t_s, values)
-    near_s = np.minimum(np.abs(t_s[after] - at_s), np.abs(at_s - t_s[after - 1]))
-    apart = (steps[after - 1] > GAP_STEPS * usual) & (near_s > 0.5 / rate_hz)
-    even[apart] = np.nan
-    return rate_hz, even
-
-
-class Gaps(NamedTuple):
-    """Missing samples of a signal: their number, that of runs of them, and the longest run."""
-
-    samples: int
-    runs: int
-    longest: int
-
-    def text(self, length: int, rate_hz: float) -> str:
-        """Return the gaps of a signal of some length, for people."""
-        return (
-            f"{count_text(self.samples, 'sample is', 'samples are')} missing"
-            f" ({100 * self.samples / length:.2g} %) in {count_text(self.runs, 'gap')}, the longest"
-            f" of {self.longest / rate_hz:.3g} s"
-        )
-
-
-def find_gaps(values: Floats) -> Gaps:
-    """Count the NaN of a signal."""
-    missing = np.isnan(values)
-    edges = np.flatnonzero(np.diff(missing, prepend=False, append=False))
-    lengths = edges[1::2] - edges[::2]
-    return Gaps(int(missing.sum()), len(lengths), int(lengths.max(initial=0)))
-
-
-def fill_gaps(values: Floats) -> Floats:
-    """Return a signal with straight lines through its gaps; it must have a value."""
-    known = np.flatnonzero(~np.isnan(values))
-    if len(known) == len(values):
-        return values
-    filled: Floats = np.interp(np.arange(len(values)), known, values[known])
-    return filled
+def plain_micro(text: str) -> str:
+    """Return a text with u for each sign of micro, which ASCII lacks."""
+    return text.replace("\N{MICRO SIGN}", "u").replace("\N{GREEK SMALL LETTER MU}", "u")
 
 
 def aligned(

@@ -10,15 +10,10 @@ from pathlib import Path
 import numpy as np
 from scipy.io import wavfile
 
+from protocol.config.quantities import count_text
 from protocol.errors import SourceError
-from sensing_node.files.signals import (
-    Floats,
-    SignalFile,
-    SignalInfo,
-    SignalTable,
-    fill_gaps,
-    signal_file,
-)
+from sensing_node.files.grids import fill_gaps
+from sensing_node.files.signals import Floats, SignalFile, SignalInfo, SignalTable, signal_file
 
 
 def read(path: Path) -> SignalFile:
@@ -55,7 +50,10 @@ def write(path: Path, table: SignalTable) -> list[str]:
     if abs(rate_hz - table.rate_hz) > 1e-6:
         raise ValueError(f"a rate of {table.rate_hz:g} Hz is not a whole number")
     if np.isnan(grid).any():
-        notes.append(f"{np.isnan(grid).sum()} missing samples are replaced by straight lines")
+        if np.isnan(grid).all(axis=0).any():
+            raise ValueError("all samples of a signal are missing")
+        count = count_text(int(np.isnan(grid).sum()), "missing sample is", "missing samples are")
+        notes.append(f"{count} replaced by straight lines")
         grid = np.stack([fill_gaps(column) for column in grid.T], axis=1)
     wavfile.write(path, rate_hz, grid.astype(np.float32))
-    return [*notes, "names and units are left out"]
+    return [*notes, "values are in 32-bit floats"]

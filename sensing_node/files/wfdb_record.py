@@ -7,7 +7,7 @@ https://physionet.org/physiotools/wag/.
 
 import re
 from collections.abc import Iterator
-from datetime import UTC, datetime
+from datetime import datetime
 from pathlib import Path
 from typing import NamedTuple
 
@@ -20,8 +20,11 @@ from sensing_node.files.signals import (
     SignalFile,
     SignalInfo,
     SignalTable,
-    find_gaps,
+    plain_micro,
+    read_text,
     signal_file,
+    unix_ns,
+    utc,
 )
 
 Ints = NDArray[np.int64]
@@ -34,6 +37,9 @@ FORMATS = {
 MOST_SEGMENTS = 100_000
 # Greatest code that is written, in format 16.
 HIGHEST_CODE = 32_000
+# A comment such as "side: left", and the key of those that are none.
+_STATEMENT = re.compile(r"([^\W\d][\w ]{0,30}): (.*\S)")
+COMMENTS = "comments"
 _STORAGE = re.compile(r"(\d+)(?:x(\d{1,5}))?(?::(\d{1,9}))?(?:\+(\d{1,12}))?")
 _GAIN = re.compile(r"([-+.\deE]+)(?:\((-?\d+)\))?(?:/(\S+))?")
 
@@ -103,15 +109,21 @@ def read(path: Path) -> SignalFile:
                     break
         return whole
 
-    comments = {"comments": "\n".join(header.comments)} if header.comments else {}
-    return signal_file(path, signals, values, header.begin_ns, notes, metadata=comments)
+    texts = dict[str, str]()
+    for line in header.comments:
+        found = _STATEMENT.fullmatch(line)
+        key, text = (found[1], found[2]) if found else (COMMENTS, line)
+        texts[key] = f"{texts[key]}\n{text}" if key in texts else text
+    return signal_file(path, signals, values, header.begin_ns, notes, metadata=texts)
 
 
 def _read_header(path: Path) -> RecordHeader:
     """Read a header. Raises SourceError or OSError."""
-    lines = [line.strip() for line in path.read_text(encoding="latin-1").splitlines()]
+    lines = [line.strip() for line in read_text(path).splitlines()]
     comments = tuple(line[1:].strip() for line in lines if line.startswith("#"))
     lines = [line for line in lines if line and not line.startswith("#")]
+    if not lines:
+        raise SourceError(f"{path}: is no header of a WFDB record: it holds no line")
     try:
         name, count, *rest = lines[0].split()
         _, _, segments = name.partition("/")
@@ -137,8 +149,8 @@ def _begin_ns(rest: list[str]) -> int | None:
     try:
         clock, _, part = rest[2].partition(".")
         text = f"{rest[3]} {clock}"
-        at = datetime.strptime(text, "%d/%m/%Y %H:%M:%S").replace(tzinfo=UTC)
-        return round((at.timestamp() + float(f"0.{part or 0}")) * 1e9)
+        at = datetime.strptime(text, "%d/%m/%Y %H:%M:%S")
+        return unix_ns(at) + round(float(f"0.{part or 0}") * 1e9)
     except (IndexError, ValueError):
         return None
 
@@ -260,15 +272,12 @@ def _decode(data: NDArray[np.uint8], code: str, first: int, count: int, width: i
 
 def write(path: Path, table: SignalTable) -> list[str]:
     """Write a record in format 16: NAME.hea, and NAME.dat beside it."""
-    name, data = path.stem, path.with_suffix(".dat")
+    name, head, data = path.stem, path.with_suffix(".hea"), path.with_suffix(".dat")
     if re.fullmatch(r"[\w-]+", name, re.ASCII) is None:
         raise ValueError(f"a record's name has letters, digits, _ and -, not {name!r}")
     notes: list[str] = []
     grid = table.at_one_rate(notes)
-    began = ""
-    if table.begin_ns is not None:
-        begin = datetime.fromtimestamp(table.begin_ns // 1_000_000 / 1e3, UTC)
-        began = f"{begin:%H:%M:%S}.{begin.microsecond // 1000:03d} {begin:%d/%m/%Y}"
+    began = "" if table.begin_ns is None else f"{utc(table.begin_ns):%H:%M:%S.%f %d/%m/%Y}"
     lines = [f"{name} {grid.shape[1]} {table.rate_hz:.12g} {len(grid)} {began}".rstrip()]
     codes = np.full(grid.shape, FORMATS["16"][1], "<i2")
     for column, (signal, values) in enumerate(zip(table.signals, grid.T, strict=True)):
@@ -279,21 +288,20 @@ def write(path: Path, table: SignalTable) -> list[str]:
         baseline = -round(middle * gain)
         scaled = np.rint(values * gain) + baseline
         codes[~np.isnan(values), column] = scaled[~np.isnan(values)].astype("<i2")
-        unit = re.sub(r"\s", "_", signal.unit) or "NU"
+        # Other readers drop what is not ASCII: from µN, they would read N.
+        unit = re.sub(r"\s", "_", plain_micro(signal.unit)) or "NU"
         check = int(codes[:, column].sum(dtype=np.int64)) & 0xFFFF
         first = int(codes[0, column]) if len(codes) else 0
         lines.append(
             f"{data.name} 16 {gain!r}({baseline})/{unit} 16 0 {first}"
-            f" {check - 0x10000 if check > 0x7FFF else check} 0 {signal.name}"
+            f" {check - 0x10000 if check > 0x7FFF else check} 0 {plain_micro(signal.name)}"
         )
         notes.append(f"{signal.name} in steps of {1 / gain:.2g} {unit}")
-        if gaps := find_gaps(values).samples:
-            notes.append(f"{signal.name}: {gaps} missing samples have WFDB's code for them")
-    lines += [f"# {key}: {text}" for key, value in table.metadata.items()
-              for text in value.splitlines()]  # fmt: skip
-    if table.marks:
-        notes.append(f"{len(table.marks)} annotations are left out")
+    for key, text in table.metadata.items():
+        stated = "" if key == COMMENTS else f"{key}: "
+        lines += [f"# {stated}{line}" for line in text.splitlines()]
     with data.open("xb") as file:
         file.write(codes.tobytes())
-    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    with head.open("x", encoding="utf-8") as header:
+        header.write("\n".join(lines) + "\n")
     return notes

@@ -28,6 +28,8 @@ _PULSE = re.compile(
 _ECG = re.compile(
     r"\b(ecg|ekg|fecg|mli{1,3}|mcl\d?|mv\d?|avr|avl|avf|i{1,3}|v\d?)\b", re.IGNORECASE
 )
+# Fields of a message's stamp, and its number.
+_STAMP = re.compile(r"n?secs?|nanosec|usec|stamp|seq|sequence|t_ns", re.IGNORECASE)
 
 
 class ChosenSignal(NamedTuple):
@@ -42,18 +44,32 @@ def choose_pulse(file: SignalFile) -> ChosenSignal:
 
     Raises SourceError for a file without signals.
     """
-    signals = [signal for signal in file.signals if not is_time_name(signal.name)]
+    signals = [signal for signal in file.signals if not _is_time_or_number(_field(signal.name))]
     for signal in signals:
-        if _PULSE.search(signal.name.replace("_", " ")):
+        if _PULSE.search(_field(signal.name).replace("_", " ")):
+            return ChosenSignal(signal, "by its name")
+    for signal in signals:
+        # By the topic of a message, each of whose fields has it in its name.
+        if _PULSE.search(signal.name.replace("_", " ")) and not _only_rises(file, signal):
             return ChosenSignal(signal, "by its name")
     for signal in signals:
         if signal.unit in FORCES or signal.unit in PRESSURES:
             return ChosenSignal(signal, f"by its unit, {signal.unit}")
     for signal in signals:
-        # Files without rates may have times in any column.
-        if signal is signals[-1] or signal.rate_hz is not None or not _only_rises(file, signal):
+        # Times and counters only rise; a file may have them under any name.
+        if signal is signals[-1] or not _only_rises(file, signal):
             return ChosenSignal(signal, "as the first signal; none is a pulse by its name or unit")
     raise SourceError(f"{file.path}: holds no signal of numbers")
+
+
+def _field(name: str) -> str:
+    """Return the last part of a field's path, such as "force" of "/pulse.film.force"."""
+    return name.rpartition(".")[2] if name.startswith("/") else name
+
+
+def _is_time_or_number(name: str) -> bool:
+    """Return whether a name is that of times, or of parts or numbers of a stamp."""
+    return is_time_name(name) or _STAMP.fullmatch(name) is not None
 
 
 def choose_announcing(file: SignalFile, pulse: SignalInfo) -> SignalInfo | None:

@@ -19,19 +19,12 @@ from pulse_sensors.plausibility import (
     RecordedColumn,
     constant_column,
     examine,
-    stated_times,
     unit_contradiction,
     unusable_values,
 )
 from sensing_node.files.formats import open_signals
-from sensing_node.files.signals import (
-    ColumnKey,
-    SignalFile,
-    SignalInfo,
-    aligned,
-    fill_gaps,
-    find_gaps,
-)
+from sensing_node.files.grids import fill_gaps, find_gaps
+from sensing_node.files.signals import ColumnKey, SignalFile, SignalInfo, aligned
 from sensing_node.sources.choice import BEAT_N, NEWTONS_PER_MMHG, PRESSURES, choose_pulse
 from sensing_node.sources.source import SampleSource, SourceContext, SourceScene
 from sensing_node.sources.synthetic import SyntheticScene
@@ -223,18 +216,11 @@ class RecordedSource(SampleSource):
 
 def _info(file: SignalFile, column: RecordedColumn, rate_hz: float | None) -> SignalInfo:
     """Return what a file states of a column, with the rate to play it at. Raises SourceError."""
-    known = [signal for signal in file.signals if signal.number == column.number]
-    info = known[0] if known else SignalInfo(column.number, column.name)
-    if info.rate_hz is None:
-        if rate_hz is None:
-            times = stated_times(column)
-            rate_hz = None if times is None else times.rate_hz
-        if rate_hz is None:
-            raise SourceError(f'{file.path}: states no rate; set rate, such as "500 Hz"')
-        return info._replace(rate_hz=rate_hz)
-    if rate_hz is not None and abs(info.rate_hz / rate_hz - 1) > RATE_TOLERANCE:
+    info, _ = file.describe(column, rate_hz)
+    own_hz = info.rate_hz or 0.0
+    if rate_hz is not None and abs(own_hz / rate_hz - 1) > RATE_TOLERANCE:
         raise SourceError(
-            f"{file.path}: {column.title} has {info.rate_hz:.4g} samples a second, the scene's rate"
+            f"{file.path}: {column.title} has {own_hz:.4g} samples a second, the scene's rate"
             f" is {rate_hz:g} Hz; leave rate out"
         )
     return info

@@ -3,10 +3,14 @@
 from collections.abc import Iterator
 from pathlib import Path
 
-from protocol.errors import SourceError
-from pulse_sensors.plausibility import SECONDS, is_time_name, stated_times
+from pulse_sensors.plausibility import SECONDS, is_time_name
 from sensing_node.files.formats import open_signals, write_signals
-from sensing_node.files.signals import SignalInfo, SignalTable, evenly, find_gaps
+from sensing_node.files.grids import evenly, find_gaps
+from sensing_node.files.signals import SignalFile, SignalInfo, SignalTable, split_unit
+from sensing_node.sources.choice import choose_pulse
+
+# Times in s that are Unix times, of 2001 to 2096: no other clock has run for so long.
+UNIX_S = (1e9, 4e9)
 
 
 def convert_file(source: Path, out: Path) -> Iterator[str]:
@@ -17,25 +21,17 @@ def convert_file(source: Path, out: Path) -> Iterator[str]:
     file = open_signals(source)
     for note in file.notes:
         yield f"{source}: {note}"
-    wanted = [
-        signal
-        for signal in file.signals
-        if not (is_time_name(signal.name) and (signal.rate_hz is None or signal.unit in SECONDS))
-    ]
+    wanted, begin_ns = _wanted(file), file.begin_ns
     signals, values = list[SignalInfo](), []
     columns = file.load([signal.number for signal in wanted])
     for signal, column in zip(wanted, columns, strict=True):
-        rate_hz, even = signal.rate_hz, column.values
-        if rate_hz is None:
-            times = stated_times(column)
-            if times is None:
-                raise SourceError(
-                    f"{source}: states no rate; add a column of times that never fall, or save it"
-                    " as an .npz with the array rate_hz"
-                )
-            rate_hz = times.rate_hz
+        described, times = file.describe(column)
+        rate_hz, even = described.rate_hz or 0.0, column.values
+        if times is not None:
             if times.gaps:
                 rate_hz, even = evenly(times.times_s, even, source, rate_hz)
+            if begin_ns is None and UNIX_S[0] < times.times_s[0] < UNIX_S[1]:
+                begin_ns = round(float(times.times_s[0]) * 1e6) * 1000
         name = signal.name or f"column {signal.number}"
         length = len(even)
         signals.append(signal._replace(name=name, rate_hz=rate_hz, samples=length))
@@ -44,8 +40,19 @@ def convert_file(source: Path, out: Path) -> Iterator[str]:
         missing = gaps.text(length, rate_hz) if gaps.samples else "no sample is missing"
         unit = signal.unit or "no unit"
         yield f"{source}: {name}, {unit}, {rate_hz:g} Hz, {length / rate_hz:g} s: {missing}"
-    if not signals:
-        raise SourceError(f"{source}: holds no signal of numbers")
-    table = SignalTable(signals, values, file.begin_ns, file.marks, file.metadata)
+    table = SignalTable(signals, values, begin_ns, file.marks, file.metadata)
     notes = write_signals(out, table)
     yield f"{out}: {'; '.join(notes) or 'written whole'}"
+
+
+def _wanted(file: SignalFile) -> list[SignalInfo]:
+    """Return the signals that are no times: neither by their names, nor as a source finds them."""
+    (pulse,) = file.load((choose_pulse(file).signal.number,))
+    _, times = file.describe(pulse)
+    own = set[str]() if times is None else {split_unit(times.name)[0], times.name}
+    return [
+        signal
+        for signal in file.signals
+        if not (is_time_name(signal.name) and (signal.rate_hz is None or signal.unit in SECONDS))
+        and (signal.name or str(signal.number)) not in own
+    ]

@@ -103,7 +103,7 @@ def test_a_recording_that_cannot_be_a_pulse_is_refused(
             {"force": DIPPING_N},
             {},
             "is below 0 N for 5 % of the samples, which are not played;"
-            ' preload = "0.05 N" prevents it',
+            ' preload = "0.05 N" (beside --source: --preload) prevents it',
         ),
         (
             {"adc": np.minimum(COUNTS, 400)},
@@ -158,7 +158,7 @@ def test_the_scenes_rate_is_compared_with_the_files_own_times(
     path = csv_file(tmp_path, {name: times, "force": PULSE_N})
     assert warnings(path, column="force") == []
     text = refusal(path, column="force", rate="500 Hz")
-    assert text.startswith(f'column "{name}" has 1')
+    assert text.startswith(f'column "{name}')
     assert "the scene's rate is 500 Hz; set rate = \"" in text
 
 

@@ -14,7 +14,8 @@ from scipy.io import wavfile
 
 from protocol.errors import SourceError
 from sensing_node.files.formats import open_signals
-from sensing_node.files.signals import SignalFile, aligned, fill_gaps, find_gaps, on_grid
+from sensing_node.files.grids import fill_gaps, find_gaps, on_grid
+from sensing_node.files.signals import SignalFile, aligned
 from tests.support.signal_files import Floats, pulse_and_ecg, wfdb_record
 
 SIGNALS = pulse_and_ecg()

@@ -10,6 +10,7 @@ from protocol.config.scene import validate
 from protocol.config.scene_file import find_scene
 from protocol.errors import SceneError, SourceError
 from protocol.wire.stream import Channel
+from pulse_sensors.plausibility import RecordedColumn
 from sensing_node.files.formats import open_signals
 from sensing_node.files.signals import SignalFile, SignalInfo
 from sensing_node.scene import load_sensing
@@ -43,7 +44,7 @@ def test_the_pulse_is_chosen_by_name_then_unit_then_place(
     names: list[tuple[str, str]], chosen: str, announcing: str | None
 ) -> None:
     signals = tuple(SignalInfo(n, *each, 250.0) for n, each in enumerate(names))
-    file = SignalFile(Path("x"), signals, lambda keys: [])
+    file = SignalFile(Path("x"), signals, lambda keys: [RecordedColumn(np.array([2.0, 1, 2]))])
     pulse = choose_pulse(file).signal
     found = choose_announcing(file, pulse)
     assert (pulse.name, found and found.name) == (chosen, announcing)
@@ -109,8 +110,12 @@ def test_a_table_states_its_rate_and_unit_by_its_titles(tmp_path: Path) -> None:
     assert played.period_ns == 4_000_000
     np.testing.assert_allclose(played.take(1000)[:, 0], 7.5e-3 * SIGNALS["ABP"], atol=1e-4)
     np.save(tmp_path / "a.npy", SIGNALS["ABP"])
-    with pytest.raises(SourceError, match='states no rate; set rate, such as "500 Hz"'):
+    with pytest.raises(SourceError, match=r'states no rate; .* --rate "500 Hz" beside --source'):
         source(tmp_path / "a.npy")
+    np.testing.assert_allclose(
+        source(tmp_path / "a.npy", rate="250 Hz", unit="mmHg").take(1000)[:, 0],
+        7.5e-3 * SIGNALS["ABP"],
+    )
     np.savez(tmp_path / "a.npz", **{"rate_hz": 250.0, "ABP [mmHg]": SIGNALS["ABP"]})
     force_n = source(tmp_path / "a.npz").take(1000)
     np.testing.assert_allclose(force_n, played.take(2000)[1000:], atol=1e-4)
@@ -140,13 +145,16 @@ def test_a_record_replaces_the_source_of_a_scene(
 ) -> None:
     path, scene = wfdb_record(tmp_path, SIGNALS), find_scene("radial")
     caplog.set_level("INFO")
-    sensing = load_sensing(scene, path, "RESP")
+    sensing = load_sensing(scene, {"source": str(path), "channel": "RESP", "rate": None})
     assert isinstance(sensing.source, RecordingScene)
     assert (sensing.stream, sensing.source.column, sensing.source.announce) == ("rec", 2, 0)
     assert "plays RESP (V, 250 Hz), chosen as asked for; its median beat" in caplog.text
     assert sensing.layer == load_sensing(scene).layer
     with pytest.raises(SourceError, match="no signal 'x'"):
-        load_sensing(scene, path, "x")
-    with pytest.raises(SceneError, match="--channel names a signal of a record"):
-        load_sensing(scene, None, "x")
+        load_sensing(scene, {"source": str(path), "channel": "x"})
+    with pytest.raises(SceneError, match="--preload is of a record; give the record by --source"):
+        load_sensing(scene, {"source": None, "preload": "0.1 N"})
+    with pytest.raises(SceneError, match="preload") as caught:
+        load_sensing(scene, {"source": str(path), "preload": "1 V"})
+    assert "\n" not in str(caught.value)
     assert len(open_signals(path).signals) == 3

@@ -14,7 +14,7 @@ from scipy.io import wavfile
 
 from protocol.errors import OutputError, SourceError
 from sensing_node.files.formats import open_signals
-from sensing_node.files.signals import find_gaps
+from sensing_node.files.grids import find_gaps
 from telepulse.recording.conversion import convert_file
 from telepulse.recording.signal_export import export_signals
 from tests.support.recordings import record
@@ -127,7 +127,8 @@ def test_signals_of_several_rates_keep_them_or_are_interpolated_aloud(tmp_path: 
 
 def test_our_recording_is_played_and_exported_to_each_format(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
-    record(path, 3, {100, *range(300, 320)})
+    about = {"subject": "S01", "position": "cun", "side": "left"}
+    record(path, 3, {100, *range(300, 320)}, about=about)
     file = open_signals(path)
     assert [(s.name, s.unit, s.rate_hz) for s in file.signals] == [("pulse", "N", 1000.0)]
     (pulse,) = file.load((0,))
@@ -140,6 +141,7 @@ def test_our_recording_is_played_and_exported_to_each_format(tmp_path: Path) -> 
             ("Force pulse", "mN"),
             ("Force felt", "mN"),
         ]
+        assert out.metadata == about
         (wrist,) = out.load(("Force pulse",))
         known = ~np.isnan(pulse.values)
         np.testing.assert_allclose(

@@ -1,0 +1,129 @@
+"""Samples at a constant rate, from values with times; NaN in gaps, which are counted or filled."""
+
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from protocol.config.quantities import count_text
+from protocol.errors import SourceError
+from pulse_sensors.plausibility import GAP_STEPS
+from sensing_node.files.signals import Floats
+
+# Largest share of a signal that gaps may be: times beyond it are damaged.
+MOST_GAPS = 20
+# Samples of a gap that any signal may have.
+FREE_GAP = 200_000
+
+
+def on_grid(t_s: Floats, values: Floats, rate_hz: float, path: Path) -> Floats:
+    """Return values at a constant rate, NaN where no time is near.
+
+    Parameters
+    ----------
+    t_s : ndarray, shape (samples,)
+        Ascending times in s.
+    values : ndarray, shape (samples,)
+        Value at each time.
+
+    Raises
+    ------
+    SourceError
+        If times fall, or gaps are longer than `MOST_GAPS` times the signal.
+    """
+    falls = np.flatnonzero(~(np.diff(t_s) >= 0))
+    if len(falls) or not np.all(np.isfinite(t_s)):
+        at = int(falls[0]) + 1 if len(falls) else 0
+        raise SourceError(f"{path}: the times fall at sample {at}; sort or repair the file")
+    places = (t_s - t_s[0]) * rate_hz if len(t_s) else t_s
+    if len(t_s) and places[-1] > MOST_GAPS * len(t_s) + FREE_GAP:
+        raise SourceError(
+            f"{path}: {count_text(len(t_s), 'sample')} at {rate_hz:g} Hz extend over"
+            f" {t_s[-1] - t_s[0]:.4g} s; its times are damaged"
+        )
+    numbers = np.rint(places).astype(np.int64)
+    grid = np.full(int(numbers[-1]) + 1 if len(numbers) else 0, np.nan)
+    grid[numbers] = values
+    return grid
+
+
+def evenly(
+    t_s: Floats, values: Floats, path: Path, rate_hz: float | None = None
+) -> tuple[float, Floats]:
+    """Return the rate in Hz of time-stamped values, and the values at that rate.
+
+    Values whose times are even within half a sample are returned as they are; others are
+    interpolated linearly, with NaN in gaps longer than `GAP_STEPS` usual steps.
+
+    Parameters
+    ----------
+    t_s : ndarray, shape (samples,)
+        Ascending times in s.
+    rate_hz : float, optional
+        The rate, where it is known.
+
+    Raises
+    ------
+    SourceError
+        If times fall, do not differ, or extend too far.
+    """
+    if len(t_s) == 1 and rate_hz:
+        return rate_hz, values
+    steps = np.diff(t_s)
+    rises = steps[steps > 0]
+    if not len(rises):
+        raise SourceError(f"{path}: its times do not rise")
+    usual = float(np.median(rises))
+    rate_hz = rate_hz or 1 / float(steps[steps <= GAP_STEPS * usual].mean())
+    count = round(float(t_s[-1] - t_s[0]) * rate_hz) + 1 if np.all(np.isfinite(t_s)) else 0
+    if count == len(t_s):
+        at_s = t_s[0] + np.arange(count) / rate_hz
+        if float(np.abs(t_s - at_s).max()) < 0.5 / rate_hz:
+            return rate_hz, values
+    # Checks the times, too.
+    length = len(on_grid(t_s, values, rate_hz, path))
+    at_s = t_s[0] + np.arange(length) / rate_hz
+    after = np.clip(np.searchsorted(t_s, at_s), 1, len(t_s) - 1)
+    even: Floats = np.interp(at_s, t_s, values)
+    near_s = np.minimum(np.abs(t_s[after] - at_s), np.abs(at_s - t_s[after - 1]))
+    apart = (steps[after - 1] > GAP_STEPS * usual) & (near_s > 0.5 / rate_hz)
+    even[apart] = np.nan
+    return rate_hz, even
+
+
+def unsteady(error: SourceError, path: Path) -> str:
+    """Return the reason why a signal is left out whose times `evenly` refuses."""
+    return f"has no steady rate: {str(error).removeprefix(f'{path}: ')}"
+
+
+class Gaps(NamedTuple):
+    """Missing samples of a signal: their number, that of runs of them, and the longest run."""
+
+    samples: int
+    runs: int
+    longest: int
+
+    def text(self, length: int, rate_hz: float) -> str:
+        """Return the gaps of a signal of some length, for people."""
+        return (
+            f"{count_text(self.samples, 'sample is', 'samples are')} missing"
+            f" ({100 * self.samples / length:.2g} %) in {count_text(self.runs, 'gap')}, the longest"
+            f" of {self.longest / rate_hz:.3g} s"
+        )
+
+
+def find_gaps(values: Floats) -> Gaps:
+    """Count the NaN of a signal."""
+    missing = np.isnan(values)
+    edges = np.flatnonzero(np.diff(missing, prepend=False, append=False))
+    lengths = edges[1::2] - edges[::2]
+    return Gaps(int(missing.sum()), len(lengths), int(lengths.max(initial=0)))
+
+
+def fill_gaps(values: Floats) -> Floats:
+    """Return a signal with straight lines through its gaps; it must have a value."""
+    known = np.flatnonzero(~np.isnan(values))
+    if len(known) == len(values):
+        return values
+    filled: Floats = np.interp(np.arange(len(values)), known, values[known])
+    return filled

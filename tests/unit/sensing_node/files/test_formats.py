@@ -1,0 +1,189 @@
+"""Checks that hold for files of every format alike: rates, values, names, refusals."""
+
+import struct
+from pathlib import Path
+
+import edfio
+import numpy as np
+import pyarrow
+import pytest
+from pyarrow import parquet
+from scipy.io import wavfile
+
+from protocol.errors import OutputError, SourceError
+from sensing_node.files import xdf
+from sensing_node.files.formats import open_signals
+from sensing_node.files.grids import find_gaps
+from sensing_node.sources.choice import record_table
+from sensing_node.sources.recorded import RecordedSource, RecordingScene
+from telepulse.recording.conversion import convert_file
+from tests.support.signal_files import pulse_and_ecg, wfdb_record
+
+PULSE = pulse_and_ecg()["ABP"]
+
+
+def refusal(path: Path) -> str:
+    """Return the one line by which both a source and a conversion refuse a file."""
+    lines = []
+    with pytest.raises(SourceError) as caught:
+        RecordedSource(RecordingScene.model_validate(record_table(path)[0]), Path())
+    lines.append(str(caught.value))
+    with pytest.raises((SourceError, OutputError)) as caught:
+        list(convert_file(path, path.with_name("out.npz")))
+    lines.append(str(caught.value))
+    assert all("\n" not in line for line in lines)
+    assert lines[0] == lines[1]
+    return lines[0]
+
+
+@pytest.mark.parametrize("rate_hz", [0, -5, np.nan, 1e9, np.inf, 0.5])
+def test_a_rate_beyond_the_limits_is_refused(tmp_path: Path, rate_hz: float) -> None:
+    np.savez(tmp_path / "a.npz", **{"ABP": PULSE, "rate_hz": np.float64(rate_hz)})
+    assert f"has a rate of {rate_hz:g} Hz; rates are 1 Hz to 100000 Hz" in refusal(
+        tmp_path / "a.npz"
+    )
+
+
+@pytest.mark.parametrize(("title", "step"), [("t [s]", 2.0), ("t [us]", 2.0), ("t_s", 5.0)])
+def test_a_rate_by_the_files_own_times_is_checked_too(
+    tmp_path: Path, title: str, step: float
+) -> None:
+    rows = "".join(f"{n * step},{v}\n" for n, v in enumerate(PULSE))
+    (tmp_path / "a.csv").write_text(f"{title},ABP\n{rows}")
+    assert "rates are 1 Hz to 100000 Hz" in refusal(tmp_path / "a.csv")
+    arrays = {title.replace("t [us]", "t_us"): np.arange(1000) * step, "ABP": PULSE}
+    parquet.write_table(pyarrow.table(arrays), tmp_path / "a.parquet")
+    assert "rates are 1 Hz to 100000 Hz" in refusal(tmp_path / "a.parquet")
+
+
+def _xdf(path: Path, button_s: list[float]) -> Path:
+    with path.open("wb") as file:
+        file.write(xdf.MAGIC + xdf._chunk(xdf.FILE_HEADER, b"<info><version>1.0</version></info>"))
+        streams = [("ABP", 250.0, (np.arange(1000) / 250).tolist(), PULSE.tolist()),
+                   ("Button", 0.0, button_s, [1.0] * len(button_s))]  # fmt: skip
+        for number, (name, rate_hz, times_s, values) in enumerate(streams, 1):
+            labels = f"<channels><channel><label>{name}</label></channel></channels>"
+            file.write(xdf._header(number, name, "x", rate_hz, "double64", labels))
+            rows = b"".join(
+                struct.pack("<Bdd", 8, *each) for each in zip(times_s, values, strict=True)
+            )
+            file.write(xdf._samples(number, len(times_s), rows))
+            file.write(xdf._end(number, times_s[0], times_s[-1], len(times_s)))
+    return path
+
+
+@pytest.mark.parametrize("button_s", [[1.0], [2.0, 2.0], [1.0, 2.5, 3.9]])
+def test_an_irregular_stream_is_left_out_unless_it_is_asked_for(
+    tmp_path: Path, button_s: list[float]
+) -> None:
+    path = _xdf(tmp_path / "a.xdf", button_s)
+    file = open_signals(path)
+    assert [signal.name for signal in file.signals] == ["ABP"]
+    (note,) = file.notes
+    assert note.startswith("left out: signal 'Button' has")
+    assert record_table(path)[0]["column"] == 0
+    assert len(list(convert_file(path, tmp_path / "a.csv"))) == 3
+    with pytest.raises(SourceError, match="signal 'Button' has"):
+        record_table(path, "Button")
+    with pytest.raises(SourceError, match="signal 'Button' has"):
+        file.load(("Button",))
+
+
+def test_a_slow_signal_of_an_edf_is_left_out_unless_it_is_asked_for(tmp_path: Path) -> None:
+    path = tmp_path / "a.edf"
+    fast = edfio.EdfSignal(PULSE, 250, label="ABP", physical_dimension="mmHg")
+    slow = edfio.EdfSignal(np.array([96.0, 97.0]), 0.5, label="SpO2", physical_dimension="%")
+    edfio.Edf([slow, fast], data_record_duration=2).write(path)
+    file = open_signals(path)
+    assert [(signal.number, signal.name) for signal in file.signals] == [(1, "ABP")]
+    text = "signal 'SpO2' has a rate of 0.5 Hz; rates are 1 Hz to 100000 Hz"
+    assert file.notes == (f"left out: {text}",)
+    for key in ("SpO2", "0"):
+        with pytest.raises(SourceError, match=r"has a rate of 0\.5 Hz"):
+            record_table(path, key)
+    edfio.Edf([slow], data_record_duration=2).write(path)
+    assert refusal(path) == f"{path}: {text}"
+
+
+@pytest.mark.parametrize("suffix", ["hea", "edf", "bdf", "xdf", "parquet", "csv", "npz", "wav"])
+@pytest.mark.parametrize("source", ["npz", "csv", "parquet"])
+def test_values_that_are_not_finite_are_missing_samples(
+    tmp_path: Path, source: str, suffix: str
+) -> None:
+    values = PULSE.copy()
+    values[[5, 90]], values[7] = np.inf, np.nan
+    path = tmp_path / f"in.{source}"
+    if source == "npz":
+        np.savez(path, **{"ABP [mmHg]": values, "rate_hz": 250.0})
+    elif source == "parquet":
+        columns = {"t_s": np.arange(1000) / 250, "ABP [mmHg]": values}
+        parquet.write_table(pyarrow.table(columns), path)
+    else:
+        rows = "".join(f"{n / 250},{v}\n" for n, v in enumerate(values))
+        path.write_text("t [s],ABP [mmHg]\n" + rows)
+    first, last = convert_file(path, tmp_path / f"out.{suffix}")
+    assert "3 samples are missing (0.3 %) in 3 gaps" in first
+    if suffix == "wav":
+        assert "3 missing samples are replaced by straight lines" in last
+        return
+    (column,) = open_signals(tmp_path / f"out.{suffix}").load(("ABP",))
+    assert find_gaps(column.values).samples == 3
+
+
+def test_names_that_could_control_a_terminal_are_cleaned(tmp_path: Path) -> None:
+    rows = "".join(f"{n / 250},{v},{n % 7}\n" for n, v in enumerate(PULSE))
+    (tmp_path / "a.csv").write_text(f"t [s],ABP\x1b[31m [mmHg],x\x07y\n{rows}")
+    _, text = record_table(tmp_path / "a.csv")
+    lines = [text, *convert_file(tmp_path / "a.csv", tmp_path / "a.npz")]
+    (tmp_path / "b.csv").write_text(f"\x1b[31mno\n{rows}".replace(",", ";"))
+    with pytest.raises(SourceError) as caught:
+        open_signals(tmp_path / "a.csv").load(("no",))
+    lines.append(str(caught.value))
+    assert all(line.isprintable() for line in lines)
+
+
+def _nothing(path: Path) -> Path:
+    path.write_bytes(b"")
+    return path
+
+
+def test_refusals_name_file_fault_and_remedy_without_internals(tmp_path: Path) -> None:
+    found = {}
+    for suffix in ("csv", "npy", "npz", "hea", "edf", "xdf", "mcap", "parquet", "wav"):
+        found[suffix] = refusal(_nothing(tmp_path / f"a.{suffix}"))
+    assert set(found.values()) == {f"{tmp_path / f'a.{suffix}'}: is empty" for suffix in found}
+    parquet.write_table(pyarrow.table({"a": ["x"]}), tmp_path / "b.parquet")
+    assert refusal(tmp_path / "b.parquet").endswith(": holds no signal of numbers")
+    np.savez(tmp_path / "b.npz")
+    assert refusal(tmp_path / "b.npz").endswith(": holds no signal of numbers")
+    (tmp_path / "b.npy").write_text("hello")
+    assert refusal(tmp_path / "b.npy").endswith("save it by numpy.save or numpy.savez")
+    (tmp_path / "b.hea").write_text("# a comment\n")
+    assert refusal(tmp_path / "b.hea").endswith("header of a WFDB record: it holds no line")
+    np.savez(tmp_path / "c.npz", **{"ABP": PULSE * 1e9, "rate_hz": 250.0})
+    with pytest.raises(OutputError, match=r"ABP reaches 1\.\d+e\+11; scale it below 1e\+07"):
+        list(convert_file(tmp_path / "c.npz", tmp_path / "c.edf"))
+    np.savez(tmp_path / "d.npz", **{"ABP": PULSE * np.nan, "rate_hz": 250.0})
+    with pytest.raises(OutputError, match="all samples of a signal are missing"):
+        list(convert_file(tmp_path / "d.npz", tmp_path / "d.wav"))
+
+
+def test_units_and_names_beyond_ascii_survive_or_are_transliterated(tmp_path: Path) -> None:
+    path = tmp_path / "a.npz"
+    np.savez(path, **{"Kraft é [µN]": PULSE, "脉 [N]": PULSE, "rate_hz": 250.0})
+    for suffix, names in (("hea", ["Kraft é", "脉"]), ("edf", ["Kraft e", "?"])):
+        *_, line = convert_file(path, tmp_path / f"a.{suffix}")
+        assert "µN of Kraft é is written as uN of Kraft é" in line
+        signals = open_signals(tmp_path / f"a.{suffix}").signals
+        assert [(each.name, each.unit) for each in signals] == [(names[0], "uN"), (names[1], "N")]
+    # Headers of others may be in Latin-1.
+    record = wfdb_record(tmp_path, {"ABP": PULSE}).with_suffix(".hea")
+    record.write_bytes(record.read_text().replace("mmHg", "µN").encode("latin-1"))
+    assert open_signals(record).signals[0].unit == "µN"
+    record.write_bytes(record.read_bytes().decode("latin-1").encode("utf-8"))
+    assert open_signals(record).signals[0].unit == "µN"
+
+
+def test_a_wav_of_a_sound_card_is_refused_by_its_rate(tmp_path: Path) -> None:
+    wavfile.write(tmp_path / "a.wav", 192_000, PULSE.astype("f4"))
+    assert "has a rate of 192000 Hz" in refusal(tmp_path / "a.wav")
