@@ -52,6 +52,22 @@ RecordChannelOption = Annotated[
         " pulse by its name or unit.",
     ),
 ]
+RecordRateOption = Annotated[
+    str | None,
+    typer.Option(
+        "--rate",
+        metavar="'500 Hz'",
+        help="Rate of --source where the file states none, such as an .npy.",
+    ),
+]
+RecordPreloadOption = Annotated[
+    str | None,
+    typer.Option(
+        "--preload",
+        metavar="'0.3 N'",
+        help="Force added to that of --source, so that it stays above 0 N.",
+    ),
+]
 AboutOption = Annotated[
     list[str] | None,
     typer.Option(

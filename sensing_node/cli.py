@@ -44,6 +44,8 @@ def sense(
     ] = "tcp://127.0.0.1:5555",
     source: options.SourceOption = None,
     channel: options.RecordChannelOption = None,
+    rate: options.RecordRateOption = None,
+    preload: options.RecordPreloadOption = None,
     seconds: options.StopAfterOption = None,
     json: options.JsonOption = None,
     quiet: options.QuietOption = False,
@@ -103,7 +105,8 @@ def sense(
             elif peer is not None:
                 raise ProtectionError(f"--peer {peer} is the relay's key, and needs --dial-out")
             path = find_scene(scene)
-            section = load_sensing(path, source, channel)
+            record = {"source": None if source is None else str(source), "channel": channel}
+            section = load_sensing(path, record | {"rate": rate, "preload": preload})
             provenance = collect(path, {"sensing": section})
             served = until_the_end.enter_context(options.start_metrics(PROGRAM, metrics))
             announce_node = until_the_end.enter_context(

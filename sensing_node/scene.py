@@ -1,7 +1,7 @@
 """The [sensing] section of a scene, and the source and stream it describes."""
 
 import logging
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
 from typing import Annotated, Literal
@@ -89,19 +89,32 @@ class SensingScene(Section):
         return self.source
 
 
-def load_sensing(
-    path: Path, record: Path | None = None, channel: str | None = None
-) -> SensingScene:
+def load_sensing(path: Path, options: Mapping[str, str | None] = {}) -> SensingScene:
     """Read the [sensing] section of a scene, with a record in place of its source if one is given.
 
-    channel: name or number of the record's signal to play; None chooses. Logs the choice. Raises
-    SceneError or SourceError.
+    Logs the signal that is chosen from the record.
+
+    Parameters
+    ----------
+    options : mapping of str to str or None
+        "source": path of the record. "channel": name or number of its signal to play; without it,
+        one is chosen. "rate", "preload": further keys of the source's table, with their units.
+
+    Raises
+    ------
+    SceneError
+        If the scene or an option cannot be used.
+    SourceError
+        If the record cannot be read.
     """
-    if record is None:
-        if channel is not None:
-            raise SceneError("--channel names a signal of a record; give it by --source")
+    given = {key: text for key, text in options.items() if text is not None}
+    if "source" not in given:
+        for key in given:
+            raise SceneError(f"--{key} is of a record; give the record by --source")
         return load_section(path, "sensing", SensingScene)
-    source, chosen = record_table(record, channel)
+    record = Path(given.pop("source"))
+    source, chosen = record_table(record, given.pop("channel", None))
+    source |= given
     logger.info(chosen)
     sensing = {**load_document(path).get("sensing", {}), "source": source}
     if record.stem.isprintable():

@@ -31,6 +31,8 @@ from protocol.cli_options import (
     LogLevelOption,
     PredictorOption,
     RecordChannelOption,
+    RecordPreloadOption,
+    RecordRateOption,
     SourceOption,
     one_line_errors,
     plain_console,
@@ -69,6 +71,8 @@ def simulate(
     seed: SeedOption = 1,
     source: SourceOption = None,
     channel: RecordChannelOption = None,
+    rate: RecordRateOption = None,
+    preload: RecordPreloadOption = None,
     link: LinkOption = None,
     predictor: PredictorOption = None,
     compensation: CompensationOption = None,
@@ -84,7 +88,8 @@ def simulate(
         configure_logging(log_level)
         check_writable(json)
         choice = {"predictor": predictor, "compensation": compensation}
-        loaded = _load(scene, link, choice, source, channel)
+        record = _record(source, channel, rate, preload)
+        loaded = _load(scene, link, choice, record)
         provenance = scene_provenance(loaded, {"link": seed})
         summary = virtual_time.summarise(loaded, seconds, seed)
     title = f"simulation of {source or loaded.path.stem}, {seconds:g} s"
@@ -97,6 +102,8 @@ def demo(
     seconds: DurationOption = 15.0,
     source: SourceOption = None,
     channel: RecordChannelOption = None,
+    rate: RecordRateOption = None,
+    preload: RecordPreloadOption = None,
     link: LinkOption = None,
     predictor: PredictorOption = None,
     compensation: CompensationOption = None,
@@ -131,25 +138,32 @@ def demo(
         configure_logging(log_level)
         check_writable(json)
         choice = {"predictor": predictor, "compensation": compensation}
-        loaded = _load(scene, link, choice, source, channel)
+        record = _record(source, channel, rate, preload)
+        loaded = _load(scene, link, choice, record)
         provenance = scene_provenance(loaded)
-        record = {"source": None if source is None else str(source), "channel": channel}
         summary = run_demo(loaded, choice, record, seconds, ui, page, console)
     title = f"demo of {source or loaded.path.stem}, {seconds:g} s"
     sum_up(PROGRAM, summary, title, console, json, provenance)
     end_at_faults(PROGRAM, summary.faults)
 
 
+def _record(
+    source: Path | None, channel: str | None, rate: str | None, preload: str | None
+) -> dict[str, str | None]:
+    """Return the options of a record by their names, as a sensing node takes them."""
+    path = None if source is None else str(source)
+    return {"source": path, "channel": channel, "rate": rate, "preload": preload}
+
+
 def _load(
     scene: str,
     link: str | None,
     choice: Mapping[str, str | None],
-    source: Path | None,
-    channel: str | None,
+    record: Mapping[str, str | None],
 ) -> Scene:
     loaded = load_scene(find_scene(scene), choice)
-    if source is not None or channel is not None:
-        loaded = replace(loaded, sensing=load_sensing(loaded.path, source, channel))
+    if _given(record):
+        loaded = replace(loaded, sensing=load_sensing(loaded.path, record))
     return replace(loaded, link=parse_link(link)) if link else loaded
 
 
