@@ -326,6 +326,7 @@ def _description(
         "whole": reader.whole,
         "gaps": reader.gaps(),
         "runs": reader.provenance,
+        "about": reader.about,
         "columns": {
             table.name: {
                 column.name: {"unit": column.unit, "description": column.description}

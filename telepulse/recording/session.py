@@ -83,6 +83,7 @@ class RecordedSession:
     """Frames of one session, as bytes by the number of their first sample.
 
     cut: description of the recording's missing end, or "". provenance: that of each run in it.
+    about: what a person stated about the recording, by key.
     """
 
     number: int
@@ -91,6 +92,7 @@ class RecordedSession:
     samples: int = 0
     cut: str = ""
     provenance: list[dict[str, str]] = field(default_factory=list)
+    about: dict[str, str] = field(default_factory=dict)
 
     def frames(self) -> Iterator[Frame]:
         """Yield the frames in order."""
@@ -117,7 +119,7 @@ def longest_session(path: Path) -> RecordedSession:
     longest = max(sessions.values(), key=lambda session: session.samples, default=None)
     if longest is None or not longest.samples:
         raise SourceError(f"{path}: holds no frame of a stream that is described")
-    longest.provenance = reader.provenance
+    longest.provenance, longest.about = reader.provenance, reader.about
     longest.cut = "" if reader.whole else reader.gaps()[0]
     if len(sessions) > 1:
         logger.info(f"{path}: holds {len(sessions)} sessions; the longest is taken")

@@ -77,6 +77,7 @@ def recording_signals(path: Path) -> tuple[SignalTable, str]:
         [1e3 * each for _, each, _ in forces],
         begin_ns - felt.sensing_minus_unix_ns,
         [*losses, *events, *missing_end, *origin],
+        session.about,
     )
     return table, (
         f"{seconds} s at {rate_hz} Hz, {count_text(len(losses), 'loss', 'losses')}"
