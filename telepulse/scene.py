@@ -33,8 +33,12 @@ class Scene:
     ----------
     path : Path
         File of the scene.
-    sensing, display, link
-        The sections, with the values in SI units: `scene.display.compensation_ns`.
+    sensing : SensingScene
+        What the sensing node does, with values in SI units: `scene.sensing.batch_ns`.
+    display : DisplayScene
+        What the display does: `scene.display.compensation_ns`.
+    link : LinkScene
+        Impairments of the link between them: `scene.link.delay_ns`.
     """
 
     path: Path
