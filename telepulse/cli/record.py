@@ -243,10 +243,10 @@ def convert(
         ),
     ],
 ) -> None:
-    """Convert a file of signals into another format, with names, units, rates and gaps.
+    """Convert a file of signals into another format, with names, units, rates, gaps and texts.
 
     IN is a WFDB record, EDF, BDF, XDF, MCAP, Parquet, CSV, NumPy or WAV. Prints each signal with
-    its missing samples, and what OUT cannot hold.
+    its missing samples. Then reads OUT back, and prints what it lacks or has otherwise.
     """
     from telepulse.recording.conversion import convert_file
 
