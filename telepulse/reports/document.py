@@ -7,7 +7,7 @@ dark, and the browser shows the one of its theme.
 import json
 import re
 import shlex
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -18,6 +18,7 @@ from rich.table import Table as RichTable
 from protocol.errors import OutputError
 from protocol.host.output import write_whole
 from protocol.provenance import Provenance
+from telepulse.reports.notation import typeset
 
 if TYPE_CHECKING:
     from markupsafe import Markup
@@ -32,7 +33,8 @@ LONGEST_NUMBER = 16
 class Table:
     """A table of text; the first column names the row.
 
-    If `summary` is given, a terminal shows it in place of the table, which is too long for it.
+    Numbers are plain (1e-9); `telepulse.reports.notation` sets them for the page. If `summary` is
+    given, a terminal shows it in place of the table, which is too long for it.
     """
 
     title: str
@@ -121,14 +123,85 @@ class Report:
         }
 
 
+# Names of a provenance's entries for people. The actuator and the controller in effect repeat a
+# part of the settings in effect.
+ENTRIES = {
+    "version": "version of telepulse",
+    "build": "build",
+    "commit": "commit",
+    "start_utc": "start (UTC)",
+    "host": "host",
+    "platform": "platform",
+    "python": "Python",
+    "command": "command",
+    "seeds": "random seeds",
+    "scene": "scene as written",
+    "effective": "settings in effect",
+    "actuator": "actuator in effect",
+    "gains": "controller in effect",
+}
+REPEATED = ("actuator", "gains")
+
+
 def provenance_table(title: str, provenance: Mapping[str, Any]) -> Table:
-    """Return a provenance as a table; a terminal shows its main entries only."""
-    texts = {
-        key: value if isinstance(value, str) else json.dumps(value, ensure_ascii=False)
-        for key, value in provenance.items()
-    }
-    head = [texts[key] for key in ("version", "commit", "start_utc", "host") if key in texts]
-    return Table(title, ("", ""), tuple(texts.items()), summary=", ".join(head))
+    """Return a provenance as a table; a terminal shows its main entries only.
+
+    provenance: plain types, or texts of which some hold JSON, as in a recording.
+    """
+    entries = {key: _plain(value) for key, value in provenance.items()}
+    if isinstance(scene := entries.get("scene"), dict):
+        entries["scene"] = {**scene, **scene.get("tables", {})}
+        entries["scene"].pop("tables", None)
+    if "effective" in entries:
+        entries = {key: value for key, value in entries.items() if key not in REPEATED}
+    if start := entries.get("start_utc"):
+        entries["start_utc"] = f"{start[:10]} {start[11:19]}"
+    rows: list[tuple[str, str]] = []
+    for key in sorted(entries, key=[*ENTRIES, *entries].index):
+        name, value = ENTRIES.get(key, key), entries[key]
+        if key == "command" and isinstance(value, list):
+            rows.append((name, f"`{shlex.join(map(str, value))}`"))
+        elif isinstance(value, dict):
+            rows += [(name, ""), *((f"`{inner}`", text) for inner, text in _flattened(value))]
+        else:
+            rows.append((name, _cell(value)))
+    head = [
+        str(entries[key]) for key in ("version", "commit", "start_utc", "host") if key in entries
+    ]
+    return Table(title, ("entry", "value"), rows, summary=", ".join(head))
+
+
+def _plain(value: Any) -> Any:
+    """Return the value of a text that holds JSON of a list or a table; any other as it is."""
+    if isinstance(value, str) and value[:1] in ("[", "{"):
+        try:
+            return json.loads(value)
+        except ValueError:
+            return value
+    return value
+
+
+def _flattened(value: Any, key: str = "") -> Iterator[tuple[str, str]]:
+    """Yield the entries of nested tables, their keys joined by dots as in a scene file."""
+    inner: Sequence[tuple[Any, Any]] = ()
+    if isinstance(value, dict):
+        inner = tuple(value.items())
+    elif isinstance(value, list) and any(isinstance(each, dict) for each in value):
+        inner = tuple(enumerate(value))
+    if not inner:
+        yield key, _cell(value)
+    for name, each in inner:
+        yield from _flattened(each, f"{key}.{name}" if key else str(name))
+
+
+def _cell(value: Any) -> str:
+    if value is None or value in ([], {}):
+        return "–"
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, float):
+        return f"{value:.6g}"
+    return ", ".join(map(str, value)) if isinstance(value, list) else str(value)
 
 
 class Theme(NamedTuple):
@@ -142,7 +215,7 @@ class Theme(NamedTuple):
 
 
 THEMES = (
-    Theme("light", "#ffffff", "#1d2329", "#d5dae0", "#1f5fa8 #d1570b #1f8a5b #8d3fb0 #b8912a"),
+    Theme("light", "#ffffff", "#1d2329", "#d5dae0", "#1f5fa8 #d1570b #1f8a5b #8d3fb0 #9a7200"),
     Theme("dark", "#14181d", "#e4e8ec", "#353d46", "#6fb1ff #ff9d5c #5fd3a0 #cf9bf0 #e8c765"),
 )
 
@@ -187,7 +260,7 @@ def write_report(report: Report, folder: Path) -> Path:
 
     write_json(report, folder / "report.json")
     if report.provenance is not None:
-        made = provenance_table("how this was made", report.provenance.to_dict())
+        made = provenance_table("How this report was made", report.provenance.to_dict())
         last = Chapter("Provenance of this report", tables=(made,), folded=True)
         report = replace(report, chapters=(*report.chapters, last))
     for chapter in report.chapters:
@@ -213,10 +286,14 @@ def write_json(report: Report, path: Path) -> None:
 
 
 def _code(text: str) -> "Markup":
-    """Return a text as HTML, with the words between grave accents as code."""
+    """Return a text as HTML, typeset, with the words between grave accents as code."""
     from markupsafe import Markup, escape
 
-    return Markup(re.sub(r"`([^`]+)`", r"<code>\1</code>", str(escape(text))))
+    # Every second part was between grave accents.
+    parts = re.split(r"`([^`]+)`", text)
+    parts[::2] = [str(escape(typeset(part))) for part in parts[::2]]
+    parts[1::2] = [f"<code>{escape(part)}</code>" for part in parts[1::2]]
+    return Markup("".join(parts))
 
 
 def print_tables(report: Report, console: Console) -> None:
@@ -230,7 +307,8 @@ def print_tables(report: Report, console: Console) -> None:
             least = 1
             for position, column in enumerate(table.columns):
                 longest = max((len(row[position]) for row in table.rows), default=0)
-                words = position == 0 or longest > LONGEST_NUMBER
+                numbers = any(map(str.isdigit, "".join(row[position] for row in table.rows)))
+                words = position == 0 or longest > LONGEST_NUMBER or not numbers
                 # Words may wrap, numbers may not.
                 width = min(longest, LONGEST_NUMBER) if words else longest
                 width = max(width, *map(len, column.split()), 1)
@@ -247,6 +325,7 @@ def _draw(plot: Plot, theme: Theme, path: Path) -> None:
     import matplotlib
     from cycler import cycler
     from matplotlib.figure import Figure
+    from matplotlib.text import Text
 
     style: Any = {
         "figure.facecolor": theme.ground,
@@ -269,4 +348,8 @@ def _draw(plot: Plot, theme: Theme, path: Path) -> None:
     with matplotlib.rc_context(style):
         figure = Figure(figsize=(8.0, 4.5), layout="constrained")
         plot.draw(figure)
+        for text in figure.findobj(Text):
+            # What is between dollar signs is set by matplotlib itself.
+            if isinstance(text, Text) and "$" not in text.get_text():
+                text.set_text(typeset(text.get_text()))
         figure.savefig(path, dpi=144)

@@ -4,10 +4,20 @@ import io
 import re
 from pathlib import Path
 
+import pytest
 from rich.console import Console
 
 from protocol.provenance import Provenance
-from telepulse.reports.document import Chapter, Report, Table, print_tables, write_report
+from telepulse.reports.document import (
+    THEMES,
+    Chapter,
+    Report,
+    Table,
+    Theme,
+    print_tables,
+    provenance_table,
+    write_report,
+)
 
 ROWS = Table("A table", ("what", "how much", "why"), [("`one`", "1 < 2", "")], note="With `code`.")
 MADE = Provenance("1.2.3", "", None, "2026-01-02T03:04:05Z", "", "", "", ["telepulse", "a b"])
@@ -59,3 +69,57 @@ def test_a_terminal_ends_with_the_findings() -> None:
     printed = io.StringIO()
     print_tables(REPORT, Console(file=printed, width=60))
     assert printed.getvalue().splitlines()[-3:] == REPORT.findings
+
+
+def test_numbers_are_typeset_on_the_page_and_plain_in_a_terminal(tmp_path: Path) -> None:
+    table = Table("Errors", ("what", "error"), [("a", "5.5e-16"), ("`1e-9`", "-2 %")])
+    report = Report("", (Chapter("", ("At 1e-9 of 5% it is fine.",), (table,)),))
+    written, printed = page(tmp_path, report), io.StringIO()
+    for words in ("5.5×10⁻¹⁶", "−2\u00a0%", "10⁻⁹ of 5\u00a0%", "<code>1e-9</code>"):
+        assert words in written
+    print_tables(report, Console(file=printed, width=60))
+    assert "5.5e-16" in printed.getvalue()
+    assert report.to_dict()["chapters"][0]["tables"][0]["rows"][0]["error"] == "5.5e-16"
+
+
+def test_a_provenance_is_read_by_people() -> None:
+    scene = {"path": "a.toml", "tables": {"display": {"tick": "1 ms", "contactor": [{"kp": 2}]}}}
+    made = {
+        "version": "1.2.3",
+        "start_utc": "2026-01-02T03:04:05.678+00:00",
+        # As in a recording, where tables are texts.
+        "command": '["telepulse", "a b"]',
+        "scene": scene,
+        "effective": {"display": {"actuator": {"kp": 1.0}, "feed_forward": True, "drive": None}},
+        "actuator": {"kp": 1.0},
+    }
+    rows = dict(provenance_table("made", made).rows)
+    assert rows == {
+        "version of telepulse": "1.2.3",
+        "start (UTC)": "2026-01-02 03:04:05",
+        "command": "`telepulse 'a b'`",
+        "scene as written": "",
+        "`path`": "a.toml",
+        "`display.tick`": "1 ms",
+        "`display.contactor.0.kp`": "2",
+        "settings in effect": "",
+        "`display.actuator.kp`": "1",
+        "`display.feed_forward`": "true",
+        "`display.drive`": "–",
+    }
+
+
+def luminance(colour: str) -> float:
+    """Return the relative luminance of an sRGB colour, as WCAG defines it."""
+    parts = [int(colour[at : at + 2], 16) / 255 for at in (1, 3, 5)]
+    linear = [
+        part / 12.92 if part <= 0.04045 else ((part + 0.055) / 1.055) ** 2.4 for part in parts
+    ]
+    return sum(weight * part for weight, part in zip((0.2126, 0.7152, 0.0722), linear, strict=True))
+
+
+@pytest.mark.parametrize("theme", THEMES, ids=lambda theme: theme.name)
+def test_each_line_of_a_plot_has_a_contrast_of_three(theme: Theme) -> None:
+    for colour in theme.lines.split():
+        dark, light = sorted((luminance(colour), luminance(theme.ground)))
+        assert (light + 0.05) / (dark + 0.05) >= 3, colour
