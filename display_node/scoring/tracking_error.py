@@ -109,11 +109,12 @@ SPAN_NS: Final = 2_000_000_000
 class TrackingError:
     """Accumulator of both errors and of the roughness.
 
-    strain_per_newton: strain of the layer under the finger per force, in 1/N.
+    strain_per_newton: strain of the layer under the finger per force, in 1/N; None while it is
+    unknown, and with it the errors of strain.
     """
 
-    def __init__(self, strain_per_newton: float) -> None:
-        self._strain_per_newton = abs(strain_per_newton)
+    def __init__(self, strain_per_newton: float | None = None) -> None:
+        self.strain_per_newton = strain_per_newton
         # The reference in order of time, and the samples that were added since.
         self._t_ns, self._target_n = np.empty(0, np.int64), np.empty(0)
         self._added_ns: list[int] = []
@@ -173,9 +174,11 @@ class TrackingError:
     @property
     def strain_rmse(self) -> AlignedErrors:
         """RMSE of the strain: that of the force, converted by the local layer."""
-        force, factor = self.force_rmse_n, self._strain_per_newton
+        force, factor = self.force_rmse_n, self.strain_per_newton
+        if factor is None:
+            return AlignedErrors()
         errors = (force.aligned, force.in_phase)
-        return AlignedErrors(*(None if error is None else error * factor for error in errors))
+        return AlignedErrors(*(None if error is None else error * abs(factor) for error in errors))
 
     @property
     def within_jnd(self) -> float | None:

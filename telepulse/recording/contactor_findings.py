@@ -31,9 +31,12 @@ class ContactorFindings:
         self.beats.restart()
 
     def set_playback(self, playing: dict[str, Any]) -> None:
-        """Set channel and scale by the display's status."""
+        """Set channel, scale and strain by the display's status."""
         channel, ratio = int(playing["channel"]), float(playing["force_ratio"])
-        self.forces.alignment.set_playback(channel, ratio)
+        strain = playing.get("strain_per_newton")
+        self.forces.alignment.set_playback(
+            channel, ratio, None if strain is None else float(strain)
+        )
 
     def add_frame(
         self, frame: Frame, description: StreamDescription, last_s: float, last_ns: int

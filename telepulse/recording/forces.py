@@ -101,13 +101,13 @@ class ForceAlignment:
     """Alignment of felt force with the pulse at the wrist, in blocks of ticks.
 
     No block spans two sessions. take_block: receives each complete block. errors: as the display
-    computes them. ratio: target force at the finger per force at the wrist; None before the first
-    status.
+    computes them; those of strain are None until `set_playback` gives the strain per newton. ratio:
+    target force at the finger per force at the wrist; None before the first status.
     """
 
     def __init__(self, take_block: Callable[[AlignedBlock], object]) -> None:
         self._take_block = take_block
-        self.errors = TrackingError(0.0)
+        self.errors = TrackingError()
         self.channel = 0
         self._begin()
 
@@ -122,10 +122,16 @@ class ForceAlignment:
         self.finish()
         self._begin()
 
-    def set_playback(self, channel: int, ratio: float) -> None:
-        """Set channel and ratio by the first status, and score the ticks before it."""
+    def set_playback(
+        self, channel: int, ratio: float, strain_per_newton: float | None = None
+    ) -> None:
+        """Set channel, ratio and strain by the first status, and score the ticks before it.
+
+        strain_per_newton: of the layer under the finger, in 1/N; None where it is not recorded.
+        """
         if self.ratio is not None:
             return
+        self.errors.strain_per_newton = strain_per_newton
         self.channel, self.ratio = channel, ratio
         for t_ns, values in zip(self._t_ns, self._values, strict=True):
             self._add_reference(t_ns, values, ratio)
