@@ -74,9 +74,7 @@ class RecordHeader(NamedTuple):
 
 def read(path: Path) -> SignalFile:
     """Open a record by its header, a file of samples, or its name alone. Raises SourceError."""
-    if path.suffix.lower() not in (".hea", ".dat"):
-        path = path.with_name(f"{path.name}.hea")
-    path = path.with_suffix(".hea")
+    path = _header_of(path)
     header = _read_header(path)
     parts = [(header, 0)] if not header.segments else list(_segments(path, header))
     stored = {signal.name: signal for part, _ in parts for signal in part.signals}
@@ -115,6 +113,12 @@ def read(path: Path) -> SignalFile:
         key, text = (found[1], found[2]) if found else (COMMENTS, line)
         texts[key] = f"{texts[key]}\n{text}" if key in texts else text
     return signal_file(path, signals, values, header.begin_ns, notes, metadata=texts)
+
+
+def _header_of(path: Path) -> Path:
+    """Return the path of a record's header, from that of either file or without a suffix."""
+    whole = path.suffix.lower() in (".hea", ".dat")
+    return path.with_suffix(".hea") if whole else path.with_name(f"{path.name}.hea")
 
 
 def _read_header(path: Path) -> RecordHeader:
@@ -272,7 +276,8 @@ def _decode(data: NDArray[np.uint8], code: str, first: int, count: int, width: i
 
 def write(path: Path, table: SignalTable) -> list[str]:
     """Write a record in format 16: NAME.hea, and NAME.dat beside it."""
-    name, head, data = path.stem, path.with_suffix(".hea"), path.with_suffix(".dat")
+    head = _header_of(path)
+    name, data = head.stem, head.with_suffix(".dat")
     if re.fullmatch(r"[\w-]+", name, re.ASCII) is None:
         raise ValueError(f"a record's name has letters, digits, _ and -, not {name!r}")
     notes: list[str] = []

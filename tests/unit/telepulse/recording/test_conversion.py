@@ -13,8 +13,9 @@ from pyarrow import parquet
 from scipy.io import wavfile
 
 from protocol.errors import OutputError, SourceError
-from sensing_node.files.formats import open_signals
+from sensing_node.files.formats import open_signals, write_signals
 from sensing_node.files.grids import find_gaps
+from sensing_node.files.signals import SignalTable
 from telepulse.recording.conversion import convert_file
 from telepulse.recording.signal_export import export_signals
 from tests.support.recordings import record
@@ -226,5 +227,12 @@ def test_what_cannot_be_converted_is_one_line(source: Path, tmp_path: Path) -> N
     assert refusal(source, "rec.hea").endswith("exists already; name another file")
     assert "mp3 is none of .csv, .npz, .hea, .edf" in refusal(source, "a.mp3")
     assert "a record's name has letters, digits, _ and -" in refusal(source, "a b.hea")
+    # `export` takes a path without a suffix, or with another one.
+    file = open_signals(source)
+    table = SignalTable(file.signals, [each.values for each in file.load((0, 1, 2))])
+    write_signals(tmp_path / "plain", table, ".hea")
+    assert len(open_signals(tmp_path / "plain").signals) == 3
+    with pytest.raises(OutputError, match=r"digits, _ and -, not 'plain\.x'"):
+        write_signals(tmp_path / "plain.x", table, ".hea")
     np.save(tmp_path / "a.npy", SIGNALS["II"])
     assert "states no rate; add a column of times" in refusal(tmp_path / "a.npy", "a.csv")
