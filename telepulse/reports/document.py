@@ -1,7 +1,7 @@
 """Reports: chapters of text, tables and plots, as a folder with a web page, as JSON, as text.
 
-The page needs the extra `report` (matplotlib and Jinja). Every plot is drawn twice, light and
-dark, and the browser shows the one of its theme.
+The page needs the extra `report` (matplotlib and Jinja). Every plot is drawn light and dark,
+wide and narrow, and the browser shows the one of its theme and width.
 """
 
 import json
@@ -9,6 +9,7 @@ import re
 import shlex
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -220,6 +221,26 @@ THEMES = (
 )
 
 
+class FigureSize(NamedTuple):
+    """A size of plots; media: where the page shows it, as a condition of CSS."""
+
+    suffix: str
+    inches: tuple[float, float]
+    media: str
+
+    @property
+    def pixels(self) -> tuple[int, int]:
+        """Width and height of the picture."""
+        width, height = self.inches
+        return round(width * DPI), round(height * DPI)
+
+
+DPI = 144
+# On a phone a picture is 358 px wide; letters of 10 pt then have 10 px in the narrow one.
+NARROW = FigureSize("-narrow", (4.8, 5.0), "(max-width: 40rem)")
+SIZES = (NARROW, FigureSize("", (8.0, 4.5), "(min-width: 0)"))
+
+
 # Markers and dashes, by which lines that overlap can be distinguished.
 STYLES = ("o-", "s--", "^-", "v--", "P-", "x:", "D-", "*-")
 
@@ -265,8 +286,8 @@ def write_report(report: Report, folder: Path) -> Path:
         report = replace(report, chapters=(*report.chapters, last))
     for chapter in report.chapters:
         for plot in chapter.plots:
-            for theme in THEMES:
-                _draw(plot, theme, folder / f"{plot.name}-{theme.name}.png")
+            for theme, size in product(THEMES, SIZES):
+                _draw(plot, theme, size, folder / f"{plot.name}{size.suffix}-{theme.name}.png")
     environment = Environment(
         loader=PackageLoader("telepulse.reports", "."),
         autoescape=True,
@@ -276,7 +297,7 @@ def write_report(report: Report, folder: Path) -> Path:
     )
     environment.filters["code"] = _code
     page = folder / PAGE
-    write_whole(page, environment.get_template("report.html").render(report=report))
+    write_whole(page, environment.get_template("report.html").render(report=report, sizes=SIZES))
     return page
 
 
@@ -321,7 +342,7 @@ def print_tables(report: Report, console: Console) -> None:
         console.print(finding, markup=False, highlight=False)
 
 
-def _draw(plot: Plot, theme: Theme, path: Path) -> None:
+def _draw(plot: Plot, theme: Theme, size: FigureSize, path: Path) -> None:
     import matplotlib
     from cycler import cycler
     from matplotlib.figure import Figure
@@ -346,10 +367,10 @@ def _draw(plot: Plot, theme: Theme, path: Path) -> None:
         "lines.linewidth": 1.8,
     }
     with matplotlib.rc_context(style):
-        figure = Figure(figsize=(8.0, 4.5), layout="constrained")
+        figure = Figure(figsize=size.inches, layout="constrained")
         plot.draw(figure)
         for text in figure.findobj(Text):
             # What is between dollar signs is set by matplotlib itself.
             if isinstance(text, Text) and "$" not in text.get_text():
                 text.set_text(typeset(text.get_text()))
-        figure.savefig(path, dpi=144)
+        figure.savefig(path, dpi=DPI)

@@ -10,6 +10,22 @@ DESKTOP = {"width": 1280, "height": 800}
 
 Page = Any
 
+# Contrast of an element's colour with its ground, by WCAG 2.
+CONTRAST = """(element) => {
+  const light = (colour) => {
+    const [r, g, b] = colour.match(/[\\d.]+/g).map((part) => {
+      const c = part / 255;
+      return c <= 0.04045 ? c / 12.92 : ((c + 0.055) / 1.055) ** 2.4;
+    });
+    return 0.2126 * r + 0.7152 * g + 0.0722 * b;
+  };
+  let at = element;
+  const style = getComputedStyle(at);
+  while (getComputedStyle(at).backgroundColor === "rgba(0, 0, 0, 0)") at = at.parentElement;
+  const two = [light(style.color), light(getComputedStyle(at).backgroundColor)];
+  return (Math.max(...two) + 0.05) / (Math.min(...two) + 0.05);
+}"""
+
 
 class Visit:
     """Visits of pages, each as another reader; wrong: their errors and foreign requests."""
@@ -34,7 +50,8 @@ class Visit:
             context.close()
 
     def _request(self, request: Any) -> None:
-        if urlsplit(request.url).hostname != "127.0.0.1":
+        url = urlsplit(request.url)
+        if url.scheme != "file" and url.hostname != "127.0.0.1":
             self.wrong.append(f"foreign request: {request.url}")
 
     def _console(self, message: Any) -> None:

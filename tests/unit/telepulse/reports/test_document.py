@@ -61,8 +61,8 @@ def test_no_markup_is_left_as_text_and_cells_name_their_columns(tmp_path: Path) 
     written = page(tmp_path)
     body = written[written.index("<body>") :]
     assert "`" not in re.sub(r"&#39;", "", body)
-    assert '<td data-column="how much">1 &lt; 2</td>' in body
-    assert '<td data-column="what"><code>one</code></td>' in body
+    assert '<td data-column="how much" class="short">1 &lt; 2</td>' in body
+    assert '<td data-column="what" class="short"><code>one</code></td>' in body
 
 
 def test_a_terminal_ends_with_the_findings() -> None:

@@ -1,4 +1,4 @@
-"""A browser for the tests of the live page."""
+"""A browser for the tests of pages."""
 
 import shutil
 from collections.abc import Callable, Iterator
