@@ -33,6 +33,7 @@ from tests.support.drawn_beats import (
     noisy,
     prediction_errors_n,
     seconds,
+    true_notch_s,
     true_onset_and_peak_s,
 )
 
@@ -45,7 +46,7 @@ def good(beats: list[Beat]) -> list[Beat]:
 
 
 def drawn_row(name: str, preset: str) -> tuple[str, ...]:
-    """Return beats found, and errors of onset and peak, of a drawn pulse with 1 % of noise."""
+    """Return beats found, and the errors of a drawn pulse with 1 % of noise."""
     pulse = draw(name, preset)
     beats = analysed(frames(noisy(pulse.force_n)))
     onsets_s = np.array([seconds(beat.onset_ns) for beat in beats])
@@ -57,9 +58,14 @@ def drawn_row(name: str, preset: str) -> tuple[str, ...]:
         error_s = seconds(beat.onset_ns) - onset_s
         if abs(error_s) < NEAR_S:
             found += 1
-            errors_ms.append((1e3 * error_s, 1e3 * (seconds(beat.peak_ns) - peak_s)))
-    onset_ms, peak_ms = np.abs(np.array(errors_ms)).T
-    rms = [f"{np.sqrt(np.mean(each**2)):.2f} / {each.max():.2f}" for each in (onset_ms, peak_ms)]
+            notch_s = np.nan if beat.notch_ns is None else seconds(beat.notch_ns)
+            errors_s = error_s, seconds(beat.peak_ns) - peak_s, notch_s - true_notch_s(pulse, at_s)
+            errors_ms.append([1e3 * each for each in errors_s])
+    # A beat without a notch makes the errors of the notch NaN.
+    rms = [
+        f"{np.sqrt(np.mean(each**2)):.2f} / {each.max():.2f}"
+        for each in np.abs(np.array(errors_ms)).T
+    ]
     return (
         f"{name}, {preset}",
         f"{found} of {len(expected)}",
@@ -136,7 +142,7 @@ def main() -> None:
     """Run the benchmark."""
     names = list(itertools.product(("regular", "ectopic", "fibrillation"), ("wide", "paper")))
     drawn = [drawn_row(*each) for each in names]
-    header = ("pulse", "found", "onset, ms", "peak, ms", "good")
+    header = ("pulse", "found", "onset, ms", "peak, ms", "notch, ms", "good")
     show("drawn pulses, 1 % noise: RMS / greatest error", header, drawn)
     libraries = ("pulse", "here", "heartpy", "neurokit2")
     show("peaks of drawn pulses within 60 ms", libraries, [peaks_row(*each) for each in names])

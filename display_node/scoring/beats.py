@@ -140,8 +140,8 @@ class RiseDetector:
 # The peak is searched in this time after the onset, at most in half of the beat.
 PEAK_WITHIN = 80
 # The notch is searched from this time after the peak on; the wave after it has at least this share
-# of the beat's height.
-NOTCH_FROM, NOTCH_WITHIN, NOTCH_SHARE = 10, 100, 0.01
+# of the beat's height. A slow respiratory wave rises by up to 1.5 % of it within RISE.
+NOTCH_FROM, NOTCH_WITHIN, NOTCH_SHARE = 10, 100, 0.02
 _TIMES = attrgetter("times_ns")
 
 

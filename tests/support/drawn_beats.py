@@ -1,5 +1,6 @@
 """Drawn pulses whose beats are known, frames of them, and their analysis."""
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,6 +10,7 @@ from display_node.prediction.ensemble import Ensemble
 from display_node.scoring.beats import Beat, BeatAnalysis
 from protocol.wire.messages import ChannelSamples, channel_samples
 from sensing_node.sources.heart import NOMINAL_BEAT_S
+from sensing_node.sources.synthetic import PRESETS
 from telepulse.reports.studies.prediction_pulses import (
     Beats,
     breathing,
@@ -28,10 +30,11 @@ FOUND_FROM_S = 3.0
 
 @dataclass(frozen=True)
 class Drawn:
-    """A pulse without noise, and the times of its beats."""
+    """A pulse without noise, the times of its beats, and the preset of their waves."""
 
     force_n: Floats
     beats_s: Floats
+    preset: str
 
 
 def rhythm(name: str) -> Beats:
@@ -47,7 +50,7 @@ def draw(name: str = "regular", preset: str = "wide") -> Drawn:
     pulse = drawn(beats, preset, SECONDS, NOMINAL_BEAT_S)
     begin_s = -2 * float(beats.intervals_s[0])
     times_s = begin_s + np.concatenate([[0.0], np.cumsum(beats.intervals_s)[:-1]])
-    return Drawn(0.3 * breathing(pulse) + 0.3, times_s)
+    return Drawn(0.3 * breathing(pulse) + 0.3, times_s, preset)
 
 
 def noisy(force_n: Floats, share: float = 0.01) -> Floats:
@@ -88,6 +91,18 @@ def true_onset_and_peak_s(pulse: Drawn, at_s: float) -> tuple[float, float]:
     foot_n = wave[:steepest].min()
     onset = steepest - (wave[steepest] - foot_n) / slopes[steepest]
     return (first + onset) / RATE_HZ, (first + peak) / RATE_HZ
+
+
+def true_notch_s(pulse: Drawn, at_s: float) -> float:
+    """Return the dicrotic notch of the beat that begins at `at_s`, from samples.
+
+    It is the least value between the centres of the tidal and the dicrotic wave as they were drawn.
+    """
+    following_s = float(pulse.beats_s[pulse.beats_s.searchsorted(at_s) + 1])
+    stretch = math.sqrt(min(following_s - at_s, NOMINAL_BEAT_S) / NOMINAL_BEAT_S)
+    _, tidal, dicrotic = PRESETS[pulse.preset]
+    first, last = (round((at_s + stretch * w.centre_s) * RATE_HZ) for w in (tidal, dicrotic))
+    return (first + int(pulse.force_n[first:last].argmin())) / RATE_HZ
 
 
 MOVED_FROM_S, MOVED_S = 15.0, 4.0

@@ -9,7 +9,7 @@ import pytest
 
 from display_node.scoring.beat_quality import GOOD
 from display_node.scoring.beats import find_beats
-from telepulse.reports.studies.prediction_pulses import NOMINAL_BEAT_S, recorded_pulses
+from telepulse.reports.studies.prediction_pulses import recorded_pulses
 from tests.support.drawn_beats import (
     BEGIN_NS,
     FOUND_FROM_S,
@@ -21,13 +21,14 @@ from tests.support.drawn_beats import (
     moved,
     noisy,
     seconds,
+    true_notch_s,
     true_onset_and_peak_s,
 )
 
 
 @pytest.mark.parametrize("preset", ["wide", "paper"])
 @pytest.mark.parametrize("name", ["regular", "ectopic", "fibrillation"])
-def test_each_beat_is_found_with_its_onset_and_peak(name: str, preset: str) -> None:
+def test_each_beat_is_found_with_its_onset_peak_and_notch(name: str, preset: str) -> None:
     pulse = draw(name, preset)
     beats = analysed(frames(noisy(pulse.force_n)))
     expected = [at_s for at_s in pulse.beats_s if FOUND_FROM_S < at_s < SECONDS - 3.0]
@@ -37,6 +38,9 @@ def test_each_beat_is_found_with_its_onset_and_peak(name: str, preset: str) -> N
         beat = beats[int(np.abs(onsets_s - onset_s).argmin())]
         assert seconds(beat.onset_ns) == pytest.approx(onset_s, abs=5e-3)
         assert seconds(beat.peak_ns) == pytest.approx(peak_s, abs=5e-3)
+        # The greatest error of these pulses is 2.7 ms; a respiratory wave is no dicrotic one.
+        assert beat.notch_ns is not None
+        assert seconds(beat.notch_ns) == pytest.approx(true_notch_s(pulse, at_s), abs=4e-3)
     # No second wave is taken for a beat.
     assert sum(onsets_s > min(expected)) <= len(expected) + 3
     # Early, weak or short beats of sharp waves are less similar to the others.
@@ -53,9 +57,6 @@ def test_figures_of_a_beat_are_those_of_its_shape() -> None:
         assert beat.foot_n == pytest.approx(pulse.force_n[first - 60 : last].min(), abs=1e-2)
         assert beat.foot_n + beat.height_n == pytest.approx(pulse.force_n[last], abs=5e-3)
         assert 0.03 < beat.upstroke_s < 0.15
-        assert beat.notch_ns is not None
-        # The dicrotic wave is at 0.45 s of a beat of 0.8 s, the tidal one at 0.28 s.
-        assert 0.28 < (beat.notch_ns - beat.onset_ns) * 1e-9 / NOMINAL_BEAT_S**0.5 < 0.46
 
 
 def test_an_array_has_the_beats_of_its_frames_and_begins_anew_after_a_gap() -> None:
