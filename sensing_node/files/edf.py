@@ -6,8 +6,6 @@ edfio, with the lowest code as a missing value; read here, since edfio leaves ou
 
 import math
 import re
-import unicodedata
-from collections.abc import Mapping
 from datetime import datetime
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -16,25 +14,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from protocol.errors import SourceError
+from sensing_node.files.edf_texts import WRITER, ascii_text, identifications, read_texts
 from sensing_node.files.grids import on_grid
 from sensing_node.files.signals import (
+    ColumnKey,
     FileMark,
     Floats,
     SignalFile,
     SignalInfo,
     SignalTable,
-    plain_micro,
     signal_file,
     unix_ns,
     utc,
 )
 
-WRITER, UTC_TIMES = "telepulse", "times_are_UTC"
-# Names of the first parts of the header's two fields in EDF+, as texts of a file.
-PATIENT = ("subject", "sex", "birthdate", "name")
-RECORDING = ("investigation", "technician", "equipment")
-# Characters of a part, so that those of the patient fit into their field of 80.
-LONGEST_PART = 30
 # Limit of values, so that each fits the 8 characters of the header.
 LARGEST = 1e7
 HEADER_BYTES = 256
@@ -89,7 +82,16 @@ def read(path: Path) -> SignalFile:
         onsets_s, marks, first_s = _annotations(columns, even_s)
         # The header has whole seconds, and the first record the rest.
         begin_ns = None if begin_ns is None else begin_ns + round(first_s * 1e9)
-    plain = [n for n in range(len(layout.labels)) if n not in annotations]
+    left_out: dict[ColumnKey, str] = {
+        layout.labels[n]: f"has the range {layout.physical[n]} for the codes {layout.digital[n]}"
+        for n in range(len(layout.labels))
+        if n not in annotations and not _has_range(layout.physical[n], layout.digital[n])
+    }
+    plain = [
+        n
+        for n in range(len(layout.labels))
+        if n not in annotations and _has_range(layout.physical[n], layout.digital[n])
+    ]
     if plain and not layout.record_s > 0:
         raise SourceError(f"{path}: its records last {layout.record_s:g} s")
     rates = [layout.per_record[n] / layout.record_s for n in plain]
@@ -111,7 +113,13 @@ def read(path: Path) -> SignalFile:
         t_s: Floats = (onsets_s[:, np.newaxis] + within_s).ravel()
         return on_grid(t_s, scaled.ravel(), rate_hz, path)
 
-    return signal_file(path, signals, values, begin_ns, notes, marks, layout.metadata)
+    return signal_file(path, signals, values, begin_ns, notes, marks, layout.metadata, left_out)
+
+
+def _has_range(physical: tuple[float, float], digital: tuple[int, int]) -> bool:
+    """Return whether a signal's codes stand for values: real recorders have others, too."""
+    differ = physical[0] != physical[1] and digital[0] < digital[1]
+    return differ and bool(np.all(np.isfinite(physical)))
 
 
 def _read_header(data: NDArray[np.uint8], path: Path) -> tuple[EdfLayout, int]:
@@ -135,10 +143,6 @@ def _read_header(data: NDArray[np.uint8], path: Path) -> tuple[EdfLayout, int]:
     labels, _, units, low, high, least, most, _, per_record, _ = fields
     physical = [(float(a), float(b)) for a, b in zip(low, high, strict=True)]
     digital = [(int(a), int(b)) for a, b in zip(least, most, strict=True)]
-    for label, real, codes in zip(labels, physical, digital, strict=True):
-        equal = codes[0] >= codes[1] or real[0] == real[1] or not np.all(np.isfinite(real))
-        if equal and not label.endswith(" Annotations"):
-            raise ValueError(f"signal {label!r} has the range {real} for {codes}")
     counts = [int(each) for each in per_record]
     if min(counts) < 0:
         raise ValueError(f"a record of {min(counts)} samples")
@@ -155,7 +159,7 @@ def _read_header(data: NDArray[np.uint8], path: Path) -> tuple[EdfLayout, int]:
         _begin_ns(text),
         plus,
         WRITER in recording.split(),
-        _texts(patient, recording),
+        read_texts(patient, recording),
     )
     return layout, int(text[236:244])
 
@@ -171,28 +175,6 @@ def _begin_ns(text: str) -> int | None:
     # Two digits of a year: 85 to 99 are those of 1985 to 1999.
     year = at.year % 100 + (1900 if at.year % 100 >= 85 else 2000)
     return unix_ns(at.replace(year=year))
-
-
-def _texts(patient: str, recording: str) -> dict[str, str]:
-    """Return the texts of the header's two fields, by the names of their parts as in EDF+."""
-    if not recording.startswith("Startdate "):
-        return {"patient": patient, "recording": recording}
-    _, _, *parts = recording.split()
-    texts, rest = dict[str, str](), list[str]()
-    for names, values in ((PATIENT, patient.split()), (RECORDING, parts)):
-        texts |= dict(zip(names, values, strict=False))
-        rest += values[len(names) :]
-    for each in rest:
-        key, equals, value = each.partition("=")
-        if equals:
-            texts[key] = value
-        elif each not in (WRITER, UTC_TIMES):
-            texts["recording"] = f"{texts.get('recording', '')} {each}".strip()
-    return {
-        key.replace("_", " "): value.replace("_", " ")
-        for key, value in texts.items()
-        if value not in ("X", WRITER)
-    }
 
 
 def _decode(table: NDArray[np.uint8], wide: bool) -> Floats:
@@ -252,7 +234,7 @@ def write(path: Path, table: SignalTable) -> list[str]:
     if any(len(each) < seconds * rate for each, rate in zip(values, rates, strict=True)):
         notes.append(f"missing samples fill up whole seconds, {seconds} s")
     begin = None if table.begin_ns is None else utc(table.begin_ns)
-    patient, recording = _identifications(edfio, table.metadata, begin)
+    patient, recording = identifications(edfio, table.metadata, begin)
     marks = [edfio.EdfAnnotation(mark.at_s, mark.length_s, mark.text) for mark in table.marks]
     (edfio.Bdf if wide else edfio.Edf)(
         signals,
@@ -269,63 +251,6 @@ def write(path: Path, table: SignalTable) -> list[str]:
     return [*notes, f"{bits} bits; quantisation steps: {steps}"]
 
 
-def _identifications(
-    edfio: Any, texts: Mapping[str, str], begin: datetime | None
-) -> tuple[Any, Any]:
-    """Return the header's two fields with as many of the texts as they hold."""
-    named = {_word(key): _word(text) for key, text in texts.items() if text}
-    parts = [named.pop(key, "X")[:LONGEST_PART] for key in (*PATIENT, *RECORDING)]
-    code, sex, born, name, investigation, technician, equipment = parts
-    # These have no other form than their own.
-    named |= {"sex": sex} if sex not in ("F", "M", "X") else {}
-    birthdate = None
-    try:
-        birthdate = datetime.strptime(born, "%d-%b-%Y").date()
-    except ValueError:
-        named |= {"birthdate": born} if born != "X" else {}
-    fixed = {
-        "code": code,
-        "sex": sex if sex in ("F", "M") else "X",
-        "birthdate": birthdate,
-        "name": name,
-    }
-    about = {
-        "startdate": begin and begin.date(),
-        "hospital_administration_code": investigation,
-        "investigator_technician_code": technician,
-        "equipment_code": WRITER if equipment == "X" else equipment,
-    }
-    further = [f"{key}={text}" for key, text in named.items()]
-    patient = _filled(edfio.Patient, fixed, [], further)
-    ours = [UTC_TIMES] if equipment == "X" else [WRITER, UTC_TIMES]
-    return patient, _filled(edfio.Recording, about, ours, further)
-
-
-def _filled(field: Any, parts: dict[str, Any], always: list[str], further: list[str]) -> Any:
-    """Return a field of the header; take from `further` what it has space for."""
-    whole = field(**parts, additional=always)
-    for each in list(further):
-        try:
-            whole = field(**parts, additional=[*always, each])
-        except ValueError:
-            continue
-        always.append(each)
-        further.remove(each)
-    return whole
-
-
-def _word(text: str) -> str:
-    """Return a text in ASCII, with _ in place of spaces."""
-    return "_".join(_ascii(text).split())
-
-
-def _ascii(text: str) -> str:
-    """Return a text in ASCII: letters without their marks, u for micro, ? for the others."""
-    plain = unicodedata.normalize("NFKD", plain_micro(text))
-    kept = "".join(each for each in plain if not unicodedata.combining(each))
-    return kept.encode("ascii", "replace").decode()
-
-
 def _signal(
     edfio: Any, name: str, unit: str, values: Floats, rate_hz: int, seconds: int, bits: int
 ) -> Any:
@@ -340,8 +265,8 @@ def _signal(
     return (edfio.BdfSignal if bits == 24 else edfio.EdfSignal)(
         np.where(np.isnan(whole), low, whole),
         rate_hz,
-        label=_ascii(name)[:LABEL],
-        physical_dimension=_ascii(unit)[:UNIT],
+        label=ascii_text(name)[:LABEL],
+        physical_dimension=ascii_text(unit)[:UNIT],
         physical_range=(low, high),
         digital_range=(-(1 << (bits - 1)), (1 << (bits - 1)) - 1),
     )

@@ -105,6 +105,21 @@ def test_a_slow_signal_of_an_edf_is_left_out_unless_it_is_asked_for(tmp_path: Pa
     assert refusal(path) == f"{path}: {text}"
 
 
+def test_a_signal_without_a_range_is_left_out_of_an_edf(tmp_path: Path) -> None:
+    path = tmp_path / "a.edf"
+    signals = [edfio.EdfSignal(PULSE, 250, label=label, physical_range=(0, 200))
+               for label in ("ABP", "Status")]  # fmt: skip
+    edfio.Edf(signals).write(path)
+    data = path.read_bytes()
+    # The second signal's greatest value becomes its least one.
+    at = 256 + 2 * (16 + 80 + 8 + 8) + 8
+    assert data[at : at + 8] == b"200     "
+    path.write_bytes(data[:at] + b"0       " + data[at + 8 :])
+    file = open_signals(path)
+    assert [signal.name for signal in file.signals] == ["ABP"]
+    assert file.notes[0].startswith("left out: signal 'Status' has the range (0.0, 0.0) for")
+
+
 @pytest.mark.parametrize("suffix", ["hea", "edf", "bdf", "xdf", "parquet", "csv", "npz", "wav"])
 @pytest.mark.parametrize("source", ["npz", "csv", "parquet"])
 def test_values_that_are_not_finite_are_missing_samples(
