@@ -10,7 +10,12 @@ import pytest
 from protocol.config.scene_file import find_scene
 from telepulse.netem import PacketFilter, emulate
 from telepulse.simulation.link_scene import parse_link
-from tests.support.felt_force import PATIENCE_S, assert_back_within_a_second, assert_limits_kept
+from tests.support.felt_force import (
+    BACK_WITHIN_S,
+    PATIENCE_S,
+    assert_back_within_a_second,
+    assert_limits_kept,
+)
 from tests.support.node_rig import PORT, node_rig, unaccounted
 from tests.support.tcp import needs_emulator, retransmissions
 from tests.support.waiting import until
@@ -36,12 +41,19 @@ CASES: dict[str, list[str | tuple[float, float]]] = {
 }
 
 
-@pytest.mark.parametrize("case", CASES)
+@pytest.mark.parametrize(
+    ("scene", "case"),
+    [
+        *(("radial", case) for case in CASES),
+        *(("three_fingers", case) for case in ("a long cut", "restarted in a cut")),
+        ("announce", "a long cut"),
+    ],
+)
 def test_after_a_cut_the_pulse_is_felt_again_and_every_sample_is_accounted_for(
-    case: str, tmp_path: Path
+    scene: str, case: str, tmp_path: Path
 ) -> None:
     rng = random.Random(3)
-    with emulate(WHOLE) as link, node_rig(tmp_path, link) as rig:
+    with emulate(WHOLE) as link, node_rig(tmp_path, link, scene) as rig:
         sensing, display, felt = rig.play()
 
         def restart() -> None:
@@ -69,7 +81,9 @@ def test_after_a_cut_the_pulse_is_felt_again_and_every_sample_is_accounted_for(
                     time.sleep(rng.uniform(*turn))
             return time.perf_counter_ns()
 
-        assert_back_within_a_second(felt, cut)
+        # Three contactors cost twice as much: on a busy host, they take longer to catch up.
+        several = scene == "three_fingers"
+        assert_back_within_a_second(felt, cut, 1.5 if several else BACK_WITHIN_S)
         # A whole beat.
         rig.await_played(felt, 1_000)
         sent, summary = sensing.end(), display.summary()

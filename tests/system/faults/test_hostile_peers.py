@@ -31,12 +31,20 @@ TOPIC_BYTES = (10, 200, 900)
 GROWN_BYTES = 40_000_000
 
 
-@pytest.mark.parametrize(("garbage", "grown_bytes"), [(True, 60_000_000), (False, GROWN_BYTES)])
+@pytest.mark.parametrize(
+    ("scene", "garbage", "grown_bytes"),
+    [
+        ("radial", True, 60_000_000),
+        ("radial", False, GROWN_BYTES),
+        ("three_fingers", True, 60_000_000),
+        ("announce", True, 60_000_000),
+    ],
+)
 def test_hostile_peers_on_every_port_cost_the_nodes_little_and_the_pulse_nothing(
-    garbage: bool, grown_bytes: int, tmp_path: Path
+    scene: str, garbage: bool, grown_bytes: int, tmp_path: Path
 ) -> None:
     rng = random.Random(5)
-    with node_rig(tmp_path) as rig:
+    with node_rig(tmp_path, scene=scene) as rig:
         (rig.telemetry_address,) = free_addresses(1)
         sensing, display, felt = rig.play()
         (data,) = rig.connect
@@ -62,8 +70,9 @@ def test_hostile_peers_on_every_port_cost_the_nodes_little_and_the_pulse_nothing
     assert_limits_kept(felt)
 
 
-def test_a_flood_of_frames_is_counted_and_cut_off(tmp_path: Path) -> None:
-    with node_rig(tmp_path) as rig:
+@pytest.mark.parametrize("scene", ["radial", "three_fingers"])
+def test_a_flood_of_frames_is_counted_and_cut_off(scene: str, tmp_path: Path) -> None:
+    with node_rig(tmp_path, scene=scene) as rig:
         felt, display = rig.felt(), rig.display()
         sensing = rig.sense("flood=data")
         until(lambda: felt.status and felt.status.summary["rejected"].get("flood"))

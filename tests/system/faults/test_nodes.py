@@ -7,6 +7,8 @@ from dataclasses import asdict
 from pathlib import Path
 from subprocess import PIPE
 
+import pytest
+
 from protocol.config.scene_file import find_scene
 from protocol.host.child_process import ChildProcess
 from tests.support.felt_force import PATIENCE_S, assert_back_within_a_second, assert_limits_kept
@@ -26,13 +28,15 @@ QUEUED_BYTES = 500_000
 GROWN_BYTES = 20_000_000
 # In one process and without actuators: twenty real-time loops would take all cores.
 LISTENERS = 18
+SCENES = ("radial", "three_fingers", "announce")
 
 
+@pytest.mark.parametrize("scene", SCENES)
 def test_a_killed_sensing_node_is_felt_again_and_its_sessions_are_accounted_for(
-    tmp_path: Path,
+    scene: str, tmp_path: Path
 ) -> None:
     rng, killed = random.Random(1), 0
-    with node_rig(tmp_path) as rig, sequence_monitor(rig.connect[0]) as sessions:
+    with node_rig(tmp_path, scene=scene) as rig, sequence_monitor(rig.connect[0]) as sessions:
         sensing, display, felt = rig.play()
 
         def kill() -> int:
@@ -60,9 +64,12 @@ def test_a_killed_sensing_node_is_felt_again_and_its_sessions_are_accounted_for(
     assert_limits_kept(felt)
 
 
-def test_a_restarted_display_feels_the_stream_that_continued_meanwhile(tmp_path: Path) -> None:
+@pytest.mark.parametrize("scene", SCENES)
+def test_a_restarted_display_feels_the_stream_that_continued_meanwhile(
+    scene: str, tmp_path: Path
+) -> None:
     rng = random.Random(2)
-    with node_rig(tmp_path) as rig:
+    with node_rig(tmp_path, scene=scene) as rig:
         sensing, display, felt = rig.play()
 
         def kill() -> int:
@@ -84,10 +91,11 @@ def test_a_restarted_display_feels_the_stream_that_continued_meanwhile(tmp_path:
     assert_limits_kept(felt)
 
 
+@pytest.mark.parametrize("scene", SCENES)
 def test_a_stopped_display_resumes_at_the_present_and_another_loses_nothing(
-    tmp_path: Path,
+    scene: str, tmp_path: Path
 ) -> None:
-    with node_rig(tmp_path) as rig:
+    with node_rig(tmp_path, scene=scene) as rig:
         sensing, display, felt = rig.play()
         other = rig.display("other")
 

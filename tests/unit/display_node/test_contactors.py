@@ -9,7 +9,7 @@ from display_node.scene import DisplayScene
 from protocol.config.scene import validate
 from protocol.errors import SceneError
 from protocol.run_summary import contactors_of
-from protocol.wire.messages import Frame, encode_frame
+from protocol.wire.messages import Bye, Frame, encode_control, encode_frame
 from protocol.wire.stream import Channel
 from tests.support.sender import AHEAD_NS, MS, Sender, display_scene
 from tests.support.streams import description
@@ -101,6 +101,102 @@ def test_a_fault_of_one_contactor_brings_all_to_rest(monkeypatch: pytest.MonkeyP
     assert under_test.state == "fault"
     assert all(state.target_n == 0.0 for state in under_test.states)
     assert max(state.felt_n for state in under_test.states) < 5e-3
+
+
+def hostile_frame(sender: Sender, kind: str, first: list[list[float]], ms: int) -> bytes:
+    """Return a frame of a peer of which the second channel is hostile, and the others are not."""
+    values = np.array(first, "<f4")
+    match kind:
+        case "nan":
+            values[:, 1] = np.nan
+        case "jumps":
+            values[:, 1] = 1e6 * (ms // 50 % 2)
+        case "no pulse":
+            values[:, 1] = 0.0
+        case "wrong count":
+            values = values[:, :2]
+    taken_ns = (ms - ONE_WAY_MS - 4) * MS + AHEAD_NS
+    return encode_frame(Frame(sender.session, sender.sent, taken_ns, MS, values))
+
+
+@pytest.mark.parametrize(
+    ("kind", "refused", "state"),
+    [
+        ("nan", "not_finite", "stale"),
+        ("wrong count", "mismatch", "stale"),
+        ("jumps", None, "playing"),
+        ("no pulse", None, "playing"),
+    ],
+)
+def test_a_hostile_second_channel_passes_no_limit_of_any_contactor(
+    kind: str, refused: str | None, state: str
+) -> None:
+    under_test, sender = Display(scene(), "test"), Sender(stream=STREAM)
+    play(under_test, sender, 0, 1500)
+    limits, targets_n = under_test.contactors[1].scene.safety, list[list[float]]()
+    for ms in range(1500, 3000):
+        under_test.tick(ms * MS)
+        targets_n.append([each.target_n for each in under_test.states])
+        sender.serve(under_test, ms * MS)
+        if ms % 5 == 0:
+            genuine = [pulse_n(sender.sent + number) for number in range(5)]
+            under_test.on_frame(hostile_frame(sender, kind, genuine, ms), ms * MS)
+            sender.sent += 5
+    forces_n = np.array(targets_n)
+    assert forces_n.max() <= limits.force_limit_n
+    assert np.abs(np.diff(forces_n, axis=0)).max() <= limits.slew_limit_n_per_s * 1e-3 + 1e-9
+    assert under_test.state == state
+    assert under_test.safety.faults == []
+    counts = under_test.receiver.account()
+    assert counts.sent == counts.played + counts.predicted + counts.late + counts.lost
+    if refused is None:
+        # The other channels are played as they came.
+        instant_ns = under_test.states[0].instant_ns
+        genuine = pulse_n((instant_ns - AHEAD_NS) / MS + 4)
+        assert forces_n[-1, [0, 2]] == pytest.approx([genuine[0], genuine[2]], abs=2e-3)
+    else:
+        # A frame is refused as a whole, and all contactors come to rest at once.
+        assert under_test.receiver.rejected[refused] == 300
+        assert not forces_n[-1].any()
+
+
+@pytest.mark.parametrize(
+    ("channels", "refused"),
+    [
+        (("cun", "chi"), "channel"),
+        (("guan", "chi", "cun"), None),
+        (("cun", "guan", "chi", "further"), None),
+    ],
+)
+def test_a_description_that_changes_between_sessions_is_followed_by_name_or_refused(
+    channels: tuple[str, ...], refused: str | None
+) -> None:
+    under_test, sender = Display(scene(), "test"), Sender(stream=STREAM)
+    play(under_test, sender, 0, 1500)
+    under_test.on_control(encode_control(Bye(sender.session, sender.sent)), 1500 * MS)
+    changed = description(channels=tuple(Channel(name) for name in channels))
+    other, targets_n = Sender(session=9, stream=changed), list[list[float]]()
+    places = dict(zip(NAMES, range(3), strict=True))
+    for ms in range(1500, 5000):
+        under_test.tick(ms * MS)
+        targets_n.append([each.target_n for each in under_test.states])
+        other.serve(under_test, ms * MS)
+        if ms % 5 == 0 and ms >= 1600:
+            pulses_n = [[*pulse_n(other.sent + number), 9.0] for number in range(5)]
+            values = [[row[places.get(name, 3)] for name in channels] for row in pulses_n]
+            taken_ns = (ms - ONE_WAY_MS - 4) * MS + AHEAD_NS
+            frame = Frame(9, other.sent, taken_ns, MS, np.array(values, "<f4"))
+            under_test.on_frame(encode_frame(frame), ms * MS)
+            other.sent += 5
+    assert under_test.safety.faults == []
+    if refused is None:
+        sample = (under_test.states[0].instant_ns - AHEAD_NS) / MS + 4 - 1600 + ONE_WAY_MS
+        assert targets_n[-1] == pytest.approx(pulse_n(sample), abs=2e-3)
+        assert under_test.state == "playing"
+    else:
+        assert under_test.receiver.rejected[refused] > 0
+        assert targets_n[-1] == [0.0] * 3
+        assert under_test.state != "playing"
 
 
 def test_e_is_the_largest_that_a_contactor_requires() -> None:
