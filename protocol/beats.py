@@ -54,12 +54,14 @@ class BeatFigures:
     rate_per_min: float | None = figure(
         "Heart rate: 60 s over the median interval from onset to onset",
         unit=PER_MINUTE,
+        title="heart rate",
         metric="beat_rate_hertz",
     )
     variability_ms: float | None = figure(
         "Standard deviation of the intervals",
         "varying by {}",
         WHOLE_MILLISECONDS,
+        title="deviation of the intervals",
         metric="beat_interval_deviation_seconds",
     )
     height_n: float | None = figure(

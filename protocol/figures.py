@@ -66,6 +66,7 @@ class Figure:
     text: str = "{}"  # template in a row; "{}" is the value
     unit: Unit | None = None  # None takes the table's; without one it is a count
     row: str = ""  # name of the row; empty takes the table's
+    title: str = ""  # name beside its row, if the value is within the words of the text
     separator: str = ", "  # text before this figure, unless it is the first of its row
     noun: tuple[str, ...] = ()  # singular and plural of the noun after a count
     show_zero: bool = True  # a value of 0 is shown
@@ -95,7 +96,7 @@ class Figure:
     @property
     def name(self) -> str:
         """Name outside its row: row and text, or the row alone if it is one phrase."""
-        words = self.text.replace("{}", self.noun[-1] if self.noun else "").strip()
+        words = self.title or self.text.replace("{}", self.noun[-1] if self.noun else "").strip()
         return f"{self.row}, {words}" if words and self.phrase is None else self.row
 
     def value(self, summary: Mapping[str, Any]) -> Any:
@@ -239,9 +240,17 @@ class Registry:
         return list(rows.values())
 
     def cells(self, summary: Mapping[str, Any], surface: Surface) -> dict[str, str]:
-        """Return the text of each figure of a surface by its name; empty without a value."""
-        parts = (part for row in self.rows(summary, surface) for part in row.parts)
-        found = {part.figure.name: f"{part.value}{part.detail}" for part in parts}
+        """Return the text of each figure of a surface by its name; empty without a value.
+
+        A count has no noun, since the name has it.
+        """
+        parts = [part for row in self.rows(summary, surface) for part in row.parts]
+        found = {
+            part.figure.name: str(part.figure.value(summary))
+            if part.figure.noun
+            else f"{part.value}{part.detail}"
+            for part in parts
+        }
         return {each.name: found.get(each.name, "") for each in self.on(surface)}
 
 

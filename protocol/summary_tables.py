@@ -130,6 +130,7 @@ class Compensation:
         " later",
         "on average {} ahead",
         MILLISECONDS._replace(form=".1f"),
+        title="mean time ahead",
         metric="prediction_horizon_mean_seconds",
         row="concealed",
     )
@@ -146,6 +147,7 @@ class Compensation:
         "RMS difference of the predicted force that was felt from the sample that came later",
         "off by {} RMS",
         NEWTONS,
+        title="RMS error",
         metric="prediction_error_newtons",
         row="prediction",
     )
@@ -153,6 +155,7 @@ class Compensation:
         "The same over the pulse's height from foot to peak",
         "{} of the pulse's height",
         SHARE,
+        title="RMS error over the pulse's height",
         metric="prediction_error_ratio",
         row="prediction",
     )
@@ -167,6 +170,7 @@ class Compensation:
         "The same per minute of the time played",
         "{} per minute",
         RATIO._replace(form=".1f"),
+        title="corrections felt per minute",
         metric="felt_corrections_per_minute",
         row="prediction",
         show_zero=False,
@@ -300,6 +304,7 @@ class Deadlines:
         "Share of the ticks that were missed",
         "{} of the ticks missed",
         SHARE._replace(form=".2f"),
+        title="ticks missed",
         metric="deadline_missed_ratio",
     )
     gap_ms: float | None = figure(

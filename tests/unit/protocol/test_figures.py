@@ -128,6 +128,19 @@ def test_a_new_figure_is_one_field() -> None:
     assert {"clock_drift", "heat_kelvins"} <= {each.metric for each in registry.figures}
 
 
+def test_a_figure_beside_its_row_has_a_name_without_a_hole_and_a_count_without_a_noun() -> None:
+    summary = full_summary().to_dict()
+    cells = REGISTRY.cells(summary, Surface.REPORT)
+    assert "concealed, mean time ahead" in cells
+    assert "prediction, RMS error" in cells
+    for each in REGISTRY.on(Surface.REPORT):
+        assert "  " not in each.name, each.key
+        before, hole, after = each.text.partition("{}")
+        assert each.title or not (before and hole and after), each.key
+    assert cells["loop, ticks"] == str(summary["loop"]["ticks"])
+    assert cells["prediction, corrections felt"] == str(summary["compensation"]["corrections"])
+
+
 def test_a_field_without_a_figure_is_refused() -> None:
     @dataclass(frozen=True, slots=True)
     class Bare(Summary):
