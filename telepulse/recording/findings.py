@@ -3,7 +3,7 @@
 from collections import defaultdict
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from pydantic import TypeAdapter
@@ -28,6 +28,15 @@ COUNTS, COUNT_WIDTH_S = ("late", "lost", "misses"), 1.0
 _SUMMARY = TypeAdapter(Summary)
 
 
+class RecordedEvent(NamedTuple):
+    """An event: time in s since the recording's start, level as telemetry has it, name, text."""
+
+    t_s: float
+    level: int
+    name: str
+    text: str
+
+
 class RunFindings:
     """Findings about a recording, complete after `finish`.
 
@@ -43,8 +52,8 @@ class RunFindings:
         Values over the time of the recording, in the units of their names.
     contactors : list of ContactorFindings
         Forces and beats of each contactor, in the order in which the display named them.
-    events : list
-        Time in s, level, name and text of the first events; `more_events` counts the others.
+    events : list of RecordedEvent
+        The first events, in the order of their times; `more_events` counts the others.
     """
 
     def __init__(self) -> None:
@@ -61,7 +70,7 @@ class RunFindings:
         self.contactors = [ContactorFindings()]
         # Those of the display's last status, in its order.
         self._playing = self.contactors[:]
-        self.events: list[tuple[float, int, str, str]] = []
+        self.events: list[RecordedEvent] = []
         self.playout_ms = Histogram(0.5, 8_000)
         self._entries = PassiveReceiver()
         self._receiver = self._entries.receiver
@@ -120,6 +129,8 @@ class RunFindings:
 
     def finish(self) -> None:
         """End the recording."""
+        # An event may be recorded after those that followed it.
+        self.events.sort(key=lambda event: event.t_s)
         for contactor in self.contactors:
             contactor.forces.alignment.finish()
         for name in list(self._batch):
@@ -213,7 +224,9 @@ class RunFindings:
     def _event(self, t_s: float, fields: dict[str, Any]) -> None:
         self.runs += fields["name"] == "begin"
         if len(self.events) < MAX_EVENTS:
-            self.events.append((t_s, fields["level"], fields["name"], fields["message"]))
+            self.events.append(
+                RecordedEvent(t_s, fields["level"], fields["name"], fields["message"])
+            )
         else:
             self.more_events += 1
 

@@ -1,7 +1,9 @@
 """The report of a recording: its chapters in their order, and their plots."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
 from statistics import median
 from typing import TYPE_CHECKING, Any
@@ -12,19 +14,34 @@ from numpy.typing import NDArray
 from display_node.scoring.beat_quality import GOOD
 from display_node.scoring.tracking_error import JND
 from protocol.config.quantities import count_text
+from protocol.counters import interruptions_text
+from protocol.errors import explain_causes
 from protocol.figures import Surface
 from protocol.run_summary import REGISTRY, Summary
 from telepulse.recording.contactor_findings import ContactorFindings
-from telepulse.recording.findings import RunFindings, read_findings
+from telepulse.recording.findings import RecordedEvent, RunFindings, read_findings
 from telepulse.recording.forces import AlignedBlock, Trend
-from telepulse.reports.document import Chapter, Plot, Report, Table, provenance_table
+from telepulse.reports.document import (
+    Chapter,
+    Plot,
+    Report,
+    Table,
+    provenance_table,
+    text_colour,
+)
+from telepulse.reports.notation import percent
+from telepulse.telemetry.decoder import MARK_EVENT
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 NONE = "–"
-LEVELS = {2: "", 3: "warning", 4: "error"}
+LEVELS = {2: "info", 3: "warning", 4: "error"}
+WARNING = 3
+# Lines in plots over time, and their key in the caption.
+MARK_LINE, ALERT_LINE = ":", (0, (5, 2, 1, 2))
+KEY = " Vertical lines: marks are dotted, warnings and errors dash-dotted."
 FAINT = 0.3
 GAP_S = 0.1
 SHARES = np.concatenate([np.linspace(0.001, 0.99, 150), np.linspace(0.9905, 1, 20)])
@@ -43,16 +60,25 @@ def build_recording_report(path: Path) -> Report:
     findings = read_findings(path)
     drawn = _Plots(findings)
     several = len(findings.contactors) > 1
+    timed = partial(_with_events, findings.events)
     delays = (
-        Plot("delays", "Delays over time: mean, and from the least to the greatest.", drawn.delays),
+        timed(
+            Plot(
+                "delays",
+                "Delays over time: mean, and from the least to the greatest.",
+                drawn.delays,
+            )
+        ),
         Plot(
             "delay-distribution", "Share of frames and ticks up to each delay.", drawn.distribution
         ),
-        Plot(
-            "loss",
-            "Samples that came too late, where no trusted prediction was felt, or never, by the"
-            " display's count.",
-            drawn.loss,
+        timed(
+            Plot(
+                "loss",
+                "Samples that came too late, where no trusted prediction was felt, or never, by the"
+                " display's count.",
+                drawn.loss,
+            )
         ),
     )
     clock = Plot(
@@ -66,6 +92,7 @@ def build_recording_report(path: Path) -> Report:
         (f"{t_s:.2f}", LEVELS.get(level, str(level)), name, text)
         for t_s, level, name, text in findings.events
     )
+    columns = ("time (s)", "level", "event", "text")
     more = f"{findings.more_events} further events are not shown." if findings.more_events else ""
     chapters = [
         Chapter(
@@ -77,43 +104,57 @@ def build_recording_report(path: Path) -> Report:
         *(
             chapter
             for number, contactor in enumerate(findings.contactors)
-            for chapter in _contactor_chapters(contactor, number, several, findings.pressed)
+            for chapter in _contactor_chapters(contactor, number, several, findings)
         ),
         Chapter("Delay and loss", plots=delays),
-        Chapter("Clock and loop", plots=(clock, loop)),
-        Chapter("What happened", tables=(Table("events", ("s", "", "what", ""), events, more),)),
+        Chapter("Clock and loop", plots=(timed(clock), timed(loop))),
+        Chapter("What happened", tables=(Table("Events", columns, events, more),)),
     ]
     if findings.about:
-        stated = Table("stated by the person who recorded", ("", ""), tuple(findings.about.items()))
+        stated = Table(
+            "Stated by the person who recorded", ("entry", "text"), tuple(findings.about.items())
+        )
         chapters.append(Chapter("About the recording", tables=(stated,)))
     # Recordings of older versions have no provenance.
     if runs := findings.provenance:
-        titles = [f"run {n}" for n in range(1, len(runs) + 1)] if len(runs) > 1 else ["the run"]
+        titles = [f"Run {n}" for n in range(1, len(runs) + 1)] if len(runs) > 1 else ["The run"]
         tables = tuple(map(provenance_table, titles, runs))
-        chapters.append(Chapter("Provenance of the recording", tables=tables))
+        chapters.append(Chapter("Provenance of the recording", tables=tables, folded=True))
     return Report(f"Recording {path.name}", tuple(chapters))
 
 
 def _in_short(findings: RunFindings) -> Iterable[str]:
-    """Yield at most five sentences on the run."""
-    summary = findings.summary()
-    samples, errors, felt = summary.samples, summary.force_rmse_n, summary.availability
-    if felt.felt is not None:
-        yield f"A pulse was felt for {felt.felt:.1%} of {findings.seconds:.1f} s."
+    """Yield at most five sentences on the run, the result first."""
+    summary, own = findings.summary(), findings.display_summary or Summary()
+    samples, errors, felt = summary.samples, summary.force_rmse_n, summary.availability.felt
+    broken = interruptions_text(own.to_dict()["interruptions"]) or "none"
+    shared = "A pulse was not felt" if felt is None else f"A pulse was felt for {percent(felt)}"
+    yield f"{shared} of {findings.seconds:.1f} s; interruptions: {broken}."
+    delay_ms = summary.playout_delay_ms.mean
+    aged = "" if delay_ms is None else f", which was {delay_ms:.1f} ms old on average"
     if errors.aligned is not None and errors.in_phase is not None:
         yield (
-            f"The felt force is {1e3 * errors.aligned:.2f} mN RMS off the pulse of the played"
-            f" instant, and {1e3 * errors.in_phase:.2f} mN off the pulse of the same moment."
+            f"The felt force differs by {1e3 * errors.aligned:.2f} mN RMS from the pulse of the"
+            f" played instant{aged}, and by {1e3 * errors.in_phase:.2f} mN RMS from the pulse of"
+            " the same moment."
         )
-    if (delay_ms := summary.playout_delay_ms.mean) is not None:
+    elif aged:
         yield f"The played instant was {delay_ms:.1f} ms old on average."
     if samples.sent:
         yield (
             f"Of {samples.sent} samples, {samples.played} were played, {samples.predicted}"
             f" predicted, {samples.late} late and {samples.lost} lost."
         )
-    if summary.faults:
-        yield f"Faults: {'; '.join(summary.faults)}."
+    ticks, missed = summary.loop.ticks or 0, summary.loop.deadline_misses or 0
+    gap_ms = own.loop.worst_5s.gap_ms
+    longest = "" if gap_ms is None else f"; the longest gap was {gap_ms:.0f} ms"
+    if ticks + missed:
+        share = percent(missed / (ticks + missed), ".2f")
+        yield f"{missed} of {ticks + missed} ticks were missed ({share}){longest}."
+    marks = sum(event.name == MARK_EVENT for event in findings.events)
+    refused = ", ".join(explain_causes(own.rejected)) or "nothing"
+    faults = "; ".join(own.faults) or "none"
+    yield f"Refused: {refused}. Faults: {faults}. Marks: {marks or 'none'}."
 
 
 def _paragraphs(findings: RunFindings) -> Iterable[str]:
@@ -157,8 +198,8 @@ def _summary(findings: RunFindings) -> Table:
         "its final status" if findings.is_final_summary else "its last status, since it never ended"
     )
     return Table(
-        "the run",
-        ("", "from the recording", "the display's own"),
+        "The run",
+        ("figure", "from the recording", "the display's own"),
         tuple(row for row in rows if row[1:] != (NONE, NONE)),
         note=f"The display's own: by {last}. From the recording: computed from frames, clock"
         " replies and ticks with the display's own modules. A tick is recorded with the time at"
@@ -169,20 +210,42 @@ def _summary(findings: RunFindings) -> Table:
 
 
 def _contactor_chapters(
-    contactor: ContactorFindings, number: int, several: bool, pressed: bool
-) -> tuple[Chapter, Chapter]:
-    """Return the chapters on force and beats.
-
-    number: of the contactor, from 0. pressed: whether the felt force contains a press.
-    """
+    contactor: ContactorFindings, number: int, several: bool, findings: RunFindings
+) -> tuple[Chapter, ...]:
+    """Return the chapters on force and beats; number: of the contactor, from 0."""
     of = f" – {contactor.name}" if several else ""
     ending = f"-{number + 1}" if several else ""
     drawn = _ContactorPlots(contactor)
     force = _force(contactor, drawn, of, ending)
-    if pressed:
+    if findings.pressed:
         plots = [plot for plot in force.plots if not plot.name.startswith(DIFFERENCES)]
         force = Chapter(force.title, (*force.paragraphs, PRESSED), plots=plots)
-    return force, _beats(contactor, drawn, of, ending)
+    return tuple(
+        replace(chapter, plots=[_with_events(findings.events, plot) for plot in chapter.plots])
+        for chapter in (force, _beats(contactor, drawn, of, ending))
+    )
+
+
+def _with_events(events: Sequence[RecordedEvent], plot: Plot) -> Plot:
+    """Add lines at marks and alerts to a plot over time, and their key to its caption."""
+    lines = [
+        (event.t_s, MARK_LINE if event.name == MARK_EVENT else ALERT_LINE)
+        for event in events
+        if event.name == MARK_EVENT or event.level >= WARNING
+    ]
+    if not lines:
+        return plot
+
+    def draw(figure: "Figure") -> None:
+        plot.draw(figure)
+        for axes in figure.axes:
+            left, right = axes.get_xlim()
+            for t_s, style in lines:
+                if left <= t_s <= right:
+                    axes.axvline(t_s, ls=style, lw=0.9, color=text_colour(), alpha=0.7)
+            axes.set_xlim(left, right)
+
+    return Plot(plot.name, plot.caption + KEY, draw)
 
 
 def _force(contactor: ContactorFindings, drawn: "_ContactorPlots", of: str, ending: str) -> Chapter:
@@ -203,11 +266,14 @@ def _force(contactor: ContactorFindings, drawn: "_ContactorPlots", of: str, endi
     if forces.heart:
         caption = "Heart rate, by the intervals between beats in six seconds."
         plots.append(Plot(f"heart-rate{ending}", caption, drawn.heart))
-    found = (
-        f"The force at the finger should be {alignment.ratio:.4g} times that of channel"
-        f" {alignment.channel}. The wrist's force is shown times that ratio, at the instants that"
-        " were played."
+    channel = f"channel {alignment.channel}"
+    target = (
+        f"The target force at the finger is that of {channel} at the wrist"
+        if alignment.ratio == 1
+        else f"The target force at the finger is {alignment.ratio:.4g} times that of {channel} at"
+        " the wrist, so that both strains are equal"
     )
+    found = f"{target}. It is shown at the instants that were played, as “at the wrist”."
     return Chapter(title, (found,), plots=tuple(plots))
 
 

@@ -63,6 +63,8 @@ def test_the_figures_are_the_displays_own(path: Path) -> None:
     assert found["samples"]["sent"] == own["samples"]["sent"]
     assert found["samples"]["lost"] == own["samples"]["lost"]
     assert found["force_rmse_n"] == pytest.approx(own["force_rmse_n"], rel=0.01)
+    assert own["strain_rmse"]["aligned"] > 0
+    assert found["strain_rmse"] == pytest.approx(own["strain_rmse"], rel=0.01)
     assert found["within_jnd"] == pytest.approx(own["within_jnd"], abs=0.01)
     means_ms = [each["playout_delay_ms"]["mean"] for each in (found, own)]
     assert means_ms[0] == pytest.approx(means_ms[1], abs=1)
@@ -106,8 +108,8 @@ def test_the_page_has_all_it_shows_beside_it(path: Path, tmp_path: Path) -> None
     for name in needed:
         assert (folder / name).stat().st_size > 1_000
     chapters = json.loads(tables.read_text(encoding="utf-8"))["chapters"]
-    rows = {row[""]: row["from the recording"] for row in chapters[0]["tables"][0]["rows"]}
-    assert rows["loop, ticks"] == "8000 ticks"
+    rows = {row["figure"]: row["from the recording"] for row in chapters[0]["tables"][0]["rows"]}
+    assert rows["loop, ticks"] == "8000"
     assert rows["playout delay, mean"] == f"{DELAY_TICKS:.2f} ms"
 
 
@@ -129,7 +131,7 @@ def test_it_finds_what_is_known_to_be_in_a_recording(path: Path) -> None:
         True,
         False,
     ]
-    names = [name for _, _, name, _ in findings.events]
+    names = [event.name for event in findings.events]
     assert names == ["begin", "session", "state", "join", "state", "end"]
 
 
@@ -155,10 +157,38 @@ def test_a_limit_that_was_reached_is_an_event_and_a_row(path: Path) -> None:
     findings = read_findings(path)
     assert findings.display_summary is not None
     assert findings.display_summary.limited == limited
-    named = [(name, text) for _, _, name, text in findings.events]
+    named = [(event.name, event.text) for event in findings.events]
     assert named.count(("limited", "force limit reached")) == 1
     rows = {row[0]: row[2] for row in build_recording_report(path).chapters[0].tables[0].rows}
     assert rows["at a limit"] == "force limit 312 times, 4.1 s (20.5 % of the run)"
+
+
+def test_marks_are_in_the_plots_over_time_in_the_table_and_in_the_findings(path: Path) -> None:
+    from matplotlib.figure import Figure
+
+    record(path, 12, marks={9_000: "cuff off", 4_000: "cuff on"})
+    report = build_recording_report(path)
+    (events,) = [
+        table for each in report.chapters for table in each.tables if table.title == "Events"
+    ]
+    assert events.columns == ("time (s)", "level", "event", "text")
+    times_s = [float(row[0]) for row in events.rows]
+    assert times_s == sorted(times_s)
+    marks = {row[3]: row[1:3] for row in events.rows if row[2] == "mark"}
+    assert marks == {"cuff on": ("info", "mark"), "cuff off": ("info", "mark")}
+    assert len(report.findings) <= 5
+    assert report.findings[0].startswith("A pulse was felt for ")
+    assert any(each.endswith("Marks: 2.") for each in report.findings)
+    assert any("ticks were missed" in each for each in report.findings)
+    plots = {plot.name: plot for chapter in report.chapters for plot in chapter.plots}
+    for name in ("error", "heart-rate", "beats", "delays", "loss", "clock", "loop"):
+        figure = Figure()
+        plots[name].draw(figure)
+        for axes in figure.axes:
+            at_s = {float(line.get_xdata()[0]) for line in axes.lines if line.get_ls() == ":"}
+            assert at_s == pytest.approx({4.0, 9.0}, abs=0.1) if len(at_s) == 2 else not at_s, name
+        assert "marks are dotted" in plots[name].caption
+    assert "dotted" not in plots["delay-distribution"].caption
 
 
 def test_ticks_that_were_left_out_are_missed_ones(path: Path) -> None:
