@@ -48,23 +48,25 @@ def build_report(logs: Sequence[SessionLog], with_spoilt: bool = False) -> Repor
             for o in results.spoilt
         ]
         others.append(Table("Spoilt trials", ("subject", "trial", "condition", "why"), spoilt))
-    # What qualifies the answers comes before them.
-    found = (*labels, *answers.paragraphs)
+    # The result first, then what qualifies it.
     answers = replace(
-        answers, paragraphs=found[5:], findings=found[:5], tables=(*answers.tables, *others)
+        answers,
+        paragraphs=(_answered(results), *_versions(results)),
+        findings=(*answers.findings, *labels),
+        tables=(*answers.tables, *others),
     )
     made = [
         provenance_table(log.path.stem, log.header.provenance)
         for log in logs
         if log.header.provenance
     ]
-    provenance = [Chapter("Provenance of the sessions", tables=made)] if made else []
+    provenance = [Chapter("Provenance of the sessions", tables=made, folded=True)] if made else []
     chapters = (answers, _course_chapter(results), _errors_chapter(results), _paper_chapter())
     return Report(f"Experiment: {results.title}", (*chapters, *provenance))
 
 
 def _labels(results: SessionResults) -> list[str]:
-    """Return remarks on the answers, to be printed before the results."""
+    """Return at most three remarks on the answers."""
     labels = []
     if results.thresholds:
         shown = ", ".join(f"{100 * threshold:g} %" for threshold in results.thresholds)
@@ -89,12 +91,16 @@ def _labels(results: SessionResults) -> list[str]:
     ]
     if stale:
         labels.append(
-            "Trials in which the stream was stale over the link. They are included, since this is"
+            "In some trials the stream was stale over the link. They are included, since this is"
             f" an effect of the condition: {', '.join(stale)}."
         )
-    if len(results.versions) > 1:
-        labels.append(f"The logs are of several versions: {', '.join(results.versions)}.")
     return labels
+
+
+def _versions(results: SessionResults) -> list[str]:
+    if len(results.versions) < 2:
+        return []
+    return [f"The logs are of several versions: {', '.join(results.versions)}."]
 
 
 def threshold_of(outcomes: Sequence[TrialOutcome]) -> Threshold | None:
@@ -118,23 +124,33 @@ def _abx_chapter(results: SessionResults) -> Chapter:
             )
         )
     found = share_correct(results.tested)
-    low, high = found.interval
-    words = (
-        f"X was identified in {found.hits} of {found.of} trials, {percent(found.share)}; the"
-        f" true share is between {percent(low)} and {percent(high)} (exact, 95 %), and guessing"
-        f" does as well with p = {_p(found.p_value)}."
+    who = _who(results)
+    result = (
+        f"{who[0].upper()}{who[1:]} identified X in {found.hits} of {found.of} trials,"
+        f" {percent(found.share)} (95 % Clopper–Pearson confidence interval"
+        f" {_between(found)}). By guessing, as many or more are right with a probability of"
+        f" {_p(found.p_value)} (one-sided exact binomial test)."
     )
     drawn = (plots.shares(results), plots.psychometric(results, threshold_of(results.outcomes)))
-    return Chapter("Right answers", (_answered(results), words), tables, drawn)
+    findings, value, bounds = [result], *_threshold_cells(threshold_of(results.outcomes))
+    if bounds != NONE:
+        findings.append(
+            "Threshold, the force error at which d' is 1, over the pulse from peak to peak:"
+            f" {bounds if value == NONE else f'{value}, 95 % confidence interval {bounds}'}."
+        )
+    return Chapter("Right answers", (), tables, drawn, findings)
 
 
 def _answered(results: SessionResults) -> str:
-    count, subjects = len(results.outcomes), len(results.subjects)
+    count = len(results.outcomes)
     if not results.pooled:
         count += len(results.spoilt)
-    kind = "simulated observer" if results.thresholds else "subject"
-    who = f"one {kind}" if subjects == 1 else f"{subjects} {kind}s"
-    return f"{count} of {results.trials} trials are answered, by {who}."
+    return f"{count} of {results.trials} trials are answered, by {_who(results)}."
+
+
+def _who(results: SessionResults) -> str:
+    kind, subjects = "simulated observer" if results.thresholds else "subject", results.subjects
+    return f"one {kind}" if len(subjects) == 1 else f"{len(subjects)} {kind}s"
 
 
 def _right_table(results: SessionResults) -> Table:
@@ -145,16 +161,17 @@ def _right_table(results: SessionResults) -> Table:
         )
         found = share_correct(outcomes)
         at, low, high = (d_prime(share) for share in (found.share, *found.interval))
-        above = "∞" if math.isinf(high) else f"{high:.1f}"
-        d = f"over {low:.1f}" if math.isinf(at) else f"{at:.1f} ({low:.1f}–{above})"
+        value, least, most = ("∞" if math.isinf(d) else f"{d:.1f}" for d in (at, low, high))
+        d = f"{value} ({least} to {most})"
         rows.append((name, *_cells(found), d, direct, link))
     return Table(
         "X identified",
-        ("condition", "right", "share", "95 %", "p", "d' (95 %)", "direct mN", "link mN"),
+        ("condition", "right", "share", "95 %", "p", "d' (95 %)", "direct (mN)", "link (mN)"),
         rows,
-        "Exact interval (Clopper-Pearson); p: by guessing as many or more, not corrected for the"
-        " number of conditions. d' of the differencing strategy. mN: aligned force RMSE. Trials"
-        " of one subject are no independent sample of people.",
+        "95 %: exact confidence interval (Clopper–Pearson). p: probability of as many right answers"
+        " or more by guessing, not corrected for the number of conditions. d' of the differencing"
+        " strategy; ∞ where all answers are right. mN: aligned force RMSE. Trials of one subject"
+        " are no independent sample of people.",
     )
 
 
@@ -182,8 +199,8 @@ def _subject_table(results: SessionResults) -> Table:
         "Each subject",
         ("subject", "right", "share", "95 %", "p"),
         [(subject, *_cells(found)) for subject, found in shares.items()],
-        f"{passed} of {len(shares)} pass for more than guessing (p ≤ 5 %), where one in twenty"
-        " would by guessing.",
+        f"{passed} of {len(shares)} are right more often than by guessing (p ≤ 5 %); of subjects"
+        " who guess, one in twenty would be.",
     )
 
 
@@ -196,8 +213,8 @@ def _threshold_table(results: SessionResults) -> Table:
         "Threshold: force error at which d' is 1, in % of the pulse from peak to peak",
         ("subject", "threshold", "95 %"),
         [(name, *_threshold_cells(threshold_of(found))) for name, found in groups],
-        "Likeliest for a differencing observer of the aligned force error; 95 % by profile"
-        " likelihood. – where the answers set no bound.",
+        "Maximum likelihood for a differencing observer of the aligned force error; 95 % confidence"
+        " interval by profile likelihood. –: the answers set no bound.",
     )
 
 
@@ -223,17 +240,19 @@ def _rating_chapter(results: SessionResults) -> Chapter:
         rows.append((name, str(len(outcomes)), interval, *close[:3], link_mn))
     table = Table(
         "How close X was to the direct touch, 5 (the same) to 1",
-        ("condition", "trials", "mean (95 %)", "close", "share", "95 %", "link mN"),
+        ("condition", "trials", "mean (95 %)", "close", "share", "95 %", "link (mN)"),
         rows,
         "Close: rated 4 or 5, with its exact interval. Of the mean: percentile bootstrap, too"
         " narrow for few trials. mN: aligned force RMSE. X without a link is the hidden reference.",
     )
     found = share_close(results.tested)
-    words = (
-        f"Over the link {found.hits} of {found.of}, {percent(found.share)}, were rated close to the"
-        f" direct touch; exact 95 % interval {_between(found)}."
+    result = (
+        f"Over the link, {found.hits} of {found.of} trials, {percent(found.share)}, were rated"
+        " close"
+        f" to the direct touch (95 % Clopper–Pearson confidence interval {_between(found)}), by"
+        f" {_who(results)}."
     )
-    return Chapter("Ratings", (_answered(results), words), (table,), (plots.ratings(groups),))
+    return Chapter("Ratings", (), (table,), (plots.ratings(groups),), (result,))
 
 
 def _course_chapter(results: SessionResults) -> Chapter:
@@ -277,19 +296,20 @@ def _mean(values: Iterable[float]) -> str:
 
 
 def _paper_chapter() -> Chapter:
-    columns = ("study", "close", "share", "95 %", "p of a coin")
+    columns = ("study", "close", "share", "95 %", "p")
     row = ("paper, section 5.4", *_cells(PAPER))
     table = Table("The paper's figure", columns, [row])
     return Chapter(
         "The paper's six subjects",
         (
             "The paper reports that 66 % of six subjects felt it close to a direct touch. That is"
-            f" four of six: the true share is anywhere between {_between(PAPER)}, and a coin does"
-            f" as well with p = {_p(PAPER.p_value)}. Of six answers {hits_needed(6)} must agree"
-            f" before p is at most 5 %; a true share of two in three gets there"
-            f" {percent(power(6, PAPER.share))} of the time. Six subjects can show that something"
-            " is felt by nearly everybody; they cannot distinguish two thirds from a half, nor from"
-            " all.",
+            f" four of six: the exact 95 % confidence interval of the share is {_between(PAPER)},"
+            " and six tosses of a coin give four or more with a probability of"
+            f" {_p(PAPER.p_value)}. At least {hits_needed(6)} of six answers must agree before p"
+            " is at most"
+            " 5 %; with a true share of two in three that has a probability of"
+            f" {percent(power(6, PAPER.share))}. Six subjects can show that something is felt by"
+            " nearly everybody; they cannot distinguish two thirds from a half, nor from all.",
         ),
         (table,),
     )

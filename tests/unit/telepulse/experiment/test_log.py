@@ -1,5 +1,7 @@
 """Answers that are never pooled silently: of simulated observers, other sessions, spoilt trials."""
 
+import math
+import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Literal
@@ -51,11 +53,26 @@ def test_people_and_simulated_observers_are_reported_apart(tmp_path: Path) -> No
     text = " ".join(build_report([observer]).chapters[0].findings)
     assert "Simulated" in text
     assert "threshold 5 %" in text
-    assert "by one simulated observer" in text
+    assert text.startswith("One simulated observer identified X in ")
     # A terminal shows only tables.
     assert any("Simulated" in finding for finding in build_report([observer]).findings)
     assert "Nobody felt" in " ".join(build_report([models]).chapters[0].findings)
     assert "imulated" not in " ".join(build_report([person]).chapters[0].findings)
+
+
+def test_the_result_comes_first_with_its_interval_and_its_p_value(tmp_path: Path) -> None:
+    report = build_report([log(plan(tmp_path, condition("plain")), "anna", [CLEAN] * 2)])
+    first = report.findings[0]
+    right = re.match(r"One subject identified X in (\d) of 2 trials, ", first)
+    assert right is not None
+    probability = sum(math.comb(2, hits) for hits in range(int(right[1]), 3)) / 4
+    assert "95 % Clopper–Pearson confidence interval" in first
+    assert (
+        f"By guessing, as many or more are right with a probability of {probability:.3f}" in first
+    )
+    assert len(report.findings) <= 5
+    assert "true share is" not in str(report.to_dict())
+    assert "over 0.0" not in str(report.to_dict())
 
 
 def test_other_sessions_and_scenes_are_reported_apart(tmp_path: Path) -> None:
