@@ -147,7 +147,8 @@ def sweep(
         if run.fault:
             reason = "; ".join((run.fault, *causes))
             raise DepthError(f"the sweep ended after {len(run.levels)} levels: {reason}")
-        return report_depth(run.curve(), run.levels, run.notes, connect or path.stem)
+        source = connect or path.stem
+        return report_depth(run.curve(), run.levels, run.notes, source, modelled=connect is None)
 
     publish(build, out, json)
 

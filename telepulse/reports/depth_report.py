@@ -10,6 +10,7 @@ import numpy as np
 from display_node.press.sweep import SweptLevel
 from display_node.scoring.depth_curve import LEVEL_SHARE, BeatPoint, DepthCurve, Estimate
 from telepulse.reports.document import Chapter, Plot, Report, Table
+from telepulse.reports.notation import percent
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -18,9 +19,9 @@ NONE = "–"
 # The levels' names in the literature, by ours.
 NAMES = {"light": "fu, superficial", "deeper": "zhong, middle", "deepest": "chen, deep"}
 RULES = {
-    "light": f"below the best, {LEVEL_SHARE:.0%} of the largest height",
+    "light": f"below the best, {percent(LEVEL_SHARE, '.0f')} of the largest height",
     "deeper": "the best: the largest height, where flat the lowest such force",
-    "deepest": f"above the best, {LEVEL_SHARE:.0%} of the largest height",
+    "deepest": f"above the best, {percent(LEVEL_SHARE, '.0f')} of the largest height",
 }
 
 
@@ -35,15 +36,27 @@ def describe_level(level: SweptLevel) -> str:
 
 
 def report_depth(
-    curve: DepthCurve, levels: Sequence[SweptLevel], notes: Sequence[str], source: str
+    curve: DepthCurve,
+    levels: Sequence[SweptLevel],
+    notes: Sequence[str],
+    source: str,
+    modelled: bool,
 ) -> Report:
-    """Return the report of a sweep; source: what was pressed, for the title."""
+    """Return the report of a sweep.
+
+    source: what was pressed, for the title: the scene of a modelled wrist, or an address.
+    """
     best, largest, good = curve.best_n, curve.largest_n, curve.good
-    words = [
-        f"The pulse is highest, {1e3 * largest.value:.0f} mN, at a hold-down of"
-        f" {best.value:.2f} N. {len(good)} of {len(curve.points)} beats are good."
+    wrist = "modelled wrist" if modelled else "wrist"
+    reached = {name: found for name, found in curve.levels().items() if found is not None}
+    forces = ", ".join(f"{name} {found.value:.2f} N" for name, found in reached.items())
+    findings = [
+        f"The pulse of the {wrist} is highest, {1e3 * largest.value:.0f} mN, at a hold-down of"
+        f" {best.value:.2f} N.",
+        f"Levels by shares of this curve: {forces}.",
+        f"{len(good)} of {len(curve.points)} beats are good, at {len(levels)} forces.",
     ]
-    words += [f"{note[0].upper()}{note[1:]}." for note in (*notes, curve.at_end or "") if note]
+    words = [f"{note[0].upper()}{note[1:]}." for note in (*notes, curve.at_end or "") if note]
     rows = [
         {
             "level": f"{name} ({NAMES[name]})",
@@ -54,20 +67,21 @@ def report_depth(
         for name, found in curve.levels().items()
     ]
     note = (
-        "By shares of this person's curve, not by fixed forces. ±: one standard deviation of the"
+        f"By shares of this {wrist}'s curve, not by fixed forces. ±: one standard deviation of the"
         f" fit. {NONE}: the sweep did not get there."
     )
     chapters = (
         Chapter(
             "The three levels",
-            words[1:],
+            words,
             (Table.of("Levels", rows, note),),
             (_height(curve),),
-            words[:1],
+            findings,
         ),
         _shape_chapter(levels, good),
     )
-    return Report(f"Sweep of the hold-down: {source}", chapters)
+    title = f"{wrist} of the scene {source}" if modelled else source
+    return Report(f"Sweep of the hold-down: {title}", chapters)
 
 
 def _shape_chapter(levels: Sequence[SweptLevel], good: Sequence[BeatPoint]) -> Chapter:
@@ -145,4 +159,12 @@ def _height_n(curve: DepthCurve, force_n: float) -> float:
 
 
 def _estimate(found: Estimate | None) -> str:
-    return NONE if found is None else f"{found.value:.2f} ± {found.deviation:.2f}"
+    """Return a value with its deviation, to the digit in which the deviation shows."""
+    if found is None:
+        return NONE
+    digits = 2 if found.deviation >= 0.005 else 3
+    least = 10.0**-digits
+    value = f"{found.value:.{digits}f}"
+    if found.deviation < least / 2:
+        return f"{value} (± below {least:g})"
+    return f"{value} ± {found.deviation:.{digits}f}"
