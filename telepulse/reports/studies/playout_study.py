@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from display_node.reception.playout import LATE_TARGET, DelayEstimator
 from telepulse.reports.document import STYLES, Chapter, Plot, Report, Table, text_colour
+from telepulse.reports.notation import percent
 from telepulse.reports.studies import playout_links as links
 from telepulse.reports.studies.playout_rules import (
     FixedDelay,
@@ -69,12 +70,25 @@ TARGETS = (
     (links.RANDOM, MOVING, 1.6),
     (links.TCP, MOVING, 1.7),
 )
+UNCOVERED = tuple(link for link in links.LINKS if link not in {each for each, *_ in TARGETS})
 # In two tables, for a terminal's width.
 GROUPS = {
     "steady": (links.GAUSSIAN, links.SPIKES, links.ROUTE, links.FAST, links.SLOW),
     "unsteady": (links.BURSTS, links.RANDOM, links.TCP, links.SHORT_BURSTS, links.DENSE),
 }
 CURVES = (links.GAUSSIAN, links.BURSTS, links.TCP)
+# Sources of the published rules, by their numbers in the text.
+REFERENCES = (
+    "[1] R. Ramjee, J. Kurose, D. Towsley, H. Schulzrinne, “Adaptive playout mechanisms for"
+    " packetized audio applications in wide-area networks”, IEEE INFOCOM 1994: algorithm 1"
+    " (mean + β · mean deviation) and algorithm 4 (the same with a spike mode).",
+    "[2] S. B. Moon, J. Kurose, D. Towsley, “Packet audio playout delay adjustment: performance"
+    " bounds and algorithms”, Multimedia Systems 6 (1998): a percentile of the last 10 000 delays,"
+    " with a spike mode.",
+    "[3] The WebRTC project, NetEQ, modules/audio_coding/neteq (2023): its delay manager with its"
+    " defaults, without the limits on reordering and on the number of packets.",
+)
+CITED = "Ramjee 1 and 4 [1], Moon percentile [2], NetEQ-like [3]"
 
 
 @dataclass(frozen=True, slots=True)
@@ -215,7 +229,12 @@ def report_playout(scores: PlayoutScores, effort: PlayoutEffort) -> Report:
         for number, link in enumerate(drawn, 1)
     ]
     curves = Chapter("Delay against the late share", plots=plots)
-    chapters = (_frontier_chapter(scores, effort), _default_chapter(scores), curves)
+    chapters = (
+        _frontier_chapter(scores, effort),
+        _default_chapter(scores),
+        curves,
+        Chapter("References", REFERENCES),
+    )
     return Report("Playout: delay against late frames", chapters)
 
 
@@ -243,16 +262,10 @@ def _frontier_chapter(scores: PlayoutScores, effort: PlayoutEffort) -> Chapter:
 
     def tuned(rule: str, link: str) -> str:
         score = scores.rules[link][rule]
-        missed = "" if score.reached else f" at {score.tuned.late:.1%}"
+        missed = "" if score.reached else f" at {percent(score.tuned.late)}"
         return against(score.tuned.delay_ms, link) + missed
 
     gaps = [score.found_ms / score.optima_ms[MOVING] - 1 for score in scores.links.values()]
-    judged = compare_targets(scores)
-    missed = [f"{link} / {optimum}" for link, optimum, target, ratio in judged if ratio > target]
-    verdict = f"All {len(judged)} targets are met."
-    if missed:
-        met = len(judged) - len(missed)
-        verdict = f"{met} of {len(judged)} targets are met; missed: {'; '.join(missed)}."
     paragraphs = (
         f"Each link is a trace of {effort.seconds:g} s with a frame every 5 ms; every rule"
         " gets the same delays. Each instant is played once, as soon as its age reaches the"
@@ -261,7 +274,9 @@ def _frontier_chapter(scores: PlayoutScores, effort: PlayoutEffort) -> Chapter:
         " own parameter is set for the least mean delay within the permitted late share.",
         "Both optima are computed from the whole trace. The moving one may change by at most"
         " 50 ms per second; its row is a lower bound of the mean delay of every such course (the"
-        f" best courses found are at most {max(gaps):.1%} above it).",
+        f" best courses found are at most {percent(max(gaps))} above it).",
+        f"Published rules beside ours: {CITED}. “Fixed” is the first frame's delay plus a"
+        " constant.",
     )
     rows = {optimum: partial(best, optimum) for optimum in (CONSTANT, MOVING)}
     rows |= {name: partial(tuned, name) for name in RULES}
@@ -271,8 +286,42 @@ def _frontier_chapter(scores: PlayoutScores, effort: PlayoutEffort) -> Chapter:
         " late share is shown, with that share after the delay."
     )
     tables = (*_tables(title, scores.links, rows, note), _targets_table(scores))
-    title = f"At {effort.permitted_late:.0%} late"
-    return Chapter(title, paragraphs, tables, findings=(verdict,))
+    title = f"At {percent(effort.permitted_late, '.0f')} late"
+    return Chapter(title, paragraphs, tables, findings=_findings(scores, effort))
+
+
+def _findings(scores: PlayoutScores, effort: PlayoutEffort) -> list[str]:
+    """Return the verdict on the targets, and how far ours is from the optimum on each link."""
+    judged = compare_targets(scores)
+    missed = [f"{link} / {optimum}" for link, optimum, target, ratio in judged if ratio > target]
+    verdict = f"All {len(judged)} targets are met"
+    if missed:
+        met = len(judged) - len(missed)
+        verdict = f"{met} of {len(judged)} targets are met; missed: {'; '.join(missed)}"
+    ratios = {link: _ratio(scores, link, MOVING) for link in scores.links}
+    covered = [ratios[link] for link in dict.fromkeys(link for link, *_ in judged)]
+    late = percent(effort.permitted_late, ".0f")
+    findings = []
+    if covered:
+        findings.append(
+            f"{verdict}: at {late} late, the mean delay of our estimator is {min(covered):.2f} to"
+            f" {max(covered):.2f} times the best moving delay over {len(covered)} of"
+            f" {len(ratios)} links."
+        )
+    for link in (each for each in UNCOVERED if each in ratios):
+        rules = {rule: score.tuned.delay_ms for rule, score in scores.rules[link].items()}
+        best = min(rules, key=lambda rule: rules[rule])
+        optimum_ms = scores.links[link].optima_ms[MOVING]
+        findings.append(
+            f"No target covers {link}: ours {ratios[link]:.2f} times the best moving delay; the"
+            f" least of the rules is {rules[best] / optimum_ms:.2f} ({best})."
+        )
+    shares = [rules[OURS].warped.late for rules in scores.rules.values()]
+    findings.append(
+        "At its default setting and with a display's slew limit, our estimator leaves"
+        f" {percent(min(shares))} to {percent(max(shares))} of the frames late."
+    )
+    return findings
 
 
 def _tables(
@@ -301,24 +350,24 @@ def _targets_table(scores: PlayoutScores) -> Table:
         rows.append((f"{link} / {optimum}", *figures))
     return Table(
         "Targets",
-        ("link / optimum", "bar", "ratio", "verdict", "over smallest"),
+        ("link / optimum", "target", "ratio", "verdict", "over smallest"),
         rows,
-        "Bar: the target. Ratio: our mean delay over the optimum's. Over smallest: the same after"
-        " subtracting the trace's smallest delay, which no rule can avoid, from both; it has no"
-        " target.",
+        "Ratio: our mean delay over the optimum's; target: its greatest permitted value. Over"
+        " smallest: the same after subtracting the trace's smallest delay, which no rule can avoid,"
+        f" from both; it has no target. Links without a target: {', '.join(UNCOVERED)}.",
     )
 
 
 def _default_chapter(scores: PlayoutScores) -> Chapter:
     def cell(rule: str, way: str, link: str) -> str:
         played: PlayedTrace = getattr(scores.rules[link][rule], way)
-        return f"{played.delay_ms:.1f} {played.late:.1%}"
+        return f"{played.delay_ms:.1f} ({percent(played.late)})"
 
     tables = []
     ways = {"default": "delay changes at once", "warped": "with a display's slew limit"}
     for way, how in ways.items():
         rows = {name: partial(cell, name, way) for name in RULES}
-        tables += _tables(f"Mean delay in ms and late share, {how}", scores.links, rows)
+        tables += _tables(f"Mean delay in ms (late share), {how}", scores.links, rows)
     defaults = [f"{name} {rule.parameter} {rule.default:g}" for name, rule in RULES.items()]
     paragraphs = (
         f"Defaults: {', '.join(defaults)}.",

@@ -1,12 +1,14 @@
 import pytest
 
 from telepulse.reports.document import Report
-from telepulse.reports.studies.playout_links import GAUSSIAN, TCP
+from telepulse.reports.notation import percent
+from telepulse.reports.studies.playout_links import DENSE, GAUSSIAN, SHORT_BURSTS, TCP
 from telepulse.reports.studies.playout_study import (
     MOVING,
     OURS,
     RULES,
     TARGETS,
+    UNCOVERED,
     PlayoutEffort,
     PlayoutScores,
     RuleOnLink,
@@ -61,7 +63,7 @@ def test_a_share_that_no_setting_reaches_is_reported(scores: PlayoutScores, repo
     assert not score.reached
     missed = PlayoutScores({TCP: scores.links[TCP]}, {TCP: dict.fromkeys(RULES, score)})
     cells = [row[1] for row in report_playout(missed, strict).chapters[0].tables[0].rows[2:]]
-    assert all(cell.endswith(f" at {score.tuned.late:.1%}") for cell in cells)
+    assert all(cell.endswith(f" at {percent(score.tuned.late)}") for cell in cells)
 
 
 def test_the_verdict_is_counted_from_the_ratios(scores: PlayoutScores, report: Report) -> None:
@@ -73,3 +75,21 @@ def test_the_verdict_is_counted_from_the_ratios(scores: PlayoutScores, report: R
     assert [row[3] for row in report.chapters[0].tables[-1].rows].count("met") == met
     count = f"All {met}" if met == len(judged) else f"{met} of {len(judged)}"
     assert report.chapters[0].findings[0].startswith(f"{count} targets")
+
+
+def test_the_findings_name_the_links_without_a_target(scores: PlayoutScores) -> None:
+    assert UNCOVERED == (SHORT_BURSTS, DENSE)
+    dense = PlayoutScores(
+        {**scores.links, DENSE: scores.links[TCP]}, {**scores.rules, DENSE: scores.rules[TCP]}
+    )
+    findings = report_playout(dense, LITTLE).findings
+    ratio = dense.rules[DENSE][OURS].tuned.delay_ms / dense.links[DENSE].optima_ms[MOVING]
+    assert any(each.startswith(f"No target covers {DENSE}: ours {ratio:.2f} ") for each in findings)
+    assert len(findings) <= 5
+
+
+def test_the_published_rules_have_their_references(report: Report) -> None:
+    references = " ".join(report.chapters[-1].paragraphs)
+    for name in ("Ramjee", "Moon", "NetEQ"):
+        assert name in references
+        assert name in report.chapters[0].paragraphs[-1]
