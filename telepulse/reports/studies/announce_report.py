@@ -4,6 +4,7 @@ from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
 from telepulse.reports.document import STYLES, Chapter, Plot, Report, Table
+from telepulse.reports.notation import percent
 from telepulse.reports.studies.announce_pulses import NOISE_MV, TRANSIT_S
 from telepulse.reports.studies.announce_study import (
     FAULT_FROM_S,
@@ -81,7 +82,7 @@ def _errors_table(title: str, errors: Iterable[BothErrors]) -> Table:
                 each.name,
                 *(f"{without:.3f} / {announced:.3f}" for without, announced in pairs),
                 f"{each.transit_ms:.0f} ± {each.deviation_ms:.0f}",
-                f"{100 * each.used:.0f} %",
+                percent(each.used, ".0f"),
             )
         )
     return Table(title, ("pulse", *HORIZON_COLUMNS, "transit time, ms", "used"), rows)
@@ -134,14 +135,14 @@ def _cost_chapter(scores: AnnounceScores) -> Chapter:
     words = (
         "Processor time of all the work on a frame with the ECG, its R waves included, over that"
         f" without: {scores.cost_ratio:.2f}.",
-        *(f"{what}: {'reached' if reached else 'missed'}." for what, reached in bars(scores)),
+        *(f"{what}: {'met' if reached else 'missed'}." for what, reached in bars(scores)),
     )
     found = bars(scores)
     missed = [what for what, reached in found if not reached]
-    findings = [f"{len(found) - len(missed)} of {len(found)} bars are reached."]
+    findings = [f"{len(found) - len(missed)} of {len(found)} criteria are met."]
     if missed:
         findings.append(f"Missed: {'; '.join(missed)}.")
-    return Chapter("Cost and bars", words, findings=findings)
+    return Chapter("Cost and criteria", words, findings=findings)
 
 
 def bars(scores: AnnounceScores) -> list[tuple[str, bool]]:
@@ -158,8 +159,9 @@ def bars(scores: AnnounceScores) -> list[tuple[str, bool]]:
         for each in sets:
             pairs = zip(each.announced, each.without, strict=True)
             worst = max(announced / without - 1 for announced, without in pairs)
+            most = percent(EQUAL, "+.0f")
             where = f"{each.name}, jitter {1e3 * jitter_s:g} ms" if jitter_s else each.name
-            what = f"{where}: at its worst horizon {worst:+.1%}, at most {EQUAL:+.0%}"
+            what = f"{where}: at its worst horizon {percent(worst, '+.1f')}, at most {most}"
             found.append((what, worst <= EQUAL))
     slowest_s = max(each.seconds for each in scores.faults)
     found.append((f"found out within {slowest_s:.2f} s, at most {FOUND_OUT_S:g}", slowest_s <= 3))

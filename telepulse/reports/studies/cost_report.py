@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 from telepulse.netem import NodesOutcome
 from telepulse.reports.document import STYLES, Chapter, Plot, Report, Table, text_colour
+from telepulse.reports.notation import percent
 from telepulse.reports.studies.cost_scores import (
     EQUAL,
     LINK,
@@ -82,7 +83,7 @@ def _front_chapter(scores: CostScores, effort: CostEffort) -> Chapter:
         "A setting is on the front if none is at least as good in all of: error in phase, error"
         " aligned, load, packets. An error below"
         f" {NO_ERROR_N * 1e3:g} mN counts as {NO_ERROR_N * 1e3:g} mN, since a finger notices 30;"
-        f" differences below {EQUAL:.0%} count as none.",
+        f" differences below {percent(EQUAL, '.0f')} count as none.",
     )
     plot = Plot(
         "cost-1",
@@ -176,10 +177,12 @@ def _slow_chapter(scores: CostScores) -> Chapter:
         row["works"] = "yes" if works(run) else "no"
         rows.append({key: row[key] for key in SLOW_COLUMNS})
     paragraphs = (
-        f"As before, but each node has {SLOW:.0%} of a core from the fourth second on, by a quota"
+        f"As before, but each node has {percent(SLOW, '.0f')} of a core from the fourth second on,"
+        " by a quota"
         f" of cgroups: 1 ms in every {1 / SLOW:g} ms. A slow processor would have no such pauses,"
         " so this is the harsher test. The change itself, within the run, may interrupt the pulse."
-        f" Works: at the end fewer than {MISSED:.0%} of the ticks are missed, and the aligned error"
+        f" Works: at the end fewer than {percent(MISSED, '.0f')} of the ticks are missed, and the"
+        " aligned error"
         f" is below the {NOTICED_N * 1e3:g} mN that a finger notices.",
     )
     return Chapter(title, paragraphs, (Table.of(title, rows),))

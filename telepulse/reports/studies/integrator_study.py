@@ -268,7 +268,7 @@ def _loop_chapter(scores: IntegratorScores, effort: IntegratorEffort) -> Chapter
         "Over the pulse's peak to peak, as the errors above.",
     )
     tables = (Table.of("Cost per step against error", rows, note), reference)
-    return Chapter("The paper's loop", paragraphs, tables, (plot,), (verdict(points),))
+    return Chapter("The paper's loop", paragraphs, tables, (plot,), _findings(scores))
 
 
 def _rotor_chapter(scores: IntegratorScores, effort: IntegratorEffort) -> Chapter:
@@ -293,6 +293,43 @@ def _rotor_chapter(scores: IntegratorScores, effort: IntegratorEffort) -> Chapte
         for damping, errors in scores.rotors.items()
     ]
     return Chapter("Harder plants", (words,), tables)
+
+
+def _findings(scores: IntegratorScores) -> list[str]:
+    """Return the verdict on the default, its figures beside the others', and the check of both."""
+    default, *others = scores.points
+    findings = [
+        verdict(scores.points),
+        f"Its largest error is {default.error:.1e} of the pulse from peak to peak, at"
+        f" {default.cost_us:.2f} µs a step.",
+    ]
+    # Of each family, the first point has the least cost.
+    firsts = {point.family: point for point in reversed(others)}
+    written = [firsts[family] for family in WRITTEN_OUT if family in firsts]
+    if written:
+        listed = "; ".join(
+            f"{each.name} {each.error:.1e} at {each.cost_us / default.cost_us:.1f} times the cost"
+            for each in written
+        )
+        findings.append(f"Others with the fewest sub-steps: {listed}.")
+    rotors = [rows[DEFAULT] for rows in scores.rotors.values()]
+    grows = {
+        name
+        for rows in scores.rotors.values()
+        for name, errors in rows.items()
+        if max(errors) > GROWN
+    }
+    findings.append(
+        f"On a resonant rotor, at ticks of {', '.join(f'{1e3 * each:g}' for each in ROTOR_TICKS_S)}"
+        f" ms, the error of the default is at most {max(map(max, rotors)):.1e}; that of"
+        f" {', '.join(sorted(grows)) or 'no method'} exceeds {GROWN:g} times the pulse at one of"
+        " them."
+    )
+    worst = max(scores.digits_error, scores.method_error)
+    findings.append(
+        f"The reference agrees with its two checks, more digits and RK4, within {worst:.1e}."
+    )
+    return findings
 
 
 def beaten_by(point: IntegratorPoint, points: Sequence[IntegratorPoint]) -> list[IntegratorPoint]:

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 
 from display_node.prediction import PredictorName
 from telepulse.reports.document import STYLES, Chapter, Plot, Report, Table
+from telepulse.reports.notation import percent
 from telepulse.reports.studies.link_scores import (
     DELAYS_MS,
     PREDICTORS,
@@ -116,14 +117,14 @@ def _choice(link: str, predictor: str, delay: str, result: LinkResult) -> dict[s
         "predictor": predictor,
         "E (ms)": delay,
         "predicted (ms)": f"{result.horizon_ms:.1f}",
-        "of ticks": f"{result.predicted:.0%}",
+        "of ticks": percent(result.predicted, ".0f"),
         "in phase NRMSE": f"{result.in_phase:.3f}",
         "in phase (mN)": _mn(result.in_phase_n),
         "in phase (JND)": f"{result.in_phase_jnd:.2f}",
         "aligned (mN)": _mn(result.aligned_n),
         "above 25 Hz": f"{result.roughness:.1f}",
-        "felt": f"{result.felt:.1%}",
-        "lost": f"{result.lost:.1%}",
+        "felt": percent(result.felt),
+        "lost": percent(result.lost),
     }
 
 
@@ -139,7 +140,7 @@ def _curves_chapter(scores: LinkScores) -> Chapter:
                 "E (ms)": f"{delay_ms:g}",
                 "predicted (ms)": f"{result.horizon_ms:.1f}",
                 "at most": f"{result.longest_ms:.0f}",
-                "of ticks": f"{result.predicted:.0%}",
+                "of ticks": percent(result.predicted, ".0f"),
             }
             | {
                 predictor: f"{curve[delay_ms].in_phase:.3f} / {curve[delay_ms].aligned:.3f}"
@@ -187,7 +188,9 @@ def _policies_chapter(scores: LinkScores) -> Chapter:
         "Fresh is the display's policy: a late sample is not discarded but used by the predictor."
         " A classic jitter buffer delivers every sample after one fixed delay and discards the 1 %"
         " that come later; beyond the newest delivered sample the same predictor is used."
-        f" The link is “{TCP}”; the prototype's figures are its own, over a link of these settings."
+        f" The link is “{TCP}”; the figures of “prototype's recording” are those of an earlier"
+        " prototype of"
+        " this project, over a link of these settings."
         " heartpy's recording is included where heartpy is installed."
     )
     table = Table.of("NRMSE of the played values against the pulse of E ago", rows)

@@ -2,7 +2,9 @@
 
 from typing import TYPE_CHECKING, NamedTuple
 
+from protocol.config.quantities import count_text
 from telepulse.reports.document import STYLES, Chapter, Plot, Report, Table
+from telepulse.reports.notation import percent
 from telepulse.reports.studies.prediction_pulses import (
     HIGH_PASS_HZ,
     LOW_PASS_HZ,
@@ -114,7 +116,8 @@ def _errors_chapter(scores: PredictionScores, effort: PredictionEffort) -> Chapt
     words = (
         f"Each of {len(scores.errors)} pulses of up to {effort.seconds:g} s at 1 kHz passes a"
         f" causal chain of {HIGH_PASS_HZ:g} to {LOW_PASS_HZ:g} Hz and gets white noise of"
-        f" {NOISE:.0%} of its standard deviation. It comes in frames of 5 ms, and a predictor has"
+        f" {percent(NOISE, '.0f')} of its standard deviation. It comes in frames of 5 ms, and a"
+        " predictor has"
         " one piece of work a millisecond, as in a display. NRMSE: RMS difference from the pulse"
         f" without noise over its standard deviation, after {SCORED_FROM_S:g} s; the horizon counts"
         f" from the newest sample.{'' if set(RECORDED) <= set(scores.errors) else missing}"
@@ -132,10 +135,10 @@ def _targets_chapter(scores: PredictionScores) -> Chapter:
     results = compare_targets(scores.errors, scores.medians)
     silent = compare_targets(scores.errors_without_shape_cue, {})
     paragraphs = (
-        f"{_reached(results)} of {len(results)} rows are reached. The prototype's figures were"
-        " printed by its authors; its sets are not available. Our sets have the same names, but"
-        " other rates, shares, noise and recordings, which alone may explain a difference of a"
-        " tenth. An oracle knew the next interval of the prototype's generator, not of ours.",
+        f"{_reached(results)} of {len(results)} rows are reached. The prototype is an earlier one"
+        " of this project; its pulses are not available. Our sets have the same names, but other"
+        " rates, shares, noise and recordings, which alone may explain a difference of a tenth. An"
+        " oracle knew the next interval of the prototype's generator, not of ours.",
         "In our source a beat's systole scales with its own interval, so its shape predicts the"
         " next beat, and a predictor can have less error than an oracle. In the second table a"
         " systole scales with the interval before, and only the rhythm predicts the next beat:"
@@ -155,12 +158,24 @@ def _targets_chapter(scores: PredictionScores) -> Chapter:
     )
     at_100_ms = HORIZONS_MS.index(100)
     findings = [
-        f"{_reached(results)} of {len(results)} of the prototype's figures are reached, and"
-        f" {_reached(silent)} of {len(silent)} where no shape predicts the next beat."
+        f"{_reached(results)} of {len(results)} figures of an earlier prototype of this project are"
+        f" reached, and {_reached(silent)} of {len(silent)} where no shape predicts the next beat."
     ]
     if scores.medians:
         stack, hold = (scores.medians[name][at_100_ms] for name in ("stack", "hold"))
-        findings.insert(0, f"NRMSE 100 ms ahead, median: stack {stack:.3f}, hold {hold:.3f}.")
+        findings.insert(
+            0,
+            f"NRMSE 100 ms ahead, median of {count_text(len(scores.errors), 'set')}: the stack"
+            f" {stack:.3f}, holding the newest value {hold:.3f}.",
+        )
+        worst = max(scores.errors, key=lambda name: scores.errors[name]["stack"][at_100_ms])
+        least = min(scores.errors, key=lambda name: scores.errors[name]["stack"][at_100_ms])
+        findings.insert(
+            1,
+            f"By set, the stack's NRMSE 100 ms ahead is from"
+            f" {scores.errors[least]['stack'][at_100_ms]:.3f} ({least}) to"
+            f" {scores.errors[worst]['stack'][at_100_ms]:.3f} ({worst}).",
+        )
     return Chapter("Beside the prototype", paragraphs, tables, findings=findings)
 
 
@@ -189,7 +204,9 @@ def _targets_table(title: str, results: list[TargetResult]) -> Table:
             f"{ours:.3f} / " + ("–" if figure is None else f"{figure:.3f}")
             for ours, figure in zip(result.ours, figures, strict=True)
         ]
-        misses = ", ".join(f"{column} +{excess:.0%}" for column, excess in result.misses().items())
+        misses = ", ".join(
+            f"{column} {percent(excess, '+.0f')}" for column, excess in result.misses().items()
+        )
         verdict = f"missed: {misses}" if misses else "reached"
         rows.append((where, predictor, source, *cells, verdict))
     return Table(
@@ -197,7 +214,8 @@ def _targets_table(title: str, results: list[TargetResult]) -> Table:
         ("set", "predictor", "target", *HORIZON_COLUMNS, "verdict"),
         rows,
         "Each cell: ours / the target. Reached: at every horizon at most"
-        f" {ALLOWANCE:.0%} above the prototype, or at or below the stretch goal and the oracle.",
+        f" {percent(ALLOWANCE, '.0f')} above the prototype, or at or below the stretch goal and"
+        " the oracle.",
     )
 
 
@@ -236,4 +254,9 @@ def _costs_chapter(scores: PredictionScores) -> Chapter:
     )
     caption = "Median NRMSE at 100 ms against the cost of 5 ms of samples."
     table = Table.of("Cost by the predictor a scene names", rows, note)
-    return Chapter("Costs", (words,), (table,), (Plot("cost-error", caption, draw),))
+    finding = (
+        f"The 99th percentile of a tick of the stack is {high_us:.0f} µs of processor time (bound:"
+        f" {TICK_BOUND_US:g} µs)."
+    )
+    plot = Plot("cost-error", caption, draw)
+    return Chapter("Costs", (words,), (table,), (plot,), (finding,))

@@ -1,11 +1,13 @@
 """The report of the study of the press: the wrist's curve, steps, stability, limits, TCP."""
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from sensing_node.press.probe import ProbeLimits
 from telepulse.reports.document import STYLES, Chapter, Plot, Report, Table
+from telepulse.reports.notation import percent
 from telepulse.reports.studies.press_scores import (
     BAND_HZ,
     EASED_S,
@@ -43,17 +45,17 @@ def report_press(scores: PressScores, effort: PressEffort) -> Report:
 
 
 def verdict(met: bool) -> str:
-    """Return a bar's verdict as a word."""
+    """Return a criterion's verdict as a word."""
     return MET if met else MISSED
 
 
 def follows(score: FollowScore) -> bool:
-    """Return whether every step was followed within the bar."""
+    """Return whether every step was followed within the criterion."""
     return max(score.late) <= FOLLOW_ERROR
 
 
 def renders(score: FollowScore) -> bool:
-    """Return whether every beat had the height that the press would give, within the bar."""
+    """Return whether every beat had the height that the press would give, within the criterion."""
     return max(map(abs, score.heights)) <= HEIGHT_ERROR
 
 
@@ -70,7 +72,9 @@ def _wrist_chapter(scores: PressScores) -> Chapter:
     best = int(truth_n.argmax())
     slope = float(np.abs(np.gradient(truth_n, force_n)).max())
     words = (
-        "The synthetic wrist: arterial pressure of 120/80 mmHg through a tube law (Babbs 2012)"
+        "The synthetic wrist: arterial pressure of 120/80 mmHg through a tube law (C. F. Babbs,"
+        " “Oscillometric measurement of systolic and diastolic blood pressures validated in a"
+        " physiologic mathematical model”, BioMedical Engineering OnLine 11 (2012) 56)"
         f" under a probe of 1 cm². The pulse is highest, {1e3 * truth_n[best]:.0f} mN, at"
         f" {force_n[best]:.2f} N, which is the mean arterial pressure. Its slope is at most"
         f" {slope:.2f} N/N. The learnt curve is that of the finger at the end of a run, which has"
@@ -87,15 +91,15 @@ def _steps_chapter(scores: PressScores, effort: PressEffort) -> Chapter:
         rows.append(
             {
                 "round trip": _ms(trip_s),
-                "hold-down": f"{max(max(run.late) for run in runs):.1%}",
-                "height": f"{min(min(run.heights) for run in runs):+.1%} to"
-                f" {max(max(run.heights) for run in runs):+.1%}",
+                "hold-down": percent(max(max(run.late) for run in runs)),
+                "height": _heights(runs),
                 "loop gain": f"{max(run.gain for run in runs):.4f}",
                 "sent": f"{account.sent}",
                 "applied": f"{account.applied}",
                 "superseded": f"{account.superseded}",
                 "lost": f"{account.lost}",
-                "bars": f"{verdict(all(map(follows, runs)))}, {verdict(all(map(renders, runs)))}",
+                "criteria": f"{verdict(all(map(follows, runs)))},"
+                f" {verdict(all(map(renders, runs)))}",
             }
         )
 
@@ -114,9 +118,11 @@ def _steps_chapter(scores: PressScores, effort: PressEffort) -> Chapter:
         f" {LEARNT_S:g} s count, of {len(effort.seeds)} runs with their own seeds. In each, steps"
         " meet another part of the beat."
         f" Hold-down: largest error against the press from {FOLLOWED_S:g} s and a round trip after"
-        f" a step on (bar: {FOLLOW_ERROR:.0%}). Height: of the felt pulse, over each beat, against"
+        f" a step on (criterion: at most {percent(FOLLOW_ERROR, '.0f')}). Height: of the felt"
+        " pulse, over each beat, against"
         " that which the present press would give; it is judged from the step on, also while the"
-        f" hold-down has not followed yet (bar: {HEIGHT_ERROR:.0%}). Loop gain: as the finger"
+        f" hold-down has not followed yet (criterion: at most {percent(HEIGHT_ERROR, '.0f')})."
+        " Loop gain: as the finger"
         " measures it."
     )
     note = "Sent = applied + superseded + lost, of the first run; those under way count as lost."
@@ -125,10 +131,11 @@ def _steps_chapter(scores: PressScores, effort: PressEffort) -> Chapter:
     every = [run for runs in scores.follow.values() for run in runs]
     finding = (
         f"Up to a round trip of {_ms(max(scores.follow))}, the hold-down follows the press within"
-        f" {max(max(run.late) for run in every):.1%} (bar {FOLLOW_ERROR:.0%}:"
+        f" {percent(max(max(run.late) for run in every))} (criterion: at most"
+        f" {percent(FOLLOW_ERROR, '.0f')},"
         f" {verdict(all(map(follows, every)))}), and the felt pulse has the height of the present"
-        f" press within {max(max(map(abs, run.heights)) for run in every):.1%} (bar"
-        f" {HEIGHT_ERROR:.0%}: {verdict(all(map(renders, every)))})."
+        f" press within {percent(max(max(map(abs, run.heights)) for run in every))} (criterion: at"
+        f" most {percent(HEIGHT_ERROR, '.0f')}, {verdict(all(map(renders, every)))})."
     )
     return Chapter("Steps", (words,), (table,), (plot,), (finding,))
 
@@ -144,7 +151,7 @@ def _stability_chapter(scores: PressScores) -> Chapter:
             for number, rms_mn in enumerate(largest)
         }
         decays = verdict(all(swing.decays for swing in swings))
-        rows.append({"round trip": _ms(trip_s), **cells, "bar": decays})
+        rows.append({"round trip": _ms(trip_s), **cells, "criterion": decays})
 
     def draw(figure: "Figure") -> None:
         axes = figure.add_subplot()
@@ -162,7 +169,7 @@ def _stability_chapter(scores: PressScores) -> Chapter:
             "pulse's share in the reading": f"{share:g}",
             "opened loop": f"{measured:.4f}",
             "as the finger measures it": f"{bound:.4f}",
-            "bar": verdict(max(measured, bound) < MOST_GAIN),
+            "criterion": verdict(max(measured, bound) < MOST_GAIN),
         }
         for share, (measured, bound) in scores.gains.items()
     ]
@@ -170,7 +177,8 @@ def _stability_chapter(scores: PressScores) -> Chapter:
         "After a step the hand means a constant force. Energy of the set-point between"
         f" {BAND_HZ[0]:g} and {BAND_HZ[1]:g} Hz, as RMS in mN over windows of {WINDOW_S:g} s,"
         " from 0.5 s and a round trip after the step on: the largest over finger and tissue of each"
-        f" {', '.join(f'{each:g}' for each in stiffness)} times the model's stiffness. Bar: no"
+        f" {', '.join(f'{each:g}' for each in stiffness)} times the model's stiffness. Criterion:"
+        " no"
         f" window has more than the one before it, or than {1e3 * REST_N:g} mN. What is in the"
         " first window is the hand, which follows a tip that yields.",
         "The gain is measured with the loop opened at the wrist, which is pressed by steps of its"
@@ -187,7 +195,8 @@ def _stability_chapter(scores: PressScores) -> Chapter:
     finding = (
         "After a step nothing swings on, for any round trip, finger or tissue:"
         f" {verdict(all(swing.decays for swing in scores.swing.values()))}. The loop's gain is at"
-        f" most {largest_gain:.4f} (bar {MOST_GAIN:g}: {verdict(largest_gain < MOST_GAIN)})."
+        f" most {largest_gain:.4f} (criterion: below {MOST_GAIN:g},"
+        f" {verdict(largest_gain < MOST_GAIN)})."
     )
     return Chapter("Stability", words, tables, (plot,), (finding,))
 
@@ -207,7 +216,7 @@ def _limits_chapter(scores: PressScores) -> Chapter:
             "case": name,
             "force (N)": f"{force_n:.2f}",
             "slew (N/s)": f"{slew:.1f}",
-            "bar": verdict(force_n <= limits.force_n and slew <= limits.slew_n_per_s),
+            "criterion": verdict(force_n <= limits.force_n and slew <= limits.slew_n_per_s),
         }
         for name, (force_n, slew) in cases.items()
     ]
@@ -219,7 +228,7 @@ def _limits_chapter(scores: PressScores) -> Chapter:
         {
             "tissue": f"{tissue:g} times",
             "eased off": f"{time_s:.2f} s",
-            "bar": verdict(time_s <= EASED_S),
+            "criterion": verdict(time_s <= EASED_S),
         }
         for tissue, time_s in eased.items()
     ]
@@ -236,8 +245,9 @@ def _limits_chapter(scores: PressScores) -> Chapter:
     within = force_n <= limits.force_n and slew <= limits.slew_n_per_s
     finding = (
         f"No display makes the probe press with more than {force_n:.2f} N or {slew:.1f} N/s"
-        f" ({limits.force_n:g} N, {limits.slew_n_per_s:g} N/s: {verdict(within)}); after a cut it"
-        f" eases off within {max(eased.values()):.2f} s (bar {EASED_S:g} s:"
+        f" (limits: {limits.force_n:g} N and {limits.slew_n_per_s:g} N/s, {verdict(within)});"
+        " after a cut it"
+        f" eases off within {max(eased.values()):.2f} s (criterion: at most {EASED_S:g} s,"
         f" {verdict(max(eased.values()) <= EASED_S)})."
     )
     return Chapter("Limits and cuts", words, tables, findings=(finding,))
@@ -252,8 +262,8 @@ def _tcp_chapter(scores: PressScores) -> Chapter:
             "frames": f"{variant.batch} ms over {variant.paths}",
             "steps followed": f"{_followed(run)} of {len(run.late)}",
             "applied": f"{run.account.applied} of {run.account.sent}",
-            "height": f"{min(run.heights):+.1%} to {max(run.heights):+.1%}",
-            "bars": f"{verdict(follows(run))}, {verdict(renders(run))}",
+            "height": _heights([run]),
+            "criteria": f"{verdict(follows(run))}, {verdict(renders(run))}",
         }
         for (trip_s, variant), run in scores.tcp.items()
     ]
@@ -268,6 +278,11 @@ def _tcp_chapter(scores: PressScores) -> Chapter:
     )
     tables = (Table.of("Steps over TCP", rows),) if rows else ()
     return Chapter("Over TCP", (words,), tables, folded=True)
+
+
+def _heights(runs: Sequence[FollowScore]) -> str:
+    least, most = min(min(run.heights) for run in runs), max(max(run.heights) for run in runs)
+    return f"{percent(least, '+.1f')} to {percent(most, '+.1f')}"
 
 
 def _followed(score: FollowScore) -> int:

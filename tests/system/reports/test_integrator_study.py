@@ -65,6 +65,17 @@ def test_the_sentence_on_the_default_agrees_with_its_row(report: Report) -> None
     assert (frontier == "yes") == ("is on the frontier" in sentence)
 
 
+def test_the_findings_have_the_errors_the_rotor_and_the_check(report: Report) -> None:
+    error, cost, *_ = rows(report, 0, 0)[DEFAULT]
+    findings = report.findings
+    assert 4 <= len(findings) <= 5
+    assert f"Its largest error is {error} of the pulse" in findings[1]
+    assert f"{cost} µs a step" in findings[1]
+    assert any("RK4 × 1 " in each and "times the cost" in each for each in findings)
+    assert any("On a resonant rotor" in each and "explicit Euler × 1" in each for each in findings)
+    assert findings[-1].startswith("The reference agrees with its two checks")
+
+
 def test_on_a_rotor_the_exact_stays_exact_and_explicit_euler_grows(report: Report) -> None:
     for table in (0, 1):
         errors = rows(report, 1, table)
