@@ -73,19 +73,19 @@ def chapter() -> Chapter:
         ),
         Plot(
             "simulated-strain",
-            "Figs 13-14: the strain at the finger follows the wrist's, simulation's gains, error in"
+            "Figs 13–14: the strain at the finger follows the wrist's, simulation's gains, error in"
             " mV by eq 21. The start from rest, at 0 s, is off the scale of the error.",
             lambda figure: _draw_tracking(figure, simulated_s, wanted_n, simulated_n, True),
         ),
         Plot(
             "force-tracking",
-            "Figs 17-18: the felt force follows the pulse, experiment's gains on the display's own"
-            " loop at 1 kHz (scenes/paper.toml).",
+            "Figs 17–18: the felt force follows the pulse, experiment's gains on the display's own"
+            " loop at 1 kHz (scene paper).",
             lambda figure: _draw_tracking(figure, run.t_s, run.wanted_n, run.felt_n, False),
         ),
         Plot(
             "strain-tracking",
-            "Figs 19-20: the same run as strains by Table 3; compression is negative (eq 16).",
+            "Figs 19–20: the same run as strains by Table 3; compression is negative (eq 16).",
             lambda figure: _draw_tracking(figure, run.t_s, run.wanted_n, run.felt_n, True),
         ),
     )
@@ -99,7 +99,9 @@ def chapter() -> Chapter:
         f" {100 * off:.2f} percentage points, and the simulation's strain error (Figs 13–14), for"
         f" a pulse of {simulated_at_n:.3f} N, a height that the paper does not give.",
         "Not reproducible: the experiment's two errors (Figs 17–20). By Table 3, the printed strain"
-        f" is {PRINTED_RATIO:.2f} of the printed force, of one run.",
+        f" error is a force of {1e3 * MEASURED_STRAIN.force_n:.1f} mN, {PRINTED_RATIO:.2f} times"
+        " the"
+        f" printed force error of the same run, {1e3 * MEASURED_FORCE.force_n:.1f} mN.",
     )
     return Chapter("The paper beside this computation", paragraphs, (table,), plots, findings)
 
@@ -271,7 +273,7 @@ def _layer_rows() -> Rows:
             "Experiment's force RMSE as a strain",
             MEASURED_FORCE.text,
             scientific(per_newton * MEASURED_FORCE.force_n, 3),
-            f"It should be the printed {MEASURED_STRAIN.text}, which is {ratio:.2f} of it. That"
+            f"It should be the printed {MEASURED_STRAIN.text}, which is {ratio:.2f} times it. That"
             f" would take E = {modulus_mpa / ratio:.0f} MPa, d = {thickness_mm / ratio:.2f} mm or"
             f" ν = {poisson:.2f}; Table 3 has {modulus_mpa:.0f} MPa, {thickness_mm:g} mm and"
             f" {layer.poisson_ratio}, and no ν is above 0.5.",
@@ -314,7 +316,7 @@ def _film_and_actuator_rows() -> Rows:
             f"A factor of {film_mv / slope:.0f}: the gains' “mV” has two possible meanings.",
         ),
         (
-            "Radii r_pv of the films",
+            "Radii of the films",
             "8 mm at the wrist, 9 mm at the finger",
             f"Fa = {gain:.3f} Fp where voltages are equal",
             "Matching voltages instead of forces or strains gives an RMSE of"

@@ -151,7 +151,10 @@ def chapter() -> Chapter:
         Plot("readings", caption, _draw),
     )
     follow_it = [unit.name for unit in ERROR_UNITS if follows(unit)]
-    finding = f"The printed gains follow a pulse only if the error is in: {', '.join(follow_it)}."
+    finding = (
+        f"Of {len(ERROR_UNITS)} possible units of the controller's error, the printed gains follow"
+        f" the pulse only with {' and '.join(follow_it) or 'none'}."
+    )
     return Chapter("Five units for the gains", paragraphs, tables, (plot,), (finding,))
 
 

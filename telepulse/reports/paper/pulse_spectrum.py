@@ -27,6 +27,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 Preset = Literal["paper", "wide"]
+# Names of the presets in the report, where “paper” would be taken for the paper's own pulse.
+PRESET_NAMES: dict[Preset, str] = {"paper": "ours, fitted", "wide": "ours, wide"}
 # Slow parts of the pulse, as multiples of the standard deviation of its beats. Like the waves'
 # widths and heights, they are fitted to the energy shares that the paper prints.
 SLOW_DC = 0.034
@@ -68,7 +70,10 @@ def deviation_n(preset: Preset) -> float:
 
 @dataclass(frozen=True, slots=True)
 class Spectrum:
-    """One-sided power density in N²/Hz at frequencies in Hz from 0 to half the rate."""
+    """One-sided power density at frequencies in Hz from 0 to half the rate.
+
+    In N²/Hz of a pulse of 1 N from peak to peak, or in 1/Hz over its height.
+    """
 
     frequency_hz: NDArray[np.float64]
     density: NDArray[np.float64]
@@ -131,7 +136,7 @@ def chapter() -> Chapter:
         "The lower shares depend on choices that the paper does not state. Straight lines between"
         f" the bins move one of them by {100 * moved:.1f} points, and the treatment of the mean"
         " alone decides the lowest.",
-        "The preset “wide” is a typical radial pulse, with waves of"
+        "The second pulse, “ours, wide”, is a typical radial pulse, with waves of"
         f" {min(broad_ms):.0f} to {max(broad_ms):.0f} ms instead of {min(narrow_ms):.0f} to"
         f" {max(narrow_ms):.0f} ms. It has {100 * wide.below(5.0):.1f} % of its energy below 5 Hz,"
         f" where the paper has {100 * paper.below(5.0):.1f} %: the paper's pulse is sharper than a"
@@ -139,11 +144,17 @@ def chapter() -> Chapter:
         f" {deviation_n('wide'):.3f} of its height, the paper's {deviation_n('paper'):.3f}.",
     )
     pulse = (
-        "Fig. 15: the synthetic pulse at 75 beats/min with its respiration. The height is one unit"
-        " here, since the paper gives none in newtons."
+        "Fig. 15: our synthetic pulse at 75 beats/min with its respiration, over the height of a"
+        " beat, since the paper gives none in newtons."
     )
-    spectrum = "Fig. 16: Welch spectrum of the pulse, and the energy below a frequency."
-    presets = "A beat of both pulses, and the energy below a frequency."
+    spectrum = (
+        "Fig. 16: Welch spectrum of our pulse over the height of a beat, and the energy below a"
+        " frequency."
+    )
+    presets = (
+        "A beat of our two synthetic pulses, fitted to the paper's energy shares and wide, and the"
+        " energy below a frequency. The points are the paper's."
+    )
     plots = (
         Plot("pulse", pulse, _draw_pulse),
         Plot("spectrum", spectrum, _draw_spectrum),
@@ -155,66 +166,71 @@ def chapter() -> Chapter:
 def _tables() -> tuple[Table, Table]:
     waves = [
         {
-            "wave": f"{preset}, wave {number}",
+            "wave": f"{PRESET_NAMES[preset]}, wave {number}",
             "amplitude": f"{wave.amplitude:g}",
             "centre": f"{1e3 * wave.centre_s:g} ms",
             "width (deviation)": f"{1e3 * wave.width_s:g} ms",
         }
-        for preset, waves in PRESETS.items()
-        for number, wave in enumerate(waves, 1)
+        for preset in PRESET_NAMES
+        for number, wave in enumerate(PRESETS[preset], 1)
     ]
     ours = spectra()["ours"]
-    shares = {"ours": ours.below, "ours by trapezoids": ours.below_by_trapezoids}
-    shares |= {name: each.below for name, each in spectra().items() if name != "ours"}
+    shares = {"ours, fitted": ours.below, "the same by trapezoids": ours.below_by_trapezoids}
+    shares |= {
+        "ours, wide" if name == "wide" else name: each.below
+        for name, each in spectra().items()
+        if name != "ours"
+    }
     rows = [
         {"below": f"{limit_hz:g} Hz", "paper": f"{100 * printed:.1f} %"}
         | {name: f"{100 * share(limit_hz):.2f} %" for name, share in shares.items()}
         for limit_hz, printed in ENERGY_BELOW_HZ.items()
     ]
     note = (
-        "Mean kept: the Gaussians as they are, on zero. “wide” has the same constant and"
-        " respiration as ours, in units of its own standard deviation."
+        "Mean kept: the Gaussians as they are, on zero. “Ours, wide” has the same constant and"
+        " respiration as “ours, fitted”, in units of its own standard deviation."
     )
     shares_table = Table.of("Energy below a frequency", rows, note)
-    return Table.of("A beat of both presets", waves), shares_table
+    return Table.of("A beat of our two pulses", waves), shares_table
 
 
 def _draw_pulse(figure: "Figure") -> None:
     axes = figure.subplots()
     force_n = beats("paper", RATE_HZ, FIRST_S, slow_parts=True)
     axes.plot(np.arange(len(force_n)) / RATE_HZ, force_n)
-    axes.set(xlabel="time in s", ylabel="force in N, beats of 1 N", xlim=(0, FIRST_S))
+    axes.set(xlabel="time in s", ylabel="force over the height of a beat", xlim=(0, FIRST_S))
 
 
 def _draw_spectrum(figure: "Figure") -> None:
     paper = spectra()["ours"]
     upper, lower = figure.subplots(2, 1, sharex=True)
     upper.plot(paper.frequency_hz, paper.density)
-    upper.set(yscale="log", ylim=(1e-9, 1), ylabel="density in N²/Hz")
-    _plot_shares(lower, ours=paper)
+    upper.set(yscale="log", ylim=(1e-9, 1), ylabel="density in 1/Hz")
+    _plot_shares(lower, paper)
     lower.set(ylabel="energy below in %", xlabel="frequency in Hz", xlim=(0, SPECTRUM_TO_HZ))
 
 
 def _draw_presets(figure: "Figure") -> None:
     left, right = figure.subplots(1, 2)
-    presets: tuple[tuple[Preset, str], ...] = (("paper", "-"), ("wide", "--"))
-    for name, style in presets:
+    for (name, shown), style in zip(PRESET_NAMES.items(), ("-", "--"), strict=True):
         force_n = beats(name, RATE_HZ, NOMINAL_BEAT_S)
-        left.plot(1e3 * np.arange(len(force_n)) / RATE_HZ, force_n, style, label=name)
-    left.set(xlabel="time in ms", ylabel="force in N, beats of 1 N")
+        left.plot(1e3 * np.arange(len(force_n)) / RATE_HZ, force_n, style, label=shown)
+    left.set(xlabel="time in ms", ylabel="force over the height of a beat")
     left.legend(loc="upper right")
-    _plot_shares(right, paper=spectra()["ours"], wide=spectra()["wide"])
+    _plot_shares(right, spectra()["ours"], spectra()["wide"])
     right.set(xlabel="frequency in Hz", ylabel="energy below in %")
     right.set(xscale="log", xlim=(0.3, SPECTRUM_TO_HZ))
     right.set_xticks(list(ENERGY_BELOW_HZ), [f"{limit_hz:g}" for limit_hz in ENERGY_BELOW_HZ])
     right.set_xticks([], minor=True)
 
 
-def _plot_shares(axes: "Axes", **spectra: Spectrum) -> None:
-    """Plot the energy below each frequency of some spectra, beside the printed shares."""
-    for style, (name, spectrum) in zip(("-", "--"), spectra.items(), strict=False):
+def _plot_shares(axes: "Axes", *spectra: Spectrum) -> None:
+    """Plot the energy below each frequency of the presets' spectra, beside the printed shares."""
+    for style, name, spectrum in zip(("-", "--"), PRESET_NAMES.values(), spectra, strict=False):
         share = 100 * spectrum.shares()
         axes.plot(spectrum.frequency_hz, share, style, drawstyle="steps-post", label=name)
     limits_hz, shares = zip(*ENERGY_BELOW_HZ.items(), strict=True)
-    axes.plot(limits_hz, 100 * np.array(shares), "o", color=text_colour(), label="as printed")
+    axes.plot(
+        limits_hz, 100 * np.array(shares), "o", color=text_colour(), label="paper, as printed"
+    )
     axes.legend(loc="lower right")

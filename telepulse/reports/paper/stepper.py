@@ -19,6 +19,7 @@ from sensing_node.scene import build_source
 from telepulse.commissioning.tuning import judge
 from telepulse.reports.document import Chapter, Plot, Table
 from telepulse.reports.paper import published
+from telepulse.reports.paper.hard_case import refusal_reason
 from telepulse.scene import Scene, load_scene
 
 if TYPE_CHECKING:
@@ -192,7 +193,7 @@ def _run(name: str, scene: Scene, actual: StepperScene | None = None) -> BenchRe
     try:
         return BenchResult(name, run_scene(scene, actual).force_rmse_n)
     except SceneError as error:
-        return BenchResult(name, None, str(error))
+        return BenchResult(name, None, refusal_reason(error))
 
 
 def _with(scene: Scene, **keys_of_display: object) -> Scene:
@@ -216,7 +217,8 @@ def chapter() -> Chapter:
         " else. The real bench adds 10 µm of backlash, a rotor that rings at 100 Hz"
         " (ζ 0.2), 1 mN of noise on the film, its 40 Hz filter, and a converter of 16 bits"
         " over ±10 V, which at Fig. 4's 44 mV/N is 6.9 mN a step. All errors are force RMSE"
-        " over the first 6 s, as the paper's; the scenes are bench and real_bench.",
+        " over the first 6 s, as the paper's; the scenes are `scenes/bench.toml` and"
+        " `scenes/real_bench.toml`.",
         "A stepper can do no better than one microstep: the nearest one at every tick would"
         f" leave {1e3 * microstep_rmse_n(load_bench('bench')):.2f} mN. The paper's experiment"
         f" printed {1e3 * published.MEASURED_FORCE.force_n:.1f} mN.",
@@ -270,7 +272,7 @@ def _tables() -> list[Table]:
             "Force RMSE by what the controller models",
             ("controller", "clean bench", "real bench"),
             [(each.name, on_clean.get(each.name, "–"), str(each)) for each in on_real],
-            "Refused: " + "; ".join(refused) if refused else "",
+            f"Refused by the display: {'; '.join(refused)}." if refused else "",
         ),
         Table(
             "Error that each part of the real bench adds alone",

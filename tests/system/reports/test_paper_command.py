@@ -64,7 +64,23 @@ def test_the_page_states_what_is_impossible_and_why(written: Written) -> None:
     assert not re.search(r"\b(nan|inf|None)\b", page)
     controllers = written.table("Force RMSE by what the controller models")
     assert controllers["rows"][0]["real bench"] == "refused"
-    assert "not stable" in controllers["note"]
+    assert controllers["note"].startswith("Refused by the display: the force loop is not stable")
+
+
+def test_the_page_has_no_numbers_as_programs_print_them(written: Written) -> None:
+    page = (written.folder / "index.html").read_text("utf-8")
+    text = re.sub(r"<code>.*?</code>|<[^>]*>", " ", page[page.index("<body>") :])
+    assert not re.findall(r"\d[eE][+-]?\d+", text)
+    assert not re.findall(r"\d%|\d (?:N|mN|ms|Hz|%|µm)\b", text)
+    assert "9.4249×10⁻⁹" in text
+    assert "1\u00a0−\u00a06.6×10⁻⁴" in text
+
+
+def test_the_findings_compare_like_with_like(written: Written) -> None:
+    findings = written.report["findings"]
+    assert len(findings) <= 5
+    assert "a force of 12.1 mN, 0.58 times the printed force error" in findings[1]
+    assert findings[2].endswith("follow the pulse only with mV by eq 21.")
 
 
 def test_each_figure_of_the_paper_has_ours_and_why(written: Written) -> None:

@@ -263,7 +263,10 @@ def test_the_chapter_reports_the_results(
     tables = [table for chapter in chapters for table in chapter.tables]
     assert [len(table.rows) for table in tables] == [28, len(results)]
     assert "0 of 28 loops diverge" in chapters[0].paragraphs[0]
-    assert chapters[1].findings[0].endswith(f"Defects: {defect.run} (silently wrong).")
+    (finding,) = chapters[1].findings
+    assert finding.startswith(f"Of {len(results)} hard cases for the force loop, ")
+    assert ", 3 end in a limit cycle, 1 are silently wrong. " in finding
+    assert finding.endswith(f"Defects: {defect.run} (silently wrong).")
     page = write_report(Report("", chapters), tmp_path).read_text("utf-8")
     assert not re.search(r"\b(nan|inf|None)\b", page)
     for theme in ("light", "dark"):
