@@ -215,6 +215,7 @@ MULTICAST = "needs a network that carries multicast; tests/system/discovery"
 OBSERVER = "a minute; tests/system/experiment/test_experiment_command.py"
 SUBJECT = "asks a person; tests/system/experiment"
 PRESSED = "tests/system/drives/test_pressed_wrist.py"
+THREE = "tests/system/drives/test_several_drives.py"
 EXAMPLE = "tests/system/plugins/test_example.py installs and simulates it"
 UNRUN = {
     f"{SSH} -R 5655:localhost:5555 -R 5656:localhost:5556 THIRD cat": BEHIND,
@@ -305,6 +306,16 @@ UNRUN = {
     "telepulse scenes copy real_press my_press.toml": PRESSED,
     "telepulse emulate tmcl real_press --wrist press --link /tmp/telepulse-probe"
     " --film-link /tmp/telepulse-wrist": PRESSED,
+    "telepulse bench my_bench.toml --only display --contactor guan": BENCH,
+    "telepulse emulate sensor three_fingers --link /tmp/telepulse-board --delivery-ms 4": THREE,
+    "telepulse emulate tmcl three_fingers_bench --contactor cun"
+    " --link /tmp/telepulse-drive-cun --film-link /tmp/telepulse-film-cun": THREE,
+    "telepulse emulate tmcl three_fingers_bench --contactor guan"
+    " --link /tmp/telepulse-drive-guan --film-link /tmp/telepulse-film-guan": THREE,
+    "telepulse emulate tmcl three_fingers_bench --contactor chi"
+    " --link /tmp/telepulse-drive-chi --film-link /tmp/telepulse-film-chi": THREE,
+    "sensing-node three_fingers_bench --bind tcp://127.0.0.1:5555": THREE,
+    "display-node three_fingers_bench --connect tcp://127.0.0.1:5555": THREE,
     "sensing-node real_press": PRESSED,
     "display-node real_press": PRESSED,
     "telepulse emulate tmcl my_bench.toml --link drive --film-link film": BENCH,

@@ -52,12 +52,13 @@ class BenchFailedError(RuntimeError):
     """A process of the bench did not start, or did not reach a state."""
 
 
-def bench_scene_text(folder: Path, kind: str, watchdog_ms: int) -> str:
+def bench_scene_text(folder: Path, kind: str, watchdog_ms: int, name: str = "") -> str:
     """Return the scene of an emulated bench with its ports in a folder.
 
-    watchdog_ms: of the drive, for a busy machine; 0: the scene's.
+    name: of the shipped scene; by default, that of the kind of drive. watchdog_ms: of the drive,
+    for a busy machine; 0: the scene's.
     """
-    text = to_toml(load_document(find_scene(f"{kind}_bench"))).replace(PORTS, f"{folder}/")
+    text = to_toml(load_document(find_scene(name or f"{kind}_bench"))).replace(PORTS, f"{folder}/")
     if watchdog_ms:
         keys = f'watchdog = "{watchdog_ms} ms"\n'
         if kind == "tmcl":
@@ -74,7 +75,7 @@ class EmulatedBench:
 
     source: the scene that the board plays. drive_options: further options of the drive's emulator.
     watchdog_ms: see `bench_scene_text`. output: the descriptor that the display prints to; None:
-    the log, and errors only.
+    the log, and errors only. name: of the shipped scene, see `bench_scene_text`.
     """
 
     folder: Path
@@ -83,6 +84,7 @@ class EmulatedBench:
     drive_options: tuple[str, ...] = ()
     watchdog_ms: int = 0
     output: int | None = None
+    name: str = ""
     processes: dict[str, ChildProcess] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -90,7 +92,7 @@ class EmulatedBench:
         self.scene = self.folder / "scene.toml"
         # A channel of its own, so that it does not interfere with another bench.
         last = 10 + int(re.findall(r"\d+$", self._address)[0]) % 200
-        text = bench_scene_text(self.folder, self.kind, self.watchdog_ms)
+        text = bench_scene_text(self.folder, self.kind, self.watchdog_ms, self.name)
         self.scene.write_text(text.replace(CHANNEL, f"239.74.163.{last}"), encoding="utf-8")
 
     def start_board(self) -> None:
@@ -99,12 +101,13 @@ class EmulatedBench:
 
     def start_drive(self, contactor: str = "") -> None:
         """Start the drive's emulator; contactor: of which, its name ends those of the files."""
-        serial = ("--link", self.folder / f"drive{contactor}") if self.kind == "tmcl" else ()
-        trace = ("--trace", self.folder / f"motor{contactor}.csv")
-        film = ("--film-link", self.folder / f"film{contactor}", *trace)
+        end = f"-{contactor}" if contactor else ""
+        serial = ("--link", self.folder / f"drive{end}") if self.kind == "tmcl" else ()
+        trace = ("--trace", self.folder / f"motor{end}.csv")
+        film = ("--film-link", self.folder / f"film{end}", *trace)
         which = ("--contactor", contactor) if contactor else ()
         words = ("emulate", self.kind, self.scene, *which, *serial, *film, *self.drive_options)
-        self._start(f"drive{contactor}", "telepulse", *words)
+        self._start(f"drive{end}", "telepulse", *words)
 
     def start_sensing(self) -> None:
         self._start("sensing", "sensing_node.cli", self.scene, "--bind", self._address)
@@ -164,7 +167,7 @@ class EmulatedBench:
 
     def motor(self, contactor: str = "") -> MotorTrace:
         rows = np.genfromtxt(
-            self.folder / f"motor{contactor}.csv",
+            self.folder / (f"motor-{contactor}.csv" if contactor else "motor.csv"),
             delimiter=",",
             names=True,
             dtype=None,

@@ -1,4 +1,4 @@
-"""Two contactors on two emulated drives, each a process: one instant, one safety."""
+"""Contactors on emulated drives, each a process: one instant, one safety."""
 
 import time
 from collections.abc import Callable
@@ -12,6 +12,7 @@ from tests.support.emulated_bench import BenchFailedError, EmulatedBench, MotorT
 from tests.support.waiting import until
 
 CONTACTORS = ("cun", "chi")
+THREE = ("cun", "guan", "chi")
 # The pulse wave takes 5 cm at 8 m/s.
 APART_S = 0.05 / 8
 TICK_S = 2e-3
@@ -34,8 +35,15 @@ name = "chi"
 CONTACTOR = """
 [[display.contactor]]
 channel = "{name}"
-drive.port = "{folder}/drive{name}"
-feedback.port = "{folder}/film{name}"
+drive.port = "{folder}/drive-{name}"
+feedback.port = "{folder}/film-{name}"
+"""
+
+# What the board of the shipped scene senses.
+SENSED = """
+extends = "three_fingers"
+[sensing.source.announce]
+transit = "180 ms"
 """
 
 
@@ -47,17 +55,41 @@ def start(folder: Path) -> EmulatedBench:
     tables = "".join(CONTACTOR.format(name=name, folder=folder) for name in CONTACTORS)
     own.write_text(f'extends = "{folder}/bench.toml"\n{SCENE}{tables}', encoding="utf-8")
     bench.scene = own
-    for name in CONTACTORS:
-        bench.start_drive(name)
-    files = [folder / f"{kind}{name}" for kind in ("drive", "film") for name in CONTACTORS]
-    until(lambda: all(file.exists() for file in files), STARTS_WITHIN_S)
-    bench.start_sensing()
-    bench.start_display()
-    bench.await_state("playing")
+    start_nodes(bench, CONTACTORS)
     return bench
 
 
-def on_two_drives(folder: Path, happens: Callable[[EmulatedBench], None]) -> EmulatedBench:
+def start_shipped(folder: Path) -> EmulatedBench:
+    """Start the shipped scene of three drives, with an ECG beside the films of the board."""
+    (sensed := folder / "sensed.toml").write_text(SENSED, encoding="utf-8")
+    name = "three_fingers_bench"
+    bench = EmulatedBench(folder, "tmcl", str(sensed), watchdog_ms=PATIENCE_MS, name=name)
+    text = bench.scene.read_text("utf-8")
+    names = '"cun", "guan", "chi"'
+    assert names in text
+    bench.scene.write_text(text.replace(names, f'{names}, "announce"'), encoding="utf-8")
+    bench.start_board()
+    start_nodes(bench, THREE, "board")
+    return bench
+
+
+def start_nodes(bench: EmulatedBench, contactors: tuple[str, ...], *files: str) -> None:
+    """Start the drives and both nodes, once the drives' files and `files` exist."""
+    for name in contactors:
+        bench.start_drive(name)
+    awaited = [f"{kind}-{name}" for kind in ("drive", "film") for name in contactors]
+    there = [bench.folder / name for name in (*awaited, *files)]
+    until(lambda: all(file.exists() for file in there), STARTS_WITHIN_S)
+    bench.start_sensing()
+    bench.start_display()
+    bench.await_state("playing")
+
+
+def on_drives(
+    folder: Path,
+    happens: Callable[[EmulatedBench], None],
+    start: Callable[[Path], EmulatedBench] = start,
+) -> EmulatedBench:
     """Return a bench, ended, on which `happens` was called; on a busy machine it may fail."""
     for attempt in range(TRIES):
         (here := folder / str(attempt)).mkdir()
@@ -99,7 +131,7 @@ def test_two_drives_press_within_a_tick_of_each_other_and_withdraw_together(
             assert figures["force_rmse_n"]["aligned"] < 0.1
             assert figures["finger"] == "withdrawn"
 
-    bench = on_two_drives(tmp_path, happens)
+    bench = on_drives(tmp_path, happens)
     cun, chi = (bench.motor(name) for name in CONTACTORS)
     assert abs(delay_s(chi, cun) - APART_S) < TICK_S
     for motor in (cun, chi):
@@ -107,15 +139,38 @@ def test_two_drives_press_within_a_tick_of_each_other_and_withdraw_together(
         assert motor.force_n[-1] == 0
 
 
+def test_the_shipped_scene_presses_three_fingers_by_drives_and_finds_the_ecg(
+    tmp_path: Path,
+) -> None:
+    def happens(bench: EmulatedBench) -> None:
+        time.sleep(PLAYED_S)
+        summary = bench.end()
+        if summary["faults"]:
+            raise BenchFailedError(summary["faults"])
+        assert tuple(summary["contactors"]) == THREE
+        for figures in summary["contactors"].values():
+            assert figures["beats"]["count"] > 3
+            assert figures["finger"] == "withdrawn"
+        assert summary["announce"]["r_waves"] > 3
+
+    bench = on_drives(tmp_path, happens, start_shipped)
+    cun, guan, chi = (bench.motor(name) for name in THREE)
+    assert abs(delay_s(chi, guan) - APART_S / 2) < TICK_S
+    assert abs(delay_s(guan, cun) - APART_S / 2) < TICK_S
+    for motor in (cun, guan, chi):
+        assert 0.05 < motor.force_n.max() <= LIMIT_N
+        assert motor.force_n[-1] == 0
+
+
 def test_a_fault_of_one_drive_withdraws_both_tips(tmp_path: Path) -> None:
     def happens(bench: EmulatedBench) -> None:
-        bench.processes["drivechi"].kill()
+        bench.processes["drive-chi"].kill()
         until(lambda: bench.await_state("fault")["faults"] != [], STARTS_WITHIN_S)
         summary = bench.await_state("fault")
         assert summary["faults"][0].startswith("chi: ")
         finger = "withdrawn"
         until(lambda: bench.await_state("fault")["contactors"]["cun"]["finger"] == finger)
 
-    motor = on_two_drives(tmp_path, happens).motor("cun")
+    motor = on_drives(tmp_path, happens).motor("cun")
     assert motor.force_n.max() > 0.1
     assert motor.force_n[-1] == 0
