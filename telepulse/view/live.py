@@ -14,13 +14,16 @@ from display_node.scoring.beats import BeatAnalysis
 from protocol.run_summary import contactors_of
 from protocol.wire.messages import channel_samples
 from protocol.wire.stream import HOLD_DOWN
-from telepulse.telemetry.decoder import Entry, Fields
-from telepulse.telemetry.schema import EVENT, FRAME, STATUS, STREAM, TICK
+from telepulse.telemetry.decoder import MARK_EVENT, Entry, Fields
+from telepulse.telemetry.schema import EVENT, FRAME, LEVELS, STATUS, STREAM, TICK
 from telepulse.view.depth import DepthState
+from telepulse.view.plots import INFORMATION, MARK
 from telepulse.view.tables import FAST_ROWS, SLOW_ROWS, RollingTable, Times
 
 MS = 1_000_000
-EVENTS = 12
+# The plots of a minute show so many events; a list shows the last ones of them.
+EVENTS, LISTED_EVENTS = 200, 12
+KINDS = {LEVELS["WARNING"]: "warning", LEVELS["ERROR"]: "error"}
 # A status may name hundreds of contactors; a page has room for these.
 MAX_CONTACTORS = 8
 # Shares of lost and late samples are taken over this many statuses: one second.
@@ -86,7 +89,8 @@ class LiveState:
     def __init__(self) -> None:
         takers = (self._tick, self._frame, self._status, self._stream, self._event)
         self._take = dict(zip((TICK, FRAME, STATUS, STREAM, EVENT), takers, strict=True))
-        self.events: deque[tuple[int, int, str]] = deque(maxlen=EVENTS)
+        # Unix time in ns, id of the kind among `plots.EVENT_LINES`, and text of each.
+        self.events: deque[tuple[int, str, str]] = deque(maxlen=EVENTS)
         self._begin()
 
     def _begin(self) -> None:
@@ -233,4 +237,5 @@ class LiveState:
         # The texts are those of recordings.
         text = entry.fields["message"]
         text = text.replace("the recorder", "this page").replace("the recording", "this page")
-        self.events.append((entry.t_ns, entry.fields["level"], f"{name}: {text}"))
+        kind = MARK if name == MARK_EVENT else KINDS.get(entry.fields["level"], INFORMATION)
+        self.events.append((entry.t_ns, kind, f"{name}: {text}"))

@@ -2,9 +2,17 @@
 // texts: content of the page; choices: what its reader has chosen, and marked: his last mark, which
 // go back to the server.
 const at = (id) => document.getElementById(id);
-const write = (id, text) => { if (at(id).textContent !== text) at(id).textContent = text; };
+// A number keeps its unit on its line.
+const unbroken = (text) => text.replace(/(\d) (?=(%|[mµ]?s|m?N|ppm)(\W|$)|\/min)/g, "$1\u00a0");
+const write = (id, text) => {
+  const whole = unbroken(text);
+  if (at(id).textContent !== whole) at(id).textContent = whole;
+};
 const [shown] = texts.data.shown;
-const choose = (change) => { choices.data = { ...choices.data, ...change }; };
+const choose = (change) => {
+  hideReadOuts();
+  choices.data = { ...choices.data, ...change };
+};
 const element = (kind, text, attributes = {}) => {
   const made = document.createElement(kind);
   made.textContent = text;
@@ -21,6 +29,9 @@ function begin() {
     // In a pause the wheel zooms, a drag moves, and the pointer shows values.
     for (const root of Bokeh.documents[0].roots()) {
       for (const tool of root.toolbar?.tools ?? []) tool.active = paused;
+      // A finger that moves up or down scrolls the page all the same.
+      const hits = Bokeh.index.get_one(root)?.canvas?.events_el;
+      if (hits) hits.style.touchAction = paused ? "pan-y" : "";
     }
     choose({ paused: [paused] });
   });
@@ -36,9 +47,16 @@ function begin() {
   });
   for (const choice of document.querySelectorAll("input[name=window]")) {
     choice.addEventListener("change", () => choose({ window_s: [Number(choice.value)] }));
+    // Also where it is the present one: a reader may have zoomed.
+    choice.addEventListener("click", () => {
+      const times = Bokeh.documents[0].get_model_by_name("force").x_range;
+      times.setv({ start: -Number(choice.value), end: 0 });
+      hideReadOuts();
+    });
     // A browser keeps the choice when the page is loaded again.
     if (choice.checked) choose({ window_s: [Number(choice.value)] });
   }
+  beginReadOuts(() => at("pause").getAttribute("aria-pressed") === "true");
   // Plots take their colours from the style sheet when they are drawn.
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => {
     for (const root of cb_obj.document?.roots() ?? []) Bokeh.index.get_one(root)?.request_repaint();
@@ -49,7 +67,8 @@ function begin() {
 // An alarm that lasts keeps its element: it is announced once, however its text counts on.
 function showAlarms(list) {
   const old = new Map([...at("alarms").children].map((item) => [item.dataset.name, item]));
-  for (const [index, [name, text]] of list.entries()) {
+  for (const [index, [name, broken]] of list.entries()) {
+    const text = unbroken(broken);
     let item = old.get(name);
     if (!item) {
       item = document.createElement("li");
@@ -68,11 +87,11 @@ function showEvents(events) {
   const key = JSON.stringify(events);
   if (at("events").dataset.key === key) return;
   at("events").dataset.key = key;
-  at("events").replaceChildren(...events.map(([when_ms, level, text]) => {
+  at("events").replaceChildren(...events.map(([when_ms, kind, text]) => {
     const item = document.createElement("li"), time = document.createElement("time");
     time.textContent = new Date(when_ms).toLocaleTimeString("en-GB");
-    item.className = level;
-    item.append(time, text);
+    item.className = kind;
+    item.append(time, unbroken(text));
     return item;
   }));
 }
@@ -95,7 +114,7 @@ function offerContactors(names) {
   }));
   at("fingers-keys").replaceChildren(...names.map((name, index) => {
     const item = document.createElement("span");
-    item.append(element("i", "", { style: `border-top: 3px solid ${shown.colours[index]}` }), name);
+    item.append(element("i", "", { style: `color: ${shown.colours[index]}; border-top: 3px solid` }), name);
     return item;
   }));
   choose({ contactor: [0] });
@@ -112,7 +131,8 @@ function showContactors(rows) {
       const label = titles[place].textContent;
       const cell = row.cells[place] ?? row.appendChild(
         element("td", "", { role: place ? "cell" : "rowheader", "data-label": label }));
-      if (cell.textContent !== text) cell.textContent = text;
+      const whole = unbroken(text);
+      if (cell.textContent !== whole) cell.textContent = whole;
     }
   }
 }

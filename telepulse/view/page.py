@@ -17,20 +17,18 @@ from bokeh.models import (
     BasicTicker,
     ColumnDataSource,
     CustomJS,
-    HoverTool,
     PanTool,
     Range1d,
     WheelZoomTool,
 )
 from bokeh.models.annotations import BoxAnnotation
-from bokeh.models.renderers import GlyphRenderer
 from bokeh.plotting import figure
 from jinja2 import Template
 from numpy.typing import NDArray
 
 from telepulse.view import text
-from telepulse.view.live import LiveState
-from telepulse.view.plots import FINGER_COLOURS, FINGERS, MUTED, PLOTS, WRONG, PagePlot
+from telepulse.view.live import LISTED_EVENTS, LiveState
+from telepulse.view.plots import EVENT_LINES, FINGER_COLOURS, FINGERS, MUTED, PLOTS, PagePlot
 from telepulse.view.window_data import Columns, WindowData, window_data
 
 REDRAW_MS = 200
@@ -45,13 +43,15 @@ document.getElementById("state-note").textContent =
   "the server of this page has ended: it shows the last state";
 """
 HEIGHT = 220
-# Colours of events by their level: of information, warnings and errors.
-EVENT_COLOURS = {2: MUTED, 3: FINGER_COLOURS[5], 4: WRONG}
 _CURVES = tuple(curve.name for plot in PLOTS for curve in plot.curves)
 
 
 class Plots:
-    """Plots of one viewer; roots: their Bokeh models, each named by its id."""
+    """Plots of one viewer.
+
+    roots: their Bokeh models, each named by its id. sources: the data of the curves, of the curves
+    of several fingers, and of the events.
+    """
 
     def __init__(self) -> None:
         # One source, so that an update is one message and each plot is drawn once.
@@ -61,7 +61,9 @@ class Plots:
         self._source = ColumnDataSource(empty)
         # One row a contactor; empty for an only one.
         self._fingers = ColumnDataSource({"t": [], "y": [], "colour": []})
-        self._events = ColumnDataSource({"t": [], "colour": [], "text": []})
+        columns = ("t", "text", "colour", "dash", "width")
+        self._events = ColumnDataSource(dict[str, Any]({name: [] for name in columns}))
+        self.sources = {"curves": self._source, "fingers": self._fingers, "events": self._events}
         self._times, self._forces = Range1d(start=-10, end=0), Range1d(start=0, end=1)
         self._limits = {plot.id: Range1d(start=0, end=1) for plot in (*PLOTS, FINGERS)}
         self._band = BoxAnnotation(
@@ -75,9 +77,14 @@ class Plots:
         self._times.update(start=-data.window_s, end=0)
         self._forces.update(start=data.force_n[0], end=data.force_n[1])
         self._source.data = padded(data.columns)
-        times_s, levels, texts = zip(*data.events, strict=True) if data.events else ((), (), ())
-        colours = [EVENT_COLOURS.get(level, MUTED) for level in levels]
-        self._events.data = {"t": list(times_s), "colour": colours, "text": list(texts)}
+        lines = [EVENT_LINES[kind] for _, kind, _ in data.events]
+        self._events.data = {
+            "t": [time_s for time_s, _, _ in data.events],
+            "text": [text for _, _, text in data.events],
+            "colour": [line.colour for line in lines],
+            "dash": [line.dash for line in lines],
+            "width": [line.width for line in lines],
+        }
         for plot, (low, high) in data.limits.items():
             self._limits[plot].update(start=low, end=high)
         jnd_mn = (data.scores.jnd_n or 0.0) * 1e3
@@ -111,9 +118,8 @@ class Plots:
         )
         for curve in plot.curves:
             columns = f"{curve.name}_t", f"{curve.name}_y"
-            glyph: GlyphRenderer[Any]
             if curve.marker:
-                glyph = drawn.scatter(
+                drawn.scatter(
                     *columns,
                     source=self._source,
                     marker=curve.marker,
@@ -123,15 +129,13 @@ class Plots:
                     fill_color=None,
                 )
             else:
-                glyph = drawn.line(
+                drawn.line(
                     *columns,
                     source=self._source,
                     line_color=curve.colour,
                     line_dash=curve.dash,
                     line_width=2,
                 )
-            value = f"{curve.words or curve.name}: $snap_y{{0.[000]}} at $snap_x{{0.000}}"
-            drawn.add_tools(HoverTool(renderers=[glyph], tooltips=f"<div>{value}</div>", limit=1))
         if plot.id == FINGERS.id:
             drawn.multi_line("t", "y", source=self._fingers, line_color="colour", line_width=2)
         if plot.id == "error":
@@ -140,19 +144,15 @@ class Plots:
         return drawn
 
     def _explore(self, drawn: figure, plot: PagePlot) -> None:
-        """Add what a reader uses in a pause, in which `page.js` activates it."""
+        """Add the events, and tools for a reader in a pause, in which `page.js` activates them."""
         toolbar = drawn.toolbar
-        toolbar.active_drag = toolbar.active_scroll = toolbar.active_inspect = None
+        toolbar.active_drag = toolbar.active_scroll = None
         if plot.across:
             return
-        events = drawn.vspan(
-            x="t", source=self._events, line_color="colour", line_dash="dotted", line_width=2
+        drawn.vspan(
+            x="t", source=self._events, line_color="colour", line_dash="dash", line_width="width"
         )
-        drawn.add_tools(
-            HoverTool(renderers=[events], tooltips="<div>@text</div>"),
-            PanTool(dimensions="width"),
-            WheelZoomTool(dimensions="width"),
-        )
+        drawn.add_tools(PanTool(dimensions="width"), WheelZoomTool(dimensions="width"))
 
 
 def padded(columns: dict[str, Columns]) -> dict[str, NDArray[np.float32]]:
@@ -190,8 +190,19 @@ class LivePage:
         self._marked = ColumnDataSource({"number": [0], "text": [""]})
         self._marked.on_change("data", lambda _, __, data: self._mark(str(data["text"][0])))
         update = CustomJS(
-            args={"texts": self._texts, "choices": self._choices, "marked": self._marked},
-            code=_text("page.js"),
+            args={
+                **{"texts": self._texts, "choices": self._choices, "marked": self._marked},
+                **self._plots.sources,
+                "plots": {
+                    plot.id: {
+                        "across": bool(plot.across),
+                        "unit": plot.unit,
+                        "curves": [curve._asdict() for curve in plot.curves],
+                    }
+                    for plot in (*PLOTS, FINGERS)
+                },
+            },
+            code=_text("read_out.js") + _text("page.js"),
         )
         document.js_on_event(DocumentReady, update)
         document.js_on_event(ConnectionLost, CustomJS(code=SERVER_LOST))
@@ -211,6 +222,7 @@ class LivePage:
             figures=text.FIGURES,
             plots=PLOTS,
             fingers=FINGERS,
+            event_lines=EVENT_LINES.values(),
             columns=text.CONTACTOR_COLUMNS,
         )
         # Data and texts by window and contactor: of all at the beginning of a pause, else of the
@@ -256,7 +268,10 @@ class LivePage:
             **texts,
             "old": bool(text.age(live, silent_ns)),
             "alarms": text.alarms(live, silent_ns),
-            "events": [(t_ns // 1_000_000, *rest) for t_ns, *rest in reversed(live.events)],
+            "events": [
+                (t_ns // 1_000_000, *rest)
+                for t_ns, *rest in list(live.events)[: -LISTED_EVENTS - 1 : -1]
+            ],
             "number": self._number,
         }
         self._texts.data = {"shown": [content]}

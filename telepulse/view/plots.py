@@ -2,15 +2,35 @@
 
 from typing import NamedTuple
 
-SENSED, FELT, MUTED, WRONG = "#e8740c", "#2f7fd6", "#8a94a0", "#c0182b"
+# Colours that have a contrast of at least 3 on the card of either theme.
+SENSED, FELT, MUTED, WRONG = "#e06c08", "#2f7fd6", "#7d8894", "#e04352"
 # Colours of several contactors, in their order.
 FINGER_COLOURS = (
-    *("#2f7fd6", "#e8740c", "#1f9a5b", "#e04352"),
+    *("#2f7fd6", "#e06c08", "#1f9a5b", "#e04352"),
     *("#9a63d8", "#8a7a14", "#d6459a", "#128f9c"),
 )
 # Displays of a wrist that is pressed, and those whose finger does not press.
 PRESSED, UNPRESSED = "pressed", "unpressed"
-GREEN, VIOLET = FINGER_COLOURS[2], FINGER_COLOURS[4]
+GREEN, VIOLET, OLIVE = FINGER_COLOURS[2], FINGER_COLOURS[4], FINGER_COLOURS[5]
+
+
+class EventLine(NamedTuple):
+    """A vertical line in the plots over time, at an event of a kind; width in pixels."""
+
+    words: str
+    colour: str
+    dash: str
+    width: int
+
+
+# By the kind of an event: its level, or that it is a mark.
+INFORMATION, MARK = "information", "mark"
+EVENT_LINES = {
+    INFORMATION: EventLine("information", MUTED, "dotted", 2),
+    "warning": EventLine("warning", OLIVE, "dashed", 2),
+    "error": EventLine("error", WRONG, "solid", 2),
+    MARK: EventLine("mark", VIOLET, "solid", 4),
+}
 
 
 class Curve(NamedTuple):
@@ -46,6 +66,11 @@ class PagePlot(NamedTuple):
     across: str = ""
     only: str = ""
 
+    @property
+    def unit(self) -> str:
+        """Unit of the values, from the label of their axis."""
+        return self.axis[self.axis.index("(") + 1 : -1]
+
 
 PLOTS = (
     PagePlot(
@@ -54,7 +79,7 @@ PLOTS = (
             Curve("wrist", "at the wrist", SENSED),
             Curve("finger", "at the finger", FELT),
             Curve("onset", "onset of a beat", SENSED, marker="circle"),
-            Curve("doubtful", "of a doubtful one", WRONG, marker="x"),
+            Curve("doubtful", "onset of a doubtful beat", WRONG, marker="x"),
         ),
         "No sample from the wrist and no tick of the display in this window.",
         "The finger follows by the playout delay. A beat is marked when the next one has begun."
@@ -91,7 +116,7 @@ PLOTS = (
         *("depth", "Height of the pulse by hold-down", "height (mN)", (0.0, 1.0)),
         (
             Curve("depth_beats", "a beat", SENSED, marker="circle"),
-            Curve("depth_doubtful", "a doubtful one", WRONG, marker="x"),
+            Curve("depth_doubtful", "a doubtful beat", WRONG, marker="x"),
             Curve("depth_curve", "curve", SENSED),
             Curve("light", "light", GREEN, "dashed"),
             Curve("deeper", "deeper: the best", FELT),
@@ -163,7 +188,7 @@ PLOTS = (
         "The clocks were not compared for long enough yet.",
     ),
 )
-# Shown of several contactors.
+# Shown of several contactors, with a curve each.
 FINGERS = PagePlot(
     *("fingers", "Forces at all fingers", "force (mN)", (0.0, 1.0), ()),
     "No tick of the display in this window.",

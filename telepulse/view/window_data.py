@@ -21,7 +21,7 @@ HEART_NS, HEART_APART_NS = 6 * SECOND_NS, SECOND_NS // 100
 STATUS_GAP_NS, BEAT_GAP_NS = SECOND_NS, 3 * SECOND_NS
 # Approximate number of steps of a plot's axis.
 STEPS = 4
-# Above the highest mark, as a share of it.
+# Beyond the values, as a share of them: a line at the end of an axis would be half cut.
 HEADROOM = 0.05
 Columns = dict[str, Floats]
 
@@ -46,7 +46,7 @@ class WindowData(NamedTuple):
     columns, scores and heart rate are those of the contactor of the number `chosen`. fingers: the
     felt force of each of several contactors; all_scores: the scores of each contactor. force_n:
     limits of the axes of hold-down. hidden: ids of the plots that do not apply; empty: of those
-    without a value. events: time in s before now, level and text of each in the window.
+    without a value. events: time in s before now, kind and text of each in the window.
     """
 
     window_s: float
@@ -60,7 +60,7 @@ class WindowData(NamedTuple):
     force_n: tuple[float, float]
     hidden: tuple[str, ...]
     empty: tuple[str, ...]
-    events: tuple[tuple[float, int, str], ...]
+    events: tuple[tuple[float, str, str], ...]
 
 
 def window_data(live: LiveState, window_ns: int, chosen: int = 0) -> WindowData:
@@ -138,17 +138,22 @@ def window_data(live: LiveState, window_ns: int, chosen: int = 0) -> WindowData:
         all_scores,
         nice(forces_n),
         tuple(plot.id for plot in PLOTS if not kinds.get(plot.only, True)),
-        tuple(plot.id for plot in PLOTS if not any(_known(columns[c.name]) for c in plot.curves)),
+        _empty(columns, fingers),
         tuple(
-            ((t_ns - live.now_ns) * 1e-9, level, text)
-            for t_ns, level, text in live.events
+            ((t_ns - live.now_ns) * 1e-9, kind, text)
+            for t_ns, kind, text in live.events
             if begin_ns < t_ns <= live.now_ns
         ),
     )
 
 
-def _known(curve: Columns) -> bool:
-    return bool(np.isfinite(curve["y"]).any())
+def _empty(columns: dict[str, Columns], fingers: tuple[Columns, ...]) -> tuple[str, ...]:
+    """Return the ids of the plots of which no curve has a value."""
+    curves = {plot.id: [columns[curve.name] for curve in plot.curves] for plot in PLOTS}
+    curves[FINGERS.id] = list(fingers)
+    return tuple(
+        id for id, each in curves.items() if not any(np.isfinite(one["y"]).any() for one in each)
+    )
 
 
 def _thinned(live: LiveState, rows: TableSlice, values: Floats, gap_ns: int) -> Columns:
@@ -238,10 +243,10 @@ def _limits(
     for plot in PLOTS:
         curves = [columns[curve.name]["y"] for curve in plot.curves]
         band = (-band_mn, band_mn) if plot.id == "error" else ()
-        # Marks at the top of an axis would be cut.
-        top = (1 + HEADROOM) * np.nanmax(np.concatenate([*curves, (0,)])) if plot.across else 0.0
-        limits[plot.id] = nice(np.concatenate([*curves, plot.least, band, (top,)]))
-    limits[FINGERS.id] = nice(np.concatenate([FINGERS.least, *(each["y"] for each in fingers)]))
+        room = (1 + HEADROOM) * np.concatenate(curves)
+        limits[plot.id] = nice(np.concatenate([room, plot.least, band]))
+    room = (1 + HEADROOM) * np.concatenate([(0.0,), *(each["y"] for each in fingers)])
+    limits[FINGERS.id] = nice(np.concatenate([FINGERS.least, room]))
     return limits
 
 

@@ -1,14 +1,17 @@
 """Telemetry of a display that plays a sine, as in a recording."""
 
 import math
+from dataclasses import asdict
 from typing import Any
 
+from protocol.press_figures import PressFigures
 from protocol.run_summary import Summary
 from protocol.summary_tables import AlignedErrors, Clock, Loop, SampleCounts
 from protocol.tactile import ElasticLayer
 from telepulse.telemetry.decoder import Entry, without_none
 from telepulse.telemetry.schema import EVENT, FRAME, LEVELS, STATUS, STREAM, TICK
 from telepulse.view.live import LiveState
+from tests.support.recorded_sweeps import SweptWrist
 
 MS = 1_000_000
 SECOND_NS = 1000 * MS
@@ -119,3 +122,23 @@ class SimulatedDisplay:
             )
             if self.at_ns // MS % 200 == 0:
                 self.status(state, **changes)
+
+
+def play_sweep(display: SimulatedDisplay, wrist: SweptWrist, press_n: float) -> None:
+    """Send the samples of a sweep as the frames of a pressed wrist."""
+    channels = [{"name": name, "unit": "N"} for name in ("pulse", "hold-down")]
+    display.take(STREAM, display.at_ns, session=8, group_delay_ns=0, channels=channels)
+    pressed = PressFigures(press_n=press_n, hold_down_n=press_n, loop_gain=2e-4, probe="pressing")
+    display.status("playing", press=asdict(pressed))
+    for values in wrist.taken:
+        display.at_ns += len(values) * MS
+        fields = {
+            "arrived_ns": display.at_ns,
+            "session": 8,
+            "t_first_ns": display.at_ns - ONE_WAY_NS - (len(values) - 1) * MS + AHEAD_NS,
+            "period_ns": MS,
+            "channels": 2,
+            "force_n": values.ravel().tolist(),
+        }
+        display.take(FRAME, display.at_ns, **fields)
+        display.live.now_ns = display.live.frame_ns

@@ -1,48 +1,24 @@
 """The pulse against hold-down on the page, during a sweep."""
 
-from dataclasses import asdict
-
 import numpy as np
 import pytest
 
 from display_node.press.sweep import SweepPlan
-from protocol.press_figures import PressFigures
-from telepulse.telemetry.schema import FRAME, STREAM
 from telepulse.view.live import LiveState
 from telepulse.view.text import figures
 from telepulse.view.window_data import window_data
-from tests.support.page_states import AHEAD_NS, MS, ONE_WAY_NS, SECOND_NS, SimulatedDisplay
+from tests.support.page_states import SECOND_NS, SimulatedDisplay, play_sweep
 from tests.support.recorded_sweeps import SweptWrist
 
 WINDOW_NS = 5 * SECOND_NS
 ONLY_PRESSED = {"press", "depth", "shape"}
 
 
-def play(display: SimulatedDisplay, wrist: SweptWrist, press_n: float) -> None:
-    """Send the samples of a sweep as the frames of a pressed wrist."""
-    channels = [{"name": name, "unit": "N"} for name in ("pulse", "hold-down")]
-    display.take(STREAM, display.at_ns, session=8, group_delay_ns=0, channels=channels)
-    pressed = PressFigures(press_n=press_n, hold_down_n=press_n, loop_gain=2e-4, probe="pressing")
-    display.status("playing", press=asdict(pressed))
-    for values in wrist.taken:
-        display.at_ns += len(values) * MS
-        fields = {
-            "arrived_ns": display.at_ns,
-            "session": 8,
-            "t_first_ns": display.at_ns - ONE_WAY_NS - (len(values) - 1) * MS + AHEAD_NS,
-            "period_ns": MS,
-            "channels": 2,
-            "force_n": values.ravel().tolist(),
-        }
-        display.take(FRAME, display.at_ns, **fields)
-        display.live.now_ns = display.live.frame_ns
-
-
 def test_the_page_shows_curve_and_levels_of_a_sweep_as_its_report_does() -> None:
     plan = SweepPlan(low_n=0.4, high_n=2.0, steps=6, beats=3)
     display, wrist = SimulatedDisplay(LiveState()), SweptWrist(plan)
     assert set(window_data(display.live, WINDOW_NS).hidden) == ONLY_PRESSED
-    play(display, wrist, 1.2)
+    play_sweep(display, wrist, 1.2)
     data = window_data(display.live, WINDOW_NS)
     assert data.hidden == ("error",)
     curve = display.live.depth.curve

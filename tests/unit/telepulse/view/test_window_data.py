@@ -177,3 +177,18 @@ def test_limits_are_round_and_change_seldom() -> None:
     assert nice(np.array([0.0, 437.0])) == (0.0, 600.0)
     assert nice(np.array([3.0, math.nan, 437.0, 0.0])) == (0.0, 600.0)
     assert nice(np.array([-31.0, 18.0])) == (-40.0, 20.0)
+
+
+def test_a_mark_is_shown_for_a_whole_window_of_many_events() -> None:
+    display = SimulatedDisplay(LiveState())
+    display.go(1)
+    display.event("mark", "cuff on")
+    for number in range(30):
+        display.event("felt again", str(number), "WARNING")
+    display.go(1)
+    events = window_data(display.live, 2 * SECOND_NS).events
+    assert [(kind, text) for _, kind, text in events[-31:-29]] == [
+        ("mark", "mark: cuff on"),
+        ("warning", "felt again: 0"),
+    ]
+    assert len(events) >= 31
