@@ -348,6 +348,8 @@ def _draw(plot: Plot, theme: Theme, size: FigureSize, path: Path) -> None:
     from matplotlib.figure import Figure
     from matplotlib.text import Text
 
+    from telepulse.reports.narrow import NarrowFigure
+
     style: Any = {
         "figure.facecolor": theme.ground,
         "axes.facecolor": theme.ground,
@@ -367,10 +369,13 @@ def _draw(plot: Plot, theme: Theme, size: FigureSize, path: Path) -> None:
         "lines.linewidth": 1.8,
     }
     with matplotlib.rc_context(style):
-        figure = Figure(figsize=size.inches, layout="constrained")
+        kind = NarrowFigure if size is NARROW else Figure
+        figure = kind(figsize=size.inches, layout="constrained")
         plot.draw(figure)
         for text in figure.findobj(Text):
             # What is between dollar signs is set by matplotlib itself.
             if isinstance(text, Text) and "$" not in text.get_text():
                 text.set_text(typeset(text.get_text()))
+        if isinstance(figure, NarrowFigure):
+            figure.stack_panels()
         figure.savefig(path, dpi=DPI)
