@@ -23,6 +23,8 @@ STATUS_GAP_NS, BEAT_GAP_NS = SECOND_NS, 3 * SECOND_NS
 STEPS = 4
 # Beyond the values, as a share of them: a line at the end of an axis would be half cut.
 HEADROOM = 0.05
+# Of a step of an axis.
+BEYOND = 0.01
 Columns = dict[str, Floats]
 
 
@@ -251,9 +253,12 @@ def _limits(
 
 
 def nice(values: Floats) -> tuple[float, float]:
-    """Return round limits around values, which seldom change; not all values may be NaN."""
+    """Return round limits around values, which seldom change; not all values may be NaN.
+
+    A value may be beyond a limit by less than a pixel: one a little below 0 needs no further step.
+    """
     low, high = float(np.nanmin(values)), float(np.nanmax(values))
     rough = (high - low) / STEPS
     power = 10.0 ** math.floor(math.log10(rough))
     step = next(power * digit for digit in (1, 2, 5, 10) if power * digit >= rough)
-    return step * math.floor(low / step), step * math.ceil(high / step)
+    return step * math.floor(low / step + BEYOND), step * math.ceil(high / step - BEYOND)

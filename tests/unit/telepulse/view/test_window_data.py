@@ -177,6 +177,8 @@ def test_limits_are_round_and_change_seldom() -> None:
     assert nice(np.array([0.0, 437.0])) == (0.0, 600.0)
     assert nice(np.array([3.0, math.nan, 437.0, 0.0])) == (0.0, 600.0)
     assert nice(np.array([-31.0, 18.0])) == (-40.0, 20.0)
+    # Noise below 0 takes no step of the axis.
+    assert nice(np.array([-0.2, 437.0])) == (0.0, 600.0)
 
 
 def test_a_mark_is_shown_for_a_whole_window_of_many_events() -> None:
