@@ -221,7 +221,7 @@ def _contactor_chapters(
         plots = [plot for plot in force.plots if not plot.name.startswith(DIFFERENCES)]
         force = Chapter(force.title, (*force.paragraphs, PRESSED), plots=plots)
     return tuple(
-        replace(chapter, plots=[_with_events(findings.events, plot) for plot in chapter.plots])
+        replace(chapter, plots=tuple(_with_events(findings.events, plot) for plot in chapter.plots))
         for chapter in (force, _beats(contactor, drawn, of, ending))
     )
 

@@ -26,6 +26,7 @@ _MINUS = re.compile(r"(?<![^\s(/“=:,;–≥≤<>])-(?=[\d∞])")
 _PER_CENT = re.compile(r"(?<=\d)%")
 _UNIT = re.compile(rf"(?<=\d) (?=(?:{'|'.join(map(re.escape, UNITS))})(?![\w/²·]))")
 _BETWEEN = re.compile(r"(?<=\d) ([−±×]) (?=[\d∞])")
+_EQUAL = re.compile(r"(?<=\w) = (?=[−\d])")
 _NUMBERED = re.compile(r"\b(Figs?\.?|[Ee]qs?|Tables?|[Ss]ections?) (?=\d)")
 
 
@@ -33,6 +34,7 @@ def typeset(text: str) -> str:
     """Return a plain text with its numbers and units as on a printed page."""
     text = _MINUS.sub("−", _POWER.sub(_power, text))
     text = _UNIT.sub(FIXED_SPACE, _PER_CENT.sub(" %", text))
+    text = _EQUAL.sub(f"{FIXED_SPACE}={FIXED_SPACE}", text)
     text = _BETWEEN.sub(rf"{FIXED_SPACE}\1{FIXED_SPACE}", text)
     return _NUMBERED.sub(rf"\1{FIXED_SPACE}", text)
 

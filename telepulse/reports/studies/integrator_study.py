@@ -308,10 +308,11 @@ def _findings(scores: IntegratorScores) -> list[str]:
     written = [firsts[family] for family in WRITTEN_OUT if family in firsts]
     if written:
         listed = "; ".join(
-            f"{each.name} {each.error:.1e} at {each.cost_us / default.cost_us:.1f} times the cost"
+            f"{each.error:.1e} by {each.name}, at {each.cost_us / default.cost_us:.1f} times the"
+            " cost"
             for each in written
         )
-        findings.append(f"Others with the fewest sub-steps: {listed}.")
+        findings.append(f"The errors of others with the fewest sub-steps: {listed}.")
     rotors = [rows[DEFAULT] for rows in scores.rotors.values()]
     grows = {
         name
@@ -321,9 +322,10 @@ def _findings(scores: IntegratorScores) -> list[str]:
     }
     findings.append(
         f"On a resonant rotor, at ticks of {', '.join(f'{1e3 * each:g}' for each in ROTOR_TICKS_S)}"
-        f" ms, the error of the default is at most {max(map(max, rotors)):.1e}; that of"
+        f" ms, the error of the default is at most {max(map(max, rotors)):.1e} of the pulse; that"
+        " of"
         f" {', '.join(sorted(grows)) or 'no method'} exceeds {GROWN:g} times the pulse at one of"
-        " them."
+        " these ticks."
     )
     worst = max(scores.digits_error, scores.method_error)
     findings.append(

@@ -184,9 +184,10 @@ def test_marks_are_in_the_plots_over_time_in_the_table_and_in_the_findings(path:
     for name in ("error", "heart-rate", "beats", "delays", "loss", "clock", "loop"):
         figure = Figure()
         plots[name].draw(figure)
-        for axes in figure.axes:
-            at_s = {float(line.get_xdata()[0]) for line in axes.lines if line.get_ls() == ":"}
-            assert at_s == pytest.approx({4.0, 9.0}, abs=0.1) if len(at_s) == 2 else not at_s, name
+        lines = [line for axes in figure.axes for line in axes.lines if line.get_ls() == ":"]
+        at_s = {round(float(line.get_xdata()[0])) for line in lines}
+        assert at_s
+        assert at_s <= {4, 9}, name
         assert "marks are dotted" in plots[name].caption
     assert "dotted" not in plots["delay-distribution"].caption
 

@@ -71,7 +71,7 @@ def test_the_findings_have_the_errors_the_rotor_and_the_check(report: Report) ->
     assert 4 <= len(findings) <= 5
     assert f"Its largest error is {error} of the pulse" in findings[1]
     assert f"{cost} µs a step" in findings[1]
-    assert any("RK4 × 1 " in each and "times the cost" in each for each in findings)
+    assert any(" by RK4 × 1, at " in each and "times the cost" in each for each in findings)
     assert any("On a resonant rotor" in each and "explicit Euler × 1" in each for each in findings)
     assert findings[-1].startswith("The reference agrees with its two checks")
 

@@ -17,6 +17,7 @@ SPACE = "\u00a0"
         ("-1.5% to +3.0%", f"−1.5{SPACE}% to +3.0{SPACE}%"),
         ("strain of 1 N -4.8e-06", f"strain of 1{SPACE}N −4.8×10⁻⁶"),
         ("5305 mV/N, 40 ms; 75 beats/min", f"5305{SPACE}mV/N, 40{SPACE}ms; 75{SPACE}beats/min"),
+        ("r = 9 mm, kp = a", f"r{SPACE}={SPACE}9{SPACE}mm, kp = a"),
         ("Figs 13–14, eq 21, Fig. 4", f"Figs{SPACE}13–14, eq{SPACE}21, Fig.{SPACE}4"),
     ],
 )
