@@ -146,6 +146,9 @@ class Display:
             self._lead_ns = max(contactor.lead_ns for contactor in self.contactors)
             self._reach_ns = max(contactor.reach_ns for contactor in self.contactors)
             self._reserve_ns = max(contactor.reserve_ns for contactor in self.contactors)
+            if count > 1:
+                leads_ns = (contactor.lead_ns for contactor in self.contactors)
+                self.receiver.buffer.follow([self._lead_ns - lead_ns for lead_ns in leads_ns])
             self._trust = self._build_trust()
             if self.press is not None:
                 self.press.begin()
@@ -282,5 +285,7 @@ class Display:
         )
         played_s = delays.ticks * self._tick_ns * 1e-9
         figures = {each.name: each.summary(self.ticks, played_s) for each in contactors}
+        for name, account in zip(figures, self.receiver.accounts(), strict=False):
+            figures[name] = replace(figures[name], samples=account.counts())
         summary = with_contactors(summary, figures)
         return scored(summary, self.tracking_errors) if self.tracking_errors else summary

@@ -222,7 +222,8 @@ class Summary:
     )
 
     contactors: dict[Name, "Summary"] = figure(
-        "Of several contactors, the figures of each: those that are null or empty above",
+        "Of several contactors, the figures of each: those that are null or empty above, and the"
+        " account of the samples",
         absent=absent("Its rows are shown, each with the contactor's name."),
         factory=dict,
     )
@@ -251,7 +252,7 @@ class Summary:
 
 # Keys of the figures that each contactor has.
 OF_A_CONTACTOR = (
-    *("compensation", "beats", "force_rmse_n", "strain_rmse", "within_jnd", "windows"),
+    *("samples", "compensation", "beats", "force_rmse_n", "strain_rmse", "within_jnd", "windows"),
     *("availability", "roughness", "limited", "hardware", "finger", "finger_stiffness"),
 )
 
@@ -276,7 +277,7 @@ def with_contactors(summary: Summary, contactors: Mapping[str, Summary]) -> Summ
         horizon_ms=of_display.horizon_ms,
         trusted=of_display.trusted,
     )
-    keys = (key for key in OF_A_CONTACTOR if key != "availability")
+    keys = (key for key in OF_A_CONTACTOR if key not in ("samples", "availability"))
     changes = {key: getattr(figures, key) for key in keys}
     return replace(summary, **changes | {"compensation": compensation})
 
@@ -305,7 +306,8 @@ def print_summary(summary: Summary, title: str, console: Console) -> None:
 def rows(summary: Mapping[str, Any], surface: Surface) -> list[tuple[str, str]]:
     """Return name and text of each row of a summary's JSON on a surface.
 
-    The rows of several contactors come last, with a line for each.
+    The rows of several contactors come last, with a line for each. Those of the samples follow the
+    display's own; in a terminal of 24 lines they have no room.
     """
     found = [(row.name, row.text) for row in REGISTRY.rows(summary, surface)]
     contactors = summary.get("contactors", {})
@@ -313,8 +315,11 @@ def rows(summary: Mapping[str, Any], surface: Surface) -> list[tuple[str, str]]:
     for name, figures in contactors.items():
         # One line for all contactors, below.
         alone = {**figures, "windows": []}
+        if surface is Surface.TERMINAL:
+            alone["samples"] = {}
         for row in REGISTRY.rows(alone, surface):
             lines.setdefault(row.name, []).append(f"{name}: {row.text}")
+    found = [(name, "\n".join([text, *lines.pop(name, [])])) for name, text in found]
     found += [(name, "\n".join(texts)) for name, texts in lines.items()]
     windows = [figures.get("windows", []) for figures in contactors.values()]
     by_time = largest_windows_text(windows) if surface is Surface.SUMMARY and windows else None

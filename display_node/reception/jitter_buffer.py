@@ -7,11 +7,13 @@ that arrive later are kept as well: after a jump back of the playout they are pl
 """
 
 from bisect import bisect_left, bisect_right
+from collections.abc import Sequence
 from dataclasses import astuple, dataclass
 from operator import add
 from typing import Final
 
 from protocol.errors import WireError
+from protocol.summary_tables import SampleCounts
 from protocol.wire.messages import ChannelSamples
 
 KEEP_SAMPLES: Final = 16_384
@@ -35,8 +37,26 @@ class SampleAccount:
         """Samples that never arrived."""
         return self.sent - self.played - self.predicted - self.late
 
+    def counts(self) -> SampleCounts:
+        """Return the figures of the account."""
+        return SampleCounts(self.sent, self.played, self.predicted, self.late, self.lost)
+
     def __add__(self, other: "SampleAccount") -> "SampleAccount":
         return SampleAccount(*map(add, astuple(self), astuple(other)))
+
+
+@dataclass(slots=True)
+class _Arrivals:
+    """Samples that arrived after the buffer's instant, as a contactor met them.
+
+    lag_ns: time by which the contactor plays later than the buffer's instant. in_time: those that
+    arrived before the contactor's own instant.
+    """
+
+    lag_ns: int
+    in_time: int = 0
+    predicted: int = 0
+    late: int = 0
 
 
 class JitterBuffer:
@@ -77,6 +97,7 @@ class JitterBuffer:
         self._period_ns = 1
         self._end_index: int | None = None
         self._played = self._predicted = self._late = 0
+        self._arrivals: list[_Arrivals] = []
         self.newest_ns: int | None = None
         self.frames = self.reordered = 0
         self.ended = False
@@ -115,8 +136,28 @@ class JitterBuffer:
             self._predicted += predicted
             self._late += passed - predicted
             self._settled += passed
+            for arrivals in self._arrivals:
+                self._judge(times[:passed], arrivals)
         if len(self._times) > 2 * KEEP_SAMPLES:
             self._trim()
+
+    def follow(self, lags_ns: Sequence[int]) -> None:
+        """Keep an account for each of several contactors as well. Call before the first sample.
+
+        lags_ns: time in ns by which each plays a sample after the instant of `advance`.
+        """
+        self._arrivals = [_Arrivals(lag_ns) for lag_ns in lags_ns]
+
+    def _judge(self, times: list[int], arrivals: _Arrivals) -> None:
+        """Count samples that arrived after the buffer's instant by a contactor's own instant."""
+        lag_ns = arrivals.lag_ns
+        passed = bisect_right(times, self._passed_ns - lag_ns)
+        arrivals.in_time += len(times) - passed
+        if passed:
+            # The trust changes for a later contactor's instants when it changes for the first's.
+            predicted = self._trusted_among([t_ns + lag_ns for t_ns in times[:passed]])
+            arrivals.predicted += predicted
+            arrivals.late += passed - predicted
 
     def _trusted_among(self, times: list[int]) -> int:
         """Return how many instants that have passed were felt from a trusted prediction."""
@@ -253,6 +294,23 @@ class JitterBuffer:
         sent = settled_end - first
         return SampleAccount(sent, self._played, self._predicted, self._late, before_joining)
 
+    def accounts(self) -> list[SampleAccount]:
+        """Return the account of each contactor that `follow` names.
+
+        The instant of up to its lag's samples, which count as played, is still to come.
+        """
+        whole = self.account()
+        return [
+            SampleAccount(
+                whole.sent,
+                whole.played + each.in_time,
+                each.predicted,
+                each.late,
+                whole.before_joining,
+            )
+            for each in self._arrivals
+        ]
+
     def successor(self) -> "JitterBuffer":
         """Return an empty buffer that continues the account after the last settled sample.
 
@@ -260,7 +318,9 @@ class JitterBuffer:
         """
         first = self._first_index
         begin_index = None if first is None else first + self.account().sent
-        return JitterBuffer(begin_index)
+        following = JitterBuffer(begin_index)
+        following.follow([each.lag_ns for each in self._arrivals])
+        return following
 
 
 def _check_gap(gap_ns: int, expected_ns: int) -> None:

@@ -6,6 +6,7 @@ that cannot be used is counted under its cause. Pure: no sockets.
 
 from collections import Counter, deque
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Final
 
 from display_node.reception.jitter_buffer import JitterBuffer, SampleAccount
@@ -14,7 +15,7 @@ from protocol.clock.estimator import READY_AFTER, ClockEstimator, ClockExchange
 from protocol.errors import VersionError, WireError
 from protocol.histogram import Histogram
 from protocol.run_summary import Summary
-from protocol.summary_tables import Clock, FrameCounts, OneWayDelay, SampleCounts
+from protocol.summary_tables import Clock, FrameCounts, OneWayDelay
 from protocol.wire import messages as wire
 from protocol.wire.stream import StreamDescription
 
@@ -83,6 +84,7 @@ class Receiver:
         self._announcing: int | None = None
         self.announcement: wire.ChannelSamples | None = None
         self._closed = SampleAccount()
+        self._closed_accounts: list[SampleAccount] = []
         self._next_hello_ns = self._next_clock_ns = 0
         # Nothing is requested before this time, unless a control message or a refusal comes.
         self._quiet_until_ns = 0
@@ -195,6 +197,12 @@ class Receiver:
         """Return the account of all samples of all sessions so far."""
         return self._closed + self.buffer.account()
 
+    def accounts(self) -> list[SampleAccount]:
+        """Return the account of each contactor, where the buffer keeps them."""
+        present = self.buffer.accounts()
+        closed = self._closed_accounts or [SampleAccount()] * len(present)
+        return [before + now for before, now in zip(closed, present, strict=True)]
+
     @property
     def frames(self) -> tuple[int, int]:
         """Number of frames received, and of those that came after a newer one."""
@@ -204,14 +212,7 @@ class Receiver:
         """Return the summary's figures of reception: samples, frames, delay and clock."""
         account, delay, clock = self.account(), self.one_way_delay_ms, self.clock
         return Summary(
-            samples=SampleCounts(
-                sent=account.sent,
-                played=account.played,
-                predicted=account.predicted,
-                late=account.late,
-                lost=account.lost,
-                before_joining=account.before_joining,
-            ),
+            samples=replace(account.counts(), before_joining=account.before_joining),
             frames=FrameCounts(*self.frames, self.copies),
             one_way_delay_ms=OneWayDelay(**delay.quantiles(p50=0.5, p99=0.99), max=delay.maximum),
             clock=Clock(
@@ -326,7 +327,7 @@ class Receiver:
                 self._restart(self.buffer.successor())
 
     def _restart(self, buffer: JitterBuffer) -> None:
-        self._closed = self.account()
+        self._closed, self._closed_accounts = self.account(), self.accounts()
         buffer.frames, buffer.reordered = self.frames
         self.buffer, self.delay = buffer, DelayEstimator(self._late_target)
         self.resets += 1

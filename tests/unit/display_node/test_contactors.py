@@ -8,7 +8,8 @@ from display_node.display import Display
 from display_node.scene import DisplayScene
 from protocol.config.scene import validate
 from protocol.errors import SceneError
-from protocol.run_summary import contactors_of
+from protocol.figures import Surface
+from protocol.run_summary import contactors_of, rows
 from protocol.wire.messages import Bye, Frame, encode_control, encode_frame
 from protocol.wire.stream import Channel
 from tests.support.sender import AHEAD_NS, MS, Sender, display_scene
@@ -78,6 +79,40 @@ def test_contactors_are_in_the_summary_by_their_names_and_share_its_account() ->
         assert figures["beats"]["count"] > 0
         assert 0 < figures["force_rmse_n"]["aligned"] < 2e-3
     assert summary["force_rmse_n"]["aligned"] is None
+
+
+def test_a_contactor_with_a_shorter_lead_plays_samples_that_are_late_for_another() -> None:
+    slow = {"actuator": {"kind": "stepper", "latency": "5 ms"}}
+    fast = {"controller": {"kp": 30, "error": "position", "feed_forward": True}}
+    quick, lazy = {"channel": "cun", **fast}, {"channel": "chi", **fast, **slow}
+    under_test, sender = Display(scene(quick, lazy), "test"), Sender(stream=STREAM)
+    play(under_test, sender, 0, 1500)
+    # Frames that the slow contactor needs up to 10 ms earlier than they come.
+    waiting: list[tuple[int, bytes]] = []
+    for ms in range(1500, 3000):
+        under_test.tick(ms * MS)
+        sender.serve(under_test, ms * MS)
+        if ms % 5 == 0:
+            values = np.array([pulse_n(sender.sent + number) for number in range(5)], "<f4")
+            taken_ns = (ms - ONE_WAY_MS - 4) * MS + AHEAD_NS
+            frame = Frame(sender.session, sender.sent, taken_ns, MS, values)
+            sender.sent += 5
+            waiting.append((ms + ms // 5 % 3 * 5, encode_frame(frame)))
+        for due in [each for each in waiting if each[0] <= ms]:
+            waiting.remove(due)
+            under_test.on_frame(due[1], ms * MS)
+    summary = under_test.summary().to_dict()
+    counts = {name: figures["samples"] for name, figures in summary["contactors"].items()}
+    parts = ("played", "predicted", "late", "lost")
+    for each in counts.values():
+        assert each["sent"] == sum(each[part] for part in parts) == summary["samples"]["sent"]
+    assert {part: counts["chi"][part] for part in parts} == {
+        part: summary["samples"][part] for part in parts
+    }
+    assert counts["cun"]["played"] > counts["chi"]["played"]
+    assert counts["cun"]["late"] < counts["chi"]["late"]
+    text = dict(rows(summary, Surface.SUMMARY))["samples"]
+    assert [line.partition(":")[0] for line in text.splitlines()[1:]] == ["cun", "chi"]
 
 
 def test_an_only_contactor_has_its_figures_at_the_top_level() -> None:

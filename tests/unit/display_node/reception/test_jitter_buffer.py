@@ -1,5 +1,6 @@
 import tracemalloc
 from itertools import accumulate
+from random import Random
 
 import numpy as np
 import pytest
@@ -14,7 +15,7 @@ from display_node.reception.jitter_buffer import (
     SampleAccount,
 )
 from protocol.errors import WireError
-from protocol.wire.messages import Frame
+from protocol.wire.messages import ChannelSamples, Frame, channel_samples
 from tests.support.streams import MS, T0_NS, at_ns, filled, refusal, samples
 
 
@@ -338,3 +339,33 @@ def test_one_channel_is_played(channel: int, order: int) -> None:
         buffer.put(each.samples_of(channel))
     buffer.advance(at_ns(0))
     assert buffer.known(MS, 4) == [n * 10.0**channel for n in (1, 2, 3, 4)]
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_each_contactors_account_is_that_of_a_buffer_of_its_own(seed: int) -> None:
+    """The account of a contactor that plays later is that of a buffer that plays later."""
+    random, lags_ns = Random(seed), (0, 3 * MS, 8 * MS)
+    shared, own = JitterBuffer(), [JitterBuffer() for _ in lags_ns]
+    shared.follow(lags_ns)
+    arrivals: dict[int, list[ChannelSamples]] = {}
+    for first in range(0, 1_000, 5):
+        if random.random() < 0.05:
+            continue
+        frame = channel_samples(first, first * MS, MS, [0.0] * 5)
+        arrivals.setdefault(first + 5 + random.randrange(40), []).append(frame)
+    trusted = False
+    for ms in range(1_100):
+        for frame in arrivals.get(ms, []):
+            for buffer in (shared, *own):
+                buffer.put(frame)
+        trusted ^= random.random() < 0.02
+        # The playout pauses, and is faster, at times.
+        instant_ns = ms * MS - 25 * MS + random.randrange(3) * MS
+        shared.advance(instant_ns, trusted)
+        for buffer, lag_ns in zip(own, lags_ns, strict=True):
+            buffer.advance(instant_ns - lag_ns, trusted)
+    for buffer in (shared, *own):
+        buffer.end(1_000, None)
+    assert shared.accounts() == [buffer.account() for buffer in own]
+    assert len({account.late for account in shared.accounts()}) == 3
+    assert JitterBuffer().accounts() == []
