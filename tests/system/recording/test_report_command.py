@@ -2,6 +2,7 @@ import json
 from html.parser import HTMLParser
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from protocol.counters import Limited, Limits
@@ -184,8 +185,8 @@ def test_marks_are_in_the_plots_over_time_in_the_table_and_in_the_findings(path:
     for name in ("error", "heart-rate", "beats", "delays", "loss", "clock", "loop"):
         figure = Figure()
         plots[name].draw(figure)
-        lines = [line for axes in figure.axes for line in axes.lines if line.get_ls() == ":"]
-        at_s = {round(float(line.get_xdata()[0])) for line in lines}
+        lines = [line for axes in figure.axes for line in axes.lines if line.get_linestyle() == ":"]
+        at_s = {round(float(np.ravel(line.get_xdata())[0])) for line in lines}
         assert at_s
         assert at_s <= {4, 9}, name
         assert "marks are dotted" in plots[name].caption
