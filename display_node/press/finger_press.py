@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from heapq import heappop, heappush
 from typing import Final
 
+from display_node.press.pulse_height import PulseHeight, RespiratoryWave
 from display_node.press.reading import PressReading
 from display_node.press.set_points import SetPointSender
 from display_node.press.tissue_model import PulseCurve, StiffnessFit
@@ -20,10 +21,6 @@ from protocol.wire.messages import ProbeReport, SetPoint
 # that noise is not amplified further.
 TOUCH_N: Final = 0.05
 LEAST_HEIGHT: Final = 0.02
-# A height is measured over this many beats, in which the hold-down stays within this share and
-# force.
-OVER_BEATS: Final = 1.25
-STEADY_SHARE, STEADY_N = 0.04, 0.01
 # Time over which the relative pulse's mean is taken: much more than a beat, so that a beat keeps
 # its level.
 MEAN_S: Final = 10.0
@@ -55,41 +52,6 @@ class PressLimits:
     force_n: float = 3.0
     slew_n_per_s: float = 20.0
     overforce: float = 3.0
-
-
-class PulseHeight:
-    """Height of the pulse over windows of a little more than a beat, at a steady hold-down."""
-
-    def __init__(self) -> None:
-        self._begin_ns: int | None = None
-        self._newest_ns = 0
-        self._hold_down_n = self._sum_n = 0.0
-        self._count = 0
-        self._low_n = self._high_n = self._moved_n = 0.0
-
-    def add(
-        self, hold_down_n: float, pulse_n: float, now_ns: int, beat_ns: int
-    ) -> tuple[float, float, float, float] | None:
-        """Take a frame's means; return hold-down, foot, height and motion of a complete window.
-
-        The motion is the largest distance of the hold-down from that at the window's begin.
-        """
-        steady_n = STEADY_SHARE * abs(self._hold_down_n) + STEADY_N
-        late = self._begin_ns is not None and now_ns - self._newest_ns > beat_ns // 8
-        if self._begin_ns is None or late or abs(hold_down_n - self._hold_down_n) > steady_n:
-            self._begin_ns, self._hold_down_n = now_ns, hold_down_n
-            self._sum_n, self._count, self._moved_n = 0.0, 0, 0.0
-            self._low_n = self._high_n = pulse_n
-        self._newest_ns = now_ns
-        self._sum_n += hold_down_n
-        self._count += 1
-        self._moved_n = max(self._moved_n, abs(hold_down_n - self._hold_down_n))
-        self._low_n, self._high_n = min(self._low_n, pulse_n), max(self._high_n, pulse_n)
-        if now_ns - self._begin_ns < OVER_BEATS * beat_ns:
-            return None
-        self._begin_ns = None
-        height_n = self._high_n - self._low_n
-        return self._sum_n / self._count, self._low_n, height_n, self._moved_n
 
 
 class LoopGain:
@@ -144,6 +106,7 @@ class FingerPress:
         self._learnt_ns = self._newest_ns = -(1 << 62)
         # Mean of the relative pulse, which the static press contains already.
         self._mean, self._observed = 0.0, 0
+        self._respiration = RespiratoryWave()
         self.curve, self.stiffness = PulseCurve(limits.force_n), StiffnessFit()
         self.sender = SetPointSender(press, limits.force_n, limits.slew_n_per_s)
         self.yielded_m = 0.0
@@ -209,7 +172,9 @@ class FingerPress:
         if hold_down_n >= TOUCH_N:
             self._observed += 1
             part = max((times_ns[-1] - times_ns[0]) * 1e-9 / MEAN_S, 1 / self._observed)
-            self._mean += (self.relative(mean_n, hold_down_n) - self._mean) * part
+            relative = self.relative(mean_n, hold_down_n)
+            self._mean += (relative - self._mean) * part
+            self._respiration.observe(relative, times_ns[-1])
 
     def relative(self, pulse_n: float, hold_down_n: float) -> float:
         """Return a value of the pulse relative to foot and height at its hold-down.
@@ -218,7 +183,8 @@ class FingerPress:
         """
         if hold_down_n < TOUCH_N:
             return self._mean
-        return pulse_n / self.height_n(hold_down_n) - self.curve.foot(hold_down_n)
+        share = pulse_n / self.height_n(hold_down_n) - self.curve.foot(hold_down_n)
+        return self.curve.law.pressure(share, hold_down_n, self._respiration.now)
 
     def restart(self) -> None:
         """Begin with times that are unrelated to those before; what was learnt is kept."""
@@ -244,7 +210,8 @@ class FingerPress:
     def felt_n(self, relative: float) -> float:
         """Return the pulse in N, as the present press would give it, for its relative value."""
         press_n = min(self._reading.scaling_n, self._limits.force_n)
-        return (relative - self._mean) * self.height_n(press_n)
+        share = self.curve.law.share(relative, press_n) - self.curve.law.share(self._mean, press_n)
+        return share * self.height_n(press_n)
 
     def take_beat(self, interval_s: float, good: bool) -> None:
         """Take the time of a new beat, over which the reading is averaged, if the beat is good.

@@ -10,21 +10,23 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from protocol.tissue import StiffeningLaw, TubeLaw
+from display_node.press.artery_law import ArteryFit
+from protocol.tissue import StiffeningLaw
 from protocol.wire.messages import LARGEST_N
 
 # Hold-down forces of a curve's points, and their distance over which a curve bends.
 POINTS: Final = 25
 REACH_N: Final = 0.4
-# Deviation of ln(height) from the typical curve, before anything is learnt: of all heights
-# together, and of single ones. Error of one beat's, by respiration and noise.
-LEVEL, BEND, BEAT_ERROR = 2.0, 1.5, 0.05
-# The same of the foot, relative to the height.
-FOOT_LEVEL, FOOT_BEND, FOOT_ERROR = 0.2, 0.2, 0.03
+# Deviation of ln(height) from the fitted law, and the force over which it changes. Error of one
+# beat, and respiration's RMS of the arterial pressure, as a force.
+BEND, BEND_OVER_N, BEAT_ERROR, BREATHING_N = 0.06, 0.15, 0.03, 0.03
+# Distance of the curve's points; beats are gathered in parts of the force, and newer ones count for
+# more where there are many.
+GRID_N, BIN_N, MOST_BEATS = 0.025, 0.05, 10.0
+# Deviation of the foot from the film's zero, relative to the height.
+FOOT_LEVEL, FOOT_BEND, FOOT_ERROR, PEAK_ERROR = 0.2, 0.1, 0.005, 0.02
 # Share of what is known that each beat forgets.
 FORGET: Final = 0.0003
-# Mean arterial pressure and pulse pressure of a typical wrist under the probe, as forces.
-TYPICAL_MEAN_N, TYPICAL_PULSE_N, TYPICAL_MEAN_SHARE = 1.2, 0.52, 0.27
 LEAST_HEIGHT_N: Final = 1e-4
 # A film whose zero is further from the foot than this many heights has not settled yet.
 MOST_FOOT: Final = 2.0
@@ -65,33 +67,24 @@ class LearntCurve:
         self._values = values
         self._points: list[float] = values.tolist()
 
-    @property
-    def highest(self) -> float:
-        """The largest value."""
-        return max(self._points)
-
-    def shift(self, change: float) -> None:
-        """Add a number to all values."""
-        self._set(self._values + change)
-
     def at(self, force_n: float) -> float:
         """Return the value at a force; beyond the grid, that of its end."""
         at, part = self._place(force_n)
         low = self._points[at]
         return low + part * (self._points[at + 1] - low)
 
-    def deviation(self, force_n: float) -> float:
-        """Return the standard deviation of the value at a force."""
-        weights = self._weights(force_n)
-        return math.sqrt(max(0.0, float(weights @ self._covariance @ weights)))
+    def observe(
+        self, force_n: float, value: float, moved_n: float = 0.0, further: float = 0.0
+    ) -> None:
+        """Take an observation of the value at a force that moved by `moved_n` meanwhile.
 
-    def observe(self, force_n: float, value: float, moved_n: float = 0.0) -> None:
-        """Take an observation of the value at a force that moved by `moved_n` meanwhile."""
+        further: standard deviation besides that of every observation.
+        """
         weights = self._weights(force_n)
         self._covariance += FORGET * (self._prior - self._covariance)
         gains = self._covariance @ weights
         slope = (self.at(force_n + moved_n) - self.at(force_n - moved_n)) / 2
-        variance = float(weights @ gains) + self._variance + slope**2
+        variance = float(weights @ gains) + self._variance + slope**2 + further**2
         error = value - float(weights @ self._values)
         self._set(self._values + gains * (error / variance))
         self._covariance -= np.outer(gains, gains) / variance
@@ -110,8 +103,9 @@ class LearntCurve:
 class PulseCurve:
     """Height of the pulse, and level of its foot, against the hold-down force.
 
-    Before learning, the height is that of a typical artery by its tube law, 1 at best, and the
-    foot is the film's zero.
+    The height is that of an artery's law, fitted to the beats, times what they deviate from it,
+    where there were beats. Before learning, it is that of a typical artery, 1 at best, and the foot
+    is the film's zero.
 
     Parameters
     ----------
@@ -124,26 +118,40 @@ class PulseCurve:
         Number of beats that were learnt.
     best_height
         Largest height of the curve.
+    law
+        The fitted law.
     """
 
     def __init__(self, most_n: float) -> None:
-        self._step_n = step_n = most_n / (POINTS - 1)
-        # One newton of hold-down is 10 kPa at the artery, that of a probe of 1 cm².
-        tube = TubeLaw.highest_at_mean(TYPICAL_MEAN_SHARE)
-        mean_pa = 1e4 * TYPICAL_MEAN_N
-        low_pa = mean_pa - 1e4 * TYPICAL_MEAN_SHARE * TYPICAL_PULSE_N
-        outside = (1e4 * step_n * np.arange(POINTS)).tolist()
-        high_pa = low_pa + 1e4 * TYPICAL_PULSE_N
-        heights = np.array([tube.height(each, low_pa, high_pa) for each in outside])
-        logs = np.log(heights / heights.max())
-        self._logs = LearntCurve(step_n, logs, LEVEL, BEND, BEAT_ERROR)
-        self._feet = LearntCurve(step_n, np.zeros(POINTS), FOOT_LEVEL, FOOT_BEND, FOOT_ERROR)
+        self._feet = LearntCurve(
+            most_n / (POINTS - 1), np.zeros(POINTS), FOOT_LEVEL, FOOT_BEND, FOOT_ERROR
+        )
+        self._fit = ArteryFit()
+        # Beats by hold-down: their number, and means of force and ln(height).
+        bins = math.ceil(most_n / BIN_N) + 1
+        self._counts: Floats = np.zeros(bins)
+        self._forces: Floats = np.zeros(bins)
+        self._logs: Floats = np.zeros(bins)
+        self._grid: Floats = np.linspace(0.0, most_n, math.ceil(most_n / GRID_N) + 1)
+        self._step_n = float(self._grid[1])
+        best = float(self._fit.law.heights(self._grid).max())
+        self._fit.scale(-math.log(best))
+        self._correct(np.zeros(len(self._grid)))
         self.beats = 0
-        self.best_height = 1.0
+
+    def _correct(self, residues: Floats) -> None:
+        """Set the curve to the law's, and what the logarithms of the heights deviate from it."""
+        self.law = self._fit.law
+        logs = np.log(np.maximum(self.law.heights(self._grid), 1e-12)) + residues
+        self._heights: list[float] = logs.tolist()
+        self.best_height = math.exp(max(self._heights))
 
     def height(self, force_n: float) -> float:
         """Return the height at a hold-down force, in N once a beat was learnt."""
-        return math.exp(self._logs.at(force_n))
+        place = min(max(force_n / self._step_n, 0.0), len(self._heights) - 1.0)
+        at = min(int(place), len(self._heights) - 2)
+        low = self._heights[at]
+        return math.exp(low + (place - at) * (self._heights[at + 1] - low))
 
     def foot(self, force_n: float) -> float:
         """Return the level of the foot relative to the height; negative below the film's zero."""
@@ -151,12 +159,11 @@ class PulseCurve:
 
     def slope(self, force_n: float) -> float:
         """Return the height's change with the hold-down force, in N/N."""
-        step_n = self._step_n
-        return (self.height(force_n + step_n) - self.height(force_n - step_n)) / (2 * step_n)
+        return (self.height(force_n + BIN_N) - self.height(force_n - BIN_N)) / (2 * BIN_N)
 
     def deviation(self, force_n: float) -> float:
-        """Return the standard deviation of the height at a force, as a share of it."""
-        return self._logs.deviation(force_n)
+        """Return the standard deviation of the height at a force by the law, as a share of it."""
+        return float(self._fit.deviations(np.array([force_n]))[0])
 
     def observe(self, force_n: float, foot_n: float, height_n: float, moved_n: float = 0.0) -> None:
         """Take foot and height of a beat during which the hold-down force moved by `moved_n`."""
@@ -167,11 +174,42 @@ class PulseCurve:
         log = math.log(height_n)
         if self.beats == 0:
             # The unit of the heights is not known before.
-            self._logs.shift(log - self._logs.at(force_n))
-        self._logs.observe(force_n, log, moved_n)
-        self._feet.observe(force_n, foot_n / height_n, moved_n)
-        self.best_height = math.exp(self._logs.highest)
+            self._fit.scale(log - math.log(self.height(force_n)))
+        peak_n = foot_n + height_n
+        slope = (self.slope(force_n) / self.height(force_n)) * moved_n
+        weight = BEAT_ERROR**2 / (BEAT_ERROR**2 + slope**2)
+        at = min(max(round(force_n / BIN_N), 0), len(self._counts) - 1)
+        self._counts *= 1 - FORGET
+        count = min(float(self._counts[at]) + weight, MOST_BEATS)
+        self._counts[at] = count
+        self._forces[at] += (force_n - self._forces[at]) * weight / count
+        self._logs[at] += (log - self._logs[at]) * weight / count
+        self._learn()
+        # Foot and peak both show the film's level. Respiration moves the foot less where the artery
+        # is closed in diastole, and the peak less where it is wide in systole.
+        breathing, height = BREATHING_N / self.law.pulse_n, self.height(force_n)
+        for level_n, at, further in ((foot_n, 0, 0.0), (peak_n, 1, PEAK_ERROR)):
+            moves = breathing * self.law.slope(at, force_n)
+            self._feet.observe(force_n, level_n / height - at, moved_n, math.hypot(moves, further))
         self.beats += 1
+
+    def _learn(self) -> None:
+        """Fit the law to all beats, and find what they deviate from it."""
+        seen = self._counts > 0
+        counts: Floats = self._counts[seen]
+        forces: Floats = self._forces[seen]
+        logs: Floats = self._logs[seen]
+        ahead, behind = (np.log(self.law.heights(forces + s)) for s in (GRID_N, -GRID_N))
+        breathing = BREATHING_N * (ahead - behind) / (2 * GRID_N)
+        variances = (BEAT_ERROR**2 + breathing**2) / counts
+        self._fit.fit(forces, logs, variances + BEND**2)
+        residues = logs - np.log(np.maximum(self._fit.law.heights(forces), 1e-12))
+        covariance = _kernel(forces, forces) + np.diag(variances)
+        self._correct(_kernel(self._grid, forces) @ np.linalg.solve(covariance, residues))
+
+
+def _kernel(forces: Floats, others: Floats) -> Floats:
+    return BEND**2 * np.exp(-0.5 * ((forces[:, None] - others[None, :]) / BEND_OVER_N) ** 2)
 
 
 class StiffnessFit:

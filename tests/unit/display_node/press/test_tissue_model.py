@@ -6,8 +6,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from display_node.press.artery_law import HIGHEST, LOWEST, ArteryLaw
 from display_node.press.tissue_model import LEAST_CHANGE_N, PulseCurve, StiffnessFit
-from protocol.tissue import StiffeningLaw
+from protocol.tissue import PASCALS_PER_MMHG, StiffeningLaw
 from sensing_node.sources.wrist import Artery, WristScene
 
 VISITED_N = (0.5, 0.7, 0.9, 1.1, 1.3, 1.5)
@@ -61,9 +62,57 @@ def test_the_deviation_is_small_where_beats_were_learnt_and_large_elsewhere() ->
     assert curve.deviation(0.9) < 0.1 < 1.0 < curve.deviation(2.9)
 
 
+@pytest.mark.parametrize("mean_mmhg", [70, 100, 130])
+def test_forces_never_visited_are_predicted_by_the_law_of_any_wrist(mean_mmhg: int) -> None:
+    low_mmhg = mean_mmhg - 0.27 * 40
+    truth = artery(
+        systolic=f"{(low_mmhg + 40) * PASCALS_PER_MMHG} Pa",
+        diastolic=f"{low_mmhg * PASCALS_PER_MMHG} Pa",
+    )
+    curve, random = PulseCurve(3.0), np.random.default_rng(1)
+    for _ in range(5):
+        for share in (0.6, 0.8, 1.0, 1.2):
+            height_n = truth.height_n(share * truth.best_n)
+            curve.observe(
+                share * truth.best_n, 0.0, height_n * (1 + 0.02 * random.standard_normal())
+            )
+    for share in (0.5, 0.7, 0.9, 1.1, 1.24):
+        force_n = share * truth.best_n
+        assert curve.height(force_n) == pytest.approx(truth.height_n(force_n), rel=0.1), share
+        # The pulse of another hold-down is felt as this one would give it, with its shape.
+        for pressure_pa in (truth.mean_pa, truth.mean_pa + 2e3):
+            seen_n = truth.pulse_n(pressure_pa, truth.best_n)
+            pressure = curve.law.pressure(seen_n / curve.height(truth.best_n), truth.best_n)
+            felt_n = curve.law.share(pressure, force_n) * curve.height(force_n)
+            expected_n = truth.pulse_n(pressure_pa, force_n)
+            assert felt_n == pytest.approx(expected_n, rel=0.12, abs=5e-3), share
+
+
+def test_a_stiff_artery_under_a_smaller_probe_is_learnt() -> None:
+    # Babbs (2012): 0.076 and 0.021 per mmHg; a probe of 0.7 cm².
+    per_n = 1 / (0.7e-4 * PASCALS_PER_MMHG)
+    truth = ArteryLaw(0.5, 0.56, 0.37, 0.076 * per_n, 0.021 * per_n)
+    curve = PulseCurve(3.0)
+    for _ in range(5):
+        for force_n in (0.4, 0.55, 0.7, 0.85):
+            curve.observe(force_n, 0.0, float(truth.heights(np.array([force_n]))[0]))
+    for force_n in (0.35, 0.5, 0.65, 0.8, 0.9):
+        expected_n = float(truth.heights(np.array([force_n]))[0])
+        assert curve.height(force_n) == pytest.approx(expected_n, rel=0.1), force_n
+
+
+@given(st.floats(-5, 5), st.floats(0, 3), st.floats(-0.15, 0.15))
+def test_any_reading_gives_a_bounded_pressure(share: float, force_n: float, least: float) -> None:
+    law = PulseCurve(3.0).law
+    pressure = law.pressure(share, force_n, least)
+    assert LOWEST <= pressure <= HIGHEST
+    if law.share(1.0, force_n) > 0.1 and LOWEST < pressure < HIGHEST and share > 1e-3:
+        assert law.share(pressure, force_n) == pytest.approx(share, rel=1e-3, abs=5e-2)
+
+
 def test_a_change_of_the_wrist_is_learnt() -> None:
     curve = learnt(artery())
-    for _ in range(20):
+    for _ in range(30):
         curve.observe(0.9, -0.05, 0.3)
     assert curve.height(0.9) == pytest.approx(0.3, rel=0.1)
 
