@@ -377,5 +377,5 @@ def _draw(plot: Plot, theme: Theme, size: FigureSize, path: Path) -> None:
             if isinstance(text, Text) and "$" not in text.get_text():
                 text.set_text(typeset(text.get_text()))
         if isinstance(figure, NarrowFigure):
-            figure.stack_panels()
+            figure.fit()
         figure.savefig(path, dpi=DPI)

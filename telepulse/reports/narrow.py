@@ -1,5 +1,6 @@
 """Figures for a phone: panels below each other, and legends no wider than the figure."""
 
+from textwrap import fill
 from typing import Any
 
 from matplotlib.axes import Axes
@@ -9,6 +10,8 @@ from matplotlib.legend import Legend
 
 # Of the width of a figure, at most for its legend.
 LEGEND_SHARE = 0.9
+# Letters in a line of a label below an axis.
+LABEL_LETTERS = 40
 # Height of stacked panels, as a multiple of that of a figure.
 HIGHER = 1.5
 
@@ -41,8 +44,10 @@ class NarrowFigure(Figure):
             made = super().legend(*args, ncols=ncols, **options)
         return made
 
-    def stack_panels(self) -> None:
-        """Put the panels that are side by side in a row below each other, in a higher figure."""
+    def fit(self) -> None:
+        """Break long labels, and put panels side by side below each other, in a higher figure."""
+        for axes in self.axes:
+            axes.set_xlabel(fill(axes.get_xlabel(), LABEL_LETTERS))
         stacked: dict[int, GridSpec] = {}
         for axes in self.axes:
             place = axes.get_subplotspec()

@@ -43,7 +43,7 @@ def url(tmp_path_factory: pytest.TempPathFactory) -> str:
         Chapter(
             "Details",
             ["text"] * 30,
-            [Table("pairs", ("name", "gain (N/N)"), [("a", "1.5")])],
+            [Table("pairs", ("name", f"gain ({'N/N, ' * 12})"), [("a", "1.5")])],
             folded=True,
         ),
         Chapter("Plots", plots=(Plot("line", "A line.", draw),)),
@@ -99,7 +99,7 @@ def test_a_phone_shows_all_tables_without_scrolling_sideways(url: str, visit: Vi
         assert value.bounding_box()["y"] >= name.bounding_box()["y"] + name.bounding_box()["height"]
         label = "(it) => getComputedStyle(it, '::before').content"
         assert value.evaluate(label) == '"link 0: "'
-        assert page.locator("td", has_text="1.5").evaluate(label) == '"gain (N/N): "'
+        assert page.locator("td", has_text="1.5").evaluate(label).startswith('"gain (N/N, N/N')
 
 
 @pytest.mark.parametrize("viewport", [PHONE, DESKTOP])

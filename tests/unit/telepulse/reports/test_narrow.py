@@ -32,7 +32,7 @@ def test_panels_side_by_side_are_stacked_with_their_labels() -> None:
     figure = NarrowFigure(figsize=INCHES, layout="constrained")
     left, right = figure.subplots(1, 2, sharey=True)
     left.set_ylabel("force over the height of a beat")
-    figure.stack_panels()
+    figure.fit()
     figure.draw_without_rendering()
     above, below = left.get_window_extent(), right.get_window_extent()
     assert above.y0 > below.y1
@@ -46,5 +46,16 @@ def test_panels_side_by_side_are_stacked_with_their_labels() -> None:
 def test_panels_below_each_other_stay() -> None:
     figure = NarrowFigure(figsize=INCHES, layout="constrained")
     figure.subplots(2, 1, sharex=True)
-    figure.stack_panels()
+    figure.fit()
     assert tuple(figure.get_size_inches()) == INCHES
+
+
+def test_a_long_label_is_broken() -> None:
+    figure = NarrowFigure(figsize=INCHES, layout="constrained")
+    axes = figure.subplots()
+    axes.set_xlabel("difference of the aligned force error, % of the pulse from peak to peak")
+    figure.fit()
+    figure.draw_without_rendering()
+    label = axes.xaxis.label.get_window_extent()
+    assert 0 <= label.x0 < label.x1 <= figure.bbox.width
+    assert label.y0 >= 0
