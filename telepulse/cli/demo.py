@@ -246,7 +246,7 @@ def run_demo(
             log_warnings(link_process.name, link_process.await_end(ENDS_WITHIN_S))
         sensed = sensing.await_summary(ENDS_WITHIN_S)
         played = display.await_summary(ENDS_WITHIN_S, may_end_with=FAULT_STATUS)
-        return _compose(sensed, played, scorer.errors)
+        return _compose(sensed, played, scorer.errors, scene.link.loses_messages)
 
 
 def _given(options: Mapping[str, str | None]) -> list[str]:
@@ -287,8 +287,12 @@ class _Scorer:
                 error.add_output(*tick)
 
 
-def _compose(sensing: Summary, display: Summary, errors: list[TrackingError]) -> Summary:
+def _compose(
+    sensing: Summary, display: Summary, errors: list[TrackingError], lossy: bool
+) -> Summary:
     """Return the display's summary with the errors against the true force.
+
+    lossy: whether the link may lose set-points and the answers to them.
 
     Raises ProcessError where the two nodes' sample counts differ.
     """
@@ -299,25 +303,40 @@ def _compose(sensing: Summary, display: Summary, errors: list[TrackingError]) ->
     if sent != accounted:
         reason = f"the sensing node sent {sent} samples, the display accounts for {accounted}"
         raise ProcessError(reason)
-    if (lacking := _unaccounted(sensing.press, display.press)) is not None:
+    if (lacking := _unaccounted(sensing.press, display.press, lossy)) is not None:
         raise ProcessError(lacking)
     return replace(
         scored(display, errors, windows=True),
+        press=_account(sensing.press, display.press),
         rejected=dict(Counter(display.rejected) + Counter(sensing.rejected)),
         limited=replace(display.limited, adc=sensing.limited.adc),
         faults=display.faults + [f"{SENSING_NOTE}{note}" for note in sensing.faults],
     )
 
 
-def _unaccounted(wrist: PressFigures, finger: PressFigures) -> str | None:
-    """Return how the two nodes' accounts of the set-points contradict each other, if they do."""
+def _account(wrist: PressFigures, finger: PressFigures) -> PressFigures:
+    """Return the finger's figures with the wrist's account, which no lost answer hides."""
+    if finger.sent is None or wrist.applied is None or wrist.superseded is None:
+        return finger
+    lost = finger.sent - wrist.applied - wrist.superseded
+    return replace(finger, applied=wrist.applied, superseded=wrist.superseded, lost=lost)
+
+
+def _unaccounted(wrist: PressFigures, finger: PressFigures, lossy: bool) -> str | None:
+    """Return how the two nodes' accounts of the set-points contradict each other, if they do.
+
+    Where the last answers were lost, the finger counts set-points as lost that the wrist has taken.
+    """
     if finger.sent is None:
         return None
     parts = finger.applied, finger.superseded, finger.lost
     if finger.sent != sum(part or 0 for part in parts):
         return f"of {finger.sent} set-points, the display accounts for {parts}"
+    taken = (wrist.applied or 0) + (wrist.superseded or 0)
+    if taken > finger.sent:
+        return f"of {finger.sent} set-points, the wrist has taken {taken}"
     for outcome in ("applied", "superseded"):
         known, done = getattr(finger, outcome) or 0, getattr(wrist, outcome) or 0
-        if known != done:
+        if known > done or (known < done and not lossy):
             return f"the wrist counts {done} set-points {outcome}, the display {known}"
     return None

@@ -5,17 +5,36 @@ import itertools
 import math
 import time
 from collections.abc import Callable
+from functools import partial
 
 import zmq
 
 from protocol import sockets
+from protocol.errors import WireError
 from protocol.security.authenticator import Authenticator
 from protocol.security.budgets import SubscriptionBudget
 from protocol.security.keys import ClientKeys, ServerKeys
+from protocol.wire.messages import ProbeReport, SetPoint, decode_control
 from telepulse.simulation.link_model import MessageLink
 from telepulse.simulation.link_scene import LinkScene
 
 IDLE_NS = 50_000_000
+Arrival = Callable[[int, list[bytes]], int | None]
+"""Returns the arrival of a message's parts that are sent now; None when it is lost."""
+
+
+def _size(parts: list[bytes]) -> int:
+    return sum(map(len, parts))
+
+
+def _control_arrival_ns(link: MessageLink, now_ns: int, parts: list[bytes]) -> int | None:
+    """Return the arrival of a control message; only set-points and their answers may be lost."""
+    try:
+        may_be_lost = isinstance(decode_control(parts[-1]), SetPoint | ProbeReport)
+    except WireError:
+        may_be_lost = False
+    arrives = link.press_arrival_ns if may_be_lost else link.control_arrival_ns
+    return arrives(now_ns, _size(parts))
 
 
 class LinkProxy:
@@ -52,12 +71,10 @@ class LinkProxy:
         self._subscribers = SubscriptionBudget(displays, (b"",))
         requests = sockets.bind(context, zmq.ROUTER, control_out, self._authenticator)
         # By receiving socket: the socket that its messages go to, and their arrival by the model.
-        self._paths: dict[
-            sockets.Socket, tuple[sockets.Socket, Callable[[int, int], int | None]]
-        ] = {
-            data: (displays, down.data_arrival_ns),
-            answers: (requests, down.control_arrival_ns),
-            requests: (answers, up.control_arrival_ns),
+        self._paths: dict[sockets.Socket, tuple[sockets.Socket, Arrival]] = {
+            data: (displays, lambda now_ns, parts: down.data_arrival_ns(now_ns, _size(parts))),
+            answers: (requests, partial(_control_arrival_ns, down)),
+            requests: (answers, partial(_control_arrival_ns, up)),
         }
 
     def stop(self) -> None:
@@ -80,7 +97,7 @@ class LinkProxy:
         self._subscribers.poll()
         for source, (onto, arrival_ns) in self._paths.items():
             for parts in sockets.receive_multipart(source):
-                due_ns = arrival_ns(time.perf_counter_ns(), sum(map(len, parts)))
+                due_ns = arrival_ns(time.perf_counter_ns(), parts)
                 if due_ns is not None:
                     heapq.heappush(self._waiting, (due_ns, next(self._order), onto, parts))
 

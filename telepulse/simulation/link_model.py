@@ -208,8 +208,9 @@ class TcpStream:
 class MessageLink:
     """Data and control messages in one direction of a link, one packet for each message.
 
-    As datagrams, data may be lost or reordered; control waits for the end of a cut and is never
-    lost. As tcp, control has a connection, and data has one for each path.
+    As datagrams, data may be lost or reordered, and so may a set-point and the probe's answer to
+    it, which the next ones replace; other control waits for the end of a cut and is never lost. As
+    tcp, control has a connection, and data has one for each path.
     """
 
     def __init__(self, scene: LinkScene, seed: int, start_ns: int = 0) -> None:
@@ -237,3 +238,9 @@ class MessageLink:
         direction = self._direction
         passed_ns = direction.queue(now_ns, size_bytes)
         return direction.propagate_reliably(direction.cut_end_ns(passed_ns) or passed_ns)
+
+    def press_arrival_ns(self, now_ns: int, size_bytes: int) -> int | None:
+        """Return the arrival of a set-point, or of the answer to one; None when it is lost."""
+        if self._tcp:
+            return self.control_arrival_ns(now_ns, size_bytes)
+        return self._direction.arrival_ns(now_ns, size_bytes + HEADER_BYTES)

@@ -19,7 +19,15 @@ from display_node.hardware import Hardware
 from display_node.scoring.tracking_error import TrackingError, scored
 from protocol.run_summary import Summary
 from protocol.ticks import TickState
-from protocol.wire.messages import Bye, ControlMessage, Frame, encode_control, encode_frame
+from protocol.wire.messages import (
+    Bye,
+    ControlMessage,
+    Frame,
+    ProbeReport,
+    SetPoint,
+    encode_control,
+    encode_frame,
+)
 from pulse_sensors.sample_check import SampleCheck
 from sensing_node.control_server import ControlServer
 from sensing_node.feeds import Framer, PacedSource
@@ -86,7 +94,7 @@ class Simulation:
 
     begin_ns: time of the display's clock at which the simulation starts. hardware: a real bench to
     play on, for a display with one contactor. take_frame: receives each frame that is sensed, with
-    the true values.
+    the true values. set_points: their server at the wrist; None where none are taken.
 
     Raises SceneError for a force loop that is not stable. Raises SourceError for a source that
     cannot be built.
@@ -113,8 +121,8 @@ class Simulation:
         self._session = seed + 1
         self._framer = Framer(self._description, self._session)
         self._check = SampleCheck(self._description.period_ns, self._description.channels)
-        set_points = serve_set_points(self._source, self._session)
-        self._control_server = ControlServer(self._description, self._session, set_points)
+        self.set_points = serve_set_points(self._source, self._session)
+        self._control_server = ControlServer(self._description, self._session, self.set_points)
         self.display = Display(scene.display, "simulated display", score=False)
         if hardware is not None:
             self.display.use(hardware)
@@ -259,7 +267,11 @@ class Simulation:
         self, link: MessageLink, now_ns: int, deliver: Handler, message: ControlMessage
     ) -> None:
         data = encode_control(message)
-        self._schedule(link.control_arrival_ns(now_ns, len(data)), deliver, data)
+        may_be_lost = isinstance(message, SetPoint | ProbeReport)
+        arrives = link.press_arrival_ns if may_be_lost else link.control_arrival_ns
+        arrival_ns = arrives(now_ns, len(data))
+        if arrival_ns is not None:
+            self._schedule(arrival_ns, deliver, data)
 
     def _schedule(self, at_ns: int, event: Handler, data: bytes) -> None:
         heapq.heappush(self._events, (at_ns, next(self._order), event, data))

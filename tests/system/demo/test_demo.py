@@ -75,6 +75,9 @@ def test_a_demo_of_three_fingers_has_the_figures_of_each(tmp_path: Path) -> None
         assert figures["within_jnd"] > 0.9
         assert figures["force_rmse_n"]["aligned"] < 20e-3
         assert f"{name}: aligned" in result.stdout
+        assert_accounted(figures["samples"])
+        assert figures["samples"]["sent"] == summary["samples"]["sent"]
+        assert f"{name}: {figures['samples']['sent']} sent = " in result.stdout
         heights_n[name] = figures["beats"]["height_n"]
     expected_n = {"cun": 0.24, "guan": 0.3, "chi": 0.2}
     assert heights_n == pytest.approx(expected_n, rel=0.05)
@@ -104,7 +107,7 @@ def test_a_demo_whose_display_cannot_play_a_channel_is_one_line(tmp_path: Path) 
 
 def test_the_demo_of_a_press_accounts_for_every_set_point(tmp_path: Path) -> None:
     path = tmp_path / "demo.json"
-    link = "delay=150ms,jitter=15ms,loss=1%"
+    link = "delay=150ms,jitter=15ms,loss=5%"
     result = run(
         "telepulse", "demo", "press", "--seconds", "6", "--no-ui", "--link", link,
         "--json", str(path),
@@ -113,6 +116,7 @@ def test_the_demo_of_a_press_accounts_for_every_set_point(tmp_path: Path) -> Non
     press = read_json(path)["press"]
     assert press["sent"] == press["applied"] + press["superseded"] + press["lost"]
     assert press["applied"] > 50
+    assert press["lost"] > 0
     assert "set-points" in result.stdout + result.stderr
 
 

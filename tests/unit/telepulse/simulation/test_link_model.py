@@ -215,6 +215,21 @@ def test_control_is_never_lost_and_waits_for_the_end_of_a_cut() -> None:
     assert link.lost_data == 3
 
 
+def test_a_set_point_and_its_answer_are_lost_as_data_is() -> None:
+    lossy = MessageLink(parse_link("delay=40ms,loss=20%"), 1)
+    arrivals = [lossy.press_arrival_ns(ms * MS, BYTES) for ms in range(1_000)]
+    assert 150 < arrivals.count(None) < 250
+    assert {at_ns for at_ns in arrivals if at_ns} == {(ms + 40) * MS for ms in range(1_000)} - {
+        (ms + 40) * MS for ms, at_ns in enumerate(arrivals) if at_ns is None
+    }
+    # They are no data: the account of lost frames does not contain them.
+    assert lossy.lost_data == 0
+    cut = MessageLink(parse_link("delay=40ms,cut.from=50ms,cut.for=30ms"), 1)
+    assert cut.press_arrival_ns(60 * MS, BYTES) is None
+    tcp = MessageLink(parse_link("delay=40ms,loss=20%,transport=tcp"), 1)
+    assert None not in [tcp.press_arrival_ns(ms * MS, BYTES) for ms in range(200)]
+
+
 def test_over_tcp_control_does_not_wait_for_data() -> None:
     link = MessageLink(parse_link("delay=40ms,cut.from=50ms,cut.for=1ms,transport=tcp"), 1)
     assert link.data_arrival_ns(40 * MS, BYTES) == 80 * MS
