@@ -264,10 +264,7 @@ class DepthSweep:
         beyond = closed and level.wanted_n > self._highest().wanted_n
         short = level.hold_down_n < REACHED * level.wanted_n
         if short:
-            self.notes.append(
-                f"the probe pressed with {level.hold_down_n:.2f} N when {level.wanted_n:.2f} N were"
-                " set: its limit, or the travel of its drive"
-            )
+            self._note_limit(level)
         if self._fine is None and (beyond or short or not self._coarse):
             self._fine = self._choose_fine()
         following = self._coarse if self._fine is None else self._fine
@@ -287,6 +284,12 @@ class DepthSweep:
             self._watch(level)
         return level
 
+    def _note_limit(self, level: SweptLevel) -> None:
+        self.notes.append(
+            f"the probe pressed with {level.hold_down_n:.2f} N when {level.wanted_n:.2f} N were"
+            " set: its limit, or the travel of its drive"
+        )
+
     def _highest(self) -> SweptLevel:
         return max(self.levels, key=lambda level: level.height_n)
 
@@ -304,6 +307,16 @@ class DepthSweep:
             if (before.height_n < share_n) is not (after.height_n < share_n):
                 levels_n += [before.wanted_n + part * step_n for part in BETWEEN]
         return [level_n for level_n in sorted(levels_n) if plan.low_n <= level_n <= plan.high_n]
+
+    def _stays(self, part_n: float) -> bool:
+        """Return whether the hold-down of the last part is short of it, and has stopped rising.
+
+        part_n: rise of the force from part to part. One that is only late rises as fast.
+        """
+        last = self.levels[-1]
+        if len(self.levels) < 2 or last.hold_down_n >= REACHED * last.wanted_n:
+            return False
+        return last.hold_down_n - self.levels[-2].hold_down_n < 0.5 * part_n
 
     def _rise(self, ramp_ns: int, elapsed_ns: int) -> None:
         """Raise the force of a steady sweep, and report a part when it is complete."""
@@ -326,6 +339,9 @@ class DepthSweep:
                 and level.height_n < CLOSED * highest.height_n
                 for level in parts
             ):
+                self.release()
+            if self._stays((plan.high_n - plan.low_n) / PARTS):
+                self._note_limit(last)
                 self.release()
         if passed >= 1.0:
             self.release()

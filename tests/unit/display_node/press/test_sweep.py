@@ -82,6 +82,35 @@ def test_a_probe_that_reaches_its_limit_is_noted_and_pressed_no_further() -> Non
     assert max(level.wanted_n for level in run.levels) < 1.6
 
 
+def test_a_steady_sweep_notes_the_probes_limit_and_ends_there() -> None:
+    run, pressed_n = DepthSweep(SweepPlan(high_n=6.0, ramp_ns=30 * SECOND_NS)), []
+    wrist = Disturbed(wrist_scene(), ProbeLimits(force_n=1.3))
+
+    def watch(at_s: float, values: NDArray[np.float64]) -> NDArray[np.float64]:
+        pressed_n.append(run.press_n)
+        return values
+
+    wrist.change = watch
+    sweep_wrist(wrist, run, 6.0)
+    assert "its limit" in run.notes[0]
+    assert run.fault == ""
+    assert max(pressed_n) < 2.3
+    assert wrist.force_n < 0.1
+
+
+def test_a_steady_sweep_over_a_slow_link_is_not_at_its_limit() -> None:
+    plan = SweepPlan(ramp_ns=20 * SECOND_NS)
+    run, held_n = DepthSweep(plan), []
+    for number in range(0, 20_000, 50):
+        held_n.append(run.press_n)
+        # 2 s late, which is 0.23 N here.
+        late_n = held_n[max(0, len(held_n) - 41)]
+        at_ns = number * 1_000_000
+        run.observe(channel_samples(number, at_ns, 1_000_000, [0.0] * 50), [late_n] * 50)
+    assert not run.notes
+    assert run.press_n > 0.9 * plan.high_n
+
+
 @pytest.mark.parametrize(
     ("probe", "reason"), [("fault", "reports a fault"), ("held", "another display")]
 )
