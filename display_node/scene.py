@@ -17,7 +17,7 @@ from protocol.config.scene import Section
 from protocol.config.scene_file import merge
 from protocol.errors import SceneError
 from protocol.wire.messages import MAX_CHANNELS
-from protocol.wire.stream import LayerTable, first_repeated
+from protocol.wire.stream import HOLD_DOWN, LayerTable, first_repeated
 from pulse_drives import Drive
 from pulse_drives.scene import DriveTable
 from pulse_sensors.sensor import OneForceSensor, Sensor
@@ -113,6 +113,12 @@ class DisplayScene(ContactorScene):
         twice = first_repeated(each.shown_name for each in self.contactor)
         if twice is not None:
             raise ValueError(f"two contactors have the name {twice!r}; give each its own")
+        static = HOLD_DOWN if self.press is None else self.press.channel
+        if static in [each.channel for each in (self, *self.contactor)]:
+            raise ValueError(
+                f'channel "{static}" holds the probe down and is no pulse; leave out'
+                " the contactor that plays it"
+            )
         return self
 
     @property

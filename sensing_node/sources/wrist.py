@@ -64,6 +64,8 @@ class WristScene(SourceScene):
             raise ValueError("systolic must be above diastolic")
         if self.pulse.position:
             raise ValueError("pulse: a wrist is pressed at one position; leave position out")
+        if self.pulse.announce is not None:
+            raise ValueError("pulse: a modelled wrist has no ECG; leave announce out")
         return self
 
 

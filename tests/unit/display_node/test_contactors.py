@@ -269,6 +269,7 @@ def test_each_contactor_inherits_the_displays_tables_and_changes_what_it_gives()
     ("contactors", "changes", "named"),
     [
         ([{"channel": "a"}, {"channel": "a"}], {}, "two contactors have the name 'a'"),
+        ([{"channel": "a"}, {"channel": "hold-down"}], {}, 'channel "hold-down" holds the probe'),
         ([{"channel": "a"}], {"channel": "b"}, "belong to each"),
         ([{"chanel": "a"}], {}, "contactor.0.chanel: unknown key"),
         ([{"channel": 64}], {}, "contactor.0.channel"),

@@ -71,6 +71,10 @@ def test_blocks_of_any_size_give_the_same_samples() -> None:
             {"pulse": {"kind": "synthetic", "position": [{"name": "cun"}]}},
             "a wrist is pressed at one position",
         ),
+        (
+            {"pulse": {"kind": "synthetic", "announce": {"transit": "180 ms"}}},
+            "a modelled wrist has no ECG; leave announce out",
+        ),
     ],
 )
 def test_an_impossible_wrist_is_refused(keys: dict[str, Any], reason: str) -> None:
