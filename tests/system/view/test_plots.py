@@ -324,13 +324,15 @@ def test_lines_and_marks_are_seen_on_both_grounds(url: str, visit: Visit, state:
                 assert swatch.evaluate(CONTRAST) >= 3
 
 
-def test_the_form_of_the_marks_is_at_the_right_below_the_controls(url: str, visit: Visit) -> None:
-    with visit(f"{url}/three_fingers", viewport={"width": 1280, "height": 900}) as page:
-        page.locator("#contactor").wait_for()
-        boxes = [page.locator(id).bounding_box() for id in ("#controls", "#mark")]
-        controls, mark = boxes
+@pytest.mark.parametrize("state", ["one_finger", "three_fingers"])
+def test_the_form_of_the_marks_is_at_the_right_below_the_controls(
+    url: str, visit: Visit, state: str
+) -> None:
+    with still(visit, f"{url}/{state}", viewport={"width": 1600, "height": 900}) as page:
+        boxes = [page.locator(id).bounding_box() for id in ("#controls", "#mark", "main")]
+        controls, mark, main = boxes
         right = [box["x"] + box["width"] for box in boxes]
-        assert right == [pytest.approx(1280 - 16, abs=2)] * 2
+        assert right == [pytest.approx(main["x"] + main["width"], abs=2)] * 3
         assert mark["y"] >= controls["y"] + controls["height"]
 
 
