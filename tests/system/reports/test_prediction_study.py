@@ -89,7 +89,7 @@ def test_the_report_counts_reached_targets_and_gives_the_excess_of_others() -> N
     goal = next(row for row in rows if row[0] == "variability" and row[2] == "stretch goal")
     assert goal[3:] == ("0.100 / –", "0.100 / –", "0.100 / 0.180", "0.100 / –", "reached")
     stack = next(row for row in rows if row[:2] == (MEDIAN, "stack"))
-    assert stack[-1] == "missed: 20 ms +122%"
+    assert stack[-1] == "missed: 20 ms +122 %"
     reached = sum(row[-1] == "reached" for row in rows)
     assert chapter.paragraphs[0].startswith(f"{reached} of {len(TARGETS)} rows")
 
