@@ -199,7 +199,9 @@ def test_a_fault_is_named_once_with_what_to_do_and_what_is_measured(
             for _ in range(20):
                 publisher.tick()
             publisher.status("fault", Summary(faults=[FAULT], finger=FINGER))
-            return str(note.inner_text()).endswith(f"; finger: {FINGER}")
+            # A number and its unit are kept on one line.
+            text = str(note.inner_text()).replace("\xa0", " ")
+            return text.endswith(f"; finger: {FINGER}")
 
         until(shown)
         assert page.locator("#state").inner_text() == "fault"
