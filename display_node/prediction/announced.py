@@ -41,15 +41,18 @@ INPUTS, OUTPUTS = MIDDLE - LOCAL, MIDDLE + AHEAD
 # Steps back to the oldest value that is used: 40 s, and from the present to each input.
 REACH = 8_000
 PRESENT = REACH - LOCAL
-# Number of the last analogues that are used, and the least number of them.
-MOST, FEWEST = 60, 4
+# Number of the last analogues that are used, the least number of them, and the one up to which
+# shorter pauses than the present one count.
+MOST, FEWEST, ENOUGH = 60, 4, 8
 NEAREST, FARTHEST = FURTHEST + STEPS + 1, REACH - MIDDLE
 # Width of their kernel over their mean distance.
 WIDTH = 0.5
 # An R-R interval's difference of 150 ms counts as a deviation of the pulse; in the distances, that
 # of the last one counts as much as this number of inputs. From 10 to 100, the errors are the same.
 INTERVAL_STEPS, INTERVAL_WEIGHT = np.float32(30.0), 30.0
-RIDGE = 0.003 * np.eye(len(LOCAL) + INTERVALS, dtype=np.float32)
+# Number of the inputs from the pulse, before those from the R-R intervals.
+PULSE = len(LOCAL)
+RIDGE = 0.003 * np.eye(PULSE + INTERVALS, dtype=np.float32)
 # The shares are learnt from every second step of learning, with a memory of 10 s.
 LEARNT, FORGET = 2, 1 - 1 / 500
 # Strength of shares of 0. That of moments when the announced path has just been wrong needs more
@@ -81,6 +84,7 @@ class AnnouncedPath:
         # those of all channels, side by side.
         self._means: list[tuple[Row, Row]] = []
         self._newest_wave = 0.0
+        self._unprecedented = False
         # Running sums for the shares: the squared differences, and their products with the stack's
         # errors, for both kinds of moments; and the same of the last 100 ms, without horizons.
         self._sums = np.zeros((2, 2, HORIZONS))
@@ -130,7 +134,8 @@ class AnnouncedPath:
         self._judge(values[-1], MADE[position])
         np.matmul(self._weights, self._shares, out=self._share)
         path[:], difference[:] = self._path, self._difference[0]
-        self._weighted[position, :, 0] = self._weights
+        # From a pause longer than any before, whose gain is enormous and seldom, nothing is learnt.
+        self._weighted[position, :, 0] = 0.0 if self._unprecedented else self._weights
 
     def _judge(self, newest: np.floating, made: Places) -> None:
         """Weigh the two shares by how well the announced path predicted the newest values."""
@@ -176,9 +181,9 @@ class AnnouncedPath:
         gains, failed = solve(weighted @ inputs + RIDGE, weighted @ outputs)
         if failed:
             return
-        self._gains = gains[:-INTERVALS]
+        self._gains = gains[:PULSE]
         # The intervals are differences from the present's, which so add this to each output.
-        added = -(weights @ intervals) @ gains[-INTERVALS:]
+        added = -(weights @ intervals) @ gains[PULSE:]
         means = [weights @ window for window in windows]
         for step in range(1, STEPS + 1):
             inputs, outputs = _moment(means, step)
@@ -190,9 +195,15 @@ class AnnouncedPath:
         They are given by their lags, and the differences of their R-R intervals from the present's.
         """
         newest, lags, until, intervals = self.transit.analogues
-        # At such a moment, the next R wave had not been found yet.
+        since = count - newest
+        # At such a moment, the next R wave had not been found yet. In a pause as long as few or
+        # none before, they are the ends of the longest ones, after which no beat was near either.
+        over = np.where(until > since, 0.0, since + STEPS + 1 - until)
+        self._unprecedented = bool(np.logical_and.reduce(over))
+        chosen = over <= max(np.sort(over)[:ENOUGH].tolist(), default=0.0)
+        lags = lags + np.rint(over).astype(np.intp)
         longest = min(FARTHEST, count - (REACH - FARTHEST))
-        chosen = (until > count - newest) & (lags >= NEAREST) & (lags < longest)
+        chosen &= (lags >= NEAREST) & (lags < longest)
         return lags[chosen][-MOST:], intervals[chosen][-MOST:].astype(np.float32) / INTERVAL_STEPS
 
 

@@ -4,10 +4,10 @@ It contains the time until the heart ejects, the way of the pulse wave to the se
 of both sensors: some 150 to 250 ms at the wrist. A constant shift of the ECG is part of it.
 """
 
-import itertools
 import statistics
 from collections import deque
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,8 +22,11 @@ NORMAL = 1.4826
 # steps: 20 and 60 ms. The deviation is at least 1 ms.
 DEVIATIONS, NEAR, FAR, LEAST = 4.0, 4.0, 12.0, 0.2
 # An event is an arrival on time, an arrival without R wave, or an R wave without arrival. Of the
-# last ones, so many of the last two kinds end reliability; it returns after a row without any.
-EVENTS, WRONG = 5, 2
+# last ones, so many of the last two kinds end reliability. It returns after a row without any, at a
+# deviation of at most 30 ms: beats of another heart pass the tolerance in a row, but drift.
+EVENTS, WRONG, STEADY = 5, 2, 6.0
+# R-R intervals before an R wave that count, and the longest of them: 2 s.
+INTERVALS, LONGEST_INTERVAL = 2, 400.0
 # R waves kept: those of 40 s at 4 beats a second.
 KEPT = 160
 
@@ -38,6 +41,20 @@ class RWave:
     at: float
     found: float
     transit: float | None = None
+
+
+class Analogues(NamedTuple):
+    """R waves whose pulse came at the present transit time, oldest first, in steps.
+
+    newest: position of the newest R wave. lags: from each R wave to it. lengths: from each to when
+    the next one was found. intervals: differences of the last two R-R intervals before each from
+    those before the newest one, the last first, shape (n, 2).
+    """
+
+    newest: float
+    lags: NDArray[np.intp]
+    lengths: NDArray[np.float64]
+    intervals: NDArray[np.float64]
 
 
 class TransitTime:
@@ -62,7 +79,7 @@ class TransitTime:
         self._wrong: deque[bool] = deque([True] * EVENTS, maxlen=EVENTS)
         # R waves whose pulse may still arrive.
         self._expected: deque[RWave] = deque()
-        self._analogues: tuple[float, NDArray[np.intp], NDArray[np.float64]] | None = None
+        self._analogues: Analogues | None = None
 
     @property
     def tolerance(self) -> float:
@@ -81,20 +98,27 @@ class TransitTime:
         return abs(wave.transit - self.median) <= self.tolerance
 
     @property
-    def analogues(self) -> tuple[float, NDArray[np.intp], NDArray[np.float64]]:
-        """The newest R wave's position; lags of the R waves that pulses confirmed; their lengths.
-
-        A length is the number of steps from an R wave to when the next one was found.
-        """
+    def analogues(self) -> Analogues:
+        """R waves with two R-R intervals before them that pulses confirmed."""
         if self._analogues is None:
-            newest = self.newest
-            found = [
-                (newest - wave.at, after.found - wave.at)
-                for wave, after in itertools.pairwise(self.waves)
-                if self.confirms(wave)
+            waves, newest = list(self.waves), self.newest
+            places = [
+                place for place in range(INTERVALS, len(waves) - 1) if self.confirms(waves[place])
             ]
-            lags, lengths = np.array(found).reshape(-1, 2).T
-            self._analogues = newest, np.rint(lags).astype(np.intp), lengths
+            at = np.array([wave.at for wave in waves])
+            before = np.minimum(np.diff(at), LONGEST_INTERVAL)
+            following = np.array([waves[place + 1].found for place in places])
+            of_each = np.array(places, np.intp)
+            # The interval before wave i is the difference i − 1.
+            intervals = [
+                before[of_each - back] - before[-back] for back in range(1, INTERVALS + 1) if places
+            ]
+            self._analogues = Analogues(
+                newest,
+                np.rint(newest - at[of_each]).astype(np.intp),
+                following - at[of_each],
+                np.array(intervals).reshape(INTERVALS, -1).T,
+            )
         return self._analogues
 
     def announce(self, at: float, found: float) -> None:
@@ -140,4 +164,5 @@ class TransitTime:
     def _count(self, wrong: bool) -> None:
         self._wrong.append(wrong)
         count = sum(self._wrong)
-        self.reliable = count < WRONG if self.reliable else not count
+        steady = self.deviation <= STEADY
+        self.reliable = count < WRONG if self.reliable else steady and not count

@@ -84,7 +84,7 @@ def test_a_constant_jump_is_learnt_as_another_transit_time() -> None:
     feed(transit, np.where(LATER, BEATS - 20, BEATS), ARRIVALS, 9_500)
     assert transit.reliable
     assert transit.median == pytest.approx(60.0)
-    _, lags, _ = transit.analogues
+    lags = transit.analogues.lags
     assert 0 < lags.max() < (60 - 30) * BEAT
 
 
@@ -100,8 +100,32 @@ def test_analogues_are_the_confirmed_beats_with_the_time_to_the_next_r_wave() ->
     arrivals = ARRIVALS.copy()
     arrivals[20] += FAR + 1
     feed(transit, BEATS, arrivals, 9_500)
-    newest, lags, lengths = transit.analogues
+    newest, lags, lengths, _ = transit.analogues
     assert newest == BEATS[-1]
     assert newest - BEATS[20] not in lags
     assert newest - BEATS[21] in lags
     np.testing.assert_allclose(lengths, BEAT + 9)
+
+
+def test_analogues_have_the_two_r_r_intervals_before_them_from_those_of_the_newest() -> None:
+    intervals = BEAT * np.array([1.0, 0.8, 1.1, 0.7, 1.2, 0.9, 1.0, 6.0, 1.0, 0.8] + [1.0] * 10)
+    waves = 400 + np.cumsum(intervals)
+    transit = TransitTime()
+    feed(transit, waves, waves + 40, 5_500)
+    found = dict(zip(transit.analogues.lags.tolist(), transit.analogues.intervals, strict=True))
+    newest = waves[-1]
+    for place in (4, 5, 6):
+        before = intervals[[place, place - 1]] - BEAT
+        np.testing.assert_allclose(found[round(newest - waves[place])], before, atol=1e-9)
+    # A missed R wave, or a pause of the ECG, is no longer interval than 2 s.
+    np.testing.assert_allclose(found[round(newest - waves[7])], [400 - BEAT, 0.0], atol=1e-9)
+    first = round(newest - waves[1])
+    assert first not in found
+
+
+def test_beats_of_another_heart_in_tolerance_for_a_while_do_not_bring_it_back() -> None:
+    """They drift by a third of the tolerance a beat, so that five in a row are within it."""
+    transit = TransitTime()
+    waves = np.concatenate([BEATS[~LATER], SINCE + np.cumsum(np.full(28, BEAT - 4.0))])
+    reliable = feed(transit, waves, ARRIVALS, 9_500)
+    assert not [step for step in reliable if step > SINCE + 600]
