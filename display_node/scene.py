@@ -114,7 +114,7 @@ class DisplayScene(ContactorScene):
         if twice is not None:
             raise ValueError(f"two contactors have the name {twice!r}; give each its own")
         static = HOLD_DOWN if self.press is None else self.press.channel
-        if static in [each.channel for each in (self, *self.contactor)]:
+        if static in (self.channel, *(each.channel for each in self.contactor)):
             raise ValueError(
                 f'channel "{static}" holds the probe down and is no pulse; leave out'
                 " the contactor that plays it"
