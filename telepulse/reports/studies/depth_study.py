@@ -200,9 +200,16 @@ def report_depths(scores: dict[tuple[str, float], list[DepthScore]], effort: Dep
         f" {percent(MOST_RANGE, '.0f')}).",
         f"{sum(map(meets, scores.values()))} of {len(scores)} pairs of a modelled wrist and a kind"
         " of sweep meet both criteria. No person was measured.",
+        *_missed(scores),
     )
     chapter = Chapter("Repeats", (words,), (table,), (plot,), findings)
     return Report("Sweeps of the hold-down on modelled wrists", (chapter,))
+
+
+def _missed(scores: dict[tuple[str, float], list[DepthScore]]) -> tuple[str, ...]:
+    """Return the finding that names the sweeps and wrists that miss a criterion, if there are."""
+    missed = [f"{plan}, {mean:g} mmHg" for (plan, mean), each in scores.items() if not meets(each)]
+    return (f"Missed: {'; '.join(missed)}.",) if missed else ()
 
 
 def _between(errors: Sequence[float]) -> str:
