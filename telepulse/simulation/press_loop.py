@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from display_node.press.finger import PressingFinger
 from display_node.press.finger_press import FingerPress, PressLimits
 from display_node.scoring.beats import BeatAnalysis
+from protocol.tissue import PASCALS_PER_MMHG
 from protocol.wire.messages import (
     Frame,
     ProbeReport,
@@ -65,6 +66,21 @@ class PressTrace(NamedTuple):
     loop_gain: NDArray[np.float64]
 
 
+class ArterialPulse(NamedTuple):
+    """Arterial pressure of a modelled wrist, and the rhythm of its heart and of respiration."""
+
+    systolic_mmhg: float
+    diastolic_mmhg: float
+    heart_rate_hz: float = 1.25
+    variability: float = 0.0
+    respiration: float = 0.0
+    respiration_rate_hz: float = 0.25
+
+
+# That of the scene `press`, regular and without respiration.
+OWN_PULSE: Final = ArterialPulse(120.0, 80.0)
+
+
 @dataclass(frozen=True, slots=True)
 class PressSetting:
     """Setting of a run.
@@ -74,7 +90,7 @@ class PressSetting:
     copies: connections over which each set-point is sent. batch: samples in a frame, a multiple of
     5. paths: TCP connections of the frames, of which the first copies are used. open_loop: forces
     at the wrist that replace the received set-points. later_ns: further perceived delay, by which a
-    step meets another part of the beat.
+    step meets another part of the beat. pulse: of the wrist.
     """
 
     link: LinkScene
@@ -88,6 +104,7 @@ class PressSetting:
     paths: int = 1
     open_loop: Meant | None = None
     later_ns: int = 0
+    pulse: ArterialPulse = OWN_PULSE
 
 
 class PressLoop:
@@ -239,11 +256,20 @@ class PressLoop:
 
 def wrist_scene(setting: PressSetting) -> WristScene:
     """Return the wrist of a setting."""
-    length_m = 1.2e-3 / setting.tissue
+    length_m, pulse = 1.2e-3 / setting.tissue, setting.pulse
     return WristScene.model_validate(
         {
             "kind": "wrist",
-            "pulse": {"kind": "synthetic", "seed": setting.seed},
+            "pulse": {
+                "kind": "synthetic",
+                "seed": setting.seed,
+                "heart_rate": f"{pulse.heart_rate_hz} Hz",
+                "heart_rate_variability": pulse.variability,
+                "respiration": pulse.respiration,
+                "respiration_rate": f"{pulse.respiration_rate_hz} Hz",
+            },
+            "systolic": f"{pulse.systolic_mmhg * PASCALS_PER_MMHG} Pa",
+            "diastolic": f"{pulse.diastolic_mmhg * PASCALS_PER_MMHG} Pa",
             "length": f"{length_m} m",
             "noise": "0.5 mN",
         }

@@ -6,30 +6,36 @@ after a step, the gain of the opened loop, forces and slews, and the time to eas
 """
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import partial
 from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from display_node.press.sweep import CLOSED
 from protocol.press_figures import SetPointCounts
 from protocol.wire.messages import SetPoint
 from sensing_node.press.probe import ProbeLimits
+from sensing_node.press.set_points import SetPointServer
+from sensing_node.sources.wrist import Wrist
 from telepulse.reports.studies.sweep import sweep
 from telepulse.simulation.link_scene import LinkScene
 from telepulse.simulation.press_loop import (
     AHEAD_NS,
     BATCH,
+    OWN_PULSE,
     PRESS,
     SESSION,
     TICK_NS,
+    ArterialPulse,
     Meant,
     PressLoop,
     PressSetting,
     PressTrace,
     link_of,
+    wrist_scene,
 )
 
 ROUND_TRIPS_S: Final = (0.0, 0.1, 0.3, 1.0, 2.0)
@@ -48,11 +54,45 @@ BAND_HZ: Final = (0.2, 10.0)
 WINDOW_S, WINDOWS = 4.0, 4
 # Deviation of a set-point at rest, by the noise of the sensor.
 REST_N: Final = 3e-3
-BEAT_TICKS, MEAN_TICKS = 800, 5
+BEAT_TICKS, FRAME_TICKS = 800, 5
+# A height is taken of means over this time, so that the film's noise is not a part of it, and over
+# this multiple of a beat.
+MEAN_TICKS, OVER_BEATS = 20, 1.2
 # A step is five beats long. So that not all runs step in the same part of a beat, each plays this
 # much later than the one before.
 LATER_NS: Final = 700_000_000
 Floats = NDArray[np.float64]
+# Other wrists: arteries of 70 to 130 mmHg with an irregular heart and respiration, each with rates
+# of its own, and regular ones with other pulse pressures.
+MEAN_SHARE, PULSE_MMHG = 0.27, 40.0
+PULSES: Final = {
+    f"{mean_mmhg:g} mmHg, respiration": ArterialPulse(
+        mean_mmhg + (1 - MEAN_SHARE) * PULSE_MMHG,
+        mean_mmhg - MEAN_SHARE * PULSE_MMHG,
+        1.0 + (mean_mmhg - 70.0) / 120,
+        0.04,
+        0.2,
+        rate_hz,
+    )
+    for mean_mmhg, rate_hz in (
+        (70.0, 0.2),
+        (85.0, 0.23),
+        (100.0, 0.27),
+        (115.0, 0.3),
+        (130.0, 0.33),
+    )
+}
+REGULAR_PULSES: Final = {
+    f"{high_mmhg:g}/{low_mmhg:g} mmHg, regular": ArterialPulse(high_mmhg, low_mmhg)
+    for high_mmhg, low_mmhg in ((90.0, 60.0), (120.0, 60.0), (140.0, 90.0), (160.0, 100.0))
+}
+# A practitioner presses a new wrist at each level first; each for this time.
+VISIT_S: Final = 3.0
+# Round trips of the regular wrists, and of the runs with other stiffnesses of tissue and finger.
+REGULAR_TRIPS_S: Final = (0.1, 1.0)
+STIFF_TRIPS_S: Final = (0.1, 0.3, 1.0)
+# Runs with other stiffnesses of tissue and finger: their length.
+STIFF_S: Final = 48.0
 
 
 class TcpVariant(NamedTuple):
@@ -66,6 +106,7 @@ class TcpVariant(NamedTuple):
 
 # What is compared over TCP: the bars are for the scene's own variant, from 1 s on with long frames.
 VARIANTS: Final = (TcpVariant(1), TcpVariant(2, 2), TcpVariant(4), TcpVariant(16))
+SCENE_VARIANT: Final = VARIANTS[-1]
 LONG_FRAMES: Final = TcpVariant(16, 1, 50, 8)
 LONG_FROM_S: Final = 1.0
 
@@ -74,7 +115,7 @@ LONG_FROM_S: Final = 1.0
 class PressEffort:
     """Round trips, seeds, and the length of a run; of it, the first 30 s are for learning.
 
-    variants: what is compared over TCP.
+    variants: what is compared over TCP. pulses: of the other wrists.
     """
 
     round_trips_s: tuple[float, ...] = ROUND_TRIPS_S
@@ -82,6 +123,7 @@ class PressEffort:
     seeds: tuple[int, ...] = (1, 2)
     seconds: float = 70.0
     variants: tuple[TcpVariant, ...] = VARIANTS
+    pulses: Mapping[str, ArterialPulse] = field(default_factory=lambda: PULSES | REGULAR_PULSES)
 
 
 class FollowScore(NamedTuple):
@@ -97,6 +139,11 @@ class FollowScore(NamedTuple):
     greatest_n: float
     slew_n_per_s: float
     account: SetPointCounts
+
+    @property
+    def beyond(self) -> float:
+        """Share of the heights beyond the criterion."""
+        return sum(abs(height) > HEIGHT_ERROR for height in self.heights) / len(self.heights)
 
 
 class SwingScore(NamedTuple):
@@ -135,7 +182,9 @@ class PressScores:
 
     follow: by round trip, of all seeds. tcp: by round trip and variant. swing: by
     round trip, tissue and finger. gains: measured gain of the opened loop, by the pulse's share.
-    eased_s: by tissue and round trip. hostile: greatest force and slew, by tissue.
+    eased_s: by tissue and round trip. hostile: greatest force and slew, by tissue. wrists: by pulse
+    and round trip. stiff: largest error of the hold-down, by round trip, tissue and finger. finger:
+    greatest force and slew of the set-points with a hostile wrist.
     """
 
     follow: dict[float, list[FollowScore]]
@@ -146,6 +195,9 @@ class PressScores:
     hostile: dict[float, tuple[float, float]]
     steps: dict[float, PressStep]
     heights: HeightPoints
+    wrists: dict[tuple[str, float], FollowScore]
+    stiff: dict[tuple[float, float, float], float]
+    finger: tuple[float, float]
 
 
 def steps(time_s: float, levels_n: Sequence[float] = LEVELS_N) -> float:
@@ -159,16 +211,18 @@ def steps(time_s: float, levels_n: Sequence[float] = LEVELS_N) -> float:
 
 def follow(setting: PressSetting, seconds: float) -> tuple[FollowScore, PressStep, HeightPoints]:
     """Run steps of a finger, and score those after `LEARNT_S`."""
-    loop = PressLoop(setting, steps)
+    loop = PressLoop(setting, steps if setting.pulse == OWN_PULSE else _visit_then_step(setting))
     trace = loop.run(seconds)
     late, heights = [], []
+    beat = MEAN_TICKS * round(OVER_BEATS * _ticks(1 / setting.pulse.heart_rate_hz) / MEAN_TICKS)
     wait_s = FOLLOWED_S + 2e-9 * setting.link.delay_ns
     for number in range(math.ceil(LEARNT_S / STEP_S), int(seconds / STEP_S)):
         begin, end = _ticks(number * STEP_S), _ticks((number + 1) * STEP_S)
         settled = slice(begin + _ticks(wait_s), end)
         late.append(_largest(trace.hold_down_n[settled] / trace.press_n[settled] - 1))
-        for at in range(begin + _ticks(RISE_S), end - BEAT_TICKS, BEAT_TICKS // 4):
-            heights.append(_height(trace.pulse_n, at) / _height(trace.truth_n, at) - 1)
+        for at in range(begin + _ticks(RISE_S), end - beat, BEAT_TICKS // 4):
+            window = slice(at, at + beat)
+            heights.append(_height(trace.pulse_n[window]) / _height(trace.truth_n[window]) - 1)
     gain, account = float(trace.loop_gain.max()), loop.press.sender.counts()
     score = FollowScore(tuple(late), tuple(heights), gain, *_peaks(trace), account)
     begin = _ticks(math.ceil(LEARNT_S / STEP_S) * STEP_S)
@@ -180,6 +234,38 @@ def follow(setting: PressSetting, seconds: float) -> tuple[FollowScore, PressSte
     truth = np.array([loop.wrist.artery.height_n(force_n) for force_n in forces])
     learnt = np.array([loop.press.curve.height(force_n) for force_n in forces])
     return score, response, HeightPoints(forces, truth, learnt)
+
+
+def _visit_then_step(setting: PressSetting) -> Meant:
+    """Return a hand that presses with each level in turn while it learns, and then steps.
+
+    The levels lie between the forces at which the wrist's pulse has `CLOSED` of its largest height;
+    a sweep presses no further either.
+    """
+    artery = Wrist(wrist_scene(setting)).artery
+    forces_n = np.arange(0.1, 3.0, 5e-3)
+    heights = np.array([artery.height_n(force_n) for force_n in forces_n])
+    low_n, *_, high_n = forces_n[heights >= CLOSED * heights.max()]
+    scale = (high_n - low_n) / (max(LEVELS_N) - min(LEVELS_N))
+    levels_n = [float(low_n + scale * (level_n - min(LEVELS_N))) for level_n in LEVELS_N]
+    visits_n = sorted(levels_n)
+
+    def meant(time_s: float) -> float:
+        if time_s >= math.ceil(LEARNT_S / STEP_S) * STEP_S:
+            return steps(time_s, levels_n)
+        # The last visit lasts until the first step that counts.
+        number = min(int(time_s / VISIT_S), len(visits_n) - 1)
+        before = visits_n[number - 1] if number else 0.0
+        part = min(1.0, (time_s - number * VISIT_S) / RISE_S)
+        return before + (visits_n[number] - before) * (0.5 - 0.5 * math.cos(math.pi * part))
+
+    return meant
+
+
+def hold_down_error(setting: PressSetting) -> float:
+    """Return the largest error of the hold-down after the finger's steps."""
+    score, *_ = follow(setting, STIFF_S)
+    return max(score.late)
 
 
 def swing(setting: PressSetting) -> SwingScore:
@@ -253,30 +339,65 @@ def be_hostile(tissue: float) -> tuple[float, float]:
     return _peaks(trace)
 
 
+class HostileWrist(Wrist):
+    """A wrist whose film and load cell read anything, for 5 s each: random, none, and opposite."""
+
+    def take(self, count: int) -> Floats:
+        """Return the next samples in N, as `Wrist.take`."""
+        values, seconds = super().take(count), self._time_ns // 1_000_000_000
+        random = np.random.default_rng(seconds)
+        if seconds < 5:
+            return values
+        size = (1.0, 9e5, 0.0)[seconds // 5 % 3]
+        return values + size * random.choice([-1.0, 1.0], values.shape)
+
+
+def be_hostile_to_the_finger() -> tuple[float, float]:
+    """Return the greatest force and slew of the set-points that a finger sends to such a wrist."""
+    setting = PressSetting(link_of(0.1))
+    loop = PressLoop(setting, partial(steps, levels_n=(0.5, 6.0, 1.0, 2.5)))
+    loop.wrist = HostileWrist(wrist_scene(setting))
+    loop.server = SetPointServer(SESSION, loop.wrist)
+    sent_n = loop.run(30.0).set_point_n
+    # Over 40 ms: two set-points.
+    return float(sent_n.max()), _largest(sent_n[40:] - sent_n[:-40]) / 0.04
+
+
 def score_press(effort: PressEffort, scheduler: str | None = None) -> PressScores:
     """Run all cases, on all cores or on a cluster."""
-    trips, pairs = (
-        effort.round_trips_s,
-        [(a, b) for a in effort.stiffnesses for b in effort.stiffnesses],
-    )
+    trips = effort.round_trips_s
     plain = [
         PressSetting(link_of(trip), seed=seed, later_ns=number * LATER_NS)
         for trip in trips
         for number, seed in enumerate(effort.seeds)
     ]
     variants = {
-        trip: (*VARIANTS, LONG_FRAMES) if trip >= LONG_FROM_S else VARIANTS
+        trip: (*effort.variants, LONG_FRAMES) if trip >= LONG_FROM_S else effort.variants
         for trip in trips
         if trip
     }
     tcp_cases = [(trip, variant) for trip, each in variants.items() for variant in each]
     tcp = [PressSetting(link_of(trip, "tcp"), **variant._asdict()) for trip, variant in tcp_cases]
-    followed = sweep(partial(follow, seconds=effort.seconds), [*plain, *tcp], scheduler)
-    swings = [
-        PressSetting(link_of(trip), tissue, finger, pulse_share=finger)
+    wrists = [
+        (name, trip)
+        for name in effort.pulses
         for trip in trips
-        for tissue, finger in pairs
+        if name not in REGULAR_PULSES or trip in REGULAR_TRIPS_S
     ]
+    others = [
+        PressSetting(
+            link_of(trip),
+            seed=number + 1,
+            later_ns=number % 2 * LATER_NS,
+            pulse=effort.pulses[name],
+        )
+        for number, (name, trip) in enumerate(wrists)
+    ]
+    cases = [*plain, *tcp, *others]
+    followed = sweep(partial(follow, seconds=effort.seconds), cases, scheduler)
+    stiff = [case for case in swings_of(effort) if _round_trip_s(case) in STIFF_TRIPS_S]
+    errors = sweep(hold_down_error, stiff, scheduler)
+    swings = swings_of(effort)
     swung = sweep(swing, swings, scheduler)
     shares = [PressSetting(link_of(0.1), pulse_share=each) for each in effort.stiffnesses]
     gains = sweep(open_gain, shares, scheduler)
@@ -284,12 +405,14 @@ def score_press(effort: PressEffort, scheduler: str | None = None) -> PressScore
     eased = sweep(ease_off, cuts, scheduler)
     hostile = sweep(be_hostile, effort.stiffnesses, scheduler)
     each_seed = len(effort.seeds)
+    of_tcp = followed[len(plain) : len(plain) + len(tcp)]
+    of_others = [score for score, *_ in followed[len(plain) + len(tcp) :]]
     return PressScores(
         {
             trip: [score for score, *_ in followed[each_seed * at : each_seed * (at + 1)]]
             for at, trip in enumerate(trips)
         },
-        {case: score for case, (score, *_) in zip(tcp_cases, followed[len(plain) :], strict=True)},
+        {case: score for case, (score, *_) in zip(tcp_cases, of_tcp, strict=True)},
         {
             (_round_trip_s(case), case.tissue, case.finger): score
             for case, score in zip(swings, swung, strict=True)
@@ -302,7 +425,23 @@ def score_press(effort: PressEffort, scheduler: str | None = None) -> PressScore
         dict(zip(effort.stiffnesses, hostile, strict=True)),
         {trip: followed[each_seed * at][1] for at, trip in enumerate(trips)},
         followed[0][2],
+        dict(zip(wrists, of_others, strict=True)),
+        {
+            (_round_trip_s(case), case.tissue, case.finger): error
+            for case, error in zip(stiff, errors, strict=True)
+        },
+        be_hostile_to_the_finger(),
     )
+
+
+def swings_of(effort: PressEffort) -> list[PressSetting]:
+    """Return the settings of all stiffnesses of tissue and finger, at all round trips."""
+    return [
+        PressSetting(link_of(trip), tissue, finger, pulse_share=finger)
+        for trip in effort.round_trips_s
+        for tissue in effort.stiffnesses
+        for finger in effort.stiffnesses
+    ]
 
 
 def _cut(round_trip_s: float) -> LinkScene:
@@ -329,13 +468,13 @@ def _largest(values: Floats) -> float:
     return float(np.abs(values).max())
 
 
-def _height(pulse_n: Floats, at: int) -> float:
-    """Return the height over one beat, as the beats' analysis measures it: of means over 5 ms."""
-    means = pulse_n[at : at + BEAT_TICKS].reshape(-1, MEAN_TICKS).mean(axis=1)
+def _height(pulse_n: Floats) -> float:
+    """Return the height over a beat, of means."""
+    means = pulse_n.reshape(-1, MEAN_TICKS).mean(axis=1)
     return float(np.ptp(means))
 
 
 def _peaks(trace: PressTrace) -> tuple[float, float]:
     """Return the largest force at the wrist, and its largest slew over a frame."""
-    forces = trace.hold_down_n[::MEAN_TICKS]
-    return float(forces.max()), _largest(np.diff(forces)) / (MEAN_TICKS * TICK_NS * 1e-9)
+    forces = trace.hold_down_n[::FRAME_TICKS]
+    return float(forces.max()), _largest(np.diff(forces)) / (FRAME_TICKS * TICK_NS * 1e-9)
