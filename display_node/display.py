@@ -26,6 +26,8 @@ from protocol.wire.messages import ControlMessage, DisplayReport, SetPoint
 from protocol.wire.telemetry import pack_status
 
 REPORT_EVERY_NS: Final = 1_000_000_000
+# The press in the state of the ticks is renewed after so many: a set-point is sent every 20 ms.
+PRESS_TICKS: Final = 10
 
 
 class Display:
@@ -188,6 +190,8 @@ class Display:
             contactor.read(now_ns, elapsed_ticks, safety)
         if self.press is not None:
             self.press.tick(now_ns, contactors[0].rendered_n(self.press))
+            if self.ticks % PRESS_TICKS == 0:
+                self._show_press(self.press.figures())
         if elapsed_ticks > 1:
             safety.skip(elapsed_ticks)
         gain = safety.advance(alive)
@@ -200,6 +204,12 @@ class Display:
             if fault is not None:
                 safety.fault(fault)
         return state
+
+    def _show_press(self, figures: PressFigures) -> None:
+        """Put the finger's press and the last reported hold-down into the state of the tick."""
+        state = self.states[0]
+        state.press_n = figures.press_n or 0.0
+        state.hold_down_n = math.nan if figures.hold_down_n is None else figures.hold_down_n
 
     def _play(self, now_ns: int) -> bool:
         """Choose the instant of the pulse that is played; return whether the stream is alive."""

@@ -115,10 +115,14 @@ class KeptOutlets:
         assert np.isfinite(times_s).all()
 
     def push_finger(
-        self, contactors: Sequence[str], forces_n: Sequence[list[float]], times_s: list[float]
+        self,
+        contactors: Sequence[str],
+        forces_n: Sequence[list[float]],
+        times_s: list[float],
+        pressed: bool = False,
     ) -> None:
         """Check forces at the finger."""
-        assert np.shape(forces_n) == (len(times_s), 2 * len(contactors))
+        assert np.shape(forces_n) == (len(times_s), 2 * len(contactors) + 2 * pressed)
         assert not np.isinf(forces_n).any()
         assert np.isfinite(times_s).all()
 

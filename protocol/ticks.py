@@ -25,6 +25,8 @@ class TickState:
     scored: bool = False
     predictor_error_n: float = math.nan
     trusted: bool = False
+    press_n: float = math.nan
+    hold_down_n: float = math.nan
 
     @property
     def playout_delay_ns(self) -> int:

@@ -72,6 +72,7 @@ class LslStreams:
         self._wrist: Any = None
         self._finger: Any = None
         self._contactors: Sequence[str] = ()
+        self._pressed = False
         self._description: StreamDescription | None = None
         self._events = self._open("events", "Markers", 0.0, "string", [("event", "")])
 
@@ -95,20 +96,25 @@ class LslStreams:
         self._wrist.push_chunk(values, times_s)
 
     def push_finger(
-        self, contactors: Sequence[str], forces_n: Sequence[list[float]], times_s: list[float]
+        self,
+        contactors: Sequence[str],
+        forces_n: Sequence[list[float]],
+        times_s: list[float],
+        pressed: bool = False,
     ) -> None:
         """Push target and felt force of each contactor at ticks, with the ticks' times.
 
-        contactors: their names; "" of an only one.
+        contactors: their names; "" of an only one. pressed: press and hold-down follow.
         """
-        if self._finger is None or contactors != self._contactors:
-            self._contactors = contactors
+        if self._finger is None or (contactors, pressed) != (self._contactors, self._pressed):
+            self._contactors, self._pressed = contactors, pressed
             # Irregular rate: a real loop's ticks come late, and missed ones are left out.
             channels = [
                 (f"{force} {name}".rstrip(), "N")
                 for name in contactors
                 for force in ("target", "felt")
             ]
+            channels += [("press", "N"), ("hold-down", "N")] if pressed else []
             self._finger = self._open("finger", "Force", 0.0, "double64", channels)
         self._finger.push_chunk(np.array(forces_n), times_s)
 
@@ -199,15 +205,20 @@ class LslForwarder:
         states = [(entry.fields, *entry.fields.get("others", ())) for entry in self._waiting]
         fit = [len(each) == count for each in states]
         if any(fit):
+            fitting = list(itertools.compress(states, fit))
             forces_n = [
                 # An unknown felt force is sent as NaN.
                 [x for each in tick for x in (each["target_n"], each.get("felt_n", math.nan))]
-                for tick in itertools.compress(states, fit)
+                for tick in fitting
             ]
+            pressed = "press_n" in fitting[-1][0]
+            if pressed:
+                for row, (state, *_) in zip(forces_n, fitting, strict=True):
+                    row += (state.get(key, math.nan) for key in ("press_n", "hold_down_n"))
             times_s = [
                 self._time.at(entry.t_ns) for entry in itertools.compress(self._waiting, fit)
             ]
-            self._outlets.push_finger(self._contactors, forces_n, times_s)
+            self._outlets.push_finger(self._contactors, forces_n, times_s, pressed)
             self.passed["ticks"] += len(forces_n)
         unfit = [entry for entry, fits in zip(self._waiting, fit, strict=True) if not fits]
         self._waiting = unfit[-MOST_WAITING:]

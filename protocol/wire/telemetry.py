@@ -8,6 +8,7 @@ Three topics, each a multipart message [topic, msgpack]:
   a recorder subscribes. Each states how much was published before, so that gaps show.
 """
 
+import math
 from collections.abc import Iterator, Sequence
 from itertools import accumulate, takewhile
 from typing import Annotated, Any, NamedTuple
@@ -132,7 +133,9 @@ class Trace(NamedTuple):
     clock. target_n: target force in N. felt_n: felt force in N, NaN where it is unknown (no reading
     of the film). scored: the pulse was felt at full strength. predictor_error_n: expected RMSE of
     the prediction in N, NaN without a prediction or an estimate. trusted: the predictor was trusted
-    with all of the delay. No number is infinite or beyond `LARGEST_N`.
+    with all of the delay. press_n, hold_down_n: static force in N of the finger, and of the probe
+    on the wrist as last reported; NaN without, and for any contactor but the first one. No number
+    is infinite or beyond `LARGEST_N`.
     """
 
     now_ns: NDArray[np.int64]
@@ -142,6 +145,8 @@ class Trace(NamedTuple):
     scored: NDArray[np.bool_]
     predictor_error_n: NDArray[np.float64] = np.empty(0)
     trusted: NDArray[np.bool_] = np.empty(0, bool)
+    press_n: NDArray[np.float64] = np.empty(0)
+    hold_down_n: NDArray[np.float64] = np.empty(0)
 
 
 class TraceWriter:
@@ -150,11 +155,14 @@ class TraceWriter:
     def __init__(self) -> None:
         self._ints: list[int] = []
         self._forces: list[float] = []
+        # Where the finger presses: its press and the hold-down.
+        self._press: list[float] = []
 
     def add(self, *states: TickState) -> bytes | None:
         """Add a tick, of which each contactor has a state; return a trace message when full."""
         ints, state = self._ints, states[0]
         ints += (state.now_ns, state.instant_ns, state.scored, state.trusted)
+        self._press += (state.press_n, state.hold_down_n)
         for state in states:
             self._forces += (state.target_n, state.felt_n, state.predictor_error_n)
         return self.rest() if len(ints) >= 4 * TRACE_TICKS else None
@@ -164,7 +172,9 @@ class TraceWriter:
         if not self._ints:
             return None
         message = [np.array(self._ints, "<i8").tobytes(), np.array(self._forces, "<f8").tobytes()]
-        self._ints, self._forces = [], []
+        if not all(map(math.isnan, self._press)):
+            message.append(np.array(self._press, "<f8").tobytes())
+        self._ints, self._forces, self._press = [], [], []
         return bytes(msgpack.packb(message))
 
 
@@ -175,9 +185,13 @@ def read_trace(data: bytes) -> list[Trace]:
     WireError, also for times that fall or are out of range.
     """
     try:
-        ints, forces = unpack(data)
+        ints, forces, *rest = unpack(data)
         now_ns, instant_ns, scored, trusted = np.frombuffer(ints, "<i8").reshape(-1, 4).T
         values = np.frombuffer(forces, "<f8").reshape(len(now_ns), -1, 3)
+        pressed = np.full((len(now_ns), 2), np.nan)
+        if rest:
+            (press,) = rest
+            pressed = np.frombuffer(press, "<f8").reshape(len(now_ns), 2)
     except (ValueError, TypeError) as error:
         raise WireError("malformed", f"not a trace: {error}") from None
     times_ns = np.concatenate([now_ns, instant_ns])
@@ -191,10 +205,18 @@ def read_trace(data: bytes) -> list[Trace]:
         raise WireError("malformed", f"a trace's target is not within {LARGEST_N:.0e} N")
     known = np.where(np.abs(values) <= LARGEST_N, values, np.nan)
     flags = scored.astype(bool), trusted.astype(bool)
-    return [
-        Trace(now_ns, instant_ns, target_n, felt_n, flags[0], error_n, flags[1])
+    unpressed = np.full(len(now_ns), np.nan)
+    traces = [
+        Trace(
+            *(now_ns, instant_ns, target_n, felt_n, flags[0], error_n, flags[1]),
+            press_n=unpressed,
+            hold_down_n=unpressed,
+        )
         for target_n, felt_n, error_n in known.transpose(1, 2, 0)
     ]
+    press_n, hold_down_n = np.where(np.abs(pressed) <= LARGEST_N, pressed, np.nan).T
+    traces[0] = traces[0]._replace(press_n=press_n, hold_down_n=hold_down_n)
+    return traces
 
 
 CAPTURE = b"heard"

@@ -53,6 +53,8 @@ COLUMNS = {
         "scored": "the pulse was played at full strength",
         "predictor_error_n": "RMSE that the predictor expects; none without an estimate",
         "trusted": "the predictor was trusted with the whole delay",
+        "press_n": "static force of the finger; none where it does not press back",
+        "hold_down_n": "static force of the probe on the wrist, as last reported; none without",
     },
     CLOCK: {
         "session": "session of the sensing node",

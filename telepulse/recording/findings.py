@@ -17,6 +17,7 @@ from protocol.run_summary import Summary, with_contactors
 from protocol.summary_tables import Loop, PlayoutDelay
 from telepulse.recording.contactor_findings import ContactorFindings
 from telepulse.recording.forces import Trend
+from telepulse.recording.pressed_beats import PressedBeats
 from telepulse.recording.reader import RecordingReader, in_tick_order
 from telepulse.telemetry.decoder import Entry, PassiveReceiver
 from telepulse.telemetry.schema import EVENT, STATUS, TICK
@@ -52,6 +53,8 @@ class RunFindings:
         Values over the time of the recording, in the units of their names.
     contactors : list of ContactorFindings
         Forces and beats of each contactor, in the order in which the display named them.
+    depth : PressedBeats
+        Beats of a wrist that was pressed, by their hold-down.
     events : list of RecordedEvent
         The first events, in the order of their times; `more_events` counts the others.
     """
@@ -83,6 +86,7 @@ class RunFindings:
         self._stale_after_ns = SafetyScene().stale_after_ns
         self._last_now_ns: int | None = None
         self._batch: defaultdict[str, list[tuple[float, float]]] = defaultdict(list)
+        self.depth = PressedBeats()
 
     @property
     def seconds(self) -> float:
@@ -133,6 +137,7 @@ class RunFindings:
         self.events.sort(key=lambda event: event.t_s)
         for contactor in self.contactors:
             contactor.forces.alignment.finish()
+        self.depth.finish()
         for name in list(self._batch):
             self._flush(name)
 
@@ -145,16 +150,21 @@ class RunFindings:
             self.streams.append(description.name)
             for contactor in self.contactors:
                 contactor.begin()
+            self.depth.begin()
         if description is not None and frame is not None:
             last_ns = frame.t_first_ns + (len(frame.values) - 1) * frame.period_ns
             one_way_ns = receiver.clock.remote_ns(fields["arrived_ns"]) - last_ns
             self._add("one_way_ms", t_s, one_way_ns * 1e-6)
             for contactor in self.contactors:
                 contactor.add_frame(frame, description, t_s - one_way_ns * 1e-9, last_ns)
+            channel = self.contactors[0].forces.alignment.channel
+            hold_down_n = self.depth.take(frame, description, channel, fields["arrived_ns"])
+            self._add("wrist_hold_down_n", t_s - one_way_ns * 1e-9, hold_down_n)
 
     def _tick(self, t_s: float, fields: dict[str, Any]) -> None:
         now_ns, instant_ns, receiver = fields["now_ns"], fields["instant_ns"], self._receiver
         self.ticks += 1
+        self._add("press_n", t_s, fields.get("press_n"))
         self._count_misses(now_ns)
         if not receiver.ready:
             return

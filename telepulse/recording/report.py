@@ -21,6 +21,7 @@ from protocol.run_summary import REGISTRY, Summary
 from telepulse.recording.contactor_findings import ContactorFindings
 from telepulse.recording.findings import RecordedEvent, RunFindings, read_findings
 from telepulse.recording.forces import AlignedBlock, Trend
+from telepulse.recording.press_chapter import press_chapters
 from telepulse.reports.document import (
     Chapter,
     Plot,
@@ -106,6 +107,7 @@ def build_recording_report(path: Path) -> Report:
             for number, contactor in enumerate(findings.contactors)
             for chapter in _contactor_chapters(contactor, number, several, findings)
         ),
+        *press_chapters(findings),
         Chapter("Delay and loss", plots=delays),
         Chapter("Clock and loop", plots=(timed(clock), timed(loop))),
         Chapter("What happened", tables=(Table("Events", columns, events, more),)),

@@ -27,7 +27,8 @@ class RecordedForce(NamedTuple):
     """Forces felt in a session in N, and its events, both by the sensing clock in ns.
 
     contactors: their names; empty for one without a name. forces_n: shape (ticks, contactors), NaN
-    where unknown. sensing_minus_unix_ns: sensing clock minus Unix time at the session's first tick.
+    where unknown. press_n: of the finger that presses back, NaN without one.
+    sensing_minus_unix_ns: sensing clock minus Unix time at the session's first tick.
     """
 
     t_ns: NDArray[np.int64]
@@ -35,6 +36,7 @@ class RecordedForce(NamedTuple):
     forces_n: NDArray[np.float64]
     events: list[tuple[int, str]]
     sensing_minus_unix_ns: int
+    press_n: NDArray[np.float64]
 
 
 def felt_force(path: Path, session: int) -> RecordedForce:
@@ -43,6 +45,7 @@ def felt_force(path: Path, session: int) -> RecordedForce:
     receiver = entries.receiver
     # Of each tick: sensing clock, this clock minus Unix time, and forces.
     t_ns, ahead_ns, forces_n = list[int](), list[int](), list[list[float]]()
+    press_n: list[float] = []
     contactors = [""]
     # Of each event: Unix time, text, and index of the last tick before it; 0 if before the first.
     events: list[tuple[int, str, int]] = []
@@ -63,6 +66,7 @@ def felt_force(path: Path, session: int) -> RecordedForce:
                 ahead_ns.append(t_ns[-1] - message.t_ns)
                 states = (fields, *fields.get("others", ()))
                 forces_n.append([float(each.get("felt_n", math.nan)) for each in states])
+                press_n.append(float(fields.get("press_n", math.nan)))
                 entries.play(fields["instant_ns"])
         times_ns = np.array(t_ns, np.int64)
         # A further run of the display may have other contactors.
@@ -75,7 +79,8 @@ def felt_force(path: Path, session: int) -> RecordedForce:
         raise SourceError(f"{path}: holds no tick while the sensing clock was known")
     order = np.argsort(times_ns, kind="stable")
     at_ns = [(unix_ns + ahead_ns[tick], text) for unix_ns, text, tick in events]
-    return RecordedForce(times_ns[order], contactors, felt_n[order], at_ns, ahead_ns[0])
+    pressed_n = np.array(press_n)[order]
+    return RecordedForce(times_ns[order], contactors, felt_n[order], at_ns, ahead_ns[0], pressed_n)
 
 
 @dataclass

@@ -59,6 +59,8 @@ def recording_signals(path: Path) -> tuple[SignalTable, str]:
     for name, force_n in zip(felt.contactors, felt.forces_n.T, strict=True):
         label = f"Felt {name}" if name else "Force felt"
         forces.append((label, _resampled(grid_ns, felt.t_ns, force_n), "mN"))
+    if not np.isnan(felt.press_n).all():
+        forces.append(("Press", _resampled(grid_ns, felt.t_ns, felt.press_n), "mN"))
     losses = _losses(t_ns, numbers, period_ns)
     events = [FileMark(max(0, at_ns - begin_ns) * 1e-9, text) for at_ns, text in felt.events]
     missing_end = [FileMark(seconds, session.cut)] if session.cut else []

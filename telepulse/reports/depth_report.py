@@ -75,7 +75,7 @@ def report_depth(
             "The three levels",
             words,
             (Table.of("Levels", rows, note),),
-            (_height(curve),),
+            (height_plot(curve),),
             findings,
         ),
         _shape_chapter(levels, good),
@@ -105,7 +105,9 @@ def _shape_chapter(levels: Sequence[SweptLevel], good: Sequence[BeatPoint]) -> C
     return Chapter("Shape", (words,), (table,), (Plot("shape", "Shape against hold-down.", draw),))
 
 
-def _height(curve: DepthCurve) -> Plot:
+def height_plot(curve: DepthCurve) -> Plot:
+    """Return the plot of the beats' heights and their curve against the hold-down."""
+
     def draw(figure: "Figure") -> None:
         axes = figure.add_subplot()
         height_mn, band_mn = 1e3 * curve.height_n, 2e3 * curve.deviation_n

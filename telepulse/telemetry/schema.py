@@ -75,6 +75,7 @@ SCHEMAS: dict[str, tuple[str, Schema]] = {
             scored=BOOLEAN,
             predictor_error_n=NUMBER,
             trusted=BOOLEAN,
+            **_each(NUMBER, "press_n", "hold_down_n"),
             others={
                 "type": "array",
                 "items": _object(**_each(NUMBER, "target_n", "felt_n", "predictor_error_n")),

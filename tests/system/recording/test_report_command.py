@@ -11,6 +11,7 @@ from telepulse.recording.findings import RunFindings, read_findings
 from telepulse.recording.mcap_writer import McapWriter
 from telepulse.recording.reader import RecordingReader, in_tick_order
 from telepulse.recording.report import build_recording_report
+from telepulse.recording.signal_export import recording_signals
 from telepulse.telemetry.schema import TICK
 from tests.support.nodes import RADIAL, ROOT, free_address, process, read_json, run
 from tests.support.recordings import DELAY_TICKS, GAIN, record
@@ -93,6 +94,32 @@ def test_each_contactor_has_its_figures_and_chapters(path: Path) -> None:
     recorded, displayed = rows["guan: pulse, height"]
     assert recorded == displayed
     assert float(recorded.removesuffix(" mN")) == pytest.approx(300, rel=0.05)
+
+
+@pytest.mark.timeout(2 * PATIENCE_S)
+def test_a_recorded_press_has_a_chapter_on_press_hold_down_and_height(path: Path) -> None:
+    scene, address = str(ROOT / "scenes" / "press.toml"), free_address()
+    sensing = ("sensing_node.cli", scene, "--bind", address, "--seconds", "12", "--quiet")
+    with recorded_display(path, address, scene) as display, process(*sensing):
+        display.communicate(timeout=PATIENCE_S)
+        assert display.returncode == 0
+    findings = read_findings(path)
+    # One value a tick of the finger's press, and one a frame of the wrist's hold-down.
+    for name in ("press_n", "wrist_hold_down_n"):
+        points = findings.trends[name].points()
+        assert 1.0 < points.high.max() < 1.5
+        assert np.diff(points.t_s).min() < 0.3
+    (chapter,) = [c for c in build_recording_report(path).chapters if "hold-down" in c.title]
+    assert chapter.plots[0].name == "press"
+    # The curve needs more beats than a short run has: `test_pressed_beats.py` draws it.
+    assert "hold-down" in chapter.paragraphs[0]
+    ticks = [entry.fields for entry in RecordingReader(path) if entry.topic == TICK]
+    assert all("press_n" in fields for fields in ticks)
+    assert sum("hold_down_n" in fields for fields in ticks) > len(ticks) / 2
+    table, _ = recording_signals(path)
+    labels = [signal.name for signal in table.signals]
+    assert "Press" in labels
+    assert 0.5e3 < np.nanmax(table.values[labels.index("Press")]) < 1.5e3
 
 
 @pytest.mark.timeout(2 * PATIENCE_S)

@@ -1,3 +1,4 @@
+import math
 from typing import Any, cast
 
 from telepulse.lsl_outlet import LslForwarder, LslStreams
@@ -17,8 +18,11 @@ class KeptStreams:
     def push_event(self, text: str, time_s: float) -> None:
         pass
 
-    def push_finger(self, contactors: list[str], forces_n: Any, times_s: list[float]) -> None:
+    def push_finger(
+        self, contactors: list[str], forces_n: Any, times_s: list[float], pressed: bool
+    ) -> None:
         assert len(times_s) == len(forces_n)
+        self.pressed = pressed
         self.pushed.append((list(contactors), forces_n))
 
 
@@ -45,3 +49,20 @@ def test_the_finger_stream_has_the_forces_of_each_contactor_by_name() -> None:
     forwarder.finish()
     assert outlets.pushed == []
     assert forwarder.passed == {"ticks": 3, "ticks without names": 1}
+
+
+def test_the_finger_stream_has_press_and_hold_down_where_the_finger_presses_back() -> None:
+    outlets = KeptStreams()
+    forwarder = LslForwarder(cast(LslStreams, outlets))
+    before, after = finger_tick((1.1, 1.2)), finger_tick((1.3, 1.4))
+    before.fields["press_n"] = 1.0
+    after.fields.update(press_n=1.1, hold_down_n=0.9)
+    forwarder.take([before, after])
+    contactors, rows = outlets.pushed.pop()
+    assert outlets.pressed
+    assert contactors == [""]
+    assert rows[0][:3] == [1.1, 1.2, 1.0]
+    assert math.isnan(rows[0][3])
+    assert rows[1] == [1.3, 1.4, 1.1, 0.9]
+    forwarder.take([finger_tick((0.1, 0.2))])
+    assert not outlets.pressed

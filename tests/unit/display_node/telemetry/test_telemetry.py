@@ -34,6 +34,8 @@ ticks = st.builds(
     scored=st.booleans(),
     predictor_error_n=forces_n | st.just(math.nan),
     trusted=st.booleans(),
+    press_n=forces_n | st.just(math.nan),
+    hold_down_n=forces_n | st.just(math.nan),
 )
 
 
@@ -62,6 +64,18 @@ def trace_of(**changes: object) -> Trace:
         setattr(felt[-1], name, value)
     (message,) = traces(felt)
     return read_trace(message)[0]
+
+
+def test_only_a_display_that_presses_back_sends_its_press() -> None:
+    plain, pressed = TickState(), TickState(press_n=1.2, hold_down_n=1.1)
+    (short,), (long,) = traces([plain] * TRACE_TICKS), traces([pressed] * TRACE_TICKS)
+    assert len(long) > len(short) + TRACE_TICKS * 16
+    writer = TraceWriter()
+    (message,) = [m for _ in range(TRACE_TICKS) if (m := writer.add(pressed, plain))]
+    first, second = read_trace(message)
+    assert first.press_n.tolist() == [1.2] * TRACE_TICKS
+    assert np.isnan(second.press_n).all()
+    assert np.isnan(second.hold_down_n).all()
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, 1e300, -1e300])
