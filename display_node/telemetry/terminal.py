@@ -269,9 +269,12 @@ class TerminalView:
         if len(ticks) < 2 or not known_n:
             return [Text("no pulse yet", "dim")]
         low, high = min(known_n), max(known_n)
+        # The forces of all contactors are in the rows above; the plot has room for the first one.
+        names = list(self.status.summary.get("contactors", {})) if self.status is not None else []
+        of = f"{_printable(names[0])}: " if len(names) == len(self._ticks) > 1 else ""
         rows = braille_plot(felt_n, target_n, low, high)
         return [
-            Text("felt (line) over target (dots), last 3 s", "dim"),
+            Text(f"{of}felt (line) over target (dots), last 3 s", "dim"),
             *(Text(row, "cyan" if current else "dim") for row in rows),
             Text(f"{low * 1e3:.0f} to {high * 1e3:.0f} mN", "dim"),
         ]

@@ -160,6 +160,24 @@ def test_of_several_contactors_alerts_and_fingers_have_their_names() -> None:
     assert "guan: pressed with 245 mN, chi: withdrawn" in printed(view(**several))
 
 
+def test_of_several_contactors_the_panel_names_the_plotted_one_and_shows_the_forces_of_all() -> (
+    None
+):
+    weak, strong = pulse(6), pulse(6)._replace(felt_n=np.full(6_000, 0.7))
+    contactors = Summary(contactors={"cun": Summary(), "chi": Summary()}).to_dict()["contactors"]
+    under_test = view(contactors=contactors)
+    under_test.add_trace(weak, strong)
+    text = printed(under_test)
+    assert "cun: felt (line) over target (dots), last 3 s" in text
+    felt = f"{weak.felt_n[-10] * 1e3:.1f} mN, 700.0 mN"
+    assert felt in text
+    assert felt in under_test.line()
+    # An only contactor needs no name; nor do traces that the status does not name yet.
+    for plain in (view(), view(contactors=contactors)):
+        assert " felt (line)" in printed(plain)
+        assert ": felt (line)" not in printed(plain)
+
+
 def test_line_and_panel_name_a_fault_with_its_advice() -> None:
     under_test = view("fault", 0, faults=["feedback lost"], finger="pressed with 245 mN")
     alert = (
