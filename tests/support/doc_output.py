@@ -288,6 +288,7 @@ UNRUN = {
     " --page --record sweep.mcap": "tests/system/reports/test_sweep_command.py",
     "telepulse replay sweep.mcap --press": "tests/system/reports/test_sweep_command.py",
     "telepulse study press": "minutes; tests/system/reports/test_press_study.py",
+    "telepulse study press --check": "minutes; tests/unit/telepulse/cli/test_study_check.py",
     "telepulse demo press --link 'delay=150ms,jitter=15ms,loss=1%'": (
         "15 s; tests/system/nodes/test_press_nodes.py"
     ),
