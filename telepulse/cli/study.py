@@ -131,7 +131,7 @@ def announce(
 ) -> None:
     """Compare prediction with and without an ECG, and find out ECGs that are wrong.
 
-    Uses all cores; takes about five minutes on two.
+    Uses all cores; takes about ten minutes on two.
     """
     from telepulse.reports.studies import announce_study as study
     from telepulse.reports.studies.announce_report import report_announce

@@ -71,6 +71,7 @@ def _another_heart(ecg_mv: Floats, first: int, rng: np.random.Generator) -> Floa
     return draw_ecg(t_s, [(each, 1.0) for each in np.cumsum(intervals_s).tolist()])
 
 
+JUMP = "jumps 0.1 s"
 FAULTS = (
     EcgFault("another heart's", _another_heart),
     EcgFault("0.3 s late", lambda ecg, first, rng: ecg[first - 300 : -300]),
@@ -78,7 +79,7 @@ FAULTS = (
         "noise of 1 mV", lambda ecg, first, rng: ecg[first:] + rng.standard_normal(len(ecg) - first)
     ),
     EcgFault("unplugged", lambda ecg, first, rng: 0.01 * rng.standard_normal(len(ecg) - first)),
-    EcgFault("jumps 0.1 s", lambda ecg, first, rng: ecg[first - 100 : -100]),
+    EcgFault(JUMP, lambda ecg, first, rng: ecg[first - 100 : -100]),
 )
 
 

@@ -1,8 +1,8 @@
 """The study of prediction with an ECG: errors with and without it, R waves, and faults of it."""
 
+import itertools
 import time
 from bisect import bisect_right
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -15,6 +15,7 @@ from telepulse.reports.studies.announce_pulses import (
     FAULTS,
     SYNTHETIC,
     AnnouncedPulse,
+    EcgFault,
     announced_pulses,
     with_fault,
 )
@@ -34,7 +35,8 @@ from telepulse.reports.studies.prediction_study import (
 from telepulse.reports.studies.sweep import in_one_thread, sweep
 
 JITTERS_S = (0.005, 0.02)
-FAULT_FROM_S = 25.0
+# From FOUND_OUT_S after a fault on, the ECG is to be unused.
+FAULT_FROM_S, FOUND_OUT_S = 25.0, 3.0
 # ANSI/AAMI EC57: a detection within 150 ms of an annotated beat is that beat. Its learning period
 # of five minutes is not used: only the first 5 s do not count.
 MATCH_S, MATCHED_FROM_S = 0.15, 5.0
@@ -42,16 +44,19 @@ MATCH_S, MATCHED_FROM_S = 0.15, 5.0
 
 @dataclass(frozen=True, slots=True)
 class AnnounceEffort:
-    """Amount of computing. The defaults are the study's; tests use less."""
+    """Amount of computing. The defaults are the study's; tests use less.
+
+    seeds: of the pulses without a shape cue; the others are drawn from the first one.
+    """
 
     seconds: float = 60.0
     recorded_seconds: float = 200.0
     cost_rounds: int = 5
-    seed: int = 1
+    seeds: tuple[int, ...] = (1, 2, 3, 4, 5)
 
 
 class BothErrors(NamedTuple):
-    """NRMSE at each horizon without and with the ECG, and the transit time found."""
+    """NRMSE at each horizon without and with the ECG, and the transit time found, of one run."""
 
     name: str
     without: tuple[float, ...]
@@ -61,14 +66,63 @@ class BothErrors(NamedTuple):
     used: float
 
 
+class PulseErrors(NamedTuple):
+    """Errors of a pulse drawn from several seeds; of a recording there is one run."""
+
+    name: str
+    runs: tuple[BothErrors, ...]
+
+    @property
+    def without(self) -> tuple[float, ...]:
+        """Mean NRMSE of the runs at each horizon without the ECG."""
+        return tuple(np.mean([run.without for run in self.runs], axis=0).tolist())
+
+    @property
+    def announced(self) -> tuple[float, ...]:
+        """Mean NRMSE of the runs at each horizon with the ECG."""
+        return tuple(np.mean([run.announced for run in self.runs], axis=0).tolist())
+
+    @property
+    def worst(self) -> tuple[float, ...]:
+        """Greatest NRMSE of the runs at each horizon with the ECG."""
+        return tuple(np.max([run.announced for run in self.runs], axis=0).tolist())
+
+    @property
+    def greatest_rise(self) -> float:
+        """Greatest relative rise of the NRMSE by the ECG, of all runs and horizons."""
+        return max(_greatest_rise(run.without, run.announced) for run in self.runs)
+
+    @property
+    def transit_ms(self) -> float:
+        """Mean transit time."""
+        return float(np.mean([run.transit_ms for run in self.runs]))
+
+    @property
+    def deviation_ms(self) -> float:
+        """Mean deviation of the transit time."""
+        return float(np.mean([run.deviation_ms for run in self.runs]))
+
+    @property
+    def used(self) -> float:
+        """Share of the time in which the ECG was used."""
+        return float(np.mean([run.used for run in self.runs]))
+
+
 class FoundOut(NamedTuple):
-    """Time in s from a fault of the ECG until it was no longer used, and NRMSE at 100 ms after."""
+    """A fault of the ECG, and what came of it.
+
+    seconds: from the fault until the ECG was no longer used. used: share of the time from 3 s after
+    the fault on in which it was. early, late: NRMSE at 100 ms without and with the ECG in these 3 s
+    and from then on. rise: greatest relative rise of the NRMSE by the ECG from then on.
+    """
 
     pulse: str
     fault: str
     seconds: float
-    without: float
-    announced: float
+    used: float
+    early: tuple[float, float]
+    late: tuple[float, float]
+    rise: float
 
 
 class DetectorScore(NamedTuple):
@@ -100,7 +154,7 @@ class AnnounceScores:
     cost_ratio: processor time of a step with announcement over one without.
     """
 
-    errors: dict[float, list[BothErrors]]
+    errors: dict[float, list[PulseErrors]]
     faults: list[FoundOut]
     detector: list[DetectorScore]
     cost_ratio: float
@@ -146,14 +200,24 @@ def nrmse(squares: Floats, from_s: float, to_s: float = np.inf) -> tuple[float, 
     return tuple(np.sqrt(chosen.mean(axis=0)).tolist())
 
 
-def score_both(announced: AnnouncedPulse) -> BothErrors:
-    """Predict a pulse without and with its ECG."""
-    without, with_ecg = run(announced, False), run(announced, True)
+def _greatest_rise(without: tuple[float, ...], announced: tuple[float, ...]) -> float:
+    """Return the greatest relative rise of the error at any horizon."""
+    return max(after / before - 1 for before, after in zip(without, announced, strict=True))
+
+
+def score_both(versions: tuple[AnnouncedPulse, ...]) -> list[BothErrors]:
+    """Predict a pulse without an ECG, and with each of several ECGs."""
+    without = nrmse(run(versions[0], False).squares, SCORED_FROM_S)
+    return [_score_with(each, without) for each in versions]
+
+
+def _score_with(announced: AnnouncedPulse, without: tuple[float, ...]) -> BothErrors:
+    with_ecg = run(announced, True)
     transit, step_ms = with_ecg.stack.transit, 5.0
     known = transit is not None and transit.median is not None
     return BothErrors(
         str(announced),
-        nrmse(without.squares, SCORED_FROM_S),
+        without,
         nrmse(with_ecg.squares, SCORED_FROM_S),
         step_ms * (transit.median or np.nan) if known and transit else np.nan,
         step_ms * transit.deviation if known and transit else np.nan,
@@ -161,18 +225,34 @@ def score_both(announced: AnnouncedPulse) -> BothErrors:
     )
 
 
-def score_fault(case: tuple[AnnouncedPulse, int]) -> FoundOut:
-    """Return when a fault of the ECG is found out, and the errors after it."""
-    announced, number = case
-    fault = FAULTS[number]
-    wrong = with_fault(announced, fault, FAULT_FROM_S)
-    without, with_ecg = run(wrong, False), run(wrong, True)
-    first = round(FAULT_FROM_S * RATE_HZ) // FRAME
-    unused = np.flatnonzero(with_ecg.used[first:] == 0)
-    taken_s = unused[0] * FRAME / RATE_HZ if len(unused) else np.inf
-    column = HORIZONS_MS.index(100)
-    errors = (nrmse(each.squares, FAULT_FROM_S)[column] for each in (without, with_ecg))
-    return FoundOut(str(announced), fault.name, float(taken_s), *errors)
+def score_faults(announced: AnnouncedPulse) -> list[FoundOut]:
+    """Score each fault of a pulse's ECG."""
+    without = run(announced, False).squares
+    return [score_fault(announced, fault, without) for fault in FAULTS]
+
+
+def score_fault(announced: AnnouncedPulse, fault: EcgFault, without: Floats) -> FoundOut:
+    """Return when a fault of the ECG is found out, for how long it is used, and the errors.
+
+    without: squared errors of the pulse without an ECG.
+    """
+    with_ecg = run(with_fault(announced, fault, FAULT_FROM_S), True)
+    used = with_ecg.used[round(FAULT_FROM_S * RATE_HZ) // FRAME :]
+    unused = np.flatnonzero(used == 0)
+    seconds = unused[0] * FRAME / RATE_HZ if len(unused) else np.inf
+    column, late_s = HORIZONS_MS.index(100), FAULT_FROM_S + FOUND_OUT_S
+    both = without, with_ecg.squares
+    early = [nrmse(squares, FAULT_FROM_S, late_s)[column] for squares in both]
+    late = [nrmse(squares, late_s) for squares in both]
+    return FoundOut(
+        str(announced),
+        fault.name,
+        float(seconds),
+        float(used[round(FOUND_OUT_S * RATE_HZ) // FRAME :].mean()),
+        (early[0], early[1]),
+        (late[0][column], late[1][column]),
+        _greatest_rise(*late),
+    )
 
 
 def score_lead(lead: AnnotatedLead) -> DetectorScore:
@@ -238,18 +318,26 @@ def score_announce(
 
     Raises SourceError or SweepError.
     """
-    by_jitter = {each: announced_pulses(effort.seconds, effort.seed, each) for each in JITTERS_S}
+    # The same pulses for each jitter of the transit time; by seed and name, the versions' ECGs.
+    first, cases = effort.seeds[0], list[tuple[AnnouncedPulse, ...]]()
+    for seed in effort.seeds:
+        sets = [announced_pulses(effort.seconds, seed, jitter_s) for jitter_s in JITTERS_S]
+        versions = list(zip(*sets, strict=True))
+        cases += versions if seed == first else versions[: len(SYNTHETIC)]
+    basis = [versions[0] for versions in cases[: len(SYNTHETIC)]]
     leads: list[AnnotatedLead] = []
     if records is not None:
-        by_jitter[0.0] = recorded_announced(records, effort.recorded_seconds)
+        cases += [(each,) for each in recorded_announced(records, effort.recorded_seconds)]
         leads = annotated_leads(records)
-    cases = [each for announced in by_jitter.values() for each in announced]
-    found: Iterator[BothErrors] = iter(sweep(score_both, cases, scheduler))
-    errors = {jitter: [next(found) for _ in each] for jitter, each in by_jitter.items()}
-    basis = by_jitter[JITTERS_S[0]][: len(SYNTHETIC)]
-    faults = sweep(
-        score_fault, [(each, number) for each in basis for number in range(len(FAULTS))], scheduler
-    )
+    runs: dict[float, dict[str, list[BothErrors]]] = {}
+    for found in sweep(score_both, cases, scheduler):
+        for jitter_s, each in zip(JITTERS_S if len(found) > 1 else (0.0,), found, strict=True):
+            runs.setdefault(jitter_s, {}).setdefault(each.name, []).append(each)
+    errors = {
+        jitter_s: [PulseErrors(name, tuple(each)) for name, each in by_name.items()]
+        for jitter_s, by_name in runs.items()
+    }
+    faults = list(itertools.chain.from_iterable(sweep(score_faults, basis, scheduler)))
     detector = sweep(score_lead, leads, scheduler)
     ratio = in_one_thread(measure_cost_ratio, (basis[0], effort.cost_rounds))
     return AnnounceScores(errors, faults, detector, ratio)

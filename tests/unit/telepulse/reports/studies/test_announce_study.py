@@ -1,6 +1,7 @@
 """The study of prediction with an ECG: matching, faults, records, and its report's verdicts."""
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,7 @@ from protocol.errors import SourceError
 from sensing_node.sources.ecg import draw_ecg
 from telepulse.reports.studies.announce_pulses import (
     FAULTS,
+    JUMP,
     TRANSIT_S,
     EcgFault,
     announced_pulses,
@@ -23,6 +25,7 @@ from telepulse.reports.studies.announce_study import (
     BothErrors,
     DetectorScore,
     FoundOut,
+    PulseErrors,
     score_lead,
 )
 from telepulse.reports.studies.prediction_pulses import RATE_HZ, drawn_beats
@@ -60,38 +63,72 @@ def test_r_waves_of_a_synthetic_ecg_precede_the_onsets() -> None:
         assert abs(int(around.argmax()) - 100) <= 3
 
 
-@pytest.mark.parametrize("fault", FAULTS, ids=[fault.name for fault in FAULTS])
-def test_a_fault_changes_the_ecg_from_its_time_on(fault: EcgFault) -> None:
+@pytest.mark.parametrize("ecg_fault", FAULTS, ids=[each.name for each in FAULTS])
+def test_a_fault_changes_the_ecg_from_its_time_on(ecg_fault: EcgFault) -> None:
     whole = announced_pulses(SECONDS, 1, 0.0)[0]
-    wrong = with_fault(whole, fault, 5.0)
+    wrong = with_fault(whole, ecg_fault, 5.0)
     assert len(wrong.ecg_mv) == len(whole.ecg_mv)
     np.testing.assert_array_equal(wrong.ecg_mv[:5_000], whole.ecg_mv[:5_000])
     assert np.abs(wrong.ecg_mv[5_000:] - whole.ecg_mv[5_000:]).max() > 0.5
 
 
-def scores(announced: float, found_out_s: float) -> AnnounceScores:
-    def errors(name: str, value: float) -> BothErrors:
-        return BothErrors(name, (0.1,) * 4, (value,) * 4, 250.0, 5.0, 1.0)
-
-    return AnnounceScores(
-        {0.005: [errors("fibrillation, shape cue", announced)], 0.02: [errors("ectopic", 0.1)]},
-        [FoundOut("fibrillation", "unplugged", found_out_s, 0.5, 0.5)],
-        [DetectorScore("100, V5", 1000, 10, 0, 1.0, 45.0)],
-        1.2,
+def errors(name: str, *values: float) -> PulseErrors:
+    """Return errors of 0.1 without the ECG, and of these values with it, one a seed."""
+    return PulseErrors(
+        name, tuple(BothErrors(name, (0.1,) * 4, (value,) * 4, 250.0, 5.0, 1.0) for value in values)
     )
 
 
-@pytest.mark.parametrize(
-    ("announced", "found_out_s", "missed"), [(0.15, 3.0, 0), (0.151, 2.0, 1), (0.1, 3.1, 1)]
+def fault(
+    name: str = "unplugged", seconds: float = 3.0, used: float = 0.05, after: float = 0.5
+) -> FoundOut:
+    return FoundOut("fibrillation", name, seconds, used, (0.5, 0.9), (0.5, after), after / 0.5 - 1)
+
+
+MET = AnnounceScores(
+    {
+        0.005: [errors("fibrillation, shape cue", 0.15), errors("ectopic", 0.1, 0.16)],
+        0.02: [errors("ectopic", 0.1, 0.1004)],
+    },
+    [fault(), fault(JUMP, used=1.0)],
+    [DetectorScore("100, V5", 1000, 10, 0, 1.0, 45.0)],
+    1.2,
 )
-def test_the_report_names_the_bars_that_are_missed(
-    announced: float, found_out_s: float, missed: int
+
+
+@pytest.mark.parametrize(
+    ("result", "missed"),
+    [
+        (MET, []),
+        (
+            replace(MET, errors=MET.errors | {0.005: [errors("fibrillation", 0.14, 0.152)]}),
+            ["fibrillation, at worst of 2: 0.152 at 100 ms, at most 0.15"],
+        ),
+        (
+            replace(MET, errors=MET.errors | {0.02: [errors("ectopic", 0.08, 0.101)]}),
+            ["ectopic, jitter 20 ms: at its worst horizon +1.0 %, at most +0.5 %"],
+        ),
+        (
+            replace(MET, faults=[fault(seconds=3.1)]),
+            ["found out within 3.10 s, at most 3"],
+        ),
+        (
+            replace(MET, faults=[fault(seconds=1.0, used=0.9)]),
+            ["fibrillation, ECG unplugged: then used for 90.0 % of the time, at most 5 %"],
+        ),
+        (
+            replace(MET, faults=[fault(JUMP, used=1.0, after=0.51)]),
+            ["fibrillation, ECG jumps 0.1 s: then 0.510 at 100 ms, at most 0.500"],
+        ),
+    ],
+)
+def test_the_report_names_the_criteria_that_are_missed(
+    result: AnnounceScores, missed: list[str]
 ) -> None:
-    result = scores(announced, found_out_s)
-    assert sum(not reached for _, reached in bars(result)) == missed
+    assert [what for what, reached in bars(result) if not reached] == missed
     report = report_announce(result, AnnounceEffort())
     text = " ".join(word for chapter in report.chapters for word in chapter.paragraphs)
-    assert text.count("missed.") == missed
+    assert text.count("missed.") == len(missed)
 
 
 def test_records_that_cannot_be_read_are_named(
