@@ -26,14 +26,18 @@ DEVIATIONS: Final = (0.3, 0.35, 0.2, 0.3)
 # The probe's area changes all of them together: forces by its factor, constants by its reciprocal.
 AREA_DEVIATION: Final = 0.3
 MOST_DEVIATIONS: Final = 4.0
-# Steps of a fit and their first damping; ln(mean pressure) of the further starts, from the typical
-# one, of which each fit tries one.
-STEPS, DAMPING = 6, 1e-2
+# Steps of a fit, their first damping, and the change for derivatives.
+STEPS, DAMPING, CHANGE = 3, 1e-2, 1e-4
+# Further starts: ln(mean pressure) from the typical one. Each of the first fits tries one of them,
+# and later one in SELDOM; a fit takes half a millisecond of the display's loop without it.
 STARTS: Final = (-0.5, -0.25, 0.0, 0.25, 0.5)
+MANY_FITS, SELDOM = 30, 7
 # Relative pressures are bounded, as noise on a closed or a wide artery would explain any.
 LOWEST, HIGHEST = -1.0, 2.0
 # Where the artery is open in diastole, pressures so far below the least plausible one are seen.
 SEEN: Final = 2.0
+# Where it is closed, readings of this share of the height are noise, and count as the foot.
+UNSEEN: Final = 0.004
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,6 +96,9 @@ class ArteryLaw:
         tube, low_n = self._tube(), self.diastolic_n - force_n
         a, b = self.collapse_per_n, self.distension_per_n
         foot = tube.volume(low_n)
+        open_share = math.exp(a * min(low_n, 0.0))
+        unseen = max(UNSEEN * (1.0 - open_share), 1e-9)
+        share -= unseen * math.exp(-max(share, 0.0) / unseen)
         volume = foot + share * (tube.volume(low_n + self.pulse_n) - foot)
         if volume <= 0.0:
             transmural_n = -math.inf
@@ -100,7 +107,6 @@ class ArteryLaw:
         else:
             transmural_n = -math.log(max(1 - b * (volume - 1 / a), 1e-9)) / b
         pressure = (transmural_n - low_n) / self.pulse_n
-        open_share = math.exp(a * min(low_n, 0.0))
         return min(max(pressure, least - SEEN * open_share, LOWEST), HIGHEST)
 
     def _tube(self) -> TubeLaw:
@@ -122,7 +128,7 @@ class ArteryFit:
         self._weights = np.linalg.inv(self._prior)
         self._bounds = MOST_DEVIATIONS * np.sqrt(np.diag(self._prior))
         self._values, self._covariance = self._typical.copy(), self._prior.copy()
-        self._starts = 0
+        self._fits = 0
         self.law = _law(self._values)
 
     def scale(self, log_gain: float) -> None:
@@ -134,13 +140,16 @@ class ArteryFit:
     def fit(self, forces_n: Floats, logs: Floats, variances: Floats) -> None:
         """Fit the law to logarithms of heights, of these variances, at hold-down forces.
 
-        Two starts, the last fit and an artery of another mean pressure, keep it out of a minimum
-        that only its vicinity has.
+        A second start from an artery of another mean pressure keeps it out of a minimum that only
+        its vicinity has; later it is tried seldom.
         """
-        self._starts = (self._starts + 1) % len(STARTS)
-        other = self._typical.copy()
-        other[1] += STARTS[self._starts]
-        fits = [self._descend(start, forces_n, logs, variances) for start in (self._values, other)]
+        self._fits += 1
+        starts = [self._values]
+        if self._fits <= MANY_FITS or self._fits % SELDOM == 0:
+            other = self._typical.copy()
+            other[1] += STARTS[self._fits % len(STARTS)]
+            starts.append(other)
+        fits = [self._descend(start, forces_n, logs, variances) for start in starts]
         _, self._values, self._covariance = min(fits, key=lambda each: each[0])
         self.law = _law(self._values)
 
@@ -179,17 +188,22 @@ class ArteryFit:
 
     @staticmethod
     def _logs(values: Floats, forces_n: Floats) -> Floats:
-        return np.log(np.maximum(_law(values).heights(forces_n), 1e-12))
+        """Return logarithms of the height; values: the parameters' or columns of these."""
+        gain, mean_n, pulse_n, a, b = np.exp(values)[..., None]
+        low_n = mean_n - MEAN_SHARE * pulse_n - forces_n
+        ends = np.stack([low_n + pulse_n, low_n])
+        closed = np.exp(a * np.minimum(ends, 0.0)) / a
+        high, low = closed - np.expm1(-b * np.maximum(ends, 0.0)) / b
+        logs: Floats = np.log(np.maximum(gain * (high - low), 1e-12))
+        return logs
 
     def _slopes(self, values: Floats, forces_n: Floats) -> Floats:
         """Return the derivatives of the logarithm of the height, one row a parameter."""
-        change, rows = 1e-4, []
-        for number in range(len(values)):
-            shift = np.zeros(len(values))
-            shift[number] = change
-            more, less = (self._logs(values + s, forces_n) for s in (shift, -shift))
-            rows.append((more - less) / (2 * change))
-        return np.array(rows)
+        shifts = CHANGE * np.eye(len(values))
+        changed = values[:, None] + np.concatenate([shifts, -shifts], axis=1)
+        more, less = np.split(self._logs(changed, forces_n), 2)
+        slopes: Floats = (more - less) / (2 * CHANGE)
+        return slopes
 
 
 def _law(values: Floats) -> ArteryLaw:

@@ -24,7 +24,7 @@ BEND, BEND_OVER_N, BEAT_ERROR, BREATHING_N = 0.06, 0.15, 0.03, 0.03
 # more where there are many.
 GRID_N, BIN_N, MOST_BEATS = 0.025, 0.05, 10.0
 # Deviation of the foot from the film's zero, relative to the height.
-FOOT_LEVEL, FOOT_BEND, FOOT_ERROR, PEAK_ERROR = 0.2, 0.1, 0.005, 0.02
+FOOT_LEVEL, FOOT_BEND, FOOT_ERROR, PEAK_ERROR = 0.2, 0.04, 0.005, 0.02
 # Share of what is known that each beat forgets.
 FORGET: Final = 0.0003
 LEAST_HEIGHT_N: Final = 1e-4
