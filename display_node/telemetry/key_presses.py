@@ -8,10 +8,11 @@ from contextlib import contextmanager
 STDIN = 0
 
 if sys.platform == "win32":
-    import msvcrt
 
     def key_presses() -> str:
         """Return the keys that were typed since the last call; call it often."""
+        import msvcrt
+
         keys = ""
         while msvcrt.kbhit():
             keys += msvcrt.getwch()

@@ -22,8 +22,8 @@ PLATFORM = os.environ.get("TELEPULSE_TEST_PLATFORM", "")
 IMPORTED_BEFORE = """
     asyncio concurrent.futures.process ctypes.util logging.handlers multiprocessing.connection
     platform shutil ssl subprocess tempfile threading uuid webbrowser urllib.request ifaddr
-    numpy.testing prometheus_client psutil pydantic rich.console scipy.signal serial
-    serial.tools.list_ports typer typer.testing zmq
+    matplotlib.figure numpy.testing prometheus_client psutil pydantic rich.console scipy.signal
+    serial serial.tools.list_ports typer typer.testing zmq
 """
 MISSING_MODULES = {
     "win32": "curses fcntl grp posix pty pwd readline resource syslog termios tty",
