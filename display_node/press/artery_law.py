@@ -35,7 +35,7 @@ MANY_FITS, SELDOM = 30, 7
 # Relative pressures are bounded, as noise on a closed or a wide artery would explain any.
 LOWEST, HIGHEST = -1.0, 2.0
 # Where the artery is open in diastole, pressures so far below the least plausible one are seen.
-SEEN: Final = 2.0
+SEEN: Final = 0.7
 # Where it is closed, readings of this share of the height are noise, and count as the foot.
 UNSEEN: Final = 0.004
 

@@ -24,6 +24,10 @@ LEAST_HEIGHT: Final = 0.02
 # Time over which the relative pulse's mean is taken: much more than a beat, so that a beat keeps
 # its level.
 MEAN_S: Final = 10.0
+# Values of the relative pulse of which the time is kept, and how long a mean is used again.
+BIN: Final = 0.1
+BINS: Final = tuple(BIN * number for number in range(-3, 14))
+MEAN_TICKS, MEAN_MOVED_N = 100, 0.005
 # The tip yields with this time constant, as soft tissue does: fast enough to be felt, and slow
 # enough for the stiffest finger on the softest tissue. Its speed is limited.
 YIELD_S: Final = 0.25
@@ -106,6 +110,10 @@ class FingerPress:
         self._learnt_ns = self._newest_ns = -(1 << 62)
         # Mean of the relative pulse, which the static press contains already.
         self._mean, self._observed = 0.0, 0
+        # Share of the time that the relative pulse spends at each of some values; from it, the mean
+        # at a press, which is kept for some ticks.
+        self._bins = [0.0] * len(BINS)
+        self._mean_now, self._mean_at_n, self._mean_age = 0.0, math.inf, 0
         self._respiration = RespiratoryWave()
         self.curve, self.stiffness = PulseCurve(limits.force_n), StiffnessFit()
         self.sender = SetPointSender(press, limits.force_n, limits.slew_n_per_s)
@@ -174,6 +182,12 @@ class FingerPress:
             part = max((times_ns[-1] - times_ns[0]) * 1e-9 / MEAN_S, 1 / self._observed)
             relative = self.relative(mean_n, hold_down_n)
             self._mean += (relative - self._mean) * part
+            for at in range(len(self._bins)):
+                self._bins[at] *= 1.0 - part
+            place = min(max((relative - BINS[0]) / BIN, 0.0), len(BINS) - 1.001)
+            at = int(place)
+            self._bins[at] += part * (1.0 - place + at)
+            self._bins[at + 1] += part * (place - at)
             self._respiration.observe(relative, times_ns[-1])
 
     def relative(self, pulse_n: float, hold_down_n: float) -> float:
@@ -210,8 +224,27 @@ class FingerPress:
     def felt_n(self, relative: float) -> float:
         """Return the pulse in N, as the present press would give it, for its relative value."""
         press_n = min(self._reading.scaling_n, self._limits.force_n)
-        share = self.curve.law.share(relative, press_n) - self.curve.law.share(self._mean, press_n)
+        if relative == self._mean:
+            # Off the wrist.
+            return 0.0
+        share = self.curve.law.share(relative, press_n) - self._mean_share(press_n)
         return share * self.height_n(press_n)
+
+    def _mean_share(self, press_n: float) -> float:
+        """Return the mean that the pulse of the last beats would have at a press, over its height.
+
+        It depends on the press, as the pulse flattens: that of a mean pressure is another one.
+        """
+        self._mean_age += 1
+        if self._mean_age > MEAN_TICKS or abs(press_n - self._mean_at_n) > MEAN_MOVED_N:
+            self._mean_age, self._mean_at_n = 0, press_n
+            share = self.curve.law.share
+            shares = [
+                weight * share(at, press_n) for at, weight in zip(BINS, self._bins, strict=True)
+            ]
+            total = sum(self._bins)
+            self._mean_now = sum(shares) / total if total else share(self._mean, press_n)
+        return self._mean_now
 
     def take_beat(self, interval_s: float, good: bool) -> None:
         """Take the time of a new beat, over which the reading is averaged, if the beat is good.
