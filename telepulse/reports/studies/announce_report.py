@@ -57,6 +57,8 @@ def _errors_chapter(scores: AnnounceScores, effort: AnnounceEffort) -> Chapter:
         else _errors_table("Recordings", errors)
         for jitter_s, errors in scores.errors.items()
     ]
+    if scores.limit:
+        tables.append(_errors_table("Limit: transit time that does not vary", scores.limit))
 
     def draw(figure: "Figure") -> None:
         axes = figure.add_subplot()

@@ -34,7 +34,8 @@ from telepulse.reports.studies.prediction_study import (
 )
 from telepulse.reports.studies.sweep import in_one_thread, sweep
 
-JITTERS_S = (0.005, 0.02)
+# Jitters of the transit time; without any, the errors are the least that the predictor can have.
+JITTERS_S, NO_JITTER_S = (0.005, 0.02), 0.0
 # From FOUND_OUT_S after a fault on, the ECG is to be unused.
 FAULT_FROM_S, FOUND_OUT_S = 25.0, 3.0
 # ANSI/AAMI EC57: a detection within 150 ms of an annotated beat is that beat. Its learning period
@@ -151,6 +152,7 @@ class DetectorScore(NamedTuple):
 class AnnounceScores:
     """Scores of the study. errors: by the jitter in s of the transit time, or 0 for recordings.
 
+    limit: errors of the synthetic pulses with a transit time that does not vary.
     cost_ratio: processor time of a step with announcement over one without.
     """
 
@@ -158,6 +160,7 @@ class AnnounceScores:
     faults: list[FoundOut]
     detector: list[DetectorScore]
     cost_ratio: float
+    limit: tuple[PulseErrors, ...] = ()
 
 
 class AnnouncedRun(NamedTuple):
@@ -321,7 +324,10 @@ def score_announce(
     # The same pulses for each jitter of the transit time; by seed and name, the versions' ECGs.
     first, cases = effort.seeds[0], list[tuple[AnnouncedPulse, ...]]()
     for seed in effort.seeds:
-        sets = [announced_pulses(effort.seconds, seed, jitter_s) for jitter_s in JITTERS_S]
+        sets = [
+            announced_pulses(effort.seconds, seed, jitter_s)
+            for jitter_s in (*JITTERS_S, NO_JITTER_S)
+        ]
         versions = list(zip(*sets, strict=True))
         cases += versions if seed == first else versions[: len(SYNTHETIC)]
     basis = [versions[0] for versions in cases[: len(SYNTHETIC)]]
@@ -329,15 +335,18 @@ def score_announce(
     if records is not None:
         cases += [(each,) for each in recorded_announced(records, effort.recorded_seconds)]
         leads = annotated_leads(records)
-    runs: dict[float, dict[str, list[BothErrors]]] = {}
+    runs: dict[float | None, dict[str, list[BothErrors]]] = {}
     for found in sweep(score_both, cases, scheduler):
-        for jitter_s, each in zip(JITTERS_S if len(found) > 1 else (0.0,), found, strict=True):
-            runs.setdefault(jitter_s, {}).setdefault(each.name, []).append(each)
-    errors = {
-        jitter_s: [PulseErrors(name, tuple(each)) for name, each in by_name.items()]
-        for jitter_s, by_name in runs.items()
-    }
+        keys = (*JITTERS_S, None) if len(found) > 1 else (0.0,)
+        for key, each in zip(keys, found, strict=True):
+            runs.setdefault(key, {}).setdefault(each.name, []).append(each)
+    limit = _by_pulse(runs.pop(None))
+    errors = {key: _by_pulse(by_name) for key, by_name in runs.items() if key is not None}
     faults = list(itertools.chain.from_iterable(sweep(score_faults, basis, scheduler)))
-    detector = sweep(score_lead, leads, scheduler)
+    detector = sweep(score_lead, leads, scheduler) if leads else []
     ratio = in_one_thread(measure_cost_ratio, (basis[0], effort.cost_rounds))
-    return AnnounceScores(errors, faults, detector, ratio)
+    return AnnounceScores(errors, faults, detector, ratio, tuple(limit))
+
+
+def _by_pulse(runs: dict[str, list[BothErrors]]) -> list[PulseErrors]:
+    return [PulseErrors(name, tuple(each)) for name, each in runs.items()]

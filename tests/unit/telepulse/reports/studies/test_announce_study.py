@@ -1,18 +1,22 @@
 """The study of prediction with an ECG: matching, faults, records, and its report's verdicts."""
 
 import sys
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from protocol.errors import SourceError
 from sensing_node.sources.ecg import draw_ecg
+from telepulse.reports.studies import announce_study
 from telepulse.reports.studies.announce_pulses import (
     FAULTS,
     JUMP,
     TRANSIT_S,
+    AnnouncedPulse,
     EcgFault,
     announced_pulses,
     with_fault,
@@ -129,6 +133,40 @@ def test_the_report_names_the_criteria_that_are_missed(
     report = report_announce(result, AnnounceEffort())
     text = " ".join(word for chapter in report.chapters for word in chapter.paragraphs)
     assert text.count("missed.") == len(missed)
+
+
+def test_the_report_has_the_errors_of_a_transit_time_that_does_not_vary() -> None:
+    limit = (errors("fibrillation", 0.07, 0.09),)
+    chapter = report_announce(replace(MET, limit=limit), AnnounceEffort()).chapters[0]
+    (row,) = chapter.tables[-1].rows
+    assert row[:2] == ("fibrillation", "0.100 / 0.080")
+
+
+def test_errors_are_collected_by_jitter_and_pulse(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each pulse is run once without an ECG, and with one for each jitter and for none."""
+
+    def errors_by_place(versions: tuple[AnnouncedPulse, ...]) -> list[BothErrors]:
+        values = [0.1 * (place + 1) for place in range(len(versions))]
+        return [
+            BothErrors(str(each), (0.1,) * 4, (value,) * 4, 250.0, 5.0, 1.0)
+            for each, value in zip(versions, values, strict=True)
+        ]
+
+    scorers = {"score_both": errors_by_place, "score_faults": lambda _: [fault()]}
+
+    def computed(score: Callable[..., Any], cases: list[Any], _: str | None) -> list[Any]:
+        return [scorers[score.__name__](case) for case in cases]
+
+    monkeypatch.setattr(announce_study, "sweep", computed)
+    monkeypatch.setattr(announce_study, "in_one_thread", lambda *_: 1.2)
+    scored = announce_study.score_announce(AnnounceEffort(seconds=SECONDS, seeds=(1, 2)))
+    assert {key: each[0].announced[0] for key, each in scored.errors.items()} == {
+        0.005: pytest.approx(0.1),
+        0.02: pytest.approx(0.2),
+    }
+    assert [each.announced[0] for each in scored.limit] == pytest.approx([0.3] * 6)
+    assert [len(each.runs) for each in scored.errors[0.005]] == [2, 2, 2, 1, 1, 1]
+    assert len(scored.faults) == 3
 
 
 def test_records_that_cannot_be_read_are_named(
