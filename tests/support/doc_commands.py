@@ -1,6 +1,7 @@
 """Check that a command could be run: its program accepts the words, and the named files exist."""
 
 import importlib.util
+import itertools
 import os
 import re
 import shlex
@@ -42,7 +43,8 @@ def check(command: str) -> None:
 
 def _check(command: str) -> None:
     words = [_filled(word) for word in shlex.split(command) if word not in ("[SCENE]", "…")]
-    program, *rest = words
+    # Settings of the environment come before the program.
+    program, *rest = itertools.dropwhile(lambda word: re.match(r"[A-Z_]+=", word), words)
     if program in APPLICATIONS:
         _parse(typer.main.get_command(APPLICATIONS[program]), program, rest)
         _scenes_are_there(rest)

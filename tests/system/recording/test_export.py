@@ -189,7 +189,7 @@ def test_every_export_carries_the_provenance(
     notes = [note.text for note in edfio.read_edf(exports / "pulse.edf").annotations]
     assert f"version {version}" in notes
     (chapter,) = [c for c in build_recording_report(recording).chapters if "Proven" in c.title]
-    assert dict(chapter.tables[0].rows)["version"] == version
+    assert dict(chapter.tables[0].rows)["version of telepulse"] == version
 
 
 def test_reader_report_and_exports_name_how_much_of_the_end_is_missing(
