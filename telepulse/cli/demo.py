@@ -246,7 +246,7 @@ def run_demo(
             log_warnings(link_process.name, link_process.await_end(ENDS_WITHIN_S))
         sensed = sensing.await_summary(ENDS_WITHIN_S)
         played = display.await_summary(ENDS_WITHIN_S, may_end_with=FAULT_STATUS)
-        return _compose(sensed, played, scorer.errors, scene.link.loses_messages)
+        return _compose(sensed, played, scorer.errors, link_process is not None)
 
 
 def _given(options: Mapping[str, str | None]) -> list[str]:
@@ -288,11 +288,12 @@ class _Scorer:
 
 
 def _compose(
-    sensing: Summary, display: Summary, errors: list[TrackingError], lossy: bool
+    sensing: Summary, display: Summary, errors: list[TrackingError], over_a_link: bool
 ) -> Summary:
     """Return the display's summary with the errors against the true force.
 
-    lossy: whether the link may lose set-points and the answers to them.
+    over_a_link: whether a link is between the nodes. It may lose the last answers to set-points,
+    or deliver them after the display has ended.
 
     Raises ProcessError where the two nodes' sample counts differ.
     """
@@ -303,7 +304,7 @@ def _compose(
     if sent != accounted:
         reason = f"the sensing node sent {sent} samples, the display accounts for {accounted}"
         raise ProcessError(reason)
-    if (lacking := _unaccounted(sensing.press, display.press, lossy)) is not None:
+    if (lacking := _unaccounted(sensing.press, display.press, over_a_link)) is not None:
         raise ProcessError(lacking)
     return replace(
         scored(display, errors, windows=True),
@@ -322,10 +323,10 @@ def _account(wrist: PressFigures, finger: PressFigures) -> PressFigures:
     return replace(finger, applied=wrist.applied, superseded=wrist.superseded, lost=lost)
 
 
-def _unaccounted(wrist: PressFigures, finger: PressFigures, lossy: bool) -> str | None:
+def _unaccounted(wrist: PressFigures, finger: PressFigures, over_a_link: bool) -> str | None:
     """Return how the two nodes' accounts of the set-points contradict each other, if they do.
 
-    Where the last answers were lost, the finger counts set-points as lost that the wrist has taken.
+    Without the last answers, the finger counts set-points as lost that the wrist has taken.
     """
     if finger.sent is None:
         return None
@@ -337,6 +338,6 @@ def _unaccounted(wrist: PressFigures, finger: PressFigures, lossy: bool) -> str 
         return f"of {finger.sent} set-points, the wrist has taken {taken}"
     for outcome in ("applied", "superseded"):
         known, done = getattr(finger, outcome) or 0, getattr(wrist, outcome) or 0
-        if known > done or (known < done and not lossy):
+        if known > done or (known < done and not over_a_link):
             return f"the wrist counts {done} set-points {outcome}, the display {known}"
     return None

@@ -77,12 +77,6 @@ class LinkScene(Section):
             raise ValueError(reason)
         return self
 
-    @property
-    def loses_messages(self) -> bool:
-        """True where a message that may be lost can be."""
-        may_lose = self.loss or self.burst_loss or self.cut or self.rate_bit_per_s
-        return self.transport == "datagram" and bool(may_lose)
-
     def text(self) -> str:
         """Return the link in the notation of `parse_link`."""
         return ",".join(_items(self))
