@@ -19,7 +19,8 @@ SCENES = sorted((ROOT / "scenes").glob("*.toml"))
 LIVE = [p for p in SCENES if p.stem.endswith("_bench") and p.stem != "real_bench"]
 LIVE += [path for path in SCENES if path.stem == "real_press"]
 # Where the finger presses, the felt pulse depends on its press: test_press_study.py, in reports.
-MODELLED = [path for path in SCENES if path not in LIVE and path.stem != "press"]
+PRESSED = ("press", "press_far")
+MODELLED = [path for path in SCENES if path not in LIVE and path.stem not in PRESSED]
 SECONDS = 8
 SAMPLES = 1000 * SECONDS
 
