@@ -34,7 +34,7 @@ else:
         Switches the terminal to single keys without echo: call it within `terminal_restored`.
         A program in the background must not read, as the shell would stop it.
         """
-        if not os.isatty(STDIN) or os.tcgetpgrp(STDIN) != os.getpgrp():
+        if not _in_foreground():
             return ""
         # Each time: a shell restores its own modes where the program was stopped and continued.
         if termios.tcgetattr(STDIN)[tty.LFLAG] & (termios.ICANON | termios.ECHO):
@@ -50,5 +50,11 @@ else:
         try:
             yield
         finally:
-            if saved is not None and os.tcgetpgrp(STDIN) == os.getpgrp():
+            if saved is not None and _in_foreground():
                 termios.tcsetattr(STDIN, termios.TCSANOW, saved)
+
+    def _in_foreground() -> bool:
+        try:
+            return os.isatty(STDIN) and os.tcgetpgrp(STDIN) == os.getpgrp()
+        except OSError:  # the terminal is of another session
+            return False

@@ -36,7 +36,7 @@ def seeds() -> list[bytes]:
     for number in range(3):
         heard.add(number, number - 1, b"a message")
     packed = (msgpack.packb(status) for status in statuses)
-    marks = [pack_mark(Mark(1, 2, 3, "cuff on")), pack_request(MarkRequest(2, 3, "cuff on"))]
+    marks = [pack_mark(Mark(1, 2, 3, "cuff on")), pack_request(MarkRequest(2, 3, "cuff on"))[1:]]
     return [traces[-1] or b"", *packed, *heard.take(10, 20), *marks]
 
 

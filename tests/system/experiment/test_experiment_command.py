@@ -184,7 +184,7 @@ def test_a_report_of_several_subjects(tmp_path: Path) -> None:
     found = share_correct(results.of("plain"))
     assert rows["plain"]["right"] == f"{found.hits} of 6"
     assert rows["all of them"]["right"].endswith("of 12")
-    assert float(rows["plain"]["direct mN"]) < 2 < float(rows["plain"]["link mN"])
+    assert float(rows["plain"]["direct (mN)"]) < 2 < float(rows["plain"]["link (mN)"])
     assert {row["subject"] for row in first["tables"][1]["rows"]} == {"anna", "bo"}
     assert "22.3 to 95.7 %" in result.output
     assert threshold_of(results.outcomes) is not None
