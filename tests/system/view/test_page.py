@@ -95,6 +95,7 @@ def page(bench: Bench, visit: Visit) -> Iterator[Page]:
 
 def keep(page: Page, name: str) -> None:
     if PICTURES:
+        page.evaluate("scrollTo(0, 0)")
         page.screenshot(path=Path(PICTURES) / name)
 
 
