@@ -111,6 +111,8 @@ class Connection:
         # Duration of a frame, and time allowed for the answer to a connection request.
         self._times_ns: tuple[int, int] | None = None
         self._received_ns: int | None = None
+        # Whether the sensing node was ever reached: before that, there is nothing to reconnect.
+        self._reached = False
         self._polled_ns: int | None = None
         self._cut_ns = CUT_NS
         self._controls = self._clock_requests = 0
@@ -283,7 +285,7 @@ class Connection:
         if received and self._redundancy is not None and polled_ns is not None:
             self._redundancy.received(counts[0], received, now_ns, polled_ns)
         if received + self.control.received(now_ns):
-            self._received_ns = now_ns
+            self._received_ns, self._reached = now_ns, True
             answer_ns = self.control.answer_ns
             least_ns, usual_ns = max(FOLLOWS_WITHIN_NS, answer_ns), REPEATED_NS + answer_ns
             self._cut_ns = least_ns if stalled else max(CUT_NS, usual_ns)
@@ -304,6 +306,6 @@ class Connection:
         return False
 
     def _connect_control(self, address: str, now_ns: int, fast_retry: bool = True) -> bool:
-        self._controls += self.control.address is not None
+        self._controls += self._reached
         self.control.connect(address, now_ns, fast_retry)
         return True

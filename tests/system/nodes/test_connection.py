@@ -162,6 +162,7 @@ def test_a_silence_of_all_addresses_is_a_cut(
     # Both are connected anew once, control at the same address; then patience is as usual.
     control = connection.control.address
     assert poll(connection, 20, 2_010) == [520]
+    assert connection.reconnections.control == 1
     assert connection.control.address == control
     assert [asked.count(name) for name in ("127.0.0.1", "other")] == [2, 2]
     assert poll(connection, 2_010, 3_000) == [2_520]
@@ -304,6 +305,8 @@ def test_once_one_port_answers_the_request_to_the_other_is_repeated(
     assert connection.poll(1_100 * MS)
     assert control_of(connection).getsockopt(zmq.CONNECT_TIMEOUT) == 0
     assert not connection.poll(1_101 * MS)
+    # The sensing node was not reached before.
+    assert connection.reconnections == Reconnections(0, 0, 0)
 
 
 def test_patience_is_longer_for_rare_frames(context: Context, asked: list[str]) -> None:
