@@ -64,7 +64,8 @@ def format_of(path: Path) -> FileFormat:
     if path.with_name(f"{path.name}.hea").exists():
         return next(known for known in FORMATS if known.name == "WFDB")
     suffixes = ", ".join(suffix for known in FORMATS for suffix in known.suffixes)
-    raise SourceError(f"{path}: {suffix or 'no suffix'} is none of {suffixes}")
+    named = f"{suffix} is none of" if suffix else "its name lacks a suffix, one of"
+    raise SourceError(f"{path}: {named} {suffixes}, and there is no record {path.name}.hea")
 
 
 def open_signals(path: Path) -> SignalFile:
@@ -161,7 +162,8 @@ def write_signals(path: Path, table: SignalTable, suffix: str | None = None) -> 
     chosen = next((known for known in FORMATS if suffix in known.written), None)
     if chosen is None:
         suffixes = ", ".join(suffix for known in FORMATS for suffix in known.written)
-        raise OutputError(f"{path}: {suffix or 'no suffix'} is none of {suffixes}")
+        named = f"{suffix} is none of" if suffix else "its name lacks a suffix, one of"
+        raise OutputError(f"{path}: {named} {suffixes}")
     if not any(map(len, table.values)):
         raise OutputError(f"{path}: is not written, the signals have no sample")
     if path.exists():
