@@ -40,7 +40,7 @@ def _count_or_auto(value: object) -> object:
 
 
 class ContactorScene(Section):
-    """What plays one channel of the stream under one finger.
+    """Settings that play one channel of the stream under one finger.
 
     name: by default the channel's. channel: name of the channel, or its number from 0. drive and
     feedback: the real bench, which replaces the models of actuator and film; without feedback, the

@@ -167,7 +167,7 @@ class ProbedTissue(SampleSource):
 
     @property
     def state(self) -> str:
-        """What the probe does."""
+        """State of the probe."""
         return self.probe.state
 
     @property

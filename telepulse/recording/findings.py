@@ -115,7 +115,7 @@ class RunFindings:
 
     @property
     def pressed(self) -> bool:
-        """Whether a finger or a sweep pressed: the felt force is not that of the wrist alone."""
+        """True where a finger or a sweep pressed: the felt force is not that of the wrist alone."""
         return self.display_summary is not None and self.display_summary.press.press_n is not None
 
     def take(self, entry: Entry) -> None:

@@ -113,7 +113,7 @@ class LiveState:
 
     @property
     def pressing(self) -> bool:
-        """Whether the finger's press is part of the felt force, or a sweep presses."""
+        """True where the finger's press is part of the felt force, or a sweep presses."""
         return "press_n" in self.summary.get("press", {})
 
     @property

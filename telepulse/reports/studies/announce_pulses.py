@@ -59,7 +59,7 @@ def announced_pulses(seconds: float, seed: int, jitter_s: float) -> list[Announc
 
 
 class EcgFault(NamedTuple):
-    """What an ECG becomes from an index on."""
+    """Change of an ECG from an index on."""
 
     name: str
     apply: Callable[[Floats, int, np.random.Generator], Floats]

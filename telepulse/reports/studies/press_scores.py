@@ -127,7 +127,7 @@ class PressEffort:
 
 
 class FollowScore(NamedTuple):
-    """How one run followed the finger's steps.
+    """Errors of one run that followed the finger's steps.
 
     late: largest error of the hold-down FOLLOWED_S and a round trip after each step, as a share of
     the press. heights: relative errors of the felt pulse's height. gain: largest measured gain.
