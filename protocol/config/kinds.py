@@ -50,7 +50,8 @@ class KindTable(Section):
         """Return a table that is of this kind. Raises SceneError, which begins with `where`."""
         if not isinstance(table, cls):
             wanted = get_args(cls.model_fields["kind"].annotation)[0]
-            raise SceneError(f'{where} kind = "{wanted}" is needed here')
+            found = "" if table is None else f', not "{getattr(table, "kind", "another")}"'
+            raise SceneError(f'{where} kind = "{wanted}" is needed here{found}')
         return table
 
 

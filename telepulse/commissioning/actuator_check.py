@@ -86,7 +86,7 @@ def check_actuator(
     keys: dict[str, float | str] = {}
     stepper = actuator.stepper
     if stepper is None:
-        model = SecondOrderScene.narrow(actuator, "[display] actuator: a press is designed for")
+        model = SecondOrderScene.narrow(actuator, "[display] actuator: to design a press,")
         press_voltage(pressed, model, force_n)
         command = through_film(pressed.command(pressed.stairs, held=True), film)
         identified = identify(command, *pressed.film(pressed.stairs), MAX_LATENCY_S)

@@ -87,7 +87,7 @@ def design(scene: DisplayScene) -> Design:
     """Return the designed controller for a scene's actuator and film. Raises SceneError."""
     if (stepper := scene.actuator.stepper) is not None:
         return _design_stepper(scene, stepper)
-    model = SecondOrderScene.narrow(scene.actuator, "[display] actuator: gains are designed for")
+    model = SecondOrderScene.narrow(scene.actuator, "[display] actuator: to design gains,")
     return _design_second_order(scene, model)
 
 

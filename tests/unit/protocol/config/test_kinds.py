@@ -1,5 +1,5 @@
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import pytest
 
@@ -147,3 +147,25 @@ def test_all_kinds_are_listed_with_their_distribution_and_problem(folder: Path) 
     assert listed["own", "telepulse"].problem is None
     assert listed["own", "linears"].problem == "telepulse has a kind of this name, which is used"
     assert "nothing_like_it" in (listed["absent", "absent"].problem or "")
+
+
+class Hydraulic(KindTable):
+    """A kind."""
+
+    kind: Literal["hydraulic"]
+
+
+class Pneumatic(KindTable):
+    """Another kind."""
+
+    kind: Literal["pneumatic"]
+
+
+def test_a_table_of_another_kind_is_refused_with_both_kinds() -> None:
+    table = Pneumatic(kind="pneumatic")
+    needed = '^where: kind = "hydraulic" is needed here'
+    with pytest.raises(SceneError, match=f'{needed}, not "pneumatic"$'):
+        Hydraulic.narrow(table, "where:")
+    with pytest.raises(SceneError, match=f"{needed}$"):
+        Hydraulic.narrow(None, "where:")
+    assert Pneumatic.narrow(table, "where:") is table
