@@ -188,7 +188,7 @@ class TerminalView:
         stream = _printable(self.status.stream) or "no stream"
         title = Text(f"telepulse · {stream} · {self._state(now_ns)}")
         wrong = [Text(f"{name}: {text}", "bold red") for name, text in self._alerts(now_ns)]
-        last = _cut(f"; last: {self.mark_text}", MARK_WIDTH) if self.mark else ""
+        last = _cut(f"; last: {self.mark.text}", MARK_WIDTH) if self.mark else ""
         between = Text(f"of the run so far; {MARK_KEY} marks the time{last}", "dim")
         whole = Group(*wrong, now, *self._plot(current), between, run)
         return Panel(whole, title=title, expand=False, style="" if current else "dim")
@@ -228,11 +228,6 @@ class TerminalView:
             *([("finger", _printable(finger))] if finger and current else []),
             *([("delay now", delay)] if delay else []),
         ]
-
-    @property
-    def mark_text(self) -> str:
-        """Text of the newest mark; empty without one."""
-        return "" if self.mark is None else _printable(self.mark.text)
 
     def _press_text(self) -> str:
         """Return the finger's press, the hold-down at the wrist, and the state of the probe."""
@@ -359,8 +354,8 @@ def _follow(
             traces = screen.take(message, time.perf_counter_ns())
             if traces and on_traces is not None:
                 on_traces(traces)
-            if screen.mark is not marked and draw and live is None:
-                console.print(f"mark: {screen.mark_text}", soft_wrap=True)
+            if screen.mark is not None and screen.mark is not marked and draw and live is None:
+                console.print(f"mark: {screen.mark.text}", soft_wrap=True)
             if screen.status is not None and screen.status.final:
                 if draw and live is None:
                     # The last line shows how the display ended.
