@@ -20,9 +20,11 @@ from telepulse.recording.forces import Trend
 from telepulse.recording.pressed_beats import PressedBeats
 from telepulse.recording.reader import RecordingReader, in_tick_order
 from telepulse.telemetry.decoder import Entry, PassiveReceiver
-from telepulse.telemetry.schema import EVENT, STATUS, TICK
+from telepulse.telemetry.schema import EVENT, STATUS, STREAM, TICK
 
 MAX_EVENTS = 500
+# Most entries of a session that wait for its first status: 10 s of ticks at 1 kHz, with frames.
+MAX_EARLY = 20_000
 # Values are added to a trend in batches of this size.
 BATCH = 1_000
 COUNTS, COUNT_WIDTH_S = ("late", "lost", "misses"), 1.0
@@ -85,6 +87,8 @@ class RunFindings:
         # The default applies until the display's first status.
         self._stale_after_ns = SafetyScene().stale_after_ns
         self._last_now_ns: int | None = None
+        # Entries of a session before the status that names the channel of each contactor.
+        self._early: list[tuple[float, Entry]] | None = []
         self._batch: defaultdict[str, list[tuple[float, float]]] = defaultdict(list)
         self.depth = PressedBeats()
 
@@ -124,15 +128,23 @@ class RunFindings:
             self.begin_ns = entry.t_ns
         self.end_ns = max(self.end_ns, entry.t_ns)
         t_s = (entry.t_ns - self.begin_ns) * 1e-9
-        handlers = {TICK: self._tick, STATUS: self._status, EVENT: self._event}
-        handle = handlers.get(entry.topic)
-        if handle is None:
-            self._received(t_s, entry)
+        if entry.topic == EVENT:
+            self._event(t_s, entry.fields)
+        elif entry.topic == STATUS:
+            self._status(t_s, entry.fields)
         else:
-            handle(t_s, entry.fields)
+            if entry.topic == STREAM and self._early is None:
+                self._early = []
+            if self._early is None:
+                self._take_in_session(t_s, entry)
+            else:
+                self._early.append((t_s, entry))
+                if len(self._early) > MAX_EARLY:
+                    self._take_early()
 
     def finish(self) -> None:
         """End the recording."""
+        self._take_early()
         # An event may be recorded after those that followed it.
         self.events.sort(key=lambda event: event.t_s)
         for contactor in self.contactors:
@@ -140,6 +152,17 @@ class RunFindings:
         self.depth.finish()
         for name in list(self._batch):
             self._flush(name)
+
+    def _take_early(self) -> None:
+        early, self._early = self._early or [], None
+        for t_s, entry in early:
+            self._take_in_session(t_s, entry)
+
+    def _take_in_session(self, t_s: float, entry: Entry) -> None:
+        if entry.topic == TICK:
+            self._tick(t_s, entry.fields)
+        else:
+            self._received(t_s, entry)
 
     def _received(self, t_s: float, entry: Entry) -> None:
         receiver, fields = self._receiver, entry.fields
@@ -180,7 +203,7 @@ class RunFindings:
         if fields["scored"]:
             self._scored += 1
             states = (fields, *fields.get("others", ()))
-            # Before the first status, only the first contactor is known.
+            # Without a status, only the first contactor is known.
             for contactor, state in zip(self._playing, states, strict=False):
                 contactor.add_tick(t_s, sensing_now_ns, instant_ns, state)
 
@@ -200,6 +223,7 @@ class RunFindings:
             listed = playing if isinstance(playing, list) else [playing]
             self._stale_after_ns = int(listed[0]["stale_after_ns"])
             self._playing = [self._follow(each) for each in listed]
+            self._take_early()
         last = self.display_summary or Summary()
         self.display_summary, self.is_final_summary = new, fields["final"]
         before, now = (

@@ -3,6 +3,7 @@
 import time
 from collections.abc import Callable
 from contextlib import ExitStack
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -120,6 +121,17 @@ def delay_s(earlier: MotorTrace, later: MotorTrace) -> float:
     return 1e-3 * (lags[best] + 0.5 * (before - after) / (before - 2 * peak + after))
 
 
+def require_apart(bench: EmulatedBench, order: tuple[str, ...], apart_s: float) -> None:
+    """Raise BenchFailedError where forces are not each `apart_s` behind the next, to a tick.
+
+    On a busy machine commands and emulated drives are late by more; a lasting skew fails each try.
+    """
+    motors = [bench.motor(name) for name in order]
+    for later, earlier in pairwise(motors):
+        if abs((skew_s := delay_s(earlier, later) - apart_s)) >= TICK_S:
+            raise BenchFailedError(f"the contactors are {1e3 * skew_s:.1f} ms out of step")
+
+
 def test_two_drives_press_within_a_tick_of_each_other_and_withdraw_together(
     tmp_path: Path,
 ) -> None:
@@ -132,11 +144,10 @@ def test_two_drives_press_within_a_tick_of_each_other_and_withdraw_together(
         for figures in summary["contactors"].values():
             assert figures["force_rmse_n"]["aligned"] < 0.1
             assert figures["finger"] == "withdrawn"
+        require_apart(bench, CONTACTORS, APART_S)
 
     bench = on_drives(tmp_path, happens)
-    cun, chi = (bench.motor(name) for name in CONTACTORS)
-    assert abs(delay_s(chi, cun) - APART_S) < TICK_S
-    for motor in (cun, chi):
+    for motor in (bench.motor(name) for name in CONTACTORS):
         assert 0.1 < motor.force_n.max() <= LIMIT_N
         assert motor.force_n[-1] == 0
 
@@ -156,12 +167,10 @@ def test_the_shipped_scene_presses_three_fingers_by_drives_and_finds_the_ecg(
             assert figures["beats"]["count"] > 3
             assert figures["finger"] == "withdrawn"
         assert summary["announce"]["r_waves"] > 3
+        require_apart(bench, THREE, APART_S / 2)
 
     bench = on_drives(tmp_path, happens, start_shipped)
-    cun, guan, chi = (bench.motor(name) for name in THREE)
-    assert abs(delay_s(chi, guan) - APART_S / 2) < TICK_S
-    assert abs(delay_s(guan, cun) - APART_S / 2) < TICK_S
-    for motor in (cun, guan, chi):
+    for motor in (bench.motor(name) for name in THREE):
         assert 0.05 < motor.force_n.max() <= LIMIT_N
         assert motor.force_n[-1] == 0
 

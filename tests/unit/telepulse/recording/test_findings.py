@@ -1,11 +1,20 @@
+import json
+
+import numpy as np
 import pytest
 
 from fuzz.telemetry_readers import MS, preamble, status_message
 from protocol.press_figures import PressFigures
 from protocol.run_summary import Summary
-from protocol.wire.telemetry import PlaybackStatus
+from protocol.tactile import ElasticLayer
+from protocol.wire.messages import ClockReply, Frame, Welcome, encode_control, encode_frame
+from protocol.wire.stream import Channel, StreamDescription
+from protocol.wire.telemetry import CONTROL, PlaybackStatus
 from telepulse.recording.findings import RunFindings
+from telepulse.recording.mcap_writer import as_json
 from telepulse.telemetry.decoder import TelemetryDecoder
+from tests.support.streams import synthetic
+from tests.support.telemetry_publisher import HandmadeTelemetry
 
 
 def playing(name: str, channel: int) -> PlaybackStatus:
@@ -21,6 +30,26 @@ def test_contactors_keep_their_findings_where_a_further_run_has_others() -> None
     assert [each.name for each in findings.contactors] == ["cun", "chi", "guan"]
     assert [each.forces.alignment.channel for each in findings.contactors] == [0, 2, 0]
     assert list(findings.summary().contactors) == ["cun", "chi", "guan"]
+
+
+def test_frames_before_the_first_status_are_those_of_its_channels() -> None:
+    channels = tuple(Channel(name) for name in ("cun", "guan"))
+    welcome = Welcome(1, 0, StreamDescription("pulse", MS, 100, channels, ElasticLayer()))
+    telemetry, findings = HandmadeTelemetry(), RunFindings()
+    entries = telemetry.receive((CONTROL, encode_control(welcome)), at_ns=0)
+    for t_ns in range(8):
+        reply = encode_control(ClockReply(1, t_ns, t_ns, t_ns))
+        entries += telemetry.receive((CONTROL, reply), at_ns=t_ns)
+    pulse_n = synthetic().take(6_000)[:, 0]
+    for number, force_n in enumerate(np.split(pulse_n, 60)):
+        first, values = 100 * number, np.stack([np.zeros(100), force_n], 1).astype("<f4")
+        frame = encode_frame(Frame(1, first, first * MS, MS, values))
+        entries += telemetry.receive((0, frame), at_ns=(first + 100) * MS)
+    entries += telemetry.decoder.decode(*status_message("playing", playing("second", 1)))
+    for entry in entries:
+        findings.take(entry._replace(fields=json.loads(as_json(entry.fields))))
+    (contactor,) = findings.contactors
+    assert contactor.beats.figures().count > 4
 
 
 def test_the_strain_is_that_of_the_recorded_status_or_unknown() -> None:
