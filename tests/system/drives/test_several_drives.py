@@ -128,7 +128,7 @@ def require_apart(bench: EmulatedBench, order: tuple[str, ...], apart_s: float) 
     """
     motors = [bench.motor(name) for name in order]
     for later, earlier in pairwise(motors):
-        if abs((skew_s := delay_s(earlier, later) - apart_s)) >= TICK_S:
+        if abs(skew_s := delay_s(earlier, later) - apart_s) >= TICK_S:
             raise BenchFailedError(f"the contactors are {1e3 * skew_s:.1f} ms out of step")
 
 
