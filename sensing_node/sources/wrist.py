@@ -6,7 +6,7 @@ one, then falls; beyond, the artery is closed in diastole and the pulse is flat 
 """
 
 import math
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, ClassVar, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +14,7 @@ from pydantic import Field, model_validator
 
 from protocol.config.quantities import Metres, Newtons, Pascals
 from protocol.tissue import StiffeningLaw, TubeLaw
-from protocol.wire.stream import HOLD_DOWN, Channel
+from protocol.wire.stream import HOLD_DOWN, PULSE, Channel
 from sensing_node.press.probe import CLEARANCE_M, Probe, ProbeLimits
 from sensing_node.press.set_points import PressedProbe
 from sensing_node.sources.source import SampleSource, SourceContext, SourceScene
@@ -31,7 +31,7 @@ class WristScene(SourceScene):
     """The `source` table of kind "wrist".
 
     pulse: the waveform of the arterial pressure, a synthetic pulse; its height is that from
-    diastolic to systolic. peak_to_peak: height of the pulse at the film at the best hold-down.
+    diastolic to systolic. With `announce` the stream has an ECG besides. peak_to_peak: height of the pulse at the film at the best hold-down.
     probe_radius: its area turns force into pressure at the artery. knee and length: law of the
     tissue under the probe, F = knee · (exp(depth / length) − 1). noise and cell_noise: of the film
     and of the load cell.
@@ -64,8 +64,6 @@ class WristScene(SourceScene):
             raise ValueError("systolic must be above diastolic")
         if self.pulse.position:
             raise ValueError("pulse: a wrist is pressed at one position; leave position out")
-        if self.pulse.announce is not None:
-            raise ValueError("pulse: a modelled wrist has no ECG; leave announce out")
         return self
 
 
@@ -96,31 +94,49 @@ class Artery:
         return self._tube.height(outside_pa, self.diastolic_pa, self._systolic_pa)
 
 
+class WristInputs(NamedTuple):
+    """What the next samples of a wrist are sensed from.
+
+    pressures_pa: in the artery. noise: of film and load cell. ecg_mv: shape (count, 1), or
+    (count, 0) without an ECG.
+    """
+
+    pressures_pa: list[float]
+    noise: list[list[float]]
+    ecg_mv: NDArray[np.float64]
+
+
 class WristSensors:
-    """The arterial pressure under a probe, and film and load cell that sense it.
+    """The arterial pressure under a probe, film and load cell that sense it, and an ECG.
 
     artery: the artery under the probe. period_ns: time between samples.
     """
 
-    channels = (Channel("pulse"), Channel(HOLD_DOWN))
+    channels: tuple[Channel, ...] = (Channel(PULSE), Channel(HOLD_DOWN))
 
     def __init__(self, scene: WristScene) -> None:
         clean = {"peak_to_peak_n": 1.0, "preload_n": 0.0, "noise_n": 0.0, "hum_n": 0.0}
         waveform = scene.pulse.model_copy(update=clean)
-        regular = {"heart_rate_variability": 0.0, "respiration": 0.0, "ectopic": 0.0}
+        regular = {
+            **{"heart_rate_variability": 0.0, "respiration": 0.0, "ectopic": 0.0},
+            "announce": None,
+        }
         beats = SyntheticSource(waveform.model_copy(update=regular))
         mean_share = -float(beats.take(round(BEATS_S * waveform.rate_hz)).min())
         self._waveform = SyntheticSource(waveform)
+        self.channels = (*WristSensors.channels, *self._waveform.channels[1:])
         self._scene, self._pulse_pa = scene, scene.systolic_pa - scene.diastolic_pa
         self._rng = np.random.default_rng([scene.pulse.seed, 1])
         self.period_ns = self._waveform.period_ns
         self.artery = Artery(scene, mean_share)
         self._film_n = self._cell_n = 0.0
 
-    def next_samples(self, count: int) -> tuple[list[float], list[list[float]]]:
-        """Return the arterial pressures in Pa of the next samples, and their noise for `sense`."""
-        pressures = self.artery.mean_pa + self._pulse_pa * self._waveform.take(count)[:, 0]
-        return pressures.tolist(), self._rng.standard_normal((count, 2)).tolist()
+    def next_samples(self, count: int) -> WristInputs:
+        """Return the inputs of the next samples, for `sense`."""
+        waveform = self._waveform.take(count)
+        pressures_pa = self.artery.mean_pa + self._pulse_pa * waveform[:, 0]
+        noise = self._rng.standard_normal((count, 2))
+        return WristInputs(pressures_pa.tolist(), noise.tolist(), waveform[:, 1:])
 
     def sense(self, pressure_pa: float, noise: list[float], force_n: float) -> tuple[float, float]:
         """Return what film and load cell read in N, a period later, for a static force."""
@@ -195,7 +211,7 @@ class ProbedTissue(SampleSource):
 
 
 class Wrist(ProbedTissue):
-    """Source of the channels "pulse" (the film) and "hold-down" (the load cell) of a pressed wrist.
+    """Source of the channels of a pressed wrist: "pulse" (film), "hold-down" (load cell), and ECG.
 
     Attributes
     ----------
@@ -208,14 +224,14 @@ class Wrist(ProbedTissue):
     def __init__(self, scene: WristScene, limits: ProbeLimits | None = None) -> None:
         self._sensors = sensors = WristSensors(scene)
         super().__init__(sensors.period_ns, limits, StiffeningLaw(scene.knee_n, scene.length_m))
-        self.artery = sensors.artery
+        self.artery, self.channels = sensors.artery, sensors.channels
         self.pressures_pa: list[float] = []
 
     def take(self, count: int) -> NDArray[np.float64]:
-        """Return the next samples in N, shape (count, 2)."""
-        self.pressures_pa, noise = self._sensors.next_samples(count)
+        """Return the next samples in N, and the ECG in mV, shape (count, channels)."""
+        self.pressures_pa, noise, ecg_mv = self._sensors.next_samples(count)
         rows = [self._step(*each) for each in zip(self.pressures_pa, noise, strict=True)]
-        return np.array(rows).reshape(count, 2)
+        return np.hstack([np.array(rows).reshape(count, 2), ecg_mv])
 
     def _step(self, pressure_pa: float, noise: list[float]) -> tuple[float, float]:
         film_n, cell_n = self._sensors.sense(pressure_pa, noise, self.force_n)

@@ -24,7 +24,10 @@ class TissueContact(ContactLaw):
 
 
 class WristBoard:
-    """Readings of film and load cell for the static forces under the probe, one a millisecond."""
+    """Readings of film and load cell for the static forces under the probe, one a millisecond.
+
+    The board has no electrodes: an ECG of the scene is left out.
+    """
 
     channels = WristSensors.channels
 
@@ -33,6 +36,6 @@ class WristBoard:
 
     def read(self, forces_n: list[float]) -> list[list[float]]:
         """Return the next samples of both in N."""
-        pressures, noise = self._sensors.next_samples(len(forces_n))
-        triples = zip(pressures, noise, forces_n, strict=True)
+        inputs = self._sensors.next_samples(len(forces_n))
+        triples = zip(inputs.pressures_pa, inputs.noise, forces_n, strict=True)
         return [list(self._sensors.sense(*each)) for each in triples]

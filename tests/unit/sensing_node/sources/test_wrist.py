@@ -3,6 +3,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from display_node.scoring.beats import find_beats
 from protocol.config.scene import validate
 from protocol.errors import SceneError
 from sensing_node.sources.wrist import Wrist, WristScene
@@ -16,10 +17,15 @@ def pulse_at(source: Wrist, force_n: float, seconds: float = 2.4) -> np.ndarray[
     """Return the film's pulse at a hold-down force, after half a second."""
     blocks = []
     for number in range(round((0.5 + seconds) / 0.02)):
-        source.press(force_n)
-        blocks.append(source.take(20)[:, 0])
+        blocks.append(pressed(source, force_n)[:, 0])
         assert number < 25 or source.force_n == pytest.approx(force_n, rel=0.03, abs=0.01)
     return np.concatenate(blocks[25:])
+
+
+def pressed(source: Wrist, force_n: float) -> np.ndarray[Any, Any]:
+    """Return the next 20 ms of all channels at a set-point."""
+    source.press(force_n)
+    return source.take(20)
 
 
 def test_the_pulse_is_highest_at_the_mean_arterial_pressure_and_has_the_scenes_height() -> None:
@@ -52,6 +58,25 @@ def test_the_load_cell_measures_the_static_force_and_the_pulse() -> None:
     assert float(np.ptp(cell)) > 0.8 * float(np.ptp(pulse))
 
 
+def test_an_ecg_announces_each_beat_and_leaves_the_pulse_as_it_is() -> None:
+    pulse = {"kind": "synthetic", "announce": {"transit": "180 ms", "noise": "0 V"}}
+    plain, announced = wrist(), wrist(pulse=pulse)
+    assert [channel.name for channel in announced.channels] == ["pulse", "hold-down", "announce"]
+    alone, values = (
+        np.concatenate([pressed(source, 1.0) for _ in range(500)]) for source in (plain, announced)
+    )
+    np.testing.assert_array_equal(values[:, :2], alone)
+    film, _, ecg_mv = values[2000:].T
+    onsets = [beat.onset_ns * 1e-6 for beat in find_beats(film, 1000)]
+    peaks = [t for t in range(1, len(film) - 1) if ecg_mv[t - 1] < ecg_mv[t] >= ecg_mv[t + 1]]
+    r_waves = [t for t in peaks if ecg_mv[t] > 0.7 * ecg_mv.max()]
+    assert len(onsets) > 5
+    # An onset is found a little after the transit time, where the pulse has begun to rise.
+    transits = [onset - max(t for t in r_waves if t < onset - 100) for onset in onsets]
+    assert 180 < min(transits)
+    assert max(transits) < min(transits) + 5 < 230
+
+
 def test_off_the_wrist_nothing_is_measured() -> None:
     values = wrist(cell_noise="0 N").take(1000)
     assert not values.any()
@@ -70,10 +95,6 @@ def test_blocks_of_any_size_give_the_same_samples() -> None:
         (
             {"pulse": {"kind": "synthetic", "position": [{"name": "cun"}]}},
             "a wrist is pressed at one position",
-        ),
-        (
-            {"pulse": {"kind": "synthetic", "announce": {"transit": "180 ms"}}},
-            "a modelled wrist has no ECG; leave announce out",
         ),
     ],
 )
