@@ -31,10 +31,10 @@ class WristScene(SourceScene):
     """The `source` table of kind "wrist".
 
     pulse: the waveform of the arterial pressure, a synthetic pulse; its height is that from
-    diastolic to systolic. With `announce` the stream has an ECG besides. peak_to_peak: height of the pulse at the film at the best hold-down.
-    probe_radius: its area turns force into pressure at the artery. knee and length: law of the
-    tissue under the probe, F = knee · (exp(depth / length) − 1). noise and cell_noise: of the film
-    and of the load cell.
+    diastolic to systolic. With `announce` the stream has an ECG besides. peak_to_peak: height of
+    the pulse at the film at the best hold-down. probe_radius: its area turns force into pressure at
+    the artery. knee and length: law of the tissue under the probe, F = knee · (exp(depth / length)
+    − 1). noise and cell_noise: of the film and of the load cell.
     """
 
     pressable: ClassVar[bool] = True
