@@ -67,12 +67,13 @@ def integrators(out: FolderOption = Path("out/integrators"), json: TablesOption 
 
     Takes about half a minute. python-control is included if it is installed.
     """
-    from telepulse.reports.studies import integrator_study as study
+    from telepulse.reports.studies import integrator_scores as study
+    from telepulse.reports.studies.integrator_report import report_integrators
     from telepulse.reports.studies.sweep import in_one_thread
 
     effort = study.IntegratorEffort()
     publish(
-        lambda: study.report_integrators(in_one_thread(study.score_integrators, effort), effort),
+        lambda: report_integrators(in_one_thread(study.score_integrators, effort), effort),
         out,
         json,
     )
@@ -90,10 +91,11 @@ def playout(
 
     Uses all cores; takes about a minute on two.
     """
-    from telepulse.reports.studies import playout_study as study
+    from telepulse.reports.studies import playout_scores as study
+    from telepulse.reports.studies.playout_report import report_playout
 
     effort = study.PlayoutEffort(curves=study.CURVES)
-    publish(lambda: study.report_playout(study.score_playout(effort, scheduler), effort), out, json)
+    publish(lambda: report_playout(study.score_playout(effort, scheduler), effort), out, json)
 
 
 @app.command()

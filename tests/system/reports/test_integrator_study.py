@@ -3,12 +3,11 @@ import sys
 import pytest
 
 from telepulse.reports.document import Report
-from telepulse.reports.studies.integrator_study import (
+from telepulse.reports.studies.integrator_report import NOT_INSTALLED, report_integrators
+from telepulse.reports.studies.integrator_scores import (
     CONTROL,
     DEFAULT,
-    NOT_INSTALLED,
     IntegratorEffort,
-    report_integrators,
     score_integrators,
 )
 from telepulse.reports.studies.sweep import in_one_thread

@@ -3,17 +3,16 @@ import pytest
 from telepulse.reports.document import Report
 from telepulse.reports.notation import percent
 from telepulse.reports.studies.playout_links import DENSE, GAUSSIAN, SHORT_BURSTS, TCP
-from telepulse.reports.studies.playout_study import (
+from telepulse.reports.studies.playout_report import UNCOVERED, report_playout
+from telepulse.reports.studies.playout_scores import (
     MOVING,
     OURS,
     RULES,
     TARGETS,
-    UNCOVERED,
     PlayoutEffort,
     PlayoutScores,
     RuleOnLink,
     compare_targets,
-    report_playout,
     score_playout,
     score_rule,
 )

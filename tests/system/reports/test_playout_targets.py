@@ -12,7 +12,7 @@ from telepulse.reports.studies.playout_links import (
     make_trace,
 )
 from telepulse.reports.studies.playout_rules import play
-from telepulse.reports.studies.playout_study import CONSTANT, TARGETS
+from telepulse.reports.studies.playout_scores import CONSTANT, TARGETS
 
 # A third of the study's; bursts come every 12 s, and need all of it.
 SECONDS, BURSTS_SECONDS = 100.0, 300.0

@@ -11,9 +11,9 @@ from telepulse.cli.main import app
 from telepulse.reports.document import THEMES
 from telepulse.reports.studies import (
     cost_scores,
-    integrator_study,
+    integrator_scores,
     link_scores,
-    playout_study,
+    playout_scores,
     prediction_study,
     sweep,
 )
@@ -34,14 +34,14 @@ def little_work(monkeypatch: pytest.MonkeyPatch) -> None:
     alone, links, playout = (
         sweep.in_one_thread,
         link_scores.score_links,
-        playout_study.score_playout,
+        playout_scores.score_playout,
     )
-    integrators = integrator_study.IntegratorEffort(
+    integrators = integrator_scores.IntegratorEffort(
         seconds=0.1, rounds=1, substeps=(1,), solvers=(), rotor_seconds=0.02
     )
     link = link_scores.LinkEffort(seconds=1, settle_seconds=1, seeds=(1,), links=("far",))
     far = LinkSpec("delay=40ms,jitter=1ms", (0.0, 80.0))
-    play = playout_study.PlayoutEffort(
+    play = playout_scores.PlayoutEffort(
         seconds=3, scan=2, bisections=1, links=(GAUSSIAN,), curves=(GAUSSIAN,)
     )
     costs, cost = cost_scores.score_costs, test_cost_study.LITTLE
@@ -50,14 +50,14 @@ def little_work(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(link_scores, "pulses", lambda *_, **__: [])
     monkeypatch.setitem(link_scores.LINKS, "far", far)
     monkeypatch.setattr(link_scores, "score_links", lambda _, address: links(link, address))
-    monkeypatch.setattr(playout_study, "score_playout", lambda _, address: playout(play, address))
+    monkeypatch.setattr(playout_scores, "score_playout", lambda _, address: playout(play, address))
     monkeypatch.setattr(prediction_study, "score_predictors", lambda *_: made_up())
 
 
 @pytest.mark.parametrize(
     ("name", "plots", "column", "cells"),
     [
-        ("integrators", ("work-precision",), "integrator", [integrator_study.DEFAULT, "RK4 × 1"]),
+        ("integrators", ("work-precision",), "integrator", [integrator_scores.DEFAULT, "RK4 × 1"]),
         ("playout", ("playout-1",), "rule", ["best constant", "best moving, 5 %", "ours"]),
         ("prediction", ("error-horizon", "cost-error"), "predictor", ["hold", "linear"]),
         ("cost", ("cost-1",), "predictor", ["hold"]),
@@ -97,7 +97,7 @@ def test_a_study_prints_its_tables_and_writes_page_pictures_and_json(
 
 @pytest.fixture
 def no_work(monkeypatch: pytest.MonkeyPatch) -> None:
-    for module, work in ((sweep, "in_one_thread"), (playout_study, "score_playout")):
+    for module, work in ((sweep, "in_one_thread"), (playout_scores, "score_playout")):
         monkeypatch.setattr(module, work, lambda *_: pytest.fail("it went to work"))
 
 

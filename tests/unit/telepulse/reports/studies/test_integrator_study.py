@@ -3,13 +3,8 @@ import math
 import pytest
 
 from telepulse.reports.paper.explicit_loop import Step
-from telepulse.reports.studies.integrator_study import (
-    ROUNDING,
-    IntegratorPoint,
-    beaten_by,
-    costs_us,
-    verdict,
-)
+from telepulse.reports.studies.integrator_report import ROUNDING, beaten_by, verdict
+from telepulse.reports.studies.integrator_scores import IntegratorPoint, costs_us
 
 FAST = IntegratorPoint("fast", "fast", 1e-3, 0.1)
 MIDDLE = IntegratorPoint("middle", "middle × 2", 1e-6, 1.0)
