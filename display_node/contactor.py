@@ -14,7 +14,6 @@ from display_node.prediction import Linear, Predictor
 from display_node.prediction.concealment import Concealment
 from display_node.press.local_press import LocalPress
 from display_node.press.yielding_tip import YieldingTip
-from display_node.reception.jitter_buffer import JitterBuffer
 from display_node.scene import DisplayScene
 from display_node.scoring.beat_statistics import BeatStatistics
 from display_node.scoring.prediction_score import PredictionScore
@@ -46,6 +45,8 @@ class Contactor:
     ----------
     feedback
         Readings of a real film, which replace those of the scene's models.
+    count
+        Number of values of the reference, one a tick: the present one and the loop's horizon.
     force_ratio
         Force at the finger per force at the wrist that makes both strains equal.
     lead_ns
@@ -78,7 +79,7 @@ class Contactor:
         self._gain = self._added_m_per_s = self._rendered_n = 0.0
         # Copies: attributes of a scene take longer to read.
         self._tick_ns = scene.tick_ns
-        self._count = self.loop.horizon + 1
+        self.count = self.loop.horizon + 1
         self._target = delay_line(self.loop.lead_ns / scene.tick_ns)
         self._group_delay_ns = 0
         self._concealment = Concealment(Linear(0), scene.tick_ns)
@@ -139,19 +140,21 @@ class Contactor:
 
     def rest(self, now_ns: int) -> None:
         """Request no force in this tick, since no stream is played."""
-        self._reference_n = [0.0] * self._count
+        self._reference_n = [0.0] * self.count
         state = self.state
         state.now_ns, state.predictor_error_n, state.trusted = now_ns, math.nan, False
 
     def play(
-        self, buffer: JitterBuffer, place: int, newest_ns: int, full: bool | None
+        self, wrist_n: list[float], sampled_ns: int, newest_ns: int, full: bool | None
     ) -> int | None:
-        """Compute the reference of this tick for the state's instant of the pulse.
+        """Compute the reference of this tick.
 
         Parameters
         ----------
-        place
-            Place of the channel in the buffer.
+        wrist_n
+            Received force at the wrist in N, one a tick: at most `count` values.
+        sampled_ns
+            Time of the first of them: of the sample that shows the played instant.
         newest_ns
             Time of the newest sample.
         full
@@ -163,24 +166,24 @@ class Contactor:
             The time in ns over which the force was predicted, 0 for a received one; None before
             the first sample, where no force is requested.
         """
-        concealment, count, state = self._concealment, self._count, self.state
-        sampled_ns = state.instant_ns + self.lead_ns
-        wrist_n = buffer.known(self._tick_ns, count, place, sampled_ns)
+        concealment, count, ratio = self._concealment, self.count, self.force_ratio
+        predicted_ns, expected_n = 0, math.nan
         concealment.work()
-        if not wrist_n and sampled_ns < newest_ns:
-            self._reference_n, state.predictor_error_n = [0.0] * count, math.nan
-            return None
-        ratio, predicted_ns, expected_n = self.force_ratio, 0, math.nan
         if not wrist_n:
+            if sampled_ns < newest_ns:
+                self._reference_n, self.state.predictor_error_n = [0.0] * count, math.nan
+                return None
             predicted_ns = sampled_ns - newest_ns
             error_n = concealment.error_n(predicted_ns)
-            expected_n = math.nan if error_n is None else ratio * error_n
-        state.predictor_error_n = expected_n
-        wrist_n = concealment.complete(wrist_n, count, sampled_ns, newest_ns)
-        if full is not None and concealment.acts:
-            self._prediction.add_output(
-                sampled_ns, wrist_n[0], concealment.offset_n, concealment.height_n, full
-            )
+            if error_n is not None:
+                expected_n = ratio * error_n
+        self.state.predictor_error_n = expected_n
+        if concealment.acts or len(wrist_n) < count:
+            wrist_n = concealment.complete(wrist_n, count, sampled_ns, newest_ns)
+            if full is not None and concealment.acts:
+                self._prediction.add_output(
+                    sampled_ns, wrist_n[0], concealment.offset_n, concealment.height_n, full
+                )
         if self.press is None:
             self._reference_n = [ratio * force_n for force_n in wrist_n]
         else:

@@ -60,6 +60,10 @@ class Display:
         # the first exchanges of the clock.
         scene.predictor.build(scene.tick_ns, 1)
         self.states = [contactor.state for contactor in self.contactors]
+        # Those that play on a real bench, and those that play the same samples: their lead,
+        # number of values and places in the buffer.
+        self._driven: list[Contactor] = []
+        self._groups: list[tuple[int, int, list[int], list[Contactor]]] = []
         errors = (contactor.tracking_error for contactor in self.contactors)
         self.tracking_errors = [error for error in errors if error is not None]
         self._playout = PlayoutClock()
@@ -91,6 +95,7 @@ class Display:
         for contactor, hardware in zip(self.contactors, benches, strict=True):
             if hardware is not None:
                 contactor.use(hardware)
+                self._driven.append(contactor)
 
     @property
     def state(self) -> str:
@@ -145,6 +150,7 @@ class Display:
                 contactor.begin(description, predictor)
             announced = self._scene.announce == "auto" and description.announcing is not None
             self._announcement = BeatAnnouncement(predictors[0]) if announced else None
+            self._groups = self._group()
             self._lead_ns = max(contactor.lead_ns for contactor in self.contactors)
             self._reach_ns = max(contactor.reach_ns for contactor in self.contactors)
             self._reserve_ns = max(contactor.reserve_ns for contactor in self.contactors)
@@ -183,7 +189,7 @@ class Display:
         Returns the state of the first contactor.
         """
         contactors, safety = self.contactors, self.safety
-        for contactor in contactors:
+        for contactor in self._driven:
             contactor.follow(now_ns, elapsed_ticks, safety)
         alive = self._play(now_ns)
         for contactor in contactors:
@@ -236,18 +242,31 @@ class Display:
         buffer.advance(sampled_ns, alive and trusted)
         full = self.safety.gain == 1.0 if alive else None
         longest_ns = 0
-        for place, contactor in enumerate(contactors):
-            state = contactor.state
-            state.now_ns, state.sensing_now_ns = now_ns, sensing_now_ns
-            state.instant_ns, state.trusted = instant_ns, trusted
-            predicted_ns = contactor.play(buffer, place, newest_ns, full)
-            if predicted_ns is None:
-                alive = False
-            elif predicted_ns > longest_ns:
-                longest_ns = predicted_ns
+        for lead_ns, count, places, group in self._groups:
+            sampled_ns = instant_ns + lead_ns
+            received = buffer.known_each(self._tick_ns, count, sampled_ns, places)
+            for contactor, wrist_n in zip(group, received, strict=True):
+                state = contactor.state
+                state.now_ns, state.sensing_now_ns = now_ns, sensing_now_ns
+                state.instant_ns, state.trusted = instant_ns, trusted
+                predicted_ns = contactor.play(wrist_n, sampled_ns, newest_ns, full)
+                if predicted_ns is None:
+                    alive = False
+                elif predicted_ns > longest_ns:
+                    longest_ns = predicted_ns
         if alive:
             self._delays.add(sensing_now_ns - instant_ns, longest_ns, trusted)
         return alive
+
+    def _group(self) -> list[tuple[int, int, list[int], list[Contactor]]]:
+        """Return the contactors by the samples that they play: their lead and number of values."""
+        groups: dict[tuple[int, int], tuple[list[int], list[Contactor]]] = {}
+        for place, contactor in enumerate(self.contactors):
+            key = contactor.lead_ns, contactor.count
+            places, group = groups.setdefault(key, ([], []))
+            places.append(place)
+            group.append(contactor)
+        return [(*key, *members) for key, members in groups.items()]
 
     def _build_trust(self) -> Trust | None:
         """Return the trust in the predictor; None where E is fixed, or its errors are unknown."""

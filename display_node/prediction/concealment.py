@@ -65,13 +65,15 @@ class Blend:
     def _offset_at(self, force_n: float, instant_ns: int) -> float:
         """Return the rest of the decaying offset plus the jump from the last path to this force."""
         path_n = self._path_n
-        ticks = (instant_ns - self._instant_ns) / self._tick_ns
+        ticks, count = (instant_ns - self._instant_ns) / self._tick_ns, len(path_n)
         # After missed ticks or a jump of the playout, the paths do not overlap.
-        if not 0 < ticks < len(path_n):
+        if not 0 < ticks < count:
             return 0.0
-        before = min(int(ticks), len(path_n) - 2)
-        start_n, end_n = path_n[before : before + 2]
-        expected_n = start_n + (ticks - before) * (end_n - start_n)
+        before = int(ticks)
+        if before > count - 2:
+            before = count - 2
+        start_n = path_n[before]
+        expected_n = start_n + (ticks - before) * (path_n[before + 1] - start_n)
         offset_n = self.offset_n * self._kept**ticks + expected_n - force_n
         return offset_n if math.isfinite(offset_n) else 0.0
 
@@ -80,6 +82,9 @@ class Concealment:
     """Prediction of one channel where no sample has arrived, blended with the received force.
 
     Forces are those at the wrist, in N. Times are on the sensing clock. predictor: of the channel.
+    acts: whether the force is predicted, or is still blended into the received one. offset_n: the
+    part of the last force that the blend removes. height_n: the pulse's height from foot to peak;
+    None while unknown.
     """
 
     def __init__(self, predictor: Predictor, tick_ns: int) -> None:
@@ -87,6 +92,9 @@ class Concealment:
         self._predictor = predictor
         self._blend = Blend(tick_ns)
         self._size = PulseSize()
+        # Attributes, and no properties: these are read each tick.
+        self.acts, self.offset_n = False, 0.0
+        self.height_n: float | None = None
         self.work = self._predictor.work
         self.error_n = self._predictor.error_n
 
@@ -96,36 +104,24 @@ class Concealment:
 
         Empty where they are unknown.
         """
-        size_n = self._size.size
+        size_n = self.height_n
         if not size_n:
             return []
         scale = 1 / (size_n * size_n)
         return [square_n2 * scale for square_n2 in self._predictor.squares_n2]
 
-    @property
-    def height_n(self) -> float | None:
-        """The pulse's height from foot to peak in N; None while unknown."""
-        return self._size.size
-
-    @property
-    def offset_n(self) -> float:
-        """The part of the last force that the blend removes, in N."""
-        return self._blend.offset_n
-
-    @property
-    def acts(self) -> bool:
-        """True while the force is predicted, or is still blended into the received one."""
-        return self._blend.busy
-
     def observe(self, samples: ChannelSamples) -> None:
         """Take the samples of a frame, late or not."""
         self._predictor.observe(samples.times_ns, samples.forces_n)
         self._size.observe(samples.times_ns[0], samples.forces_n)
+        self.height_n = self._size.size
 
     def complete(
         self, path_n: list[float], count: int, instant_ns: int, newest_ns: int
     ) -> list[float]:
         """Return the force at `count` instants, one a tick from instant_ns on, without a jump.
+
+        Call it while the prediction `acts`, and where a value is missing.
 
         Parameters
         ----------
@@ -134,9 +130,9 @@ class Concealment:
         newest_ns
             Time of the newest sample.
         """
-        known = len(path_n)
-        if known == count and not self._blend.busy:
-            return path_n
-        predict, tick_ns = self._predictor.predict, self._tick_ns
-        path_n += [predict(instant_ns + step * tick_ns) for step in range(known, count)]
-        return self._blend.apply(path_n, instant_ns, newest_ns)
+        predict, tick_ns, blend = self._predictor.predict, self._tick_ns, self._blend
+        for step in range(len(path_n), count):
+            path_n.append(predict(instant_ns + step * tick_ns))
+        path_n = blend.apply(path_n, instant_ns, newest_ns)
+        self.acts, self.offset_n = blend.busy, blend.offset_n
+        return path_n

@@ -8,7 +8,7 @@ that arrive later are kept as well: after a jump back of the playout they are pl
 
 from bisect import bisect_left, bisect_right
 from collections.abc import Sequence
-from dataclasses import astuple, dataclass
+from dataclasses import astuple, dataclass, replace
 from operator import add
 from typing import Final
 
@@ -49,11 +49,9 @@ class SampleAccount:
 class _Arrivals:
     """Samples that arrived after the buffer's instant, as a contactor met them.
 
-    lag_ns: time by which the contactor plays later than the buffer's instant. in_time: those that
-    arrived before the contactor's own instant.
+    in_time: those that arrived before the contactor's own instant.
     """
 
-    lag_ns: int
     in_time: int = 0
     predicted: int = 0
     late: int = 0
@@ -97,7 +95,10 @@ class JitterBuffer:
         self._period_ns = 1
         self._end_index: int | None = None
         self._played = self._predicted = self._late = 0
-        self._arrivals: list[_Arrivals] = []
+        # Lag of each contactor that `follow` names, and the accounts by lag. Without a lag, the
+        # account is the buffer's own.
+        self._lags_ns: list[int] = []
+        self._arrivals: dict[int, _Arrivals] = {}
         self.newest_ns: int | None = None
         self.frames = self.reordered = 0
         self.ended = False
@@ -136,8 +137,8 @@ class JitterBuffer:
             self._predicted += predicted
             self._late += passed - predicted
             self._settled += passed
-            for arrivals in self._arrivals:
-                self._judge(times[:passed], arrivals)
+            for lag_ns, arrivals in self._arrivals.items():
+                self._judge(times[:passed], lag_ns, arrivals)
         if len(self._times) > 2 * KEEP_SAMPLES:
             self._trim()
 
@@ -146,11 +147,11 @@ class JitterBuffer:
 
         lags_ns: time in ns by which each plays a sample after the instant of `advance`.
         """
-        self._arrivals = [_Arrivals(lag_ns) for lag_ns in lags_ns]
+        self._lags_ns = list(lags_ns)
+        self._arrivals = {lag_ns: _Arrivals() for lag_ns in lags_ns if lag_ns}
 
-    def _judge(self, times: list[int], arrivals: _Arrivals) -> None:
+    def _judge(self, times: list[int], lag_ns: int, arrivals: _Arrivals) -> None:
         """Count samples that arrived after the buffer's instant by a contactor's own instant."""
-        lag_ns = arrivals.lag_ns
         passed = bisect_right(times, self._passed_ns - lag_ns)
         arrivals.in_time += len(times) - passed
         if passed:
@@ -219,40 +220,58 @@ class JitterBuffer:
     def known(
         self, step_ns: int, count: int, channel: int = 0, begin_ns: int | None = None
     ) -> list[float]:
-        """Return `count` values of a channel, `step_ns` apart.
+        """Return `count` values of a channel, `step_ns` apart, as `known_each` does.
 
-        They are interpolated linearly. The list ends at the newest sample, and is empty before the
-        first one.
-
-        Parameters
-        ----------
-        channel
-            Place of the channel in the arguments of `put`.
-        begin_ns
-            Time of the first value, not after the played instant; None for that instant.
+        begin_ns: time of the first value; None for the played instant.
         """
-        times, position = self._times, self._settled
+        begin_ns = self._instant_ns if begin_ns is None else begin_ns
+        return [] if begin_ns is None else self.known_each(step_ns, count, begin_ns, [channel])[0]
+
+    def known_each(
+        self, step_ns: int, count: int, begin_ns: int, channels: Sequence[int]
+    ) -> list[list[float]]:
+        """Return `count` values of each of some channels, `step_ns` apart.
+
+        They are interpolated linearly. The lists end at the newest sample, and are empty before the
+        first one. begin_ns: time of the first value, not after the played instant. channels: places
+        of the channels in the arguments of `put`.
+        """
+        times, position, t_ns = self._times, self._settled, begin_ns
         length = len(times)
-        t_ns = self._instant_ns if begin_ns is None else begin_ns
-        if t_ns is not None and t_ns < self._passed_ns:
+        if t_ns < self._passed_ns:
             position = bisect_right(times, t_ns)
-        if t_ns is None or not position:
-            return []
-        values = self._channels[channel]
-        result = []
+        if not position:
+            return [[] for _ in channels]
+        values, several, at_newest = self._channels[channels[0]], len(channels) > 1, False
+        result: list[float] = []
+        # Positions and shares, which are the same for all channels.
+        places: list[tuple[int, float]] = []
         for _ in range(count):
             while position < length and times[position] <= t_ns:
                 position += 1
             before_ns = times[position - 1]
             if position == length:
                 if before_ns == t_ns:
+                    at_newest = True
                     result.append(values[-1])
                 break
             share = (t_ns - before_ns) / (times[position] - before_ns)
             before = values[position - 1]
             result.append(before + share * (values[position] - before))
+            if several:
+                places.append((position, share))
             t_ns += step_ns
-        return result
+        results = [result]
+        for channel in channels[1:] if several else ():
+            values = self._channels[channel]
+            result = []
+            for position, share in places:
+                before = values[position - 1]
+                result.append(before + share * (values[position] - before))
+            if at_newest:
+                result.append(values[-1])
+            results.append(result)
+        return results
 
     def end(self, samples_sent: int, now_ns: int | None) -> None:
         """End the session after `samples_sent` samples; those that are missing count as lost.
@@ -300,16 +319,16 @@ class JitterBuffer:
         The instant of up to its lag's samples, which count as played, is still to come.
         """
         whole = self.account()
-        return [
-            SampleAccount(
-                whole.sent,
-                whole.played + each.in_time,
-                each.predicted,
-                each.late,
-                whole.before_joining,
+        accounts = {
+            lag_ns: replace(
+                whole,
+                played=whole.played + each.in_time,
+                predicted=each.predicted,
+                late=each.late,
             )
-            for each in self._arrivals
-        ]
+            for lag_ns, each in self._arrivals.items()
+        }
+        return [accounts.get(lag_ns, whole) for lag_ns in self._lags_ns]
 
     def successor(self) -> "JitterBuffer":
         """Return an empty buffer that continues the account after the last settled sample.
@@ -319,7 +338,7 @@ class JitterBuffer:
         first = self._first_index
         begin_index = None if first is None else first + self.account().sent
         following = JitterBuffer(begin_index)
-        following.follow([each.lag_ns for each in self._arrivals])
+        following.follow(self._lags_ns)
         return following
 
 

@@ -341,6 +341,19 @@ def test_one_channel_is_played(channel: int, order: int) -> None:
     assert buffer.known(MS, 4) == [n * 10.0**channel for n in (1, 2, 3, 4)]
 
 
+@pytest.mark.parametrize("instant_ms", [-1.0, 0.0, 1.25, 3.0])
+@pytest.mark.parametrize("step_ns", [MS // 2, MS])
+def test_channels_read_together_are_those_read_alone(instant_ms: float, step_ns: int) -> None:
+    frame = channel_samples(0, 0, MS, [1.0, 4.0, 9.0, 16.0])
+    buffer = JitterBuffer()
+    buffer.put(frame, frame._replace(forces_n=[0.1, 0.7, 0.3, 0.9]), frame)
+    buffer.advance(4 * MS)
+    begin_ns = round(instant_ms * MS)
+    together = buffer.known_each(step_ns, 4, begin_ns, [1, 2, 0])
+    assert together == [buffer.known(step_ns, 4, channel, begin_ns) for channel in (1, 2, 0)]
+    assert together[1] == together[2] != together[0] or not together[0]
+
+
 @pytest.mark.parametrize("seed", range(8))
 def test_each_contactors_account_is_that_of_a_buffer_of_its_own(seed: int) -> None:
     """The account of a contactor that plays later is that of a buffer that plays later."""
