@@ -63,9 +63,8 @@ class StallGuard:
 
     def tick(self, missed_ticks: int, wanted_n: float) -> None:
         """Advance one tick after missed ones; `wanted_n` is the reference force in N."""
-        self.peak_n *= self._worst
-        if wanted_n > self.peak_n:
-            self.peak_n = wanted_n
+        peak_n = self._worst * self.peak_n
+        self.peak_n = wanted_n if wanted_n > peak_n else peak_n
         if not (missed_ticks or self._longest_s):
             return
         hold = missed_ticks + 1
@@ -158,17 +157,22 @@ class StepperController:
         """
         path, observer, guard, law = self._path, self._observer, self._guard, self._law
         guard.tick(self._missed_ticks, reference_n[0])
-        feed = self._feed_forward(reference_n)
+        held_s, limits, feed = guard.held_s, guard.limits, 0.0
+        if path is not None:
+            if path.shaped:
+                feed = self._advance_shaped(path, reference_n)
+            else:
+                feed = path.advance(reference_n, held_s)
         self._missed_ticks = 0
         if path is not None and observer is not None:
             observer.correct(reading_n)
             screw_m = observer.screw_m
-            error, response = path.screw_m - screw_m, guard.held_s
+            error, response = path.screw_m - screw_m, held_s
         else:
             if reading_n == reading_n:
                 self._last_reading_n = reading_n
             last_n = self._last_reading_n
-            screw_m = law.position(last_n) if self._unit is None or guard.limits else 0.0
+            screw_m = law.position(last_n) if self._unit is None or limits else 0.0
             # A reading is compared with the reference at the time of the command that caused it.
             self._wanted_n = reference_n[1]
             if path is not None and path.shaped:
@@ -178,12 +182,12 @@ class StepperController:
                 # The path has this position already.
                 given = path is not None and self._late is None
                 wanted_m = path.tip_m if path is not None and given else law.position(wanted_n)
-                error, response = wanted_m - screw_m, guard.held_s
+                error, response = wanted_m - screw_m, held_s
             else:
                 error = self._unit * (wanted_n - last_n)
-                response = self._unit * law.stiffness(last_n) * guard.held_s
+                response = self._unit * law.stiffness(last_n) * held_s
         if path is not None and path.further_m:
-            error += response / guard.held_s * path.further_m
+            error += response / held_s * path.further_m
         # The slew limit also holds while the loop catches up. A reading above the reference may
         # mean a stiffer contact, so it counts, but at most up to the recent peak.
         stiffest_n = reference_n[0]
@@ -191,20 +195,16 @@ class StepperController:
             stiffest_n = min(reading_n, guard.peak_n)
         self._stiffest_n = stiffest_n
         fastest = pressing = self._slew_limit_n_per_s / (law.stiffness(stiffest_n) or 1e-9)
-        if guard.limits:
+        if limits:
             pressing = min(fastest, guard.fastest(screw_m))
         speed_m_per_s = self._pid.step(error, response, feed, -fastest, pressing)
         if observer is not None:
             observer.move(speed_m_per_s * self._steps_per_m)
         return speed_m_per_s
 
-    def _feed_forward(self, reference_n: list[float]) -> float:
-        """Return the speed in m/s of the reference's own motion, for this tick."""
-        path, law, held_s = self._path, self._law, self._guard.held_s
-        if path is None:
-            return 0.0
-        if not path.shaped:
-            return path.advance(reference_n, held_s)
+    def _advance_shaped(self, path: ScrewPath, reference_n: list[float]) -> float:
+        """Return the speed in m/s of a shaped path, for this tick."""
+        law, held_s = self._law, self._guard.held_s
         stiffest_n = max(reference_n[0], reference_n[1], self._stiffest_n)
         slew_n_per_s = SHAPED_SHARE * self._slew_limit_n_per_s
         fastest = min(self._max_speed_m_per_s, slew_n_per_s / (law.stiffness(stiffest_n) or 1e-9))

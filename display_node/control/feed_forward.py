@@ -83,8 +83,10 @@ class ScrewPath:
             Bounds of a shaped path: of the screw's speed, and of the tip's position in m.
         """
         position = self._law.position
-        before_m, tip_m = position(reference_n[0]), position(reference_n[1])
-        screw_m, offset_m, shaper = tip_m, 0.0, self._shaper
+        tip_m = screw_m = before_m = position(reference_n[1])
+        offset_m, shaper, holds = 0.0, self._shaper, held_s > self._tick_s
+        if holds or self._inverse is not None or self._fed_m is None:
+            before_m = position(reference_n[0])
         if self._inverse is not None:
             # The inverse x + (2ζ/ω) x' + x''/ω² is exact in continuous time, without zeros.
             slope, bend = self._inverse
@@ -109,11 +111,12 @@ class ScrewPath:
             tip_m = self._backlash.step(self._rotor.step(self.screw_m, screw_m))
             travel_m = (screw_m - self.screw_m) / ticks
         self.tip_m, self.screw_m, self.further_m = tip_m, screw_m, 0.0
-        if held_s > self._tick_s:
+        if holds:
             # A pulse's slope is no prediction for more than one further tick.
             slope_m_per_s = travel_m / self._tick_s
             self.further_m = slope_m_per_s * min(held_s - self._tick_s, self._tick_s)
-        speed_m_per_s = (screw_m + self.further_m - self._fed_m) / max(held_s, self._tick_s)
+        held_s = held_s if holds else self._tick_s
+        speed_m_per_s = (screw_m + self.further_m - self._fed_m) / held_s
         self._fed_m += speed_m_per_s * self._tick_s
         return speed_m_per_s
 

@@ -26,7 +26,9 @@ class ForceLoop:
     Parameters
     ----------
     actuator
-        Function that runs the actuator for a tick under an output, and returns the felt force in N.
+        Function that runs the actuator for a tick under an input, and returns the felt force in N.
+    input_per_output
+        The actuator's input for each unit of the controller's output.
     overforce_n
         Readings beyond ±overforce_n are ignored.
     lead_ns
@@ -51,6 +53,7 @@ class ForceLoop:
         self,
         controller: StepperController | VoltageController,
         actuator: Callable[[float], float],
+        input_per_output: float,
         film: FeedbackFilm,
         overforce_n: float,
         tick_s: float,
@@ -63,6 +66,7 @@ class ForceLoop:
         self._overforce_n = overforce_n
         self._controller = controller
         self._actuator = actuator
+        self._input_per_output = input_per_output
         self._film = film
         self._watchdog_ticks = round(WATCHDOG_S / tick_s)
         self.output = 0.0
@@ -82,7 +86,7 @@ class ForceLoop:
                 self.output = 0.0
             self.read_film()
             self._controller.skip(self.output)
-            self.felt_n = self._actuator(self.output)
+            self.felt_n = self._actuator(self._input_per_output * self.output)
 
     def read_film(self) -> float:
         """Return the film's reading of the felt force, in N. Call it once before each tick."""
@@ -100,8 +104,8 @@ class ForceLoop:
         """
         if not -self._overforce_n <= reading_n <= self._overforce_n:
             reading_n = math.nan
-        self.output = self._controller.output(reference_n, reading_n)
-        self.felt_n = self._actuator(self.output)
+        self.output = output = self._controller.output(reference_n, reading_n)
+        self.felt_n = self._actuator(self._input_per_output * output)
         return self.felt_n
 
     def shift(self, travel_m: float) -> None:
@@ -155,7 +159,7 @@ def build_force_loop(
         voltage = VoltageController(
             controller, actuator.build(tick_s), actuator.output_limit, film, tick_s
         )
-        return ForceLoop(voltage, plant.step, reading, overforce_n, tick_s)
+        return ForceLoop(voltage, plant.step, 1.0, reading, overforce_n, tick_s)
     truth = stepper_scene if actual is None or actual.stepper is None else actual.stepper
     stepper = Stepper(truth, truth.contact(layer), force_limit_n, tick_s)
     law = stepper_scene.contact(layer)
@@ -164,9 +168,7 @@ def build_force_loop(
     )
     # Not that of the actual actuator, which may move differently.
     steps_per_m = stepper_scene.steps_per_m
-
-    def move(speed_m_per_s: float) -> float:
-        return stepper.step(speed_m_per_s * steps_per_m)
-
     lead_ns = stepper_scene.latency_ns + round(speed.lead_s * 1e9)
-    return ForceLoop(speed, move, reading, overforce_n, tick_s, lead_ns, stepper.at_end)
+    return ForceLoop(
+        speed, stepper.step, steps_per_m, reading, overforce_n, tick_s, lead_ns, stepper.at_end
+    )

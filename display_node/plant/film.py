@@ -33,6 +33,8 @@ class FeedbackFilm:
         self._late = delay_line(table.latency_ns * 1e-9 / tick_s)
         self._noise = _noise(table.noise_n, seed) if table.noise_n else None
         self._adc = Adc(table.adc_bits, table.adc_range_v) if table.adc_bits else None
+        parts = (self._low_pass, self._late, self._noise, self._adc)
+        self._ideal = all(part is None for part in parts)
         self._volts_per_newton = table.volts_per_newton
         self.at_range = None if self._adc is None else LimitCounter()
 
@@ -41,7 +43,7 @@ class FeedbackFilm:
 
         NaN and infinity are returned unchanged, so that safety detects them.
         """
-        if not math.isfinite(force_n):
+        if self._ideal or not math.isfinite(force_n):
             return force_n
         if self._late is not None:
             force_n = self._late.step(force_n)
