@@ -11,6 +11,7 @@ A predictor that learns nothing is a `Predictor`, like `Linear`; build it in `bu
 A predictor of another distribution is a kind of `PREDICTORS` (`scene.py`, `docs/howto/plugins.md`).
 """
 
+from bisect import bisect_left
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Literal, Protocol
 
@@ -69,12 +70,12 @@ class Linear(Predictor):
         self._samples: list[tuple[int, float]] = []
 
     def observe(self, times_ns: list[int], values: list[float]) -> None:
-        """Keep the newest samples in time order."""
-        in_order = not self._samples or times_ns[0] > self._samples[-1][0]
-        self._samples += zip(times_ns, values, strict=True)
-        if not in_order:
-            self._samples.sort()
-        del self._samples[:-KEEP]
+        """Keep the newest samples in time order; none may come between those of a call."""
+        samples, place = self._samples, len(self._samples)
+        if place and times_ns[0] < samples[-1][0]:
+            place = bisect_left(samples, (times_ns[0],))
+        samples[place:place] = zip(times_ns, values, strict=True)
+        del samples[:-KEEP]
 
     def predict(self, instant_ns: int) -> float:
         """Return the newest value, continued with the slope of the last 10 ms."""

@@ -6,7 +6,7 @@ rates this averages noise and aliasing; at low rates, and over short gaps, it in
 
 import math
 import statistics
-from bisect import bisect_left, bisect_right, insort
+from bisect import bisect_left, bisect_right
 from collections import deque
 from typing import NamedTuple
 
@@ -39,7 +39,8 @@ class Grid:
     """
 
     def __init__(self) -> None:
-        self._samples: list[tuple[int, float]] = []
+        self._times: list[int] = []
+        self._values: list[float] = []
         self._first_ns = self._first_number = 0
         self._end_ns: int | None = None
         self._count = 0
@@ -47,21 +48,24 @@ class Grid:
         self.corrections: list[GridCell] = []
 
     def observe(self, times_ns: list[int], values: list[float]) -> None:
-        """Take new samples, in order of time within the call. No sample may come twice."""
-        samples = self._samples
+        """Take new samples, in order of time. None may come twice, or between those of a call."""
+        times = self._times
         if self._end_ns is None:
             self._begin(times_ns[-1])
-        newest_ns = samples[-1][0] if samples else times_ns[0]
+        newest_ns = times[-1] if times else times_ns[0]
         if times_ns[0] < newest_ns:
             self._insert(times_ns, values)
             return
         if times_ns[0] - newest_ns > MAX_GAP_NS:
-            samples.clear()
+            times.clear()
+            self._values.clear()
             self._begin(times_ns[0])
-        samples.extend(zip(times_ns, values, strict=True))
+        times += times_ns
+        self._values += values
         self._complete()
-        if samples[-1][0] - samples[0][0] > 2 * KEEP_NS:
-            del samples[: bisect_left(samples, (samples[-1][0] - KEEP_NS,))]
+        if times[-1] - times[0] > 2 * KEEP_NS:
+            old = bisect_left(times, times[-1] - KEEP_NS)
+            del times[:old], self._values[:old]
 
     def _begin(self, end_ns: int) -> None:
         # Cells end with frames, so that a cell is complete when its frame arrives.
@@ -71,7 +75,7 @@ class Grid:
     def _complete(self) -> None:
         """Add the cells that the newest sample completes to `new_cells`."""
         end_ns = (self._end_ns or 0) + STEP_NS
-        while end_ns <= self._samples[-1][0]:
+        while end_ns <= self._times[-1]:
             self.new_cells.append(GridCell(self._count, end_ns, self._mean(end_ns)))
             self._end_ns = end_ns
             self._count += 1
@@ -79,18 +83,18 @@ class Grid:
 
     def _insert(self, times_ns: list[int], values: list[float]) -> None:
         """Insert late samples and recompute the cells that were interpolated without them."""
-        samples = self._samples
-        if times_ns[0] < samples[0][0]:
+        times, first_ns = self._times, self._first_ns
+        if times_ns[0] < times[0]:
             return
-        for sample in zip(times_ns, values, strict=True):
-            insort(samples, sample)
-        before = samples[max(0, bisect_left(samples, (times_ns[0],)) - 1)][0]
-        after = samples[min(len(samples) - 1, bisect_right(samples, (times_ns[-1] + 1,)))][0]
-        first = max(0, (before - self._first_ns) // STEP_NS)
-        last = min(self._count - self._first_number - 1, (after - self._first_ns) // STEP_NS)
+        place = bisect_left(times, times_ns[0])
+        times[place:place] = times_ns
+        self._values[place:place] = values
+        before, after = times[max(0, place - 1)], times[min(len(times) - 1, place + len(times_ns))]
+        first = max(0, (before - first_ns) // STEP_NS)
+        last = min(self._count - self._first_number - 1, (after - first_ns) // STEP_NS)
         for position in range(first, last + 1):
-            end_ns = self._first_ns + (position + 1) * STEP_NS
-            if end_ns - STEP_NS < samples[0][0]:
+            end_ns = first_ns + (position + 1) * STEP_NS
+            if end_ns - STEP_NS < times[0]:
                 continue
             cell = GridCell(self._first_number + position, end_ns, self._mean(end_ns))
             waiting = len(self.new_cells) - (self._count - cell.number)
@@ -101,22 +105,25 @@ class Grid:
         self._complete()
 
     def _mean(self, end_ns: int) -> float:
-        samples, start_ns = self._samples, end_ns - STEP_NS
-        first, last = bisect_right(samples, (start_ns + 1,)), bisect_left(samples, (end_ns,))
-        inner = samples[first:last]
+        times, values, start_ns = self._times, self._values, end_ns - STEP_NS
+        first = bisect_right(times, start_ns)
+        last = bisect_left(times, end_ns, first)
         t_ns, value = start_ns, self._interpolate(first, start_ns)
         area = 0.0
-        for next_ns, next_value in [*inner, (end_ns, self._interpolate(last, end_ns))]:
+        for place in range(first, last):
+            next_ns, next_value = times[place], values[place]
             area += (next_ns - t_ns) * 0.5 * (value + next_value)
             t_ns, value = next_ns, next_value
+        area += (end_ns - t_ns) * 0.5 * (value + self._interpolate(last, end_ns))
         return area / STEP_NS
 
     def _interpolate(self, position: int, t_ns: int) -> float:
         """Return the value at a time between samples `position` − 1 and `position`."""
-        after_ns, after = self._samples[min(position, len(self._samples) - 1)]
-        before_ns, before = self._samples[max(position - 1, 0)]
-        if after_ns == before_ns:
-            return after
+        times, values = self._times, self._values
+        if not position or position == len(times):
+            return values[position - 1 if position else 0]
+        after_ns, after = times[position], values[position]
+        before_ns, before = times[position - 1], values[position - 1]
         return before + (t_ns - before_ns) / (after_ns - before_ns) * (after - before)
 
 

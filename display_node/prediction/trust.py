@@ -33,7 +33,10 @@ class PulseSize:
         low, high = min(values), max(values)
         if self._begun_ns is not None:
             if t_ns - self._begun_ns < WINDOW_NS:
-                self._low, self._high = min(self._low, low), max(self._high, high)
+                if low < self._low:
+                    self._low = low
+                if high > self._high:
+                    self._high = high
                 return
             self._sizes.append(self._high - self._low)
             self.size = statistics.median(self._sizes)

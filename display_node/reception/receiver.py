@@ -257,8 +257,10 @@ class Receiver:
         first, *others = self.channels
         forces_n = list(numbers[first::channels])
         samples = [wire.channel_samples(first_sample, t_first_ns, period_ns, forces_n)]
+        times_ns = samples[0].times_ns
         for other in others:
-            samples.append(samples[0]._replace(forces_n=list(numbers[other::channels])))
+            forces_n = list(numbers[other::channels])
+            samples.append(wire.ChannelSamples(first_sample, period_ns, times_ns, forces_n))
         if self._announcing is not None:
             announced = list(numbers[self._announcing :: channels])
             self.announcement = samples[0]._replace(forces_n=announced)

@@ -6,9 +6,7 @@ level. A beat is complete, and reported, when the next one has begun.
 """
 
 import math
-from bisect import bisect_left
 from collections import deque
-from operator import attrgetter
 from typing import NamedTuple
 
 import numpy as np
@@ -89,8 +87,11 @@ class RiseDetector:
         # Highest rises of the last windows, of which each contains a beat. The least of them
         # counts: the others may contain artefacts.
         self._highest: deque[float] = deque(maxlen=3)
-        self._window_highest, self._window_begin = 0.0, 0
+        self._least_highest, self._window_highest = math.inf, 0.0
+        # The first window is shorter.
+        self._window_end = LONGEST // 2
         self._intervals: deque[int] = deque(maxlen=INTERVALS)
+        self._usual: int | None = None
         self._last: int | None = None
         self._rising = False
 
@@ -107,14 +108,12 @@ class RiseDetector:
             0 at the lowest value of the last seconds, 1 at the highest.
         """
         self._window_highest = max(self._window_highest, rise)
-        # The first window is shorter.
-        if step - self._window_begin >= (LONGEST if self._highest else LONGEST // 2):
+        if step >= self._window_end:
             self._highest.append(self._window_highest)
-            self._window_highest, self._window_begin = 0.0, step
-        if not self._highest:
-            return False
-        score, was_rising = rise * level, self._rising
-        self._rising = score > self._share(step) * min(self._highest)
+            self._least_highest = min(self._highest)
+            self._window_highest, self._window_end = 0.0, step + LONGEST
+        score, least, was_rising = rise * level, self._least_highest, self._rising
+        self._rising = score > LATE_SHARE * least and score > self._share(step) * least
         if not self._rising or was_rising:
             return False
         if self._last is not None:
@@ -124,16 +123,16 @@ class RiseDetector:
                 self._intervals.append(step - self._last)
             else:
                 self._intervals.clear()
+            # An upper quantile: after second waves were taken for beats, half are too short.
+            intervals = sorted(self._intervals)
+            self._usual = intervals[-1 - len(intervals) // 4] if len(intervals) > 1 else None
         self._last = step
         return True
 
     def _share(self, step: int) -> float:
-        if self._last is None or len(self._intervals) < 2:
+        if self._last is None or self._usual is None:
             return FIRST_SHARE
-        # An upper quantile: after second waves were taken for beats, half of the intervals are too
-        # short.
-        usual = sorted(self._intervals)[-1 - len(self._intervals) // 4]
-        passed = ((step - self._last) / usual - EARLY) / (LATE - EARLY)
+        passed = ((step - self._last) / self._usual - EARLY) / (LATE - EARLY)
         return EARLY_SHARE + (LATE_SHARE - EARLY_SHARE) * min(max(passed, 0.0), 1.0)
 
 
@@ -142,7 +141,6 @@ PEAK_WITHIN = 80
 # The notch is searched from this time after the peak on; the wave after it has at least this share
 # of the beat's height. A slow respiratory wave rises by up to 1.5 % of it within RISE.
 NOTCH_FROM, NOTCH_WITHIN, NOTCH_SHARE = 10, 100, 0.02
-_TIMES = attrgetter("times_ns")
 
 
 class BeatAnalysis:
@@ -179,8 +177,8 @@ class BeatAnalysis:
         averaged_ns = self._begin_ns + done * STEP_NS
         frames = self._frames
         place = len(frames)
-        if frames and first_ns <= frames[-1].times_ns[0]:
-            place = bisect_left(frames, samples.times_ns, key=_TIMES)
+        while place and first_ns <= frames[place - 1].times_ns[0]:
+            place -= 1
         repeated = place < len(frames) and frames[place].times_ns[0] == first_ns
         if first_ns < averaged_ns or repeated:
             return []
@@ -194,14 +192,16 @@ class BeatAnalysis:
 
     def _average(self, begin_ns: int, count: int, period_ns: int) -> None:
         """Append the means over `count` steps."""
-        frames = self._frames
-        times = np.array([t_ns - begin_ns for frame in frames for t_ns in frame.times_ns], float)
-        values = np.array([force_n for frame in frames for force_n in frame.forces_n])
+        frames, times_ns, forces_n = self._frames, list[int](), list[float]()
+        for frame in frames:
+            times_ns += frame.times_ns
+            forces_n += frame.forces_n
+        times, values = (np.array(times_ns) - begin_ns).astype(float), np.array(forces_n)
         edges = STEP_NS * np.arange(count + 1.0)
         if period_ns > STEP_NS:
             means = np.interp(edges[:-1] + STEP_NS / 2, times, values)
         else:
-            areas = np.cumsum(0.5 * np.diff(times) * (values[1:] + values[:-1]))
+            areas = np.cumsum(0.5 * (times[1:] - times[:-1]) * (values[1:] + values[:-1]))
             means = np.diff(np.interp(edges, times[1:], areas)) / STEP_NS
         # The frames that the next means need: from the last but one sample before them on.
         needed_ns = begin_ns + int(times[max(int(np.searchsorted(times, edges[-1])) - 2, 0)])

@@ -113,12 +113,10 @@ class PredictionScore:
         square = 0.0
         count = noticed = 0
         noticeable_n = math.inf if height_n is None else JND * height_n
-        for t_ns, force_n in zip(samples.times_ns, samples.forces_n, strict=True):
-            error_n = self._error_n(t_ns, force_n)
-            if error_n is not None:
-                square += error_n * error_n
-                count += 1
-                noticed += abs(error_n) > noticeable_n
+        for error_n in self._errors_n(samples):
+            square += error_n * error_n
+            count += 1
+            noticed += abs(error_n) > noticeable_n
         self._squares_n2 += force_ratio * force_ratio * square
         self._count += count
         if height_n:
@@ -152,19 +150,25 @@ class PredictionScore:
             noticed_5s=self.noticed_5s,
         )
 
-    def _error_n(self, t_ns: int, true_n: float) -> float | None:
-        """Return the error at an instant; None where it was not predicted on both sides."""
+    def _errors_n(self, samples: ChannelSamples) -> list[float]:
+        """Return the errors at the instants that were predicted on both sides."""
         times, forces_n = self._times, self._forces_n
-        after = bisect_left(times, t_ns)
-        if after == len(times):
-            return None
-        if times[after] == t_ns:
-            return forces_n[after] - true_n
-        apart_ns = times[after] - times[after - 1]
-        if not after or apart_ns > self._most_apart_ns:
-            return None
-        share = (t_ns - times[after - 1]) / apart_ns
-        return forces_n[after - 1] + share * (forces_n[after] - forces_n[after - 1]) - true_n
+        errors_n: list[float] = []
+        after, length = bisect_left(times, samples.times_ns[0]), len(times)
+        for t_ns, true_n in zip(samples.times_ns, samples.forces_n, strict=True):
+            while after < length and times[after] < t_ns:
+                after += 1
+            if after == length:
+                break
+            if times[after] == t_ns:
+                errors_n.append(forces_n[after] - true_n)
+            elif after:
+                before_ns, before_n = times[after - 1], forces_n[after - 1]
+                apart_ns = times[after] - before_ns
+                if apart_ns <= self._most_apart_ns:
+                    share = (t_ns - before_ns) / apart_ns
+                    errors_n.append(before_n + share * (forces_n[after] - before_n) - true_n)
+        return errors_n
 
     def _forget(self, t_ns: int) -> None:
         noticed = self._noticed
