@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from rich.console import Console
 
-from display_node.telemetry.terminal import TerminalView
+from display_node.telemetry.terminal_view import TerminalView
 from protocol.run_summary import Summary
 from protocol.summary_tables import Clock, SampleCounts
 from protocol.tactile import ElasticLayer

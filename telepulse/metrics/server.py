@@ -19,7 +19,7 @@ from wsgiref.types import StartResponse, WSGIApplication, WSGIEnvironment
 import zmq
 
 from display_node.telemetry.alerts import StatusAge
-from display_node.telemetry.terminal import TerminalView
+from display_node.telemetry.terminal_view import TerminalView
 from protocol import sockets
 from protocol.errors import AddressError, SidecarError, WireError
 from protocol.figures import COUNT, Figure, Surface

@@ -10,7 +10,7 @@ import pytest
 from pydantic import TypeAdapter
 from rich.console import Console
 
-from display_node.telemetry.terminal import TerminalView
+from display_node.telemetry.terminal_view import TerminalView
 from docs.ext import summary_keys
 from protocol.figures import MILLISECONDS, Figure, Registry, Surface, absent, figure, table
 from protocol.run_summary import REGISTRY, Summary, print_summary

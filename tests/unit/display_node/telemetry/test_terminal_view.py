@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rich.console import Console
 
-from display_node.telemetry.terminal import TerminalView
+from display_node.telemetry.terminal_view import TerminalView
 from protocol.beats import BeatFigures
 from protocol.counters import Availability, Limited, Limits
 from protocol.errors import CAUSE_MEANINGS

@@ -1,0 +1,273 @@
+"""State of a display as a line or a panel in a terminal, from its telemetry.
+
+The panel shows the figures of this moment and a plot of the force; the line as many figures as fit.
+"""
+
+import itertools
+import math
+from collections import deque
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from rich.console import Group, RenderableType
+from rich.panel import Panel
+from rich.table import Table
+from rich.text import Text
+
+from display_node.scoring.heart_rate import heart_rate_per_min
+from display_node.telemetry.alerts import Alert, StatusAge, alerts, delay_note, finger_text
+from display_node.telemetry.braille_plot import braille_plot
+from protocol.errors import WireError
+from protocol.figures import Surface
+from protocol.run_summary import rows
+from protocol.wire.marks import MARK, Mark, read_mark
+from protocol.wire.telemetry import STATUS, TRACE, Status, Trace, read_status, read_trace
+
+MARK_KEY = "m"
+MARK_WIDTH = 40
+# One tick in 10 ms is kept, for 6 s.
+KEEP_NS, APART_NS = 6_000_000_000, 10_000_000
+PLOTTED_TICKS = 300
+# A log or a journal shows a status line of this width without wrapping.
+LINE_WIDTH = 120
+# Characters for the alerts in a status line; each alert is printed in full when it begins.
+ALERTS_WIDTH = 45
+# Figures of this moment, in the order in which they get room in a line.
+IMPORTANCE = ("force felt", "press", "finger", "force target", "heart rate", "delay now")
+# Statuses come five times a second; an older one is not shown as current.
+CURRENT_NS = 1_000_000_000
+
+
+class TerminalTick(NamedTuple):
+    """A kept tick; felt_n is NaN where it is unknown."""
+
+    now_ns: int
+    instant_ns: int
+    target_n: float
+    felt_n: float
+    at_full_strength: bool
+
+
+def _no_ticks() -> deque[TerminalTick]:
+    return deque(maxlen=KEEP_NS // APART_NS + 1)
+
+
+def _heart_rate_per_min(ticks: Sequence[TerminalTick]) -> float | None:
+    t_s = np.array([tick.now_ns * 1e-9 for tick in ticks])
+    felt_n = [tick.felt_n if tick.at_full_strength else math.nan for tick in ticks]
+    return heart_rate_per_min(t_s, np.array(felt_n))
+
+
+class TerminalView:
+    """State of a display as a line or a panel.
+
+    local: whether its address is on this machine. unreadable: number of unreadable messages.
+    """
+
+    def __init__(self, local: bool = False) -> None:
+        # Of each contactor; that of the first one is always there.
+        self._ticks = [_no_ticks()]
+        self._age = StatusAge(local)
+        self._trusted = False
+        self.status: Status | None = None
+        self.unreadable = 0
+        self.mark: Mark | None = None
+        # Names of alerts that `new_alerts` has returned and that are still active.
+        self._named: set[str] = set()
+
+    def take(self, message: Sequence[bytes], now_ns: int = 0) -> list[Trace]:
+        """Take a telemetry message that arrived at `now_ns`; return the traces in it."""
+        try:
+            match message:
+                case [topic, data] if topic == TRACE:
+                    traces = read_trace(data)
+                    self.add_trace(*traces)
+                    if len(traces[0].now_ns):
+                        self._age.take_trace(int(traces[0].now_ns[-1]), now_ns)
+                    return traces
+                case [topic, data] if topic == STATUS:
+                    self.status = read_status(data)
+                    self._age.take_status(now_ns)
+                case [topic, data] if topic == MARK:
+                    self.mark = read_mark(data)
+                case _:
+                    self.unreadable += 1
+        except WireError:
+            self.unreadable += 1
+        return []
+
+    def add_trace(self, *traces: Trace) -> None:
+        """Take ticks of each contactor; where their clock goes back, the earlier are removed."""
+        if len(traces) != len(self._ticks):
+            self._ticks = [_no_ticks() for _ in traces]
+        if len(traces[0].trusted):
+            self._trusted = bool(traces[0].trusted[-1])
+        for ticks, trace in zip(self._ticks, traces, strict=True):
+            columns = (trace.now_ns, trace.instant_ns, trace.target_n, trace.felt_n, trace.scored)
+            for tick in map(TerminalTick, *(column.tolist() for column in columns)):
+                if ticks and tick.now_ns < ticks[-1].now_ns:
+                    ticks.clear()
+                if not ticks or tick.now_ns - ticks[-1].now_ns >= APART_NS:
+                    ticks.append(tick)
+            while ticks and ticks[0].now_ns < ticks[-1].now_ns - KEEP_NS:
+                ticks.popleft()
+
+    @property
+    def heart_rates_per_min(self) -> list[float | None]:
+        """Heart rate of the pulse that each finger feels; None while none is at full strength."""
+        return [_heart_rate_per_min(ticks) for ticks in self._ticks]
+
+    def line(self, now_ns: int = 0) -> str:
+        """Return the state at `now_ns` in one line of at most `LINE_WIDTH` characters.
+
+        Alerts are shortened to leave room for the figures: those of this moment by importance, then
+        those of the run, as many as fit.
+        """
+        if self.status is None:
+            return "waiting for the display"
+        rows = self._now_rows(now_ns)
+        start = f"{self._state(now_ns)}: "
+
+        def with_figures(names: Sequence[str]) -> str:
+            return start + ", ".join(f"{name} {value}" for name, value in rows if name in names)
+
+        # An alert need not repeat the state.
+        state = f"{self.status.state}: "
+        texts = [f"{alert.name}: {alert.text}" for alert in self._alerts(now_ns)]
+        wrong = "; ".join(text.removeprefix(state) for text in texts)
+        if wrong:
+            free = LINE_WIDTH - len(with_figures(IMPORTANCE)) - len("; ")
+            start += f"{_cut(wrong, max(ALERTS_WIDTH, free))}; "
+        start = _cut(start, LINE_WIDTH)
+        shown: list[str] = []
+        for name in IMPORTANCE:
+            shown += [name] if len(with_figures([*shown, name])) <= LINE_WIDTH else []
+        line = with_figures(shown)
+        for name, value in self._run_rows():
+            longer = f"{line}, {name} {value}"
+            line = longer if len(longer) <= LINE_WIDTH else line
+        return line
+
+    def new_alerts(self, now_ns: int = 0) -> list[str]:
+        """Return in full the alerts that were not active at the last call."""
+        found = self._alerts(now_ns) if self.status is not None else []
+        before, self._named = self._named, {alert.name for alert in found}
+        return [f"{alert.name}: {alert.text}" for alert in found if alert.name not in before]
+
+    def panel(self, now_ns: int = 0) -> RenderableType:
+        """Return the state at `now_ns` as a panel, grey where it is not current."""
+        if self.status is None:
+            return Panel("waiting for the display", title="telepulse")
+        current = self._age_ns(now_ns) < CURRENT_NS
+        value_style = "bold" if current else "dim"
+        now, run = (Table(show_header=False, box=None, pad_edge=False) for _ in range(2))
+        rows = [(name, Text(value, value_style)) for name, value in self._now_rows(now_ns)]
+        half = (len(rows) + 1) // 2
+        for left, right in itertools.zip_longest(rows[:half], rows[half:], fillvalue=("", "")):
+            now.add_row(*left, "  ", *right)
+        for name, value in self._run_rows():
+            run.add_row(Text(name), Text(value, value_style))
+        stream = _printable(self.status.stream) or "no stream"
+        title = Text(f"telepulse · {stream} · {self._state(now_ns)}")
+        wrong = [Text(f"{name}: {text}", "bold red") for name, text in self._alerts(now_ns)]
+        last = _cut(f"; last: {self.mark.text}", MARK_WIDTH) if self.mark else ""
+        between = Text(f"of the run so far; {MARK_KEY} marks the time{last}", "dim")
+        whole = Group(*wrong, now, *self._plot(current), between, run)
+        return Panel(whole, title=title, expand=False, style="" if current else "dim")
+
+    def _alerts(self, now_ns: int) -> list[Alert]:
+        assert self.status is not None
+        status = self.status
+        found = alerts(status.state, status.summary, status.final, self._age_ns(now_ns))
+        return [Alert(_printable(name), _printable(text)) for name, text in found]
+
+    def _age_ns(self, now_ns: int) -> int:
+        """Return the age of the newest status; 0 once the display has ended."""
+        ended = self.status is not None and self.status.final
+        return 0 if ended else self._age.age_ns(now_ns) or 0
+
+    def _state(self, now_ns: int) -> str:
+        """Return the display's state, with the age of the status where it is not current."""
+        assert self.status is not None
+        age_ns, state = self._age_ns(now_ns), _printable(self.status.state)
+        return state if age_ns < CURRENT_NS else f"{state} {age_ns * 1e-9:.1f} s ago"
+
+    def _now_rows(self, now_ns: int) -> list[tuple[str, str]]:
+        """Return the figures of this moment; a heart rate only of a pulse that is felt now."""
+        current = self._age_ns(now_ns) < CURRENT_NS
+        rates = self.heart_rates_per_min if current else [None]
+        finger = "" if self.status is None else finger_text(self.status.summary)
+        newest = [(t[-1].target_n, t[-1].felt_n) if t else (None, None) for t in self._ticks]
+        target, felt = (
+            ", ".join(map(_millinewtons, forces)) for forces in zip(*newest, strict=True)
+        )
+        delay = self._delay_text() if current else ""
+        return [
+            ("heart rate", ", ".join("–" if r is None else f"{r:.0f} /min" for r in rates)),
+            ("force target", target),
+            ("force felt", felt),
+            *([("press", press)] if (press := self._press_text()) and current else []),
+            *([("finger", _printable(finger))] if finger and current else []),
+            *([("delay now", delay)] if delay else []),
+        ]
+
+    def _press_text(self) -> str:
+        """Return the finger's press, the hold-down at the wrist, and the state of the probe."""
+        press = {} if self.status is None else self.status.summary.get("press", {})
+        if press.get("press_n") is None:
+            return ""
+        if press.get("probe") == "held":
+            return f"{_millinewtons(press['press_n'])}, but another display holds the wrist"
+        if press.get("hold_down_n") is None:
+            return f"{_millinewtons(press['press_n'])}, no answer of the wrist yet"
+        at_wrist = f"wrist {_millinewtons(press['hold_down_n'])}"
+        return f"{_millinewtons(press['press_n'])}, {at_wrist} {_printable(press['probe'] or '')}"
+
+    def _delay_text(self) -> str:
+        """Return the playout delay of the last tick, and whether the predictor is trusted."""
+        summary = {} if self.status is None else self.status.summary
+        offset_ms = summary.get("clock", {}).get("offset_ms")
+        last = self._ticks[0][-1] if self._ticks[0] else None
+        if offset_ms is None or last is None or not last.at_full_strength:
+            return ""
+        delay_ms = (last.now_ns - last.instant_ns) * 1e-6 + offset_ms
+        return delay_note(delay_ms, self._trusted, summary)
+
+    def _run_rows(self) -> list[tuple[str, str]]:
+        """Return the figures of the whole run so far."""
+        assert self.status is not None
+        unreadable = [("telemetry not readable", str(self.unreadable))] if self.unreadable else []
+        return [*rows(self.status.summary, Surface.TERMINAL), *unreadable]
+
+    def _plot(self, current: bool) -> list[RenderableType]:
+        ticks = list(self._ticks[0])[-PLOTTED_TICKS:]
+        felt_n, target_n = [tick.felt_n for tick in ticks], [tick.target_n for tick in ticks]
+        known_n = [force_n for force_n in felt_n + target_n if math.isfinite(force_n)]
+        if len(ticks) < 2 or not known_n:
+            return [Text("no pulse yet", "dim")]
+        low, high = min(known_n), max(known_n)
+        # The forces of all contactors are in the rows above; the plot has room for the first one.
+        names = list(self.status.summary.get("contactors", {})) if self.status is not None else []
+        of = f"{_printable(names[0])}: " if len(names) == len(self._ticks) > 1 else ""
+        rows = braille_plot(felt_n, target_n, low, high)
+        return [
+            Text(f"{of}felt (line) over target (dots), last 3 s", "dim"),
+            *(Text(row, "cyan" if current else "dim") for row in rows),
+            Text(f"{low * 1e3:.0f} to {high * 1e3:.0f} mN", "dim"),
+        ]
+
+
+def _millinewtons(force_n: float | None) -> str:
+    if force_n is None:
+        return "–"
+    return "unknown" if math.isnan(force_n) else f"{force_n * 1e3:.1f} mN"
+
+
+def _cut(text: str, width: int) -> str:
+    return text if len(text) <= width else f"{text[: max(0, width - 1)]}…"
+
+
+def _printable(text: str) -> str:
+    """Replace unprintable characters in a text from a status, which could control the terminal."""
+    return "".join(character if character.isprintable() else "?" for character in text)
