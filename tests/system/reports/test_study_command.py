@@ -8,7 +8,7 @@ import pytest
 from typer.testing import CliRunner, Result
 
 from telepulse.cli.main import app
-from telepulse.reports.document import THEMES
+from telepulse.reports.pictures import THEMES
 from telepulse.reports.studies import (
     cost_scores,
     integrator_scores,

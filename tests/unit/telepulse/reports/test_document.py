@@ -9,15 +9,14 @@ from rich.console import Console
 
 from protocol.provenance import Provenance
 from telepulse.reports.document import (
-    THEMES,
     Chapter,
     Report,
     Table,
-    Theme,
     print_tables,
     provenance_table,
     write_report,
 )
+from telepulse.reports.pictures import THEMES, Theme
 
 ROWS = Table("A table", ("what", "how much", "why"), [("`one`", "1 < 2", "")], note="With `code`.")
 MADE = Provenance("1.2.3", "", None, "2026-01-02T03:04:05Z", "", "", "", ["telepulse", "a b"])
