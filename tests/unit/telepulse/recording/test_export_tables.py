@@ -3,7 +3,7 @@ from base64 import b64encode
 import numpy as np
 
 from protocol.wire.messages import Frame, encode_frame
-from telepulse.recording.export import columns, rows
+from telepulse.recording.export_tables import columns, rows
 from telepulse.telemetry.decoder import Entry
 from telepulse.telemetry.schema import FRAME, TICK
 
