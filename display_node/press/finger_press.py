@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from heapq import heappop, heappush
 from typing import Final
 
-from display_node.press.pulse_height import PulseHeight, RespiratoryWave
+from display_node.press.pulse_height import PulseHeight
 from display_node.press.reading import PressReading
 from display_node.press.set_points import SetPointSender
 from display_node.press.tissue_model import PulseCurve, StiffnessFit
@@ -114,7 +114,6 @@ class FingerPress:
         # at a press, which is kept for some ticks.
         self._bins = [0.0] * len(BINS)
         self._mean_now, self._mean_at_n, self._mean_age = 0.0, math.inf, 0
-        self._respiration = RespiratoryWave()
         self.curve, self.stiffness = PulseCurve(limits.force_n), StiffnessFit()
         self.sender = SetPointSender(press, limits.force_n, limits.slew_n_per_s)
         self.yielded_m = 0.0
@@ -180,7 +179,7 @@ class FingerPress:
         if hold_down_n >= TOUCH_N:
             self._observed += 1
             part = max((times_ns[-1] - times_ns[0]) * 1e-9 / MEAN_S, 1 / self._observed)
-            relative = self.relative(mean_n, hold_down_n)
+            relative = self.relative(mean_n, hold_down_n, times_ns[-1])
             self._mean += (relative - self._mean) * part
             for at in range(len(self._bins)):
                 self._bins[at] *= 1.0 - part
@@ -188,21 +187,22 @@ class FingerPress:
             at = int(place)
             self._bins[at] += part * (1.0 - place + at)
             self._bins[at + 1] += part * (place - at)
-            self._respiration.observe(relative, times_ns[-1])
 
-    def relative(self, pulse_n: float, hold_down_n: float) -> float:
+    def relative(self, pulse_n: float, hold_down_n: float, time_ns: int) -> float:
         """Return a value of the pulse relative to foot and height at its hold-down.
 
-        Off the wrist there is no pulse: the result is its mean.
+        A closed artery shows no diastole; respiration at that time gives it. Off the wrist there is
+        no pulse: the result is its mean.
         """
         if hold_down_n < TOUCH_N:
             return self._mean
         share = pulse_n / self.height_n(hold_down_n) - self.curve.foot(hold_down_n)
-        return self.curve.law.pressure(share, hold_down_n, self._respiration.now)
+        return self.curve.law.pressure(share, hold_down_n, self.curve.breath(time_ns * 1e-9))
 
     def restart(self) -> None:
         """Begin with times that are unrelated to those before; what was learnt is kept."""
         self._heights = PulseHeight()
+        self.curve.restart()
         self._frames.clear()
         self._doubtful = False
         self._learnt_ns = self._newest_ns = -(1 << 62)
@@ -218,8 +218,8 @@ class FingerPress:
             self._learnt_ns = at_ns
             beat_ns = self._reading.beat_ns
             found = self._heights.add(mean_hold_down_n, mean_n, at_ns, beat_ns)
-            if found is not None and found[0] > TOUCH_N and not self._doubtful:
-                self.curve.observe(*found)
+            if found is not None and found.hold_down_n > TOUCH_N and not self._doubtful:
+                self.curve.observe(found)
 
     def felt_n(self, relative: float) -> float:
         """Return the pulse in N, as the present press would give it, for its relative value."""

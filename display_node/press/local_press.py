@@ -76,7 +76,8 @@ class LocalPress:
         self._hold_downs_n[place:place] = hold_downs_n
         if len(times_ns) > 2 * KEPT:
             del times_ns[:KEPT], self._hold_downs_n[:KEPT]
-        best, relative = press.curve.best_height, map(press.relative, pulse.forces_n, hold_downs_n)
+        best = press.curve.best_height
+        relative = map(press.relative, pulse.forces_n, hold_downs_n, pulse.times_ns)
         return pulse._replace(forces_n=[best * each for each in relative])
 
     def take_beats(self, beats: list[Beat]) -> None:
@@ -103,9 +104,10 @@ class LocalPress:
         self.target_static_n = static_n = self.static_n
         felt = []
         for number, force_n in enumerate(wrist_n):
-            place = max(bisect_right(times_ns, first_ns + number * step_ns) - 1, 0)
+            time_ns = first_ns + number * step_ns
+            place = max(bisect_right(times_ns, time_ns) - 1, 0)
             hold_down_n = self._hold_downs_n[place] if times_ns else 0.0
-            pulse_n = press.felt_n(press.relative(force_n, hold_down_n))
+            pulse_n = press.felt_n(press.relative(force_n, hold_down_n, time_ns))
             felt.append(static_n + ratio * pulse_n)
         return felt
 

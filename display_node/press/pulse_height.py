@@ -1,27 +1,24 @@
-"""Height of the pulse and its respiratory wave, beat by beat, for the model of the tissue. Pure."""
+"""Levels of the pulse, beat by beat, for the model of the tissue. Pure."""
 
-import math
 from collections import deque
+from typing import Final
 
-import numpy as np
+from display_node.press.learnt_beats import BeatLevels
 
-# A height is measured in a beat in which the hold-down stays within this share and force.
+# Levels are taken of a beat in which the hold-down stays within this share and force.
 STEADY_SHARE, STEADY_N = 0.04, 0.01
-# Respiration: its typical rate and the bounds of it, its deviation over the pulse pressure and the
-# time for which it stays regular, and the part of an error by which a peak corrects the rate.
-RESPIRATION_RAD_PER_S, SLOWEST_RAD_PER_S, FASTEST_RAD_PER_S = 1.7, 1.0, 2.4
-WAVE, WAVE_S, MOST_WAVE, RATE_PART = 0.06, 20.0, 0.1, 0.1
-# Deviation of the peaks' mean from a typical one, its change from beat to beat, and their error.
-MEAN, MEAN_CHANGE, PEAK_ERROR = 0.02, 0.001, 0.04
-# A peak is above PEAK of the pulse pressure, and the highest value for PEAK_NS.
-PEAK, TROUGH, PEAK_NS = 0.7, 0.4, 150_000_000
+# Time before and after the peak of which the quartiles are taken. It does not depend on the
+# interval of the beat, which varies more than the time of systole.
+AROUND_NS: Final = 200_000_000
+# Frames of which a foot is the mean.
+FOOT: Final = 5
 
 
 class PulseHeight:
-    """Foot and height of each beat at a steady hold-down: a peak, and the lowest value before it.
+    """Levels of each beat at a steady hold-down: foot, three quartiles, and peak.
 
-    A peak is the highest value within half a beat before and after it. The foot belongs to the same
-    upstroke, so a respiratory wave changes both alike.
+    A peak is the highest value within half a beat before and after it. The foot is the lowest one
+    before it: it belongs to the same upstroke, so a respiratory wave changes both alike.
     """
 
     def __init__(self) -> None:
@@ -29,10 +26,17 @@ class PulseHeight:
 
     def add(
         self, hold_down_n: float, pulse_n: float, now_ns: int, beat_ns: int
-    ) -> tuple[float, float, float, float] | None:
-        """Take a frame's means; return hold-down, foot, height and motion of a complete beat.
+    ) -> BeatLevels | None:
+        """Take a frame's means; return the levels of a beat that is complete, or None.
 
-        The motion is the largest distance of the hold-down from its mean over the beat.
+        Parameters
+        ----------
+        hold_down_n, pulse_n
+            Means of the hold-down and of the film.
+        now_ns
+            Time of the frame.
+        beat_ns
+            Usual time of a beat.
         """
         means = self._means
         if means and now_ns - means[-1][0] > beat_ns // 8:
@@ -51,64 +55,12 @@ class PulseHeight:
         moved_n = max(abs(each[1] - mean_n) for each in means)
         if moved_n > STEADY_SHARE * abs(mean_n) + STEADY_N:
             return None
-        low_n = min(pulses_n[:at])
-        return mean_n, low_n, high_n - low_n, moved_n
-
-
-class RespiratoryWave:
-    """Respiration in the artery's pressure, followed from peak to peak.
-
-    A closed artery shows no diastole. Its pressure then follows from the peaks before, as
-    respiration moves both alike. The peaks' mean is left out, as it shows errors of the law.
-
-    now: what respiration adds to the pressure, relative to the pulse pressure.
-    """
-
-    def __init__(self) -> None:
-        # Wave, the same a quarter of a period before, and the mean.
-        self._state = np.zeros(3)
-        self._covariance = np.diag([WAVE**2, WAVE**2, MEAN**2])
-        self._rad_per_s = RESPIRATION_RAD_PER_S
-        self._at_ns: int | None = None
-        self._high: float | None = None
-        self._high_ns = 0
-        self.now = 0.0
-
-    def observe(self, pressure: float, now_ns: int) -> None:
-        """Take the relative pressure at a time."""
-        if pressure < TROUGH:
-            self._high = 0.0
-        if self._high is not None and pressure > self._high:
-            self._high, self._high_ns = pressure, now_ns
-        elif self._high is not None and self._high > PEAK and now_ns - self._high_ns >= PEAK_NS:
-            self._take(self._high - 1.0, self._high_ns)
-            self._high = None
-        angle = self._rad_per_s * self._elapsed_s(now_ns)
-        wave, quarter, _ = self._state.tolist()
-        now = wave * math.cos(angle) - quarter * math.sin(angle)
-        self.now = min(max(now, -MOST_WAVE), MOST_WAVE)
-
-    def _elapsed_s(self, at_ns: int) -> float:
-        return 0.0 if self._at_ns is None else (at_ns - self._at_ns) * 1e-9
-
-    def _take(self, peak: float, at_ns: int) -> None:
-        """Take a beat's peak, relative to a typical one: a step of a Kalman filter."""
-        elapsed_s = self._elapsed_s(at_ns)
-        self._at_ns = at_ns
-        kept, angle = math.exp(-abs(elapsed_s) / WAVE_S), self._rad_per_s * elapsed_s
-        cos, sin = kept * math.cos(angle), kept * math.sin(angle)
-        turn = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
-        fresh = (1 - kept**2) * WAVE**2
-        self._covariance = turn @ self._covariance @ turn.T
-        self._covariance += np.diag([fresh, fresh, MEAN_CHANGE**2])
-        self._state = turn @ self._state
-        seen = np.array([1.0, 0.0, 1.0])
-        gains = self._covariance @ seen
-        variance = float(seen @ gains) + PEAK_ERROR**2
-        error = min(max(peak - float(seen @ self._state), -MOST_WAVE), MOST_WAVE)
-        wave, quarter, _ = self._state.tolist()
-        size = wave**2 + quarter**2 + WAVE**2 / 4
-        self._rad_per_s -= RATE_PART * error * quarter / size
-        self._rad_per_s = min(max(self._rad_per_s, SLOWEST_RAD_PER_S), FASTEST_RAD_PER_S)
-        self._state += gains * (error / variance)
-        self._covariance -= np.outer(gains, gains) / variance
+        peak_ns = means[at][0]
+        around = sorted(each[2] for each in means if abs(each[0] - peak_ns) < AROUND_NS)
+        # The lowest of many values would be that of the noise, where the foot is flat.
+        sums = [sum(pulses_n[first : first + FOOT]) for first in range(at - FOOT + 1)]
+        low_n = min(sums) / FOOT
+        low_ns = means[sums.index(min(sums)) + FOOT // 2][0]
+        first, second, third = (around[len(around) * part // 4] for part in (1, 2, 3))
+        levels_n = low_n, first, second, third, high_n
+        return BeatLevels(peak_ns * 1e-9, (peak_ns - low_ns) * 1e-9, mean_n, moved_n, levels_n)

