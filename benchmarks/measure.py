@@ -9,7 +9,8 @@ from rich.console import Console
 from rich.table import Table
 
 from protocol.histogram import bound
-from protocol.summary_tables import Lateness, OneWayDelay, TickTime
+from protocol.loop_tables import Lateness, TickTime
+from protocol.summary_tables import OneWayDelay
 
 REPEATS = 15
 BATCH_S = 0.02

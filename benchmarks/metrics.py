@@ -17,7 +17,7 @@ from urllib.request import urlopen
 
 from benchmarks.measure import median_quantile, show
 from protocol.config.scene_file import find_scene
-from protocol.summary_tables import Loop
+from protocol.loop_tables import Loop
 from telepulse.processes import NodeProcess, free_addresses
 
 SECONDS = 8.0

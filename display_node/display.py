@@ -18,9 +18,9 @@ from display_node.reception.receiver import Receiver
 from display_node.scene import DisplayScene
 from display_node.scoring.tracking_error import scored
 from protocol.beats import AnnounceFigures
+from protocol.loop_tables import Loop, TickTime
 from protocol.press_figures import PressFigures
 from protocol.run_summary import Summary, with_contactors
-from protocol.summary_tables import Loop, TickTime
 from protocol.ticks import AvailabilityCounter, InterruptionCounter, TickState
 from protocol.wire.messages import ControlMessage, DisplayReport, SetPoint
 from protocol.wire.telemetry import pack_status

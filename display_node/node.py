@@ -26,10 +26,10 @@ from protocol import sockets
 from protocol.errors import SceneError
 from protocol.histogram import Histogram
 from protocol.host.realtime import Pacer
+from protocol.loop_tables import Lateness, TickTime
 from protocol.run_summary import Summary
 from protocol.security.authenticator import Authenticator
 from protocol.security.keys import ClientKeys, ServerKeys
-from protocol.summary_tables import Lateness, TickTime
 from protocol.wire.messages import encode_control
 from protocol.wire.telemetry import CONTROL
 from pulse_drives.scene import DriveScene

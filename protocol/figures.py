@@ -1,9 +1,9 @@
 """Figures of the summary, each described once: meaning, unit, display text, metric.
 
-The fields are in `protocol/run_summary.py` and, for the members of a table, in
-`protocol/summary_tables.py`; `figure` and `table` make them. Terminal, live page, Prometheus, the
-report of a recording and the reference read the same fields, so a new figure is one new field.
-`absent` lists each surface that omits the figure, with the reason.
+The fields are in `protocol/run_summary.py` and, for the members of a table, in `summary_tables.py`
+and `loop_tables.py`; `figure` and `table` make them. Terminal, live page, Prometheus, the report of
+a recording and the reference read the same fields, so a new figure is one new field. `absent` lists
+each surface that omits the figure, with the reason.
 """
 
 import dataclasses

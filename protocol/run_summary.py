@@ -1,6 +1,7 @@
 """Summary of a run: the same keys from every command and node, null where one does not apply.
 
-To add a figure, add a field here, or to its table in `summary_tables.py`.
+To add a figure, add a field here, or to its table in `summary_tables.py` or
+`loop_tables.py`.
 """
 
 import dataclasses
@@ -45,6 +46,7 @@ from protocol.figures import (
     texts,
 )
 from protocol.host.output import write_whole
+from protocol.loop_tables import Loop
 from protocol.press_figures import PressFigures
 from protocol.provenance import Provenance
 from protocol.summary_tables import (
@@ -58,7 +60,6 @@ from protocol.summary_tables import (
     Compensation,
     DataConnections,
     FrameCounts,
-    Loop,
     OneWayDelay,
     PlayoutDelay,
     Reconnections,

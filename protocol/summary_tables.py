@@ -4,7 +4,6 @@ from dataclasses import dataclass
 from typing import Any
 
 from protocol.figures import (
-    MICROSECONDS,
     MILLISECONDS,
     NEWTONS,
     PPM,
@@ -13,7 +12,6 @@ from protocol.figures import (
     Surface,
     absent,
     figure,
-    table,
     texts,
 )
 
@@ -26,7 +24,8 @@ BY_THE_PAGE = absent("The page computes it over the window that it shows.", Surf
 NOT_RECORDED = absent("It describes the process, not the recorded pulse.", Surface.REPORT)
 
 
-def _bounds() -> Any:
+def bounds() -> Any:
+    """Return the field of the quantiles of a table that are lower bounds."""
     return figure(
         "Quantiles that are lower bounds, because they are beyond the counted range",
         factory=list,
@@ -34,7 +33,8 @@ def _bounds() -> Any:
     )
 
 
-def _quantile(of: str, share: float) -> Any:
+def quantile(of: str, share: float) -> Any:
+    """Return the field of a quantile, of a share from 0 to 1; of: what it is the quantile of."""
     name = f"p{100 * share:g}"
     return figure(f"{of}, {name}", f"{name} {{}}", metric=f'{{quantile="{share}"}}')
 
@@ -90,12 +90,12 @@ class SampleCounts:
 class OneWayDelay:
     """Time on the network of a frame's last sample."""
 
-    p50: float | None = _quantile("Time on the network of a frame's last sample", 0.5)
-    p99: float | None = _quantile("Time on the network of a frame's last sample", 0.99)
+    p50: float | None = quantile("Time on the network of a frame's last sample", 0.5)
+    p99: float | None = quantile("Time on the network of a frame's last sample", 0.99)
     max: float | None = figure(
         "Longest one-way delay", "max {}", metric="one_way_delay_max_seconds"
     )
-    beyond: list[str] = _bounds()
+    beyond: list[str] = bounds()
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,10 +107,8 @@ class PlayoutDelay:
         "mean {}",
         metric="playout_delay_mean_seconds",
     )
-    p99: float | None = _quantile(
-        "Perceived delay E, from the wrist's instant to its playing", 0.99
-    )
-    beyond: list[str] = _bounds()
+    p99: float | None = quantile("Perceived delay E, from the wrist's instant to its playing", 0.99)
+    beyond: list[str] = bounds()
 
 
 @dataclass(frozen=True, slots=True)
@@ -271,95 +269,6 @@ class Roughness:
         "energy ratio {}",
         RATIO,
         metric="roughness_energy_ratio",
-    )
-
-
-@dataclass(frozen=True, slots=True)
-class TickTime:
-    """Cost of a tick."""
-
-    p50: float | None = _quantile("Cost of a tick", 0.5)
-    p99: float | None = _quantile("Cost of a tick", 0.99)
-    beyond: list[str] = _bounds()
-
-
-@dataclass(frozen=True, slots=True)
-class Lateness:
-    """Lateness of ticks at their beginning."""
-
-    p50: float | None = _quantile("Lateness of a tick's begin", 0.5)
-    p99: float | None = _quantile("Lateness of a tick's begin", 0.99)
-    p999: float | None = _quantile("Lateness of a tick's begin", 0.999)
-    max: float | None = figure(
-        "Latest begin of a tick", "max {}", metric="tick_lateness_max_seconds"
-    )
-    beyond: list[str] = _bounds()
-
-
-@dataclass(frozen=True, slots=True)
-class Deadlines:
-    """Missed ticks and longest gap within 5 s."""
-
-    missed: float | None = figure(
-        "Share of the ticks that were missed",
-        "{} of the ticks missed",
-        SHARE._replace(form=".2f"),
-        title="ticks missed",
-        metric="deadline_missed_ratio",
-    )
-    gap_ms: float | None = figure(
-        "Longest time between two ticks",
-        "longest gap {}",
-        MILLISECONDS._replace(form=".0f"),
-        metric="tick_gap_seconds",
-    )
-
-
-@dataclass(frozen=True, slots=True)
-class Loop:
-    """The node's loop."""
-
-    ticks: int | None = figure("Ticks of the loop", metric="ticks_total", noun=("tick", "ticks"))
-    deadline_misses: int | None = figure(
-        "Ticks that began a period late or more",
-        metric="deadline_misses_total",
-        noun=("deadline miss", "deadline misses"),
-        prominent=True,
-    )
-    tick_us: TickTime = table(
-        TickTime, "tick cost", MICROSECONDS, "tick_seconds", absent=AT_THE_END | NOT_RECORDED
-    )
-    late_us: Lateness = table(
-        Lateness, "tick lateness", MICROSECONDS, "tick_lateness_seconds", absent=AT_THE_END
-    )
-    late: bool | None = figure(
-        "The deadline alarm is on: more than 1 % of the ticks of the last 5 s were missed,"
-        " or a gap was longer than the drive's watchdog"
-        " (50 ms without a drive)",
-        metric="deadline_alarm",
-        absent=absent(
-            "It is the present alarm: live views show an alert, the others the worst 5 s.",
-            but=Surface.METRICS,
-        ),
-    )
-    last_5s: Deadlines = table(
-        Deadlines,
-        "last 5 s",
-        metric='{over="5s"}',
-        absent=absent(
-            "Live views show an alert for high values; an ended run shows its worst 5 s.",
-            but=Surface.METRICS,
-        ),
-    )
-    worst_5s: Deadlines = table(
-        Deadlines, "worst 5 s", metric='{over="worst_5s"}', absent=AT_THE_END
-    )
-    realtime: list[str] = figure(
-        "Real-time measures that were requested and granted",
-        row="real-time measures",
-        show=texts,
-        absent=AT_THE_END | NOT_RECORDED | absent("It is text.", Surface.METRICS),
-        factory=list,
     )
 
 

@@ -13,8 +13,9 @@ from display_node.scoring.tracking_error import scored
 from protocol.counters import Availability
 from protocol.errors import SourceError
 from protocol.histogram import Histogram
+from protocol.loop_tables import Loop
 from protocol.run_summary import Summary, with_contactors
-from protocol.summary_tables import Loop, PlayoutDelay
+from protocol.summary_tables import PlayoutDelay
 from telepulse.recording.contactor_findings import ContactorFindings
 from telepulse.recording.forces import Trend
 from telepulse.recording.pressed_beats import PressedBeats

@@ -7,11 +7,12 @@ from typing import Any
 import pytest
 from rich.console import Console
 
+from protocol import loop_tables
 from protocol import summary_tables as tables
 from protocol.counters import Availability, Interruptions, Limited, Limits
 from protocol.run_summary import Summary, print_summary, write_json
 
-LATE_US = tables.Lateness(60.0, 900.0, 5_000.0, 52_344.0, ["p999"])
+LATE_US = loop_tables.Lateness(60.0, 900.0, 5_000.0, 52_344.0, ["p999"])
 NEVER = Limited(0, 0.0, 0.0)
 FULL = Summary(
     samples=tables.SampleCounts(
@@ -32,14 +33,14 @@ FULL = Summary(
     within_jnd=0.875,
     roughness=tables.Roughness(felt_n=0.0006, sensed_n=0.0005, energy_ratio=1.44),
     limited=Limits(force=Limited(312, 4.1, 0.205), slew=Limited(1, 0.02, 0.0001), travel=NEVER),
-    loop=tables.Loop(
+    loop=loop_tables.Loop(
         ticks=5000,
         deadline_misses=2,
-        tick_us=tables.TickTime(p50=85.0, p99=140.0),
-        late_us=tables.Lateness(p50=40.5, p99=96.5, p999=233.5, max=448.0),
+        tick_us=loop_tables.TickTime(p50=85.0, p99=140.0),
+        late_us=loop_tables.Lateness(p50=40.5, p99=96.5, p999=233.5, max=448.0),
         late=False,
-        last_5s=tables.Deadlines(missed=0.0, gap_ms=1.0),
-        worst_5s=tables.Deadlines(missed=0.0125, gap_ms=63.0),
+        last_5s=loop_tables.Deadlines(missed=0.0, gap_ms=1.0),
+        worst_5s=loop_tables.Deadlines(missed=0.0125, gap_ms=63.0),
         realtime=["slack", "fifo=40"],
     ),
     speed=312.0,
@@ -88,7 +89,7 @@ def test_a_figure_that_is_not_finite_is_null(value: float) -> None:
     summary = Summary(
         covered_delay_ms=value,
         force_rmse_n=tables.AlignedErrors(aligned=value),
-        loop=tables.Loop(tick_us=tables.TickTime(p50=value)),
+        loop=loop_tables.Loop(tick_us=loop_tables.TickTime(p50=value)),
     )
     table = summary.to_dict()
     assert table["covered_delay_ms"] is None
@@ -158,7 +159,7 @@ def test_the_printed_rows() -> None:
     [
         (Summary(clock=tables.Clock(offset_ms=-5e6)), "clock", "offset -5000.000 s"),
         (
-            Summary(loop=tables.Loop(late_us=LATE_US)),
+            Summary(loop=loop_tables.Loop(late_us=LATE_US)),
             "tick lateness",
             "p50 60 µs, p99 900 µs, p99.9 > 5000 µs, max 52344 µs",
         ),
@@ -167,7 +168,7 @@ def test_the_printed_rows() -> None:
             "one-way delay",
             "p50 20.00 ms, p99 > 2000.00 ms, max 2500.00 ms",
         ),
-        (Summary(loop=tables.Loop(1, 1)), "loop", "1 tick, 1 deadline miss"),
+        (Summary(loop=loop_tables.Loop(1, 1)), "loop", "1 tick, 1 deadline miss"),
         (Summary(samples=tables.SampleCounts(before_joining=1)), "joined", "after 1 sample"),
     ],
     ids=["clocks of two hosts", "uncounted lateness", "uncounted delay", "tick", "sample"],

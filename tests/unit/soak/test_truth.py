@@ -6,8 +6,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from protocol.loop_tables import Loop
 from protocol.run_summary import Availability, Summary
-from protocol.summary_tables import Loop, SampleCounts
+from protocol.summary_tables import SampleCounts
 from protocol.ticks import InterruptionCounter
 from protocol.wire.telemetry import Status, Trace
 from soak.claims import StatusClaim, no_figures, read_line

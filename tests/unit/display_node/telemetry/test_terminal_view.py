@@ -13,12 +13,12 @@ from display_node.telemetry.terminal_view import TerminalView
 from protocol.beats import BeatFigures
 from protocol.counters import Availability, Limited, Limits
 from protocol.errors import CAUSE_MEANINGS
+from protocol.loop_tables import Loop
 from protocol.run_summary import Summary
 from protocol.summary_tables import (
     AlignedErrors,
     Clock,
     Compensation,
-    Loop,
     OneWayDelay,
     PlayoutDelay,
     Roughness,

@@ -13,16 +13,9 @@ from prometheus_client.registry import Collector
 from protocol.beats import BeatFigures
 from protocol.counters import Limited, Limits
 from protocol.errors import AddressError
+from protocol.loop_tables import Lateness, Loop
 from protocol.run_summary import Summary
-from protocol.summary_tables import (
-    Clock,
-    Compensation,
-    FrameCounts,
-    Lateness,
-    Loop,
-    OneWayDelay,
-    SampleCounts,
-)
+from protocol.summary_tables import Clock, Compensation, FrameCounts, OneWayDelay, SampleCounts
 from protocol.wire.telemetry import Status
 from telepulse.metrics.server import SILENT_AFTER_NS, NodeState, families, parse_address
 

@@ -27,13 +27,12 @@ from fuzz.telemetry_readers import (
 )
 from protocol.counters import Availability
 from protocol.errors import CAUSE_MEANINGS
+from protocol.loop_tables import Deadlines, Loop
 from protocol.run_summary import Summary
 from protocol.summary_tables import (
     AlignedErrors,
     Clock,
     Compensation,
-    Deadlines,
-    Loop,
     OneWayDelay,
     PlayoutDelay,
     Roughness,

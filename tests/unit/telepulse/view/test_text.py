@@ -4,7 +4,8 @@ from typing import Any
 import pytest
 
 from protocol.counters import Availability, Limited, Limits
-from protocol.summary_tables import Clock, Compensation, Deadlines, Loop, SampleCounts
+from protocol.loop_tables import Deadlines, Loop
+from protocol.summary_tables import Clock, Compensation, SampleCounts
 from telepulse.view.live import LiveState
 from telepulse.view.text import FIGURES, age, alarms, figures, state
 from telepulse.view.window_data import window_data
