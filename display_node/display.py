@@ -197,7 +197,7 @@ class Display:
         if self.press is not None:
             self.press.tick(now_ns, contactors[0].rendered_n(self.press))
             if self.ticks % PRESS_TICKS == 0:
-                self._show_press(self.press.figures())
+                self._show_press(self.press)
         if elapsed_ticks > 1:
             safety.skip(elapsed_ticks)
         gain = safety.advance(alive)
@@ -211,11 +211,11 @@ class Display:
                 safety.fault(fault)
         return state
 
-    def _show_press(self, figures: PressFigures) -> None:
+    def _show_press(self, press: LocalPress) -> None:
         """Put the finger's press and the last reported hold-down into the state of the tick."""
-        state = self.states[0]
-        state.press_n = figures.press_n or 0.0
-        state.hold_down_n = math.nan if figures.hold_down_n is None else figures.hold_down_n
+        state, hold_down_n = self.states[0], press.hold_down_n
+        state.press_n = press.press_n
+        state.hold_down_n = math.nan if hold_down_n is None else hold_down_n
 
     def _play(self, now_ns: int) -> bool:
         """Choose the instant of the pulse that is played; return whether the stream is alive."""

@@ -117,6 +117,17 @@ class LocalPress:
         return 0.0 if self._scene.film_reads_press else self.static_n
 
     @property
+    def press_n(self) -> float:
+        """Force with which the finger presses now."""
+        return self._press.press_n
+
+    @property
+    def hold_down_n(self) -> float | None:
+        """Static force of the probe on the wrist, as last reported; None before a report."""
+        report = self._press.sender.report
+        return None if report is None else report.hold_down_n
+
+    @property
     def still(self) -> bool:
         """True while the finger has not moved lately."""
         return self._press.still
@@ -159,14 +170,13 @@ class LocalPress:
     def figures(self) -> PressFigures:
         """Return the figures so far."""
         press, counts = self._press, self._press.sender.counts()
-        report = press.sender.report
         return PressFigures(
             sent=counts.sent,
             applied=counts.applied,
             superseded=counts.superseded,
             lost=counts.lost,
-            press_n=press.press_n,
-            hold_down_n=None if report is None else report.hold_down_n,
+            press_n=self.press_n,
+            hold_down_n=self.hold_down_n,
             loop_gain=press.loop_gain,
             probe=self._probe,
         )
