@@ -23,7 +23,7 @@ PA_PER_N: Final = 1e4
 LOWEST, HIGHEST = -1.0, 2.0
 # Where the artery is open in diastole, pressures so far below the least plausible one are seen.
 SEEN: Final = 0.7
-# Where it is closed, readings of this share of the height are noise, and count as the foot.
+# Where it is closed, readings within this share of the height from the foot are noise.
 UNSEEN: Final = 0.004
 
 
@@ -69,24 +69,31 @@ class ArteryLaw:
             tube.volume(low_n + self.pulse_n) - foot
         )
 
-    def slope(self, pressure: float, force_n: float) -> float:
-        """Return the change of `share` with the pressure, at a pressure and hold-down force."""
-        more, less = (self.share(pressure + change, force_n) for change in (0.01, -0.01))
-        return (more - less) / 0.02
-
-    def pressure(self, share: float, force_n: float, least: float = -math.inf) -> float:
+    def pressure(self, share: float, force_n: float, diastole: float = 0.0) -> float:
         """Return the artery's pressure for a reading, as `share` is its inverse.
 
-        least: lowest pressure that is plausible where the artery is closed, and the reading
-        contains noise only. Where it is open, lower ones are seen.
+        Where the artery is closed, readings near the foot contain noise only.
+
+        Parameters
+        ----------
+        share
+            Reading above the foot, over the height.
+        force_n
+            Hold-down force.
+        diastole
+            Expected pressure in diastole, as `share` has it. It stands for what is not seen, and is
+            the lowest plausible pressure there. Where the artery is open, lower ones are seen.
         """
         tube, low_n = self._tube(), self.diastolic_n - force_n
         a, b = self.collapse_per_n, self.distension_per_n
         foot = tube.volume(low_n)
+        height = tube.volume(low_n + self.pulse_n) - foot
         open_share = math.exp(a * min(low_n, 0.0))
         unseen = max(UNSEEN * (1.0 - open_share), 1e-9)
-        share -= unseen * math.exp(-max(share, 0.0) / unseen)
-        volume = foot + share * (tube.volume(low_n + self.pulse_n) - foot)
+        expected = (tube.volume(low_n + diastole * self.pulse_n) - foot) / height
+        beyond = share - expected
+        # Deviations from the expected foot count as far as they exceed the noise.
+        volume = foot + (expected + beyond**3 / (beyond**2 + unseen**2)) * height
         if volume <= 0.0:
             transmural_n = -math.inf
         elif volume < 1 / a:
@@ -94,7 +101,7 @@ class ArteryLaw:
         else:
             transmural_n = -math.log(max(1 - b * (volume - 1 / a), 1e-9)) / b
         pressure = (transmural_n - low_n) / self.pulse_n
-        return min(max(pressure, least - SEEN * open_share, LOWEST), HIGHEST)
+        return min(max(pressure, diastole - SEEN * open_share, LOWEST), HIGHEST)
 
     def _tube(self) -> TubeLaw:
         return TubeLaw(self.collapse_per_n, self.distension_per_n)

@@ -17,6 +17,8 @@ NEAR_RATES: Final = np.linspace(-0.08, 0.08, 9)
 # A wave is fitted to the beats of this time, at least so many; beats count less with their age, as
 # respiration is not regular for longer.
 FITTED_S, FEWEST_BEATS, REGULAR_S = 30.0, 8, 20.0
+# The best of all rates explains so many times the variance of deviations without a rhythm.
+CHANCE: Final = 6.0
 # Bounds of what a beat deviates from the fitted wave.
 LEAST_DOUBT, MOST_DOUBT = 0.02, 0.08
 
@@ -57,7 +59,7 @@ class FittedWave(NamedTuple):
 def fit_wave(times_s: Floats, pressures: Floats, now_s: float) -> FittedWave | None:
     """Return the sine without a mean that fits the newest beats best; None for too few of them.
 
-    Its amplitudes are pulled towards 0 as far as beats deviate, so that it does not explain noise.
+    Its amplitudes are lowered by what the best rate would explain of chance alone.
 
     Parameters
     ----------
@@ -77,8 +79,12 @@ def fit_wave(times_s: Floats, pressures: Floats, now_s: float) -> FittedWave | N
     cosine, sine, explained = _fit_sines(near, since_s, weights, seen)
     at = int(explained.argmax())
     rest = max(float(weights @ seen**2 - explained[at]), 0.0) / float(weights.sum())
-    deviation = min(max(math.sqrt(rest * count / (count - 3)), LEAST_DOUBT), MOST_DOUBT)
-    return FittedWave(float(near[at]), now_s, float(cosine[at]), float(sine[at]), deviation)
+    rest *= count / (count - 3)
+    kept = max(0.0, 1.0 - CHANCE * rest / max(float(explained[at]), 1e-12))
+    deviation = min(max(math.sqrt(rest), LEAST_DOUBT), MOST_DOUBT)
+    return FittedWave(
+        float(near[at]), now_s, kept * float(cosine[at]), kept * float(sine[at]), deviation
+    )
 
 
 def _fit_sines(
