@@ -28,6 +28,9 @@ from protocol.wire.telemetry import pack_status
 REPORT_EVERY_NS: Final = 1_000_000_000
 # The press in the state of the ticks is renewed after so many: a set-point is sent every 20 ms.
 PRESS_TICKS: Final = 10
+# Contactors that play the same samples, which are read once: their lead in ns, the number of
+# values, and their places in the buffer.
+Group = tuple[int, int, list[int], list[Contactor]]
 
 
 class Display:
@@ -60,10 +63,8 @@ class Display:
         # the first exchanges of the clock.
         scene.predictor.build(scene.tick_ns, 1)
         self.states = [contactor.state for contactor in self.contactors]
-        # Those that play on a real bench, and those that play the same samples: their lead,
-        # number of values and places in the buffer.
         self._driven: list[Contactor] = []
-        self._groups: list[tuple[int, int, list[int], list[Contactor]]] = []
+        self._groups: list[Group] = []
         errors = (contactor.tracking_error for contactor in self.contactors)
         self.tracking_errors = [error for error in errors if error is not None]
         self._playout = PlayoutClock()
@@ -258,8 +259,8 @@ class Display:
             self._delays.add(sensing_now_ns - instant_ns, longest_ns, trusted)
         return alive
 
-    def _group(self) -> list[tuple[int, int, list[int], list[Contactor]]]:
-        """Return the contactors by the samples that they play: their lead and number of values."""
+    def _group(self) -> list[Group]:
+        """Return the contactors by the samples that they play, the first one first."""
         groups: dict[tuple[int, int], tuple[list[int], list[Contactor]]] = {}
         for place, contactor in enumerate(self.contactors):
             key = contactor.lead_ns, contactor.count
