@@ -1,11 +1,13 @@
 """Telemetry: message formats by which a node publishes its state, for display and recording.
 
-Three topics, each a multipart message [topic, msgpack]:
+Topics, each a multipart message [topic, msgpack]:
 
 - "trace": every tick since the last trace;
 - "status": the running summary, several times a second; the last status has final = true;
 - "heard": every message that the display receives, with its time of arrival, published only while
-  a recorder subscribes. Each states how much was published before, so that gaps show.
+  a recorder subscribes. Each states how much was published before, so that gaps show;
+- "mark": a text at a time (`marks`);
+- "provenance": versions, host and command of the node, on request (`protocol/provenance.py`).
 """
 
 import math

@@ -135,7 +135,7 @@ def tunnel(
     allow: AllowOption = None,
     insecure: InsecureOption = False,
 ) -> None:
-    r"""Join displays to a sensing node where routers let nobody in to either.
+    r"""Join displays to a sensing node where no router lets a connection in.
 
     Runs on a third machine that both can reach. The sensing node connects to it from within
     (`--dial-out`), and displays connect to it as to the sensing node, with the sensing node's

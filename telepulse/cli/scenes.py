@@ -40,7 +40,7 @@ def copy(
         load_document(path)
         target = file or Path(path.name)
         create_file(target, path.read_text(encoding="utf-8"))
-    plain_console().print(f"{target}: change it, then: {PROGRAM} simulate {target}")
+    plain_console().print(f"{target}: a copy of the scene {path.stem!r}, to be changed")
 
 
 @app.command()

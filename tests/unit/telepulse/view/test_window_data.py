@@ -184,13 +184,13 @@ def test_limits_are_round_and_change_seldom() -> None:
 def test_a_mark_is_shown_for_a_whole_window_of_many_events() -> None:
     display = SimulatedDisplay(LiveState())
     display.go(1)
-    display.event("mark", "cuff on")
+    display.event("mark", "cuff on the recording arm")
     for number in range(30):
         display.event("felt again", str(number), "WARNING")
     display.go(1)
     events = window_data(display.live, 2 * SECOND_NS).events
     assert [(kind, text) for _, kind, text in events[-31:-29]] == [
-        ("mark", "mark: cuff on"),
+        ("mark", "mark: cuff on the recording arm"),
         ("warning", "felt again: 0"),
     ]
     assert len(events) >= 31
