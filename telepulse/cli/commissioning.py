@@ -93,7 +93,9 @@ def bench(
                 raise SceneError(f"--force: {reason}")
             check_editable(path, write)
             if write is not None and contactor is not None:
-                raise SceneError("--write: not with --contactor; copy the printed keys into its table")
+                raise SceneError(
+                    "--write: not with --contactor; copy the printed keys into its table"
+                )
         provenance = collect(path, sections)
         if only != "display":
             bench_check.check_wrist(findings, sensing, path.parent, seconds)

@@ -283,7 +283,9 @@ def report_calibration(name: str, loads: LoadReadings, line: CalibrationLine) ->
         (f"{load:.4g} N", f"{reading * scale:.5g}", f"{fit * scale:.5g}", f"{off * 1e3:+.2f} mN")
         for load, reading, fit, off in columns
     )
-    table = Table(f"Loads and readings: {name}", ("load", f"reading, {unit}", "line", "residual"), rows)
+    table = Table(
+        f"Loads and readings: {name}", ("load", f"reading, {unit}", "line", "residual"), rows
+    )
 
     def milli(value_n: float | None) -> str:
         return "needs a repeated load" if value_n is None else f"{value_n * 1e3:.2f} mN"
