@@ -4,6 +4,7 @@ It contains the time until the heart ejects, the way of the pulse wave to the se
 of both sensors: some 150 to 250 ms at the wrist. A constant shift of the ECG is part of it.
 """
 
+import math
 import statistics
 from collections import deque
 from dataclasses import dataclass
@@ -25,6 +26,9 @@ DEVIATIONS, NEAR, FAR, LEAST = 4.0, 4.0, 12.0, 0.2
 # last ones, so many of the last two kinds end reliability. It returns after a row without any, at a
 # deviation of at most 30 ms: beats of another heart pass the tolerance in a row, but drift.
 EVENTS, WRONG, STEADY = 5, 2, 6.0
+# Steps after an arrival in which the same beat goes on, 500 ms, and those from the foot of a pulse
+# to its arrival, which is its steepest rise.
+BEAT_STEPS, RISE_STEPS = 100.0, 10.0
 # R-R intervals before an R wave that count, and the longest of them: 2 s.
 INTERVALS, LONGEST_INTERVAL = 2, 400.0
 # R waves kept: those of 40 s at 4 beats a second.
@@ -79,6 +83,7 @@ class TransitTime:
         self._wrong: deque[bool] = deque([True] * EVENTS, maxlen=EVENTS)
         # R waves whose pulse may still arrive.
         self._expected: deque[RWave] = deque()
+        self._arrived = -math.inf
         self._analogues: Analogues | None = None
 
     @property
@@ -96,6 +101,19 @@ class TransitTime:
         if wave.transit is None or self.median is None:
             return False
         return abs(wave.transit - self.median) <= self.tolerance
+
+    def pause(self, now: float) -> tuple[float, float]:
+        """Return between which steps from a position on no pulse can rise.
+
+        It begins when the last beat has passed, and ends with the earliest pulse of the next R
+        wave: of one whose pulse is expected, or of one that has not been found yet.
+        """
+        if self.median is None:
+            return 0.0, 0.0
+        wave = self.waves[-1]
+        first = self._expected[0].at if self._expected else now - (wave.found - wave.at)
+        earliest = first + self.median - self.tolerance - RISE_STEPS
+        return self._arrived + BEAT_STEPS - now, earliest - now
 
     @property
     def analogues(self) -> Analogues:
@@ -136,6 +154,7 @@ class TransitTime:
             self._count(wrong=True)
             return
         wave.transit = at - wave.at
+        self._arrived = at
         on_time = self.confirms(wave)
         self._learn(wave.transit)
         # R waves expected before this one have no pulse.
