@@ -5,12 +5,13 @@ from typing import TYPE_CHECKING
 
 from telepulse.reports.document import STYLES, Chapter, Plot, Report, Table
 from telepulse.reports.notation import percent
+from telepulse.reports.studies.announce_detector import MATCH_S, MATCHED_FROM_S
+from telepulse.reports.studies.announce_oracle import HORIZONS_MS as ORACLE_HORIZONS_MS
+from telepulse.reports.studies.announce_oracle import OracleErrors
 from telepulse.reports.studies.announce_pulses import JUMP, NOISE_MV, TRANSIT_S
 from telepulse.reports.studies.announce_study import (
     FAULT_FROM_S,
     FOUND_OUT_S,
-    MATCH_S,
-    MATCHED_FROM_S,
     AnnounceEffort,
     AnnounceScores,
     FoundOut,
@@ -60,6 +61,9 @@ def _errors_chapter(scores: AnnounceScores, effort: AnnounceEffort) -> Chapter:
     if scores.limit:
         tables.append(_errors_table("Limit: transit time that does not vary", scores.limit))
 
+    if scores.oracle:
+        tables.append(_oracle_table(scores.oracle))
+
     def draw(figure: "Figure") -> None:
         axes = figure.add_subplot()
         for style, each in zip(STYLES, scores.errors[BAR_JITTER_S], strict=False):
@@ -92,6 +96,18 @@ def _errors_table(title: str, errors: Iterable[PulseErrors]) -> Table:
             )
         )
     return Table(title, ("pulse", *HORIZON_COLUMNS, "transit time, ms", "used"), rows)
+
+
+def _oracle_table(oracle: tuple[OracleErrors, ...]) -> Table:
+    rows = []
+    for name in dict.fromkeys(each.name for each in oracle):
+        runs = [each.errors for each in oracle if each.name == name]
+        pairs = [(sum(at) / len(at), max(at)) for at in zip(*runs, strict=True)]
+        rows.append((name, *(f"{mean:.3f}, {most:.3f}" for mean, most in pairs)))
+    jitter = f"{1e3 * BAR_JITTER_S:g} ms"
+    title = f"Limit: an oracle that has the generator, transit time varying by {jitter}"
+    columns = ("pulse", *(f"{each} ms" for each in ORACLE_HORIZONS_MS))
+    return Table(f"{title}; mean and greatest of the seeds", columns, rows)
 
 
 def _detector_chapter(scores: AnnounceScores) -> Chapter:
@@ -167,13 +183,18 @@ def _cost_chapter(scores: AnnounceScores) -> Chapter:
 def bars(scores: AnnounceScores) -> list[tuple[str, bool]]:
     """Return what was to be reached, and whether it was."""
     errors, at_100_ms = scores.errors, HORIZONS_MS.index(100)
-    found = []
+    found, limits = [], dict[str, tuple[float, float]]()
+    for name in dict.fromkeys(each.name for each in scores.oracle):
+        at = [each.errors[-1] for each in scores.oracle if each.name == name]
+        limits[name] = sum(at) / len(at), max(at)
     for each in errors[BAR_JITTER_S]:
         bar = BARS[each.name.partition(",")[0]]
         kinds = {"on average": each.announced, "at worst": each.worst}
         for kind, values in kinds.items() if len(each.runs) > 1 else [("", each.announced)]:
             where = f"{each.name}, {kind} of {len(each.runs)}" if kind else each.name
             what = f"{where}: {values[at_100_ms]:.3f} at 100 ms, at most {bar:.2f}"
+            if limit := limits.get(each.name):
+                what = f"{what}, an oracle's {(limit[1] if kind == 'at worst' else limit[0]):.3f}"
             found.append((what, values[at_100_ms] <= bar))
     most = percent(EQUAL, "+.1f")
     for jitter_s, sets in errors.items():

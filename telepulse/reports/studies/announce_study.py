@@ -2,7 +2,6 @@
 
 import itertools
 import time
-from bisect import bisect_right
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -11,6 +10,8 @@ import numpy as np
 
 from display_node.prediction.ensemble import Ensemble
 from display_node.prediction.r_waves import RWaveDetector
+from telepulse.reports.studies.announce_detector import DetectorScore, score_lead
+from telepulse.reports.studies.announce_oracle import OracleErrors, score_oracle
 from telepulse.reports.studies.announce_pulses import (
     FAULTS,
     SYNTHETIC,
@@ -38,9 +39,6 @@ from telepulse.reports.studies.sweep import in_one_thread, sweep
 JITTERS_S, NO_JITTER_S = (0.005, 0.02), 0.0
 # From FOUND_OUT_S after a fault on, the ECG is to be unused.
 FAULT_FROM_S, FOUND_OUT_S = 25.0, 3.0
-# ANSI/AAMI EC57: a detection within 150 ms of an annotated beat is that beat. Its learning period
-# of five minutes is not used: only the first 5 s do not count.
-MATCH_S, MATCHED_FROM_S = 0.15, 5.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,28 +124,6 @@ class FoundOut(NamedTuple):
     rise: float
 
 
-class DetectorScore(NamedTuple):
-    """R waves found of a lead against its annotations: counts, and latency in ms."""
-
-    lead: str
-    beats: int
-    missed: int
-    false: int
-    deviation_ms: float
-    latency_ms: float
-
-    @property
-    def sensitivity(self) -> float:
-        """Share of the annotated beats that were found."""
-        return 1 - self.missed / self.beats
-
-    @property
-    def precision(self) -> float:
-        """Share of the R waves found that are annotated beats."""
-        found = self.beats - self.missed
-        return found / (found + self.false)
-
-
 @dataclass(frozen=True, slots=True)
 class AnnounceScores:
     """Scores of the study. errors: by the jitter in s of the transit time, or 0 for recordings.
@@ -161,6 +137,7 @@ class AnnounceScores:
     detector: list[DetectorScore]
     cost_ratio: float
     limit: tuple[PulseErrors, ...] = ()
+    oracle: tuple[OracleErrors, ...] = ()
 
 
 class AnnouncedRun(NamedTuple):
@@ -258,48 +235,6 @@ def score_fault(announced: AnnouncedPulse, fault: EcgFault, without: Floats) -> 
     )
 
 
-def score_lead(lead: AnnotatedLead) -> DetectorScore:
-    """Find the R waves of a lead frame by frame, and match them with its annotations."""
-    detector, found_s, latencies_s = RWaveDetector(), [], []
-    times_ns = np.round(np.arange(len(lead.ecg_mv)) * 1e9 / lead.rate_hz).astype(int).tolist()
-    values = lead.ecg_mv.tolist()
-    for first in range(0, len(values), FRAME):
-        for wave in detector.observe(
-            times_ns[first : first + FRAME], values[first : first + FRAME]
-        ):
-            found_s.append(wave.at_ns * 1e-9)
-            latencies_s.append((wave.found_ns - wave.at_ns) * 1e-9)
-    beats_s: list[float] = lead.beats_s.tolist()
-    pairs = _match(beats_s, found_s)
-    scored = range(bisect_right(beats_s, MATCHED_FROM_S), len(beats_s))
-    missed = len(set(scored) - {beat for beat, _ in pairs})
-    matched = {found for _, found in pairs}
-    candidates = range(
-        bisect_right(found_s, MATCHED_FROM_S), bisect_right(found_s, beats_s[-1] + MATCH_S)
-    )
-    errors_s = [found_s[found] - beats_s[beat] for beat, found in pairs if beat in scored]
-    return DetectorScore(
-        lead.name,
-        len(scored),
-        missed,
-        len(set(candidates) - matched),
-        1e3 * float(np.std(errors_s)) if errors_s else np.nan,
-        1e3 * float(np.median(latencies_s)),
-    )
-
-
-def _match(beats_s: list[float], found_s: list[float]) -> list[tuple[int, int]]:
-    """Return the places of matched beats and R waves; each R wave matches one beat, in order."""
-    pairs, position = [], 0
-    for beat, beat_s in enumerate(beats_s):
-        while position < len(found_s) and found_s[position] < beat_s - MATCH_S:
-            position += 1
-        if position < len(found_s) and found_s[position] <= beat_s + MATCH_S:
-            pairs.append((beat, position))
-            position += 1
-    return pairs
-
-
 def measure_cost_ratio(case: tuple[AnnouncedPulse, int]) -> float:
     """Return the processor time of frames with an ECG over that without, the least of rounds."""
     announced, rounds = case
@@ -342,10 +277,16 @@ def score_announce(
             runs.setdefault(key, {}).setdefault(each.name, []).append(each)
     limit = _by_pulse(runs.pop(None))
     errors = {key: _by_pulse(by_name) for key, by_name in runs.items() if key is not None}
+    lengths = [
+        (each.name, effort.seconds, seed, JITTERS_S[0])
+        for each in errors[JITTERS_S[0]]
+        for seed in effort.seeds[: len(each.runs)]
+    ]
+    oracle = tuple(sweep(score_oracle, lengths, scheduler))
     faults = list(itertools.chain.from_iterable(sweep(score_faults, basis, scheduler)))
     detector = sweep(score_lead, leads, scheduler) if leads else []
     ratio = in_one_thread(measure_cost_ratio, (basis[0], effort.cost_rounds))
-    return AnnounceScores(errors, faults, detector, ratio, tuple(limit))
+    return AnnounceScores(errors, faults, detector, ratio, tuple(limit), oracle)
 
 
 def _by_pulse(runs: dict[str, list[BothErrors]]) -> list[PulseErrors]:

@@ -9,8 +9,8 @@ import pytest
 from numpy.typing import NDArray
 
 from sensing_node.sources.ecg import draw_ecg
+from telepulse.reports.studies.announce_detector import score_lead
 from telepulse.reports.studies.announce_records import AnnotatedLead
-from telepulse.reports.studies.announce_study import score_lead
 
 Floats = NDArray[np.float64]
 SECONDS, RATE_HZ = 300.0, 360.0

@@ -45,6 +45,19 @@ def test_a_transit_time_and_its_deviation_are_learnt(jitter: float, median: floa
     assert len(reliable) > 0.8 * (9_500 - reliable[0])
 
 
+def test_no_pulse_rises_until_the_next_r_wave_can_have_one() -> None:
+    """A pulse rises 50 ms before its arrival, at 40 steps; R waves are found after 9 steps."""
+    transit = TransitTime()
+    assert transit.pause(0.0) == (0.0, 0.0)
+    feed(transit, BEATS, BEATS + 40.0, round(BEATS[-1]) + 60)
+    newest, tolerance = BEATS[-1], transit.tolerance
+    # The last beat has arrived: it passes for 500 ms, and no other R wave has been found yet.
+    now = newest + 120.0
+    assert transit.pause(now) == (newest + 140.0 - now, pytest.approx(40 - 9 - tolerance - 10))
+    transit.announce(now, now + 9)
+    assert transit.pause(now + 15)[1] == pytest.approx(40 - 15 - tolerance - 10)
+
+
 def lost_after(waves: np.ndarray, arrivals: np.ndarray, since: float) -> float:
     """Return how many steps after `since` reliability is lost."""
     transit = TransitTime()

@@ -12,6 +12,8 @@ import pytest
 from protocol.errors import SourceError
 from sensing_node.sources.ecg import draw_ecg
 from telepulse.reports.studies import announce_study
+from telepulse.reports.studies.announce_detector import DetectorScore, score_lead
+from telepulse.reports.studies.announce_oracle import OracleErrors
 from telepulse.reports.studies.announce_pulses import (
     FAULTS,
     JUMP,
@@ -27,10 +29,8 @@ from telepulse.reports.studies.announce_study import (
     AnnounceEffort,
     AnnounceScores,
     BothErrors,
-    DetectorScore,
     FoundOut,
     PulseErrors,
-    score_lead,
 )
 from telepulse.reports.studies.prediction_pulses import RATE_HZ, drawn_beats
 
@@ -142,6 +142,20 @@ def test_the_report_has_the_errors_of_a_transit_time_that_does_not_vary() -> Non
     assert row[:2] == ("fibrillation", "0.100 / 0.080")
 
 
+def test_a_missed_criterion_names_what_an_oracle_reaches() -> None:
+    """The mean of its seeds beside the mean, and the greatest beside the greatest."""
+    oracle = tuple(OracleErrors("fibrillation", (0.01, 0.05, each)) for each in (0.1, 0.13))
+    result = replace(MET, errors={0.005: [errors("fibrillation", 0.14, 0.18)]}, oracle=oracle)
+    assert [what for what, reached in bars(result) if not reached] == [
+        "fibrillation, on average of 2: 0.160 at 100 ms, at most 0.15, an oracle's 0.115",
+        "fibrillation, at worst of 2: 0.180 at 100 ms, at most 0.15, an oracle's 0.130",
+    ]
+    chapter = report_announce(result, AnnounceEffort()).chapters[0]
+    assert chapter.tables[-1].rows == [
+        ("fibrillation", "0.010, 0.010", "0.050, 0.050", "0.115, 0.130")
+    ]
+
+
 def test_errors_are_collected_by_jitter_and_pulse(monkeypatch: pytest.MonkeyPatch) -> None:
     """Each pulse is run once without an ECG, and with one for each jitter and for none."""
 
@@ -152,7 +166,11 @@ def test_errors_are_collected_by_jitter_and_pulse(monkeypatch: pytest.MonkeyPatc
             for each, value in zip(versions, values, strict=True)
         ]
 
-    scorers = {"score_both": errors_by_place, "score_faults": lambda _: [fault()]}
+    scorers = {
+        "score_both": errors_by_place,
+        "score_faults": lambda _: [fault()],
+        "score_oracle": lambda case: OracleErrors(case[0], (0.0, 0.0, 0.1 * case[2])),
+    }
 
     def computed(score: Callable[..., Any], cases: list[Any], _: str | None) -> list[Any]:
         return [scorers[score.__name__](case) for case in cases]
@@ -167,6 +185,8 @@ def test_errors_are_collected_by_jitter_and_pulse(monkeypatch: pytest.MonkeyPatc
     assert [each.announced[0] for each in scored.limit] == pytest.approx([0.3] * 6)
     assert [len(each.runs) for each in scored.errors[0.005]] == [2, 2, 2, 1, 1, 1]
     assert len(scored.faults) == 3
+    assert [each.errors[-1] for each in scored.oracle[:2]] == pytest.approx([0.1, 0.2])
+    assert len(scored.oracle) == 3 * 2 + 3
 
 
 def test_records_that_cannot_be_read_are_named(
