@@ -11,6 +11,8 @@ from dataclasses import dataclass
 from heapq import heappop, heappush
 from typing import Final
 
+from display_node.press.hand import FollowingHand
+from display_node.press.loop_gain import LoopGain
 from display_node.press.pulse_height import PulseHeight
 from display_node.press.reading import PressReading
 from display_node.press.set_points import SetPointSender
@@ -33,16 +35,18 @@ MEAN_TICKS, MEAN_MOVED_N = 100, 0.005
 YIELD_S: Final = 0.25
 YIELD_M_PER_S: Final = 0.02
 MOST_YIELD_M: Final = 0.01
+# Time after which the hold-down has a set-point that has arrived, and the reading's lag.
+PROBE_S: Final = 60e-3
 # A sensor without a reading for this long is silent.
 SILENT_NS: Final = 50_000_000
 # Without a felt sample for this long, the finger sends nothing.
 BLIND_NS: Final = 300_000_000
 # Longer frames are learnt in parts of this length.
 LEARN_NS: Final = 5_000_000
+# A beat is doubted for this time at most.
+DOUBT_NS: Final = 2_000_000_000
 # Frames are learnt in order, so they wait this long for earlier ones.
 ORDER_NS: Final = 600_000_000
-# Time over which the loop's gain is the largest one.
-GAIN_S: Final = 5.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,25 +62,6 @@ class PressLimits:
     overforce: float = 3.0
 
 
-class LoopGain:
-    """Gain of the loop through the network, measured live as an upper bound.
-
-    A newton of hold-down changes the pulse's height by the slope of the height curve. Of a pulse,
-    the share that is not subtracted from the reading, times its mean over the averaged time, goes
-    on to the set-point.
-
-    gain: the largest product of the last seconds.
-    """
-
-    def __init__(self) -> None:
-        self.gain = 0.0
-
-    def add(self, remaining: float, mean: float, slope: float, elapsed_s: float) -> None:
-        """Take the share that remains, the pulse's mean over its height, and the slope."""
-        now = remaining * abs(mean) * abs(slope)
-        self.gain = max(now, math.exp(-elapsed_s / GAIN_S) * self.gain)
-
-
 class FingerPress:
     """The press of one display's finger.
 
@@ -89,7 +74,9 @@ class FingerPress:
     swept_n
         Force that a sweep presses with in place of the finger; None without a sweep.
     loop_gain
-        Measured gain of the loop through the network.
+        Measured gain of the loop through the network, which is bounded.
+    hand
+        Hand that follows the tip.
     curve, stiffness
         The local model.
     sender
@@ -100,8 +87,8 @@ class FingerPress:
         self._limits = limits
         self._reading, self._gain = PressReading(), LoopGain()
         self._heights = PulseHeight()
-        # The newest beat was doubtful; it is known before the heights of its time are learnt.
-        self._doubtful = False
+        # Until this time nothing is learnt, as the newest beat was doubtful.
+        self._doubtful_ns = -(1 << 62)
         self._read_ns: int | None = None
         self._tick_ns: int | None = None
         self._alive_ns: int | None = None
@@ -115,6 +102,7 @@ class FingerPress:
         self._bins = [0.0] * len(BINS)
         self._mean_now, self._mean_at_n, self._mean_age = 0.0, math.inf, 0
         self.curve, self.stiffness = PulseCurve(limits.force_n), StiffnessFit()
+        self.hand = FollowingHand()
         self.sender = SetPointSender(press, limits.force_n, limits.slew_n_per_s)
         self.yielded_m = 0.0
         self.swept_n: float | None = None
@@ -204,7 +192,7 @@ class FingerPress:
         self._heights = PulseHeight()
         self.curve.restart()
         self._frames.clear()
-        self._doubtful = False
+        self._doubtful_ns = -(1 << 62)
         self._learnt_ns = self._newest_ns = -(1 << 62)
 
     def _learn(self, now_ns: int, hold_down_n: float, pulse_n: float) -> None:
@@ -218,7 +206,8 @@ class FingerPress:
             self._learnt_ns = at_ns
             beat_ns = self._reading.beat_ns
             found = self._heights.add(mean_hold_down_n, mean_n, at_ns, beat_ns)
-            if found is not None and found.hold_down_n > TOUCH_N and not self._doubtful:
+            doubtful = at_ns < self._doubtful_ns
+            if found is not None and found.hold_down_n > TOUCH_N and not doubtful:
                 self.curve.observe(found)
 
     def felt_n(self, relative: float) -> float:
@@ -249,10 +238,11 @@ class FingerPress:
     def take_beat(self, interval_s: float, good: bool) -> None:
         """Take the time of a new beat, over which the reading is averaged, if the beat is good.
 
-        After a doubtful one nothing is learnt until the next good one: a hand that moves gives
-        heights of its own.
+        After a doubtful one nothing is learnt until the next good one, for some seconds at most: a
+        hand that moves gives heights of its own. So do forces of which the law is wrong, where no
+        beat may be found until they were learnt.
         """
-        self._doubtful = not good
+        self._doubtful_ns = -(1 << 62) if good else self._newest_ns + DOUBT_NS
         if good:
             self._reading.beat_ns = round(min(max(interval_s, 0.3), 2.0) * 1e9)
 
@@ -266,7 +256,9 @@ class FingerPress:
         elapsed_s = 0.0 if last_ns is None else max(0, now_ns - last_ns) * 1e-9
         mean = self._reading.mean_pulse_n / self.height_n(self.press_n)
         slope = self.curve.slope(self.press_n) if self.curve.beats else 0.0
-        self._gain.add(self._reading.remaining, mean, slope, elapsed_s)
+        compliance = 1 / self.stiffness.law.stiffness_n_per_m(self.press_n)
+        through_hand = self.hand.most_gain(compliance, YIELD_S)
+        self._gain.add(self._reading.remaining, abs(mean) + through_hand, slope, elapsed_s)
 
     def tick(self, now_ns: int) -> float:
         """Advance to `now_ns`, and return the distance by which the tip yields."""
@@ -276,6 +268,7 @@ class FingerPress:
         most_m = YIELD_M_PER_S * elapsed_s
         step_m = (wanted_m - self.yielded_m) * -math.expm1(-elapsed_s / YIELD_S)
         self.yielded_m += min(max(step_m, -most_m), most_m)
+        self.hand.observe(self.static_n, self.yielded_m, now_ns)
         return self.yielded_m
 
     def request(
@@ -292,7 +285,12 @@ class FingerPress:
         beyond = self._reading.press_n > self._limits.overforce * self._limits.force_n
         if silent or beyond or blind:
             return None
-        return self.sender.due(self.press_n, session, sensing_now_ns, round_trip_ns, now_ns)
+        ahead_s = 0.5e-9 * round_trip_ns + PROBE_S
+        wanted_n = self.press_n + self.hand.change_n(
+            self.press_n, self.stiffness.law, YIELD_S, ahead_s
+        )
+        bounded_n = self._gain.bound(wanted_n)
+        return self.sender.due(bounded_n, session, sensing_now_ns, round_trip_ns, now_ns)
 
     def take(self, report: ProbeReport) -> None:
         """Take an answer of the sensing node, and learn the tissue's stiffness from it."""

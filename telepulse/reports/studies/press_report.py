@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from display_node.press.finger_press import PressLimits
+from display_node.press.loop_gain import MOST_GAIN as BOUNDED_GAIN
 from display_node.press.sweep import CLOSED
 from sensing_node.press.probe import ProbeLimits
 from telepulse.reports.document import STYLES, Chapter, Plot, Report, Table
@@ -225,9 +226,9 @@ def _wrists_chapter(scores: PressScores) -> Chapter:
         f" {CLOSED:g} of its largest height. Height: against that which the wrist gives to the"
         " present press at that instant of its respiration. Beyond: share of the beats whose height"
         f" is more than {percent(HEIGHT_ERROR, '.0f')} off.",
-        "A closed artery shows no diastole, and near it 1 % of the press is 10 % of the height: so"
-        " the steps to and from the deepest levels have the largest errors, until the hold-down has"
-        " followed.",
+        "A closed artery shows no diastole, which respiration moves; it follows from the wave of"
+        " the beats before. Near it, 1 % of the press is 10 % of the height. So the steps to and"
+        " from the deepest levels have the largest errors, until the hold-down has followed.",
     )
     runs = scores.wrists.values()
     mean = sum(run.beyond for run in runs) / len(runs)
@@ -260,9 +261,9 @@ def _stiffness_chapter(scores: PressScores) -> Chapter:
     ]
     words = (
         "Largest error of the hold-down from 0.3 s and a round trip after a step on, with other"
-        " stiffnesses than the models'. A stiff finger on soft tissue still follows the tip then:"
-        " the press itself moves, and the hold-down is where the press was one way of the link"
-        " ago.",
+        " stiffnesses than the models'. A stiff finger on soft tissue still follows the tip then,"
+        " and the press moves. Its change until the set-point arrives is predicted from the tip's"
+        " course and the learnt stiffness of the hand.",
     )
     meets = [pair for pair in pairs if all(scores.stiff[t, *pair] <= FOLLOW_ERROR for t in trips)]
     finding = (
@@ -318,7 +319,8 @@ def _stability_chapter(scores: PressScores) -> Chapter:
         "The gain is measured with the loop opened at the wrist, which is pressed by steps of its"
         " own while the hand means a constant force: the largest change of the set-point over that"
         f" of the hold-down. It is compared with the bound {MOST_GAIN:g} of the small-gain"
-        " argument; below 1 no delay can make the loop swing.",
+        " argument; below 1 no delay can make the loop swing. The set-point follows the press by a"
+        f" smaller share while the gain would be above {BOUNDED_GAIN:g}.",
     )
     tables = (
         Table.of("What swings on after a step: RMS of the set-point (mN)", rows),

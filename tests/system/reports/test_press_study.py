@@ -47,14 +47,7 @@ def verdicts(scores: PressScores) -> dict[str, list[str]]:
 
 def test_every_bar_is_met(scores: PressScores) -> None:
     found = verdicts(scores)
-    # A stiff finger on soft tissue still moves then.
-    stiff = found.pop("Error of the hold-down by stiffness and round trip")
-    assert stiff[2:] == ["met", "met"]
-    # A step from a closed artery to a light press is off in the first round trip.
-    found.pop("Steps on other wrists")
-    assert all(run.beyond < 0.1 for run in scores.wrists.values())
     assert all("missed" not in verdict for table in found.values() for verdict in table)
-    assert max(scores.stiff.values()) < 0.12
     force_n, slew = scores.finger
     assert force_n <= PressLimits().force_n
     assert slew == pytest.approx(PressLimits().slew_n_per_s, rel=1e-3)
@@ -107,5 +100,4 @@ def test_a_wrist_of_high_pressure_is_felt_over_a_slow_link_without_visits_too() 
     pulse = REGULAR_PULSES[HIGH]
     score, *_ = follow(PressSetting(link_of(1.0), pulse=pulse), 48.0)
     assert score.gain < MOST_GAIN
-    assert max(map(abs, score.heights)) < 0.22
-    assert score.beyond < 0.04
+    assert max(map(abs, score.heights)) < 0.06

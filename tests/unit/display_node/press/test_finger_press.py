@@ -105,6 +105,18 @@ def test_nothing_is_learnt_while_the_pulse_is_doubtful() -> None:
     assert press.curve.height(1.2) > 0.45
 
 
+def test_a_doubtful_beat_without_another_is_doubted_for_some_seconds() -> None:
+    """A law that was wrong at a force hid its beats for 14 s, and so was not mended."""
+    press = pressed(1.2)
+    press.take_beat(0.8, good=True)
+    observe(press, 0.6, 0.3)
+    press.take_beat(0.8, good=False)
+    observe(press, 1.2, 0.1, seconds=1.5, from_s=4)
+    assert press.curve.height(1.2) > 0.2
+    observe(press, 1.2, 0.1, seconds=6, from_s=5.5)
+    assert press.curve.height(1.2) == pytest.approx(0.1, rel=0.15)
+
+
 def test_off_the_wrist_no_noise_is_felt() -> None:
     press = pressed(1.2)
     observe(press, 1.2, 0.3)
