@@ -88,6 +88,9 @@ class ArteryLaw:
         a, b = self.collapse_per_n, self.distension_per_n
         foot = tube.volume(low_n)
         height = tube.volume(low_n + self.pulse_n) - foot
+        if height <= 0.0:
+            # So far beyond a closed artery nothing is seen, whatever a load cell reads.
+            return min(max(diastole, LOWEST), HIGHEST)
         open_share = math.exp(a * min(low_n, 0.0))
         unseen = max(UNSEEN * (1.0 - open_share), 1e-9)
         expected = (tube.volume(low_n + diastole * self.pulse_n) - foot) / height

@@ -133,6 +133,11 @@ def test_respiration_does_not_spoil_what_is_learnt(mean_mmhg: int) -> None:
         assert curve.height(force_n) == pytest.approx(truth.height_n(force_n), rel=0.06), force_n
 
 
+def test_far_beyond_a_closed_artery_the_expected_diastole_is_assumed() -> None:
+    law = PulseCurve(3.0).law
+    assert law.pressure(0.5, 9e5, 0.05) == 0.05
+
+
 @given(st.floats(-5, 5), st.floats(0, 3), st.floats(-0.15, 0.15))
 def test_any_reading_gives_a_bounded_pressure(share: float, force_n: float, least: float) -> None:
     law = PulseCurve(3.0).law
