@@ -31,12 +31,11 @@ class AnnouncedPath:
     def correct(self, history: History, ahead: Floats) -> None:
         """Correct the stack's paths, shape (channels, 25), where R waves are reliable."""
         self._path[:] = ahead[0]
-        made = self._regression.predict(history)
-        if made is None:
+        path = self._regression.predict(history)
+        if path is None:
             self._difference[:] = 0.0
             return
-        np.subtract(made.reshape(ahead.shape), ahead, out=self._difference)
-        self._difference += history.rows(1)
+        np.subtract(path, ahead, out=self._difference)
         transit, now = self.transit, history.count
         since_arrival = now - transit.newest - (transit.median or 0.0)
         share = self._share.of(self._difference[0], since_arrival, transit.pause(now))

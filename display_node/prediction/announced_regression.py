@@ -85,7 +85,7 @@ class AnnouncedRegression:
         self._usual: tuple[Places, Row] = np.zeros(0, np.intp), self._scaled
 
     def predict(self, history: History) -> Row | None:
-        """Return the path's differences from the newest value, the channels' side by side.
+        """Return the path of each channel, shape (channels, 25).
 
         Returns None where too few beats are analogues.
         """
@@ -99,7 +99,9 @@ class AnnouncedRegression:
         # A present unlike all its analogues is not extrapolated beyond them.
         np.maximum(made, self._low, out=made)
         np.minimum(made, self._high, out=made)
-        return made
+        path = made.reshape(-1, HORIZONS)
+        path += history.rows(1)
+        return path
 
     def prepare(self, history: History) -> None:
         """Find the analogues of the next steps, and make the regression for them, when it is due.
