@@ -12,7 +12,7 @@ RISES, PASSED, MOMENTS = -5.0, 50.0, 3
 LEARNT, FORGET = 2, 1 - 1 / 500
 # Strength of shares of 0. That of times when the announced path has just been wrong needs more
 # evidence, since a single beat that comes much too late or too early has enormous errors.
-SHARE_RIDGE = np.array([[0.02], [1.0]])
+SHARE_RIDGE = np.array([[0.1], [3.0]])
 # A share is taken in full from SURE on, and not at all below DOUBTFUL: a small one is more often an
 # error of its estimate than a gain. With these, 20 ms of jitter cost nothing.
 DOUBTFUL, SURE = 0.2, 0.85

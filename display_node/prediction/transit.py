@@ -26,6 +26,9 @@ DEVIATIONS, NEAR, FAR, LEAST = 4.0, 4.0, 12.0, 0.2
 # last ones, so many of the last two kinds end reliability. It returns after a row without any, at a
 # deviation of at most 30 ms: beats of another heart pass the tolerance in a row, but drift.
 EVENTS, WRONG, STEADY = 5, 2, 6.0
+# A pause is certain after so many events in a row that were right: an ECG that is unplugged shows one
+# as well, and beats of another heart are right for a while.
+CERTAIN = 12
 # Steps after an arrival in which the same beat goes on, 500 ms, and those from the foot of a pulse
 # to its arrival, which is its steepest rise.
 BEAT_STEPS, RISE_STEPS = 100.0, 10.0
@@ -84,6 +87,7 @@ class TransitTime:
         # R waves whose pulse may still arrive.
         self._expected: deque[RWave] = deque()
         self._arrived = -math.inf
+        self._right = 0
         self._analogues: Analogues | None = None
 
     @property
@@ -106,9 +110,10 @@ class TransitTime:
         """Return between which steps from a position on no pulse can rise.
 
         It begins when the last beat has passed, and ends with the earliest pulse of the next R
-        wave: of one whose pulse is expected, or of one that has not been found yet.
+        wave: of one whose pulse is expected, or of one that has not been found yet. It has no length
+        where R waves have not announced every one of the last pulses.
         """
-        if self.median is None:
+        if self.median is None or self._right < CERTAIN:
             return 0.0, 0.0
         wave = self.waves[-1]
         first = self._expected[0].at if self._expected else now - (wave.found - wave.at)
@@ -182,6 +187,7 @@ class TransitTime:
 
     def _count(self, wrong: bool) -> None:
         self._wrong.append(wrong)
+        self._right = 0 if wrong else self._right + 1
         count = sum(self._wrong)
         steady = self.deviation <= STEADY
         self.reliable = count < WRONG if self.reliable else steady and not count

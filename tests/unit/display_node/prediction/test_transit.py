@@ -56,6 +56,9 @@ def test_no_pulse_rises_until_the_next_r_wave_can_have_one() -> None:
     assert transit.pause(now) == (newest + 140.0 - now, pytest.approx(40 - 9 - tolerance - 10))
     transit.announce(now, now + 9)
     assert transit.pause(now + 15)[1] == pytest.approx(40 - 15 - tolerance - 10)
+    # A pulse that no R wave announced, as after an ECG was unplugged, ends what is certain.
+    transit.arrive(now + 200)
+    assert transit.pause(now + 210) == (0.0, 0.0)
 
 
 def lost_after(waves: np.ndarray, arrivals: np.ndarray, since: float) -> float:
