@@ -26,8 +26,8 @@ DEVIATIONS, NEAR, FAR, LEAST = 4.0, 4.0, 12.0, 0.2
 # last ones, so many of the last two kinds end reliability. It returns after a row without any, at a
 # deviation of at most 30 ms: beats of another heart pass the tolerance in a row, but drift.
 EVENTS, WRONG, STEADY = 5, 2, 6.0
-# A pause is certain after so many events in a row that were right: an ECG that is unplugged shows one
-# as well, and beats of another heart are right for a while.
+# A pause is certain after so many events in a row that were right: an ECG that is unplugged shows
+# one as well, and beats of another heart are right for a while.
 CERTAIN = 12
 # Steps after an arrival in which the same beat goes on, 500 ms, and those from the foot of a pulse
 # to its arrival, which is its steepest rise.
@@ -110,8 +110,8 @@ class TransitTime:
         """Return between which steps from a position on no pulse can rise.
 
         It begins when the last beat has passed, and ends with the earliest pulse of the next R
-        wave: of one whose pulse is expected, or of one that has not been found yet. It has no length
-        where R waves have not announced every one of the last pulses.
+        wave: of one whose pulse is expected, or of one that has not been found yet. It has no
+        length where R waves have not announced every one of the last pulses.
         """
         if self.median is None or self._right < CERTAIN:
             return 0.0, 0.0
