@@ -26,7 +26,7 @@ from protocol.wire.telemetry import TRACE, read_trace
 from telepulse.netem import EmulatedLink, emulate, unavailable
 from telepulse.netem.emulated_link import PORT
 from telepulse.processes import NodeProcess
-from telepulse.reports.studies.press_scores import FOLLOW_ERROR, FOLLOWED_S, LEVELS_N, STEP_S
+from telepulse.reports.studies.press_runs import FOLLOW_ERROR, FOLLOWED_S, LEVELS_N, STEP_S
 from telepulse.simulation.link_scene import parse_link
 
 SECONDS = 70.0

@@ -6,15 +6,12 @@ import pytest
 
 from display_node.press.finger_press import PressLimits
 from telepulse.reports.studies.press_report import report_press
+from telepulse.reports.studies.press_runs import EASED_S, MOST_GAIN, FollowScore, follow
 from telepulse.reports.studies.press_scores import (
-    EASED_S,
-    MOST_GAIN,
     REGULAR_PULSES,
     VARIANTS,
-    FollowScore,
     PressEffort,
     PressScores,
-    follow,
     score_press,
 )
 from telepulse.simulation.press_loop import PressSetting, link_of
