@@ -66,8 +66,7 @@ def test_an_ecg_lowers_the_error_where_only_it_predicts_the_next_beat(
     """
     without, announced = errors(name, 0.005, seed)
     assert announced[AT_100_MS] < bound
-    assert (announced[AT_100_MS:] < without[AT_100_MS:]).all()
-    assert (announced < 1.01 * without).all()
+    assert (announced < without).all()
 
 
 @pytest.mark.parametrize("name", ["variability", "ectopic", "fibrillation"])
