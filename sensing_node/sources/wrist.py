@@ -95,7 +95,7 @@ class Artery:
 
 
 class WristInputs(NamedTuple):
-    """What the next samples of a wrist are sensed from.
+    """Arterial pressures, noise and ECG of the next samples of a wrist.
 
     pressures_pa: in the artery. noise: of film and load cell. ecg_mv: shape (count, 1), or
     (count, 0) without an ECG.

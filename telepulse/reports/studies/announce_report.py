@@ -99,15 +99,25 @@ def _errors_table(title: str, errors: Iterable[PulseErrors]) -> Table:
 
 
 def _oracle_table(oracle: tuple[OracleErrors, ...]) -> Table:
-    rows = []
-    for name in dict.fromkeys(each.name for each in oracle):
-        runs = [each.errors for each in oracle if each.name == name]
-        pairs = [(sum(at) / len(at), max(at)) for at in zip(*runs, strict=True)]
-        rows.append((name, *(f"{mean:.3f}, {most:.3f}" for mean, most in pairs)))
+    rows = [
+        (name, *(f"{mean:.3f}, {most:.3f}" for mean, most in pairs))
+        for name, pairs in _oracle_limits(oracle).items()
+    ]
     jitter = f"{1e3 * BAR_JITTER_S:g} ms"
     title = f"Limit: an oracle that has the generator, transit time varying by {jitter}"
     columns = ("pulse", *(f"{each} ms" for each in ORACLE_HORIZONS_MS))
     return Table(f"{title}; mean and greatest of the seeds", columns, rows)
+
+
+def _oracle_limits(oracle: tuple[OracleErrors, ...]) -> dict[str, list[tuple[float, float]]]:
+    """Return mean and greatest error of the seeds at each of the oracle's horizons, by pulse."""
+    runs: dict[str, list[tuple[float, ...]]] = {}
+    for each in oracle:
+        runs.setdefault(each.name, []).append(each.errors)
+    return {
+        name: [(sum(at) / len(at), max(at)) for at in zip(*errors, strict=True)]
+        for name, errors in runs.items()
+    }
 
 
 def _detector_chapter(scores: AnnounceScores) -> Chapter:
@@ -183,10 +193,7 @@ def _cost_chapter(scores: AnnounceScores) -> Chapter:
 def bars(scores: AnnounceScores) -> list[tuple[str, bool]]:
     """Return what was to be reached, and whether it was."""
     errors, at_100_ms = scores.errors, HORIZONS_MS.index(100)
-    found, limits = [], dict[str, tuple[float, float]]()
-    for name in dict.fromkeys(each.name for each in scores.oracle):
-        at = [each.errors[-1] for each in scores.oracle if each.name == name]
-        limits[name] = sum(at) / len(at), max(at)
+    found, limits = [], _oracle_limits(scores.oracle)
     for each in errors[BAR_JITTER_S]:
         bar = BARS[each.name.partition(",")[0]]
         kinds = {"on average": each.announced, "at worst": each.worst}
@@ -194,7 +201,8 @@ def bars(scores: AnnounceScores) -> list[tuple[str, bool]]:
             where = f"{each.name}, {kind} of {len(each.runs)}" if kind else each.name
             what = f"{where}: {values[at_100_ms]:.3f} at 100 ms, at most {bar:.2f}"
             if limit := limits.get(each.name):
-                what = f"{what}, an oracle's {(limit[1] if kind == 'at worst' else limit[0]):.3f}"
+                mean, greatest = limit[ORACLE_HORIZONS_MS.index(100)]
+                what = f"{what}, an oracle's {greatest if kind == 'at worst' else mean:.3f}"
             found.append((what, values[at_100_ms] <= bar))
     most = percent(EQUAL, "+.1f")
     for jitter_s, sets in errors.items():

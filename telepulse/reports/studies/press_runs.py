@@ -7,6 +7,7 @@ after a step, the gain of the opened loop, forces and slews, and the time to eas
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
 from typing import Final, NamedTuple
 
@@ -203,7 +204,7 @@ def open_gain(setting: PressSetting) -> tuple[float, float]:
     """
     levels_n = 0.8, 1.2, 0.7, 1.4
     forces = partial(steps, levels_n=levels_n)
-    loop = PressLoop(_with_open_loop(setting, forces), lambda time_s: 1.0)
+    loop = PressLoop(replace(setting, open_loop=forces), lambda time_s: 1.0)
     trace = loop.run(60.0)
     gains = []
     for number in range(4, int(60.0 / STEP_S) - 1):
@@ -269,12 +270,6 @@ def be_hostile_to_the_finger() -> tuple[float, float]:
     sent_n = loop.run(30.0).set_point_n
     # Over 40 ms: two set-points.
     return float(sent_n.max()), _largest(sent_n[40:] - sent_n[:-40]) / 0.04
-
-
-def _with_open_loop(setting: PressSetting, forces: Meant) -> PressSetting:
-    return PressSetting(
-        setting.link, setting.tissue, setting.finger, setting.pulse_share, open_loop=forces
-    )
 
 
 def _ticks(seconds: float) -> int:
