@@ -39,7 +39,8 @@ def display_scene(name: str, predictor: str = "linear", **changes: object) -> Di
 
 
 def display(name: str = "radial", predictor: str = "linear", **changes: object) -> Display:
-    return Display(display_scene(name, predictor, **changes), "test")
+    """Return a display that `run` ticks once a ms."""
+    return Display(display_scene(name, predictor, **{"tick_ns": MS, **changes}), "test")
 
 
 @dataclass
@@ -98,6 +99,8 @@ def run(
     felt = []
     for ms in range(from_ms, to_ms):
         now_ns = ms * MS
+        while under_test.work():
+            pass
         felt.append(under_test.tick(now_ns).felt_n)
         if sender is None:
             under_test.requests(now_ns)
