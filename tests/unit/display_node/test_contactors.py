@@ -29,6 +29,7 @@ def scene(*contactors: dict[str, object], **changes: object) -> DisplayScene:
         "controller": {"kp": 390, "error": "position", "feed_forward": True, "dead_band": 3.2e-7},
         "actuator": {"kind": "stepper"},
         "predictor": "linear",
+        "tick": "1 ms",
         "contactor": list(contactors) or [{"channel": name} for name in NAMES],
     }
     return validate(table | changes, DisplayScene, "[display]")
