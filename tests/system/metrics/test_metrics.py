@@ -36,7 +36,9 @@ class Served:
         line = node.read_line(3 * PATIENCE_S, from_stderr=True)
         assert " INFO metrics on http://" in line, line
         self.node, self.url = node, line.split()[-1]
-        children = Path(f"/proc/{node.pid}/task/{node.pid}/children").read_text().split()
+        children = (
+            Path(f"/proc/{node.pid}/task/{node.pid}/children").read_text(encoding="utf-8").split()
+        )
         (self.server,) = map(int, children)
 
     def scrape(self) -> dict[tuple[str, Labels], float]:

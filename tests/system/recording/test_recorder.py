@@ -244,7 +244,7 @@ def test_a_small_disk_that_is_really_full_and_has_room_again(tmp_path: Path) -> 
     command = ["unshare", "-m", "sh", "-c", script]
     with publishing(address) as display:
         recorder = subprocess.Popen(
-            command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+            command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, encoding="utf-8"
         )
         display.begin()
         publish_for(display, 1.5)

@@ -91,7 +91,7 @@ def test_a_recording_played_again_gives_the_same_samples_bit_by_bit(tmp_path: Pa
     tables = tmp_path / "tables"
     result = run(MODULE, "export", str(first), "--to", "csv", "--out", str(tables))
     assert result.returncode == 0, result.stderr
-    with (tables / "samples.csv").open(newline="") as file:
+    with (tables / "samples.csv").open(encoding="utf-8", newline="") as file:
         exported = [float(row["force_0_n"]) for row in csv.DictReader(file)]
     np.testing.assert_array_equal(np.array(exported, "<f4"), sensed_n)
     lines = (tables / "ticks.csv").read_text(encoding="utf-8").splitlines()

@@ -214,7 +214,7 @@ def test_a_revocation_in_an_unreadable_list_counts_once_the_list_is_readable(
     keyring.allow("thumb")
     goes = publisher.subscribe(keyring.client("thumb"))
     publisher.poll_until(lambda: goes.received)
-    keyring.allowed.write_text(keyring.pair("finger").public.line + "\n")
+    keyring.allowed.write_text(keyring.pair("finger").public.line + "\n", encoding="utf-8")
     keyring.allowed.chmod(0o664)
     publisher.poll_until(lambda: any("chmod go-w" in line for line in logged))
     late = publisher.subscribe(keyring.client("finger"))
@@ -230,7 +230,7 @@ def test_all_but_the_node_itself_are_cut_while_the_list_cannot_be_read(
 ) -> None:
     other, own = (publisher.subscribe(keyring.client(name)) for name in ("finger", "wrist"))
     publisher.poll_until(lambda: other.received and own.received)
-    keyring.allowed.write_text("nonsense\n")
+    keyring.allowed.write_text("nonsense\n", encoding="utf-8")
     publisher.poll_until(lambda: logged)
     # This stands for 10 s of waiting.
     publisher.authenticator.poll(time.perf_counter_ns() + UNREADABLE_AT_MOST_NS)

@@ -30,7 +30,9 @@ def scene_file(folder: Path, framing: str = "binary") -> Path:
     path = folder / "bench.toml"
     path.write_text(
         f'[sensing.source]\nkind = "serial"\nport = "{folder}/board"\n{KEYS[framing]}\n'
-        'rate = "1 kHz"\nunit = "N"\n' + "[display" + RADIAL.read_text().partition("[display")[2],
+        'rate = "1 kHz"\nunit = "N"\n'
+        + "[display"
+        + RADIAL.read_text(encoding="utf-8").partition("[display")[2],
         encoding="utf-8",
     )
     return path

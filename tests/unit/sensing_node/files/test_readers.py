@@ -60,7 +60,10 @@ def test_records_of_the_package_wfdb_are_read_to_the_last_bit(tmp_path: Path, co
         codes = np.fromfile(dat, "<i2")
         offset = (codes.astype(int) + 32768).astype("<u2")
         (codes.astype(">i2") if code == "61" else offset).tofile(dat)
-        header.write_text(header.read_text().replace("w.dat 16", f"w.dat {code}"))
+        header.write_text(
+            header.read_text(encoding="utf-8").replace("w.dat 16", f"w.dat {code}"),
+            encoding="utf-8",
+        )
     expected, _ = wfdb.rdsamp(str(tmp_path / "w"))
     read = np.stack(list(samples(open_signals(tmp_path / "w")).values()), axis=1)
     np.testing.assert_array_equal(read, expected)
@@ -70,7 +73,7 @@ def test_records_of_the_package_wfdb_are_read_to_the_last_bit(tmp_path: Path, co
 def test_segments_are_joined_and_what_lies_between_is_missing(tmp_path: Path) -> None:
     for name, part in (("a", slice(0, 300)), ("b", slice(300, 500))):
         wfdb_record(tmp_path, {key: v[part] for key, v in SIGNALS.items()}, name=name)
-    (tmp_path / "all.hea").write_text("all/3 3 250 600\na 300\n~ 100\nb 200\n")
+    (tmp_path / "all.hea").write_text("all/3 3 250 600\na 300\n~ 100\nb 200\n", encoding="utf-8")
     read = samples(open_signals(tmp_path / "all"))["ABP"]
     np.testing.assert_allclose(read[:300], SIGNALS["ABP"][:300], atol=0.006)
     np.testing.assert_allclose(read[400:], SIGNALS["ABP"][300:500], atol=0.006)
@@ -188,7 +191,7 @@ HEADER = "rec 1 250 1000\nrec.dat 16 100/mmHg 16 0 0 0 0 ABP\n"
 )
 def test_a_wrong_header_is_named(tmp_path: Path, old: str, new: str, message: str) -> None:
     path = wfdb_record(tmp_path, {"ABP": SIGNALS["ABP"]}).with_suffix(".hea")
-    path.write_text(HEADER.replace(old, new, 1))
+    path.write_text(HEADER.replace(old, new, 1), encoding="utf-8")
     with pytest.raises(SourceError) as caught:
         samples(open_signals(path))
     assert message in str(caught.value)
