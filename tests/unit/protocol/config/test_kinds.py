@@ -101,7 +101,8 @@ def test_errors_are_one_line_with_file_and_key(folder: Path, text: str, message:
     [
         ("import a_library_that_is_missing", "ModuleNotFoundError: No module named 'a_library_th"),
         ("raise SystemExit('three\\nlines\\nof text')", "SystemExit: three lines of text"),
-        ("import", "SyntaxError: invalid syntax"),
+        # The words after it differ between Pythons.
+        ("import", "SyntaxError: "),
     ],
 )
 def test_a_broken_plug_in_is_named_and_disturbs_no_other_kind(
