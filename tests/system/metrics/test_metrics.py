@@ -1,5 +1,6 @@
 """Nodes that serve metrics: real processes, real HTTP."""
 
+import errno
 import os
 import signal
 import socket
@@ -177,7 +178,8 @@ def test_a_port_in_use_is_one_line_before_anything_starts() -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = str(taken.getsockname()[1])
         line = refused(DISPLAY, str(RADIAL), "--metrics", port)
-    assert f"--metrics: cannot bind 127.0.0.1:{port}: Address already in use" in line
+    taken = os.strerror(errno.EADDRINUSE)
+    assert f"--metrics: cannot bind 127.0.0.1:{port}: {taken}" in line
 
 
 def test_without_the_library_it_names_the_extra(tmp_path: Path) -> None:

@@ -17,13 +17,19 @@ from protocol.security.budgets import BEHIND_NS, ConnectionBudget
 from protocol.security.connection_table import MAX_EVENTS, ConnectionTable
 from protocol.security.keys import ClientKeys, ServerKeys
 from protocol.sockets import Context, Socket
+from tests.support.ipv6 import needs_ipv6
 from tests.support.keyring import Keyring
 from tests.support.waiting import PATIENCE_S
 
 QUIET_S = 0.3
 MOST = 40
 HERE, THERE = "127.0.0.1", "127.0.0.2"
-ADDRESSES = ["tcp://127.0.0.1:*", "tcp://[::1]:*", "tcp://[::]:*", "ipc"]
+ADDRESSES = [
+    "tcp://127.0.0.1:*",
+    pytest.param("tcp://[::1]:*", marks=needs_ipv6),
+    pytest.param("tcp://[::]:*", marks=needs_ipv6),
+    "ipc",
+]
 linux = pytest.mark.skipif(sys.platform != "linux", reason="needs 127.0.0.2 and filters")
 
 
