@@ -1,9 +1,10 @@
 """Sums that are rounded otherwise, as another processor or another numpy rounds them.
 
-A processor's own instructions sum in another order, and compute curves by other polynomials.
-IEEE 754 states each digit of + − × ÷ √, so those are the same everywhere.
+A processor's own instructions sum in another order, and a library of C computes curves by other
+polynomials. IEEE 754 states each digit of + − × ÷ √, so those are the same everywhere.
 """
 
+import math
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -14,8 +15,28 @@ import numpy as np
 
 PACKAGES = ("protocol", "pulse_sensors", "sensing_node", "display_node", "telepulse")
 ULP = np.finfo(np.float64).eps
+# A multiplier that spreads the bits of a number (Steele et al. 2014: Fast splittable pseudorandom
+# number generators).
+MIX = np.uint64(0x9E3779B97F4A7C15)
 PRODUCTS = {"matmul", "vecdot", "matvec", "vecmat"}
-CURVES = {"exp", "expm1", "log", "log1p", "sin", "cos", "tan", "tanh", "arctan2", "power", "hypot"}
+CURVES = {
+    *(
+        "exp",
+        "expm1",
+        "log",
+        "log1p",
+        "log2",
+        "log10",
+        "pow",
+        "power",
+        "hypot",
+        "sin",
+        "cos",
+        "tan",
+    ),
+    *("sinh", "cosh", "tanh", "asin", "acos", "atan", "atan2", "arcsin", "arccos", "arctan"),
+    *("arctan2", "erf", "gamma"),
+}
 FUNCTIONS = {"convolve", "correlate", "dot", "einsum", "interp", "solve", "inv", "lstsq", "eigvals"}
 
 
@@ -26,7 +47,7 @@ def _plain(value: Any) -> Any:
 class Rounded(np.ndarray):
     """An array whose sums and curves are rounded otherwise, and so are those of its results."""
 
-    random = np.random.default_rng(0)
+    seed = 0
 
     def __array_ufunc__(
         self, ufunc: np.ufunc, method: str, *inputs: Any, out: Any = None, **options: Any
@@ -55,13 +76,16 @@ class Rounded(np.ndarray):
 def moved(values: Any) -> Any:
     """Return floats, each one ulp higher or lower or the same; return other values as they are.
 
-    Whole numbers stay the same, because their sums are exact in every order.
+    Equal values move alike, as a function's results for equal arguments do. Whole numbers stay the
+    same, because their sums are exact in every order.
     """
     if not isinstance(values, np.ndarray | np.floating) or values.dtype != np.float64:
         return values
     plain = np.asarray(values)
-    ulps = Rounded.random.integers(-1, 2, plain.shape) * (plain != np.rint(plain))
-    result = plain * (1 + ulps * ULP)
+    with np.errstate(over="ignore"):
+        mixed = (plain.view(np.uint64) ^ np.uint64(Rounded.seed)) * MIX >> np.uint64(33)
+    ulps = (mixed % np.uint64(3)).astype(float) - 1
+    result = plain * (1 + ulps * (plain != np.rint(plain)) * ULP)
     return result.view(Rounded) if isinstance(values, np.ndarray) else values.dtype.type(result)
 
 
@@ -91,19 +115,31 @@ class _Numpy:
         return _rounding(found) if is_function else found
 
 
+class _Math:
+    """The module `math` with curves that are moved."""
+
+    def __getattr__(self, name: str) -> Any:
+        found = getattr(math, name)
+        return _moving(found) if name in CURVES else found
+
+
+def _moving(curve: Callable[..., float]) -> Callable[..., float]:
+    return lambda *args: float(moved(np.float64(curve(*args))))
+
+
 @contextmanager
 def rounded_otherwise(seed: int) -> Iterator[None]:
-    """Let the modules of the product round their sums and curves otherwise, at random."""
-    Rounded.random = np.random.default_rng(seed)
-    modules = [
-        module
-        for name, module in sys.modules.items()
-        if name.split(".")[0] in PACKAGES and hasattr(module, "np")
+    """Let the modules of the product round their sums and curves otherwise."""
+    Rounded.seed = seed
+    ours = [module for name, module in sys.modules.items() if name.split(".")[0] in PACKAGES]
+    altered = {"np": (np, _Numpy(np)), "math": (math, _Math())}
+    used = [
+        (vars(m), name) for m in ours for name in altered if vars(m).get(name) is altered[name][0]
     ]
-    for module in modules:
-        vars(module)["np"] = _Numpy(np)
+    for names, name in used:
+        names[name] = altered[name][1]
     try:
         yield
     finally:
-        for module in modules:
-            vars(module)["np"] = np
+        for names, name in used:
+            names[name] = altered[name][0]
