@@ -211,7 +211,7 @@ def test_times_become_a_grid_with_gaps_and_may_not_fall() -> None:
     t_s = np.array([0.0, 0.0101, 0.0199, 0.05])
     grid = on_grid(t_s, np.arange(4.0), 100.0, Path("x"))
     np.testing.assert_array_equal(grid, [0, 1, 2, np.nan, np.nan, 3])
-    np.testing.assert_array_equal(fill_gaps(grid), [0, 1, 2, 2 + 1 / 3, 2 + 2 / 3, 3])
+    np.testing.assert_allclose(fill_gaps(grid), [0, 1, 2, 2 + 1 / 3, 2 + 2 / 3, 3], rtol=1e-12)
     with pytest.raises(SourceError, match="the times fall at sample 2"):
         on_grid(np.array([0.0, 2.0, 1.0]), np.arange(3.0), 1.0, Path("x"))
     with pytest.raises(SourceError, match="its times are damaged"):
@@ -224,6 +224,6 @@ def test_signals_of_other_rates_are_interpolated(tmp_path: Path) -> None:
     slow = fast._replace(rate_hz=125.0)
     begin_s, grid = aligned([fast, slow], [np.arange(8.0), np.arange(4.0)], 250.0)
     assert begin_s == 0
-    np.testing.assert_array_equal(grid[:7, 1], np.arange(7) / 2)
+    np.testing.assert_allclose(grid[:7, 1], np.arange(7) / 2, rtol=1e-12)
     with suppress(SourceError):
         file.find("x")
