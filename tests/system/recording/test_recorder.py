@@ -232,8 +232,9 @@ def can_mount() -> bool:
     )
 
 
-@pytest.mark.skipif(not can_mount(), reason="needs the right to mount a small disk")
 def test_a_small_disk_that_is_really_full_and_has_room_again(tmp_path: Path) -> None:
+    if not can_mount():
+        pytest.skip("needs the right to mount a small disk")
     address, disk = free_address(), tmp_path / "disk"
     disk.mkdir()
     record = shlex.join(python_command("-m", MODULE, "record", address, f"{disk}/a.mcap"))
