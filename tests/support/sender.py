@@ -41,7 +41,9 @@ def display_scene(
     return scene.model_copy(update={"predictor": own_predictor(predictor), **changes})
 
 
-def display(name: str = "radial", predictor: str = "linear", **changes: object) -> Display:
+def display(
+    name: str = "radial", predictor: PredictorName = "linear", **changes: object
+) -> Display:
     return Display(display_scene(name, predictor, **changes), "test")
 
 
