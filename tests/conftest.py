@@ -29,13 +29,34 @@ NOT_TRACED = (
     "unit/display_node/control/test_controller.py",
     *("unit/pulse_drives/test_drive.py", "unit/display_node/reception/test_failover.py"),
 )
+# Left to `make test-all`.
+LATER = (
+    # Tests of what tests, and of the code's form.
+    *("unit/soak", "unit/support", "unit/documentation", "unit/telepulse/testing"),
+    *("unit/test_class_names.py", "unit/test_clock_reads.py", "unit/test_import_cycles.py"),
+    # Studies, and words on pages.
+    *("unit/telepulse/reports", "unit/telepulse/view", "unit/protocol/test_figures.py"),
+    "unit/sensing_node/files/test_losses.py",
+    # Seconds each, of what quicker tests have in part.
+    *("unit/display_node/test_announced_stream.py", "unit/display_node/test_yielding_bench.py"),
+    *("unit/display_node/prediction/test_announced.py", "unit/display_node/press/test_sweep.py"),
+    "unit/display_node/prediction/test_r_wave_scores.py",
+    "unit/telepulse/recording/test_pressed_beats.py",
+    "unit/telepulse/recording/test_recorded_wrist.py",
+)
+
+
+def is_in(item: pytest.Item, *places: str) -> bool:
+    return any(item.path.is_relative_to(TESTS / place) for place in places)
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mark what lies in tests/system."""
+    """Mark what lies in tests/system, and what `make test` leaves out besides."""
     for item in items:
-        if item.path.is_relative_to(TESTS / "system"):
+        if is_in(item, "system"):
             item.add_marker(pytest.mark.system)
+        if is_in(item, *LATER):
+            item.add_marker(pytest.mark.later)
 
 
 @pytest.hookimpl(wrapper=True)
@@ -46,7 +67,7 @@ def pytest_runtest_protocol(item: pytest.Item) -> Iterator[None]:
     starts two measurements and pauses one.
     """
     paused = []
-    if any(item.path.is_relative_to(TESTS / folder) for folder in NOT_TRACED):
+    if is_in(item, *NOT_TRACED):
         while (coverage := Coverage.current()) is not None:
             coverage.stop()
             paused.append(coverage)
