@@ -29,7 +29,7 @@ test test-all: export OPENBLAS_NUM_THREADS := 1
 
 # Static checks, unit tests, and a smoke test of each capability through real processes.
 test: check
-	$(BIN)/python -m pytest -m "smoke or not (system or later)" --durations=15 $(ARGS)
+	$(BIN)/python -m pytest --quick --durations=15 $(ARGS)
 
 # Every test, with the coverage of the core.
 test-all: check .venv/installed-test-all
