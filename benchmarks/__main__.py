@@ -33,6 +33,7 @@ NAMES = (
     "analysis",
     "metrics",
     "page",
+    "calm",
 )
 
 

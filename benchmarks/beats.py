@@ -123,7 +123,7 @@ def after_artefact_rows(name: str) -> list[tuple[str, ...]]:
     height_n = float(np.ptp(pulse))
 
     def row(label: str, force_n: Floats) -> tuple[str, ...]:
-        errors = prediction_errors_n(Ensemble("stack", 1_000_000), force_n, pulse, AHEAD) / height_n
+        errors = prediction_errors_n(Ensemble("stack"), force_n, pulse, AHEAD) / height_n
         ends = [round((MOVED_FROM_S + MOVED_S + at_s) * RATE_HZ) // BATCH for at_s in AFTER_S]
         parts = [errors[first:last] for first, last in itertools.pairwise(ends)]
         return (label, *(f"{100 * np.sqrt(np.mean(part**2)):.1f}" for part in parts))

@@ -132,9 +132,9 @@ def prediction_rows(name: str) -> list[tuple[str, ...]]:
     }
     scene = SyntheticScene.model_validate(table | PULSES[name])
     pulses_n = SyntheticSource(scene).take(PULSE_MS)
-    ensemble = Ensemble("stack", MS, len(POSITIONS) + 1)
+    ensemble = Ensemble("stack", len(POSITIONS) + 1)
     together = nrmse([ensemble, *ensemble.others], pulses_n)
-    alone = nrmse([Ensemble("stack", MS) for _ in range(len(POSITIONS) + 1)], pulses_n)
+    alone = nrmse([Ensemble("stack") for _ in range(len(POSITIONS) + 1)], pulses_n)
     rows = zip(POSITIONS, together[1:], alone[1:], strict=True)
     return [
         (name, place["name"], *(f"{a:.3f} / {b:.3f}" for a, b in zip(both, own, strict=True)))

@@ -127,6 +127,11 @@ class Contactor:
         """Expected squared errors of the prediction, as `Concealment` returns them."""
         return self._concealment.error_shares
 
+    def work(self) -> bool:
+        """Do one piece of the work that no command waits for; return whether there was any."""
+        error = self.tracking_error
+        return self._concealment.work() or (error is not None and error.work())
+
     def follow(self, now_ns: int, elapsed_ticks: int, safety: Safety) -> None:
         """Follow the drive of a real bench since the last tick, and latch its fault."""
         hardware, loop = self._hardware, self.loop
@@ -168,7 +173,6 @@ class Contactor:
         """
         concealment, count, ratio = self._concealment, self.count, self.force_ratio
         predicted_ns, expected_n = 0, math.nan
-        concealment.work()
         if not wrist_n:
             if sampled_ns < newest_ns:
                 self._reference_n, self.state.predictor_error_n = [0.0] * count, math.nan
@@ -214,25 +218,29 @@ class Contactor:
         On a real bench, the drive receives the controller's output, or after a fault the command to
         withdraw.
         """
-        loop, state = self.loop, self.state
+        loop, hardware = self.loop, self._hardware
         reference_n = self.bounds.bound(self._reference_n, gain)
         loop.tick(reference_n, self._reading_n)
-        self._gain = gain
-        target_n = reference_n[0]
+        self._gain, target_n = gain, reference_n[0]
+        fault = None
+        if hardware is not None:
+            if self._tip is not None and self.press is not None:
+                self._yield(self._tip, self.press, hardware, target_n)
+            fault = hardware.command(loop.output + self._added_m_per_s, faults)
+        state = self.state
         state.target_n = target_n if self._target is None else self._target.step(target_n)
         state.scored = alive and gain == 1.0
+        return None if fault is None else self._prefix + fault
+
+    def score(self) -> None:
+        """Keep the felt force of this tick for its score, after all contactors are commanded."""
+        state = self.state
         if state.scored and self.tracking_error is not None:
             # Age of a reading of a real film.
             age_ns = self.scene.film.latency_ns if self.feedback is not None else 0
             self.tracking_error.add_output(
                 state.sensing_now_ns - age_ns, state.instant_ns - age_ns, state.felt_n
             )
-        if self._hardware is None:
-            return None
-        if self._tip is not None and self.press is not None:
-            self._yield(self._tip, self.press, self._hardware, reference_n[0])
-        fault = self._hardware.command(loop.output + self._added_m_per_s, faults)
-        return None if fault is None else self._prefix + fault
 
     def rendered_n(self, press: LocalPress) -> float:
         """Return the pulse under the finger that presses."""

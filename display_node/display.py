@@ -4,6 +4,7 @@ The live node and the virtual-time simulation drive this same class; time is an 
 """
 
 import math
+from collections.abc import Generator
 from dataclasses import replace
 from typing import Final
 
@@ -19,6 +20,7 @@ from display_node.scene import DisplayScene
 from display_node.scoring.tracking_error import scored
 from protocol.beats import AnnounceFigures
 from protocol.loop_tables import Loop, TickTime
+from protocol.pieces import complete
 from protocol.press_figures import PressFigures
 from protocol.run_summary import Summary, with_contactors
 from protocol.ticks import AvailabilityCounter, InterruptionCounter, TickState
@@ -162,6 +164,14 @@ class Display:
             if self.press is not None:
                 self.press.begin()
 
+    def work(self) -> bool:
+        """Do one piece of the work that no command waits for; return whether there was any.
+
+        Such work is what the predictors learn and predict from new samples, and the scores. Do it
+        between two ticks; where there is no time for it, some pieces a tick nevertheless.
+        """
+        return any(contactor.work() for contactor in self.contactors)
+
     def requests(self, now_ns: int) -> list[ControlMessage]:
         """Return the requests and reports to send to the sensing node now."""
         wanted = self.receiver.requests(now_ns)
@@ -203,6 +213,9 @@ class Display:
             safety.skip(elapsed_ticks)
         gain = safety.advance(alive)
         late_faults = [contactor.tick(gain, alive, safety.faults) for contactor in contactors]
+        # From here on, nothing is waited for by an actuator.
+        for contactor in contactors:
+            contactor.score()
         self.ticks += 1
         state = self.states[0]
         self._availability.add(self.state, elapsed_ticks)
@@ -299,9 +312,18 @@ class Display:
         self, deadline_misses: int | None = None, tick_us: TickTime | None = None
     ) -> Summary:
         """Return the summary so far; the arguments are the figures of the caller's loop."""
+        return complete(self.summary_pieces(deadline_misses, tick_us))
+
+    def summary_pieces(
+        self, deadline_misses: int | None = None, tick_us: TickTime | None = None
+    ) -> Generator[None, None, Summary]:
+        """Build the summary piece by piece; its parts are then of different ticks."""
         delays, contactors = self._delays, self.contactors
+        received = self.receiver.summary(self.states[0].now_ns)
+        accounts = self.receiver.accounts()
+        yield
         summary = replace(
-            self.receiver.summary(self.states[0].now_ns),
+            received,
             playout_delay_ms=delays.playout_delay_ms,
             covered_delay_ms=delays.covered_delay_ms,
             availability=self._availability.availability(delays.ticks),
@@ -314,8 +336,12 @@ class Display:
             faults=list(self.safety.faults),
         )
         played_s = delays.ticks * self._tick_ns * 1e-9
-        figures = {each.name: each.summary(self.ticks, played_s) for each in contactors}
-        for name, account in zip(figures, self.receiver.accounts(), strict=False):
+        figures = dict[str, Summary]()
+        for each in contactors:
+            yield
+            figures[each.name] = each.summary(self.ticks, played_s)
+        yield
+        for name, account in zip(figures, accounts, strict=False):
             figures[name] = replace(figures[name], samples=account.counts())
         summary = with_contactors(summary, figures)
         return scored(summary, self.tracking_errors) if self.tracking_errors else summary

@@ -5,7 +5,7 @@ import secrets
 import time
 import uuid
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Generator, Iterator, Sequence
 from contextlib import ExitStack, closing, contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -27,6 +27,7 @@ from protocol.errors import SceneError
 from protocol.histogram import Histogram
 from protocol.host.realtime import Pacer
 from protocol.loop_tables import Lateness, TickTime
+from protocol.pieces import Pieces, complete
 from protocol.run_summary import Summary
 from protocol.security.authenticator import Authenticator
 from protocol.security.keys import ClientKeys, ServerKeys
@@ -42,6 +43,10 @@ logger = logging.getLogger(__name__)
 # Messages read from each connection per tick, even if the tick is late: a host that is always late
 # still receives the whole stream.
 LEAST_READ = 16
+# Between two ticks, work that no command waits for is done in pieces. None begins within this part
+# of a tick before the next one. A host that has no such time does one piece for each such time.
+RESERVE_PARTS = 4
+PIECE_EVERY_NS = 1_000_000
 # Least expected time between two frames once a stream has ended, when silence is normal.
 ENDED_NS = 1_000_000_000
 
@@ -129,6 +134,7 @@ class DisplayNode:
         drives = (contactor.drive for contactor in scene.contactors)
         watchdogs_ns = [drive.watchdog_ns for drive in drives if drive is not None]
         self._deadlines = DeadlineWatch(scene.tick_ns, min(watchdogs_ns, default=GAP_NS))
+        self._publishing = Pieces()
         self._tick_us = Histogram(1.0, 5_000)
         self._late_us = Histogram(2.0, 2_500)
         self._named_faults = 0
@@ -185,18 +191,25 @@ class DisplayNode:
         start_ns = time.perf_counter_ns()
         end_ns = None if seconds is None else start_ns + round(seconds * 1e9)
         pacer = self._pacer = Pacer(self._scene.tick_ns, start_ns)
+        reserve_ns, rested = self._scene.tick_ns // RESERVE_PARTS, True
         try:
             while not self._stopping:
                 self._receive(pacer.due_ns)
                 now_ns = time.perf_counter_ns()
                 tick = pacer.begin(now_ns)
                 if tick is None:
-                    sockets.wait_on_descriptors(self._connection.descriptors, pacer.due_ns - now_ns)
+                    spare_ns = pacer.due_ns - now_ns
+                    rested = rested or spare_ns > reserve_ns
+                    if spare_ns <= reserve_ns or not self._work():
+                        sockets.wait_on_descriptors(self._connection.descriptors, spare_ns)
                     continue
                 self._late_us.add(tick.late_ns * 1e-3)
                 self._deadlines.add(now_ns, tick.elapsed_ticks)
                 self._tick(tick.due_ns, tick.elapsed_ticks)
                 self._tick_us.add((time.perf_counter_ns() - now_ns) * 1e-3)
+                if not rested:
+                    self._work_anyway()
+                rested = False
                 if (end_ns is not None and now_ns >= end_ns) or (once and self._display.over):
                     break
             return self._finish()
@@ -250,15 +263,39 @@ class DisplayNode:
         for message in self._display.requests(requested_ns):
             control = self._connection.control_for(message, requested_ns)
             sockets.send(control, encode_control(message))
-        if self._telemetry.add(*self._display.states):
-            self._telemetry.status(self._status(final=False))
+        if self._telemetry.add(*self._display.states) and not self._publishing.waiting:
+            self._publishing.begin(self._publish())
+
+    def _work(self) -> bool:
+        """Do one piece of the work that no command waits for; return whether there was any."""
+        return self._display.work() or self._publishing.do_one()
+
+    def _work_anyway(self) -> None:
+        """Do a tick's least share of that work, on a host that has no time for it."""
+        for _ in range(max(1, self._scene.tick_ns // PIECE_EVERY_NS)):
+            self._display.work()
+        self._publishing.do_one()
+
+    def _publish(self) -> Iterator[None]:
+        """Publish the last ticks, and a status where it is due, piece by piece."""
+        if self._telemetry.publish():
+            yield
+            summary = yield from self._summary_pieces()
+            yield
+            self._telemetry.status(self._display.pack_status(summary, final=False))
 
     def _summary(self) -> Summary:
+        return complete(self._summary_pieces())
+
+    def _summary_pieces(self) -> Generator[None, None, Summary]:
+        """Build the display's summary with the figures of this shell, piece by piece."""
         display, connection = self._display, self._connection
         deadlines, late_us = self._deadlines, self._late_us
         lateness = late_us.quantiles(p50=0.5, p99=0.99, p999=0.999)
         times = TickTime(**self._tick_us.quantiles(p50=0.5, p99=0.99))
-        summary = display.summary(self._pacer.missed, times)
+        yield
+        summary = yield from display.summary_pieces(self._pacer.missed, times)
+        yield
         rejected = Counter(summary.rejected) + connection.rejected + self._telemetry.rejected
         rejected += self._readers.rejected
         summary = replace(
@@ -301,9 +338,6 @@ class DisplayNode:
         whole = replace(summary, contactors=found) if summary.contactors else found[""]
         return replace(whole, faults=whole.faults + notes)
 
-    def _status(self, final: bool) -> bytes:
-        return self._display.pack_status(self._summary(), final)
-
     def _finish(self) -> Summary:
         benches = [hardware for hardware in self._benches if hardware is not None]
         # All at once: a drive that waits for the others would report a missing command.
@@ -314,5 +348,6 @@ class DisplayNode:
         errors = self._display.tracking_errors
         for error in errors:
             error.finish()
-        self._telemetry.finish(self._status(final=True))
-        return scored(self._summary(), errors, windows=True)
+        summary = self._summary()
+        self._telemetry.finish(self._display.pack_status(summary, final=True))
+        return scored(summary, errors, windows=True)

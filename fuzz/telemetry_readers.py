@@ -147,10 +147,9 @@ def preamble() -> list[Message]:
 def trace_message(*felt: TickState, others: Sequence[TickState] = ()) -> Message:
     """Return ticks as a trace message; others: states of further contactors, at each tick."""
     writer = TraceWriter()
-    message = None
     for tick in felt:
-        message = writer.add(tick, *others) or message
-    return TRACE, writer.rest() or message or b""
+        writer.add(tick, *others)
+    return TRACE, writer.rest() or b""
 
 
 def status_message(state: str, *playing: PlaybackStatus, **changes: Any) -> Message:

@@ -184,7 +184,7 @@ def _commit() -> str | None:
         found = subprocess.run(
             ["git", "--no-optional-locks", "-C", str(_ROOT), *describe],
             capture_output=True,
-            text=True,
+            encoding="utf-8",
             timeout=_GIT_WITHIN_S,
             check=False,
         )

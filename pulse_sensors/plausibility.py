@@ -291,7 +291,9 @@ def _time_columns(column: RecordedColumn) -> Iterator[tuple[str, float, int, flo
                 continue
         in_row = steps <= GAP_STEPS * usual
         gaps = int(np.count_nonzero(~in_row))
-        yield name, float(steps[in_row].mean()), gaps, usual / (times[-1] - times[0])
+        # Further digits are rounding, and a signal of 250.00000000000003 Hz would be interpolated.
+        step = float(f"{steps[in_row].mean():.12g}")
+        yield name, step, gaps, usual / (times[-1] - times[0])
 
 
 def _refuse_forces(force_n: NDArray[np.float64], unit: str, rest_n: float) -> str | None:

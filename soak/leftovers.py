@@ -34,8 +34,10 @@ def _processes(namespaces: set[int]) -> Iterator[str]:
         if not entry.name.isdigit() or int(entry.name) == os.getpid():
             continue
         with suppress(OSError):  # it has ended
-            state, parent = (entry / "stat").read_text().rpartition(")")[2].split()[:2]
-            name = (entry / "comm").read_text().strip()
+            state, parent = (
+                (entry / "stat").read_text(encoding="utf-8").rpartition(")")[2].split()[:2]
+            )
+            name = (entry / "comm").read_text(encoding="utf-8").strip()
             if state == "Z" and int(parent) == os.getpid():
                 yield f"a zombie, {name}"
             elif marked in (entry / "environ").read_bytes().split(b"\0"):

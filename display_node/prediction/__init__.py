@@ -33,9 +33,13 @@ class Predictor(Protocol):
     def observe(self, times_ns: list[int], values: list[float]) -> None:
         """Take a frame's samples, late or not; no sample comes twice."""
 
-    def work(self) -> None:
-        """Do one tick's share of the work; call it once a tick."""
-        return
+    def work(self) -> bool:
+        """Do one piece of the waiting work; return whether there was any.
+
+        A display calls it at least once a tick, after the tick's command, and repeats it until
+        nothing waits or the next tick is near. A piece takes less than a quarter of a tick.
+        """
+        return False
 
     def predict(self, instant_ns: int) -> float:
         """Return the value at an instant after the newest sample; 0 before any."""
@@ -92,15 +96,12 @@ class Linear(Predictor):
         return newest + slope * min(instant_ns - newest_ns, self._reach_ns)
 
 
-def build_predictors(name: PredictorName, tick_ns: int, count: int = 1) -> list[Predictor]:
-    """Build the predictors of `count` channels of a stream, which have seen nothing.
-
-    `work` of each will be called every `tick_ns`, in this order.
-    """
+def build_predictors(name: PredictorName, count: int = 1) -> list[Predictor]:
+    """Build the predictors of `count` channels of a stream, which have seen nothing."""
     if name in WITHOUT_ERROR_ESTIMATE:
         return [Linear(0 if name == "hold" else REACH_NS) for _ in range(count)]
     # Imported here, so that a display without these predictors does not load linear algebra.
     from display_node.prediction.ensemble import Ensemble
 
-    ensemble = Ensemble(name, tick_ns, count)
+    ensemble = Ensemble(name, count)
     return [ensemble, *ensemble.others]

@@ -1,4 +1,4 @@
-"""Experts and their stack as one predictor, whose work is divided among ticks.
+"""Experts and their stack as one predictor, whose work is divided into short pieces.
 
 Samples → grid → history → experts → stack → a path over the next 250 ms, interpolated by `predict`.
 """
@@ -23,6 +23,7 @@ from display_node.prediction.experts import (
 from display_node.prediction.grid import STEP_NS, Grid, GridCell, History, Rhythm
 from display_node.prediction.r_waves import RWaveTime
 from display_node.prediction.transit import TransitTime
+from protocol.pieces import Pieces
 
 # Memory of the weights, in steps of learning: it grows by half a step a step, so that what the
 # experts predicted before they had learnt is soon forgotten.
@@ -151,9 +152,7 @@ LARGEST = 1e6
 # The error is estimated over this number of beats within these limits in steps of learning; while
 # no rhythm is known, over the longer one.
 JUDGED_BEATS, FEWEST_JUDGED, MOST_JUDGED = 1.25, 100, 200
-# A step's work has three or four pieces. One piece a millisecond leaves some free to catch up.
 SPACING_NS = SPACING * STEP_NS
-PIECE_NS = 1_000_000
 
 
 class ChannelPath:
@@ -182,8 +181,9 @@ class ChannelPath:
             self._newest_ns, self._newest = times_ns[-1], values[-1]
         self.grid.observe(times_ns, values)
 
-    def work(self) -> None:
+    def work(self) -> bool:
         """Do nothing: the ensemble works for all channels."""
+        return False
 
     def announce(self, waves: list[RWaveTime]) -> None:
         """Do nothing: the ensemble takes R waves for all channels."""
@@ -233,13 +233,12 @@ class Ensemble(ChannelPath):
     past of the first one: by the same analogues, inputs and weights. That costs a fraction of a
     predictor of their own.
 
-    kind: "stack" of all experts, or the name of a single one. tick_ns: time between two calls of
-    `work`. names: of the combined trajectories, then "stack". others: paths of the other channels.
+    kind: "stack" of all experts, or the name of a single one. names: of the combined trajectories,
+    then "stack". others: paths of the other channels.
     """
 
-    def __init__(self, kind: str, tick_ns: int, channels: int = 1) -> None:
+    def __init__(self, kind: str, channels: int = 1) -> None:
         self._kind = kind
-        self._pieces_a_tick = math.ceil(tick_ns / PIECE_NS)
         self.others = [ChannelPath() for _ in range(channels - 1)]
         self._r_waves: list[RWaveTime] = []
         super().__init__()
@@ -259,7 +258,8 @@ class Ensemble(ChannelPath):
         channels = 1 + len(self.others)
         self._errors = PathErrors(channels)
         self._history = History(CAPACITY, channels)
-        self._work: Iterator[None] = iter(())
+        # What is left of the present step.
+        self._pieces = Pieces()
         # Number of the history's newest cell in the grid.
         self._number = -1
         # None until the first R wave.
@@ -283,16 +283,15 @@ class Ensemble(ChannelPath):
         """Take R waves of the heart whose pulse is predicted, which announce its beats."""
         self._r_waves += waves
 
-    def work(self) -> None:
-        """Do one tick's share of the waiting work, or twice as much after a burst."""
-        fresh = self.grid.new_cells
+    def work(self) -> bool:
+        """Do one piece of the waiting work; return whether there was any."""
+        pieces, fresh = self._pieces, self.grid.new_cells
+        if not pieces.waiting:
+            if not fresh:
+                return False
+            pieces.begin(self._step(fresh.popleft()))
         with np.errstate(all="ignore"):
-            # Delayed samples come in a burst, which is processed at double rate.
-            hurry = 2 if len(fresh) > 1 else 1
-            for _ in range(hurry * self._pieces_a_tick):
-                if next(self._work, self) is self and fresh:
-                    self._work = self._step(fresh.popleft())
-                    next(self._work, None)
+            return pieces.do_one()
 
     def predict_each(self, instant_ns: int) -> list[float]:
         """Return the prediction of each of `names`, for studies."""

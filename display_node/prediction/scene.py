@@ -31,7 +31,7 @@ class PredictorScene(KindTable):
     def build(self, tick_ns: int, count: int) -> Sequence[Predictor]:
         """Build the predictors of `count` channels of a stream, which have seen nothing.
 
-        `work` of each will be called every `tick_ns`, in this order.
+        tick_ns: time between two ticks of the display. `work` of each is called in this order.
         """
 
 
@@ -47,7 +47,7 @@ class OwnPredictorScene(PredictorScene):
 
     def build(self, tick_ns: int, count: int) -> list[Predictor]:
         """See `PredictorScene.build`."""
-        return build_predictors(self.kind, tick_ns, count)
+        return build_predictors(self.kind, count)
 
 
 class BasePredictor:

@@ -9,7 +9,7 @@ pulse itself ends below 25 Hz; above are noise, and jumps caused by prediction.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import Final
 
@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from protocol.counters import ErrorWindow, ErrorWindowCounter
+from protocol.pieces import Pieces
 from protocol.run_summary import Summary
 from protocol.summary_tables import AlignedErrors, Roughness
 from protocol.wire.messages import ChannelSamples
@@ -96,6 +97,8 @@ def high_pass(period_s: float) -> Floats:
 BLOCK: Final = 256
 # A felt force waits this many ticks for the reference of its instant to arrive.
 PATIENCE: Final = 2_048
+# Ticks that wait at most: beyond, `add_output` scores without `work` being called.
+MOST_WAITING: Final = PATIENCE + 4 * BLOCK
 # Time after which a reference without a felt force (of a display at fault) is removed.
 KEEP_NS: Final = 30_000_000_000
 # Samples that are added one by one before they join the reference.
@@ -128,6 +131,17 @@ class TrackingError:
         self._within = 0
         self._roughness = RoughnessMeter()
         self._windows = ErrorWindowCounter()
+        # What is left of the scoring of the oldest block.
+        self._pieces = Pieces()
+
+    def work(self) -> bool:
+        """Do one piece of the scoring that is due; return whether any was.
+
+        Without calls of it, `add_output` scores in bursts.
+        """
+        if not self._pieces.waiting and len(self._felt_n) >= PATIENCE + BLOCK:
+            self._pieces.begin(self._score_oldest())
+        return self._pieces.do_one()
 
     def add_reference_force(self, t_ns: Sequence[int], target_n: Sequence[float]) -> None:
         """Add the target force at the finger for consecutive samples, late ones too."""
@@ -135,8 +149,7 @@ class TrackingError:
         self._added_n += target_n
         if len(self._added_ns) > MAX_ADDED:
             until_ns = t_ns[-1] - KEEP_NS
-            while self._instant_ns and self._instant_ns[0] < until_ns:
-                self._score_oldest()
+            self._score_until(until_ns)
             self._gathered(until_ns)
 
     def add_reference(
@@ -156,13 +169,13 @@ class TrackingError:
         self._now_ns.append(now_ns)
         self._instant_ns.append(instant_ns)
         self._felt_n.append(force_n)
-        if len(self._felt_n) >= PATIENCE + BLOCK:
-            self._score_oldest()
+        if len(self._felt_n) >= MOST_WAITING:
+            while self.work():
+                pass
 
     def finish(self) -> None:
         """Score the remaining felt forces."""
-        while self._felt_n:
-            self._score_oldest()
+        self._score_until(None)
 
     @property
     def force_rmse_n(self) -> AlignedErrors:
@@ -202,7 +215,15 @@ class TrackingError:
             roughness=self._roughness.roughness,
         )
 
-    def _score_oldest(self) -> None:
+    def _score_until(self, until_ns: int | None) -> None:
+        """Score at once what was felt of instants before a time; None is the end of time."""
+        self._pieces.finish()
+        while self._felt_n and (until_ns is None or self._instant_ns[0] < until_ns):
+            self._pieces.begin(self._score_oldest())
+            self._pieces.finish()
+
+    def _score_oldest(self) -> Iterator[None]:
+        """Score the oldest block, piece by piece."""
         now_ns = np.array(self._now_ns[:BLOCK])
         instant_ns = np.array(self._instant_ns[:BLOCK])
         felt_n = np.array(self._felt_n[:BLOCK])
@@ -210,11 +231,15 @@ class TrackingError:
         t_ns, target_n = self._gathered(until_ns=int(instant_ns[0]) - SPAN_NS)
         if not len(t_ns):
             return
+        yield
         at_ns = np.concatenate([instant_ns, now_ns])
         sensed_n, present_n = interpolate(at_ns, t_ns, target_n).reshape(2, -1)
+        yield
         self._roughness.add(now_ns, felt_n, sensed_n)
+        yield
         aligned, in_phase = felt_n - sensed_n, felt_n - present_n
         self._windows.add(now_ns, now_ns - instant_ns, aligned, in_phase)
+        yield
         aligned, in_phase = aligned[~np.isnan(aligned)], in_phase[~np.isnan(in_phase)]
         self._aligned += float(aligned @ aligned)
         self._aligned_count += len(aligned)

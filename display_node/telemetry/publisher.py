@@ -84,11 +84,17 @@ class Publisher:
         return self._subscriptions.rejected + self._marks.rejected
 
     def add(self, *states: TickState) -> bool:
-        """Add a tick, of which each contactor has a state; return whether a status is due."""
-        trace = self._trace.add(*states)
+        """Add a tick, of which each contactor has a state; return whether a trace is due."""
+        return self._trace.add(*states)
+
+    def publish(self) -> bool:
+        """Publish the ticks since the last trace; return whether a status is due."""
+        self._publish_captured()
+        trace = self._trace.rest()
         if trace is None:
             return False
-        self._publish_trace(trace)
+        sockets.send(self._socket, TRACE, trace)
+        self.captured.traces_published += 1
         return self.captured.traces_published % STATUS_TRACES == 0
 
     def status(self, status: bytes) -> None:
@@ -98,9 +104,7 @@ class Publisher:
 
     def finish(self, status: bytes) -> None:
         """Publish the remaining ticks and messages, and the last status."""
-        rest = self._trace.rest()
-        if rest is not None:
-            self._publish_trace(rest)
+        self.publish()
         self._publish_captured()
         self.status(status)
 
@@ -111,11 +115,6 @@ class Publisher:
             self._serve_readers()
             time.sleep(LOOK_EVERY_S)
         return self.captured.wanted
-
-    def _publish_trace(self, trace: bytes) -> None:
-        self._publish_captured()
-        sockets.send(self._socket, TRACE, trace)
-        self.captured.traces_published += 1
 
     def _publish_captured(self) -> None:
         self._serve_readers()

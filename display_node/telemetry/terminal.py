@@ -24,6 +24,7 @@ from display_node.telemetry.key_presses import key_presses, terminal_restored
 from display_node.telemetry.terminal_view import MARK_KEY, TerminalView
 from protocol import sockets
 from protocol.host.output import unblocked_output
+from protocol.host.process import lower_priority
 from protocol.security.keys import ClientKeys, read_pair
 from protocol.wire.marks import MARK, MarkRequest, pack_request
 from protocol.wire.telemetry import STATUS, TRACE, Status, Trace
@@ -116,6 +117,7 @@ def _follow(
 
 
 if __name__ == "__main__":
+    lower_priority()
     # Ctrl-C ends the display, and this process ends at the display's last status.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     address, *key = sys.argv[1:]

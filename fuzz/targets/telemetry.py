@@ -27,9 +27,8 @@ MSGPACK = True
 def seeds() -> list[bytes]:
     """Return a trace, two statuses, captured messages, a mark and a request for one."""
     writer = TraceWriter()
-    traces = [
-        writer.add(TickState(tick, tick, tick, 0.5, 0.4, True)) for tick in range(TRACE_TICKS)
-    ]
+    for tick in range(TRACE_TICKS):
+        writer.add(TickState(tick, tick, tick, 0.5, 0.4, True))
     statuses = [["playing", "pulse", Summary().to_dict(), final] for final in (False, True)]
     heard = CaptureWriter(run=7)
     heard.wanted = True
@@ -37,7 +36,7 @@ def seeds() -> list[bytes]:
         heard.add(number, number - 1, b"a message")
     packed = (msgpack.packb(status) for status in statuses)
     marks = [pack_mark(Mark(1, 2, 3, "cuff on")), pack_request(MarkRequest(2, 3, "cuff on"))[1:]]
-    return [traces[-1] or b"", *packed, *heard.take(10, 20), *marks]
+    return [writer.rest() or b"", *packed, *heard.take(10, 20), *marks]
 
 
 def try_one(data: bytes) -> None:

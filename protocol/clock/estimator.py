@@ -297,7 +297,8 @@ class ClockEstimator:
         # Delays may vary more in one direction than in the other.
         apart_ns = contradiction(offset_ns, error_ns)
         bias_ns = apart_ns + UNSEEN_SHARE * apart_ns[-1]
-        level = int(np.argmin(error_ns + bias_ns))
+        # In whole ns: levels of one block differ by rounding alone, which must not decide.
+        level = int(np.argmin(np.rint(error_ns + bias_ns)))
         self._level, self._reference_ns = level, now_ns
         self._offset_ns = self._origin.offset_ns + round(float(offset_ns[level]))
         self._skew = min(max(float(lines.skew[level]), -MAX_SKEW), MAX_SKEW)

@@ -32,6 +32,8 @@ RESERVED_FILES = 64
 LEAST_FILES = 96
 # Enough for threads with their arenas, and for all connections.
 LEAST_FREE_BYTES = 256 << 20
+# Of a process that shows or compares what a loop does.
+WATCHER_NICENESS = 10
 
 
 def raise_file_limit() -> None:
@@ -200,6 +202,15 @@ def lock_memory() -> Iterator[str]:
         yield "memory in use stays in RAM"
     finally:
         libc.munlockall()
+
+
+def lower_priority() -> None:
+    """Let other programs run first, where this system can: for what only shows a loop's work.
+
+    A page or a scorer beside two nodes on two cores would otherwise delay their loops.
+    """
+    if hasattr(os, "nice"):
+        os.nice(WATCHER_NICENESS)
 
 
 def freeze_objects() -> None:

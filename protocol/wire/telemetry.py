@@ -160,14 +160,14 @@ class TraceWriter:
         # Where the finger presses: its press and the hold-down.
         self._press: list[float] = []
 
-    def add(self, *states: TickState) -> bytes | None:
-        """Add a tick, of which each contactor has a state; return a trace message when full."""
+    def add(self, *states: TickState) -> bool:
+        """Add a tick, of which each contactor has a state; return whether a message is full."""
         ints, state = self._ints, states[0]
         ints += (state.now_ns, state.instant_ns, state.scored, state.trusted)
         self._press += (state.press_n, state.hold_down_n)
         for state in states:
             self._forces += (state.target_n, state.felt_n, state.predictor_error_n)
-        return self.rest() if len(ints) >= 4 * TRACE_TICKS else None
+        return len(ints) >= 4 * TRACE_TICKS
 
     def rest(self) -> bytes | None:
         """Return a message of the ticks since the last one, if there are any."""

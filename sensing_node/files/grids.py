@@ -74,7 +74,8 @@ def evenly(
     if not len(rises):
         raise SourceError(f"{path}: its times do not rise")
     usual = float(np.median(rises))
-    rate_hz = rate_hz or 1 / float(steps[steps <= GAP_STEPS * usual].mean())
+    # Further digits are rounding, and a signal of 250.00000000000003 Hz would be interpolated.
+    rate_hz = rate_hz or float(f"{1 / steps[steps <= GAP_STEPS * usual].mean():.12g}")
     count = round(float(t_s[-1] - t_s[0]) * rate_hz) + 1 if np.all(np.isfinite(t_s)) else 0
     if count == len(t_s):
         at_s = t_s[0] + np.arange(count) / rate_hz

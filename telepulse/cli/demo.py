@@ -42,7 +42,7 @@ from protocol.config.scene_file import find_scene
 from protocol.errors import ProcessError
 from protocol.host.child_process import ChildProcess
 from protocol.host.output import check_writable, configure_logging
-from protocol.host.process import stop_on_signals
+from protocol.host.process import lower_priority, stop_on_signals
 from protocol.press_figures import PressFigures
 from protocol.run_summary import Summary
 from protocol.tactile import matching_force_ratio
@@ -223,6 +223,8 @@ def run_demo(
             **PIPES,
         )
         stack.callback(sensing.stop)
+        # The nodes run: what follows only compares and shows them.
+        lower_priority()
         # Ctrl-C ends the pulse; samples that were sent are still played and counted.
         stop_on_signals(sensing.terminate)
         context: sockets.Context = zmq.Context()

@@ -218,7 +218,8 @@ def _force(contactor: ContactorFindings, drawn: ContactorPlots, of: str, ending:
             drawn.error,
         ),
     ]
-    if forces.heart:
+    # On a busy host each window may have a gap.
+    if any(rate is not None for _, *rates in forces.heart for rate in rates):
         caption = "Heart rate, by the intervals between beats in six seconds."
         plots.append(Plot(f"heart-rate{ending}", caption, drawn.heart))
     channel = f"channel {alignment.channel}"

@@ -226,7 +226,7 @@ def check_can_report(folder: Path) -> None:
         folder.mkdir(parents=True, exist_ok=True)
         page = folder / PAGE
         was_there = page.exists()
-        page.open("a").close()
+        page.open("ab").close()
         if not was_there:
             page.unlink()
     except ImportError:

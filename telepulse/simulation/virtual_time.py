@@ -184,6 +184,9 @@ class Simulation:
             at_ns, _, event, data = heapq.heappop(events)
             event(data, at_ns)
         self._paths.poll(now_ns)
+        # In virtual time, work takes none.
+        while self.display.work():
+            pass
         state = self.display.tick(now_ns, elapsed_ticks)
         if state.scored and now_ns >= self._scored_from_ns:
             age_ns = self._film_age_ns

@@ -8,12 +8,14 @@ def install(folder: Path, name: str, code: str, version: str = "1.2", **entry_po
 
     entry_points: of each group, with _ in place of its dot, lines "kind = class".
     """
-    (folder / f"{name}.py").write_text(code)
+    (folder / f"{name}.py").write_text(code, encoding="utf-8")
     info = folder / f"{name}-{version}.dist-info"
     info.mkdir()
-    (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: {version}\n")
+    (info / "METADATA").write_text(
+        f"Metadata-Version: 2.1\nName: {name}\nVersion: {version}\n", encoding="utf-8"
+    )
     lines: list[str] = []
     for group, pairs in entry_points.items():
         lines.append(f"[{group.replace('_', '.', 1)}]")
         lines += [pair.replace("= ", f"= {name}:") for pair in pairs.splitlines()]
-    (info / "entry_points.txt").write_text("\n".join(lines) + "\n")
+    (info / "entry_points.txt").write_text("\n".join(lines) + "\n", encoding="utf-8")

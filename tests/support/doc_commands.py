@@ -69,7 +69,7 @@ def recipes(arguments: list[str]) -> list[str]:
         cwd=ROOT,
         env=environment,
         capture_output=True,
-        text=True,
+        encoding="utf-8",
         check=False,
     )
     assert made.returncode == 0, f"make {shlex.join(arguments)}: {made.stderr}"

@@ -45,10 +45,10 @@ def expert_errors(expert: Expert, signal: Floats, from_step: int) -> Floats:
 def feed(
     predictor: Predictor, values: Floats, first: int = 0, period_ns: int = MS, frame: int = 5
 ) -> None:
-    """Feed frames of samples, with a tick after each sample."""
+    """Feed frames of samples, and do all the work of each."""
     for start in range(0, len(values) - frame + 1, frame):
         numbers = range(first + start, first + start + frame)
         times_ns = [T0_NS + number * period_ns for number in numbers]
         predictor.observe(times_ns, values[start : start + frame].tolist())
-        for _ in range(frame):
-            predictor.work()
+        while predictor.work():
+            pass

@@ -23,7 +23,9 @@ def state() -> dict[str, Any]:
     me = threading.get_native_id()
     helpers = {thread.native_id or 0 for thread in threading.enumerate()} - {me}
     threads = schedules()
-    named = {n for n in threads if Path(f"/proc/{n}/comm").read_text().startswith("ZMQ")}
+    named = {
+        n for n in threads if Path(f"/proc/{n}/comm").read_text(encoding="utf-8").startswith("ZMQ")
+    }
     return {
         "loop": threads[me],
         "helpers": sorted(threads[number] for number in helpers),
@@ -32,7 +34,7 @@ def state() -> dict[str, Any]:
         "cpus": sorted(os.sched_getaffinity(me)),
         "helpers_cpus": sorted(os.sched_getaffinity(min(named))),
         "locked_kib": locked_kib(),
-        "slack_ns": int(Path("/proc/self/timerslack_ns").read_text()),
+        "slack_ns": int(Path("/proc/self/timerslack_ns").read_text(encoding="utf-8")),
     }
 
 
@@ -45,7 +47,7 @@ def schedules(process: int | str = "self") -> dict[int, tuple[int, int]]:
 
 
 def locked_kib(process: int | str = "self") -> int:
-    lines = Path(f"/proc/{process}/status").read_text().splitlines()
+    lines = Path(f"/proc/{process}/status").read_text(encoding="utf-8").splitlines()
     return next(int(line.split()[1]) for line in lines if line.startswith("VmLck"))
 
 

@@ -42,7 +42,7 @@ def output_within(namespace: Namespace, command: str, text: str = "") -> str:
     """Run a command in a namespace with `text` as its input; return what it prints."""
     with namespace.entered():
         ended = subprocess.run(
-            shlex.split(command), check=True, input=text, capture_output=True, text=True
+            shlex.split(command), check=True, input=text, capture_output=True, encoding="utf-8"
         )
     return ended.stdout.strip()
 

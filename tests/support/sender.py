@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from display_node.display import Display
+from display_node.prediction import PredictorName
 from display_node.prediction.scene import own_predictor
 from display_node.reception.receiver import Receiver
 from display_node.scene import DisplayScene
@@ -28,7 +29,9 @@ AHEAD_NS = 5_000_000_000
 SCENES = Path(__file__).parents[2] / "scenes"
 
 
-def display_scene(name: str, predictor: str = "linear", **changes: object) -> DisplayScene:
+def display_scene(
+    name: str, predictor: PredictorName = "linear", **changes: object
+) -> DisplayScene:
     """Return the display's section of a shipped scene, with changes.
 
     By default, the predictor is one that does not learn: its output is simple to foresee, and a
@@ -38,8 +41,11 @@ def display_scene(name: str, predictor: str = "linear", **changes: object) -> Di
     return scene.model_copy(update={"predictor": own_predictor(predictor), **changes})
 
 
-def display(name: str = "radial", predictor: str = "linear", **changes: object) -> Display:
-    return Display(display_scene(name, predictor, **changes), "test")
+def display(
+    name: str = "radial", predictor: PredictorName = "linear", **changes: object
+) -> Display:
+    """Return a display that `run` ticks once a ms."""
+    return Display(display_scene(name, predictor, **{"tick_ns": MS, **changes}), "test")
 
 
 @dataclass
@@ -98,6 +104,8 @@ def run(
     felt = []
     for ms in range(from_ms, to_ms):
         now_ns = ms * MS
+        while under_test.work():
+            pass
         felt.append(under_test.tick(now_ns).felt_n)
         if sender is None:
             under_test.requests(now_ns)

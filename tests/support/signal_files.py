@@ -31,5 +31,5 @@ def wfdb_record(
     (folder / f"{name}.dat").write_bytes(codes.tobytes())
     lines = [f"{name} {len(signals)} {rate} {len(codes)} 12:00:00 24/11/2016"]
     lines += [f"{name}.dat 16 {GAINS[key]:g}/{UNITS[key]} 16 0 0 0 0 {key}" for key in signals]
-    (folder / f"{name}.hea").write_text("\n".join([*lines, "# a note", ""]))
+    (folder / f"{name}.hea").write_text("\n".join([*lines, "# a note", ""]), encoding="utf-8")
     return folder / name

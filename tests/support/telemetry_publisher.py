@@ -158,10 +158,10 @@ class HandmadeTelemetry:
 
     def ticks(self, *felt: TickState) -> list[Entry]:
         """Publish a trace of at most 20 ticks."""
-        writer, message = TraceWriter(), None
+        writer = TraceWriter()
         for tick in felt:
-            message = writer.add(tick)
-        message = message or writer.rest()
+            writer.add(tick)
+        message = writer.rest()
         assert message is not None
         self.capture.traces_published += 1
         return self.decoder.decode(TRACE, message)

@@ -218,6 +218,8 @@ class ThreadedBench:
     def _tick(self, now_ns: int, elapsed_ticks: int) -> None:
         felt = self.display.tick(now_ns, elapsed_ticks)
         self.on_tick(now_ns, felt.target_n)
+        while self.display.work():
+            pass
         if self.faults and self.fault_ns is None:
             self.fault_ns = self.world.now_ns
         for request in self.display.requests(self.world.perf_counter_ns()):

@@ -219,6 +219,8 @@ class VirtualBench:
         self._ticked_ms = self.now_ms
         self.drive.reaches_ns = now_ns + self.command_late_ns(self.now_ms)
         felt: TickState = self.display.tick(now_ns, elapsed)
+        while self.display.work():
+            pass
         self.felt.append((now_ns, felt.target_n, felt.felt_n))
         if self.sending:
             self.sender.serve(self.display, now_ns)

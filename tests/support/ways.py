@@ -84,8 +84,6 @@ def over_ssh(sites: Sites, keys: ThreeKeyrings, folder: Path) -> Iterator[Ends]:
     for name in ("host", "login"):
         run_within(sites.third, f"ssh-keygen -q -t ed25519 -N '' -f {folder / name}")
     Path(folder, "sshd").write_text(SSHD_OPTIONS.format(folder=folder), encoding="utf-8")
-    # The folder to which sshd confines itself before a login; a service makes it elsewhere.
-    Path("/run/sshd").mkdir(mode=0o755, exist_ok=True)
     known = "* " + Path(folder, "host.pub").read_text(encoding="ascii")
     Path(folder, "known").write_text(known, encoding="ascii")
     ours = (
@@ -94,6 +92,10 @@ def over_ssh(sites: Sites, keys: ThreeKeyrings, folder: Path) -> Iterator[Ends]:
     )
     typed = {where: command for where in "RL" for command in on_page("ssh", f"-{where} ")}
     with ExitStack() as stack:
+        # The folder to which sshd confines itself before a login; a service makes it elsewhere.
+        if not (confined := Path("/run/sshd")).exists():
+            confined.mkdir(mode=0o755)
+            stack.callback(confined.rmdir)
         stack.enter_context(program_within(sites.third, f"{SSHD} -D -e -f {folder / 'sshd'}"))
         until(lambda: answers(sites.third, "127.0.0.1", 22))
         for where, site, third in (

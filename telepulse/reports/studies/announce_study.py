@@ -29,7 +29,6 @@ from telepulse.reports.studies.prediction_pulses import RATE_HZ, SCORED_FROM_S, 
 from telepulse.reports.studies.prediction_study import (
     FRAME,
     HORIZONS_MS,
-    TICK_NS,
     instant_ns,
     observe_frame,
 )
@@ -154,7 +153,7 @@ def run(announced: AnnouncedPulse, with_ecg: bool) -> AnnouncedRun:
     After each frame, one prediction is made for each horizon, as in the study of predictors.
     """
     pulse, ecg_mv = announced
-    stack, detector = Ensemble("stack", TICK_NS), RWaveDetector()
+    stack, detector = Ensemble("stack"), RWaveDetector()
     count = (len(pulse.true) - max(HORIZONS_MS) * RATE_HZ // 1000) // FRAME - 1
     squares, used = np.zeros((count, len(HORIZONS_MS))), np.zeros(count)
     for frame in range(count):

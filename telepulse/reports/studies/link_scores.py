@@ -293,7 +293,7 @@ def run_policies(pulse: Pulse, link: str, seed: int = 1) -> PolicyErrors:
         HOLD: (arrived.tolist(), "hold"),
     }
     errors = {
-        name: _policy_nrmse(pulse, known_at, build_predictors(predictor, TICK_NS)[0])
+        name: _policy_nrmse(pulse, known_at, build_predictors(predictor)[0])
         for name, (known_at, predictor) in policies.items()
     }
     return PolicyErrors(errors, classic_ms)
@@ -324,7 +324,8 @@ def _policy_nrmse(pulse: Pulse, known_at: Sequence[int | None], predictor: Predi
             known[first : newest + 1] = True
             times_ns = [sample * TICK_NS for sample in range(first, newest + 1)]
             predictor.observe(times_ns, pulse.sensed[first : newest + 1].tolist())
-        predictor.work()
+        while predictor.work():
+            pass
         if now < scored_from:
             continue
         for row, delay_ms in enumerate(DELAYS_MS):

@@ -132,8 +132,8 @@ def score(pulse: Pulse) -> Errors:
     one prediction is made for each horizon, counted from the newest sample. It is made at the
     first to the fifth tick after the frame in turn.
     """
-    stack = Ensemble("stack", TICK_NS)
-    cheap = [build_predictors(name, TICK_NS)[0] for name in CHEAP]
+    stack = Ensemble("stack")
+    cheap = [build_predictors(name)[0] for name in CHEAP]
     names = (*CHEAP, *stack.names)
     squares = np.zeros((len(HORIZONS_MS), len(names)))
     counts = np.zeros((len(HORIZONS_MS), 1))
@@ -159,7 +159,7 @@ def score(pulse: Pulse) -> Errors:
 
 def cost(name: PredictorName, sensed: Floats) -> PredictorCost:
     """Measure the processor time of a predictor that predicts once per tick, as in a display."""
-    predictor = build_predictors(name, TICK_NS)[0]
+    predictor = build_predictors(name)[0]
     taken_us = []
     for frame in range(len(sensed) // FRAME):
         for tick in range(FRAME):

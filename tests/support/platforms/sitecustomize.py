@@ -11,6 +11,7 @@ import io
 import os
 import platform
 import select
+import shutil
 import signal
 import socket
 import sys
@@ -95,6 +96,8 @@ def become(name: str) -> None:
         sys.modules.pop(missing, None)
     sys.meta_path.insert(0, _Finder())
     sys.platform = name
+    # Chosen when shutil is imported: Windows opens no folder.
+    shutil._use_fd_functions = name != "win32"
     system = {"win32": "Windows", "darwin": "Darwin"}[name]
     platform.system = lambda: system
     for owner, function in (

@@ -21,7 +21,6 @@ from telepulse.reports.studies.prediction_pulses import Floats
 from telepulse.reports.studies.prediction_study import (
     FRAME,
     HORIZONS_MS,
-    TICK_NS,
     observe_frame,
 )
 
@@ -103,7 +102,7 @@ def test_the_estimate_of_the_error_is_that_of_the_corrected_path() -> None:
 def test_r_waves_in_later_data_than_the_pulse_are_used_when_the_pulse_is_as_new() -> None:
     """A burst of frames holds R waves that a prediction of its first samples must not know."""
     announced = sets(0.005)["variability"]
-    stack, detector = Ensemble("stack", TICK_NS), RWaveDetector()
+    stack, detector = Ensemble("stack"), RWaveDetector()
     frames = (20 * 1000) // FRAME
     for frame in range(frames):
         stack.announce(observe_frame(detector, announced.ecg_mv, frame))

@@ -72,6 +72,8 @@ class VirtualLink:
                 self.send(true_ns)
             self._arrive(true_ns)
             now_ns = self.display_clock(true_ns)
+            while self.display.work():
+                pass
             felt = self.display.tick(now_ns)
             self.played.append((true_ns, felt.target_n, felt.playout_delay_ns, felt.scored))
             for request in self.display.requests(now_ns):

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from compile_core import compiled_modules, missing
-from tests.golden.__main__ import SCENES, SEEDS, read
+from tests.golden.runs import runs
 from tests.support.compiled_core import build, run_in
 from tests.support.nodes import ROOT, run_python
 
@@ -18,10 +18,10 @@ RUNS = """
 import json
 from importlib import import_module
 from sys import argv
-from tests.golden.__main__ import SCENES, SEEDS, run
+from tests.golden.runs import runs
 for name in argv[1:]:
     assert not import_module(name).__file__.endswith(".py"), name
-print(json.dumps({f"{scene} {seed}": run(scene, seed) for scene in SCENES for seed in SEEDS}))
+print(json.dumps(runs()))
 """
 VERSION = "import sys; sys.argv = ['x', '--version']; from {} import main; main()"
 PROGRAMS = ("telepulse.cli.main", "sensing_node.cli", "display_node.cli")
@@ -43,9 +43,8 @@ def compiled(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_compiled_and_pure_runs_have_the_same_figures_to_the_last_digit(compiled: Path) -> None:
     names = [path.removesuffix(".py").replace("/", ".") for path in compiled_modules()]
     figures = json.loads(run_in(compiled, "-c", RUNS, *names))
-    golden = read("summaries")
-    for name in (f"{scene} {seed}" for scene in SCENES for seed in SEEDS):
-        assert figures[name] == golden[name], name
+    for name, pure in runs().items():
+        assert figures[name] == pure, name
 
 
 @pytest.mark.parametrize("module", PROGRAMS)

@@ -42,7 +42,7 @@ def recipe(folder: Path, *arguments: str) -> str:
     environment = {name: text for name, text in os.environ.items() if not name.startswith("MAKE")}
     command = ["make", "--dry-run", "install", *arguments]
     made = subprocess.run(
-        command, cwd=folder, env=environment, capture_output=True, text=True, check=True
+        command, cwd=folder, env=environment, capture_output=True, encoding="utf-8", check=True
     )
     return made.stdout
 

@@ -52,7 +52,9 @@ def project() -> Iterator[list[str]]:
 
 def logs(project: list[str], service: str) -> str:
     command = [*project, "logs", "--no-color", service]
-    return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True).stdout
+    return subprocess.run(
+        command, cwd=ROOT, capture_output=True, encoding="utf-8", check=True
+    ).stdout
 
 
 def page(port: int) -> str:
@@ -66,7 +68,7 @@ def page(port: int) -> str:
 @pytest.mark.timeout(240)
 def test_both_displays_play_and_their_pages_are_published_here_alone(project: list[str]) -> None:
     up = [*project, "up", "--detach", "--no-build"]
-    started = subprocess.run(up, cwd=ROOT, capture_output=True, text=True, check=False)
+    started = subprocess.run(up, cwd=ROOT, capture_output=True, encoding="utf-8", check=False)
     assert started.returncode == 0, started.stderr
     for port in (5006, 5007):
         until(lambda port=port: "telepulse" in page(port), BUILT_AND_STARTED_S)  # type: ignore[misc]
@@ -79,10 +81,12 @@ def test_both_displays_play_and_their_pages_are_published_here_alone(project: li
     ]
     assert medians_ms[0] < 20 < medians_ms[1]
     shown = [*project, "ps", "--quiet", "display"]
-    found = subprocess.run(shown, cwd=ROOT, capture_output=True, text=True, check=True).stdout
+    found = subprocess.run(
+        shown, cwd=ROOT, capture_output=True, encoding="utf-8", check=True
+    ).stdout
     inspected = ["docker", "inspect", found.strip()]
     (container,) = json.loads(
-        subprocess.run(inspected, capture_output=True, text=True, check=True).stdout
+        subprocess.run(inspected, capture_output=True, encoding="utf-8", check=True).stdout
     )
     (published,) = container["HostConfig"]["PortBindings"].values()
     assert published == [{"HostIp": "127.0.0.1", "HostPort": "5006"}]

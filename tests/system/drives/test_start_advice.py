@@ -1,5 +1,6 @@
 """Messages of a drive that does not start: the failure, its place and advice."""
 
+import errno
 import os
 import pty
 import re
@@ -131,7 +132,8 @@ def test_display_node_prints_the_failure_with_its_advice(tmp_path: Path) -> None
     (line,) = strays(ended.stderr).splitlines()
     port = re.search(r'port = "([^"]+)"', text.split("[display.drive]")[1])
     assert port is not None
-    assert line.startswith(f"display-node: {port[1]} cannot be opened: No such file or directory; ")
+    missing = os.strerror(errno.ENOENT)
+    assert line.startswith(f"display-node: {port[1]} cannot be opened: {missing}; ")
     assert "check `port` in [display.drive] and the cable" in line
 
 

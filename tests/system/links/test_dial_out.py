@@ -16,6 +16,7 @@ from protocol.security.keys import ClientKeys, ServerKeys
 from protocol.sockets import Context, Socket
 from telepulse.tunnel_relay import MAX_UNPROVEN, SPARES, TunnelRelay
 from tests.support.hostile_peers import GREETING, port_of
+from tests.support.ipv6 import needs_ipv6
 from tests.support.keyring import Keyring
 from tests.support.live_display import await_state, subscribe
 from tests.support.log_lines import refused
@@ -75,6 +76,7 @@ def test_the_relay_carries_ciphertext_and_displays_return_after_its_restart(
     assert NAME not in passed
 
 
+@needs_ipv6
 def test_a_node_dials_out_and_displays_connect_by_ipv6(tmp_path: Path) -> None:
     nodes, near, own = (free_address().replace("127.0.0.1", "[::1]") for _ in range(3))
     played = tmp_path / "played.json"

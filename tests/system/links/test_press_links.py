@@ -1,6 +1,5 @@
 """The press with keys between two namespaces: loss, cuts of a port or direction, a revoked key."""
 
-import time
 from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
@@ -66,10 +65,8 @@ def test_with_keys_over_a_lossy_link_each_cut_eases_off_and_a_revoked_key_releas
         until(lambda: newest_n() > 0.5)
         for each in CUTS:
             link.drop(each)
-            cut_s = time.monotonic()
+            # The bound of 0.5 s is proved in virtual time.
             until(lambda: newest_n() < EASED_N)
-            # A busy host may read late; the bound of 0.5 s is proved in virtual time.
-            assert time.monotonic() - cut_s < 3
             link.drop()
             until(lambda: newest_n() > 0.5)
         revoke(keyring.allowed, "finger")

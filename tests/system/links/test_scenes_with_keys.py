@@ -115,7 +115,7 @@ def test_a_wrist_is_swept_between_two_machines_with_keys(keyed: KeyedLink) -> No
         sensing.wait(ENDS_WITHIN_S)
     assert sweep.returncode == 0, errors
     assert "N" in output
-    levels = json.loads(tables.read_text())["chapters"][0]["tables"][0]["rows"]
+    levels = json.loads(tables.read_text(encoding="utf-8"))["chapters"][0]["tables"][0]["rows"]
     # The mean arterial pressure of the scene, 12.2 kPa, on 0.985 cm². The levels around the best
     # one may lie outside of so short a ramp.
     assert float(levels[1]["hold-down (N)"].split(" ")[0]) == pytest.approx(1.2, rel=0.1)

@@ -36,7 +36,7 @@ def test_pyxdf_reads_what_lab_recorder_wrote_of_our_outlet(
             assert pylsl.resolve_byprop("name", name, 1, RESOLVE_S), name
         command = [str(RECORDER), str(path), *(f"name='{name}'" for name in names)]
         with subprocess.Popen(
-            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, encoding="utf-8"
         ) as recorder:
             with pytest.raises(subprocess.TimeoutExpired):
                 recorder.wait(RECORDED_S)

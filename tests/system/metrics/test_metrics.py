@@ -1,5 +1,6 @@
 """Nodes that serve metrics: real processes, real HTTP."""
 
+import errno
 import os
 import signal
 import socket
@@ -36,7 +37,9 @@ class Served:
         line = node.read_line(3 * PATIENCE_S, from_stderr=True)
         assert " INFO metrics on http://" in line, line
         self.node, self.url = node, line.split()[-1]
-        children = Path(f"/proc/{node.pid}/task/{node.pid}/children").read_text().split()
+        children = (
+            Path(f"/proc/{node.pid}/task/{node.pid}/children").read_text(encoding="utf-8").split()
+        )
         (self.server,) = map(int, children)
 
     def scrape(self) -> dict[tuple[str, Labels], float]:
@@ -175,7 +178,8 @@ def test_a_port_in_use_is_one_line_before_anything_starts() -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = str(taken.getsockname()[1])
         line = refused(DISPLAY, str(RADIAL), "--metrics", port)
-    assert f"--metrics: cannot bind 127.0.0.1:{port}: Address already in use" in line
+    taken = os.strerror(errno.EADDRINUSE)
+    assert f"--metrics: cannot bind 127.0.0.1:{port}: {taken}" in line
 
 
 def test_without_the_library_it_names_the_extra(tmp_path: Path) -> None:

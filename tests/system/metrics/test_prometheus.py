@@ -43,7 +43,9 @@ FIRING: dict[str, tuple[dict[str, str], str]] = {
 
 
 def promtool(*arguments: str) -> str:
-    ended = subprocess.run(["promtool", *arguments], capture_output=True, text=True, check=False)
+    ended = subprocess.run(
+        ["promtool", *arguments], capture_output=True, encoding="utf-8", check=False
+    )
     assert ended.returncode == 0, ended.stdout + ended.stderr
     return ended.stdout
 

@@ -51,7 +51,7 @@ def hostile(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     monkeypatch.chdir(folder)
     monkeypatch.setenv("PYTHONPATH", str(ROOT))
     yield
-    assert not (folder / "imported").exists(), (folder / "imported").read_text()
+    assert not (folder / "imported").exists(), (folder / "imported").read_text(encoding="utf-8")
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="the signal at the end of a pipe is Linux's")

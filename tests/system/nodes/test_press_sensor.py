@@ -1,6 +1,5 @@
 """A real press sensor under the finger: an emulated board that reads a hand, between processes."""
 
-import time
 from contextlib import closing
 from pathlib import Path
 
@@ -57,10 +56,8 @@ def test_a_hand_on_a_press_sensor_presses_the_wrist_and_its_silence_eases_off(
                     await_hold_down(client, 0.95 * level_n, 1.05 * level_n)
                 sensor.terminate()
                 sensor.wait(30)
-                cut_s = time.monotonic()
+                # The bound of 0.5 s is proved in virtual time.
                 await_hold_down(client, -0.1, EASED_N)
-                # A busy host may read late; the bound of 0.5 s is proved in virtual time.
-                assert time.monotonic() - cut_s < 3
                 with process("telepulse", *board):
                     await_hold_down(client, 0.95 * LEVELS_N[0], 1.05 * LEVELS_N[0])
                     finger.terminate()

@@ -46,7 +46,9 @@ def test_granted_settings_are_in_effect_in_both_nodes_while_they_play(
             assert locked_kib(node.pid) > 1_000
         assert os.sched_getaffinity(display.pid) == {one}
         # The process that draws has none of these settings.
-        children = Path(f"/proc/{display.pid}/task/{display.pid}/children").read_text()
+        children = Path(f"/proc/{display.pid}/task/{display.pid}/children").read_text(
+            encoding="utf-8"
+        )
         (screen,) = map(int, children.split())
         assert set(schedules(screen).values()) == {(os.SCHED_OTHER, 0)}
         assert os.sched_getaffinity(screen) == os.sched_getaffinity(0)

@@ -22,7 +22,9 @@ def test_convert_prints_what_is_missing_and_lost_and_nothing_that_controls_a_ter
 ) -> None:
     rows = "".join(f"{n / 250};{'' if n == 9 else v}\n" for n, v in enumerate(ABP.tolist()))
     path = tmp_path / "a.csv"
-    path.write_text(f"# by hand\nzeit [s];ABP\x1b[31m [mmHg]\n{rows.replace('.', ',')}")
+    path.write_text(
+        f"# by hand\nzeit [s];ABP\x1b[31m [mmHg]\n{rows.replace('.', ',')}", encoding="utf-8"
+    )
     result = run(MODULE, "convert", str(path), str(tmp_path / "a.edf"))
     assert (result.returncode, result.stderr) == (0, "")
     first, second = result.stdout.splitlines()
@@ -87,7 +89,7 @@ def test_what_a_person_stated_is_in_every_export(tmp_path: Path) -> None:
     edf = edfio.read_edf(tmp_path / "edf")
     assert edf.patient.code == "S01"
     assert edf.patient.additional == ("position=cun", "side=left")
-    assert "# side: left" in (tmp_path / "wfdb.hea").read_text()
+    assert "# side: left" in (tmp_path / "wfdb.hea").read_text(encoding="utf-8")
     assert b"<key>side</key><value>left</value>" in (tmp_path / "xdf").read_bytes()
     for folder in ("csv", "parquet"):
         assert read_json(tmp_path / folder / "provenance.json")["about"] == about

@@ -170,6 +170,16 @@ def test_a_recording_that_was_never_played_is_reported(path: Path) -> None:
     assert force.plots == ()
 
 
+def test_where_no_heart_rate_was_found_none_is_plotted(
+    path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # As on a busy host, where each window of six seconds has a gap.
+    monkeypatch.setattr("telepulse.recording.forces.MAX_GAP_S", 0.0)
+    record(path, 12)
+    force = build_recording_report(path).chapters[1]
+    assert [plot.name for plot in force.plots] == ["force-first", "force-worst", "error"]
+
+
 def test_a_limit_that_was_reached_is_an_event_and_a_row(path: Path) -> None:
     telemetry = HandmadeTelemetry()
     writer = McapWriter(path)

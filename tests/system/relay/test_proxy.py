@@ -112,4 +112,5 @@ def test_it_sleeps_while_nothing_passes(ends: Ends) -> None:
     ends.begin()
     began_s = time.process_time()
     time.sleep(0.5)
-    assert time.process_time() - began_s < 0.1
+    # A proxy that polls without waiting takes all of it.
+    assert time.process_time() - began_s < 0.25

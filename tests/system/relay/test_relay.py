@@ -233,7 +233,7 @@ def test_where_frames_alone_fall_silent_they_come_over_a_second_connection(
         silent_s = time.monotonic() - from_s
         reconnections = end().reconnections
         # As fast as a display, far below the 10 s for frames of unknown length.
-        assert silent_s < 5
+        assert silent_s < 8
         assert reconnections.opened
         assert reconnections.control == 0
 

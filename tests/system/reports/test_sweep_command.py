@@ -28,7 +28,7 @@ def test_a_modelled_wrist_is_swept_and_reported(tmp_path: Path) -> None:
     assert done.returncode == 0, done.stderr
     assert done.stdout.count("beats\n") >= 10
     assert (out / "index.html").exists()
-    levels = json.loads(tables.read_text())["chapters"][0]["tables"][0]["rows"]
+    levels = json.loads(tables.read_text(encoding="utf-8"))["chapters"][0]["tables"][0]["rows"]
     forces_n = [float(row["hold-down (N)"].split(" ")[0]) for row in levels]
     assert forces_n == sorted(forces_n)
     # The mean arterial pressure of the scene, 12.2 kPa, on 0.985 cm².

@@ -17,13 +17,19 @@ from protocol.security.budgets import BEHIND_NS, ConnectionBudget
 from protocol.security.connection_table import MAX_EVENTS, ConnectionTable
 from protocol.security.keys import ClientKeys, ServerKeys
 from protocol.sockets import Context, Socket
+from tests.support.ipv6 import needs_ipv6
 from tests.support.keyring import Keyring
 from tests.support.waiting import PATIENCE_S
 
 QUIET_S = 0.3
 MOST = 40
 HERE, THERE = "127.0.0.1", "127.0.0.2"
-ADDRESSES = ["tcp://127.0.0.1:*", "tcp://[::1]:*", "tcp://[::]:*", "ipc"]
+ADDRESSES = [
+    "tcp://127.0.0.1:*",
+    pytest.param("tcp://[::1]:*", marks=needs_ipv6),
+    pytest.param("tcp://[::]:*", marks=needs_ipv6),
+    "ipc",
+]
 linux = pytest.mark.skipif(sys.platform != "linux", reason="needs 127.0.0.2 and filters")
 
 
@@ -214,7 +220,7 @@ def test_a_revocation_in_an_unreadable_list_counts_once_the_list_is_readable(
     keyring.allow("thumb")
     goes = publisher.subscribe(keyring.client("thumb"))
     publisher.poll_until(lambda: goes.received)
-    keyring.allowed.write_text(keyring.pair("finger").public.line + "\n")
+    keyring.allowed.write_text(keyring.pair("finger").public.line + "\n", encoding="utf-8")
     keyring.allowed.chmod(0o664)
     publisher.poll_until(lambda: any("chmod go-w" in line for line in logged))
     late = publisher.subscribe(keyring.client("finger"))
@@ -230,7 +236,7 @@ def test_all_but_the_node_itself_are_cut_while_the_list_cannot_be_read(
 ) -> None:
     other, own = (publisher.subscribe(keyring.client(name)) for name in ("finger", "wrist"))
     publisher.poll_until(lambda: other.received and own.received)
-    keyring.allowed.write_text("nonsense\n")
+    keyring.allowed.write_text("nonsense\n", encoding="utf-8")
     publisher.poll_until(lambda: logged)
     # This stands for 10 s of waiting.
     publisher.authenticator.poll(time.perf_counter_ns() + UNREADABLE_AT_MOST_NS)

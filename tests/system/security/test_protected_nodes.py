@@ -102,9 +102,7 @@ def test_a_revoked_display_is_cut_off_and_reports_it_while_the_other_continues(
         for reader in readers.values():
             await_state(reader, "playing")
         revoke(keyring.allowed, "thumb")
-        revoked_s = time.monotonic()
         await_status(readers["thumb"], lambda status: status.state == "stale")
-        cut_s = time.monotonic() - revoked_s
         await_status(readers["thumb"], lambda status: "revoked" in status.summary["rejected"])
         received = await_state(readers["thumb"], "stale").summary["frames"]["received"]
         assert node.wait(PATIENCE_S) == 0
@@ -112,8 +110,6 @@ def test_a_revoked_display_is_cut_off_and_reports_it_while_the_other_continues(
         goes.terminate()
         output, display_log = goes.communicate(timeout=PATIENCE_S)
         _, sensing_log = node.communicate()
-    # The list is read each second, and a stream is stale after some silence.
-    assert cut_s < 10
     assert read_json(jsons["thumb"])["frames"]["received"] == received
     assert display_log.count(" has revoked the key of thumb: ") == 1
     assert "revoked: the other node allowed this node's key" in output

@@ -40,7 +40,7 @@ def test_frames_of_the_sketch_are_decoded(tmp_path: Path) -> None:
     main, program = tmp_path / "main.cpp", tmp_path / "board"
     main.write_text(MAIN.format(sketch=SKETCH), encoding="utf-8")
     command = ["g++", "-Wall", "-Wextra", "-Werror", f"-I{tmp_path}", str(main), "-o", str(program)]
-    compiled = subprocess.run(command, capture_output=True, text=True, check=False)
+    compiled = subprocess.run(command, capture_output=True, encoding="utf-8", check=False)
     assert compiled.returncode == 0, compiled.stderr
     sent = subprocess.run([str(program)], capture_output=True, check=True, timeout=20).stdout
     decoder = FrameDecoder(1_000_000)
@@ -89,10 +89,12 @@ def test_the_sketch_on_an_atmega_streams_by_the_chips_own_clock(tmp_path: Path) 
         ],
         ["gcc", "-O2", str(BOARD_SOURCE), "-o", str(board), "-lsimavr", "-lelf", "-lm", "-lutil"],
     ):
-        made = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+        made = subprocess.run(
+            command, cwd=tmp_path, capture_output=True, encoding="utf-8", check=False
+        )
         assert made.returncode == 0, made.stderr
     with subprocess.Popen(
-        [str(board), str(firmware), str(DRIFT_PPM)], stdout=subprocess.PIPE, text=True
+        [str(board), str(firmware), str(DRIFT_PPM)], stdout=subprocess.PIPE, encoding="utf-8"
     ) as running:
         assert running.stdout is not None
         while not (line := running.stdout.readline().strip()).startswith("/dev/"):

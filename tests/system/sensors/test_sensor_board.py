@@ -1,6 +1,8 @@
 """An emulated board, a sensing node and a display as processes, on a real pseudo-terminal."""
 
+import errno
 import itertools
+import os
 import signal
 import subprocess
 from collections.abc import Iterator
@@ -30,7 +32,9 @@ def scene_file(folder: Path, framing: str = "binary") -> Path:
     path = folder / "bench.toml"
     path.write_text(
         f'[sensing.source]\nkind = "serial"\nport = "{folder}/board"\n{KEYS[framing]}\n'
-        'rate = "1 kHz"\nunit = "N"\n' + "[display" + RADIAL.read_text().partition("[display")[2],
+        'rate = "1 kHz"\nunit = "N"\n'
+        + "[display"
+        + RADIAL.read_text(encoding="utf-8").partition("[display")[2],
         encoding="utf-8",
     )
     return path
@@ -194,7 +198,7 @@ def test_the_board_prints_the_table_for_a_scene(tmp_path: Path) -> None:
 def test_a_link_in_place_of_another_file_is_refused_in_one_line(tmp_path: Path) -> None:
     (tmp_path / "board").write_text("mine", encoding="utf-8")
     line = refused(*board_command(tmp_path, "--seconds", "0.2"))
-    assert line == f"telepulse: {tmp_path}/board: cannot be made: File exists\n"
+    assert line == f"telepulse: {tmp_path}/board: cannot be made: {os.strerror(errno.EEXIST)}\n"
     assert (tmp_path / "board").read_text(encoding="utf-8") == "mine"
 
 

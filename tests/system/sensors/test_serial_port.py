@@ -1,3 +1,4 @@
+import errno
 import itertools
 import os
 import socket
@@ -161,7 +162,7 @@ def test_an_unplugged_cable_is_logged_and_the_stream_continues(
 @pytest.mark.parametrize(
     ("port", "reason"),
     [
-        ("{}/ttyACM0", "No such file or directory; ports here: "),
+        ("{}/ttyACM0", f"{os.strerror(errno.ENOENT)}; ports here: "),
         *((port, "") for port in ("socket://127.0.0.1:1", "guitar://x", "socket://nowhere", "/")),
     ],
 )

@@ -5,10 +5,13 @@ import pytest
 
 from display_node.control.force_loop import ForceLoop
 from display_node.display import Display
+from display_node.prediction.ensemble import Ensemble
 from display_node.scene import DisplayScene
+from display_node.scoring.tracking_error import TrackingError
 from protocol.config.scene import validate
 from protocol.errors import SceneError
 from protocol.figures import Surface
+from protocol.pieces import complete
 from protocol.run_summary import contactors_of, rows
 from protocol.wire.messages import Bye, Frame, encode_control, encode_frame
 from protocol.wire.stream import Channel
@@ -26,6 +29,7 @@ def scene(*contactors: dict[str, object], **changes: object) -> DisplayScene:
         "controller": {"kp": 390, "error": "position", "feed_forward": True, "dead_band": 3.2e-7},
         "actuator": {"kind": "stepper"},
         "predictor": "linear",
+        "tick": "1 ms",
         "contactor": list(contactors) or [{"channel": name} for name in NAMES],
     }
     return validate(table | changes, DisplayScene, "[display]")
@@ -42,6 +46,8 @@ def play(
     """Run a display on a pulse; return the instant and the target force of each contactor."""
     instants_ns, targets_n = [], []
     for ms in range(from_ms, to_ms):
+        while under_test.work():
+            pass
         under_test.tick(ms * MS)
         sender.serve(under_test, ms * MS)
         first = sender.sent
@@ -287,3 +293,37 @@ def test_a_contactor_that_cannot_be_used_is_one_line(
         scene(*contactors, **changes)
     assert named in str(error.value)
     assert "\n" not in str(error.value)
+
+
+def test_every_actuator_is_commanded_before_anything_is_scored_or_learnt(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    order: list[str] = []
+
+    def noted(name: str, owner: type, method: str) -> None:
+        original = getattr(owner, method)
+
+        def note(*arguments: object) -> object:
+            order.append(name)
+            return original(*arguments)
+
+        monkeypatch.setattr(owner, method, note)
+
+    noted("command", ForceLoop, "tick")
+    noted("score", TrackingError, "add_output")
+    noted("learn", Ensemble, "work")
+    under_test, sender = Display(scene(predictor="stack"), "test"), Sender(stream=STREAM)
+    play(under_test, sender, 0, 3000)
+    order.clear()
+    under_test.tick(3000 * MS)
+    assert order == ["command"] * 3 + ["score"] * 3
+    while under_test.work():
+        pass
+    assert "learn" in order[6:]
+
+
+def test_a_summary_is_built_in_pieces_that_each_contactor_adds_one_to() -> None:
+    under_test, sender = Display(scene(), "test"), Sender(stream=STREAM)
+    play(under_test, sender, 0, 3000)
+    assert sum(1 for _ in under_test.summary_pieces()) > len(NAMES)
+    assert complete(under_test.summary_pieces()) == under_test.summary()

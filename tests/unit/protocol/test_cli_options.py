@@ -123,7 +123,7 @@ def test_key_files_and_addresses_are_checked_at_once(own: Path, peer: Path) -> N
         server_keys(FAR, peer, None, insecure=False)
     with pytest.raises(errors.KeyFileError, match="never leaves its machine"):
         client_keys([FAR], own, own, insecure=False)
-    own.with_name("allowed").write_text("nonsense\n")
+    own.with_name("allowed").write_text("nonsense\n", encoding="utf-8")
     with pytest.raises(errors.KeyFileError, match="line 1"):
         server_keys(FAR, own, None, insecure=False)
     with pytest.raises(errors.AddressError, match="not an address"):

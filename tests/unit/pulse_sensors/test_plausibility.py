@@ -193,7 +193,9 @@ def test_an_emulated_board_may_send_implausible_forces(
 
 def test_a_simulation_reports_a_synthetic_pulse_without_a_preload(tmp_path: Path) -> None:
     path = tmp_path / "light.toml"
-    path.write_text(RADIAL.read_text("utf-8").replace('preload = "0.3 N"', 'preload = "0 N"'))
+    path.write_text(
+        RADIAL.read_text("utf-8").replace('preload = "0.3 N"', 'preload = "0 N"'), encoding="utf-8"
+    )
     summary = summarise(load_scene(path), seconds=5, seed=1)
     (fault,) = summary.faults
     assert "below 0 N, which no display can play: set a higher preload" in fault

@@ -15,7 +15,8 @@ LINK = "delay=40ms,jitter=10ms,loss=1%"
 
 @pytest.fixture(scope="module")
 def run() -> telepulse.Run:
-    return telepulse.simulate("radial", seconds=6, link=LINK, display={"predictor": "linear"})
+    display = {"predictor": "linear", "tick": "1 ms"}
+    return telepulse.simulate("radial", seconds=6, link=LINK, display=display)
 
 
 def test_the_arrays_give_the_errors_of_the_summary(run: telepulse.Run) -> None:

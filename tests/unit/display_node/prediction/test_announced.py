@@ -12,7 +12,6 @@ from telepulse.reports.studies.prediction_pulses import Beats, Pulse, drawn, dra
 from telepulse.reports.studies.prediction_study import (
     FRAME,
     HORIZONS_MS,
-    TICK_NS,
     instant_ns,
     observe_frame,
 )
@@ -37,7 +36,7 @@ def test_an_ecg_lowers_the_error_until_it_is_unplugged() -> None:
 
 def test_without_r_waves_the_results_are_the_same_to_the_last_bit() -> None:
     pulse = announced_pulses(22.0, 1, 0.005)[-1].pulse.sensed[:8_000]
-    plain, asked = Ensemble("stack", TICK_NS), Ensemble("stack", TICK_NS)
+    plain, asked = Ensemble("stack"), Ensemble("stack")
     paths = []
     for stack in (plain, asked):
         found = []

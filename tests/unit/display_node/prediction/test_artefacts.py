@@ -77,7 +77,7 @@ def test_predictions_are_soon_as_good_as_without_the_artefact() -> None:
 
     def rmse_n(force_n: Floats) -> float:
         """Return the error from 2 s after the artefact on, 100 ms ahead."""
-        errors_n = prediction_errors_n(Ensemble("stack", 1_000_000), force_n, pulse, 100)
+        errors_n = prediction_errors_n(Ensemble("stack"), force_n, pulse, 100)
         return float(np.sqrt(np.mean(errors_n[21 * RATE_HZ // BATCH :] ** 2)))
 
     undisturbed_n, found_n = rmse_n(noisy(pulse)), rmse_n(disturbed)

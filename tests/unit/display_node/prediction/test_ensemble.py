@@ -122,7 +122,7 @@ def ahead(predictor: Ensemble, samples: int, horizon_ms: int, first: int = 0) ->
 
 @pytest.mark.parametrize("name", LEARNT)
 def test_a_predictor_learns_a_pulse(name: PredictorName) -> None:
-    predictor, errors_n = Ensemble(name, MS), []
+    predictor, errors_n = Ensemble(name), []
     for first in range(0, 13_000, 5):
         feed(predictor, FORCE_N[first : first + 5], first)
         if first >= 12_000:
@@ -132,7 +132,7 @@ def test_a_predictor_learns_a_pulse(name: PredictorName) -> None:
 
 def test_the_stack_is_nearly_as_good_as_its_best_expert_and_estimates_its_error() -> None:
     noisy_n = FORCE_N + 2e-3 * np.random.default_rng(1).standard_normal(len(FORCE_N))
-    stack = Ensemble("stack", MS)
+    stack = Ensemble("stack")
     squares: dict[int, list[Floats]] = {20: [], 100: [], 200: []}
     for first in range(0, 15_500, 5):
         feed(stack, noisy_n[first : first + 5], first)
@@ -154,7 +154,7 @@ def test_the_stack_is_nearly_as_good_as_its_best_expert_and_estimates_its_error(
 def test_later_samples_change_no_earlier_prediction(name: PredictorName) -> None:
     other_n = FORCE_N.copy()
     other_n[6_000:] += 1.0
-    one, other = Ensemble(name, MS), Ensemble(name, MS)
+    one, other = Ensemble(name), Ensemble(name)
     differ = False
     for first in range(0, 6_050, 5):
         feed(one, FORCE_N[first : first + 5], first)
@@ -167,7 +167,7 @@ def test_later_samples_change_no_earlier_prediction(name: PredictorName) -> None
 
 @pytest.mark.parametrize("name", LEARNT)
 def test_a_predictor_holds_until_it_has_learnt(name: PredictorName) -> None:
-    predictor = Ensemble(name, MS)
+    predictor = Ensemble(name)
     assert predictor.predict(T0_NS) == 0.0
     for first in range(0, 900, 5):
         feed(predictor, FORCE_N[first : first + 5], first)
@@ -178,7 +178,7 @@ def test_a_predictor_holds_until_it_has_learnt(name: PredictorName) -> None:
 def learning_errors(noise_n: float, from_s: float) -> tuple[Floats, Floats]:
     """Return the stack's errors 60 ms ahead, in phase, and their estimates, from a time on."""
     sensed_n = FORCE_N + noise_n * np.random.default_rng(4).standard_normal(len(FORCE_N))
-    stack, errors_n, estimates_n = Ensemble("stack", MS), [], []
+    stack, errors_n, estimates_n = Ensemble("stack"), [], []
     for first in range(0, 15_000, 5):
         feed(stack, sensed_n[first : first + 5], first)
         if first >= 1_000 * from_s:
@@ -197,10 +197,10 @@ def test_the_stack_learns_a_regular_pulse_in_four_seconds() -> None:
 def test_a_constant_stays_constant_and_predictions_recover_from_enormous_samples(
     name: PredictorName,
 ) -> None:
-    predictor = Ensemble(name, MS)
+    predictor = Ensemble(name)
     feed(predictor, np.full(4_000, 0.3))
     assert ahead(predictor, 4_000, 100) == pytest.approx(0.3, abs=1e-6)
-    predictor, force_n = Ensemble(name, MS), FORCE_N.copy()
+    predictor, force_n = Ensemble(name), FORCE_N.copy()
     force_n[3_000:3_050] = [1.7e308, -1.7e308] * 25
     feed(predictor, force_n[:9_000])
     assert ahead(predictor, 9_000, 50) == pytest.approx(FORCE_N[9_049], abs=FORCE_N.std())
@@ -209,7 +209,7 @@ def test_a_constant_stays_constant_and_predictions_recover_from_enormous_samples
 def test_late_samples_improve_a_prediction() -> None:
     """A peak of 60 ms never arrives, arrives late, or arrives on time."""
     gap = slice(5_700, 5_760)
-    never, late, whole = (Ensemble("fir", MS) for _ in range(3))
+    never, late, whole = (Ensemble("fir") for _ in range(3))
     for predictor in (never, late, whole):
         feed(predictor, FORCE_N[: gap.start])
         if predictor is whole:
@@ -230,7 +230,7 @@ def test_late_samples_improve_a_prediction() -> None:
 
 @pytest.mark.parametrize(("period_ns", "frame"), [(250_000, 20), (8_333_333, 1), (10 * MS, 2)])
 def test_a_pulse_is_predicted_at_any_sampling_rate(period_ns: int, frame: int) -> None:
-    predictor, t_s = Ensemble("stack", max(period_ns, MS)), np.arange(0, 10, period_ns * 1e-9)
+    predictor, t_s = Ensemble("stack"), np.arange(0, 10, period_ns * 1e-9)
     force_n = 0.3 + 0.1 * beats(t_s)
     feed(predictor, force_n, period_ns=period_ns, frame=frame)
     newest = len(force_n) // frame * frame - 1
@@ -240,7 +240,7 @@ def test_a_pulse_is_predicted_at_any_sampling_rate(period_ns: int, frame: int) -
 
 
 def test_predictions_recover_from_an_outage() -> None:
-    predictor = Ensemble("stack", MS)
+    predictor = Ensemble("stack")
     feed(predictor, FORCE_N[:5_000])
     feed(predictor, FORCE_N[6_000:9_000], 6_000)
     late = [ahead(predictor, 3_000, ms, 6_000) - FORCE_N[8_999 + ms] for ms in range(20, 200)]
@@ -248,7 +248,7 @@ def test_predictions_recover_from_an_outage() -> None:
 
 
 def test_a_path_is_smooth_and_a_new_cell_changes_it_at_the_first_tick() -> None:
-    predictor, samples = Ensemble("stack", MS), 6_000
+    predictor, samples = Ensemble("stack"), 6_000
     feed(predictor, FORCE_N[:samples])
     path = [ahead(predictor, samples, ahead_ms) for ahead_ms in range(1, 250)]
     assert np.abs(np.diff(path, 2)).max() < 4 * np.abs(np.diff(FORCE_N, 2)).max()
@@ -263,21 +263,8 @@ def test_a_path_is_smooth_and_a_new_cell_changes_it_at_the_first_tick() -> None:
     assert found[1:] == found[1:2] * 5
 
 
-def test_slow_ticks_do_more_work_each() -> None:
-    fast, slow = Ensemble("fir", MS), Ensemble("fir", 10 * MS)
-    feed(fast, FORCE_N[:5_000])
-    for first in range(0, 5_000, 10):
-        times_ns = [T0_NS + (first + number) * MS for number in range(10)]
-        slow.observe(times_ns, FORCE_N[first : first + 10].tolist())
-        slow.work()
-    for predictor in (fast, slow):
-        for _ in range(10):
-            predictor.work()
-    assert ahead(slow, 5_000, 50) == pytest.approx(ahead(fast, 5_000, 50), abs=0.01)
-
-
 def test_each_name_of_a_scene_builds_an_ensemble() -> None:
-    for predictor in (build_predictors(name, MS)[0] for name in LEARNT):
+    for predictor in (build_predictors(name)[0] for name in LEARNT):
         assert isinstance(predictor, Ensemble)
         assert predictor.names[-1] == "stack"
 
@@ -285,7 +272,7 @@ def test_each_name_of_a_scene_builds_an_ensemble() -> None:
 def test_other_channels_are_predicted_by_the_first_ones_analogues() -> None:
     # The same beats 3 ms later, another size and an offset; and another shape.
     forces_n = np.stack([FORCE_N, 1.0 + 0.05 * beats(T_S - 0.003), 0.2 + 0.1 * beats(T_S) ** 2])
-    joint = Ensemble("stack", MS, channels=3)
+    joint = Ensemble("stack", channels=3)
     paths = [joint, *joint.others]
     for first in range(0, 12_000, 5):
         times_ns = [T0_NS + (first + number) * MS for number in range(5)]
@@ -303,7 +290,7 @@ def test_other_channels_are_predicted_by_the_first_ones_analogues() -> None:
 
 @pytest.mark.parametrize("dead_n", [0.0, 1e9])
 def test_a_dead_channel_beside_it_leaves_the_first_ones_prediction_unchanged(dead_n: float) -> None:
-    alone, joint = Ensemble("stack", MS), Ensemble("stack", MS, channels=2)
+    alone, joint = Ensemble("stack"), Ensemble("stack", channels=2)
     found = []
     for predictor in (alone, joint):
         for first in range(0, 6_000, 5):

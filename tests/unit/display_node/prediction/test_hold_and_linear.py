@@ -14,7 +14,7 @@ CHEAP: tuple[PredictorName, ...] = ("hold", "linear")
 def predicted(
     name: PredictorName, times_ns: list[int], values: list[float], instant_ns: int
 ) -> float:
-    predictor = build_predictors(name, MS)[0]
+    predictor = build_predictors(name)[0]
     predictor.observe(times_ns, values)
     predictor.work()
     return predictor.predict(instant_ns)
@@ -70,7 +70,7 @@ def test_linear_holds_where_there_is_no_slope(times_ns: list[int], values: list[
 @pytest.mark.parametrize("name", CHEAP)
 def test_the_order_of_frames_does_not_matter(name: PredictorName) -> None:
     times_ns, values = line(0.01, 30)
-    ordered, mixed = build_predictors(name, MS)[0], build_predictors(name, MS)[0]
+    ordered, mixed = build_predictors(name)[0], build_predictors(name)[0]
     for first in (0, 5, 10, 15, 20, 25):
         ordered.observe(times_ns[first : first + 5], values[first : first + 5])
     for first in (0, 10, 5, 25, 20, 15):
@@ -83,4 +83,4 @@ def test_the_order_of_frames_does_not_matter(name: PredictorName) -> None:
 def test_enormous_samples_raise_nothing_and_the_error_is_unknown(name: PredictorName) -> None:
     found = predicted(name, [0, MS], [-1.7e308, 1.7e308], 2 * MS)
     assert found > 0 or math.isnan(found)
-    assert build_predictors(name, MS)[0].error_n(20 * MS) is None
+    assert build_predictors(name)[0].error_n(20 * MS) is None

@@ -24,5 +24,6 @@ def test_the_prediction_of_any_number_of_channels_uses_no_other_thread(channels:
             predictors[0].work()
     thread_s = time.thread_time() - thread_s
     others_s = time.process_time() - process_s - thread_s
-    # Threads of LAPACK took as long as this one, each while the other waited for it.
-    assert others_s < 0.1 * thread_s + 0.02
+    # Threads of LAPACK took as long as this one, each while the other waited for it. Shares of the
+    # processor's time, which no other program and no speed of the processor changes.
+    assert others_s < 0.3 * thread_s + 0.1

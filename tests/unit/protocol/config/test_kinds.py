@@ -90,7 +90,7 @@ def test_a_plug_ins_table_is_read_by_its_own_model(folder: Path) -> None:
 def test_errors_are_one_line_with_file_and_key(folder: Path, text: str, message: str) -> None:
     install(folder, "linears", LINEAR, telepulse_motors=KINDS)
     scene = folder / "scene.toml"
-    scene.write_text(f"[display]\n[display.motor]\n{text}\n")
+    scene.write_text(f"[display]\n[display.motor]\n{text}\n", encoding="utf-8")
     with pytest.raises(SceneError) as caught:
         load_section(scene, "display", Axis)
     assert str(caught.value) == f"{scene}: [display] {message}"
@@ -101,7 +101,8 @@ def test_errors_are_one_line_with_file_and_key(folder: Path, text: str, message:
     [
         ("import a_library_that_is_missing", "ModuleNotFoundError: No module named 'a_library_th"),
         ("raise SystemExit('three\\nlines\\nof text')", "SystemExit: three lines of text"),
-        ("import", "SyntaxError: invalid syntax"),
+        # The words after it differ between Pythons.
+        ("import", "SyntaxError: "),
     ],
 )
 def test_a_broken_plug_in_is_named_and_disturbs_no_other_kind(

@@ -1,5 +1,4 @@
 import math
-import time
 
 import pytest
 from pydantic import TypeAdapter
@@ -76,15 +75,15 @@ def test_a_quantity_above_1e100_is_refused(text: str) -> None:
         parse_quantity(text, "time")
 
 
-@pytest.mark.parametrize("text", ["1" * 2000 + " x y", " " * 2000, "1." + "0" * 2000 + "e ? ?"])
+# One pass takes microseconds. With the cube of the length, each takes longer than any test may.
+@pytest.mark.parametrize(
+    "text", ["1" * 20_000 + " x y", " " * 20_000, "1." + "0" * 20_000 + "e ? ?"]
+)
 def test_a_long_text_is_refused_in_one_pass(text: str) -> None:
-    began_s = time.process_time()
     for parse in (parse_ratio, lambda text: parse_quantity(text, "time")):
         with pytest.raises(ValueError, match="is no") as caught:
             parse(text)
         assert len(str(caught.value)) < 200
-    # A pass takes microseconds; with its cube, half a minute.
-    assert time.process_time() - began_s < 5
 
 
 @pytest.mark.parametrize(

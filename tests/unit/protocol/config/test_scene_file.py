@@ -44,7 +44,7 @@ def refusal(path: Path) -> str:
 def test_a_scene_is_found_by_name_and_by_path(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    assert find_scene("radial").read_text() == RADIAL.read_text()
+    assert find_scene("radial").read_text(encoding="utf-8") == RADIAL.read_text(encoding="utf-8")
     assert find_scene(str(RADIAL)) == RADIAL
     monkeypatch.chdir(tmp_path)
     (tmp_path / "mine").touch()

@@ -17,6 +17,7 @@ STARTS = re.compile(
 # The class itself, and modules that start other programs.
 STARTERS = {
     "protocol/host/child_process.py": "Python, for all others",
+    "benchmarks/calm.py": "chromium, and the demo of another checkout",
     "protocol/provenance.py": "git",
     "tests/run_all.py": "pytest",
     "tests/support/doc_commands.py": "make",

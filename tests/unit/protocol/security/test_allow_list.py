@@ -21,7 +21,7 @@ def path(tmp_path: Path) -> Path:
 
 def test_keys_are_added_and_removed(path: Path) -> None:
     assert read_allowed(path) == {}
-    path.write_text("")
+    path.write_text("", encoding="utf-8")
     assert read_allowed(path) == {}
     allow(path, WRIST)
     allow(path, FINGER)
@@ -34,11 +34,11 @@ def test_keys_are_added_and_removed(path: Path) -> None:
 
 def test_every_key_of_a_name_is_removed_and_all_other_lines_stay(path: Path) -> None:
     second = PublicKey("wrist", b"\x03" * 32)
-    path.write_text(f"# the ward\n\n{WRIST.line}\n  # spare\n{second.line}\n")
+    path.write_text(f"# the ward\n\n{WRIST.line}\n  # spare\n{second.line}\n", encoding="utf-8")
     assert list(read_allowed(path).values()) == [WRIST, second]
     allow(path, FINGER)
     revoke(path, "wrist")
-    assert path.read_text() == f"# the ward\n\n  # spare\n{FINGER.line}\n"
+    assert path.read_text(encoding="utf-8") == f"# the ward\n\n  # spare\n{FINGER.line}\n"
 
 
 @pytest.mark.parametrize(
@@ -99,7 +99,7 @@ def test_a_list_that_others_may_write_is_refused_with_a_remedy(path: Path, mode:
 def test_two_commands_do_not_undo_each_other(path: Path) -> None:
     allow(path, WRIST)
     lock = path.with_name("allowed.new")
-    lock.write_text("")
+    lock.write_text("", encoding="utf-8")
     with pytest.raises(KeyFileError, match="another command is changing the list"):
         revoke(path, "wrist")
     assert read_allowed(path) == {WRIST.key: WRIST}
@@ -135,7 +135,7 @@ def test_a_list_is_read_until_readable(path: Path, polled: AllowList, logged: li
     path.chmod(0o664)
     assert run(polled, 1) == []
     assert not polled.readable
-    path.write_text(f"{FINGER.line}\n")
+    path.write_text(f"{FINGER.line}\n", encoding="utf-8")
     assert run(polled, 5) == []
     assert not polled.readable
     assert len(polled.allowed) == 2
@@ -164,13 +164,13 @@ def test_a_list_that_cannot_be_opened_is_read_later(
 def test_after_10_s_without_a_list_no_key_is_allowed(
     path: Path, polled: AllowList, logged: list[str]
 ) -> None:
-    text = path.read_text()
-    path.write_text("nonsense\n")
+    text = path.read_text(encoding="utf-8")
+    path.write_text("nonsense\n", encoding="utf-8")
     assert run(polled, 10) == []
     assert set(run(polled, 1)) == {WRIST.key, FINGER.key}
     assert run(polled, 20) == []
     assert polled.allowed == {}
     assert logged[1:] == [f"{path} could not be read for 10 s: all peers are cut off"]
-    path.write_text(text)
+    path.write_text(text, encoding="utf-8")
     assert run(polled, 1) == []
     assert len(polled.allowed) == 2

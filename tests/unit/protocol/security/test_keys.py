@@ -27,8 +27,11 @@ def test_a_pair_is_written_and_read_again(tmp_path: Path) -> None:
     assert pair.name == "wrist"
     assert read_public(public) == pair.public
     assert pair.public.key == z85.decode(zmq.curve_public(z85.encode(pair.secret)))
-    assert public.read_text() == f"telepulse-public-key wrist {pair.public.key.hex()}\n"
-    assert pair.secret.hex() not in public.read_text()
+    assert (
+        public.read_text(encoding="utf-8")
+        == f"telepulse-public-key wrist {pair.public.key.hex()}\n"
+    )
+    assert pair.secret.hex() not in public.read_text(encoding="utf-8")
     assert read_pair(new_pair(tmp_path / "keys", "finger")[0]).secret != pair.secret
 
 
@@ -56,11 +59,11 @@ def test_only_the_owner_may_ever_read_a_secret_key(
 
 @pytest.mark.parametrize("there", ["wrist.key", "wrist.pub"])
 def test_no_file_is_overwritten_and_no_half_of_a_pair_is_left(tmp_path: Path, there: str) -> None:
-    (tmp_path / there).write_text("mine")
+    (tmp_path / there).write_text("mine", encoding="utf-8")
     with pytest.raises(OutputError, match="exists already"):
         new_pair(tmp_path, "wrist")
     assert [path.name for path in tmp_path.iterdir()] == [there]
-    assert (tmp_path / there).read_text() == "mine"
+    assert (tmp_path / there).read_text(encoding="utf-8") == "mine"
 
 
 def test_a_symbolic_link_is_not_followed(tmp_path: Path) -> None:
@@ -148,7 +151,7 @@ def test_a_missing_or_unreadable_file_is_refused(tmp_path: Path) -> None:
 
 
 def test_an_impossible_folder_is_refused(tmp_path: Path) -> None:
-    (tmp_path / "file").write_text("")
+    (tmp_path / "file").write_text("", encoding="utf-8")
     with pytest.raises(KeyFileError, match="cannot make the folder"):
         new_pair(tmp_path / "file", "wrist")
 

@@ -49,7 +49,7 @@ def test_a_rate_by_the_files_own_times_is_checked_too(
     tmp_path: Path, title: str, step: float
 ) -> None:
     rows = "".join(f"{n * step},{v}\n" for n, v in enumerate(PULSE))
-    (tmp_path / "a.csv").write_text(f"{title},ABP\n{rows}")
+    (tmp_path / "a.csv").write_text(f"{title},ABP\n{rows}", encoding="utf-8")
     assert "rates are 1 Hz to 100000 Hz" in refusal(tmp_path / "a.csv")
     arrays = {title.replace("t [us]", "t_us"): np.arange(1000) * step, "ABP": PULSE}
     parquet.write_table(pyarrow.table(arrays), tmp_path / "a.parquet")
@@ -135,7 +135,7 @@ def test_values_that_are_not_finite_are_missing_samples(
         parquet.write_table(pyarrow.table(columns), path)
     else:
         rows = "".join(f"{n / 250},{v}\n" for n, v in enumerate(values))
-        path.write_text("t [s],ABP [mmHg]\n" + rows)
+        path.write_text("t [s],ABP [mmHg]\n" + rows, encoding="utf-8")
     first, last = convert_file(path, tmp_path / f"out.{suffix}")
     assert "3 samples are missing (0.3 %) in 3 gaps" in first
     if suffix == "wav":
@@ -147,10 +147,10 @@ def test_values_that_are_not_finite_are_missing_samples(
 
 def test_names_that_could_control_a_terminal_are_cleaned(tmp_path: Path) -> None:
     rows = "".join(f"{n / 250},{v},{n % 7}\n" for n, v in enumerate(PULSE))
-    (tmp_path / "a.csv").write_text(f"t [s],ABP\x1b[31m [mmHg],x\x07y\n{rows}")
+    (tmp_path / "a.csv").write_text(f"t [s],ABP\x1b[31m [mmHg],x\x07y\n{rows}", encoding="utf-8")
     _, text = record_table(tmp_path / "a.csv")
     lines = [text, *convert_file(tmp_path / "a.csv", tmp_path / "a.npz")]
-    (tmp_path / "b.csv").write_text(f"\x1b[31mno\n{rows}".replace(",", ";"))
+    (tmp_path / "b.csv").write_text(f"\x1b[31mno\n{rows}".replace(",", ";"), encoding="utf-8")
     with pytest.raises(SourceError) as caught:
         open_signals(tmp_path / "a.csv").load(("no",))
     lines.append(str(caught.value))
@@ -171,9 +171,9 @@ def test_refusals_name_file_fault_and_remedy_without_internals(tmp_path: Path) -
     assert refusal(tmp_path / "b.parquet").endswith(": holds no signal of numbers")
     np.savez(tmp_path / "b.npz")
     assert refusal(tmp_path / "b.npz").endswith(": holds no signal of numbers")
-    (tmp_path / "b.npy").write_text("hello")
+    (tmp_path / "b.npy").write_text("hello", encoding="utf-8")
     assert refusal(tmp_path / "b.npy").endswith("save it by numpy.save or numpy.savez")
-    (tmp_path / "b.hea").write_text("# a comment\n")
+    (tmp_path / "b.hea").write_text("# a comment\n", encoding="utf-8")
     assert refusal(tmp_path / "b.hea").endswith("header of a WFDB record: it holds no line")
     np.savez(tmp_path / "c.npz", **{"ABP": PULSE * 1e9, "rate_hz": 250.0})
     with pytest.raises(OutputError, match=r"ABP reaches 1\.\d+e\+11; scale it below 1e\+07"):
@@ -193,7 +193,7 @@ def test_units_and_names_beyond_ascii_survive_or_are_transliterated(tmp_path: Pa
         assert [(each.name, each.unit) for each in signals] == [(names[0], "uN"), (names[1], "N")]
     # Headers of others may be in Latin-1.
     record = wfdb_record(tmp_path, {"ABP": PULSE}).with_suffix(".hea")
-    record.write_bytes(record.read_text().replace("mmHg", "µN").encode("latin-1"))
+    record.write_bytes(record.read_text(encoding="utf-8").replace("mmHg", "µN").encode("latin-1"))
     assert open_signals(record).signals[0].unit == "µN"
     record.write_bytes(record.read_bytes().decode("latin-1").encode("utf-8"))
     assert open_signals(record).signals[0].unit == "µN"

@@ -77,4 +77,4 @@ def test_what_a_person_stated_is_read_from_our_recording(tmp_path: Path) -> None
     record(tmp_path / "a.mcap", 2, about=about)
     assert open_signals(tmp_path / "a.mcap").metadata == about
     list(convert_file(tmp_path / "a.mcap", tmp_path / "a.hea"))
-    assert "# subject: S01\n# side: left\n" in (tmp_path / "a.hea").read_text()
+    assert "# subject: S01\n# side: left\n" in (tmp_path / "a.hea").read_text(encoding="utf-8")

@@ -60,7 +60,10 @@ def test_records_of_the_package_wfdb_are_read_to_the_last_bit(tmp_path: Path, co
         codes = np.fromfile(dat, "<i2")
         offset = (codes.astype(int) + 32768).astype("<u2")
         (codes.astype(">i2") if code == "61" else offset).tofile(dat)
-        header.write_text(header.read_text().replace("w.dat 16", f"w.dat {code}"))
+        header.write_text(
+            header.read_text(encoding="utf-8").replace("w.dat 16", f"w.dat {code}"),
+            encoding="utf-8",
+        )
     expected, _ = wfdb.rdsamp(str(tmp_path / "w"))
     read = np.stack(list(samples(open_signals(tmp_path / "w")).values()), axis=1)
     np.testing.assert_array_equal(read, expected)
@@ -70,7 +73,7 @@ def test_records_of_the_package_wfdb_are_read_to_the_last_bit(tmp_path: Path, co
 def test_segments_are_joined_and_what_lies_between_is_missing(tmp_path: Path) -> None:
     for name, part in (("a", slice(0, 300)), ("b", slice(300, 500))):
         wfdb_record(tmp_path, {key: v[part] for key, v in SIGNALS.items()}, name=name)
-    (tmp_path / "all.hea").write_text("all/3 3 250 600\na 300\n~ 100\nb 200\n")
+    (tmp_path / "all.hea").write_text("all/3 3 250 600\na 300\n~ 100\nb 200\n", encoding="utf-8")
     read = samples(open_signals(tmp_path / "all"))["ABP"]
     np.testing.assert_allclose(read[:300], SIGNALS["ABP"][:300], atol=0.006)
     np.testing.assert_allclose(read[400:], SIGNALS["ABP"][300:500], atol=0.006)
@@ -188,7 +191,7 @@ HEADER = "rec 1 250 1000\nrec.dat 16 100/mmHg 16 0 0 0 0 ABP\n"
 )
 def test_a_wrong_header_is_named(tmp_path: Path, old: str, new: str, message: str) -> None:
     path = wfdb_record(tmp_path, {"ABP": SIGNALS["ABP"]}).with_suffix(".hea")
-    path.write_text(HEADER.replace(old, new, 1))
+    path.write_text(HEADER.replace(old, new, 1), encoding="utf-8")
     with pytest.raises(SourceError) as caught:
         samples(open_signals(path))
     assert message in str(caught.value)
@@ -208,7 +211,7 @@ def test_times_become_a_grid_with_gaps_and_may_not_fall() -> None:
     t_s = np.array([0.0, 0.0101, 0.0199, 0.05])
     grid = on_grid(t_s, np.arange(4.0), 100.0, Path("x"))
     np.testing.assert_array_equal(grid, [0, 1, 2, np.nan, np.nan, 3])
-    np.testing.assert_array_equal(fill_gaps(grid), [0, 1, 2, 2 + 1 / 3, 2 + 2 / 3, 3])
+    np.testing.assert_allclose(fill_gaps(grid), [0, 1, 2, 2 + 1 / 3, 2 + 2 / 3, 3], rtol=1e-12)
     with pytest.raises(SourceError, match="the times fall at sample 2"):
         on_grid(np.array([0.0, 2.0, 1.0]), np.arange(3.0), 1.0, Path("x"))
     with pytest.raises(SourceError, match="its times are damaged"):
@@ -221,6 +224,6 @@ def test_signals_of_other_rates_are_interpolated(tmp_path: Path) -> None:
     slow = fast._replace(rate_hz=125.0)
     begin_s, grid = aligned([fast, slow], [np.arange(8.0), np.arange(4.0)], 250.0)
     assert begin_s == 0
-    np.testing.assert_array_equal(grid[:7, 1], np.arange(7) / 2)
+    np.testing.assert_allclose(grid[:7, 1], np.arange(7) / 2, rtol=1e-12)
     with suppress(SourceError):
         file.find("x")

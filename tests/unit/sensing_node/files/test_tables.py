@@ -63,13 +63,13 @@ def test_separators_and_decimal_commas_are_recognised(
 
 def test_empty_cells_are_missing_samples_and_words_are_named_by_line(tmp_path: Path) -> None:
     path = csv_file(tmp_path / "a.csv", "# comment\nt,ABP")
-    lines = path.read_text().splitlines()
+    lines = path.read_text(encoding="utf-8").splitlines()
     lines[10] = lines[10].partition(",")[0] + ","
-    path.write_text("\n".join(lines))
+    path.write_text("\n".join(lines), encoding="utf-8")
     (column,) = open_signals(path).load(("ABP",))
     assert find_gaps(column.values).samples == 1
     lines[20] = "0.1,high"
-    path.write_text("\n".join(lines))
+    path.write_text("\n".join(lines), encoding="utf-8")
     with pytest.raises(SourceError, match="line 21: 'high' is not a number"):
         open_signals(path).load(("ABP",))
 
@@ -83,7 +83,7 @@ def test_dates_are_times_and_state_the_begin(tmp_path: Path) -> None:
     parquet.write_table(pyarrow.table({"time": dates, "ABP [mmHg]": ABP}), column)
     text = tmp_path / "a.csv"
     rows = "".join(f"{at:%Y-%m-%dT%H:%M:%S.%f},{v}\n" for at, v in zip(dates, ABP, strict=True))
-    text.write_text("time,ABP [mmHg]\n" + rows)
+    text.write_text("time,ABP [mmHg]\n" + rows, encoding="utf-8")
     for path in (index, column, text):
         source = played(path)
         assert (source.period_ns, source.warnings) == (200_000_000, [])
@@ -133,7 +133,7 @@ def test_a_table_without_rate_or_times_says_what_to_do(tmp_path: Path) -> None:
     np.save(tmp_path / "a.npy", ABP)
     with pytest.raises(SourceError, match=r'--rate "500 Hz" beside --source, rate = "500 Hz" in'):
         list(convert_file(tmp_path / "a.npy", tmp_path / "a.csv"))
-    (tmp_path / "b.csv").write_text("t,ABP\n")
+    (tmp_path / "b.csv").write_text("t,ABP\n", encoding="utf-8")
     with pytest.raises((SourceError, OutputError)) as caught:
         list(convert_file(tmp_path / "b.csv", tmp_path / "c.csv"))
     assert "\n" not in str(caught.value)

@@ -88,7 +88,8 @@ def test_an_ecg_of_another_rate_sets_the_rate_of_both(tmp_path: Path) -> None:
     path = wfdb_record(tmp_path, {"ABP": SIGNALS["ABP"][::2]}, rate="125")
     ecg = wfdb_record(tmp_path, {"II": SIGNALS["II"]}, name="e").with_suffix(".dat")
     (tmp_path / "both.hea").write_text(
-        "both 2 125\nrec.dat 16 100/mmHg 16 0 0 0 0 ABP\ne.dat 16x2 2000/mV 16 0 0 0 0 II\n"
+        "both 2 125\nrec.dat 16 100/mmHg 16 0 0 0 0 ABP\ne.dat 16x2 2000/mV 16 0 0 0 0 II\n",
+        encoding="utf-8",
     )
     assert ecg.exists()
     played = source(tmp_path / "both", repeat="once")
@@ -103,7 +104,7 @@ def test_an_ecg_of_another_rate_sets_the_rate_of_both(tmp_path: Path) -> None:
 def test_a_table_states_its_rate_and_unit_by_its_titles(tmp_path: Path) -> None:
     path = tmp_path / "a.csv"
     rows = "".join(f"{n * 4},{v:.2f},\n" for n, v in enumerate(SIGNALS["ABP"]))
-    path.write_text(f"t [ms],ABP [mmHg],note\n{rows}")
+    path.write_text(f"t [ms],ABP [mmHg],note\n{rows}", encoding="utf-8")
     table, text = record_table(path)
     assert "plays ABP (mmHg), chosen by its name" in text
     played = source(path)

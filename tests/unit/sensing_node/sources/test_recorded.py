@@ -139,7 +139,7 @@ def test_a_missing_file_and_a_directory_are_refused(tmp_path: Path, suffix: str)
 
 @pytest.mark.parametrize("name", ["pulse.mp3", "pulse"])
 def test_another_suffix_is_refused(tmp_path: Path, name: str) -> None:
-    (tmp_path / name).write_text("1\n2\n")
+    (tmp_path / name).write_text("1\n2\n", encoding="utf-8")
     assert " of .csv, .txt, .npy, " in refusal(tmp_path / name)
 
 

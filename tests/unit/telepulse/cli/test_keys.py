@@ -27,7 +27,7 @@ def test_a_node_gets_keys_is_allowed_listed_and_revoked() -> None:
     for word in ("keys/finger.key", "--key", "finger.pub", "keys allow", "--peer"):
         assert word in printed
     assert keys("allow", "keys/finger.pub") == "keys/allowed allows finger\n"
-    public = Path("keys/finger.pub").read_text().split()[2]
+    public = Path("keys/finger.pub").read_text(encoding="utf-8").split()[2]
     assert keys("list") == f"{public}  finger\n"
     assert [peer.name for peer in read_allowed(Path("keys/allowed")).values()] == ["finger"]
     assert keys("revoke", "finger") == "keys/allowed no longer allows finger\n"

@@ -28,7 +28,7 @@ def test_a_copy_is_equal_and_overwrites_nothing(
     refused = run("copy", "radial", "wan.toml")
     assert refused.exit_code == 2
     assert refused.stderr == "telepulse: wan.toml: exists already; name another file\n"
-    assert "[link]" in (tmp_path / "wan.toml").read_text()
+    assert "[link]" in (tmp_path / "wan.toml").read_text(encoding="utf-8")
 
 
 def test_a_scene_is_shown_with_units_and_all_that_it_extends() -> None:

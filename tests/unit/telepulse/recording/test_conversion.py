@@ -100,14 +100,14 @@ def test_a_gap_in_a_tables_times_is_counted_and_times_that_fall_are_refused(
     path = tmp_path / "a.csv"
     times_s = np.arange(100) / 100 + 2.0 * (np.arange(100) >= 50)
     rows = [f"{t_s:.2f},{n % 9}" for n, t_s in enumerate(times_s)]
-    path.write_text("\n".join(["t [s],force [N]", *rows]))
+    path.write_text("\n".join(["t [s],force [N]", *rows]), encoding="utf-8")
     first, _ = convert_file(path, tmp_path / "b.csv")
     assert first.endswith(
         "force, N, 100 Hz, 3 s: 200 samples are missing (67 %) in 1 gap, the longest of 2 s"
     )
     (column,) = open_signals(tmp_path / "b.csv").load(("force",))
     np.testing.assert_allclose(column.values[250:], np.arange(50, 100) % 9, atol=1e-9)
-    path.write_text("\n".join(["t [s],force [N]", *rows[50:], *rows[:50]]))
+    path.write_text("\n".join(["t [s],force [N]", *rows[50:], *rows[:50]]), encoding="utf-8")
     with pytest.raises(SourceError, match="add a column of times that never fall"):
         list(convert_file(path, tmp_path / "c.csv"))
 
@@ -116,7 +116,8 @@ def test_signals_of_several_rates_keep_them_or_are_interpolated_aloud(tmp_path: 
     wfdb_record(tmp_path, {"ABP": SIGNALS["RESP"][::2] * 10}, rate="125")
     wfdb_record(tmp_path, {"II": SIGNALS["II"]}, name="e")
     (tmp_path / "both.hea").write_text(
-        "both 2 125\nrec.dat 16 100/mmHg 16 0 0 0 0 ABP\ne.dat 16x2 2000/mV 16 0 0 0 0 II\n"
+        "both 2 125\nrec.dat 16 100/mmHg 16 0 0 0 0 ABP\ne.dat 16x2 2000/mV 16 0 0 0 0 II\n",
+        encoding="utf-8",
     )
     for suffix in ("edf", "xdf"):
         list(convert_file(tmp_path / "both", tmp_path / f"b.{suffix}"))

@@ -78,6 +78,6 @@ def test_an_exported_table_is_the_session_that_was_recorded(
     assert [frame.first_sample for frame in frames[:8]] == [0, 50, 100, 150, 200, 250, 400, 450]
     assert session.description.period_ns == PERIOD_NS
     assert session.description.channels == wrist.channels
-    path.write_text("session,sample,t_ns,force_0_n\n1,2,3,0.1\n")
+    path.write_text("session,sample,t_ns,force_0_n\n1,2,3,0.1\n", encoding="utf-8")
     with pytest.raises(SourceError, match="no column 'force_1_n'; it has session"):
         exported_session(path)

@@ -1,15 +1,10 @@
 """Events, from the statuses of a display in virtual time."""
 
 import re
-from pathlib import Path
 
-from display_node.display import Display
-from display_node.scene import DisplayScene
-from protocol.config.scene import load_section
 from telepulse.telemetry.events import INTERRUPTED, EventDetector
-from tests.support.sender import MS, Sender, run
+from tests.support.sender import MS, Sender, display, run
 
-RADIAL = Path(__file__).parents[4] / "scenes" / "radial.toml"
 STATUS_TICKS = 200
 
 
@@ -17,7 +12,7 @@ class Watched:
     """A display with an event detector on its statuses, one each 200 ticks."""
 
     def __init__(self) -> None:
-        self.display = Display(load_section(RADIAL, "display", DisplayScene), "test")
+        self.display = display()
         self.texts: list[str] = []
         self.states: list[str] = []
         self._sender = Sender()
@@ -87,8 +82,7 @@ def test_a_display_that_stood_still_names_its_interruption_once() -> None:
 
 
 def test_interruptions_between_two_statuses_are_one_event() -> None:
-    watch, display = EventDetector(), Display(load_section(RADIAL, "display", DisplayScene), "test")
-    summary = display.summary().to_dict()
+    watch, summary = EventDetector(), display().summary().to_dict()
     assert not [x for x in watch.take("playing", summary, 0) if x.name == INTERRUPTED]
     known = {"count": 2, "seconds": 0.3, "longest_s": 0.2, "began_s": 1.0, "ended_s": 1.2}
     (event,) = (
