@@ -34,19 +34,24 @@ LATER = (
     # Tests of what tests, and of the code's form.
     *("unit/soak", "unit/support", "unit/documentation", "unit/telepulse/testing"),
     *("unit/test_class_names.py", "unit/test_clock_reads.py", "unit/test_import_cycles.py"),
-    # Studies, and words on pages.
+    # Studies, comparisons with other libraries, and words on pages.
     *("unit/telepulse/reports", "unit/telepulse/view", "unit/telepulse/experiment"),
     *("unit/protocol/test_figures.py", "unit/sensing_node/files/test_losses.py"),
+    "unit/display_node/control/test_linear_loop.py",
     # Seconds each, of what quicker tests have in part.
     *("unit/display_node/test_announced_stream.py", "unit/display_node/test_hardware.py"),
     *("unit/display_node/test_process_stall.py", "unit/display_node/test_yielding_bench.py"),
     *("unit/display_node/prediction/test_announced.py", "unit/display_node/press/test_sweep.py"),
     "unit/display_node/prediction/test_r_wave_scores.py",
+    "unit/display_node/scoring/test_tracking_error.py",
+    "unit/sensing_node/sources/test_synthetic.py",
     *(
         "unit/telepulse/recording/test_conversion.py",
         "unit/telepulse/recording/test_pressed_beats.py",
     ),
+    "unit/telepulse/recording/test_recorded_beats.py",
     "unit/telepulse/recording/test_recorded_wrist.py",
+    "unit/telepulse/simulation/test_press_loop.py",
 )
 SYSTEM = "system"
 

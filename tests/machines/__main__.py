@@ -14,11 +14,12 @@ import time
 from collections import Counter
 from pathlib import Path
 
-from tests.machines.environments import KEPT, ROOT, UnavailableError, environment, install, output
+from tests.machines.environments import ROOT, UnavailableError, environment, install, output
 from tests.machines.variants import NOBODY, Variant, variants
 
 PYTEST = ("-m", "pytest", "--quick", "--color=no")
 AGAIN = ("-n0", "--last-failed")
+LOGS = ROOT / "out" / "machines"
 LEFT_OUT = ("PYTHONPATH", "PYTHONDONTWRITEBYTECODE", "VIRTUAL_ENV", "MAKEFLAGS", "MAKELEVEL")
 
 
@@ -27,7 +28,8 @@ def pytest_run(variant: Variant, kept: Path, checkout: Path, *again: str) -> Cou
     settings = {key: text for key, text in os.environ.items() if key not in LEFT_OUT}
     settings |= {"OPENBLAS_NUM_THREADS": "1", **variant.settings}
     command = (*variant.before, str(kept / "bin" / "python"), *PYTEST, *again)
-    log = KEPT / f"{variant.name}.log"
+    LOGS.mkdir(parents=True, exist_ok=True)
+    log = LOGS / f"{variant.name}.log"
     with log.open("a" if again else "w", encoding="utf-8") as file:
         subprocess.run(command, cwd=checkout, env=settings, stdout=file, stderr=file, check=False)
     last = log.read_text(encoding="utf-8", errors="replace").splitlines()[-1]
@@ -56,7 +58,7 @@ def run(variant: Variant) -> tuple[Counter[str], list[str]]:
         if not failed:
             return counted, []
         again = pytest_run(variant, kept, checkout, *AGAIN)
-        text = (KEPT / f"{variant.name}.log").read_text(encoding="utf-8", errors="replace")
+        text = (LOGS / f"{variant.name}.log").read_text(encoding="utf-8", errors="replace")
         lines = re.findall(
             r"^(?:FAILED|ERROR) (tests/.*)", text.rpartition(" short test summary ")[2], re.M
         )

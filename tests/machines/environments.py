@@ -1,4 +1,4 @@
-"""Environments of the variants, kept in `out/machines` until what they hold changes."""
+"""Environments of the variants, kept for the next run until what they hold changes."""
 
 import hashlib
 import json
@@ -7,6 +7,7 @@ import re
 import shutil
 import subprocess
 import sys
+import tempfile
 import tomllib
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -14,7 +15,8 @@ from datetime import date
 from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
-KEPT = ROOT / "out" / "machines"
+# Not in the checkout: a fresh one uses them too, and an ordinary user may enter.
+KEPT = Path(tempfile.gettempdir()) / "telepulse-machines"
 # Where Pythons lie besides on the path.
 FOLDERS = (
     *("/usr/bin", "/usr/local/bin"),
