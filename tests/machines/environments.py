@@ -13,6 +13,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from datetime import date
 from pathlib import Path
+from typing import Any
 
 ROOT = Path(__file__).parents[2]
 # Not in the checkout: a fresh one uses them too, and an ordinary user may enter.
@@ -89,9 +90,15 @@ def is_open(path: Path) -> bool:
     return all(each.stat().st_mode & 0o001 for each in (real, *real.parents) if each.exists())
 
 
+def declared() -> dict[str, Any]:
+    text = (ROOT / "pyproject.toml").read_text(encoding="utf-8")
+    project: dict[str, Any] = tomllib.loads(text)["project"]
+    return project
+
+
 def lowest() -> str:
     """Return constraints that hold the product and its tests to the lowest declared versions."""
-    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    project = declared()
     extras, wanted = project["optional-dependencies"], [*project["dependencies"]]
     waiting, met = ["test"], set()
     while waiting:
@@ -118,8 +125,7 @@ def environment(python: Python, versions: str = "pinned") -> Path:
         "newest": lambda: "",
     }[versions]()
     today = str(date.today()) if versions == "newest" else ""
-    project = (ROOT / "pyproject.toml").read_text(encoding="utf-8")
-    key = "\0".join((str(python), python.path, project, constraints, today))
+    key = "\0".join((str(python), python.path, json.dumps(declared()), constraints, today))
     folder = KEPT / f"{versions}-{python}-{hashlib.sha256(key.encode()).hexdigest()[:12]}"
     if (folder / "complete").exists():
         return folder
