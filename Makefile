@@ -8,7 +8,7 @@ INSTALLED := .venv/installed$(if $(COMPILED),-compiled)
 PACKAGES := protocol pulse_sensors pulse_drives sensing_node display_node telepulse
 PIP := $(BIN)/python -m pip --quiet --disable-pip-version-check
 
-.PHONY: install demo wheels test test-all check compile size report bench soak fuzz docs clean
+.PHONY: install demo wheels test test-all machines check size report bench soak fuzz docs clean
 
 install: $(INSTALLED)
 
@@ -20,27 +20,30 @@ wheels: .venv/bin/python
 	$(PIP) wheel --no-deps --wheel-dir out/wheels .
 	TELEPULSE_COMPILED=1 $(PIP) wheel --no-deps --wheel-dir out/wheels .
 
+# The tests start a thousand processes. Where this is set, as in many containers, each would compile the
+# packages anew.
+unexport PYTHONDONTWRITEBYTECODE
+
 # The arrays are small: with BLAS on all cores, identification takes four times the processor time.
 test test-all: export OPENBLAS_NUM_THREADS := 1
 
 # Static checks, unit tests, and a smoke test of each capability through real processes.
 test: check
-	$(BIN)/python -m pytest -m "smoke or not system" $(ARGS)
+	$(BIN)/python -m pytest --quick --durations=15 $(ARGS)
 
 # Every test, with the coverage of the core.
-test-all: check
-	$(BIN)/python -m tests.run_all $(ARGS)
+test-all: check .venv/installed-test-all
+	$(BIN)/python -m tests.run_all --durations=15 $(ARGS)
 
-check: compile
+# The tests of `make test` on other Pythons, processors, settings and versions; ARGS="--list" lists them.
+machines:
+	$(PYTHON) -m tests.machines $(ARGS)
+
+check: .venv/installed-test
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
-
-# The tests start a thousand processes. Where PYTHONDONTWRITEBYTECODE is set, as in many containers, each
-# would compile the packages anew.
-compile: .venv/installed-test
-	$(BIN)/python -m compileall -q $(PACKAGES)
 
 # Limits: the product 30000 lines in 230 files, the tests 26000 lines.
 size: .venv/installed-test
@@ -50,7 +53,7 @@ report: .venv/installed-report
 	$(BIN)/telepulse paper
 	$(BIN)/telepulse study integrators
 
-bench: .venv/installed-test
+bench: .venv/installed-test-all
 	$(BIN)/python -m benchmarks $(ARGS)
 
 soak: .venv/installed
@@ -59,7 +62,7 @@ soak: .venv/installed
 fuzz: .venv/installed-fuzz
 	$(BIN)/python -m fuzz $(ARGS)
 
-docs: .venv/installed-test
+docs: .venv/installed-test-all
 	$(BIN)/python -m sphinx -W --keep-going -n -E docs out/docs
 
 clean:
@@ -91,4 +94,8 @@ clean:
 
 .venv/installed-test: .venv/installed
 	$(PIP) install -c constraints.txt -e '.[test]'
+	touch $@
+
+.venv/installed-test-all: .venv/installed-test
+	$(PIP) install -c constraints.txt -e '.[test-all]'
 	touch $@

@@ -29,13 +29,62 @@ NOT_TRACED = (
     "unit/display_node/control/test_controller.py",
     *("unit/pulse_drives/test_drive.py", "unit/display_node/reception/test_failover.py"),
 )
+# Left to `make test-all`, with what is in tests/system without the marker "smoke".
+LATER = (
+    # Tests of what tests, and of the code's form.
+    *("unit/soak", "unit/support", "unit/documentation", "unit/telepulse/testing"),
+    *("unit/test_class_names.py", "unit/test_clock_reads.py", "unit/test_import_cycles.py"),
+    # Studies, comparisons with other libraries, and words on pages.
+    *("unit/telepulse/reports", "unit/telepulse/view", "unit/telepulse/experiment"),
+    *("unit/protocol/test_figures.py", "unit/sensing_node/files/test_losses.py"),
+    "unit/display_node/control/test_linear_loop.py",
+    # Seconds each, of what quicker tests have in part.
+    *("unit/display_node/test_announced_stream.py", "unit/display_node/test_hardware.py"),
+    *("unit/display_node/test_process_stall.py", "unit/display_node/test_yielding_bench.py"),
+    *("unit/display_node/prediction/test_announced.py", "unit/display_node/press/test_sweep.py"),
+    "unit/display_node/prediction/test_r_wave_scores.py",
+    "unit/display_node/scoring/test_tracking_error.py",
+    "unit/sensing_node/sources/test_synthetic.py",
+    *(
+        "unit/telepulse/recording/test_conversion.py",
+        "unit/telepulse/recording/test_pressed_beats.py",
+    ),
+    "unit/telepulse/recording/test_recorded_beats.py",
+    "unit/telepulse/recording/test_recorded_wrist.py",
+    "unit/telepulse/simulation/test_press_loop.py",
+)
+SYSTEM = "system"
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mark what lies in tests/system."""
+def is_in(path: Path, *places: str) -> bool:
+    return any(path.is_relative_to(TESTS / place) for place in places)
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption("--quick", action="store_true", help="the tests of `make test` alone")
+
+
+def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
+    """Leave out with --quick, and do not even import, what `make test-all` has besides."""
+    if not config.getoption("quick"):
+        return None
+    in_system = is_in(collection_path, SYSTEM) and collection_path.name.startswith("test_")
+    if in_system and "pytest.mark.smoke" not in collection_path.read_text(encoding="utf-8"):
+        return True
+    return is_in(collection_path, *LATER) or None
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Mark what lies in tests/system; keep the smoke tests of it alone with --quick."""
     for item in items:
-        if item.path.is_relative_to(TESTS / "system"):
+        if is_in(item.path, SYSTEM):
             item.add_marker(pytest.mark.system)
+    if config.getoption("quick"):
+        items[:] = [
+            item
+            for item in items
+            if not is_in(item.path, SYSTEM) or item.get_closest_marker("smoke")
+        ]
 
 
 @pytest.hookimpl(wrapper=True)
@@ -46,7 +95,7 @@ def pytest_runtest_protocol(item: pytest.Item) -> Iterator[None]:
     starts two measurements and pauses one.
     """
     paused = []
-    if any(item.path.is_relative_to(TESTS / folder) for folder in NOT_TRACED):
+    if is_in(item.path, *NOT_TRACED):
         while (coverage := Coverage.current()) is not None:
             coverage.stop()
             paused.append(coverage)

@@ -43,7 +43,7 @@ def test_every_module_is_imported(platform: str) -> None:
     assert done.stdout == "imported\n", done.stderr
 
 
-@pytest.mark.parametrize("platform", [pytest.param("win32", marks=pytest.mark.smoke), "darwin"])
+@pytest.mark.parametrize("platform", PLATFORMS)
 def test_both_nodes_run_over_a_link_and_account_for_each_sample(platform: str) -> None:
     command = ("demo", "--seconds", "2", "--no-ui", "--link", "delay=5ms", "--json", "-")
     done = run_on(platform, "-c", MAIN, *command)

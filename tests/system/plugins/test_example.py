@@ -29,7 +29,6 @@ def installed(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
     return {**os.environ, "PYTHONPATH": os.pathsep.join((str(ROOT), str(folder)))}
 
 
-@pytest.mark.smoke
 def test_a_scene_of_its_kinds_is_simulated(installed: Mapping[str, str], tmp_path: Path) -> None:
     summary = tmp_path / "summary.json"
     command = ("simulate", str(EXAMPLE / "scene.toml"), "--seconds", "4", "--json", str(summary))

@@ -21,7 +21,6 @@ SCENE = str(ROOT / "scenes" / "press.toml")
 MODULE = "telepulse"
 
 
-@pytest.mark.smoke
 def test_a_modelled_wrist_is_swept_and_reported(tmp_path: Path) -> None:
     out, tables = tmp_path / "out", tmp_path / "tables.json"
     done = run(MODULE, "sweep", SCENE, "--out", str(out), "--json", str(tables))

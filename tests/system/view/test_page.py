@@ -99,7 +99,6 @@ def keep(page: Page, name: str) -> None:
         page.screenshot(path=Path(PICTURES) / name)
 
 
-@pytest.mark.smoke
 def test_the_page_moves_and_shows_what_is_felt(bench: Bench, visit: Visit) -> None:
     with visit(bench.url, viewport={"width": 1280, "height": 1000}) as page:
         await_state(page, "playing")

@@ -19,6 +19,8 @@ STARTERS = {
     "protocol/host/child_process.py": "Python, for all others",
     "benchmarks/calm.py": "chromium, and the demo of another checkout",
     "protocol/provenance.py": "git",
+    "tests/machines/__main__.py": "pytest",
+    "tests/machines/environments.py": "Python, pip, git, and tools of the system",
     "tests/run_all.py": "pytest",
     "tests/support/doc_commands.py": "make",
     "tests/support/routers.py": "ip, iptables, ssh, wg",

@@ -1,0 +1,150 @@
+"""Environments of the variants, kept for the next run until what they hold changes."""
+
+import hashlib
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+import tempfile
+import tomllib
+from collections.abc import Iterator
+from dataclasses import dataclass
+from datetime import date
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).parents[2]
+# Not in the checkout: a fresh one uses them too, and an ordinary user may enter.
+KEPT = Path(tempfile.gettempdir()) / "telepulse-machines"
+# Where Pythons lie besides on the path.
+FOLDERS = (
+    *("/usr/bin", "/usr/local/bin"),
+    *(
+        str(Path.home() / ".pyenv/versions/*/bin"),
+        str(Path.home() / ".local/share/uv/python/*/bin"),
+    ),
+)
+MINORS = range(11, 15)
+DISPATCH = """
+import json
+from numpy._core._multiarray_umath import __cpu_dispatch__ as levels, __cpu_features__ as there
+print(json.dumps([level for level in levels if there.get(level)]))
+"""
+
+
+class UnavailableError(Exception):
+    """What a variant needs is not here."""
+
+
+@dataclass(frozen=True)
+class Python:
+    """An interpreter that is installed."""
+
+    path: str
+    version: tuple[int, int, int]
+
+    def __str__(self) -> str:
+        return ".".join(map(str, self.version))
+
+
+def output(*command: str) -> str:
+    """Return what a command prints. Raises UnavailableError with the last line of its errors."""
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    if done.returncode:
+        raise UnavailableError((done.stderr.strip() or "no reason given").splitlines()[-1])
+    return done.stdout
+
+
+def _read(path: str) -> Python | None:
+    try:
+        text = output(path, "-c", "import sys; print(sys.version_info[:3])")
+    except (UnavailableError, OSError):
+        return None
+    major, minor, micro = json.loads(text.replace("(", "[").replace(")", "]"))
+    return Python(path, (major, minor, micro))
+
+
+def pythons() -> Iterator[Python]:
+    """Yield each Python of this machine that is new enough, one a version, the oldest first."""
+    places = [*os.environ["PATH"].split(os.pathsep), *FOLDERS]
+    found = {}
+    for place in places:
+        root, pattern = ("/", place[1:]) if place.startswith("/") else (".", place)
+        for minor in MINORS:
+            for path in Path(root).glob(f"{pattern}/python3.{minor}"):
+                if (python := _read(str(path))) is not None:
+                    found.setdefault(python.version, python)
+    yield from (found[version] for version in sorted(found))
+
+
+def own() -> Python:
+    """Return the Python that runs this."""
+    return Python(getattr(sys, "_base_executable", sys.executable), sys.version_info[:3])
+
+
+def is_open(path: Path) -> bool:
+    """Return whether an ordinary user may enter a folder, or run a program."""
+    real = path.resolve()
+    return all(each.stat().st_mode & 0o001 for each in (real, *real.parents) if each.exists())
+
+
+def declared() -> dict[str, Any]:
+    text = (ROOT / "pyproject.toml").read_text(encoding="utf-8")
+    project: dict[str, Any] = tomllib.loads(text)["project"]
+    return project
+
+
+def lowest() -> str:
+    """Return constraints that hold the product and its tests to the lowest declared versions."""
+    project = declared()
+    extras, wanted = project["optional-dependencies"], [*project["dependencies"]]
+    waiting, met = ["test"], set()
+    while waiting:
+        extra = waiting.pop()
+        if extra not in met:
+            met.add(extra)
+            wanted += [each for each in extras[extra] if not each.startswith("telepulse[")]
+            waiting += re.findall(
+                r"[\w-]+",
+                "".join(
+                    each.partition("[")[2]
+                    for each in extras[extra]
+                    if each.startswith("telepulse[")
+                ),
+            )
+    return "\n".join(re.sub(r"\[.*?\]|,.*", "", each).replace(">=", "==") for each in wanted)
+
+
+def environment(python: Python, versions: str = "pinned") -> Path:
+    """Return a folder with the tests' dependencies: "pinned", "lowest" or "newest"."""
+    constraints = {
+        "pinned": lambda: (ROOT / "constraints.txt").read_text(encoding="utf-8"),
+        "lowest": lowest,
+        "newest": lambda: "",
+    }[versions]()
+    today = str(date.today()) if versions == "newest" else ""
+    key = "\0".join((str(python), python.path, json.dumps(declared()), constraints, today))
+    folder = KEPT / f"{versions}-{python}-{hashlib.sha256(key.encode()).hexdigest()[:12]}"
+    if (folder / "complete").exists():
+        return folder
+    shutil.rmtree(folder, ignore_errors=True)
+    output(python.path, "-m", "venv", str(folder))
+    held = folder / "constraints.txt"
+    held.write_text(constraints, encoding="utf-8")
+    install(folder, "-c", str(held), "-e", f"{ROOT}[test]")
+    (folder / "complete").touch()
+    return folder
+
+
+def install(folder: Path, *arguments: str) -> None:
+    """Install into an environment."""
+    pip = ("-m", "pip", "--quiet", "--disable-pip-version-check", "install")
+    output(str(folder / "bin" / "python"), *pip, *arguments)
+
+
+def dispatch_levels(folder: Path) -> list[str]:
+    """Return the levels of the processor that numpy of an environment uses above its baseline."""
+    levels: list[str] = json.loads(output(str(folder / "bin" / "python"), "-c", DISPATCH))
+    return levels
