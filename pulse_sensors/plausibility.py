@@ -212,7 +212,7 @@ def stated_times(column: RecordedColumn) -> StatedTimes | None:
             [SECONDS.get(found[1].lower().replace("µ", "u"), 1.0)] if found else SECONDS.values()
         )
         for seconds in units:
-            if found or USUAL_HZ[0] <= 1 / (step * seconds) <= USUAL_HZ[1]:
+            if step * seconds and (found or USUAL_HZ[0] <= 1 / (step * seconds) <= USUAL_HZ[1]):
                 times_s = column.rising[name] * seconds
                 return StatedTimes(name, times_s, 1 / (step * seconds), gaps)
     return None
@@ -380,8 +380,8 @@ def _refuse_forces(found: ForceRange, unit: str, rest_n: float) -> str | None:
 def _warn_of_forces(found: ForceRange, few: bool, unit: str, rest_n: float) -> Iterator[str]:
     if found.topmost > MOST_TOPMOST and not few:
         yield (
-            f"is at its highest value for {100 * found.topmost:.0f} % of the samples: was it recorded"
-            " beyond an ADC's range?"
+            f"is at its highest value for {100 * found.topmost:.0f} % of the samples: was it"
+            " recorded beyond an ADC's range?"
         )
     span_n = found.highest_n - found.lowest_n
     if span_n < LEAST_PULSE_N:

@@ -16,7 +16,7 @@ from dataclasses import replace
 from functools import partial
 from itertools import chain, islice
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -34,11 +34,14 @@ from sensing_node.files.signals import (
 )
 from sensing_node.files.text_head import is_comment, read_head
 
+if TYPE_CHECKING:
+    from _csv import Reader
+
 # Tried in this order; of equals, the first is taken.
 LABELS = "labels"
 LAYOUTS = ("\t", ";", ",", "|", " ", LABELS)
 # Lines among which a table begins, and lines from which its layout is recognised.
-FIRST_LINES, SAMPLE_LINES = 500, 20
+FIRST_LINES, SAMPLE_LINES, FEW_LINES = 500, 20, 8
 MOST_CHARACTERS, QUOTED = 1 << 17, 60
 ROWS_AT_ONCE = 10_000
 # In place of a cell that a row lacks.
@@ -78,7 +81,7 @@ class Layout(NamedTuple):
             cells.pop()
         return [cell.strip(" '") for cell in cells]
 
-    def rows(self, lines: Iterable[str]) -> Iterator[list[str]]:
+    def rows(self, lines: Iterable[str]) -> "Reader":
         """Return the rows of lines; one of an empty line is empty."""
         if self.labelled:
             labelled = ((line, _pairs_of(line)) for line in lines)
@@ -150,10 +153,7 @@ def read(path: Path) -> SignalFile:
         start += 2 * (begin_s is not None)
     table = _parse(layout, chain(first[start:], lines), start, kinds, path)
     arrays = [np.frombuffer(values, np.float64) for values in table.values]
-    titles = [
-        f"{name} [{unit}]" if unit else name
-        for name, unit in zip(head.titles, head.units, strict=True)
-    ]
+    titles = head.titles
     numbers = [
         at
         for at, kind in enumerate(kinds)
@@ -229,13 +229,21 @@ def _recognise(lines: Sequence[str], path: Path) -> tuple[Layout, int, list[str]
             f"{path}: holds no signal of numbers: line {at + 1}, {lines[at][:QUOTED]!r}, is no row"
             " of a table, which has numbers apart by commas, semicolons, tabs or spaces"
         )
-    pairs = zip(whole, [*whole[1:], True], strict=True)
-    start = next((n for n, pair in enumerate(pairs) if all(pair)), whole.index(True))
-    if start > 1:
-        # A row with a wrong cell right below titles is a row all the same.
-        titles, row = layout.rows(texts[start - 2 : start])
-        held = [sum(layout.number(cell) is not None for cell in cells) for cells in (titles, row)]
-        start -= len(titles) == len(row) == len(kinds) and held[1] > held[0] == 0
+    rows = list(layout.rows(texts))
+    held = [sum(layout.number(cell) is not None for cell in row) for row in rows]
+    # The first row of several, or one right below titles; a lone number above is none.
+    start = next(
+        n
+        for n in range(len(rows))
+        if (
+            whole[n]
+            and (n + 1 == len(rows) or whole[n + 1] or held[n + 1] or (n and not held[n - 1]))
+        )
+        or (whole[n] and not any(whole[n + 1 :]))
+    )
+    # One with a wrong cell right below titles is a row all the same.
+    titled = start > 1 and len(rows[start - 2]) == len(rows[start - 1]) == len(kinds)
+    start -= titled and held[start - 1] > held[start - 2] == 0
     widest = len(layout.split(lines[plain[start] - 1])) if plain[start] else 0
     while kinds[-1] == EMPTY and len(kinds) > widest:
         kinds.pop()
@@ -246,7 +254,9 @@ def _tried(separator: str, lines: Sequence[str]) -> tuple[tuple[float, ...], Lay
     """Return how well a separator serves for lines, with the layout and the kinds of columns."""
     labelled = separator == LABELS
     layout = Layout(";" if labelled else separator, ".", labelled)
-    rows = list(layout.rows(lines[len(lines) // 2 :][-SAMPLE_LINES:]))
+    # Of a few lines, a wrong one is not to weigh as much as the others.
+    begin = len(lines) // (2 if len(lines) > FEW_LINES else 4)
+    rows = list(layout.rows(lines[begin:][-SAMPLE_LINES:]))
     layout = layout._replace(decimal=_decimal([cell for row in rows for cell in row], separator))
     counts = Counter(map(len, rows))
     width = max(counts, key=lambda each: (counts[each], each))
@@ -254,10 +264,12 @@ def _tried(separator: str, lines: Sequence[str]) -> tuple[tuple[float, ...], Lay
     kinds = [_kind(cells, layout) for cells in columns]
     fits = sum(_is_row(row, kinds, layout) for row in rows)
     first = next((n for n, row in enumerate(layout.rows(lines)) if _is_row(row, kinds, layout)), 0)
-    above = any(layout.separator in line for line in lines[:first])
+    title = lines[first - 1] if first else ""
+    listed = layout.separator in title
     # A comma in numbers alone, and not between titles, is a decimal comma.
-    apart = width == 1 or not first or above
-    return (fits, apart, -kinds.count(TEXT), width, above and separator in "\t;|"), layout, kinds
+    apart = not first or listed or ("," not in title if layout.decimal == "," else width == 1)
+    score = (2 * fits >= len(rows), apart, fits, -kinds.count(TEXT), width)
+    return (*score, listed and separator in "\t;|"), layout, kinds
 
 
 def _kind(cells: Sequence[str], layout: Layout) -> str:

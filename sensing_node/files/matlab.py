@@ -4,6 +4,7 @@ A number named fs, or otherwise as a rate, is the rate. Files of version 7.3 are
 """
 
 import re
+import struct
 import zlib
 from collections.abc import Iterator
 from os import SEEK_CUR
@@ -60,9 +61,9 @@ def _check_unpacked(path: Path) -> None:
     check_bytes(path, path.stat().st_size)
     size = 0
     with path.open("rb") as file:
-        order = {b"IM": "little", b"MI": "big"}.get(file.read(HEADER_BYTES)[-2:])
+        order = {b"IM": "<II", b"MI": ">II"}.get(file.read(HEADER_BYTES)[-2:])
         while order is not None and len(tag := file.read(8)) == 8:
-            kind, left = (int.from_bytes(tag[at : at + 4], order) for at in (0, 4))
+            kind, left = struct.unpack(order, tag)
             if kind != COMPRESSED:
                 file.seek(left, SEEK_CUR)
                 continue

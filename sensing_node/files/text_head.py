@@ -40,10 +40,9 @@ _AFTER_SLASH = re.compile(r"(.*\S)\s*[/,]\s*(\S+)")
 
 
 class Head(NamedTuple):
-    """Statements above a table: a title and a unit of each column, and the rate in Hz."""
+    """Statements above a table: a title of each column, with its unit, and the rate in Hz."""
 
     titles: list[str]
-    units: list[str]
     rate_hz: float | None
 
 
@@ -74,9 +73,8 @@ def read_head(lines: Sequence[str], split: Callable[[str], list[str]], width: in
         units = _fitted(rows.pop(), width) or units
     if rows and _fits(rows[-1], width) and (width > 1 or not is_comment(above[len(rows) - 1])):
         titles = _fitted(rows[-1], width) or titles
-    named = [_name_and_unit(title) for title in titles]
-    units = [own or unit.strip("()[] ") for (_, own), unit in zip(named, units, strict=True)]
-    return Head([name for name, _ in named], units, stated_rate(lines))
+    titles = [_titled(title, unit) for title, unit in zip(titles, units, strict=True)]
+    return Head(titles, stated_rate(lines))
 
 
 def are_units(cells: Sequence[str]) -> bool:
@@ -134,7 +132,9 @@ def _is_unit(text: str) -> bool:
     return known or _CLOCK_FORM.fullmatch(text) is not None
 
 
-def _name_and_unit(title: str) -> tuple[str, str]:
-    """Return name and unit of a title such as "ABP [mmHg]", "Force (mN)" or "Kraft / mN"."""
-    found = _AFTER_SLASH.fullmatch(title)
-    return (found[1], found[2]) if found and _is_unit(found[2]) else split_unit(title)
+def _titled(title: str, unit: str) -> str:
+    """Return a title with its unit in brackets; it may have it itself, as in "Kraft / mN"."""
+    unit = unit.strip("()[] ")
+    if (found := _AFTER_SLASH.fullmatch(title)) and _is_unit(found[2]):
+        title, unit = found[1], found[2]
+    return f"{title} [{unit}]" if unit and not split_unit(title)[1] else title

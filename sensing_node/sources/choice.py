@@ -23,7 +23,8 @@ NEWTONS_PER_MMHG = 7.5e-3
 # Height of the median beat of a signal that is neither force nor pressure.
 BEAT_N = 0.3
 # Least share of the steps of a counter that are one, and its least span.
-COUNTS, LEAST_COUNT = 0.9, 3
+COUNTING, LEAST_COUNT = 0.9, 3
+TIMES, COUNTS = "has times", "counts"
 FIRST = "as the first signal; none is a pulse by its name or unit"
 # Names of pulses, and of the leads of an ECG, as PhysioNet's databases and others use them.
 _PULSE = re.compile(
@@ -46,8 +47,8 @@ class ChosenSignal(NamedTuple):
 def choose_pulse(file: SignalFile) -> ChosenSignal:
     """Return the signal to play: a pulse by its name or unit, else the first one.
 
-    Clocks, counters and constant signals are not chosen. Raises SourceError where no other signal
-    remains.
+    Clocks, counters and constant signals are not chosen where there is another one. Raises
+    SourceError where none can be a pulse.
     """
     order = [
         # Of a message's topic, each of whose fields has it in its name, the field comes first.
@@ -56,16 +57,17 @@ def choose_pulse(file: SignalFile) -> ChosenSignal:
         *(ChosenSignal(s, f"by its unit, {s.unit}") for s in file.signals if _is_force(s.unit)),
         *(ChosenSignal(signal, FIRST) for signal in file.signals),
     ]
-    faults = dict[int, str]()
+    faults = {signal.number: _no_pulse(file, signal) for signal in file.signals}
     for chosen in order:
-        number = chosen.signal.number
-        if number not in faults:
-            fault = _no_pulse(file, chosen.signal)
-            if fault is None:
-                return chosen
-            faults[number] = fault
+        if faults[chosen.signal.number] is None:
+            return chosen
+    for chosen in order:
+        # One that is constant or only rises is refused where it is played, with what to set.
+        fault = faults[chosen.signal.number]
+        if fault != TIMES and (fault != COUNTS or chosen.reason != FIRST):
+            return chosen
     named = (f"{s.name or f'column {s.number}'} {faults[s.number]}" for s in file.signals)
-    raise SourceError(f"{file.path}: holds no pulse: {', '.join(named)[:300]} (--channel)")
+    raise SourceError(f"{file.path}: holds no pulse: {', '.join(named)[:300]}; name one: --channel")
 
 
 def _named(
@@ -83,7 +85,7 @@ def _is_force(unit: str) -> bool:
 def _no_pulse(file: SignalFile, signal: SignalInfo) -> str | None:
     """Return the reason why a signal is no pulse, whatever its name; or None."""
     if _is_time_or_number(_field(signal.name)) or signal.unit in SECONDS:
-        return "is a time or a number"
+        return TIMES
     try:
         values = file.load((signal.number,))[0].values
     except SourceError:
@@ -96,7 +98,7 @@ def _no_pulse(file: SignalFile, signal: SignalInfo) -> str | None:
         return "only rises"
     # A counter rises by one up to its highest number; a few of its numbers may be missing.
     counted = np.mod(np.diff(next(blocks(values))), high - low + 1) == 1
-    return "counts" if high - low >= LEAST_COUNT and counted.mean() > COUNTS else None
+    return COUNTS if high - low >= LEAST_COUNT and counted.mean() > COUNTING else None
 
 
 def _field(name: str) -> str:

@@ -208,10 +208,17 @@ class RecordedSource(SampleSource):
             gaps = find_gaps(column.values)
             if gaps.samples:
                 text = gaps.text(len(column.values), info.rate_hz or rate_hz)
-                filled = f"{path}: {column.title}: {text}; straight lines replace them"
-                self.warnings.append(filled)
+                self.warnings.append(f"{path}: {column.title}: {text}; straight lines replace them")
         filled = [fill_gaps(column.values) for column in loaded]
-        if len({(info.rate_hz, info.begin_s, len(each)) for info, each in zip(infos, filled)}) == 1:
+        if (
+            len(
+                {
+                    (info.rate_hz, info.begin_s, len(each))
+                    for info, each in zip(infos, filled, strict=True)
+                }
+            )
+            == 1
+        ):
             return [replace(c, values=each) for c, each in zip(loaded, filled, strict=True)]
         _, grid = aligned(infos, filled, rate_hz)
         return [
