@@ -48,7 +48,7 @@ GAP_STEPS: Final = 5
 # Range of the rates of recorded pulses, which decides the unit of times that state none.
 USUAL_HZ = (10.0, 20_000.0)
 SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
-_UNIT = re.compile(r"(?:^|[\s_(\[,])(s|sec|seconds|ms|us|µs|ns)[)\]]?$", re.IGNORECASE)
+_UNIT = re.compile(r"(?:^|[\s_(\[,])(s|sec|seconds|min|ms|us|µs|ns)[)\]]?$", re.IGNORECASE)
 _TIME_NAME = re.compile(r"time|zeit|stamp|^t$|^t[_\s(\[]", re.IGNORECASE)
 SETTLED_S = 2.0
 # Values that are examined at once.
@@ -208,14 +208,17 @@ def stated_times(column: RecordedColumn) -> StatedTimes | None:
     """
     for name, step, gaps, _ in _time_columns(column):
         found = _UNIT.search(name)
-        units = (
-            [SECONDS.get(found[1].lower().replace("µ", "u"), 1.0)] if found else SECONDS.values()
-        )
+        units = SECONDS.values() if found is None else (_seconds(found[1]),)
         for seconds in units:
             if step * seconds and (found or USUAL_HZ[0] <= 1 / (step * seconds) <= USUAL_HZ[1]):
                 times_s = column.rising[name] * seconds
                 return StatedTimes(name, times_s, 1 / (step * seconds), gaps)
     return None
+
+
+def _seconds(unit: str) -> float:
+    """Return the length of a unit of time in s."""
+    return (SECONDS | {"min": 60.0}).get(unit.lower().replace("µ", "u"), 1.0)
 
 
 def is_time_name(name: str) -> bool:
@@ -309,8 +312,7 @@ def _refuse_rate(column: RecordedColumn, rate_hz: float) -> str | None:
     """
     for name, step, _, rounding in _time_columns(column):
         found = _UNIT.search(name)
-        unit = found[1].lower().replace("µ", "u") if found else None
-        seconds = SECONDS.values() if unit is None else (SECONDS.get(unit, 1.0),)
+        seconds = SECONDS.values() if found is None else (_seconds(found[1]),)
         rates_hz = [1 / (step * s) for s in seconds if SHORTEST_S <= step * s <= LONGEST_S]
         if not rates_hz:
             continue

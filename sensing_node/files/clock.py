@@ -11,6 +11,7 @@ from datetime import UTC, datetime
 import numpy as np
 from numpy.typing import NDArray
 
+from protocol.config.quantities import count_text
 from pulse_sensors.plausibility import GAP_STEPS, SECONDS, is_time_name
 from sensing_node.files.signals import Floats
 
@@ -18,14 +19,15 @@ from sensing_node.files.signals import Floats
 MOST_WRONG, MOST_STEPS_BACK = 0.01, 20
 FEW_WRONG = 2
 DAY_S = 86_400.0
-_UNITS = {*SECONDS, "sec", "secs", "second", "seconds", "msec", "µs", "μs", "usec", "min", "h"}
+_UNITS = {*SECONDS, "sec", "secs", "second", "seconds", "msec", "µs", "μs", "usec", "min"}
 _ELAPSED = re.compile(r"(?:(\d+)[:h ])?(\d{1,3})[:m](\d{1,2}(?:[.,]\d+)?)s?")
 _DATE = re.compile(r"(\d{1,2})([./-])(\d{1,2})\2(\d{4})[T ,]+(\d{1,2}:\d\d(?::\d\d(?:[.,]\d+)?)?)")
 
 
 def are_times(name: str, unit: str) -> bool:
     """Return whether a column holds times by its name or its unit."""
-    return is_time_name(name) or unit.lower() in _UNITS
+    named = is_time_name(name) or (not unit and name.lower() in {*_UNITS, "millis", "micros"})
+    return named or unit.lower() in _UNITS
 
 
 def time_of(text: str) -> float | None:
@@ -75,21 +77,27 @@ def repaired(
             return None
         if len(wrong):
             first = int(wrong[0])
-            stated = f", {times[first]:.10g}," if np.isfinite(times[first]) else ""
-            more = f", nor are {len(wrong) - 1} others" if len(wrong) > 1 else ""
-            notes.append(f'column "{title}": the time of {place(first)}{stated} is not used{more}')
+            stated = f", {times[first]:.10g}" if np.isfinite(times[first]) else ""
+            count = count_text(len(wrong), "time is", "times are")
+            which = "the first" if len(wrong) > 1 else "that"
+            notes.append(f'column "{title}": {count} not used, {which} in {place(first)}{stated}')
             good = np.setdiff1d(np.arange(len(times)), wrong)
             times[wrong] = np.interp(wrong, good, times[good])
+            # Before the first good time and after the last one, in usual steps.
+            times[: good[0]] -= usual * np.arange(good[0], 0, -1)
+            times[good[-1] + 1 :] += usual * np.arange(1, len(times) - good[-1])
         back = np.flatnonzero(times[1:] < times[:-1]) + 1
         if len(back) > MOST_STEPS_BACK:
             return None
         for at in back:
-            step = float(times[at - 1] - times[at])
-            notes.append(
-                f'column "{title}": was set back by {step + usual:.6g} after'
-                f" {place(int(at) - 1)}; the samples after it are played right after it"
-            )
-            times[at:] += step + usual
+            step = float(times[at - 1] - times[at]) + usual
+            times[at:] += step
+            # A time of day begins again at midnight.
+            if round(step) != DAY_S:
+                notes.append(
+                    f'column "{title}": was set back by {step:.6g} after {place(int(at) - 1)};'
+                    " the samples after it are played right after it"
+                )
     return times, notes
 
 

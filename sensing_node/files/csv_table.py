@@ -76,10 +76,16 @@ class Layout(NamedTuple):
 
     def split(self, line: str) -> list[str]:
         """Return the cells of a line; empty ones at its end are left out."""
-        cells = next(self.rows([line]), [])
+        # Titles in columns of a fixed width have spaces themselves.
+        fixed = self.separator == " " and "  " in line.strip()
+        cells = re.split(" {2,}", line.strip()) if fixed else self.row(line)
         while cells and not cells[-1].strip():
             cells.pop()
         return [cell.strip(" '") for cell in cells]
+
+    def row(self, line: str) -> list[str]:
+        """Return the cells of a line, as they are."""
+        return next(self.rows([line]), [])
 
     def rows(self, lines: Iterable[str]) -> "Reader":
         """Return the rows of lines; one of an empty line is empty."""
@@ -133,7 +139,7 @@ class TextTable(NamedTuple):
 
     def place(self, row: int) -> str:
         """Return the place of a row for people, with the text of a cell that is no value in it."""
-        texts = (f", {cell.text[:QUOTED]!r}," for cell in self.wrong.values() if cell.row == row)
+        texts = (f", {cell.text[:QUOTED]!r}" for cell in self.wrong.values() if cell.row == row)
         return f"row {row + 1} (line {self.lines[row]}){next(texts, '')}"
 
 
@@ -152,6 +158,7 @@ def read(path: Path) -> SignalFile:
         begin_s, rate_hz = _begin_and_rate(rows) or (None, rate_hz)
         start += 2 * (begin_s is not None)
     table = _parse(layout, chain(first[start:], lines), start, kinds, path)
+    notes = _cut(table)
     arrays = [np.frombuffer(values, np.float64) for values in table.values]
     titles = head.titles
     numbers = [
@@ -172,6 +179,7 @@ def read(path: Path) -> SignalFile:
         arrays.__getitem__,
         [at for at, kind in enumerate(kinds) if kind == TIME],
         place=table.place,
+        notes=tuple(notes),
         begin_ns=None if begin_s is None else round(begin_s * 1e9),
     )
 
@@ -222,32 +230,36 @@ def _recognise(lines: Sequence[str], path: Path) -> tuple[Layout, int, list[str]
         raise SourceError(f"{path}: holds no line of values")
     texts = [lines[at] for at in plain]
     _, layout, kinds = max((_tried(each, texts) for each in LAYOUTS), key=lambda tried: tried[0])
-    whole = [_is_row(row, kinds, layout) for row in layout.rows(texts)]
-    if not any(whole):
-        at = plain[len(plain) // 2]
+    rows = [layout.row(line) for line in texts]
+    first = _first_row(rows, kinds, layout)
+    if first is None:
         raise SourceError(
-            f"{path}: holds no signal of numbers: line {at + 1}, {lines[at][:QUOTED]!r}, is no row"
-            " of a table, which has numbers apart by commas, semicolons, tabs or spaces"
+            f"{path}: holds no signal of numbers: line {plain[0] + 1}, {texts[0][:QUOTED]!r}, is no"
+            " row of a table, which has numbers apart by commas, semicolons, tabs or spaces"
         )
-    rows = list(layout.rows(texts))
-    held = [sum(layout.number(cell) is not None for cell in row) for row in rows]
-    # The first row of several, or one right below titles; a lone number above is none.
-    start = next(
-        n
-        for n in range(len(rows))
-        if (
-            whole[n]
-            and (n + 1 == len(rows) or whole[n + 1] or held[n + 1] or (n and not held[n - 1]))
-        )
-        or (whole[n] and not any(whole[n + 1 :]))
-    )
-    # One with a wrong cell right below titles is a row all the same.
-    titled = start > 1 and len(rows[start - 2]) == len(rows[start - 1]) == len(kinds)
-    start -= titled and held[start - 1] > held[start - 2] == 0
-    widest = len(layout.split(lines[plain[start] - 1])) if plain[start] else 0
+    start = plain[first]
+    widest = len(layout.split(lines[start - 1])) if start else 0
     while kinds[-1] == EMPTY and len(kinds) > widest:
         kinds.pop()
-    return layout, plain[start], [NUMBER if kind == EMPTY else kind for kind in kinds]
+    return layout, start, [NUMBER if kind == EMPTY else kind for kind in kinds]
+
+
+def _first_row(rows: Sequence[Sequence[str]], kinds: Sequence[str], layout: Layout) -> int | None:
+    """Return the place of a table's first row among the rows of a text, or None."""
+    whole = [at for at, row in enumerate(rows) if _is_row(row, kinds, layout)]
+    numbers = [sum(layout.number(cell) is not None for cell in row) for row in rows]
+    for at in whole:
+        # A lone number above titles is none; one below titles is, whatever follows.
+        if at + 1 in (len(rows), *whole) or numbers[at + 1] or (at and not numbers[at - 1]):
+            break
+    else:
+        return whole[0] if whole else None
+    if not rows[at][0].strip() and at + 1 in whole and rows[at + 1][0].strip():
+        # Counts of samples between titles and values.
+        return at + 1
+    # A row with a wrong cell right below titles is a row all the same.
+    alike = at > 1 and len(rows[at - 2]) == len(rows[at - 1]) == len(kinds)
+    return at - 1 if alike and numbers[at - 1] > numbers[at - 2] == 0 else at
 
 
 def _tried(separator: str, lines: Sequence[str]) -> tuple[tuple[float, ...], Layout, list[str]]:
@@ -256,14 +268,14 @@ def _tried(separator: str, lines: Sequence[str]) -> tuple[tuple[float, ...], Lay
     layout = Layout(";" if labelled else separator, ".", labelled)
     # Of a few lines, a wrong one is not to weigh as much as the others.
     begin = len(lines) // (2 if len(lines) > FEW_LINES else 4)
-    rows = list(layout.rows(lines[begin:][-SAMPLE_LINES:]))
+    rows = [layout.row(line) for line in lines[begin:][-SAMPLE_LINES:]]
     layout = layout._replace(decimal=_decimal([cell for row in rows for cell in row], separator))
     counts = Counter(map(len, rows))
     width = max(counts, key=lambda each: (counts[each], each))
     columns = zip(*(row for row in rows if len(row) == width), strict=True)
     kinds = [_kind(cells, layout) for cells in columns]
     fits = sum(_is_row(row, kinds, layout) for row in rows)
-    first = next((n for n, row in enumerate(layout.rows(lines)) if _is_row(row, kinds, layout)), 0)
+    first = next((n for n, line in enumerate(lines) if _is_row(layout.row(line), kinds, layout)), 0)
     title = lines[first - 1] if first else ""
     listed = layout.separator in title
     # A comma in numbers alone, and not between titles, is a decimal comma.
@@ -285,11 +297,8 @@ def _is_row(row: Sequence[str], kinds: Sequence[str], layout: Layout) -> bool:
     """Return whether a row has a number, or nothing, in each column of numbers."""
     numbers = [at for at, kind in enumerate(kinds) if kind == NUMBER]
     held = [row[at] for at in numbers if at < len(row)]
-    return (
-        len(held) == len(numbers) > 0
-        and any(map(str.strip, held))
-        and None not in map(layout.number, held)
-    )
+    whole = len(held) == len(numbers) > 0 and any(map(str.strip, held))
+    return whole and None not in map(layout.number, held)
 
 
 def _decimal(cells: Sequence[str], separator: str) -> str:
@@ -351,3 +360,15 @@ def _parse(
                 table.wrong[at] = Wrong(before + n, cells[n], fault)
             table.values[at].extend(math.nan if value is None else value for value in read)
     return table
+
+
+def _cut(table: TextTable) -> list[str]:
+    """Leave out a last row that breaks off; return a note of it."""
+    cut = [at for at, cell in table.wrong.items() if cell.row and cell.row == len(table.lines) - 1]
+    if not any(table.wrong[at].text == NO_CELL for at in cut):
+        return []
+    for at in cut:
+        del table.wrong[at]
+    for values in table.values:
+        del values[len(table.lines) - 1 :]
+    return [f"line {table.lines.pop()}, the last one, breaks off, and is left out"]

@@ -25,6 +25,12 @@ Floats = NDArray[np.float64]
 LEAST_HZ, MOST_HZ = 1.0, 100_000.0
 # First bytes of a text, from which its encoding is recognised.
 FIRST_BYTES = 1 << 16
+UNITS = re.compile(
+    r"[mµμu]?[NVAg]|kg|[hkm]?Pa|m?bar|mmHg|cmH2O|NU|a\.?u\.?|ad[cu]|counts?|raw|lsb|%|°?C|degC|bpm"
+    r"|1/min|k?Hz|m/s[2²]|deg|dps|k?ohm|[mµμun]?s|min",
+    re.IGNORECASE,
+)
+_AFTER_SLASH = re.compile(r"(.*\S)\s*[/,]\s*(\S+)")
 _NAMED_UNIT = re.compile(r"(.*\S)\s*[\[(]\s*([^\[\]()]*?)\s*[\])]")
 
 
@@ -236,12 +242,14 @@ def text_encoding(path: Path) -> str:
 
 
 def split_unit(name: str) -> tuple[str, str]:
-    """Return name and unit of a column's title such as "ABP [mmHg]"; the unit may be empty.
+    """Return name and unit of a title: "ABP [mmHg]", "Force (mN)", "Kraft / mN"; or no unit.
 
     A number in brackets, as in "data[0]", is no unit.
     """
-    found = _NAMED_UNIT.fullmatch(name.strip())
-    return (found[1], found[2]) if found and not found[2].isdecimal() else (name, "")
+    if (found := _NAMED_UNIT.fullmatch(name.strip())) and not found[2].isdecimal():
+        return found[1], found[2]
+    found = _AFTER_SLASH.fullmatch(name.strip())
+    return (found[1], found[2]) if found and UNITS.fullmatch(found[2]) else (name, "")
 
 
 def plain_micro(text: str) -> str:

@@ -5,7 +5,7 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 from sensing_node.files.clock import are_times
-from sensing_node.files.signals import LEAST_HZ, MOST_HZ, split_unit
+from sensing_node.files.signals import LEAST_HZ, MOST_HZ, UNITS, split_unit
 
 COMMENTS = ("#", "%", "//")
 _NUMBER = re.compile(r"\d+(?:[.,]\d+)?(?:e[-+]?\d+)?", re.IGNORECASE)
@@ -30,13 +30,9 @@ _TITLES = re.compile(
 )
 _UNIT_NAMES = re.compile(r"\W*(unit|einheit)(s|en)?([ _]?names?)?\W*", re.IGNORECASE)
 _LISTED = re.compile(r"[\"'](?:column|channel|label|name|title)s?[\"']\s*:\s*\[([^\[\]]*)\]")
-_CLOCK_FORM = re.compile(r"(hh:mm|mm:ss|yyyy|dd/)[a-z:./ -]*", re.IGNORECASE)
-_UNITS = re.compile(
-    r"[mµμu]?[NVAg]|kg|[hkm]?Pa|m?bar|mmHg|cmH2O|NU|a\.?u\.?|ad[cu]|counts?|raw|lsb|-|1|%|°?C|degC|bpm"
-    r"|1/min|k?Hz|m/s[2²]|deg|dps|k?ohm",
-    re.IGNORECASE,
+_OTHER_UNITS = re.compile(
+    r"-|1|sample( interval)?s?|(hh:mm|mm:ss|yyyy|dd/)[a-z:./ -]*", re.IGNORECASE
 )
-_AFTER_SLASH = re.compile(r"(.*\S)\s*[/,]\s*(\S+)")
 
 
 class Head(NamedTuple):
@@ -69,6 +65,9 @@ def read_head(lines: Sequence[str], split: Callable[[str], list[str]], width: in
             titles = found + titles[len(found) :] if len(found) <= width else titles
     above = [line for line in lines if not is_comment(line) or _fits(split(_bare(line)), width)]
     rows = [split(_bare(line)) for line in above]
+    while rows and rows[-1] and all(_NUMBER.fullmatch(cell) for cell in rows[-1] if cell):
+        # Counts of samples, or the like.
+        rows.pop()
     if rows and are_units(rows[-1]) and len(rows[-1]) <= width:
         units = _fitted(rows.pop(), width) or units
     if rows and _fits(rows[-1], width) and (width > 1 or not is_comment(above[len(rows) - 1])):
@@ -124,17 +123,17 @@ def _fitted(cells: Sequence[str], width: int) -> list[str] | None:
 def _fits(cells: Sequence[str], width: int) -> bool:
     """Return whether a row may be that of the titles."""
     key = cells[0] if cells else "="
-    return len(cells) == width and key[-1:] not in ("=", ":") and not _UNIT_NAMES.fullmatch(key)
+    words = [cell for cell in cells if cell and not _NUMBER.fullmatch(cell)]
+    named = key[-1:] in ("=", ":") or _UNIT_NAMES.fullmatch(key)
+    return len(cells) == width and bool(words) and not named
 
 
 def _is_unit(text: str) -> bool:
-    known = _UNITS.fullmatch(text) is not None or are_times("", text)
-    return known or _CLOCK_FORM.fullmatch(text) is not None
+    known = UNITS.fullmatch(text) is not None or are_times("", text)
+    return known or _OTHER_UNITS.fullmatch(text) is not None
 
 
 def _titled(title: str, unit: str) -> str:
-    """Return a title with its unit in brackets; it may have it itself, as in "Kraft / mN"."""
+    """Return a title with its unit in brackets, unless it has one itself."""
     unit = unit.strip("()[] ")
-    if (found := _AFTER_SLASH.fullmatch(title)) and _is_unit(found[2]):
-        title, unit = found[1], found[2]
     return f"{title} [{unit}]" if unit and not split_unit(title)[1] else title
