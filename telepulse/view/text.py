@@ -49,7 +49,7 @@ STATES = {
 # Names of the figures by their ids: those that are always seen, those of the folded groups, and the
 # rows of the summary.
 ALWAYS_SEEN = {
-    "force": "force felt of wanted",
+    "force": "force felt",
     "heart": "heart rate",
     "delay": "delay",
     "aligned": "how far off",
@@ -250,7 +250,7 @@ def _loss(samples: Fields) -> PageFigure:
 
 
 def _force(felt_n: float, wanted_n: float) -> PageFigure:
-    note = "peaks of the last 2 s"
+    note = "of the force wanted, peaks of the last 2 s"
     if math.isnan(felt_n) or math.isnan(wanted_n):
         return PageFigure(NOTHING, note)
     return PageFigure(f"{felt_n * 1e3:.0f} of {wanted_n * 1e3:.0f} mN", note)

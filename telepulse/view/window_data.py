@@ -49,7 +49,7 @@ class Scores(NamedTuple):
 class WindowScores(NamedTuple):
     """Scores over a window: of the contactor of the number `chosen`, and of each in `all_scores`.
 
-    felt_n, wanted_n: greatest force in the last `PEAK_NS`; NaN where there is none.
+    felt_n, wanted_n: greatest force in the last `PEAK_NS`; NaN while the pulse is not felt.
     """
 
     window_s: float
@@ -91,8 +91,10 @@ def window_scores(live: LiveState, window_ns: int, chosen: int = 0) -> WindowSco
     contactor = live.contactor(chosen)
     all_scores = tuple(_scores(live, each, window_ns) for each in live.contactors)
     newest = contactor.ticks.since(live.now_ns - PEAK_NS).values
-    # NaN counts as no force.
-    felt_n, wanted_n = np.fmax.reduce(newest[:, [FELT_N, TARGET_N]], initial=math.nan)
+    felt_n = wanted_n = math.nan
+    if len(newest) and not math.isnan(newest[-1, DELAY_NS]):
+        # NaN counts as no force.
+        felt_n, wanted_n = np.fmax.reduce(newest[:, [FELT_N, TARGET_N]])
     chosen = live.contactors.index(contactor)
     return WindowScores(
         *(window_ns / SECOND_NS, chosen, all_scores[chosen], all_scores),
