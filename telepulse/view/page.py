@@ -39,10 +39,9 @@ from telepulse.view.window_data import (
     window_scores,
 )
 
-REDRAW_MS = 100
-# Texts are written at every fifth redraw; plots at every second one while a group is unfolded: a
-# browser may draw them in software, on the processors of the display's loop.
-TEXTS_EVERY, UNFOLDED_EVERY = 5, 2
+# A browser may draw in software, on the processors of the display's loop. Texts change at every
+# second redraw.
+REDRAW_MS, TEXTS_EVERY = 200, 2
 WINDOWS_S = (5, 10, 30, 60)
 WINDOW_S = 10
 SECOND_NS = 1_000_000_000
@@ -67,12 +66,12 @@ CURVES = {
 class Plots:
     """Plots of one viewer.
 
-    roots: their Bokeh models, each named by its id. curves: the data of the curves, by the group of
-    their plots. fingers, events: those of several fingers, and of the events.
+    roots: their Bokeh models, each named by its id. curves, events: the data of the curves and of
+    the events, by the group of the plots. fingers: that of several fingers.
     """
 
     def __init__(self) -> None:
-        # One source for a group, so that an update is one message and draws no folded plot.
+        # Sources of its own for each group, so that an update draws no folded plot.
         self.curves = {
             group: ColumnDataSource(
                 {f"{name}_{axis}": np.empty(0) for name in names for axis in ("t", "y")}
@@ -82,7 +81,10 @@ class Plots:
         # One row a contactor; empty for an only one.
         self.fingers = ColumnDataSource({"t": [], "y": [], "colour": []})
         columns = ("t", "text", "colour", "dash", "width")
-        self.events = ColumnDataSource(dict[str, Any]({name: [] for name in columns}))
+        self.events = {
+            group: ColumnDataSource(dict[str, Any]({name: [] for name in columns}))
+            for group in CURVES
+        }
         self._times, self._forces = Range1d(start=-10, end=0), Range1d(start=0, end=1)
         self._limits = {plot.id: Range1d(start=0, end=1) for plot in (*PLOTS, FINGERS)}
         self._band = BoxAnnotation(
@@ -94,18 +96,20 @@ class Plots:
         """Draw the curves of a window."""
         # The end as well: a reader may have zoomed in a pause.
         self._times.update(start=-data.window_s, end=0)
+        lines = [EVENT_LINES[kind] for _, kind, _ in data.events]
+        events = {
+            "t": [time_s for time_s, _, _ in data.events],
+            "text": [text for _, _, text in data.events],
+            "colour": [line.colour for line in lines],
+            "dash": [line.dash for line in lines],
+            "width": [line.width for line in lines],
+        }
         for group, names in CURVES.items():
-            if names[0] in data.columns:
-                self.curves[group].data = padded({name: data.columns[name] for name in names})
-        if data.events or len(self.events.data["t"]):
-            lines = [EVENT_LINES[kind] for _, kind, _ in data.events]
-            self.events.data = {
-                "t": [time_s for time_s, _, _ in data.events],
-                "text": [text for _, _, text in data.events],
-                "colour": [line.colour for line in lines],
-                "dash": [line.dash for line in lines],
-                "width": [line.width for line in lines],
-            }
+            if names[0] not in data.columns:
+                continue
+            self.curves[group].data = padded({name: data.columns[name] for name in names})
+            if lines or self.events[group].data["t"]:
+                self.events[group].data = events
         for plot, (low, high) in data.limits.items():
             self._limits[plot].update(start=low, end=high)
         if "depth" in data.limits:
@@ -174,7 +178,11 @@ class Plots:
         if plot.across:
             return
         drawn.vspan(
-            x="t", source=self.events, line_color="colour", line_dash="dash", line_width="width"
+            x="t",
+            source=self.events[plot.group],
+            line_color="colour",
+            line_dash="dash",
+            line_width="width",
         )
         drawn.add_tools(PanTool(dimensions="width"), WheelZoomTool(dimensions="width"))
 
@@ -262,7 +270,7 @@ class LivePage:
         self._choice: tuple[Any, ...] = ()
         self._sent: dict[str, Any] = {}
         self._drawn: tuple[Any, ...] = ()
-        self._redraws = self._number = 0
+        self._redraws = self._undrawn = self._number = 0
         self.draw()
         # Bokeh removes this callback with the viewer's session.
         document.add_periodic_callback(self.draw, REDRAW_MS)
@@ -270,8 +278,8 @@ class LivePage:
     def draw(self) -> None:
         """Send what has changed since the last update; on a paused page only state and alarms.
 
-        A browser that has not drawn the last update gets no further one: on a slow browser updates
-        would queue, and it would show the past.
+        A browser that has not written the last texts gets nothing further: on a slow browser
+        updates would queue, and it would show the past.
         """
         if self._choices.data["seen"][0] != self._number:
             return
@@ -290,19 +298,20 @@ class LivePage:
             silent_ns = 0 if paused else self._silent_ns()
             content |= _figures(live, window_scores(live, window_ns, number), silent_ns)
         drawn = live.now_ns, len(live.events), live.display_ended, *choice
-        every = 1 if groups == {""} else UNFOLDED_EVERY
-        if drawn != self._drawn and (chosen or self._redraws % every == 0):
+        if drawn != self._drawn:
             self._drawn = drawn
             # The last state can be read when the server has ended, in the folded groups as well.
             data = window_data(
                 live, window_ns, number, ALL_GROUPS if live.display_ended else groups
             )
             self._plots.show(data)
-            # The count is acknowledged, also where nothing else has changed.
-            content |= {"empty": data.empty, "redraws": self._redraws}
+            self._undrawn += 1
+            content |= {"empty": data.empty}
         changed = {name: each for name, each in content.items() if self._sent.get(name) != each}
-        if changed:
+        # Redraws are acknowledged with the texts, so also where no text has changed.
+        if changed or (due and self._undrawn):
             self._sent |= changed
+            self._undrawn = 0
             self._number += 1
             self._texts.data = {"shown": [changed | {"number": self._number}]}
 

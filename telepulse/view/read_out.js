@@ -1,7 +1,7 @@
 // Values under the pointer in a paused page: those of all curves of a plot at one time, or at one
 // hold-down, and the events at a line.
 // plots: by id, its group, whether it is across a hold-down, the unit of its values, and its curves.
-// curves: sources of the data, by group; fingers, events: further sources.
+// curves, events: sources of the data, by group; fingers: that of several contactors.
 const NEAR_PX = 6, MOST_EVENTS = 4;
 
 function hideReadOuts() {
@@ -55,7 +55,7 @@ function readOutRows(id, x, perPx) {
     }
   }
   if (plot.across) return [["", `at ${place(x)}`], ...rows];
-  const { t, text, colour } = events.data;
+  const { t, text, colour } = events[plot.group].data;
   const met = [...t.keys()].filter((index) => Math.abs(t[index] - x) <= NEAR_PX * perPx);
   for (const index of met.slice(-MOST_EVENTS)) rows.push([colour[index], text[index]]);
   if (met.length > MOST_EVENTS) rows.push(["", `and ${met.length - MOST_EVENTS} events more`]);
