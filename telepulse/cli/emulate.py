@@ -21,7 +21,6 @@ from protocol.host.process import freeze_objects, stop_on_signals
 from pulse_drives.scene import Cia402Scene, DriveScene, TmclScene, open_bus
 from pulse_sensors.binary_frames import MAX_SAMPLES, SampleFormat
 from sensing_node.scene import SensingScene
-from sensing_node.sources.synthetic import SyntheticScene
 from sensing_node.sources.wrist import WristScene
 from telepulse.cli.options import PROGRAM, ContactorOption
 from telepulse.emulators import PtyPort
@@ -191,8 +190,8 @@ def _unpressed(section: SensingScene) -> SensingScene:
     if unpressed is None:
         raise SceneError(f"--still: a source of kind {section.source.kind!r} always has a pulse")
     source = unpressed.source
-    if isinstance(source, SyntheticScene) and not source.noise_n:
-        # A reading that never changes is no sensor's.
+    # A reading that never changes is no sensor's. Not every kind of source has a noise.
+    if getattr(source, "noise_n", None) == 0.0:
         noisy = source.model_copy(update={"noise_n": STILL_NOISE_N})
         unpressed = unpressed.model_copy(update={"source": noisy})
     return unpressed
