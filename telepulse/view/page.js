@@ -11,6 +11,7 @@ const write = (id, text) => {
 const [shown] = texts.data.shown;
 const choose = (change) => {
   hideReadOuts();
+  if (document.body.dataset.lost) return;
   choices.data = { ...choices.data, ...change };
 };
 const clock = (when_ms) => new Date(when_ms).toLocaleTimeString("en-GB");

@@ -53,6 +53,7 @@ if (!over.includes(at("state").dataset.state)) {
   at("state-note").textContent = `at ${new Date().toLocaleTimeString("en-GB")}`;
 }
 at("state-note").textContent += "; the server of this page has ended: it shows the last state";
+document.body.dataset.lost = "yes";
 for (const each of document.querySelectorAll("button, input")) each.disabled = true;
 """
 HEIGHT = 220
