@@ -172,7 +172,10 @@ def test_the_scenes_rate_is_compared_with_the_files_own_times(
     ],
 )
 def test_impossible_times_are_ignored(tmp_path: Path, times: NDArray[np.float64]) -> None:
-    one, row = np.sum(~np.isfinite(times)) == 1, 'column "time": 1 time is not used, that in row 1000'
+    one, row = (
+        np.sum(~np.isfinite(times)) == 1,
+        'column "time": 1 time is not used, that in row 1000',
+    )
     expected = [] if np.all(np.isfinite(times)) else [row if one else UNUSED]
     np.savez(tmp_path / "pulse.npz", time=times, force=PULSE_N)
     assert warnings(tmp_path / "pulse.npz", column="force") == expected
