@@ -127,7 +127,7 @@ def load_sensing(path: Path, options: Mapping[str, str | None] = {}) -> SensingS
             raise SceneError(f"--{key} is of a record; give the record by --source")
         return load_section(path, "sensing", SensingScene)
     record = Path(given.pop("source"))
-    source, chosen = record_table(record, given.pop("channel", None))
+    source, chosen = record_table(record, given.pop("channel", None), given.get("rate"))
     source |= given
     logger.info(chosen)
     sensing = {**load_document(path).get("sensing", {}), "source": source}

@@ -76,7 +76,7 @@ def column_file(
                 if (mended := repaired(values.astype(np.float64), label, place)) is not None:
                     found[number], lines = mended
                     notes += lines
-            elif never_falls(values):
+            elif len(values) and values[0] < values[-1] and never_falls(values):
                 found[number] = values
         return found, notes
 

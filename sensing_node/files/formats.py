@@ -78,12 +78,12 @@ def open_signals(path: Path) -> SignalFile:
     Its signals have rates within the limits and names in one printable line. Values that are not
     finite are missing samples, NaN.
     """
+    check_regular(path)
     return _open(path, format_of(path))
 
 
 def _open(path: Path, chosen: FileFormat) -> SignalFile:
     with _one_line(path, chosen):
-        check_regular(path)
         if path.is_file() and not path.stat().st_size:
             raise SourceError(f"{path}: is empty")
         read: SignalReader = import_module(f"{__package__}.{chosen.module}").read

@@ -3,13 +3,16 @@
 Also the scales to newtons that a file's unit stands for.
 """
 
+import math
 import re
 from collections.abc import Callable, Iterable, Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from protocol.config.quantities import parse_quantity
 from protocol.errors import SourceError
 from pulse_sensors.force_scale import FORCES, MILLIVOLTS
 from pulse_sensors.plausibility import SECONDS, blocks, extremes, is_time_name, never_falls
@@ -24,6 +27,7 @@ NEWTONS_PER_MMHG = 7.5e-3
 BEAT_N = 0.3
 # Least share of the steps of a counter that are one, and its least span.
 COUNTING, LEAST_COUNT = 0.9, 3
+A_LONG_TIME_S = 3600.0
 TIMES, COUNTS = "has times", "counts"
 FIRST = "as the first signal; none is a pulse by its name or unit"
 # Names of pulses, and of the leads of an ECG, as PhysioNet's databases and others use them.
@@ -120,10 +124,13 @@ def choose_announcing(file: SignalFile, pulse: SignalInfo) -> SignalInfo | None:
     return None
 
 
-def record_table(path: Path, channel: str | None = None) -> tuple[dict[str, Any], str]:
+def record_table(
+    path: Path, channel: str | None = None, rate: str | None = None
+) -> tuple[dict[str, Any], str]:
     """Return the table of a source that plays a record, and a line with what was chosen.
 
-    channel: name or number of the signal to play; None chooses. Raises SourceError.
+    channel: name or number of the signal to play; None chooses. rate: that of a file which states
+    none, such as "500 Hz". Raises SourceError.
     """
     file = open_signals(path)
     if channel is None:
@@ -136,6 +143,13 @@ def record_table(path: Path, channel: str | None = None) -> tuple[dict[str, Any]
     table: dict[str, Any] = {"kind": "recording", "path": str(path.absolute())}
     table["column"] = pulse.number
     text = f"{path}: plays {_title(pulse)}, chosen {chosen.reason}; {_scale_text(pulse.unit)}"
+    with suppress(SourceError, ValueError):
+        # Without a usable rate, the source is refused.
+        column = file.load((pulse.number,))[0]
+        info, _ = file.describe(column, None if rate is None else parse_quantity(rate, "frequency"))
+        lasts_s = len(column.values) / (info.rate_hz or math.nan)
+        lasts = f"{lasts_s:.4g} s" if lasts_s < A_LONG_TIME_S else f"{lasts_s / 3600:.4g} h"
+        text += f"; it lasts {lasts}, then repeats"
     if announcing is not None:
         table["announce"] = announcing.number
         text += f"; the ECG {_title(announcing)} announces its beats"

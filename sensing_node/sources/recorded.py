@@ -84,7 +84,10 @@ class RecordingScene(SensitivityTable, SourceScene):
 
     def build(self, context: SourceContext) -> "RecordedSource":
         """See `SourceScene.build`."""
-        return RecordedSource(self, context.folder, context.plausible)
+        try:
+            return RecordedSource(self, context.folder, context.plausible)
+        except MemoryError:
+            raise SourceError(f"{self.path}: is too large for the memory; cut it") from None
 
     def unit_of(self, stated: str) -> str:
         """Return the unit that values are converted from; "beat": scaled by their median beat.
@@ -118,8 +121,7 @@ class RecordingScene(SensitivityTable, SourceScene):
         if unit in VOLTAGES:
             newtons = self.calibration().newtons
             return lambda some: newtons(some * sign * VOLTAGES[unit]) + rest_n
-        low, high = extremes(values)
-        height = high - low if unit == "raw" else beat_height(values, rate_hz)
+        height = _height(values) if unit == "raw" else beat_height(values, rate_hz)
         mean = sum(float(block.sum()) for block in blocks(values)) / len(values)
         gain = sign * ((self.peak_to_peak_n or BEAT_N) / height)
         return lambda some: rest_n + (some - mean) * gain
@@ -135,8 +137,12 @@ def beat_height(values: NDArray[Any], rate_hz: float) -> float:
         np.ptp(block[: len(block) // width * width].reshape(-1, width), axis=1)
         for block in blocks(values, max(1, BLOCK // width) * width)
     ]
+    return float(np.median(np.concatenate(heights))) or _height(values)
+
+
+def _height(values: NDArray[Any]) -> float:
     low, high = extremes(values)
-    return float(np.median(np.concatenate(heights))) or high - low
+    return high - low
 
 
 class RecordedSource(SampleSource):
