@@ -77,6 +77,7 @@ class Hardware:
         # The drive's last status, and the travel that was commanded until the last tick.
         self._status = drive.status()
         self._travel_m: float | None = None
+        self._commanded = False
         self._origin_m = self._unseen_n = 0.0
         self._received_ns = 0
         self.at_end = LimitCounter()
@@ -137,9 +138,12 @@ class Hardware:
         self._drive.place_finger(origin_m)
 
     def overrun(self, elapsed_ticks: int) -> str | None:
-        """Return the fault if the drive came to rest because a tick is too late."""
+        """Return the fault if the drive came to rest because a tick is too late.
+
+        Before the first command it rests at first touch, and its watchdog does not run.
+        """
         silent_ns = elapsed_ticks * self._tick_ns
-        if silent_ns <= self._watchdog_ns:
+        if silent_ns <= self._watchdog_ns or not self._commanded:
             return None
         return f"loop overrun: no command for {silent_ns * 1e-6:.0f} ms"
 
@@ -161,6 +165,7 @@ class Hardware:
         # After a fault no command is sent; `held_back` still belongs to the last one: not counted.
         self.at_end.add(self._status.held_back and not faults)
         if not faults:
+            self._commanded = True
             self._drive.command(speed_m_per_s)
             return None
         self._drive.withdraw(faults[0])

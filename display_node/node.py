@@ -62,12 +62,18 @@ def start_benches(
     the film's sensor or the drive does not answer.
     """
     with ExitStack() as stack:
-        yield [
+        benches = [
             None
             if contactor.drive is None
             else stack.enter_context(_start_bench(contactor, contactor.drive, folder, without_film))
             for contactor in scene.contactors
         ]
+        # A film's samples of the seconds in which the further drives were homed: the first tick
+        # would take as long as a watchdog.
+        for bench in benches:
+            if bench is not None:
+                bench.read()
+        yield benches
 
 
 @contextmanager

@@ -92,7 +92,7 @@ class DisplayScene(ContactorScene):
     late_target: Annotated[Ratio, Field(gt=0, le=0.5)] = 0.01
     predictor: PredictorTable = DEFAULT_PREDICTOR
     announce: Literal["auto", "off"] = "auto"
-    tick_ns: Annotated[Nanoseconds, Field(ge=100_000, le=100_000_000)] = 2_000_000
+    tick_ns: Annotated[Nanoseconds, Field(ge=100_000, le=100_000_000)] = 1_000_000
     paths: Annotated[Annotated[int, Field(ge=1, le=8)] | None, BeforeValidator(_count_or_auto)] = (
         None
     )

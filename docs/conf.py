@@ -7,7 +7,7 @@ from pathlib import Path
 from sphinx.application import Sphinx
 
 _HERE = Path(__file__).parent
-sys.path[:0] = [str(_HERE.parent), str(_HERE)]
+sys.path.insert(0, str(_HERE.parent))
 
 project = "telepulse"
 author = copyright = "The telepulse contributors"
@@ -17,7 +17,6 @@ extensions = [
     "myst_parser",
     "sphinx.ext.autodoc",
     "sphinx.ext.napoleon",
-    "ext.from_code",
     "sphinx_gallery.gen_gallery",
 ]
 exclude_patterns = ["images", "firmware", "ext"]

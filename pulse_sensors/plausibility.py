@@ -12,9 +12,9 @@ All forces are in N. Pure.
 
 import math
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,9 +48,37 @@ GAP_STEPS: Final = 5
 # Range of the rates of recorded pulses, which decides the unit of times that state none.
 USUAL_HZ = (10.0, 20_000.0)
 SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
-_UNIT = re.compile(r"(?:^|[\s_(\[,])(s|sec|seconds|ms|us|µs|ns)[)\]]?$", re.IGNORECASE)
-_TIME_NAME = re.compile(r"time|^t$|^t[_\s(\[]", re.IGNORECASE)
+_UNIT = re.compile(r"(?:^|[\s_(\[,])(s|sec|seconds|min|ms|us|µs|ns)[)\]]?$", re.IGNORECASE)
+_TIME_NAME = re.compile(r"time|zeit|stamp|^t$|^t[_\s(\[]", re.IGNORECASE)
 SETTLED_S = 2.0
+# Values that are examined at once.
+BLOCK: Final = 1 << 16
+
+
+def blocks(values: NDArray[Any], length: int = BLOCK) -> Iterator[NDArray[np.float64]]:
+    """Yield values in 64 bits, block by block, so that a long file needs no copy in memory."""
+    with np.errstate(invalid="ignore"):
+        for first in range(0, len(values), length):
+            yield np.asarray(values[first : first + length], dtype=np.float64)
+
+
+def extremes(values: NDArray[Any]) -> tuple[float, float]:
+    """Return the least and the greatest value, NaN left out; infinities of none."""
+    low, high = math.inf, -math.inf
+    for block in blocks(values):
+        low = min(low, float(np.fmin.reduce(block, initial=math.inf)))
+        high = max(high, float(np.fmax.reduce(block, initial=-math.inf)))
+    return low, high
+
+
+def never_falls(values: NDArray[Any]) -> bool:
+    """Return whether values are finite and each is at least the one before it."""
+    last = -math.inf
+    for block in blocks(values):
+        if not (np.isfinite(block).all() and block[0] >= last and np.all(block[1:] >= block[:-1])):
+            return False
+        last = float(block[-1])
+    return True
 
 
 def is_usable(value: float) -> bool:
@@ -125,16 +153,18 @@ class RateCheck:
 class RecordedColumn:
     """One column of a recording's file.
 
-    values: samples in the file's unit, shape (samples,). number: its index from 0. name: empty if
-    the file has no names. others: names of the other columns. rising: other columns whose values
-    never fall, like times, by name or number.
+    values: samples in the file's unit, shape (samples,), of any kind of real number. number: its
+    index from 0. name: empty if the file has no names. others: names of the other columns. rising:
+    other columns whose values never fall, like times, by name or number. notes: what was changed in
+    them.
     """
 
-    values: NDArray[np.float64]
+    values: NDArray[Any]
     number: int = 0
     name: str = ""
     others: tuple[str, ...] = ()
-    rising: dict[str, NDArray[np.float64]] = field(default_factory=dict)
+    rising: dict[str, NDArray[Any]] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
 
     @property
     def title(self) -> str:
@@ -142,18 +172,19 @@ class RecordedColumn:
         return f"column {self.number}" + (f' ("{self.name}")' if self.name else "")
 
 
-def unusable_values(values: NDArray[np.float64]) -> str | None:
+def unusable_values(values: NDArray[Any]) -> str | None:
     """Return the reason why a file's values are not samples of a signal, or None.
 
     NaN are missing samples.
     """
     if len(values) < 2:
         return f"number of samples is {len(values)}; it must be 2 or more"
-    if np.all(np.isnan(values)):
+    low, high = extremes(values)
+    if low > high:
         return "all values are NaN"
-    bad = np.flatnonzero(np.abs(values) > LARGEST)
-    if not len(bad):
+    if max(-low, high) <= LARGEST:
         return None
+    bad = np.flatnonzero(np.abs(values) > LARGEST)
     count = count_text(len(bad), "value is", "values are")
     return f"{count} beyond {LARGEST:g}, the first is sample {bad[0]}; cut or fill them"
 
@@ -177,14 +208,17 @@ def stated_times(column: RecordedColumn) -> StatedTimes | None:
     """
     for name, step, gaps, _ in _time_columns(column):
         found = _UNIT.search(name)
-        units = (
-            [SECONDS.get(found[1].lower().replace("µ", "u"), 1.0)] if found else SECONDS.values()
-        )
+        units = SECONDS.values() if found is None else (_seconds(found[1]),)
         for seconds in units:
-            if found or USUAL_HZ[0] <= 1 / (step * seconds) <= USUAL_HZ[1]:
+            if step * seconds and (found or USUAL_HZ[0] <= 1 / (step * seconds) <= USUAL_HZ[1]):
                 times_s = column.rising[name] * seconds
                 return StatedTimes(name, times_s, 1 / (step * seconds), gaps)
     return None
+
+
+def _seconds(unit: str) -> float:
+    """Return the length of a unit of time in s."""
+    return (SECONDS | {"min": 60.0}).get(unit.lower().replace("µ", "u"), 1.0)
 
 
 def is_time_name(name: str) -> bool:
@@ -194,15 +228,48 @@ def is_time_name(name: str) -> bool:
 
 def constant_column(column: RecordedColumn) -> str | None:
     """Return the fault of a column whose values are all equal, or None."""
-    if np.ptp(column.values) >= SMALLEST:
+    low, high = extremes(column.values)
+    if high - low >= SMALLEST:
         return None
     return f"{column.title}: all values are equal, {column.values[0]:g}; it has no pulse"
 
 
+class ForceRange(NamedTuple):
+    """Range of a recording's forces in N, and shares of samples at its top and below 0 N."""
+
+    lowest_n: float
+    highest_n: float
+    topmost: float
+    below: float
+
+    @classmethod
+    def of(cls, parts: Iterable[NDArray[np.float64]]) -> Self:
+        """Return the range of forces that come in parts."""
+        lowest_n, highest_n, topmost, below, count = math.inf, -math.inf, 0, 0, 0
+        for force_n in parts:
+            top_n = float(force_n.max())
+            topmost = (topmost if top_n <= highest_n else 0) + (
+                int(np.count_nonzero(force_n == top_n)) if top_n >= highest_n else 0
+            )
+            lowest_n, highest_n = min(lowest_n, float(force_n.min())), max(highest_n, top_n)
+            below += int(np.count_nonzero(force_n < -NEGLIGIBLE_N))
+            count += len(force_n)
+        return cls(lowest_n, highest_n, topmost / count, below / count)
+
+
 def examine(
-    column: RecordedColumn, force_n: NDArray[np.float64], unit: str, rate_hz: float, rest_n: float
+    column: RecordedColumn,
+    forces: Callable[[NDArray[np.float64]], NDArray[np.float64]],
+    unit: str,
+    rate_hz: float,
+    rest_n: float,
 ) -> tuple[str | None, list[str]]:
-    """Examine a recording's forces, shape (samples,), with its file and its scene's keys.
+    """Examine a recording's forces with its file and its scene's keys.
+
+    Parameters
+    ----------
+    forces : callable
+        Return the forces in N of some of the column's values.
 
     Returns
     -------
@@ -211,25 +278,25 @@ def examine(
     warnings : list of str
         Doubtful properties of forces that are not refused.
     """
-    refusal = (
-        constant_column(column)
-        or _refuse_times(column)
-        or _refuse_rate(column, rate_hz)
-        or _refuse_forces(force_n, unit, rest_n)
-    )
+    refusal = constant_column(column) or _refuse_times(column) or _refuse_rate(column, rate_hz)
+    if refusal is None:
+        found = ForceRange.of(map(forces, blocks(column.values)))
+        refusal = _refuse_forces(found, unit, rest_n)
     if refusal is not None:
         return refusal, []
-    return None, [*_warn_of_gaps(column), *_warn_of_forces(force_n, unit, rest_n)]
+    few = len(column.values) < FEW_SAMPLES
+    return None, [*_warn_of_gaps(column), *_warn_of_forces(found, few, unit, rest_n)]
 
 
 def _refuse_times(column: RecordedColumn) -> str | None:
     """Return the fault of a column that only rises, as times do, and advice; or None."""
     values = column.values
-    steps = np.diff(values)
+    if len(values) < FEW_SAMPLES or not never_falls(values):
+        return None
     # Where fewer than half of the steps rise, the column has rounded times or a stepped force: then
     # its name decides.
-    often = np.count_nonzero(steps) >= len(steps) / 2 or _TIME_NAME.search(column.name)
-    if len(values) < FEW_SAMPLES or not often or not np.all(steps >= 0):
+    steps = np.diff(values)
+    if np.count_nonzero(steps) < len(steps) / 2 and not _TIME_NAME.search(column.name):
         return None
     text = f"{column.title} never falls, so it is a time and not a pulse"
     for other in column.others:
@@ -245,8 +312,7 @@ def _refuse_rate(column: RecordedColumn, rate_hz: float) -> str | None:
     """
     for name, step, _, rounding in _time_columns(column):
         found = _UNIT.search(name)
-        unit = found[1].lower().replace("µ", "u") if found else None
-        seconds = SECONDS.values() if unit is None else (SECONDS.get(unit, 1.0),)
+        seconds = SECONDS.values() if found is None else (_seconds(found[1]),)
         rates_hz = [1 / (step * s) for s in seconds if SHORTEST_S <= step * s <= LONGEST_S]
         if not rates_hz:
             continue
@@ -262,6 +328,7 @@ def _refuse_rate(column: RecordedColumn, rate_hz: float) -> str | None:
 
 
 def _warn_of_gaps(column: RecordedColumn) -> Iterator[str]:
+    yield from column.notes
     for name, _, gaps, _ in _time_columns(column):
         if gaps:
             yield (
@@ -280,7 +347,7 @@ def _time_columns(column: RecordedColumn) -> Iterator[tuple[str, float, int, flo
     time. Columns with steps of exactly 1 are left out, as they may number the samples.
     """
     for name, times in column.rising.items():
-        steps = np.diff(times)
+        steps = np.diff(times).astype(np.float64)
         rises = steps[steps > 0]
         if len(times) < FEW_SAMPLES or not len(rises):
             continue
@@ -296,38 +363,38 @@ def _time_columns(column: RecordedColumn) -> Iterator[tuple[str, float, int, flo
         yield name, step, gaps, usual / (times[-1] - times[0])
 
 
-def _refuse_forces(force_n: NDArray[np.float64], unit: str, rest_n: float) -> str | None:
+def _refuse_forces(found: ForceRange, unit: str, rest_n: float) -> str | None:
     """Return the reason why forces cannot be a pulse, and the key to set; or None."""
-    lowest_n, highest_n = float(force_n.min()), float(force_n.max())
-    largest_n = max(-lowest_n, highest_n)
+    largest_n = max(-found.lowest_n, found.highest_n)
     if largest_n > MOST_N:
         text = f'reaches {largest_n:.4g} N in unit "{unit}", and a pulse stays below {MOST_N:g} N'
         if unit in ("N", "V") and largest_n * 1e-3 <= MOST_N:
             return f'{text}; set unit = "m{unit}" if the values are in m{unit}'
         return f'{text}; set unit, or unit = "raw" with peak_to_peak'
-    if (share := _share_below(force_n)) <= MOST_BELOW:
+    if found.below <= MOST_BELOW:
         return None
-    text = f"is below 0 N for {100 * share:.0f} % of the samples, which no display can play"
-    if highest_n <= 0:
+    text = f"is below 0 N for {100 * found.below:.0f} % of the samples, which no display can play"
+    if found.highest_n <= 0:
         return f"{text}; set inverted = true if the pulse presses where the values fall"
-    return f"{text}; set {_setting('preload', f'{_preload(rest_n - lowest_n):g} N', ' or more')}"
+    return (
+        f"{text}; set {_setting('preload', f'{_preload(rest_n - found.lowest_n):g} N', ' or more')}"
+    )
 
 
-def _warn_of_forces(force_n: NDArray[np.float64], unit: str, rest_n: float) -> Iterator[str]:
-    topmost = float(np.count_nonzero(force_n == force_n.max())) / len(force_n)
-    if topmost > MOST_TOPMOST and len(force_n) >= FEW_SAMPLES:
+def _warn_of_forces(found: ForceRange, few: bool, unit: str, rest_n: float) -> Iterator[str]:
+    if found.topmost > MOST_TOPMOST and not few:
         yield (
-            f"is at its highest value for {100 * topmost:.0f} % of the samples: was it recorded"
-            " beyond an ADC's range?"
+            f"is at its highest value for {100 * found.topmost:.0f} % of the samples: was it"
+            " recorded beyond an ADC's range?"
         )
-    span_n = float(np.ptp(force_n))
+    span_n = found.highest_n - found.lowest_n
     if span_n < LEAST_PULSE_N:
         larger = f': is unit = "{unit.removeprefix("m")}" right?' if unit in ("mN", "mV") else ""
         yield f"is {span_n * 1e3:.3g} mN from peak to peak, too small to feel{larger}"
-    if share := _share_below(force_n):
-        preload_n = _preload(rest_n - float(force_n.min()))
+    if found.below:
+        preload_n = _preload(rest_n - found.lowest_n)
         yield (
-            f"is below 0 N for {100 * share:.2g} % of the samples, which are not played;"
+            f"is below 0 N for {100 * found.below:.2g} % of the samples, which are not played;"
             f" {_setting('preload', f'{preload_n:g} N')} prevents it"
         )
 
@@ -335,10 +402,6 @@ def _warn_of_forces(force_n: NDArray[np.float64], unit: str, rest_n: float) -> I
 def _setting(key: str, value: str, more: str = "") -> str:
     """Return a key with its value as a scene has it, and the option of a record for it."""
     return f'{key} = "{value}"{more} (beside --source: --{key})'
-
-
-def _share_below(force_n: NDArray[np.float64]) -> float:
-    return float(np.count_nonzero(force_n < -NEGLIGIBLE_N)) / len(force_n)
 
 
 def _preload(needed_n: float) -> float:

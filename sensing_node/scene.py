@@ -88,6 +88,20 @@ class SensingScene(Section):
             )
         return self.source
 
+    def still(self) -> "SensingScene | None":
+        """Return the section without its pulse, as of a sensor that nothing presses.
+
+        None where the source has a pulse always, such as a recording. Raises SceneError as
+        `modelled` does.
+        """
+        silent = self.modelled.still()
+        if silent is None:
+            return None
+        changes: dict[str, object] = {"source": silent}
+        if self.conditioning is not None:
+            changes["conditioning"] = self.conditioning.model_copy(update={"hold_down_n": 0.0})
+        return self.model_copy(update=changes)
+
 
 def load_sensing(path: Path, options: Mapping[str, str | None] = {}) -> SensingScene:
     """Read the [sensing] section of a scene, with a record in place of its source if one is given.
@@ -113,7 +127,7 @@ def load_sensing(path: Path, options: Mapping[str, str | None] = {}) -> SensingS
             raise SceneError(f"--{key} is of a record; give the record by --source")
         return load_section(path, "sensing", SensingScene)
     record = Path(given.pop("source"))
-    source, chosen = record_table(record, given.pop("channel", None))
+    source, chosen = record_table(record, given.pop("channel", None), given.get("rate"))
     source |= given
     logger.info(chosen)
     sensing = {**load_document(path).get("sensing", {}), "source": source}

@@ -10,14 +10,19 @@ import numpy as np
 
 from display_node.scoring.beat_quality import GOOD
 from display_node.scoring.beats import Beat, BeatAnalysis
+from display_node.scoring.rises import LONGEST
+from display_node.scoring.step_means import STEP_S
 from protocol.beats import BeatFigures
 from protocol.wire.messages import ChannelSamples
 
 # Medians are over the good beats of this time.
 MINUTE_NS = 60_000_000_000
-# Longest time without the end of a beat. The slowest beats last 2.5 s, and the first one is found
+# Longest time without the end of a beat. The slowest beats last 3 s, and the first one is found
 # after 1.25 s.
 WITHOUT_NS = 5_000_000_000
+# Rates that are counted; the latter with a tolerance.
+SLOWEST_PER_MIN, FASTEST_PER_MIN, TOLERATED_PER_MIN = 20, 300, 306
+LONGEST_S = LONGEST * STEP_S
 # Of this number of beats, as many doubtful ones begin the alarm.
 JUDGED, DOUBTFUL = 3, 2
 
@@ -26,10 +31,15 @@ def pulse_alarm(beats: Mapping[str, Any]) -> str | None:
     """Return the text of the pulse alarm of a summary's `beats`; None while it is off."""
     if not beats.get("alarm"):
         return None
-    quality = beats.get("quality")
+    advice = "check the sensor's place and contact"
+    quality, rate_per_min = beats.get("quality"), beats.get("rate_per_min")
+    if rate_per_min is not None and rate_per_min > TOLERATED_PER_MIN:
+        return f"the received pulse is above the {FASTEST_PER_MIN} /min that are counted: {advice}"
+    if rate_per_min is not None and rate_per_min < 60 / LONGEST_S:
+        return f"the received pulse is below the {SLOWEST_PER_MIN} /min that are counted: {advice}"
     # Statuses of other programs may lack this figure.
     of = "" if quality is None else f" (quality {quality:.2f})"
-    return f"the received signal is no regular pulse{of}: check the sensor's place and contact"
+    return f"the received signal is no regular pulse{of}: {advice}"
 
 
 class BeatStatistics:
@@ -44,6 +54,7 @@ class BeatStatistics:
         self._analysis = BeatAnalysis()
         self._good: deque[Beat] = deque()
         self._qualities: deque[float] = deque([1.0] * JUDGED, maxlen=JUDGED)
+        self._intervals_s: deque[float] = deque(maxlen=JUDGED)
         # Newest sample, and the end of the newest beat; at first the first sample.
         self._newest_ns = 0
         self._ended_ns: int | None = None
@@ -64,6 +75,7 @@ class BeatStatistics:
         # A beat that cannot be compared yet counts as good.
         quality = 1.0 if beat.quality is None else beat.quality
         self._qualities.append(quality)
+        self._intervals_s.append(beat.interval_s)
         if quality < GOOD:
             self._doubtful += 1
             return
@@ -79,22 +91,27 @@ class BeatStatistics:
         without = self._newest_ns - self._ended_ns > WITHOUT_NS
         qualities, good = self._qualities, self._good
         doubtful = sum(quality < GOOD for quality in qualities)
+        longer_s = [each_s for each_s in self._intervals_s if each_s > LONGEST_S]
+        slow = len(longer_s) >= DOUBTFUL
         found = BeatFigures(
             count=self._count,
+            rate_per_min=60 / statistics.median(longer_s) if slow else None,
             quality=0.0 if without else qualities[-1] if self._count else None,
             doubtful=self._doubtful / self._count if self._count else None,
             alarm=without or doubtful >= DOUBTFUL,
         )
-        if not good:
+        if not good or slow:
             return found
         intervals_s = np.array([beat.interval_s for beat in good])
+        rate_per_min = 60 / float(np.median(intervals_s))
         notches_ns = [b.notch_ns - b.onset_ns for b in good if b.notch_ns is not None]
         has_notch = 2 * len(notches_ns) > len(good)
         return replace(
             found,
-            rate_per_min=60 / float(np.median(intervals_s)),
+            rate_per_min=rate_per_min,
             variability_ms=float(intervals_s.std()) * 1e3,
             height_n=statistics.median(beat.height_n for beat in good),
             upstroke_ms=statistics.median(beat.upstroke_s for beat in good) * 1e3,
             notch_ms=statistics.median(notches_ns) * 1e-6 if has_notch else None,
+            alarm=found.alarm or rate_per_min > TOLERATED_PER_MIN,
         )

@@ -1,8 +1,8 @@
 """Beats of a pulse, one by one: onset, peak, notch, height, and whether they can be trusted. Pure.
 
-The pulse is averaged over steps of 5 ms. A beat is found where it rises far, and to a high level,
-compared with the last seconds; a second wave within the same beat rises as far at most to half the
-level. A beat is complete, and reported, when the next one has begun.
+The pulse is averaged over steps of 5 ms (`step_means.py`), in which the beats are found
+(`rises.py`). A beat is complete, and reported, when the next one has begun. The work is done in
+pieces, one a frame: a display observes the pulse in the thread of its force loop.
 """
 
 import math
@@ -13,33 +13,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from display_node.scoring.beat_quality import AFTER, BEFORE, GOOD, BeatShape, ShapeMemory
+from display_node.scoring.rises import FEWEST, LONGEST, MOST, RISE, RiseDetector
+from display_node.scoring.step_means import STEP_NS, STEP_S, StepMeans
 from protocol.config.arguments import number
 from protocol.errors import ArgumentError
 from protocol.wire.messages import ChannelSamples, channel_samples
 
 Floats = NDArray[np.float64]
-STEP_NS = 5_000_000
-STEP_S = STEP_NS * 1e-9
-# Work is done in pieces of at least this number of steps, 0.2 s.
-PIECE = 40
-# Over a longer gap the search begins anew; shorter ones are interpolated.
-MAX_GAP_NS = 100_000_000
-# Samples are averaged after this time, within which frames may change places.
-HELD_NS = 100_000_000
-# Steps that are kept, 8 s: three of the longest beats.
-KEPT = 1_600
-# A beat lasts 0.27 to 2.5 s: 24 to 222 beats a minute.
-SHORTEST, LONGEST = 54, 500
-# Time within which a rise is measured, and within which a crossing is followed by its steepest
-# step.
-RISE, FOLLOWS = 50, 25
-# Before a rhythm is known, a rise must have this share of the highest ones.
-FIRST_SHARE = 0.6
-# Afterwards, the share that is required falls between these two parts of a usual interval: until
-# then, a rise is more likely a second wave; later, an early beat that may be weak.
-EARLY_SHARE, LATE_SHARE = 0.6, 0.33
-EARLY, LATE = 0.5, 0.63
-INTERVALS = 8
+# Time within which a crossing is followed by its steepest step.
+FOLLOWS = 25
+# Steps that are kept: the longest beat, and what is needed before and after it.
+KEPT = MOST + RISE + BEFORE + AFTER + 2 * FOLLOWS
 
 
 class Beat(NamedTuple):
@@ -58,7 +42,8 @@ class Beat(NamedTuple):
     interval_s : float
         Time to the next onset.
     quality : float or None
-        0 to 1: similarity to the beats before, 0 for an implausible one. None for the first three.
+        0 to 1: similarity to the beats before, 0 for an implausible one or one that is longer than
+        3 s. None for the first three.
     """
 
     onset_ns: int
@@ -80,67 +65,18 @@ class Beat(NamedTuple):
         return (self.peak_ns - self.onset_ns) * 1e-9
 
 
-class RiseDetector:
-    """Detector of beats from the rise and level at each step."""
-
-    def __init__(self) -> None:
-        # Highest rises of the last windows, of which each contains a beat. The least of them
-        # counts: the others may contain artefacts.
-        self._highest: deque[float] = deque(maxlen=3)
-        self._least_highest, self._window_highest = math.inf, 0.0
-        # The first window is shorter.
-        self._window_end = LONGEST // 2
-        self._intervals: deque[int] = deque(maxlen=INTERVALS)
-        self._usual: int | None = None
-        self._last: int | None = None
-        self._rising = False
-
-    def begins_beat(self, step: int, rise: float, level: float) -> bool:
-        """Return whether a beat rises at this step.
-
-        Parameters
-        ----------
-        step
-            Number of the step.
-        rise
-            Rise of the pulse within the last 250 ms.
-        level
-            0 at the lowest value of the last seconds, 1 at the highest.
-        """
-        self._window_highest = max(self._window_highest, rise)
-        if step >= self._window_end:
-            self._highest.append(self._window_highest)
-            self._least_highest = min(self._highest)
-            self._window_highest, self._window_end = 0.0, step + LONGEST
-        score, least, was_rising = rise * level, self._least_highest, self._rising
-        self._rising = score > LATE_SHARE * least and score > self._share(step) * least
-        if not self._rising or was_rising:
-            return False
-        if self._last is not None:
-            if step - self._last < SHORTEST:
-                return False
-            if step - self._last <= LONGEST:
-                self._intervals.append(step - self._last)
-            else:
-                self._intervals.clear()
-            # An upper quantile: after second waves were taken for beats, half are too short.
-            intervals = sorted(self._intervals)
-            self._usual = intervals[-1 - len(intervals) // 4] if len(intervals) > 1 else None
-        self._last = step
-        return True
-
-    def _share(self, step: int) -> float:
-        if self._last is None or self._usual is None:
-            return FIRST_SHARE
-        passed = ((step - self._last) / self._usual - EARLY) / (LATE - EARLY)
-        return EARLY_SHARE + (LATE_SHARE - EARLY_SHARE) * min(max(passed, 0.0), 1.0)
-
-
 # The peak is searched in this time after the onset, at most in half of the beat.
 PEAK_WITHIN = 80
 # The notch is searched from this time after the peak on; the wave after it has at least this share
 # of the beat's height. A slow respiratory wave rises by up to 1.5 % of it within RISE.
 NOTCH_FROM, NOTCH_WITHIN, NOTCH_SHARE = 10, 100, 0.02
+
+
+class Span(NamedTuple):
+    """Onset of a beat and of the following one, in steps counted to the middle of a step."""
+
+    onset: float
+    following: float
 
 
 class BeatAnalysis:
@@ -152,16 +88,18 @@ class BeatAnalysis:
 
     def _begin(self, begin_ns: int) -> None:
         """Begin the steps at a time; the shapes are kept."""
+        self._steps = StepMeans(begin_ns)
         self._rises = RiseDetector()
-        # Frames that are not, or not all, averaged yet, in order of time.
-        self._frames: list[ChannelSamples] = []
-        self._begin_ns = begin_ns
-        self._newest_ns: int | None = None
-        # Means over steps from number `_first` on; those before `_searched` were searched.
-        self._means = np.zeros(0)
-        self._first = self._searched = 0
-        self._crossed: int | None = None
-        # Step of the present beat's onset, counted to the middle of a step.
+        # Means over the steps from number `_first` on.
+        self._means: list[float] = []
+        self._first = 0
+        self._any = False
+        # Work to be done: rises whose onset is not found yet, beats that are not measured, and the
+        # measured one that is not judged.
+        self._crossings: deque[int] = deque()
+        self._spans: deque[Span] = deque()
+        self._measured: tuple[Beat, BeatShape] | None = None
+        self._crossed = 0
         self._onset: float | None = None
 
     def observe(self, samples: ChannelSamples) -> list[Beat]:
@@ -169,111 +107,95 @@ class BeatAnalysis:
 
         Frames may be out of order by 0.1 s; later ones are ignored, and repeated ones.
         """
-        first_ns, newest_ns = samples.times_ns[0], self._newest_ns
-        if newest_ns is None or first_ns - newest_ns > MAX_GAP_NS + samples.period_ns:
-            self._begin(first_ns)
-            newest_ns = first_ns
-        done = self._first + len(self._means)
-        averaged_ns = self._begin_ns + done * STEP_NS
-        frames = self._frames
-        place = len(frames)
-        while place and first_ns <= frames[place - 1].times_ns[0]:
-            place -= 1
-        repeated = place < len(frames) and frames[place].times_ns[0] == first_ns
-        if first_ns < averaged_ns or repeated:
-            return []
-        self._newest_ns = max(newest_ns, samples.times_ns[-1])
-        frames.insert(place, samples)
-        count = (self._newest_ns - HELD_NS - averaged_ns) // STEP_NS
-        if count < PIECE:
-            return []
-        self._average(averaged_ns, count, samples.period_ns)
-        return self._search()
-
-    def _average(self, begin_ns: int, count: int, period_ns: int) -> None:
-        """Append the means over `count` steps."""
-        frames, times_ns, forces_n = self._frames, list[int](), list[float]()
-        for frame in frames:
-            times_ns += frame.times_ns
-            forces_n += frame.forces_n
-        times, values = (np.array(times_ns) - begin_ns).astype(float), np.array(forces_n)
-        edges = STEP_NS * np.arange(count + 1.0)
-        if period_ns > STEP_NS:
-            means = np.interp(edges[:-1] + STEP_NS / 2, times, values)
-        else:
-            areas = np.cumsum(0.5 * (times[1:] - times[:-1]) * (values[1:] + values[:-1]))
-            means = np.diff(np.interp(edges, times[1:], areas)) / STEP_NS
-        # The frames that the next means need: from the last but one sample before them on.
-        needed_ns = begin_ns + int(times[max(int(np.searchsorted(times, edges[-1])) - 2, 0)])
-        self._frames = [frame for frame in frames if frame.times_ns[-1] >= needed_ns]
-        last = self._first + len(self._means) + count
-        self._means = np.concatenate([self._means[-KEPT:], means])
-        self._first = last - len(self._means)
-
-    def _search(self) -> list[Beat]:
-        """Search the new means for beats."""
-        means, first = self._means, self._first
-        at = max(self._searched - first - RISE, 0)
-        if len(means) - at <= RISE:
-            return []
-        windows = np.lib.stride_tricks.sliding_window_view(means[at:], RISE + 1)
-        newest, recent = windows[:, -1], means[-LONGEST:]
-        low, high = recent.min(), recent.max()
-        rises = (newest - windows.min(axis=1)).tolist()
-        levels = ((newest - low) / (high - low) if high > low else newest - low).tolist()
+        if not self._any or not self._steps.follows(samples):
+            self._begin(samples.times_ns[0])
+            self._any = True
+        for mean in self._steps.add(samples):
+            self._add(mean)
         beats = []
-        self._searched = first + at + RISE
-        for rise, level in zip(rises, levels, strict=True):
-            step = self._searched
-            if self._rises.begins_beat(step, rise, level):
-                self._crossed = step
-            if self._crossed == step - FOLLOWS:
-                beats += self._take_onset(self._crossed - first)
-            self._searched += 1
+        # One piece, and more for a long frame.
+        for _ in range(1 + len(samples.times_ns) * samples.period_ns // (2 * STEP_NS)):
+            beat = self._work()
+            if beat is not None:
+                beats.append(beat)
         return beats
 
-    def _take_onset(self, crossed: int) -> list[Beat]:
-        """Find the onset around a crossing; return the beat that it completes."""
+    def _add(self, mean: float) -> None:
+        """Add the mean of a step, and note where a beat rises."""
         means = self._means
-        begin = max(crossed - RISE, 2)
-        slopes = (
-            means[begin + 2 : crossed + FOLLOWS] - means[begin - 2 : crossed + FOLLOWS - 4]
-        ) / 4
-        steepest = begin + int(slopes.argmax())
-        slope = float(slopes.max())
+        means.append(mean)
+        if len(means) > 2 * KEPT:
+            self._first += len(means) - KEPT
+            del means[:-KEPT]
+        step = self._first + len(means) - 1
+        rise = mean - min(means[-RISE - 1 :])
+        if self._rises.begins_beat(step, rise, mean):
+            self._crossings.append(step)
+
+    def _work(self) -> Beat | None:
+        """Do one piece of work; return the beat that it completes."""
+        end = self._first + len(self._means)
+        if self._crossings and self._crossings[0] + FOLLOWS < end:
+            self._take_onset(self._crossings.popleft())
+        elif self._measured is not None:
+            beat, shape = self._measured
+            self._measured = None
+            if beat.interval_s > LONGEST * STEP_S:
+                return beat._replace(quality=0.0)
+            return beat._replace(quality=self._shapes.judge(shape, round(beat.interval_s / STEP_S)))
+        elif self._shapes.learns:
+            self._shapes.learn()
+        elif self._spans and round(self._spans[0].onset) + AFTER <= end:
+            self._measured = self._measure(self._spans.popleft())
+        return None
+
+    def _take_onset(self, crossed: int) -> None:
+        """Find the onset around a crossing; note the beat that it completes."""
+        # Not before the rise of the beat before.
+        earliest = max(crossed - 2 * RISE, self._crossed, self._first + 2)
+        follows = min(FOLLOWS, (crossed - self._crossed) // 2)
+        self._crossed = crossed
+        begin = earliest - 2
+        means = np.array(self._means[begin - self._first : crossed - self._first + follows])
+        at = max(crossed - RISE, earliest) - begin
+        at += int(means[at : crossed - begin + 1].argmin())
+        slopes = (means[at + 2 :] - means[at - 2 : -4]) / 4
+        steepest, slope = at + int(slopes.argmax()), float(slopes.max())
         before = means[max(steepest - RISE, 0) : steepest + 1]
         foot = _mean_around(before, int(before.argmin()))
-        onset = self._first + steepest - (_mean_around(means, steepest) - foot) / slope
+        rise = _mean_around(means, steepest) - foot
+        onset = begin + steepest - (rise / slope if slope > 0 else 0.0)
         last, self._onset = self._onset, onset
-        if last is None or not SHORTEST <= onset - last <= LONGEST:
-            return []
-        beat = self._complete(last, onset)
-        return [] if beat is None else [beat]
+        if last is not None and FEWEST <= onset - last <= MOST:
+            self._spans.append(Span(last, onset))
 
-    def _complete(self, onset: float, following: float) -> Beat | None:
-        """Return the beat between two onsets; None if its begin is not kept."""
-        at, steps = round(onset) - self._first, round(following - onset)
-        if at < BEFORE:
+    def _measure(self, span: Span) -> tuple[Beat, BeatShape] | None:
+        """Return a beat without its quality, and its shape; None if its begin is not kept."""
+        onset = round(span.onset)
+        begin, steps = onset - RISE, round(span.following - span.onset)
+        if begin < self._first:
             return None
-        wave = self._means[at : at + steps]
+        kept = self._means[begin - self._first : onset - self._first + max(steps, AFTER)]
+        means = np.array(kept)
+        wave = means[RISE : RISE + steps]
         peak = int(wave[: min(PEAK_WITHIN, steps // 2)].argmax())
-        beginning = self._means[max(at - RISE, 0) : at + peak + 1]
+        beginning = means[: RISE + peak + 1]
         foot_n = _mean_around(beginning, int(beginning.argmin()))
         height_n = float(wave[peak]) - foot_n
         notch = _notch(wave, peak, height_n)
-        shape = BeatShape(self._means[at - BEFORE : at + AFTER], height_n)
-        return Beat(
-            self._time_ns(onset),
-            self._time_ns(at + self._first + _vertex(wave, peak)),
-            None if notch is None else self._time_ns(at + self._first + notch),
+        beat = Beat(
+            self._time_ns(span.onset),
+            self._time_ns(onset + _vertex(wave, peak)),
+            None if notch is None else self._time_ns(onset + notch),
             foot_n,
             height_n,
-            (following - onset) * STEP_S,
-            self._shapes.judge(shape, steps),
+            (span.following - span.onset) * STEP_S,
+            None,
         )
+        return beat, BeatShape(means[RISE - BEFORE : RISE + AFTER], height_n)
 
     def _time_ns(self, step: float) -> int:
-        return self._begin_ns + round((step + 0.5) * STEP_NS)
+        return self._steps.begin_ns + round((step + 0.5) * STEP_NS)
 
 
 def _mean_around(values: Floats, at: int) -> float:
@@ -295,7 +217,8 @@ def _notch(wave: Floats, peak: int, height_n: float) -> float | None:
     if end - peak - NOTCH_FROM < 3:
         return None
     # Without the last part, in which the next beat begins to rise.
-    smooth = np.convolve(wave, np.full(5, 0.2), "same")[: 17 * len(wave) // 20]
+    until = min(end + RISE, 17 * len(wave) // 20)
+    smooth = np.convolve(wave[: until + 2], np.full(5, 0.2), "same")[:until]
     inner = smooth[peak + NOTCH_FROM : end]
     lowest = (inner[1:-1] <= inner[:-2]) & (inner[1:-1] < inner[2:])
     for at in (peak + NOTCH_FROM + 1 + np.flatnonzero(lowest)[::-1]).tolist():
@@ -335,7 +258,7 @@ def find_beats(force_n: Floats, rate_hz: float) -> list[Beat]:
         raise ArgumentError(f"force_n: must have one dimension, got the shape {force_n.shape}")
     period_ns, analysis, beats = round(1e9 / rate_hz), BeatAnalysis(), list[Beat]()
     # Held after the last sample, so that it is averaged as well.
-    padded = np.concatenate([force_n, np.repeat(force_n[-1:], math.ceil(0.5 * rate_hz))])
+    padded = np.concatenate([force_n, np.repeat(force_n[-1:], math.ceil(rate_hz))])
     known = np.isfinite(padded)
     # Frames of about 0.1 s: levels are those of the last seconds before a frame's end.
     ends = np.arange(0, len(padded), math.ceil(0.1 * rate_hz))[1:]

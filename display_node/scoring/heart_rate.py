@@ -3,7 +3,11 @@
 import numpy as np
 from numpy.typing import NDArray
 
-SHORTEST_BEAT_S = 0.3
+# A rate above this one is not counted.
+FASTEST_PER_MIN = 306
+# A peak is a second wave where it is lower than this share of the peaks around it and follows the
+# first within this share of their interval.
+SECOND_HEIGHT, SECOND_WITHIN = 0.8, 0.67
 # Longest gap in time within one stretch; a longer one may hide part of a beat.
 LONGEST_HOLE_S = 0.25
 
@@ -24,7 +28,8 @@ def heart_rate_per_min(t_s: NDArray[np.float64], force_n: NDArray[np.float64]) -
     Returns
     -------
     float or None
-        None where that stretch has fewer than two beats, or the newest value is NaN.
+        None where that stretch has fewer than two beats, the newest value is NaN, or the rate is
+        above 300 /min.
     """
     from scipy.signal import find_peaks
 
@@ -34,11 +39,24 @@ def heart_rate_per_min(t_s: NDArray[np.float64], force_n: NDArray[np.float64]) -
     t_s, force_n = t_s[begin:], force_n[begin:]
     if len(t_s) < 3 or not np.isfinite(force_n[-1]) or np.ptp(force_n) == 0:
         return None
-    spacing_s = (t_s[-1] - t_s[0]) / (len(t_s) - 1)
     low, high = np.percentile(force_n, [5, 99])
-    peaks, _ = find_peaks(
-        force_n, prominence=0.5 * (high - low), distance=max(1, round(SHORTEST_BEAT_S / spacing_s))
-    )
+    peaks, _ = find_peaks(force_n, prominence=0.5 * (high - low))
+    peaks = _without_second_waves(t_s[peaks], force_n[peaks] - low)
     if len(peaks) < 2:
         return None
-    return float(60 / np.median(np.diff(t_s[peaks])))
+    rate_per_min = float(60 / np.median(np.diff(peaks)))
+    return rate_per_min if rate_per_min <= FASTEST_PER_MIN else None
+
+
+def _without_second_waves(
+    t_s: NDArray[np.float64], height_n: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return the times of the peaks that are not a second wave of the peak before."""
+    if len(t_s) < 3:
+        return t_s
+    # Of the first and the last peak, only one neighbour is known.
+    before_n = np.append(height_n[1], height_n[:-1])
+    after_n = np.append(height_n[1:], height_n[-2])
+    second = height_n < SECOND_HEIGHT * np.minimum(before_n, after_n)
+    second[1:-1] &= t_s[1:-1] - t_s[:-2] < SECOND_WITHIN * (t_s[2:] - t_s[:-2])
+    return np.asarray(t_s[~second])

@@ -8,8 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from display_node.scoring.beat_quality import AFTER, BEFORE, BeatShape, similarity
-from display_node.scoring.beats import STEP_NS, STEP_S, Beat, BeatAnalysis
+from display_node.scoring.beats import Beat, BeatAnalysis
 from display_node.scoring.depth_curve import BeatPoint
+from display_node.scoring.step_means import STEP_NS, STEP_S
 from protocol.wire.messages import ChannelSamples
 
 Floats = NDArray[np.float64]

@@ -1,1 +1,1 @@
-"""Sphinx extensions of these pages: tables generated from the code."""
+"""Tables of the reference pages, generated from the code: `python -m docs.ext` writes them."""

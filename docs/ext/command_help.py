@@ -7,7 +7,7 @@ from typing import Any
 import typer
 from typer.core import TyperGroup
 
-from ext.from_code import load
+from docs.ext.pages import load
 
 # What a help text ends with where there is a default or a range.
 _LIMITS = re.compile(r"\s*\[((?:default|required|env var|[-0-9.e+x]+[<>]=?)[^\]]*)\]$")
@@ -25,6 +25,7 @@ def _chapter(command: Any, name: str, level: str) -> Iterator[str]:
     yield f"{level} {name}\n"
     yield f"{command.help}\n"
     if isinstance(command, TyperGroup):
+        yield from _panels(command, context, name)
         for inner_name in command.list_commands(context):
             inner = command.get_command(context, inner_name)
             yield from _chapter(inner, f"{name} {inner_name}", "###")
@@ -35,6 +36,20 @@ def _chapter(command: Any, name: str, level: str) -> Iterator[str]:
     if records:
         yield "| | | default, range |\n|---|---|---|"
         yield from (_row(*record) for record in records)
+        yield ""
+
+
+def _panels(group: TyperGroup, context: Any, name: str) -> Iterator[str]:
+    """Yield a table of the commands by the panels of the help; nothing where there are none."""
+    panels: dict[str, list[str]] = {}
+    for inner_name in group.list_commands(context):
+        panel = getattr(group.get_command(context, inner_name), "rich_help_panel", None)
+        if isinstance(panel, str):
+            anchor = f"{name} {inner_name}".replace(" ", "-")
+            panels.setdefault(panel, []).append(f"[`{inner_name}`](#{anchor})")
+    if panels:
+        yield "| to | commands |\n|---|---|"
+        yield from (f"| {panel.lower()} | {', '.join(links)} |" for panel, links in panels.items())
         yield ""
 
 

@@ -9,7 +9,7 @@ from typing import Any, Literal, Union, get_args, get_origin
 from pydantic import BeforeValidator
 from pydantic.fields import FieldInfo
 
-from ext.from_code import load
+from docs.ext.pages import load
 from protocol.config.kinds import OfKind
 from protocol.config.quantities import UNITS, parse_ratio
 from protocol.config.scene import Section

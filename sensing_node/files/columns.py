@@ -1,10 +1,11 @@
-"""Columns of a table: which one a name or number stands for, and which ones may be times.
+"""Files of columns: which one a name or number stands for, and which ones are times.
 
-CSV, NumPy and Parquet files share this. A unit in brackets after a column's title is the unit of
-its values: "ABP [mmHg]".
+Tables in text, NumPy, MATLAB and Parquet files share this. A unit in brackets after a column's
+title is the unit of its values: "ABP [mmHg]".
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -13,11 +14,14 @@ from numpy.typing import NDArray
 
 from protocol.errors import SourceError
 from protocol.wire.stream import first_repeated
-from pulse_sensors.plausibility import RecordedColumn
-from sensing_node.files.signals import ColumnKey, Floats, SignalTable, split_unit
+from pulse_sensors.plausibility import RecordedColumn, never_falls
+from sensing_node.files.clock import are_times, repaired
+from sensing_node.files.signals import ColumnKey, SignalFile, SignalInfo, SignalTable, split_unit
 
 # Title of the column of times in a file that telepulse writes.
 TIMES = "t [s]"
+# Most columns that are kept as times.
+MOST_CLOCKS = 4
 
 
 def titles_of(table: SignalTable) -> list[str]:
@@ -25,9 +29,80 @@ def titles_of(table: SignalTable) -> list[str]:
     return [f"{s.name} [{s.unit}]" if s.unit else s.name for s in table.signals]
 
 
-def in_seconds(title: str) -> str:
-    """Return the title of a column of dates, whose Unix times are in s whatever its title says."""
-    return f"{title} [s]"
+def _row(number: int) -> str:
+    return f"row {number + 1}"
+
+
+def column_file(
+    path: Path,
+    titles: Sequence[str],
+    numbers: Mapping[int, int],
+    column: Callable[[int], NDArray[Any]],
+    times: Sequence[int] = (),
+    rate_hz: float | None = None,
+    place: Callable[[int], str] = _row,
+    **more: Any,
+) -> SignalFile:
+    """Return a file whose columns are read one by one.
+
+    Parameters
+    ----------
+    numbers : mapping of int to int
+        The number of samples of each column of numbers.
+    column : callable
+        Return the values of a column, shape (samples,).
+    times : sequence of int
+        Columns of times in s, which are no numbers in the file.
+    rate_hz : float, optional
+        Rate that the file states apart from its columns.
+    place : callable
+        Return the place of a sample in the file for people.
+    more : Any
+        Further attributes of the file.
+    """
+    labels = [f"{split_unit(t)[0]} [s]" if n in times else t for n, t in enumerate(titles)]
+
+    @cache
+    def clocks() -> tuple[dict[int, NDArray[Any]], list[str]]:
+        found, notes = dict[int, NDArray[Any]](), list[str]()
+        # Those with the name or the unit of times come first.
+        stated = {n: n in times or are_times(*split_unit(labels[n])) for n in (*times, *numbers)}
+        for number in sorted(stated, key=lambda n: not stated[n]):
+            if len(found) == MOST_CLOCKS:
+                break
+            values = column(number)
+            if stated[number]:
+                label = labels[number] or str(number)
+                if (mended := repaired(values.astype(np.float64), label, place)) is not None:
+                    found[number], lines = mended
+                    notes += lines
+            elif len(values) and values[0] < values[-1] and never_falls(values):
+                found[number] = values
+        return found, notes
+
+    def load(keys: Sequence[ColumnKey]) -> list[RecordedColumn]:
+        chosen = numbers_of(keys, titles, path)
+        for number in chosen:
+            if number not in numbers:
+                raise SourceError(f"{path}: column {number}, {titles[number]!r}, holds no numbers")
+        found, notes = clocks()
+        others = tuple(label for number, label in enumerate(labels) if number not in chosen)
+        beside = {n: values for n, values in found.items() if n not in chosen}
+        columns = []
+        for number in chosen:
+            values = column(number)
+            rising = {labels[n] or str(n): v for n, v in beside.items() if len(v) == len(values)}
+            name = split_unit(titles[number])[0]
+            columns.append(
+                RecordedColumn(values, number, name, others, rising, tuple(notes) if rising else ())
+            )
+        return columns
+
+    signals = tuple(
+        SignalInfo(number, *split_unit(titles[number]), rate_hz, samples)
+        for number, samples in numbers.items()
+    )
+    return SignalFile(path, signals, load, **more)
 
 
 def numbers_of(keys: Sequence[ColumnKey], titles: Sequence[str], path: Path) -> list[int]:
@@ -51,51 +126,3 @@ def numbers_of(keys: Sequence[ColumnKey], titles: Sequence[str], path: Path) -> 
     if repeated is not None:
         raise SourceError(f"{path}: column {repeated} is named twice; a column is one channel")
     return numbers
-
-
-def named_columns(
-    path: Path,
-    titles: Sequence[str],
-    arrays: Mapping[int, NDArray[Any]],
-    keys: Sequence[ColumnKey],
-    times: Mapping[int, Floats] = {},
-) -> list[RecordedColumn]:
-    """Return some of the columns of a file, each with those beside it that may be its times.
-
-    Parameters
-    ----------
-    arrays : mapping of int to ndarray, shape (samples,)
-        The columns of numbers, by their numbers.
-    times : mapping of int to ndarray, shape (samples,)
-        Columns of times in s, which are no numbers in the file, by their numbers.
-    """
-    numbers = numbers_of(keys, titles, path)
-    for number in numbers:
-        if number not in arrays:
-            raise SourceError(f"{path}: column {number}, {titles[number]!r}, holds no numbers")
-    labels = [in_seconds(title) if n in times else title for n, title in enumerate(titles)]
-    others = tuple(label for number, label in enumerate(labels) if number not in numbers)
-    beside = {labels[n] or str(n): a for n, a in {**times, **arrays}.items() if n not in numbers}
-    # NumPy warns of signalling NaN, which are missing samples like other NaN.
-    with np.errstate(invalid="ignore"):
-        return [
-            RecordedColumn(
-                np.ascontiguousarray(arrays[number], dtype=np.float64),
-                number,
-                split_unit(titles[number])[0],
-                others,
-                _rising(beside, len(arrays[number])),
-            )
-            for number in numbers
-        ]
-
-
-def _rising(arrays: Mapping[str, NDArray[Any]], length: int) -> dict[str, Floats]:
-    """Return the arrays that have a given length and never fall."""
-    return {
-        name: array.astype(np.float64)
-        for name, array in arrays.items()
-        if len(array) == length
-        and bool(np.isfinite(array).all())
-        and bool(np.all(array[1:] >= array[:-1]))
-    }

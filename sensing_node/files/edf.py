@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from protocol.errors import SourceError
+from sensing_node.files.bounds import check_samples
 from sensing_node.files.edf_texts import WRITER, ascii_text, identifications, read_texts
 from sensing_node.files.grids import on_grid
 from sensing_node.files.signals import (
@@ -72,6 +73,7 @@ def read(path: Path) -> SignalFile:
     if stated > records:
         notes.append(f"the header states {stated} records, and the file holds {records}")
     records = min(records, stated) if stated > 0 else records
+    check_samples(path, records * max(layout.per_record))
     table = data[begin : begin + records * record_bytes].reshape(records, record_bytes)
     starts = np.cumsum([0, *layout.per_record]) * size
     annotations = [n for n, label in enumerate(layout.labels) if label.endswith(" Annotations")]

@@ -10,6 +10,7 @@ from typing import NamedTuple
 from protocol.errors import OutputError, SourceError
 from protocol.wire.marks import printable
 from pulse_sensors.plausibility import RecordedColumn
+from sensing_node.files.bounds import check_regular
 from sensing_node.files.losses import losses
 from sensing_node.files.signals import (
     ColumnKey,
@@ -43,6 +44,7 @@ class FileFormat(NamedTuple):
 FORMATS = (
     FileFormat("CSV", (".csv", ".txt"), "csv_table", written=(".csv",)),
     FileFormat("NumPy", (".npy", ".npz"), "numpy_arrays", written=(".npz",)),
+    FileFormat("MATLAB", (".mat",), "matlab"),
     FileFormat("WFDB", (".hea", ".dat"), "wfdb_record", written=(".hea",)),
     FileFormat("EDF+ or BDF", (".edf", ".bdf"), "edf", "analysis", (".edf", ".bdf")),
     FileFormat("XDF", (".xdf",), "xdf", "files", (".xdf",)),
@@ -58,11 +60,13 @@ def format_of(path: Path) -> FileFormat:
     Raises SourceError.
     """
     suffix = path.suffix.lower()
+    # PhysioNet keeps samples in files of MATLAB, too.
+    record = suffix == ".mat" and path.with_suffix(".hea").exists()
+    if record or path.with_name(f"{path.name}.hea").exists():
+        return next(known for known in FORMATS if known.name == "WFDB")
     for known in FORMATS:
         if suffix in known.suffixes:
             return known
-    if path.with_name(f"{path.name}.hea").exists():
-        return next(known for known in FORMATS if known.name == "WFDB")
     suffixes = ", ".join(suffix for known in FORMATS for suffix in known.suffixes)
     named = f"{suffix} is none of" if suffix else "its name lacks a suffix, one of"
     raise SourceError(f"{path}: {named} {suffixes}, and there is no record {path.name}.hea")
@@ -74,6 +78,7 @@ def open_signals(path: Path) -> SignalFile:
     Its signals have rates within the limits and names in one printable line. Values that are not
     finite are missing samples, NaN.
     """
+    check_regular(path)
     return _open(path, format_of(path))
 
 

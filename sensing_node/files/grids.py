@@ -1,13 +1,15 @@
 """Samples at a constant rate, from values with times; NaN in gaps, which are counted or filled."""
 
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from protocol.config.quantities import count_text
 from protocol.errors import SourceError
-from pulse_sensors.plausibility import GAP_STEPS
+from pulse_sensors.plausibility import GAP_STEPS, blocks
+from sensing_node.files.bounds import check_samples
 from sensing_node.files.signals import Floats
 
 # Largest share of a signal that gaps may be: times beyond it are damaged.
@@ -42,6 +44,7 @@ def on_grid(t_s: Floats, values: Floats, rate_hz: float, path: Path) -> Floats:
             f" {t_s[-1] - t_s[0]:.4g} s; its times are damaged"
         )
     numbers = np.rint(places).astype(np.int64)
+    check_samples(path, int(numbers[-1]) + 1 if len(numbers) else 0)
     grid = np.full(int(numbers[-1]) + 1 if len(numbers) else 0, np.nan)
     grid[numbers] = values
     return grid
@@ -113,18 +116,29 @@ class Gaps(NamedTuple):
         )
 
 
-def find_gaps(values: Floats) -> Gaps:
+def find_gaps(values: NDArray[Any]) -> Gaps:
     """Count the NaN of a signal."""
-    missing = np.isnan(values)
-    edges = np.flatnonzero(np.diff(missing, prepend=False, append=False))
+    if not any(np.isnan(block).any() for block in blocks(values)):
+        return Gaps(0, 0, 0)
+    edges = _edges(np.isnan(values))
     lengths = edges[1::2] - edges[::2]
-    return Gaps(int(missing.sum()), len(lengths), int(lengths.max(initial=0)))
+    return Gaps(int(lengths.sum()), len(lengths), int(lengths.max(initial=0)))
 
 
-def fill_gaps(values: Floats) -> Floats:
+def fill_gaps(values: NDArray[Any]) -> NDArray[Any]:
     """Return a signal with straight lines through its gaps; it must have a value."""
-    known = np.flatnonzero(~np.isnan(values))
-    if len(known) == len(values):
+    if not find_gaps(values).samples:
         return values
-    filled: Floats = np.interp(np.arange(len(values)), known, values[known])
+    missing = np.isnan(values)
+    edges, at = _edges(missing), np.flatnonzero(missing)
+    # Of the samples, only those beside gaps are needed.
+    beside = np.union1d(edges[::2] - 1, edges[1::2])
+    beside = beside[(beside >= 0) & (beside < len(values))]
+    filled = np.array(values)
+    filled[at] = np.interp(at, beside, values[beside])
     return filled
+
+
+def _edges(missing: NDArray[np.bool_]) -> NDArray[np.intp]:
+    """Return the first sample of each gap, and the first one after it, in turn."""
+    return np.flatnonzero(np.diff(missing, prepend=False, append=False))

@@ -3,19 +3,23 @@
 import json
 import math
 import os
+from array import array
 from base64 import b64decode, b64encode
 from collections import defaultdict
 from collections.abc import Iterator
 from pathlib import Path
 from typing import IO, Any
 
+import lz4.frame  # type: ignore[import-untyped]
 import numpy as np
+import zstandard
 from mcap import stream_reader
 from mcap.records import Message
 
 from protocol.errors import SourceError, WireError
 from protocol.wire.messages import VERSION, Welcome, decode_control, decode_frame
 from protocol.wire.stream import Channel
+from sensing_node.files.bounds import MOST_SAMPLES
 from sensing_node.files.grids import FREE_GAP, MOST_GAPS, evenly, unsteady
 from sensing_node.files.signals import (
     ColumnKey,
@@ -35,6 +39,8 @@ FRAME_SCHEMA, STREAM_SCHEMA = "telepulse.Frame", "telepulse.Stream"
 MOST_FIELDS, DEEPEST = 256, 4
 # Longest list whose items are fields.
 LONGEST_LIST = 16
+# Of each field: times in ns and values.
+_Fields = dict[str, tuple["array[int]", "array[float]"]]
 # Unit of a field by the end of its name, as telepulse names fields.
 UNITS = {"_n": "N", "_mv": "mV", "_ms": "ms", "_ns": "ns"}
 
@@ -52,7 +58,7 @@ class McapRecords:
         """Check the first bytes. Raises SourceError."""
         self.whole = False
         self.damaged = self.cut_bytes = 0
-        self._file = file
+        self._file, self._path = file, path
         magic = file.read(len(MAGIC))
         if magic != MAGIC:
             raise SourceError(f"{path}: is {'not an MCAP file' if magic else 'empty'}")
@@ -83,12 +89,32 @@ class McapRecords:
             if kind != "Chunk":
                 yield record
                 continue
+            chunk: Any = record
+            if max(chunk.uncompressed_size, _unpacked_bytes(chunk)) > MAX_RECORD_BYTES:
+                raise SourceError(
+                    f"{self._path}: a chunk of {len(chunk.data)} bytes unpacks to more than"
+                    f" {MAX_RECORD_BYTES} bytes"
+                )
             try:
-                inner = stream_reader.breakup_chunk(record, validate_crc=True)  # type: ignore[arg-type]
+                inner = stream_reader.breakup_chunk(chunk, validate_crc=True)
             except Exception:  # likewise
                 self.damaged += 1
                 continue
             yield from inner
+
+
+def _unpacked_bytes(chunk: Any) -> int:
+    """Return the bytes that a compressed chunk unpacks to, or more than are read; 0 if unknown."""
+    try:
+        if chunk.compression == "zstd":
+            return int(zstandard.frame_content_size(chunk.data))
+        if chunk.compression == "lz4":
+            unpacker = lz4.frame.LZ4FrameDecompressor()
+            return len(unpacker.decompress(chunk.data, max_length=MAX_RECORD_BYTES + 1))
+    except (RuntimeError, zstandard.ZstdError):
+        # The chunk is damaged.
+        return 0
+    return 0
 
 
 class _BoundedFile:
@@ -146,7 +172,7 @@ class _Frames:
         last, (_, tail) = frames[-1]
         held = sum(len(each) for _, (_, each) in frames)
         length = last + len(tail) - first
-        if length > MOST_GAPS * held + FREE_GAP:
+        if length > min(MOST_GAPS * held + FREE_GAP, MOST_SAMPLES):
             raise ValueError(f"{held} samples with numbers over {length}")
         grid = np.full((length, width), np.nan)
         for at, (_, part) in frames:
@@ -165,8 +191,7 @@ def read(path: Path) -> SignalFile:
     schemas: dict[int, str] = {}
     frames, others, unread = _Frames(), set[str](), 0
     texts = dict[str, str]()
-    # Of each field: times in ns and values.
-    fields: dict[str, tuple[list[int], list[float]]] = {}
+    fields: _Fields = {}
     with path.open("rb") as file:
         records = McapRecords(file, path)
         for record in records:
@@ -220,7 +245,7 @@ def _take(
     topic: str,
     schema: str,
     frames: _Frames,
-    fields: dict[str, tuple[list[int], list[float]]],
+    fields: _Fields,
 ) -> None:
     """Take the numbers of a message. Raises several errors for one that is damaged."""
     content = json.loads(message.data)
@@ -230,7 +255,7 @@ def _take(
     for name, value in _flat(content, topic, DEEPEST):
         if name not in fields and len(fields) >= MOST_FIELDS:
             continue
-        times_ns, values = fields.setdefault(name, ([], []))
+        times_ns, values = fields.setdefault(name, (array("q"), array("d")))
         times_ns.append(message.log_time)
         values.append(value)
 
@@ -256,7 +281,7 @@ def _flat(value: Any, name: str, depth: int) -> Iterator[tuple[str, float]]:
 
 
 def _numbers(
-    fields: dict[str, tuple[list[int], list[float]]],
+    fields: _Fields,
     begin_ns: int,
     path: Path,
     left_out: dict[ColumnKey, str],

@@ -1,23 +1,18 @@
 """Parquet files: columns of numbers, with units in the fields' metadata, and times in a column."""
 
-from collections.abc import Sequence
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pyarrow
+from numpy.typing import NDArray
 from pyarrow import parquet
 
-from pulse_sensors.plausibility import SECONDS, RecordedColumn
-from sensing_node.files.columns import named_columns
-from sensing_node.files.signals import (
-    ColumnKey,
-    Floats,
-    SignalFile,
-    SignalInfo,
-    SignalTable,
-    split_unit,
-)
+from pulse_sensors.plausibility import SECONDS
+from sensing_node.files.bounds import check_samples
+from sensing_node.files.columns import column_file
+from sensing_node.files.signals import SignalFile, SignalTable, split_unit
 
 TIME = "t_s"
 # Key of the file's metadata with the Unix time of its begin.
@@ -30,40 +25,43 @@ def read(path: Path) -> SignalFile:
     """Open a file. Raises errors of pyarrow for a damaged one."""
     with parquet.ParquetFile(path) as file:
         schema, rows = file.schema_arrow, file.metadata.num_rows
-    units = [
-        split_unit(field.name)[1]
-        or (field.metadata or {}).get(b"unit", b"").decode("utf-8", "replace")
-        for field in schema
+    check_samples(path, rows)
+    stated = [
+        (field.metadata or {}).get(b"unit", b"").decode("utf-8", "replace") for field in schema
     ]
-    signals = [
-        SignalInfo(number, split_unit(field.name)[0], units[number], samples=rows)
-        for number, field in enumerate(schema)
-        if _is_number(field.type)
+    titles = [
+        f"{name} [{unit}]" if unit and not split_unit(name)[1] else name
+        for name, unit in zip(schema.names, stated, strict=True)
     ]
 
-    def load(keys: Sequence[ColumnKey]) -> list[RecordedColumn]:
+    @lru_cache(maxsize=1)
+    def column(number: int) -> NDArray[Any]:
+        name, kind = schema.names[number], schema.types[number]
         with parquet.ParquetFile(path) as opened:
-            table = opened.read()
-        arrays, times = dict[int, Floats](), dict[int, Floats]()
-        for number, field in enumerate(schema):
-            if _is_number(field.type):
-                column = table.column(number).cast(pyarrow.float64(), safe=False)
-                arrays[number] = np.asarray(column.to_numpy(), dtype=np.float64)
-            elif (seconds := _seconds(field.type)) is not None:
-                column = table.column(number).cast(pyarrow.int64()).cast(pyarrow.float64(), False)
-                times[number] = np.asarray(column.to_numpy()) * seconds
-        return named_columns(path, schema.names, arrays, keys, times)
+            read = opened.read([name])
+        # Columns may share a name, and one with a dot in it comes with those of its first part.
+        shared = [n for n, each in enumerate(schema.names) if each == name].index(number)
+        values = read.column(
+            [n for n, each in enumerate(read.column_names) if each == name][shared]
+        )
+        if (seconds := _seconds(kind)) is not None:
+            return np.asarray(values.cast(pyarrow.int64()).to_numpy()) * seconds
+        if values.null_count or not pyarrow.types.is_floating(kind):
+            values = values.cast(pyarrow.float64(), safe=False)
+        return np.asarray(values.to_numpy())
 
     texts = {
         key.decode("utf-8", "replace"): text.decode("utf-8", "replace")
         for key, text in (schema.metadata or {}).items()
     }
     begin = texts.get(BEGIN, "")
-    return SignalFile(
+    return column_file(
         path,
-        tuple(signals),
-        load,
-        int(begin) if begin.isdecimal() else None,
+        titles,
+        {n: rows for n, kind in enumerate(schema.types) if _is_number(kind)},
+        column,
+        [n for n, kind in enumerate(schema.types) if _seconds(kind) is not None],
+        begin_ns=int(begin) if begin.isdecimal() else None,
         metadata={key: text for key, text in texts.items() if not key.startswith(DESCRIPTIONS)},
     )
 

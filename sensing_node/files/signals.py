@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
-from typing import Annotated, NamedTuple, Protocol
+from typing import Annotated, Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +14,8 @@ from pydantic import Field
 
 from protocol.errors import SourceError
 from protocol.wire.stream import first_repeated
-from pulse_sensors.plausibility import RecordedColumn, StatedTimes, stated_times
+from pulse_sensors.plausibility import RecordedColumn, StatedTimes, blocks, stated_times
+from sensing_node.files.bounds import read_whole
 
 ColumnKey = Annotated[int, Field(ge=0)] | str
 """Number of a signal from 0, or its name."""
@@ -22,6 +23,14 @@ ColumnKey = Annotated[int, Field(ge=0)] | str
 Floats = NDArray[np.float64]
 # Limits of a rate in Hz that a file may state.
 LEAST_HZ, MOST_HZ = 1.0, 100_000.0
+# First bytes of a text, from which its encoding is recognised.
+FIRST_BYTES = 1 << 16
+UNITS = re.compile(
+    r"[mµμu]?[NVAg]|kg|[hkm]?Pa|m?bar|mmHg|cmH2O|NU|a\.?u\.?|ad[cu]|counts?|raw|lsb|%|°?C|degC|bpm"
+    r"|1/min|k?Hz|m/s[2²]|deg|dps|k?ohm|[mµμun]?s|min",
+    re.IGNORECASE,
+)
+_AFTER_SLASH = re.compile(r"(.*\S)\s*[/,]\s*(\S+)")
 _NAMED_UNIT = re.compile(r"(.*\S)\s*[\[(]\s*([^\[\]()]*?)\s*[\])]")
 
 
@@ -204,30 +213,43 @@ def unix_ns(at: datetime) -> int:
     return since // timedelta(microseconds=1) * 1000
 
 
-def finite(values: Floats) -> Floats:
+def finite(values: NDArray[Any]) -> NDArray[Any]:
     """Return values with NaN, which is a missing sample, for each that is not finite."""
-    good = np.isfinite(values)
-    return values if good.all() else np.where(good, values, np.nan)
+    if not any(np.isinf(block).any() for block in blocks(values)):
+        return values
+    return np.where(np.isfinite(values), values, np.nan)
 
 
 def read_text(path: Path) -> str:
-    """Return the text of a file in UTF-8, in UTF-16 with its mark, or else in Latin-1."""
-    data = path.read_bytes()
+    """Return the text of a file."""
+    return read_whole(path).decode(text_encoding(path), "replace")
+
+
+def text_encoding(path: Path) -> str:
+    """Return the encoding of a text: UTF-8, UTF-16, or else Latin-1."""
+    with path.open("rb") as file:
+        data = file.read(FIRST_BYTES)
     if data[:2] in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE):
-        return data.decode("utf-16")
+        return "utf-16"
+    if data[:4].count(0) == 2:
+        return "utf-16-le" if data[1] == 0 else "utf-16-be"
     try:
-        return data.decode("utf-8-sig")
+        # The last character may be cut.
+        codecs.getincrementaldecoder("utf-8")().decode(data)
     except UnicodeDecodeError:
-        return data.decode("latin-1")
+        return "latin-1"
+    return "utf-8-sig"
 
 
 def split_unit(name: str) -> tuple[str, str]:
-    """Return name and unit of a column's title such as "ABP [mmHg]"; the unit may be empty.
+    """Return name and unit of a title: "ABP [mmHg]", "Force (mN)", "Kraft / mN"; or no unit.
 
     A number in brackets, as in "data[0]", is no unit.
     """
-    found = _NAMED_UNIT.fullmatch(name.strip())
-    return (found[1], found[2]) if found and not found[2].isdecimal() else (name, "")
+    if (found := _NAMED_UNIT.fullmatch(name.strip())) and not found[2].isdecimal():
+        return found[1], found[2]
+    found = _AFTER_SLASH.fullmatch(name.strip())
+    return (found[1], found[2]) if found and UNITS.fullmatch(found[2]) else (name, "")
 
 
 def plain_micro(text: str) -> str:

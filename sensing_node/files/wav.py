@@ -12,6 +12,7 @@ from scipy.io import wavfile
 
 from protocol.config.quantities import count_text
 from protocol.errors import SourceError
+from sensing_node.files.bounds import check_samples, read_whole
 from sensing_node.files.grids import fill_gaps
 from sensing_node.files.signals import Floats, SignalFile, SignalInfo, SignalTable, signal_file
 
@@ -21,11 +22,12 @@ def read(path: Path) -> SignalFile:
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         # From memory, so that a damaged length allocates no more than the file has.
-        rate_hz, data = wavfile.read(io.BytesIO(path.read_bytes()))
+        rate_hz, data = wavfile.read(io.BytesIO(read_whole(path)))
     if data.ndim == 1:
         data = data[:, np.newaxis]
     if data.ndim != 2 or not len(data):
         raise SourceError(f"{path}: holds no sample")
+    check_samples(path, len(data))
     # Of more bits than 16, scipy returns those of 24 in the upper ones of 32.
     scale = 1.0 if data.dtype.kind == "f" else float(1 << (8 * data.dtype.itemsize - 1))
     zero = 128.0 if data.dtype == np.uint8 else 0.0

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from protocol.errors import SourceError
+from sensing_node.files.bounds import check_regular, check_samples
 from sensing_node.files.signals import (
     Floats,
     SignalFile,
@@ -83,6 +84,7 @@ def read(path: Path) -> SignalFile:
     notes = []
     if not frames:
         raise SourceError(f"{path}: its files hold no whole sample")
+    check_samples(path, frames * max(each.per_frame for each in described))
     if header.frames and frames < header.frames:
         notes.append(
             f"the header states {header.frames} samples, and the files hold {frames}; the rest is"
@@ -117,7 +119,7 @@ def read(path: Path) -> SignalFile:
 
 def _header_of(path: Path) -> Path:
     """Return the path of a record's header, from that of either file or without a suffix."""
-    whole = path.suffix.lower() in (".hea", ".dat")
+    whole = path.suffix.lower() in (".hea", ".dat", ".mat")
     return path.with_suffix(".hea") if whole else path.with_name(f"{path.name}.hea")
 
 
@@ -230,6 +232,7 @@ def _frames(path: Path, header: RecordHeader) -> int:
         width = sum(each.per_frame for each in together)
         if not width:
             raise SourceError(f"{path}: {signal.file} has no samples in a frame")
+        check_regular(_beside(path, signal.file))
         size = _beside(path, signal.file).stat().st_size - signal.offset_bytes
         counts.append(max(0, size) * 8 // FORMATS[signal.code][0] // width)
     held = min(counts, default=0)

@@ -12,6 +12,7 @@ import numpy as np
 import pyxdf
 
 from protocol.errors import SourceError
+from sensing_node.files.bounds import read_whole
 from sensing_node.files.grids import evenly, unsteady
 from sensing_node.files.signals import (
     ColumnKey,
@@ -36,7 +37,7 @@ def read(path: Path) -> SignalFile:
 
     Raises SourceError, and other errors for a damaged file.
     """
-    data = path.read_bytes()
+    data = read_whole(path)
     if data[:4] != MAGIC:
         raise SourceError(f"{path}: is no XDF file")
     _check_counts(data, path)

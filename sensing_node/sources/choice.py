@@ -3,15 +3,19 @@
 Also the scales to newtons that a file's unit stands for.
 """
 
+import math
 import re
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from protocol.config.quantities import parse_quantity
 from protocol.errors import SourceError
 from pulse_sensors.force_scale import FORCES, MILLIVOLTS
-from pulse_sensors.plausibility import is_time_name
+from pulse_sensors.plausibility import SECONDS, blocks, extremes, is_time_name, never_falls
 from sensing_node.files.formats import open_signals
 from sensing_node.files.signals import ColumnKey, SignalFile, SignalInfo
 
@@ -21,6 +25,11 @@ PRESSURES = {"mmHg": 133.322, "cmH2O": 98.0665, "kPa": 1e3, "Pa": 1.0}
 NEWTONS_PER_MMHG = 7.5e-3
 # Height of the median beat of a signal that is neither force nor pressure.
 BEAT_N = 0.3
+# Least share of the steps of a counter that are one, and its least span.
+COUNTING, LEAST_COUNT = 0.9, 3
+A_LONG_TIME_S = 3600.0
+TIMES, COUNTS = "has times", "counts"
+FIRST = "as the first signal; none is a pulse by its name or unit"
 # Names of pulses, and of the leads of an ECG, as PhysioNet's databases and others use them.
 _PULSE = re.compile(
     r"\b(abp|art|ubp|pleth|ppg|bvp|force|pulse|radial|tono)(?!.*\brate\b)", re.IGNORECASE
@@ -42,24 +51,58 @@ class ChosenSignal(NamedTuple):
 def choose_pulse(file: SignalFile) -> ChosenSignal:
     """Return the signal to play: a pulse by its name or unit, else the first one.
 
-    Raises SourceError for a file without signals.
+    Clocks, counters and constant signals are not chosen where there is another one. Raises
+    SourceError where none can be a pulse.
     """
-    signals = [signal for signal in file.signals if not _is_time_or_number(_field(signal.name))]
+    order = [
+        # Of a message's topic, each of whose fields has it in its name, the field comes first.
+        *(_named(file.signals, lambda signal: _field(signal.name))),
+        *(_named(file.signals, lambda signal: signal.name)),
+        *(ChosenSignal(s, f"by its unit, {s.unit}") for s in file.signals if _is_force(s.unit)),
+        *(ChosenSignal(signal, FIRST) for signal in file.signals),
+    ]
+    faults = {signal.number: _no_pulse(file, signal) for signal in file.signals}
+    for chosen in order:
+        if faults[chosen.signal.number] is None:
+            return chosen
+    for chosen in order:
+        # One that is constant or only rises is refused where it is played, with what to set.
+        fault = faults[chosen.signal.number]
+        if fault != TIMES and (fault != COUNTS or chosen.reason != FIRST):
+            return chosen
+    named = (f"{s.name or f'column {s.number}'} {faults[s.number]}" for s in file.signals)
+    raise SourceError(f"{file.path}: holds no pulse: {', '.join(named)[:300]}; name one: --channel")
+
+
+def _named(
+    signals: Iterable[SignalInfo], name: Callable[[SignalInfo], str]
+) -> Iterator[ChosenSignal]:
     for signal in signals:
-        if _PULSE.search(_field(signal.name).replace("_", " ")):
-            return ChosenSignal(signal, "by its name")
-    for signal in signals:
-        # By the topic of a message, each of whose fields has it in its name.
-        if _PULSE.search(signal.name.replace("_", " ")) and not _only_rises(file, signal):
-            return ChosenSignal(signal, "by its name")
-    for signal in signals:
-        if signal.unit in FORCES or signal.unit in PRESSURES:
-            return ChosenSignal(signal, f"by its unit, {signal.unit}")
-    for signal in signals:
-        # Times and counters only rise; a file may have them under any name.
-        if signal is signals[-1] or not _only_rises(file, signal):
-            return ChosenSignal(signal, "as the first signal; none is a pulse by its name or unit")
-    raise SourceError(f"{file.path}: holds no signal of numbers")
+        if _PULSE.search(name(signal).replace("_", " ")):
+            yield ChosenSignal(signal, "by its name")
+
+
+def _is_force(unit: str) -> bool:
+    return unit in FORCES or unit in PRESSURES
+
+
+def _no_pulse(file: SignalFile, signal: SignalInfo) -> str | None:
+    """Return the reason why a signal is no pulse, whatever its name; or None."""
+    if _is_time_or_number(_field(signal.name)) or signal.unit in SECONDS:
+        return TIMES
+    try:
+        values = file.load((signal.number,))[0].values
+    except SourceError:
+        # The source that plays it has the reason.
+        return None
+    low, high = extremes(values)
+    if not low < high:
+        return "is constant" if low == high else "holds no number"
+    if len(values) > 2 and never_falls(values):
+        return "only rises"
+    # A counter rises by one up to its highest number; a few of its numbers may be missing.
+    counted = np.mod(np.diff(next(blocks(values))), high - low + 1) == 1
+    return COUNTS if high - low >= LEAST_COUNT and counted.mean() > COUNTING else None
 
 
 def _field(name: str) -> str:
@@ -81,10 +124,13 @@ def choose_announcing(file: SignalFile, pulse: SignalInfo) -> SignalInfo | None:
     return None
 
 
-def record_table(path: Path, channel: str | None = None) -> tuple[dict[str, Any], str]:
+def record_table(
+    path: Path, channel: str | None = None, rate: str | None = None
+) -> tuple[dict[str, Any], str]:
     """Return the table of a source that plays a record, and a line with what was chosen.
 
-    channel: name or number of the signal to play; None chooses. Raises SourceError.
+    channel: name or number of the signal to play; None chooses. rate: that of a file which states
+    none, such as "500 Hz". Raises SourceError.
     """
     file = open_signals(path)
     if channel is None:
@@ -97,11 +143,22 @@ def record_table(path: Path, channel: str | None = None) -> tuple[dict[str, Any]
     table: dict[str, Any] = {"kind": "recording", "path": str(path.absolute())}
     table["column"] = pulse.number
     text = f"{path}: plays {_title(pulse)}, chosen {chosen.reason}; {_scale_text(pulse.unit)}"
+    with suppress(SourceError, ValueError):
+        # Without a usable rate, the source is refused.
+        column = file.load((pulse.number,))[0]
+        info, _ = file.describe(column, None if rate is None else parse_quantity(rate, "frequency"))
+        lasts_s = len(column.values) / (info.rate_hz or math.nan)
+        lasts = f"{lasts_s:.4g} s" if lasts_s < A_LONG_TIME_S else f"{lasts_s / 3600:.4g} h"
+        text += f"; it lasts {lasts}, then repeats"
     if announcing is not None:
         table["announce"] = announcing.number
         text += f"; the ECG {_title(announcing)} announces its beats"
-    if len(file.signals) > 1:
-        others = [each.name or str(each.number) for each in file.signals if each != pulse]
+    others = [
+        each.name or str(each.number)
+        for each in file.signals
+        if each != pulse and _no_pulse(file, each) is None
+    ]
+    if others:
         text += f"; the file also has {', '.join(others)[:120]} (--channel)"
     return table, text
 
@@ -118,8 +175,3 @@ def _scale_text(unit: str) -> str:
     if unit in PRESSURES:
         return f"its pressure becomes a force, {NEWTONS_PER_MMHG * 1e3:g} mN/mmHg"
     return f"its median beat becomes {BEAT_N:g} N high"
-
-
-def _only_rises(file: SignalFile, signal: SignalInfo) -> bool:
-    values = file.load((signal.number,))[0].values
-    return bool(len(values) > 2 and np.all(np.diff(values) >= 0))

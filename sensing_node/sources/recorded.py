@@ -1,9 +1,9 @@
 """A recording as a source: signals of a file in any known format, played once or in a loop."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,10 +15,13 @@ from protocol.wire.messages import LARGEST_N
 from protocol.wire.stream import ANNOUNCE, PULSE, Channel, first_repeated
 from pulse_sensors.force_scale import FORCES, MILLIVOLTS, VOLTAGES, SensitivityTable
 from pulse_sensors.plausibility import (
+    BLOCK,
     RATE_TOLERANCE,
     RecordedColumn,
+    blocks,
     constant_column,
     examine,
+    extremes,
     unit_contradiction,
     unusable_values,
 )
@@ -31,6 +34,8 @@ from sensing_node.sources.synthetic import SyntheticScene
 
 # Length of the stretches in which a beat's height is looked for: a beat or more.
 BEAT_S = 1.5
+# Conversion of some of a column's values into N or mV.
+Scale = Callable[[NDArray[np.float64]], NDArray[np.float64]]
 
 
 class RecordingScene(SensitivityTable, SourceScene):
@@ -79,7 +84,10 @@ class RecordingScene(SensitivityTable, SourceScene):
 
     def build(self, context: SourceContext) -> "RecordedSource":
         """See `SourceScene.build`."""
-        return RecordedSource(self, context.folder, context.plausible)
+        try:
+            return RecordedSource(self, context.folder, context.plausible)
+        except MemoryError:
+            raise SourceError(f"{self.path}: is too large for the memory; cut it") from None
 
     def unit_of(self, stated: str) -> str:
         """Return the unit that values are converted from; "beat": scaled by their median beat.
@@ -99,30 +107,42 @@ class RecordingScene(SensitivityTable, SourceScene):
             return self.preload_n
         return SyntheticScene(kind="synthetic").preload_n if unit in ("raw", "beat") else 0.0
 
-    def forces(self, values: NDArray[np.float64], unit: str, rate_hz: float) -> NDArray[np.float64]:
-        """Return forces in N, shape (samples,), for values that are not all equal."""
-        rest_n = self.rest_n(unit)
-        if self.inverted:
-            values = -values
+    def scale(self, values: NDArray[Any], unit: str, rate_hz: float) -> Scale:
+        """Return the conversion of some of a column's values into forces in N.
+
+        values: all of the column, not all equal.
+        """
+        rest_n, sign = self.rest_n(unit), -1.0 if self.inverted else 1.0
         if unit in FORCES:
-            return values * FORCES[unit] + rest_n
+            return lambda some: some * sign * FORCES[unit] + rest_n
         if unit in PRESSURES:
-            mmhg = values * (PRESSURES[unit] / PRESSURES["mmHg"])
-            return mmhg * NEWTONS_PER_MMHG + rest_n
+            to_mmhg = PRESSURES[unit] / PRESSURES["mmHg"]
+            return lambda some: some * sign * to_mmhg * NEWTONS_PER_MMHG + rest_n
         if unit in VOLTAGES:
-            return self.calibration().newtons(values * VOLTAGES[unit]) + rest_n
-        height = float(np.ptp(values)) if unit == "raw" else beat_height(values, rate_hz)
-        return rest_n + (values - float(values.mean())) * ((self.peak_to_peak_n or BEAT_N) / height)
+            newtons = self.calibration().newtons
+            return lambda some: newtons(some * sign * VOLTAGES[unit]) + rest_n
+        height = _height(values) if unit == "raw" else beat_height(values, rate_hz)
+        mean = sum(float(block.sum()) for block in blocks(values)) / len(values)
+        gain = sign * ((self.peak_to_peak_n or BEAT_N) / height)
+        return lambda some: rest_n + (some - mean) * gain
 
 
-def beat_height(values: NDArray[np.float64], rate_hz: float) -> float:
+def beat_height(values: NDArray[Any], rate_hz: float) -> float:
     """Return the height of a usual beat: the median peak-to-peak value of stretches of 1.5 s.
 
     Of a signal that is constant most of the time, it is the greatest one.
     """
     width = min(len(values), max(2, round(BEAT_S * rate_hz)))
-    stretches = values[: len(values) // width * width].reshape(-1, width)
-    return float(np.median(np.ptp(stretches, axis=1))) or float(np.ptp(values))
+    heights = [
+        np.ptp(block[: len(block) // width * width].reshape(-1, width), axis=1)
+        for block in blocks(values, max(1, BLOCK // width) * width)
+    ]
+    return float(np.median(np.concatenate(heights))) or _height(values)
+
+
+def _height(values: NDArray[Any]) -> float:
+    low, high = extremes(values)
+    return high - low
 
 
 class RecordedSource(SampleSource):
@@ -154,15 +174,15 @@ class RecordedSource(SampleSource):
         self.warnings = [f"{path}: {note}" for note in file.notes]
         loaded = self._on_one_grid(path, loaded, infos, rate_hz)
         pulses = loaded[: len(pulse_keys)]
-        values = []
+        self._columns = list[tuple[NDArray[Any], Scale]]()
         for column, info in zip(pulses, infos, strict=False):
             constant, unit = constant_column(column), scene.unit_of(info.unit)
             if constant is not None and unit in ("raw", "beat"):
                 raise SourceError(f"{path}: {constant}")
             if (contradiction := unit_contradiction(info.unit, unit)) is not None:
                 raise SourceError(f"{path}: {column.title} {contradiction}")
-            force_n, rest_n = scene.forces(column.values, unit, rate_hz), scene.rest_n(unit)
-            refusal, warnings = examine(column, force_n, unit, rate_hz, rest_n)
+            scale = scene.scale(column.values, unit, rate_hz)
+            refusal, warnings = examine(column, scale, unit, rate_hz, scene.rest_n(unit))
             of_column = f"{column.title}: " if scene.columns else ""
             doubts = [
                 f"{path}: {text if text.startswith('column ') else of_column + text}"
@@ -172,11 +192,11 @@ class RecordedSource(SampleSource):
                 raise SourceError(doubts[0])
             # Those of the file itself are the same for each column.
             self.warnings += [doubt for doubt in doubts if doubt not in self.warnings]
-            values.append(force_n)
+            self._columns.append((column.values, scale))
         for column, info in zip(loaded[len(pulses) :], infos[len(pulses) :], strict=True):
             stated = info.unit if info.unit in MILLIVOLTS else "mV"
-            values.append(_announcing(column, scene.announce_unit or stated, path))
-        self._values = np.stack(values, axis=1)
+            to_mv = _announcing(column, scene.announce_unit or stated, path)
+            self._columns.append((column.values, to_mv))
         self.channels = _channels(scene, pulses, path)
         self._loop = scene.repeat == "loop"
         self._position = 0
@@ -194,9 +214,19 @@ class RecordedSource(SampleSource):
             gaps = find_gaps(column.values)
             if gaps.samples:
                 text = gaps.text(len(column.values), info.rate_hz or rate_hz)
-                filled = f"{path}: {column.title}: {text}; straight lines replace them"
-                self.warnings.append(filled)
-        _, grid = aligned(infos, [fill_gaps(column.values) for column in loaded], rate_hz)
+                self.warnings.append(f"{path}: {column.title}: {text}; straight lines replace them")
+        filled = [fill_gaps(column.values) for column in loaded]
+        if (
+            len(
+                {
+                    (info.rate_hz, info.begin_s, len(each))
+                    for info, each in zip(infos, filled, strict=True)
+                }
+            )
+            == 1
+        ):
+            return [replace(c, values=each) for c, each in zip(loaded, filled, strict=True)]
+        _, grid = aligned(infos, filled, rate_hz)
         return [
             replace(column, values=fill_gaps(np.ascontiguousarray(values)))
             for column, values in zip(loaded, grid.T, strict=True)
@@ -204,10 +234,12 @@ class RecordedSource(SampleSource):
 
     def take(self, count: int) -> NDArray[np.float64]:
         """Return the next samples, shape (count, channels); fewer at the end of one pass."""
-        first, length = self._position, len(self._values)
+        first, length = self._position, len(self._columns[0][0])
         last = first + count if self._loop else min(first + count, length)
         self._position = last
-        return self._values[np.arange(first, last) % length]
+        places = np.arange(first, last) % length
+        parts = [scale(values[places].astype(np.float64)) for values, scale in self._columns]
+        return np.stack(parts, axis=1)
 
     def faults(self) -> list[str]:
         """See `SampleSource.faults`."""
@@ -226,19 +258,19 @@ def _info(file: SignalFile, column: RecordedColumn, rate_hz: float | None) -> Si
     return info
 
 
-def _announcing(column: RecordedColumn, unit: str, path: Path) -> NDArray[np.float64]:
-    """Return the samples of a channel that announces, in mV. Raises SourceError."""
+def _announcing(column: RecordedColumn, unit: str, path: Path) -> Scale:
+    """Return the conversion into mV of a channel that announces. Raises SourceError."""
     constant = constant_column(column)
     if constant is not None:
         raise SourceError(f"{path}: announce: {constant}")
-    millivolts = column.values * MILLIVOLTS[unit]
-    largest_mv = float(np.abs(millivolts).max())
+    low, high = extremes(column.values)
+    largest_mv = max(-low, high) * MILLIVOLTS[unit]
     if largest_mv > LARGEST_N:
         raise SourceError(
             f'{path}: announce: {column.title} reaches {largest_mv:.4g} mV in unit "{unit}", which'
             " no frame can hold; set announce_unit"
         )
-    return millivolts
+    return lambda some: some * MILLIVOLTS[unit]
 
 
 def _channels(

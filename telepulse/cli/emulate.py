@@ -59,6 +59,7 @@ DriveArgument = Annotated[
         autocompletion=scene_names,
     ),
 ]
+STILL_NOISE_N = 0.5e-3
 _TO_PORT = "Create this symbolic link to the port, for the scene's `port`."
 BoardLink = Annotated[Path | None, typer.Option(metavar="PATH", help=_TO_PORT)]
 _TO_DRIVE = (
@@ -132,6 +133,13 @@ def sensor(
     noise: Annotated[
         float, typer.Option(min=0, max=1, help="Share of bytes that noise alters.")
     ] = 0.0,
+    still: Annotated[
+        bool,
+        typer.Option(
+            "--still",
+            help="Send no pulse, as a sensor that nothing presses: for telepulse bench.",
+        ),
+    ] = False,
     seed: Annotated[int, typer.Option(min=0, help="Seed of deliveries and noise.")] = 1,
     seconds: StopAfterOption = None,
     log_level: LogLevelOption = None,
@@ -155,7 +163,9 @@ def sensor(
         configure_logging(log_level)
         path = find_scene(scene)
         section = load_section(path, "sensing", SensingScene)
-        board = build_board(section, path.parent, framing, samples, behaviour)
+        board = build_board(
+            _unpressed(section) if still else section, path.parent, framing, samples, behaviour
+        )
         port = PtyPort(link)
     stop_on_signals(stopped.set)
     with closing(port):
@@ -172,6 +182,19 @@ def sensor(
         f"{count_text(board.sampled, 'sample')} sent,"
         f" {count_text(port.dropped, 'byte')} that nobody read"
     )
+
+
+def _unpressed(section: SensingScene) -> SensingScene:
+    """Return the section of a sensor that nothing presses, with noise. Raises SceneError."""
+    unpressed = section.still()
+    if unpressed is None:
+        raise SceneError(f"--still: a source of kind {section.source.kind!r} always has a pulse")
+    source = unpressed.source
+    # A reading that never changes is no sensor's. Not every kind of source has a noise.
+    if getattr(source, "noise_n", None) == 0.0:
+        noisy = source.model_copy(update={"noise_n": STILL_NOISE_N})
+        unpressed = unpressed.model_copy(update={"source": noisy})
+    return unpressed
 
 
 @app.command()

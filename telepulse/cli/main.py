@@ -1,7 +1,7 @@
 """The command line of telepulse, assembled from its commands.
 
-To add a command, write its function in a module of this package and name the module in `LIVE` or
-`OTHERS`; name a module of sub-commands in `GROUPS`.
+To add a command, write its function in a module of this package and name the module in `PANELS`,
+under what a person wants to do. A module of sub-commands is one of `GROUPS` besides.
 """
 
 from importlib import import_module
@@ -14,15 +14,41 @@ from protocol.cli_options import VersionOption
 from protocol.host.output import configure_logging, unblocked_output
 from telepulse.cli.options import PROGRAM
 
+# The panels of the help, and the module of each of their commands.
+PANELS = {
+    "Run": {"demo": "demo", "simulate": "demo", "view": "view", "scenes": "scenes"},
+    "Bring hardware into service": {
+        "bench": "commissioning",
+        "calibrate": "commissioning",
+        "tune": "commissioning",
+        "sweep": "sweep",
+        "emulate": "emulate",
+        "plugins": "plugins",
+    },
+    "Record and analyse": {
+        "record": "record",
+        "mark": "record",
+        "replay": "record",
+        "report": "record",
+        "export": "record",
+        "convert": "record",
+        "lsl": "view",
+    },
+    "Networks": {
+        "keys": "keys",
+        "discover": "discover",
+        "relay": "link",
+        "tunnel": "link",
+        "link": "link",
+    },
+    "Research": {"experiment": "experiment", "study": "study", "paper": "study"},
+}
+MODULES = {name: module for commands in PANELS.values() for name, module in commands.items()}
+PANEL_OF = {name: panel for panel, commands in PANELS.items() for name in commands}
+GROUPS = {"scenes", "study", "emulate", "experiment", "keys"}
 # Commands that run beside nodes or as one: a terminal that is not read must not delay them.
-LIVE = {"demo": "demo", "link": "link", "bench": "commissioning", "relay": "link", "tunnel": "link"}
-LIVE |= {"record": "record", "mark": "record", "replay": "record", "view": "view", "lsl": "view"}
-LIVE |= {"sweep": "sweep"}
-OTHERS = {"simulate": "demo", "paper": "study", "tune": "commissioning"}
-OTHERS |= {"calibrate": "commissioning", "discover": "discover"}
-OTHERS |= {"export": "record", "convert": "record", "report": "record", "plugins": "plugins"}
-GROUPS = {name: name for name in ("scenes", "study", "emulate", "experiment", "keys")}
-MODULES = LIVE | OTHERS | GROUPS
+LIVE = {"demo", "link", "bench", "relay", "tunnel", "record", "mark", "replay", "view", "lsl"}
+LIVE |= {"sweep"}
 
 
 class LazyGroup(TyperGroup):
@@ -38,11 +64,14 @@ class LazyGroup(TyperGroup):
             return None
         module = import_module(f"{__package__}.{MODULES[cmd_name]}")
         loaded = typer.Typer(rich_markup_mode="markdown")
+        panel = PANEL_OF[cmd_name]
         if cmd_name in GROUPS:
-            loaded.add_typer(module.app, name=cmd_name)
+            loaded.add_typer(module.app, name=cmd_name, rich_help_panel=panel)
         else:
             function = getattr(module, cmd_name)
-            loaded.command()(unblocked_output()(function) if cmd_name in LIVE else function)
+            if cmd_name in LIVE:
+                function = unblocked_output()(function)
+            loaded.command(rich_help_panel=panel)(function)
         return typer.main.get_group(loaded).commands[cmd_name]
 
 

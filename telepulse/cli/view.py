@@ -74,6 +74,9 @@ def view(
     Exit status: 0 when stopped, 2 when it cannot begin; the reason is one line on stderr.
     """
     console = plain_console(quiet)
+    # Before the server starts threads, which inherit it.
+    if hasattr(os, "nice"):
+        os.nice(NICENESS)
     with one_line_errors(PROGRAM):
         configure_logging(log_level, quiet)
         check_bokeh()
@@ -85,8 +88,6 @@ def view(
     # The first import takes a second, during which an open page would not be updated.
     import scipy.signal  # noqa: F401
 
-    if hasattr(os, "nice"):
-        os.nice(NICENESS)
     stop_on_signals(page.stop)
     console.print(f"page: {page.url}")
     sys.stdout.flush()

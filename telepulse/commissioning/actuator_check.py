@@ -215,7 +215,8 @@ def check_contact(actuator: StepperScene, contact: ContactFit) -> tuple[Check, C
     tolerance_m = max(2 * contact.backlash_half_width, 2 * actuator.step_m)
     backlash = grade(
         "backlash",
-        f"{contact.backlash_m * 1e6:.1f} ± {contact.backlash_half_width * 1e6:.1f} µm",
+        f"{contact.backlash_m * 1e6:.1f} ± {contact.backlash_half_width * 1e6:.1f} µm"
+        f" (tolerance {tolerance_m * 1e6:.1f} µm)",
         abs(contact.backlash_m - actuator.backlash_m),
         tolerance_m,
         np.inf,

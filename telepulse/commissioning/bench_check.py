@@ -1,8 +1,6 @@
 """`telepulse bench`: the checks of a scene on its models or on the real bench, and their report."""
 
 import math
-import sys
-from collections import Counter
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from dataclasses import dataclass, field
@@ -27,6 +25,7 @@ from telepulse.commissioning.rig import (
     ModelRig,
     check_answers,
     check_line,
+    judge_line_errors,
     listen,
 )
 from telepulse.commissioning.scene_edit import Changes
@@ -133,13 +132,10 @@ def _still_source(
     They are those behind the conditioning. Raises BenchError for a source that has a pulse always,
     such as a recording: there is no sensor to check.
     """
-    silent = scene.modelled.still()
-    if silent is None:
+    still = scene.still()
+    if still is None:
         raise BenchError(f"[sensing.source] is a {scene.source.kind}: there is no sensor to check")
-    changes: dict[str, object] = {"source": silent}
-    if scene.conditioning is not None:
-        changes["conditioning"] = scene.conditioning.model_copy(update={"hold_down_n": 0.0})
-    source = build_source(scene.model_copy(update=changes), folder)
+    source = build_source(still, folder)
     count = round(seconds * 1e9 / source.period_ns)
     times_ns = np.arange(count) * source.period_ns
     values = source.take(count)
@@ -205,9 +201,7 @@ def _check_drive(
             latency_s = min(math.ceil(age_s / tick_s) * tick_s, FILM_AGE_FAIL_S)
             findings.changes["film"] = {"latency": f"{latency_s * 1e3:g} ms"}
             findings.add_actuator(found)
-        # Superseded commands are normal on a line that is slower than the loop.
-        for name, count in sorted((drive.counts - Counter(superseded=sys.maxsize)).items()):
-            findings.add("drive", Check(name, f"{count} times", "warn", "on the way to the drive"))
+        findings.add("drive", *judge_line_errors(drive.counts))
 
 
 def _check_age(age_s: float) -> Check:

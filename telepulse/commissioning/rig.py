@@ -1,6 +1,7 @@
 """The bench that a press drives, tick by tick: the scene's models, or its drive and film."""
 
 import time
+from collections import Counter
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -162,6 +163,27 @@ def check_line(scene: DriveScene, tick_s: float) -> Check:
             f"the drive's period is {period_s * 1e3:g} ms: use a faster line, or a longer period"
         )
     return grade("line", found, busy_s, tick_s, period_s, reason)
+
+
+# Errors of the line that the next message corrected, by the drive's names for them.
+LINE_ERRORS = {
+    "no answer": "requests without an answer",
+    "garbled": "answers with a wrong checksum",
+    "wrong": "answers to another request",
+    "malformed": "process data of a wrong length",
+    "implausible": "process data with values that no drive has",
+}
+LINE_ADVICE = "check the line's cable, its rate and this machine's load"
+
+
+def judge_line_errors(counts: Counter[str]) -> list[Check]:
+    """Return a warning for each kind of error on the line to the drive."""
+    # Superseded commands are normal on a line that is slower than the loop.
+    return [
+        Check("line errors", f"{count} {LINE_ERRORS.get(name, name)}", "warn", LINE_ADVICE)
+        for name, count in sorted(counts.items())
+        if count > 0 and name != "superseded"
+    ]
 
 
 def check_answers(drive: Drive) -> Check:

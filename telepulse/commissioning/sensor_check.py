@@ -140,7 +140,8 @@ def judge_sensor(figures: SensorFigures, nominal_hz: float, live: bool = False) 
         ("noise",
          f"{f.noise_n * 1e3:.2f} mN RMS, {f.mains * 100:.0f} % of its power at {f.mains_hz:g} Hz",
          f.noise_n, NOISE_WARN_N, NOISE_FAIL_N,
-         f"a pulse has about 0.3 N, and {NOISE_FAIL_N * 1e3:.0f} mN are just felt"),
+         "nothing may press the sensor during this check: a pulse has about 0.3 N, and"
+         f" {NOISE_FAIL_N * 1e3:.0f} mN are just felt"),
         ("zero", f"{f.zero_n * 1e3:.1f} mN", abs(f.zero_n), 50e-3, np.inf,
          "nothing should press now; `telepulse calibrate` finds the zero"),
     )  # fmt: skip

@@ -24,6 +24,8 @@ def convert_file(source: Path, out: Path) -> Iterator[str]:
     wanted, begin_ns = _wanted(file), file.begin_ns
     signals, values = list[SignalInfo](), []
     columns = file.load([signal.number for signal in wanted])
+    for note in dict.fromkeys(note for column in columns for note in column.notes):
+        yield f"{source}: {note}"
     for signal, column in zip(wanted, columns, strict=True):
         described, times = file.describe(column)
         rate_hz, even = described.rate_hz or 0.0, column.values

@@ -19,7 +19,7 @@ from display_node.scoring.pressed_beats import (
 )
 from protocol.errors import DepthError
 from protocol.wire.messages import channel_samples
-from telepulse.view.tables import FAST_ROWS, Floats, RollingTable, TableSlice, Times
+from telepulse.view.tables import FAST_ROWS, Floats, RollingTable, Times
 
 # Beats that are kept; a fit to so many takes 0.15 s, so it is repeated after some beats only.
 MOST_BEATS, FIT_BEATS = 150, 3
@@ -39,13 +39,12 @@ class PressedBeat(NamedTuple):
 class DepthState:
     """Hold-down of one wrist, its beats in the order of hold-down, and the curve of their heights.
 
-    pressed: whether the stream has a hold-down.
+    pressed: whether the stream has a hold-down. samples: hold-down and pulse of each.
     """
 
     def __init__(self) -> None:
         self.pressed = False
-        # Hold-down and pulse of each sample.
-        self._samples = RollingTable(2, FAST_ROWS)
+        self.samples = RollingTable(2, FAST_ROWS)
         self._beats: list[PressedBeat] = []
         self._count = self._fitted = 0
         self._curve: DepthCurve | None = None
@@ -63,16 +62,12 @@ class DepthState:
         first_ns: time of its first sample on the sensing clock.
         """
         self.pressed = True
-        if self._samples.has(int(t_ns[0]), period_ns // 2):
+        if self.samples.has(int(t_ns[0]), period_ns // 2):
             return
-        self._samples.insert(t_ns, np.column_stack([hold_down_n, pulse_n]))
+        self.samples.insert(t_ns, np.column_stack([hold_down_n, pulse_n]))
         pulse = channel_samples(0, first_ns, period_ns, pulse_n.tolist())
         for beat in self._analysis.observe(pulse, float(hold_down_n.mean())):
             self._add(beat, int(t_ns[0]) - first_ns)
-
-    def since(self, t_ns: int) -> TableSlice:
-        """Return the hold-down and the pulse of the samples from a time on."""
-        return self._samples.since(t_ns)
 
     @property
     def points(self) -> list[BeatPoint]:
@@ -96,7 +91,7 @@ class DepthState:
         unix_ns: Unix time when the sensing clock is 0.
         """
         begin_ns = beat.onset_ns
-        rows = self._samples.since(begin_ns + unix_ns - BEFORE_NS)
+        rows = self.samples.since(begin_ns + unix_ns - BEFORE_NS)
         # Times from the onset on, which floats hold exactly.
         times_ns = (rows.t_ns - unix_ns - begin_ns).astype(np.float64)
         held_n, pulse_n = rows.values.T
@@ -135,7 +130,7 @@ def depth_columns(depth: DepthState) -> dict[str, tuple[Floats, Floats]]:
     points = np.array([point[:7] for point in depth.points]).reshape(-1, 7)
     force_n, height_n, mean, upstroke, _, flat, quality = points.T
     good = quality >= GOOD
-    curve, newest_n = depth.curve, depth.since(0).values[-1:, 0]
+    curve, newest_n = depth.curve, depth.samples.since(0).values[-1:, 0]
     top_n = float(height_n[good].max(initial=0.0))
     columns = {
         "depth_beats": (force_n[good], height_n[good] * 1e3),

@@ -26,6 +26,9 @@ EVENTS, LISTED_EVENTS = 200, 12
 KINDS = {LEVELS["WARNING"]: "warning", LEVELS["ERROR"]: "error"}
 # A status may name hundreds of contactors; a page has room for these.
 MAX_CONTACTORS = 8
+# Columns of the ticks of a contactor.
+FELT_N, DELAY_NS, PREDICTOR_ERROR_N, TARGET_N = range(4)
+TICK_FIELDS = "felt_n", "predictor_error_n", "target_n"
 # Shares of lost and late samples are taken over this many statuses: one second.
 LOSS_STATUSES = 5
 
@@ -34,13 +37,13 @@ class ContactorState:
     """State of one contactor in a run of a display.
 
     Columns of ticks: felt_n (NaN where unknown), playout delay in ns (NaN where the pulse is not
-    felt at full strength), predictor_error_n (NaN without one). wrist: force in N of samples.
-    beats: at the onset of each, force at the foot and height in N, and quality (NaN where unknown).
-    playing: the signal that is played, as in the last status; empty before.
+    felt at full strength), predictor_error_n (NaN without one), target_n. wrist: force in N of
+    samples. beats: at the onset of each, force at the foot and height in N, and quality (NaN where
+    unknown). playing: the signal that is played, as in the last status; empty before.
     """
 
     def __init__(self) -> None:
-        self.ticks = RollingTable(3, FAST_ROWS)
+        self.ticks = RollingTable(4, FAST_ROWS)
         self.wrist = RollingTable(1, FAST_ROWS)
         self.beats = RollingTable(3, SLOW_ROWS)
         self.playing: Fields = {}
@@ -52,8 +55,8 @@ class ContactorState:
 
     def add_tick(self, t_ns: int, fields: Fields, delay_ns: float) -> None:
         """Add a tick, with this contactor's forces."""
-        felt_n, error_n = (fields.get(key, math.nan) for key in ("felt_n", "predictor_error_n"))
-        self.ticks.add(t_ns, felt_n, delay_ns, error_n)
+        felt_n, error_n, target_n = (fields.get(key, math.nan) for key in TICK_FIELDS)
+        self.ticks.add(t_ns, felt_n, delay_ns, error_n, target_n)
 
     def add_frame(self, t_ns: Times, fields: Fields) -> None:
         """Add the played channel's samples of a frame, at Unix times; copies are skipped."""

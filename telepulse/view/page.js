@@ -1,6 +1,6 @@
 // Runs in the browser when the document is ready and whenever `texts` change.
-// texts: content of the page; choices: what its reader has chosen, and marked: his last mark, which
-// go back to the server.
+// texts: what has changed on the page; choices: what its reader has chosen, and marked: his last
+// mark, which go back to the server. colours: of several contactors.
 const at = (id) => document.getElementById(id);
 // A number keeps its unit on its line.
 const unbroken = (text) => text.replace(/(\d) (?=(%|[mµ]?s|m?N|ppm)(\W|$)|\/min)/g, "$1\u00a0");
@@ -11,8 +11,10 @@ const write = (id, text) => {
 const [shown] = texts.data.shown;
 const choose = (change) => {
   hideReadOuts();
+  if (document.body.dataset.lost) return;
   choices.data = { ...choices.data, ...change };
 };
+const clock = (when_ms) => new Date(when_ms).toLocaleTimeString("en-GB");
 const element = (kind, text, attributes = {}) => {
   const made = document.createElement(kind);
   made.textContent = text;
@@ -56,10 +58,17 @@ function begin() {
     // A browser keeps the choice when the page is loaded again.
     if (choice.checked) choose({ window_s: [Number(choice.value)] });
   }
+  // Plots of folded groups are neither sent nor drawn.
+  for (const group of document.querySelectorAll("details")) {
+    group.addEventListener("toggle", () => {
+      const open = [...document.querySelectorAll("details[open]")];
+      choose({ unfolded: [open.map((each) => each.id.replace("group-", "")).join(" ")] });
+    });
+  }
   beginReadOuts(() => at("pause").getAttribute("aria-pressed") === "true");
   // Plots take their colours from the style sheet when they are drawn.
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => {
-    for (const root of cb_obj.document?.roots() ?? []) Bokeh.index.get_one(root)?.request_repaint();
+    for (const root of Bokeh.documents[0].roots()) Bokeh.index.get_one(root)?.request_repaint();
   });
   document.body.dataset.ready = "yes";
 }
@@ -84,12 +93,9 @@ function showAlarms(list) {
 }
 
 function showEvents(events) {
-  const key = JSON.stringify(events);
-  if (at("events").dataset.key === key) return;
-  at("events").dataset.key = key;
   at("events").replaceChildren(...events.map(([when_ms, kind, text]) => {
     const item = document.createElement("li"), time = document.createElement("time");
-    time.textContent = new Date(when_ms).toLocaleTimeString("en-GB");
+    time.textContent = clock(when_ms);
     item.className = kind;
     item.append(time, unbroken(text));
     return item;
@@ -114,18 +120,45 @@ function offerContactors(names) {
   }));
   at("fingers-keys").replaceChildren(...names.map((name, index) => {
     const item = document.createElement("span");
-    item.append(element("i", "", { style: `color: ${shown.colours[index]}; border-top: 3px solid` }), name);
+    item.append(element("i", "", { style: `color: ${colours[index]}; border-top: 3px solid` }), name);
     return item;
   }));
   choose({ contactor: [0] });
 }
 
-function showContactors(rows) {
+// Plots and figures that do not apply to this display are hidden, and groups with nothing else.
+function showFigures(figures, hidden) {
+  for (const [id, [value, note]] of Object.entries(figures)) {
+    write(id, value);
+    write(`${id}-note`, note);
+    // A figure without a value and a note does not apply to this display.
+    at(id).parentElement.hidden = value === "–" && !note;
+  }
+  for (const id of Object.keys(plots)) at(`plot-${id}`).hidden = hidden.includes(id);
+  for (const group of document.querySelectorAll("details")) {
+    const first = [...group.querySelectorAll("dl > div:not([hidden])")];
+    const lead = first.find((each) => each.children[1].textContent !== "–");
+    const [name, value] = lead ? [...lead.children].map((each) => each.textContent) : ["", ""];
+    const title = group.querySelector("h2").textContent.toLowerCase();
+    group.querySelector("summary .note").textContent = name === title ? value : `${name} ${value}`;
+    const was = group.hidden;
+    group.hidden = first.length === 0 && !group.querySelector("figure:not([hidden])");
+    // Who presses watches the press.
+    if (was && !group.hidden && group.id === "group-press") group.open = true;
+  }
+}
+
+function showContactors(chosen, rows) {
+  const names = rows.map(([name]) => name);
+  offerContactors(names);
+  for (const title of document.querySelectorAll(".of")) {
+    title.textContent = names.length ? ` – ${names[chosen]}` : "";
+  }
   const table = at("contactors"), titles = [...document.querySelectorAll(".contactors th")];
   while (table.rows.length > rows.length) table.lastElementChild.remove();
   for (const [index, texts] of rows.entries()) {
     const row = table.rows[index] ?? table.appendChild(element("tr", "", { role: "row" }));
-    if (index === shown.chosen) row.setAttribute("aria-current", "true");
+    if (index === chosen) row.setAttribute("aria-current", "true");
     else row.removeAttribute("aria-current");
     for (const [place, text] of texts.entries()) {
       const label = titles[place].textContent;
@@ -139,31 +172,22 @@ function showContactors(rows) {
 
 if (!document.body.dataset.ready) begin();
 if (shown) {
-  write("stream", shown.stream);
-  write("state", shown.state);
-  write("state-note", shown.note);
-  at("state").dataset.state = shown.state;
-  document.body.classList.toggle("old", shown.old);
-  for (const [id, [value, note]] of Object.entries(shown.figures)) {
-    write(id, value);
-    write(`${id}-note`, note);
-    // A figure without a value and a note does not apply to this display.
-    at(id).parentElement.hidden = value === "–" && !note;
+  if ("stream" in shown) write("stream", shown.stream);
+  if (shown.state) {
+    const [state, note, ended_ms] = shown.state;
+    write("state", state);
+    write("state-note", ended_ms ? `at ${clock(ended_ms)}; ${note}` : note);
+    at("state").dataset.state = state;
   }
-  for (const plot of document.querySelectorAll(".plots > figure")) {
-    const id = plot.id.replace("plot-", ""), why = plot.querySelector(".empty");
-    plot.hidden = shown.hidden.includes(id);
-    if (why) why.hidden = !shown.empty.includes(id);
+  if ("old" in shown) document.body.classList.toggle("old", shown.old);
+  if (shown.figures) showFigures(...shown.figures);
+  for (const why of shown.empty ? document.querySelectorAll(".empty") : []) {
+    why.hidden = !shown.empty.includes(why.parentElement.id.replace("plot-", ""));
   }
-  const names = shown.contactors.map(([name]) => name), chosen = names[shown.chosen];
-  offerContactors(names);
-  showContactors(shown.contactors);
-  write("beyond", shown.beyond);
-  for (const title of document.querySelectorAll("h2 .of")) {
-    title.textContent = chosen === undefined ? "" : ` – ${chosen}`;
-  }
-  showAlarms(shown.alarms);
-  showEvents(shown.events);
+  if (shown.contactors) showContactors(...shown.contactors);
+  if ("beyond" in shown) write("beyond", shown.beyond);
+  if (shown.alarms) showAlarms(shown.alarms);
+  if (shown.events) showEvents(shown.events);
   // After what waits to be drawn: the server sends no more before this.
   setTimeout(() => { choices.data = { ...choices.data, seen: [shown.number] }; });
 }

@@ -5,9 +5,9 @@ legible on both.
 """
 
 from collections.abc import Callable
+from copy import deepcopy
 from functools import cache
 from importlib.resources import files
-from itertools import product
 from typing import Any
 
 import numpy as np
@@ -29,41 +29,63 @@ from numpy.typing import NDArray
 from telepulse.view import text
 from telepulse.view.live import LISTED_EVENTS, LiveState
 from telepulse.view.plots import EVENT_LINES, FINGER_COLOURS, FINGERS, MUTED, PLOTS, PagePlot
-from telepulse.view.window_data import Columns, WindowData, window_data
+from telepulse.view.window_data import (
+    ALL_GROUPS,
+    Columns,
+    WindowData,
+    WindowScores,
+    hidden_plots,
+    window_data,
+    window_scores,
+)
 
-REDRAW_MS = 200
+# A browser may draw in software, on the processors of the display's loop. Texts change at every
+# second redraw.
+REDRAW_MS, TEXTS_EVERY = 200, 2
 WINDOWS_S = (5, 10, 30, 60)
 WINDOW_S = 10
 SECOND_NS = 1_000_000_000
 # Runs in the browser when the connection to the server is lost: the page keeps the last state.
 SERVER_LOST = """
-document.getElementById("state").textContent = "ended";
-document.getElementById("state").dataset.state = "ended";
-document.getElementById("state-note").textContent =
-  "the server of this page has ended: it shows the last state";
+const at = (id) => document.getElementById(id), over = ["ended", "fault"];
+if (!over.includes(at("state").dataset.state)) {
+  at("state").textContent = at("state").dataset.state = "ended";
+  at("state-note").textContent = `at ${new Date().toLocaleTimeString("en-GB")}`;
+}
+at("state-note").textContent += "; the server of this page has ended: it shows the last state";
+document.body.dataset.lost = "yes";
+for (const each of document.querySelectorAll("button, input")) each.disabled = true;
 """
 HEIGHT = 220
-_CURVES = tuple(curve.name for plot in PLOTS for curve in plot.curves)
+# Names of the curves, by the group of their plots.
+CURVES = {
+    group: [curve.name for plot in PLOTS if plot.group == group for curve in plot.curves]
+    for group in ALL_GROUPS
+}
 
 
 class Plots:
     """Plots of one viewer.
 
-    roots: their Bokeh models, each named by its id. sources: the data of the curves, of the curves
-    of several fingers, and of the events.
+    roots: their Bokeh models, each named by its id. curves, events: the data of the curves and of
+    the events, by the group of the plots. fingers: that of several fingers.
     """
 
     def __init__(self) -> None:
-        # One source, so that an update is one message and each plot is drawn once.
-        empty: dict[str, list[float]] = {
-            f"{name}_{axis}": [] for name in _CURVES for axis in ("t", "y")
+        # Sources of its own for each group, so that an update draws no folded plot.
+        self.curves = {
+            group: ColumnDataSource(
+                {f"{name}_{axis}": np.empty(0) for name in names for axis in ("t", "y")}
+            )
+            for group, names in CURVES.items()
         }
-        self._source = ColumnDataSource(empty)
         # One row a contactor; empty for an only one.
-        self._fingers = ColumnDataSource({"t": [], "y": [], "colour": []})
+        self.fingers = ColumnDataSource({"t": [], "y": [], "colour": []})
         columns = ("t", "text", "colour", "dash", "width")
-        self._events = ColumnDataSource(dict[str, Any]({name: [] for name in columns}))
-        self.sources = {"curves": self._source, "fingers": self._fingers, "events": self._events}
+        self.events = {
+            group: ColumnDataSource(dict[str, Any]({name: [] for name in columns}))
+            for group in CURVES
+        }
         self._times, self._forces = Range1d(start=-10, end=0), Range1d(start=0, end=1)
         self._limits = {plot.id: Range1d(start=0, end=1) for plot in (*PLOTS, FINGERS)}
         self._band = BoxAnnotation(
@@ -75,24 +97,31 @@ class Plots:
         """Draw the curves of a window."""
         # The end as well: a reader may have zoomed in a pause.
         self._times.update(start=-data.window_s, end=0)
-        self._forces.update(start=data.force_n[0], end=data.force_n[1])
-        self._source.data = padded(data.columns)
         lines = [EVENT_LINES[kind] for _, kind, _ in data.events]
-        self._events.data = {
+        events = {
             "t": [time_s for time_s, _, _ in data.events],
             "text": [text for _, _, text in data.events],
             "colour": [line.colour for line in lines],
             "dash": [line.dash for line in lines],
             "width": [line.width for line in lines],
         }
+        for group, names in CURVES.items():
+            if names[0] not in data.columns:
+                continue
+            self.curves[group].data = padded({name: data.columns[name] for name in names})
+            if lines or self.events[group].data["t"]:
+                self.events[group].data = events
         for plot, (low, high) in data.limits.items():
             self._limits[plot].update(start=low, end=high)
-        jnd_mn = (data.scores.jnd_n or 0.0) * 1e3
-        self._band.update(bottom=-jnd_mn, top=jnd_mn)
-        if data.fingers or self._fingers.data["colour"]:
+        if "depth" in data.limits:
+            self._forces.update(start=data.force_n[0], end=data.force_n[1])
+        if "error" in data.limits:
+            jnd_mn = (data.jnd_n or 0.0) * 1e3
+            self._band.update(bottom=-jnd_mn, top=jnd_mn)
+        if data.fingers or self.fingers.data["colour"]:
             curves = {axis: [finger[axis] for finger in data.fingers] for axis in ("t", "y")}
             colours = list(FINGER_COLOURS[: len(data.fingers)])
-            self._fingers.data = curves | {"colour": colours}
+            self.fingers.data = curves | {"colour": colours}
 
     def _draw(self, plot: PagePlot) -> figure:
         drawn = figure(
@@ -121,7 +150,7 @@ class Plots:
             if curve.marker:
                 drawn.scatter(
                     *columns,
-                    source=self._source,
+                    source=self.curves[plot.group],
                     marker=curve.marker,
                     size=9,
                     line_color=curve.colour,
@@ -131,13 +160,13 @@ class Plots:
             else:
                 drawn.line(
                     *columns,
-                    source=self._source,
+                    source=self.curves[plot.group],
                     line_color=curve.colour,
                     line_dash=curve.dash,
                     line_width=2,
                 )
         if plot.id == FINGERS.id:
-            drawn.multi_line("t", "y", source=self._fingers, line_color="colour", line_width=2)
+            drawn.multi_line("t", "y", source=self.fingers, line_color="colour", line_width=2)
         if plot.id == "error":
             drawn.add_layout(self._band)
         self._explore(drawn, plot)
@@ -150,24 +179,28 @@ class Plots:
         if plot.across:
             return
         drawn.vspan(
-            x="t", source=self._events, line_color="colour", line_dash="dash", line_width="width"
+            x="t",
+            source=self.events[plot.group],
+            line_color="colour",
+            line_dash="dash",
+            line_width="width",
         )
         drawn.add_tools(PanTool(dimensions="width"), WheelZoomTool(dimensions="width"))
 
 
 def padded(columns: dict[str, Columns]) -> dict[str, NDArray[np.float32]]:
-    """Return all curves as columns of one length, padded with NaN."""
-    length = max(len(columns[name]["t"]) for name in _CURVES)
+    """Return curves as columns of one length, padded with NaN."""
+    length = max(len(each["t"]) for each in columns.values())
     padded = {}
-    for name in _CURVES:
-        for axis, values in columns[name].items():
+    for name, each in columns.items():
+        for axis, values in each.items():
             column = padded[f"{name}_{axis}"] = np.full(length, np.nan, np.float32)
             column[: len(values)] = values
     return padded
 
 
 class LivePage:
-    """Page of one viewer, drawn five times a second.
+    """Page of one viewer.
 
     silent_ns: returns the time in ns since the last message from the display. mark: requests a
     mark with a text, which may be empty.
@@ -184,7 +217,10 @@ class LivePage:
         self._plots = Plots()
         self._texts = ColumnDataSource({"shown": [None]})
         self._choices = ColumnDataSource(
-            {"paused": [False], "window_s": [WINDOW_S], "contactor": [0], "seen": [0]}
+            {
+                **{"paused": [False], "window_s": [WINDOW_S], "contactor": [0], "unfolded": [""]},
+                "seen": [0],
+            }
         )
         # Number and text of the reader's last mark.
         self._marked = ColumnDataSource({"number": [0], "text": [""]})
@@ -192,9 +228,11 @@ class LivePage:
         update = CustomJS(
             args={
                 **{"texts": self._texts, "choices": self._choices, "marked": self._marked},
-                **self._plots.sources,
+                **{"curves": self._plots.curves, "colours": FINGER_COLOURS},
+                **{"fingers": self._plots.fingers, "events": self._plots.events},
                 "plots": {
                     plot.id: {
+                        "group": plot.group,
                         "across": bool(plot.across),
                         "unit": plot.unit,
                         "curves": [curve._asdict() for curve in plot.curves],
@@ -220,76 +258,100 @@ class LivePage:
             windows=WINDOWS_S,
             window=WINDOW_S,
             figures=text.FIGURES,
+            always_seen=text.ALWAYS_SEEN,
+            groups=text.GROUPS,
             plots=PLOTS,
             fingers=FINGERS,
             event_lines=EVENT_LINES.values(),
             columns=text.CONTACTOR_COLUMNS,
         )
-        # Data and texts by window and contactor: of all at the beginning of a pause, else of the
-        # chosen ones.
-        self._shown: dict[tuple[int, int], tuple[WindowData, dict[str, Any]]] = {}
-        self._paused = False
-        self._drawn: WindowData | None = None
-        self._number = 0
+        # State at the beginning of a pause.
+        self._frozen: LiveState | None = None
+        # Choices of the reader, texts that the browser has, and instant and choices of its plots.
+        self._choice: tuple[Any, ...] = ()
+        self._sent: dict[str, Any] = {}
+        self._drawn: tuple[Any, ...] = ()
+        self._redraws = self._undrawn = self._number = 0
         self.draw()
         # Bokeh removes this callback with the viewer's session.
         document.add_periodic_callback(self.draw, REDRAW_MS)
 
     def draw(self) -> None:
-        """Draw the present state; on a paused page only state and alarms.
+        """Send what has changed since the last update; on a paused page only state and alarms.
 
-        A browser that has not drawn the last update gets no further one: on a slow browser updates
-        would queue, and it would show the past.
+        A browser that has not written the last texts gets nothing further: on a slow browser
+        updates would queue, and it would show the past.
         """
-        live, choices = self._live, self._choices.data
-        if choices["seen"][0] != self._number:
+        if self._choices.data["seen"][0] != self._number:
             return
-        self._number += 1
-        silent_ns = self._silent_ns()
-        (paused,), (number,), (window_s,) = (
-            choices[name] for name in ("paused", "contactor", "window_s")
-        )
-        window_s = window_s if window_s in WINDOWS_S else WINDOW_S
-        everyone = range(len(live.contactors))
-        number = number if number in everyone else 0
-        if not (paused and self._paused and (window_s, number) in self._shown):
-            wanted = product(WINDOWS_S, everyone) if paused else [(window_s, number)]
-            self._shown = {each: self._window(*each, silent_ns) for each in wanted}
-        self._paused = paused
-        data, texts = self._shown[window_s, number]
-        if data is not self._drawn:
-            self._drawn = data
+        choice = paused, window_ns, number, groups = self._chosen()
+        chosen, self._choice = choice != self._choice, choice
+        self._redraws += 1
+        if not paused:
+            self._frozen = None
+        elif self._frozen is None:
+            self._frozen = deepcopy(self._live)
+        live = self._frozen or self._live
+        content: dict[str, Any] = {}
+        if due := chosen or self._redraws % TEXTS_EVERY == 0:
+            content |= self._state()
+        if chosen or (due and not paused):
+            silent_ns = 0 if paused else self._silent_ns()
+            content |= _figures(live, window_scores(live, window_ns, number), silent_ns)
+        drawn = live.now_ns, len(live.events), live.display_ended, *choice
+        if drawn != self._drawn:
+            self._drawn = drawn
+            # The last state can be read when the server has ended, in the folded groups as well.
+            data = window_data(
+                live, window_ns, number, ALL_GROUPS if live.display_ended else groups
+            )
             self._plots.show(data)
+            self._undrawn += 1
+            content |= {"empty": data.empty}
+        changed = {name: each for name, each in content.items() if self._sent.get(name) != each}
+        # Redraws are acknowledged with the texts, so also where no text has changed.
+        if changed or (due and self._undrawn):
+            self._sent |= changed
+            self._undrawn = 0
+            self._number += 1
+            self._texts.data = {"shown": [changed | {"number": self._number}]}
+
+    def _chosen(self) -> tuple[bool, int, int, frozenset[str]]:
+        """Return whether the page is paused, its window in ns, contactor and unfolded groups."""
+        paused, window_s, number, unfolded = (
+            self._choices.data[name][0] for name in ("paused", "window_s", "contactor", "unfolded")
+        )
+        return (
+            bool(paused),
+            (window_s if window_s in WINDOWS_S else WINDOW_S) * SECOND_NS,
+            number if number in range(len(self._live.contactors)) else 0,
+            # The plots of no group are always seen.
+            ALL_GROUPS & {"", *str(unfolded).split()},
+        )
+
+    def _state(self) -> dict[str, Any]:
+        """Return the texts that a pause does not stop."""
+        live, silent_ns = self._live, self._silent_ns()
         state, note = text.state(live, silent_ns)
-        content: dict[str, Any] = {
+        return {
             "stream": live.stream,
-            "state": state,
-            "note": note,
-            **texts,
+            "state": [state, note, live.now_ns // 1_000_000 if live.display_ended else 0],
             "old": bool(text.age(live, silent_ns)),
             "alarms": text.alarms(live, silent_ns),
             "events": [
                 (t_ns // 1_000_000, *rest)
                 for t_ns, *rest in list(live.events)[: -LISTED_EVENTS - 1 : -1]
             ],
-            "number": self._number,
         }
-        self._texts.data = {"shown": [content]}
 
-    def _window(
-        self, window_s: int, number: int, silent_ns: int
-    ) -> tuple[WindowData, dict[str, Any]]:
-        """Return the data of a contactor in a window, and the texts that belong to it."""
-        data = window_data(self._live, window_s * SECOND_NS, number)
-        return data, {
-            "figures": text.figures(self._live, data, silent_ns),
-            "contactors": text.contactor_rows(self._live, data),
-            "beyond": text.beyond(self._live),
-            "chosen": data.chosen,
-            "hidden": data.hidden,
-            "empty": data.empty,
-            "colours": FINGER_COLOURS,
-        }
+
+def _figures(live: LiveState, scores: WindowScores, silent_ns: int) -> dict[str, Any]:
+    """Return the texts that belong to a contactor in a window."""
+    return {
+        "figures": [text.figures(live, scores, silent_ns), hidden_plots(live)],
+        "contactors": [scores.chosen, text.contactor_rows(live, scores)],
+        "beyond": text.beyond(live),
+    }
 
 
 @cache

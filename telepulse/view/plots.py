@@ -51,7 +51,8 @@ class PagePlot(NamedTuple):
 
     empty: text shown while no curve has a value. of_contactor: whether it shows the chosen one of
     several contactors. across: label of the horizontal axis, where that is not the time. only: of
-    which displays it is shown, if not of all.
+    which displays it is shown, if not of all. group: of which folded part of the page it is; empty
+    for those that are always seen.
     """
 
     id: str
@@ -61,10 +62,10 @@ class PagePlot(NamedTuple):
     curves: tuple[Curve, ...]
     empty: str
     note: str = ""
-    wide: bool = False
     of_contactor: bool = False
     across: str = ""
     only: str = ""
+    group: str = ""
 
     @property
     def unit(self) -> str:
@@ -77,14 +78,14 @@ PLOTS = (
         *("force", "Force", "force (mN)", (0.0, 1.0)),
         (
             Curve("wrist", "at the wrist", SENSED),
-            Curve("finger", "at the finger", FELT),
+            Curve("finger", "felt at the finger", FELT),
+            Curve("wanted", "wanted there", GREEN, "dashed"),
             Curve("onset", "onset of a beat", SENSED, marker="circle"),
             Curve("doubtful", "onset of a doubtful beat", WRONG, marker="x"),
         ),
         "No sample from the wrist and no tick of the display in this window.",
         "The finger follows by the playout delay. A beat is marked when the next one has begun."
         " Where a finger presses, its force contains the press.",
-        wide=True,
         of_contactor=True,
     ),
     PagePlot(
@@ -97,9 +98,9 @@ PLOTS = (
         " wrist's samples have not arrived.",
         "Grey band: the just noticeable difference of force, here 10 % of the pulse's peak to peak."
         " A finger notices differences of 7 to 10 %.",
-        wide=True,
         of_contactor=True,
         only=UNPRESSED,
+        group="prediction",
     ),
     PagePlot(
         *("press", "Press", "force (N)", (0.0, 0.1)),
@@ -109,8 +110,8 @@ PLOTS = (
         ),
         "No force of a finger or a probe in this window.",
         "The probe at the wrist presses with the force of the finger. The pulse is not part of it.",
-        wide=True,
         only=PRESSED,
+        group="press",
     ),
     PagePlot(
         *("depth", "Height of the pulse by hold-down", "height (mN)", (0.0, 1.0)),
@@ -128,6 +129,7 @@ PLOTS = (
         " pulse; light and deepest are where the height is half of that.",
         across="hold-down at the wrist (N)",
         only=PRESSED,
+        group="press",
     ),
     PagePlot(
         *("shape", "Shape of the pulse by hold-down", "share (%)", (0.0, 60.0)),
@@ -141,6 +143,7 @@ PLOTS = (
         " between beats: beyond the best hold-down.",
         across="hold-down at the wrist (N)",
         only=PRESSED,
+        group="press",
     ),
     PagePlot(
         *("strain", "Compressive strain in the rubber", "strain (10⁻⁶)", (0.0, 0.01)),
@@ -150,28 +153,33 @@ PLOTS = (
         ),
         "No sample and no tick in this window, or a layer that is not known yet.",
         of_contactor=True,
+        group="pulse",
     ),
     PagePlot(
         *("height", "Height of the beats at the wrist", "height (mN)", (0.0, 1.0)),
         (Curve("height", "from foot to peak", SENSED),),
         "No beat was found in this window. The first one takes some seconds.",
         of_contactor=True,
+        group="pulse",
     ),
     PagePlot(
         *("delay", "Delays", "delay (ms)", (0.0, 1.0)),
         (Curve("one_way", "one-way delay", SENSED), Curve("playout", "playout delay", FELT)),
         "No frame has arrived in this window, or the clocks are not related yet.",
+        group="link",
     ),
     PagePlot(
         *("loss", "Loss", "samples (%)", (0.0, 1.0)),
         (Curve("lost", "lost", SENSED), Curve("late", "late", FELT, "dashed")),
         "No sample was due in this window.",
+        group="link",
     ),
     PagePlot(
         *("predictor", "Predictor: the error it expects", "RMS error (mN)", (0.0, 1.0)),
         (Curve("predictor", "where it stands in", FELT),),
         "The predictor has not stood in, or not learnt its error yet.",
         of_contactor=True,
+        group="prediction",
     ),
     PagePlot(
         *("offset", "Clock offset, against now", "offset (ms)", (-0.01, 0.01)),
@@ -181,16 +189,17 @@ PLOTS = (
             Curve("offset_high", "", MUTED, "dashed"),
         ),
         "The sensing node has not answered for its clock yet.",
+        group="clock",
     ),
     PagePlot(
         *("skew", "Clock skew", "skew (ppm)", (-1.0, 1.0)),
         (Curve("skew", "sensing against display", FELT),),
         "The clocks were not compared for long enough yet.",
+        group="clock",
     ),
 )
 # Shown of several contactors, with a curve each.
 FINGERS = PagePlot(
     *("fingers", "Forces at all fingers", "force (mN)", (0.0, 1.0), ()),
     "No tick of the display in this window.",
-    wide=True,
 )

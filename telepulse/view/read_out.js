@@ -1,7 +1,7 @@
 // Values under the pointer in a paused page: those of all curves of a plot at one time, or at one
 // hold-down, and the events at a line.
-// plots: by id, whether a plot is across a hold-down, the unit of its values, and its curves.
-// curves, fingers, events: sources of the data.
+// plots: by id, its group, whether it is across a hold-down, the unit of its values, and its curves.
+// curves, events: sources of the data, by group; fingers: that of several contactors.
 const NEAR_PX = 6, MOST_EVENTS = 4;
 
 function hideReadOuts() {
@@ -25,10 +25,10 @@ function lineValue(t, y, x, near) {
 
 // Rows of a read-out, each a colour and a text.
 function readOutRows(id, x, perPx) {
-  const plot = plots[id], rows = [], unit = ` ${plot.unit}`;
+  const plot = plots[id], rows = [], unit = ` ${plot.unit}`, { data } = curves[plot.group];
   const place = (at) => (plot.across ? `${number(at)} N` : `${at.toFixed(3).replace("-", "−")} s`);
   const lines = plot.curves.map(({ name, words, colour, marker }) => ({
-    words: words.split(":")[0], colour, marker, t: curves.data[`${name}_t`], y: curves.data[`${name}_y`],
+    words: words.split(":")[0], colour, marker, t: data[`${name}_t`], y: data[`${name}_y`],
   }));
   if (id === "fingers") {
     const names = [...document.querySelectorAll("#fingers-keys span")];
@@ -55,7 +55,7 @@ function readOutRows(id, x, perPx) {
     }
   }
   if (plot.across) return [["", `at ${place(x)}`], ...rows];
-  const { t, text, colour } = events.data;
+  const { t, text, colour } = events[plot.group].data;
   const met = [...t.keys()].filter((index) => Math.abs(t[index] - x) <= NEAR_PX * perPx);
   for (const index of met.slice(-MOST_EVENTS)) rows.push([colour[index], text[index]]);
   if (met.length > MOST_EVENTS) rows.push(["", `and ${met.length - MOST_EVENTS} events more`]);
@@ -86,7 +86,7 @@ function showReadOut(figure, clientX, clientY) {
 }
 
 function beginReadOuts(isPaused) {
-  for (const figure of document.querySelectorAll(".plots figure")) {
+  for (const figure of document.querySelectorAll("figure")) {
     const show = ({ clientX, clientY }) => {
       // After the plot itself, which may zoom or move.
       if (isPaused()) requestAnimationFrame(() => showReadOut(figure, clientX, clientY));

@@ -22,8 +22,8 @@ from protocol.run_summary import REGISTRY, contactors_of
 from telepulse.telemetry.decoder import Fields
 from telepulse.telemetry.events import CUT, CUT_AFTER_NS
 from telepulse.view.depth import DepthState, levels
-from telepulse.view.live import MAX_CONTACTORS, LiveState
-from telepulse.view.window_data import WindowData, WindowScores
+from telepulse.view.live import DELAY_NS, FELT_N, MAX_CONTACTORS, LiveState
+from telepulse.view.window_data import Scores, WindowScores
 
 SECOND_NS = 1_000_000_000
 # An alarm for a single occurrence is shown for this long.
@@ -32,6 +32,7 @@ MUCH_LOSS = 5.0
 # Indices of columns in `LiveState.statuses`.
 LOST, LATE, REFUSED, LIMITED = 3, 4, 5, 6
 NOTHING = "–"
+DELAY = "of the finger behind the wrist"
 # Statuses come five times a second; an older one is not current.
 CURRENT_NS = 1_000_000_000
 # Meaning of each state.
@@ -45,10 +46,16 @@ STATES = {
     "fault": "latched until the display is started again",
     "final": "the display has ended; this is its last state",
 }
-# Names of the figures by their ids: those of the page's window, then the rows of the summary.
-FIGURES = {
+# Names of the figures by their ids: those that are always seen, those of the folded groups, and the
+# rows of the summary.
+ALWAYS_SEEN = {
+    "force": "force felt",
     "heart": "heart rate",
-    "aligned": "aligned error",
+    "delay": "delay",
+    "aligned": "how far off",
+}
+FIGURES = {
+    **ALWAYS_SEEN,
     "in_phase": "in-phase error",
     "within": "within JND",
     "loss": "loss",
@@ -57,6 +64,31 @@ FIGURES = {
     "levels": "levels",
     **{each.row.replace(" ", "-"): each.row for each in REGISTRY.on(Surface.PAGE)},
 }
+
+
+class Group(NamedTuple):
+    """A folded part of the page; the first of its figures with a value is seen beside the title."""
+
+    id: str
+    title: str
+    figures: tuple[str, ...] = ()
+
+
+_GROUPS = (
+    Group("press", "Press", ("press", "levels")),
+    Group(
+        *("prediction", "Errors and prediction"),
+        ("in_phase", "within", "predictor", "prediction", "prediction-trusted", "concealed"),
+    ),
+    Group("pulse", "Pulse at the wrist", ("pulse", "ECG")),
+    Group(
+        *("link", "Link"),
+        ("loss", "one-way-delay", "playout-delay", "data-connections", "rejected"),
+    ),
+    Group("clock", "Clock", ("clock",)),
+)
+_ELSEWHERE = {*ALWAYS_SEEN, *(id for group in _GROUPS for id in group.figures)}
+GROUPS = (*_GROUPS, Group("loop", "Loop", tuple(id for id in FIGURES if id not in _ELSEWHERE)))
 
 
 class PageFigure(NamedTuple):
@@ -85,35 +117,39 @@ def state(live: LiveState, silent_ns: int = 0) -> tuple[str, str]:
     return ("ended" if live.display_ended and word != "fault" else word), note
 
 
-def figures(live: LiveState, data: WindowData, silent_ns: int = 0) -> dict[str, PageFigure]:
+def figures(live: LiveState, data: WindowScores, silent_ns: int = 0) -> dict[str, PageFigure]:
     """Return each figure with a note that says whether it is of the window or of the whole run.
 
     silent_ns: time since the last message from the display.
     """
     scores = data.scores
     window = f"the last {data.window_s:g} s"
-    heart_rate = None if age(live, silent_ns) else data.heart_rate_per_min
+    old = bool(age(live, silent_ns))
+    heart_rate = None if old else data.heart_rate_per_min
     shown = dict.fromkeys(FIGURES, PageFigure(NOTHING)) | {
+        "force": _force(math.nan if old else data.felt_n, data.wanted_n),
         "heart": PageFigure(
             NOTHING if heart_rate is None else f"{heart_rate:.0f} /min",
             "of the force felt, last 6 s",
         ),
+        "delay": PageFigure(NOTHING, DELAY) if old else _delay(live),
         "aligned": _error(scores.aligned_n, scores, window),
         "in_phase": _error(scores.in_phase_n, scores, window),
         "within": _within(scores, window),
         "loss": _loss(live.summary.get("samples", {})),
-        "predictor": _predictor(live, data.chosen),
+        "predictor": PageFigure(live.contactor(data.chosen).playing.get("predictor") or NOTHING),
         "press": _press(live.summary.get("press", {})),
         "levels": _levels(live.depth),
     }
     if live.pressing:
-        shown |= dict.fromkeys(("aligned", "in_phase", "within"), PageFigure(NOTHING))
+        unknown = PageFigure(NOTHING, "the force felt contains the finger's own press")
+        shown |= {"aligned": unknown} | dict.fromkeys(("in_phase", "within"), PageFigure(NOTHING))
     # Before the first status there is no summary.
     shown |= _rows(live.summary) if live.summary else {}
     name = live.names[data.chosen]
     if not name:
         return shown
-    of_contactor = {id: shown[id] for id in ("heart", "aligned", "in_phase", "within")}
+    of_contactor = {id: shown[id] for id in ("force", "heart", "aligned", "in_phase", "within")}
     of_contactor |= _rows(_own(live, name))
     return shown | {
         id: PageFigure(value, f"{name}: {note}" if note else name)
@@ -143,7 +179,7 @@ CONTACTOR_COLUMNS = (
 )
 
 
-def contactor_rows(live: LiveState, data: WindowData) -> list[list[str]]:
+def contactor_rows(live: LiveState, data: WindowScores) -> list[list[str]]:
     """Return the rows of the table of several contactors; none for an only one."""
     rows = []
     for name, contactor, scores in zip(live.names, live.contactors, data.all_scores, strict=True):
@@ -151,7 +187,7 @@ def contactor_rows(live: LiveState, data: WindowData) -> list[list[str]]:
             return []
         own, channel = _own(live, name), contactor.playing["channel"]
         beats = own.get("beats", {})
-        newest_n = contactor.ticks.since(live.now_ns).values[:, 0]
+        newest_n = contactor.ticks.since(live.now_ns).values[:, FELT_N]
         force_n = newest_n[-1] if len(newest_n) else math.nan
         rate_per_min, quality = beats.get("rate_per_min"), beats.get("quality")
         rows.append(
@@ -186,7 +222,7 @@ def _percent(share: float) -> str:
     return f"{100 * share:.1f} %"
 
 
-def _error(error_n: float | None, scores: WindowScores, window: str) -> PageFigure:
+def _error(error_n: float | None, scores: Scores, window: str) -> PageFigure:
     note = f"RMS of {window}"
     if error_n is None or not scores.jnd_n:
         return PageFigure(NOTHING, note)
@@ -194,7 +230,7 @@ def _error(error_n: float | None, scores: WindowScores, window: str) -> PageFigu
     return PageFigure(f"{error_n * 1e3:.2f} mN", f"{note}, {share} of the pulse's height")
 
 
-def _within(scores: WindowScores, window: str) -> PageFigure:
+def _within(scores: Scores, window: str) -> PageFigure:
     """Return the share within the JND, and the share of the window that it refers to."""
     if scores.within_jnd is None or scores.judged is None:
         return PageFigure(NOTHING, f"of {window}, none of which could be judged")
@@ -213,15 +249,20 @@ def _loss(samples: Fields) -> PageFigure:
     return PageFigure(f"{100 * share:.2f} %", note)
 
 
-def _predictor(live: LiveState, chosen: int) -> PageFigure:
-    """Return the predictor's name, with the present playout delay and the trust in it."""
-    contactor = live.contactor(chosen)
-    name = contactor.playing.get("predictor") or NOTHING
-    delays_ns = contactor.ticks.since(live.now_ns).values[:, 1]
+def _force(felt_n: float, wanted_n: float) -> PageFigure:
+    note = "of the force wanted, peaks of the last 2 s"
+    if math.isnan(felt_n) or math.isnan(wanted_n):
+        return PageFigure(NOTHING, note)
+    return PageFigure(f"{felt_n * 1e3:.0f} of {wanted_n * 1e3:.0f} mN", note)
+
+
+def _delay(live: LiveState) -> PageFigure:
+    """Return the present playout delay, and the trust in the prediction where it is used."""
+    delays_ns = live.contactors[0].ticks.since(live.now_ns).values[:, DELAY_NS]
     if not len(delays_ns) or np.isnan(delays_ns[-1]):
-        return PageFigure(name)
-    delay = delay_note(float(delays_ns[-1]) * 1e-6, live.trusted, live.summary)
-    return PageFigure(name, f"playout delay now {delay}")
+        return PageFigure(NOTHING, DELAY)
+    delay, _, trust = delay_note(delays_ns[-1] * 1e-6, live.trusted, live.summary).partition(", ")
+    return PageFigure(delay, f"{DELAY}, {trust}" if trust else DELAY)
 
 
 def _press(press: Fields) -> PageFigure:

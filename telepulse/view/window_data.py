@@ -1,6 +1,7 @@
 """Curves and scores of the page for the last seconds. Pure: no browser, no clock."""
 
 import math
+from collections.abc import Collection
 from typing import NamedTuple
 
 import numpy as np
@@ -9,8 +10,8 @@ from display_node.scoring.beat_quality import GOOD
 from display_node.scoring.heart_rate import heart_rate_per_min
 from display_node.scoring.tracking_error import JND, MAX_GAP_NS, SPAN_NS, interpolate
 from telepulse.view.depth import depth_columns
-from telepulse.view.live import ContactorState, LiveState
-from telepulse.view.plots import FINGERS, PLOTS, PRESSED, UNPRESSED
+from telepulse.view.live import DELAY_NS, FELT_N, TARGET_N, ContactorState, LiveState
+from telepulse.view.plots import FINGERS, PLOTS, PRESSED, UNPRESSED, PagePlot
 from telepulse.view.tables import Floats, TableSlice, Times, thin
 
 SECOND_NS = 1_000_000_000
@@ -25,11 +26,14 @@ STEPS = 4
 HEADROOM = 0.05
 # Of a step of an axis.
 BEYOND = 0.01
+# A pulse has a beat in this time.
+PEAK_NS = 2 * SECOND_NS
+ALL_GROUPS = frozenset(plot.group for plot in PLOTS)
 Columns = dict[str, Floats]
 
 
-class WindowScores(NamedTuple):
-    """Scores over the window; None if there is none yet.
+class Scores(NamedTuple):
+    """Scores of a contactor over the window; None if there is none yet.
 
     in_phase_n, aligned_n: RMS errors. within_jnd: share of the time judged with an error below the
     just noticeable difference jnd_n. judged: share of the window that could be judged.
@@ -42,61 +46,99 @@ class WindowScores(NamedTuple):
     judged: float | None
 
 
-class WindowData(NamedTuple):
-    """Data of a window. columns: times in s before now and values, by curve; limits: by axis.
+class WindowScores(NamedTuple):
+    """Scores over a window: of the contactor of the number `chosen`, and of each in `all_scores`.
 
-    columns, scores and heart rate are those of the contactor of the number `chosen`. fingers: the
-    felt force of each of several contactors; all_scores: the scores of each contactor. force_n:
-    limits of the axes of hold-down. hidden: ids of the plots that do not apply; empty: of those
-    without a value. events: time in s before now, kind and text of each in the window.
+    felt_n, wanted_n: greatest force in the last `PEAK_NS`; NaN while the pulse is not felt.
+    """
+
+    window_s: float
+    chosen: int
+    scores: Scores
+    all_scores: tuple[Scores, ...]
+    heart_rate_per_min: float | None
+    felt_n: float
+    wanted_n: float
+
+
+class WindowData(NamedTuple):
+    """Curves of a window. columns: times in s before now and values, by curve; limits: by axis.
+
+    columns: of the plots that were asked for, and of the chosen contactor. fingers: the felt force
+    of each of several contactors. jnd_n: just noticeable difference, where the plot of the error
+    was asked for. force_n: limits of the axes of hold-down. empty: ids of the plots without a
+    value. events: time in s before now, kind and text of each in the window.
     """
 
     window_s: float
     columns: dict[str, Columns]
     limits: dict[str, tuple[float, float]]
-    scores: WindowScores
-    heart_rate_per_min: float | None
-    chosen: int
     fingers: tuple[Columns, ...]
-    all_scores: tuple[WindowScores, ...]
+    jnd_n: float | None
     force_n: tuple[float, float]
-    hidden: tuple[str, ...]
     empty: tuple[str, ...]
     events: tuple[tuple[float, str, str], ...]
 
 
-def window_data(live: LiveState, window_ns: int, chosen: int = 0) -> WindowData:
-    """Return the curves and scores of the last `window_ns`; chosen: number of a contactor."""
+def hidden_plots(live: LiveState) -> list[str]:
+    """Return the ids of the plots that do not apply to this display."""
+    kinds = {PRESSED: live.depth.pressed, UNPRESSED: not live.pressing}
+    return [plot.id for plot in PLOTS if not kinds.get(plot.only, True)]
+
+
+def window_scores(live: LiveState, window_ns: int, chosen: int = 0) -> WindowScores:
+    """Return the scores of the last `window_ns`; chosen: number of a contactor."""
+    contactor = live.contactor(chosen)
+    all_scores = tuple(_scores(live, each, window_ns) for each in live.contactors)
+    newest = contactor.ticks.since(live.now_ns - PEAK_NS).values
+    felt_n = wanted_n = math.nan
+    if len(newest) and not math.isnan(newest[-1, DELAY_NS]):
+        # NaN counts as no force.
+        felt_n, wanted_n = np.fmax.reduce(newest[:, [FELT_N, TARGET_N]])
+    chosen = live.contactors.index(contactor)
+    return WindowScores(
+        *(window_ns / SECOND_NS, chosen, all_scores[chosen], all_scores),
+        *(_heart_rate(live, contactor), float(felt_n), float(wanted_n)),
+    )
+
+
+def window_data(
+    live: LiveState, window_ns: int, chosen: int = 0, groups: Collection[str] = ALL_GROUPS
+) -> WindowData:
+    """Return the curves of the last `window_ns` in the plots of some groups.
+
+    chosen: number of a contactor.
+    """
     begin_ns = live.now_ns - window_ns
     contactor = live.contactor(chosen)
-    chosen = live.contactors.index(contactor)
-    ticks, wrist, beats, delays, statuses = (
+    plots = [plot for plot in PLOTS if plot.group in groups]
+    wanted = {curve.name for plot in plots for curve in plot.curves}
+    ticks, wrist, beats, delays, statuses, held = (
         table.since(begin_ns)
         for table in (
             *(contactor.ticks, contactor.wrist, contactor.beats),
-            *(live.delays, live.statuses),
+            *(live.delays, live.statuses, live.depth.samples),
         )
     )
     foot_n, height_n, quality = beats.values.T
-    felt_n, delay_ns, predictor_error_n = ticks.values.T
+    felt_n, delay_ns, predictor_error_n, target_n = ticks.values.T
     wrist_n = wrist.values[:, 0]
     finger_per_n, ratio = (
         contactor.playing.get(name, math.nan) for name in ("strain_per_newton", "force_ratio")
     )
     offset_ms, uncertainty_ms, skew_ppm, lost, late, *_, press_n = statuses.values.T
-    held = live.depth.since(begin_ns)
     # Two hosts' clocks may be days apart: the change of their offset matters.
     moved_ms = offset_ms - offset_ms[-1] if len(offset_ms) else offset_ms
-    errors = [_errors(live, each, window_ns) for each in live.contactors]
-    pairs = zip(live.contactors, errors, strict=True)
-    all_scores = tuple(_scores(live, each, found, window_ns) for each, found in pairs)
-    in_phase_n, aligned_n, jnd_n = errors[chosen]
+    in_phase_n, aligned_n, jnd_n = felt_n, felt_n, None
+    if "aligned" in wanted:
+        in_phase_n, aligned_n, jnd_n = _errors(live, contactor, window_ns)
     curves: dict[str, tuple[TableSlice, Floats]] = {
         "wrist": (wrist, wrist_n * 1e3),
         "onset": (beats, np.where(quality < GOOD, math.nan, foot_n) * 1e3),
         "doubtful": (beats, np.where(quality < GOOD, foot_n, math.nan) * 1e3),
         "height": (beats, height_n * 1e3),
         "finger": (ticks, felt_n * 1e3),
+        "wanted": (ticks, target_n * 1e3),
         # Compressive strain in millionths.
         "wrist_strain": (wrist, wrist_n * (-1e6 * finger_per_n * ratio)),
         "finger_strain": (ticks, felt_n * (-1e6 * finger_per_n)),
@@ -116,45 +158,34 @@ def window_data(live: LiveState, window_ns: int, chosen: int = 0) -> WindowData:
         "finger_press": (statuses, press_n),
     }
     columns = {}
-    for name, (rows, values) in curves.items():
+    for name in wanted & curves.keys():
+        rows, values = curves[name]
         gap_ns = BEAT_GAP_NS if rows is beats else STATUS_GAP_NS if rows is statuses else MAX_GAP_NS
         columns[name] = _thinned(live, rows, values, gap_ns)
-    by_depth = depth_columns(live.depth)
+    by_depth = depth_columns(live.depth) if "depth_now" in wanted else {}
     columns |= {name: {"t": t, "y": y} for name, (t, y) in by_depth.items()}
     forces_n = np.concatenate([(0.0, 0.1), *(t for t, _ in by_depth.values())])
-    kinds = {PRESSED: live.depth.pressed, UNPRESSED: not live.pressing}
     fingers: tuple[Columns, ...] = ()
     if len(live.contactors) > 1:
         tables = (each.ticks.since(begin_ns) for each in live.contactors)
         fingers = tuple(
-            _thinned(live, rows, rows.values[:, 0] * 1e3, MAX_GAP_NS) for rows in tables
+            _thinned(live, rows, rows.values[:, FELT_N] * 1e3, MAX_GAP_NS) for rows in tables
         )
+    drawn = {plot.id: [columns[curve.name] for curve in plot.curves] for plot in plots}
+    drawn[FINGERS.id] = list(fingers)
     return WindowData(
         window_ns / SECOND_NS,
         columns,
-        _limits(columns, fingers, jnd_n),
-        all_scores[chosen],
-        _heart_rate(live, contactor),
-        chosen,
+        _limits(plots, drawn, jnd_n),
         fingers,
-        all_scores,
+        jnd_n,
         nice(forces_n),
-        tuple(plot.id for plot in PLOTS if not kinds.get(plot.only, True)),
-        _empty(columns, fingers),
+        tuple(id for id, each in drawn.items() if not any(np.isfinite(y["y"]).any() for y in each)),
         tuple(
             ((t_ns - live.now_ns) * 1e-9, kind, text)
             for t_ns, kind, text in live.events
             if begin_ns < t_ns <= live.now_ns
         ),
-    )
-
-
-def _empty(columns: dict[str, Columns], fingers: tuple[Columns, ...]) -> tuple[str, ...]:
-    """Return the ids of the plots of which no curve has a value."""
-    curves = {plot.id: [columns[curve.name] for curve in plot.curves] for plot in PLOTS}
-    curves[FINGERS.id] = list(fingers)
-    return tuple(
-        id for id, each in curves.items() if not any(np.isfinite(one["y"]).any() for one in each)
     )
 
 
@@ -185,7 +216,7 @@ def _errors(live: LiveState, contactor: ContactorState, window_ns: int) -> Windo
         nothing = np.full(len(ticks.t_ns), math.nan)
         return WindowErrors(nothing, nothing, None)
     right_n = contactor.playing["force_ratio"] * wrist.values[:, 0]
-    felt_n, delay_ns, _ = ticks.values.T
+    felt_n, delay_ns = ticks.values[:, [FELT_N, DELAY_NS]].T
     scored = ~np.isnan(delay_ns)
     played_ns: Times = ticks.t_ns - np.where(scored, delay_ns, 0).astype(np.int64)
     in_phase_n, aligned_n = (
@@ -196,16 +227,14 @@ def _errors(live: LiveState, contactor: ContactorState, window_ns: int) -> Windo
     return WindowErrors(in_phase_n, aligned_n, JND * float(np.ptp(lately)))
 
 
-def _scores(
-    live: LiveState, contactor: ContactorState, errors: WindowErrors, window_ns: int
-) -> WindowScores:
+def _scores(live: LiveState, contactor: ContactorState, window_ns: int) -> Scores:
     """Return the scores of a contactor's errors in the window."""
-    in_phase_n, aligned_n, jnd_n = errors
+    in_phase_n, aligned_n, jnd_n = _errors(live, contactor, window_ns)
     known_n = aligned_n[~np.isnan(aligned_n)]
     within = float(np.mean(np.abs(known_n) < jnd_n)) if jnd_n and len(known_n) else None
     begin_ns = live.now_ns - window_ns
     judged = _judged(contactor.ticks.since(begin_ns), len(known_n), begin_ns, live.now_ns)
-    return WindowScores(_rms(in_phase_n), _rms(aligned_n), within, jnd_n, judged)
+    return Scores(_rms(in_phase_n), _rms(aligned_n), within, jnd_n, judged)
 
 
 def _rms(error_n: Floats) -> float | None:
@@ -231,24 +260,21 @@ def _heart_rate(live: LiveState, contactor: ContactorState) -> float | None:
     thin_by = max(1, round(HEART_APART_NS / max(tick_ns, 1.0)))
     # Every `thin_by`-th tick, including the newest, which shows whether a pulse is felt now.
     newest = slice((len(ticks.t_ns) - 1) % thin_by, None, thin_by)
-    felt_n, delay_ns, _ = ticks.values.T
+    felt_n, delay_ns = ticks.values[:, [FELT_N, DELAY_NS]].T
     felt_n = np.where(np.isnan(delay_ns), math.nan, felt_n)
     t_s = (ticks.t_ns[newest] - live.now_ns).astype(np.float64) * 1e-9
     return heart_rate_per_min(t_s, felt_n[newest])
 
 
 def _limits(
-    columns: dict[str, Columns], fingers: tuple[Columns, ...], jnd_n: float | None
+    plots: list[PagePlot], drawn: dict[str, list[Columns]], jnd_n: float | None
 ) -> dict[str, tuple[float, float]]:
     band_mn = 1.25e3 * (jnd_n or 0.0)
     limits = {}
-    for plot in PLOTS:
-        curves = [columns[curve.name]["y"] for curve in plot.curves]
+    for plot in (*plots, FINGERS):
         band = (-band_mn, band_mn) if plot.id == "error" else ()
-        room = (1 + HEADROOM) * np.concatenate(curves)
+        room = (1 + HEADROOM) * np.concatenate([(), *(each["y"] for each in drawn[plot.id])])
         limits[plot.id] = nice(np.concatenate([room, plot.least, band]))
-    room = (1 + HEADROOM) * np.concatenate([(0.0,), *(each["y"] for each in fingers)])
-    limits[FINGERS.id] = nice(np.concatenate([FINGERS.least, room]))
     return limits
 
 

@@ -27,6 +27,15 @@ CONTRAST = """(element) => {
 }"""
 
 
+def unfold(page: Page) -> None:
+    """Unfold all groups of the live page, and wait until their plots have a size."""
+    page.locator("body[data-ready]").wait_for()
+    page.evaluate("document.querySelectorAll('details').forEach((each) => { each.open = true; })")
+    page.wait_for_function("""() => Bokeh.documents[0].roots().every((root) =>
+      !document.querySelector(`#plot-${root.name} .drawn`).offsetParent
+      || Bokeh.index.get_one(root).frame.bbox.width > 50)""")
+
+
 class Visit:
     """Visits of pages, each as another reader; wrong: their errors and foreign requests."""
 

@@ -3,7 +3,6 @@
 import os
 import re
 import signal
-import socket
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -13,7 +12,7 @@ import pytest
 
 from telepulse.processes import free_addresses
 from telepulse.view.plots import EVENT_LINES, MARK
-from tests.support.browser import CONTRAST, Page, Visit
+from tests.support.browser import CONTRAST, Page, Visit, unfold
 from tests.support.nodes import RADIAL, start
 from tests.support.waiting import PATIENCE_S, until
 
@@ -106,15 +105,16 @@ def test_the_page_moves_and_shows_what_is_felt(bench: Bench, visit: Visit) -> No
         assert page.locator("html").get_attribute("lang") == "en"
         await_figure(page, "in_phase")
         await_figure(page, "heart")
+        await_figure(page, "force")
         plot = page.locator("#plot-force")
         before, newest, ticks = plot.screenshot(), page.evaluate(NEWEST), text_of(page, "loop-note")
         page.wait_for_function(f"{NEWEST} !== {newest}")
         page.wait_for_function(f"document.getElementById('loop-note').textContent !== '{ticks}'")
         until(lambda: plot.screenshot() != before)
         assert text_of(page, "stream") == "radial pulse"
-        assert text_of(page, "predictor") == "stack"
+        assert page.locator("#predictor").text_content() == "stack"
         # Empty while the newest tick is not scored.
-        page.locator("#predictor-note", has_text="playout delay now ").wait_for()
+        await_figure(page, "delay")
         # On a busy machine a tick or two may be limited.
         assert re.fullmatch(r"never|0\.\d s", text_of(page, "at-a-limit"))
         # The scene's 75, unless the loop is held up.
@@ -166,10 +166,28 @@ def test_a_display_that_stands_still_is_grey_and_has_its_age(bench: Bench, page:
 def test_a_display_that_goes_and_comes_back(bench: Bench, page: Page) -> None:
     bench.end("display")
     await_state(page, "ended")
-    assert "last state" in text_of(page, "state-note")
+    assert re.match(r"at \d\d:\d\d:\d\d; .* last state", text_of(page, "state-note"))
     assert page.evaluate(NEWEST) is not None
     bench.play()
     await_state(page, "playing")
+
+
+FOLDED = "Bokeh.documents[0].get_model_by_name('delay').renderers[0].data_source.data.one_way_y"
+
+
+def test_a_group_is_folded_until_it_is_asked_for(page: Page) -> None:
+    delays = page.locator("#plot-delay")
+    assert not delays.is_visible()
+    # What is folded is not sent.
+    assert page.evaluate(f"{FOLDED}.length") == 0
+    assert "loss" in page.locator("#group-link summary").inner_text()
+    page.locator("#group-link summary").focus()
+    page.keyboard.press("Enter")
+    page.wait_for_function(f"[...{FOLDED}].some(Number.isFinite)")
+    box = page.locator("#plot-delay .drawn").bounding_box()
+    assert box is not None
+    assert box["width"] > 400
+    assert box["height"] > 200
 
 
 def test_the_key_m_and_a_text_mark_the_time(page: Page) -> None:
@@ -246,7 +264,7 @@ def test_it_is_read_in_light_and_dark(page: Page) -> None:
         page.emulate_media(color_scheme=scheme)
         ground = page.evaluate("getComputedStyle(document.body).backgroundColor")
         assert (max(map(int, re.findall(r"\d+", ground))) < 60) == (scheme == "dark")
-        for selector in ("#state", "#heart", "#heart-note", "#pause", ".plots h2"):
+        for selector in ("#state", "#heart", "#heart-note", "#pause", "h2", "h3"):
             assert page.locator(selector).first.evaluate(CONTRAST) > 4.5
         variable = f"{STYLE}.getPropertyValue('--bk-axis-label-text-color')"
         assert page.evaluate(variable) == labels[scheme]
@@ -258,25 +276,18 @@ def test_it_is_read_in_light_and_dark(page: Page) -> None:
 def test_a_phone_shows_it_without_scrolling_sideways(bench: Bench, visit: Visit) -> None:
     with visit(bench.url, viewport={"width": 390, "height": 800}, has_touch=True) as page:
         await_state(page, "playing")
+        unfold(page)
         for width in (320, 390):
             page.set_viewport_size({"width": width, "height": 800})
             # Plots are drawn anew after the window has its width.
             page.wait_for_function(f"document.documentElement.scrollWidth <= {width}")
-            boxes = [plot.bounding_box() for plot in page.locator(".plots > figure:visible").all()]
+            boxes = [plot.bounding_box() for plot in page.locator("figure:visible").all()]
             assert len(boxes) == 9
+            tiles = page.locator(".now .figures > div").all()
+            boxes += [tile.bounding_box() for tile in tiles]
+            assert len(boxes) == 9 + 4
             assert all(box["x"] >= 0 and box["x"] + box["width"] <= width for box in boxes)
         keep(page, "view-phone.png")
-
-
-def test_pages_of_other_sites_cannot_read_it(bench: Bench) -> None:
-    host, _, port = bench.url.removeprefix("http://").partition(":")
-    with socket.create_connection((host, int(port)), timeout=20) as connection:
-        connection.sendall(
-            f"GET /ws HTTP/1.1\r\nHost: {host}:{port}\r\nOrigin: http://example.org\r\n"
-            "Upgrade: websocket\r\nConnection: Upgrade\r\nSec-WebSocket-Version: 13\r\n"
-            "Sec-WebSocket-Key: MDEyMzQ1Njc4OWFiY2RlZg==\r\n\r\n".encode()
-        )
-        assert connection.recv(100).split()[1] == b"403"
 
 
 ROWS = "[...document.getElementById('contactors').rows].map(row => row.cells[0].textContent)"
@@ -309,7 +320,7 @@ def test_three_fingers_are_shown_and_one_is_chosen_by_keyboard_also_in_a_pause(
             assert page.locator("#fingers-keys").inner_text().split() == ["cun", "guan", "chi"]
             page.wait_for_function(f"{FINGERS}.y.length === 3")
             assert page.locator("#plot-fingers").bounding_box()["height"] > 200
-            assert page.locator("#plot-force h2").inner_text() == "Force – cun"
+            assert page.locator("#plot-force h3").inner_text() == "Force – cun"
             await_figure(page, "aligned")
             for scheme in ("light", "dark"):
                 page.emulate_media(color_scheme=scheme)
@@ -327,7 +338,7 @@ def test_three_fingers_are_shown_and_one_is_chosen_by_keyboard_also_in_a_pause(
             assert page.evaluate(f"{label}.textContent") == "guan"
             assert page.evaluate(f"getComputedStyle({label}).outlineStyle") == "solid"
             page.wait_for_function(f"{CHOSEN} === 'guan'")
-            assert page.locator("#plot-force h2").inner_text() == "Force – guan"
+            assert page.locator("#plot-force h3").inner_text() == "Force – guan"
             assert text_of(page, "aligned-note").startswith("guan: RMS of the last 10 s")
             keep(page, "view-contactors.png")
             page.locator("#pause").click()
@@ -340,7 +351,7 @@ def test_three_fingers_are_shown_and_one_is_chosen_by_keyboard_also_in_a_pause(
             page.wait_for_function(f"{CHOSEN} === 'chi'")
             until(lambda: page.evaluate(DRAWN) != drawn)
             assert stands_still(page, 1_500)
-            assert page.locator("#plot-error .of").inner_text() == " – chi"
+            assert page.locator("#plot-error .of").text_content() == " – chi"
             # The data of the pause: that of the others, and the same after a choice and back.
             assert page.locator(".contactors table").inner_text() == table
             page.keyboard.press("ArrowLeft")
@@ -376,7 +387,13 @@ def test_the_last_state_stays_when_the_demo_has_ended(visit: Visit) -> None:
             assert demo.returncode == 0, errors
             assert "sent =" in output
             await_state(page, "ended")
+            page.locator("#state-note", has_text="the server of this page has ended").wait_for()
+            assert re.match(r"at \d\d:\d\d:\d\d; ", text_of(page, "state-note"))
+            assert page.locator("#pause").is_disabled()
+            # All of it can still be read.
             assert page.evaluate(NEWEST) is not None
+            unfold(page)
+            assert page.evaluate(f"[...{FOLDED}].some(Number.isFinite)")
     finally:
         demo.kill()
         demo.communicate()

@@ -176,10 +176,10 @@ def test_telemetry_that_has_queued_is_shown_with_its_age(
             session.close()
             return words
 
-        until(lambda: shown()["state"] == "playing")
-        words = shown()
-        assert re.fullmatch(r"\d+\.\d s ago", words["note"]), words["note"]
-        assert 5.0 <= float(words["note"].split()[0]) < 30.0
+        until(lambda: shown()["state"][0] == "playing")
+        _, note, _ = shown()["state"]
+        assert re.fullmatch(r"\d+\.\d s ago", note), note
+        assert 5.0 <= float(note.split()[0]) < 30.0
 
 
 FAULT = "drive: no answer for 403 ms"

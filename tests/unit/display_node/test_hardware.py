@@ -198,6 +198,16 @@ def test_a_long_overrun_is_a_fault_whatever_the_drive_reports(pulse_n: Pulse) ->
     assert ended_after_ms(bench, began_ms) <= 3 * BAR_MS
 
 
+def test_a_slow_first_tick_is_no_fault_since_the_drive_rests_at_first_touch(pulse_n: Pulse) -> None:
+    bench = VirtualBench(pulse_n)
+    bench.loop_runs = False
+    bench.run(204)
+    bench.loop_runs = True
+    bench.run(2_000)
+    assert bench.display.safety.faults == []
+    assert bench.moments[-1].force_n > 0.05
+
+
 @pytest.mark.parametrize(
     "force_n",
     [

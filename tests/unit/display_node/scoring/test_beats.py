@@ -1,9 +1,10 @@
-"""Beats against drawn waves, against heartpy's peaks, and on what is no pulse."""
+"""Beats against drawn waves, against the peaks that heartpy found, and on what is no pulse."""
 
 import itertools
+import json
 import random
+from pathlib import Path
 
-import heartpy
 import numpy as np
 import pytest
 
@@ -149,12 +150,17 @@ def test_what_is_no_pulse_has_hardly_a_good_beat(kind: str) -> None:
     assert sum(quality >= GOOD for quality in compared) <= 0.2 * len(compared)
 
 
-@pytest.mark.parametrize("name", ["heartpy data", "heartpy data2", "heartpy data3, early"])
+# heartpy does not run from Python 3.12 on: its figures are kept, with the command that gave them.
+HEARTPY = json.loads((Path(__file__).parents[3] / "data/heartpy_peaks.json").read_text("utf-8"))
+
+
+@pytest.mark.parametrize("name", HEARTPY["peaks_ms"])
 def test_good_beats_of_recordings_are_those_of_heartpy(name: str) -> None:
-    recorded = recorded_pulses(60.0)[name]
+    recorded = recorded_pulses(60.0).get(name)
+    if recorded is None:
+        pytest.skip("the recordings come with the package heartpy, which is not installed")
     beats = [b for b in analysed(frames(recorded)) if b.quality is None or b.quality >= GOOD]
-    found, _ = heartpy.process(recorded, float(RATE_HZ))
-    accepted = np.array(found["peaklist"])[np.array(found["binary_peaklist"], bool)] / RATE_HZ
+    accepted = np.array(HEARTPY["peaks_ms"][name]) * 1e-3
     peaks_s = np.array([seconds(beat.peak_ns) for beat in beats])
     apart_s = np.array([np.abs(accepted - peak_s).min() for peak_s in peaks_s])
     assert np.mean(apart_s < 0.06) >= 0.95

@@ -70,7 +70,7 @@ def test_empty_cells_are_missing_samples_and_words_are_named_by_line(tmp_path: P
     assert find_gaps(column.values).samples == 1
     lines[20] = "0.1,high"
     path.write_text("\n".join(lines), encoding="utf-8")
-    with pytest.raises(SourceError, match="line 21: 'high' is not a number"):
+    with pytest.raises(SourceError, match=r"line 21, '0\.1,high': 'high' is not a number; write"):
         open_signals(path).load(("ABP",))
 
 

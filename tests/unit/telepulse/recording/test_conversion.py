@@ -94,7 +94,7 @@ def test_what_is_converted_is_read_back_by_us_and_by_others(
     assert len(back) == 4
 
 
-def test_a_gap_in_a_tables_times_is_counted_and_times_that_fall_are_refused(
+def test_a_gap_in_a_tables_times_is_counted_and_a_clock_set_back_is_named(
     tmp_path: Path,
 ) -> None:
     path = tmp_path / "a.csv"
@@ -108,8 +108,13 @@ def test_a_gap_in_a_tables_times_is_counted_and_times_that_fall_are_refused(
     (column,) = open_signals(tmp_path / "b.csv").load(("force",))
     np.testing.assert_allclose(column.values[250:], np.arange(50, 100) % 9, atol=1e-9)
     path.write_text("\n".join(["t [s],force [N]", *rows[50:], *rows[:50]]), encoding="utf-8")
+    first, second, _ = convert_file(path, tmp_path / "c.csv")
+    assert '"t [s]": was set back by 3 after row 50 (line 51); the samples after it' in first
+    assert second.endswith("force, N, 100 Hz, 1 s: no sample is missing")
+    falling = "".join(f"{-t_s},{n % 9}\n" for n, t_s in enumerate(times_s))
+    path.write_text(f"t [s],force [N]\n{falling}", encoding="utf-8")
     with pytest.raises(SourceError, match="add a column of times that never fall"):
-        list(convert_file(path, tmp_path / "c.csv"))
+        list(convert_file(path, tmp_path / "d.csv"))
 
 
 def test_signals_of_several_rates_keep_them_or_are_interpolated_aloud(tmp_path: Path) -> None:

@@ -13,7 +13,7 @@ from telepulse.telemetry.decoder import without_none
 from telepulse.view.live import MAX_CONTACTORS, LiveState
 from telepulse.view.plots import FINGER_COLOURS
 from telepulse.view.text import alarms, beyond, contactor_rows, figures
-from telepulse.view.window_data import window_data
+from telepulse.view.window_data import window_data, window_scores
 from tests.support.page_states import (
     BEATS_A_SECOND,
     MEAN_N,
@@ -53,19 +53,20 @@ def test_the_curves_and_scores_are_those_of_the_chosen_contactor(
     display: SimulatedDisplay, chosen: int
 ) -> None:
     data = window_data(display.live, WINDOW_NS, chosen)
+    scores = window_scores(display.live, WINDOW_NS, chosen)
     peak_mn = (1 + chosen) * PEAK_MN
-    assert data.chosen == chosen
+    assert scores.chosen == chosen
     assert data.columns["wrist"]["y"].max() == pytest.approx(peak_mn, rel=1e-3)
     assert data.columns["finger"]["y"].max() == pytest.approx(RATIO * peak_mn, rel=1e-3)
     assert data.columns["height"]["y"] == pytest.approx(2e3 * SWING_N * (1 + chosen), rel=0.01)
-    assert data.scores == data.all_scores[chosen]
+    assert scores.scores == scores.all_scores[chosen]
     # Each is felt as late as the others, so that its error in phase is as large as its pulse.
-    assert data.scores.in_phase_n == pytest.approx(
-        (1 + chosen) * (data.all_scores[0].in_phase_n or 0.0), rel=1e-6
+    assert scores.scores.in_phase_n == pytest.approx(
+        (1 + chosen) * (scores.all_scores[0].in_phase_n or 0.0), rel=1e-6
     )
-    assert data.scores.aligned_n is not None
-    assert data.scores.aligned_n < 1e-4
-    assert data.heart_rate_per_min == pytest.approx(60 * BEATS_A_SECOND, rel=0.02)
+    assert scores.scores.aligned_n is not None
+    assert scores.scores.aligned_n < 1e-4
+    assert scores.heart_rate_per_min == pytest.approx(60 * BEATS_A_SECOND, rel=0.02)
 
 
 def test_the_forces_at_all_fingers_are_drawn_whichever_is_chosen(display: SimulatedDisplay) -> None:
@@ -81,15 +82,15 @@ def test_an_only_contactor_has_no_table_and_no_curves_of_all_fingers() -> None:
     display.go(1)
     data = window_data(display.live, WINDOW_NS)
     assert data.fingers == ()
-    assert contactor_rows(display.live, data) == []
-    assert len(data.all_scores) == 1
+    scores = window_scores(display.live, WINDOW_NS)
+    assert contactor_rows(display.live, scores) == []
+    assert len(scores.all_scores) == 1
 
 
 def test_the_table_has_a_row_for_each_contactor(display: SimulatedDisplay) -> None:
     guan = Summary(beats=DOUBTFUL, finger="pressed with 245 mN")
     display.status("playing", contactors=of_contactors(cun=Summary(), guan=guan))
-    data = window_data(display.live, WINDOW_NS)
-    rows = contactor_rows(display.live, data)
+    rows = contactor_rows(display.live, window_scores(display.live, WINDOW_NS))
     assert [row[:2] for row in rows] == [[name, f"of {name}"] for name in NAMES]
     forces_mn = [float(row[2].removesuffix(" mN")) for row in rows]
     assert forces_mn[1:] == pytest.approx([2 * forces_mn[0], 3 * forces_mn[0]], abs=3)
@@ -105,7 +106,7 @@ def test_figures_of_a_contactor_have_its_name_and_those_of_the_display_none(
 ) -> None:
     guan = {"beats": DOUBTFUL, "compensation": Compensation(error_n=0.001)}
     display.go(0.4, contactors=of_guan(**guan, limited=FORCE_LIMIT))
-    shown = [figures(display.live, window_data(display.live, WINDOW_NS, n)) for n in range(2)]
+    shown = [figures(display.live, window_scores(display.live, WINDOW_NS, n)) for n in range(2)]
     assert shown[1]["heart"] == ("75 /min", "guan: of the force felt, last 6 s")
     assert shown[0]["aligned"].note.startswith("cun: RMS of the last 5 s, ")
     assert shown[1]["within"].note.startswith("guan: of the ")
@@ -117,7 +118,11 @@ def test_figures_of_a_contactor_have_its_name_and_those_of_the_display_none(
         "guan: force limit 3 times, 1.5 s (10.0 % of the run)",
     )
     assert shown[0]["pulse"].value == shown[0]["prediction"].value == "–"
-    for id in ("loss", "clock", "loop", "availability", "predictor", "playout-delay"):
+    assert shown[1]["force"] == (
+        f"{2e3 * RATIO * (MEAN_N + SWING_N):.0f} of 0 mN",
+        "guan: of the force wanted, peaks of the last 2 s",
+    )
+    for id in ("loss", "clock", "loop", "availability", "predictor", "delay", "playout-delay"):
         assert shown[0][id] == shown[1][id]
         assert "guan" not in "".join(shown[1][id])
 
@@ -152,7 +157,7 @@ def test_contactors_beyond_the_pages_room_are_counted() -> None:
     display = SimulatedDisplay(LiveState(), names=names)
     display.go(1)
     data = window_data(display.live, WINDOW_NS, MAX_CONTACTORS - 1)
-    rows = contactor_rows(display.live, data)
+    rows = contactor_rows(display.live, window_scores(display.live, WINDOW_NS))
     assert [row[0] for row in rows] == list(names[:MAX_CONTACTORS])
     assert len(data.fingers) == len(FINGER_COLOURS) == MAX_CONTACTORS
     assert (
@@ -160,7 +165,7 @@ def test_contactors_beyond_the_pages_room_are_counted() -> None:
         == "2 more contactors of the display not shown: the page has room for 8."
     )
     # A choice that this display does not have is that of the first.
-    assert window_data(display.live, WINDOW_NS, MAX_CONTACTORS).chosen == 0
+    assert window_scores(display.live, WINDOW_NS, MAX_CONTACTORS).chosen == 0
 
 
 def test_another_run_may_have_other_contactors(display: SimulatedDisplay) -> None:
@@ -169,7 +174,7 @@ def test_another_run_may_have_other_contactors(display: SimulatedDisplay) -> Non
     display.names = NAMES[:2]
     display.status("waiting")
     assert display.live.names == ["cun", "guan"]
-    assert window_data(display.live, WINDOW_NS, 2).chosen == 0
+    assert window_scores(display.live, WINDOW_NS, 2).chosen == 0
 
 
 @pytest.mark.parametrize(("names", "rows"), [(NAMES[:1], 3), (NAMES, 2), (NAMES, 4)])
@@ -187,8 +192,8 @@ def test_ticks_and_status_that_disagree_on_the_contactors_show_what_both_have(
     after = [len(contactor.ticks) for contactor in display.live.contactors]
     grown = [new - old for new, old in zip(after, before, strict=True)]
     assert grown == [100 if n < rows else 0 for n in range(len(names))]
-    data = window_data(display.live, WINDOW_NS, len(names) - 1)
-    assert figures(display.live, data).keys()
+    scores = window_scores(display.live, WINDOW_NS, len(names) - 1)
+    assert figures(display.live, scores).keys()
 
 
 def test_a_channel_that_the_stream_does_not_have_is_left_out(display: SimulatedDisplay) -> None:

@@ -6,7 +6,7 @@ import pytest
 from display_node.press.sweep import SweepPlan
 from telepulse.view.live import LiveState
 from telepulse.view.text import figures
-from telepulse.view.window_data import window_data
+from telepulse.view.window_data import hidden_plots, window_data, window_scores
 from tests.support.page_states import SECOND_NS, SimulatedDisplay, play_sweep
 from tests.support.recorded_sweeps import SweptWrist
 
@@ -17,10 +17,10 @@ ONLY_PRESSED = {"press", "depth", "shape"}
 def test_the_page_shows_curve_and_levels_of_a_sweep_as_its_report_does() -> None:
     plan = SweepPlan(low_n=0.4, high_n=2.0, steps=6, beats=3)
     display, wrist = SimulatedDisplay(LiveState()), SweptWrist(plan)
-    assert set(window_data(display.live, WINDOW_NS).hidden) == ONLY_PRESSED
+    assert set(hidden_plots(display.live)) == ONLY_PRESSED
     play_sweep(display, wrist, 1.2)
     data = window_data(display.live, WINDOW_NS)
-    assert data.hidden == ("error",)
+    assert hidden_plots(display.live) == ["error"]
     curve = display.live.depth.curve
     assert curve is not None
     best_n = wrist.artery.best_n
@@ -36,10 +36,10 @@ def test_the_page_shows_curve_and_levels_of_a_sweep_as_its_report_does() -> None
     # The artery is closed between beats beyond the best hold-down.
     flat, deep = data.columns["shape_flat"], data.columns["shape_flat"]["t"] > 1.3 * best_n
     assert np.median(flat["y"][deep]) > 1.5 * np.median(flat["y"][~deep])
-    shown = figures(display.live, data)
+    shown = figures(display.live, window_scores(display.live, WINDOW_NS))
     assert shown["press"] == ("finger 1.20 N", "wrist 1.20 N, loop gain 0.0002, probe pressing")
     assert shown["levels"].value == f"best {curve.best_n.value:.2f} N"
-    assert shown["aligned"] == ("–", "")
+    assert shown["aligned"].value == "–"
     # Another run has beats of its own.
     display.event("begin", "another run of the display")
     assert window_data(display.live, WINDOW_NS).columns["depth_beats"]["t"].size == 0

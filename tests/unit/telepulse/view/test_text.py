@@ -7,8 +7,8 @@ from protocol.counters import Availability, Limited, Limits
 from protocol.loop_tables import Deadlines, Loop
 from protocol.summary_tables import Clock, Compensation, SampleCounts
 from telepulse.view.live import LiveState
-from telepulse.view.text import FIGURES, age, alarms, figures, state
-from telepulse.view.window_data import window_data
+from telepulse.view.text import ALWAYS_SEEN, FIGURES, GROUPS, age, alarms, figures, state
+from telepulse.view.window_data import window_scores
 from tests.support.page_states import AHEAD_NS, MS, SECOND_NS, SimulatedDisplay
 
 LATE = Loop(3000, 411, late=True, last_5s=Deadlines(0.0822, 412.0))
@@ -27,15 +27,29 @@ def names(display: SimulatedDisplay, silent_ns: int = 0) -> list[str]:
 
 def test_an_unknown_figure_is_a_dash() -> None:
     live = LiveState()
-    shown = figures(live, window_data(live, SECOND_NS))
+    shown = figures(live, window_scores(live, SECOND_NS))
     assert shown.keys() == FIGURES.keys()
     assert {figure.value for figure in shown.values()} == {"–"}
     assert state(live) == ("waiting", "no telemetry from a display yet")
 
 
+def test_each_figure_is_seen_once() -> None:
+    ids = [*ALWAYS_SEEN, *(id for group in GROUPS for id in group.figures)]
+    assert sorted(ids) == sorted(FIGURES)
+
+
+def test_the_force_felt_stands_beside_the_force_wanted_while_it_is_felt(
+    display: SimulatedDisplay,
+) -> None:
+    for word, value in (("playing", "900 of 900 mN"), ("stale", "–")):
+        display.go(0.2, word)
+        shown = figures(display.live, window_scores(display.live, SECOND_NS))
+        assert shown["force"] == (value, "of the force wanted, peaks of the last 2 s")
+
+
 def test_figures_have_their_units(display: SimulatedDisplay) -> None:
     # The sensing host has run for 5000 s longer than the display's.
-    shown = figures(display.live, window_data(display.live, 5 * SECOND_NS))
+    shown = figures(display.live, window_scores(display.live, 5 * SECOND_NS))
     assert shown["heart"] == ("75 /min", "of the force felt, last 6 s")
     assert shown["within"] == ("100.0 %", "of the 100.0 % of the last 5 s that could be judged")
     assert shown["loss"].value == "0.00 %"
@@ -52,7 +66,7 @@ def test_a_share_stands_beside_the_part_that_it_is_of(display: SimulatedDisplay)
     whole = Availability(60.0, 0.16, 0.01, 0.83, 0.0, 0.0, 0.0, 0.0, played=0.17, judged=0.16)
     compensation = {"predicted": 0.012, "trusted": None}
     display.status("stale", availability=asdict(whole), compensation=compensation)
-    shown = figures(display.live, window_data(display.live, SECOND_NS))
+    shown = figures(display.live, window_scores(display.live, SECOND_NS))
     parts = "felt 16.0 %, starting 1.0 %, stale 83.0 % of 60.0 s"
     assert shown["availability"] == ("16.0 %", parts)
     assert shown["concealed"] == ("1.2 %", "of the time played (played: 17.0 % of the run)")
@@ -63,7 +77,7 @@ def test_old_figures_have_their_age_and_no_heart_rate(display: SimulatedDisplay)
     assert (age(display.live, now), age(display.live, late)) == ("", "2.3 s ago")
     assert state(display.live, now) == ("playing", "the pulse is felt")
     assert state(display.live, late) == ("playing", "2.3 s ago")
-    shown = window_data(display.live, SECOND_NS)
+    shown = window_scores(display.live, SECOND_NS)
     assert figures(display.live, shown, now)["heart"].value == "75 /min"
     assert figures(display.live, shown, late)["heart"].value == "–"
     display.status("ended", final=True)
@@ -71,7 +85,7 @@ def test_old_figures_have_their_age_and_no_heart_rate(display: SimulatedDisplay)
 
 
 def test_the_time_at_a_limit_is_a_figure(display: SimulatedDisplay) -> None:
-    data = window_data(display.live, SECOND_NS)
+    data = window_scores(display.live, SECOND_NS)
     display.status("playing", limited=asdict(Limits(force=Limited(0, 0.0, 0.0))))
     assert figures(display.live, data)["at-a-limit"].value == "never"
     limits = Limits(force=Limited(312, 4.1, 0.205), slew=Limited(2, 0.2, 0.01))
@@ -178,7 +192,7 @@ def test_a_count_that_rises_is_an_alarm_for_a_while(
 def test_predicted_samples_are_no_loss_and_no_alarm(display: SimulatedDisplay) -> None:
     counts = SampleCounts(sent=7000, played=6000, predicted=995, late=2, lost=3)
     display.status("playing", samples=asdict(counts))
-    shown = figures(display.live, window_data(display.live, SECOND_NS))
+    shown = figures(display.live, window_scores(display.live, SECOND_NS))
     assert shown["loss"] == ("0.07 %", "3 samples lost, 2 late, 995 predicted in the run")
     assert names(display) == []
 
@@ -206,11 +220,12 @@ def test_the_present_delay_is_shown_with_trust_where_it_is_used(
 ) -> None:
     display.trusted = trusted
     display.go(0.4, compensation={} if share is None else {"trusted": share})
-    shown = figures(display.live, window_data(display.live, SECOND_NS))
-    assert shown["predictor"] == ("ensemble", f"playout delay now 40.0 ms{note}")
-    display.go(0.4, "stale")
-    shown = figures(display.live, window_data(display.live, SECOND_NS))
+    shown = figures(display.live, window_scores(display.live, SECOND_NS))
     assert shown["predictor"] == ("ensemble", "")
+    assert shown["delay"] == ("40.0 ms", f"of the finger behind the wrist{note}")
+    display.go(0.4, "stale")
+    shown = figures(display.live, window_scores(display.live, SECOND_NS))
+    assert shown["delay"] == ("–", "of the finger behind the wrist")
 
 
 def test_many_deadline_misses_are_an_alarm_with_rate_and_gap(display: SimulatedDisplay) -> None:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from telepulse.view.live import LiveState
-from telepulse.view.window_data import POINTS, nice, window_data
+from telepulse.view.window_data import POINTS, nice, window_data, window_scores
 from tests.support.page_states import (
     BEATS_A_SECOND,
     FINGER,
@@ -31,7 +31,7 @@ def display() -> SimulatedDisplay:
 
 
 def test_a_delayed_pulse_has_an_error_in_phase_and_none_aligned(display: SimulatedDisplay) -> None:
-    scores = window_data(display.live, WINDOW_NS).scores
+    scores = window_scores(display.live, WINDOW_NS).scores
     lag_rad = 2 * math.pi * BEATS_A_SECOND * PLAYOUT_NS * 1e-9
     peak_n = 2 * RATIO * SWING_N * math.sin(lag_rad / 2)
     assert scores.in_phase_n is not None
@@ -85,7 +85,8 @@ def test_delays_clocks_and_heart_rate_are_the_simulated_ones(display: SimulatedD
     assert shown.columns["offset"]["y"] == pytest.approx(0.0)
     assert shown.columns["offset_high"]["y"] == pytest.approx(0.05)
     assert shown.columns["skew"]["y"] == pytest.approx(3.0)
-    assert shown.heart_rate_per_min == pytest.approx(60 * BEATS_A_SECOND, rel=0.02)
+    heart_rate = window_scores(display.live, WINDOW_NS).heart_rate_per_min
+    assert heart_rate == pytest.approx(60 * BEATS_A_SECOND, rel=0.02)
 
 
 def test_a_minute_has_as_few_points_as_five_seconds_and_every_peak() -> None:
@@ -99,14 +100,14 @@ def test_a_minute_has_as_few_points_as_five_seconds_and_every_peak() -> None:
 def test_without_telemetry_the_window_is_empty() -> None:
     shown = window_data(LiveState(), WINDOW_NS)
     assert all(len(column["t"]) == 0 for column in shown.columns.values())
-    assert shown.scores == (None,) * 5
+    assert window_scores(LiveState(), WINDOW_NS).scores == (None,) * 5
     assert all(low < high for low, high in shown.limits.values())
 
 
 def test_a_share_of_the_window_counts_all_of_it(display: SimulatedDisplay) -> None:
     display.linked = False
     display.go(4, "stale")
-    scores = window_data(display.live, WINDOW_NS).scores
+    scores = window_scores(display.live, WINDOW_NS).scores
     assert scores.within_jnd == 1.0
     assert scores.judged == pytest.approx(0.2, abs=0.02)
 
@@ -116,14 +117,22 @@ def test_a_heart_rate_is_of_the_pulse_felt_now_and_never_of_a_gap(
 ) -> None:
     display.linked = False
     display.go(0.2, "stale")
-    assert window_data(display.live, WINDOW_NS).heart_rate_per_min is None
+    assert window_scores(display.live, WINDOW_NS).heart_rate_per_min is None
     display.go(3, "stale")
     display.linked = True
     # Only one beat since the cut: one before it makes no interval with this one.
     display.go(0.9)
-    assert window_data(display.live, WINDOW_NS).heart_rate_per_min is None
+    assert window_scores(display.live, WINDOW_NS).heart_rate_per_min is None
     display.go(2)
-    assert window_data(display.live, WINDOW_NS).heart_rate_per_min == pytest.approx(75, rel=0.02)
+    assert window_scores(display.live, WINDOW_NS).heart_rate_per_min == pytest.approx(75, rel=0.02)
+
+
+def test_only_the_curves_of_the_groups_that_are_asked_for_are_computed(
+    display: SimulatedDisplay,
+) -> None:
+    always = window_data(display.live, WINDOW_NS, groups=[""])
+    assert set(always.columns) == {"wrist", "finger", "wanted", "onset", "doubtful"}
+    assert "offset" in window_data(display.live, WINDOW_NS, groups=["", "clock"]).columns
 
 
 def test_a_cut_link_is_a_gap_in_the_curve() -> None:

@@ -1,0 +1,185 @@
+"""Files that harm end in one line before memory is allocated; an honest long one needs little."""
+
+import io
+import os
+import struct
+import sys
+import zipfile
+import zlib
+from collections.abc import Callable
+from pathlib import Path
+from subprocess import run
+from typing import Any
+
+import numpy as np
+import pyarrow
+import pytest
+import scipy.io
+from mcap.writer import CompressionType, Writer
+from numpy.lib import format as npy
+from pyarrow import parquet
+
+from protocol.errors import SourceError
+from sensing_node.files import mcap_messages
+from sensing_node.files.formats import FORMATS, open_signals
+from sensing_node.sources.choice import record_table
+from tests.support.signal_files import wfdb_record
+
+SUFFIXES = [suffix for known in FORMATS for suffix in known.suffixes]
+MANY = 300_000_000
+
+
+def refusal(path: Path) -> str:
+    """Return the line that refuses a file, without its name."""
+    with pytest.raises(SourceError) as caught:
+        record_table(path)
+    assert "\n" not in str(caught.value)
+    return str(caught.value).removeprefix(f"{path}: ")
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES)
+def test_what_is_no_regular_file_is_refused_at_once(tmp_path: Path, suffix: str) -> None:
+    zeros, pipe = tmp_path / f"zeros{suffix}", tmp_path / f"pipe{suffix}"
+    zeros.symlink_to("/dev/zero")
+    os.mkfifo(pipe)
+    advice = "copy what it gives into a regular file"
+    assert refusal(zeros) == f"is a character device; {advice}"
+    assert refusal(pipe) == f"is a named pipe; {advice}"
+    assert refusal(Path("/dev/zero")) == f"is a character device; {advice}"
+
+
+def test_a_named_pipe_in_a_record_is_refused_at_once(tmp_path: Path) -> None:
+    record = wfdb_record(tmp_path, {"ABP": np.arange(100.0)})
+    record.with_suffix(".dat").unlink()
+    os.mkfifo(record.with_suffix(".dat"))
+    with pytest.raises(SourceError, match=r"rec\.dat: is a named pipe"):
+        record_table(record)
+
+
+def _array_header(kind: str) -> bytes:
+    head = io.BytesIO()
+    table = {"descr": kind, "fortran_order": False, "shape": (MANY,)}
+    npy.write_array_header_1_0(head, table)
+    return head.getvalue()
+
+
+def _npy(path: Path) -> None:
+    path.write_bytes(_array_header("<f8") + bytes(100))
+
+
+def _npz(path: Path) -> None:
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("x.npy", _array_header("|i1"))
+
+
+def _parquet(path: Path) -> None:
+    zeros = pyarrow.array(np.zeros(MANY // 100, "i1"))
+    table = pyarrow.table({"x": pyarrow.chunked_array([zeros] * 100)})
+    parquet.write_table(table, path, row_group_size=MANY)
+
+
+def _edf(path: Path) -> None:
+    head = b"0".ljust(168) + b"01.01.2401.01.01512".ljust(68) + b"9999999 1       1   "
+    widths = ((b"ABP", 16), (b"", 80), (b"mmHg", 8), (b"0", 8), (b"200", 8), (b"-32768", 8),
+              (b"32767", 8), (b"", 80), (b"100", 8), (b"", 32))  # fmt: skip
+    with path.open("wb") as file:
+        file.write(head + b"".join(text.ljust(width) for text, width in widths))
+        # A sparse file.
+        file.truncate(512 + 9_999_999 * 200)
+
+
+def _hea(path: Path) -> None:
+    wfdb_record(path.parent, {"ABP": np.arange(100.0)}, name="part")
+    path.write_text(f"{path.stem}/3 1 250 {MANY + 200}\npart 100\n~ {MANY}\npart 100\n")
+
+
+def _mat(path: Path) -> None:
+    scipy.io.savemat(path, {"x": np.arange(8.0)})
+    data = path.read_bytes()
+    shape = struct.pack("<ii", 1, 8)
+    assert shape in data[136:]
+    path.write_bytes(data[:136] + data[136:].replace(shape, struct.pack("<ii", 1, MANY), 1))
+
+
+@pytest.mark.parametrize("make", [_npy, _npz, _parquet, _edf, _hea, _mat])
+def test_a_file_that_states_too_many_samples_is_refused(
+    tmp_path: Path, make: Callable[[Path], None]
+) -> None:
+    path = tmp_path / f"a.{make.__name__[1:]}"
+    make(path)
+    line = refusal(path)
+    assert line.startswith("states ")
+    assert line.endswith("; at most 172800000 are read (48 h at 1000 Hz): cut it into parts")
+
+
+@pytest.mark.parametrize("suffix", [".wav", ".xdf", ".hea", ".mat"])
+def test_a_file_that_is_read_as_a_whole_has_a_bound(tmp_path: Path, suffix: str) -> None:
+    path = tmp_path / f"a{suffix}"
+    with path.open("wb") as file:
+        file.truncate(20_000_000_000)
+    assert refusal(path).startswith("has 20 GB; at most 1.38 GB are read (48 h at 1000 Hz)")
+
+
+def test_what_unpacks_to_too_much_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    archive = tmp_path / "a.npz"
+    with zipfile.ZipFile(archive, "w", zipfile.ZIP_DEFLATED) as file:
+        file.writestr("x.npy", _array_header("|i1"))
+        file.getinfo("x.npy").file_size = 2_000_000_000
+    assert refusal(archive).startswith("unpacks to 2 GB; at most 1.38 GB are read")
+    packer, packed = zlib.compressobj(9), [struct.pack("<II", 15, 0)]
+    packed += [packer.compress(bytes(1 << 24)) for _ in range(85)]
+    data = b"".join(packed[1:]) + packer.flush()
+    head = b"MATLAB 5.0 MAT-file".ljust(126) + b"IM"
+    (tmp_path / "a.mat").write_bytes(head + struct.pack("<II", 15, len(data)) + data)
+    assert refusal(tmp_path / "a.mat").startswith("unpacks to 1.38 GB; at most")
+    monkeypatch.setattr(mcap_messages, "MAX_RECORD_BYTES", 100_000)
+    for kind in (CompressionType.ZSTD, CompressionType.LZ4):
+        path = tmp_path / f"{kind.name}.mcap"
+        with path.open("wb") as out:
+            writer = Writer(out, compression=kind)
+            writer.start()
+            channel = writer.register_channel("force", "json", 0)
+            writer.add_message(channel, 0, b"[" + b" " * 200_000 + b"]", 0)
+            writer.finish()  # type: ignore[no-untyped-call]
+        assert refusal(path).endswith("unpacks to more than 100000 bytes")
+
+
+def test_a_matlab_file_of_version_7_3_says_how_to_save_it(tmp_path: Path) -> None:
+    path = tmp_path / "a.mat"
+    path.write_bytes(b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(512))
+    assert "'-v7'), or read it by the Python package h5py" in refusal(path)
+
+
+# Prints by how much opening and playing a file raised the most memory, in kB.
+PLAY = """
+import resource, sys
+from pathlib import Path
+from sensing_node.sources.choice import record_table
+from sensing_node.sources.recorded import RecordedSource, RecordingScene
+def most_kb():
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+def play(path):
+    source = RecordedSource(RecordingScene.model_validate(record_table(Path(path))[0]
+                            | {"rate": "1 kHz"}), Path())
+    return source.take(10_000)
+# The modules that the first one needs.
+play(sys.argv[1])
+before_kb = most_kb()
+play(sys.argv[2])
+print(most_kb() - before_kb)
+"""
+
+
+def test_a_long_array_is_played_from_the_disk(tmp_path: Path) -> None:
+    time_s = np.arange(12_000_000) / 1000
+    values = np.sin(7 * time_s).astype(np.float32)
+    np.save(tmp_path / "short.npy", values[:10_000])
+    np.save(tmp_path / "long.npy", values)
+    command: list[Any] = [sys.executable, "-c", PLAY]
+    result = run([*command, tmp_path / "short.npy", tmp_path / "long.npy"],
+                 capture_output=True, text=True, check=True)  # fmt: skip
+    # Its pages, once; a copy in 64 bits would be twice as much again.
+    assert int(result.stdout) * 1000 < 1.5 * values.nbytes
+    assert open_signals(tmp_path / "long.npy").signals[0].samples == len(values)

@@ -1,0 +1,64 @@
+"""Files as recorders write them: each is played as `expected.toml` beside it states."""
+
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from protocol.config.scene_file import find_scene
+from sensing_node.files.formats import open_signals
+from sensing_node.scene import build_source, load_sensing
+from sensing_node.sources.recorded import RecordedSource, RecordingScene
+from tests.support.signal_files import beats_per_min
+
+FIELD = Path(__file__).parents[3] / "data" / "field"
+EXPECTED: dict[str, dict[str, Any]] = tomllib.loads((FIELD / "expected.toml").read_text("utf-8"))
+# Rates that the files do not state, and lines that name what was changed in them.
+RATES = {"arduino_equals": "100 Hz"}
+NOTES = {
+    "one_bad_time": ["1 time is not used, that in row 701 (line 702), 200007"],
+    "clock_set_back": ["was set back by 4 after row 1100 (line 1101)"],
+}
+
+
+@pytest.mark.parametrize("name", EXPECTED)
+def test_a_file_of_a_recorder_is_played_as_expected(
+    name: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    expected = EXPECTED[name]
+    caplog.set_level("INFO")
+    path = FIELD / expected["file"]
+    sensing = load_sensing(find_scene("radial"), {"source": str(path), "rate": RATES.get(name)})
+    source = build_source(sensing, Path())
+    assert isinstance(source, RecordedSource)
+    assert isinstance(sensing.source, RecordingScene)
+    chosen, signals = sensing.source.column, open_signals(path).signals
+    (signal,) = [each for each in signals if each.number == chosen]
+    rate_hz = 1e9 / source.period_ns
+    assert signal.name == expected.get("signal", "")
+    assert signal.unit == expected.get("unit", "")
+    assert rate_hz == pytest.approx(expected.get("rate_hz", 100), rel=1e-6)
+    others = ", ".join(expected.get("others", []))
+    assert f"the file also has {others} (--channel)" in caplog.text or not others
+    assert ("also has" in caplog.text) == bool(others)
+    values = open_signals(path).load([signal.number])[0].values
+    lasts = f"it lasts {len(values) / rate_hz:.4g} s, then repeats"
+    assert lasts in caplog.text
+    force_n = source.take(len(values))[:, 0]
+    assert beats_per_min(force_n, rate_hz) == pytest.approx(
+        expected["heart_rate_per_min"], rel=0.01
+    )
+    if "height_mn" in expected:
+        assert np.ptp(force_n) * 1e3 == pytest.approx(expected["height_mn"], rel=0.03)
+    wanted = NOTES.get(name, [])
+    assert len(source.warnings) == len(wanted)
+    assert all(note in line for note, line in zip(wanted, source.warnings, strict=True))
+
+
+def test_the_start_and_the_rate_of_a_wristband_are_no_samples() -> None:
+    file = open_signals(FIELD / "e4_bvp.csv")
+    assert file.begin_ns == 1_544_027_337_000_000_000
+    values = file.load([0])[0].values
+    assert (len(values), values.max() < 120) == (1920, True)
