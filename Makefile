@@ -36,8 +36,8 @@ test-all: check .venv/installed-test-all
 	$(BIN)/python -m tests.run_all --durations=15 $(ARGS)
 
 # The tests of `make test` on other Pythons, processors, settings and versions; ARGS="--list" lists them.
-machines:
-	$(PYTHON) -m tests.machines $(ARGS)
+machines: .venv/bin/python
+	$(BIN)/python -m tests.machines $(ARGS)
 
 check: .venv/installed-test
 	$(BIN)/ruff check .

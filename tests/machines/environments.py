@@ -9,7 +9,6 @@ import subprocess
 import sys
 import tempfile
 import tomllib
-from collections.abc import Iterator
 from dataclasses import dataclass
 from datetime import date
 from pathlib import Path
@@ -18,13 +17,11 @@ from typing import Any
 ROOT = Path(__file__).parents[2]
 # Not in the checkout: a fresh one uses them too, and an ordinary user may enter.
 KEPT = Path(tempfile.gettempdir()) / "telepulse-machines"
-# Where Pythons lie besides on the path.
+# Where Pythons lie besides those on the path.
 FOLDERS = (
-    *("/usr/bin", "/usr/local/bin"),
-    *(
-        str(Path.home() / ".pyenv/versions/*/bin"),
-        str(Path.home() / ".local/share/uv/python/*/bin"),
-    ),
+    *(Path("/usr/bin"), Path("/usr/local/bin")),
+    *Path.home().glob(".pyenv/versions/*/bin"),
+    *Path.home().glob(".local/share/uv/python/*/bin"),
 )
 MINORS = range(11, 15)
 DISPATCH = """
@@ -57,26 +54,24 @@ def output(*command: str) -> str:
     return done.stdout
 
 
-def _read(path: str) -> Python | None:
+def _read(path: Path) -> Python | None:
     try:
-        text = output(path, "-c", "import sys; print(sys.version_info[:3])")
-    except (UnavailableError, OSError):
+        text = output(str(path), "-c", "import sys; print(*sys.version_info[:3])")
+    except UnavailableError:
         return None
-    major, minor, micro = json.loads(text.replace("(", "[").replace(")", "]"))
-    return Python(path, (major, minor, micro))
+    major, minor, micro = map(int, text.split())
+    return Python(str(path), (major, minor, micro))
 
 
-def pythons() -> Iterator[Python]:
-    """Yield each Python of this machine that is new enough, one a version, the oldest first."""
-    places = [*os.environ["PATH"].split(os.pathsep), *FOLDERS]
+def pythons() -> list[Python]:
+    """Return each Python of this machine that is new enough, one a version, the oldest first."""
     found = {}
-    for place in places:
-        root, pattern = ("/", place[1:]) if place.startswith("/") else (".", place)
+    for folder in (*map(Path, os.environ["PATH"].split(os.pathsep)), *FOLDERS):
         for minor in MINORS:
-            for path in Path(root).glob(f"{pattern}/python3.{minor}"):
-                if (python := _read(str(path))) is not None:
-                    found.setdefault(python.version, python)
-    yield from (found[version] for version in sorted(found))
+            path = folder / f"python3.{minor}"
+            if path.exists() and (python := _read(path)) is not None:
+                found.setdefault(python.version, python)
+    return [found[version] for version in sorted(found)]
 
 
 def own() -> Python:
@@ -99,22 +94,10 @@ def declared() -> dict[str, Any]:
 def lowest() -> str:
     """Return constraints that hold the product and its tests to the lowest declared versions."""
     project = declared()
-    extras, wanted = project["optional-dependencies"], [*project["dependencies"]]
-    waiting, met = ["test"], set()
-    while waiting:
-        extra = waiting.pop()
-        if extra not in met:
-            met.add(extra)
-            wanted += [each for each in extras[extra] if not each.startswith("telepulse[")]
-            waiting += re.findall(
-                r"[\w-]+",
-                "".join(
-                    each.partition("[")[2]
-                    for each in extras[extra]
-                    if each.startswith("telepulse[")
-                ),
-            )
-    return "\n".join(re.sub(r"\[.*?\]|,.*", "", each).replace(">=", "==") for each in wanted)
+    extras = project["optional-dependencies"].values()
+    wanted = "\n".join((*project["dependencies"], *(each for extra in extras for each in extra)))
+    found = re.findall(r"^([\w-]+)(?:\[.*\])?>=([\w.]+)$", wanted, re.MULTILINE)
+    return "\n".join(f"{name}=={version}" for name, version in found)
 
 
 def environment(python: Python, versions: str = "pinned") -> Path:

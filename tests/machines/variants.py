@@ -114,7 +114,7 @@ def _one_core() -> Variant:
 
 def variants() -> list[Variant]:
     """Return every variant, with what is missing for those that cannot run here."""
-    found = list(pythons())
+    found = pythons()
     of_python = [each for minor in MINORS for each in _of_python(f"3.{minor}", found)]
     others = [
         each for each in of_python if not each.missing and each.python.version != own().version

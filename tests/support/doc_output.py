@@ -253,7 +253,7 @@ UNRUN = {
     "telepulse simulate examples/plugin/scene.toml --seconds 5": EXAMPLE,
     "make test": "is what runs this",
     "make test-all": "is what runs this",
-    "make machines": "runs `make test` once a variant; .ci/run",
+    "make machines": "two minutes a variant; .ci/run",
     "make size": "counts lines",
     "telepulse demo": "make demo, run above",
     "source .venv/bin/activate": "the shell's own",
