@@ -49,7 +49,7 @@ def run(variant: Variant) -> tuple[Counter[str], list[str]]:
             Path(folder, variant.checkout),
         )
         output("git", "clone", "--quiet", str(ROOT), str(checkout))
-        install(kept, "--no-deps", "--no-build-isolation", "-e", str(checkout))
+        install(kept, "--no-deps", "-e", str(checkout))
         if NOBODY in variant.before:
             Path(folder).chmod(0o755)
             output("chown", "-R", f"{NOBODY}:{NOBODY}", str(checkout))

@@ -47,10 +47,11 @@ class Python:
 
 
 def output(*command: str) -> str:
-    """Return what a command prints. Raises UnavailableError with the last line of its errors."""
+    """Return what a command prints. Raises UnavailableError with its last error."""
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     if done.returncode:
-        raise UnavailableError((done.stderr.strip() or "no reason given").splitlines()[-1])
+        lines = done.stderr.strip().splitlines() or ["no reason given"]
+        raise UnavailableError(next((line for line in lines[::-1] if "rror" in line), lines[-1]))
     return done.stdout
 
 
