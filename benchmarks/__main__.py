@@ -31,6 +31,7 @@ NAMES = (
     "random_stalls",
     "recording",
     "analysis",
+    "long_file",
     "metrics",
     "page",
     "calm",

@@ -66,8 +66,11 @@ def extremes(values: NDArray[Any]) -> tuple[float, float]:
     """Return the least and the greatest value, NaN left out; infinities of none."""
     low, high = math.inf, -math.inf
     for block in blocks(values):
-        low = min(low, float(np.fmin.reduce(block, initial=math.inf)))
-        high = max(high, float(np.fmax.reduce(block, initial=-math.inf)))
+        least, most = float(block.min()), float(block.max())
+        if math.isnan(least):
+            least = float(np.fmin.reduce(block, initial=math.inf))
+            most = float(np.fmax.reduce(block, initial=-math.inf))
+        low, high = min(low, least), max(high, most)
     return low, high
 
 
@@ -264,7 +267,7 @@ def examine(
     rate_hz: float,
     rest_n: float,
 ) -> tuple[str | None, list[str]]:
-    """Examine a recording's forces with its file and its scene's keys.
+    """Examine a recording's forces, not all equal, with its file and its scene's keys.
 
     Parameters
     ----------
@@ -278,7 +281,7 @@ def examine(
     warnings : list of str
         Doubtful properties of forces that are not refused.
     """
-    refusal = constant_column(column) or _refuse_times(column) or _refuse_rate(column, rate_hz)
+    refusal = _refuse_times(column) or _refuse_rate(column, rate_hz)
     if refusal is None:
         found = ForceRange.of(map(forces, blocks(column.values)))
         refusal = _refuse_forces(found, unit, rest_n)

@@ -19,6 +19,7 @@ from sensing_node.files.signals import (
     SignalReader,
     SignalTable,
     SignalWriter,
+    find_signal,
     finite,
     rate_fault,
 )
@@ -105,12 +106,12 @@ def _open(path: Path, chosen: FileFormat) -> SignalFile:
 
     def load(keys: Sequence[ColumnKey]) -> list[RecordedColumn]:
         for key in keys:
-            if key in opened.left_out:
-                opened.find(key)
+            if key in left_out or key in numbers:
+                find_signal(path, key, (), left_out | numbers)
         with _one_line(path, chosen):
             return [_clean_column(column) for column in file.load(keys)]
 
-    opened = replace(
+    return replace(
         file,
         signals=tuple(signals),
         load=load,
@@ -119,7 +120,6 @@ def _open(path: Path, chosen: FileFormat) -> SignalFile:
         metadata=_clean_texts(file.metadata),
         left_out=left_out | numbers,
     )
-    return opened
 
 
 def _clean(text: str) -> str:

@@ -127,9 +127,9 @@ def find_gaps(values: NDArray[Any]) -> Gaps:
 
 def fill_gaps(values: NDArray[Any]) -> NDArray[Any]:
     """Return a signal with straight lines through its gaps; it must have a value."""
-    if not find_gaps(values).samples:
-        return values
     missing = np.isnan(values)
+    if not missing.any():
+        return values
     edges, at = _edges(missing), np.flatnonzero(missing)
     # Of the samples, only those beside gaps are needed.
     beside = np.union1d(edges[::2] - 1, edges[1::2])

@@ -91,13 +91,7 @@ class SignalFile:
 
     def find(self, key: ColumnKey) -> SignalInfo:
         """Return the signal of a name or number. Raises SourceError."""
-        for signal in self.signals:
-            if key in (signal.number, signal.name):
-                return signal
-        if key in self.left_out:
-            raise SourceError(f"{self.path}: signal {key!r} {self.left_out[key]}")
-        names = ", ".join(signal.name for signal in self.signals)
-        raise SourceError(f"{self.path}: no signal {key!r}; it has {names[:200]}")
+        return find_signal(self.path, key, self.signals, self.left_out)
 
     def describe(
         self, column: RecordedColumn, rate_hz: float | None = None
@@ -120,6 +114,22 @@ class SignalFile:
         if (fault := rate_fault(info.rate_hz)) is not None:
             raise SourceError(f"{self.path}: {column.title} {fault}")
         return info, times
+
+
+def find_signal(
+    path: Path,
+    key: ColumnKey,
+    signals: Sequence[SignalInfo],
+    left_out: Mapping[ColumnKey, str] = {},
+) -> SignalInfo:
+    """Return the signal of a name or number. Raises SourceError."""
+    for signal in signals:
+        if key in (signal.number, signal.name):
+            return signal
+    if key in left_out:
+        raise SourceError(f"{path}: signal {key!r} {left_out[key]}")
+    names = ", ".join(signal.name for signal in signals)
+    raise SourceError(f"{path}: no signal {key!r}; it has {names[:200]}")
 
 
 class SignalTable(NamedTuple):
@@ -183,16 +193,16 @@ def signal_file(
     """Return a file whose signals are read one by one, by `values`."""
 
     def load(keys: Sequence[ColumnKey]) -> list[RecordedColumn]:
-        found = [opened.find(key) for key in keys]
+        # Not of the file itself: a cycle would keep its samples after their use.
+        found = [find_signal(path, key, signals, left_out) for key in keys]
         twice = first_repeated(signal.number for signal in found)
         if twice is not None:
             raise SourceError(f"{path}: column {twice} is named twice; a column is one channel")
         return [RecordedColumn(values(each), each.number, each.name) for each in found]
 
-    opened = SignalFile(
+    return SignalFile(
         path, tuple(signals), load, begin_ns, tuple(notes), tuple(marks), metadata, left_out
     )
-    return opened
 
 
 def rate_fault(rate_hz: float | None) -> str | None:
@@ -215,7 +225,7 @@ def unix_ns(at: datetime) -> int:
 
 def finite(values: NDArray[Any]) -> NDArray[Any]:
     """Return values with NaN, which is a missing sample, for each that is not finite."""
-    if not any(np.isinf(block).any() for block in blocks(values)):
+    if values.dtype.kind in "iu" or not any(np.isinf(block).any() for block in blocks(values)):
         return values
     return np.where(np.isfinite(values), values, np.nan)
 

@@ -182,7 +182,9 @@ class RecordedSource(SampleSource):
             if (contradiction := unit_contradiction(info.unit, unit)) is not None:
                 raise SourceError(f"{path}: {column.title} {contradiction}")
             scale = scene.scale(column.values, unit, rate_hz)
-            refusal, warnings = examine(column, scale, unit, rate_hz, scene.rest_n(unit))
+            refusal, warnings = constant, list[str]()
+            if constant is None:
+                refusal, warnings = examine(column, scale, unit, rate_hz, scene.rest_n(unit))
             of_column = f"{column.title}: " if scene.columns else ""
             doubts = [
                 f"{path}: {text if text.startswith('column ') else of_column + text}"
@@ -206,16 +208,20 @@ class RecordedSource(SampleSource):
         self, path: Path, loaded: list[RecordedColumn], infos: list[SignalInfo], rate_hz: float
     ) -> list[RecordedColumn]:
         """Return columns of one rate and length, their gaps filled; warn of each gap."""
-        several = len(loaded) > 1
+        several, missing = len(loaded) > 1, set[int]()
         for column, info in zip(loaded, infos, strict=True):
             unusable = unusable_values(column.values)
             if unusable is not None:
                 raise SourceError(f"{path}: {f'{column.title}: ' if several else ''}{unusable}")
             gaps = find_gaps(column.values)
             if gaps.samples:
+                missing.add(column.number)
                 text = gaps.text(len(column.values), info.rate_hz or rate_hz)
                 self.warnings.append(f"{path}: {column.title}: {text}; straight lines replace them")
-        filled = [fill_gaps(column.values) for column in loaded]
+        filled = [
+            fill_gaps(column.values) if column.number in missing else column.values
+            for column in loaded
+        ]
         if (
             len(
                 {
