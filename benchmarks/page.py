@@ -73,7 +73,8 @@ class Viewer:
         self._socket.close()
 
     def _acknowledge(self, number: int) -> None:
-        entries = [["paused", [False]], ["window_s", [10]], ["seen", [number]]]
+        entries = [["paused", [False]], ["window_s", [10]], ["contactor", [0]]]
+        entries += [["unfolded", [""]], ["seen", [number]]]
         event = {"kind": "ModelChanged", "model": {"id": self._wishes}, "attr": "data"}
         event |= {"new": {"type": "map", "entries": entries}}
         self._send({"msgid": f"m{number}", "msgtype": "PATCH-DOC"}, {"events": [event]})

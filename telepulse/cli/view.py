@@ -63,7 +63,7 @@ def view(
     peer: PeerOption = None,
     insecure: InsecureOption = False,
 ) -> None:
-    """Show a display live in a browser: forces, strains, errors, delays, clocks, alarms.
+    """Show a display live in a browser: forces, errors, delays, clocks, alarms.
 
     A process of its own reads the display's telemetry, as a recorder does, and does not disturb
     the display's loop. The first line is the page's address. The display may start later, end
