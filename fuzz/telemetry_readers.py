@@ -36,7 +36,7 @@ from telepulse.telemetry.decoder import TelemetryDecoder
 from telepulse.view.live import MAX_CONTACTORS, LiveState
 from telepulse.view.page import padded
 from telepulse.view.text import alarms, contactor_rows, figures, state
-from telepulse.view.window_data import window_data
+from telepulse.view.window_data import window_data, window_scores
 
 MS = 1_000_000
 SECOND_NS = 1000 * MS
@@ -77,7 +77,8 @@ class TelemetryReaders:
         assert console.file.tell() < MOST_CHARACTERS
         for chosen, window_ns in enumerate((SECOND_NS, 10 * SECOND_NS)):
             drawn = window_data(self.live, window_ns, chosen)
-            rows = contactor_rows(self.live, drawn)
+            scores = window_scores(self.live, window_ns, chosen)
+            rows = contactor_rows(self.live, scores)
             assert len(rows) == len(drawn.fingers) <= MAX_CONTACTORS
             assert all(text for row in rows for text in row)
             assert not any(np.isinf(finger["y"]).any() for finger in drawn.fingers)
@@ -86,7 +87,7 @@ class TelemetryReaders:
                 assert math.isfinite(high)
                 assert low < high
             assert not any(np.isinf(column).any() for column in padded(drawn.columns).values())
-            assert all(figure.value for figure in figures(self.live, drawn).values())
+            assert all(figure.value for figure in figures(self.live, scores).values())
         assert all(alarm.name for alarm in alarms(self.live, 0))
         assert len(state(self.live)) == 2
         if self.screen.status is not None:
