@@ -49,7 +49,7 @@ class Viewer:
         self._wishes = ""
 
     def updates(self) -> Iterator[float]:
-        """Yield the time of each update in s, and acknowledge it as the page's script does."""
+        """Yield the time of each update in s, and acknowledge texts as the page's script does."""
         self._message()
         self._send({"msgid": "1", "msgtype": "PULL-DOC-REQ"}, {})
         content: Any = None
@@ -58,12 +58,14 @@ class Viewer:
             if header["msgtype"] == "PULL-DOC-REPLY":
                 self._wishes = _wishes_in(content)
         number = 1
+        self._acknowledge(number)
         while True:
-            self._acknowledge(number)
-            while '"number"' not in json.dumps(self._message()[1]):
-                pass
-            number += 1
-            yield time.monotonic()
+            update = json.dumps(self._message()[1])
+            if '"number"' in update:
+                number += 1
+                self._acknowledge(number)
+            if '"wrist_t"' in update:
+                yield time.monotonic()
 
     def close(self) -> None:
         """Close the connection."""
@@ -73,7 +75,8 @@ class Viewer:
         self._socket.close()
 
     def _acknowledge(self, number: int) -> None:
-        entries = [["paused", [False]], ["window_s", [10]], ["seen", [number]]]
+        entries = [["paused", [False]], ["window_s", [10]], ["contactor", [0]]]
+        entries += [["unfolded", [""]], ["seen", [number]]]
         event = {"kind": "ModelChanged", "model": {"id": self._wishes}, "attr": "data"}
         event |= {"new": {"type": "map", "entries": entries}}
         self._send({"msgid": f"m{number}", "msgtype": "PATCH-DOC"}, {"events": [event]})

@@ -63,7 +63,7 @@ def view(
     peer: PeerOption = None,
     insecure: InsecureOption = False,
 ) -> None:
-    """Show a display live in a browser: forces, strains, errors, delays, clocks, alarms.
+    """Show a display live in a browser: forces, errors, delays, clocks, alarms.
 
     A process of its own reads the display's telemetry, as a recorder does, and does not disturb
     the display's loop. The first line is the page's address. The display may start later, end
@@ -74,20 +74,20 @@ def view(
     Exit status: 0 when stopped, 2 when it cannot begin; the reason is one line on stderr.
     """
     console = plain_console(quiet)
-    # Before the server starts threads, which inherit it.
-    if hasattr(os, "nice"):
-        os.nice(NICENESS)
     with one_line_errors(PROGRAM):
         configure_logging(log_level, quiet)
         check_bokeh()
         _check_host(host, insecure)
         keys = telemetry_keys(address, key, peer, insecure)
+        # The first import takes a second, during which an open page would not be updated.
+        import scipy.signal  # noqa: F401
+
         from telepulse.view.server import PageServer
 
+        # Before the server starts threads, which inherit it.
+        if hasattr(os, "nice"):
+            os.nice(NICENESS)
         page = PageServer(address, host, port, keys)
-    # The first import takes a second, during which an open page would not be updated.
-    import scipy.signal  # noqa: F401
-
     stop_on_signals(page.stop)
     console.print(f"page: {page.url}")
     sys.stdout.flush()

@@ -79,7 +79,7 @@ class LiveState:
 
     contactors: of the display, at least one and at most `MAX_CONTACTORS`. beyond: number of further
     ones. channels: names of the stream's channels. delays: one-way delay in ms of frames. statuses:
-    clock offset and its uncertainty in ms, skew in ppm, samples lost and late in %; then, since the
+    clock offset and its uncertainty in ms, samples lost and late in %; then, since the
     run's start: refused messages, seconds at any limit; the finger's press in N. depth: the beats
     by hold-down, of a wrist that is pressed.
 
@@ -100,7 +100,7 @@ class LiveState:
         self.contactors = [ContactorState()]
         self.beyond = 0
         self.delays = RollingTable(1, FAST_ROWS)
-        self.statuses = RollingTable(8, SLOW_ROWS)
+        self.statuses = RollingTable(7, SLOW_ROWS)
         self.depth = DepthState()
         self._samples: deque[Fields] = deque(maxlen=LOSS_STATUSES)
         self._offset_ns: int | None = None
@@ -184,7 +184,7 @@ class LiveState:
         self._samples.append(self.summary["samples"])
         self.statuses.add(
             max(self.now_ns, entry.t_ns),
-            *(clock.get(name, math.nan) for name in ("offset_ms", "uncertainty_ms", "skew_ppm")),
+            *(clock.get(name, math.nan) for name in ("offset_ms", "uncertainty_ms")),
             *self._shares(),
             sum(self.summary["rejected"].values()),
             sum(

@@ -154,20 +154,14 @@ function showContactors(chosen, rows) {
   for (const title of document.querySelectorAll(".of")) {
     title.textContent = names.length ? ` – ${names[chosen]}` : "";
   }
-  const table = at("contactors"), titles = [...document.querySelectorAll(".contactors th")];
-  while (table.rows.length > rows.length) table.lastElementChild.remove();
-  for (const [index, texts] of rows.entries()) {
-    const row = table.rows[index] ?? table.appendChild(element("tr", "", { role: "row" }));
-    if (index === chosen) row.setAttribute("aria-current", "true");
-    else row.removeAttribute("aria-current");
-    for (const [place, text] of texts.entries()) {
-      const label = titles[place].textContent;
-      const cell = row.cells[place] ?? row.appendChild(
-        element("td", "", { role: place ? "cell" : "rowheader", "data-label": label }));
-      const whole = unbroken(text);
-      if (cell.textContent !== whole) cell.textContent = whole;
-    }
-  }
+  const titles = [...document.querySelectorAll(".contactors th")].map((each) => each.textContent);
+  at("contactors").replaceChildren(...rows.map((texts, index) => {
+    const row = element("tr", "", { role: "row", "aria-current": index === chosen });
+    row.append(...texts.map((text, place) => element("td", unbroken(text), {
+      role: place ? "cell" : "rowheader", "data-label": titles[place],
+    })));
+    return row;
+  }));
 }
 
 if (!document.body.dataset.ready) begin();

@@ -13,14 +13,7 @@ from typing import Any
 import numpy as np
 from bokeh.document import Document
 from bokeh.events import ConnectionLost, DocumentReady
-from bokeh.models import (
-    BasicTicker,
-    ColumnDataSource,
-    CustomJS,
-    PanTool,
-    Range1d,
-    WheelZoomTool,
-)
+from bokeh.models import BasicTicker, ColumnDataSource, CustomJS, PanTool, Range1d, WheelZoomTool
 from bokeh.models.annotations import BoxAnnotation
 from bokeh.plotting import figure
 from jinja2 import Template
@@ -57,6 +50,7 @@ document.body.dataset.lost = "yes";
 for (const each of document.querySelectorAll("button, input")) each.disabled = true;
 """
 HEIGHT = 220
+EVENT_COLUMNS = "t", "text", "colour", "dash", "width"
 # Names of the curves, by the group of their plots.
 CURVES = {
     group: [curve.name for plot in PLOTS if plot.group == group for curve in plot.curves]
@@ -81,9 +75,8 @@ class Plots:
         }
         # One row a contactor; empty for an only one.
         self.fingers = ColumnDataSource({"t": [], "y": [], "colour": []})
-        columns = ("t", "text", "colour", "dash", "width")
         self.events = {
-            group: ColumnDataSource(dict[str, Any]({name: [] for name in columns}))
+            group: ColumnDataSource({name: list[Any]() for name in EVENT_COLUMNS})
             for group in CURVES
         }
         self._times, self._forces = Range1d(start=-10, end=0), Range1d(start=0, end=1)
@@ -97,19 +90,13 @@ class Plots:
         """Draw the curves of a window."""
         # The end as well: a reader may have zoomed in a pause.
         self._times.update(start=-data.window_s, end=0)
-        lines = [EVENT_LINES[kind] for _, kind, _ in data.events]
-        events = {
-            "t": [time_s for time_s, _, _ in data.events],
-            "text": [text for _, _, text in data.events],
-            "colour": [line.colour for line in lines],
-            "dash": [line.dash for line in lines],
-            "width": [line.width for line in lines],
-        }
+        rows = [(time_s, text, *EVENT_LINES[kind][1:]) for time_s, kind, text in data.events]
+        events = {name: [row[at] for row in rows] for at, name in enumerate(EVENT_COLUMNS)}
         for group, names in CURVES.items():
             if names[0] not in data.columns:
                 continue
             self.curves[group].data = padded({name: data.columns[name] for name in names})
-            if lines or self.events[group].data["t"]:
+            if rows or self.events[group].data["t"]:
                 self.events[group].data = events
         for plot, (low, high) in data.limits.items():
             self._limits[plot].update(start=low, end=high)
@@ -302,9 +289,8 @@ class LivePage:
         if drawn != self._drawn:
             self._drawn = drawn
             # The last state can be read when the server has ended, in the folded groups as well.
-            data = window_data(
-                live, window_ns, number, ALL_GROUPS if live.display_ended else groups
-            )
+            groups = ALL_GROUPS if live.display_ended else groups
+            data = window_data(live, window_ns, number, groups)
             self._plots.show(data)
             self._undrawn += 1
             content |= {"empty": data.empty}

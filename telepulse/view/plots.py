@@ -146,16 +146,6 @@ PLOTS = (
         group="press",
     ),
     PagePlot(
-        *("strain", "Compressive strain in the rubber", "strain (10⁻⁶)", (0.0, 0.01)),
-        (
-            Curve("wrist_strain", "at the wrist", SENSED),
-            Curve("finger_strain", "at the finger", FELT),
-        ),
-        "No sample and no tick in this window, or a layer that is not known yet.",
-        of_contactor=True,
-        group="pulse",
-    ),
-    PagePlot(
         *("height", "Height of the beats at the wrist", "height (mN)", (0.0, 1.0)),
         (Curve("height", "from foot to peak", SENSED),),
         "No beat was found in this window. The first one takes some seconds.",
@@ -189,12 +179,6 @@ PLOTS = (
             Curve("offset_high", "", MUTED, "dashed"),
         ),
         "The sensing node has not answered for its clock yet.",
-        group="clock",
-    ),
-    PagePlot(
-        *("skew", "Clock skew", "skew (ppm)", (-1.0, 1.0)),
-        (Curve("skew", "sensing against display", FELT),),
-        "The clocks were not compared for long enough yet.",
         group="clock",
     ),
 )

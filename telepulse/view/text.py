@@ -30,7 +30,7 @@ SECOND_NS = 1_000_000_000
 SHOWN_NS = 5 * SECOND_NS
 MUCH_LOSS = 5.0
 # Indices of columns in `LiveState.statuses`.
-LOST, LATE, REFUSED, LIMITED = 3, 4, 5, 6
+LOST, LATE, REFUSED, LIMITED = 2, 3, 4, 5
 NOTHING = "–"
 DELAY = "of the finger behind the wrist"
 # Statuses come five times a second; an older one is not current.

@@ -122,26 +122,19 @@ def window_data(
     )
     foot_n, height_n, quality = beats.values.T
     felt_n, delay_ns, predictor_error_n, target_n = ticks.values.T
-    wrist_n = wrist.values[:, 0]
-    finger_per_n, ratio = (
-        contactor.playing.get(name, math.nan) for name in ("strain_per_newton", "force_ratio")
-    )
-    offset_ms, uncertainty_ms, skew_ppm, lost, late, *_, press_n = statuses.values.T
+    offset_ms, uncertainty_ms, lost, late, *_, press_n = statuses.values.T
     # Two hosts' clocks may be days apart: the change of their offset matters.
     moved_ms = offset_ms - offset_ms[-1] if len(offset_ms) else offset_ms
     in_phase_n, aligned_n, jnd_n = felt_n, felt_n, None
     if "aligned" in wanted:
         in_phase_n, aligned_n, jnd_n = _errors(live, contactor, window_ns)
     curves: dict[str, tuple[TableSlice, Floats]] = {
-        "wrist": (wrist, wrist_n * 1e3),
+        "wrist": (wrist, wrist.values[:, 0] * 1e3),
         "onset": (beats, np.where(quality < GOOD, math.nan, foot_n) * 1e3),
         "doubtful": (beats, np.where(quality < GOOD, foot_n, math.nan) * 1e3),
         "height": (beats, height_n * 1e3),
         "finger": (ticks, felt_n * 1e3),
         "wanted": (ticks, target_n * 1e3),
-        # Compressive strain in millionths.
-        "wrist_strain": (wrist, wrist_n * (-1e6 * finger_per_n * ratio)),
-        "finger_strain": (ticks, felt_n * (-1e6 * finger_per_n)),
         "one_way": (delays, delays.values[:, 0]),
         # The status' clock offset may put an E of 0 a little below 0.
         "playout": (ticks, np.maximum(delay_ns, 0) * 1e-6),
@@ -149,7 +142,6 @@ def window_data(
         "offset": (statuses, moved_ms),
         "offset_low": (statuses, moved_ms - uncertainty_ms),
         "offset_high": (statuses, moved_ms + uncertainty_ms),
-        "skew": (statuses, skew_ppm),
         "lost": (statuses, lost),
         "late": (statuses, late),
         "in_phase": (ticks, in_phase_n * 1e3),

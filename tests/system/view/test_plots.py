@@ -151,7 +151,7 @@ def test_each_plot_shows_the_values_of_all_its_curves_anywhere(
     plots = {plot.id: plot for plot in (*PLOTS, FINGERS)}
     with still(visit, f"{url}/{state}") as page:
         ids = page.evaluate(SHOWN)
-        assert len(ids) >= 6
+        assert len(ids) >= 5
         for id in ids:
             box, plot = in_sight(page, id), plots[id]
             # Curves with values; one without words is the upper limit of the one before.
@@ -239,7 +239,7 @@ def test_a_plot_without_values_has_its_reason(url: str, visit: Visit) -> None:
     with visit(f"{url}/waiting") as page:
         page.locator("#plot-force .empty").wait_for()
         unfold(page)
-        page.locator("#plot-skew .empty").wait_for()
+        page.locator("#plot-offset .empty").wait_for()
         shown = [
             (
                 figure.get_attribute("id").removeprefix("plot-"),
@@ -248,7 +248,7 @@ def test_a_plot_without_values_has_its_reason(url: str, visit: Visit) -> None:
             for figure in page.locator("figure:visible").all()
         ]
         assert shown == [(id, empty[id]) for id, _ in shown]
-        assert {"force", "error", "strain", "delay", "offset", "skew"} < {id for id, _ in shown}
+        assert {"force", "error", "height", "delay", "offset"} < {id for id, _ in shown}
     with visit(f"{url}/one_finger") as page:
         unfold(page)
         page.locator("#plot-predictor .empty").wait_for()

@@ -19,7 +19,7 @@ from protocol.wire.telemetry import Status
 from telepulse.metrics.server import NodeState, families
 from telepulse.view import text as page
 from telepulse.view.live import LiveState
-from telepulse.view.window_data import window_data
+from telepulse.view.window_data import window_scores
 from tests.support.full_summary import full_summary
 
 Json = dict[str, Any]
@@ -42,7 +42,7 @@ def panel(summary: Json) -> str:
 def on_the_page(summary: Json) -> str:
     live = LiveState()
     live.summary = summary
-    return str(page.figures(live, window_data(live, 1)))
+    return str(page.figures(live, window_scores(live, 1)))
 
 
 def scraped(summary: Json) -> str:
