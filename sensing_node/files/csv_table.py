@@ -14,7 +14,7 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
-from itertools import chain, islice
+from itertools import chain, islice, zip_longest
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -339,26 +339,30 @@ def _parse(
 ) -> TextTable:
     """Return the values of a table. Raises SourceError for more of them than are read."""
     table = TextTable([array("d") for _ in kinds], array("q"), {})
-    reader = layout.rows("" if is_comment(line) else line for line in lines)
-    numbered = ((start + reader.line_num, row) for row in reader if "".join(row).strip())
-    while batch := list(islice(numbered, ROWS_AT_ONCE)):
-        rows, before = [row for _, row in batch], len(table.lines)
+    reader = layout.rows("" if is_comment(line) or line.isspace() else line for line in lines)
+    while read := list(islice(reader, ROWS_AT_ONCE)):
+        # A row in each line.
+        numbered = enumerate(read, start + reader.line_num - len(read) + 1)
+        batch = [(number, row) for number, row in numbered if any(row)]
+        before = len(table.lines)
         table.lines.extend(number for number, _ in batch)
         check_samples(path, len(table.lines) * len(kinds))
-        for at, kind in enumerate(kinds):
+        columns = list(zip_longest(*(row for _, row in batch), fillvalue=NO_CELL))
+        columns += [(NO_CELL,) * len(batch)] * (len(kinds) - len(columns))
+        for at, (kind, cells) in enumerate(zip(kinds, columns, strict=False)):
             if kind == TEXT:
                 continue
-            cells = [row[at] if at < len(row) else NO_CELL for row in rows]
-            read = layout.numbers(cells) if kind == NUMBER else list(map(time_of, cells))
-            if None in read and at not in table.wrong:
-                n = read.index(None)
-                line = layout.separator.join(rows[n])[:QUOTED]
+            values = layout.numbers(cells) if kind == NUMBER else list(map(time_of, cells))
+            if None in values and at not in table.wrong:
+                n = values.index(None)
+                number, row = batch[n]
                 fault = f"{cells[n][:QUOTED]!r} is not a number; write one there or nothing"
                 if cells[n] == NO_CELL:
-                    fault = f"no column {at}; it has {len(rows[n])}"
-                fault = f"line {batch[n][0]}, {line!r}: {fault}"
+                    fault = f"no column {at}; it has {len(row)}"
+                line = layout.separator.join(row)[:QUOTED]
+                fault = f"line {number}, {line!r}: {fault}"
                 table.wrong[at] = Wrong(before + n, cells[n], fault)
-            table.values[at].extend(math.nan if value is None else value for value in read)
+            table.values[at].extend(math.nan if value is None else value for value in values)
     return table
 
 

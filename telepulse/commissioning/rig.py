@@ -11,6 +11,7 @@ from display_node.plant.film import FeedbackFilm
 from display_node.plant.scene import ForceModel
 from display_node.plant.stepper import Stepper
 from display_node.scene import DisplayScene
+from protocol.config.quantities import count_text
 from protocol.errors import BenchError, DriveError
 from protocol.host.realtime import Pacer
 from pulse_drives.drive import PERIOD_S, Drive
@@ -167,11 +168,11 @@ def check_line(scene: DriveScene, tick_s: float) -> Check:
 
 # Errors of the line that the next message corrected, by the drive's names for them.
 LINE_ERRORS = {
-    "no answer": "requests without an answer",
-    "garbled": "answers with a wrong checksum",
-    "wrong": "answers to another request",
-    "malformed": "process data of a wrong length",
-    "implausible": "process data with values that no drive has",
+    "no answer": ("request", "without an answer"),
+    "garbled": ("answer", "with a wrong checksum"),
+    "wrong": ("answer", "to another request"),
+    "malformed": ("message", "of process data with a wrong length"),
+    "implausible": ("message", "of process data with values that no drive has"),
 }
 LINE_ADVICE = "check the line's cable, its rate and this machine's load"
 
@@ -179,11 +180,13 @@ LINE_ADVICE = "check the line's cable, its rate and this machine's load"
 def judge_line_errors(counts: Counter[str]) -> list[Check]:
     """Return a warning for each kind of error on the line to the drive."""
     # Superseded commands are normal on a line that is slower than the loop.
-    return [
-        Check("line errors", f"{count} {LINE_ERRORS.get(name, name)}", "warn", LINE_ADVICE)
-        for name, count in sorted(counts.items())
-        if count > 0 and name != "superseded"
-    ]
+    checks = []
+    for name, count in sorted(counts.items()):
+        if count > 0 and name != "superseded":
+            noun, of = LINE_ERRORS.get(name, ("time", name))
+            text = f"{count_text(count, noun)} {of}"
+            checks.append(Check("line errors", text, "warn", LINE_ADVICE))
+    return checks
 
 
 def check_answers(drive: Drive) -> Check:

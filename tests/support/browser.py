@@ -27,13 +27,22 @@ CONTRAST = """(element) => {
 }"""
 
 
+# Each plot that is seen has a size, and either values or the reason why there are none.
+DRAWN = """() => Bokeh.documents[0].roots().every((root) => {
+  const at = document.getElementById(`plot-${root.name}`);
+  if (!at.offsetParent || root.name === "fingers") return true;
+  const values = root.renderers.filter(({ glyph }) => glyph.y)
+    .flatMap(({ glyph, data_source }) => [...data_source.data[glyph.y.field]]);
+  return Bokeh.index.get_one(root).frame.bbox.width > 50
+    && values.some(Number.isFinite) === at.querySelector(".empty").hidden;
+})"""
+
+
 def unfold(page: Page) -> None:
-    """Unfold all groups of the live page, and wait until their plots have a size."""
+    """Unfold all groups of the live page, and wait until their plots are drawn."""
     page.locator("body[data-ready]").wait_for()
     page.evaluate("document.querySelectorAll('details').forEach((each) => { each.open = true; })")
-    page.wait_for_function("""() => Bokeh.documents[0].roots().every((root) =>
-      !document.querySelector(`#plot-${root.name} .drawn`).offsetParent
-      || Bokeh.index.get_one(root).frame.bbox.width > 50)""")
+    page.wait_for_function(DRAWN)
 
 
 class Visit:

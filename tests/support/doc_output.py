@@ -305,6 +305,13 @@ UNRUN = {
     "telepulse bench my_bench.toml --only display": BENCH,
     "telepulse bench my_bench.toml --only display --write checked.toml --out out/bench": BENCH,
     "telepulse bench real_bench": BENCH,
+    "telepulse emulate sensor real_bench --link /tmp/telepulse-board --delivery-ms 4"
+    " --still": BENCH,
+    "telepulse bench tmcl_bench": BENCH,
+    "telepulse bench tmcl_bench --only sensing": BENCH,
+    "telepulse bench tmcl_bench --only display": BENCH,
+    "sensing-node tmcl_bench --bind tcp://127.0.0.1:5555": "the bench page, run above",
+    "display-node tmcl_bench --connect tcp://127.0.0.1:5555": "as above",
     "telepulse scenes copy real_press my_press.toml": PRESSED,
     "telepulse emulate tmcl real_press --wrist press --link /tmp/telepulse-probe"
     " --film-link /tmp/telepulse-wrist": PRESSED,

@@ -44,10 +44,17 @@ def pages() -> list[Path]:
     return [*(page for page in named if page.exists()), *sorted((ROOT / "docs").rglob("*.md"))]
 
 
+def written(page: Path) -> str:
+    """Return a page's text without its generated parts, with its lines in their places."""
+    text = page.read_text(encoding="utf-8")
+    generated = re.compile(r"<!-- from code.*?<!-- end -->", re.DOTALL)
+    return generated.sub(lambda part: "\n" * part[0].count("\n"), text)
+
+
 def blocks() -> Iterator[Block]:
     for page in pages():
         name = str(page.relative_to(ROOT))
-        for token in MarkdownIt().parse(page.read_text(encoding="utf-8")):
+        for token in MarkdownIt().parse(written(page)):
             if token.type in ("fence", "code_block"):
                 assert token.map is not None
                 yield Block(name, token.map[0] + 1, token.info.strip(), token.content)
@@ -66,7 +73,7 @@ def commands(block: Block) -> Iterator[str]:
 def commands_in_text() -> Iterator[str]:
     """Yield commands that stand as `code` in a sentence or a table."""
     for page in pages():
-        for token in MarkdownIt().enable("table").parse(page.read_text(encoding="utf-8")):
+        for token in MarkdownIt().enable("table").parse(written(page)):
             for child in token.children or ():
                 words = child.content.split()
                 typed = len(words) > 1 and words[0] in PROGRAMS and child.content not in NAMES

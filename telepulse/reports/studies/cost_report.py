@@ -37,7 +37,7 @@ REASONS = (
     "What the front leaves out: this pulse is regular, so that E = 0 and prediction are never wrong"
     " here; with E = auto a display returns to buffering where prediction fails. With E = auto,"
     " frames of 20 ms take E longer to fall than those of 5 ms, and the error in phase is larger."
-    " A tick of 1 ms bounds the time for which a fault goes unnoticed and a drive holds a command,"
+    " A tick bounds the time for which a fault goes unnoticed and a drive holds a command,"
     " neither of which is an error here. Further connections are packets, and bring less delay only"
     " where packets are lost."
 )

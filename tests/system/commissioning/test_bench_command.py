@@ -92,6 +92,24 @@ def test_each_channel_of_force_is_checked_and_no_ecg(tmp_path: Path) -> None:
         assert {part for part, _ in rows(path)} == parts
 
 
+def test_an_emulated_board_that_nothing_presses_passes_and_one_with_a_pulse_is_named(
+    tmp_path: Path,
+) -> None:
+    text = (ROOT / "scenes" / "tmcl_bench.toml").read_text(encoding="utf-8")
+    scene, board, path = tmp_path / "bench.toml", tmp_path / "board", tmp_path / "bench.json"
+    text = text.replace('extends = "bench"', f'extends = "{ROOT / "scenes" / "bench.toml"}"')
+    scene.write_text(text.replace("/tmp/telepulse-board", str(board)), encoding="utf-8")
+    for options, verdict in ((("--still",), "ok"), ((), "fail")):
+        asked = ("emulate", "sensor", "real_bench", "--link", str(board), "--delivery-ms", "4")
+        with process("telepulse", *asked, *options) as emulator:
+            assert emulator.stdout is not None
+            assert "[sensing.source]" in emulator.stdout.readline()
+            bench(scene, "--only", "sensing", "--seconds", "1", "--json", str(path))
+        noise = rows(path)[("wrist", "noise")]
+        assert noise["verdict"] == verdict
+        assert ("nothing may press" in noise["why"]) is (verdict == "fail")
+
+
 def test_a_recording_is_no_sensor(tmp_path: Path) -> None:
     text = (ROOT / "scenes" / "radial.toml").read_text(encoding="utf-8")
     (tmp_path / "pulse.csv").write_text("0.1\n0.2\n0.3\n", encoding="utf-8")
