@@ -32,7 +32,7 @@ def pytest_run(variant: Variant, kept: Path, checkout: Path, *again: str) -> Cou
     log = LOGS / f"{variant.name}.log"
     with log.open("a" if again else "w", encoding="utf-8") as file:
         subprocess.run(command, cwd=checkout, env=settings, stdout=file, stderr=file, check=False)
-    last = log.read_text(encoding="utf-8", errors="replace").splitlines()[-1]
+    last = log.read_text(encoding="utf-8", errors="replace").strip().rpartition("\n")[2]
     counted: Counter[str] = Counter()
     for number, word in re.findall(r"(\d+) (passed|failed|skipped|error)", last):
         counted[word] += int(number)

@@ -2,7 +2,7 @@
 
 import os
 import shutil
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -44,20 +44,13 @@ class Variant:
     missing: str = ""
 
 
-def _set(name: str, **settings: str) -> Variant:
+def _set(name: str, missing: str = "", **settings: str) -> Variant:
     what = " ".join(f"{key}={text}" for key, text in settings.items())
-    return Variant(name, what, settings=settings)
-
-
-def _of_python(version: str, found: list[Python]) -> Iterator[Variant]:
-    named = [each for each in found if str(each).startswith(f"{version}.")]
-    for each in named:
-        yield Variant(f"python-{each}", f"Python {each}", each)
-    if not named:
-        yield Variant(f"python-{version}", f"Python {version}", missing="no such Python")
+    return Variant(name, what, settings=settings, missing=missing)
 
 
 def _processors() -> list[Variant]:
+    """Return a variant for each level of numpy that can be switched off, the baseline first."""
     levels = dispatch_levels(environment(own()))
     return [
         _set(f"numpy-below-{level}", NPY_DISABLE_CPU_FEATURES=" ".join(levels[place:]))
@@ -68,14 +61,11 @@ def _processors() -> list[Variant]:
 def _kernels() -> list[Variant]:
     cpuinfo = Path("/proc/cpuinfo")
     flags = cpuinfo.read_text(encoding="utf-8").split() if cpuinfo.exists() else []
-    variants = []
-    for kernel, flag in KERNELS.items():
-        missing = "" if flag in flags else f"the processor has no {flag}"
-        set_so = _set(f"blas-{kernel}", OPENBLAS_CORETYPE=kernel)
-        variants.append(
-            Variant(set_so.name, set_so.what, settings=set_so.settings, missing=missing)
-        )
-    return variants
+    missing = {flag: "" if flag in flags else f"no {flag}" for flag in KERNELS.values()}
+    return [
+        _set(f"blas-{kernel}", missing[flag], OPENBLAS_CORETYPE=kernel)
+        for kernel, flag in KERNELS.items()
+    ]
 
 
 def _german() -> Variant:
@@ -88,7 +78,7 @@ def _german() -> Variant:
             output("localedef", "--no-archive", "-i", "de_DE", "-f", "UTF-8", str(made))
             settings["LOCPATH"] = str(made.parent)
     except (UnavailableError, OSError) as error:
-        return Variant("german", f"LC_ALL={GERMAN}", missing=str(error))
+        return _set("german", str(error), LC_ALL=GERMAN)
     return _set("german", **settings)
 
 
@@ -114,19 +104,13 @@ def _one_core() -> Variant:
 
 def variants() -> list[Variant]:
     """Return every variant, with what is missing for those that cannot run here."""
-    found = pythons()
-    of_python = [each for minor in MINORS for each in _of_python(f"3.{minor}", found)]
-    others = [
-        each for each in of_python if not each.missing and each.python.version != own().version
-    ]
-    *processors, baseline = reversed(_processors())
+    found, processors = pythons(), _processors()
     oldest, newest = found[0], found[-1]
+    others = [each for each in (newest, *found[:-1]) if each.version != own().version]
+    there = {each.version[1] for each in found}
     return [
-        Variant("as-it-is", f"nothing, Python {own()}"),
-        # The newest and the oldest Python, then those between.
-        *others[-1:],
-        *others[:-1],
-        baseline,
+        *(Variant(f"python-{each}", f"Python {each}", each) for each in others),
+        *processors[:1],
         _ordinary_user(found),
         Variant("lowest", f"lowest versions, Python {oldest}", oldest, "lowest"),
         *_kernels(),
@@ -135,8 +119,13 @@ def variants() -> list[Variant]:
         _one_core(),
         _set("half-an-hour", TZ="Australia/Adelaide"),
         _set("c", LC_ALL="C"),
-        *processors,
+        *processors[1:],
+        Variant("as-it-is", f"nothing, Python {own()}"),
         # Last: what others release may break it on any day.
         Variant("newest", f"newest versions, Python {newest}", newest, "newest"),
-        *(each for each in of_python if each.missing),
+        *(
+            Variant(f"python-3.{minor}", f"Python 3.{minor}", missing="no such Python")
+            for minor in MINORS
+            if minor not in there
+        ),
     ]

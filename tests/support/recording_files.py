@@ -45,6 +45,7 @@ def csv_file(folder: Path, columns: Mapping[str, Any]) -> Path:
 def heartpy_recording() -> Path:
     """Return the file of a photoplethysmogram in heartpy's package, 24.83 s at 100 Hz."""
     found = importlib.util.find_spec("heartpy")
-    assert found is not None
+    if found is None:
+        pytest.skip("the package heartpy is not installed")
     assert found.origin is not None
     return Path(found.origin).parent / "data" / "data.csv"
