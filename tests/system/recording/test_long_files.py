@@ -1,10 +1,10 @@
 """The memory that an honest long file takes, against its size."""
 
-import sys
 from pathlib import Path
-from subprocess import run
 
 import numpy as np
+
+from tests.support.nodes import run_python
 
 # Prints by how much opening and playing a second file raised the most memory, in kB.
 PLAY = """
@@ -30,8 +30,8 @@ def test_a_long_array_is_played_from_the_disk(tmp_path: Path) -> None:
     values = np.sin(7 * time_s).astype(np.float32)
     np.save(tmp_path / "short.npy", values[:10_000])
     np.save(tmp_path / "long.npy", values)
-    files = [str(tmp_path / name) for name in ("short.npy", "long.npy")]
-    command = [sys.executable, "-c", PLAY, *files]
-    result = run(command, capture_output=True, text=True, check=True)
+    files = (str(tmp_path / name) for name in ("short.npy", "long.npy"))
+    result = run_python("-c", PLAY, *files)
+    assert result.returncode == 0, result.stderr
     # Its pages, once; a copy in 64 bits would be twice as much again.
     assert int(result.stdout) * 1000 < 1.5 * values.nbytes
