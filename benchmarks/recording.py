@@ -77,7 +77,7 @@ def publish(publisher: Publisher, ticks: int) -> NDArray[np.float64]:
         began_ns = time.perf_counter_ns()
         if tick % TICKS_A_FRAME == 0:
             publisher.captured.add(due_ns, 0, data)
-        if publisher.add(felt):
+        if publisher.add(felt) and publisher.publish():
             publisher.status(status)
         cost_us[tick] = (time.perf_counter_ns() - began_ns) * 1e-3
     return cost_us

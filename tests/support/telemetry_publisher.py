@@ -87,7 +87,7 @@ class TelemetryPublisher:
             self.sent_ns.append(now_ns)
         felt = TickState(now_ns, now_ns, self.ticks * MS, 0.5, self.ticks * 1e-3, True)
         self.ticks += 1
-        return self.publisher.add(felt)
+        return self.publisher.add(felt) and self.publisher.publish()
 
     def status(self, state: str, summary: Summary | None = None, final: bool = False) -> None:
         data = pack_status(state, "test pulse", summary or Summary(), final)

@@ -22,8 +22,9 @@ from tests.support.waiting import until
 
 
 def ticks(publisher: Publisher, count: int) -> int:
-    """Add ticks; return the number of statuses that become due."""
-    return sum(publisher.add(TickState(now_ns=number)) for number in range(count))
+    """Add ticks and publish them when due; return the number of statuses that become due."""
+    states = (TickState(now_ns=number) for number in range(count))
+    return sum(publisher.add(state) and publisher.publish() for state in states)
 
 
 def received(socket: zmq.Socket) -> list[tuple[bytes, bytes]]:
