@@ -113,15 +113,15 @@ class Display:
             return "ended"
         return "starting" if self.safety.gain else "stale"
 
-    def pack_status(self, summary: Summary, final: bool) -> bytes:
-        """Encode this display's status with a summary."""
-        receiver = self.receiver
+    def pack_status(self, summary: Summary, final: bool, state: str | None = None) -> bytes:
+        """Encode this display's status with a summary; state: None for the present one."""
+        receiver, state = self.receiver, state or self.state
         if receiver.description is None:
-            return pack_status(self.state, "", summary, final, receiver.session)
+            return pack_status(state, "", summary, final, receiver.session)
         pairs = zip(self.contactors, receiver.channels, strict=self.press is None)
         playing = [contactor.playback(channel) for contactor, channel in pairs]
         name = receiver.description.name
-        return pack_status(self.state, name, summary, final, receiver.session, playing=playing)
+        return pack_status(state, name, summary, final, receiver.session, playing=playing)
 
     @property
     def over(self) -> bool:

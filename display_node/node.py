@@ -284,11 +284,13 @@ class DisplayNode:
 
     def _publish(self) -> Iterator[None]:
         """Publish the last ticks, and a status where it is due, piece by piece."""
+        # The state of the last published tick: the status takes its time from there.
+        state = self._display.state
         if self._telemetry.publish():
             yield
             summary = yield from self._summary_pieces()
             yield
-            self._telemetry.status(self._display.pack_status(summary, final=False))
+            self._telemetry.status(self._display.pack_status(summary, False, state))
 
     def _summary(self) -> Summary:
         return complete(self._summary_pieces())

@@ -37,7 +37,7 @@ def scene(
     pulse_n: Floats | None = None,
     folder: Path | None = None,
 ) -> Scene:
-    """Return `radial` over a link; compensation_ms: None for auto; pulse_n: at 1 kHz."""
+    """Return `radial` with a tick of 1 ms; compensation_ms: None for auto; pulse_n: at 1 kHz."""
     radial = load_scene(RADIAL)
     sensing = radial.sensing.model_copy(update={"batch_ns": batch_ms * MS})
     if pulse_n is not None:
@@ -47,7 +47,11 @@ def scene(
         source = RecordingScene.model_validate({"kind": "recording", **table})
         sensing = sensing.model_copy(update={"source": source})
     compensation_ns = None if compensation_ms is None else compensation_ms * MS
-    changes = {"predictor": own_predictor(predictor), "compensation_ns": compensation_ns}
+    changes = {
+        "predictor": own_predictor(predictor),
+        "compensation_ns": compensation_ns,
+        "tick_ns": MS,
+    }
     display = radial.display.model_copy(update=changes)
     return dataclasses.replace(radial, sensing=sensing, display=display, link=parse_link(link))
 

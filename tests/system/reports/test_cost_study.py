@@ -51,7 +51,7 @@ def test_the_front_has_the_points_that_no_other_dominates() -> None:
 def test_the_shipped_settings_are_those_of_the_default_scene_and_every_case_can_be_loaded(
     tmp_path: Path,
 ) -> None:
-    assert shipped() == Settings(1.0, "stack", None, 5.0, None)
+    assert shipped() == Settings(2.0, "stack", None, 5.0, None)
     effort = CostEffort()
     cases = [*effort.combinations(), *effort.variations()]
     assert effort.combinations()[0] == effort.variations()[0] == shipped()
@@ -98,7 +98,7 @@ def test_a_report_without_processes_says_why_and_a_case_that_fails_is_named(
 
 def test_the_verdict_names_what_dominates_the_shipped_settings() -> None:
     cost = cost_scores.SimulatedCost(0.05, 0.01, 40.0, 50.0, 90.0, 0.1, 200.0)
-    other = shipped()._replace(tick_ms=2.0)
+    other = shipped()._replace(tick_ms=4.0)
     scores = CostScores({shipped(): cost, other: cost._replace(load=0.05)}, {}, "", {}, "", 0.0)
     assert verdict(scores).endswith(f"dominated by 1: {other}.")
     scores.simulated[other] = cost._replace(load=0.05, in_phase_n=0.06)
