@@ -278,7 +278,7 @@ class Contactor:
             scene.safety.stale_after_ns,
         )
 
-    def summary(self, ticks: int, played_s: float) -> Summary:
+    def summary(self, ticks: int, played_s: float, felt_n: float) -> Summary:
         """Return this contactor's figures.
 
         Parameters
@@ -287,8 +287,10 @@ class Contactor:
             Number of ticks that were run.
         played_s
             Time for which a pulse was played, in s.
+        felt_n
+            Force under the finger after the last of these ticks, in N.
         """
-        finger = FingerState(self.state.felt_n, measured_by="model, no drive")
+        finger = FingerState(felt_n, measured_by="model, no drive")
         return Summary(
             compensation=self._prediction.scored(Compensation(), played_s),
             beats=self._beats.figures(),

@@ -317,29 +317,32 @@ class Display:
     def summary_pieces(
         self, deadline_misses: int | None = None, tick_us: TickTime | None = None
     ) -> Generator[None, None, Summary]:
-        """Build the summary piece by piece; its parts are then of different ticks."""
-        delays, contactors = self._delays, self.contactors
-        received = self.receiver.summary(self.states[0].now_ns)
+        """Build the summary piece by piece.
+
+        The first piece takes what must agree with the state of one tick: accounts, faults, and the
+        felt forces. Beats, scores and limits may be of later ticks.
+        """
+        delays, contactors, ticks = self._delays, self.contactors, self.ticks
+        forces_n = [state.felt_n for state in self.states]
         accounts = self.receiver.accounts()
-        yield
         summary = replace(
-            received,
+            self.receiver.summary(self.states[0].now_ns),
             playout_delay_ms=delays.playout_delay_ms,
             covered_delay_ms=delays.covered_delay_ms,
             availability=self._availability.availability(delays.ticks),
             interruptions=self._interruptions.interruptions(),
             compensation=delays.compensation(may_trust=self._trust is not None),
             announce=self._announcement.figures() if self._announcement else AnnounceFigures(),
-            loop=Loop(self.ticks, deadline_misses, tick_us or TickTime()),
+            loop=Loop(ticks, deadline_misses, tick_us or TickTime()),
             press=PressFigures() if self.press is None else self.press.figures(),
             rejected=dict(self.receiver.rejected),
             faults=list(self.safety.faults),
         )
         played_s = delays.ticks * self._tick_ns * 1e-9
         figures = dict[str, Summary]()
-        for each in contactors:
+        for each, felt_n in zip(contactors, forces_n, strict=True):
             yield
-            figures[each.name] = each.summary(self.ticks, played_s)
+            figures[each.name] = each.summary(ticks, played_s, felt_n)
         yield
         for name, account in zip(figures, accounts, strict=False):
             figures[name] = replace(figures[name], samples=account.counts())

@@ -284,10 +284,9 @@ class DisplayNode:
 
     def _publish(self) -> Iterator[None]:
         """Publish the last ticks, and a status where it is due, piece by piece."""
-        # The state of the last published tick: the status takes its time from there.
+        # State and first figures are those of the last published tick, whose time a status has.
         state = self._display.state
         if self._telemetry.publish():
-            yield
             summary = yield from self._summary_pieces()
             yield
             self._telemetry.status(self._display.pack_status(summary, False, state))
@@ -299,10 +298,10 @@ class DisplayNode:
         """Build the display's summary with the figures of this shell, piece by piece."""
         display, connection = self._display, self._connection
         deadlines, late_us = self._deadlines, self._late_us
+        summary = yield from display.summary_pieces(self._pacer.missed)
+        yield
         lateness = late_us.quantiles(p50=0.5, p99=0.99, p999=0.999)
         times = TickTime(**self._tick_us.quantiles(p50=0.5, p99=0.99))
-        yield
-        summary = yield from display.summary_pieces(self._pacer.missed, times)
         yield
         rejected = Counter(summary.rejected) + connection.rejected + self._telemetry.rejected
         rejected += self._readers.rejected
@@ -310,6 +309,7 @@ class DisplayNode:
             summary,
             loop=replace(
                 summary.loop,
+                tick_us=times,
                 late_us=Lateness(**lateness, max=late_us.maximum),
                 late=deadlines.alarm,
                 last_5s=deadlines.last_5s,
