@@ -9,12 +9,12 @@ from typing import Annotated
 import typer
 
 from display_node.doctor import run_doctor
-from display_node.fault_advice import end_at_faults
 from display_node.node import DisplayNode, open_press, start_benches
 from display_node.reception.addresses import discovered
 from display_node.scene import DisplayScene
 from display_node.telemetry.key_presses import terminal_restored
 from display_node.telemetry.recorder_process import start_recorder
+from display_node.verdict import NOT_VALID_STATUS, conclude
 from protocol import cli_options as options
 from protocol.config.scene import load_section
 from protocol.config.scene_file import find_scene, scene_names
@@ -68,6 +68,7 @@ def display(
         bool, typer.Option("--once", help="Stop when the stream has ended and was played.")
     ] = False,
     json: options.JsonOption = None,
+    details: options.DetailsOption = False,
     telemetry: Annotated[
         str, typer.Option(help="Address to publish telemetry on; * picks a free port.")
     ] = "tcp://127.0.0.1:*",
@@ -127,8 +128,10 @@ def display(
 
     Exit status: 0 when stopped or at the stream's end (`--once`); 1 when the recording is
     incomplete (`--record`); 2 when the scene, an address or a file cannot be used; 3 when a fault
-    was latched before the end. The reason is a line on stderr. A latched fault does not end the
-    program: the tip is withdrawn, and the fault is shown with advice until the program is stopped.
+    was latched before the end; 4 when a run of `--seconds` or `--once` is not valid: nothing was
+    felt, or more than 10 % of the ticks were missed. The reason is a line on stderr, or the first
+    one of the summary. A latched fault does not end the program: the tip is withdrawn, and the
+    fault is shown with advice until the program is stopped.
     """
     console = options.plain_console(quiet, json)
     with options.one_line_errors(PROGRAM):
@@ -191,10 +194,12 @@ def display(
                 node.use(*benches)
                 draw = screen and not quiet
                 summary = _run(node, connect, seconds, once, draw, own, request)
-    options.sum_up(PROGRAM, summary, "display node", console, json, provenance)
-    end_at_faults(PROGRAM, summary.faults)
-    if recorder is not None and recorder.returncode != 0:
-        raise SystemExit(NOT_WHOLE)
+    status = conclude(PROGRAM, summary, "display node", console, json, provenance, details)
+    if status == NOT_VALID_STATUS and node.stopped:
+        status = 0
+    if status != options.FAULT_STATUS and recorder is not None and recorder.returncode != 0:
+        status = NOT_WHOLE
+    raise SystemExit(status)
 
 
 def _run(

@@ -1,4 +1,4 @@
-"""Advice on latched faults, and the exit status for faults.
+"""Advice on latched faults.
 
 Every output that names a fault uses this table.
 """
@@ -6,7 +6,6 @@ Every output that names a fault uses this table.
 import sys
 from collections.abc import Iterable
 
-from protocol.cli_options import FAULT_STATUS
 from pulse_drives.start_advice import OTHERWISE
 
 # Prefixes of those entries of a summary's `faults` that are notes on a sensor and latch nothing.
@@ -48,10 +47,9 @@ def advise(fault: str) -> str:
     return f"{advice}; then start the display again"
 
 
-def end_at_faults(program: str, faults: Iterable[str]) -> None:
-    """Name latched faults on stderr and end with `FAULT_STATUS`; return where there are none."""
+def name_faults(program: str, faults: Iterable[str]) -> bool:
+    """Name latched faults on stderr, with advice; return whether there are any."""
     found = latched(faults)
     for fault in found:
         print(f"{program}: ended at the fault {fault!r}: {advise(fault)}", file=sys.stderr)
-    if found:
-        raise SystemExit(FAULT_STATUS)
+    return bool(found)

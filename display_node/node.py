@@ -184,6 +184,11 @@ class DisplayNode:
         """End the loop after the present tick."""
         self._stopping = True
 
+    @property
+    def stopped(self) -> bool:
+        """True after `stop`: the run did not end by itself."""
+        return self._stopping
+
     def close(self) -> None:
         """Close the sockets of a node that did not run; after `run` they are closed already."""
         self._context.destroy(linger=0)

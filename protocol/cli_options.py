@@ -81,6 +81,12 @@ JsonOption = Annotated[
 ]
 
 
+DetailsOption = Annotated[
+    bool,
+    typer.Option("--details", help="Print every figure of the run below the verdict on it."),
+]
+
+
 def _print_version(wanted: bool) -> None:
     if wanted:
         print(f"telepulse {version('telepulse')}, {BUILD}")
@@ -202,9 +208,17 @@ def sum_up(
     console: Console,
     json: Path | None,
     provenance: Provenance,
+    verdict: Sequence[str] = (),
+    details: bool = True,
 ) -> None:
-    """Print the closing summary; write it to the file `json`, if any, with its provenance."""
-    print_summary(summary, title, console)
+    """Print the closing summary; write it to the file `json`, if any, with its provenance.
+
+    verdict: lines that come before the figures, which are printed with `details` only.
+    """
+    hint = "" if details else " (every figure: --details)"
+    console.print(f"{title}{hint}", *(f"  {line}" for line in verdict), sep="\n")
+    if details:
+        print_summary(summary, console)
     if json is not None:
         with one_line_errors(program):
             write_json(summary, json, provenance)

@@ -254,6 +254,10 @@ class Registry:
         return {each.name: found.get(each.name, "") for each in self.on(surface)}
 
 
+# Names for people of the times that shares refer to; others are their keys.
+_TIMES = {"played": "with a pulse"}
+
+
 def _parts(figure: Figure, summary: Mapping[str, Any]) -> tuple[RowPart, ...]:
     whole = figure.phrase or figure
     value, detail = whole.value(summary), ""
@@ -269,8 +273,8 @@ def _parts(figure: Figure, summary: Mapping[str, Any]) -> tuple[RowPart, ...]:
         shown = limit + (figure.unit or COUNT).text(value)
     if figure.share_of:
         share = _value_at(summary, f"availability.{figure.share_of}")
-        of_run = "" if share is None else f" ({figure.share_of}: {100 * share:.1f} % of the run)"
-        detail = f" of the time {figure.share_of}{of_run}"
+        of_run = "" if share is None else f" ({100 * share:.1f} % of the run)"
+        detail = f" of the time {_TIMES.get(figure.share_of, figure.share_of)}{of_run}"
     return (RowPart(figure, shown, detail),) if shown else ()
 
 

@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Any
 
 from rich.console import Console
-from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 
@@ -301,11 +300,9 @@ def write_json(summary: Summary, path: Path, provenance: Provenance | None = Non
     write_whole(path, json.dumps(summary.to_dict() | origin, indent=2) + "\n")
 
 
-def print_summary(summary: Summary, title: str, console: Console) -> None:
+def print_summary(summary: Summary, console: Console) -> None:
     """Print the summary for people, one line for each row that has a value."""
-    lines = Table(
-        title=escape(title), show_header=False, title_justify="left", box=None, pad_edge=False
-    )
+    lines = Table(show_header=False, box=None, pad_edge=False)
     for name, text in rows(summary.to_dict(), Surface.SUMMARY):
         # As Text, because rich would take a [section] in a fault for markup.
         lines.add_row(name, Text(text))

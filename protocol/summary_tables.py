@@ -53,7 +53,7 @@ class SampleCounts:
     )
     played: int | None = figure(
         "Samples in the buffer when their instant was played",
-        "{} played",
+        "{} in time",
         metric='samples_total{outcome="played"}',
         separator=" = ",
         prominent=True,
@@ -61,7 +61,7 @@ class SampleCounts:
     )
     predicted: int | None = figure(
         "Samples that arrived after their instant, which was felt from a trusted prediction",
-        "{} predicted",
+        "{} felt ahead",
         metric='samples_total{outcome="predicted"}',
         separator=" + ",
     )
@@ -119,18 +119,18 @@ class Compensation:
         "Share of the time played in which the played instant was later than the newest sample"
         " that had arrived",
         metric="predicted_ratio",
-        row="concealed",
+        row="felt ahead",
         unit=SHARE,
         share_of="played",
     )
     horizon_ms: float | None = figure(
         "Mean time from the newest sample that had arrived to the played instant, where that was"
         " later",
-        "on average {} ahead",
+        "on average {} ahead of the samples",
         MILLISECONDS._replace(form=".1f"),
         title="mean time ahead",
         metric="prediction_horizon_mean_seconds",
-        row="concealed",
+        row="felt ahead",
     )
     trusted: float | None = figure(
         "Share of the time played in which trusted prediction replaced a part of the link's delay;"

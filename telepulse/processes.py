@@ -9,6 +9,7 @@ import logging
 import os
 import random
 import re
+from collections.abc import Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from socket import AF_INET, SOCK_STREAM, socket
@@ -16,6 +17,7 @@ from typing import Any
 
 from pydantic import TypeAdapter
 
+from display_node.verdict import NOT_VALID_STATUS
 from protocol.host.child_process import ChildProcess
 from protocol.run_summary import Summary
 
@@ -80,10 +82,12 @@ class NodeProcess(ChildProcess):
         super().__init__(name, "-m", module, *arguments, "--json", str(summary), **options)
         self._summary = summary
 
-    def await_summary(self, within_s: float, may_end_with: int = 0) -> Summary:
+    def await_summary(self, within_s: float, may_end_with: Sequence[int] = ()) -> Summary:
         """Wait for the node to end, log its warnings and return its summary.
+
+        A display whose run is not valid has a summary too, which shows that.
 
         Raises ProcessError when it does not end in time, or fails; see `await_end`.
         """
-        log_warnings(self.name, self.await_end(within_s, may_end_with))
+        log_warnings(self.name, self.await_end(within_s, (NOT_VALID_STATUS, *may_end_with)))
         return _SUMMARY.validate_python(json.loads(self._summary.read_text(encoding="utf-8")))

@@ -15,7 +15,7 @@ import subprocess
 import sys
 import threading
 import weakref
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from importlib.metadata import entry_points
 from typing import Any, Self
@@ -124,17 +124,17 @@ class ChildProcess(subprocess.Popen[str]):
             self.communicate()
         return self.returncode
 
-    def await_end(self, within_s: float, may_end_with: int = 0) -> str:
+    def await_end(self, within_s: float, may_end_with: Sequence[int] = ()) -> str:
         """Wait up to `within_s` for the process to end; return what it wrote to a piped stderr.
 
         Raises ProcessError with its last error line when it does not end in time, or with another
-        status than 0 and `may_end_with`.
+        status than 0 and those of `may_end_with`.
         """
         try:
             _, errors = self.communicate(timeout=within_s)
         except subprocess.TimeoutExpired:
             raise ProcessError(f"the {self.name} did not end within {within_s:.0f} s") from None
-        if self.returncode not in (0, may_end_with):
+        if self.returncode not in (0, *may_end_with):
             raise self._failure(f"ended with status {self.returncode}", errors)
         return errors or ""
 

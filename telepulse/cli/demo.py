@@ -19,13 +19,15 @@ import typer
 import zmq
 from rich.console import Console
 
-from display_node.fault_advice import SENSING_NOTE, end_at_faults
+from display_node.fault_advice import SENSING_NOTE
 from display_node.scoring.tracking_error import TrackingError, scored
 from display_node.telemetry.terminal import watch
+from display_node.verdict import conclude
 from protocol import sockets
 from protocol.cli_options import (
     FAULT_STATUS,
     CompensationOption,
+    DetailsOption,
     DurationOption,
     JsonOption,
     LogLevelOption,
@@ -36,7 +38,6 @@ from protocol.cli_options import (
     SourceOption,
     one_line_errors,
     plain_console,
-    sum_up,
 )
 from protocol.config.scene_file import find_scene
 from protocol.errors import ProcessError
@@ -77,12 +78,13 @@ def simulate(
     predictor: PredictorOption = None,
     compensation: CompensationOption = None,
     json: JsonOption = None,
+    details: DetailsOption = False,
     log_level: LogLevelOption = None,
 ) -> None:
     """Run a scene in virtual time: the nodes' own modules, without sockets and without waiting.
 
     The same scene and seed give the same figures, many times faster than real time. Exit status 3:
-    the display latched a fault; it is named on stderr.
+    the display latched a fault; it is named on stderr. Exit status 4: no pulse was felt.
     """
     with one_line_errors(PROGRAM):
         configure_logging(log_level)
@@ -93,8 +95,8 @@ def simulate(
         provenance = scene_provenance(loaded, {"link": seed})
         summary = virtual_time.summarise(loaded, seconds, seed)
     title = f"simulation of {source or loaded.path.stem}, {seconds:g} s"
-    sum_up(PROGRAM, summary, title, plain_console(json=json), json, provenance)
-    end_at_faults(PROGRAM, summary.faults)
+    console = plain_console(json=json)
+    raise SystemExit(conclude(PROGRAM, summary, title, console, json, provenance, details))
 
 
 def demo(
@@ -108,6 +110,7 @@ def demo(
     predictor: PredictorOption = None,
     compensation: CompensationOption = None,
     json: JsonOption = None,
+    details: DetailsOption = False,
     ui: Annotated[
         bool,
         typer.Option(
@@ -128,10 +131,11 @@ def demo(
 
     A sensing node and a display node start as two processes. With an impaired link (--link, or
     the scene's), a third process between them delays and drops frames. At the end, every sample
-    sent is accounted for: sent = played + predicted + late + lost.
+    sent is accounted for: it was in time, felt ahead by a trusted prediction, late, or lost.
 
     Exit status: 0 at the end of the pulse, 2 when an argument cannot be used, 3 when the display
-    latched a fault; the reason is a line on stderr.
+    latched a fault, with the reason on stderr, 4 when the run is not valid: nothing was felt, or
+    more than 10 % of the ticks were missed.
     """
     console = plain_console(json=json)
     with one_line_errors(PROGRAM):
@@ -143,8 +147,7 @@ def demo(
         provenance = scene_provenance(loaded)
         summary = run_demo(loaded, choice, record, seconds, ui, page, console)
     title = f"demo of {source or loaded.path.stem}, {seconds:g} s"
-    sum_up(PROGRAM, summary, title, console, json, provenance)
-    end_at_faults(PROGRAM, summary.faults)
+    raise SystemExit(conclude(PROGRAM, summary, title, console, json, provenance, details))
 
 
 def _record(
@@ -247,7 +250,7 @@ def run_demo(
             link_process.terminate()
             log_warnings(link_process.name, link_process.await_end(ENDS_WITHIN_S))
         sensed = sensing.await_summary(ENDS_WITHIN_S)
-        played = display.await_summary(ENDS_WITHIN_S, may_end_with=FAULT_STATUS)
+        played = display.await_summary(ENDS_WITHIN_S, may_end_with=[FAULT_STATUS])
         return _compose(sensed, played, scorer.errors, link_process is not None)
 
 

@@ -78,7 +78,7 @@ _GROUPS = (
     Group("press", "Press", ("press", "levels")),
     Group(
         *("prediction", "Errors and prediction"),
-        ("in_phase", "within", "predictor", "prediction", "prediction-trusted", "concealed"),
+        ("in_phase", "within", "predictor", "prediction", "prediction-trusted", "felt-ahead"),
     ),
     Group("pulse", "Pulse at the wrist", ("pulse", "ECG")),
     Group(

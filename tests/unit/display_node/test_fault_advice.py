@@ -1,4 +1,4 @@
-"""Advice on each latched fault, and the exit status."""
+"""Advice on each latched fault."""
 
 import re
 from pathlib import Path
@@ -10,11 +10,10 @@ from display_node.fault_advice import (
     OTHERWISE,
     SENSING_NOTE,
     advise,
-    end_at_faults,
     latched,
+    name_faults,
 )
 from display_node.plant.feedback import FilmFault
-from protocol.cli_options import FAULT_STATUS
 
 ROOT = Path(__file__).parents[3]
 PACKAGES = ("display_node", "pulse_drives")
@@ -40,16 +39,14 @@ def test_every_fault_in_the_code_has_advice() -> None:
     }
 
 
-def test_latched_faults_end_with_a_line_each_and_their_status_and_notes_of_sensors_do_not(
+def test_latched_faults_are_a_line_each_and_notes_of_sensors_are_none(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     notes = [f"{FILM_NOTE}3 samples missing", f"{SENSING_NOTE}2 samples beyond the ADC's range"]
     assert latched(notes) == []
-    end_at_faults("display-node", notes)
+    assert not name_faults("display-node", notes)
     assert capsys.readouterr().err == ""
-    with pytest.raises(SystemExit) as ended:
-        end_at_faults("display-node", ["feedback lost", *notes])
-    assert ended.value.code == FAULT_STATUS == 3
+    assert name_faults("display-node", ["feedback lost", *notes])
     (line,) = capsys.readouterr().err.splitlines()
     assert line == (
         "display-node: ended at the fault 'feedback lost': check the film's sensor and its cable;"

@@ -1,0 +1,227 @@
+"""Verdict on a display's run: its closing summary in at most six lines, for the person at it.
+
+Every other figure of the run is in the rows of `protocol.run_summary`.
+"""
+
+from collections import Counter
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+from rich.console import Console
+
+from display_node.fault_advice import FILM_NOTE, SENSING_NOTE, latched, name_faults
+from display_node.scoring.tracking_error import JND
+from protocol.cli_options import FAULT_STATUS, sum_up
+from protocol.counters import Limits
+from protocol.errors import explain_causes
+from protocol.provenance import Provenance
+from protocol.run_summary import Summary
+
+MOST_LINES = 6
+# Exit status of a run that is not valid and latched no fault.
+NOT_VALID_STATUS = 4
+# Above this share of missed ticks, the force felt was not the one that the loop computes.
+MOST_MISSED = 0.1
+# From these shares on, something is worth a line.
+LATE_TICKS, NOTICED, LIMITED = 0.01, 0.05, 0.01
+LONG_GAP_MS = 50.0
+# Messages refused in every run: while joining, or because a copy had arrived already.
+USUAL = ("before_welcome", "before_clock", "duplicate", "overlap", "session", "too_old")
+DOCTOR = "display-node --doctor names what helps"
+
+
+class Verdict(NamedTuple):
+    """Lines for a person; valid: whether the run shows what the link and the scene can do."""
+
+    lines: tuple[str, ...]
+    valid: bool
+
+
+def verdict(summary: Summary) -> Verdict:
+    """Return what happened in a display's run, first of all whether the run is valid.
+
+    The lines say how long and how faithfully the pulse was felt, its delay, what was lost, and what
+    is wrong and what to do about it, or that nothing is. Those without a figure are left out.
+    """
+    ruined = _ruined(summary)
+    told = [*_felt(summary), *_error(summary), *_delay(summary), *_lost(summary)]
+    wrong = list(_wrong(summary))
+    first = [] if ruined is None else [f"Not valid: {ruined}."]
+    if not wrong and ruined is None:
+        wrong = ["Nothing is wrong."]
+    free = MOST_LINES - len(first) - len(told)
+    if len(wrong) > free:
+        wrong = [*wrong[: free - 1], f"{wrong[free - 1]} (And {len(wrong) - free} more.)"]
+    return Verdict((*first, *told, *wrong), ruined is None)
+
+
+def conclude(
+    program: str,
+    summary: Summary,
+    title: str,
+    console: Console,
+    json: Path | None,
+    provenance: Provenance,
+    details: bool,
+) -> int:
+    """Print the verdict on a run, latched faults on stderr, and with `details` all figures.
+
+    Returns the exit status: 0, `FAULT_STATUS` or `NOT_VALID_STATUS`. `sum_up` has the other
+    arguments.
+    """
+    lines, valid = verdict(summary)
+    sum_up(program, summary, title, console, json, provenance, lines, details)
+    if name_faults(program, summary.faults):
+        return FAULT_STATUS
+    return 0 if valid else NOT_VALID_STATUS
+
+
+def _ruined(summary: Summary) -> str | None:
+    """Return why a run is not valid; None for a valid one."""
+    of_run = summary.availability
+    if faults := latched(summary.faults):
+        return f"the display stopped at the fault {faults[0]!r}"
+    if not of_run.felt:
+        return f"no pulse was felt; {_why_nothing(summary)}"
+    if (of_run.missed or 0.0) > MOST_MISSED:
+        return (
+            f"{_percent(of_run.missed)} of the ticks were missed: this computer was too busy, or"
+            f" too slow; {DOCTOR}"
+        )
+    return None
+
+
+def _why_nothing(summary: Summary) -> str:
+    """Return why a display felt no pulse at all."""
+    refused = _refused(summary)
+    if refused and summary.clock.offset_ms is None:
+        return explain_causes(dict(refused.most_common(1)))[0]
+    if summary.clock.offset_ms is None:
+        return "the sensing node did not answer: check its address, and that it runs"
+    if not summary.samples.sent:
+        return "the sensing node sent no samples: check its source"
+    return "the stream ended, or the display was stopped, before the pulse was at full strength"
+
+
+def _felt(summary: Summary) -> Iterator[str]:
+    """Yield how long the pulse was felt, and its rate."""
+    of_run = summary.availability
+    if not of_run.felt or of_run.seconds is None:
+        return
+    figures = summary.of_each_contactor().values()
+    rates = [rate for each in figures if (rate := each.beats.rate_per_min) is not None]
+    beats = f", at {rates[0]:.0f} beats a minute" if rates else ""
+    around = sum(share or 0.0 for share in (of_run.waiting, of_run.starting, of_run.ended))
+    yield (
+        f"The pulse was felt for {of_run.felt * of_run.seconds:.1f} s{beats}; start and end took"
+        f" {around * of_run.seconds:.1f} s."
+    )
+
+
+def _error(summary: Summary) -> Iterator[str]:
+    """Yield how far the felt force was off; of several contactors that of the worst one."""
+    errors = [
+        (rmse_n, name, figures.beats.height_n)
+        for name, figures in summary.of_each_contactor().items()
+        if (rmse_n := figures.force_rmse_n.aligned) is not None
+    ]
+    if not errors:
+        return
+    rmse_n, name, height_n = max(errors, key=lambda error: error[0])
+    of = f" at {name}, the worst contactor," if name else ""
+    text = f"The force{of} was off by {1e3 * rmse_n:.1f} mN RMS"
+    if height_n:
+        share = _percent(rmse_n / height_n)
+        text += f", {share} of the pulse's height; a finger notices {100 * JND:.0f} %"
+    yield f"{text}."
+
+
+def _delay(summary: Summary) -> Iterator[str]:
+    """Yield the delay that the finger felt, and that of the network."""
+    felt_ms, network = summary.playout_delay_ms.mean, summary.one_way_delay_ms
+    if felt_ms is None or network.p50 is None:
+        return
+    ahead = ", thanks to prediction" if felt_ms < network.p50 else ""
+    tail = "" if network.p99 is None else f" (99 % within {network.p99:.1f} ms)"
+    yield (
+        f"The finger felt the pulse {max(felt_ms, 0.0):.1f} ms after the wrist{ahead}; the network"
+        f" took {network.p50:.1f} ms{tail}."
+    )
+
+
+def _lost(summary: Summary) -> Iterator[str]:
+    """Yield what was lost of the samples, and of a press's set-points."""
+    samples = summary.samples
+    if not samples.sent:
+        return
+    lost, late = samples.lost or 0, samples.late or 0
+    if not lost and not late:
+        text = f"None of the {samples.sent} samples was lost or came too late."
+    else:
+        share = _percent((lost + late) / samples.sent)
+        text = f"Of {samples.sent} samples, {lost} were lost and {late} came too late ({share})"
+        smooth = not summary.interruptions.count and not summary.compensation.corrections
+        text += "; the finger felt no gap." if smooth else "."
+    if summary.press.lost:
+        text += f" Of {summary.press.sent} set-points, {summary.press.lost} were lost."
+    yield text
+
+
+def _wrong(summary: Summary) -> Iterator[str]:
+    """Yield what is wrong and what to do about it, the worst first."""
+    stops = summary.interruptions
+    if stops.count and stops.seconds is not None:
+        times = "once" if stops.count == 1 else f"{stops.count} times"
+        yield f"The pulse stopped {times}, for {stops.seconds:.1f} s in all: no samples came."
+    worst, missed = summary.loop.worst_5s, summary.availability.missed or 0.0
+    if missed <= MOST_MISSED and (
+        (worst.missed or 0.0) > LATE_TICKS or (worst.gap_ms or 0.0) > LONG_GAP_MS
+    ):
+        yield (
+            f"This computer was too busy: in the worst 5 s {_percent(worst.missed)} of the ticks"
+            f" were missed; {DOCTOR}."
+        )
+    for prefix, of in ((FILM_NOTE, "The film's sensor"), (SENSING_NOTE, "The sensing node")):
+        notes = [fault.removeprefix(prefix) for fault in summary.faults if fault.startswith(prefix)]
+        if notes:
+            yield f"{of}: {'; '.join(notes)}."
+    for name, figures in summary.of_each_contactor().items():
+        of = f" at {name}" if name else ""
+        if figures.within_jnd is not None and figures.within_jnd < 1 - NOTICED:
+            yield (
+                f"The error{of} was large enough to notice for {_percent(1 - figures.within_jnd)}"
+                " of the time: --details shows prediction and limits."
+            )
+        yield from _limits(figures.limited, of)
+    if refused := _refused(summary):
+        cause = explain_causes(dict(refused.most_common(1)))[0]
+        others = refused.total() - max(refused.values())
+        yield f"Refused: {cause}{f' (and {others} others)' if others else ''}."
+
+
+def _limits(limits: Limits, of: str) -> Iterator[str]:
+    """Yield the limits that cut the pulse for a part of the time; of: " at " a contactor, or ""."""
+    named = {
+        "the force limit cut the pulse": (limits.force, "check `preload` and the layers"),
+        "the actuator was at the end of its travel": (
+            limits.travel,
+            "check `travel` and the layer",
+        ),
+        "the film was beyond its ADC's range": (limits.film, "lower the film's gain"),
+        "the wrist's signal was beyond its ADC's range": (limits.adc, "lower the sensor's gain"),
+    }
+    for what, (limited, remedy) in named.items():
+        if (limited.share or 0.0) > LIMITED:
+            yield f"For {_percent(limited.share)} of the time {what}{of}: {remedy}."
+
+
+def _refused(summary: Summary) -> Counter[str]:
+    """Return the messages and peers that were refused and usually are not, by cause."""
+    return Counter({cause: n for cause, n in summary.rejected.items() if n and cause not in USUAL})
+
+
+def _percent(share: float | None) -> str:
+    """Return a share in percent, with a digit after the point below 10 %."""
+    percent = 100 * (share or 0.0)
+    return f"{percent:.0f} %" if percent >= 10 else f"{percent:.1f} %"
