@@ -173,7 +173,7 @@ def _wrong(summary: Summary) -> Iterator[str]:
     stops = summary.interruptions
     if stops.count and stops.seconds is not None:
         times = "once" if stops.count == 1 else f"{stops.count} times"
-        yield f"The pulse stopped {times}, for {stops.seconds:.1f} s in all: no samples came."
+        yield f"The pulse stopped {times}, for {stops.seconds:.1f} s in all: no samples came in time."
     worst, missed = summary.loop.worst_5s, summary.availability.missed or 0.0
     if missed <= MOST_MISSED and (
         (worst.missed or 0.0) > LATE_TICKS or (worst.gap_ms or 0.0) > LONG_GAP_MS
