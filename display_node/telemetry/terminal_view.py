@@ -146,9 +146,8 @@ class TerminalView:
             return (
                 ["no samples to play", reason, *resting] if state == "stale" else [reason, *resting]
             )
-        account = _account_text(summary)
         if state == "ended" or self.status.final:
-            return [account]
+            return [_account_text(summary)]
         rates = [f"{rate:.0f}" for rate in self.heart_rates_per_min if rate is not None]
         press, delay_ms = self._press_text(), self._delay_ms()
         predicted = " by prediction" if self._trusted else ""
@@ -157,7 +156,7 @@ class TerminalView:
             self._force_text(),
             f"press {press}" if press else "",
             "" if delay_ms is None else f"delay {delay_ms:.1f} ms{predicted}",
-            account,
+            _missing_text(summary),
         ]
 
     def _force_text(self) -> str:
@@ -290,14 +289,17 @@ class TerminalView:
         ]
 
 
+def _missing_text(summary: Mapping[str, Any]) -> str:
+    """Return how many samples were lost or late; empty where none was."""
+    samples = summary.get("samples", {})
+    counts = ((samples.get(key), key) for key in ("lost", "late"))
+    return " and ".join(f"{count} {word}" for count, word in counts if count)
+
+
 def _account_text(summary: Mapping[str, Any]) -> str:
     """Return how many of the samples were lost or late."""
-    samples = summary.get("samples", {})
-    sent, lost, late = (samples.get(key) or 0 for key in ("sent", "lost", "late"))
-    missing = [f"{count} {word}" for count, word in ((lost, "lost"), (late, "late")) if count]
-    if not sent:
-        return ""
-    return f"{' and '.join(missing) or 'none lost'} of {sent} samples"
+    sent = summary.get("samples", {}).get("sent")
+    return f"{_missing_text(summary) or 'none lost'} of {sent} samples" if sent else ""
 
 
 def _millinewtons(force_n: float | None) -> str:

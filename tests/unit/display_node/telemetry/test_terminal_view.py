@@ -70,9 +70,7 @@ def test_panel_and_line_show_the_state() -> None:
         *("37.5 %", "energy ratio 1.44", "7", "3", "42"),
     ):
         assert figure in text
-    assert view().line() == (
-        "playing: heart rate 75 /min, felt 300 of 300 mN, 3 lost and 7 late of 1000 samples"
-    )
+    assert view().line() == ("playing: heart rate 75 /min, felt 300 of 300 mN, 3 lost and 7 late")
 
 
 @pytest.mark.parametrize(
@@ -107,7 +105,7 @@ def test_a_line_shows_what_matters_in_its_state(
 
 def test_a_line_names_an_alert_last_with_its_text_if_there_is_room() -> None:
     late = {"late": True, "last_5s": {"missed": 0.06, "gap_ms": 10}}
-    assert view(loop=late).line().endswith("of 1000 samples; deadline misses")
+    assert view(loop=late).line().endswith(", 3 lost and 7 late; deadline misses")
     alone = view(loop=late, samples={}).line()
     assert alone == "playing: heart rate 75 /min, felt 300 of 300 mN; deadline misses"
     short = view("starting", 0, loop={"late": True}, samples={}).line()
@@ -219,7 +217,7 @@ def test_of_several_contactors_the_panel_names_the_plotted_one_and_shows_the_for
     assert "cun: felt (line) over target (dots), last 3 s" in text
     assert f"{weak.felt_n[-10] * 1e3:.1f} mN, 700.0 mN" in text
     felt_mn = f"{weak.felt_n[-10] * 1e3:.0f}"
-    assert f"felt {felt_mn}, 700 of {felt_mn}, " in under_test.line()
+    assert f"felt {felt_mn}, 700 of {felt_mn}, {felt_mn} mN" in under_test.line()
     # An only contactor needs no name; nor do traces that the status does not name yet.
     for plain in (view(), view(contactors=contactors)):
         assert " felt (line)" in printed(plain)
