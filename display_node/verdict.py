@@ -22,7 +22,7 @@ MOST_LINES = 6
 # Exit status of a run that is not valid and latched no fault.
 NOT_VALID_STATUS = 4
 # Above this share of missed ticks, the force felt was not the one that the loop computes.
-MOST_MISSED = 0.1
+MOST_MISSED = 0.25
 # From these shares on, something is worth a line.
 LATE_TICKS, NOTICED, LIMITED = 0.01, 0.05, 0.01
 LONG_GAP_MS = 50.0
@@ -173,7 +173,7 @@ def _wrong(summary: Summary) -> Iterator[str]:
     stops = summary.interruptions
     if stops.count and stops.seconds is not None:
         times = "once" if stops.count == 1 else f"{stops.count} times"
-        yield f"The pulse stopped {times}, for {stops.seconds:.1f} s in all: no samples came."
+        yield f"The pulse stopped {times}, for {stops.seconds:.1f} s in all: no samples came in time."
     worst, missed = summary.loop.worst_5s, summary.availability.missed or 0.0
     if missed <= MOST_MISSED and (
         (worst.missed or 0.0) > LATE_TICKS or (worst.gap_ms or 0.0) > LONG_GAP_MS

@@ -141,12 +141,12 @@ def test_shares_of_time_name_the_time_to_which_they_refer() -> None:
     assert times.stale == pytest.approx(10 / seconds, abs=0.03)
     parts = [getattr(times, name) for name in STATE_NAMES]
     assert sum(parts) == pytest.approx(1.0)
-    assert f"of the time judged (judged: {100 * judged:.1f} % of the run)" in shown(summary)
+    assert f"of the time judged ({100 * judged:.1f} % of the run)" in shown(summary)
 
 
 def shown(summary: Summary) -> str:
     out = io.StringIO()
-    print_summary(summary, "simulation", Console(file=out, width=200))
+    print_summary(summary, Console(file=out, width=200))
     return out.getvalue()
 
 

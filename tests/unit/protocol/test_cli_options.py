@@ -5,8 +5,17 @@ from pathlib import Path
 import pytest
 
 from protocol import errors
-from protocol.cli_options import client_keys, one_line_errors, server_keys
+from protocol.cli_options import (
+    client_keys,
+    one_line_errors,
+    plain_console,
+    server_keys,
+    sum_up,
+)
 from protocol.host.process import stop_on_signals
+from protocol.provenance import collect
+from protocol.run_summary import Summary
+from protocol.summary_tables import SampleCounts
 from tests.support.keyring import Keyring
 
 
@@ -128,3 +137,18 @@ def test_key_files_and_addresses_are_checked_at_once(own: Path, peer: Path) -> N
         server_keys(FAR, own, None, insecure=False)
     with pytest.raises(errors.AddressError, match="not an address"):
         client_keys(["wrist:5555"], None, None, insecure=False)
+
+
+@pytest.mark.parametrize("details", [False, True])
+def test_a_closing_summary_begins_with_its_verdict(
+    details: bool, capsys: pytest.CaptureFixture[str]
+) -> None:
+    summary, told = (
+        Summary(samples=SampleCounts(sent=5)),
+        ["The [felt] pulse.", "Nothing is wrong."],
+    )
+    sum_up("demo", summary, "demo of [radial]", plain_console(), None, collect(), told, details)
+    title, first, second, *rows = capsys.readouterr().out.splitlines()
+    assert title == "demo of [radial]" + ("" if details else " (every figure: --details)")
+    assert (first, second) == ("  The [felt] pulse.", "  Nothing is wrong.")
+    assert [row.split() for row in rows[:1]] == ([["samples", "5", "sent"]] if details else [])

@@ -40,7 +40,7 @@ Json = dict[str, Any]
 
 def printed(summary: Json) -> str:
     console = Console(file=io.StringIO(), width=1_000, record=True)
-    print_summary(TypeAdapter(Summary).validate_python(summary), "", console)
+    print_summary(TypeAdapter(Summary).validate_python(summary), console)
     return console.export_text()
 
 
@@ -144,7 +144,7 @@ def test_a_new_figure_is_one_field() -> None:
 def test_a_figure_beside_its_row_has_a_name_without_a_hole_and_a_count_without_a_noun() -> None:
     summary = full_summary().to_dict()
     cells = REGISTRY.cells(summary, Surface.REPORT)
-    assert "concealed, mean time ahead" in cells
+    assert "felt ahead, mean time ahead" in cells
     assert "prediction, RMS error" in cells
     for each in REGISTRY.on(Surface.REPORT):
         assert "  " not in each.name, each.key

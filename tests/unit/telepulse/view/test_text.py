@@ -69,7 +69,7 @@ def test_a_share_stands_beside_the_part_that_it_is_of(display: SimulatedDisplay)
     shown = figures(display.live, window_scores(display.live, SECOND_NS))
     parts = "felt 16.0 %, starting 1.0 %, stale 83.0 % of 60.0 s"
     assert shown["availability"] == ("16.0 %", parts)
-    assert shown["concealed"] == ("1.2 %", "of the time played (played: 17.0 % of the run)")
+    assert shown["felt-ahead"] == ("1.2 %", "of the time with a pulse (17.0 % of the run)")
 
 
 def test_old_figures_have_their_age_and_no_heart_rate(display: SimulatedDisplay) -> None:
