@@ -40,10 +40,10 @@ class Unit(NamedTuple):
     base: float = 1.0
 
     def text(self, value: float | None) -> str:
-        """Return a value with its unit; empty without a value."""
+        """Return a value with its unit; empty without a value. One that rounds to 0 has no sign."""
         if value is None:
             return ""
-        number = f"{value * self.factor:{self.form}}" if self.form else f"{value}"
+        number = f"{value * self.factor:z{self.form}}" if self.form else f"{value}"
         return f"{number} {self.shown}".rstrip()
 
 

@@ -12,6 +12,7 @@ from display_node.scoring.tracking_error import interpolate
 from protocol.config.quantities import count_text
 from protocol.errors import OutputError
 from protocol.run_summary import Summary
+from protocol.summary_tables import AlignedErrors
 from protocol.wire.messages import Frame
 from protocol.wire.telemetry import PlaybackStatus
 
@@ -85,7 +86,9 @@ class Run:
     contactors : dict of str to ContactorRun
         Each contactor, by name, in the display's order.
     summary : Summary
-        Figures of the run, as the nodes print them.
+        Figures as the nodes print them. Those of a simulated run are of the same ticks as the
+        arrays. Those of a recording are the display's last recorded ones: of its whole run since it
+        started, `summary.availability.seconds`, while the arrays have the recorded ticks alone.
     about : dict of str to str
         What a person stated about a recording (`--about`), by key; empty for a simulated run.
     marks : list of (float, str)
@@ -141,6 +144,17 @@ class Run:
     def wrist_strain(self) -> Floats:
         """Strain at the wrist at the time of the tick."""
         return self.first.wrist_strain
+
+    @property
+    def force_rmse_n(self) -> AlignedErrors:
+        """RMSE of the felt force over the arrays, in N: `aligned` and `in_phase`.
+
+        As `summary.force_rmse_n`, but from the ticks of the arrays alone: those at full strength
+        for which the force at the wrist is known. None where there is no such tick.
+        """
+        wrist_n = self.first.force_ratio * self.wrist_n
+        then_n = np.interp(self.t_s - self.delay_s, self.t_s, wrist_n)
+        return AlignedErrors(*(_rms((self.felt_n - n)[self.played]) for n in (then_n, wrist_n)))
 
     def columns(self) -> dict[str, NDArray[Any]]:
         """Return all arrays by name; those of further contactors begin with their names."""
@@ -232,6 +246,11 @@ class Run:
         lines, labels = forces[0].get_legend_handles_labels()
         figure.legend(lines, labels, loc="outside upper center", ncols=3, fontsize="small")
         return grid
+
+
+def _rms(error_n: Floats) -> float | None:
+    known_n = error_n[~np.isnan(error_n)]
+    return float(np.sqrt(np.mean(known_n**2))) if len(known_n) else None
 
 
 class RunTick(NamedTuple):

@@ -266,7 +266,8 @@ def report(
     """Write a report of a recording: figures, forces, delays, loss, clocks, loop, heart rate.
 
     Writes a page with plots, by default to the folder FILE-report, and prints its tables. The
-    figures are computed from the recorded messages and shown beside the display's own.
+    figures of the recorded span are computed from the messages, and shown beside those that the
+    display counted over its whole run, which may have begun earlier.
     """
     from telepulse.recording.report import build_recording_report
 

@@ -206,7 +206,7 @@ def check_contact(actuator: StepperScene, contact: ContactFit) -> tuple[Check, C
     finger = grade(
         "finger",
         f"{contact.finger_n_per_m:.4g} ± {contact.finger_half_width:.2g} N/m,"
-        f" first touch at {contact.touch_m * 1e6:+.0f} µm",
+        f" first touch at {contact.touch_m * 1e6:+z.0f} µm",
         abs(contact.finger_n_per_m / expected - 1),
         FINGER_WARN,
         np.inf,
@@ -215,7 +215,7 @@ def check_contact(actuator: StepperScene, contact: ContactFit) -> tuple[Check, C
     tolerance_m = max(2 * contact.backlash_half_width, 2 * actuator.step_m)
     backlash = grade(
         "backlash",
-        f"{contact.backlash_m * 1e6:.1f} ± {contact.backlash_half_width * 1e6:.1f} µm"
+        f"{contact.backlash_m * 1e6:z.1f} ± {contact.backlash_half_width * 1e6:.1f} µm"
         f" (tolerance {tolerance_m * 1e6:.1f} µm)",
         abs(contact.backlash_m - actuator.backlash_m),
         tolerance_m,
@@ -266,7 +266,7 @@ def check_latency(
         False for a value that no drive can have, not to be written into a scene.
     """
     expected_s = actuator.latency_ns * 1e-9
-    name, text = "drive's latency", f"{latency_s * 1e3:.2f} ms from a command to its motion"
+    name, text = "drive's latency", f"{latency_s * 1e3:z.2f} ms from a command to its motion"
     if latency_s < -tick_s or math.isnan(latency_s):
         reason = "the motion comes before its command: look at the film's time stamps"
         return Check(name, text, "fail", reason), False

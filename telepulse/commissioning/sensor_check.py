@@ -142,7 +142,7 @@ def judge_sensor(figures: SensorFigures, nominal_hz: float, live: bool = False) 
          f.noise_n, NOISE_WARN_N, NOISE_FAIL_N,
          "nothing may press the sensor during this check: a pulse has about 0.3 N, and"
          f" {NOISE_FAIL_N * 1e3:.0f} mN are just felt"),
-        ("zero", f"{f.zero_n * 1e3:.1f} mN", abs(f.zero_n), 50e-3, np.inf,
+        ("zero", f"{f.zero_n * 1e3:z.1f} mN", abs(f.zero_n), 50e-3, np.inf,
          "nothing should press now; `telepulse calibrate` finds the zero"),
     )  # fmt: skip
     checks = [grade(*row) for row in table]

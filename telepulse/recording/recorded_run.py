@@ -103,9 +103,10 @@ def read_recording(path: Path | str) -> Run:
     Returns
     -------
     Run
-        The arrays have one value for each tick of the display. The force at the wrist is the
-        received one. The summary is the display's last recorded one. `about` and `marks` are
-        those of the recording.
+        The arrays have one value for each recorded tick of the display. The force at the wrist is
+        the received one. `summary` is the display's last recorded one, which covers its whole run:
+        also the time before the recording. `force_rmse_n` is of the arrays. `about` and `marks`
+        are those of the recording.
 
     Raises
     ------

@@ -22,6 +22,8 @@ from telepulse.reports.notation import percent
 from telepulse.telemetry.decoder import MARK_EVENT
 
 NONE = "–"
+# Columns of the figures: a recording may begin after the display, and end before it.
+RECORDED, WHOLE = "recorded span", "whole run (display)"
 LEVELS = {2: "info", 3: "warning", 4: "error"}
 # Plots of a difference that a press makes meaningless, and why they are left out.
 DIFFERENCES = ("force-worst", "error")
@@ -101,14 +103,13 @@ def build_recording_report(path: Path) -> Report:
 
 
 def _in_short(findings: RunFindings) -> Iterable[str]:
-    """Yield at most five sentences on the run, the result first."""
+    """Yield at most five sentences: on the recorded span, and the last one on the whole run."""
     summary, own = findings.summary(), findings.display_summary or Summary()
     samples, errors, felt = summary.samples, summary.force_rmse_n, summary.availability.felt
-    broken = interruptions_text(own.to_dict()["interruptions"]) or "none"
     shared = "A pulse was not felt" if felt is None else f"A pulse was felt for {percent(felt)}"
-    yield f"{shared} of {findings.seconds:.1f} s; interruptions: {broken}."
+    yield f"{shared} of the {findings.seconds:.1f} s that were recorded."
     delay_ms = summary.playout_delay_ms.mean
-    aged = "" if delay_ms is None else f", which was {delay_ms:.1f} ms old on average"
+    aged = "" if delay_ms is None else f", which was {delay_ms:z.1f} ms old on average"
     if errors.aligned is not None and errors.in_phase is not None:
         yield (
             f"The felt force differs by {1e3 * errors.aligned:.2f} mN RMS from the pulse of the"
@@ -116,22 +117,29 @@ def _in_short(findings: RunFindings) -> Iterable[str]:
             " the same moment."
         )
     elif aged:
-        yield f"The played instant was {delay_ms:.1f} ms old on average."
+        yield f"The played instant was {delay_ms:z.1f} ms old on average."
     if samples.sent:
         yield (
-            f"Of {samples.sent} samples, {samples.played} were played, {samples.predicted}"
-            f" predicted, {samples.late} late and {samples.lost} lost."
+            f"Of {samples.sent} samples, {samples.played} were in time, {samples.predicted} felt"
+            f" ahead, {samples.late} late and {samples.lost} lost."
         )
     ticks, missed = summary.loop.ticks or 0, summary.loop.deadline_misses or 0
-    gap_ms = own.loop.worst_5s.gap_ms
-    longest = "" if gap_ms is None else f"; the longest gap was {gap_ms:.0f} ms"
-    if ticks + missed:
-        share = percent(missed / (ticks + missed), ".2f")
-        yield f"{missed} of {ticks + missed} ticks were missed ({share}){longest}."
-    marks = sum(event.name == MARK_EVENT for event in findings.events)
+    share = f" ({percent(missed / (ticks + missed), '.2f')})" if ticks + missed else ""
+    marks = sum(event.name == MARK_EVENT for event in findings.events) or "none"
+    yield f"{missed} of {ticks + missed} ticks were missed{share}. Marks: {marks}."
+    if findings.display_summary is None:
+        yield "The recording has no figures of the display's whole run."
+        return
+    gap_ms, seconds = own.loop.worst_5s.gap_ms, own.availability.seconds
+    length = "" if seconds is None else f" of {seconds:.1f} s"
+    longest = "" if gap_ms is None else f"the longest gap was {gap_ms:.0f} ms; "
+    broken = interruptions_text(own.to_dict()["interruptions"]) or "none"
     refused = ", ".join(explain_causes(own.rejected)) or "nothing"
     faults = "; ".join(own.faults) or "none"
-    yield f"Refused: {refused}. Faults: {faults}. Marks: {marks or 'none'}."
+    yield (
+        f"In the display's whole run{length}, {longest}interruptions: {broken}; refused: {refused};"
+        f" faults: {faults}."
+    )
 
 
 def _paragraphs(findings: RunFindings) -> Iterable[str]:
@@ -145,12 +153,22 @@ def _paragraphs(findings: RunFindings) -> Iterable[str]:
         yield f"The recording: {line}."
     if findings.runs > 1:
         yield f"The display was started {findings.runs} times; its own figures are of the last run."
-    own_ticks = None if findings.display_summary is None else findings.display_summary.loop.ticks
-    if findings.runs == 1 and own_ticks is not None and own_ticks > findings.ticks:
-        yield (
-            f"The display's own figures count {count_text(own_ticks - findings.ticks, 'tick')} more"
-            " than were recorded: from before the recording, or missed by the recorder."
-        )
+    if spans := _spans(findings):
+        yield spans
+
+
+def _spans(findings: RunFindings) -> str:
+    """Return which span each column of figures covers, where a status states the run's length."""
+    own = findings.display_summary or Summary()
+    recorded_s, whole_s = findings.summary().availability.seconds, own.availability.seconds
+    if recorded_s is None or whole_s is None:
+        return ""
+    more = (own.loop.ticks or 0) - findings.ticks if findings.runs == 1 else 0
+    counted = f", {count_text(more, 'tick')} more than were recorded" if more > 0 else ""
+    return (
+        f"“{RECORDED}” is {recorded_s:.1f} s of ticks, computed from the recorded messages;"
+        f" “{WHOLE}” is {whole_s:.1f} s, counted by the display from its start{counted}."
+    )
 
 
 def _summary(findings: RunFindings) -> Table:
@@ -176,13 +194,13 @@ def _summary(findings: RunFindings) -> Table:
     )
     return Table(
         "The run",
-        ("figure", "from the recording", "the display's own"),
+        ("figure", RECORDED, WHOLE),
         tuple(row for row in rows if row[1:] != (NONE, NONE)),
-        note=f"The display's own: by {last}. From the recording: computed from frames, clock"
-        " replies and ticks with the display's own modules. A tick is recorded with the time at"
-        " which it was due, not at which it began: samples that arrived in between count as"
-        " predicted or late. Ticks missed before the first one and losses after the last frame are"
-        " not included.",
+        note=f"{_spans(findings)} {WHOLE.capitalize()}: by {last}. {RECORDED.capitalize()}: from"
+        " frames, clock replies and ticks, with the display's own modules. A tick is recorded with"
+        " the time at which it was due, not at which it began: samples that arrived in between"
+        " count as felt ahead or late. Ticks missed before the first one and losses after the last"
+        " frame are not included.".strip(),
     )
 
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Container, Iterator, Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,16 +34,17 @@ def record(
     lost: Container[int] = (),
     marks: Mapping[int, str] = {},
     about: dict[str, str] | None = None,
+    whole_run: Mapping[str, Any] = {},
 ) -> None:
     """Record a pulse that is felt 40 ms later, without the frames of the numbers in `lost`.
 
-    marks: texts by tick. about: what a person states.
+    marks: texts by tick. about: what a person states. whole_run: tables of the display's summary.
     """
     force_n = synthetic().take(seconds * 1000)[:, 0].astype("<f4")
     writer = McapWriter(path)
     if about is not None:
         writer.state(about)
-    for tick, entries in _telemetry(force_n, lost):
+    for tick, entries in _telemetry(force_n, lost, whole_run):
         for entry in entries:
             writer.add(entry)
         for at, text in marks.items():
@@ -54,7 +56,9 @@ def record(
     writer.close()
 
 
-def _telemetry(force_n: Samples, lost: Container[int]) -> Iterator[tuple[int, list[Entry]]]:
+def _telemetry(
+    force_n: Samples, lost: Container[int], whole_run: Mapping[str, Any]
+) -> Iterator[tuple[int, list[Entry]]]:
     """Yield entries, with the number of ticks until then."""
     telemetry = HandmadeTelemetry()
     welcome = encode_control(Welcome(1, 0, DESCRIPTION))
@@ -66,8 +70,8 @@ def _telemetry(force_n: Samples, lost: Container[int]) -> Iterator[tuple[int, li
             yield tick, telemetry.receive(*messages, at_ns=BEGIN_NS + tick * TICK_NS)
         yield end, telemetry.ticks(*(_felt(tick, force_n) for tick in ticks))
         if end % STATUS_TICKS == 0:
-            yield end, telemetry.status("playing")
-    yield len(force_n), telemetry.status("ended", final=True)
+            yield end, telemetry.status("playing", **whole_run)
+    yield len(force_n), telemetry.status("ended", final=True, **whole_run)
 
 
 def _arriving(tick: int, force_n: Samples, lost: Container[int]) -> Iterator[tuple[int, bytes]]:

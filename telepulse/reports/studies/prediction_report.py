@@ -111,7 +111,8 @@ def _errors_chapter(scores: PredictionScores, effort: PredictionEffort) -> Chapt
 
     missing = (
         f" The {len(RECORDED)} recordings are missing, so that medians are over"
-        f" {len(scores.errors)} sets: pip install 'telepulse[test]' adds heartpy, which has them."
+        f" {len(scores.errors)} sets: pip install 'telepulse[bench]' adds heartpy, which has them,"
+        " up to Python 3.11."
     )
     words = (
         f"Each of {len(scores.errors)} pulses of up to {effort.seconds:g} s at 1 kHz passes a"

@@ -5,7 +5,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from protocol.counters import Limited, Limits
+from protocol.counters import Availability, Limited, Limits
+from protocol.loop_tables import Loop
+from protocol.summary_tables import PlayoutDelay
 from protocol.wire.telemetry import CONTROL
 from telepulse.recording.findings import RunFindings, read_findings
 from telepulse.recording.mcap_writer import McapWriter
@@ -136,7 +138,7 @@ def test_the_page_has_all_it_shows_beside_it(path: Path, tmp_path: Path) -> None
     for name in needed:
         assert (folder / name).stat().st_size > 1_000
     chapters = json.loads(tables.read_text(encoding="utf-8"))["chapters"]
-    rows = {row["figure"]: row["from the recording"] for row in chapters[0]["tables"][0]["rows"]}
+    rows = {row["figure"]: row["recorded span"] for row in chapters[0]["tables"][0]["rows"]}
     assert rows["loop, ticks"] == "8000"
     assert rows["playout delay, mean"] == f"{DELAY_TICKS:.2f} ms"
 
@@ -199,6 +201,29 @@ def test_a_limit_that_was_reached_is_an_event_and_a_row(path: Path) -> None:
     assert named.count(("limited", "force limit reached")) == 1
     rows = {row[0]: row[2] for row in build_recording_report(path).chapters[0].tables[0].rows}
     assert rows["at a limit"] == "force limit 312 times, 4.1 s (20.5 % of the run)"
+
+
+def test_each_column_names_its_span(path: Path) -> None:
+    whole_run = {
+        "availability": Availability(21.3, 1.0),
+        "loop": Loop(21_300, 0),
+        "playout_delay_ms": PlayoutDelay(mean=-0.001),
+    }
+    record(path, 3, whole_run=whole_run)
+    report = build_recording_report(path)
+    table = report.chapters[0].tables[0]
+    assert table.columns == ("figure", "recorded span", "whole run (display)")
+    spans = (
+        "“recorded span” is 3.0 s of ticks, computed from the recorded messages; “whole run"
+        " (display)” is 21.3 s, counted by the display from its start, 18300 ticks more than were"
+        " recorded."
+    )
+    assert table.note.startswith(spans)
+    assert spans in report.chapters[0].paragraphs
+    rows = {row[0]: row[1:] for row in table.rows}
+    assert rows["playout delay, mean"] == (f"{DELAY_TICKS:.2f} ms", "0.00 ms")
+    assert [s for s in report.findings if "whole run of 21.3 s" in s] == report.findings[-1:]
+    assert "3.0 s that were recorded" in report.findings[0]
 
 
 def test_marks_are_in_the_plots_over_time_in_the_table_and_in_the_findings(path: Path) -> None:

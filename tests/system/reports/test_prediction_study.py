@@ -1,3 +1,4 @@
+import tomllib
 from dataclasses import replace
 
 import numpy as np
@@ -20,6 +21,7 @@ from telepulse.reports.studies.prediction_study import (
     cost,
     score,
 )
+from tests.support.nodes import ROOT
 
 ANALOGUES = ("analogue 0.05 s", "analogue 0.2 s", "analogue 0.6 s")
 NAMES = ("hold", "linear", *ANALOGUES, "analogue regression", "fir", "stack")
@@ -95,7 +97,9 @@ def test_the_report_counts_reached_targets_and_gives_the_excess_of_others() -> N
 
 
 def test_missing_recordings_are_named() -> None:
-    scores, note = made_up(), "pip install 'telepulse[test]'"
+    scores, note = made_up(), "pip install 'telepulse[bench]' adds heartpy"
+    extras = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    assert any("heartpy" in each for each in extras["optional-dependencies"]["bench"])
     fewer = replace(scores, errors={name: scores.errors[name] for name in SETS})
     for each, missing in ((scores, False), (fewer, True)):
         words = report_prediction(each, PredictionEffort()).chapters[0].paragraphs[0]

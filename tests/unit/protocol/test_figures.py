@@ -12,7 +12,20 @@ from rich.console import Console
 
 from display_node.telemetry.terminal_view import TerminalView
 from docs.ext import summary_keys
-from protocol.figures import MILLISECONDS, Figure, Registry, Surface, absent, figure, table
+from protocol.figures import (
+    MILLISECONDS,
+    NEWTONS,
+    PPM,
+    SHARE,
+    STRAIN,
+    Figure,
+    Registry,
+    Surface,
+    Unit,
+    absent,
+    figure,
+    table,
+)
 from protocol.run_summary import REGISTRY, Summary, print_summary
 from protocol.summary_tables import Clock
 from protocol.wire.telemetry import Status
@@ -139,6 +152,21 @@ def test_a_figure_beside_its_row_has_a_name_without_a_hole_and_a_count_without_a
         assert each.title or not (before and hole and after), each.key
     assert cells["loop, ticks"] == str(summary["loop"]["ticks"])
     assert cells["prediction, corrections felt"] == str(summary["compensation"]["corrections"])
+
+
+@pytest.mark.parametrize(
+    ("unit", "value", "text"),
+    [
+        (MILLISECONDS, -0.004, "0.00 ms"),
+        (MILLISECONDS, -0.006, "-0.01 ms"),
+        (NEWTONS, -4e-7, "0.000 mN"),
+        (PPM, -0.0, "0.0 ppm"),
+        (SHARE, -1e-6, "0.0 %"),
+        (STRAIN, -0.0, "0.000e+00"),
+    ],
+)
+def test_a_value_that_rounds_to_zero_has_no_sign(unit: Unit, value: float, text: str) -> None:
+    assert unit.text(value) == text
 
 
 def test_a_field_without_a_figure_is_refused() -> None:

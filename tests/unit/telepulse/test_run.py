@@ -1,5 +1,6 @@
 """Runs as arrays agree with the summaries, simulated and recorded."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -7,8 +8,10 @@ import pytest
 from matplotlib import pyplot as plt
 
 import telepulse
+from protocol.counters import Availability
 from protocol.errors import SceneError, SourceError
-from tests.support.recordings import record
+from protocol.summary_tables import AlignedErrors
+from tests.support.recordings import GAIN, record
 
 LINK = "delay=40ms,jitter=10ms,loss=1%"
 
@@ -28,6 +31,8 @@ def test_the_arrays_give_the_errors_of_the_summary(run: telepulse.Run) -> None:
     then_n = np.interp(run.t_s - run.delay_s, run.t_s, target_n)
     aligned_n = (run.felt_n - then_n)[run.played]
     assert np.sqrt(np.nanmean(aligned_n**2)) == pytest.approx(errors.aligned, rel=0.02)
+    assert run.force_rmse_n.in_phase == pytest.approx(errors.in_phase)
+    assert run.force_rmse_n.aligned == pytest.approx(errors.aligned, rel=0.02)
     np.testing.assert_allclose(run.strain, run.first.strain_per_newton * run.felt_n)
 
 
@@ -66,6 +71,25 @@ def test_a_recording_has_the_same_shape(tmp_path: Path) -> None:
     np.testing.assert_allclose(run.felt_n, run.target_n, atol=1e-3)
     assert (~np.isnan(run.wrist_n))[run.played].mean() > 0.95
     assert np.median(run.delay_s[run.played]) == pytest.approx(0.04, abs=1e-3)
+
+
+def test_the_errors_of_a_recording_are_of_its_ticks_and_its_summary_of_the_whole_run(
+    tmp_path: Path,
+) -> None:
+    whole_run = {
+        "availability": Availability(9.0, 1.0),
+        "force_rmse_n": AlignedErrors(0.05, 0.06),
+    }
+    record(tmp_path / "run.mcap", 3, whole_run=whole_run)
+    run = telepulse.read_recording(tmp_path / "run.mcap")
+    assert run.t_s[-1] == pytest.approx(3, abs=2e-3)
+    assert run.summary.availability.seconds == 9
+    assert run.summary.force_rmse_n == whole_run["force_rmse_n"]
+    # Felt 40 ms later, and a thousandth too strong.
+    assert run.force_rmse_n.aligned == pytest.approx((GAIN - 1) * 0.3, rel=0.3)
+    assert 0.02 < run.force_rmse_n.in_phase < 0.05
+    never = replace(run, played=np.zeros_like(run.played))
+    assert never.force_rmse_n == AlignedErrors(None, None)
 
 
 def test_a_recording_has_its_marks_and_what_was_stated(tmp_path: Path) -> None:
