@@ -17,7 +17,7 @@ from protocol.provenance import collect
 from protocol.sockets import control_address
 from sensing_node.dial_out import start_dial_out
 from sensing_node.node import SensingNode
-from sensing_node.scene import describe_stream, load_sensing, open_source
+from sensing_node.scene import describe_stream, load_sensing, log_repetition, open_source
 
 logger = logging.getLogger(__name__)
 
@@ -128,6 +128,7 @@ def sense(
             f"streaming {description.name!r}: {description.rate_hz:g} Hz in frames of"
             f" {description.batch} on {bind} (control {control})"
         )
+        log_repetition(samples, seconds)
         if description.group_delay_ns:
             delay_ms = description.group_delay_ns * 1e-6
             logger.info(f"the conditioning chain delays the pulse by {delay_ms:.1f} ms")

@@ -98,6 +98,7 @@ class Conditioned(SampleSource):
         self.group_delay_ns = round(pulse_delay_s(delaying, rate_hz) * 1e9)
         self.period_ns = source.period_ns
         self.channels = source.channels
+        self.repeats_after_s = source.repeats_after_s
         self._pulses = [n for n, channel in enumerate(self.channels) if not channel.announces]
         self._clipped = LimitCounter()
         self._clipped_in = np.zeros(len(self._pulses), np.int64)

@@ -24,7 +24,7 @@ from sensing_node.press.live_probe import LiveProbe
 from sensing_node.press.load_cell import JoinedSensors, SampleSensor
 from sensing_node.press.scene import ProbeScene
 from sensing_node.press.set_points import SetPointServer
-from sensing_node.sources.choice import record_table
+from sensing_node.sources.choice import duration_text, record_table
 from sensing_node.sources.source import SOURCES, SampleSource, SourceContext, SourceScene
 
 logger = logging.getLogger(__name__)
@@ -154,6 +154,22 @@ def open_source(scene: SensingScene, folder: Path) -> Iterator[Source]:
     for warning in source.faults():
         logger.warning(warning)
     yield source
+
+
+def log_repetition(source: Source, seconds: float | None) -> None:
+    """Log that a recording is shorter than the run, and how often it is played.
+
+    seconds: length of the run; None for a run without an end. Silent where nothing is repeated.
+    """
+    pass_s = source.repeats_after_s if isinstance(source, SampleSource) else None
+    if pass_s is None or (seconds is not None and seconds <= pass_s):
+        return
+    text = f"the recording lasts {duration_text(pass_s)}"
+    if seconds is None:
+        logger.info(f"{text}, and is played again and again")
+    else:
+        times = f"{seconds / pass_s:.3g} times"
+        logger.info(f"{text}, and the run {duration_text(seconds)}: it is played {times}")
 
 
 @contextmanager

@@ -147,9 +147,7 @@ def record_table(
         # Without a usable rate, the source is refused.
         column = file.load((pulse.number,))[0]
         info, _ = file.describe(column, None if rate is None else parse_quantity(rate, "frequency"))
-        lasts_s = len(column.values) / (info.rate_hz or math.nan)
-        lasts = f"{lasts_s:.4g} s" if lasts_s < A_LONG_TIME_S else f"{lasts_s / 3600:.4g} h"
-        text += f"; it lasts {lasts}, then repeats"
+        text += f"; it lasts {duration_text(len(column.values) / (info.rate_hz or math.nan))}"
     if announcing is not None:
         table["announce"] = announcing.number
         text += f"; the ECG {_title(announcing)} announces its beats"
@@ -161,6 +159,11 @@ def record_table(
     if others:
         text += f"; the file also has {', '.join(others)[:120]} (--channel)"
     return table, text
+
+
+def duration_text(seconds: float) -> str:
+    """Return a duration in s; from an hour on, in h."""
+    return f"{seconds:.4g} s" if seconds < A_LONG_TIME_S else f"{seconds / 3600:.4g} h"
 
 
 def _title(signal: SignalInfo) -> str:

@@ -203,6 +203,8 @@ class RecordedSource(SampleSource):
         self._loop = scene.repeat == "loop"
         self._position = 0
         self.period_ns = round(1e9 / rate_hz)
+        if self._loop:
+            self.repeats_after_s = len(self._columns[0][0]) / rate_hz
 
     def _on_one_grid(
         self, path: Path, loaded: list[RecordedColumn], infos: list[SignalInfo], rate_hz: float

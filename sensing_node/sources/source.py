@@ -31,11 +31,14 @@ class SampleSource(ABC):
         Channels of the columns.
     group_delay_ns : int
         Delay of the pulse in the samples, against the force at the wrist.
+    repeats_after_s : float or None
+        Length in s of what is played again and again; None for a source that does not repeat.
     """
 
     period_ns: int
     channels: tuple[Channel, ...]
     group_delay_ns: int = 0
+    repeats_after_s: float | None = None
 
     @abstractmethod
     def take(self, count: int) -> NDArray[np.float64]:

@@ -49,14 +49,13 @@ from protocol.run_summary import Summary
 from protocol.tactile import matching_force_ratio
 from protocol.wire.messages import decode_frame
 from protocol.wire.telemetry import Trace
-from sensing_node.scene import describe_stream, load_sensing, open_source
+from sensing_node.scene import describe_stream, load_sensing, log_repetition, open_source
 from telepulse.cli.options import PROGRAM, LinkOption, SceneArgument, SeedOption
 from telepulse.cli.view import open_page
 from telepulse.processes import NodeProcess, free_addresses, log_warnings
 from telepulse.scene import DEFAULT_SCENE, Scene, load_scene, scene_provenance
-from telepulse.simulation import virtual_time
 from telepulse.simulation.link_scene import LinkScene, parse_link
-from telepulse.simulation.virtual_time import ReferenceForce
+from telepulse.simulation.virtual_time import ReferenceForce, Simulation
 
 logger = logging.getLogger(__name__)
 
@@ -93,7 +92,9 @@ def simulate(
         record = _record(source, channel, rate, preload)
         loaded = _load(scene, link, choice, record)
         provenance = scene_provenance(loaded, {"link": seed})
-        summary = virtual_time.summarise(loaded, seconds, seed)
+        simulation = Simulation(loaded, seed)
+        log_repetition(simulation.source, seconds)
+        summary = simulation.run(seconds)
     title = f"simulation of {source or loaded.path.stem}, {seconds:g} s"
     console = plain_console(json=json)
     raise SystemExit(conclude(PROGRAM, summary, title, console, json, provenance, details))
@@ -190,6 +191,7 @@ def run_demo(
     truth = ReferenceForce(scene.sensing, path.parent)
     # The source is checked before the display starts, since a display may move a drive.
     with open_source(scene.sensing, path.parent) as source:
+        log_repetition(source, seconds)
         stream = describe_stream(scene.sensing, source)
         channels = [stream.find_force(contactor.channel) for contactor in scene.display.contactors]
     sensing_address, telemetry_address, link_address = free_addresses(3)

@@ -94,7 +94,8 @@ class Simulation:
 
     begin_ns: time of the display's clock at which the simulation starts. hardware: a real bench to
     play on, for a display with one contactor. take_frame: receives each frame that is sensed, with
-    the true values. set_points: their server at the wrist; None where none are taken.
+    the true values. source: the pulse at the wrist. set_points: their server there; None where none
+    are taken.
 
     Raises SceneError for a force loop that is not stable. Raises SourceError for a source that
     cannot be built.
@@ -109,19 +110,19 @@ class Simulation:
         take_frame: Callable[[Frame], None] | None = None,
     ) -> None:
         self._scene, self._take_frame = scene, take_frame
-        self._source = build_source(scene.sensing, scene.path.parent)
+        self.source = build_source(scene.sensing, scene.path.parent)
         self._reference = ReferenceForce(scene.sensing, scene.path.parent)
-        self._description = describe_stream(scene.sensing, self._source)
+        self._description = describe_stream(scene.sensing, self.source)
         self._now_ns = begin_ns
         self._stream_ns = begin_ns + STREAM_BEGINS_NS
         self._scored_from_ns = self._last_ns = self._stream_ns
         # Age at which a real film is read; the modelled film has its own delay.
         self._film_age_ns = scene.display.film.latency_ns if hardware is not None else 0
-        self._paced = PacedSource(self._source, self._stream_ns + SENSING_CLOCK_AHEAD_NS)
+        self._paced = PacedSource(self.source, self._stream_ns + SENSING_CLOCK_AHEAD_NS)
         self._session = seed + 1
         self._framer = Framer(self._description, self._session)
         self._check = SampleCheck(self._description.period_ns, self._description.channels)
-        self.set_points = serve_set_points(self._source, self._session)
+        self.set_points = serve_set_points(self.source, self._session)
         self._control_server = ControlServer(self._description, self._session, self.set_points)
         self.display = Display(scene.display, "simulated display", score=False)
         if hardware is not None:
@@ -203,9 +204,9 @@ class Simulation:
         for error in errors:
             error.finish()
         display = self.display.summary()
-        notes = self._source.faults() + self._check.faults()
+        notes = self.source.faults() + self._check.faults()
         faults = display.faults + [f"{SENSING_NOTE}{note}" for note in notes]
-        limited = replace(display.limited, adc=self._source.limits().adc)
+        limited = replace(display.limited, adc=self.source.limits().adc)
         clock = display.clock
         if clock.offset_ms is not None:
             # The true offset is known: report the error of the estimate.

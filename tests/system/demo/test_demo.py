@@ -99,14 +99,15 @@ def test_a_demo_of_three_fingers_has_the_figures_of_each(tmp_path: Path) -> None
 def test_a_record_is_felt_by_one_command(tmp_path: Path) -> None:
     path, out = wfdb_record(tmp_path, pulse_and_ecg()), tmp_path / "out.json"
     result = run(
-        MODULE, "demo", "--source", str(path), "--seconds", "4", "--json", str(out), "--no-ui"
+        MODULE, "demo", "--source", str(path), "--seconds", "5", "--json", str(out), "--no-ui"
     )
     assert result.returncode == 0, result.stderr
     assert "plays ABP (mmHg, 250 Hz), chosen by its name" in result.stderr
     assert "the ECG II (mV, 250 Hz) announces its beats" in result.stderr
+    assert "lasts 4 s, and the run 5 s: it is played 1.25 times" in result.stderr
     summary = read_json(out)
     assert_accounted(summary["samples"])
-    assert summary["samples"]["sent"] + summary["samples"]["before_joining"] == 1000
+    assert summary["samples"]["sent"] + summary["samples"]["before_joining"] == 1250
     assert_felt(summary)
 
 
