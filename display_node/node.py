@@ -365,6 +365,9 @@ class DisplayNode:
         return replace(whole, faults=whole.faults + notes)
 
     def _finish(self) -> Summary:
+        if (leaving := self._display.receiver.leave()) is not None:
+            control = self._connection.control_for(leaving, time.perf_counter_ns())
+            sockets.send(control, encode_control(leaving))
         benches = [hardware for hardware in self._benches if hardware is not None]
         # All at once: a drive that waits for the others would report a missing command.
         for hardware in benches:

@@ -80,7 +80,7 @@ class Client:
     """A display that has sent a message.
 
     name: empty before it names itself. seen_ns: time of its last message. confirmed: it has
-    confirmed the whole stream.
+    confirmed the whole stream, or has left before its end.
     """
 
     name: str
@@ -124,9 +124,9 @@ class ControlServer:
         self._strangers = TokenBucket(STRANGERS_PER_S, STRANGERS_PER_S)
 
     @property
-    def all_confirmed(self) -> bool:
-        """True when every display has confirmed the whole stream."""
-        return all(client.confirmed for client in self.clients.values())
+    def unconfirmed(self) -> dict[Sender, Client]:
+        """The displays that have not confirmed the whole stream."""
+        return {sender: each for sender, each in self.clients.items() if not each.confirmed}
 
     def answer(
         self, sender: Sender, data: bytes, now_ns: int, samples_sent: int
@@ -174,9 +174,12 @@ class ControlServer:
         return None
 
     def forget_silent(self, now_ns: int) -> list[Client]:
-        """Remove the displays without a message for 5 s, and return them."""
+        """Remove the displays that have left or sent nothing for 5 s, and return them.
+
+        Call it while the stream lasts.
+        """
         displays, further = (
-            [k for k, c in table.items() if now_ns - c.seen_ns > FORGET_AFTER_NS]
+            [k for k, c in table.items() if c.confirmed or now_ns - c.seen_ns > FORGET_AFTER_NS]
             for table in (self.clients, self._further)
         )
         for sender in further:

@@ -36,8 +36,9 @@ START_NS = 20_000_000
 # Messages that are answered between two batches even if the next batch is late, so that each of
 # many displays is answered.
 LEAST_ANSWERED = 50
-# Longest wait at the end, in which TCP can repeat what a bad link has lost.
-FAREWELL_NS = 3_000_000_000
+# Longest wait at the end, in which TCP can repeat what a bad link has lost; for displays whose
+# connection is closed, the time to connect anew. A wait is named if it is longer than the last one.
+FAREWELL_NS, CLOSED_NS, NAMED_NS = 3_000_000_000, 1_000_000_000, 200_000_000
 STATUS_EVERY_NS = 1_000_000_000
 MAX_READERS = 32
 # Frames that queue for longer than a second are too old to be played
@@ -120,6 +121,8 @@ class SensingNode:
         self._description = description
         self._clock = clock
         self._stopping = self._full = self._refused_version = False
+        # At the end: whether displays are waited for, as the log states, and whether no longer.
+        self._awaiting = self._hurried = False
         self._refused_set_points: set[str] = set()
         self._session = secrets.randbits(62)
         self._framer = Framer(description, self._session)
@@ -144,7 +147,8 @@ class SensingNode:
         return "" if self._telemetry is None else self._telemetry.address
 
     def stop(self) -> None:
-        """End the stream after the present batch."""
+        """End the stream after the present batch; later, wait for no display any more."""
+        self._hurried = self._awaiting
         self._stopping = True
 
     def run(self, seconds: float | None = None) -> Summary:
@@ -166,7 +170,10 @@ class SensingNode:
                 if due_ns >= next_check_ns:
                     next_check_ns = due_ns + SILENCE_CHECK_NS
                     for client in self._server.forget_silent(self._clock()):
-                        logger.warning(f"{client.shown_name} is silent, forgotten")
+                        if client.confirmed:
+                            logger.info(f"{client.shown_name} left")
+                        else:
+                            logger.warning(f"{client.shown_name} is silent, forgotten")
                     self._requests.expect(len(self._server.clients))
                     self._name_other_version(self._clock())
             self._name_other_version(None)
@@ -243,15 +250,26 @@ class SensingNode:
         If a socket is closed too early, any message of its peer makes TCP drop the unsent rest.
         """
         bye = encode_control(Bye(self._session, self._framer.samples_sent))
-        informed: set[Sender] = set()
-        until_ns = self._clock() + FAREWELL_NS
-        while self._clock() < until_ns:
-            self._answer_all(until_ns)
+        informed, closed = set[Sender](), set[Sender]()
+        begin_ns = self._clock()
+        while not self._hurried:
+            self._answer_all(begin_ns + FAREWELL_NS)
             for sender in self._server.clients.keys() - informed:
                 informed.add(sender)
-                sockets.send(self._control, *sender, bye)
-            if self._server.all_confirmed:
+                if not self._send_if_connected(sender, bye):
+                    closed.add(sender)
+            missing, waited_ns = self._server.unconfirmed, self._clock() - begin_ns
+            longest_ns = CLOSED_NS if missing.keys() <= closed else FAREWELL_NS
+            if not missing or waited_ns >= longest_ns:
                 break
+            if waited_ns >= NAMED_NS and not self._awaiting:
+                self._awaiting = True
+                names = ", ".join(client.shown_name for client in missing.values())
+                logger.info(
+                    f"ending: waiting up to {longest_ns * 1e-9:g} s for"
+                    f" {count_text(len(missing), 'display')} to confirm the end of the stream"
+                    f" ({names:.80}); Ctrl-C again ends at once"
+                )
             self._wait(MAX_WAIT_NS)
         for client in self._server.clients.values():
             if (report := client.report) is not None:
@@ -262,6 +280,19 @@ class SensingNode:
                 )
         if self._telemetry is not None:
             self._telemetry.publish(self._status(final=True))
+
+    def _send_if_connected(self, sender: Sender, message: bytes) -> bool:
+        """Send a control message; return False if the connection to the display is closed."""
+        self._control.setsockopt(zmq.ROUTER_MANDATORY, 1)
+        try:
+            sockets.send(self._control, *sender, message)
+        except zmq.ZMQError as error:
+            if error.errno != zmq.EHOSTUNREACH:
+                raise
+            return False
+        finally:
+            self._control.setsockopt(zmq.ROUTER_MANDATORY, 0)
+        return True
 
     def _status(self, final: bool) -> bytes:
         state = "ended" if final else "streaming"

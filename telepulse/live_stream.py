@@ -144,6 +144,8 @@ class LiveStream(AbstractContextManager["LiveStream"]):
                 with self._changed:
                     self._poll()
                     self._changed.notify_all()
+            if (leaving := self._receiver.leave()) is not None:
+                sockets.send(self._connection.control.socket, encode_control(leaving))
         except Exception as error:  # Raised again where the stream is read.
             with self._changed:
                 self._error = error

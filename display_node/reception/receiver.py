@@ -189,6 +189,12 @@ class Receiver:
             self._quiet_until_ns = min(self._next_clock_ns, self._received_ns + SILENT_AFTER_NS)
         return wanted
 
+    def leave(self) -> wire.Bye | None:
+        """Return the bye of a display that ends before its stream; None if none is waited for."""
+        if self.session is None or (self.buffer.ended and self._last_bye is None):
+            return None
+        return wire.Bye(self.session, self.account().sent)
+
     def expect_reply(self, t1_ns: int) -> None:
         """Accept one reply to a clock request of the time `t1_ns`."""
         self._open_requests_ns.append(t1_ns)

@@ -182,6 +182,50 @@ def test_displays_of_any_name_may_leave_and_return(address: str, client: Client)
     assert "anna's last reported 900 played, 70 predicted, 20 late, 3 lost" in log
 
 
+def interrupt(node: "subprocess.Popen[str]") -> str:
+    """Send Ctrl-C to a node; return its next line of the log that names a wait or a report."""
+    assert node.stderr is not None
+    node.send_signal(signal.SIGINT)
+    return next(line for line in node.stderr if "ending: " in line or "last reported" in line)
+
+
+def test_a_display_that_does_not_confirm_the_end_is_waited_for_until_a_second_signal(
+    address: str, client: Client
+) -> None:
+    with process(MODULE, str(RADIAL), "--bind", address, "--quiet", "--log-level", "info") as node:
+        client.join()
+        begin_s = time.monotonic()
+        assert interrupt(node).endswith(
+            "INFO ending: waiting up to 3 s for 1 display to confirm the end of the stream (raw);"
+            " Ctrl-C again ends at once\n"
+        )
+        node.send_signal(signal.SIGINT)
+        assert node.wait(PATIENCE_MS / 1000) == 0
+        # A wait to its end takes 3 s.
+        assert time.monotonic() - begin_s < 2.5
+
+
+def test_a_display_whose_connection_is_closed_is_waited_for_a_shorter_time(address: str) -> None:
+    with process(MODULE, str(RADIAL), "--bind", address, "--quiet", "--log-level", "info") as node:
+        with closing(Client(address)) as killed:
+            killed.join()
+        time.sleep(0.5)
+        assert "waiting up to 1 s for 1 display" in interrupt(node)
+        assert node.wait(PATIENCE_MS / 1000) == 0
+
+
+def test_a_display_that_was_ended_has_left_and_is_not_waited_for(address: str) -> None:
+    display = ("display_node.cli", str(RADIAL), "--connect", address, "--quiet")
+    with process(MODULE, str(RADIAL), "--bind", address, "--quiet", "--log-level", "info") as node:
+        assert node.stderr is not None
+        with process(*display) as left:
+            name = next(line for line in node.stderr if " joined" in line).split()[-2]
+            left.send_signal(signal.SIGINT)
+            left.wait(PATIENCE_MS / 1000)
+        assert next(line for line in node.stderr if name in line).endswith(f"INFO {name} left\n")
+        assert "ending: " not in end(node, signal.SIGINT)
+
+
 HELLO = encode_control(Hello("raw"))
 GARBAGE: list[tuple[list[bytes], str]] = [
     ([b""], "truncated"),

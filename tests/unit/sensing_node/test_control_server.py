@@ -104,17 +104,17 @@ def test_the_last_report_of_each_display_is_kept(server: ControlServer) -> None:
 
 
 def test_a_bye_confirms_the_whole_stream(server: ControlServer) -> None:
-    assert server.all_confirmed
+    assert not server.unconfirmed
     for sender in (ANNA, BERT):
         ask(server, sender, Hello(sender[0].decode()))
     ask(server, ANNA, report())
     ask(server, ANNA, Bye(SESSION, 1234))
-    assert not server.all_confirmed
+    assert server.unconfirmed
     ask(server, BERT, Bye(SESSION + 1, 1234))
-    assert not server.all_confirmed
+    assert server.unconfirmed
     assert server.rejected == {"session": 1}
     ask(server, BERT, Bye(SESSION, 1234))
-    assert server.all_confirmed
+    assert not server.unconfirmed
     # The last report is kept for the log at the end.
     assert server.clients[ANNA].report is not None
 
@@ -213,6 +213,16 @@ def test_only_silent_displays_are_forgotten(server: ControlServer, message: Cont
     assert list(server.clients) == [ANNA]
 
 
+def test_a_display_that_leaves_while_the_stream_lasts_is_forgotten_at_once(
+    server: ControlServer,
+) -> None:
+    for sender in (ANNA, BERT):
+        ask(server, sender, Hello(sender[0].decode()))
+    ask(server, ANNA, Bye(SESSION, 0))
+    assert [client.name for client in server.forget_silent(NOW_NS)] == ["anna"]
+    assert list(server.clients) == [BERT]
+
+
 @pytest.mark.parametrize("message", [ClockRequest(1), report()])
 def test_a_forgotten_display_that_continues_is_a_client_again(
     server: ControlServer, message: ControlMessage
@@ -247,7 +257,8 @@ def test_a_connection_that_began_with_a_set_point_is_no_display() -> None:
     assert isinstance(ask(server, BERT, ClockRequest(1)), ClockReply)
     assert list(server.clients) == [ANNA]
     ask(server, ANNA, Bye(SESSION, 1234))
-    assert server.all_confirmed
+    assert not server.unconfirmed
+    assert [client.confirmed for client in server.forget_silent(NOW_NS)] == [True]
     # It is forgotten without a word, and a hello makes it a display.
     later_ns = NOW_NS + FORGET_AFTER_NS + 1
     ask(server, ANNA, HELLO, later_ns)

@@ -272,6 +272,20 @@ def test_bye_is_returned_once_the_stream_is_complete(order: str) -> None:
     assert sent == [Bye(7, sender.sent)]
 
 
+def test_a_display_that_leaves_before_the_end_sends_bye_unless_it_has_already() -> None:
+    assert Receiver("test", [0], 0.01).leave() is None
+    receiver = joined(sender := Sender())
+    receiver.on_frame(sender.frame(200 * MS, 0.3), 201 * MS)
+    bye = receiver.leave()
+    assert bye is not None
+    assert bye.session == 7
+    # The end was reported, and is not confirmed yet.
+    receiver.on_control(encode_control(Bye(7, sender.sent)), 210 * MS)
+    assert receiver.leave() is not None
+    assert [m for ms in range(210, 500) for m in receiver.requests(ms * MS) if isinstance(m, Bye)]
+    assert receiver.leave() is None
+
+
 @pytest.mark.parametrize("channel", [2, "c"])
 def test_a_stream_without_a_wanted_channel_is_refused(channel: int | str) -> None:
     welcome = Welcome(7, 0, description(channels=(Channel("a"), Channel("b"))))
