@@ -129,7 +129,7 @@ def display(
     Exit status: 0 when stopped or at the stream's end (`--once`); 1 when the recording is
     incomplete (`--record`); 2 when the scene, an address or a file cannot be used; 3 when a fault
     was latched before the end; 4 when a run of `--seconds` or `--once` is not valid: nothing was
-    felt, or more than 25 % of the ticks were missed. The reason is a line on stderr, or the first
+    felt, or more than half of the ticks were missed. The reason is a line on stderr, or the first
     one of the summary. A latched fault does not end the program: the tip is withdrawn, and the
     fault is shown with advice until the program is stopped.
     """

@@ -22,7 +22,7 @@ MOST_LINES = 6
 # Exit status of a run that is not valid and latched no fault.
 NOT_VALID_STATUS = 4
 # Above this share of missed ticks, the force felt was not the one that the loop computes.
-MOST_MISSED = 0.25
+MOST_MISSED = 0.5
 # From these shares on, something is worth a line.
 LATE_TICKS, NOTICED, LIMITED = 0.01, 0.05, 0.01
 LONG_GAP_MS = 50.0

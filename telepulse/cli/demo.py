@@ -136,7 +136,7 @@ def demo(
 
     Exit status: 0 at the end of the pulse, 2 when an argument cannot be used, 3 when the display
     latched a fault, with the reason on stderr, 4 when the run is not valid: nothing was felt, or
-    more than 25 % of the ticks were missed.
+    more than half of the ticks were missed.
     """
     console = plain_console(json=json)
     with one_line_errors(PROGRAM):

@@ -7,6 +7,7 @@ from subprocess import PIPE
 
 import pytest
 
+from display_node.verdict import NOT_VALID_STATUS
 from protocol.errors import ProcessError
 from protocol.host.child_process import ChildProcess
 from telepulse.netem import emulate, unavailable
@@ -95,7 +96,7 @@ def test_the_processes_beside_a_node_import_nothing_of_the_current_folder(tmp_pa
         ChildProcess("sensing", "-m", "sensing_node.cli", str(RADIAL), *sense, **piped) as sensing,
     ):
         sensing.await_end(PATIENCE_S)
-        display.await_end(PATIENCE_S)
+        display.await_end(PATIENCE_S, (NOT_VALID_STATUS,))
     assert recording.stat().st_size > 0
 
 

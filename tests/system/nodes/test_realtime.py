@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 
+from display_node.verdict import NOT_VALID_STATUS
 from protocol.sockets import Context
 from tests.support.live_display import (
     MODULE,
@@ -93,7 +94,8 @@ def test_each_refused_setting_is_a_line_and_a_full_collection_skips_old_objects(
         *("-c", COLLECTIONS, module, str(RADIAL), option, free_address(), "--quiet"),
         *("--seconds", "0.2", "--json", str(summary), "--realtime", REQUEST),
     )
-    assert node.returncode == 0
+    # 0.2 s are too short for a pulse to be felt.
+    assert node.returncode in (0, NOT_VALID_STATUS)
     refusals = [line.partition(" is not granted: ")[0] for line in messages(node.stderr)]
     assert refusals == ["real-time: lock", "real-time: fifo=7"]
     assert read_json(summary)["loop"]["realtime"] == ["slack"]
