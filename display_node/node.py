@@ -215,7 +215,9 @@ class DisplayNode:
                         sockets.wait_on_descriptors(self._connection.descriptors, spare_ns)
                     continue
                 self._late_us.add(tick.late_ns * 1e-3)
-                self._deadlines.add(now_ns, tick.elapsed_ticks)
+                # Ticks that are late while nothing is felt alarm nobody.
+                felt = self._display.safety.gain > 0.0
+                self._deadlines.add(now_ns, tick.elapsed_ticks if felt else 1)
                 self._tick(tick.due_ns, tick.elapsed_ticks)
                 self._tick_us.add((time.perf_counter_ns() - now_ns) * 1e-3)
                 if not rested:
@@ -225,6 +227,7 @@ class DisplayNode:
                     break
             return self._finish()
         finally:
+            self._connection.close()
             self._context.destroy(linger=sockets.LINGER_MS)
 
     def _receive(self, until_ns: int) -> None:
@@ -323,12 +326,22 @@ class DisplayNode:
             rejected=dict(rejected),
             reconnections=connection.reconnections,
             data_connections=connection.data_connections,
+            waiting_for=self._waiting_for(),
         )
         summary = self._with_benches(summary)
         if len(connection.routes) > 1:
             first = {route.address: route.frames_first for route in connection.routes}
             summary = replace(summary, frames=replace(summary.frames, first=first))
         return summary
+
+    def _waiting_for(self) -> str | None:
+        """Return what the display waits for while it has no stream to play."""
+        state, description = self._display.state, self._display.receiver.description
+        if state == "waiting" and description is not None:
+            return f"the first samples of {description.name!r}"
+        if state not in ("waiting", "stale"):
+            return None
+        return self._connection.waiting_for(time.perf_counter_ns())
 
     def _with_benches(self, summary: Summary) -> Summary:
         """Return the summary with what the real benches measure."""

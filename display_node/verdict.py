@@ -14,7 +14,7 @@ from display_node.fault_advice import FILM_NOTE, SENSING_NOTE, latched, name_fau
 from display_node.scoring.tracking_error import JND
 from protocol.cli_options import FAULT_STATUS, sum_up
 from protocol.counters import Limits
-from protocol.errors import explain_causes
+from protocol.errors import CAUSE_MEANINGS
 from protocol.provenance import Provenance
 from protocol.run_summary import Summary
 
@@ -95,8 +95,11 @@ def _ruined(summary: Summary) -> str | None:
 def _why_nothing(summary: Summary) -> str:
     """Return why a display felt no pulse at all."""
     refused = _refused(summary)
+    if reason := summary.waiting_for:
+        remedy = "; start the sensing node there, or check the address"
+        return f"{reason}{remedy if reason.startswith('nobody') else ''}"
     if refused and summary.clock.offset_ms is None:
-        return explain_causes(dict(refused.most_common(1)))[0]
+        return _most(refused)
     if summary.clock.offset_ms is None:
         return "the sensing node did not answer: check its address, and that it runs"
     if not summary.samples.sent:
@@ -169,11 +172,17 @@ def _lost(summary: Summary) -> Iterator[str]:
 
 
 def _wrong(summary: Summary) -> Iterator[str]:
-    """Yield what is wrong and what to do about it, the worst first."""
+    """Yield what is wrong and what to do about it, the worst first.
+
+    Where nothing was felt, the first line of the verdict has the reason, and the rest follows from
+    it.
+    """
+    if not summary.availability.felt:
+        return
     stops = summary.interruptions
     if stops.count and stops.seconds is not None:
         times = "once" if stops.count == 1 else f"{stops.count} times"
-        yield f"The pulse stopped {times}, for {stops.seconds:.1f} s in all: no samples came in time."
+        yield f"The pulse stopped {times}, for {stops.seconds:.1f} s: no samples came in time."
     worst, missed = summary.loop.worst_5s, summary.availability.missed or 0.0
     if missed <= MOST_MISSED and (
         (worst.missed or 0.0) > LATE_TICKS or (worst.gap_ms or 0.0) > LONG_GAP_MS
@@ -195,9 +204,8 @@ def _wrong(summary: Summary) -> Iterator[str]:
             )
         yield from _limits(figures.limited, of)
     if refused := _refused(summary):
-        cause = explain_causes(dict(refused.most_common(1)))[0]
         others = refused.total() - max(refused.values())
-        yield f"Refused: {cause}{f' (and {others} others)' if others else ''}."
+        yield f"Refused: {_most(refused)}{f', and {others} others' if others else ''}."
 
 
 def _limits(limits: Limits, of: str) -> Iterator[str]:
@@ -219,6 +227,12 @@ def _limits(limits: Limits, of: str) -> Iterator[str]:
 def _refused(summary: Summary) -> Counter[str]:
     """Return the messages and peers that were refused and usually are not, by cause."""
     return Counter({cause: n for cause, n in summary.rejected.items() if n and cause not in USUAL})
+
+
+def _most(refused: Counter[str]) -> str:
+    """Return the meaning of the most frequent cause, and its count."""
+    ((cause, count),) = refused.most_common(1)
+    return f"{CAUSE_MEANINGS.get(cause, cause)} ({count} times)"
 
 
 def _percent(share: float | None) -> str:

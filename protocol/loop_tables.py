@@ -74,7 +74,8 @@ class Loop:
         Lateness, "tick lateness", MICROSECONDS, "tick_lateness_seconds", absent=AT_THE_END
     )
     late: bool | None = figure(
-        "The deadline alarm is on: more than 1 % of the ticks of the last 5 s were missed,"
+        "The deadline alarm is on: more than 1 % of the ticks of the last 5 s were missed while a"
+        " pulse was felt,"
         " or a gap was longer than the drive's watchdog"
         " (50 ms without a drive)",
         metric="deadline_alarm",

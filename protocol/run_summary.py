@@ -202,6 +202,14 @@ class Summary:
         absent=IN_ALERTS | absent("Each fault is an event.", Surface.REPORT),
         factory=list,
     )
+    waiting_for: str | None = figure(
+        "Of a display that waits: what it waits for, or why that does not come; null otherwise",
+        row="waiting for",
+        show=lambda text: text or None,
+        absent=absent("It is shown beside the state.", Surface.TERMINAL, Surface.PAGE)
+        | absent("It is text, and changes with every attempt.", Surface.METRICS)
+        | absent("Each gap is an event.", Surface.REPORT),
+    )
     finger: str | None = figure(
         "Measured state of the finger in one sentence; without a drive, that of the model",
         metric="finger",

@@ -126,7 +126,7 @@ class Compensation:
     horizon_ms: float | None = figure(
         "Mean time from the newest sample that had arrived to the played instant, where that was"
         " later",
-        "on average {} ahead of the samples",
+        "on average {} ahead",
         MILLISECONDS._replace(form=".1f"),
         title="mean time ahead",
         metric="prediction_horizon_mean_seconds",

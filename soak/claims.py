@@ -6,12 +6,12 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-_LINE = re.compile(r"(?P<state>[a-z]+)(?: (?P<age>\d+\.\d) s ago)?: (?P<rest>.*)")
+_LINE = re.compile(r"(?P<state>[a-z]+)(?: (?P<age>\d+\.\d) s ago)?(?:: .*)?")
 _PRESSED = re.compile(r"pressed with (-?\d+) mN")
 _FINGER = re.compile(r"finger:? (not pressed|pressed with -?\d+ mN)")
-_FELT = re.compile(r"force felt (-?\d+\.\d) mN")
+_FELT = re.compile(r" felt (-?\d+)(?:, .*)? of -?\d+.* mN")
 _HEART_RATE = re.compile(r"heart rate (\d+) /min")
-_CURRENT_FINGER = ", finger "
+_CURRENT_FINGER = re.compile(r"(?:: |, )finger ")
 STATES = ("waiting", "starting", "playing", "stale", "ended", "fault")
 
 
@@ -79,8 +79,8 @@ def read_line(text: str, read_ns: int) -> LineClaim | None:
         tuple(forces_n),
         "not pressed" in sentences,
         None if rate is None else float(rate[1]),
-        _CURRENT_FINGER in text,
-        "no telemetry: " in text,
+        _CURRENT_FINGER.search(text) is not None,
+        "no telemetry" in text,
     )
 
 

@@ -79,6 +79,8 @@ class Lookup:
 
     def __init__(self, address: str) -> None:
         self._address = address
+        # Why the last look-up failed; empty after a successful one.
+        self.failure = ""
         self._logged = ""
         self._lookups = 0
         self._found: str | None = None
@@ -113,9 +115,11 @@ class Lookup:
         try:
             found = socket.getaddrinfo(host.strip("[]"), port, type=socket.SOCK_STREAM)
         except OSError as error:
-            self._warn(f"{host} is not found: {error.strerror}; retrying")
+            self.failure = f"{host} is not found: {error.strerror}"
+            self._warn(f"{self.failure}; retrying")
             time.sleep(LOOK_UP_AGAIN_S)
             return
+        self.failure = ""
         # A name may have several IP addresses, not all of them reachable: they are tried in turn.
         places = sorted({(family != socket.AF_INET, place) for family, *_, place in found})
         self._found = tcp_address(places[self._lookups % len(places)][1])

@@ -19,6 +19,7 @@ from display_node.reception.failover import (
     REPEATED_NS,
     DataPath,
 )
+from display_node.reception.reachability import Reachability
 from display_node.reception.redundancy import Redundancy
 from display_node.reception.turns import ControlTurns
 from protocol import sockets
@@ -48,6 +49,7 @@ class Route:
         self.paths = self.made
         self.resize(paths)
         self.lookup = Lookup(address)
+        self.reachability = Reachability(address)
         self.frames_first = 0
 
     def resize(self, count: int) -> list[DataPath]:
@@ -192,6 +194,7 @@ class Connection:
             path.failover.give_up()
         for route in self.routes:
             route.poll(now_ns)
+            self._watch(route, now_ns)
         if self._times_ns is not None:
             addresses = [route.paths[0].first.address for route in self.routes]
             known = [sockets.control_address(each) for each in addresses if each is not None]
@@ -202,6 +205,28 @@ class Connection:
         if cut and control.address is not None:
             return self._connect_control(control.address, now_ns)
         return introduce or (control.silent(now_ns) and self._move_control(now_ns))
+
+    def waiting_for(self, now_ns: int) -> str:
+        """Return what is waited for at each address, or why it does not come, in one phrase."""
+        if self._handshakes.refusal:
+            return self._handshakes.refusal
+        established = self._handshakes.established
+        return "; ".join(
+            route.reachability.reason(
+                now_ns, route.paths[0].first.socket in established, route.lookup.failure
+            )
+            for route in self.routes
+        )
+
+    def close(self) -> None:
+        """Withdraw what was requested beside ZeroMQ's sockets."""
+        for route in self.routes:
+            route.reachability.close()
+
+    def _watch(self, route: Route, now_ns: int) -> None:
+        first, handshakes = route.paths[0].first, self._handshakes
+        accepted, attempts = first.socket in handshakes.accepted, handshakes.retried[first.socket]
+        route.reachability.poll(now_ns, first.address, accepted, attempts)
 
     def control_for(self, message: ControlMessage, now_ns: int) -> sockets.Socket:
         """Return the control connection for a message, which is sent now.

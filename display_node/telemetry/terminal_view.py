@@ -1,13 +1,14 @@
 """State of a display as a line or a panel in a terminal, from its telemetry.
 
-The panel shows the figures of this moment and a plot of the force; the line as many figures as fit.
+The panel shows the figures of this moment and a plot of the force; the line what matters in the
+display's present state.
 """
 
 import itertools
 import math
 from collections import deque
-from collections.abc import Sequence
-from typing import NamedTuple
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 from rich.console import Group, RenderableType
@@ -16,8 +17,16 @@ from rich.table import Table
 from rich.text import Text
 
 from display_node.scoring.heart_rate import heart_rate_per_min
-from display_node.telemetry.alerts import Alert, StatusAge, alerts, delay_note, finger_text
+from display_node.telemetry.alerts import (
+    NOT_CONNECTED,
+    Alert,
+    StatusAge,
+    alerts,
+    delay_note,
+    finger_text,
+)
 from display_node.telemetry.braille_plot import braille_plot
+from display_node.telemetry.status_line import compose
 from protocol.errors import WireError
 from protocol.figures import Surface
 from protocol.run_summary import rows
@@ -29,12 +38,6 @@ MARK_WIDTH = 40
 # One tick in 10 ms is kept, for 6 s.
 KEEP_NS, APART_NS = 6_000_000_000, 10_000_000
 PLOTTED_TICKS = 300
-# A log or a journal shows a status line of this width without wrapping.
-LINE_WIDTH = 120
-# Characters for the alerts in a status line; each alert is printed in full when it begins.
-ALERTS_WIDTH = 45
-# Figures of this moment, in the order in which they get room in a line.
-IMPORTANCE = ("force felt", "press", "finger", "force target", "heart rate", "delay now")
 # Statuses come five times a second; an older one is not shown as current.
 CURRENT_NS = 1_000_000_000
 
@@ -119,35 +122,55 @@ class TerminalView:
         return [_heart_rate_per_min(ticks) for ticks in self._ticks]
 
     def line(self, now_ns: int = 0) -> str:
-        """Return the state at `now_ns` in one line of at most `LINE_WIDTH` characters.
-
-        Alerts are shortened to leave room for the figures: those of this moment by importance, then
-        those of the run, as many as fit.
-        """
+        """Return the state at `now_ns` in one line: what matters in it, and the alerts."""
         if self.status is None:
             return "waiting for the display"
-        rows = self._now_rows(now_ns)
-        start = f"{self._state(now_ns)}: "
+        state = self.status.state
+        found = [alert for alert in self._alerts(now_ns) if alert.name != state]
+        if state == "waiting":
+            # What it waits for has the reason.
+            found = [alert for alert in found if alert.name != NOT_CONNECTED]
+        items = self._line_items(state) if self._age_ns(now_ns) < CURRENT_NS else []
+        return compose(self._state(now_ns), items, found)
 
-        def with_figures(names: Sequence[str]) -> str:
-            return start + ", ".join(f"{name} {value}" for name, value in rows if name in names)
+    def _line_items(self, state: str) -> list[str]:
+        """Return the items of a current status line, the most important first."""
+        assert self.status is not None
+        summary = self.status.summary
+        finger = _printable(finger_text(summary))
+        resting = [f"finger {finger}"] if finger else []
+        if state == "fault":
+            return resting
+        if state in ("waiting", "stale"):
+            reason = _printable(summary.get("waiting_for") or "")
+            return (
+                ["no samples to play", reason, *resting] if state == "stale" else [reason, *resting]
+            )
+        if state == "ended" or self.status.final:
+            return [_account_text(summary)]
+        rates = [f"{rate:.0f}" for rate in self.heart_rates_per_min if rate is not None]
+        press, delay_ms = self._press_text(), self._delay_ms()
+        predicted = " by prediction" if self._trusted else ""
+        return [
+            f"heart rate {', '.join(rates)} /min" if rates else "",
+            self._force_text(),
+            f"press {press}" if press else "",
+            "" if delay_ms is None else f"delay {delay_ms:.1f} ms{predicted}",
+            _missing_text(summary),
+        ]
 
-        # An alert need not repeat the state.
-        state = f"{self.status.state}: "
-        texts = [f"{alert.name}: {alert.text}" for alert in self._alerts(now_ns)]
-        wrong = "; ".join(text.removeprefix(state) for text in texts)
-        if wrong:
-            free = LINE_WIDTH - len(with_figures(IMPORTANCE)) - len("; ")
-            start += f"{_cut(wrong, max(ALERTS_WIDTH, free))}; "
-        start = _cut(start, LINE_WIDTH)
-        shown: list[str] = []
-        for name in IMPORTANCE:
-            shown += [name] if len(with_figures([*shown, name])) <= LINE_WIDTH else []
-        line = with_figures(shown)
-        for name, value in self._run_rows():
-            longer = f"{line}, {name} {value}"
-            line = longer if len(longer) <= LINE_WIDTH else line
-        return line
+    def _force_text(self) -> str:
+        """Return the felt force against the wanted one, of each contactor."""
+        newest = [(ticks[-1].felt_n, ticks[-1].target_n) for ticks in self._ticks if ticks]
+        felt, wanted = (
+            (
+                ", ".join("unknown" if math.isnan(n) else f"{1e3 * n:.0f}" for n in forces)
+                for forces in zip(*newest, strict=True)
+            )
+            if newest
+            else ("", "")
+        )
+        return f"felt {felt} of {wanted} mN" if newest else ""
 
     def new_alerts(self, now_ns: int = 0) -> list[str]:
         """Return in full the alerts that were not active at the last call."""
@@ -195,21 +218,29 @@ class TerminalView:
 
     def _now_rows(self, now_ns: int) -> list[tuple[str, str]]:
         """Return the figures of this moment; a heart rate only of a pulse that is felt now."""
+        assert self.status is not None
         current = self._age_ns(now_ns) < CURRENT_NS
         rates = self.heart_rates_per_min if current else [None]
-        finger = "" if self.status is None else finger_text(self.status.summary)
+        finger, summary = finger_text(self.status.summary), self.status.summary
+        if self.status.state == "waiting" and (reason := summary.get("waiting_for")):
+            resting = [("finger", _printable(finger))] if finger and current else []
+            return [("waiting for", _printable(reason)), *resting]
         newest = [(t[-1].target_n, t[-1].felt_n) if t else (None, None) for t in self._ticks]
         target, felt = (
             ", ".join(map(_millinewtons, forces)) for forces in zip(*newest, strict=True)
         )
-        delay = self._delay_text() if current else ""
+        delay_ms = self._delay_ms() if current else None
         return [
             ("heart rate", ", ".join("–" if r is None else f"{r:.0f} /min" for r in rates)),
             ("force target", target),
             ("force felt", felt),
             *([("press", press)] if (press := self._press_text()) and current else []),
             *([("finger", _printable(finger))] if finger and current else []),
-            *([("delay now", delay)] if delay else []),
+            *(
+                []
+                if delay_ms is None
+                else [("delay now", delay_note(delay_ms, self._trusted, summary))]
+            ),
         ]
 
     def _press_text(self) -> str:
@@ -218,21 +249,21 @@ class TerminalView:
         if press.get("press_n") is None:
             return ""
         if press.get("probe") == "held":
-            return f"{_millinewtons(press['press_n'])}, but another display holds the wrist"
+            return f"{1e3 * press['press_n']:.0f} mN, but another display holds the wrist"
         if press.get("hold_down_n") is None:
-            return f"{_millinewtons(press['press_n'])}, no answer of the wrist yet"
-        at_wrist = f"wrist {_millinewtons(press['hold_down_n'])}"
-        return f"{_millinewtons(press['press_n'])}, {at_wrist} {_printable(press['probe'] or '')}"
+            return f"{1e3 * press['press_n']:.0f} mN, no answer of the wrist yet"
+        at_wrist = f"wrist {1e3 * press['hold_down_n']:.0f} mN"
+        return f"{1e3 * press['press_n']:.0f} mN, {at_wrist} {_printable(press['probe'] or '')}"
 
-    def _delay_text(self) -> str:
-        """Return the playout delay of the last tick, and whether the predictor is trusted."""
+    def _delay_ms(self) -> float | None:
+        """Return the playout delay of the last tick; None while no pulse is felt."""
         summary = {} if self.status is None else self.status.summary
         offset_ms = summary.get("clock", {}).get("offset_ms")
         last = self._ticks[0][-1] if self._ticks[0] else None
         if offset_ms is None or last is None or not last.at_full_strength:
-            return ""
-        delay_ms = (last.now_ns - last.instant_ns) * 1e-6 + offset_ms
-        return delay_note(delay_ms, self._trusted, summary)
+            return None
+        # An E of 0 is known to the clock's error only.
+        return max(0.0, (last.now_ns - last.instant_ns) * 1e-6 + float(offset_ms))
 
     def _run_rows(self) -> list[tuple[str, str]]:
         """Return the figures of the whole run so far."""
@@ -256,6 +287,19 @@ class TerminalView:
             *(Text(row, "cyan" if current else "dim") for row in rows),
             Text(f"{low * 1e3:.0f} to {high * 1e3:.0f} mN", "dim"),
         ]
+
+
+def _missing_text(summary: Mapping[str, Any]) -> str:
+    """Return how many samples were lost or late; empty where none was."""
+    samples = summary.get("samples", {})
+    counts = ((samples.get(key), key) for key in ("lost", "late"))
+    return " and ".join(f"{count} {word}" for count, word in counts if count)
+
+
+def _account_text(summary: Mapping[str, Any]) -> str:
+    """Return how many of the samples were lost or late."""
+    sent = summary.get("samples", {}).get("sent")
+    return f"{_missing_text(summary) or 'none lost'} of {sent} samples" if sent else ""
 
 
 def _millinewtons(force_n: float | None) -> str:

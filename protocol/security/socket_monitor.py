@@ -31,6 +31,7 @@ POLL_EVERY_NS = 10_000_000
 REPEATED_BREAKS = 3
 _HANDSHAKE_EVENTS = (
     zmq.EVENT_CONNECTED
+    | zmq.EVENT_CONNECT_RETRIED
     | zmq.EVENT_HANDSHAKE_SUCCEEDED
     | zmq.EVENT_HANDSHAKE_FAILED_AUTH
     | zmq.EVENT_DISCONNECTED
@@ -76,7 +77,9 @@ class HandshakeMonitor:
     """Monitor of connecting sockets: counts failed handshakes and reports each reason once.
 
     ZeroMQ itself retries without end and reports nothing. rejected: failed handshakes by cause.
-    established: sockets with a connection that can carry messages.
+    accepted: sockets whose connection a host has accepted. established: those whose connection can
+    carry messages. retried: attempts to connect that failed, by socket. refusal: the last failed
+    handshake, with what to do about it; empty after one that succeeded.
     """
 
     def __init__(self, context: Context, keys: ClientKeys | None) -> None:
@@ -89,7 +92,10 @@ class HandshakeMonitor:
         self._reported: set[tuple[str, str]] = set()
         self._poll_ns = 0
         self.rejected: Counter[str] = Counter()
+        self.accepted: set[Socket] = set()
         self.established: set[Socket] = set()
+        self.retried: Counter[Socket] = Counter()
+        self.refusal = ""
 
     def watch(self, socket: Socket) -> None:
         """Monitor a socket; call this before it connects."""
@@ -111,8 +117,14 @@ class HandshakeMonitor:
                 else:
                     self.established.discard(socket)
                 if event == zmq.EVENT_CONNECTED:
+                    self.accepted.add(socket)
                     answered.append(socket)
-                elif event != zmq.EVENT_DISCONNECTED:
+                elif event == zmq.EVENT_CONNECT_RETRIED:
+                    self.accepted.discard(socket)
+                    self.retried[socket] += 1
+                elif event == zmq.EVENT_DISCONNECTED:
+                    self.accepted.discard(socket)
+                else:
                     self._count(event, value, endpoint)
         return answered
 
@@ -120,7 +132,7 @@ class HandshakeMonitor:
         # Without the port, since data and control of a node fail for the same reason.
         host = endpoint.rpartition(":")[0]
         if event == zmq.EVENT_HANDSHAKE_SUCCEEDED:
-            self._breaks[host] = 0
+            self._breaks[host], self.refusal = 0, ""
             self._accepted_by.add(host)
             # A second revocation is reported again.
             self._reported.discard((REVOKED, host))
@@ -134,9 +146,10 @@ class HandshakeMonitor:
             self._breaks[host] += 1
             if self._breaks[host] < REPEATED_BREAKS:
                 return
+        self.refusal = f"{endpoint} {self._reason(cause)}"
         if (cause, host) not in self._reported:
             self._reported.add((cause, host))
-            logger.warning(f"{endpoint} {self._reason(cause)}")
+            logger.warning(self.refusal)
 
     def _reason(self, cause: str) -> str:
         if self._keys is None and cause == NO_KEY:

@@ -112,6 +112,8 @@ def state(live: LiveState, silent_ns: int = 0) -> tuple[str, str]:
     word = live.state or "waiting"
     old = age(live, silent_ns)
     note = old or STATES.get("final" if live.display_ended else live.state, "")
+    if not old and word in ("waiting", "stale") and (reason := live.summary.get("waiting_for")):
+        note = f"{note}: {reason}" if word == "stale" else reason
     if not old and (word not in ("playing", "starting") or live.display_ended):
         note += finger_note(live.summary)
     return ("ended" if live.display_ended and word != "fault" else word), note

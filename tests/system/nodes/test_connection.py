@@ -138,6 +138,7 @@ def test_a_slow_name_server_does_not_block_the_loop(
     answer.set()
     poll_until_connected(connection, monitor)
     assert asked == ["somewhere"]
+    connection.close()
 
 
 def test_only_a_silent_address_is_looked_up_again(context: Context, asked: list[str]) -> None:

@@ -112,7 +112,7 @@ def test_a_revoked_display_is_cut_off_and_reports_it_while_the_other_continues(
         _, sensing_log = node.communicate()
     assert read_json(jsons["thumb"])["frames"]["received"] == received
     assert display_log.count(" has revoked the key of thumb: ") == 1
-    assert "revoked: the other node allowed this node's key" in output
+    assert "Refused: the other node allowed this node's key before and has revoked it" in output
     assert sensing_log.count("thumb is no longer allowed") == 1
     assert sensing_log.count("refused 127.0.0.1: key ") == 1
     rejected = read_json(sensed)["rejected"]
@@ -135,9 +135,13 @@ def test_a_display_that_is_refused_logs_the_reason_once(
         process(DISPLAY, *wrong, "--seconds", "4") as one,
         process(DISPLAY, *none, "--seconds", "4") as other,
     ):
-        first, second = ("".join(n.communicate(timeout=2 * PATIENCE_S)) for n in (one, other))
-    assert first.count("breaks off: it is not stranger, whose public key --peer gives") == 1
+        (told, first), (_, second) = (n.communicate(timeout=2 * PATIENCE_S) for n in (one, other))
+    reason = "breaks off: it is not stranger, whose public key --peer gives"
+    assert first.count(reason) == 1
     assert second.count("requires a key; give --key and --peer") == 1
+    # The verdict on the run begins with the same reason.
+    assert "Not valid: no pulse was felt; " in told
+    assert told.count(reason) == 1
     assert read_json(jsons[0])["rejected"]["handshake"] >= 2
     assert read_json(jsons[1])["rejected"]["no_key"] >= 2
 
@@ -159,7 +163,7 @@ def test_telemetry_beyond_this_machine_is_for_allowed_readers_and_the_own_screen
     for reader in readers.values():
         reader.subscribe(b"")
     readers["allowed"].setsockopt(zmq.RCVTIMEO, 200)
-    with process(DISPLAY, *arguments, "--seconds", "60") as node:
+    with process(DISPLAY, *arguments, "--details", "--seconds", "60") as node:
         refused = {"unknown_key"}, {"no_key", "handshake"}
         await_status(
             readers["allowed"],

@@ -88,8 +88,16 @@ def test_losses_and_a_prediction_ahead_of_the_network_are_no_alarm() -> None:
                 "clock": Clock(),
                 "rejected": {"refused_key": 7},
             },
-            "Not valid: no pulse was felt; 7 refused_key: connections refused because the other"
-            " node's allow-list lacks this node's key.",
+            "Not valid: no pulse was felt; connections refused because the other node's allow-list"
+            " lacks this node's key (7 times).",
+        ),
+        (
+            {
+                "availability": Availability(9.0, felt=0.0, waiting=0.99),
+                "waiting_for": "nobody listens at tcp://wrist:5555, refused 12 times",
+            },
+            "Not valid: no pulse was felt; nobody listens at tcp://wrist:5555, refused 12 times;"
+            " start the sensing node there, or check the address.",
         ),
         (
             {
@@ -100,7 +108,7 @@ def test_losses_and_a_prediction_ahead_of_the_network_are_no_alarm() -> None:
         ),
         ({"availability": Availability()}, "Not valid: no pulse was felt; the stream ended, or"),
     ],
-    ids=["fault", "missed ticks", "no answer", "refused", "no samples", "too short"],
+    ids=["fault", "missed ticks", "no answer", "refused", "nobody", "no samples", "too short"],
 )
 def test_a_ruined_run_says_so_in_its_first_line(change: dict[str, object], first: str) -> None:
     lines, valid = verdict(replace(FINE, **change))
@@ -122,7 +130,10 @@ def test_a_ruined_run_says_so_in_its_first_line(change: dict[str, object], first
             {"limited": Limits(force=Limited(3, 2.0, 0.125))},
             "For 12 % of the time the force limit cut the pulse: check",
         ),
-        ({"rejected": {"truncated": 2, "crc": 1}}, "Refused: 2 truncated: messages that end"),
+        (
+            {"rejected": {"truncated": 2, "crc": 1}},
+            "or bytes were lost (2 times), and 1 others.",
+        ),
     ],
     ids=["stops", "missed ticks", "gap", "note", "errors", "limit", "refused"],
 )

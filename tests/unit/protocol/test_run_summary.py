@@ -124,7 +124,7 @@ def test_the_printed_rows() -> None:
         "playout delay": "mean 42.00 ms, p99 45.00 ms",
         "covered delay": "44.50 ms from the wrist to the force at the finger",
         "felt ahead": "25.0 % of the time with a pulse (17.2 % of the run),"
-        " on average 36.1 ms ahead of the samples",
+        " on average 36.1 ms ahead",
         "prediction trusted": "12.5 % of the time with a pulse (17.2 % of the run)",
         "prediction": "off by 2.590 mN RMS, 0.8 % of the pulse's height, 2 corrections felt,"
         " 1.9 per minute",

@@ -118,14 +118,12 @@ def line(text: str, at_ms: int, seen: TickRecord, *impostors: tuple[int, int]) -
     return [check.name.partition(": ")[2] for check in checks if check.ok is False]
 
 
-def shown(
-    state: str, rate: str = "75 /min", felt: str = "245.2 mN", finger: str = "pressed with 245 mN"
-) -> str:
-    row = f", finger {finger} (model, no drive)" if finger else ""
-    return (
-        f"{state}heart rate {rate}, force target 245.2 mN, force felt {felt}{row};"
-        " of the run so far: strain RMSE 3.1e-04, felt 90.0 % of the time, samples late 0"
-    )
+def shown(state: str, rate: str = "75", felt: str = "245", finger: str = "") -> str:
+    """Return a line as a terminal shows it, with an item for each that is not empty."""
+    items = [f"heart rate {rate} /min"] if rate else []
+    items += [f"felt {felt} of 245 mN"] if felt else []
+    items += [f"finger {finger} (model, no drive)"] if finger else []
+    return f"{state}{', '.join(items)}; deadline misses"
 
 
 FORCE, AGE, RATE = "state and force", "age", "heart rate"
@@ -138,24 +136,26 @@ SILENT = "no telemetry: since 5 s; finger: unknown, before that: pressed with 24
     ("text", "at_ms", "seen", "errors"),
     [
         (shown("playing: "), 10_100, PLAYING, []),
-        (shown("stale: ", rate="–", felt="0.0 mN", finger="not pressed"), 10_100, AT_REST, []),
+        (shown("stale: ", rate="", felt="", finger="not pressed"), 10_100, AT_REST, []),
+        ("ended", 10_100, AT_REST, []),
         (shown("playing: "), 10_100, AT_REST, [FORCE, RATE]),
         (shown("stale: "), 10_100, PLAYING, [FORCE]),
         (shown("playing: ", finger="not pressed"), 10_100, PLAYING, [FORCE]),
         (shown("playing: ", finger="pressed with 372 mN"), 10_100, PLAYING, [FORCE]),
-        (shown("playing: ", felt="339.0 mN"), 10_100, PLAYING, [FORCE]),
-        (shown("stale: no samples to play; finger: pressed with 245 mN; ", rate="–", felt="0.0 mN",
-               finger="not pressed"), 10_100, AT_REST, [FORCE]),
-        (shown("playing: ", rate="13 /min"), 10_100, PLAYING, [RATE]),
+        (shown("playing: ", felt="339"), 10_100, PLAYING, [FORCE]),
+        (shown("stale: no samples to play, ", rate="", felt="", finger="pressed with 245 mN"),
+         10_100, AT_REST, [FORCE]),
+        (shown("playing: ", rate="13"), 10_100, PLAYING, [RATE]),
         # The display ended or froze at 10 s.
         (shown("playing: "), 15_000, PLAYING, [FORCE, AGE, RATE]),
-        (shown(f"playing 5.0 s ago: {SILENT}", rate="–", finger=""), 15_000, PLAYING, []),
-        (shown(f"playing 2.0 s ago: {SILENT}", rate="–", finger=""), 15_000, PLAYING, [FORCE, AGE]),
-        (shown("playing 5.0 s ago: ", rate="–", finger=""), 15_000, PLAYING, [AGE]),
-        (shown(f"playing 5.0 s ago: {SILENT}", rate="–"), 15_000, PLAYING, [AGE]),
-        (shown(f"playing 5.0 s ago: {SILENT}", finger=""), 15_000, PLAYING, [AGE, RATE]),
+        (shown(f"playing 5.0 s ago: {SILENT}", rate="", felt=""), 15_000, PLAYING, []),
+        (shown(f"playing 2.0 s ago: {SILENT}", rate="", felt=""), 15_000, PLAYING, [FORCE, AGE]),
+        (shown("playing 5.0 s ago: ", rate="", felt=""), 15_000, PLAYING, [AGE]),
+        (shown(f"playing 5.0 s ago: {SILENT}, ", rate="", finger="pressed with 245 mN"), 15_000,
+         PLAYING, [AGE]),
+        (shown(f"playing 5.0 s ago: {SILENT}"), 15_000, PLAYING, [AGE, RATE]),
         # It reports silence, but the display is not silent.
-        (shown(f"playing 5.0 s ago: {SILENT}", rate="–", finger=""), 9_900, PLAYING, [AGE]),
+        (shown(f"playing 5.0 s ago: {SILENT}", rate="", felt=""), 9_900, PLAYING, [AGE]),
     ],
 )  # fmt: skip
 def test_a_line_of_a_terminal(text: str, at_ms: int, seen: TickRecord, errors: list[str]) -> None:
@@ -163,7 +163,7 @@ def test_a_line_of_a_terminal(text: str, at_ms: int, seen: TickRecord, errors: l
 
 
 def test_a_heart_rate_after_an_impostor_and_a_line_without_a_display_are_not_judged() -> None:
-    assert line(shown("playing: ", rate="13 /min"), 10_100, PLAYING, (5 * S, 6 * S)) == []
+    assert line(shown("playing: ", rate="13"), 10_100, PLAYING, (5 * S, 6 * S)) == []
     assert read_line("waiting for the display", 0) is None
 
 
@@ -258,6 +258,6 @@ def test_a_process_that_was_stopped_within_a_trace_was_silent_meanwhile() -> Non
     seen = record(whole, trace(6_020, 20))
     assert seen.newest_ns(3 * S) == 9 * MS
     assert seen.between(1 * S, 5 * S).low_n is None
-    text = shown(f"playing 4.0 s ago: {SILENT}", rate="–", finger="")
+    text = shown(f"playing 4.0 s ago: {SILENT}", rate="", felt="")
     assert line(text, 4_010, seen) == []
     assert line(shown("playing: "), 4_010, seen) == [FORCE, AGE, RATE]
