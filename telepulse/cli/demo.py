@@ -51,6 +51,7 @@ from protocol.wire.messages import decode_frame
 from protocol.wire.telemetry import Trace
 from sensing_node.scene import describe_stream, load_sensing, log_repetition, open_source
 from telepulse.cli.options import PROGRAM, LinkOption, SceneArgument, SeedOption
+from telepulse.cli.progress import SimulationProgress
 from telepulse.cli.view import open_page
 from telepulse.processes import NodeProcess, free_addresses, log_warnings
 from telepulse.scene import DEFAULT_SCENE, Scene, load_scene, scene_provenance
@@ -82,8 +83,9 @@ def simulate(
 ) -> None:
     """Run a scene in virtual time: the nodes' own modules, without sockets and without waiting.
 
-    The same scene and seed give the same figures, many times faster than real time. Exit status 3:
-    the display latched a fault; it is named on stderr. Exit status 4: no pulse was felt.
+    The same scene and seed give the same figures, several times faster than real time: --details
+    prints how many. A terminal shows the progress. Exit status 3: the display latched a fault; it
+    is named on stderr. Exit status 4: no pulse was felt.
     """
     with one_line_errors(PROGRAM):
         configure_logging(log_level)
@@ -94,7 +96,8 @@ def simulate(
         provenance = scene_provenance(loaded, {"link": seed})
         simulation = Simulation(loaded, seed)
         log_repetition(simulation.source, seconds)
-        summary = simulation.run(seconds)
+        with SimulationProgress(seconds) as progress:
+            summary = simulation.run(seconds, progress=progress.add)
     title = f"simulation of {source or loaded.path.stem}, {seconds:g} s"
     console = plain_console(json=json)
     raise SystemExit(conclude(PROGRAM, summary, title, console, json, provenance, details))

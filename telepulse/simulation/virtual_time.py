@@ -149,16 +149,19 @@ class Simulation:
         seconds: float,
         settle_seconds: float = 0.0,
         watch: Callable[[TickState], None] | None = None,
+        progress: Callable[[float], None] | None = None,
     ) -> Summary:
         """Simulate `seconds` of stream, until its last sample is played.
 
         Ticks before the stream is `settle_seconds` old are not scored. `watch` receives every
-        scored tick until the stream ends.
+        scored tick until the stream ends. `progress` receives the simulated time in s at each tick.
         """
         began_s, begin_ns = time.perf_counter(), self._now_ns
         for state in self.ticks(seconds, settle_seconds):
             if watch and state.scored and self._scored_from_ns <= self._now_ns <= self._last_ns:
                 watch(state)
+            if progress is not None:
+                progress((self._now_ns - begin_ns) * 1e-9)
         speed = (self._now_ns - begin_ns) / 1e9 / (time.perf_counter() - began_s)
         return replace(self.end(), speed=speed)
 

@@ -1,12 +1,18 @@
 """What `telepulse simulate` prints besides its summary."""
 
+import os
+import pty
+import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from telepulse.cli import progress
+from telepulse.cli.demo import simulate as simulate_command
 from telepulse.cli.main import app
+from telepulse.cli.progress import progress_text
 from tests.support.signal_files import pulse_and_ecg
 
 
@@ -75,3 +81,40 @@ def test_a_column_of_times_is_not_offered_as_a_pulse(tmp_path: Path) -> None:
     _, log = simulate(path, 1)
     assert "plays pulse" in log
     assert "the file also has breath (--channel)" in log
+
+
+@pytest.fixture
+def shown_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(progress, "FIRST_S", 0.0)
+    monkeypatch.setenv("TERM", "xterm")
+
+
+@pytest.mark.usefixtures("shown_at_once")
+def test_a_terminal_shows_the_progress_and_erases_it(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    reader, terminal = pty.openpty()
+    with os.fdopen(terminal, "w") as stderr, monkeypatch.context() as patched:
+        patched.setattr(sys, "stderr", stderr)
+        with pytest.raises(SystemExit) as ended:
+            simulate_command("radial", seconds=1.0)
+        stderr.flush()
+        written = os.read(reader, 65_536).decode()
+    os.close(reader)
+    assert ended.value.code == 0
+    lines = [line for line in written.split("\r") if "simulated" in line]
+    assert " of 1 s, " in lines[0]
+    assert "times real time" in lines[0]
+    assert written.endswith("\x1b[2K")
+    assert "simulated" not in capsys.readouterr().out
+
+
+@pytest.mark.usefixtures("shown_at_once")
+def test_without_a_terminal_no_progress_is_shown() -> None:
+    result = CliRunner().invoke(app, ["simulate", "--seconds", "1"])
+    assert result.stderr == ""
+    assert "simulated" not in result.stdout
+
+
+def test_the_progress_states_the_speed_so_far() -> None:
+    assert progress_text(34.4, 60.0, 4.0) == "simulated 34 of 60 s, 8.6 times real time"
