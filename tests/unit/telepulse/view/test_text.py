@@ -33,6 +33,15 @@ def test_an_unknown_figure_is_a_dash() -> None:
     assert state(live) == ("waiting", "no telemetry from a display yet")
 
 
+def test_a_display_that_waits_says_for_what(display: SimulatedDisplay) -> None:
+    reason = "nobody listens at tcp://wrist:5555, refused 12 times"
+    for word, note in (("waiting", reason), ("stale", f"no samples to play: {reason}")):
+        display.go(0.2, word, waiting_for=reason)
+        assert state(display.live)[1].startswith(note)
+    display.go(0.2, "playing", waiting_for=reason)
+    assert state(display.live) == ("playing", "the pulse is felt")
+
+
 def test_each_figure_is_seen_once() -> None:
     ids = [*ALWAYS_SEEN, *(id for group in GROUPS for id in group.figures)]
     assert sorted(ids) == sorted(FIGURES)
