@@ -373,12 +373,14 @@ def test_a_full_node_answers_its_displays_and_no_further_one(
             assert sender == display
             message = decode_control(welcome)
             assert isinstance(message, Welcome)
-            # So that the node does not wait for this display at its end.
-            relay.send_multipart([sender, encode_control(Bye(message.session, 0))])
         relay.send_multipart([b"\0%04d" % 0, encode_control(ClockRequest(7))])
         sender, reply = relay.recv_multipart()
         assert sender == b"\0%04d" % 0
         assert isinstance(decode_control(reply), ClockReply)
+        # So that the node does not wait for them at its end.
+        bye = encode_control(Bye(message.session, 0))
+        for number in range(MAX_CLIENTS):
+            relay.send_multipart([b"\0%04d" % number, bye])
         node.send_signal(signal.SIGTERM)
         output, errors = node.communicate(timeout=PATIENCE_MS / 1000)
     assert (node.returncode, strays(errors)) == (0, "")
