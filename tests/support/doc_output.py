@@ -104,6 +104,7 @@ SESSIONS: dict[str, list[Step | Stop | Do]] = {
         Step("telepulse scenes show wan", says="[display.actuator]"),
         Step("telepulse scenes copy radial my_scene.toml", says="my_scene.toml: a copy"),
         Step("telepulse simulate radial --details", more="--seconds 2", says="in phase"),
+        Step("telepulse simulate my_scene.toml", more="--seconds 1"),
         Step("telepulse simulate my_scene.toml --details", more="--seconds 2", says="in phase"),
         Step("sensing-node radial", more=SERVED, shows=STREAMING),
         *on_air("display-node radial", more=FROM_THERE),
