@@ -13,8 +13,9 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
+import urllib.request
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -29,6 +30,8 @@ QUIET = (
     *("--headless", "--no-sandbox", "--disable-gpu", "--no-first-run", "--disable-sync"),
     *("--disable-background-networking", "--disable-component-update", "--disable-quic"),
 )
+# Time after which a browser that was started is quiet.
+BROWSER_STARTS_S = 3.0
 # What a screen says of the loop before the summary begins.
 ALERT = re.compile("deadline|missed")
 # Bars of the loop's alarm: share of the ticks of 5 s, and gap in ms.
@@ -48,17 +51,32 @@ class Outcome:
 
 
 @contextmanager
-def browser(url: str) -> Iterator[None]:
-    """Show a page in a browser of its own."""
+def browser() -> Iterator[Callable[[str], None]]:
+    """Run a browser of its own; yield a function that opens a page in it.
+
+    It runs before the demo does, as that of a person who opens the demo's address.
+    """
     if BROWSER is None:
         raise FileNotFoundError("chromium is not installed: run with CALM_PAGE=no")
     with tempfile.TemporaryDirectory(prefix="telepulse-") as folder:
-        command = (BROWSER, *QUIET, f"--user-data-dir={folder}", url)
+        command = (BROWSER, *QUIET, f"--user-data-dir={folder}", "--remote-debugging-port=0")
         process = subprocess.Popen(
             command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True
         )
         try:
-            yield
+            port_file = Path(folder, "DevToolsActivePort")
+            while not port_file.exists() or not port_file.read_text(encoding="ascii"):
+                time.sleep(0.1)
+            port = port_file.read_text(encoding="ascii").split()[0]
+            time.sleep(BROWSER_STARTS_S)
+
+            def visit(url: str) -> None:
+                request = urllib.request.Request(
+                    f"http://127.0.0.1:{port}/json/new?{url}", method="PUT"
+                )
+                urllib.request.urlopen(request, timeout=30).close()
+
+            yield visit
         finally:
             os.killpg(process.pid, 15)
             process.wait()
@@ -68,32 +86,33 @@ def browser(url: str) -> Iterator[None]:
 
 def run(checkout: Path, with_page: bool) -> Outcome:
     """Run a checkout's demo once."""
-    with tempfile.TemporaryDirectory(prefix="telepulse-") as folder:
+    with tempfile.TemporaryDirectory(prefix="telepulse-") as folder, ExitStack() as stack:
+        visit = stack.enter_context(browser()) if with_page else None
         summary = Path(folder, "summary.json")
         command = [sys.executable, "-m", "telepulse", "demo", "--json", str(summary)]
         command += [] if with_page else ["--no-ui"]
         environment = os.environ | {"PYTHONPATH": str(checkout), "PYTHONUNBUFFERED": "1"}
         began_s = _processor_s()
-        with subprocess.Popen(
-            command,
-            cwd=folder,
-            env=environment,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,
-            text=True,
-        ) as process:
-            assert process.stdout is not None
-            lines: list[str] = []
-            if with_page:
-                while (found := re.search(r"http://\S+", lines[-1] if lines else "")) is None:
-                    lines.append(process.stdout.readline())
-                    if not lines[-1]:
-                        raise RuntimeError(f"no page: {''.join(lines)}")
-                with browser(found[0]):
-                    lines += process.stdout.readlines()
-            else:
-                lines += process.stdout.readlines()
-        if process.returncode:
+        process = stack.enter_context(
+            subprocess.Popen(
+                command,
+                cwd=folder,
+                env=environment,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.STDOUT,
+                text=True,
+            )
+        )
+        assert process.stdout is not None
+        lines: list[str] = []
+        while visit is not None and (url := re.search(r"http://\S+", "".join(lines))) is None:
+            lines.append(process.stdout.readline())
+            if not lines[-1]:
+                raise RuntimeError(f"no page: {''.join(lines)}")
+        if visit is not None and url is not None:
+            visit(url[0])
+        lines += process.stdout.readlines()
+        if process.wait():
             raise RuntimeError(f"the demo ended with {process.returncode}: {''.join(lines)}")
         load = (_processor_s() - began_s) / 15
         return _outcome(json.loads(summary.read_text(encoding="utf-8"))["loop"], lines, load)

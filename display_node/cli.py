@@ -25,6 +25,7 @@ from protocol.host.process import (
     freeze_objects,
     interrupt_on_signals,
     raise_file_limit,
+    request_short_slices,
     stop_on_signals,
 )
 from protocol.host.realtime import RealtimeRequest, check_strict, parse_realtime
@@ -137,6 +138,7 @@ def display(
     with options.one_line_errors(PROGRAM):
         configure_logging(log_level, quiet)
         raise_file_limit()
+        request_short_slices()
         check_writable(json)
         if doctor:
             run_doctor(None if scene is None else find_scene(scene), seconds, console, json)

@@ -190,7 +190,7 @@ class Compensation:
 
 def _offset_text(offset_ms: float) -> str:
     """Return an offset in ms; in s for clocks of two hosts, which may be days apart."""
-    return f"{offset_ms:.3f} ms" if abs(offset_ms) < 1e4 else f"{offset_ms * 1e-3:.3f} s"
+    return f"{offset_ms:z.3f} ms" if abs(offset_ms) < 1e4 else f"{offset_ms * 1e-3:z.3f} s"
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,7 +11,12 @@ from protocol.config.scene_file import find_scene, scene_names
 from protocol.discovery.announcer import start_announcer
 from protocol.errors import ProtectionError
 from protocol.host.output import check_writable, configure_logging, unblocked_output
-from protocol.host.process import freeze_objects, raise_file_limit, stop_on_signals
+from protocol.host.process import (
+    freeze_objects,
+    raise_file_limit,
+    request_short_slices,
+    stop_on_signals,
+)
 from protocol.host.realtime import check_strict, parse_realtime
 from protocol.provenance import collect
 from protocol.sockets import control_address
@@ -95,6 +100,7 @@ def sense(
         with options.one_line_errors(PROGRAM):
             configure_logging(log_level, quiet)
             raise_file_limit()
+            request_short_slices()
             check_writable(json)
             request = parse_realtime(realtime)
             check_strict(request)

@@ -10,7 +10,9 @@ Each real-time setting is a context manager that yields what was done, and undoe
 import ctypes
 import gc
 import os
+import platform
 import signal
+import struct
 import sys
 import threading
 import time
@@ -32,6 +34,9 @@ RESERVED_FILES = 64
 LEAST_FILES = 96
 # Enough for threads with their arenas, and for all connections.
 LEAST_FREE_BYTES = 256 << 20
+# Shortest time slice that Linux grants, and number of the system call that requests it.
+SLICE_NS = 100_000
+_SCHED_SETATTR = {"x86_64": 314, "aarch64": 274, "riscv64": 274}
 # Of a process that shows or compares what a loop does.
 WATCHER_NICENESS = 10
 
@@ -211,6 +216,23 @@ def lower_priority() -> None:
     """
     if hasattr(os, "nice"):
         os.nice(WATCHER_NICENESS)
+
+
+def request_short_slices() -> None:
+    """Request short time slices, so that this process runs soon after it wakes; needs no rights.
+
+    From Linux 6.12 on, a task that wakes preempts one whose slice is longer, and the share of time
+    of both stays the same (`sched_setattr(2)`, `sched_runtime`). Earlier kernels ignore it. Threads
+    that start later inherit it, so call it first.
+    """
+    number = _SCHED_SETATTR.get(platform.machine())
+    if sys.platform != "linux" or number is None:
+        return
+    # struct sched_attr of <linux/sched/types.h>: size, policy, flags, nice, priority, runtime,
+    # deadline, period.
+    nice = os.getpriority(os.PRIO_PROCESS, 0)
+    attributes = struct.pack("=IIQiIQQQ", 48, os.SCHED_OTHER, 0, nice, 0, SLICE_NS, 0, 0)
+    ctypes.CDLL(None).syscall(number, 0, attributes, 0)
 
 
 def freeze_objects() -> None:
