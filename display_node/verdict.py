@@ -47,7 +47,7 @@ def verdict(summary: Summary) -> Verdict:
     ruined = _ruined(summary)
     told = [*_felt(summary), *_error(summary), *_delay(summary), *_lost(summary)]
     wrong = list(_wrong(summary))
-    first = [] if ruined is None else [f"Not valid: {ruined}."]
+    first = [] if ruined is None else [f"This run is not valid: {ruined}."]
     if not wrong and ruined is None:
         wrong = ["Nothing is wrong."]
     free = MOST_LINES - len(first) - len(told)
@@ -116,9 +116,10 @@ def _felt(summary: Summary) -> Iterator[str]:
     rates = [rate for each in figures if (rate := each.beats.rate_per_min) is not None]
     beats = f", at {rates[0]:.0f} beats a minute" if rates else ""
     around = sum(share or 0.0 for share in (of_run.waiting, of_run.starting, of_run.ended))
+    felt_s, around_s = of_run.felt * of_run.seconds, around * of_run.seconds
     yield (
-        f"The pulse was felt for {of_run.felt * of_run.seconds:.1f} s{beats}; start and end took"
-        f" {around * of_run.seconds:.1f} s."
+        f"The pulse was felt for {felt_s:.1f} of {of_run.seconds:.1f} s{beats}; start and end took"
+        f" {around_s:.1f} s."
     )
 
 
@@ -136,7 +137,7 @@ def _error(summary: Summary) -> Iterator[str]:
     text = f"The force{of} was off by {1e3 * rmse_n:.1f} mN RMS"
     if height_n:
         share = _percent(rmse_n / height_n)
-        text += f", {share} of the pulse's height; a finger notices {100 * JND:.0f} %"
+        text += f", {share} of the pulse's height; a finger notices {100 * JND:.0f} % or more"
     yield f"{text}."
 
 
@@ -148,8 +149,8 @@ def _delay(summary: Summary) -> Iterator[str]:
     ahead = ", thanks to prediction" if felt_ms < network.p50 else ""
     tail = "" if network.p99 is None else f" (99 % within {network.p99:.1f} ms)"
     yield (
-        f"The finger felt the pulse {max(felt_ms, 0.0):.1f} ms after the wrist{ahead}; the network"
-        f" took {network.p50:.1f} ms{tail}."
+        f"The finger felt the pulse {max(felt_ms, 0.0):.1f} ms after the wrist on average{ahead};"
+        f" the network took {network.p50:.1f} ms{tail}."
     )
 
 

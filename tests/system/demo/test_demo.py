@@ -171,7 +171,7 @@ def test_a_run_in_which_nothing_is_felt_says_so_first_and_ends_with_status_4(
     scene.write_text('extends = "radial"\n[display.safety]\nramp = "9 s"\n', encoding="utf-8")
     result = run(MODULE, "simulate", str(scene), "--seconds", "3")
     assert (result.returncode, result.stderr) == (NOT_VALID_STATUS, "")
-    assert result.stdout.splitlines()[1].startswith("  Not valid: no pulse was felt; ")
+    assert result.stdout.splitlines()[1].startswith("  This run is not valid: no pulse was felt; ")
     assert "Nothing is wrong" not in result.stdout
 
 

@@ -289,7 +289,9 @@ def test_a_port_without_a_listener_is_named_with_the_number_of_refusals(address:
     title, verdict = result.stdout.splitlines()[-2:]
     assert title.startswith("display node")
     remedy = "start the sensing node there, or check the address"
-    assert re.fullmatch(rf"  Not valid: no pulse was felt; {reason}; {remedy}\.", verdict)
+    assert re.fullmatch(
+        rf"  This run is not valid: no pulse was felt; {reason}; {remedy}\.", verdict
+    )
 
 
 def test_a_port_that_answers_without_a_handshake_is_no_node() -> None:

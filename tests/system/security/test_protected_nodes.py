@@ -140,7 +140,7 @@ def test_a_display_that_is_refused_logs_the_reason_once(
     assert first.count(reason) == 1
     assert second.count("requires a key; give --key and --peer") == 1
     # The verdict on the run begins with the same reason.
-    assert "Not valid: no pulse was felt; " in told
+    assert "This run is not valid: no pulse was felt; " in told
     assert told.count(reason) == 1
     assert read_json(jsons[0])["rejected"]["handshake"] >= 2
     assert read_json(jsons[1])["rejected"]["no_key"] >= 2
