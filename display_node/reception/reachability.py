@@ -22,7 +22,7 @@ _NO_ROUTE = {errno.ENETUNREACH, errno.EHOSTUNREACH, errno.ENETDOWN, 10_051, 10_0
 _NOBODY, _UNROUTED, _SILENT = "nobody listens at", "no route to", "no answer from"
 
 
-class Probe:
+class ConnectionRequest:
     """A request for a connection to a tcp:// or ipc:// address with an IP address as its host."""
 
     def __init__(self, place: str, now_ns: int) -> None:
@@ -58,7 +58,7 @@ class Reachability:
 
     def __init__(self, address: str) -> None:
         self._address = address
-        self._probe: Probe | None = None
+        self._probe: ConnectionRequest | None = None
         self._probe_due_ns: int | None = None
         self._found = ""
         # ZeroMQ's attempts: at the begin of this wait, and so far.
@@ -89,7 +89,7 @@ class Reachability:
             self._read(self._probe, now_ns)
         elif place is not None and now_ns >= self._probe_due_ns:
             self._probe_due_ns = now_ns + AGAIN_NS
-            self._probe = Probe(place, now_ns)
+            self._probe = ConnectionRequest(place, now_ns)
 
     def reason(self, now_ns: int, established: bool = False, unknown_host: str = "") -> str:
         """Return what is waited for, or why it does not come.
@@ -114,7 +114,7 @@ class Reachability:
             self._probe.close()
             self._probe = None
 
-    def _read(self, probe: Probe, now_ns: int) -> None:
+    def _read(self, probe: ConnectionRequest, now_ns: int) -> None:
         error = probe.result()
         if error is None:
             if now_ns - probe.asked_ns < SILENT_NS:

@@ -67,7 +67,9 @@ def test_a_host_that_does_not_answer_is_named_after_some_seconds(
 ) -> None:
     reach = Reachability(HERE)
     # As a host whose firewall drops the request.
-    monkeypatch.setattr("display_node.reception.reachability.Probe.result", lambda probe: None)
+    monkeypatch.setattr(
+        "display_node.reception.reachability.ConnectionRequest.result", lambda probe: None
+    )
     place = "tcp://127.0.0.1:9"
     for now_ns in (0, FIRST_NS, FIRST_NS + SILENT_NS - 1):
         reach.poll(now_ns, place, False, 3)
@@ -80,7 +82,9 @@ def test_a_host_that_does_not_answer_is_named_after_some_seconds(
 @pytest.mark.parametrize("error", ["ENETUNREACH", "EHOSTUNREACH"])
 def test_a_network_without_a_route_is_named(error: str, monkeypatch: pytest.MonkeyPatch) -> None:
     number = getattr(errno, error)
-    monkeypatch.setattr("display_node.reception.reachability.Probe.result", lambda probe: number)
+    monkeypatch.setattr(
+        "display_node.reception.reachability.ConnectionRequest.result", lambda probe: number
+    )
     reach = Reachability(HERE)
     for now_ns in (0, FIRST_NS, FIRST_NS + 1):
         reach.poll(now_ns, "tcp://127.0.0.1:9", False, 3)
