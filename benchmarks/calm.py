@@ -1,10 +1,12 @@
 """Missed ticks, tick cost and alerts of `telepulse demo` on two cores, without priority.
 
 Each run is one with the page open in a real browser, or one without page and screen. With
-`CALM_BEFORE` set to another checkout, its demo runs in turns with this one's.
+`CALM_BEFORE` set to another checkout, its demo runs in turns with this one's. Beside some of the
+demos with a page runs an empty loop: what it misses, no display can avoid without a priority.
 """
 
 import json
+import math
 import os
 import re
 import shutil
@@ -15,12 +17,16 @@ import tempfile
 import time
 import urllib.request
 from collections.abc import Callable, Iterator
+from concurrent.futures import ProcessPoolExecutor
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
 from benchmarks.measure import show
+from protocol.host.process import request_short_slices
+from protocol.host.realtime import Pacer
 
 HERE = Path(__file__).parents[1]
 # Number of runs of each kind.
@@ -36,13 +42,19 @@ BROWSER_STARTS_S = 3.0
 ALERT = re.compile("deadline|missed")
 # Bars of the loop's alarm: share of the ticks of 5 s, and gap in ms.
 ALARM_SHARE, ALARM_GAP_MS = 0.01, 50.0
+# The empty loop has the tick of the default scene, and computes for about as long in each.
+EMPTY_TICK_NS, EMPTY_WORK_NS, EMPTY_S = 2_000_000, 80_000, 15
 
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """One run: share of missed ticks, cost of a tick in µs, and processor time over 15 s."""
+    """One run: share of missed ticks, cost of a tick in µs, and processor time over 15 s.
+
+    worst_5s: greatest share of missed ticks in 5 s, while the pulse is felt.
+    """
 
     missed: float
+    worst_5s: float
     p50_us: float
     p99_us: float
     gap_ms: float
@@ -84,8 +96,38 @@ def browser() -> Iterator[Callable[[str], None]]:
             time.sleep(1)
 
 
-def run(checkout: Path, with_page: bool) -> Outcome:
-    """Run a checkout's demo once."""
+def empty_loop() -> float:
+    """Return the share of the ticks that an empty loop misses; it waits and computes, no more."""
+    os.setsid()
+    request_short_slices()
+    now_ns = time.perf_counter_ns
+    began_ns = now_ns()
+    pacer, ticks = Pacer(EMPTY_TICK_NS, began_ns), 0
+    while (present_ns := now_ns()) < began_ns + EMPTY_S * 1_000_000_000:
+        if (tick := pacer.begin(present_ns)) is None:
+            time.sleep((pacer.due_ns - present_ns) * 1e-9)
+            continue
+        ticks += tick.elapsed_ticks
+        while now_ns() < present_ns + EMPTY_WORK_NS:
+            pass
+    return pacer.missed / ticks
+
+
+def run_beside_empty_loop() -> tuple[Outcome, Outcome]:
+    """Run this checkout's demo with a page; return its outcome and that of an empty loop beside."""
+    with ProcessPoolExecutor(1, get_context("spawn")) as pool:
+        # The process starts, and imports, before the demo does.
+        pool.submit(request_short_slices).result()
+        loops = []
+        outcome = run(HERE, True, lambda: loops.append(pool.submit(empty_loop)))
+        nan = math.nan
+        return outcome, replace(
+            outcome, missed=loops[0].result(), worst_5s=nan, p50_us=nan, p99_us=nan, gap_ms=nan
+        )
+
+
+def run(checkout: Path, with_page: bool, begun: Callable[[], Any] = lambda: None) -> Outcome:
+    """Run a checkout's demo once; `begun` is called when its page has been opened."""
     with tempfile.TemporaryDirectory(prefix="telepulse-") as folder, ExitStack() as stack:
         visit = stack.enter_context(browser()) if with_page else None
         summary = Path(folder, "summary.json")
@@ -111,6 +153,7 @@ def run(checkout: Path, with_page: bool) -> Outcome:
                 raise RuntimeError(f"no page: {''.join(lines)}")
         if visit is not None and url is not None:
             visit(url[0])
+        begun()
         lines += process.stdout.readlines()
         if process.wait():
             raise RuntimeError(f"the demo ended with {process.returncode}: {''.join(lines)}")
@@ -126,6 +169,7 @@ def _outcome(loop: dict[str, Any], lines: list[str], load: float) -> Outcome:
     ticks = loop["ticks"] + loop["deadline_misses"]
     return Outcome(
         loop["deadline_misses"] / ticks,
+        worst["missed"],
         loop["tick_us"]["p50"],
         loop["tick_us"]["p99"],
         worst["gap_ms"],
@@ -152,9 +196,13 @@ def main() -> None:
         for with_page in kinds:
             for state, checkout in states.items():
                 outcomes.setdefault((with_page, state), []).append(run(checkout, with_page))
+        if True in kinds:
+            beside, empty = run_beside_empty_loop()
+            outcomes.setdefault((True, "now, beside an empty loop"), []).append(beside)
+            outcomes.setdefault((True, "an empty loop"), []).append(empty)
     rows = [_row(*key, found) for key, found in sorted(outcomes.items(), reverse=True)]
     columns = (
-        *("demo", "state", "runs", "with an alert", "missed, %", "at most"),
+        *("demo", "state", "runs", "with an alert", "missed, %", "at most", "worst 5 s"),
         *("tick p50, µs", "p99", "longest gap, ms", "load, %"),
     )
     show("The default demo on two cores: medians of the runs, and the worst", columns, rows)
@@ -171,8 +219,14 @@ def _row(with_page: bool, state: str, found: list[Outcome]) -> tuple[str, ...]:
         str(sum(each.alerts > 0 for each in found)),
         f"{100 * median('missed'):.3f}",
         f"{100 * max(each.missed for each in found):.3f}",
-        f"{median('p50_us'):.0f}",
-        f"{median('p99_us'):.0f}",
-        f"{max(each.gap_ms for each in found):.0f}",
+        *(
+            "–" if math.isnan(value) else f"{value:.{digits}f}"
+            for value, digits in (
+                (100 * max(each.worst_5s for each in found), 2),
+                (median("p50_us"), 0),
+                (median("p99_us"), 0),
+                (max(each.gap_ms for each in found), 0),
+            )
+        ),
         f"{100 * median('load'):.0f}",
     )

@@ -32,9 +32,11 @@ from telepulse.view.window_data import (
     window_scores,
 )
 
-# A browser may draw in software, on the processors of the display's loop. Texts change at every
-# second redraw.
+# Texts change at every second redraw.
 REDRAW_MS, TEXTS_EVERY = 200, 2
+# A browser may draw in software, on the processors of the display's loop. For each such share of
+# missed ticks the page is drawn by one `REDRAW_MS` less often, down to once in so many of them.
+MISSED_PER_STEP, SELDOM = 0.001, 5
 WINDOWS_S = (5, 10, 30, 60)
 WINDOW_S = 10
 SECOND_NS = 1_000_000_000
@@ -190,7 +192,7 @@ class LivePage:
     """Page of one viewer.
 
     silent_ns: returns the time in ns since the last message from the display. mark: requests a
-    mark with a text, which may be empty.
+    mark with a text, which may be empty. local: whether the display is on this computer.
     """
 
     def __init__(
@@ -199,8 +201,9 @@ class LivePage:
         live: LiveState,
         silent_ns: Callable[[], int],
         mark: Callable[[str], None],
+        local: bool = False,
     ) -> None:
-        self._live, self._silent_ns, self._mark = live, silent_ns, mark
+        self._live, self._silent_ns, self._mark, self._local = live, silent_ns, mark, local
         self._plots = Plots()
         self._texts = ColumnDataSource({"shown": [None]})
         self._choices = ColumnDataSource(
@@ -258,7 +261,7 @@ class LivePage:
         self._choice: tuple[Any, ...] = ()
         self._sent: dict[str, Any] = {}
         self._drawn: tuple[Any, ...] = ()
-        self._redraws = self._undrawn = self._number = 0
+        self._redraws = self._undrawn = self._number = self._skipped = 0
         self.draw()
         # Bokeh removes this callback with the viewer's session.
         document.add_periodic_callback(self.draw, REDRAW_MS)
@@ -273,6 +276,10 @@ class LivePage:
             return
         choice = paused, window_ns, number, groups = self._chosen()
         chosen, self._choice = choice != self._choice, choice
+        self._skipped += 1
+        if self._skipped < redraw_every(self._live, self._local) and not chosen:
+            return
+        self._skipped = 0
         self._redraws += 1
         if not paused:
             self._frozen = None
@@ -329,6 +336,18 @@ class LivePage:
                 for t_ns, *rest in list(live.events)[: -LISTED_EVENTS - 1 : -1]
             ],
         }
+
+
+def redraw_every(live: LiveState, local: bool) -> int:
+    """Return in how many periods of `REDRAW_MS` a page is drawn once.
+
+    A page on the display's computer yields to a loop that misses ticks while a pulse is felt.
+    Before the first status it is drawn in every period, as each state but playing.
+    """
+    missed = live.summary.get("loop", {}).get("last_5s", {}).get("missed", 0.0)
+    if not local or live.display_ended or live.state != "playing":
+        return 1
+    return min(SELDOM, 1 + int(missed / MISSED_PER_STEP))
 
 
 def _figures(live: LiveState, scores: WindowScores, silent_ns: int) -> dict[str, Any]:

@@ -202,7 +202,7 @@ class PageServer:
         raise AddressError(f"cannot serve the page on {host}:{numbers[-1]}: {reason}") from None
 
     def _open(self, document: Document) -> None:
-        LivePage(document, self._live, self._silent_ns, self._client.mark)
+        LivePage(document, self._live, self._silent_ns, self._client.mark, self._local)
 
     def _silent_ns(self) -> int:
         """Return the age of the display's last status; before the first, the time without one."""
