@@ -164,7 +164,8 @@ def _lost(summary: Summary) -> Iterator[str]:
         text = f"None of the {samples.sent} samples was lost or came too late."
     else:
         share = _percent((lost + late) / samples.sent)
-        text = f"Of {samples.sent} samples, {lost} were lost and {late} came too late ({share})"
+        parts = (f"{lost} were lost" if lost else "", f"{late} came too late" if late else "")
+        text = f"Of {samples.sent} samples, {' and '.join(filter(None, parts))} ({share})"
         smooth = not summary.interruptions.count and not summary.compensation.corrections
         text += "; the finger felt no gap." if smooth else "."
     if summary.press.lost:

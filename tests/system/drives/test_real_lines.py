@@ -31,6 +31,8 @@ from tests.support.drive_benches import (
 )
 
 RATE_HZ = 400.0
+# The longest times that a scene may state: beside other tests, a thread here may start late.
+PATIENT = {"watchdog": "1 s", "reply_timeout": "200 ms"}
 
 
 @pytest.mark.parametrize("kind", ["tmcl", "tmcl-can", "tmcl-slcan", "cia402", "cia402-slcan"])
@@ -86,7 +88,7 @@ def test_noise_is_no_answer() -> None:
 
     thread = threading.Thread(target=babble)
     thread.start()
-    line = TmclLine(tmcl_scene(port=os.ttyname(slave)), Counter())
+    line = TmclLine(tmcl_scene(port=os.ttyname(slave), **PATIENT), Counter())
     try:
         for _ in range(5):
             with pytest.raises(DriveError) as error:
@@ -115,7 +117,7 @@ def test_a_module_behind_a_network_port_is_reached_by_url() -> None:
         thread = threading.Thread(target=serve)
         thread.start()
         url = f"socket://127.0.0.1:{server.getsockname()[1]}"
-        scene = tmcl_scene(port=url, watchdog="800 ms", reply_timeout="100 ms")
+        scene = tmcl_scene(port=url, **PATIENT)
         with closing(TmclLine(scene, Counter())) as line:
             assert line.request(Command.SET_AXIS, Parameter.MICROSTEPS, 0, 6) == 6
             assert line.request(Command.GET_AXIS, Parameter.MICROSTEPS, 0) == 6

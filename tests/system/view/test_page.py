@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 
+from display_node.verdict import NOT_VALID_STATUS
 from telepulse.processes import free_addresses
 from telepulse.view.plots import EVENT_LINES, MARK
 from tests.support.browser import CONTRAST, Page, Visit, unfold
@@ -370,7 +371,8 @@ def test_three_fingers_are_shown_and_one_is_chosen_by_keyboard_also_in_a_pause(
         # A killed demo would leave its page's server behind.
         demo.send_signal(signal.SIGINT)
         _, errors = demo.communicate(timeout=40)
-    assert demo.returncode == 0, errors
+    # On a busy machine, the run of three fingers in software may not be valid.
+    assert demo.returncode in (0, NOT_VALID_STATUS), errors
 
 
 def await_figure(page: Page, id: str) -> None:
@@ -385,8 +387,8 @@ def test_the_last_state_stays_when_the_demo_has_ended(visit: Visit) -> None:
             await_state(page, "playing")
             demo.send_signal(signal.SIGINT)
             output, errors = demo.communicate(timeout=40)
-            assert demo.returncode == 0, errors
-            assert "samples was lost" in output or "samples, " in output
+            assert demo.returncode in (0, NOT_VALID_STATUS), errors
+            assert "The pulse was felt for" in output
             await_state(page, "ended")
             page.locator("#state-note", has_text="the server of this page has ended").wait_for()
             assert re.match(r"at \d\d:\d\d:\d\d; ", text_of(page, "state-note"))

@@ -181,6 +181,16 @@ def test_of_several_contactors_the_worst_is_named() -> None:
     assert "The error at guan was large enough to notice for 20 % of the time" in lines[4]
 
 
+@pytest.mark.parametrize(
+    ("late", "lost", "words"),
+    [(12, 0, "12 came too late (0.1 %)"), (0, 12, "12 were lost (0.1 %)")],
+)
+def test_what_did_not_happen_to_samples_is_not_told(late: int, lost: int, words: str) -> None:
+    counts = SampleCounts(sent=15_000, played=14_988, predicted=0, late=late, lost=lost)
+    lines, _ = verdict(replace(FINE, samples=counts))
+    assert f"Of 15000 samples, {words}; the finger felt no gap." in lines
+
+
 def test_lost_set_points_of_a_press_are_told() -> None:
     lines, _ = verdict(replace(FINE, press=PressFigures(sent=400, lost=3)))
     assert any(line.endswith("Of 400 set-points, 3 were lost.") for line in lines)
