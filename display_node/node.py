@@ -6,15 +6,13 @@ import time
 import uuid
 from collections import Counter
 from collections.abc import Generator, Iterator, Sequence
-from contextlib import ExitStack, closing, contextmanager
 from dataclasses import replace
-from pathlib import Path
 
 import zmq
 
 from display_node.display import Display
 from display_node.fault_advice import FILM_NOTE, advise
-from display_node.hardware import Hardware, build_display_drive
+from display_node.hardware import Hardware
 from display_node.press.sweep import DepthSweep
 from display_node.reception.connection import Connection
 from display_node.reception.redundancy import Redundancy
@@ -23,7 +21,6 @@ from display_node.scoring.deadlines import GAP_NS, DeadlineWatch
 from display_node.scoring.tracking_error import scored
 from display_node.telemetry.publisher import Publisher
 from protocol import sockets
-from protocol.errors import SceneError
 from protocol.histogram import Histogram
 from protocol.host.realtime import Pacer
 from protocol.loop_tables import Lateness, TickTime
@@ -33,10 +30,8 @@ from protocol.security.authenticator import Authenticator
 from protocol.security.keys import ClientKeys, ServerKeys
 from protocol.wire.messages import encode_control
 from protocol.wire.telemetry import CONTROL
-from pulse_drives.scene import DriveScene
-from pulse_drives.start_advice import advised
 from pulse_drives.withdrawal import describe_finger
-from pulse_sensors.sensor import Sensor, open_sensor
+from pulse_sensors.sensor import Sensor
 
 logger = logging.getLogger(__name__)
 
@@ -49,65 +44,6 @@ RESERVE_PARTS = 4
 PIECE_EVERY_NS = 1_000_000
 # Least expected time between two frames once a stream has ended, when silence is normal.
 ENDED_NS = 1_000_000_000
-
-
-@contextmanager
-def start_benches(
-    scene: DisplayScene, folder: Path, without_film: bool = False
-) -> Iterator[list[Hardware | None]]:
-    """Start the real bench of each contactor within a `with`; yield None for one without a drive.
-
-    folder: of the scene's file. without_film: whether a drive may press although no film measures
-    the force. Raises SceneError, SourceError or DriveError where a part is missing in the scene, or
-    the film's sensor or the drive does not answer.
-    """
-    with ExitStack() as stack:
-        benches = [
-            None
-            if contactor.drive is None
-            else stack.enter_context(_start_bench(contactor, contactor.drive, folder, without_film))
-            for contactor in scene.contactors
-        ]
-        # A film's samples of the seconds in which the further drives were homed: the first tick
-        # would take as long as a watchdog.
-        for bench in benches:
-            if bench is not None:
-                bench.read()
-        yield benches
-
-
-@contextmanager
-def open_press(scene: DisplayScene, folder: Path) -> Iterator[Sensor | None]:
-    """Open the live sensor of the finger's press within a `with`; yield None without one.
-
-    folder: of the scene's file. Raises SourceError.
-    """
-    if scene.press is None or (table := scene.press.live_sensor) is None:
-        yield None
-        return
-    with closing(open_sensor(table, folder)) as sensor:
-        yield sensor
-
-
-@contextmanager
-def _start_bench(
-    scene: DisplayScene, table: DriveScene, folder: Path, without_film: bool
-) -> Iterator[Hardware]:
-    if scene.feedback is None and not without_film:
-        raise SceneError(
-            "[display.feedback] is missing: without a film nothing measures the force, and a drive"
-            " that turns further than it counts is not detected; add the film, or give"
-            " --without-film if no person's finger is pressed"
-        )
-    layer, force_limit_n = scene.layer.layer(), scene.safety.force_limit_n
-    drive = build_display_drive(table, scene.actuator, layer, force_limit_n)
-    sensor = open_sensor(scene.feedback, folder) if scene.feedback is not None else None
-    with closing(scene.hardware(drive, sensor)) as hardware:
-        logger.warning("the drive looks for its home: keep the finger away")
-        with advised():
-            hardware.start()
-        logger.info("the drive is at first touch")
-        yield hardware
 
 
 class DisplayNode:

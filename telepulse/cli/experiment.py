@@ -86,7 +86,7 @@ def run(
     Exit status: 0 when it has ended or was stopped by q, 2 when it cannot be run or a fault ends
     it; the reason is one line on stderr.
     """
-    from display_node.node import start_benches
+    from display_node.benches import start_benches
     from telepulse.experiment.log import open_log, read_log
     from telepulse.experiment.report import build_report
     from telepulse.experiment.session import load_plan

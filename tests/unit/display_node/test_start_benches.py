@@ -7,7 +7,7 @@ from unittest.mock import Mock
 
 import pytest
 
-from display_node import node
+from display_node import benches
 from tests.support.sender import display_scene
 
 
@@ -21,7 +21,7 @@ def test_samples_that_came_while_further_drives_were_homed_are_read_before_the_f
         happened.append("started")
         yield Mock(**{"read.side_effect": lambda: happened.append("read")})
 
-    monkeypatch.setattr(node, "_start_bench", start)
-    with node.start_benches(display_scene("three_fingers_bench"), Path()) as benches:
-        assert len(benches) == 3
+    monkeypatch.setattr(benches, "_start_bench", start)
+    with benches.start_benches(display_scene("three_fingers_bench"), Path()) as started:
+        assert len(started) == 3
         assert happened == ["started"] * 3 + ["read"] * 3
