@@ -8,8 +8,8 @@ from typing import Annotated
 
 import typer
 
-from display_node.doctor import run_doctor
 from display_node.benches import open_press, start_benches
+from display_node.doctor import run_doctor
 from display_node.node import DisplayNode
 from display_node.reception.addresses import discovered
 from display_node.scene import DisplayScene

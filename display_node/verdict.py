@@ -26,6 +26,7 @@ MOST_MISSED = 0.5
 # From these shares on, something is worth a line.
 LATE_TICKS, NOTICED, LIMITED = 0.01, 0.05, 0.01
 LONG_GAP_MS = 50.0
+LEAST_PERCENT = 0.1
 # Messages refused in every run: while joining, or because a copy had arrived already.
 USUAL = ("before_welcome", "before_clock", "duplicate", "overlap", "session", "too_old")
 DOCTOR = "display-node --doctor names what helps"
@@ -238,6 +239,8 @@ def _most(refused: Counter[str]) -> str:
 
 
 def _percent(share: float | None) -> str:
-    """Return a share in percent, with a digit after the point below 10 %."""
+    """Return a share in percent, with a digit after the point below 10 %; a small one as less."""
     percent = 100 * (share or 0.0)
+    if 0 < percent < LEAST_PERCENT:
+        return f"less than {LEAST_PERCENT} %"
     return f"{percent:.0f} %" if percent >= 10 else f"{percent:.1f} %"

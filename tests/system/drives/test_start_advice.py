@@ -16,8 +16,8 @@ import pytest
 import serial
 from typer.testing import CliRunner
 
-from display_node.cli import app
 from display_node.benches import start_benches
+from display_node.cli import app
 from display_node.node import DisplayNode
 from display_node.scene import DisplayScene
 from protocol.config.scene import load_section
