@@ -186,7 +186,8 @@ def test_of_several_contactors_the_worst_is_named() -> None:
     [(15, 0, "15 came too late (0.1 %)"), (0, 4, "4 were lost (less than 0.1 %)")],
 )
 def test_what_did_not_happen_to_samples_is_not_told(late: int, lost: int, words: str) -> None:
-    counts = SampleCounts(sent=15_000, played=15_000 - late - lost, predicted=0, late=late, lost=lost)
+    played = 15_000 - late - lost
+    counts = SampleCounts(sent=15_000, played=played, predicted=0, late=late, lost=lost)
     lines, _ = verdict(replace(FINE, samples=counts))
     assert f"Of 15000 samples, {words}; the finger felt no gap." in lines
 
