@@ -31,7 +31,7 @@ test test-all: export OPENBLAS_NUM_THREADS := 1
 test: check
 	$(BIN)/python -m pytest --quick --durations=15 $(ARGS)
 
-# Every test, with the coverage of the core.
+# Every test; COVERAGE=1 adds the coverage of the core.
 test-all: check .venv/installed-test-all
 	$(BIN)/python -m tests.run_all --durations=15 $(ARGS)
 

@@ -18,7 +18,7 @@ from tests.support.nodes import ROOT, assert_accounted, process, read_json
 from tests.support.tcp import needs_emulator
 
 LINK = parse_link("delay=20ms,jitter=3ms,loss=1%")
-SECONDS = 15
+SECONDS = 12
 ENDS_WITHIN_S = 60
 SWEEP_S = 20
 
@@ -68,14 +68,7 @@ def check_announced(display: dict[str, Any]) -> None:
     assert display["announce"]["r_waves"] > 5
 
 
-def check_pressed(display: dict[str, Any]) -> None:
-    press = display["press"]
-    assert press["sent"] == press["applied"] + press["superseded"] + press["lost"]
-    assert press["applied"] > 50
-    assert press["loop_gain"] < 0.1
-
-
-CHECKS = {"three_fingers": check_contactors, "announce": check_announced, "press": check_pressed}
+CHECKS = {"three_fingers": check_contactors, "announce": check_announced}
 
 
 @pytest.mark.parametrize("name", CHECKS)
@@ -98,10 +91,6 @@ def test_a_scene_is_felt_between_two_machines_with_keys(name: str, keyed: KeyedL
     assert samples["played"] + samples["predicted"] > 1_000 * SECONDS / 2
     assert samples["sent"] + samples["before_joining"] == sent["samples"]["sent"]
     CHECKS[name](felt)
-    if name == "press":
-        assert [sent["press"][key] for key in ("applied", "superseded")] == [
-            felt["press"][key] for key in ("applied", "superseded")
-        ]
 
 
 def test_a_wrist_is_swept_between_two_machines_with_keys(keyed: KeyedLink) -> None:
