@@ -4,6 +4,7 @@ An array `rate_hz` of one value in an .npz is the rate. A large .npy stays on th
 its samples are read as they are played.
 """
 
+import io
 import zipfile
 from functools import lru_cache
 from pathlib import Path
@@ -23,6 +24,10 @@ RATE = "rate_hz"
 ARRAY, ARCHIVES = b"\x93NUMPY", (b"PK\3\4", b"PK\5\6")
 # Bytes from which on an array stays on the disk: another program may cut a file meanwhile.
 LARGE = 1 << 24
+# Bytes that state the length of a header, by the version of the format; and the longest one that
+# numpy reads.
+LENGTH_BYTES = {(1, 0): 2, (2, 0): 4, (3, 0): 4}
+MOST_HEADER_BYTES = 10_000
 OBJECTS = "holds Python objects in place of numbers; save an array of numbers"
 
 
@@ -86,6 +91,13 @@ def _archive_file(path: Path) -> SignalFile:
 def _header(file: Any) -> tuple[tuple[int, ...], "np.dtype[Any]"]:
     """Return shape and kind of numbers of an array. Raises ValueError."""
     version = npy.read_magic(file)
+    if version not in LENGTH_BYTES:
+        raise ValueError(f"is of version {version[0]}.{version[1]} of the format, which is unknown")
+    width = LENGTH_BYTES[version]
+    # As many bytes as this states would be allocated.
+    if (length := int.from_bytes(file.read(width), "little")) > MOST_HEADER_BYTES:
+        raise ValueError(f"its header is damaged: it states {length} bytes")
+    file.seek(-width, io.SEEK_CUR)
     read_header = npy.read_array_header_1_0 if version == (1, 0) else npy.read_array_header_2_0
     shape, _, dtype = read_header(file)
     return shape, dtype

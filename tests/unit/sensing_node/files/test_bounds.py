@@ -3,6 +3,7 @@
 import io
 import os
 import struct
+import tracemalloc
 import zipfile
 import zlib
 from collections.abc import Callable
@@ -140,6 +141,32 @@ def test_what_unpacks_to_too_much_is_refused(
             writer.add_message(channel, 0, b"[" + b" " * 200_000 + b"]", 0)
             writer.finish()  # type: ignore[no-untyped-call]
         assert refusal(path).endswith("unpacks to more than 100000 bytes")
+
+
+@pytest.mark.parametrize("suffix", [".npy", ".npz"])
+@pytest.mark.parametrize(
+    ("version", "words"),
+    [
+        (b"\0\1", "is of version 0.1 of the format, which is unknown"),
+        (b"\2\0", "its header is damaged: it states 4000000000 bytes"),
+    ],
+)
+def test_a_header_of_an_array_is_read_by_no_more_than_its_length(
+    tmp_path: Path, suffix: str, version: bytes, words: str
+) -> None:
+    path = tmp_path / f"a{suffix}"
+    array = b"\x93NUMPY" + version + struct.pack("<I", 4_000_000_000) + b"{'descr': '<f4'"
+    if suffix == ".npz":
+        with zipfile.ZipFile(path, "w") as file:
+            file.writestr("x.npy", array)
+    else:
+        path.write_bytes(array)
+    tracemalloc.start()
+    try:
+        assert refusal(path) == f"cannot be read: {words}"
+        assert tracemalloc.get_traced_memory()[1] < 10_000_000
+    finally:
+        tracemalloc.stop()
 
 
 def test_a_matlab_file_of_version_7_3_says_how_to_save_it(tmp_path: Path) -> None:
