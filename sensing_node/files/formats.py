@@ -222,6 +222,9 @@ def _one_line(path: Path, chosen: FileFormat) -> Iterator[None]:
         named = Path(error.filename or path).name
         lacks = "no such recording" if named == path.name else f"its file {named} is missing"
         raise SourceError(f"{path}: {lacks}") from None
+    except (LookupError, TypeError, AttributeError, NameError):
+        # A library that meets what it does not expect: its words say nothing to a person.
+        raise SourceError(f"{path}: is damaged, or is no {chosen.name} file") from None
     except Exception as error:  # libraries raise many kinds for a damaged file
         lines = str(getattr(error, "strerror", None) or error).splitlines()
         reason = lines[0][:200] if lines else type(error).__name__
