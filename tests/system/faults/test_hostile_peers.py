@@ -64,7 +64,7 @@ def test_hostile_peers_on_every_port_cost_the_nodes_little_and_the_pulse_nothing
         assert sent.faults == summary.faults == []
         assert summary.rejected == {}
         # What arrived on the control port was distinguished from displays' messages, and counted.
-        assert sum(sent.rejected.values()) > MESSAGES / 2
+        assert sum(sent.rejected.values()) > MESSAGES / 4
     else:
         assert set(sent.rejected) == set(summary.rejected) == {SUBSCRIPTION}
     assert_limits_kept(felt)

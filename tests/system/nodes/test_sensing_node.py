@@ -215,11 +215,14 @@ def test_a_display_whose_connection_is_closed_is_waited_for_a_shorter_time(addre
 
 
 def test_a_display_that_was_ended_has_left_and_is_not_waited_for(address: str) -> None:
-    display = ("display_node.cli", str(RADIAL), "--connect", address, "--quiet")
+    display = ("display_node.cli", str(RADIAL), "--connect", address)
     with process(MODULE, str(RADIAL), "--bind", address, "--quiet", "--log-level", "info") as node:
         assert node.stderr is not None
         with process(*display) as left:
+            assert left.stdout is not None
             name = next(line for line in node.stderr if " joined" in line).split()[-2]
+            # A display that has no welcome yet has nothing to leave.
+            assert any(line.startswith("playing:") for line in left.stdout)
             left.send_signal(signal.SIGINT)
             left.wait(PATIENCE_MS / 1000)
         assert next(line for line in node.stderr if name in line).endswith(f"INFO {name} left\n")
