@@ -6,7 +6,6 @@ demos with a page runs an empty loop: what it misses, no display can avoid witho
 """
 
 import json
-import math
 import os
 import re
 import shutil
@@ -19,7 +18,7 @@ import urllib.request
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
@@ -40,6 +39,7 @@ QUIET = (
 BROWSER_STARTS_S = 3.0
 # What a screen says of the loop before the summary begins.
 ALERT = re.compile("deadline|missed")
+PAGE = "page in a browser"
 # Bars of the loop's alarm: share of the ticks of 5 s, and gap in ms.
 ALARM_SHARE, ALARM_GAP_MS = 0.01, 50.0
 # The empty loop has the tick of the default scene, and computes for about as long in each.
@@ -113,17 +113,14 @@ def empty_loop() -> float:
     return pacer.missed / ticks
 
 
-def run_beside_empty_loop() -> tuple[Outcome, Outcome]:
-    """Run this checkout's demo with a page; return its outcome and that of an empty loop beside."""
+def run_beside_empty_loop() -> tuple[Outcome, float]:
+    """Run this checkout's demo with a page; return its outcome, and what an empty loop misses."""
     with ProcessPoolExecutor(1, get_context("spawn")) as pool:
         # The process starts, and imports, before the demo does.
         pool.submit(request_short_slices).result()
         loops = []
         outcome = run(HERE, True, lambda: loops.append(pool.submit(empty_loop)))
-        nan = math.nan
-        return outcome, replace(
-            outcome, missed=loops[0].result(), worst_5s=nan, p50_us=nan, p99_us=nan, gap_ms=nan
-        )
+        return outcome, loops[0].result()
 
 
 def run(checkout: Path, with_page: bool, begun: Callable[[], Any] = lambda: None) -> Outcome:
@@ -192,15 +189,20 @@ def main() -> None:
         states = {"before": Path(before).resolve(), **states}
     kinds = (True, False) if os.environ.get("CALM_PAGE") != "no" else (False,)
     outcomes: dict[tuple[bool, str], list[Outcome]] = {}
+    empty: list[float] = []
     for _ in range(RUNS):
         for with_page in kinds:
             for state, checkout in states.items():
                 outcomes.setdefault((with_page, state), []).append(run(checkout, with_page))
         if True in kinds:
-            beside, empty = run_beside_empty_loop()
+            beside, missed = run_beside_empty_loop()
             outcomes.setdefault((True, "now, beside an empty loop"), []).append(beside)
-            outcomes.setdefault((True, "an empty loop"), []).append(empty)
+            empty.append(missed)
     rows = [_row(*key, found) for key, found in sorted(outcomes.items(), reverse=True)]
+    if empty:
+        # It has no tick of a display, and nobody is alerted.
+        shares = (f"{100 * share:.3f}" for share in (statistics.median(empty), max(empty)))
+        rows.append((PAGE, "an empty loop", str(len(empty)), "–", *shares, *5 * "–"))
     columns = (
         *("demo", "state", "runs", "with an alert", "missed, %", "at most", "worst 5 s"),
         *("tick p50, µs", "p99", "longest gap, ms", "load, %"),
@@ -213,20 +215,15 @@ def _row(with_page: bool, state: str, found: list[Outcome]) -> tuple[str, ...]:
         return float(statistics.median(getattr(each, key) for each in found))
 
     return (
-        "page in a browser" if with_page else "--no-ui",
+        PAGE if with_page else "--no-ui",
         state,
         str(len(found)),
         str(sum(each.alerts > 0 for each in found)),
         f"{100 * median('missed'):.3f}",
         f"{100 * max(each.missed for each in found):.3f}",
-        *(
-            "–" if math.isnan(value) else f"{value:.{digits}f}"
-            for value, digits in (
-                (100 * max(each.worst_5s for each in found), 2),
-                (median("p50_us"), 0),
-                (median("p99_us"), 0),
-                (max(each.gap_ms for each in found), 0),
-            )
-        ),
+        f"{100 * max(each.worst_5s for each in found):.2f}",
+        f"{median('p50_us'):.0f}",
+        f"{median('p99_us'):.0f}",
+        f"{max(each.gap_ms for each in found):.0f}",
         f"{100 * median('load'):.0f}",
     )
