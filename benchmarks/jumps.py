@@ -17,7 +17,7 @@ from display_node.plant.scene import StepperScene
 from display_node.plant.stepper import Rotor
 from display_node.scene import DisplayScene
 from protocol.config.scene_file import find_scene
-from telepulse.reports.paper.stepper import load_bench, run_scene
+from telepulse.paper.stepper import load_bench, run_scene
 from telepulse.scene import load_scene
 from tests.support.scene_loops import (
     REQUESTED_N,

@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from telepulse.document import Plot
 from telepulse.experiment.log import SessionResults, TrialOutcome, share_close, share_correct
 from telepulse.experiment.psychometrics import CHANCE, PAPER, Threshold, mean_of, proportion_correct
-from telepulse.reports.document import Plot
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

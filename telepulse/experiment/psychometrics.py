@@ -18,7 +18,7 @@ from scipy.optimize import brentq
 from scipy.special import ndtr
 from scipy.stats import binom, binomtest
 
-from telepulse.reports.document import Chapter, Report, Table
+from telepulse.document import Chapter, Report, Table
 
 CHANCE = 0.5
 LEVEL = 0.05

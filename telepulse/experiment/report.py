@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from protocol.config.quantities import count_text
+from telepulse.document import Chapter, Report, Table, provenance_table
 from telepulse.experiment import plots
 from telepulse.experiment.log import (
     SessionLog,
@@ -28,7 +29,6 @@ from telepulse.experiment.psychometrics import (
     percent,
     power,
 )
-from telepulse.reports.document import Chapter, Report, Table, provenance_table
 
 NONE = "–"
 DIRECT = "no link (catch)"

@@ -3,7 +3,7 @@
 `python -m tests.golden` writes them again. Do that only after a deliberate change, and name the
 change in the commit; `python -m tests.golden sensitivity` then measures the tolerances again.
 `test_golden.py` compares the summaries of runs, and the keys, metrics and schemas;
-`tests/system/reports/test_paper_command.py` compares the paper's tables.
+`tests/system/paper/test_paper_command.py` compares the paper's tables.
 """
 
 import json
@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from protocol.wire.telemetry import Status
-from telepulse.cli.study import build_paper
+from telepulse.cli.paper import build_paper
 from telepulse.metrics.server import NodeState, families
 from telepulse.telemetry.schema import SCHEMAS
 from tests.golden.comparison import measure

@@ -2,7 +2,7 @@ import sys
 
 import pytest
 
-from telepulse.reports.document import Report
+from telepulse.document import Report
 from telepulse.reports.studies.integrator_report import NOT_INSTALLED, report_integrators
 from telepulse.reports.studies.integrator_scores import (
     CONTROL,

@@ -12,8 +12,8 @@ from display_node.plant.scene import SecondOrderScene, StepperScene
 from display_node.scene import DisplayScene
 from protocol.config.scene import validate
 from protocol.errors import SceneError
-from telepulse.reports.paper import published
-from telepulse.reports.paper.hard_case import (
+from telepulse.paper import published
+from telepulse.paper.hard_case import (
     HELD_N,
     Array,
     CaseResult,

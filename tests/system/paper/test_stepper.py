@@ -1,8 +1,8 @@
 import pytest
 
 from display_node.plant.scene import FilmTable
-from telepulse.reports.paper import published, stepper
-from telepulse.reports.paper.stepper import BenchResult
+from telepulse.paper import published, stepper
+from telepulse.paper.stepper import BenchResult
 from tests.support.nodes import known
 
 CLEAN_BAR_N = 0.3e-3

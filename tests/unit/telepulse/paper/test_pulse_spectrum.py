@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
-from telepulse.reports.paper.published import ENERGY_BELOW_HZ
-from telepulse.reports.paper.pulse_spectrum import (
+from telepulse.paper.published import ENERGY_BELOW_HZ
+from telepulse.paper.pulse_spectrum import (
     RATE_HZ,
     SECONDS,
     Preset,

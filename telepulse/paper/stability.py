@@ -16,10 +16,10 @@ from display_node.control.linear_loop import linear_loop, margins
 from display_node.plant.second_order import SecondOrder
 from display_node.scene import DisplayScene
 from protocol.errors import SceneError
-from telepulse.reports.document import Chapter, Plot, Table
-from telepulse.reports.paper import input_cases, loop_cases, published
-from telepulse.reports.paper.explicit_loop import close_loop, spectral_radius
-from telepulse.reports.paper.hard_case import (
+from telepulse.document import Chapter, Plot, Table
+from telepulse.paper import input_cases, loop_cases, published
+from telepulse.paper.explicit_loop import close_loop, spectral_radius
+from telepulse.paper.hard_case import (
     BOUND_N,
     HELD_N,
     Array,
@@ -29,8 +29,8 @@ from telepulse.reports.paper.hard_case import (
     paper_setup,
     refusal_reason,
 )
-from telepulse.reports.paper.published import GAINS, Gains
-from telepulse.reports.paper.pulse_spectrum import beats, deviation_n
+from telepulse.paper.published import GAINS, Gains
+from telepulse.paper.pulse_spectrum import beats, deviation_n
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

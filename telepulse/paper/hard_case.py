@@ -19,8 +19,8 @@ from display_node.scene import DisplayScene
 from protocol.config.scene_file import find_scene
 from protocol.errors import SceneError
 from protocol.tactile import Adc
-from telepulse.reports.paper import published
-from telepulse.reports.paper.published import Gains
+from telepulse.paper import published
+from telepulse.paper.published import Gains
 from telepulse.scene import load_scene
 
 Array = NDArray[np.float64]

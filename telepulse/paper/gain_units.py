@@ -13,10 +13,10 @@ from scipy.linalg import expm
 from scipy.signal import lfilter, residue
 
 from protocol.config.scene_file import find_scene
-from telepulse.reports.document import Chapter, Plot, Table, text_colour
-from telepulse.reports.paper import published
-from telepulse.reports.paper.explicit_loop import least_rate_hz, spectral_radius
-from telepulse.reports.paper.published import (
+from telepulse.document import Chapter, Plot, Table, text_colour
+from telepulse.paper import published
+from telepulse.paper.explicit_loop import least_rate_hz, spectral_radius
+from telepulse.paper.published import (
     ERROR_UNITS,
     EXPERIMENT,
     FILM_MV,
@@ -32,7 +32,7 @@ from telepulse.reports.paper.published import (
     PrintedRmse,
     scientific,
 )
-from telepulse.reports.paper.pulse_spectrum import beats, deviation_n
+from telepulse.paper.pulse_spectrum import beats, deviation_n
 from telepulse.scene import load_scene
 
 if TYPE_CHECKING:

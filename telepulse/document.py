@@ -255,7 +255,7 @@ def write_report(report: Report, folder: Path) -> Path:
                 path = folder / f"{plot.name}{size.suffix}-{theme.name}.png"
                 draw_picture(plot.draw, theme, size, path)
     environment = Environment(
-        loader=PackageLoader("telepulse.reports", "."),
+        loader=PackageLoader("telepulse", "."),
         autoescape=True,
         undefined=StrictUndefined,
         trim_blocks=True,
@@ -263,7 +263,7 @@ def write_report(report: Report, folder: Path) -> Path:
     )
     environment.filters["code"] = _code
     page = folder / PAGE
-    write_whole(page, environment.get_template("report.html").render(report=report, sizes=SIZES))
+    write_whole(page, environment.get_template("document.html").render(report=report, sizes=SIZES))
     return page
 
 

@@ -9,9 +9,9 @@ import numpy as np
 from protocol.config.scene_file import find_scene
 from protocol.tactile import half_space_stress
 from sensing_node.sources.synthetic import SyntheticScene
-from telepulse.reports.document import Chapter, Plot, Table
-from telepulse.reports.paper import gain_units, published
-from telepulse.reports.paper.published import (
+from telepulse.document import Chapter, Plot, Table
+from telepulse.paper import gain_units, published
+from telepulse.paper.published import (
     ACTUATOR,
     CALIBRATION_FORCE_N,
     CALIBRATION_MV,
@@ -29,8 +29,8 @@ from telepulse.reports.paper.published import (
     WRIST_FILM,
     scientific,
 )
-from telepulse.reports.paper.pulse_spectrum import SLOW_RESPIRATION_HZ, beats, deviation_n, spectra
-from telepulse.reports.paper.stepper import Floats, run_scene
+from telepulse.paper.pulse_spectrum import SLOW_RESPIRATION_HZ, beats, deviation_n, spectra
+from telepulse.paper.stepper import Floats, run_scene
 from telepulse.scene import load_scene
 
 if TYPE_CHECKING:

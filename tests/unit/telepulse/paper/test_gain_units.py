@@ -2,9 +2,9 @@ import numpy as np
 import pytest
 from scipy.signal import lsim
 
-from telepulse.reports.paper import gain_units
-from telepulse.reports.paper.gain_units import height_n, relative_rmse
-from telepulse.reports.paper.published import (
+from telepulse.paper import gain_units
+from telepulse.paper.gain_units import height_n, relative_rmse
+from telepulse.paper.published import (
     ERROR_UNITS,
     EXPERIMENT,
     FILM_MV,
@@ -18,7 +18,7 @@ from telepulse.reports.paper.published import (
     ErrorUnit,
     Gains,
 )
-from telepulse.reports.paper.pulse_spectrum import beats, deviation_n
+from telepulse.paper.pulse_spectrum import beats, deviation_n
 
 
 def test_each_unit_has_its_error() -> None:

@@ -14,8 +14,8 @@ from scipy import signal
 
 from sensing_node.sources.heart import NOMINAL_BEAT_S
 from sensing_node.sources.synthetic import PRESETS, SyntheticScene, SyntheticSource
-from telepulse.reports.document import Chapter, Plot, Table, text_colour
-from telepulse.reports.paper.published import (
+from telepulse.document import Chapter, Plot, Table, text_colour
+from telepulse.paper.published import (
     ENERGY_BELOW_HZ,
     FIRST_S,
     PULSE_PER_MIN,

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from protocol.provenance import Provenance
-from telepulse.reports.document import Chapter, Plot, Report, Table, check_can_report, write_report
+from telepulse.document import Chapter, Plot, Report, Table, check_can_report, write_report
 from tests.support.browser import Page, Visit
 
 if TYPE_CHECKING:

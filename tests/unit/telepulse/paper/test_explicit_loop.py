@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from display_node.plant.second_order import SecondOrder
-from telepulse.reports.paper.explicit_loop import close_loop, least_rate_hz, spectral_radius
-from telepulse.reports.paper.published import ACTUATOR, EXPERIMENT, FILM_MV, SIMULATION, Gains
+from telepulse.paper.explicit_loop import close_loop, least_rate_hz, spectral_radius
+from telepulse.paper.published import ACTUATOR, EXPERIMENT, FILM_MV, SIMULATION, Gains
 
 CASES: list[tuple[Gains, float | None, int, float]] = [
     (SIMULATION, None, 0, 2066),

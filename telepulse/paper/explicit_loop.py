@@ -12,8 +12,8 @@ from typing import TypeVar
 import numpy as np
 from scipy import signal
 
-from telepulse.reports.paper import published
-from telepulse.reports.paper.published import FILM_MV, Gains
+from telepulse.paper import published
+from telepulse.paper.published import FILM_MV, Gains
 
 # Between these, every loop here changes from unstable to stable once, as the rate grows.
 SLOWEST_HZ, FASTEST_HZ = 100.0, 20_000.0

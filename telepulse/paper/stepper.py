@@ -17,9 +17,9 @@ from protocol.config.scene_file import find_scene
 from protocol.errors import SceneError
 from sensing_node.scene import build_source
 from telepulse.commissioning.tuning import judge
-from telepulse.reports.document import Chapter, Plot, Table
-from telepulse.reports.paper import published
-from telepulse.reports.paper.hard_case import refusal_reason
+from telepulse.document import Chapter, Plot, Table
+from telepulse.paper import published
+from telepulse.paper.hard_case import refusal_reason
 from telepulse.scene import Scene, load_scene
 
 if TYPE_CHECKING:

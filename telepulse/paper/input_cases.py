@@ -24,8 +24,8 @@ from protocol.wire.messages import (
     encode_frame,
 )
 from protocol.wire.stream import Channel, StreamDescription
-from telepulse.reports.paper import published
-from telepulse.reports.paper.hard_case import (
+from telepulse.paper import published
+from telepulse.paper.hard_case import (
     HELD_N,
     SAFETY,
     Array,

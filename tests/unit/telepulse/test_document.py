@@ -8,7 +8,7 @@ import pytest
 from rich.console import Console
 
 from protocol.provenance import Provenance
-from telepulse.reports.document import (
+from telepulse.document import (
     Chapter,
     Report,
     Table,

@@ -8,9 +8,9 @@ import pytest
 
 from display_node.control.pid import Pid
 from display_node.scene import DisplayScene
-from telepulse.reports.document import Report, write_report
-from telepulse.reports.paper import published, stability
-from telepulse.reports.paper.hard_case import (
+from telepulse.document import Report, write_report
+from telepulse.paper import published, stability
+from telepulse.paper.hard_case import (
     BOUND_N,
     HELD_N,
     CaseResult,
@@ -22,9 +22,9 @@ from telepulse.reports.paper.hard_case import (
     make_setup,
     paper_setup,
 )
-from telepulse.reports.paper.loop_cases import BETWEEN_N, STEPPER, chatter, saturated_steps
-from telepulse.reports.paper.pulse_spectrum import deviation_n
-from telepulse.reports.paper.stability import PEAK_TO_PEAK_N, RATES_HZ, RateResult, measure
+from telepulse.paper.loop_cases import BETWEEN_N, STEPPER, chatter, saturated_steps
+from telepulse.paper.pulse_spectrum import deviation_n
+from telepulse.paper.stability import PEAK_TO_PEAK_N, RATES_HZ, RateResult, measure
 
 STABLE, REFUSED, CYCLES, FAILS, WRONG = CaseVerdict
 STEP_M = 0.625e-6
