@@ -1,15 +1,15 @@
 """Reports: chapters of text, tables and plots, as a folder with a web page, as JSON, as text.
 
-The page needs the extra `report` (matplotlib and Jinja). Every plot is drawn light and dark,
-wide and narrow, and the browser shows the one of its theme and width.
+The page needs the extra `report` (matplotlib and Jinja). A plot is one SVG, legible at the width of
+a phone; its text and axes take the colour of the reader's theme.
 """
 
+import io
 import json
 import re
 import shlex
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,24 +19,29 @@ from rich.table import Table as RichTable
 from protocol.errors import OutputError
 from protocol.host.output import write_whole
 from protocol.provenance import Provenance
-from telepulse.reports.notation import typeset
-from telepulse.reports.pictures import SIZES, THEMES, draw_picture
 
 if TYPE_CHECKING:
-    from markupsafe import Markup
     from matplotlib.figure import Figure
 
 PAGE = "index.html"
 # Cells longer than this are taken for words and aligned left in the terminal.
 LONGEST_NUMBER = 16
+# A plot is 358 px wide on a phone of 390 px; its letters of 11 pt then have 10 px.
+PLOT_INCHES = (5.2, 4.0)
+# Colours of text and axes on a light and a dark page. Lines have one colour for both.
+INK, DARK_INK = "#1d2329", "#e4e8ec"
+LINES = ("#2f7fd8", "#d9621c", "#1f9566", "#a35cd0", "#97770f")
+THEME = (
+    f"<style>:root {{ color: {INK} }}"
+    f" @media (prefers-color-scheme: dark) {{ :root {{ color: {DARK_INK} }} }}</style>"
+)
 
 
 @dataclass(frozen=True, slots=True)
 class Table:
     """A table of text; the first column names the row.
 
-    Numbers are plain (1e-9); `telepulse.reports.notation` sets them for the page. If `summary` is
-    given, a terminal shows it in place of the table, which is too long for it.
+    If `summary` is given, a terminal shows it in place of the table, which is too long for it.
     """
 
     title: str
@@ -55,7 +60,7 @@ class Table:
 
 @dataclass(frozen=True, slots=True)
 class Plot:
-    """A plot: `name` is its file's stem, `draw` fills an empty figure."""
+    """A plot: `name` is its file's stem, `draw` fills an empty figure of `PLOT_INCHES`."""
 
     name: str
     caption: str
@@ -64,18 +69,24 @@ class Plot:
 
 @dataclass(frozen=True, slots=True)
 class Chapter:
-    """A chapter: paragraphs, then tables, then plots.
+    """A chapter: paragraphs, among which tables and plots may stand, then tables, then plots.
 
-    findings: its results in a sentence each; the report begins with those of all chapters. folded:
-    on the page it is closed until it is opened. Words between grave accents are shown as code.
+    A chapter without a title opens the page. findings: its results in a sentence each; the page
+    lists those of all chapters before the first title. folded: on the page it is closed until it is
+    opened. Words between grave accents are shown as code.
     """
 
     title: str
-    paragraphs: Sequence[str] = ()
+    paragraphs: "Sequence[str | Table | Plot]" = ()
     tables: Sequence[Table] = ()
     plots: Sequence[Plot] = ()
     findings: Sequence[str] = ()
     folded: bool = False
+
+    @property
+    def blocks(self) -> "list[str | Table | Plot]":
+        """Paragraphs, tables and plots in their order."""
+        return [*self.paragraphs, *self.tables, *self.plots]
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,7 +119,7 @@ class Report:
             "chapters": [
                 {
                     "title": chapter.title,
-                    "paragraphs": list(chapter.paragraphs),
+                    "paragraphs": [each for each in chapter.blocks if isinstance(each, str)],
                     "tables": [
                         {
                             "title": table.title,
@@ -117,12 +128,50 @@ class Report:
                             ],
                             "note": table.note,
                         }
-                        for table in chapter.tables
+                        for table in chapter.blocks
+                        if isinstance(table, Table)
                     ],
                 }
                 for chapter in self.chapters
             ],
         }
+
+
+_NAMED = re.compile(r"!\[(.+)\]\((\S+)\)", re.DOTALL)
+
+
+def read_chapters(text: str, named: "Mapping[str, Table | Plot]") -> list[Chapter]:
+    """Return the chapters of a Markdown text, in which `##` begins one.
+
+    A quotation is a finding. A paragraph `![words](name)` is the table or plot of that name, with
+    the words as its title or caption.
+    """
+    from markdown_it import MarkdownIt
+    from markdown_it.tree import SyntaxTreeNode
+
+    def words(node: SyntaxTreeNode) -> str:
+        return " ".join(node.children[0].content.split())
+
+    reader = MarkdownIt("zero").enable(["heading", "blockquote", "table"])
+    chapters = [Chapter("")]
+    for node in SyntaxTreeNode(reader.parse(text)).children:
+        if node.type == "heading":
+            chapters.append(Chapter(words(node)))
+            continue
+        last = chapters[-1]
+        if node.type == "blockquote":
+            chapters[-1] = replace(last, findings=(*last.findings, words(node.children[0])))
+            continue
+        block: str | Table | Plot
+        if node.type == "table":
+            head, *rows = [list(map(words, row)) for part in node.children for row in part.children]
+            block = Table("", head, rows)
+        elif found := _NAMED.fullmatch(block := words(node)):
+            block = named[found[2]]
+            key = "title" if isinstance(block, Table) else "caption"
+            block = replace(block, **{key: found[1]})
+        chapters[-1] = replace(last, paragraphs=(*last.paragraphs, block))
+    return chapters
 
 
 # Names of a provenance's entries for people. The actuator and the controller in effect repeat a
@@ -243,6 +292,8 @@ def write_report(report: Report, folder: Path) -> Path:
     The folder has passed `check_can_report`. Raises OutputError.
     """
     from jinja2 import Environment, PackageLoader, StrictUndefined
+    from markdown_it import MarkdownIt
+    from markupsafe import Markup
 
     write_json(report, folder / "report.json")
     if report.provenance is not None:
@@ -250,10 +301,9 @@ def write_report(report: Report, folder: Path) -> Path:
         last = Chapter("Provenance of this report", tables=(made,), folded=True)
         report = replace(report, chapters=(*report.chapters, last))
     for chapter in report.chapters:
-        for plot in chapter.plots:
-            for theme, size in product(THEMES, SIZES):
-                path = folder / f"{plot.name}{size.suffix}-{theme.name}.png"
-                draw_picture(plot.draw, theme, size, path)
+        for block in chapter.blocks:
+            if isinstance(block, Plot):
+                write_whole(folder / f"{block.name}.svg", draw_svg(block))
     environment = Environment(
         loader=PackageLoader("telepulse", "."),
         autoescape=True,
@@ -261,9 +311,11 @@ def write_report(report: Report, folder: Path) -> Path:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters["code"] = _code
+    # Nothing else is markup, since texts hold names and messages from recordings.
+    inline = MarkdownIt("zero").enable("backticks").renderInline
+    environment.filters["inline"] = lambda text: Markup(inline(text))
     page = folder / PAGE
-    write_whole(page, environment.get_template("document.html").render(report=report, sizes=SIZES))
+    write_whole(page, environment.get_template("document.html").render(report=report))
     return page
 
 
@@ -272,21 +324,43 @@ def write_json(report: Report, path: Path) -> None:
     write_whole(path, json.dumps(report.to_dict(), indent=2, ensure_ascii=False) + "\n")
 
 
-def _code(text: str) -> "Markup":
-    """Return a text as HTML, typeset, with the words between grave accents as code."""
-    from markupsafe import Markup, escape
+def draw_svg(plot: Plot) -> str:
+    """Return a plot as SVG, whose text and axes are dark on a light page, and the reverse."""
+    import matplotlib
+    from cycler import cycler
+    from matplotlib.figure import Figure
 
-    # Every second part was between grave accents.
-    parts = re.split(r"`([^`]+)`", text)
-    parts[::2] = [str(escape(typeset(part))) for part in parts[::2]]
-    parts[1::2] = [f"<code>{escape(part)}</code>" for part in parts[1::2]]
-    return Markup("".join(parts))
+    inked = ("axes.edgecolor", "axes.labelcolor", "text.color", "xtick.color", "ytick.color")
+    style: Any = dict.fromkeys(inked, INK) | {
+        "axes.facecolor": "none",
+        "axes.grid": True,
+        "axes.prop_cycle": cycler(color=LINES),
+        "axes.spines.right": False,
+        "axes.spines.top": False,
+        "font.size": 11,
+        "grid.alpha": 0.2,
+        "grid.color": INK,
+        "legend.frameon": False,
+        "lines.linewidth": 1.8,
+        # Text remains text: it can be searched, and the file is small.
+        "svg.fonttype": "none",
+        "svg.hashsalt": plot.name,
+    }
+    with matplotlib.rc_context(style):
+        figure = Figure(figsize=PLOT_INCHES, layout="constrained")
+        plot.draw(figure)
+        written = io.StringIO()
+        figure.savefig(written, format="svg", transparent=True, metadata={"Date": None})
+    drawn = written.getvalue().replace(INK, "currentColor")
+    return drawn.replace("<defs>", f"{THEME}<defs>", 1)
 
 
 def print_tables(report: Report, console: Console) -> None:
     """Print the report's tables and findings; numbers are never cut, however narrow it is."""
     for chapter in report.chapters:
-        for table in chapter.tables:
+        for table in chapter.blocks:
+            if not isinstance(table, Table):
+                continue
             if table.summary:
                 console.print(f"{table.title}: {table.summary}", markup=False)
                 continue
@@ -306,3 +380,8 @@ def print_tables(report: Report, console: Console) -> None:
             console.print(shown, width=max(console.width, least), crop=False)
     for finding in report.findings:
         console.print(finding, markup=False, highlight=False)
+
+
+def percent(share: float, form: str = ".1f") -> str:
+    """Return a share in per cent, with a space before the sign as in SI."""
+    return f"{100 * share:{form}} %"

@@ -39,7 +39,7 @@ def shares(results: SessionResults) -> Plot:
             axes.errorbar(100 * found.share, row, xerr=off, fmt=mark, color=colour, capsize=4)
         _name_rows(axes, [name for name, _ in groups])
         axes.axvline(100 * CHANCE, **GUESSING)
-        axes.set(xlabel="% right, with the exact 95 % interval; dashed: guessing", xlim=(0, 102))
+        axes.set(xlabel="% right, with the exact 95 % interval;\ndashed: guessing", xlim=(0, 102))
 
     return Plot(
         "experiment-shares",
@@ -69,8 +69,8 @@ def psychometric(results: SessionResults, threshold: Threshold | None) -> Plot:
         axes.axhline(100 * CHANCE, **GUESSING)
         axes.set(ylim=(0, 104), ylabel="% right")
         axes.set_xlim(left=-2 * largest)
-        axes.set_xlabel("difference of the aligned force error, % of the pulse from peak to peak")
-        figure.legend(loc="outside lower center", ncols=3, fontsize="small")
+        axes.set_xlabel("difference of the aligned force error,\n% of the pulse from peak to peak")
+        figure.legend(loc="outside lower center", ncols=2, fontsize="small")
 
     return Plot(
         "experiment-psychometric",
@@ -137,7 +137,7 @@ def course(results: SessionResults) -> Plot:
         panels[-1].set_xlabel("trial")
         panels[-1].xaxis.get_major_locator().set_params(integer=True)
         if len(results.subjects) > 1:
-            figure.legend(loc="outside lower center", ncols=4, fontsize="small")
+            figure.legend(loc="outside lower center", ncols=3, fontsize="small")
 
     return Plot(
         "experiment-course",

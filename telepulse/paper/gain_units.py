@@ -5,7 +5,7 @@ The loops are in continuous time with a pure derivative, so that only the unit m
 
 import math
 from functools import cache
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,19 +13,16 @@ from scipy.linalg import expm
 from scipy.signal import lfilter, residue
 
 from protocol.config.scene_file import find_scene
-from telepulse.document import Chapter, Plot, Table, text_colour
+from telepulse.document import Table
 from telepulse.paper import published
-from telepulse.paper.explicit_loop import least_rate_hz, spectral_radius
+from telepulse.paper.explicit_loop import least_rate_hz
 from telepulse.paper.published import (
     ERROR_UNITS,
     EXPERIMENT,
     FILM_MV,
     FIRST_S,
     GAINS,
-    MEASURED_FORCE,
-    MEASURED_STRAIN,
     PRINTED,
-    SIMULATED_STRAIN,
     SIMULATION,
     ErrorUnit,
     Gains,
@@ -34,9 +31,6 @@ from telepulse.paper.published import (
 )
 from telepulse.paper.pulse_spectrum import beats, deviation_n
 from telepulse.scene import load_scene
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 # Sampling rate in Hz, high enough for the fastest pole, at −4056 /s.
 RATE_HZ = 50_000.0
@@ -100,71 +94,25 @@ def height_n(unit: ErrorUnit, printed: PrintedRmse) -> float:
     return printed.force_n / relative_rmse(unit, printed.gains)
 
 
-def chapter() -> Chapter:
-    """Compare the errors of each unit with the printed ones; give the least sampling rate."""
-    shares = [
-        relative_rmse(unit, SIMULATION) / relative_rmse(unit, EXPERIMENT) for unit in ERROR_UNITS
-    ]
-    simulated_n = height_n(FILM_MV, SIMULATED_STRAIN)
-    left_mn = 1e3 * simulated_n * relative_rmse(FILM_MV, EXPERIMENT)
-    paragraphs = (
-        "Table 5 gives gains without units. The controller's error may have been a strain, or in"
-        " newtons, in volts of the film by eq 21, in millivolts by Fig. 4 or in millivolts by eq"
-        f" 21: an error of 1 N has a size from {scientific(published.STRAIN.per_newton, 1)} to"
-        f" {FILM_MV.per_newton:.0f}. Here each loop is closed over eq 22 in continuous time with a"
-        " pure derivative. The reference is the paper's pulse without its mean, straight between"
-        f" samples at {RATE_HZ / 1000:g} kHz, for the first {FIRST_S:g} s from rest; the error is a"
-        " mean over time by trapezoids.",
-        "The paper prints an error of the simulation, a strain, and two of the experiment, a force"
-        " and a strain. No unit gives all three. Every error is proportional to the pulse's height,"
-        " which is not printed, so every unit gives any one of them at some height. But the"
-        " experiment's force and strain are two views of one error, in a fixed ratio by Table 3,"
-        " and the printed pair is off that ratio by a factor of"
-        f" {MEASURED_FORCE.force_n / MEASURED_STRAIN.force_n:.2f}: with any unit, the heights that"
-        " give the one and the other differ by that factor. Leaving one of the pair out does not"
-        " help. The simulation's printed error is"
-        f" {SIMULATED_STRAIN.force_n / MEASURED_STRAIN.force_n:.3f} times the experiment's strain"
-        f" and {SIMULATED_STRAIN.force_n / MEASURED_FORCE.force_n:.3f} times its force; the five"
-        f" units give ratios from {min(shares):.2f} to {max(shares):.2f}.",
-        "Taken one at a time: a printed error is possible if the loop follows the pulse, as Figs"
-        " 13–14 and 17–20 show, at a height inside the film's calibration. Only with millivolts by"
-        " eq 21 does it follow; with the other four, more than half the error of doing nothing is"
-        f" left. {SIMULATED_STRAIN.text} is such an error, of a pulse of {simulated_n:.3f} N; the"
-        f" experiment's gains would then leave {left_mn:.1f} mN, not"
-        f" {1e3 * MEASURED_FORCE.force_n:.1f}. {MEASURED_STRAIN.text} is possible for a pulse of"
-        f" {height_n(FILM_MV, MEASURED_STRAIN):.2f} N. {MEASURED_FORCE.text} would need"
-        f" {height_n(FILM_MV, MEASURED_FORCE):.2f} N, more than the film was calibrated to: no unit"
-        " explains it. An experiment's error also contains what eq 22 leaves out: steps, noise,"
-        " friction and the delay of the computer.",
-        "Where the loop follows, the start matters: the pulse does not begin at zero, and catching"
-        f" up is part of the first {FIRST_S:g} s. Begun on the pulse, the simulation's error is"
-        f" {relative_rmse(FILM_MV, SIMULATION, from_rest=False):.5f} of the height instead of"
-        f" {relative_rmse(FILM_MV, SIMULATION):.5f}.",
-    )
-    caption = (
-        "Each unit's error (level lines) and each printed figure (falling lines). Where they"
-        " cross, that unit gives that figure; the right panel's two figures are of one run,"
-        " yet no unit meets both at one height."
-    )
-    tables, plot = (
-        (_errors_table(), _heights_table(), _rates_table()),
-        Plot("readings", caption, _draw),
-    )
-    follow_it = [unit.name for unit in ERROR_UNITS if follows(unit)]
-    finding = (
-        f"Of {len(ERROR_UNITS)} possible units of the controller's error, the printed gains follow"
-        f" the pulse only with {' and '.join(follow_it) or 'none'}."
-    )
-    return Chapter("Five units for the gains", paragraphs, tables, (plot,), (finding,))
-
-
 def follows(unit: ErrorUnit) -> bool:
     """Return whether both gain sets leave less than half of the error of doing nothing."""
     worst = max(relative_rmse(unit, gains) for gains in GAINS.values())
     return worst < FOLLOWING * deviation_n("paper")
 
 
-def _errors_table() -> Table:
+def ratios() -> list[float]:
+    """Return the simulation's error over the experiment's, for each unit."""
+    return [
+        relative_rmse(unit, SIMULATION) / relative_rmse(unit, EXPERIMENT) for unit in ERROR_UNITS
+    ]
+
+
+def tables() -> dict[str, Table]:
+    """Return the error of each unit, the heights that explain it, and the least rates."""
+    return {"errors": _errors(), "heights": _heights(), "least-rates": _least_rates()}
+
+
+def _errors() -> Table:
     doing_nothing = deviation_n("paper")
     first_s = rmse(beats("paper", RATE_HZ, FIRST_S))
     columns = ("error as", "value for 1 N", "simulation's gains", "experiment's gains")
@@ -180,15 +128,10 @@ def _errors_table() -> Table:
         rows.append((unit.name, seen, f"{simulation:.3g}", f"{experiment:.3g}", followed))
     whole = f"over whole beats; {first_s:.3f} over the first {FIRST_S:g} s, which end within a beat"
     rows.append(("doing nothing", "–", f"{doing_nothing:.3f}", f"{doing_nothing:.3f}", whole))
-    note = (
-        "Following means less than half the error of doing nothing. Strain is too small a signal"
-        " to move the actuator; newtons, volts and the millivolts of Fig. 4 move it, but with a"
-        " resonance among the pulse's own frequencies."
-    )
-    return Table("RMSE over peak to peak", (*columns, "does it follow?"), rows, note)
+    return Table("", (*columns, "does it follow?"), rows)
 
 
-def _heights_table() -> Table:
+def _heights() -> Table:
     def cell(unit: ErrorUnit, printed: PrintedRmse) -> str:
         needed_n = height_n(unit, printed)
         if relative_rmse(unit, printed.gains) >= FOLLOWING * deviation_n("paper"):
@@ -197,23 +140,19 @@ def _heights_table() -> Table:
             return f"{needed_n:.3g} N; no, beyond Fig. 4's {published.CALIBRATION_FORCE_N} N"
         return f"{needed_n:.3g} N; possible"
 
+    simulated, force, strain = PRINTED
     columns = (
         "error as",
-        f"{SIMULATED_STRAIN.text} ({1e3 * SIMULATED_STRAIN.force_n:.3f} mN, simulation)",
-        f"{MEASURED_FORCE.text} (experiment)",
-        f"{MEASURED_STRAIN.text} ({1e3 * MEASURED_STRAIN.force_n:.3f} mN, experiment)",
+        f"{simulated.text} ({1e3 * simulated.force_n:.3f} mN, simulation)",
+        f"{force.text} (experiment)",
+        f"{strain.text} ({1e3 * strain.force_n:.3f} mN, experiment)",
     )
-    return Table(
-        "The pulse's height at which a unit gives a printed figure, and whether that is possible",
-        columns,
-        [(unit.name, *(cell(unit, printed) for printed in PRINTED)) for unit in ERROR_UNITS],
-        "A unit explains all three where its row has the same height in all columns.",
-    )
+    rows = [(unit.name, *(cell(unit, printed) for printed in PRINTED)) for unit in ERROR_UNITS]
+    return Table("", columns, rows)
 
 
-def _rates_table() -> Table:
-    display = load_scene(find_scene("paper")).display
-    filter_hz, rate_hz = display.controller.derivative_filter_hz, 1e9 / display.tick_ns
+def _least_rates() -> Table:
+    filter_hz = load_scene(find_scene("paper")).display.controller.derivative_filter_hz
     loops: dict[str, dict[str, Any]] = {
         "backward difference": {},
         f"filter N = {MATLAB_FILTER_RAD_PER_S:g} /s": {"filter_rad_per_s": MATLAB_FILTER_RAD_PER_S},
@@ -231,43 +170,4 @@ def _rates_table() -> Table:
         for column, loop in loops.items():
             row[column] = f"{least_rate_hz(gains, **loop):.0f} Hz"
         rows.append(row)
-    return Table.of(
-        "Least sampling rate of the loop, error in mV by eq 21",
-        rows,
-        "The lowest rate at which the sampled loop's largest pole is inside the unit circle: eq 22"
-        " by the exact zero-order hold, integral and derivative (and its filter) by backward"
-        f" Euler. At {rate_hz / 1000:g} kHz the simulation's gains are unstable (largest pole"
-        f" {spectral_radius(rate_hz, SIMULATION):.2f}), so Figs 13–14 cannot be run on"
-        " a loop of that rate. The experiment's are stable with a pure difference, but not with"
-        " one more sample of delay (largest pole"
-        f" {spectral_radius(rate_hz, EXPERIMENT, delay_ticks=1):.4f}).",
-    )
-
-
-def _draw(figure: "Figure") -> None:
-    """Draw RMSE over peak to peak against the pulse's height, with the printed figures' lines."""
-    heights_n, level = np.array([2e-3, 10.0]), 0.03
-    panels = figure.subplots(1, 2, sharey=True)
-    for axes, (name, gains) in zip(panels, GAINS.items(), strict=True):
-        nothing = deviation_n("paper")
-        axes.axhline(nothing, ls=":", color=text_colour(), zorder=3, label="doing nothing")
-        for unit in ERROR_UNITS:
-            axes.plot(heights_n, 2 * [relative_rmse(unit, gains)], label=unit.name)
-        for printed in (each for each in PRINTED if each.gains == gains):
-            share = printed.force_n / heights_n
-            axes.plot(heights_n, share, "--", color=text_colour(), linewidth=1.2)
-            right = printed == MEASURED_FORCE
-            axes.annotate(
-                printed.text,
-                (printed.force_n / level, level),
-                xytext=(6 if right else -6, 0),
-                textcoords="offset points",
-                ha="left" if right else "right",
-                va="bottom" if right else "top",
-                fontsize="small",
-            )
-        axes.set(xscale="log", yscale="log", xlim=heights_n, ylim=(1e-3, 1))
-        axes.set(xlabel="pulse, N peak to peak", title=f"gains of the {name}")
-    panels[0].set_ylabel("RMSE over peak to peak")
-    handles, labels = panels[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=3)
+    return Table.of("", rows)

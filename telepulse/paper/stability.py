@@ -1,40 +1,28 @@
-"""The chapter on numerical stability: the paper's gains over tick rates, and the hard cases.
+"""The paper's gains over tick rates: a textbook's explicit PID beside the shipped one.
 
-With the paper's gains, a textbook's explicit PID runs beside the shipped one, whose poles and
-margins `control/linear_loop.py` computes. Each hard case is stable, or refused with a reason.
+`control/linear_loop.py` computes the shipped loop's poles and margins.
 """
 
 import math
-from collections import Counter
-from collections.abc import Iterator, Sequence
 from itertools import product
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from display_node.control.linear_loop import linear_loop, margins
+from display_node.control.scene import SafetyScene
 from display_node.plant.second_order import SecondOrder
 from display_node.scene import DisplayScene
 from protocol.errors import SceneError
-from telepulse.document import Chapter, Plot, Table
-from telepulse.paper import input_cases, loop_cases, published
+from telepulse.document import Table
+from telepulse.paper import published
 from telepulse.paper.explicit_loop import close_loop, spectral_radius
-from telepulse.paper.hard_case import (
-    BOUND_N,
-    HELD_N,
-    Array,
-    CaseResult,
-    CaseVerdict,
-    force_text,
-    paper_setup,
-    refusal_reason,
-)
 from telepulse.paper.published import GAINS, Gains
 from telepulse.paper.pulse_spectrum import beats, deviation_n
+from telepulse.paper.stepper import refusal_reason
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
+Array = NDArray[np.float64]
 RATES_HZ = (100.0, 200.0, 500.0, 1_000.0, 2_000.0, 5_000.0, 10_000.0)
 # The filter of the display's scene, and one so far above every tick rate that it has no effect.
 FILTERS_HZ = (200.0, 100_000.0)
@@ -42,15 +30,24 @@ NO_FILTER_HZ = max(FILTERS_HZ)
 SECONDS = 2.0
 SETTLING_S = 1.0
 PEAK_TO_PEAK_N = 0.3
+# Force at which the shipped loop is linearised: a typical mean of a pulse.
+HELD_N = 0.3
 FREQUENCIES = 400
-# Verdicts after a number of cases.
-IN_WORDS = {
-    CaseVerdict.STABLE: "are stable",
-    CaseVerdict.REFUSED: "are refused",
-    CaseVerdict.CYCLES: "end in a limit cycle",
-    CaseVerdict.FAILS: "fail with a named reason",
-    CaseVerdict.WRONG: "are silently wrong",
-}
+# The shortest ramp, so that it does not hide what the loop itself does.
+SAFETY = SafetyScene.model_validate({"ramp": "1 ms"})
+# Felt force beyond this, pressing or pulling, is out of bounds: the fault level of Safety.
+BOUND_N = SAFETY.force_limit_n * SAFETY.overforce
+
+
+def paper_setup(gains: Gains, filter_hz: float = 200.0, tick_s: float = 1e-3) -> DisplayScene:
+    """Return the paper's loop as the display runs it: error in mV (eq 21), actuator eq 22.
+
+    tick_s: need not be one that a scene may have.
+    """
+    controller = {"error": "millivolts", "derivative_filter": f"{filter_hz} Hz", **gains._asdict()}
+    tables = {"controller": controller, "actuator": dict(published.ACTUATOR), "safety": SAFETY}
+    setup = DisplayScene.model_validate(tables)
+    return setup.model_copy(update={"tick_ns": round(1e9 * tick_s)})
 
 
 class RateResult(NamedTuple):
@@ -72,6 +69,11 @@ class RateResult(NamedTuple):
     late_n: float
     margin_ticks: float
     refused: str | None
+
+    @property
+    def is_worse_late(self) -> bool:
+        """Whether the loop with its film read a tick late is worse than doing nothing."""
+        return self.late_n > PEAK_TO_PEAK_N * deviation_n("paper")
 
 
 def measure() -> list[RateResult]:
@@ -131,39 +133,14 @@ def _rmse_n(felt_n: list[float], wanted_n: Array, tick_s: float) -> float:
     return float(np.sqrt(np.mean(error_n**2)))
 
 
-def _rates_summary(rates: Sequence[RateResult]) -> str:
-    """Return a paragraph on which loops diverged, with and without a tick of delay."""
-    diverged = [each for each in rates if math.isinf(each.explicit_n)]
-    broken = [each for each in rates if math.isinf(each.shipped_n)]
-    nothing_n = PEAK_TO_PEAK_N * deviation_n("paper")
-    worse = [each for each in rates if each.late_n > nothing_n]
-    most = max((each.margin_ticks for each in worse), default=0.0)
-    least = min((each.margin_ticks for each in rates if each not in worse), default=math.inf)
-    fastest_hz = {
-        name: max((each.rate_hz for each in diverged if each.gains == name), default=0.0)
-        for name in GAINS
-    }
-    up_to = ", ".join(f"{hz:g} Hz with the gains of the {name}" for name, hz in fastest_hz.items())
-    return (
-        "The paper's gains act on the error in mV by eq 21. They drive the paper's actuator, eq 22,"
-        " on the paper's pulse. The explicit PID uses the error at the tick's beginning and a"
-        f" backward difference. It diverges up to {up_to} ({len(diverged)} of {len(rates)} loops)."
-        " The shipped PID uses the error at the tick's end, which the actuator's model predicts:"
-        f" {len(broken)} of {len(rates)} loops diverge or are refused, and the RMSE is at most"
-        f" {force_text(max(each.shipped_n for each in rates))}. This PID depends on the"
-        f" timing of that model: with the film read a tick late, {len(worse)} of these loops are"
-        " worse than doing nothing. A scene cannot describe such a delay, so the display refuses"
-        " none of them. The delay margin predicts which loops are worse: it is at most"
-        f" {most:.2f} ticks in them, and at least {least:.2f} in the others."
-    )
+def rates_table(rates: list[RateResult]) -> Table:
+    """Return poles, errors and delay margins by gains, filter and tick rate."""
 
-
-def _rates_table(rates: Sequence[RateResult], summary: str) -> Table:
     def pole(radius: float) -> str:
         return f"{radius:.3g}" if radius >= 1 else f"1 − {1 - radius:.1e}"
 
     def rmse(force_n: float) -> str:
-        return "diverges" if math.isinf(force_n) else force_text(force_n)
+        return "diverges" if math.isinf(force_n) else f"{1e3 * force_n:.3g} mN"
 
     filters = {hz: "none" if hz == NO_FILTER_HZ else f"{hz:g} Hz" for hz in FILTERS_HZ}
     rows = [
@@ -179,89 +156,5 @@ def _rates_table(rates: Sequence[RateResult], summary: str) -> Table:
         }
         for each in rates
     ]
-    return Table.of(
-        "The paper's gains over tick rates: explicit against shipped",
-        rows,
-        f"Force RMSE on a pulse of {PEAK_TO_PEAK_N:g} N from peak to peak, from {SETTLING_S:g} to"
-        f" {SECONDS:g} s. Pole: the largest magnitude; the loop is stable below 1. Diverges: the"
-        f" force exceeds {BOUND_N:g} N. Delay margin in ticks. No filter: a corner of"
-        f" {NO_FILTER_HZ / 1e3:g} kHz.",
-        f"{summary} All {len(rates)} loops are in the page written to --out.",
-    )
-
-
-def _draw_rates(figure: "Figure", rates: Sequence[RateResult]) -> None:
-    poles, errors = figure.subplots(1, 2)
-    for colour, name in enumerate(GAINS):
-        own = [each for each in rates if (each.gains, each.filter_hz) == (name, NO_FILTER_HZ)]
-        rate_hz = [each.rate_hz for each in own]
-        shipped = {"color": f"C{colour}", "linewidth": 5.0, "alpha": 0.5}
-        explicit = {"color": f"C{colour}", "linewidth": 1.2, "marker": "o", "linestyle": "--"}
-        for loop, style in (("shipped", shipped), ("explicit", explicit)):
-            radius = [getattr(each, f"{loop}_radius") for each in own]
-            poles.plot(rate_hz, radius, label=f"{name}, {loop}", **style)
-            errors.plot(rate_hz, [1e3 * getattr(each, f"{loop}_n") for each in own], **style)
-    for axes in (poles, errors):
-        axes.set(xscale="log", yscale="log", xlabel="tick rate in Hz")
-    poles.set_ylabel("largest pole")
-    errors.set(ylabel="force RMSE in mN", ylim=(0.1, 10))
-    figure.legend(*poles.get_legend_handles_labels(), loc="outside lower center", ncols=2)
-
-
-def case_results() -> Iterator[CaseResult]:
-    """Run and judge every hard case but the tick rates."""
-    yield from loop_cases.stiff_contact()
-    yield from loop_cases.nearly_undamped()
-    yield from input_cases.layers()
-    yield from input_cases.exact_steps()
-    yield from loop_cases.extreme_ticks()
-    yield from loop_cases.saturated_steps()
-    yield from loop_cases.direction_chatter()
-    yield from loop_cases.force_step()
-    yield from input_cases.strange_samples()
-    yield from input_cases.peer_frames()
-
-
-def chapters() -> tuple[Chapter, Chapter]:
-    """Run every case, by tick rate and others; takes some seconds."""
-    rates, results = measure(), list(case_results())
-    count = Counter(result.verdict for result in results)
-    counts = ", ".join(f"{count[each]} {IN_WORDS[each]}" for each in CaseVerdict if count[each])
-    defects = [
-        f"{result.run} ({result.verdict})"
-        for result in results
-        if result.verdict in (CaseVerdict.FAILS, CaseVerdict.WRONG)
-    ]
-    fate = f"Defects: {'; '.join(defects)}." if defects else "No case fails or is silently wrong."
-    finding = f"Of {len(results)} hard cases for the force loop, {counts}. {fate}"
-    rates_summary = _rates_summary(rates)
-    cases = Table(
-        "Hard cases",
-        ("case", "what was run", "verdict", "figure", "why"),
-        [(one.case, one.run, str(one.verdict), one.figure, one.reason) for one in results],
-        summary=f"{finding} All are in the page written to --out.",
-    )
-    method = (
-        "Every case runs the display's own code: the force loop between Safety and the film, or"
-        " its models. A verdict is computed from the run. Stable: the felt force is finite, never"
-        f" beyond {BOUND_N:g} N, and in the end within the force of one microstep (with the paper's"
-        " actuator, eq 22: 1 %) of the target, plus the error of the scene's film. Refused: an"
-        " error with a reason, or a latched fault that brings the finger to rest. Limit cycle: more"
-        " than the force of one microstep from peak to peak round a constant force. Fails with a"
-        " named reason: an unforeseen error, or a latched fault after which the felt force rises,"
-        " leaves the bounds or does not come to rest. Silently wrong: everything else."
-    )
-    caption = (
-        "The paper's gains in mV by eq 21 over the tick rate, derivative without a filter. The"
-        " explicit PID is stable where its largest pole is below 1; elsewhere it has no RMSE."
-    )
-    plot = Plot("stability", caption, lambda figure: _draw_rates(figure, rates))
-    return (
-        Chapter(
-            "Numerical stability over the tick rate",
-            (rates_summary,),
-            (_rates_table(rates, rates_summary),),
-            (plot,),
-        ),
-        Chapter("Hard cases", (method,), (cases,), findings=(finding,), folded=True),
-    )
+    summary = f"{len(rows)} loops; all of them are on the page and in the JSON."
+    return Table.of("", rows, summary=summary)

@@ -9,8 +9,7 @@ import numpy as np
 
 from display_node.press.sweep import SweptLevel
 from display_node.scoring.depth_curve import LEVEL_SHARE, BeatPoint, DepthCurve, Estimate
-from telepulse.document import Chapter, Plot, Report, Table
-from telepulse.reports.notation import percent
+from telepulse.document import Chapter, Plot, Report, Table, percent
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

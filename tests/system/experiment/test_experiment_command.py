@@ -176,8 +176,8 @@ def test_a_report_of_several_subjects(tmp_path: Path) -> None:
     assert result.exit_code == 0, result.output
     page = (out / "index.html").read_text(encoding="utf-8")
     for name in ("shares", "psychometric", "course", "errors"):
-        assert f"experiment-{name}-light.png" in page
-        assert (out / f"experiment-{name}-light.png").stat().st_size > 5_000
+        assert f"experiment-{name}.svg" in page
+        assert (out / f"experiment-{name}.svg").stat().st_size > 5_000
     results = gather([read_log(log) for log in logs])
     first = json.loads(table.read_text(encoding="utf-8"))["chapters"][0]
     rows = {row["condition"]: row for row in first["tables"][0]["rows"]}

@@ -1,7 +1,7 @@
 import pytest
 
 from display_node.plant.scene import FilmTable
-from telepulse.paper import published, stepper
+from telepulse.paper import stepper
 from telepulse.paper.stepper import BenchResult
 from tests.support.nodes import known
 
@@ -41,27 +41,3 @@ def test_only_an_observer_follows_on_the_real_bench() -> None:
     proportional, fed_forward, observed, shipped = rmse_n(others).values()
     assert proportional > REAL_BAR_N < fed_forward
     assert 0 < max(observed, shipped) <= REAL_BAR_N / 2
-
-
-def test_no_wrong_model_of_the_real_bench_misses_the_bar() -> None:
-    found = rmse_n(stepper.run_wrong_models())
-    assert len(found) == 11
-    assert max(found.values()) <= REAL_BAR_N < published.MEASURED_FORCE.force_n
-    # The observer learns the finger's stiffness, not the backlash.
-    assert found["fingertip half as stiff"] < 1.5 * found["as modelled"]
-    assert found["no backlash"] > 1.5 * found["as modelled"]
-
-
-def test_a_finer_lead_and_a_better_film_reduce_the_error() -> None:
-    found = rmse_n(stepper.other_benches())
-    leads = [found[f"clean, lead {lead} mm"] for lead in (1, 2, 6)]
-    assert leads == sorted(leads)
-    assert leads[2] == pytest.approx(6 * leads[0], rel=0.3)
-    assert max(error for name, error in found.items() if "real" in name) <= REAL_BAR_N
-
-
-def test_the_observer_undoes_the_films_lag() -> None:
-    parts = {reading.name: (reading, observed) for reading, observed in stepper.run_imperfections()}
-    reading, observed = parts["film's filter, 40 Hz"]
-    assert known(reading.force_rmse_n) > 5e-3
-    assert known(observed.force_rmse_n) <= CLEAN_BAR_N

@@ -25,16 +25,13 @@ from protocol.wire.messages import (
 )
 from protocol.wire.stream import Channel, StreamDescription
 from telepulse.paper import published
-from telepulse.paper.hard_case import (
-    HELD_N,
-    SAFETY,
-    Array,
+from telepulse.paper.stability import HELD_N, SAFETY
+from tests.system.stability.hard_case import (
     CaseResult,
     CaseVerdict,
     HardCase,
     common_setups,
     evaluate,
-    force_text,
     make_setup,
 )
 
@@ -65,22 +62,15 @@ def strange_samples() -> Iterator[CaseResult]:
     }
     rows = product(samples_n.items(), setups.items(), places.items())
     for (case, strange_n), (name, setup), (place, explanation) in rows:
-        alike: dict[tuple[CaseVerdict, str], tuple[list[str], list[Array]]] = {}
+        alike: dict[tuple[CaseVerdict, str], list[str]] = {}
         for text, value_n in strange_n.items():
             hard = HardCase(case, "", setup, explanation, ticks=1000, disturbance_tick=STRANGE_AT)
             strange: dict[str, Any] = {place: _strange_at(value_n)}
             result = evaluate(replace(hard, **strange))
-            texts, felt_n = alike.setdefault((result.verdict, result.reason), ([], []))
-            texts.append(text)
-            if result.felt_n is not None:
-                felt_n.append(result.felt_n[STRANGE_AT:])
-        for (verdict, reason), (texts, felt_n) in alike.items():
-            figure = "–"
-            if felt_n:
-                low_n, high_n = float(np.min(felt_n)), float(np.max(felt_n))
-                figure = f"felt {force_text(low_n)} to {force_text(high_n)} from then on"
+            alike.setdefault((result.verdict, result.reason), []).append(text)
+        for (verdict, reason), texts in alike.items():
             what = f"{name}, one {place} of {', '.join(texts)} N"
-            yield CaseResult(case, what, verdict, figure, reason)
+            yield CaseResult(case, what, verdict, reason)
 
 
 def _strange_at(strange_n: float) -> Callable[..., float]:
@@ -104,7 +94,7 @@ def peer_frames() -> Iterator[CaseResult]:
             layer = ElasticLayer(young_modulus_pa=modulus_pa)
         except ValueError as error:
             # The display decodes a peer's description with this same class.
-            yield CaseResult("a peer's samples", name, CaseVerdict.REFUSED, "–", str(error))
+            yield CaseResult("a peer's samples", name, CaseVerdict.REFUSED, str(error))
         else:
             yield _streamed(name, HELD_N, layer)
 
@@ -139,8 +129,6 @@ def _streamed(name: str, strange_n: float, layer: ElasticLayer) -> CaseResult:
             display.on_frame(encode_frame(frame), now_ns)
             frames, strange_frames = frames + 1, strange_frames + strange
     refused = display.receiver.rejected["not_finite"]
-    counts = f"{refused} of {strange_frames} strange frames refused"
-    figure = f"{counts}, felt at most {force_text(max(felt_n))}"
     ratio, limit_n = display.contactors[0].force_ratio, SAFETY.force_limit_n
     verdict, reason = CaseVerdict.STABLE, "Safety bounds force and slew of the buffer's output"
     if not (0 < ratio < math.inf and np.isfinite(felt_n).all()):
@@ -153,7 +141,7 @@ def _streamed(name: str, strange_n: float, layer: ElasticLayer) -> CaseResult:
         reason = "a frame with a sample that is not finite is counted, not played"
     elif ratio * HELD_N > limit_n:
         reason = f"force ratio {ratio:.3g}; Safety holds the limit of {limit_n:g} N"
-    return CaseResult("a peer's samples", name, verdict, figure, reason)
+    return CaseResult("a peer's samples", name, verdict, reason)
 
 
 def layers() -> Iterator[CaseResult]:
@@ -168,18 +156,17 @@ def layers() -> Iterator[CaseResult]:
             try:
                 layer = ElasticLayer(**{key: value})
             except ValueError as error:
-                yield CaseResult(name, what, CaseVerdict.REFUSED, "–", str(error))
+                yield CaseResult(name, what, CaseVerdict.REFUSED, str(error))
                 continue
             strain, paper = layer.strain(1.0), published.LAYER
             ratios = matching_force_ratio(paper, layer), matching_force_ratio(layer, paper)
-            figure = f"strain of 1 N {strain:.4g}, force ratios {ratios[0]:.4g} and {ratios[1]:.4g}"
             off = abs(layer.force(strain) - 1)
             verdict = CaseVerdict.STABLE
             reason = f"finite; force → strain → force differs by {off:.1g}"
             if not np.isfinite([strain, *ratios]).all() or 0 in ratios or off > EXACT:
-                verdict, figure = CaseVerdict.WRONG, figure.replace("inf", "∞")
+                verdict = CaseVerdict.WRONG
                 reason = "a force ratio that is no usable number is not refused"
-            yield CaseResult(name, what, verdict, figure, reason)
+            yield CaseResult(name, what, verdict, reason)
 
 
 def exact_steps() -> Iterator[CaseResult]:
@@ -215,5 +202,13 @@ def exact_steps() -> Iterator[CaseResult]:
         run = f"{name}, one tick of 100 ms and {SHORT_TICK_COUNT} of 1 µs"
         verdict, reason = CaseVerdict.STABLE, "exact at any tick"
         if not off < EXACT:
-            verdict, reason = CaseVerdict.WRONG, "the two should agree"
-        yield CaseResult("extreme ticks", run, verdict, f"{off:.1g} apart", reason)
+            verdict, reason = CaseVerdict.WRONG, f"the two are {off:.1g} apart"
+        yield CaseResult("extreme ticks", run, verdict, reason)
+
+
+def all_cases() -> Iterator[CaseResult]:
+    """Run and judge every case of inputs and models."""
+    yield from layers()
+    yield from exact_steps()
+    yield from strange_samples()
+    yield from peer_frames()

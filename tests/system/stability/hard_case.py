@@ -1,36 +1,27 @@
-"""Hard cases for the shipped force loop: a case, its run, and the verdict on it.
+"""A hard case for the shipped force loop: its run, and the verdict on it.
 
 The verdict is computed from the felt force, from the fault that Safety reports, or from the
 SceneError of a refused loop. A case does not state an expected verdict.
 """
 
-import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from display_node.control.safety import ForceBounds, Safety
-from display_node.control.scene import SafetyScene
 from display_node.scene import DisplayScene
 from protocol.config.scene_file import find_scene
 from protocol.errors import SceneError
 from protocol.tactile import Adc
 from telepulse.paper import published
-from telepulse.paper.published import Gains
+from telepulse.paper.stability import BOUND_N, HELD_N, SAFETY, Array, paper_setup
+from telepulse.paper.stepper import refusal_reason
 from telepulse.scene import load_scene
 
-Array = NDArray[np.float64]
 SceneTable = Mapping[str, object]
-# Force to hold: a typical mean of a pulse.
-HELD_N = 0.3
-# The shortest ramp, so that it does not hide what the loop itself does.
-SAFETY = SafetyScene.model_validate({"ramp": "1 ms"})
-# Felt force beyond this, pressing or pulling, is out of bounds: the fault level of Safety.
-BOUND_N = SAFETY.force_limit_n * SAFETY.overforce
 # The paper's actuator (eq 22) has no microsteps; it has settled within this share of the force.
 SETTLED_SHARE = 0.01
 # Standard deviations of the film's noise that are allowed for.
@@ -54,7 +45,7 @@ class CaseVerdict(StrEnum):
 
 
 class CaseResult(NamedTuple):
-    """A row of the report: what was run, the verdict, and the measured value that supports it.
+    """What was run, the verdict, and its reason.
 
     felt_n: felt force in N at the end of each tick; None if the loop did not run.
     """
@@ -62,7 +53,6 @@ class CaseResult(NamedTuple):
     case: str
     run: str
     verdict: CaseVerdict
-    figure: str
     reason: str
     felt_n: Array | None = None
 
@@ -81,12 +71,6 @@ def make_setup(
 def scene_setup(name: str) -> DisplayScene:
     """Return the display of a shipped scene, with the shortest ramp."""
     return load_scene(find_scene(name)).display.model_copy(update={"safety": SAFETY})
-
-
-def paper_setup(gains: Gains, filter_hz: float = 200.0, tick_s: float = 1e-3) -> DisplayScene:
-    """Return the paper's loop as the display runs it: error in mV (eq 21), actuator eq 22."""
-    table = {"error": "millivolts", "derivative_filter": f"{filter_hz} Hz", **gains._asdict()}
-    return with_tick(make_setup(table, dict(published.ACTUATOR)), tick_s)
 
 
 def with_tick(setup: DisplayScene, tick_s: float) -> DisplayScene:
@@ -142,7 +126,7 @@ class HardCase:
     Attributes
     ----------
     explanation
-        Reason printed with the verdict STABLE; the others take theirs from the run.
+        Reason of the verdict STABLE; the others take theirs from the run.
     reference
         Returns the target force in N at a tick.
     reading
@@ -190,18 +174,12 @@ def evaluate(case: HardCase) -> CaseResult:
     try:
         run = case.run()
     except SceneError as error:
-        return CaseResult(case.case, case.name, CaseVerdict.REFUSED, "–", refusal_reason(error))
-    except Exception as error:  # a defect of the loop, which must not end the report
+        return CaseResult(case.case, case.name, CaseVerdict.REFUSED, refusal_reason(error))
+    except Exception as error:  # a defect of the loop
         reason = f"{type(error).__name__}: {error}"
-        return CaseResult(case.case, case.name, CaseVerdict.FAILS, "–", reason)
+        return CaseResult(case.case, case.name, CaseVerdict.FAILS, reason)
     verdict, reason = judge(case, run)
-    # The distance from the target at the end, and the extremes since the disturbance, if any.
-    final_error_n = np.abs(run.felt_n[-len(run.felt_n) // 4 :] - case.target_n).max()
-    since_n = run.felt_n[case.disturbance_tick :]
-    figure = f"{force_text(float(final_error_n))} off, at most {force_text(float(since_n.max()))}"
-    if case.disturbance_tick or since_n.min() < 0:
-        figure += f", at least {force_text(float(since_n.min()))}"
-    return CaseResult(case.case, case.name, verdict, figure, reason, run.felt_n)
+    return CaseResult(case.case, case.name, verdict, reason, run.felt_n)
 
 
 def judge(case: HardCase, run: CaseRun) -> tuple[CaseVerdict, str]:
@@ -228,15 +206,3 @@ def judge(case: HardCase, run: CaseRun) -> tuple[CaseVerdict, str]:
     if end_n.min() < low_n or end_n.max() > high_n:
         return CaseVerdict.WRONG, f"does not settle on {case.target_n:g} N"
     return CaseVerdict.STABLE, case.explanation
-
-
-def refusal_reason(error: Exception) -> str:
-    """Return the reason in an error's text, without the leading key and the trailing advice."""
-    return str(error).removeprefix("[display] controller: ").split(": lower its")[0]
-
-
-def force_text(force_n: float) -> str:
-    """Return a force as text, in mN below 1 N."""
-    if not math.isfinite(force_n):
-        return "not a number"
-    return f"{1e3 * force_n:.3g} mN" if abs(force_n) < 0.9995 else f"{force_n:.3g} N"
