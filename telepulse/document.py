@@ -164,12 +164,18 @@ def read_chapters(text: str, named: "Mapping[str, Table | Plot]") -> list[Chapte
             continue
         block: str | Table | Plot
         if node.type == "table":
-            head, *rows = [list(map(words, row)) for part in node.children for row in part.children]
+            head, *rows = [
+                [words(cell) for cell in row.children]
+                for part in node.children
+                for row in part.children
+            ]
             block = Table("", head, rows)
         elif found := _NAMED.fullmatch(block := words(node)):
             block = named[found[2]]
-            key = "title" if isinstance(block, Table) else "caption"
-            block = replace(block, **{key: found[1]})
+            if isinstance(block, Table):
+                block = replace(block, title=found[1])
+            else:
+                block = replace(block, caption=found[1])
         chapters[-1] = replace(last, paragraphs=(*last.paragraphs, block))
     return chapters
 

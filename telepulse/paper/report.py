@@ -3,7 +3,7 @@
 import math
 from typing import TYPE_CHECKING
 
-from telepulse.document import Report, percent, read_chapters
+from telepulse.document import Plot, Report, Table, percent, read_chapters
 from telepulse.paper import (
     comparison,
     explicit_loop,
@@ -47,7 +47,7 @@ def build_paper() -> Report:
         diverged=[each for each in rates if math.isinf(each.explicit_n)],
         broken=[each for each in rates if math.isinf(each.shipped_n)],
     )
-    named = {
+    named: dict[str, Table | Plot] = {
         **gain_units.tables(),
         **pulse_spectrum.tables(),
         **stepper.tables(),
