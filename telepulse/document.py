@@ -17,7 +17,7 @@ from rich.console import Console
 from rich.table import Table as RichTable
 
 from protocol.errors import OutputError
-from protocol.host.output import write_whole
+from protocol.host.output import check_writable, write_whole
 from protocol.provenance import Provenance
 
 if TYPE_CHECKING:
@@ -279,17 +279,13 @@ def check_can_report(folder: Path) -> None:
         import matplotlib  # noqa: F401
 
         folder.mkdir(parents=True, exist_ok=True)
-        page = folder / PAGE
-        was_there = page.exists()
-        page.open("ab").close()
-        if not was_there:
-            page.unlink()
     except ImportError:
         raise OutputError(
             "reports need matplotlib and Jinja: pip install 'telepulse[report]'"
         ) from None
     except OSError as error:
         raise OutputError(f"{folder}: cannot be written: {error.strerror}") from None
+    check_writable(folder / PAGE)
 
 
 def write_report(report: Report, folder: Path) -> Path:

@@ -25,7 +25,7 @@ NOT_TRACED = (
     *("golden", "unit/telepulse", "unit/soak", "unit/documentation"),
     *("system/accuracy", "system/commissioning", "system/compiled", "system/documentation"),
     *("system/experiment", "system/faults", "system/recording", "system/relay", "system/reports"),
-    "system/paper",
+    *("system/paper", "system/stability"),
     *("system/soak", "system/view", "unit/display_node/test_hardware.py"),
     "unit/display_node/control/test_controller.py",
     *("unit/pulse_drives/test_drive.py", "unit/display_node/reception/test_failover.py"),

@@ -19,6 +19,7 @@ from telepulse.document import (
     Table,
     print_tables,
     provenance_table,
+    read_chapters,
     write_report,
 )
 
@@ -94,6 +95,37 @@ def test_what_has_no_title_opens_the_page(tmp_path: Path) -> None:
     assert written.index("the words") < written.index("<li>") < written.index("<nav")
     assert "<h2 id" in written
     assert 'href="#chapter-1">First' in written
+
+
+def test_a_markdown_text_is_read_as_chapters_in_its_order() -> None:
+    text = """
+| what | how much |
+|---|---|
+| a \\| b | 1 < 2 |
+
+> Two lines of
+> one finding.
+
+## First
+
+Words with `code`
+and *no* other <b>markup</b>.
+
+![Its title](numbers)
+
+![Its caption, of
+two lines.](line)
+"""
+    plot = Plot("line", "", lambda figure: None)
+    opening, first = read_chapters(text, {"numbers": ROWS, "line": plot})
+    assert (opening.title, first.title) == ("", "First")
+    assert opening.blocks == [Table("", ["what", "how much"], [["a | b", "1 < 2"]])]
+    assert opening.findings == ("Two lines of one finding.",)
+    assert first.blocks == [
+        "Words with `code` and *no* other <b>markup</b>.",
+        replace(ROWS, title="Its title"),
+        replace(plot, caption="Its caption, of two lines."),
+    ]
 
 
 HOSTILE = '<script>alert(1)</script> ![x](http://a.example/x.png) "\' onload="x" </title>'
