@@ -21,6 +21,7 @@ class Gains(NamedTuple):
 # Table 1, with g32 = g31: its "2 pC/N" for g32 has the unit of a charge coefficient.
 WRIST_FILM = Film(radius_m=8e-3)
 FINGER_FILM = Film(radius_m=9e-3)
+PRINTED_G32 = "2 pC/N"
 FILM_THICKNESS_M = 2.5e-6
 ABSTRACT_FILM_THICKNESS_M = 25e-6
 LAYER = ElasticLayer(young_modulus_pa=0.05e9, thickness_m=2e-3, poisson_ratio=0.5)

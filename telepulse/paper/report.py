@@ -41,7 +41,7 @@ def build_paper() -> Report:
         },
         following=[unit.name for unit in published.ERROR_UNITS if gain_units.follows(unit)],
         heights_n=[gain_units.height_n(published.FILM_MV, each) for each in published.PRINTED],
-        clean_microstep_n=stepper.microstep_rmse_n(stepper.load_bench("bench")),
+        bench=stepper.describe(real),
         shipped_n=shipped.force_rmse_n,
         rates=rates,
         diverged=[each for each in rates if math.isinf(each.explicit_n)],

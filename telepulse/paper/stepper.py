@@ -6,14 +6,17 @@ controller removes. The paper's own experiment (section 5, Figs 17 to 20) is run
 
 import math
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from display_node.plant.scene import StepperScene
+from display_node.plant.scene import FilmTable, StepperScene
 from protocol.config.scene_file import find_scene
 from protocol.errors import SceneError
+from protocol.tactile import Adc, ElasticLayer
 from sensing_node.scene import build_source
+from sensing_node.sources.synthetic import SyntheticScene
 from telepulse.document import Table
 from telepulse.paper import published
 from telepulse.scene import Scene, load_scene
@@ -137,6 +140,31 @@ def run_on_film(scene: Scene) -> TrackingRun:
 def refusal_reason(error: Exception) -> str:
     """Return the reason in an error's text, without the leading key and the trailing advice."""
     return str(error).removeprefix("[display] controller: ").split(": lower its")[0]
+
+
+class BenchDescription(NamedTuple):
+    """Parts of the real bench, its converter's step, and the clean bench's error by microsteps."""
+
+    source: SyntheticScene
+    motor: StepperScene
+    film: FilmTable
+    layer: ElasticLayer
+    adc_step_n: float
+    clean_microstep_n: float
+
+
+def describe(real: Scene) -> BenchDescription:
+    """Return what the report says of the benches."""
+    film = real.display.film
+    adc_step_v = 0.0 if film.adc_bits is None else Adc(film.adc_bits, film.adc_range_v).step_volts
+    return BenchDescription(
+        SyntheticScene.narrow(real.sensing.source, f"{real.path}: [sensing] source:"),
+        _stepper(real),
+        film,
+        real.display.layer.layer(),
+        adc_step_v / film.volts_per_newton,
+        microstep_rmse_n(load_bench("bench")),
+    )
 
 
 def tables() -> dict[str, Table]:
