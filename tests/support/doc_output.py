@@ -181,7 +181,6 @@ SESSIONS: dict[str, list[Step | Stop | Do]] = {
     ],
     "experiment": [
         Step("telepulse experiment new mine.toml"),
-        Step("telepulse experiment plan"),
     ],
     "emulated bench": [
         Step("telepulse emulate sensor radial --link /tmp/board", shows="kind"),
@@ -241,7 +240,6 @@ UNRUN = {
     "telepulse experiment run mine.toml --log try.jsonl --without-drive": SUBJECT,
     "telepulse experiment run mine.toml --log anna.jsonl --resume": SUBJECT,
     "telepulse experiment run mine.toml --log o.jsonl --observer '5 %'": OBSERVER,
-    "telepulse experiment report anna.jsonl bo.jsonl": OBSERVER,
     f"{PROTECTED} --announce": MULTICAST,
     f"{PLAY} --discover --key keys/finger.key --peer wrist.pub": MULTICAST,
     f"{PLAY} --named 'radial pulse on ward-3' --key keys/finger.key --peer wrist.pub": MULTICAST,
