@@ -43,9 +43,9 @@ def integrators(out: FolderOption = Path("out/integrators"), json: TablesOption 
 
     Takes about half a minute. python-control is included if it is installed.
     """
+    from telepulse.parallel import in_one_thread
     from telepulse.reports.studies import integrator_scores as study
     from telepulse.reports.studies.integrator_report import report_integrators
-    from telepulse.reports.studies.sweep import in_one_thread
 
     effort = study.IntegratorEffort()
     publish(

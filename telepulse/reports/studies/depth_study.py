@@ -16,7 +16,7 @@ from protocol.config.quantities import count_text
 from protocol.tissue import PASCALS_PER_MMHG
 from sensing_node.sources.wrist import Wrist, WristScene
 from telepulse.document import STYLES, Chapter, Plot, Report, Table, percent
-from telepulse.reports.studies.sweep import sweep
+from telepulse.parallel import sweep
 from telepulse.simulation.depth_loop import sweep_wrist
 
 if TYPE_CHECKING:
