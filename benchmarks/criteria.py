@@ -37,4 +37,41 @@ def share(name: str, most: float = float("inf"), least: float = float("-inf")) -
 
 
 # By benchmark, in the order in which they are printed.
-CRITERIA: Final[dict[str, tuple[Criterion, ...]]] = {}
+CRITERIA: Final[dict[str, tuple[Criterion, ...]]] = {
+    "announce": (
+        Criterion("variability, 100 ms ahead: mean of the seeds", most=0.12),
+        Criterion("variability, 100 ms ahead: worst of the seeds", most=0.12),
+        Criterion("ectopic, 100 ms ahead: mean of the seeds", most=0.16),
+        Criterion("ectopic, 100 ms ahead: worst of the seeds", most=0.16),
+        Criterion("fibrillation, 100 ms ahead: mean of the seeds", most=0.15),
+        Criterion("fibrillation, 100 ms ahead: worst of the seeds", most=0.15),
+        Criterion("variability, shape cue, 100 ms ahead: mean of the seeds", most=0.12),
+        Criterion("ectopic, shape cue, 100 ms ahead: mean of the seeds", most=0.16),
+        Criterion("fibrillation, shape cue, 100 ms ahead: mean of the seeds", most=0.15),
+        share("greatest rise of an error where the transit time varies by 20 ms", most=0.005),
+        share("greatest rise of an error of the recordings", most=0.005),
+        Criterion("time until a wrong ECG is unused", most=3.0, unit="s"),
+        share("use of a wrong ECG from then on", most=0.05),
+        share("rise of the error 100 ms ahead from 3 s after a jump", most=0.005),
+        share("sensitivity of the R waves of annotated records", least=0.99),
+        share("precision of the R waves of annotated records", least=0.99),
+        Criterion("processor time with the ECG over that without", most=1.3),
+    ),
+    "prediction": (
+        Criterion("median, stack: over prototype", most=1.05),
+        Criterion("median, analogue 0.05 s: over prototype", most=1.05),
+        Criterion("median, fir: over prototype", most=1.05),
+        Criterion("median, hold: over prototype", most=1.05),
+        Criterion("variability, stack: over prototype", most=1.05),
+        Criterion("variability, stack: over its oracle", most=1.0),
+        Criterion("variability, stack: over goal", most=1.0),
+        Criterion("ramp, stack: over prototype", most=1.05),
+        Criterion("ramp, stack: over its oracle", most=1.0),
+        Criterion("ramp, stack: over goal", most=1.0),
+        Criterion("ectopic, stack: over prototype", most=1.05),
+        Criterion("ectopic, stack: over its oracle", most=1.0),
+        Criterion("fibrillation, stack: over prototype", most=1.05),
+        Criterion("fibrillation, stack: over its oracle", most=1.0),
+        Criterion("tick of the stack, 99th percentile", 150e-6, scale=1e6, unit="µs"),
+    ),
+}

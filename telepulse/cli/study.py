@@ -75,55 +75,6 @@ def playout(
 
 
 @app.command()
-def prediction(
-    out: FolderOption = Path("out/prediction"),
-    json: TablesOption = None,
-    scheduler: SchedulerOption = None,
-) -> None:
-    """Compare the predictors: error against horizon, and cost, on pulses and recordings.
-
-    Uses all cores; takes about a minute on two. heartpy's example recordings are included if it
-    is installed.
-    """
-    from telepulse.reports.studies import prediction_study as study
-    from telepulse.reports.studies.prediction_report import report_prediction
-
-    effort = study.PredictionEffort()
-    publish(lambda: report_prediction(study.score_predictors(effort, scheduler), effort), out, json)
-
-
-@app.command()
-def announce(
-    out: FolderOption = Path("out/announce"),
-    json: TablesOption = None,
-    scheduler: SchedulerOption = None,
-    records: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FOLDER",
-            help="Folder with the records 100, 03700181 and a103l of PhysioNet, such as the sample"
-            " data of wfdb; needs telepulse[ecg].",
-        ),
-    ] = None,
-    check: CheckOption = False,
-) -> None:
-    """Compare prediction with and without an ECG, and find out ECGs that are wrong.
-
-    Uses all cores; takes about ten minutes on two.
-    """
-    from telepulse.reports.studies import announce_study as study
-    from telepulse.reports.studies.announce_report import report_announce
-
-    effort = study.AnnounceEffort()
-    publish_checked(
-        lambda: report_announce(study.score_announce(effort, records, scheduler), effort),
-        out,
-        json,
-        check,
-    )
-
-
-@app.command()
 def cost(
     out: FolderOption = Path("out/cost"),
     json: TablesOption = None,

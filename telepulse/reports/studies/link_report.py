@@ -83,7 +83,7 @@ def _choice_chapter(scores: LinkScores, effort: LinkEffort) -> Chapter:
         f" {effort.settle_seconds:g} s in which the predictor learns. NRMSE: over the pulse's"
         " standard deviation; JND: a tenth of its peak to peak. The stack learns this one kind of"
         " pulse; arrhythmia is"
-        " in `telepulse study prediction`. auto trusts the stack only after some time, if at all:"
+        " in `make bench ARGS=prediction`. auto trusts the stack only after some time, if at all:"
         " its mean E may still be falling to 0.",
     )
     table = Table.of(

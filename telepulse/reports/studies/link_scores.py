@@ -31,11 +31,11 @@ from protocol.tactile import matching_force_ratio
 from protocol.ticks import TickState
 from sensing_node.scene import build_source, describe_stream
 from telepulse.parallel import in_one_thread, sweep
-from telepulse.reports.studies.prediction_pulses import RATE_HZ, SCORED_FROM_S, Pulse, pulses
 from telepulse.scene import load_scene
 from telepulse.simulation.link_model import MessageLink
 from telepulse.simulation.link_scene import parse_link
 from telepulse.simulation.virtual_time import Simulation
+from tests.support.drawn_pulses import RATE_HZ, SCORED_FROM_S, Pulse, pulses
 
 PREDICTORS: tuple[PredictorName, ...] = ("hold", "linear", "stack")
 # Late-sample policies.
@@ -279,7 +279,7 @@ def pooled(results: Sequence[LinkResult]) -> LinkResult:
 
 
 def run_policies(pulse: Pulse, link: str, seed: int = 1) -> PolicyErrors:
-    """Play a pulse over a link by each policy; scored as in `telepulse study prediction`."""
+    """Play a pulse over a link by each policy; scored as in `make bench ARGS=prediction`."""
     arrived = arrivals_ms(len(pulse.sensed) // FRAME, link, seed)
     taken = np.arange(len(arrived)) * FRAME + FRAME - 1
     classic_ms = round(float(np.quantile(arrived - taken, 1 - LATE_TARGET, method="higher")))

@@ -15,11 +15,11 @@ from display_node.prediction.scene import own_predictor
 from protocol.run_summary import Summary
 from protocol.ticks import TickState
 from sensing_node.sources.recorded import RecordingScene
-from telepulse.reports.studies.prediction_pulses import Floats, drawn, fibrillating, make_rhythm
 from telepulse.scene import Scene, load_scene
 from telepulse.simulation.link_model import MessageLink
 from telepulse.simulation.link_scene import parse_link
 from telepulse.simulation.virtual_time import Simulation
+from tests.support.drawn_pulses import Floats, drawn, fibrillating, make_rhythm
 from tests.support.nodes import RADIAL, known
 
 MS = 1_000_000

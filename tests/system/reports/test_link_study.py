@@ -18,7 +18,7 @@ from telepulse.reports.studies.link_scores import (
     run_link,
     run_policies,
 )
-from telepulse.reports.studies.prediction_pulses import Pulse, synthetic_pulses
+from tests.support.drawn_pulses import Pulse, synthetic_pulses
 
 LITTLE = LinkEffort(seconds=4, settle_seconds=2, seeds=(1,))
 FAR = "delay=40ms,jitter=1ms"

@@ -13,15 +13,13 @@ from telepulse.reports.studies import (
     integrator_scores,
     link_scores,
     playout_scores,
-    prediction_study,
     sweep,
 )
 from telepulse.reports.studies.link_scores import PREDICTORS, LinkSpec
 from telepulse.reports.studies.playout_links import GAUSSIAN
 from tests.system.reports import test_cost_study
-from tests.system.reports.test_prediction_study import made_up
 
-SWEPT = ("playout", "prediction", "link", "cost")
+SWEPT = ("playout", "link", "cost")
 
 
 def study(*arguments: object) -> Result:
@@ -50,7 +48,6 @@ def little_work(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(link_scores.LINKS, "far", far)
     monkeypatch.setattr(link_scores, "score_links", lambda _, address: links(link, address))
     monkeypatch.setattr(playout_scores, "score_playout", lambda _, address: playout(play, address))
-    monkeypatch.setattr(prediction_study, "score_predictors", lambda *_: made_up())
 
 
 @pytest.mark.parametrize(
@@ -58,7 +55,6 @@ def little_work(monkeypatch: pytest.MonkeyPatch) -> None:
     [
         ("integrators", ("work-precision",), "integrator", [integrator_scores.DEFAULT, "RK4 × 1"]),
         ("playout", ("playout-1",), "rule", ["best constant", "best moving, 5 %", "ours"]),
-        ("prediction", ("error-horizon", "cost-error"), "predictor", ["hold", "linear"]),
         ("cost", ("cost-1",), "predictor", ["hold"]),
         ("link", ("link-1",), "predictor", [name for name in PREDICTORS for _ in range(2)]),
     ],

@@ -1,17 +1,23 @@
-"""Pulses with an ECG that announces their beats, and what can go wrong with an ECG."""
+"""Pulses with an ECG, what can go wrong with one, and the prediction of such pulses."""
 
 from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 
+from display_node.prediction.ensemble import Ensemble
+from display_node.prediction.r_waves import RWaveDetector
 from sensing_node.sources.ecg import draw_ecg
-from telepulse.reports.studies.prediction_pulses import (
+from tests.support.drawn_pulses import (
+    FRAME,
+    HORIZONS_MS,
     RATE_HZ,
     Beats,
     Floats,
     Pulse,
     drawn_beats,
+    instant_ns,
+    observe_frame,
     pulses,
     pulses_without_shape_cue,
 )
@@ -98,3 +104,43 @@ def with_fault(announced: AnnouncedPulse, fault: EcgFault, from_s: float) -> Ann
     wrong = fault.apply(announced.ecg_mv, first, np.random.default_rng(3))
     ecg_mv = np.concatenate([announced.ecg_mv[:first], wrong])
     return AnnouncedPulse(announced.pulse, ecg_mv)
+
+
+class AnnouncedRun(NamedTuple):
+    """A run of the predictor: squared errors by frame and horizon, and by frame, whether used."""
+
+    squares: Floats
+    used: Floats
+    stack: Ensemble
+
+
+def run(announced: AnnouncedPulse, with_ecg: bool) -> AnnouncedRun:
+    """Predict a pulse frame by frame, with or without its ECG.
+
+    After each frame, one prediction is made for each horizon, as in the benchmark `prediction`.
+    """
+    pulse, ecg_mv = announced
+    stack, detector = Ensemble("stack"), RWaveDetector()
+    count = (len(pulse.true) - max(HORIZONS_MS) * RATE_HZ // 1000) // FRAME - 1
+    squares, used = np.zeros((count, len(HORIZONS_MS))), np.zeros(count)
+    for frame in range(count):
+        observe_frame(stack, pulse.sensed, frame)
+        if with_ecg:
+            stack.announce(observe_frame(detector, ecg_mv, frame))
+        transit = stack.transit
+        used[frame] = transit is not None and transit.reliable
+        for tick in range(FRAME):
+            stack.work()
+            if tick == frame % FRAME:
+                newest = frame * FRAME + FRAME - 1
+                at = [newest + horizon_ms * RATE_HZ // 1000 for horizon_ms in HORIZONS_MS]
+                found = np.array([stack.predict(instant_ns(each)) for each in at])
+                squares[frame] = (found - pulse.true[at]) ** 2
+    return AnnouncedRun(squares, used, stack)
+
+
+def nrmse(squares: Floats, from_s: float, to_s: float = np.inf) -> tuple[float, ...]:
+    """Return the root mean square at each horizon between two times."""
+    frames = np.arange(len(squares)) * FRAME / RATE_HZ
+    chosen = squares[(frames >= from_s) & (frames < to_s)]
+    return tuple(np.sqrt(chosen.mean(axis=0)).tolist())

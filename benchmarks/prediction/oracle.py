@@ -12,7 +12,7 @@ import numpy as np
 
 from sensing_node.sources.heart import NOMINAL_BEAT_S
 from sensing_node.sources.synthetic import PRESETS
-from telepulse.reports.studies.prediction_pulses import (
+from tests.support.drawn_pulses import (
     RATE_HZ,
     SCORED_FROM_S,
     Beats,

@@ -1,4 +1,4 @@
-"""Score of the R waves that are found in a lead, against the beats that cardiologists annotated."""
+"""Score of the R waves that are found in a lead, against its annotated beats."""
 
 from bisect import bisect_right
 from typing import NamedTuple
@@ -6,12 +6,23 @@ from typing import NamedTuple
 import numpy as np
 
 from display_node.prediction.r_waves import RWaveDetector
-from telepulse.reports.studies.announce_records import AnnotatedLead
-from telepulse.reports.studies.prediction_study import FRAME
+from tests.support.drawn_pulses import FRAME, Floats
 
 # ANSI/AAMI EC57: a detection within 150 ms of an annotated beat is that beat. Its learning period
 # of five minutes is not used: only the first 5 s do not count.
 MATCH_S, MATCHED_FROM_S = 0.15, 5.0
+
+
+class AnnotatedLead(NamedTuple):
+    """A lead of an ECG, and the times of its annotated beats."""
+
+    name: str
+    rate_hz: float
+    ecg_mv: Floats
+    beats_s: Floats
+
+    def __str__(self) -> str:
+        return self.name
 
 
 class DetectorScore(NamedTuple):

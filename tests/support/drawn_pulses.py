@@ -1,4 +1,4 @@
-"""Pulses on which predictors are compared: synthetic rhythms, and recordings.
+"""Pulses on which predictors are compared: synthetic rhythms, recordings, and frames of them.
 
 A rhythm is a list of beats; a pulse is a sum of Gaussians over each beat, as in
 `sources/synthetic.py`, which has neither a ramp nor fibrillation. All pulses pass the same causal
@@ -10,7 +10,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,9 +25,24 @@ HIGH_PASS_HZ, LOW_PASS_HZ = 0.4, 20.0
 NOISE = 0.01
 # Errors and standard deviation are computed from this time on: before it, predictors learn.
 SCORED_FROM_S = 20.0
+# A frame has 5 samples, one for each tick; the sensing clock begins at an arbitrary time.
+FRAME = 5
+BEGIN_NS = 3_600_000_000_000
+# Times ahead at which predictions are compared.
+HORIZONS_MS = (20, 50, 100, 200)
 BREATHS_HZ = 0.25
 # RMS of the respiration over the RMS of the pulse, in pulses with respiration.
 BREATH = 0.1
+
+
+Found = TypeVar("Found", covariant=True)
+
+
+class SampleObserver(Protocol[Found]):
+    """What takes a frame's samples."""
+
+    def observe(self, times_ns: list[int], values: list[float]) -> Found:
+        """Take the samples."""
 
 
 class Beats(NamedTuple):
@@ -226,3 +241,15 @@ def _sensed(raw: dict[str, Floats], seed: int) -> list[Pulse]:
         noise = np.random.default_rng((seed, 100 + number)).standard_normal(len(true))
         made.append(Pulse(name, true + NOISE * noise, true))
     return made
+
+
+def observe_frame(observer: SampleObserver[Found], sensed: Floats, frame: int) -> Found:
+    """Give a frame's samples to a predictor or detector."""
+    samples = range(frame * FRAME, frame * FRAME + FRAME)
+    values = sensed[samples.start : samples.stop].tolist()
+    return observer.observe([instant_ns(number) for number in samples], values)
+
+
+def instant_ns(sample: int) -> int:
+    """Return the time of a sample on the sensing clock."""
+    return BEGIN_NS + sample * (1_000_000_000 // RATE_HZ)

@@ -5,31 +5,20 @@ The records are those of wfdb's sample data (https://github.com/MIT-LCP/wfdb-pyt
 """
 
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from protocol.errors import SourceError
-from telepulse.reports.studies.announce_pulses import AnnouncedPulse
-from telepulse.reports.studies.prediction_pulses import RATE_HZ, SCORED_FROM_S, Floats, Pulse
+from tests.support.announced_pulses import AnnouncedPulse
+from tests.support.drawn_pulses import RATE_HZ, SCORED_FROM_S, Floats, Pulse
+from tests.support.r_wave_scores import AnnotatedLead
 
 # Record, ECG and pulse.
 ANNOUNCED = (("03700181", "MCL1", "ABP"), ("a103l", "II", "PLETH"))
 ANNOTATED = (("100", "atr"),)
 # Symbols of beats among the annotations.
 BEATS = frozenset("NLRBAaJSVrFejnE/fQ?")
-
-
-class AnnotatedLead(NamedTuple):
-    """A lead of an ECG, and the times of its annotated beats."""
-
-    name: str
-    rate_hz: float
-    ecg_mv: Floats
-    beats_s: Floats
-
-    def __str__(self) -> str:
-        return self.name
 
 
 def recorded_announced(folder: Path, seconds: float) -> list[AnnouncedPulse]:

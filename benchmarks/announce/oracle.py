@@ -7,14 +7,13 @@ after it, or the height of a weak beat. It computes the mean of what can follow,
 
 import math
 from statistics import NormalDist
-from typing import NamedTuple
 
 import numpy as np
 
 from sensing_node.sources.heart import NOMINAL_BEAT_S
 from sensing_node.sources.synthetic import PRESETS
-from telepulse.reports.studies.announce_pulses import SHAPE_CUE, TRANSIT_S, wave_times
-from telepulse.reports.studies.prediction_pulses import (
+from tests.support.announced_pulses import SHAPE_CUE, TRANSIT_S, wave_times
+from tests.support.drawn_pulses import (
     NOISE,
     RATE_HZ,
     SCORED_FROM_S,
@@ -41,15 +40,8 @@ HEIGHTS = np.linspace(0.3, 1.1, 17)
 EVERY = 5
 
 
-class OracleErrors(NamedTuple):
-    """The oracle's NRMSE at each of `HORIZONS_MS` for a pulse, of one run."""
-
-    name: str
-    errors: tuple[float, ...]
-
-
-def score_oracle(case: tuple[str, float, int, float]) -> OracleErrors:
-    """Return the oracle's errors for a pulse of `announced_pulses`, after `SCORED_FROM_S`.
+def score_oracle(case: tuple[str, float, int, float]) -> tuple[float, ...]:
+    """Return the oracle's NRMSE for a pulse of `announced_pulses` at each of `HORIZONS_MS`.
 
     case: name of the pulse, its length in s, its seed, and the jitter of the transit time in s,
     above 0.
@@ -96,7 +88,7 @@ def score_oracle(case: tuple[str, float, int, float]) -> OracleErrors:
         ]
         squares.append(np.array(errors).T ** 2)
     means = np.concatenate(squares).mean(axis=0).tolist()
-    return OracleErrors(name, tuple(map(math.sqrt, means)))
+    return tuple(map(math.sqrt, means))
 
 
 def _beat_alone(shaping_s: float) -> Floats:
