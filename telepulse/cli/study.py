@@ -7,6 +7,7 @@ from typing import Annotated
 import typer
 
 from telepulse.cli.options import FolderOption, TablesOption, publish
+from telepulse.cli.record_study import record
 from telepulse.document import Report
 
 # Begin of the finding that names the missed criteria of a study.
@@ -22,6 +23,7 @@ CheckOption = Annotated[
     bool, typer.Option("--check", help="End with exit status 1 where a criterion is missed.")
 ]
 app = typer.Typer(no_args_is_help=True, help="Studies of the system by computation.")
+app.command()(record)
 
 
 def publish_checked(build: Callable[[], Report], out: Path, json: Path | None, check: bool) -> None:

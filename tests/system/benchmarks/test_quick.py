@@ -10,6 +10,7 @@ from tests.support.nodes import ROOT
 NAMES = ("announce", "prediction")
 
 
+@pytest.mark.timeout(300)
 @pytest.mark.parametrize("name", NAMES)
 def test_a_quick_run_prints_its_tables(name: str) -> None:
     command = [sys.executable, "-m", "benchmarks", name, "--quick"]
