@@ -124,7 +124,7 @@ def _by_name(found: Iterable[BothErrors]) -> Runs:
 def _show_errors(benchmark: Benchmark, title: str, errors: Runs) -> None:
     rows = []
     for name, runs in errors.items():
-        without, announced = (np.mean(e, axis=0) for e in zip(*(r[1:3] for r in runs), strict=True))
+        without, announced = _means(runs)
         transit_ms, deviation_ms, used = np.mean([each[3:] for each in runs], axis=0)
         cells = (f"{one:.3f} / {other:.3f}" for one, other in zip(without, announced, strict=True))
         rows.append((name, *cells, f"{transit_ms:.0f} ± {deviation_ms:.0f}", f"{used:.0%}"))
@@ -132,11 +132,11 @@ def _show_errors(benchmark: Benchmark, title: str, errors: Runs) -> None:
     def draw(figure: "Figure") -> None:
         axes = figure.add_subplot()
         for name, runs in errors.items():
-            without, announced = (np.mean([run[at] for run in runs], axis=0) for at in (1, 2))
+            without, announced = _means(runs)
             (line,) = axes.plot(HORIZONS_MS, without, ".--")
             axes.plot(HORIZONS_MS, announced, ".-", color=line.get_color(), label=name)
         axes.set(yscale="log", xlabel="ahead (ms)", ylabel="NRMSE; dashed: without the ECG")
-        figure.legend(loc="outside right")
+        figure.legend(loc="outside right center")
 
     benchmark.table(
         title,
@@ -145,6 +145,12 @@ def _show_errors(benchmark: Benchmark, title: str, errors: Runs) -> None:
         f"NRMSE after {SCORED_FROM_S:g} s, mean of the seeds: without / with the ECG.",
     )
     benchmark.plot(title.lower().replace(",", "").replace(" ", "-"), draw)
+
+
+def _means(runs: list[BothErrors]) -> tuple[list[float], list[float]]:
+    """Return the mean errors at each horizon without and with the ECG."""
+    without, announced = ([run.without for run in runs], [run.announced for run in runs])
+    return np.mean(without, axis=0).tolist(), np.mean(announced, axis=0).tolist()
 
 
 def _judge_errors(benchmark: Benchmark, errors: Runs) -> None:

@@ -142,7 +142,7 @@ def _show_errors(benchmark: Benchmark, errors: Mapping[str, Errors]) -> None:
         for name, each in medians.items():
             axes.plot(HORIZONS_MS, each, marker=".", label=name)
         axes.set(yscale="log", xlabel="ahead (ms)", ylabel="NRMSE, median of the pulses")
-        figure.legend(loc="outside right")
+        figure.legend(loc="outside right center")
 
     benchmark.plot("errors", draw)
 

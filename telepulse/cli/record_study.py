@@ -11,13 +11,8 @@ import rich.box
 import typer
 from rich.table import Table
 
-from protocol.cli_options import (
-    RecordChannelOption,
-    RecordPreloadOption,
-    RecordRateOption,
-    one_line_errors,
-    plain_console,
-)
+from display_node.scoring.tracking_error import JND
+from protocol.cli_options import one_line_errors, plain_console
 from protocol.config.scene_file import find_scene
 from protocol.errors import OutputError
 from protocol.host.output import check_writable, configure_logging, write_whole
@@ -27,7 +22,6 @@ from telepulse.cli.progress import SimulationProgress
 from telepulse.scene import DEFAULT_SCENE, load_scene, scene_provenance
 from telepulse.simulation.link_scene import parse_link
 from telepulse.simulation.record_study import (
-    JND,
     LEARNING_S,
     LEAST_S,
     PLAYOUTS,
@@ -53,12 +47,27 @@ def record(
             help="The link between the nodes; the keys are in docs/scenes.md.",
         ),
     ],
-    channel: RecordChannelOption = None,
-    rate: RecordRateOption = None,
-    preload: RecordPreloadOption = None,
+    channel: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME",
+            help="Name or number of the signal. Default: the first that is a pulse by its name or"
+            " unit.",
+        ),
+    ] = None,
+    rate: Annotated[
+        str | None,
+        typer.Option(metavar="'500 Hz'", help="Rate of a file that states none, such as an .npy."),
+    ] = None,
+    preload: Annotated[
+        str | None,
+        typer.Option(metavar="'0.3 N'", help="Added force, so that the pulse stays above 0 N."),
+    ] = None,
     seconds: Annotated[
         float,
-        typer.Option(min=LEAST_S, max=3600.0, help="Use the first seconds of the recording."),
+        typer.Option(
+            metavar="SECONDS", min=LEAST_S, max=3600.0, help="Length to use, from the beginning."
+        ),
     ] = 60.0,
     seed: SeedOption = 1,
     plot: Annotated[

@@ -278,6 +278,9 @@ UNRUN = {
     "telepulse study integrators": "half a minute; tests/system/reports/test_study_command.py",
     "telepulse study playout": "minutes; tests/system/reports/test_playout_study.py",
     "telepulse study link": "minutes; tests/system/reports/test_link_study.py",
+    "telepulse study record pulse.csv --link 'delay=40ms,jitter=10ms,loss=1%' --plot pulse.svg": (
+        "of a person's own recording; tests/system/links/test_record_study.py"
+    ),
     "make bench ARGS=announce": "minutes; tests/system/benchmarks/test_quick.py",
     'make bench ARGS="announce --records FOLDER"': "needs records of PhysioNet",
     "telepulse demo announce": "as of radial; tests/unit/display_node/test_announced_stream.py",
