@@ -15,6 +15,7 @@ import typer
 import display_node.cli
 import sensing_node.cli
 import telepulse.cli.main
+from benchmarks.__main__ import main as run_benchmarks
 from fuzz.__main__ import fuzz
 from protocol.config.scene_file import find_scene
 from soak.__main__ import soak
@@ -115,14 +116,16 @@ def _check_module(words: list[str]) -> None:
     assert found is not None, f"python -m {module}"
     if module == "benchmarks":
         known = {path.stem for path in (ROOT / "benchmarks").iterdir()}
-        assert set(rest) <= known, f"no such benchmark: {rest}"
+        names = set(itertools.takewhile(lambda word: not word.startswith("-"), rest))
+        assert names <= known, f"no such benchmark: {rest}"
     elif module.startswith("benchmarks."):
         assert found.origin is not None
         text = Path(found.origin).read_text(encoding="utf-8")
         assert all(word in text for word in rest if word.startswith("-")), rest
-    elif module in ("soak", "fuzz"):
+    mains = {"benchmarks": run_benchmarks, "soak": soak, "fuzz": fuzz}
+    if module in mains:
         app = typer.Typer()
-        app.command()({"soak": soak, "fuzz": fuzz}[module])
+        app.command()(mains[module])
         _parse(typer.main.get_command(app), module, rest)
 
 
