@@ -7,13 +7,13 @@ from typing import Any
 import pytest
 from typer.testing import CliRunner, Result
 
+from telepulse import parallel
 from telepulse.cli.main import app
 from telepulse.reports.studies import (
     cost_scores,
     integrator_scores,
     link_scores,
     playout_scores,
-    sweep,
 )
 from telepulse.reports.studies.link_scores import PREDICTORS, LinkSpec
 from telepulse.reports.studies.playout_links import GAUSSIAN
@@ -29,7 +29,7 @@ def study(*arguments: object) -> Result:
 def little_work(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let each study do a little of its work."""
     alone, links, playout = (
-        sweep.in_one_thread,
+        parallel.in_one_thread,
         link_scores.score_links,
         playout_scores.score_playout,
     )
@@ -43,7 +43,7 @@ def little_work(monkeypatch: pytest.MonkeyPatch) -> None:
     )
     costs, cost = cost_scores.score_costs, test_cost_study.LITTLE
     monkeypatch.setattr(cost_scores, "score_costs", lambda _, address: costs(cost, address))
-    monkeypatch.setattr(sweep, "in_one_thread", lambda work, _: alone(work, integrators))
+    monkeypatch.setattr(parallel, "in_one_thread", lambda work, _: alone(work, integrators))
     monkeypatch.setattr(link_scores, "pulses", lambda *_, **__: [])
     monkeypatch.setitem(link_scores.LINKS, "far", far)
     monkeypatch.setattr(link_scores, "score_links", lambda _, address: links(link, address))
@@ -92,7 +92,7 @@ def test_a_study_prints_its_tables_and_writes_page_pictures_and_json(
 
 @pytest.fixture
 def no_work(monkeypatch: pytest.MonkeyPatch) -> None:
-    for module, work in ((sweep, "in_one_thread"), (playout_scores, "score_playout")):
+    for module, work in ((parallel, "in_one_thread"), (playout_scores, "score_playout")):
         monkeypatch.setattr(module, work, lambda *_: pytest.fail("it went to work"))
 
 
