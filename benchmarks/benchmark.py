@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 Case = TypeVar("Case")
 Result = TypeVar("Result")
 PLOT_SIZE_IN = (8.0, 4.5)
+MOST_COLUMNS = 1000
 
 
 class Table(NamedTuple):
@@ -126,7 +127,11 @@ class Benchmark:
             shown.add_column(column, justify="left" if position == 0 else "right")
         for row in table.rows:
             shown.add_row(*row)
-        Console().print(shown)
+        console = Console()
+        # A cell is never cut: a narrow terminal wraps the lines, and a file has all of them.
+        anything = console.options.update(max_width=MOST_COLUMNS)
+        console.width = max(console.width, console.measure(shown, options=anything).maximum)
+        console.print(shown)
 
 
 def _verdict(criterion: Criterion, figure: float | None) -> tuple[str, str, str, str]:

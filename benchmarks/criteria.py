@@ -74,4 +74,23 @@ CRITERIA: Final[dict[str, tuple[Criterion, ...]]] = {
         Criterion("fibrillation, stack: over its oracle", most=1.0),
         Criterion("tick of the stack, 99th percentile", 150e-6, scale=1e6, unit="µs"),
     ),
+    # Errors are over the pulse's peak to peak.
+    "integrators": (
+        Criterion("methods that beat the default", most=0),
+        Criterion("error of the default in the loop", most=1e-14),
+        Criterion("error of the default on a rotor", most=1e-12),
+        Criterion("error of the reference", most=1e-12),
+    ),
+    # Our mean delay over the optimum's, both at 1 % late.
+    "playout": (
+        Criterion("Gaussian / best constant", most=1.05),
+        Criterion("100 ms spikes / best constant", most=1.05),
+        Criterion("Gaussian / best moving, 5 %", most=1.15),
+        Criterion("+60 ms route / best moving, 5 %", most=1.15),
+        Criterion("+200 ppm / best moving, 5 %", most=1.15),
+        Criterion("−200 ppm / best moving, 5 %", most=1.15),
+        Criterion("Markov bursts / best moving, 5 %", most=1.2),
+        Criterion("random spikes / best moving, 5 %", most=1.6),
+        Criterion("TCP stalls / best moving, 5 %", most=1.7),
+    ),
 }

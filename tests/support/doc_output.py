@@ -275,9 +275,6 @@ UNRUN = {
     'make fuzz ARGS="--only frame --seconds 300"': FUZZ,
     'make soak ARGS="--minutes 20 --seed 7"': "20 minutes; tests/system/soak/test_run.py",
     "telepulse paper": "half a minute; tests/system/paper/test_paper_command.py",
-    "telepulse study integrators": "half a minute; tests/system/reports/test_study_command.py",
-    "telepulse study playout": "minutes; tests/system/reports/test_playout_study.py",
-    "telepulse study link": "minutes; tests/system/reports/test_link_study.py",
     "telepulse study record pulse.csv --link 'delay=40ms,jitter=10ms,loss=1%' --plot pulse.svg": (
         "of a person's own recording; tests/system/links/test_record_study.py"
     ),
@@ -298,7 +295,6 @@ UNRUN = {
     "telepulse demo three_fingers --link 'delay=40ms,jitter=10ms,loss=1%'": (
         "seconds; tests/system/demo/test_demo.py"
     ),
-    "telepulse study cost": "minutes; tests/system/reports/test_cost_study.py",
     "telepulse tune checked.toml": "of a bench that was there",
     "display-node checked.toml --connect tcp://HOST:5555 --key keys/finger.key --peer wrist.pub": (
         "of a bench that was there"

@@ -7,7 +7,7 @@ import pytest
 
 from tests.support.nodes import ROOT
 
-NAMES = ("announce", "prediction")
+NAMES = ("announce", "cost", "integrators", "link", "playout", "prediction")
 
 
 @pytest.mark.timeout(300)

@@ -179,16 +179,6 @@ def _from_rest(advance: Callable[[list[float], float], Floats]) -> Step[float]:
     return step
 
 
-def lsim_whole(plant: Plant[float], tick_s: float, voltages: Sequence[float]) -> list[float]:
-    """Return the force after each tick of voltages known beforehand, by one call of lsim."""
-    from scipy.signal import lsim
-
-    held = [*voltages, voltages[-1]]
-    times_s = np.arange(len(held)) * tick_s
-    force_n: list[float] = lsim(_state_space(plant), held, times_s, interp=False)[1][1:].tolist()
-    return force_n
-
-
 def _state_space(plant: Plant[float]) -> tuple[Floats, Floats, Floats, Floats]:
     """Return A, B, C, D of eq 22 with the state (force, rate)."""
     m, c, k = plant

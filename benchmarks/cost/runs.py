@@ -1,8 +1,4 @@
-"""Errors and costs of a display's settings: in virtual time, and as real processes over real TCP.
-
-Settings are the tick, the predictor, the perceived delay E, the length of a frame and the number of
-connections, over one link that loses packets.
-"""
+"""Settings of a scene, and what a run with them costs: in virtual time, and as real processes."""
 
 import math
 import tempfile
@@ -14,12 +10,12 @@ from itertools import product
 from pathlib import Path
 from typing import NamedTuple
 
+from benchmarks.cost import cpu_quota
 from protocol.config.scene_file import find_scene
 from protocol.histogram import Histogram
 from protocol.run_summary import Summary
 from protocol.ticks import TickState
-from telepulse.netem import NodesOutcome, cpu_quota, run_nodes, unavailable
-from telepulse.parallel import sweep
+from telepulse.netem import NodesOutcome, run_nodes
 from telepulse.scene import load_scene
 from telepulse.simulation.link_scene import parse_link
 from telepulse.simulation.virtual_time import Simulation
@@ -49,6 +45,12 @@ class Settings(NamedTuple):
             f" {self.batch_ms:g} ms, paths {self.paths or 'auto'}"
         )
 
+    def cells(self) -> tuple[str, ...]:
+        """Return the cells under `NAMED`."""
+        delay = "auto" if self.delay_ms is None else f"{self.delay_ms:g}"
+        paths = str(self.paths or "auto")
+        return f"{self.tick_ms:g}", self.predictor, delay, f"{self.batch_ms:g}", paths
+
     def toml(self) -> str:
         """Return the scene file."""
         paths = '"auto"' if self.paths is None else self.paths
@@ -74,12 +76,11 @@ def shipped() -> Settings:
 
 
 @dataclass(frozen=True, slots=True)
-class CostEffort:
+class Effort:
     """Values to combine in virtual time, and to vary one at a time with real processes.
 
     seconds, settle_seconds: scored time of a simulation, after that in which predictors learn.
-    live_seconds: duration of a run with real processes; 0 leaves them out. slow: the settings to
-    try on a slow host.
+    live_seconds: duration of a run with real processes. slow: the settings to try on a slow host.
     """
 
     ticks_ms: tuple[float, ...] = (0.5, 1.0, 2.0, 4.0)
@@ -120,6 +121,19 @@ class CostEffort:
         return list(dict.fromkeys(found))
 
 
+QUICK = Effort(
+    ticks_ms=(),
+    predictors=(),
+    delays_ms=(),
+    batches_ms=(),
+    paths=(),
+    seconds=1.0,
+    settle_seconds=1.0,
+    live_seconds=7.0,
+    slow=((4.0, "hold", 20.0),),
+)
+
+
 class SimulatedCost(NamedTuple):
     """Result of a simulation.
 
@@ -157,40 +171,7 @@ def pareto_front(points: Sequence[Sequence[float]], equal: float = EQUAL) -> lis
     return [not any(dominates(other, point) for other in points) for point in points]
 
 
-class CostScores(NamedTuple):
-    """Results by settings; where processes were left out, the reason. live_seconds: of a run."""
-
-    simulated: dict[Settings, SimulatedCost]
-    live: dict[Settings, NodesOutcome]
-    not_live: str
-    slow: dict[Settings, NodesOutcome]
-    not_slow: str
-    live_seconds: float
-
-
-def score_costs(effort: CostEffort, scheduler: str | None = None) -> CostScores:
-    """Simulate on all cores or a Dask cluster; then run real processes, one pair at a time.
-
-    Raises SweepError, EmulatorError or ProcessError.
-    """
-    cases = effort.combinations()
-    simulated = sweep(partial(simulate_cost, effort=effort), cases, scheduler)
-    not_live = unavailable() or ("" if effort.live_seconds else "they were not asked for")
-    not_slow = not_live or cpu_quota.unavailable() or ""
-    live: dict[Settings, NodesOutcome] = {}
-    slow: dict[Settings, NodesOutcome] = {}
-    if not not_live:
-        live = {one: run_live(one, effort.live_seconds) for one in effort.variations()}
-    if not not_slow:
-        default = shipped()
-        for tick_ms, predictor, batch_ms in effort.slow:
-            one = default._replace(tick_ms=tick_ms, predictor=predictor, batch_ms=batch_ms)
-            slow[one] = run_live(one, effort.live_seconds, SLOW)
-    results = dict(zip(cases, simulated, strict=True))
-    return CostScores(results, live, not_live, slow, not_slow, effort.live_seconds)
-
-
-def simulate_cost(settings: Settings, effort: CostEffort) -> SimulatedCost:
+def simulate_cost(settings: Settings, effort: Effort) -> SimulatedCost:
     """Simulate settings. Raises SceneError."""
     with tempfile.TemporaryDirectory(prefix="telepulse-") as folder:
         path = Path(folder, "scene.toml")

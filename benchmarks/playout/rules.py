@@ -11,8 +11,8 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
+from benchmarks.playout.links import DelayTrace, Nanoseconds
 from display_node.reception.playout import PlayoutClock
-from telepulse.reports.studies.playout_links import DelayTrace, Nanoseconds
 
 
 class DelayRule(Protocol):

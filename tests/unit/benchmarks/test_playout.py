@@ -1,19 +1,22 @@
+"""The published rules keep to their definitions, and the optima to what trying all paths finds."""
+
 import math
 from collections.abc import Iterable
+from itertools import product
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
-from telepulse.reports.studies.playout_links import DelayTrace, in_order
-from telepulse.reports.studies.playout_rules import (
+from benchmarks.playout import QUICK, RuleOnLink, links, score_rule
+from benchmarks.playout.links import best_constant_ms, best_moving, cheapest, in_order
+from benchmarks.playout.rules import (
     DelayRule,
-    FixedDelay,
     MoonPercentile,
     NetEqLike,
     Ramjee1,
     Ramjee4,
     felt_delays_ns,
-    play,
 )
 
 MS = 1_000_000
@@ -43,14 +46,6 @@ def test_ramjees_ask_for_mean_and_beta_mean_deviations(make: type[Ramjee1 | Ramj
         near = alpha * math.sqrt(1 + (1 - alpha) / (1 + alpha))
         expected_ms = 20 + beta * 3 * math.sqrt(2 / math.pi) * near
         assert settled_ms == pytest.approx(expected_ms, abs=0.1)
-
-
-def test_ramjee_1_takes_seconds_to_follow_and_4_takes_frames() -> None:
-    for rule, frames in ((Ramjee1(0), 347), (Ramjee4(0), 6)):
-        set_ms(rule, [20.0] * 100)
-        after_ms = set_ms(rule, [60.0] * 1000, 500)
-        # Half of the way: (ln 2) / (1 − α) frames.
-        assert next(i for i, ms in enumerate(after_ms) if ms > 40) == pytest.approx(frames, abs=2)
 
 
 def test_ramjee_4_follows_a_spike_and_leaves_it() -> None:
@@ -99,62 +94,75 @@ def test_neteq_follows_a_longer_path_after_2_s_and_a_shorter_one_at_once() -> No
     assert set_ms(rule, [30.0] * 2, 12_500)[-1] - longer_ms[-1] == -20
 
 
-def test_a_fixed_delay_is_the_first_and_a_reserve() -> None:
-    assert set_ms(FixedDelay(7 * MS), [20.0, 90.0, 5.0]) == [27.0] * 3
-
-
-class Scripted:
-    """A rule that sets the next of a row of delays after every frame."""
-
-    def __init__(self, *delays_ms: float) -> None:
-        self._delays_ms = list(delays_ms)
-        self.delay_ns: int | None = None
-
-    def observe(self, delay_ns: int, now_ns: int) -> None:
-        self.delay_ns = round(self._delays_ms.pop(0) * MS)
-
-
-def felt_ms(trace: DelayTrace, *set_ms: float) -> list[float]:
-    set_ns = np.array([round(ms * MS) for ms in set_ms])
-    felt: list[float] = (felt_delays_ns(trace, set_ns) / MS).tolist()
-    return felt
-
-
-def test_a_constant_delay_is_felt_and_what_is_above_it_is_late() -> None:
-    delays_ms = np.random.default_rng(1).normal(20, 3, 2000)
-    trace = in_order(delays_ms)
-    played = play(FixedDelay(round(7 * MS)), trace)
-    used_ns = trace.delay_ns[0] + 7 * MS
-    assert played.delay_ms == pytest.approx(used_ns / MS)
-    assert played.late == (trace.delay_ns > used_ns).mean()
-    assert 0 < played.late < 0.2
-
-
 def test_a_delay_that_grows_for_a_late_frame_does_not_save_what_was_due_already() -> None:
     # The frame sent at 10 ms arrives at 60 with the next eight.
     trace = in_order(np.array([10.0, 10, 50, 10, 10, 10, 10, 10, 10, 10, 10, 10, 10, 10]))
-    set_ms = [12.0, 12, *[60.0] * 12]
-    felt = np.array(felt_ms(trace, *set_ms))
-    late = trace.delay_ns / MS > felt
+    felt_ns = felt_delays_ns(trace, np.array([12, 12, *[60] * 12]) * MS)
     # By 60 ms all that was sent until 48 had been due.
-    assert np.flatnonzero(late).tolist() == [2, 3, 4, 5, 6, 7, 8, 9]
-    assert felt[10:].tolist() == [60.0] * 4
+    assert np.flatnonzero(trace.delay_ns > felt_ns).tolist() == [2, 3, 4, 5, 6, 7, 8, 9]
+    assert felt_ns[10:].tolist() == [60 * MS] * 4
 
 
 def test_a_delay_that_shrinks_plays_what_it_passes_over_at_once() -> None:
     trace = in_order(np.full(8, 10.0))
     # At 20 ms, with the third frame, 40 ms become 11: what was sent until 9 ms is due at once.
-    felt = felt_ms(trace, 40, 40, 11, 11, 11, 11, 11, 11)
-    assert felt == [20, 15, 11, 11, 11, 11, 11, 11]
+    felt_ns = felt_delays_ns(trace, np.array([40, 40, *[11] * 6]) * MS)
+    assert (felt_ns / MS).tolist() == [20, 15, 11, 11, 11, 11, 11, 11]
 
 
-def test_a_warped_playout_goes_up_by_50_ms_a_second() -> None:
-    frames = 800
-    trace = in_order(np.full(frames, 10.0))
-    at_once = play(Scripted(10, *[50.0] * (frames - 1)), trace)
-    warped = play(Scripted(10, *[50.0] * (frames - 1)), trace, warped=True)
-    assert at_once.delay_ms == pytest.approx(50, abs=0.2)
-    # 40 ms take 0.8 s of the 4, in which 95 % of 160 frames are played, 20 ms off on average; the
-    # first is played before any of it.
-    assert warped.delay_ms == pytest.approx(50 - 40 * (1 + 0.95 * 160 / 2) / frames, abs=0.01)
-    assert warped.late == 0
+def test_a_share_that_no_setting_reaches_is_not_called_reached() -> None:
+    score = score_rule(RuleOnLink("Moon percentile", links.TCP), QUICK, permitted_late=0.0)
+    assert not score.reached
+    assert score.tuned == min(score.tried, key=lambda played: played.late)
+
+
+@pytest.fixture(params=range(8))
+def delay_ms(request: pytest.FixtureRequest) -> NDArray[np.float64]:
+    """Return 12 delays between 20 and 22 ms, with odd seeds at the ends of that."""
+    rng = np.random.default_rng(request.param)
+    return rng.choice([20.1, 21.9], 12) if request.param % 2 else 20 + 2 * rng.random(12)
+
+
+@pytest.fixture
+def tried(delay_ms: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return mean delay and late share, shape (paths, 2), of all paths of levels 0.5 ms apart
+    that stay or go to a neighbour every two frames."""
+    found = []
+    for first, *moves in product(range(5), *[(-1, 0, 1)] * (len(delay_ms) // 2 - 1)):
+        positions = first + np.cumsum([0, *moves])
+        if positions.min() >= 0 and positions.max() < 5:
+            path_ms = np.repeat(20 + 0.5 * positions, 2)
+            found.append((path_ms.mean(), (delay_ms > path_ms).mean()))
+    return np.array(found)
+
+
+def test_the_cheapest_path_costs_what_trying_all_finds(
+    delay_ms: NDArray[np.float64], tried: NDArray[np.float64]
+) -> None:
+    for price_ms in (0.0, 0.3, 1.0, 3.0, 10.0, 1000.0):
+        found = cheapest(delay_ms, price_ms)
+        least_ms = (tried @ [1.0, price_ms]).min()
+        assert found.mean_ms + price_ms * found.late == pytest.approx(least_ms)
+        assert found.mean_ms == found.path_ms.mean()
+        assert found.late == (delay_ms > found.path_ms).mean()
+
+
+@pytest.mark.parametrize("late", [0.0, 0.1, 0.25])
+def test_the_bound_and_the_best_path_enclose_what_trying_all_finds(
+    delay_ms: NDArray[np.float64], tried: NDArray[np.float64], late: float
+) -> None:
+    least_ms = tried[tried[:, 1] <= late, 0].min()
+    optimum = best_moving(delay_ms, late)
+    assert optimum.best.late <= late
+    assert optimum.bound_ms <= least_ms + 1e-9
+    assert optimum.best.mean_ms >= least_ms - 1e-9
+    if late == 0:
+        assert optimum.best.mean_ms == pytest.approx(least_ms)
+
+
+@pytest.mark.parametrize("late", [0.0, 0.01, 0.1, 0.5])
+def test_the_best_constant_has_the_share_late_and_no_smaller_one_has(late: float) -> None:
+    delay_ms = np.random.default_rng(2).normal(20, 3, 1000)
+    constant_ms = best_constant_ms(delay_ms, late)
+    assert (delay_ms > constant_ms).mean() <= late
+    assert (delay_ms > constant_ms - 1e-9).mean() > late
