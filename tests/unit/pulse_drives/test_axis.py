@@ -6,8 +6,7 @@ from hypothesis import strategies as st
 
 from pulse_drives.axis import LARGEST, Axis, Units, build_axis
 from telepulse.emulators.motor import TICK_NS, EmulatedMotor
-from tests.support.drive_benches import FORCE_LIMIT_N, LAYER, stepper, tmcl_scene
-from tests.support.virtual_bench import to_touch
+from tests.support.drive_benches import FORCE_LIMIT_N, LAYER, stepper, tmcl_scene, to_touch
 
 UNITS = Units(step_m=1e-6, per_step=4.0, per_step_rate=0.5, direction=-1, home_m=-2e-3)
 
