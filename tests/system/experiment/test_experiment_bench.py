@@ -14,12 +14,11 @@ from telepulse.experiment.interval import IntervalPlayback, PlayedInterval, draw
 from telepulse.experiment.log import read_log
 from telepulse.experiment.session import Letter, Trial
 from telepulse.experiment.subjects import Keyboard, Person
-from tests.support.emulated_bench import bench_scene_text
+from tests.support.emulated_bench import bench_scene_text, emulated_tmcl
 from tests.support.experiment_sessions import condition, plan, write
-from tests.support.nodes import ROOT, process
+from tests.support.nodes import ROOT
 from tests.support.sender import MS, display_scene
 from tests.support.threaded_bench import ThreadedBench
-from tests.support.waiting import until
 
 LINK = "delay=40ms,jitter=5ms,loss=1%"
 # On a busy machine the bench stops by faults of its own; the session continues after them.
@@ -109,16 +108,12 @@ def test_a_session_on_an_emulated_drive(tmp_path: Path) -> None:
         tmp_path / "s.toml", scene=str(scene), kind="rating", trials=1, interval="0.3 s"
     )
     log = tmp_path / "log.jsonl"
-    words = ("--link", tmp_path / "drive", "--film-link", tmp_path / "film", "--trace", trace)
-    with process("telepulse", "emulate", "tmcl", str(scene), *map(str, words)) as emulator:
-        until((tmp_path / "film").exists)
+    with emulated_tmcl(scene, "--trace", str(trace)):
         for _ in range(TRIES):
             if not (why := run_once(session, log)):
                 break
         else:
             pytest.fail(f"not felt to the end in {TRIES} attempts: {why}")
-        emulator.terminate()
-        emulator.wait(20)
     assert [p.letter for p in read_log(log).answered[0].played] == ["A", "X"]
     force_n = np.genfromtxt(trace, delimiter=",", skip_header=1, usecols=3)
     assert 0.1 < force_n.max() < 2.5
