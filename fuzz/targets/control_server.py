@@ -1,7 +1,6 @@
 """The sensing node's control server: messages from any senders, in any order."""
 
 from fuzz.refusals import check_causes
-from fuzz.targets.control import DESCRIPTION
 from fuzz.targets.control import seeds as messages
 from protocol.errors import VersionError
 from protocol.wire.messages import (
@@ -13,6 +12,7 @@ from protocol.wire.messages import (
 )
 from sensing_node.control_server import ADDRESS_BYTES, MAX_CLIENTS, MAX_HOPS, ControlServer
 from sensing_node.press.set_points import SetPointServer
+from tests.support.message_examples import DESCRIPTION
 
 SESSION = 7
 STEP_NS = 300_000_000
