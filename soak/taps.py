@@ -26,6 +26,7 @@ from telepulse.netem import Namespace
 
 RECONNECT_MS = 20
 HIGH_WATER = 10_000
+RENEW_AFTER_MS = 300
 
 
 @dataclass(slots=True)
@@ -62,7 +63,7 @@ class Taps:
         """Record all frames of a sensing node."""
         self.sessions[role] = {}
         socket = self._subscribe(address, (b"",), namespace, keys)
-        self._tasks.append(asyncio.create_task(self._record_frames(socket, role)))
+        self._tasks.append(asyncio.create_task(self._record_frames(socket, address, role)))
 
     async def close(self) -> None:
         """End recording. Raises the errors of the recording tasks."""
@@ -115,9 +116,14 @@ class Taps:
             elif topic == STATUS:
                 _take_status(data, node, felt, now_ns)
 
-    async def _record_frames(self, socket: zmq.asyncio.Socket, role: str) -> None:
+    async def _record_frames(self, socket: zmq.asyncio.Socket, address: str, role: str) -> None:
         sessions = self.sessions[role]
         while True:
+            if not await socket.poll(RENEW_AFTER_MS):
+                # ZeroMQ does not connect again after a handshake with an impostor without keys.
+                socket.disconnect(address)
+                socket.connect(address)
+                continue
             data = await socket.recv()
             try:
                 frame = decode_frame(data)
