@@ -29,6 +29,15 @@ HIGH_WATER = 10_000
 RENEW_AFTER_MS = 300
 
 
+async def end_tasks(tasks: Sequence["asyncio.Task[None]"]) -> None:
+    """End tasks that run for ever. Raises the error of one that has failed."""
+    for task in tasks:
+        task.cancel()
+    for end in await asyncio.gather(*tasks, return_exceptions=True):
+        if not isinstance(end, asyncio.CancelledError) and end is not None:
+            raise end
+
+
 @dataclass(slots=True)
 class SessionFrames:
     """Frames of a session: time of its first sample, samples per frame, samples and last time."""
@@ -67,14 +76,11 @@ class Taps:
 
     async def close(self) -> None:
         """End recording. Raises the errors of the recording tasks."""
-        for task in self._tasks:
-            task.cancel()
-        ends = await asyncio.gather(*self._tasks, return_exceptions=True)
-        for context in self._contexts:
-            context.destroy(linger=0)
-        for end in ends:
-            if not isinstance(end, asyncio.CancelledError) and end is not None:
-                raise end
+        try:
+            await end_tasks(self._tasks)
+        finally:
+            for context in self._contexts:
+                context.destroy(linger=0)
 
     def _subscribe(
         self,

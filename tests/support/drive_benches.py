@@ -33,8 +33,6 @@ FORCE_LIMIT_N = 2.5
 # For a machine so busy that threads wait: far longer than a bench's usual 50 ms.
 PATIENT = {"watchdog": "800 ms", "homing_speed": "20 mm/s", "touch": "0.6 mm"}
 LONGEST_WAIT_S = 20.0
-# 1 mm/s of the usual stepper.
-TOUCHING_HZ = 1_600.0
 VIRTUAL = ("pulse_drives", "telepulse.emulators")
 
 
@@ -49,17 +47,6 @@ def tmcl_scene(**keys: Any) -> TmclScene:
 def cia402_scene(**keys: Any) -> Cia402Scene:
     table = {"kind": "cia402", "interface": "virtual", "channel": "c", **keys}
     return Cia402Scene.model_validate(table)
-
-
-def to_touch(motor: EmulatedMotor, now_ns: int) -> int:
-    """Move the tip off the finger, then to first touch; return the time of the touch."""
-    for rate_hz in (-TOUCHING_HZ, TOUCHING_HZ):
-        motor.run(rate_hz)
-        while (motor.tip_m < 0) is (rate_hz > 0):
-            now_ns += TICK_NS
-            motor.advance(now_ns)
-    motor.run(0.0)
-    return now_ns
 
 
 @dataclass
