@@ -24,11 +24,10 @@ from protocol.errors import SourceError
 from pulse_sensors.plausibility import RecordedColumn, stated_times
 from sensing_node.files.bounds import check_regular, check_samples
 from sensing_node.files.clock import time_of
-from sensing_node.files.columns import TIMES, column_file, numbers_of, titles_of
+from sensing_node.files.columns import column_file, numbers_of
 from sensing_node.files.signals import (
     ColumnKey,
     SignalFile,
-    SignalTable,
     rate_fault,
     text_encoding,
 )
@@ -152,7 +151,7 @@ def read(path: Path) -> SignalFile:
     if layout.labelled:
         above.append(";".join(title for title, _ in _pairs_of(first[start])))
     head = read_head(above, layout.split, len(kinds))
-    begin_s, rate_hz = None, head.rate_hz
+    rate_hz = head.rate_hz
     if not any(head.titles):
         rows = [layout.numbers(layout.split(line)) for line in first[start : start + 3]]
         begin_s, rate_hz = _begin_and_rate(rows) or (None, rate_hz)
@@ -180,7 +179,6 @@ def read(path: Path) -> SignalFile:
         [at for at, kind in enumerate(kinds) if kind == TIME],
         place=table.place,
         notes=tuple(notes),
-        begin_ns=None if begin_s is None else round(begin_s * 1e9),
     )
 
     def load(keys: Sequence[ColumnKey]) -> list[RecordedColumn]:
@@ -193,18 +191,6 @@ def read(path: Path) -> SignalFile:
     clocked = any(stated_times(file.load([at])[0]) for at in numbers)
     signals = [each._replace(rate_hz=None if clocked else rate_hz) for each in file.signals]
     return replace(file, load=load, signals=tuple(signals))
-
-
-def write(path: Path, table: SignalTable) -> list[str]:
-    """Write a .csv file, with a column of times in s."""
-    notes: list[str] = []
-    grid = table.at_one_rate(notes)
-    times_s = np.arange(len(grid)) / table.rate_hz
-    with path.open("x", newline="", encoding="utf-8") as file:
-        rows = csv.writer(file)
-        rows.writerow([TIMES, *titles_of(table)])
-        rows.writerows(np.column_stack([times_s, grid]).tolist())
-    return notes
 
 
 def _lines(path: Path) -> Iterator[str]:

@@ -31,7 +31,6 @@ PANELS = {
         "replay": "record",
         "report": "record",
         "export": "record",
-        "convert": "record",
         "lsl": "view",
     },
     "Networks": {

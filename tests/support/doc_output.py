@@ -147,7 +147,6 @@ SESSIONS: dict[str, list[Step | Stop | Do]] = {
         Step("telepulse demo --source 03700181", more="--seconds 2 --no-ui", says="plays ABP"),
         Step("telepulse simulate --source 03700181 --channel RESP", more="--seconds 2"),
         Step("sensing-node radial --source 03700181", more=f"{SERVED} --seconds 1"),
-        Step("telepulse convert 03700181 pulse.edf", says="no sample is missing"),
     ],
     "one machine": [
         Step(f"{SENSE} --metrics 9101", more=SERVED, shows=STREAMING),
