@@ -140,8 +140,8 @@ def read(path: Path) -> SignalFile:
     head = read_head(_above(first, form), form.layout.split, len(form.kinds))
     start, rate_hz = form.start, head.rate_hz
     if not any(head.titles):
-        rows = [form.layout.numbers(form.layout.split(line)) for line in first[start : start + 3]]
-        if (stated_hz := _rate_of_wristband(rows)) is not None:
+        tops = [form.layout.numbers(form.layout.split(line)) for line in first[start : start + 3]]
+        if (stated_hz := _rate_of_wristband(tops)) is not None:
             start, rate_hz = start + 2, stated_hz
     table = TextTable(form, path)
     for rows in _rows(form, chain(first[start:], lines), start):

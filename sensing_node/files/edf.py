@@ -45,7 +45,7 @@ def read(path: Path) -> SignalFile:
         edf, stated = _opened(path, head), int(head[RECORDS])
         held = edf.num_data_records
         signals = [each for each in edf.signals if not each.label.endswith(ANNOTATIONS)]
-        ranges = [(each.physical_range, each.digital_range) for each in signals]
+        plain = [each for each in signals if _has_range(each)]
     except ValueError as error:
         raise SourceError(f"{path}: its header is damaged: {error}") from None
     if not held:
@@ -53,12 +53,10 @@ def read(path: Path) -> SignalFile:
     records = min(held, stated) if stated > 0 else held
     check_samples(path, records * max((s.samples_per_data_record for s in signals), default=0))
     left_out: dict[ColumnKey, str] = {
-        signal.label: f"has the range {tuple(physical)} for the codes {tuple(digital)}"
-        for signal, (physical, digital) in zip(signals, ranges, strict=True)
-        # Real recorders write such signals, too.
-        if physical[0] == physical[1] or digital[0] >= digital[1] or not np.isfinite(physical).all()
+        s.label: f"has the range {tuple(s.physical_range)} for the codes {tuple(s.digital_range)}"
+        for s in signals
+        if s not in plain
     }
-    plain = [signal for signal in signals if signal.label not in left_out]
     discontinuous = head[RESERVED].strip()[3:5] == b"+D"
     onsets_s = _onsets_s(path, head, records, edf.data_record_duration) if discontinuous else None
     ours = WRITER in edf.local_recording_identification.split()
@@ -89,20 +87,26 @@ def read(path: Path) -> SignalFile:
     return signal_file(path, infos, values, [states] if stated > held else [], left_out)
 
 
+def _has_range(signal: Any) -> bool:
+    """Return whether a signal's codes stand for values: real recorders have others, too."""
+    (low, high), (least, most) = signal.physical_range, signal.digital_range
+    return bool(low != high and least < most and np.isfinite([low, high]).all())
+
+
 def _opened(path: Path, head: bytes) -> Any:
     """Return a file as edfio opens it. Raises SourceError or ValueError."""
     count = int(head[COUNT])
     if not 1 <= count <= MOST_SIGNALS:
         raise ValueError(f"{count} signals")
-    length = b"%-8d" % (HEADER_BYTES * (1 + count))
+    length = b"%d" % (HEADER_BYTES * (1 + count))
     wide = head[:1] == VERSIONS[1][:1]
     # Of an EDF, samples are read as they are loaded.
     file: Path | bytes = path
     if wide:
         check_bytes(path, path.stat().st_size)
-    if head[LENGTH] != length:
+    if head[LENGTH].strip() != length:
         whole = read_whole(path)
-        file = whole[: LENGTH.start] + length + whole[LENGTH.stop :]
+        file = whole[: LENGTH.start] + length.ljust(NUMBER) + whole[LENGTH.stop :]
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         return (edfio.read_bdf if wide else edfio.read_edf)(file, header_encoding="latin-1")
@@ -118,7 +122,7 @@ def _onsets_s(path: Path, head: bytes, records: int, record_s: float) -> Floats:
     size = 3 if head[:1] == VERSIONS[1][:1] else 2
     widths = [size * int(counts[n * NUMBER : (n + 1) * NUMBER]) for n in range(count)]
     rows = data[HEADER_BYTES * count :][: records * sum(widths)].reshape(records, sum(widths))
-    onsets_s = np.arange(records) * record_s
+    onsets_s: Floats = np.arange(records, dtype=np.float64) * record_s
     notes = next((n for n in range(count) if labels[n].endswith(ANNOTATIONS.encode())), count)
     begin = sum(widths[:notes])
     for record, row in enumerate(rows[:, begin : begin + sum(widths[notes : notes + 1])]):
