@@ -128,4 +128,5 @@ def _onsets_s(path: Path, head: bytes, records: int, record_s: float) -> Floats:
     for record, row in enumerate(rows[:, begin : begin + sum(widths[notes : notes + 1])]):
         if (found := _ONSET.match(row.tobytes())) is not None:
             onsets_s[record] = float(found[1])
-    return onsets_s - onsets_s[0]
+    onsets_s -= onsets_s[0]
+    return onsets_s
