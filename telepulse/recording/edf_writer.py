@@ -1,8 +1,8 @@
 """Export of signals as EDF+, by edfio, with the lowest code as a missing sample.
 
 The header has two fields of texts, on the patient and on the recording. Each has parts of fixed
-meaning, then further ones. A text without a part of its own becomes a further one, such as
-"side=left", in the first of the two fields with space for it.
+meaning, then further ones. The subject is the patient's code; each other text is a further part,
+such as "side=left", in the first of the two fields with space for it.
 """
 
 import math
@@ -23,11 +23,8 @@ LOWEST, HIGHEST = -(1 << (BITS - 1)), (1 << (BITS - 1)) - 1
 # Margin, as a share of the range, that keeps values above the lowest code.
 RANGE_MARGIN = 0.02
 WRITER, UTC_TIMES = "telepulse", "times_are_UTC"
-# Names of the first parts of the header's two fields in EDF+.
-PATIENT = ("subject", "sex", "birthdate", "name")
-RECORDING = ("investigation", "technician", "equipment")
-# Characters of a part, so that those of the patient fit into their field of 80.
-LONGEST_PART = 30
+# Text that is the patient's code, and its characters, of 80 of the field.
+SUBJECT, LONGEST_CODE = "subject", 30
 
 
 def write(path: Path, table: SignalTable) -> list[str]:
@@ -59,7 +56,7 @@ def write(path: Path, table: SignalTable) -> list[str]:
         if name != one.label
     ]
     notes += [f"names are changed: {', '.join(cut)}"] if cut else []
-    return notes + ([f"texts are cut or left out: {', '.join(left_out)}"] if left_out else [])
+    return notes + ([f"texts are changed or left out: {', '.join(left_out)}"] if left_out else [])
 
 
 def _signal(edfio: Any, name: str, unit: str, values: Floats, rate_hz: int) -> Any:
@@ -96,39 +93,14 @@ def _identifications(
     edfio: Any, about: Mapping[str, str], begin: datetime
 ) -> tuple[Any, Any, list[str]]:
     """Return the header's two fields, and the keys of texts that they do not hold whole."""
-    named = {_word(key): _word(text) for key, text in about.items() if text}
-    parts = [named.pop(key, "X") for key in (*PATIENT, *RECORDING)]
-    cut = [
-        key
-        for key, part in zip((*PATIENT, *RECORDING), parts, strict=True)
-        if len(part) > LONGEST_PART
-    ]
-    code, sex, born, name, investigation, technician, equipment = (
-        part[:LONGEST_PART] for part in parts
-    )
-    # These have no other form than their own.
-    named |= {"sex": sex} if sex not in ("F", "M", "X") else {}
-    birthdate = None
-    try:
-        birthdate = datetime.strptime(born, "%d-%b-%Y").date()
-    except ValueError:
-        named |= {"birthdate": born} if born != "X" else {}
-    of_patient = {
-        "code": code,
-        "sex": sex if sex in ("F", "M") else "X",
-        "birthdate": birthdate,
-        "name": name,
-    }
-    of_recording = {
-        "startdate": begin.date(),
-        "hospital_administration_code": investigation,
-        "investigator_technician_code": technician,
-        "equipment_code": WRITER if equipment == "X" else equipment,
-    }
-    ours = [UTC_TIMES] if equipment == "X" else [WRITER, UTC_TIMES]
-    patient = _filled(edfio.Patient, of_patient, [], named)
-    recording = _filled(edfio.Recording, of_recording, ours, named)
-    return patient, recording, [*cut, *named]
+    texts = {_word(key): _word(text) for key, text in about.items() if text}
+    code = texts.pop(SUBJECT, "X")
+    patient = _filled(edfio.Patient, {"code": code[:LONGEST_CODE]}, [], texts)
+    fixed = {"startdate": begin.date(), "equipment_code": WRITER}
+    recording = _filled(edfio.Recording, fixed, [UTC_TIMES], texts)
+    changed = [key for key, text in about.items() if _ascii(text) != text]
+    cut = [SUBJECT] if len(code) > LONGEST_CODE else []
+    return patient, recording, list(dict.fromkeys([*changed, *cut, *texts]))
 
 
 def _filled(field: Any, parts: dict[str, Any], further: list[str], texts: dict[str, str]) -> Any:

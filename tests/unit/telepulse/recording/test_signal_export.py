@@ -89,14 +89,14 @@ def test_begin_texts_and_annotations_are_in_the_file_or_in_a_note(tmp_path: Path
 
 
 def test_names_and_texts_that_edf_cannot_hold_are_named(tmp_path: Path) -> None:
-    about = {"subject": "S" * 40, "notes": "long " * 60}
+    about = {"subject": "S" * 40, "position": "é", "side": "left", "notes": "long " * 60}
     table = TABLE._replace(names=["Felt pulse of the left", "Kraft é", "b"], about=about)
     _, names, texts = edf_writer.write(tmp_path / "a.edf", table)
     assert names == (
         "names are changed: Felt pulse of the left is written as Felt pulse of th,"
         " Kraft é is written as Kraft e"
     )
-    assert texts == "texts are cut or left out: subject, notes"
+    assert texts == "texts are changed or left out: position, subject, notes"
     high = table._replace(values=1e9 * table.values)
     with pytest.raises(ValueError, match=r"scale it below 1e\+07"):
         edf_writer.write(tmp_path / "b.edf", high)
