@@ -40,7 +40,7 @@ def seeds() -> list[bytes]:
     csv = b"time,force\n0,0.1\n1,0.2\n2,0.3\n"
     files = [csv, npy.getvalue(), npz.getvalue()]
     values = np.stack([np.arange(200.0) % 80, np.arange(200.0) % 70], axis=1)
-    pulse = SignalTable(["force", "more"], ["mV", "mV"], values, 100, 0)
+    pulse = SignalTable(["force", "more"], ["mV", "mV"], values, 100, 10**18)
     for write in (
         lambda path: edf_writer.write(path, pulse),
         lambda path: wavfile.write(path, 100, values.astype(np.float32)),
