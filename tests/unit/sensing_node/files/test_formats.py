@@ -1,6 +1,7 @@
 """Checks that hold for files of every format alike: rates, values, names, refusals."""
 
 import struct
+import sys
 from pathlib import Path
 
 import edfio
@@ -173,6 +174,21 @@ def test_refusals_name_file_fault_and_remedy_without_internals(tmp_path: Path) -
     assert refusal(tmp_path / "b.npy").endswith("save it by numpy.save or numpy.savez")
     (tmp_path / "b.hea").write_text("# a comment\n", encoding="utf-8")
     assert refusal(tmp_path / "b.hea").endswith("header of a WFDB record: it holds no line")
+
+
+@pytest.mark.parametrize(
+    ("suffix", "library", "package"),
+    [("edf", "edfio", "edfio"), ("xdf", "pyxdf", "'telepulse[files]'")],
+)
+def test_a_library_that_is_missing_is_named_with_what_installs_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, suffix: str, library: str, package: str
+) -> None:
+    monkeypatch.delitem(sys.modules, f"sensing_node.files.{suffix}", raising=False)
+    monkeypatch.setitem(sys.modules, library, None)
+    (tmp_path / f"a.{suffix}").write_bytes(b"0")
+    line = refusal(tmp_path / f"a.{suffix}")
+    assert f"needs {library}, which cannot be loaded" in line
+    assert line.endswith(f"pip install {package}")
 
 
 def test_units_beyond_ascii_are_read(tmp_path: Path) -> None:
