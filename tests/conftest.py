@@ -25,6 +25,7 @@ NOT_TRACED = (
     *("golden", "unit/telepulse", "unit/soak", "unit/documentation"),
     *("system/accuracy", "system/commissioning", "system/compiled", "system/documentation"),
     *("system/experiment", "system/faults", "system/recording", "system/relay", "system/reports"),
+    *("system/paper", "system/stability"),
     *("system/soak", "system/view", "unit/display_node/test_hardware.py"),
     "unit/display_node/control/test_controller.py",
     *("unit/pulse_drives/test_drive.py", "unit/display_node/reception/test_failover.py"),
@@ -36,6 +37,7 @@ LATER = (
     *("unit/test_class_names.py", "unit/test_clock_reads.py", "unit/test_import_cycles.py"),
     # Studies, comparisons with other libraries, and words on pages.
     *("unit/telepulse/reports", "unit/telepulse/view", "unit/telepulse/experiment"),
+    *("unit/telepulse/paper", "unit/telepulse/test_document.py"),
     "unit/protocol/test_figures.py",
     "unit/display_node/control/test_linear_loop.py",
     # Seconds each, of what quicker tests have in part.

@@ -133,7 +133,7 @@ def test_the_page_has_all_it_shows_beside_it(path: Path, tmp_path: Path) -> None
     folder = tmp_path / "a-report"
     assert f"report: {folder / 'index.html'}" in result.stdout
     needed = Page((folder / "index.html").read_text(encoding="utf-8")).needed
-    assert {f"{name}-light.png" for name in PLOTS} < needed
+    assert {f"{name}.svg" for name in PLOTS} == needed
     for name in needed:
         assert (folder / name).stat().st_size > 1_000
     chapters = json.loads(tables.read_text(encoding="utf-8"))["chapters"]
