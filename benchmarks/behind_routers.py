@@ -12,7 +12,7 @@ from contextlib import contextmanager, redirect_stdout, suppress
 from pathlib import Path
 from subprocess import PIPE
 
-from benchmarks.measure import show
+from benchmarks.benchmark import Benchmark
 from protocol.host.child_process import ChildProcess
 from telepulse.processes import cpu_time_s, free_addresses
 from tests.support.hostile_peers import GREETING, port_of
@@ -27,7 +27,7 @@ CHUNK_BYTES = 65_536
 HOST = "127.0.0.1"
 
 
-def main() -> None:
+def main(benchmark: Benchmark) -> None:
     """Print the delay of the ways in turns, and the time and processor time of a tunnel."""
     names = ["port forwarding", *(name for name in WAYS if missing(name) is None)]
     found: dict[str, list[tuple[float, float]]] = {name: [] for name in names}
@@ -39,8 +39,8 @@ def main() -> None:
         p50_ms, p99_ms = (statistics.median(column) for column in zip(*delays_ms, strict=True))
         rows.append((name, f"{p50_ms:.2f}", f"{p99_ms:.2f}"))
     title = f"One-way delay of frames, median of {TURNS} runs of {SECONDS} s"
-    show(title, ("way", "p50 ms", "p99 ms"), rows)
-    _print_costs()
+    benchmark.table(title, ("way", "p50 ms", "p99 ms"), rows)
+    _print_costs(benchmark)
 
 
 def _delay_ms(name: str) -> tuple[float, float]:
@@ -67,7 +67,7 @@ def _port_forwarding(sites: Sites, keys: ThreeKeyrings, folder: Path) -> Iterato
     yield Ends(("--bind", "tcp://*:5555"), f"tcp://{ROUTER_ADDRESS}:5555")
 
 
-def _print_costs() -> None:
+def _print_costs(benchmark: Benchmark) -> None:
     """Print round trips, rate and processor time of plain TCP, direct and through a tunnel."""
     bind, nodes, served = free_addresses(3)
     listener = socket.create_server((HOST, port_of(served)))
@@ -96,7 +96,7 @@ def _print_costs() -> None:
             rows.append((name, *texts))
     title = f"Plain TCP over loopback, {TRIPS} round trips of {MESSAGE_BYTES} bytes"
     columns = ("", "round trip p50 µs", "p99 µs", "processor µs a message", "bulk MB/s")
-    show(title, columns, rows)
+    benchmark.table(title, columns, rows)
 
 
 def _cpu_s(*processes: ChildProcess) -> float:
