@@ -223,10 +223,6 @@ UNRUN = {
     f"{SSH} -R 5655:localhost:5555 -R 5656:localhost:5556 THIRD cat": BEHIND,
     f"{SSH} -L 5655:localhost:5655 -L 5656:localhost:5656 THIRD cat": BEHIND,
     "wg-quick up ./wg0.conf": BEHIND,
-    "telepulse keys allow wrist.pub": "as of finger.pub, run above",
-    "telepulse tunnel --key keys/relay.key": BEHIND,
-    "sensing-node radial --dial-out tcp://RELAY:5755 --key keys/wrist.key --peer relay.pub": BEHIND,
-    "display-node radial --connect tcp://RELAY:5655 --key keys/finger.key --peer wrist.pub": BEHIND,
     "sensing-node radial --bind tcp://127.0.0.1:5555 --key keys/wrist.key": BEHIND,
     "display-node radial --connect tcp://localhost:5655 --key keys/finger.key --peer wrist.pub": (
         BEHIND
