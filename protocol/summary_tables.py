@@ -302,19 +302,6 @@ class DataConnections:
     open: int | None = figure(
         "Parallel connections for frames", "{} open", metric="data_connections"
     )
-    opened: int | None = figure(
-        'With `paths = "auto"`: further connections opened because TCP stalled',
-        "{} opened because TCP stalled",
-        metric="data_connections_opened_total",
-        show_zero=False,
-    )
-    stalls: int | None = figure(
-        'With `paths = "auto"`: stalls of TCP, in which the first connection delivered nothing for'
-        " longer than a round trip and then many frames at once",
-        "{} stalls",
-        metric="data_connection_stalls_total",
-        show_zero=False,
-    )
 
 
 @dataclass(frozen=True, slots=True)
