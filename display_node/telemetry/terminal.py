@@ -1,13 +1,12 @@
 """Live state of a display in a terminal, drawn from the telemetry in a process of its own.
 
 `python -m display_node.telemetry.terminal ADDRESS [KEY]` shows a display's telemetry: a panel in a
-terminal, where the key m marks the time, and a line a second elsewhere. It ends with the display,
-or with the process that started it. KEY is the file of the display's own secret key; it is needed
+terminal, and a line a second elsewhere. It ends with the display, or with the process that started
+it. KEY is the file of the display's own secret key; it is needed
 where the telemetry is protected.
 """
 
 import os
-import secrets
 import signal
 import sys
 import time
@@ -20,13 +19,12 @@ from rich.console import Console
 from rich.live import Live
 
 from display_node.scoring.heart_rate import heart_rate_per_min
-from display_node.telemetry.key_presses import key_presses, terminal_restored
-from display_node.telemetry.terminal_view import MARK_KEY, TerminalView
+from display_node.telemetry.terminal_view import TerminalView
 from protocol import sockets
 from protocol.host.output import unblocked_output
 from protocol.host.process import lower_priority
 from protocol.security.keys import ClientKeys, read_pair
-from protocol.wire.marks import MARK, MarkRequest, pack_request
+from protocol.wire.marks import MARK
 from protocol.wire.telemetry import STATUS, TRACE, Status, Trace
 
 FRAMES_PER_S = 8
@@ -68,8 +66,7 @@ def watch(
         live = Live(screen.panel(), console=console, refresh_per_second=FRAMES_PER_S)
         live.start()
     try:
-        with terminal_restored():
-            _follow(screen, socket, console, on_traces, draw, live, keep_watching)
+        _follow(screen, socket, console, on_traces, draw, live, keep_watching)
         return screen.status
     finally:
         if live is not None:
@@ -108,9 +105,6 @@ def _follow(
             continue  # more has queued, and only the newest is shown
         if live is not None:
             live.update(screen.panel(time.perf_counter_ns()))
-            for _ in range(key_presses().count(MARK_KEY)):
-                request = MarkRequest(secrets.randbits(62), time.perf_counter_ns(), "")
-                sockets.send(socket, pack_request(request))
         elif draw and time.monotonic() - line_s >= LINE_EVERY_S:
             line_s = time.monotonic()
             _print_line(screen, console)

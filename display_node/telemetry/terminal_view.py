@@ -1,7 +1,7 @@
 """State of a display as a line or a panel in a terminal, from its telemetry.
 
-The panel shows the figures of this moment and a plot of the force; the line what matters in the
-display's present state.
+The panel shows the figures of this moment and of the run; the line what matters in the display's
+present state.
 """
 
 import itertools
@@ -25,7 +25,6 @@ from display_node.telemetry.alerts import (
     delay_note,
     finger_text,
 )
-from display_node.telemetry.braille_plot import braille_plot
 from display_node.telemetry.status_line import compose
 from protocol.errors import WireError
 from protocol.figures import Surface
@@ -33,11 +32,9 @@ from protocol.run_summary import rows
 from protocol.wire.marks import MARK, Mark, read_mark
 from protocol.wire.telemetry import STATUS, TRACE, Status, Trace, read_status, read_trace
 
-MARK_KEY = "m"
 MARK_WIDTH = 40
 # One tick in 10 ms is kept, for 6 s.
 KEEP_NS, APART_NS = 6_000_000_000, 10_000_000
-PLOTTED_TICKS = 300
 # Statuses come five times a second; an older one is not shown as current.
 CURRENT_NS = 1_000_000_000
 
@@ -194,9 +191,9 @@ class TerminalView:
         stream = _printable(self.status.stream) or "no stream"
         title = Text(f"telepulse · {stream} · {self._state(now_ns)}")
         wrong = [Text(f"{name}: {text}", "bold red") for name, text in self._alerts(now_ns)]
-        last = _cut(f"; last: {self.mark.text}", MARK_WIDTH) if self.mark else ""
-        between = Text(f"of the run so far; {MARK_KEY} marks the time{last}", "dim")
-        whole = Group(*wrong, now, *self._plot(current), between, run)
+        last = _cut(f"; last mark: {self.mark.text}", MARK_WIDTH) if self.mark else ""
+        between = Text(f"of the run so far{last}", "dim")
+        whole = Group(*wrong, now, between, run)
         return Panel(whole, title=title, expand=False, style="" if current else "dim")
 
     def _alerts(self, now_ns: int) -> list[Alert]:
@@ -270,23 +267,6 @@ class TerminalView:
         assert self.status is not None
         unreadable = [("telemetry not readable", str(self.unreadable))] if self.unreadable else []
         return [*rows(self.status.summary, Surface.TERMINAL), *unreadable]
-
-    def _plot(self, current: bool) -> list[RenderableType]:
-        ticks = list(self._ticks[0])[-PLOTTED_TICKS:]
-        felt_n, target_n = [tick.felt_n for tick in ticks], [tick.target_n for tick in ticks]
-        known_n = [force_n for force_n in felt_n + target_n if math.isfinite(force_n)]
-        if len(ticks) < 2 or not known_n:
-            return [Text("no pulse yet", "dim")]
-        low, high = min(known_n), max(known_n)
-        # The forces of all contactors are in the rows above; the plot has room for the first one.
-        names = list(self.status.summary.get("contactors", {})) if self.status is not None else []
-        of = f"{_printable(names[0])}: " if len(names) == len(self._ticks) > 1 else ""
-        rows = braille_plot(felt_n, target_n, low, high)
-        return [
-            Text(f"{of}felt (line) over target (dots), last 3 s", "dim"),
-            *(Text(row, "cyan" if current else "dim") for row in rows),
-            Text(f"{low * 1e3:.0f} to {high * 1e3:.0f} mN", "dim"),
-        ]
 
 
 def _missing_text(summary: Mapping[str, Any]) -> str:
