@@ -1,4 +1,4 @@
-"""Marks of a running display by a key in its terminal and by a command, and its statements."""
+"""Marks of a running display by a command, and its statements."""
 
 import time
 from pathlib import Path
@@ -12,6 +12,7 @@ from protocol.wire.marks import MARK, MarkRequest, pack_request
 from telepulse.processes import free_addresses
 from telepulse.recording.reader import RecordingReader
 from telepulse.telemetry.schema import EVENT
+from tests.support.live_display import await_state, subscribe
 from tests.support.log_lines import refused
 from tests.support.nodes import RADIAL, process, run
 from tests.support.waiting import PATIENCE_S, until
@@ -20,23 +21,20 @@ MODULE = "telepulse"
 SECOND_NS = 1_000_000_000
 
 
-def test_a_command_marks_the_recording_and_the_terminal_shows_the_mark(tmp_path: Path) -> None:
+def test_a_command_marks_the_recording(context: Context, tmp_path: Path) -> None:
     address, telemetry = free_addresses(2)
     path = tmp_path / "marked.mcap"
     options = ("--connect", address, "--telemetry", telemetry, "--record", str(path))
     about = ("--about", "subject=S01", "--about=notes=after rest")
     with (
         process("sensing_node.cli", str(RADIAL), "--bind", address, "--quiet"),
-        process("display_node.cli", str(RADIAL), *options, *about) as display,
+        process("display_node.cli", str(RADIAL), "--no-screen", *options, *about) as display,
     ):
-        while not display.read_line(PATIENCE_S).startswith("playing"):
-            pass
+        await_state(subscribe(context, telemetry), "playing")
         marked_ns = time.time_ns()
         for text, mark in (("", "mark 1"), ("cuff\x1b on", "cuff  on")):
             command = run(MODULE, "mark", telemetry, *([text] if text else []))
             assert (command.returncode, command.stdout) == (0, f"mark: {mark}\n")
-            while display.read_line(PATIENCE_S) != f"mark: {mark}":
-                pass
         display.terminate()
         output, _ = display.communicate(timeout=PATIENCE_S)
         assert "The pulse was felt" in output
