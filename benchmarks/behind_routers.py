@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, redirect_stdout
 from pathlib import Path
 
-from benchmarks.measure import show
+from benchmarks.benchmark import Benchmark
 from tests.support.routers import ROUTER_ADDRESS, Sites, behind_routers, run_within
 from tests.support.ways import WAYS, Ends, missing, nodes_keys, play
 
@@ -15,7 +15,7 @@ SECONDS = 10
 TURNS = 3
 
 
-def main() -> None:
+def main(benchmark: Benchmark) -> None:
     """Print the delay of the ways, played in turns."""
     names = ["port forwarding", *(name for name in WAYS if missing(name) is None)]
     found: dict[str, list[tuple[float, float]]] = {name: [] for name in names}
@@ -27,7 +27,7 @@ def main() -> None:
         p50_ms, p99_ms = (statistics.median(column) for column in zip(*delays_ms, strict=True))
         rows.append((name, f"{p50_ms:.2f}", f"{p99_ms:.2f}"))
     title = f"One-way delay of frames, median of {TURNS} runs of {SECONDS} s"
-    show(title, ("way", "p50 ms", "p99 ms"), rows)
+    benchmark.table(title, ("way", "p50 ms", "p99 ms"), rows)
 
 
 def _delay_ms(name: str) -> tuple[float, float]:

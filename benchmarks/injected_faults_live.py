@@ -12,7 +12,7 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from benchmarks.measure import show
+from benchmarks.benchmark import Benchmark
 from tests.support.emulated_bench import BenchFailedError, EmulatedBench, MotorTrace, playing
 from tests.support.fault_runs import KINDS, LIMIT_N, TOUCH_N
 
@@ -34,11 +34,11 @@ FAULTS = (
 )
 
 
-def main() -> None:
+def main(benchmark: Benchmark) -> None:
     """Print the table."""
     rows = [stopped_row(kind, seconds) for seconds in STOPPED_S for kind in KINDS]
     rows += [fault_row(kind, *fault) for fault in FAULTS for kind in KINDS]
-    show(
+    benchmark.table(
         f"Stalls and injected faults on real processes; the limit is {LIMIT_N:g} N",
         ("what happens", "drive", "most N", "above ms", "off ms", "at the end N", "named"),
         rows,

@@ -9,7 +9,8 @@ from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from benchmarks.measure import median_quantile, show
+from benchmarks.benchmark import Benchmark
+from benchmarks.timing import median_quantile
 from protocol.config.scene_file import find_scene
 from protocol.histogram import bound
 from protocol.run_summary import Summary
@@ -28,7 +29,7 @@ CUT_FOR_GOOD = LOSS_FREE + ",cut.from=10s,cut.for=60min"
 CONGESTION_CONTROL = Path("/proc/sys/net/ipv4/tcp_congestion_control")
 
 
-def main() -> None:
+def main(benchmark: Benchmark) -> None:
     """Print both tables.
 
     Bars: with three connections a p99 of at most 1.1 times the loss-free one, nothing lost; no cut
@@ -60,7 +61,7 @@ def main() -> None:
         ]
     base_ms = runs[0][2].display.one_way_delay_ms.p99 or 0.0
     control = CONGESTION_CONTROL.read_text(encoding="ascii").strip()
-    show(
+    benchmark.table(
         f"Paths at 20±3 ms, 10 ms frames, {SECONDS:g} s each, TCP's {control}: one-way delay in ms;"
         f" the bar for 3 is {BAR} times the p99 of one without loss, and none lost",
         ("loss", "paths", "p50", "p99", "max", "over first", "mean E", "lost"),
@@ -69,13 +70,13 @@ def main() -> None:
             row("1 %, simulated", 1, model, base_ms),
         ],
     )
-    show(
+    benchmark.table(
         "Cost of the same runs, in both directions with acknowledgements, control and IP headers:"
         " traffic, and processor time in % of a core",
         ("loss", "paths", "packets/s", "kB/s", "sensing node", "display node"),
         [cost_row(*run) for run in runs],
     )
-    show(
+    benchmark.table(
         f"Networks at 20±3 ms, a path each, {SECONDS:g} s: what is felt of a cut, in ms; the bar"
         " for two is that no sample is lost, or later than its instant by more than the mean E",
         ("cut", "networks", "mean E", "longest delay", "later by", "late", "lost", "first copies"),

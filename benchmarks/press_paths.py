@@ -18,7 +18,7 @@ import numpy as np
 import zmq
 from numpy.typing import NDArray
 
-from benchmarks.measure import show
+from benchmarks.benchmark import Benchmark
 from protocol.config.scene_file import find_scene
 from protocol.run_summary import Summary
 from protocol.wire.messages import decode_frame
@@ -79,7 +79,7 @@ class Followed(NamedTuple):
     display: Summary
 
 
-def main() -> None:
+def main(benchmark: Benchmark) -> None:
     """Print the table. Bar: within 5 % of the press from 0.3 s and a round trip after a step on."""
     reason = unavailable()
     if reason is not None:
@@ -88,7 +88,7 @@ def main() -> None:
     with ThreadPoolExecutor(2) as pool:
         rows = list(pool.map(lambda case: row(case, follow(case)), CASES))
     control = CONGESTION_CONTROL.read_text(encoding="ascii").strip()
-    show(
+    benchmark.table(
         f"Press over TCP ({control}), 1 % loss and 10 % of jitter, {SECONDS:g} s each: steps after"
         f" which the hold-down is within {FOLLOW_ERROR:.0%}, and the share of the judged time",
         ("round trip", "connections", "frames", "paths", "steps followed", "within", "blind",

@@ -35,7 +35,7 @@ from telepulse.commissioning.calibration import (
     read_loads,
     report_calibration,
 )
-from telepulse.reports.document import Report, print_tables, write_json
+from telepulse.document import Report, print_tables, write_json
 from telepulse.scene import DEFAULT_SCENE, load_scene
 
 WARNING = (

@@ -9,7 +9,7 @@ from protocol.cli_options import one_line_errors, plain_console
 from protocol.host.output import check_writable
 from protocol.sockets import tcp_address
 from telepulse.cli.options import PROGRAM, TablesOption
-from telepulse.reports.document import Chapter, Report, Table, write_json
+from telepulse.document import Chapter, Report, Table, write_json
 
 COLUMNS = ("name", "stream", "address", "key", "node")
 

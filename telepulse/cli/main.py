@@ -31,7 +31,6 @@ PANELS = {
         "replay": "record",
         "report": "record",
         "export": "record",
-        "convert": "record",
         "lsl": "view",
     },
     "Networks": {
@@ -40,7 +39,7 @@ PANELS = {
         "relay": "link",
         "link": "link",
     },
-    "Research": {"experiment": "experiment", "study": "study", "paper": "study"},
+    "Research": {"experiment": "experiment", "study": "study", "paper": "paper"},
 }
 MODULES = {name: module for commands in PANELS.values() for name, module in commands.items()}
 PANEL_OF = {name: panel for panel, commands in PANELS.items() for name in commands}

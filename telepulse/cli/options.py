@@ -11,7 +11,7 @@ from protocol.cli_options import one_line_errors, plain_console
 from protocol.config.scene_file import scene_names
 from protocol.host.output import check_writable
 from protocol.provenance import collect
-from telepulse.reports.document import (
+from telepulse.document import (
     Report,
     check_can_report,
     print_tables,

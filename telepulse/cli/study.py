@@ -1,4 +1,4 @@
-"""`telepulse paper` and `study`: compute the chapters on the paper, and the studies."""
+"""`telepulse study`: compute the studies."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from telepulse.cli.options import FolderOption, TablesOption, publish
-from telepulse.reports.document import Report
+from telepulse.document import Report
 
 # Begin of the finding that names the missed criteria of a study.
 MISSED = "Missed:"
@@ -37,39 +37,15 @@ def publish_checked(build: Callable[[], Report], out: Path, json: Path | None, c
         raise typer.Exit(1)
 
 
-def paper(out: FolderOption = Path("out/paper"), json: TablesOption = None) -> None:
-    """Recompute the results of Dargahi et al. 2008, and explain where they differ from the paper.
-
-    Prints the tables and writes a page with all plots.
-    """
-    publish(build_paper, out, json)
-
-
-def build_paper() -> Report:
-    """Compute every chapter on the paper, in order. Raises SceneError or SourceError."""
-    # Imported here: matplotlib and scipy take long to import, and other commands do without.
-    from telepulse.reports.paper import comparison, gain_units, pulse_spectrum, stability, stepper
-
-    chapters = (
-        comparison.chapter(),
-        comparison.contradictions(),
-        gain_units.chapter(),
-        pulse_spectrum.chapter(),
-        stepper.chapter(),
-        *stability.chapters(),
-    )
-    return Report("Dargahi, Xie and Ji (2008), recomputed", chapters)
-
-
 @app.command()
 def integrators(out: FolderOption = Path("out/integrators"), json: TablesOption = None) -> None:
     """Compare integration methods of the paper's actuator in its loop: cost per step against error.
 
     Takes about half a minute. python-control is included if it is installed.
     """
+    from telepulse.parallel import in_one_thread
     from telepulse.reports.studies import integrator_scores as study
     from telepulse.reports.studies.integrator_report import report_integrators
-    from telepulse.reports.studies.sweep import in_one_thread
 
     effort = study.IntegratorEffort()
     publish(

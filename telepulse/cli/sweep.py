@@ -32,8 +32,8 @@ from protocol.provenance import collect
 from sensing_node.scene import SensingScene, build_source
 from telepulse.cli.options import PROGRAM, FolderOption, SceneArgument, TablesOption, publish
 from telepulse.cli.view import open_page
-from telepulse.reports.depth_report import describe_level, report_depth
-from telepulse.reports.document import Report
+from telepulse.document import Report
+from telepulse.recording.depth_report import describe_level, report_depth
 from telepulse.simulation.depth_loop import sweep_wrist
 
 logger = logging.getLogger(__name__)

@@ -38,7 +38,7 @@ from telepulse.commissioning.sensor_check import (
     of_each_force,
 )
 from telepulse.commissioning.tuning import MOST_SENSITIVITY, Design, design, judge, report_design
-from telepulse.reports.document import Chapter, Plot, Report, Table
+from telepulse.document import Chapter, Plot, Report, Table
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -19,7 +19,7 @@ from protocol.errors import BenchError, SceneError, SourceError
 from protocol.tactile import FIG_4_VOLTS_PER_NEWTON, Film
 from pulse_sensors.sensor import Sensor, SensorScene, open_sensor
 from telepulse.commissioning.rig import listen
-from telepulse.reports.document import Chapter, Plot, Report, Table
+from telepulse.document import Chapter, Plot, Report, Table
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

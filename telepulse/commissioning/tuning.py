@@ -22,7 +22,7 @@ from display_node.control.observer import DESIGN_FORCE_N
 from display_node.control.scene import ControllerScene, ObserverScene
 from display_node.plant.scene import SecondOrderScene, StepperScene
 from display_node.scene import DisplayScene
-from telepulse.reports.document import Chapter, Report, Table
+from telepulse.document import Chapter, Report, Table
 
 # Margins that a designed loop keeps: the Nyquist curve stays 1/1.4 from −1 (a gain margin of
 # at least 3.5 and a phase margin of at least 42°), and the drive may answer 5 ticks late.

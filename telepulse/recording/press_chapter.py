@@ -7,10 +7,10 @@ from display_node.scoring.beat_quality import GOOD
 from display_node.scoring.depth_curve import BeatPoint, fit_depth_curve
 from protocol.config.quantities import count_text
 from protocol.errors import DepthError
+from telepulse.document import Chapter, Plot
+from telepulse.recording.depth_report import height_plot
 from telepulse.recording.findings import RunFindings
 from telepulse.recording.pressed_beats import MOST_BEATS
-from telepulse.reports.depth_report import height_plot
-from telepulse.reports.document import Chapter, Plot
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -13,12 +13,11 @@ from protocol.counters import interruptions_text
 from protocol.errors import explain_causes
 from protocol.figures import Surface
 from protocol.run_summary import REGISTRY, Summary
+from telepulse.document import Chapter, Plot, Report, Table, percent, provenance_table
 from telepulse.recording.contactor_findings import ContactorFindings
 from telepulse.recording.findings import RunFindings, read_findings
 from telepulse.recording.press_chapter import press_chapters
 from telepulse.recording.report_plots import ContactorPlots, RunPlots, force_plot, with_events
-from telepulse.reports.document import Chapter, Plot, Report, Table, provenance_table
-from telepulse.reports.notation import percent
 from telepulse.telemetry.decoder import MARK_EVENT
 
 NONE = "–"

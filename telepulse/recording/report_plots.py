@@ -7,10 +7,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from display_node.scoring.tracking_error import JND
+from telepulse.document import Plot, text_colour
 from telepulse.recording.contactor_findings import ContactorFindings
 from telepulse.recording.findings import RecordedEvent, RunFindings
 from telepulse.recording.forces import AlignedBlock, Trend
-from telepulse.reports.document import Plot, text_colour
 from telepulse.telemetry.decoder import MARK_EVENT
 
 if TYPE_CHECKING:

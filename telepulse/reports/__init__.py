@@ -1,1 +1,1 @@
-"""Reports: their document, the chapters on the paper, and the studies."""
+"""The studies of `telepulse study`."""

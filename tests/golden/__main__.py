@@ -3,7 +3,7 @@
 `python -m tests.golden` writes them again. Do that only after a deliberate change, and name the
 change in the commit; `python -m tests.golden sensitivity` then measures the tolerances again.
 `test_golden.py` compares the summaries of runs, and the keys, metrics and schemas;
-`tests/system/reports/test_paper_command.py` compares the paper's tables.
+`tests/system/paper/test_paper_command.py` compares the paper's tables.
 """
 
 import json
@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import Any
 
 from protocol.wire.telemetry import Status
-from telepulse.cli.study import build_paper
 from telepulse.metrics.server import NodeState, families
+from telepulse.paper.report import build_paper
 from telepulse.telemetry.schema import SCHEMAS
 from tests.golden.comparison import measure
 from tests.golden.runs import runs
@@ -28,7 +28,7 @@ ROUNDING = 1e-10
 
 def read(name: str) -> dict[str, Any]:
     """Return the stored "summaries" (by scene and seed), "sensitivity" (of these, by scene),
-    "paper" (by table) or "figures"."""
+    "paper" (by chapter and table) or "figures"."""
     stored: dict[str, Any] = json.loads((FOLDER / f"{name}.json").read_text(encoding="utf-8"))
     return stored
 
@@ -40,18 +40,21 @@ def write(name: str, values: dict[str, Any], sort: bool = False) -> None:
 
 
 def paper_numbers(report: dict[str, Any]) -> dict[str, list[str]]:
-    """Return the numbers in each row of the tables of `telepulse paper --json`, by table.
+    """Return the numbers in each paragraph and row of a table of `telepulse paper --json`.
 
     The numbers are as printed, without the words around them, so that words may change. They are
     printed to few digits: no digit has changed in any variant of `tests.golden.comparison`.
     """
-    return {
-        f"chapter {chapter_number}, table {table_number}": [
-            " ".join(_numbers(list(row.values()))) for row in table["rows"]
+    numbers = {"findings": [" ".join(_numbers([each])) for each in report["findings"]]}
+    for number, chapter in enumerate(report["chapters"], 1):
+        numbers[f"chapter {number}"] = [
+            " ".join(_numbers([each])) for each in chapter["paragraphs"]
         ]
-        for chapter_number, chapter in enumerate(report["chapters"], 1)
-        for table_number, table in enumerate(chapter["tables"], 1)
-    }
+        for table_number, table in enumerate(chapter["tables"], 1):
+            numbers[f"chapter {number}, table {table_number}"] = [
+                " ".join(_numbers(list(row.values()))) for row in table["rows"]
+            ]
+    return numbers
 
 
 def _numbers(cells: list[str]) -> list[str]:

@@ -147,7 +147,6 @@ SESSIONS: dict[str, list[Step | Stop | Do]] = {
         Step("telepulse demo --source 03700181", more="--seconds 2 --no-ui", says="plays ABP"),
         Step("telepulse simulate --source 03700181 --channel RESP", more="--seconds 2"),
         Step("sensing-node radial --source 03700181", more=f"{SERVED} --seconds 1"),
-        Step("telepulse convert 03700181 pulse.edf", says="no sample is missing"),
     ],
     "one machine": [
         Step(f"{SENSE} --metrics 9101", more=SERVED, shows=STREAMING),
@@ -181,7 +180,6 @@ SESSIONS: dict[str, list[Step | Stop | Do]] = {
     ],
     "experiment": [
         Step("telepulse experiment new mine.toml"),
-        Step("telepulse experiment plan"),
     ],
     "emulated bench": [
         Step("telepulse emulate sensor radial --link /tmp/board", shows="kind"),
@@ -237,7 +235,6 @@ UNRUN = {
     "telepulse experiment run mine.toml --log try.jsonl --without-drive": SUBJECT,
     "telepulse experiment run mine.toml --log anna.jsonl --resume": SUBJECT,
     "telepulse experiment run mine.toml --log o.jsonl --observer '5 %'": OBSERVER,
-    "telepulse experiment report anna.jsonl bo.jsonl": OBSERVER,
     f"{PROTECTED} --announce": MULTICAST,
     f"{PLAY} --discover --key keys/finger.key --peer wrist.pub": MULTICAST,
     f"{PLAY} --named 'radial pulse on ward-3' --key keys/finger.key --peer wrist.pub": MULTICAST,
@@ -264,7 +261,7 @@ UNRUN = {
     "make bench ARGS=wire": "a minute",
     "docker compose up": COMPOSE,
     "TELEPULSE_SECONDS=300 docker compose --profile view --profile wan up": COMPOSE,
-    "make report": "a minute; tests/system/reports/test_paper_command.py",
+    "make report": "a minute; tests/system/paper/test_paper_command.py",
     "make bench": "an hour",
     'make demo ARGS="--seconds 300"': "five minutes; the like is run above",
     "make bench ARGS=load": "minutes",
@@ -272,7 +269,7 @@ UNRUN = {
     'make fuzz ARGS="--seconds 600"': FUZZ,
     'make fuzz ARGS="--only frame --seconds 300"': FUZZ,
     'make soak ARGS="--minutes 20 --seed 7"': "20 minutes; tests/system/soak/test_run.py",
-    "telepulse paper": "half a minute; tests/system/reports/test_paper_command.py",
+    "telepulse paper": "half a minute; tests/system/paper/test_paper_command.py",
     "telepulse study integrators": "half a minute; tests/system/reports/test_study_command.py",
     "telepulse study playout": "minutes; tests/system/reports/test_playout_study.py",
     "telepulse study prediction": "minutes; tests/system/reports/test_prediction_study.py",

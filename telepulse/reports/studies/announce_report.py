@@ -3,8 +3,7 @@
 from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
-from telepulse.reports.document import STYLES, Chapter, Plot, Report, Table
-from telepulse.reports.notation import percent
+from telepulse.document import STYLES, Chapter, Plot, Report, Table, percent
 from telepulse.reports.studies.announce_detector import MATCH_S, MATCHED_FROM_S
 from telepulse.reports.studies.announce_oracle import HORIZONS_MS as ORACLE_HORIZONS_MS
 from telepulse.reports.studies.announce_oracle import OracleErrors

@@ -4,9 +4,8 @@ import math
 from functools import partial
 from typing import TYPE_CHECKING
 
+from telepulse.document import STYLES, Chapter, Plot, Report, Table, percent, text_colour
 from telepulse.netem import NodesOutcome
-from telepulse.reports.document import STYLES, Chapter, Plot, Report, Table, text_colour
-from telepulse.reports.notation import percent
 from telepulse.reports.studies.cost_scores import (
     EQUAL,
     LINK,

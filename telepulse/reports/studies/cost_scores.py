@@ -19,7 +19,7 @@ from protocol.histogram import Histogram
 from protocol.run_summary import Summary
 from protocol.ticks import TickState
 from telepulse.netem import NodesOutcome, cpu_quota, run_nodes, unavailable
-from telepulse.reports.studies.sweep import sweep
+from telepulse.parallel import sweep
 from telepulse.scene import load_scene
 from telepulse.simulation.link_scene import parse_link
 from telepulse.simulation.virtual_time import Simulation

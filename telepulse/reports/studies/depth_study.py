@@ -15,9 +15,8 @@ from display_node.scoring.depth_curve import DepthCurve
 from protocol.config.quantities import count_text
 from protocol.tissue import PASCALS_PER_MMHG
 from sensing_node.sources.wrist import Wrist, WristScene
-from telepulse.reports.document import STYLES, Chapter, Plot, Report, Table
-from telepulse.reports.notation import percent
-from telepulse.reports.studies.sweep import sweep
+from telepulse.document import STYLES, Chapter, Plot, Report, Table, percent
+from telepulse.parallel import sweep
 from telepulse.simulation.depth_loop import sweep_wrist
 
 if TYPE_CHECKING:

@@ -4,9 +4,9 @@ import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from telepulse.reports.document import STYLES, Chapter, Plot, Report, Table
-from telepulse.reports.paper.explicit_loop import spectral_radius
-from telepulse.reports.paper.published import EXPERIMENT
+from telepulse.document import STYLES, Chapter, Plot, Report, Table
+from telepulse.paper.explicit_loop import spectral_radius
+from telepulse.paper.published import EXPERIMENT
 from telepulse.reports.studies.integrator_scores import (
     CHECK_SUBSTEPS,
     CONTROL,

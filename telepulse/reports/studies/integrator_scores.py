@@ -17,7 +17,7 @@ from protocol.config.scene import load_section
 from protocol.config.scene_file import find_scene
 from sensing_node.scene import SensingScene
 from sensing_node.sources.synthetic import SyntheticScene
-from telepulse.reports.paper.explicit_loop import Step, close_loop
+from telepulse.paper.explicit_loop import Step, close_loop
 from telepulse.reports.studies import integrators
 from telepulse.reports.studies.integrators import PAPER_PLANT, Plant, Solver, decimals
 

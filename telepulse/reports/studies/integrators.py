@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from display_node.plant.scene import SecondOrderScene
 from display_node.plant.second_order import SecondOrder
 from sensing_node.sources.synthetic import SyntheticScene, SyntheticSource
-from telepulse.reports.paper.explicit_loop import Number, Step
-from telepulse.reports.paper.published import ACTUATOR
+from telepulse.paper.explicit_loop import Number, Step
+from telepulse.paper.published import ACTUATOR
 
 Floats = NDArray[np.float64]
 

@@ -4,8 +4,7 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from display_node.prediction import PredictorName
-from telepulse.reports.document import STYLES, Chapter, Plot, Report, Table
-from telepulse.reports.notation import percent
+from telepulse.document import STYLES, Chapter, Plot, Report, Table, percent
 from telepulse.reports.studies.link_scores import (
     DELAYS_MS,
     PREDICTORS,

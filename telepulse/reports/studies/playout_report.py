@@ -8,8 +8,7 @@ from collections.abc import Callable, Container, Mapping
 from functools import partial
 from typing import TYPE_CHECKING
 
-from telepulse.reports.document import STYLES, Chapter, Plot, Report, Table, text_colour
-from telepulse.reports.notation import percent
+from telepulse.document import STYLES, Chapter, Plot, Report, Table, percent, text_colour
 from telepulse.reports.studies import playout_links as links
 from telepulse.reports.studies.playout_rules import PlayedTrace
 from telepulse.reports.studies.playout_scores import (

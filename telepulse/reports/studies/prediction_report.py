@@ -3,8 +3,7 @@
 from typing import TYPE_CHECKING, NamedTuple
 
 from protocol.config.quantities import count_text
-from telepulse.reports.document import STYLES, Chapter, Plot, Report, Table
-from telepulse.reports.notation import percent
+from telepulse.document import STYLES, Chapter, Plot, Report, Table, percent
 from telepulse.reports.studies.prediction_pulses import (
     HIGH_PASS_HZ,
     LOW_PASS_HZ,

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 from display_node.press.finger_press import PressLimits
 from sensing_node.press.probe import ProbeLimits
-from telepulse.reports.notation import percent
+from telepulse.document import percent
 from telepulse.reports.studies.press_runs import (
     EASED_S,
     FOLLOW_ERROR,

@@ -5,8 +5,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from display_node.press.sweep import CLOSED
-from telepulse.reports.document import Chapter, Plot, Report, Table
-from telepulse.reports.notation import percent
+from telepulse.document import Chapter, Plot, Report, Table, percent
 from telepulse.reports.studies.press_criteria import (
     follows,
     height_text,

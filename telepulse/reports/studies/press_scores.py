@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import Final, NamedTuple
 
+from telepulse.parallel import sweep
 from telepulse.reports.studies.press_runs import (
     FollowScore,
     HeightPoints,
@@ -21,7 +22,6 @@ from telepulse.reports.studies.press_runs import (
     open_gain,
     swing,
 )
-from telepulse.reports.studies.sweep import sweep
 from telepulse.simulation.link_scene import LinkScene
 from telepulse.simulation.press_loop import BATCH, ArterialPulse, PressSetting, link_of
 

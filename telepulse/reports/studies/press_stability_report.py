@@ -5,8 +5,7 @@ from typing import TYPE_CHECKING
 from display_node.press.finger_press import PressLimits
 from display_node.press.loop_gain import MOST_GAIN as BOUNDED_GAIN
 from sensing_node.press.probe import ProbeLimits
-from telepulse.reports.document import STYLES, Chapter, Plot, Table
-from telepulse.reports.notation import percent
+from telepulse.document import STYLES, Chapter, Plot, Table, percent
 from telepulse.reports.studies.press_criteria import (
     followed_steps,
     follows,

@@ -50,7 +50,7 @@ def test_identified_keys_are_written_into_a_scene_that_passes(tmp_path: Path) ->
     status, out, _ = bench(scene, "--only", "display", *files)
     assert status == 0
     assert f"scene: {found}" in out
-    assert (tmp_path / "page" / "stairs-light.png").exists()
+    assert (tmp_path / "page" / "stairs.svg").exists()
     written = found.read_text(encoding="utf-8")
     assert "# rubber" in written
     assert "# Eq 22 from commanded to felt force: m = " in written

@@ -93,7 +93,7 @@ def test_tables_and_page_hold_the_line(tmp_path: Path) -> None:
     status, out, _ = calibrate(write(tmp_path, FIG_4), "--json", str(table), "--out", str(page))
     assert status == 0
     assert f"report: {page / 'index.html'}" in out
-    assert (page / "line-dark.png").exists()
+    assert (page / "line.svg").exists()
     loads, line = json.loads(table.read_text(encoding="utf-8"))["chapters"][0]["tables"]
     assert len(loads["rows"]) == 5
     assert line["title"] == "line"

@@ -18,4 +18,9 @@ def test_the_wheel_is_pure_and_has_every_package_with_its_data(tmp_path: Path) -
     names = zipfile.ZipFile(wheel).namelist()
     assert not [name for name in names if name.endswith(NATIVE)]
     data = ("protocol/scenes/radial.toml", "telepulse/view/page.js", "telepulse/py.typed")
-    assert {*data, "pulse_drives/cia402/cia402.eds", "telepulse/reports/report.html"} <= {*names}
+    assert {
+        *data,
+        "pulse_drives/cia402/cia402.eds",
+        "telepulse/document.html",
+        "telepulse/paper/page.md",
+    } <= {*names}

@@ -1,7 +1,6 @@
 import pytest
 
-from telepulse.reports.document import Report
-from telepulse.reports.notation import percent
+from telepulse.document import Report, percent
 from telepulse.reports.studies.playout_links import DENSE, GAUSSIAN, SHORT_BURSTS, TCP
 from telepulse.reports.studies.playout_report import UNCOVERED, report_playout
 from telepulse.reports.studies.playout_scores import (

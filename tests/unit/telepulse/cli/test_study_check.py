@@ -6,7 +6,7 @@ import pytest
 import typer
 
 from telepulse.cli.study import publish_checked
-from telepulse.reports.document import Chapter, Report
+from telepulse.document import Chapter, Report
 
 
 def report(finding: str) -> Report:

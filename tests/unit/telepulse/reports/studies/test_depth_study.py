@@ -6,7 +6,7 @@ from matplotlib.figure import Figure
 
 from display_node.press.sweep import SweptLevel
 from display_node.scoring.depth_curve import BeatPoint, DepthCurve, Estimate
-from telepulse.reports.depth_report import report_depth
+from telepulse.recording.depth_report import report_depth
 from telepulse.reports.studies.depth_study import DepthEffort, DepthScore, report_depths
 
 POINTS = [BeatPoint(1.2, 0.3, 0.4, 0.1, 0.4, 0.3, 1.0)] * 5

@@ -2,7 +2,7 @@ import math
 
 import pytest
 
-from telepulse.reports.paper.explicit_loop import Step
+from telepulse.paper.explicit_loop import Step
 from telepulse.reports.studies.integrator_report import ROUNDING, beaten_by, verdict
 from telepulse.reports.studies.integrator_scores import IntegratorPoint, costs_us
 

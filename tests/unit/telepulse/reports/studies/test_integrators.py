@@ -9,7 +9,7 @@ import pytest
 from scipy.linalg import expm
 
 from sensing_node.sources.synthetic import SyntheticScene
-from telepulse.reports.paper.explicit_loop import Step, close_loop
+from telepulse.paper.explicit_loop import Step, close_loop
 from telepulse.reports.studies.integrators import (
     PAPER_PLANT,
     Plant,
