@@ -75,7 +75,9 @@ def display(
     ] = "tcp://127.0.0.1:*",
     screen: Annotated[
         bool,
-        typer.Option(help="Show the live state: a panel in a terminal, a line a second elsewhere."),
+        typer.Option(
+            help="Show the live state: a line that is renewed in a terminal, or one a second."
+        ),
     ] = True,
     record: Annotated[
         Path | None,

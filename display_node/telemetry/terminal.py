@@ -1,9 +1,9 @@
 """Live state of a display in a terminal, drawn from the telemetry in a process of its own.
 
-`python -m display_node.telemetry.terminal ADDRESS [KEY]` shows a display's telemetry: a panel in a
-terminal, and a line a second elsewhere. It ends with the display, or with the process that started
-it. KEY is the file of the display's own secret key; it is needed
-where the telemetry is protected.
+`python -m display_node.telemetry.terminal ADDRESS [KEY]` shows a display's telemetry: a line that
+is renewed in a terminal, and a line a second elsewhere. It ends with the display, or with the
+process that started it. KEY is the file of the display's own secret key; it is needed where the
+telemetry is protected.
 """
 
 import os
@@ -63,14 +63,14 @@ def watch(
         socket.send(b"\1" + wanted)
     live = None
     if draw and console.is_terminal:
-        live = Live(screen.panel(), console=console, refresh_per_second=FRAMES_PER_S)
+        live = Live(screen.live(), console=console, refresh_per_second=FRAMES_PER_S)
         live.start()
     try:
         _follow(screen, socket, console, on_traces, draw, live, keep_watching)
         return screen.status
     finally:
         if live is not None:
-            live.update(screen.panel(time.perf_counter_ns()))
+            live.update(screen.live(time.perf_counter_ns()))
             live.stop()
         context.destroy(linger=0)
 
@@ -94,7 +94,7 @@ def _follow(
             traces = screen.take(message, time.perf_counter_ns())
             if traces and on_traces is not None:
                 on_traces(traces)
-            if screen.mark is not None and screen.mark is not marked and draw and live is None:
+            if screen.mark is not None and screen.mark is not marked and draw:
                 console.print(f"mark: {screen.mark.text}", soft_wrap=True)
             if screen.status is not None and screen.status.final:
                 if draw and live is None:
@@ -104,7 +104,7 @@ def _follow(
         if len(messages) == sockets.MAX_MESSAGES:
             continue  # more has queued, and only the newest is shown
         if live is not None:
-            live.update(screen.panel(time.perf_counter_ns()))
+            live.update(screen.live(time.perf_counter_ns()))
         elif draw and time.monotonic() - line_s >= LINE_EVERY_S:
             line_s = time.monotonic()
             _print_line(screen, console)
