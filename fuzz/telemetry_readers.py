@@ -52,7 +52,7 @@ Message = tuple[bytes, bytes]
 
 
 class TelemetryReaders:
-    """All readers of telemetry: panel, page, recorder, report, LSL and metrics."""
+    """All readers of telemetry: terminal, page, recorder, report, LSL and metrics."""
 
     def __init__(self) -> None:
         self.screen, self.live, self.decoder = TerminalView(), LiveState(), TelemetryDecoder()
@@ -74,7 +74,7 @@ class TelemetryReaders:
     def draw(self) -> None:
         """Draw what every reader shows; raise AssertionError where it cannot be shown."""
         console = Console(width=100, file=io.StringIO(), color_system=None)
-        console.print(self.screen.panel(3 * SECOND_NS), self.screen.line(3 * SECOND_NS))
+        console.print(self.screen.live(3 * SECOND_NS), self.screen.line(3 * SECOND_NS))
         assert console.file.tell() < MOST_CHARACTERS
         for chosen, window_ns in enumerate((SECOND_NS, 10 * SECOND_NS)):
             drawn = window_data(self.live, window_ns, chosen)
