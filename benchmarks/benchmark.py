@@ -1,14 +1,16 @@
 """One run of a benchmark: its effort, and where its tables, verdicts and plots go."""
 
 import inspect
+import sys
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
 import rich.box
-from rich.console import Console
+from rich.console import Console, JustifyMethod
 from rich.table import Table as RichTable
+from rich.text import Text
 
 from benchmarks.criteria import CRITERIA, Criterion
 from telepulse.parallel import sweep
@@ -18,8 +20,8 @@ if TYPE_CHECKING:
 
 Case = TypeVar("Case")
 Result = TypeVar("Result")
+FILE_WIDTH = 200
 PLOT_SIZE_IN = (8.0, 4.5)
-MOST_COLUMNS = 1000
 
 
 class Table(NamedTuple):
@@ -116,22 +118,15 @@ class Benchmark:
 
     def _show(self, table: Table) -> None:
         self.tables.append(table)
-        shown = RichTable(
-            title=table.title,
-            title_justify="left",
-            caption=table.note or None,
-            caption_justify="left",
-            box=rich.box.SIMPLE_HEAD,
-        )
+        shown = RichTable(box=rich.box.SIMPLE_HEAD)
         for position, column in enumerate(table.columns):
-            shown.add_column(column, justify="left" if position == 0 else "right")
+            justify: JustifyMethod = "left" if position == 0 else "right"
+            shown.add_column(column, justify=justify, overflow="fold")
         for row in table.rows:
             shown.add_row(*row)
-        console = Console()
-        # A cell is never cut: a narrow terminal wraps the lines, and a file has all of them.
-        anything = console.options.update(max_width=MOST_COLUMNS)
-        console.width = max(console.width, console.measure(shown, options=anything).maximum)
-        console.print(shown)
+        # In a file no line is folded.
+        console = Console(width=None if sys.stdout.isatty() else FILE_WIDTH)
+        console.print(Text(table.title, style="bold"), shown, *filter(None, [table.note]))
 
 
 def _verdict(criterion: Criterion, figure: float | None) -> tuple[str, str, str, str]:

@@ -93,4 +93,27 @@ CRITERIA: Final[dict[str, tuple[Criterion, ...]]] = {
         Criterion("random spikes / best moving, 5 %", most=1.6),
         Criterion("TCP stalls / best moving, 5 %", most=1.7),
     ),
+    "depth": (
+        share("error of the best hold-down", most=0.05),
+        share("range of the repeats, over their mean", most=0.05),
+    ),
+    "press": (
+        *(
+            criterion
+            for where in ("own wrist", "other wrists", "over TCP")
+            for criterion in (
+                share(f"hold-down, {where}", most=0.05),
+                share(f"height, {where}", most=0.1),
+            )
+        ),
+        share("hold-down at other stiffnesses", most=0.05),
+        Criterion("rise of what swings on after a step", most=0.0, scale=1e3, unit="mN"),
+        Criterion("gain of the loop", most=0.1),
+        Criterion("force at the wrist over its limit", most=1.0),
+        Criterion("slew at the wrist over its limit", most=1.0),
+        Criterion("force of the finger over its limit", most=1.0),
+        # The slew of two set-points is measured over a time that is rounded to ticks.
+        Criterion("slew of the finger over its limit", most=1.001),
+        Criterion("time to ease off after a cut", most=0.5, unit="s"),
+    ),
 }

@@ -26,8 +26,8 @@ from protocol.wire.telemetry import TRACE, read_trace
 from telepulse.netem import EmulatedLink, emulate, unavailable
 from telepulse.netem.emulated_link import PORT
 from telepulse.processes import NodeProcess
-from telepulse.reports.studies.press_runs import FOLLOW_ERROR, FOLLOWED_S, LEVELS_N, STEP_S
 from telepulse.simulation.link_scene import parse_link
+from tests.support.press_runs import FOLLOW_ERROR, FOLLOWED_S, LEVELS_N, STEP_S
 
 SECONDS = 70.0
 # Steps before this time, and so many round trips, are those of the start.
@@ -59,10 +59,10 @@ class Case(NamedTuple):
     round_trip_ms: int
     connections: int
     batch: str = "5 ms"
-    paths: str = '"auto"'
+    paths: int = 3
 
 
-LONG_FRAMES = {1000: ("50 ms", "8"), 2000: ("50 ms", "8")}
+LONG_FRAMES = {1000: ("50 ms", 8), 2000: ("50 ms", 8)}
 CASES = (
     *(Case(100, count) for count in (0, 16)),
     *(Case(300, count) for count in (0, 2, 4, 16)),
@@ -105,7 +105,7 @@ def row(case: Case, run: Followed) -> tuple[str, ...]:
         f"{case.round_trip_ms} ms",
         str(case.connections or 1),
         case.batch,
-        case.paths.strip('"'),
+        str(case.paths),
         f"{met} of {len(run.errors)}",
         f"{run.within:.1%}",
         f"{stale or 0.0:.1%}",
