@@ -1,11 +1,9 @@
-"""The scenes of several channels, an ECG and a press over two namespaces with keys and loss."""
+"""A scene of several channels over two namespaces with keys and loss."""
 
-import json
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -18,9 +16,8 @@ from tests.support.nodes import ROOT, assert_accounted, process, read_json
 from tests.support.tcp import needs_emulator
 
 LINK = parse_link("delay=20ms,jitter=3ms,loss=1%")
-SECONDS = 12
+SECONDS = 8
 ENDS_WITHIN_S = 60
-SWEEP_S = 20
 
 pytestmark = needs_emulator
 
@@ -57,23 +54,8 @@ def keyed(tmp_path: Path) -> Iterator[KeyedLink]:
         yield KeyedLink(tmp_path, link, keyring)
 
 
-def check_contactors(display: dict[str, Any]) -> None:
-    assert list(display["contactors"]) == ["cun", "guan", "chi"]
-    for figures in display["contactors"].values():
-        assert figures["beats"]["count"] > 5
-        assert figures["force_rmse_n"]["aligned"] < 0.1
-
-
-def check_announced(display: dict[str, Any]) -> None:
-    assert display["announce"]["r_waves"] > 5
-
-
-CHECKS = {"three_fingers": check_contactors, "announce": check_announced}
-
-
-@pytest.mark.parametrize("name", CHECKS)
-def test_a_scene_is_felt_between_two_machines_with_keys(name: str, keyed: KeyedLink) -> None:
-    scene, files = str(ROOT / "scenes" / f"{name}.toml"), dict[str, Path]()
+def test_several_channels_are_felt_between_two_machines_with_keys(keyed: KeyedLink) -> None:
+    scene, files = str(ROOT / "scenes" / "three_fingers.toml"), dict[str, Path]()
     for node in ("sensing", "display"):
         files[node] = keyed.folder / f"{node}.json"
     own = ("--json", str(files["display"]), "--telemetry", "tcp://127.0.0.1:*")
@@ -90,21 +72,7 @@ def test_a_scene_is_felt_between_two_machines_with_keys(name: str, keyed: KeyedL
     assert_accounted(samples)
     assert samples["played"] + samples["predicted"] > 1_000 * SECONDS / 2
     assert samples["sent"] + samples["before_joining"] == sent["samples"]["sent"]
-    CHECKS[name](felt)
-
-
-def test_a_wrist_is_swept_between_two_machines_with_keys(keyed: KeyedLink) -> None:
-    scene, tables = str(ROOT / "scenes" / "press.toml"), keyed.folder / "tables.json"
-    plan = ("--low", "0.5 N", "--high", "2 N", "--ramp", str(SWEEP_S))
-    reports = ("--out", str(keyed.folder / "out"), "--json", str(tables))
-    with keyed.sensing(scene, "--quiet") as sensing:
-        with keyed.finger("telepulse", "sweep", scene, *plan, *reports) as sweep:
-            output, errors = sweep.communicate(timeout=SWEEP_S + ENDS_WITHIN_S)
-        sensing.terminate()
-        sensing.wait(ENDS_WITHIN_S)
-    assert sweep.returncode == 0, errors
-    assert "N" in output
-    levels = json.loads(tables.read_text(encoding="utf-8"))["chapters"][0]["tables"][0]["rows"]
-    # The mean arterial pressure of the scene, 12.2 kPa, on 0.985 cm². The levels around the best
-    # one may lie outside of so short a ramp.
-    assert float(levels[1]["hold-down (N)"].split(" ")[0]) == pytest.approx(1.2, rel=0.1)
+    assert list(felt["contactors"]) == ["cun", "guan", "chi"]
+    for figures in felt["contactors"].values():
+        assert figures["beats"]["count"] > 2
+        assert figures["force_rmse_n"]["aligned"] < 0.1

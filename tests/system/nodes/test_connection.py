@@ -260,31 +260,6 @@ def test_further_connections_are_used_while_they_are_established(context: Contex
     until(lambda: len(used()) == 2)
 
 
-def test_patience_is_shorter_after_a_stall_of_the_display(
-    context: Context, asked: list[str], no_answers: None, logged: list[str]
-) -> None:
-    publisher, address = bound(context)
-    connection, path = subscribed(context, address)
-    deliver(publisher, path)
-    poll(connection, 20, 40)
-    deliver(publisher, path)
-    assert poll(connection, 1_000, 1_490) == [1_150]
-
-
-def test_the_silence_after_the_end_of_a_stream_is_no_cut(
-    context: Context, asked: list[str], no_answers: None
-) -> None:
-    publisher, address = bound(context)
-    connection, path = subscribed(context, address)
-    deliver(publisher, path)
-    poll(connection, 20, 30)
-    # As `DisplayNode` does once the stream has ended.
-    connection.subscribe(1_000 * MS, 0, 30 * MS)
-    assert poll(connection, 30, 2_000) == []
-    assert connection.reconnections == Reconnections(0, 0, 0)
-    assert poll(connection, 2_000, 3_100) == [2_010, 3_020]
-
-
 def test_once_one_port_answers_the_request_to_the_other_is_repeated(
     context: Context, asked: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -307,15 +282,6 @@ def test_once_one_port_answers_the_request_to_the_other_is_repeated(
     assert not connection.poll(1_101 * MS)
     # The sensing node was not reached before.
     assert connection.reconnections == Reconnections(0, 0, 0)
-
-
-def test_patience_is_longer_for_rare_frames(context: Context, asked: list[str]) -> None:
-    connection = Connection(context, ["tcp://somewhere:1"], 1)
-    connection.subscribe(10_000 * MS, 0, 0)
-    poll(connection, 0, 29_000)
-    assert len(asked) == 1
-    poll(connection, 29_000, 32_000)
-    assert len(asked) == 2
 
 
 def test_paths_are_distributed_over_the_addresses(context: Context) -> None:

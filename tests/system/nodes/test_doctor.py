@@ -7,7 +7,6 @@ import pytest
 
 from display_node.doctor.jitter import Ticks, run_ticks
 from tests.support.live_display import MODULE, PATIENCE_S
-from tests.support.log_lines import refused
 from tests.support.nodes import RADIAL, process, read_json, run_python
 from tests.support.rights import needs_rights, without_rights
 from tests.support.waiting import until
@@ -83,16 +82,3 @@ def computes(process_id: str) -> bool:
     except OSError:
         return False
     return "State:\tZ" not in status
-
-
-def test_a_wrong_scene_or_report_of_a_doctor_is_refused_in_one_line(tmp_path: Path) -> None:
-    wrong = (
-        ("no such scene.toml", "report.json", "no such scene file"),
-        (RADIAL, "", "is a folder"),
-    )
-    for scene, json, message in wrong:
-        line = refused(MODULE, "--doctor", str(scene), "--json", str(tmp_path / json))
-        assert line.startswith("display-node: ")
-        assert message in line
-    # Without --doctor a scene is required.
-    assert refused(MODULE) == "display-node: no scene: display-node SCENE plays one\n"

@@ -133,32 +133,6 @@ def test_loop_is_read() -> None:
         assert forces(received(sensor, 2)) == [0.5, 0.25]
 
 
-def test_an_unplugged_cable_is_logged_and_the_stream_continues(
-    tmp_path: Path, logged: list[str]
-) -> None:
-    link = tmp_path / "board"
-    board = PtyPort(link)
-    with opened(scene(link)) as sensor:
-        board.write(b"\n0.1\n0.2\n")
-        received(sensor, 2)
-        board.close()
-        await_log(sensor, logged)
-        assert logged[0].startswith(f"{link} has gone: ")
-        with closing(PtyPort(link)) as again:
-
-            def back() -> bool:
-                # A board keeps sending; data before the port is open is lost.
-                again.write(b"\n0.3\n")
-                sensor.poll()
-                return len(logged) == 2
-
-            until(back)
-            assert logged[1] == f"{link} is back"
-            again.write(b"\n0.3\n")
-            assert set(forces(received(sensor, 1))) == {0.3}
-        assert sensor.faults()[0].startswith(f"{link} was gone 1 time, for ")
-
-
 @pytest.mark.parametrize(
     ("port", "reason"),
     [

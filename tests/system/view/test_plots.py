@@ -257,16 +257,6 @@ def test_a_plot_without_values_has_its_reason(url: str, visit: Visit) -> None:
             assert not page.locator(f"#plot-{id} .empty").is_visible()
 
 
-def test_the_button_of_the_present_window_undoes_a_zoom(url: str, visit: Visit) -> None:
-    with still(visit, f"{url}/one_finger") as page:
-        box = in_sight(page, "force")
-        page.mouse.move(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
-        page.mouse.wheel(0, -300)
-        page.wait_for_function(f"{SPAN}.start > -9.5")
-        page.locator("label", has_text="10 s").click()
-        page.wait_for_function(f"{SPAN}.start === -10 && {SPAN}.end === 0")
-
-
 def drag(page: Page, x: float, y: float, across: float, down: float) -> None:
     """Move a finger over the page."""
     session = page.context.new_cdp_session(page)
@@ -308,13 +298,6 @@ def test_a_finger_scrolls_moves_and_taps_a_paused_plot(url: str, visit: Visit) -
         assert shown["x"] + shown["width"] <= box["x"] + box["width"]
 
 
-def test_a_mouse_gets_no_hint_for_touch(url: str, visit: Visit) -> None:
-    with still(visit, f"{url}/one_finger") as page:
-        hint = page.locator("#explore").inner_text()
-        assert "wheel" in hint
-        assert "pinch" not in hint
-
-
 @pytest.mark.parametrize("state", ["three_fingers", "pressed"])
 def test_lines_and_marks_are_seen_on_both_grounds(url: str, visit: Visit, state: str) -> None:
     with visit(f"{url}/{state}") as page:
@@ -327,12 +310,3 @@ def test_lines_and_marks_are_seen_on_both_grounds(url: str, visit: Visit, state:
             assert len(swatches) > 15
             for swatch in swatches:
                 assert swatch.evaluate(CONTRAST) >= 3
-
-
-def test_a_number_keeps_its_unit_on_its_line(url: str, visit: Visit) -> None:
-    with visit(f"{url}/one_finger") as page:
-        page.locator("#state", has_text="playing").wait_for()
-        page.wait_for_function("document.getElementById('within').textContent.includes('%')")
-        texts = page.locator(".figures dd:visible").all_text_contents()
-        assert any("mN" in text for text in texts)
-        assert not [text for text in texts if re.search(r"\d (%|ms|s|mN)\b", text)]
