@@ -1,5 +1,4 @@
 import os
-import signal
 import time
 from pathlib import Path
 
@@ -63,14 +62,13 @@ def test_a_refused_setting_is_named_with_advice(tmp_path: Path) -> None:
     assert 'put "USER - memlock unlimited" into' in doctor.stdout
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL])
-def test_a_stopped_doctor_leaves_no_busy_processes(number: signal.Signals) -> None:
+def test_a_killed_doctor_leaves_no_busy_processes() -> None:
     with process(MODULE, "--doctor", "--seconds", "20", "--quiet") as doctor:
         children = Path(f"/proc/{doctor.pid}/task/{doctor.pid}/children")
         while not (found := children.read_text(encoding="ascii").split()):
             assert doctor.poll() is None
             time.sleep(0.01)
-        doctor.send_signal(number)
+        doctor.kill()
         doctor.wait(PATIENCE_S)
         until(lambda: not any(map(computes, found)))
 

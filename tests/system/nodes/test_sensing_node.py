@@ -80,12 +80,7 @@ def test_a_stream_from_hello_to_bye(address: str, client: Client, tmp_path: Path
 
 @pytest.mark.parametrize(
     ("rate", "batch", "seconds", "sent"),
-    [
-        ("1 kHz", "7 ms", "0.5", 500),
-        ("1 kHz", "1 s", "0.3", 300),
-        ("10 Hz", "5 ms", "0.5", 5),
-        ("100 kHz", "5 ms", "0.2", 20_000),
-    ],
+    [("1 kHz", "1 s", "0.3", 300), ("100 kHz", "5 ms", "0.2", 20_000)],
 )
 def test_exactly_the_samples_of_the_requested_seconds_are_sent(
     address: str, tmp_path: Path, rate: str, batch: str, seconds: str, sent: int
@@ -114,10 +109,11 @@ def test_the_chains_delay_and_samples_beyond_the_adcs_range_are_reported(
     assert "delays the pulse by 10.5 ms" in result.stderr
 
 
-@pytest.mark.parametrize("length", [1003, 1000])
 def test_a_recording_played_once_is_sent_to_its_last_sample(
-    address: str, client: Client, tmp_path: Path, length: int
+    address: str, client: Client, tmp_path: Path
 ) -> None:
+    # No whole number of frames.
+    length = 1003
     # A triangle of 0.4 N: a column that only rises is refused as one of times.
     wave_mn = np.abs(np.arange(length) % 400 - 200) * 2.0
     np.save(tmp_path / "pulse.npy", wave_mn)
@@ -131,8 +127,7 @@ def test_a_recording_played_once_is_sent_to_its_last_sample(
     np.testing.assert_allclose(force_n, wave_mn[frames[0].first_sample :] * 1e-3, rtol=1e-6)
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
-@pytest.mark.parametrize("batch", ["5 ms", "1 s"])
+@pytest.mark.parametrize(("number", "batch"), [(signal.SIGTERM, "5 ms"), (signal.SIGINT, "1 s")])
 def test_a_signal_ends_the_stream_after_all_due_samples(
     address: str, client: Client, tmp_path: Path, number: int, batch: str
 ) -> None:
@@ -216,19 +211,17 @@ def test_a_scene_without_conditioning_does_not_load_scipy() -> None:
     assert run_python("-c", code).stdout == "False\n"
 
 
-@pytest.mark.parametrize("confirmed", [True, False])
-def test_the_node_waits_for_a_limited_time_until_each_display_has_the_whole_stream(
-    address: str, client: Client, confirmed: bool
+def test_the_node_waits_until_each_display_has_the_whole_stream(
+    address: str, client: Client
 ) -> None:
     with process(MODULE, str(RADIAL), "--bind", address, "--seconds", "0.5") as node:
         client.join()
         bye = decode_control(client.control.recv())
         assert isinstance(bye, Bye)
-        if confirmed:
-            # A display that joins now receives the bye as well.
-            with closing(Client(address)) as other:
-                other.join("other")
-                assert other.bye() == bye
-            assert node.poll() is None
-            client.control.send(encode_control(bye))
+        # A display that joins now receives the bye as well.
+        with closing(Client(address)) as other:
+            other.join("other")
+            assert other.bye() == bye
+        assert node.poll() is None
+        client.control.send(encode_control(bye))
         assert node.wait(PATIENCE_MS / 1000) == 0
