@@ -7,7 +7,7 @@ import pytest
 
 from tests.support.nodes import ROOT
 
-NAMES = ("announce", "cost", "integrators", "link", "playout", "prediction")
+NAMES = ("announce", "cost", "integrators", "link", "peers", "playout", "prediction")
 
 
 @pytest.mark.timeout(300)

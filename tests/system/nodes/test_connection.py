@@ -11,7 +11,6 @@ from display_node.reception.connection import Connection
 from display_node.reception.endpoint import Endpoint
 from display_node.reception.failover import DataPath
 from protocol.errors import AddressError
-from protocol.security import socket_monitor
 from protocol.security.socket_monitor import HandshakeMonitor
 from protocol.sockets import Context, Socket, control_address
 from protocol.summary_tables import Reconnections
@@ -170,26 +169,6 @@ def test_a_silence_of_all_addresses_is_a_cut(
     assert [asked.count(name) for name in ("127.0.0.1", "other")] == [3, 3]
 
 
-def test_requests_to_connect_are_repeated_soon_but_each_eleventh_is_not(context: Context) -> None:
-    publisher, address = bound(context)
-    asking = Endpoint(context.socket(zmq.SUB))
-
-    def timeouts_ms(tries: int, fast_retry: bool = True) -> list[int]:
-        timeouts = []
-        for _ in range(tries):
-            asking.connect(address, 0, fast_retry)
-            timeouts.append(asking.socket.getsockopt(zmq.CONNECT_TIMEOUT))
-        return timeouts
-
-    assert timeouts_ms(3, fast_retry=False) == [0, 0, 0]
-    assert timeouts_ms(3) == [100, 100, 100]
-    asking.socket.subscribe(b"")
-    deliver(publisher, asking)
-    assert asking.received(0)
-    asking.answer_ns = 900 * MS
-    assert timeouts_ms(12) == [900] * 10 + [0, 900]
-
-
 def test_patience_grows_with_the_time_of_the_first_answer(context: Context) -> None:
     _, address = bound(context)
     far = Endpoint(context.socket(zmq.SUB))
@@ -258,30 +237,6 @@ def test_further_connections_are_used_while_they_are_established(context: Contex
     server = context.socket(zmq.ROUTER)
     server.bind(address)
     until(lambda: len(used()) == 2)
-
-
-def test_once_one_port_answers_the_request_to_the_other_is_repeated(
-    context: Context, asked: list[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    # Hosts answer in real time, and the test's time stands still.
-    monkeypatch.setattr(socket_monitor, "POLL_EVERY_NS", 0)
-    _, address = bound(context)
-    connection = Connection(context, [address], 1)
-    began = 0
-    end_s = time.monotonic() + PATIENCE_S
-    while not connection.routes[0].paths[0].first.answered:
-        assert time.monotonic() < end_s
-        began += connection.poll(1_000 * MS)
-    assert began == 1
-    # The answer to control's request, sent at the same time, may still arrive.
-    assert not connection.poll(1_099 * MS)
-    assert control_of(connection).getsockopt(zmq.CONNECT_TIMEOUT) == 100
-    # Nothing listens to control: without the repetition it would wait for its whole patience.
-    assert connection.poll(1_100 * MS)
-    assert control_of(connection).getsockopt(zmq.CONNECT_TIMEOUT) == 0
-    assert not connection.poll(1_101 * MS)
-    # The sensing node was not reached before.
-    assert connection.reconnections == Reconnections(0, 0, 0)
 
 
 def test_paths_are_distributed_over_the_addresses(context: Context) -> None:
@@ -407,23 +362,6 @@ def test_a_connection_that_floods_is_closed_for_a_while(
     connection.control.close(8_000 * MS)
     assert poll(connection, 5_060, 8_020) == [8_000]
     assert logged == [f"{address} sends far more than a stream; closed for 5 s"]
-
-
-def test_the_look_up_is_repeated_where_no_thread_can_be_started(
-    monkeypatch: pytest.MonkeyPatch, logged: list[str]
-) -> None:
-    lookup = Lookup("tcp://127.0.0.1:5555")
-
-    def no_thread(_: threading.Thread) -> None:
-        raise RuntimeError("can't start new thread")
-
-    with monkeypatch.context() as patch:
-        patch.setattr(threading.Thread, "start", no_thread)
-        for _ in range(3):
-            lookup.start()
-            assert not lookup.running
-    assert len(logged) == 1
-    assert looked_up(lookup) == "tcp://127.0.0.1:5555"
 
 
 def test_copies_of_what_the_closed_connection_delivered_are_dropped_from_the_kept_one(

@@ -10,7 +10,6 @@ import pytest
 import zmq
 
 from protocol import sockets
-from protocol.security import authenticator as authenticator_module
 from protocol.security.allow_list import UNREADABLE_AT_MOST_NS, revoke
 from protocol.security.authenticator import TOO_MANY, Authenticator
 from protocol.security.budgets import BEHIND_NS, ConnectionBudget
@@ -242,17 +241,6 @@ def test_a_flood_while_the_authenticator_is_not_polled_blocks_no_connection(
     assert subscriber.socket.recv() == b"-1"
     publisher.poll_until(lambda: publisher.rejected["handshake"] == 1500)
     assert len(logged) <= 2
-
-
-def test_a_bounded_number_of_refused_peers_is_named(
-    publisher: Publisher, keyring: Keyring, monkeypatch: pytest.MonkeyPatch, logged: list[str]
-) -> None:
-    monkeypatch.setattr(authenticator_module, "MAX_NAMED", 3)
-    for number in range(6):
-        publisher.subscribe(keyring.client(f"stranger{number}"))
-        publisher.poll_until(lambda number=number: publisher.rejected["unknown_key"] > number)
-    assert len(logged) == 4
-    assert logged[-1].startswith("more peers are refused")
 
 
 def is_closed(one: plain.socket) -> bool:

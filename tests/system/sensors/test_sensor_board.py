@@ -16,7 +16,6 @@ from tests.support.sensing_client import Client
 from tests.support.waiting import PATIENCE_S, until
 
 BOARD, SENSING, DISPLAY = "telepulse", "sensing_node.cli", "display_node.cli"
-KEYS = {"binary": 'framing = "binary"', "text": 'framing = "text"\ndevice_time = "us"'}
 
 
 @pytest.fixture
@@ -25,10 +24,10 @@ def client(address: str) -> Iterator[Client]:
         yield client
 
 
-def scene_file(folder: Path, framing: str = "binary") -> Path:
+def scene_file(folder: Path) -> Path:
     path = folder / "bench.toml"
     path.write_text(
-        f'[sensing.source]\nkind = "serial"\nport = "{folder}/board"\n{KEYS[framing]}\n'
+        f'[sensing.source]\nkind = "serial"\nport = "{folder}/board"\nframing = "binary"\n'
         'rate = "1 kHz"\nunit = "N"\n'
         + "[display"
         + RADIAL.read_text(encoding="utf-8").partition("[display")[2],
@@ -53,16 +52,15 @@ def frames(client: Client, count: int) -> list[Frame]:
     return [decode_frame(client.data.recv()) for _ in range(count)]
 
 
-@pytest.mark.parametrize("framing", ["binary", "text"])
 def test_a_boards_pulse_reaches_a_display_and_every_sample_is_counted(
-    tmp_path: Path, address: str, framing: str
+    tmp_path: Path, address: str
 ) -> None:
-    scene = str(scene_file(tmp_path, framing))
+    scene = str(scene_file(tmp_path))
     sensed, felt = tmp_path / "sensing.json", tmp_path / "display.json"
     display_command = (DISPLAY, scene, "--connect", address, "--once", "--json", str(felt))
     command = (SENSING, scene, "--bind", address, "--seconds", "4", "--json", str(sensed))
     with (
-        board(tmp_path, "--framing", framing),
+        board(tmp_path),
         process(*display_command) as display,
         process(*command) as sensing,
     ):
@@ -142,20 +140,12 @@ def test_an_unplugged_cable_is_reported_and_missed_samples_count_as_lost(
         assert passed_ns == pytest.approx(samples * 1e6, rel=0.5, abs=300e6)
 
 
-@pytest.mark.parametrize("noise", ["0.002", "1"])
-def test_noise_on_the_line_is_counted_and_reported(
-    tmp_path: Path, address: str, noise: str
-) -> None:
+def test_noise_on_the_line_is_counted_and_reported(tmp_path: Path, address: str) -> None:
     summary, scene = tmp_path / "sensing.json", str(scene_file(tmp_path))
-    with board(tmp_path, "--noise", noise):
+    with board(tmp_path, "--noise", "0.002"):
         result = run(SENSING, scene, "--bind", address, "--seconds", "2", "--json", str(summary))
     assert result.returncode == 0
     found = read_json(summary)
-    if noise == "1":
-        assert found["samples"]["sent"] == 0
-        assert sum(found["rejected"].values()) > 0
-        assert found["faults"] == [f"no sample came from {tmp_path}/board"]
-    else:
-        assert found["samples"]["sent"] > 1000
-        assert found["rejected"]["crc"] > 0
-        assert any("samples missing from" in fault for fault in found["faults"])
+    assert found["samples"]["sent"] > 1000
+    assert found["rejected"]["crc"] > 0
+    assert any("samples missing from" in fault for fault in found["faults"])

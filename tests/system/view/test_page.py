@@ -143,7 +143,6 @@ def test_a_cut_link_is_an_alarm_that_goes_again(bench: Bench, page: Page) -> Non
     page.locator("#alarms", has_text="link cut").wait_for()
     await_state(page, "stale")
     page.wait_for_function("document.getElementById('heart').textContent === '–'")
-    keep(page, "view-cut.png")
     bench.join()
     await_state(page, "playing")
     page.locator("#alarms li[data-name='link cut']").wait_for(state="detached")
@@ -158,7 +157,6 @@ def test_a_display_that_stands_still_is_grey_and_has_its_age(bench: Bench, page:
         assert re.fullmatch(r"\d+\.\d s ago", text_of(page, "state-note"))
         assert page.evaluate(COLOUR_OF_STATE) != bright
         assert text_of(page, "heart") == "–"
-        keep(page, "view-still.png")
     page.locator("body:not(.old)").wait_for()
     await_state(page, "playing")
     assert page.evaluate(COLOUR_OF_STATE) == bright
@@ -229,13 +227,11 @@ def test_a_phone_shows_it_without_scrolling_sideways(bench: Bench, visit: Visit)
             boxes += [tile.bounding_box() for tile in tiles]
             assert len(boxes) == 7 + 4
             assert all(box["x"] >= 0 and box["x"] + box["width"] <= width for box in boxes)
-        keep(page, "view-phone.png")
 
 
 ROWS = "[...document.getElementById('contactors').rows].map(row => row.cells[0].textContent)"
 CHOSEN = "document.querySelector('#contactors [aria-current=true]').cells[0].textContent"
 FINGERS = "Bokeh.documents[0].get_model_by_name('fingers').renderers[0].data_source.data"
-SMALL = {"width": 390, "height": 800}
 
 
 def test_three_fingers_are_shown_and_one_is_chosen_by_keyboard_also_in_a_pause(
@@ -275,7 +271,6 @@ def test_three_fingers_are_shown_and_one_is_chosen_by_keyboard_also_in_a_pause(
             page.wait_for_function(f"{CHOSEN} === 'guan'")
             assert page.locator("#plot-force h3").inner_text() == "Force – guan"
             assert text_of(page, "aligned-note").startswith("guan: RMS of the last 10 s")
-            keep(page, "view-contactors.png")
             page.locator("#pause").click()
             # The last update comes after the pause, on a busy machine by more than its interval.
             until(lambda: stands_still(page, 1_500))
@@ -292,14 +287,6 @@ def test_three_fingers_are_shown_and_one_is_chosen_by_keyboard_also_in_a_pause(
             page.keyboard.press("ArrowLeft")
             page.wait_for_function(f"{CHOSEN} === 'guan'")
             until(lambda: page.evaluate(DRAWN) == drawn)
-            page.set_viewport_size(SMALL)
-            page.wait_for_function("document.documentElement.scrollWidth <= 390")
-            boxes = [cell.bounding_box() for cell in page.locator("#contactors td").all()]
-            boxes += [each.bounding_box() for each in page.locator("#contactor span").all()]
-            assert len(boxes) == 3 * 9 + 3
-            assert all(box["x"] >= 0 and box["x"] + box["width"] <= 390 for box in boxes)
-            assert page.locator("#plot-fingers").bounding_box()["width"] <= 390
-            keep(page, "view-contactors-phone.png")
     finally:
         # A killed demo would leave its page's server behind.
         demo.send_signal(signal.SIGINT)

@@ -45,11 +45,6 @@ PLACE = """(time) => {
 SIGNED = r"−?[\d.]+(e−?\d+)?"
 
 
-def waiting() -> LiveState:
-    """Return the state without a display."""
-    return LiveState()
-
-
 def one_finger() -> LiveState:
     """Return the state of a display in whose last 10 s were events of every kind."""
     display = SimulatedDisplay(LiveState())
@@ -76,7 +71,7 @@ def pressed() -> LiveState:
     return display.live
 
 
-STATES = (waiting, one_finger, three_fingers, pressed)
+STATES = (one_finger, three_fingers, pressed)
 
 
 @pytest.fixture(scope="module")
@@ -115,7 +110,7 @@ def still(visit: Visit, address: str, **reader: Any) -> Iterator[Page]:
     """Open a page and pause it."""
     with visit(address, **reader) as page:
         page.locator("body[data-ready]").wait_for()
-        page.locator("#state", has_text=re.compile("playing|waiting")).wait_for()
+        page.locator("#state", has_text="playing").wait_for()
         unfold(page)
         page.locator("#pause").click()
         page.wait_for_function("!document.getElementById('explore').hidden")
@@ -144,7 +139,7 @@ def in_sight(page: Page, id: str) -> dict[str, float]:
     return box
 
 
-@pytest.mark.parametrize("state", ["one_finger", "three_fingers", "pressed"])
+@pytest.mark.parametrize("state", ["three_fingers", "pressed"])
 def test_each_plot_shows_the_values_of_all_its_curves_anywhere(
     url: str, visit: Visit, state: str
 ) -> None:
@@ -234,29 +229,6 @@ def is_drawn(page: Page, colour: str, x: float) -> bool:
     return int(same.any(axis=1).sum()) > 40
 
 
-def test_a_plot_without_values_has_its_reason(url: str, visit: Visit) -> None:
-    empty = {plot.id: plot.empty for plot in PLOTS}
-    with visit(f"{url}/waiting") as page:
-        page.locator("#plot-force .empty").wait_for()
-        unfold(page)
-        page.locator("#plot-offset .empty").wait_for()
-        shown = [
-            (
-                figure.get_attribute("id").removeprefix("plot-"),
-                figure.locator(".empty").inner_text(),
-            )
-            for figure in page.locator("figure:visible").all()
-        ]
-        assert shown == [(id, empty[id]) for id, _ in shown]
-        assert {"force", "error", "height", "delay", "offset"} < {id for id, _ in shown}
-    with visit(f"{url}/one_finger") as page:
-        unfold(page)
-        page.locator("#plot-predictor .empty").wait_for()
-        assert page.locator("#plot-predictor .empty").inner_text() == empty["predictor"]
-        for id in ("force", "error", "delay"):
-            assert not page.locator(f"#plot-{id} .empty").is_visible()
-
-
 def drag(page: Page, x: float, y: float, across: float, down: float) -> None:
     """Move a finger over the page."""
     session = page.context.new_cdp_session(page)
@@ -298,9 +270,8 @@ def test_a_finger_scrolls_moves_and_taps_a_paused_plot(url: str, visit: Visit) -
         assert shown["x"] + shown["width"] <= box["x"] + box["width"]
 
 
-@pytest.mark.parametrize("state", ["three_fingers", "pressed"])
-def test_lines_and_marks_are_seen_on_both_grounds(url: str, visit: Visit, state: str) -> None:
-    with visit(f"{url}/{state}") as page:
+def test_lines_and_marks_are_seen_on_both_grounds(url: str, visit: Visit) -> None:
+    with visit(f"{url}/pressed") as page:
         page.locator("#state", has_text="playing").wait_for()
         page.locator("#plot-force .keys i").first.wait_for()
         unfold(page)

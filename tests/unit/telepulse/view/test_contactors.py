@@ -11,7 +11,7 @@ from protocol.summary_tables import Compensation
 from telepulse.telemetry.decoder import without_none
 from telepulse.view.live import MAX_CONTACTORS, LiveState
 from telepulse.view.plots import FINGER_COLOURS
-from telepulse.view.text import alarms, beyond, contactor_rows, figures
+from telepulse.view.text import beyond, contactor_rows, figures
 from telepulse.view.window_data import window_data, window_scores
 from tests.support.page_states import (
     BEATS_A_SECOND,
@@ -125,12 +125,6 @@ def test_figures_of_a_contactor_have_its_name_and_those_of_the_display_none(
     for id in ("loss", "clock", "loop", "availability", "predictor", "delay", "playout-delay"):
         assert shown[0][id] == shown[1][id]
         assert "guan" not in "".join(shown[1][id])
-
-
-def test_a_limit_of_one_contactor_is_an_alarm_with_its_name(display: SimulatedDisplay) -> None:
-    display.status("playing", contactors=of_guan(limited=FORCE_LIMIT))
-    (alarm,) = alarms(display.live, 0)
-    assert alarm == ("limited", "guan: force limit 3 times, 1.5 s (10.0 % of the run)")
 
 
 def test_contactors_beyond_the_pages_room_are_counted() -> None:
