@@ -15,19 +15,6 @@ from tests.support.signal_files import pulse_and_ecg, wfdb_record
 
 MODULE = "telepulse"
 PATIENCE_S = 60.0
-KEYS = {
-    "samples": {"sent", "played", "predicted", "late", "lost", "before_joining"},
-    "frames": {"received", "reordered", "copies", "first"},
-    "one_way_delay_ms": {"p50", "p99", "max", "beyond"},
-    "playout_delay_ms": {"mean", "p99", "beyond"},
-    "clock": {"offset_ms", "skew_ppm", "uncertainty_ms", "asymmetry_ms", "steps"},
-    "force_rmse_n": {"aligned", "in_phase"},
-    "strain_rmse": {"aligned", "in_phase"},
-    "loop": {
-        *("ticks", "deadline_misses", "tick_us", "late_us"),
-        *("late", "last_5s", "worst_5s", "realtime"),
-    },
-}
 
 
 def assert_felt(figures: dict[str, Any]) -> None:
@@ -46,9 +33,6 @@ def test_the_demo_carries_the_pulse_and_accounts_for_every_sample(tmp_path: Path
     result = run(MODULE, "demo", "--seconds", "4", "--json", str(out), "--no-ui")
     assert result.returncode == 0, result.stderr
     summary = read_json(out)
-    for key, inner in KEYS.items():
-        assert set(summary[key]) == inner
-    assert {"covered_delay_ms", "within_jnd", "speed", "rejected", "faults"} <= set(summary)
     samples = summary["samples"]
     assert_accounted(samples)
     assert samples["sent"] + samples["before_joining"] == 4000

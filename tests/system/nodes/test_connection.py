@@ -10,7 +10,6 @@ from display_node.reception.addresses import Lookup
 from display_node.reception.connection import Connection
 from display_node.reception.endpoint import Endpoint
 from display_node.reception.failover import DataPath
-from protocol.errors import AddressError
 from protocol.security.socket_monitor import HandshakeMonitor
 from protocol.sockets import Context, Socket, control_address
 from protocol.summary_tables import Reconnections
@@ -288,11 +287,6 @@ def test_the_ip_addresses_of_a_name_are_tried_in_turn(monkeypatch: pytest.Monkey
     lookup = Lookup("tcp://both:5555")
     found = [looked_up(lookup) for _ in range(3)]
     assert found == ["tcp://127.0.0.1:5555", "tcp://[::1]:5555", "tcp://127.0.0.1:5555"]
-
-
-def test_a_wrong_address_is_refused_at_once(context: Context) -> None:
-    with pytest.raises(AddressError):
-        Connection(context, ["tcp://127.0.0.1:5555", "somewhere:5555"], 2)
 
 
 def test_a_silent_data_path_gets_a_second_connection_while_control_goes_on(

@@ -104,11 +104,11 @@ def test_a_restarted_wrist_is_shown_and_pressed_again_by_a_ramp(
         with process(SENSING, SCENE, "--bind", address, "--quiet"):
             while not hold_downs_n or hold_downs_n[-1] < 0.5:
                 hold_downs_n.append(hold_down_of(client.data.recv()))
+            await_state(reader, "playing")
         assert hold_downs_n[0] < EASED_N
         # Over four frames of 5 ms; the ramp has a fifth of the slew limit.
         rises_n = np.array(hold_downs_n)[4:] - np.array(hold_downs_n)[:-4]
         assert rises_n.max() < 0.3 * SLEW_N_PER_S * 0.02
-        await_state(reader, "playing")
 
 
 def test_hostile_set_points_pass_no_limit_and_are_counted(

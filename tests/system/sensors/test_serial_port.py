@@ -16,8 +16,7 @@ from serial.rfc2217 import PortManager
 
 from protocol.config.scene import validate
 from protocol.errors import SourceError
-from pulse_sensors.binary_frames import FrameEncoder
-from pulse_sensors.sensor import Sensor, open_sensor
+from pulse_sensors.sensor import open_sensor
 from pulse_sensors.serial_port import SerialPort, SerialScene
 from telepulse.emulators import PtyPort
 from telepulse.emulators.sensor_board import binary, timed_line
@@ -123,14 +122,6 @@ def test_rfc2217_is_read() -> None:
 
     with server(serve) as address, opened(scene(f"rfc2217://{address}")) as sensor:
         assert set(forces(received(sensor, 100))) == {0.25}
-
-
-def test_loop_is_read() -> None:
-    table = scene("loop://", framing="binary")
-    port = SerialPort(table)
-    with closing(Sensor(port, table.decoder(), table)) as sensor:
-        port._port.write(FrameEncoder("float32").frame([0.5, 0.25], 1))
-        assert forces(received(sensor, 2)) == [0.5, 0.25]
 
 
 @pytest.mark.parametrize(

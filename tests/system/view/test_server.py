@@ -5,7 +5,6 @@ import threading
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from http.client import HTTPConnection
-from typing import Any
 from urllib.parse import urlsplit
 
 import pytest
@@ -36,21 +35,6 @@ def serving(telemetry: str) -> Iterator[PageServer]:
     finally:
         made[0].stop()
         thread.join(20)
-
-
-@pytest.fixture
-def pull_session() -> Any:
-    return pytest.importorskip("bokeh.client").pull_session
-
-
-def test_several_viewers_are_counted_until_they_leave(pull_session: Any) -> None:
-    with serving(free_address()) as page:
-        first, second = (pull_session(url=page.url) for _ in range(2))
-        assert page.viewers == 2
-        first.close()
-        until(lambda: page.viewers == 1)
-        second.close()
-        until(lambda: page.viewers == 0)
 
 
 PATHS = ("/", "/autoload.js?bokeh-autoload-element=1", "/metadata", "/static/js/bokeh.min.js")

@@ -10,12 +10,10 @@ MODULE = "telepulse"
 TELEMETRY = "tcp://127.0.0.1:5600"
 
 
-def test_a_port_or_address_that_cannot_be_served_is_refused_where_it_was_given() -> None:
+def test_a_taken_port_is_refused_where_it_was_given() -> None:
     with process(MODULE, "view", free_address()) as first:
         port = first.read_line(3 * PATIENCE_S).rpartition(":")[2]
         assert f"127.0.0.1:{port}" in refused(MODULE, "view", TELEMETRY, "--port", port)
-        elsewhere = refused(MODULE, "view", TELEMETRY, "--host", "192.0.2.7", "--insecure")
-        assert "cannot serve the page on 192.0.2.7" in elsewhere
         # Without a wish, another port is found.
         other = run(MODULE, "view", free_address(), "--seconds", "0.5")
         assert other.returncode == 0
