@@ -92,7 +92,7 @@ def test_a_demo_whose_display_cannot_play_a_channel_is_one_line(tmp_path: Path) 
 def test_the_demo_of_a_press_accounts_for_every_set_point(tmp_path: Path) -> None:
     path, link = tmp_path / "demo.json", "delay=150ms,jitter=15ms,loss=5%"
     result = run(
-        "telepulse", "demo", "press", "--seconds", "9", "--no-ui", "--details", "--link", link,
+        "telepulse", "demo", "press", "--seconds", "6", "--no-ui", "--details", "--link", link,
         "--json", str(path),
     )  # fmt: skip
     assert result.returncode == 0, result.stderr
@@ -139,7 +139,7 @@ def test_a_run_in_which_nothing_is_felt_says_so_first_and_ends_with_status_4(
 def test_in_a_terminal_the_demo_renews_a_line() -> None:
     leader, follower = pty.openpty()
     environment = os.environ | {"COLUMNS": "100", "LINES": "40", "TERM": "xterm"}
-    command = ("-m", MODULE, "demo", "--seconds", "5", "--no-page")
+    command = ("-m", MODULE, "demo", "--seconds", "3", "--no-page")
     streams = dict.fromkeys(("stdin", "stdout", "stderr"), follower)
     with ChildProcess("demo", *command, cwd=ROOT, env=environment, **streams) as child:
         os.close(follower)

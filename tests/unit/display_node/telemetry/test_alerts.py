@@ -138,7 +138,7 @@ def test_of_a_silent_display_only_faults_and_silence_are_alerts_and_of_the_last_
     None
 ):
     summary = Summary(faults=["feedback lost"], finger="force unknown since 3 s").to_dict()
-    summary |= doubtful()
+    summary |= {"compensation": {"alarm": True}}
     assert alerts("fault", summary, silent_ns=4 * SECOND_NS) == [
         ("fault: feedback lost", CHECK_FILM),
         ("no telemetry", "since 4 s; finger: unknown, before that: force unknown since 3 s"),
