@@ -5,7 +5,6 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from telepulse.document import STYLES, Chapter, Plot, Report, Table, percent, text_colour
-from telepulse.netem import NodesOutcome
 from telepulse.reports.studies.cost_scores import (
     EQUAL,
     LINK,
@@ -20,6 +19,7 @@ from telepulse.reports.studies.cost_scores import (
     pareto_front,
     shipped,
 )
+from tests.support.netem import NodesOutcome
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -13,8 +13,8 @@ from protocol.config.scene_file import find_scene
 from protocol.wire.messages import encode_control
 from sensing_node.node import SensingNode
 from sensing_node.scene import SensingScene, describe_stream, open_source
-from telepulse.netem import emulate
 from telepulse.simulation.link_scene import parse_link
+from tests.support.netem import emulate
 from tests.support.tcp import needs_emulator
 
 HOUR_NS = 3_600_000_000_000

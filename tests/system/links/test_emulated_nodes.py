@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from telepulse.netem import NodesOutcome, run_nodes
 from telepulse.simulation.link_scene import LinkScene, parse_link
+from tests.support.netem import NodesOutcome, run_nodes
 from tests.support.nodes import RADIAL, assert_accounted, known
 from tests.support.tcp import needs_emulator
 

@@ -10,10 +10,10 @@ from typing import Any
 import pytest
 
 from protocol.host.child_process import ChildProcess
-from telepulse.netem import EmulatedLink, emulate
-from telepulse.netem.emulated_link import PORT
 from telepulse.simulation.link_scene import parse_link
 from tests.support.keyring import Keyring
+from tests.support.netem import EmulatedLink, emulate
+from tests.support.netem.emulated_link import PORT
 from tests.support.nodes import ROOT, assert_accounted, process, read_json
 from tests.support.tcp import needs_emulator
 

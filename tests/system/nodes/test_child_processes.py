@@ -10,8 +10,8 @@ import pytest
 from display_node.verdict import NOT_VALID_STATUS
 from protocol.errors import ProcessError
 from protocol.host.child_process import ChildProcess
-from telepulse.netem import emulate, unavailable
 from telepulse.simulation.link_scene import parse_link
+from tests.support.netem import emulate, unavailable
 from tests.support.nodes import RADIAL, ROOT, assert_accounted, free_address, read_json
 from tests.support.waiting import until
 

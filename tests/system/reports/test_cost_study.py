@@ -7,7 +7,6 @@ import pytest
 
 from protocol.errors import SweepError
 from protocol.host.child_process import ChildProcess
-from telepulse.netem import cpu_quota
 from telepulse.processes import cpu_time_s
 from telepulse.reports.studies import cost_scores
 from telepulse.reports.studies.cost_report import report_costs, verdict, works
@@ -21,6 +20,7 @@ from telepulse.reports.studies.cost_scores import (
     simulate_cost,
 )
 from telepulse.scene import load_scene
+from tests.support.netem import cpu_quota
 from tests.support.nodes import known
 from tests.support.tcp import needs_emulator
 
