@@ -157,20 +157,14 @@ def test_a_fault_begins_at_its_time(tmcl_scene: Path) -> None:
         drive.close()
 
 
-@pytest.mark.parametrize("interface", ["udp_multicast", "slcan"])
-def test_a_cia_402_drive_is_moved_from_another_process(interface: str, tmp_path: Path) -> None:
-    keys, link = f'kind = "cia402"\ninterface = "{interface}"\n', tmp_path / "can"
-    options: tuple[str, ...] = ()
-    if interface == "slcan":
-        keys += f'channel = "{link}"\noptions = {{ sleep_after_open = 0 }}'
-        options = ("--link", str(link))
-    elif (reason := udp_multicast_reason()) is not None:
+def test_a_cia_402_drive_is_moved_from_another_process(tmp_path: Path) -> None:
+    if (reason := udp_multicast_reason()) is not None:
         pytest.skip(f"udp_multicast: {reason}")
-    else:
-        keys += f'channel = "239.74.163.{2 + uuid.uuid4().int % 200}"'
+    channel = f"239.74.163.{2 + uuid.uuid4().int % 200}"
+    keys = f'kind = "cia402"\ninterface = "udp_multicast"\nchannel = "{channel}"'
     scene = scene_with(tmp_path, keys)
-    with process("telepulse", "emulate", "cia402", str(scene), *options) as child:
-        assert f"CiA 402 node 1 on CAN {interface}" in child.read_line(LONGEST_S)
+    with process("telepulse", "emulate", "cia402", str(scene)) as child:
+        assert "CiA 402 node 1 on CAN udp_multicast" in child.read_line(LONGEST_S)
         drive = drive_of(scene)
         drive.start()
         keep(drive, 400.0, lambda: drive.status().position_m > 50e-6)

@@ -15,8 +15,8 @@ from display_node.scene import DisplayScene
 from protocol.wire.messages import Frame, encode_frame
 from protocol.wire.stream import Channel
 from pulse_sensors.samples import SampleBlock
-from telepulse.emulators.motor import EmulatedMotor
 from tests.support import virtual_bench
+from tests.support.fault_injection import FaultyMotor
 from tests.support.sender import AHEAD_NS, MS, display_scene
 from tests.support.streams import synthetic
 from tests.support.virtual_bench import VirtualBench
@@ -99,9 +99,9 @@ def pressed(monkeypatch: pytest.MonkeyPatch) -> Callable[..., PressedBench]:
         scene: DisplayScene = plain.model_copy(update={"press": press, "drive": drive})
         hands = []
 
-        def motor(actuator: object, law: ContactLaw, *rest: object) -> EmulatedMotor:
+        def motor(actuator: object, law: ContactLaw, *rest: object) -> FaultyMotor:
             hands.append(Hand(law))
-            return EmulatedMotor(actuator, hands[-1], *rest)  # type: ignore[arg-type]
+            return FaultyMotor(actuator, hands[-1], *rest)  # type: ignore[arg-type]
 
         monkeypatch.setattr(virtual_bench, "display_scene", lambda _: scene)
         monkeypatch.setattr(virtual_bench, "EmulatedMotor", motor)

@@ -6,9 +6,15 @@ from display_node.plant.scene import StepperScene
 from protocol.errors import SceneError
 from protocol.wire.stream import LayerTable
 from pulse_drives.scene import TmclScene
-from telepulse.emulators.fault_injection import FaultInjector, FaultKind, InjectedFault, parse_fault
-from telepulse.emulators.motor import TICK_NS, EmulatedMotor
+from telepulse.emulators.motor import TICK_NS
 from telepulse.emulators.tmcl import EmulatedTmclModule
+from tests.support.fault_injection import (
+    FaultInjector,
+    FaultKind,
+    FaultyMotor,
+    InjectedFault,
+    parse_fault,
+)
 
 MS = TICK_NS
 TOUCH_M = 2e-3
@@ -17,9 +23,9 @@ RATE_HZ = 4_000.0
 RAN_MS = 100
 
 
-def moved(fault: InjectedFault | None, rate_hz: float = RATE_HZ) -> EmulatedMotor:
+def moved(fault: InjectedFault | None, rate_hz: float = RATE_HZ) -> FaultyMotor:
     """Run a motor for 0.1 s, with a fault from the start."""
-    motor = EmulatedMotor(SCENE, SCENE.contact(LayerTable().layer()), TOUCH_M, now_ns=0)
+    motor = FaultyMotor(SCENE, SCENE.contact(LayerTable().layer()), TOUCH_M, now_ns=0)
     if fault is not None:
         motor.injector.begin(fault, 0)
         # A position freezes at its first report.
