@@ -6,7 +6,7 @@ import tempfile
 from pathlib import Path
 from subprocess import DEVNULL
 
-from benchmarks.measure import show
+from benchmarks.benchmark import Benchmark
 from protocol.host.child_process import ChildProcess
 from tests.support.recordings import record
 
@@ -21,7 +21,7 @@ COMMANDS = (
 MB = 1e-3
 
 
-def main() -> None:
+def main(benchmark: Benchmark) -> None:
     """Print the table."""
     rows = []
     with tempfile.TemporaryDirectory(prefix="telepulse-") as folder:
@@ -33,7 +33,7 @@ def main() -> None:
             figures = (core_s, most_mb, size_mb(out))
             rows.append((" ".join((command, *options)), *(f"{figure:.0f}" for figure in figures)))
         title = f"A recording of {SECONDS} s, {path.stat().st_size * 1e-6:.0f} MB"
-    show(title, ("telepulse", "s of a core", "most memory, MB", "written, MB"), rows)
+    benchmark.table(title, ("telepulse", "s of a core", "most memory, MB", "written, MB"), rows)
 
 
 def run(*arguments: str) -> tuple[float, float]:

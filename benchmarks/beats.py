@@ -12,7 +12,7 @@ from unittest.mock import patch
 import heartpy
 import numpy as np
 
-from benchmarks.measure import show
+from benchmarks.benchmark import Benchmark
 from display_node.prediction.artefacts import ArtefactDetector
 from display_node.prediction.ensemble import Ensemble
 from display_node.scoring.beat_quality import GOOD
@@ -138,17 +138,19 @@ def after_artefact_rows(name: str) -> list[tuple[str, ...]]:
     ]
 
 
-def main() -> None:
+def main(benchmark: Benchmark) -> None:
     """Run the benchmark."""
     names = list(itertools.product(("regular", "ectopic", "fibrillation"), ("wide", "paper")))
     drawn = [drawn_row(*each) for each in names]
     header = ("pulse", "found", "onset, ms", "peak, ms", "notch, ms", "good")
-    show("drawn pulses, 1 % noise: RMS / greatest error", header, drawn)
+    benchmark.table("drawn pulses, 1 % noise: RMS / greatest error", header, drawn)
     libraries = ("pulse", "here", "heartpy", "neurokit2")
-    show("peaks of drawn pulses within 60 ms", libraries, [peaks_row(*each) for each in names])
+    benchmark.table(
+        "peaks of drawn pulses within 60 ms", libraries, [peaks_row(*each) for each in names]
+    )
     recorded = [recorded_row(name, each) for name, each in recorded_pulses(60.0).items()]
     columns = ("recording", "of heartpy's beats", "good beats that heartpy lacks or rejects")
-    show("recordings", columns, recorded)
+    benchmark.table("recordings", columns, recorded)
     sent = frames(moved(noisy(draw().force_n)))
     began_s = time.process_time()
     beats = analysed(sent)
@@ -161,7 +163,9 @@ def main() -> None:
         ),
         ("processor time, ms a second of samples", f"{1e3 * taken_s / SECONDS:.2f}"),
     ]
-    show("doubtful beats, and cost", ("", ""), measured)
+    benchmark.table("doubtful beats, and cost", ("", ""), measured)
     after = [row for name in ("regular", "fibrillation") for row in after_artefact_rows(name)]
     times = [f"{first} to {last} s" for first, last in itertools.pairwise(AFTER_S)]
-    show("error 100 ms ahead after an artefact, % of the height", ("pulse", *times), after)
+    benchmark.table(
+        "error 100 ms ahead after an artefact, % of the height", ("pulse", *times), after
+    )

@@ -14,7 +14,7 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from benchmarks.measure import show
+from benchmarks.benchmark import Benchmark
 from tests.support.emulated_bench import KINDS, BenchFailedError, EmulatedBench, MotorTrace, playing
 
 REPEATS = 2
@@ -41,15 +41,15 @@ class Outcome:
     named: tuple[str, ...]
 
 
-def main() -> None:
+def main(benchmark: Benchmark) -> None:
     """Print both tables; the bar is 100 ms."""
     kinds = ("TMCL, ms", "CiA 402, ms")
-    show(
+    benchmark.table(
         f"From a fault until the tip rests or is off, most of {REPEATS}; the bar is {BAR_MS:g} ms",
         ("fault", "what is done", *kinds, "named"),
         [row(*fault) for fault in FAULTS],
     )
-    show(
+    benchmark.table(
         f"Felt after a restart; bars: {FORCE_LIMIT_N:g} N, {SLEW_N_PER_S:g} N/s",
         ("restart", "drive", "most N", "fastest N/s", "rise ms"),
         [restart_row(kind, name, happens) for name, happens in RESTARTS for kind in KINDS],

@@ -23,7 +23,7 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
-from benchmarks.measure import show
+from benchmarks.benchmark import Benchmark
 from protocol.host.process import request_short_slices
 from protocol.host.realtime import Pacer
 
@@ -180,7 +180,7 @@ def _processor_s() -> float:
     return times.children_user + times.children_system
 
 
-def main() -> None:
+def main(benchmark: Benchmark) -> None:
     """Print the table."""
     if hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, sorted(os.sched_getaffinity(0))[:2])
@@ -207,7 +207,9 @@ def main() -> None:
         *("demo", "state", "runs", "with an alert", "missed, %", "at most", "worst 5 s"),
         *("tick p50, µs", "p99", "longest gap, ms", "load, %"),
     )
-    show("The default demo on two cores: medians of the runs, and the worst", columns, rows)
+    benchmark.table(
+        "The default demo on two cores: medians of the runs, and the worst", columns, rows
+    )
 
 
 def _row(with_page: bool, state: str, found: list[Outcome]) -> tuple[str, ...]:

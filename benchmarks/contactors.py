@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.measure import show
+from benchmarks.benchmark import Benchmark
 from display_node.prediction.ensemble import ChannelPath, Ensemble
 from protocol.config.scene_file import find_scene
 from sensing_node.sources.synthetic import SyntheticScene, SyntheticSource
@@ -142,18 +142,18 @@ def prediction_rows(name: str) -> list[tuple[str, ...]]:
     ]
 
 
-def main() -> None:
+def main(benchmark: Benchmark) -> None:
     """Print the three tables."""
     columns = ("predictor", "first contactor", "second", "third", "mean of both", "each, bar")
     rows = [cost_row(predictor) for predictor in ("stack", "linear")]
-    show(
+    benchmark.table(
         f"Processor time of a tick over {LINK}, of further contactors over the first", columns, rows
     )
     links = ("delay=0ms", LINK)
     skews = [skew_row(predictor, link) for link in links for predictor in ("linear", "stack")]
     title = "Lag of each contactor behind the instant that is played, in ms, and the skew"
-    show(title, ("link", "predictor", "cun, guan, chi", "skew", "bar"), skews)
+    benchmark.table(title, ("link", "predictor", "cun, guan, chi", "skew", "bar"), skews)
     found = [row for name in PULSES for row in prediction_rows(name)]
     horizons = [f"{ahead} ms" for ahead in HORIZONS_MS]
     title = "NRMSE of a further channel: predicted with the first one / by its own predictor"
-    show(title, ("pulse", "channel", *horizons), found)
+    benchmark.table(title, ("pulse", "channel", *horizons), found)

@@ -16,7 +16,7 @@ from pathlib import Path
 import msgpack
 import numpy as np
 
-from benchmarks.measure import show
+from benchmarks.benchmark import Benchmark
 from benchmarks.peers import BARE, BARE_CURVE, OURS, OURS_CURVE
 from benchmarks.peers.race import run
 from display_node.prediction.scene import own_predictor
@@ -116,7 +116,7 @@ PARTS: dict[str, Callable[[], dict[str, float]]] = {
 }
 
 
-def main() -> None:
+def main(benchmark: Benchmark) -> None:
     """Build the compiled core, run the parts of both builds in turns, and print the table."""
     with tempfile.TemporaryDirectory() as temporary:
         began_s = time.monotonic()
@@ -136,7 +136,7 @@ def main() -> None:
         ratios = [after / before for before, after in zip(pure, compiled, strict=True)]
         middle = [statistics.median(values) for values in (pure, compiled, ratios)]
         rows.append((key, *(f"{value:.3g}" for value in middle)))
-    show(
+    benchmark.table(
         f"Pure and compiled core in turns, medians of {ROUNDS} rounds; ratios of a round",
         ("figure", "pure", "compiled", "compiled / pure"),
         rows,

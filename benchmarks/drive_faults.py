@@ -11,8 +11,8 @@ from typing import Any
 
 import can
 
+from benchmarks.benchmark import Benchmark
 from benchmarks.drives import ACTUATOR, CAN_BUS, FORCE_LIMIT_N, LAYER, motor
-from benchmarks.measure import show
 from display_node.hardware import build_display_drive
 from pulse_drives import Drive
 from pulse_drives.scene import Cia402Scene, TmclScene
@@ -32,7 +32,7 @@ AFTER_S = 0.25
 
 
 @dataclass
-class Bench:
+class MovingDrive:
     """A moving drive, and the emulator at its far end. plugged: it is connected."""
 
     drive: Drive
@@ -41,9 +41,9 @@ class Bench:
     plugged: bool = True
 
 
-def main() -> None:
+def main(benchmark: Benchmark) -> None:
     """Print the table; the bar is 100 ms."""
-    show(
+    benchmark.table(
         f"From a fault to rest, most of {REPEATS}; the bar is {BAR_MS:g} ms",
         ("drive", "what happens", "ms", "named"),
         [
@@ -57,7 +57,7 @@ def row(
     kind: str,
     make: Callable[[], Any],
     event: str,
-    happens: Callable[[Bench], None],
+    happens: Callable[[MovingDrive], None],
 ) -> tuple[str, ...]:
     """Return a fault's row."""
     times_ms, named = list[float](), ""
@@ -78,7 +78,7 @@ def row(
     return kind, event, f"{max(times_ms):.0f}", named
 
 
-def press(bench: Bench, seconds: float) -> None:
+def press(bench: MovingDrive, seconds: float) -> None:
     """Command a speed for a time, as a force loop that has detected no fault does."""
     end_s = time.monotonic() + seconds
     while time.monotonic() < end_s:
@@ -87,14 +87,14 @@ def press(bench: Bench, seconds: float) -> None:
 
 
 @contextmanager
-def tmcl_bench() -> Iterator[Bench]:
+def tmcl_bench() -> Iterator[MovingDrive]:
     """Provide a TMCL drive on a pseudo-terminal."""
     port = PtyPort(None)
     scene = TmclScene.model_validate({"kind": "tmcl", "port": str(port.path), **HERE})
     turned = motor(0.0)
     module = EmulatedTmclModule(scene, turned)
     line = EmulatedSerialLine(module, port)
-    bench = Bench(build_display_drive(scene, ACTUATOR, LAYER, FORCE_LIMIT_N), turned, module)
+    bench = MovingDrive(build_display_drive(scene, ACTUATOR, LAYER, FORCE_LIMIT_N), turned, module)
 
     open_line = ExitStack()
     open_line.callback(line.close)
@@ -113,7 +113,7 @@ def tmcl_bench() -> Iterator[Bench]:
 
 
 @contextmanager
-def cia402_bench() -> Iterator[Bench]:
+def cia402_bench() -> Iterator[MovingDrive]:
     """Provide a CiA 402 drive on a virtual bus."""
     scene = Cia402Scene.model_validate({"kind": "cia402", **CAN_BUS, **HERE})
     turned = motor(0.0)
@@ -124,37 +124,39 @@ def cia402_bench() -> Iterator[Bench]:
         node.poll()
 
     with polled(poll):
-        bench = Bench(build_display_drive(scene, ACTUATOR, LAYER, FORCE_LIMIT_N), turned, node)
+        bench = MovingDrive(
+            build_display_drive(scene, ACTUATOR, LAYER, FORCE_LIMIT_N), turned, node
+        )
         yield bench
         bench.drive.close()
     node.close()
 
 
-def break_motor(bench: Bench) -> None:
+def break_motor(bench: MovingDrive) -> None:
     """Make the drive too hot."""
     bench.motor.fail("overtemperature")
 
 
-def answer(how: str) -> Callable[[Bench], None]:
+def answer(how: str) -> Callable[[MovingDrive], None]:
     """Return a fault that makes the module reply in this way."""
 
-    def happens(bench: Bench) -> None:
+    def happens(bench: MovingDrive) -> None:
         bench.emulator.answer_mode = how
 
     return happens
 
 
-def fall_silent(bench: Bench) -> None:
+def fall_silent(bench: MovingDrive) -> None:
     """Make the drive receive without answering."""
     bench.emulator.silent = True
 
 
-def unplug(bench: Bench) -> None:
+def unplug(bench: MovingDrive) -> None:
     """Remove the port."""
     bench.plugged = False
 
 
-def nothing(bench: Bench) -> None:
+def nothing(bench: MovingDrive) -> None:
     """Send no more commands, as a process that hangs or is killed."""
 
 

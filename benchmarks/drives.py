@@ -16,7 +16,7 @@ import can
 import numpy as np
 from pytrinamic.connections.tmcl_interface import TmclInterface
 
-from benchmarks.measure import show
+from benchmarks.benchmark import Benchmark
 from display_node.hardware import build_display_drive
 from display_node.plant.scene import StepperScene
 from protocol.wire.stream import LayerTable
@@ -52,7 +52,7 @@ SLOW_M_PER_S = StepperScene(kind="stepper").step_m
 Call = Callable[[], object]
 
 
-def main() -> None:
+def main(benchmark: Benchmark) -> None:
     """Print the tables; the bar is 50 µs p99 for the PDO of a command on the virtual bus."""
     with ExitStack() as open_things:
         calls = {
@@ -63,13 +63,13 @@ def main() -> None:
         }
         # Interleaved, so that a busy moment of the machine affects all equally.
         runs = [{name: percentiles(call) for name, call in calls.items()} for _ in range(RUNS)]
-    show(
+    benchmark.table(
         f"One velocity command in µs, median of {RUNS} interleaved runs of {CALLS};"
         f" the bar for a PDO is a p99 of {BAR_US:g}. CPU: of the calling thread only",
         ("what", "p50", "p99", "CPU p50", "CPU p99"),
         [(name, *(median([run[name][k] for run in runs]) for k in range(4))) for name in calls],
     )
-    show(
+    benchmark.table(
         "Commands to a TMCL module on a serial line: request and reply are 9 bytes each",
         ("baud", "request and reply, ms", "commands a second, at most"),
         [line_row(2e3 * TMCL_BITS / baud, baud) for baud in BAUDS],

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.measure import show
+from benchmarks.benchmark import Benchmark
 from protocol.config.scene_file import find_scene, load_document, to_toml
 from sensing_node.scene import build_source
 from telepulse.scene import load_scene
@@ -35,13 +35,13 @@ BAR_COMMANDS = 500.0
 SOURCE = "real_bench"
 
 
-def main() -> None:
+def main(benchmark: Benchmark) -> None:
     """Print the table. Bars: 1 kHz, 500 commands a second, an RMSE of 1.5 times the model's."""
     pulse_n = pulse()
     with TemporaryDirectory(prefix="telepulse-") as folder:
         base_n = settled_rmse_n(model_force_n(Path(folder)), pulse_n)
     rows = [row(kind, base_n, pulse_n) for _ in range(RUNS) for kind in KINDS]
-    show(
+    benchmark.table(
         f"The whole emulated bench, {SECONDS:g} s a run: RMSE of the motor's own force, settled,"
         f" beside the in-process model's of {base_n * 1e3:.2f} mN; of the whole run, by the"
         f" display; bars: {BAR_RATIO} times the model's, 1000 samples and {BAR_COMMANDS:g} commands"

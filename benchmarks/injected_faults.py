@@ -7,12 +7,11 @@ as stiff as the scene's.
 """
 
 import os
-import sys
 from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
 
-from benchmarks.measure import show
+from benchmarks.benchmark import Benchmark
 from tests.support.fault_injection import FaultKind
 from tests.support.fault_runs import (
     BAR_ABOVE_MS,
@@ -81,16 +80,15 @@ class Run:
         return " ".join(word for word in (self.case.kind.value, self.case.size, begin) if word)
 
 
-def rows(name: str, finger: float) -> list[tuple[str, ...]]:
-    """Return the table's rows, of the faults of one name or of all."""
+def rows() -> list[tuple[str, ...]]:
+    """Return the table's rows, of all faults."""
     runs = [
-        Run(case, kind, with_film, stream, finger)
+        Run(case, kind, with_film, stream, 1.0)
         for case in (None, *CASES)
         for with_film in (True, False)
         for stream in STREAMS
         for kind in KINDS
-        if case is None
-        or (name in ("", case.kind.value) and (with_film or not case.kind.value.startswith("film")))
+        if case is None or with_film or not case.kind.value.startswith("film")
     ]
     with ProcessPoolExecutor(os.cpu_count()) as pool:
         outcomes = dict(zip(runs, pool.map(Run.outcome, runs), strict=True))
@@ -117,9 +115,9 @@ def rows(name: str, finger: float) -> list[tuple[str, ...]]:
     return table
 
 
-def main(name: str = "", finger: str = "1") -> None:
+def main(benchmark: Benchmark) -> None:
     """Print the table."""
-    show(
+    benchmark.table(
         f"Injected faults of drives and films; bars: {BAR_FORCE_N:g} N, {BAR_ABOVE_MS} ms above the"
         f" limit of {LIMIT_N:g} N, off the finger {BAR_OFF_MS / 1e3:g} s after the fault, named",
         (
@@ -136,9 +134,5 @@ def main(name: str = "", finger: str = "1") -> None:
             "stiffness",
             "named",
         ),
-        rows(name, float(finger)),
+        rows(),
     )
-
-
-if __name__ == "__main__":
-    main(*sys.argv[1:3])

@@ -12,7 +12,7 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from benchmarks.measure import show
+from benchmarks.benchmark import Benchmark
 from tests.support.emulated_bench import BenchFailedError, EmulatedBench, MotorTrace, playing
 from tests.support.fault_runs import KINDS, LIMIT_N, TOUCH_N
 
@@ -21,10 +21,10 @@ TRIES = 3
 STOPPED_S = (0.1, 0.4, 2.0)
 
 
-def main() -> None:
+def main(benchmark: Benchmark) -> None:
     """Print the table."""
     rows = [stopped_row(kind, seconds) for seconds in STOPPED_S for kind in KINDS]
-    show(
+    benchmark.table(
         f"Stalls on real processes; the limit is {LIMIT_N:g} N",
         ("what happens", "drive", "most N", "above ms", "off ms", "at the end N", "named"),
         rows,

@@ -10,7 +10,7 @@ from unittest.mock import patch
 
 import numpy as np
 
-from benchmarks.measure import show
+from benchmarks.benchmark import Benchmark
 from display_node.control import feed_forward
 from display_node.control.shaper import rotor_rings, shaper_weights, zero_vibration
 from display_node.plant.scene import StepperScene
@@ -62,7 +62,7 @@ SHAPERS: dict[str, Weights | None] = {
 }
 
 
-def main() -> None:
+def main(benchmark: Benchmark) -> None:
     """Print both tables."""
     rows = []
     for name in SCENES:
@@ -71,13 +71,13 @@ def main() -> None:
         felt_n = felt_under(scene, jumping_n(JUMPS, tick_s))
         up, down = slews_n_per_s(felt_n, tick_s)
         rows.append((name, f"{felt_n.max():.3f}", f"{up:.1f}", f"{down:.1f}"))
-    show(
+    benchmark.table(
         f"{JUMPS} jumps to {', '.join(f'{force:g}' for force in REQUESTED_N)} N;"
         " 2.5 N and 50 N/s are allowed",
         ("scene", "most N", "up N/s", "down N/s"),
         rows,
     )
-    show(
+    benchmark.table(
         f"shapers for the rotor of real_bench: greatest felt slew in N/s under {COMPARED_JUMPS}"
         " jumps, under forces that swing near the resonance, and in a jump soon after first touch;"
         " with the rotor as modelled, and the worst of six others (resonance ±20 %, damping"

@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 import zmq
 
-from benchmarks.measure import show, time_call
+from benchmarks.benchmark import Benchmark
+from benchmarks.timing import time_call
 from protocol import sockets
 from protocol.security.allow_list import allow, revoke
 from protocol.security.authenticator import Authenticator
@@ -66,7 +67,7 @@ class Stream:
             time.sleep(0.0002)
 
 
-def main() -> None:
+def main(benchmark: Benchmark) -> None:
     """Print the costs of a check of the list, and of a revocation for its key and for others."""
     with tempfile.TemporaryDirectory() as folder:
         names = ("wrist", "stays", "goes")
@@ -89,7 +90,7 @@ def main() -> None:
         for text, values in zip(texts, (let_in_ms, cut_ms, missed, missed_ms), strict=True)
     ]
     table.append(("a poll without connection requests, µs", f"{cost_us:.1f}", ""))
-    show(f"Keys, {ROUNDS} rounds over loopback", columns, table)
+    benchmark.table(f"Keys, {ROUNDS} rounds over loopback", columns, table)
 
 
 def _revoke(pairs: dict[str, KeyPair], allowed: Path, phase_s: float) -> tuple[float, float, int]:

@@ -7,7 +7,7 @@ from subprocess import PIPE
 
 import numpy as np
 
-from benchmarks.measure import show
+from benchmarks.benchmark import Benchmark
 from protocol.host.child_process import ChildProcess
 
 DAY_S, HOUR_S, RATE_HZ = 86_400, 3_600, 1_000
@@ -25,7 +25,7 @@ print(Path("/proc/self/status").read_text().partition("VmHWM:")[2].split()[0])
 """
 
 
-def main() -> None:
+def main(benchmark: Benchmark) -> None:
     """Print the table."""
     rows = []
     with tempfile.TemporaryDirectory(prefix="telepulse-") as folder:
@@ -40,7 +40,7 @@ def main() -> None:
             size_mb = path.stat().st_size * 1e-6
             rows.append((name, f"{size_mb:.0f}", f"{start_s:.1f}", f"{most_mb:.0f}"))
     columns = ("file at 1 kHz", "size, MB", "until the first sample, s", "most memory, MB")
-    show("A long file as a source", columns, rows)
+    benchmark.table("A long file as a source", columns, rows)
 
 
 def write(path: Path, kind: str, samples: int) -> None:

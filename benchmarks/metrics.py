@@ -15,7 +15,8 @@ from subprocess import PIPE
 from tempfile import TemporaryDirectory
 from urllib.request import urlopen
 
-from benchmarks.measure import median_quantile, show
+from benchmarks.benchmark import Benchmark
+from benchmarks.timing import median_quantile
 from protocol.config.scene_file import find_scene
 from protocol.loop_tables import Loop
 from telepulse.processes import NodeProcess, free_addresses
@@ -28,7 +29,7 @@ CASES = {"none served": 0, "once a second": 1, f"{THREADS} threads": THREADS}
 COLUMNS = ("scraped", "scrapes a second", "p50 late µs", "p99 late µs", "missed of 1000", "ratio")
 
 
-def main() -> None:
+def main(benchmark: Benchmark) -> None:
     """Print the table."""
     scene = str(find_scene("radial"))
     (address,) = free_addresses(1)
@@ -42,7 +43,7 @@ def main() -> None:
             for name, found in runs.items():
                 found.append(_play(scene, address, CASES[name], Path(folder, "d.json")))
     bare = _missed(runs["none served"])
-    show(
+    benchmark.table(
         f"A display at 1 kHz whose metrics are scraped: medians of {ROUNDS} rounds of"
         f" {SECONDS:g} s",
         COLUMNS,

@@ -16,7 +16,7 @@ from subprocess import DEVNULL, PIPE
 from typing import Any
 from urllib.parse import urlsplit
 
-from benchmarks.measure import show
+from benchmarks.benchmark import Benchmark
 from protocol.config.scene_file import find_scene
 from protocol.host.child_process import ChildProcess
 from telepulse.processes import free_addresses
@@ -138,7 +138,7 @@ def page() -> Iterator[int]:
         yield urlsplit(process.read_line(PATIENCE_S).split()[-1]).port or 0
 
 
-def main() -> None:
+def main(benchmark: Benchmark) -> None:
     """Print the table."""
     times_s: list[float] = []
     rows = []
@@ -176,7 +176,7 @@ def main() -> None:
         for viewer in (reader, *others):
             viewer.close()
         watching.join(PATIENCE_S)
-    show(
+    benchmark.table(
         f"s from update to update at one page ({len(others)} of {OTHERS} others were served)",
         ("pages", "median", "most"),
         rows,

@@ -9,7 +9,8 @@ from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from benchmarks.measure import median_quantile, show
+from benchmarks.benchmark import Benchmark
+from benchmarks.timing import median_quantile
 from protocol.config.scene_file import find_scene
 from protocol.histogram import bound
 from protocol.run_summary import Summary
@@ -21,7 +22,6 @@ from tests.support.netem import NodesOutcome, run_nodes, unavailable
 SECONDS = 30.0
 LOSS_FREE = "delay=20ms,jitter=3ms"
 LOSSY = LOSS_FREE + ",loss=1%"
-AUTO = '"auto"'
 BAR = 1.1
 # Times count from the link's start, a second before the sensing node starts.
 CUT = LOSS_FREE + ",cut.from=10s,cut.for=5s"
@@ -29,7 +29,7 @@ CUT_FOR_GOOD = LOSS_FREE + ",cut.from=10s,cut.for=60min"
 CONGESTION_CONTROL = Path("/proc/sys/net/ipv4/tcp_congestion_control")
 
 
-def main() -> None:
+def main(benchmark: Benchmark) -> None:
     """Print both tables.
 
     Bars: with three connections a p99 of at most 1.1 times the loss-free one, nothing lost; no cut
@@ -47,7 +47,7 @@ def main() -> None:
                 play(Path(folder), f"{LOSS_FREE},loss={loss.replace(' ', '')}", paths=paths),
             )
             for loss in ("0 %", "1 %", "3 %")
-            for paths in ("1", "3", AUTO, *(("2",) if loss != "0 %" else ()))
+            for paths in (1, 3, *((2,) if loss != "0 %" else ()))
         ]
         model = simulated(Path(folder))
         cuts = [
@@ -61,22 +61,22 @@ def main() -> None:
         ]
     base_ms = runs[0][2].display.one_way_delay_ms.p99 or 0.0
     control = CONGESTION_CONTROL.read_text(encoding="ascii").strip()
-    show(
+    benchmark.table(
         f"Paths at 20±3 ms, 10 ms frames, {SECONDS:g} s each, TCP's {control}: one-way delay in ms;"
         f" the bar for 3 is {BAR} times the p99 of one without loss, and none lost",
-        ("loss", "paths", "open", "stall", "p50", "p99", "max", "over first", "mean E", "lost"),
+        ("loss", "paths", "p50", "p99", "max", "over first", "mean E", "lost"),
         [
             *(row(loss, paths, run.display, base_ms) for loss, paths, run in runs),
-            row("1 %, simulated", "1", model, base_ms),
+            row("1 %, simulated", 1, model, base_ms),
         ],
     )
-    show(
+    benchmark.table(
         "Cost of the same runs, in both directions with acknowledgements, control and IP headers:"
         " traffic, and processor time in % of a core",
         ("loss", "paths", "packets/s", "kB/s", "sensing node", "display node"),
         [cost_row(*run) for run in runs],
     )
-    show(
+    benchmark.table(
         f"Networks at 20±3 ms, a path each, {SECONDS:g} s: what is felt of a cut, in ms; the bar"
         " for two is that no sample is lost, or later than its instant by more than the mean E",
         ("cut", "networks", "mean E", "longest delay", "later by", "late", "lost", "first copies"),
@@ -84,14 +84,12 @@ def main() -> None:
     )
 
 
-def row(loss: str, paths: str, summary: Summary, base_ms: float) -> tuple[str, ...]:
+def row(loss: str, paths: int, summary: Summary, base_ms: float) -> tuple[str, ...]:
     """Return the row of a run; base_ms: the loss-free p99 of one connection."""
-    delay_ms, connections = summary.one_way_delay_ms, summary.data_connections
+    delay_ms = summary.one_way_delay_ms
     return (
         loss,
-        paths,
-        str(connections.open or 1),
-        "–" if connections.stalls is None else str(connections.stalls),
+        str(paths),
         *(median_quantile(key, [delay_ms], 1) for key in ("p50", "p99")),
         f"{delay_ms.max or 0.0:.1f}",
         f"{bound('p99', delay_ms.beyond)}{(delay_ms.p99 or 0.0) / base_ms:.2f}",
@@ -100,14 +98,14 @@ def row(loss: str, paths: str, summary: Summary, base_ms: float) -> tuple[str, .
     )
 
 
-def cost_row(loss: str, paths: str, run: NodesOutcome) -> tuple[str, ...]:
+def cost_row(loss: str, paths: int, run: NodesOutcome) -> tuple[str, ...]:
     """Return what a run cost the network and both nodes."""
     carried = run.carried
     assert carried is not None
     shares = (run.sensing_cpu or 0.0, run.display_cpu or 0.0)
     return (
         loss,
-        paths,
+        str(paths),
         f"{carried.packets / SECONDS:.0f}",
         f"{carried.bytes / SECONDS / 1e3:.1f}",
         *(f"{100 * share:.1f}" for share in shares),
@@ -128,7 +126,7 @@ def cut_row(name: str, links: Sequence[str], summary: Summary) -> tuple[str, ...
     )
 
 
-def play(folder: Path, *links: str, paths: str = "1") -> NodesOutcome:
+def play(folder: Path, *links: str, paths: int = 1) -> NodesOutcome:
     """Run both nodes over real TCP, with an address for each link."""
     scene = scene_of(folder, paths)
     return run_nodes(scene, *map(parse_link, links), seconds=SECONDS)
@@ -136,13 +134,13 @@ def play(folder: Path, *links: str, paths: str = "1") -> NodesOutcome:
 
 def simulated(folder: Path) -> Summary:
     """Return the summary of one path with loss by the model of TCP."""
-    scene = load_scene(scene_of(folder, "1"))
+    scene = load_scene(scene_of(folder, 1))
     link = parse_link(LOSSY + ",transport=tcp")
     return summarise(replace(scene, link=link), SECONDS, seed=1)
 
 
-def scene_of(folder: Path, paths: str) -> Path:
-    """Return the default scene with frames of 10 ms and this number of paths, or "auto"."""
+def scene_of(folder: Path, paths: int) -> Path:
+    """Return the default scene with frames of 10 ms and this number of paths."""
     text = find_scene("radial").read_text(encoding="utf-8")
     text = text.replace('batch = "5 ms"', 'batch = "10 ms"')
     scene = folder / "paths.toml"

@@ -18,16 +18,16 @@ import numpy as np
 import zmq
 from numpy.typing import NDArray
 
-from benchmarks.measure import show
+from benchmarks.benchmark import Benchmark
 from protocol.config.scene_file import find_scene
 from protocol.run_summary import Summary
 from protocol.wire.messages import decode_frame
 from protocol.wire.telemetry import TRACE, read_trace
 from telepulse.processes import NodeProcess
-from telepulse.reports.studies.press_runs import FOLLOW_ERROR, FOLLOWED_S, LEVELS_N, STEP_S
 from telepulse.simulation.link_scene import parse_link
 from tests.support.netem import EmulatedLink, emulate, unavailable
 from tests.support.netem.emulated_link import PORT
+from tests.support.press_runs import FOLLOW_ERROR, FOLLOWED_S, LEVELS_N, STEP_S
 
 SECONDS = 70.0
 # Steps before this time, and so many round trips, are those of the start.
@@ -59,10 +59,10 @@ class Case(NamedTuple):
     round_trip_ms: int
     connections: int
     batch: str = "5 ms"
-    paths: str = '"auto"'
+    paths: int = 3
 
 
-LONG_FRAMES = {1000: ("50 ms", "8"), 2000: ("50 ms", "8")}
+LONG_FRAMES = {1000: ("50 ms", 8), 2000: ("50 ms", 8)}
 CASES = (
     *(Case(100, count) for count in (0, 16)),
     *(Case(300, count) for count in (0, 2, 4, 16)),
@@ -79,7 +79,7 @@ class Followed(NamedTuple):
     display: Summary
 
 
-def main() -> None:
+def main(benchmark: Benchmark) -> None:
     """Print the table. Bar: within 5 % of the press from 0.3 s and a round trip after a step on."""
     reason = unavailable()
     if reason is not None:
@@ -88,7 +88,7 @@ def main() -> None:
     with ThreadPoolExecutor(2) as pool:
         rows = list(pool.map(lambda case: row(case, follow(case)), CASES))
     control = CONGESTION_CONTROL.read_text(encoding="ascii").strip()
-    show(
+    benchmark.table(
         f"Press over TCP ({control}), 1 % loss and 10 % of jitter, {SECONDS:g} s each: steps after"
         f" which the hold-down is within {FOLLOW_ERROR:.0%}, and the share of the judged time",
         ("round trip", "connections", "frames", "paths", "steps followed", "within", "blind",
@@ -105,7 +105,7 @@ def row(case: Case, run: Followed) -> tuple[str, ...]:
         f"{case.round_trip_ms} ms",
         str(case.connections or 1),
         case.batch,
-        case.paths.strip('"'),
+        str(case.paths),
         f"{met} of {len(run.errors)}",
         f"{run.within:.1%}",
         f"{stale or 0.0:.1%}",

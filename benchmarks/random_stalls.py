@@ -9,7 +9,7 @@ import sys
 import time
 from concurrent.futures import ProcessPoolExecutor
 
-from benchmarks.measure import show
+from benchmarks.benchmark import Benchmark
 from tests.support.fault_runs import KINDS
 from tests.support.stall_runs import LONGEST_S, SHORTEST_S, StallCounts, StallRun
 
@@ -23,9 +23,9 @@ def chunk(kind: str, with_film: bool, seed: int) -> StallCounts:
     return StallRun(kind, with_film, seed).run(CHUNK_S)
 
 
-def main(hours: float = HOURS) -> None:
+def main(benchmark: Benchmark) -> None:
     """Print the table."""
-    began_s, count = time.perf_counter(), math.ceil(hours * 3600 / CHUNK_S)
+    began_s, count = time.perf_counter(), math.ceil(HOURS * 3600 / CHUNK_S)
     # Most benches have a film.
     jobs = [(KINDS[seed % 2], seed // 2 % 4 != 3, seed) for seed in range(count)]
     total = StallCounts()
@@ -39,7 +39,7 @@ def main(hours: float = HOURS) -> None:
     names = sorted(total.episodes)
     rows = [(name, *(str(column[name]) for column in columns)) for name in names]
     rows.append(("all", *(str(column.total()) for column in columns)))
-    show(
+    benchmark.table(
         f"Random stalls of {SHORTEST_S:g} to {LONGEST_S:g} s in {total.virtual_s / 3600:.1f} h of"
         f" virtual time ({took_s / 60:.0f} min); greatest force {total.most_n:.2f} N",
         ("stalled", "episodes", "withdrawn", "played", "left pressed"),
@@ -47,7 +47,3 @@ def main(hours: float = HOURS) -> None:
     )
     for example in total.examples[:10]:
         print(example)
-
-
-if __name__ == "__main__":
-    main(*map(float, sys.argv[1:2]))

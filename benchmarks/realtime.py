@@ -12,7 +12,8 @@ from pathlib import Path
 from subprocess import PIPE
 from tempfile import TemporaryDirectory
 
-from benchmarks.measure import median_quantile, show
+from benchmarks.benchmark import Benchmark
+from benchmarks.timing import median_quantile
 from display_node.doctor.jitter import busy_processes
 from protocol.config.scene_file import find_scene
 from protocol.host.realtime import GIVEN_UP
@@ -29,7 +30,7 @@ ALONE = ("slack", "lock", f"cpu={CPU}", "fifo=40")
 WISHES = {name: name for name in ALONE} | {"together": "slack,lock,fifo=40"}
 
 
-def main() -> None:
+def main(benchmark: Benchmark) -> None:
     """Print the table."""
     scene = str(find_scene("radial"))
     processors = os.cpu_count() or 1
@@ -52,7 +53,7 @@ def main() -> None:
                 for name, found in runs.items()
                 if name == BARE or all(loop.realtime for loop in found)
             ]
-    show(
+    benchmark.table(
         f"A display at 1 kHz beside nothing and beside a load of {processors} busy processes,"
         f" {ROUNDS} rounds of {SECONDS:g} s: lateness of ticks in µs (medians of the rounds, and"
         " the latest of all); number of rounds with fewer missed ticks than bare",

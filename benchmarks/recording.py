@@ -12,7 +12,8 @@ import numpy as np
 import zmq
 from numpy.typing import NDArray
 
-from benchmarks.measure import paced, show
+from benchmarks.benchmark import Benchmark
+from benchmarks.timing import paced
 from display_node.telemetry.publisher import Publisher
 from protocol import sockets
 from protocol.host.child_process import ChildProcess
@@ -29,7 +30,7 @@ Reader = Callable[[str], AbstractContextManager[bool]]
 END = pack_status("ended", "", Summary(), final=True)
 
 
-def main() -> None:
+def main(benchmark: Benchmark) -> None:
     """Print the tables."""
     rows = []
     for name, reader in (("nobody reads", nobody), ("a screen reads", screen)):
@@ -42,7 +43,7 @@ def main() -> None:
         size_bytes = full.stat().st_size
     rows.append(("a recorder reads", *summed_up(cost_us)))
     columns = ("telemetry of a tick", "mean µs", "p50 µs", "p50 of every 20th, µs", "p99 µs")
-    show("Time that the real-time loop spends on its telemetry", columns, rows)
+    benchmark.table("Time that the real-time loop spends on its telemetry", columns, rows)
     long_s = TICKS * TICK_NS * 1e-9
     share, hourly = (work_s - start_s) / long_s, size_bytes / long_s * 3600e-6
     print(f"The recorder: {share:.1%} of a core once it has started, {hourly:.0f} MB an hour")

@@ -14,7 +14,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from benchmarks.measure import show, time_call
+from benchmarks.benchmark import Benchmark
+from benchmarks.timing import time_call
 from protocol.config.scene import validate
 from protocol.host.child_process import ChildProcess
 from pulse_sensors.samples import Timestamper
@@ -48,7 +49,7 @@ class Kind(NamedTuple):
     keys: dict[str, str]
 
 
-def main() -> None:
+def main(benchmark: Benchmark) -> None:
     """Print both tables."""
     kinds = (
         Kind("binary", binary("float32"), 4, {"framing": "binary"}),
@@ -57,7 +58,7 @@ def main() -> None:
     )
     columns = ("framing", "as it arrives, ms", "as streamed, ms", "worst", "late by", "skew, ppm")
     title = f"Timestamps of 1 kHz through 16 ms USB, after {SETTLED_S} s, device {SKEW * 1e6:g} ppm"
-    show(title, columns, [times(kind) for kind in kinds])
+    benchmark.table(title, columns, [times(kind) for kind in kinds])
     rows = [(kind.name, f"{decoding_us(kind):.2f}", "") for kind in kinds]
     for name, framing in (
         ("synthetic, node", None),
@@ -66,7 +67,7 @@ def main() -> None:
     ):
         cpu_us = node_us(framing)
         rows.append((name, f"{cpu_us:.1f}", f"{cpu_us / 1000:.1%}"))
-    show("CPU of a sample", ("", "µs a sample", "of a core at 1 kHz"), rows)
+    benchmark.table("CPU of a sample", ("", "µs a sample", "of a core at 1 kHz"), rows)
 
 
 def times(kind: Kind) -> tuple[str, ...]:

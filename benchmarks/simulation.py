@@ -3,7 +3,7 @@
 import statistics
 from dataclasses import replace
 
-from benchmarks.measure import show
+from benchmarks.benchmark import Benchmark
 from protocol.config.scene import Section
 from protocol.config.scene_file import find_scene
 from telepulse.scene import Scene, load_scene
@@ -14,7 +14,7 @@ SECONDS = 20.0
 REPEATS = 5
 
 
-def main() -> None:
+def main(benchmark: Benchmark) -> None:
     """Print the table; the bar is 50 times for the default scene."""
     radial = load_scene(find_scene("radial"))
     controller = radial.display.controller
@@ -38,7 +38,7 @@ def main() -> None:
         rows.append(
             (name, f"{speed:.0f}", f"{min(speeds):.0f} to {max(speeds):.0f}", f"{speed / base:.2f}")
         )
-    show(
+    benchmark.table(
         f"Simulation of {SECONDS:g} s: times real time, median of {REPEATS}",
         ("scene", "speed", "range", "over default"),
         rows,

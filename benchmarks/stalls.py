@@ -6,7 +6,7 @@ number of ticks, drawn uniformly from 1 to the longest stall.
 
 from unittest.mock import patch
 
-from benchmarks.measure import show
+from benchmarks.benchmark import Benchmark
 from display_node.control.controller import StallGuard
 from protocol.config.scene_file import find_scene
 from telepulse.scene import load_scene
@@ -25,7 +25,7 @@ HOSTS: dict[str, Host] = {
 }
 
 
-def main() -> None:
+def main(benchmark: Benchmark) -> None:
     """Print the table; the force limit is 2.5 N."""
     rows = []
     for name in SCENES:
@@ -37,7 +37,7 @@ def main() -> None:
             cells = (f"{most_n:.2f}", f"{free_most_n:.2f}")
             errors = (f"{rmse_n * 1e3:.2f}", f"{free_rmse_n * 1e3:.2f}")
             rows.append((name, stalls, *cells, *errors))
-    show(
+    benchmark.table(
         f"Stalls of a host, {SECONDS:g} s each: a beat of {PEAK_N} N is wanted",
         ("scene", "ticks missed", "most N", "unguarded", "RMSE mN", "unguarded"),
         rows,

@@ -4,13 +4,14 @@ from functools import partial
 
 import numpy as np
 
-from benchmarks.measure import show, time_call
+from benchmarks.benchmark import Benchmark
+from benchmarks.timing import time_call
 from protocol.wire.messages import Frame, decode_frame, encode_frame
 
 BAR_US = 15.0
 
 
-def main() -> None:
+def main(benchmark: Benchmark) -> None:
     """Print the table; the bar is 15 µs for both of a 5-sample frame."""
     rows = []
     for samples, channels in ((1, 1), (5, 1), (5, 4), (50, 1)):
@@ -31,4 +32,4 @@ def main() -> None:
             )
         )
     columns = ("samples × channels", "bytes", "encode µs", "decode µs", "both µs", "of the bar")
-    show("Data frames: median cost per frame", columns, rows)
+    benchmark.table("Data frames: median cost per frame", columns, rows)

@@ -13,7 +13,6 @@ from display_node.doctor import run_doctor
 from display_node.node import DisplayNode
 from display_node.reception.addresses import discovered
 from display_node.scene import DisplayScene
-from display_node.telemetry.key_presses import terminal_restored
 from display_node.telemetry.recorder_process import start_recorder
 from display_node.verdict import NOT_VALID_STATUS, conclude
 from protocol import cli_options as options
@@ -76,7 +75,9 @@ def display(
     ] = "tcp://127.0.0.1:*",
     screen: Annotated[
         bool,
-        typer.Option(help="Show the live state: a panel in a terminal, a line a second elsewhere."),
+        typer.Option(
+            help="Show the live state: a line that is renewed in a terminal, or one a second."
+        ),
     ] = True,
     record: Annotated[
         Path | None,
@@ -224,13 +225,11 @@ def _run(
             "screen", "-m", "display_node.telemetry.terminal", *arguments, own_session=False
         )
     # Applied last, because processes started later would inherit some of the settings.
-    # The screen reads single keys, and might be killed before it restores the terminal.
-    with terminal_restored():
-        with options.apply_and_log_realtime(PROGRAM, request) as grant:
-            summary = options.with_realtime_settings(node.run(seconds, once), grant)
-        if watcher is not None:
-            with watcher, suppress(subprocess.TimeoutExpired):
-                watcher.wait(SCREEN_ENDS_WITHIN_S)
+    with options.apply_and_log_realtime(PROGRAM, request) as grant:
+        summary = options.with_realtime_settings(node.run(seconds, once), grant)
+    if watcher is not None:
+        with watcher, suppress(subprocess.TimeoutExpired):
+            watcher.wait(SCREEN_ENDS_WITHIN_S)
     return summary
 
 

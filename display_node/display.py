@@ -84,7 +84,7 @@ class Display:
             # The load cell's channel comes after those that are played.
             channels.append(scene.press.channel)
             self.press = self.contactors[0].press = LocalPress(scene.press, press)
-        self.receiver = Receiver(name, channels, scene.late_target, scene.paths or 1)
+        self.receiver = Receiver(name, channels, scene.late_target, scene.paths)
         if self.press is not None:
             self.receiver.take_probe = self.press.take
         self.safety = Safety(scene.safety, scene.tick_ns)

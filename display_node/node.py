@@ -15,7 +15,6 @@ from display_node.fault_advice import FILM_NOTE, advise
 from display_node.hardware import Hardware
 from display_node.press.sweep import DepthSweep
 from display_node.reception.connection import Connection
-from display_node.reception.redundancy import Redundancy
 from display_node.scene import DisplayScene
 from display_node.scoring.deadlines import GAP_NS, DeadlineWatch
 from display_node.scoring.tracking_error import scored
@@ -83,12 +82,9 @@ class DisplayNode:
         self._refused: set[str] = set()
         self._context: sockets.Context = zmq.Context()
         try:
-            paths, redundancy = max(scene.paths or 1, len(addresses)), None
-            # A loopback loses no packets, and several networks are redundant already.
-            if scene.paths is None and paths == 1 and sockets.beyond_loopback(addresses[0]):
-                redundancy = Redundancy(scene.late_target)
+            paths = self._display.receiver.paths = max(scene.paths, len(addresses))
             turns = 0 if scene.press is None else scene.press.connections
-            self._connection = Connection(self._context, addresses, paths, keys, redundancy, turns)
+            self._connection = Connection(self._context, addresses, paths, keys, turns)
             self._readers = readers = Authenticator(self._context, telemetry_keys)
             telemetry = sockets.bind(self._context, zmq.XPUB, telemetry_address, readers)
             self._telemetry = Publisher(telemetry, secrets.randbits(62), readers, provenance)
@@ -170,7 +166,6 @@ class DisplayNode:
         """Take the waiting messages, at most until `until_ns`; the next call takes the rest."""
         display, connection, captured = self._display, self._connection, self._telemetry.captured
         receiver = display.receiver
-        receiver.paths = connection.most_paths
         for path, route in enumerate(connection.routes):
             before, _ = receiver.frames
             for number, message in enumerate(route.messages()):

@@ -35,8 +35,10 @@ def _time_or_auto(value: object) -> int | None:
     return delay_ns
 
 
-def _count_or_auto(value: object) -> object:
-    return None if value == "auto" else value
+def _count_of_paths(value: object) -> object:
+    if value == "auto":
+        raise ValueError('"auto" is not known: write paths = 3 where a link loses packets, else 1')
+    return value
 
 
 class ContactorScene(Section):
@@ -76,8 +78,8 @@ class DisplayScene(ContactorScene):
     delay at which at most `late_target` of the samples are late; with a predictor that learns, E is
     reduced while the predictor's error is small. predictor: name of the predictor that supplies
     missing samples. paths: number of parallel TCP connections for frames, of which the first copies
-    are used, or "auto" (stored as None): one, and further ones while TCP stalls. announce: whether
-    a channel of the stream that announces the beats is used by the predictor.
+    are used. announce: whether a channel of the stream that announces the beats is used by the
+    predictor.
 
     press: the press of the first contactor's finger, which sets the hold-down at the wrist.
 
@@ -93,9 +95,7 @@ class DisplayScene(ContactorScene):
     predictor: PredictorTable = DEFAULT_PREDICTOR
     announce: Literal["auto", "off"] = "auto"
     tick_ns: Annotated[Nanoseconds, Field(ge=100_000, le=100_000_000)] = 1_000_000
-    paths: Annotated[Annotated[int, Field(ge=1, le=8)] | None, BeforeValidator(_count_or_auto)] = (
-        None
-    )
+    paths: Annotated[int, Field(ge=1, le=8), BeforeValidator(_count_of_paths)] = 1
 
     @model_validator(mode="before")
     @classmethod

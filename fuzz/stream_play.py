@@ -5,7 +5,6 @@ import numpy as np
 from display_node.reception.jitter_buffer import MAX_AHEAD_SAMPLES
 from display_node.reception.receiver import MAX_OPEN_REQUESTS, Receiver
 from fuzz.refusals import check_causes
-from protocol.tactile import ElasticLayer
 from protocol.wire.messages import (
     Bye,
     ClockReply,
@@ -16,13 +15,13 @@ from protocol.wire.messages import (
     encode_control,
     encode_frame,
 )
-from protocol.wire.stream import Channel, StreamDescription
+from tests.support.streams import description
 
 MS = 1_000_000
 AHEAD_NS = 5_000_000_000
 BATCH = 8
 LATEST_NS = (1 << 62) - 1
-DESCRIPTION = StreamDescription("pulse", MS, BATCH, (Channel("force"),), ElasticLayer())
+DESCRIPTION = description(batch=BATCH)
 
 
 class StreamPlay:

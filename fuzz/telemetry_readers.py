@@ -12,10 +12,9 @@ from rich.console import Console
 from display_node.telemetry.terminal_view import TerminalView
 from protocol.run_summary import Summary
 from protocol.summary_tables import Clock, SampleCounts
-from protocol.tactile import ElasticLayer
 from protocol.ticks import TickState
-from protocol.wire.messages import ClockReply, Frame, Welcome, encode_control, encode_frame
-from protocol.wire.stream import Channel, StreamDescription
+from protocol.wire.messages import Frame, encode_frame
+from protocol.wire.stream import StreamDescription
 from protocol.wire.telemetry import (
     CAPTURE,
     CONTROL,
@@ -37,21 +36,23 @@ from telepulse.view.live import MAX_CONTACTORS, LiveState
 from telepulse.view.page import padded
 from telepulse.view.text import alarms, contactor_rows, figures, state
 from telepulse.view.window_data import window_data, window_scores
-
-MS = 1_000_000
-SECOND_NS = 1000 * MS
-WALL_NS, AHEAD_NS = 1_700_000_000 * SECOND_NS, 5 * SECOND_NS
-SESSION = 7
-WELCOME = Welcome(
-    SESSION, 0, StreamDescription("pulse", MS, 5, (Channel("force"),), ElasticLayer())
+from tests.support.telemetry_publisher import (
+    MS,
+    PLAYING,
+    SESSION,
+    WALL_NS,
+    WELCOME,
+    clock_reply,
 )
-PLAYING = PlaybackStatus("finger", 0, 1.0, -4.8e-6, "linear", 60 * MS)
+
+SECOND_NS = 1000 * MS
+AHEAD_NS = 5 * SECOND_NS
 MOST_CHARACTERS = 100_000
 Message = tuple[bytes, bytes]
 
 
 class TelemetryReaders:
-    """All readers of telemetry: panel, page, recorder, report, LSL and metrics."""
+    """All readers of telemetry: terminal, page, recorder, report, LSL and metrics."""
 
     def __init__(self) -> None:
         self.screen, self.live, self.decoder = TerminalView(), LiveState(), TelemetryDecoder()
@@ -73,7 +74,7 @@ class TelemetryReaders:
     def draw(self) -> None:
         """Draw what every reader shows; raise AssertionError where it cannot be shown."""
         console = Console(width=100, file=io.StringIO(), color_system=None)
-        console.print(self.screen.panel(3 * SECOND_NS), self.screen.line(3 * SECOND_NS))
+        console.print(self.screen.live(3 * SECOND_NS), self.screen.line(3 * SECOND_NS))
         assert console.file.tell() < MOST_CHARACTERS
         for chosen, window_ns in enumerate((SECOND_NS, 10 * SECOND_NS)):
             drawn = window_data(self.live, window_ns, chosen)
@@ -136,11 +137,10 @@ def preamble() -> list[Message]:
     """Return what a display publishes before a pulse is felt: stream, clock, status, frames."""
     heard = CaptureWriter(run=1)
     heard.follow(SUBSCRIBED)
-    heard.add(0, CONTROL, encode_control(WELCOME))
+    heard.add(0, CONTROL, WELCOME)
     for number in range(8):
         t1_ns = number * 25 * MS
-        reply = ClockReply(SESSION, t1_ns, t1_ns + AHEAD_NS, t1_ns + AHEAD_NS)
-        heard.add(t1_ns, CONTROL, encode_control(reply))
+        heard.add(t1_ns, CONTROL, clock_reply(t1_ns, AHEAD_NS))
     messages = [(CAPTURE, part) for part in heard.take(200 * MS, WALL_NS + 200 * MS)]
     return [*messages, status_message("playing")]
 

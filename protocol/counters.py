@@ -60,8 +60,7 @@ class Availability:
         "",
         SHARE,
         metric="judged_ratio",
-        absent=absent("The page has that of its window.", Surface.PAGE)
-        | absent("The live view has no share of it.", Surface.TERMINAL),
+        absent=absent("The page has that of its window.", Surface.PAGE),
     )
 
 

@@ -29,17 +29,16 @@ class WireError(TelepulseError, ValueError):
 class VersionError(WireError):
     """A message is of another version of the protocol, so that its other fields may differ.
 
-    hello_from: name of a display that asks for the stream's description, as displays of every
-    version do; None for any other message.
+    is_hello: whether a display asks for the stream's description, as displays of every version do.
     """
 
-    def __init__(self, version: str, own: int, hello_from: str | None = None) -> None:
+    def __init__(self, version: str, own: int, is_hello: bool = False) -> None:
         super().__init__(
             "version",
             f"the peer has version {version} of the protocol, this node version {own}; install"
             " the same version of telepulse on both machines",
         )
-        self.hello_from = hello_from
+        self.is_hello = is_hello
 
 
 class AddressError(TelepulseError, OSError):

@@ -21,7 +21,6 @@ class Surface(StrEnum):
     """A place where people or programs read the figures, besides the JSON."""
 
     SUMMARY = "summary printed at the end"
-    TERMINAL = "live view in the terminal"
     PAGE = "live page"
     REPORT = "report of a recording"
     METRICS = "metrics"

@@ -51,7 +51,6 @@ from protocol.provenance import Provenance
 from protocol.summary_tables import (
     AT_THE_END,
     BY_THE_PAGE,
-    FOR_24_LINES,
     IN_ALERTS,
     NOT_RECORDED,
     AlignedErrors,
@@ -79,7 +78,7 @@ class Summary:
     )
     frames: FrameCounts = table(FrameCounts, "frames", absent=AT_THE_END)
     data_connections: DataConnections = table(
-        DataConnections, "data connections", absent=FOR_24_LINES | NOT_RECORDED
+        DataConnections, "data connections", absent=NOT_RECORDED
     )
     reconnections: Reconnections = table(
         Reconnections, "reconnections", absent=AT_THE_END | NOT_RECORDED
@@ -100,16 +99,13 @@ class Summary:
         absent=AT_THE_END | absent("A recording has no age of samples.", Surface.REPORT),
     )
     compensation: Compensation = table(Compensation)
-    beats: BeatFigures = table(BeatFigures, "pulse", absent=FOR_24_LINES)
+    beats: BeatFigures = table(BeatFigures, "pulse")
     announce: AnnounceFigures = table(
         AnnounceFigures,
         "ECG",
-        absent=FOR_24_LINES
-        | absent("Predictions are those of the display that was recorded.", Surface.REPORT),
+        absent=absent("Predictions are those of the display that was recorded.", Surface.REPORT),
     )
-    clock: Clock = table(
-        Clock, "clock", absent=absent("It shows the felt pulse only.", Surface.TERMINAL)
-    )
+    clock: Clock = table(Clock, "clock")
     force_rmse_n: AlignedErrors = table(
         AlignedErrors, "force RMSE", NEWTONS, "force_rmse_newtons", absent=BY_THE_PAGE
     )
@@ -118,8 +114,7 @@ class Summary:
         "strain RMSE",
         STRAIN,
         "strain_rmse_ratio",
-        absent=BY_THE_PAGE
-        | absent("A terminal has 24 lines; it is proportional to that of force.", Surface.TERMINAL),
+        absent=BY_THE_PAGE,
     )
     within_jnd: float | None = figure(
         "Share of the time judged in which the aligned force error is below 10 % of"
@@ -128,7 +123,7 @@ class Summary:
         row="within JND",
         unit=SHARE,
         share_of="judged",
-        absent=BY_THE_PAGE | FOR_24_LINES,
+        absent=BY_THE_PAGE,
     )
     windows: list[ErrorWindow] = figure(
         "Perceived delay E and force RMSE, aligned and in phase, by time after the first judged"
@@ -163,7 +158,7 @@ class Summary:
         show=lambda limits: texts(limit_texts(limits), "; "),
         headline=longest_limit_text,
     )
-    press: PressFigures = table(PressFigures, "set-points", absent=FOR_24_LINES)
+    press: PressFigures = table(PressFigures, "set-points")
     loop: Loop = table(Loop, "loop")
     speed: float | None = figure(
         "Speed of a simulation",
@@ -179,8 +174,7 @@ class Summary:
         show=lambda rejected: "\n".join(explain_causes(rejected)) or "nothing",
         headline=lambda rejected: count_text(sum(rejected.values()), "message"),
         label="cause",
-        absent=absent("Live, each cause is an alert.", Surface.TERMINAL)
-        | absent("Each cause is an event.", Surface.REPORT),
+        absent=absent("Each cause is an event.", Surface.REPORT),
         factory=dict,
     )
     hardware: dict[str, int] = figure(
@@ -206,7 +200,7 @@ class Summary:
         "Of a display that waits: what it waits for, or why that does not come; null otherwise",
         row="waiting for",
         show=lambda text: text or None,
-        absent=absent("It is shown beside the state.", Surface.TERMINAL, Surface.PAGE)
+        absent=absent("It is shown beside the state.", Surface.PAGE)
         | absent("It is text, and changes with every attempt.", Surface.METRICS)
         | absent("Each gap is an event.", Surface.REPORT),
     )
@@ -216,7 +210,7 @@ class Summary:
         row="finger",
         show=lambda finger: finger or None,
         label="name",
-        absent=absent("It is shown beside the state.", Surface.TERMINAL, Surface.PAGE)
+        absent=absent("It is shown beside the state.", Surface.PAGE)
         | absent("It is the last state; the plots show the course.", Surface.REPORT),
     )
     finger_stiffness: float | None = figure(
@@ -321,7 +315,7 @@ def rows(summary: Mapping[str, Any], surface: Surface) -> list[tuple[str, str]]:
     """Return name and text of each row of a summary's JSON on a surface.
 
     The rows of several contactors come last, with a line for each. Those of the samples follow the
-    display's own; in a terminal of 24 lines they have no room.
+    display's own.
     """
     found = [(row.name, row.text) for row in REGISTRY.rows(summary, surface)]
     contactors = summary.get("contactors", {})
@@ -329,8 +323,6 @@ def rows(summary: Mapping[str, Any], surface: Surface) -> list[tuple[str, str]]:
     for name, figures in contactors.items():
         # One line for all contactors, below.
         alone = {**figures, "windows": []}
-        if surface is Surface.TERMINAL:
-            alone["samples"] = {}
         for row in REGISTRY.rows(alone, surface):
             lines.setdefault(row.name, []).append(f"{name}: {row.text}")
     found = [(name, "\n".join([text, *lines.pop(name, [])])) for name, text in found]

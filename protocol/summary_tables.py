@@ -16,10 +16,8 @@ from protocol.figures import (
 )
 
 # Reasons why surfaces omit figures.
-_LIVE = Surface.TERMINAL, Surface.PAGE
-AT_THE_END = absent("It belongs to the account at the end, not to a live view.", *_LIVE)
-FOR_24_LINES = absent("A terminal has 24 lines; the live page shows it.", Surface.TERMINAL)
-IN_ALERTS = absent("Live views show it as an alert.", *_LIVE)
+AT_THE_END = absent("It belongs to the account at the end, not to the live page.", Surface.PAGE)
+IN_ALERTS = absent("The page shows it as an alert.", Surface.PAGE)
 BY_THE_PAGE = absent("The page computes it over the window that it shows.", Surface.PAGE)
 NOT_RECORDED = absent("It describes the process, not the recorded pulse.", Surface.REPORT)
 
@@ -139,7 +137,7 @@ class Compensation:
         row="prediction trusted",
         unit=SHARE,
         share_of="played",
-        absent=FOR_24_LINES | absent("Each recorded tick has it.", Surface.REPORT),
+        absent=absent("Each recorded tick has it.", Surface.REPORT),
     )
     error_n: float | None = figure(
         "RMS difference of the predicted force that was felt from the sample that came later",
@@ -172,7 +170,7 @@ class Compensation:
         metric="felt_corrections_per_minute",
         row="prediction",
         show_zero=False,
-        absent=FOR_24_LINES | absent("Follows from the counter.", Surface.METRICS),
+        absent=absent("Follows from the counter.", Surface.METRICS),
     )
     noticed_5s: float | None = figure(
         "Share of the last 5 s in which the predicted force that was felt was off by more than"
@@ -184,7 +182,7 @@ class Compensation:
     alarm: bool | None = figure(
         "The prediction alarm is on: `noticed_5s` was above 5 %, and is not below 2.5 % yet",
         metric="prediction_alarm",
-        absent=absent("Live views show it as an alert.", but=Surface.METRICS),
+        absent=absent("The page shows it as an alert.", but=Surface.METRICS),
     )
 
 
@@ -220,7 +218,7 @@ class Clock:
         "asymmetry at most {}",
         MILLISECONDS,
         metric="clock_asymmetry_seconds",
-        absent=absent("It is a bound for analysis, not measured.", Surface.SUMMARY, *_LIVE),
+        absent=absent("It is a bound for analysis, not measured.", Surface.SUMMARY, Surface.PAGE),
     )
     steps: int | None = figure(
         "How often a clock has jumped",
@@ -301,19 +299,6 @@ class DataConnections:
 
     open: int | None = figure(
         "Parallel connections for frames", "{} open", metric="data_connections"
-    )
-    opened: int | None = figure(
-        'With `paths = "auto"`: further connections opened because TCP stalled',
-        "{} opened because TCP stalled",
-        metric="data_connections_opened_total",
-        show_zero=False,
-    )
-    stalls: int | None = figure(
-        'With `paths = "auto"`: stalls of TCP, in which the first connection delivered nothing for'
-        " longer than a round trip and then many frames at once",
-        "{} stalls",
-        metric="data_connection_stalls_total",
-        show_zero=False,
     )
 
 

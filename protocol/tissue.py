@@ -42,15 +42,6 @@ class TubeLaw:
         """Return the volume pulse's peak to peak for a pressure outside of the artery."""
         return self.volume(systolic_pa - outside_pa) - self.volume(diastolic_pa - outside_pa)
 
-    def best_outside_pa(self, diastolic_pa: float, systolic_pa: float) -> float:
-        """Return the outside pressure at which the pulse is highest.
-
-        There, both ends of the pulse meet the same compliance:
-        a (P_outside − P_diastolic) = b (P_systolic − P_outside).
-        """
-        a, b = self.collapse_per_pa, self.distension_per_pa
-        return (a * diastolic_pa + b * systolic_pa) / (a + b)
-
     @classmethod
     def highest_at_mean(
         cls, mean_share: float, collapse_per_pa: float = COLLAPSE_PER_PA

@@ -9,7 +9,6 @@ import typer
 from protocol import cli_options as options
 from protocol.config.scene_file import find_scene, scene_names
 from protocol.discovery.announcer import start_announcer
-from protocol.errors import ProtectionError
 from protocol.host.output import check_writable, configure_logging, unblocked_output
 from protocol.host.process import (
     freeze_objects,
@@ -20,7 +19,6 @@ from protocol.host.process import (
 from protocol.host.realtime import check_strict, parse_realtime
 from protocol.provenance import collect
 from protocol.sockets import control_address
-from sensing_node.dial_out import start_dial_out
 from sensing_node.node import SensingNode
 from sensing_node.scene import describe_stream, load_sensing, log_repetition, open_source
 
@@ -58,15 +56,6 @@ def sense(
     key: options.KeyOption = None,
     allow: options.AllowOption = None,
     insecure: options.InsecureOption = False,
-    dial_out: Annotated[
-        str | None,
-        typer.Option(
-            metavar="tcp://RELAY:PORT",
-            help="Serve displays through the relay at this address (telepulse tunnel), where a"
-            " router lets nobody in. --peer gives the relay's public key.",
-        ),
-    ] = None,
-    peer: options.PeerOption = None,
     realtime: options.RealtimeOption = None,
     metrics: options.MetricsOption = None,
     announce: options.AnnounceOption = False,
@@ -88,9 +77,8 @@ def sense(
         display-node radial --connect tcp://HOST:5555 \\
             --key keys/finger.key --peer keys/wrist.pub
 
-    Open ports 5555 (data) and 5556 (control), or `--dial-out` through a relay. Ctrl-C or SIGTERM
-    ends the stream cleanly: every display receives the number of samples sent, so that every
-    sample is accounted for.
+    Open ports 5555 (data) and 5556 (control). Ctrl-C or SIGTERM ends the stream cleanly: every
+    display receives the number of samples sent, so that every sample is accounted for.
 
     Exit status: 0 at the end of the stream, 2 when the scene, the source, the probe's drive or
     the address cannot be used, 3 when a probe ended at a fault; the reason is on stderr.
@@ -106,10 +94,6 @@ def sense(
             check_strict(request)
             control = control_address(bind)
             keys = options.server_keys(bind, key, allow, insecure)
-            if dial_out is not None:
-                options.client_keys([dial_out], key, peer, insecure)
-            elif peer is not None:
-                raise ProtectionError(f"--peer {peer} is the relay's key, and needs --dial-out")
             path = find_scene(scene)
             record = {"source": None if source is None else str(source), "channel": channel}
             section = load_sensing(path, record | {"rate": rate, "preload": preload})
@@ -118,7 +102,6 @@ def sense(
             announce_node = until_the_end.enter_context(
                 start_announcer(announce, bind, section.stream, keys)
             )
-            until_the_end.enter_context(start_dial_out(dial_out, bind, key, peer))
             samples = until_the_end.enter_context(open_source(section, path.parent))
             description = describe_stream(section, samples)
             node = SensingNode(

@@ -30,10 +30,7 @@ MAX_CLIENTS = 1_000
 DISPLAY_ANSWERS_PER_S, ANSWERS_AT_ONCE = 200.0, 2_000.0
 # Hellos of other versions that are answered, of all peers together.
 STRANGERS_PER_S = 10.0
-# Displays whose hellos in another version are kept, and for how long.
-MOST_OTHER_VERSIONS = 64
-OTHER_VERSION_AFTER_NS = 1_000_000_000
-# Each relay on the way adds an address to the envelope.
+
 MAX_HOPS = 4
 # ROUTER sockets name their peers by a zero and four bytes, and no message begins with a zero. So
 # two messages that an attacker on the way has joined (docs/keys.md) are not taken for an envelope.
@@ -118,9 +115,6 @@ class ControlServer:
         self._further: dict[Sender, Client] = {}
         self.rejected: Counter[str] = Counter()
         self.other_version = ""
-        # By the display's name: time of its first hello in another version, their number, the
-        # error.
-        self._other_versions: dict[str, tuple[int, int, str]] = {}
         self._strangers = TokenBucket(STRANGERS_PER_S, STRANGERS_PER_S)
 
     @property
@@ -142,17 +136,12 @@ class ControlServer:
             if not client.budget.take(now_ns):
                 raise WireError("flood", "a display sends far more than displays do")
         except VersionError as error:
-            if error.hello_from is None:
-                self.rejected[error.cause] += 1
-                self.other_version = self.other_version or str(error)
-                return None
-            # A display also asks in version 1 while nobody answers, in case this node is older.
-            if sender in self.clients:
-                return None
-            self._take_other_version(error.hello_from, str(error), now_ns)
+            self.rejected[error.cause] += 1
+            self.other_version = self.other_version or str(error)
             # The peer refuses any answer of this version, and so reports the two versions.
-            answered = self._strangers.take(now_ns)
-            return Welcome(self._session, samples_sent, self._description) if answered else None
+            if error.is_hello and self._strangers.take(now_ns):
+                return Welcome(self._session, samples_sent, self._description)
+            return None
         except WireError as error:
             self.rejected[error.cause] += 1
             return None
@@ -185,28 +174,6 @@ class ControlServer:
         for sender in further:
             del self._further[sender]
         return [self.clients.pop(sender) for sender in displays]
-
-    def _take_other_version(self, display: str, error: str, now_ns: int) -> None:
-        known = self._other_versions
-        since_ns, count, _ = known.get(display, (now_ns, 0, ""))
-        if display in known or len(known) < MOST_OTHER_VERSIONS:
-            known[display] = since_ns, count + 1, error
-        else:
-            self.rejected["version"] += 1
-
-    def count_other_versions(self, now_ns: int | None = None) -> None:
-        """Count the hellos in another version; now_ns: None at the end.
-
-        The same display's hello in this version may still come, over another connection.
-        """
-        names = {client.name for client in self.clients.values()}
-        for display, (since_ns, count, error) in list(self._other_versions.items()):
-            if display in names:
-                del self._other_versions[display]
-            elif now_ns is None or now_ns - since_ns > OTHER_VERSION_AFTER_NS:
-                del self._other_versions[display]
-                self.rejected["version"] += count
-                self.other_version = self.other_version or error
 
     def _client(self, sender: Sender, message: ControlMessage, now_ns: int) -> Client:
         """Return the display that sent a message. Raises WireError.

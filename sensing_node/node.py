@@ -175,8 +175,8 @@ class SensingNode:
                         else:
                             logger.warning(f"{client.shown_name} is silent, forgotten")
                     self._requests.expect(len(self._server.clients))
-                    self._name_other_version(self._clock())
-            self._name_other_version(None)
+                    self._name_other_version()
+            self._name_other_version()
             self._finish()
             return self._summary()
         finally:
@@ -238,8 +238,7 @@ class SensingNode:
                 " no further one is answered"
             )
 
-    def _name_other_version(self, now_ns: int | None) -> None:
-        self._server.count_other_versions(now_ns)
+    def _name_other_version(self) -> None:
         if self._server.other_version and not self._refused_version:
             self._refused_version = True
             logger.warning(f"refused: {self._server.other_version}")

@@ -14,7 +14,6 @@ from protocol.host.output import check_writable
 from soak.bench import play_rounds
 from soak.bench_truth import judge_bench
 from soak.evidence import heart_rate_per_min, verdict
-from soak.keyring import Keyring
 from soak.leftovers import left_behind, mark
 from soak.network import loopback, namespaces
 from soak.report import print_verdict, write_verdict
@@ -22,11 +21,23 @@ from soak.run import Run
 from soak.scenario import Scenario
 from soak.verdict import judge_none
 from telepulse.scene import DEFAULT_SCENE, load_scene
+from tests.support.keyring import Keyring
 from tests.support.netem import unavailable
 
 PROGRAM = "soak"
 # Nodes end by themselves this long after the soak's time.
 OVERTIME_S = 300.0
+
+
+def keyring(folder: Path) -> Keyring:
+    """Make the keys of the nodes, and of the listener beside the sensing node.
+
+    Floods and impostors have none.
+    """
+    keys = Keyring(folder)
+    for name in ("finger", "monitor"):
+        keys.allow(name)
+    return keys
 
 
 def soak(
@@ -84,7 +95,7 @@ def soak(
         ):
             how = f"over {network.kind}, {'with' if keys else 'without'} keys"
             console.print(f"{minutes:g} minutes of faults by seed {seed}, {how}")
-            ring = Keyring(Path(folder, "keys")).make() if keys else None
+            ring = keyring(Path(folder, "keys")) if keys else None
             longest_s = minutes * 60 + OVERTIME_S
             options = ("--realtime", realtime) if realtime else ()
             scenario = Scenario(network, loaded.path, Path(folder), longest_s, ring, options)

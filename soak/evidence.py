@@ -9,6 +9,7 @@ from display_node.scene import DisplayScene
 from sensing_node.sources.synthetic import SyntheticScene
 from soak.accounts import Session, reckon, unaccounted
 from soak.core_time import NONE_EXCUSED, excuse
+from soak.felt import FeltLog
 from soak.processes import SoakProcess
 from soak.recovery import gaps_s, recoveries, undisturbed_gaps_s
 from soak.run import MINUTE_S, Run
@@ -49,12 +50,18 @@ def verdict(run: Run, scene: DisplayScene, wrist_per_min: float | None) -> list[
     checks = [
         check for role in ROLES for check in judge_usage(role, [_line(x) for x in nodes[role]])
     ]
-    calm = _loop_figures(nodes[CALM_DISPLAY], scene.tick_ns)
+    loops = {
+        role: _loop_figures(nodes[role], felt[role])
+        for role in (CALM_DISPLAY, CONTINUOUS, RESTARTED)
+    }
+    calm = loops.pop(CALM_DISPLAY)
     checks += judge_calm_loop(calm)
-    for role in (CONTINUOUS, RESTARTED):
-        checks += judge_loop(role, _loop_figures(nodes[role], scene.tick_ns), calm)
+    for role, figures in loops.items():
+        checks += judge_loop(role, figures, calm)
     for role in (CALM_DISPLAY, *DISTURBED):
-        checks += judge_safety(role, felt[role], safety.force_limit_n, safety.slew_limit_n_per_s)
+        checks += judge_safety(
+            role, felt[role].bounds(), safety.force_limit_n, safety.slew_limit_n_per_s
+        )
     checks += _judge_accounts(run, nodes)
     checks += judge_recovery(recoveries(run.played, felt))
     calm_gaps = gaps_s(run.played, felt[CALM_DISPLAY])
@@ -82,14 +89,14 @@ def _judge_truth(
     ]
     for role in (CALM_DISPLAY, *DISTURBED):
         claims = [node.claims for node in nodes[role]]
-        record = run.taps.records[role]
+        felt = run.taps.felt[role]
         yield from judge_statuses(role, claims, scene.tick_ns)
-        yield judge_events(role, claims, record.interruptions)
+        yield judge_events(role, claims, felt.interruptions)
         faded_ns = scene.safety.stale_after_ns + scene.safety.fade_ns + 2 * scene.tick_ns
-        yield judge_stalls(role, claims, record.gaps, faded_ns)
+        yield judge_stalls(role, claims, felt.gaps, faded_ns)
     for role, lines in run.terminals.lines.items():
         known = [] if role == CALM_DISPLAY else impostors
-        yield from judge_lines(role, lines, run.taps.records[role], wrist_per_min, known)
+        yield from judge_lines(role, lines, run.taps.felt[role], wrist_per_min, known)
     yield judge_ends(
         [
             (role, node.process.returncode, summary, node.claims[-1] if node.claims else None)
@@ -180,14 +187,17 @@ def _line(node: SoakProcess) -> Line:
     return Line(times_s, memory_mb, handles, threads, warm)
 
 
-def _loop_figures(nodes: Sequence[SoakProcess], tick_ns: int) -> LoopFigures:
+def _loop_figures(nodes: Sequence[SoakProcess], felt: FeltLog) -> LoopFigures:
     loops: list[tuple[dict[str, Any], int]] = [
-        (node.summary["loop"], node.frozen_ns // tick_ns) for node in nodes if node.summary
+        (node.summary["loop"], node.frozen_ns // felt.tick_ns) for node in nodes if node.summary
     ]
     if not loops:
         return LoopFigures(0, 0, 0.0)
     ticks = sum(loop["ticks"] for loop, _ in loops)
     misses = sum(max(0, loop["deadline_misses"] - frozen) for loop, frozen in loops)
     longest, _ = max(loops, key=lambda pair: pair[0]["ticks"])
-    excused = sum((excuse(x.misses, x.core_times, tick_ns) for x in nodes), NONE_EXCUSED)
+    gaps, excused = felt.misses, NONE_EXCUSED
+    for node in nodes:
+        its_own = [gap for gap in gaps if node.began_ns <= gap[0] <= _end_ns(node)]
+        excused += excuse(its_own, node.core_times, felt.tick_ns)
     return LoopFigures(ticks, misses, longest["tick_us"]["p99"] or 0.0, excused)

@@ -40,8 +40,8 @@ class Usage:
 class SoakProcess:
     """A process of a node. ending: "stopped" or "killed" if the soak ended it, else None.
 
-    For a display, claims has its statuses, misses the gaps in its traces, and core_times the times
-    that its loop has waited for a processor.
+    For a display, claims has its statuses, and core_times the times that its loop has waited for a
+    processor.
     """
 
     role: str
@@ -56,7 +56,6 @@ class SoakProcess:
     usage: list[Usage] = field(default_factory=list)
     marks: list[Mark] = field(default_factory=list)
     claims: list[StatusClaim] = field(default_factory=list)
-    misses: list[tuple[int, int, int]] = field(default_factory=list)
     core_times: list[CoreTime] = field(default_factory=list)
     # Summary in a display's last status; None without one.
     summary: dict[str, Any] | None = None

@@ -39,7 +39,7 @@ class Run:
     async def play(self) -> None:
         """Start all nodes, make faults until the time is over, and end them."""
         scenario, taps = self.scenario, self.taps
-        keys = scenario.keys.monitor if scenario.keys else None
+        keys = scenario.keys.client("monitor") if scenario.keys else None
         taps.follow_sensing(SENSING, scenario.network.near, scenario.network.sensing, keys)
         taps.follow_sensing(CALM_SENSING, scenario.calm_address, None, keys)
         for role in (*DISTURBED, CALM_DISPLAY):

@@ -6,11 +6,11 @@ from pathlib import Path
 
 from protocol.errors import ProcessError
 from protocol.host.child_process import ChildProcess
-from soak.keyring import Keyring
 from soak.network import Network
 from soak.processes import SoakProcess, begin
 from soak.schedule import CONTINUOUS, RESTARTED, SENSING, TEMPORARY
 from telepulse.processes import free_addresses
+from tests.support.keyring import Keyring
 
 CALM_SENSING, CALM_DISPLAY = "calm sensing", "calm display"
 DISTURBED = (CONTINUOUS, RESTARTED, TEMPORARY)
@@ -51,7 +51,7 @@ class Scenario:
             module, namespace = "sensing_node.cli", network.sensing if disturbed else None
             bind = network.bind if disturbed else self.calm_address
             arguments = ["--bind", bind]
-            protection = self.keys.sensing if self.keys else UNPROTECTED
+            key = ["--key", self.keys.path("wrist")] if self.keys else []
         else:
             module, namespace = "display_node.cli", network.display if disturbed else None
             addresses = [self.calm_address]
@@ -60,9 +60,10 @@ class Scenario:
             connect = [option for address in addresses for option in ("--connect", address)]
             telemetry = ("--telemetry", self.telemetry(role))
             arguments = [*connect, *telemetry, "--no-screen"]
-            protection = self.keys.display if self.keys else UNPROTECTED
+            key = ["--key", self.keys.path("finger")] if self.keys else []
+            key += ["--peer", self.keys.path("wrist", "pub")] if self.keys else []
         number = len(self.all_nodes)
-        arguments += [*protection, *self.options, "--seconds", str(self.longest_s)]
+        arguments += [*(key or UNPROTECTED), *self.options, "--seconds", str(self.longest_s)]
         node = begin(role, self.folder, number, namespace, module, str(self.scene), *arguments)
         self.nodes[role] = node
         self.all_nodes.append(node)

@@ -22,11 +22,20 @@ from soak.claims import StatusClaim, no_figures
 from soak.core_time import read_core_time
 from soak.felt import FeltLog
 from soak.processes import SoakProcess
-from soak.tick_record import TickRecord
 from tests.support.netem import Namespace
 
 RECONNECT_MS = 20
 HIGH_WATER = 10_000
+RENEW_AFTER_MS = 300
+
+
+async def end_tasks(tasks: Sequence["asyncio.Task[None]"]) -> None:
+    """End tasks that run for ever. Raises the error of one that has failed."""
+    for task in tasks:
+        task.cancel()
+    for end in await asyncio.gather(*tasks, return_exceptions=True):
+        if not isinstance(end, asyncio.CancelledError) and end is not None:
+            raise end
 
 
 @dataclass(slots=True)
@@ -42,10 +51,9 @@ class SessionFrames:
 
 @dataclass(slots=True)
 class Taps:
-    """Felt force and ticks by a display's role, and frames by a sensing node's role and session."""
+    """Ticks by a display's role, and frames by a sensing node's role and session."""
 
     felt: dict[str, FeltLog] = field(default_factory=dict)
-    records: dict[str, TickRecord] = field(default_factory=dict)
     sessions: dict[str, dict[int, SessionFrames]] = field(default_factory=dict)
     _tasks: list[asyncio.Task[None]] = field(default_factory=list)
     _contexts: list[zmq.asyncio.Context] = field(default_factory=list)
@@ -55,7 +63,6 @@ class Taps:
     ) -> None:
         """Record a display's telemetry, for the present process of its role."""
         self.felt[role] = FeltLog(tick_ns)
-        self.records[role] = TickRecord(tick_ns)
         socket = self._subscribe(address, (TRACE, STATUS))
         self._tasks.append(asyncio.create_task(self._record_display(socket, role, nodes)))
 
@@ -65,18 +72,15 @@ class Taps:
         """Record all frames of a sensing node."""
         self.sessions[role] = {}
         socket = self._subscribe(address, (b"",), namespace, keys)
-        self._tasks.append(asyncio.create_task(self._record_frames(socket, role)))
+        self._tasks.append(asyncio.create_task(self._record_frames(socket, address, role)))
 
     async def close(self) -> None:
         """End recording. Raises the errors of the recording tasks."""
-        for task in self._tasks:
-            task.cancel()
-        ends = await asyncio.gather(*self._tasks, return_exceptions=True)
-        for context in self._contexts:
-            context.destroy(linger=0)
-        for end in ends:
-            if not isinstance(end, asyncio.CancelledError) and end is not None:
-                raise end
+        try:
+            await end_tasks(self._tasks)
+        finally:
+            for context in self._contexts:
+                context.destroy(linger=0)
 
     def _subscribe(
         self,
@@ -104,27 +108,28 @@ class Taps:
     async def _record_display(
         self, socket: zmq.asyncio.Socket, role: str, nodes: dict[str, SoakProcess]
     ) -> None:
-        record, process = self.records[role], None
+        felt, process = self.felt[role], None
         while True:
             topic, data, *_ = await socket.recv_multipart()
             node, now_ns = nodes[role], time.perf_counter_ns()
             if node.process is not process:
                 process = node.process
-                record.begin_process()
+                felt.begin_process()
             if topic == TRACE:
-                trace = read_trace(data)[0]
-                self.felt[role].add(trace)
-                before = len(record.misses)
-                record.add(trace)
-                node.misses += record.misses[before:]
+                felt.add_trace(read_trace(data)[0])
                 core_time = read_core_time(process.pid, now_ns)
                 node.core_times += [] if core_time is None else [core_time]
             elif topic == STATUS:
-                _take_status(data, node, record, now_ns)
+                _take_status(data, node, felt, now_ns)
 
-    async def _record_frames(self, socket: zmq.asyncio.Socket, role: str) -> None:
+    async def _record_frames(self, socket: zmq.asyncio.Socket, address: str, role: str) -> None:
         sessions = self.sessions[role]
         while True:
+            if not await socket.poll(RENEW_AFTER_MS):
+                # ZeroMQ does not connect again after a handshake with an impostor without keys.
+                socket.disconnect(address)
+                socket.connect(address)
+                continue
             data = await socket.recv()
             try:
                 frame = decode_frame(data)
@@ -139,25 +144,19 @@ class Taps:
             session.last_ns = time.perf_counter_ns()
 
 
-def _take_status(data: bytes, node: SoakProcess, record: TickRecord, now_ns: int) -> None:
-    """Store a status, with the record up to its arrival."""
+def _take_status(data: bytes, node: SoakProcess, felt: FeltLog, now_ns: int) -> None:
+    """Store a status, with the ticks up to its arrival."""
     status = read_status(data)
     samples = status.summary["samples"]
     total = (samples["sent"] or 0) + (samples["before_joining"] or 0)
     node.marks.append(Mark(now_ns, status.state, total))
     node.summary = status.summary
-    if record.last_ns is not None:
-        node.claims.append(
-            StatusClaim(
-                now_ns,
-                record.last_ns,
-                record.last_n,
-                record.last_full,
-                record.ticks,
-                record.full,
-                status.state,
-                status.final,
-                status.summary,
-                tuple(no_figures(unpack(data))),
-            )
+    if felt.last is not None:
+        claim = StatusClaim(
+            *(now_ns, *felt.last, felt.ticks, felt.full),
+            state=status.state,
+            final=status.final,
+            summary=status.summary,
+            no_figures=tuple(no_figures(unpack(data))),
         )
+        node.claims.append(claim)

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 
 from protocol.host.child_process import python_command
 from soak.claims import LineClaim, read_line
+from soak.taps import end_tasks
 
 # A stopped display ends its terminal; another is opened for the next display.
 AGAIN_AFTER_S = 0.2
@@ -29,12 +30,7 @@ class Terminals:
 
     async def close(self) -> None:
         """End all terminals. Raises the errors of reading them."""
-        for task in self._tasks:
-            task.cancel()
-        ends = await asyncio.gather(*self._tasks, return_exceptions=True)
-        for end in ends:
-            if not isinstance(end, asyncio.CancelledError) and end is not None:
-                raise end
+        await end_tasks(self._tasks)
 
     async def _show(self, role: str, address: str) -> None:
         while True:

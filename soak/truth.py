@@ -9,7 +9,7 @@ from display_node.fault_advice import latched
 from protocol.cli_options import FAULT_STATUS
 from pulse_drives.withdrawal import TOUCH_N
 from soak.claims import LineClaim, StatusClaim, pressed_n
-from soak.tick_record import TickRecord
+from soak.felt import FeltLog
 from soak.verdict import Check
 from telepulse.telemetry.events import INTERRUPTED, EventDetector
 
@@ -138,7 +138,7 @@ def _seconds(claim: StatusClaim, key: str) -> float:
 def judge_lines(
     role: str,
     lines: Sequence[LineClaim],
-    record: TickRecord,
+    record: FeltLog,
     wrist_per_min: float | None,
     impostors: Sequence[tuple[int, int]] = (),
 ) -> list[Check]:
@@ -172,7 +172,7 @@ def judge_lines(
     ]
 
 
-def line_errors(line: LineClaim, record: TickRecord) -> Iterator[str]:
+def line_errors(line: LineClaim, record: FeltLog) -> Iterator[str]:
     """Yield the errors in a line's state and forces, at its time."""
     from_ns = line.read_ns - round((line.age_s or 0.0) * 1e9) - SEEN_WITHIN_NS
     felt = record.between(from_ns, line.read_ns)
@@ -194,7 +194,7 @@ def line_errors(line: LineClaim, record: TickRecord) -> Iterator[str]:
         yield f"not pressed, and {(felt.low_n or 0) * 1e3:.0f} mN at least were felt"
 
 
-def age_errors(line: LineClaim, record: TickRecord) -> Iterator[str]:
+def age_errors(line: LineClaim, record: FeltLog) -> Iterator[str]:
     """Yield the errors in a line's age: a silent display must be shown as silent."""
     newest_ns = record.newest_ns(line.read_ns)
     if newest_ns is None:
@@ -218,7 +218,7 @@ def age_errors(line: LineClaim, record: TickRecord) -> Iterator[str]:
 
 
 def heart_rate_errors(
-    line: LineClaim, record: TickRecord, wrist_per_min: float | None
+    line: LineClaim, record: FeltLog, wrist_per_min: float | None
 ) -> Iterator[str]:
     """Yield the errors in a line's heart rate: it must be the source's, of a felt pulse."""
     rate = line.heart_rate_per_min

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from soak.accounts import Reckoning
 from soak.core_time import NONE_EXCUSED, Excused
-from soak.felt import FeltLog
+from soak.felt import Bounds
 from soak.slope import slope
 
 MEGA = 1e6
@@ -156,7 +156,7 @@ def judge_account(role: str, reckonings: Sequence[Reckoning]) -> Check:
     return Check(f"account of {role}", text, "0 and 0", ok)
 
 
-def judge_safety(role: str, felt: FeltLog, limit_n: float, slew_n_per_s: float) -> list[Check]:
+def judge_safety(role: str, felt: Bounds, limit_n: float, slew_n_per_s: float) -> list[Check]:
     """Judge force and slew of the target and of the felt force."""
     if not felt.ticks:
         return [Check(f"force of {role}", "nothing was felt")]

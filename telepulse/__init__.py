@@ -16,8 +16,8 @@ if TYPE_CHECKING:
     from display_node.scoring.beats import Beat, find_beats
     from protocol.errors import TelepulseError
     from telepulse.live_stream import LiveStream, connect
+    from telepulse.parallel import sweep
     from telepulse.recording.recorded_run import read_recording
-    from telepulse.reports.studies.sweep import sweep
     from telepulse.run import ContactorRun, Run
     from telepulse.sample_queue import StreamBlock
     from telepulse.scene import Scene, load_scene
@@ -37,7 +37,7 @@ _MODULES: Final = {
     "load_scene": "telepulse.scene",
     "read_recording": "telepulse.recording.recorded_run",
     "simulate": "telepulse.simulation.simulated_run",
-    "sweep": "telepulse.reports.studies.sweep",
+    "sweep": "telepulse.parallel",
 }
 # Each former name, and its successor. Its use warns; type checkers do not know it. An entry is kept
 # for one minor version.

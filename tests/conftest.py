@@ -38,7 +38,7 @@ LATER = (
     # Studies, comparisons with other libraries, and words on pages.
     *("unit/telepulse/reports", "unit/telepulse/view", "unit/telepulse/experiment"),
     *("unit/telepulse/paper", "unit/telepulse/test_document.py"),
-    *("unit/protocol/test_figures.py", "unit/sensing_node/files/test_losses.py"),
+    "unit/protocol/test_figures.py",
     "unit/display_node/control/test_linear_loop.py",
     # Seconds each, of what quicker tests have in part.
     *("unit/display_node/test_announced_stream.py", "unit/display_node/test_hardware.py"),
@@ -48,7 +48,7 @@ LATER = (
     "unit/display_node/scoring/test_tracking_error.py",
     "unit/sensing_node/sources/test_synthetic.py",
     *(
-        "unit/telepulse/recording/test_conversion.py",
+        "unit/telepulse/recording/test_signal_export.py",
         "unit/telepulse/recording/test_pressed_beats.py",
     ),
     "unit/telepulse/recording/test_recorded_beats.py",

@@ -10,8 +10,8 @@ from subprocess import PIPE
 
 import numpy as np
 
+from benchmarks.benchmark import Benchmark
 from benchmarks.clock import virtual
-from benchmarks.measure import show
 from protocol.clock.one_way import Floats
 from protocol.host.child_process import ChildProcess
 from telepulse.simulation.link_scene import parse_link
@@ -28,9 +28,9 @@ BARS = {5.0: "1 ms", 60.0: "0.3 ms, 5 ppm"}
 LSL = "LSL, 0 ppm"
 
 
-def main() -> None:
+def main(benchmark: Benchmark) -> None:
     """Print the tables."""
-    virtual.main()
+    virtual.main(benchmark)
     reason = unavailable()
     if reason is not None:
         print(f"clock over the emulator: left out: {reason}")
@@ -39,7 +39,7 @@ def main() -> None:
     rows = [
         row(name, mark_s, [each[name] for each in runs]) for name in runs[0] for mark_s in MARKS_S
     ]
-    show(
+    benchmark.table(
         f"Clock at 20±3 ms, 1 % loss, over real TCP: offset error in the second before each time,"
         f" {RUNS} runs, all clocks at once; ppm: worst error of the skew",
         ("clock", "after", "median", "worst", "stated", "within", "ppm", "bar"),

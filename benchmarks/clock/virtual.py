@@ -14,8 +14,8 @@ from typing import Protocol
 
 import numpy as np
 
+from benchmarks.benchmark import Benchmark
 from benchmarks.clock.scaled import scaled_ns
-from benchmarks.measure import show
 from display_node.reception.receiver import CLOCK_EVERY_NS, CLOCK_FAST_COUNT, CLOCK_FAST_NS
 from protocol.clock.estimator import ClockEstimator, ClockExchange
 from telepulse.simulation.link_model import Direction, TcpStream
@@ -70,13 +70,13 @@ LINKS: dict[str, tuple[str, str]] = {
 }
 
 
-def main() -> None:
+def main(benchmark: Benchmark) -> None:
     """Print a table with the stream's frames and one without."""
     marks = [f"{q} {mark_s} s" for mark_s in MARKS_S for q in ("95 %", "worst")]
     for with_frames in (True, False):
         rows = [row(name, with_frames) for name in LINKS]
         used = "exchanges and frames" if with_frames else "exchanges alone"
-        show(
+        benchmark.table(
             f"Clock in virtual time, {used}, {len(SEEDS)} seeds each, skew 0 and ±200 ppm: offset"
             " error in ms; share of exchanges when it was within the stated uncertainty; skew error"
             " in ppm at 60 s",

@@ -3,9 +3,9 @@
 from dataclasses import replace
 from unittest.mock import patch
 
+from benchmarks.benchmark import Benchmark
 from benchmarks.compensation.learning import show_learning
 from benchmarks.compensation.trust import show_trust
-from benchmarks.measure import show
 from display_node.prediction import PredictorName
 from display_node.prediction.scene import own_predictor
 from protocol.config.scene_file import find_scene
@@ -29,15 +29,15 @@ CASES: tuple[tuple[PredictorName, int], ...] = (
 )
 
 
-def main() -> None:
+def main(benchmark: Benchmark) -> None:
     """Print the tables."""
-    show_learning()
-    _show_all_predicted()
-    _show_auto()
-    show_trust(LINKS)
+    show_learning(benchmark)
+    _show_all_predicted(benchmark)
+    _show_auto(benchmark)
+    show_trust(benchmark, LINKS)
 
 
-def _show_all_predicted() -> None:
+def _show_all_predicted(benchmark: Benchmark) -> None:
     rows = []
     for name, link in LINKS.items():
         for predictor, batch_ms in CASES:
@@ -45,14 +45,14 @@ def _show_all_predicted() -> None:
             with patch("display_node.prediction.concealment.DECAY_OVER_HORIZON", 0.0):
                 rough = _played(link, predictor, 0, batch_ms)
             rows.append((name, f"{batch_ms} ms", predictor, *_figures(rough), *_figures(smooth)))
-    show(
+    benchmark.table(
         "radial at E = 0: energy above 25 Hz over the sensed one's, RMSE in phase in mN",
         ("link", "frames", "predictor", "energy", "RMSE", "smoothed: energy", "RMSE"),
         rows,
     )
 
 
-def _show_auto() -> None:
+def _show_auto(benchmark: Benchmark) -> None:
     chosen = []
     for name, link in LINKS.items():
         for predictor, _ in (CASES[2], CASES[0]):
@@ -60,7 +60,7 @@ def _show_auto() -> None:
             share, delay_ms = auto.compensation.trusted, auto.playout_delay_ms.mean
             trusted = "–" if share is None else f"{share:.2f}"
             chosen.append((name, predictor, trusted, f"{delay_ms or 0:.1f}", *_figures(auto)))
-    show(
+    benchmark.table(
         "radial at E = auto: of the whole run the share trusted and the mean E; then as above",
         ("link", "predictor", "trusted", "E in ms", "energy", "RMSE"),
         chosen,

@@ -4,12 +4,12 @@ import statistics
 from dataclasses import replace
 from typing import NamedTuple
 
-from benchmarks.measure import show
+from benchmarks.benchmark import Benchmark
 from protocol.config.scene_file import find_scene
 from protocol.counters import ErrorWindow
 from protocol.ticks import TickState
 from sensing_node.sources.synthetic import SyntheticScene
-from telepulse.reports.studies.sweep import sweep
+from telepulse.parallel import sweep
 from telepulse.scene import load_scene
 from telepulse.simulation.link_scene import parse_link
 from telepulse.simulation.virtual_time import Simulation
@@ -28,7 +28,7 @@ class Start(NamedTuple):
     in_phase_s: float
 
 
-def show_learning() -> None:
+def show_learning(benchmark: Benchmark) -> None:
     """Print the medians over 20 seeds. Uses all cores."""
     starts = sweep(start, list(range(1, SEEDS + 1)))
     rows = []
@@ -40,7 +40,7 @@ def show_learning() -> None:
         )
         times = f"{each[0].from_s:.0f} to {each[0].to_s:.0f}"
         rows.append((times, f"{delay_ms:.1f}", f"{aligned:.2f}", f"{in_phase:.2f}"))
-    show(
+    benchmark.table(
         f"radial over {LINK}, E = auto, medians of {SEEDS} seeds",
         ("s", "E, ms", "aligned, mN", "in phase, mN"),
         rows,

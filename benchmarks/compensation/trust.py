@@ -13,12 +13,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from benchmarks.measure import show
+from benchmarks.benchmark import Benchmark
 from display_node.prediction import PredictorName
 from protocol.config.scene_file import find_scene
 from protocol.ticks import TickState
 from sensing_node.sources.heart import NOMINAL_BEAT_S
 from sensing_node.sources.recorded import RecordingScene
+from telepulse.parallel import sweep
 from telepulse.reports.studies.prediction_pulses import (
     NOISE,
     RATE_HZ,
@@ -31,7 +32,6 @@ from telepulse.reports.studies.prediction_pulses import (
     pulses,
     through_chain,
 )
-from telepulse.reports.studies.sweep import sweep
 from telepulse.scene import Scene, load_scene
 from telepulse.simulation.link_scene import parse_link
 from telepulse.simulation.virtual_time import STREAM_BEGINS_NS, Simulation
@@ -67,7 +67,7 @@ class Score(NamedTuple):
     risen_s: float
 
 
-def show_trust(links: dict[str, str]) -> None:
+def show_trust(benchmark: Benchmark, links: dict[str, str]) -> None:
     """Print the tables: links as `parse_link` reads them, by name. Uses all cores."""
     steady = [(each.name, each.sensed, each.true, SCORED_FROM_S) for each in pulses(SECONDS, 1)]
     turning = [(name, *turned(name), TURN_S) for name in TURNS]
@@ -93,7 +93,7 @@ def show_trust(links: dict[str, str]) -> None:
                     f"{stack.risen_s:.1f}" if name in TURNS else "",
                 )
             )
-    show(
+    benchmark.table(
         "E = auto: RMS errors over the pulse's height, E in ms, and when E exceeds 20 ms (s)",
         (
             *("pulse", "link", "aligned, stack over linear", "in phase, stack", "linear"),

@@ -8,9 +8,9 @@ import statistics
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+from benchmarks.benchmark import Benchmark
 from benchmarks.faults.backlog import backlogs
 from benchmarks.faults.cases import CASES, NEEDS_EMULATOR, FaultResult
-from benchmarks.measure import show
 from tests.support.netem import unavailable
 
 TIMES = 6
@@ -19,7 +19,7 @@ BAR_MS = 1_000.0
 FORCE_LIMIT_N, SLEW_LIMIT_N_PER_S = 2.5, 50.0
 
 
-def main() -> None:
+def main(benchmark: Benchmark) -> None:
     """Print the table.
 
     The bars: felt again within 1 s, no sample unaccounted for, no force and no slew of the target
@@ -33,8 +33,8 @@ def main() -> None:
             continue
         with TemporaryDirectory(prefix="telepulse-") as folder:
             rows.append(row(name, case(Path(folder), TIMES, random.Random(SEED + number))))
-    backlogs()
-    show(
+    backlogs(benchmark)
+    benchmark.table(
         f"{TIMES} times each, radial.toml, links of 20±3 ms or this machine alone: ms from its end"
         f" until the pulse is felt again, median and most (bar {BAR_MS:g}); share of the time that"
         " it was felt meanwhile; samples that no count names (bar 0); most force, most slew of the"

@@ -5,7 +5,7 @@ from collections.abc import Mapping
 
 import zmq
 
-from benchmarks.measure import show
+from benchmarks.benchmark import Benchmark
 from protocol import sockets
 from protocol.tactile import ElasticLayer
 from protocol.wire.messages import HEADER_BYTES
@@ -20,9 +20,9 @@ FULL_AFTER_S = 1.0
 NO_LIMITS: dict[int, int] = {zmq.TCP_MAXRT: 0}
 
 
-def backlogs() -> None:
+def backlogs(benchmark: Benchmark) -> None:
     """Print the table."""
-    show(
+    benchmark.table(
         f"Queue for a display that never reads, frames of {FRAME_S * 1e3:g} ms, in s of the"
         " stream and in MB: by default (1000 frames and the kernel's buffers), and with our limits",
         ("samples a frame", "s", "MB", "s, limited", "MB, limited"),

@@ -7,7 +7,6 @@ random instant. The time counts from its end until the pulse is felt again at fu
 least 0.3 s. Needs root, for the link emulator.
 """
 
-import argparse
 import random
 import statistics
 import time
@@ -17,7 +16,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from benchmarks.measure import show
+from benchmarks.benchmark import Benchmark
 from protocol.config.scene_file import find_scene
 from telepulse.simulation.link_scene import LinkScene, parse_link
 from tests.support.felt_force import FeltForce
@@ -128,7 +127,7 @@ def opened_meanwhile(folder: Path, link_text: str, stop: bool) -> tuple[int, int
     return counts["opened"], counts["kept"]
 
 
-def show_thrash() -> None:
+def show_thrash(benchmark: Benchmark) -> None:
     """Print how often a display opened second connections."""
     rows = []
     for name, text, stop in (
@@ -139,42 +138,29 @@ def show_thrash() -> None:
             opened, kept = opened_meanwhile(Path(folder), text, stop)
         rows.append((name, str(opened), str(kept)))
     title = f"Second connections in {WATCHED_S:g} s (budget: 10, and 1 every 2 s)"
-    show(title, ("where", "opened", "kept"), rows)
+    benchmark.table(title, ("where", "opened", "kept"), rows)
 
 
-def main() -> None:
+def main(benchmark: Benchmark) -> None:
     """Print the table."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.faults.cuts")
-    parser.add_argument("kinds", nargs="*", metavar="KIND", help=f"of: {'; '.join(KINDS)}")
-    parser.add_argument("--times", type=int, default=TIMES)
-    parser.add_argument("--seed", type=int, default=SEED)
-    parser.add_argument("--link", default=WHOLE.text(), help="the link while it is whole")
-    parser.add_argument("--each", action="store_true", help="print each cut")
-    parser.add_argument("--thrash", action="store_true", help="count connections, without cuts")
-    chosen = parser.parse_args()
-    if chosen.thrash:
-        show_thrash()
-        return
     rows = []
-    for name in chosen.kinds or KINDS:
+    for name in KINDS:
         with (
             TemporaryDirectory(prefix="telepulse-") as folder,
-            cut_runner(Path(folder), chosen.seed, parse_link(chosen.link)) as runner,
+            cut_runner(Path(folder), SEED, WHOLE) as runner,
         ):
-            found = [runner.run(KINDS[name]) for _ in range(chosen.times)]
+            found = [runner.run(KINDS[name]) for _ in range(TIMES)]
             runner.sensing.end()
             summary = runner.display.summary()
-        if chosen.each:
-            for one in found:
-                print(f"{one.cut_ms:6.0f} ms cut, back after {one.back_ms:6.0f} ms")
         rows.append(_row(name, found))
         if summary.faults or summary.rejected:
             print(name, summary.rejected, summary.faults)
-    show(
-        f"Felt again after the end of a cut, ms ({chosen.times} times each; bar {BAR_MS:g} ms)",
+    benchmark.table(
+        f"Felt again after the end of a cut, ms ({TIMES} times each; bar {BAR_MS:g} ms)",
         ("cut", "median", "p90", "most", "above the bar"),
         rows,
     )
+    show_thrash(benchmark)
 
 
 def _row(name: str, found: Sequence[Recovery]) -> tuple[str, ...]:
@@ -188,7 +174,3 @@ def _row(name: str, found: Sequence[Recovery]) -> tuple[str, ...]:
         f"{back_ms[-1]:.0f}",
         f"{above} of {len(back_ms)}",
     )
-
-
-if __name__ == "__main__":
-    main()

@@ -12,8 +12,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+from benchmarks.benchmark import Benchmark
 from benchmarks.faults.own_time import own_time_of, pin
-from benchmarks.measure import median_quantile, show
+from benchmarks.timing import median_quantile
 from protocol.run_summary import Summary
 from tests.support.hostile_peers import flood_with_requests
 from tests.support.node_rig import RigError, node_rig
@@ -70,7 +71,7 @@ def run(alteration: str, flood: Callable[[str], object], realtime: str | None) -
     return FloodRun(sent, summary, missed / ticks, own_missed / ticks)
 
 
-def main() -> None:
+def main(benchmark: Benchmark) -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=main.__doc__)
     parser.add_argument("--realtime", help="the display's measures, such as fifo=40")
@@ -83,7 +84,7 @@ def main() -> None:
     flooded = run("", lambda at: counts.append(flood_with_requests(at, FLOODED_S)), realtime)
     name = f"display beside one that sends {counts[0] / FLOODED_S:.0f} requests/s"
     rows.append((name, *_figures(flooded)))
-    show(
+    benchmark.table(
         f"{FLOODED_S:g} s of a flood: missed ticks, and those missed by the display's own core time"
         f" (bar {OWN_BAR:.0%}); share of the samples played in time, what was refused",
         ("flood", "missed", "own", "tick p99 µs", "in time", "p99 delay ms", "refused"),
@@ -105,7 +106,3 @@ def _figures(flooded: FloodRun) -> tuple[str, ...]:
         median_quantile("p99", [display.one_way_delay_ms], 1),
         causes or "nothing",
     )
-
-
-if __name__ == "__main__":
-    main()

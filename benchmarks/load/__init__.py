@@ -9,10 +9,10 @@ import os
 from collections.abc import Sequence
 from dataclasses import replace
 
+from benchmarks.benchmark import Benchmark
 from benchmarks.load import clock, cut
 from benchmarks.load.run import SECONDS, Figures, Load, run
 from benchmarks.load.sensing import Stream
-from benchmarks.measure import show
 
 BAR_MS = 5.0
 SINGLE, BATCHED = Stream(batch=1), Stream(batch=5)
@@ -24,19 +24,19 @@ SOME = 50
 COLUMNS = ("displays", "p50 ms", "p99 ms", "lost", "loop", "ZeroMQ", "both")
 
 
-def main() -> None:
+def main(benchmark: Benchmark) -> None:
     """Print the tables. The bar is a p99 of 5 ms with nothing lost."""
     print(f"{os.cpu_count()} cores, load average {os.getloadavg()[0]:.1f} before it begins")
     for stream in (SINGLE, BATCHED):
-        show_counts(stream)
-    show_kinds()
-    show_channels()
-    show_relays()
-    clock.main()
-    cut.main()
+        show_counts(benchmark, stream)
+    show_kinds(benchmark)
+    show_channels(benchmark)
+    show_relays(benchmark)
+    clock.main(benchmark)
+    cut.main(benchmark)
 
 
-def show_counts(stream: Stream) -> None:
+def show_counts(benchmark: Benchmark, stream: Stream) -> None:
     """Print runs of more and more displays, until two of them miss the bar."""
     rows: list[tuple[str, ...]] = []
     most, failures, last = 0, 0, (0, 0.0)
@@ -55,7 +55,7 @@ def show_counts(stream: Stream) -> None:
             failures += 1
         if failures == FAILURES:
             break
-    show(
+    benchmark.table(
         f"One sensing node at 1 kHz, {named(stream)}, {SECONDS:g} s each; CPU in % of a core, of"
         f" one more display, too; within {BAR_MS:g} ms and nothing lost: {most} displays",
         (*COLUMNS, "one more", "their CPU"),
@@ -63,7 +63,7 @@ def show_counts(stream: Stream) -> None:
     )
 
 
-def show_kinds() -> None:
+def show_kinds(benchmark: Benchmark) -> None:
     """Print the parts of a display's cost: data, clock, keys."""
     plain = Load(SOME, clock_ms=0, stream=BATCHED)
     kinds = {
@@ -76,33 +76,33 @@ def show_kinds() -> None:
     for name, load in kinds.items():
         figures = run(load)
         rows.append((name, *row(SOME, figures)[1:], f"{100 * figures.sensing / SOME:.2f}"))
-    show(
+    benchmark.table(
         f"Cost of {SOME} displays for the sensing node, {named(BATCHED)}",
         ("with", *COLUMNS[1:], "each"),
         rows,
     )
 
 
-def show_channels() -> None:
+def show_channels(benchmark: Benchmark) -> None:
     """Print runs from one channel to the most that a stream may have."""
     rows = []
     for channels in CHANNELS:
         figures = run(Load(SOME, stream=replace(BATCHED, channels=channels)))
         rows.append((str(channels), *row(SOME, figures)[1:]))
-    show(
+    benchmark.table(
         f"Channels, {SOME} displays, {named(BATCHED)}: 64 is the most that a stream has",
         ("channels", *COLUMNS[1:]),
         rows,
     )
 
 
-def show_relays() -> None:
+def show_relays(benchmark: Benchmark) -> None:
     """Print runs with two relays side by side, on the same machine."""
     rows = []
     for count in RELAYED:
         figures = run(Load(count, relays=2, stream=SINGLE))
         rows.append((*row(count, figures), f"{50 * figures.relays:.1f}"))
-    show(
+    benchmark.table(
         f"Through two relays that share the machine, {named(SINGLE)}",
         (*COLUMNS, "each relay"),
         rows,

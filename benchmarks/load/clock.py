@@ -7,9 +7,9 @@ from contextlib import ExitStack
 import numpy as np
 import zmq
 
+from benchmarks.benchmark import Benchmark
 from benchmarks.load.run import process, relay
 from benchmarks.load.sensing import Stream, sense
-from benchmarks.measure import show
 from protocol import sockets
 from protocol.clock.estimator import ClockEstimator, ClockExchange
 from protocol.wire.messages import ClockReply, ClockRequest, decode_control, encode_control
@@ -21,7 +21,7 @@ RELAYS = (0, 1, 2, 3)
 PATIENCE_MS = 20_000
 
 
-def main() -> None:
+def main(benchmark: Benchmark) -> None:
     """Print the table."""
     rows = []
     for relays in RELAYS:
@@ -39,7 +39,7 @@ def main() -> None:
                 f"{clock.uncertainty_ns(now_ns) * 1e-3:.0f}",
             )
         )
-    show(
+    benchmark.table(
         f"The clock through relays in a row, after {EXCHANGES} exchanges",
         ("relays", "round trip p50 ms", "p99 ms", "offset error µs", "stated ± µs"),
         rows,

@@ -5,9 +5,9 @@ from contextlib import ExitStack
 
 import zmq
 
+from benchmarks.benchmark import Benchmark
 from benchmarks.load.run import process, relay
 from benchmarks.load.sensing import Stream, sense
-from benchmarks.measure import show
 from protocol import sockets
 from protocol.wire.messages import ClockRequest, encode_control
 from telepulse.processes import free_addresses
@@ -21,7 +21,7 @@ SETTLED_S = 3.0
 PATIENCE_S = 60.0
 
 
-def main() -> None:
+def main(benchmark: Benchmark) -> None:
     """Print the table, where the link emulator runs; the bar is 1 s."""
     reason = unavailable()
     if reason is not None:
@@ -45,7 +45,7 @@ def main() -> None:
             display.live(cut_s)
             link.change(parse_link(LINK), link_index=0)
             rows.append((f"{cut_s:g}", f"{display.await_frame():.2f}"))
-    show("A relay's link, cut", ("for s", "frames again after s"), rows)
+    benchmark.table("A relay's link, cut", ("for s", "frames again after s"), rows)
 
 
 class Display:

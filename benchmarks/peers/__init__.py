@@ -12,7 +12,7 @@ from importlib.metadata import PackageNotFoundError, version
 
 import numpy as np
 
-from benchmarks.measure import show
+from benchmarks.benchmark import Benchmark
 from benchmarks.peers.race import Run, run
 
 ROUNDS = 6
@@ -50,11 +50,12 @@ PEERS = (UDP, BARE, DECODED, OURS, BARE_CURVE, OURS_CURVE, LSL, ZENOH)
 BARS = ((OURS, BARE, 1.25), (OURS_CURVE, BARE_CURVE, 1.25), (OURS, LSL, 1.0))
 
 
-def main(rounds: int = ROUNDS, messages: int = MESSAGES) -> None:
+def main(benchmark: Benchmark) -> None:
     """Print the table, the bars and the versions."""
+    rounds, messages = (1, 50) if benchmark.quick else (ROUNDS, MESSAGES)
     runs = run_in_turns(PEERS, rounds, messages)
     columns = ("peer", "p50", "p99", "done", "CPU", "lost", "disorder", "/ pyzmq", "/ LSL")
-    show(
+    benchmark.table(
         f"Peers at 1 kHz, {rounds} rounds of {messages} messages: one-way latency, done"
         " (p50) and the subscriber's CPU time a message, in µs; p50 over that of others",
         columns,

@@ -11,9 +11,9 @@ from multiprocessing.connection import Connection
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.measure import paced
 from benchmarks.peers.curve import make_keys
 from benchmarks.peers.message import Arrival, Wire
+from benchmarks.timing import paced
 from telepulse.processes import free_addresses
 
 PERIOD_NS = 1_000_000

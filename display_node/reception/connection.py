@@ -20,10 +20,8 @@ from display_node.reception.failover import (
     DataPath,
 )
 from display_node.reception.reachability import Reachability
-from display_node.reception.redundancy import Redundancy
 from display_node.reception.turns import ControlTurns
 from protocol import sockets
-from protocol.config.quantities import count_text
 from protocol.security.keys import ClientKeys
 from protocol.security.socket_monitor import HandshakeMonitor
 from protocol.summary_tables import DataConnections, Reconnections
@@ -35,8 +33,7 @@ logger = logging.getLogger(__name__)
 class Route:
     """One address of the sensing node and the data paths that are connected to it.
 
-    paths: those in use. made: those and closed ones, which may be used again. frames_first: number
-    of frames whose first copy came over this address.
+    frames_first: number of frames whose first copy came over this address.
     """
 
     def __init__(
@@ -44,22 +41,10 @@ class Route:
     ) -> None:
         sockets.control_address(address)  # Raises AddressError.
         self.address = address
-        self._context, self._keys = context, keys
-        self.made: list[DataPath] = []
-        self.paths = self.made
-        self.resize(paths)
+        self.paths = [DataPath(context, keys) for _ in range(paths)]
         self.lookup = Lookup(address)
         self.reachability = Reachability(address)
         self.frames_first = 0
-
-    def resize(self, count: int) -> list[DataPath]:
-        """Use `count` paths, and disconnect the others; return those newly made."""
-        known = len(self.made)
-        self.made += [DataPath(self._context, self._keys) for _ in range(known, count)]
-        self.paths = self.made[:count]
-        for path in self.made[count:]:
-            path.disconnect()
-        return self.made[known:]
 
     def messages(self) -> Iterator[bytes]:
         """Yield the messages that wait."""
@@ -89,10 +74,8 @@ class Connection:
     addresses. Control uses one address at a time, and moves to the next when nothing is received.
     An endpoint is one socket, of control or of a path.
 
-    paths: number of paths, at least one for each address. redundancy: decides how many there are
-    from the first frame on; only with one address. most_paths: greatest number so far. rejected:
-    number of refused connections by cause, and of messages dropped in floods. Raises AddressError
-    for an invalid address.
+    paths: number of paths, at least one for each address. rejected: number of refused connections
+    by cause, and of messages dropped in floods. Raises AddressError for an invalid address.
     """
 
     def __init__(
@@ -101,10 +84,8 @@ class Connection:
         addresses: Sequence[str],
         paths: int,
         keys: ClientKeys | None = None,
-        redundancy: Redundancy | None = None,
         turns: int = 0,
     ) -> None:
-        self._redundancy = redundancy
         self.routes = [
             Route(context, address, len(range(number, paths, len(addresses))), keys)
             for number, address in enumerate(addresses)
@@ -121,8 +102,13 @@ class Connection:
         self.control = Endpoint(sockets.unconnected(context, zmq.DEALER, keys))
         self._further = ControlTurns(context, turns, keys)
         self._handshakes = HandshakeMonitor(context, keys)
-        self.most_paths = 0
-        self._use_paths()
+        self._paths = [path for route in self.routes for path in route.paths]
+        self._endpoints = [
+            self.control,
+            *(endpoint for path in self._paths for endpoint in path.endpoints),
+        ]
+        self.descriptors = sockets.descriptors([endpoint.socket for endpoint in self._endpoints])
+        self.descriptors += self._further.descriptors
         for endpoint in (*self._endpoints, *self._further.endpoints):
             self._handshakes.watch(endpoint.socket)
         self.rejected = self._handshakes.rejected
@@ -136,29 +122,14 @@ class Connection:
     @property
     def reconnections(self) -> Reconnections:
         """Counts of connections opened beside silent ones, or in place of them."""
-        made = [path for route in self.routes for path in route.made]
-        opened = sum(path.failover.opened for path in made)
-        kept = sum(path.failover.kept for path in made)
+        opened = sum(path.failover.opened for path in self._paths)
+        kept = sum(path.failover.kept for path in self._paths)
         return Reconnections(opened, kept, self._controls)
 
     @property
     def data_connections(self) -> DataConnections:
-        """Counts of the paths, and of the stalls of TCP for which some were opened."""
-        redundancy, count = self._redundancy, len(self._paths)
-        if redundancy is None:
-            return DataConnections(count)
-        return DataConnections(count, redundancy.opened, redundancy.stalls)
-
-    def _use_paths(self) -> None:
-        """Read the paths that the routes have now."""
-        self._paths = [path for route in self.routes for path in route.paths]
-        self.most_paths = max(self.most_paths, len(self._paths))
-        self._endpoints = [
-            self.control,
-            *(endpoint for path in self._paths for endpoint in path.endpoints),
-        ]
-        self.descriptors = sockets.descriptors([endpoint.socket for endpoint in self._endpoints])
-        self.descriptors += self._further.descriptors
+        """Number of paths."""
+        return DataConnections(len(self._paths))
 
     def subscribe(self, frame_ns: int, round_trip_ns: int, now_ns: int) -> None:
         """Subscribe to frames; one frame covers `frame_ns`.
@@ -174,9 +145,6 @@ class Connection:
             path.set_times(*times_ns)
             if first:
                 path.subscribe(now_ns)
-        if self._redundancy is not None:
-            outage_ns = self._paths[0].failover.silence_ns
-            self._redundancy.set_times(frame_ns, round_trip_ns, outage_ns)
 
     def poll(self, now_ns: int) -> bool:
         """Reconnect silent endpoints whose address is known; call each tick.
@@ -199,8 +167,6 @@ class Connection:
             addresses = [route.paths[0].first.address for route in self.routes]
             known = [sockets.control_address(each) for each in addresses if each is not None]
             self._further.poll(known, self._times_ns[1], now_ns)
-        if self._redundancy is not None and (reason := self._redundancy.change(now_ns)):
-            self._resize(self._redundancy.paths, reason, now_ns)
         introduce = self._repeat_request(now_ns)
         if cut and control.address is not None:
             return self._connect_control(control.address, now_ns)
@@ -247,20 +213,6 @@ class Connection:
         yield from self.control.messages()
         yield from self._further.messages()
 
-    def _resize(self, count: int, reason: str, now_ns: int) -> None:
-        """Use `count` paths to the one address from now on."""
-        route, before = self.routes[0], len(self._paths)
-        for path in route.resize(count):
-            for endpoint in path.endpoints:
-                self._handshakes.watch(endpoint.socket)
-        self._use_paths()
-        for path in route.paths[before:]:
-            if self._times_ns is not None:
-                path.set_times(*self._times_ns)
-            path.subscribe(now_ns)
-            path.poll(now_ns, route.paths[0].first.address)
-        logger.info(f"{reason}: {count_text(count, 'data connection')} from now on, not {before}")
-
     def _close_floods(self, now_ns: int) -> None:
         """Close the endpoints that receive more than any stream sends, for a few seconds."""
         for endpoint, name in self._named:
@@ -305,10 +257,7 @@ class Connection:
         for path in self._paths if stalled else ():
             path.failover.mark_suspect(now_ns)
         # `take_received` resets its count: one call for each path.
-        counts = [path.take_received(now_ns) for path in self._paths]
-        received = sum(counts)
-        if received and self._redundancy is not None and polled_ns is not None:
-            self._redundancy.received(counts[0], received, now_ns, polled_ns)
+        received = sum(path.take_received(now_ns) for path in self._paths)
         if received + self.control.received(now_ns):
             self._received_ns, self._reached = now_ns, True
             answer_ns = self.control.answer_ns

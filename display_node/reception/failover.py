@@ -246,11 +246,6 @@ class DataPath:
         for endpoint in self.endpoints:
             endpoint.socket.unsubscribe(b"")
 
-    def disconnect(self) -> None:
-        """Close both connections; `subscribe` and `poll` with an address open the first again."""
-        self.unsubscribe()
-        self.first.disconnect()
-
     def set_times(self, frame_ns: int, answer_ns: int) -> None:
         """Expect a frame every `frame_ns`, and a reply to a request within `answer_ns`."""
         self.failover.set_timeouts(frame_ns, answer_ns)

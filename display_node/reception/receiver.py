@@ -20,8 +20,6 @@ from protocol.wire import messages as wire
 from protocol.wire.stream import StreamDescription
 
 HELLO_EVERY_NS: Final = 250_000_000
-# One unanswered hello in this many is followed by one in version 1.
-EARLIER_EVERY: Final = 8
 # The first READY_AFTER clock requests are sent at once, since nothing is played before the clock is
 # known. The rest of the first minute uses the fast interval. A still shorter one would let TCP send
 # requests and replies in bunches, which biases the offset.
@@ -89,7 +87,6 @@ class Receiver:
         # Nothing is requested before this time, unless a control message or a refusal comes.
         self._quiet_until_ns = 0
         self._hello_due = False
-        self._unanswered_hellos = 0
         self._clock_requests = 0
         # Times of sending of the requests that may still be answered, oldest first.
         self._open_requests_ns: deque[int] = deque(maxlen=MAX_OPEN_REQUESTS)
@@ -172,9 +169,6 @@ class Receiver:
             self._next_hello_ns = now_ns + HELLO_EVERY_NS
             self._hello_due = False
             wanted.append(wire.Hello(self._name))
-            self._unanswered_hellos += 1
-            if self._unanswered_hellos % EARLIER_EVERY == 0:
-                wanted.append(wire.EarlierHello(self._name))
         if self.session is not None and not silent and now_ns >= self._next_clock_ns:
             fast = self._clock_requests < CLOCK_FAST_COUNT
             self._clock_requests += 1
@@ -285,7 +279,6 @@ class Receiver:
         match message:
             case wire.Welcome(session=session, description=description):
                 self._received_ns = now_ns
-                self._unanswered_hellos = 0
                 if session != self.session:
                     wanted = self._wanted or [description.first_force]
                     self.channels = [description.find_force(name) for name in wanted]

@@ -1,13 +1,12 @@
 """Live state of a display in a terminal, drawn from the telemetry in a process of its own.
 
-`python -m display_node.telemetry.terminal ADDRESS [KEY]` shows a display's telemetry: a panel in a
-terminal, where the key m marks the time, and a line a second elsewhere. It ends with the display,
-or with the process that started it. KEY is the file of the display's own secret key; it is needed
-where the telemetry is protected.
+`python -m display_node.telemetry.terminal ADDRESS [KEY]` shows a display's telemetry: a line that
+is renewed in a terminal, and a line a second elsewhere. It ends with the display, or with the
+process that started it. KEY is the file of the display's own secret key; it is needed where the
+telemetry is protected.
 """
 
 import os
-import secrets
 import signal
 import sys
 import time
@@ -20,13 +19,12 @@ from rich.console import Console
 from rich.live import Live
 
 from display_node.scoring.heart_rate import heart_rate_per_min
-from display_node.telemetry.key_presses import key_presses, terminal_restored
-from display_node.telemetry.terminal_view import MARK_KEY, TerminalView
+from display_node.telemetry.terminal_view import TerminalView
 from protocol import sockets
 from protocol.host.output import unblocked_output
 from protocol.host.process import lower_priority
 from protocol.security.keys import ClientKeys, read_pair
-from protocol.wire.marks import MARK, MarkRequest, pack_request
+from protocol.wire.marks import MARK
 from protocol.wire.telemetry import STATUS, TRACE, Status, Trace
 
 FRAMES_PER_S = 8
@@ -65,15 +63,14 @@ def watch(
         socket.send(b"\1" + wanted)
     live = None
     if draw and console.is_terminal:
-        live = Live(screen.panel(), console=console, refresh_per_second=FRAMES_PER_S)
+        live = Live(screen.live(), console=console, refresh_per_second=FRAMES_PER_S)
         live.start()
     try:
-        with terminal_restored():
-            _follow(screen, socket, console, on_traces, draw, live, keep_watching)
+        _follow(screen, socket, console, on_traces, draw, live, keep_watching)
         return screen.status
     finally:
         if live is not None:
-            live.update(screen.panel(time.perf_counter_ns()))
+            live.update(screen.live(time.perf_counter_ns()))
             live.stop()
         context.destroy(linger=0)
 
@@ -97,7 +94,7 @@ def _follow(
             traces = screen.take(message, time.perf_counter_ns())
             if traces and on_traces is not None:
                 on_traces(traces)
-            if screen.mark is not None and screen.mark is not marked and draw and live is None:
+            if screen.mark is not None and screen.mark is not marked and draw:
                 console.print(f"mark: {screen.mark.text}", soft_wrap=True)
             if screen.status is not None and screen.status.final:
                 if draw and live is None:
@@ -107,10 +104,7 @@ def _follow(
         if len(messages) == sockets.MAX_MESSAGES:
             continue  # more has queued, and only the newest is shown
         if live is not None:
-            live.update(screen.panel(time.perf_counter_ns()))
-            for _ in range(key_presses().count(MARK_KEY)):
-                request = MarkRequest(secrets.randbits(62), time.perf_counter_ns(), "")
-                sockets.send(socket, pack_request(request))
+            live.update(screen.live(time.perf_counter_ns()))
         elif draw and time.monotonic() - line_s >= LINE_EVERY_S:
             line_s = time.monotonic()
             _print_line(screen, console)

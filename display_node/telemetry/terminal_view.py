@@ -1,19 +1,11 @@
-"""State of a display as a line or a panel in a terminal, from its telemetry.
+"""State of a display as a line in a terminal, from its telemetry: what matters in that state."""
 
-The panel shows the figures of this moment and a plot of the force; the line what matters in the
-display's present state.
-"""
-
-import itertools
 import math
 from collections import deque
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from rich.console import Group, RenderableType
-from rich.panel import Panel
-from rich.table import Table
 from rich.text import Text
 
 from display_node.scoring.heart_rate import heart_rate_per_min
@@ -22,22 +14,15 @@ from display_node.telemetry.alerts import (
     Alert,
     StatusAge,
     alerts,
-    delay_note,
     finger_text,
 )
-from display_node.telemetry.braille_plot import braille_plot
 from display_node.telemetry.status_line import compose
 from protocol.errors import WireError
-from protocol.figures import Surface
-from protocol.run_summary import rows
 from protocol.wire.marks import MARK, Mark, read_mark
 from protocol.wire.telemetry import STATUS, TRACE, Status, Trace, read_status, read_trace
 
-MARK_KEY = "m"
-MARK_WIDTH = 40
 # One tick in 10 ms is kept, for 6 s.
 KEEP_NS, APART_NS = 6_000_000_000, 10_000_000
-PLOTTED_TICKS = 300
 # Statuses come five times a second; an older one is not shown as current.
 CURRENT_NS = 1_000_000_000
 
@@ -63,7 +48,7 @@ def _heart_rate_per_min(ticks: Sequence[TerminalTick]) -> float | None:
 
 
 class TerminalView:
-    """State of a display as a line or a panel.
+    """State of a display as a line, with its alerts.
 
     local: whether its address is on this machine. unreadable: number of unreadable messages.
     """
@@ -157,6 +142,7 @@ class TerminalView:
             f"press {press}" if press else "",
             "" if delay_ms is None else f"delay {delay_ms:.1f} ms{predicted}",
             _missing_text(summary),
+            f"telemetry not readable {self.unreadable} times" if self.unreadable else "",
         ]
 
     def _force_text(self) -> str:
@@ -178,26 +164,14 @@ class TerminalView:
         before, self._named = self._named, {alert.name for alert in found}
         return [f"{alert.name}: {alert.text}" for alert in found if alert.name not in before]
 
-    def panel(self, now_ns: int = 0) -> RenderableType:
-        """Return the state at `now_ns` as a panel, grey where it is not current."""
+    def live(self, now_ns: int = 0) -> Text:
+        """Return the line at `now_ns`, dim where it is not current, and the alerts in full."""
         if self.status is None:
-            return Panel("waiting for the display", title="telepulse")
-        current = self._age_ns(now_ns) < CURRENT_NS
-        value_style = "bold" if current else "dim"
-        now, run = (Table(show_header=False, box=None, pad_edge=False) for _ in range(2))
-        rows = [(name, Text(value, value_style)) for name, value in self._now_rows(now_ns)]
-        half = (len(rows) + 1) // 2
-        for left, right in itertools.zip_longest(rows[:half], rows[half:], fillvalue=("", "")):
-            now.add_row(*left, "  ", *right)
-        for name, value in self._run_rows():
-            run.add_row(Text(name), Text(value, value_style))
-        stream = _printable(self.status.stream) or "no stream"
-        title = Text(f"telepulse · {stream} · {self._state(now_ns)}")
-        wrong = [Text(f"{name}: {text}", "bold red") for name, text in self._alerts(now_ns)]
-        last = _cut(f"; last: {self.mark.text}", MARK_WIDTH) if self.mark else ""
-        between = Text(f"of the run so far; {MARK_KEY} marks the time{last}", "dim")
-        whole = Group(*wrong, now, *self._plot(current), between, run)
-        return Panel(whole, title=title, expand=False, style="" if current else "dim")
+            return Text(self.line(now_ns))
+        shown = Text(self.line(now_ns), "" if self._age_ns(now_ns) < CURRENT_NS else "dim")
+        for name, text in self._alerts(now_ns):
+            shown.append(f"\n{name}: {text}", "bold red")
+        return shown
 
     def _alerts(self, now_ns: int) -> list[Alert]:
         assert self.status is not None
@@ -215,33 +189,6 @@ class TerminalView:
         assert self.status is not None
         age_ns, state = self._age_ns(now_ns), _printable(self.status.state)
         return state if age_ns < CURRENT_NS else f"{state} {age_ns * 1e-9:.1f} s ago"
-
-    def _now_rows(self, now_ns: int) -> list[tuple[str, str]]:
-        """Return the figures of this moment; a heart rate only of a pulse that is felt now."""
-        assert self.status is not None
-        current = self._age_ns(now_ns) < CURRENT_NS
-        rates = self.heart_rates_per_min if current else [None]
-        finger, summary = finger_text(self.status.summary), self.status.summary
-        if self.status.state == "waiting" and (reason := summary.get("waiting_for")):
-            resting = [("finger", _printable(finger))] if finger and current else []
-            return [("waiting for", _printable(reason)), *resting]
-        newest = [(t[-1].target_n, t[-1].felt_n) if t else (None, None) for t in self._ticks]
-        target, felt = (
-            ", ".join(map(_millinewtons, forces)) for forces in zip(*newest, strict=True)
-        )
-        delay_ms = self._delay_ms() if current else None
-        return [
-            ("heart rate", ", ".join("–" if r is None else f"{r:.0f} /min" for r in rates)),
-            ("force target", target),
-            ("force felt", felt),
-            *([("press", press)] if (press := self._press_text()) and current else []),
-            *([("finger", _printable(finger))] if finger and current else []),
-            *(
-                []
-                if delay_ms is None
-                else [("delay now", delay_note(delay_ms, self._trusted, summary))]
-            ),
-        ]
 
     def _press_text(self) -> str:
         """Return the finger's press, the hold-down at the wrist, and the state of the probe."""
@@ -265,29 +212,6 @@ class TerminalView:
         # An E of 0 is known to the clock's error only.
         return max(0.0, (last.now_ns - last.instant_ns) * 1e-6 + float(offset_ms))
 
-    def _run_rows(self) -> list[tuple[str, str]]:
-        """Return the figures of the whole run so far."""
-        assert self.status is not None
-        unreadable = [("telemetry not readable", str(self.unreadable))] if self.unreadable else []
-        return [*rows(self.status.summary, Surface.TERMINAL), *unreadable]
-
-    def _plot(self, current: bool) -> list[RenderableType]:
-        ticks = list(self._ticks[0])[-PLOTTED_TICKS:]
-        felt_n, target_n = [tick.felt_n for tick in ticks], [tick.target_n for tick in ticks]
-        known_n = [force_n for force_n in felt_n + target_n if math.isfinite(force_n)]
-        if len(ticks) < 2 or not known_n:
-            return [Text("no pulse yet", "dim")]
-        low, high = min(known_n), max(known_n)
-        # The forces of all contactors are in the rows above; the plot has room for the first one.
-        names = list(self.status.summary.get("contactors", {})) if self.status is not None else []
-        of = f"{_printable(names[0])}: " if len(names) == len(self._ticks) > 1 else ""
-        rows = braille_plot(felt_n, target_n, low, high)
-        return [
-            Text(f"{of}felt (line) over target (dots), last 3 s", "dim"),
-            *(Text(row, "cyan" if current else "dim") for row in rows),
-            Text(f"{low * 1e3:.0f} to {high * 1e3:.0f} mN", "dim"),
-        ]
-
 
 def _missing_text(summary: Mapping[str, Any]) -> str:
     """Return how many samples were lost or late; empty where none was."""
@@ -300,16 +224,6 @@ def _account_text(summary: Mapping[str, Any]) -> str:
     """Return how many of the samples were lost or late."""
     sent = summary.get("samples", {}).get("sent")
     return f"{_missing_text(summary) or 'none lost'} of {sent} samples" if sent else ""
-
-
-def _millinewtons(force_n: float | None) -> str:
-    if force_n is None:
-        return "–"
-    return "unknown" if math.isnan(force_n) else f"{force_n * 1e3:.1f} mN"
-
-
-def _cut(text: str, width: int) -> str:
-    return text if len(text) <= width else f"{text[: max(0, width - 1)]}…"
 
 
 def _printable(text: str) -> str:

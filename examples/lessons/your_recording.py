@@ -56,18 +56,17 @@ run.plot(begin_s=20, end_s=24)
 plt.show()
 
 # %%
-# A WFDB record
-# -------------
-# A record, as PhysioNet has them, states rate and unit itself, so the scene needs its path alone.
-# ``telepulse convert`` writes one from another file; this is the same from an array. A unit that is
-# neither force nor pressure is scaled so that the median beat is felt with 0.3 N.
+# A file that states its rate
+# ---------------------------
+# An EDF file, or a record of PhysioNet, states rate and unit itself, so the scene needs its path
+# alone. The package edfio writes one from an array. A unit that is neither force nor pressure is
+# scaled so that the median beat is felt with 0.3 N.
 
-from sensing_node.files.formats import write_signals
-from sensing_node.files.signals import SignalInfo, SignalTable
+import edfio
 
-record = SignalTable([SignalInfo(0, "PLETH", "NU", RATE_HZ)], [-light])
-write_signals(folder / "oximeter.hea", record)
-source = {"kind": "recording", "path": str(folder / "oximeter.hea")}
+signal = edfio.EdfSignal(-light, RATE_HZ, label="PLETH", physical_dimension="NU")
+edfio.Edf([signal]).write(folder / "oximeter.edf")
+source = {"kind": "recording", "path": str(folder / "oximeter.edf")}
 of_record = telepulse.simulate("radial", seconds=10, sensing={"source": source})
 beats = telepulse.find_beats(of_record.wrist_n, 1000)
 print(f"median height at the wrist {np.median([beat.height_n for beat in beats]):.2f} N")

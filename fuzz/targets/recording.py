@@ -5,13 +5,14 @@ from contextlib import suppress
 
 import numpy as np
 from mcap.writer import Writer
+from scipy.io import wavfile
 
 from fuzz.scratch import scratch_folder
 from protocol.config.scene import validate
 from protocol.errors import SourceError
-from sensing_node.files.formats import write_signals
-from sensing_node.files.signals import SignalInfo, SignalTable
 from sensing_node.sources.recorded import RecordedSource, RecordingScene
+from telepulse.recording import edf_writer, xdf_writer
+from telepulse.recording.signal_table import SignalTable
 
 _FOLDER = scratch_folder()
 _TABLES = (
@@ -38,14 +39,16 @@ def seeds() -> list[bytes]:
     np.savez(npz, force=table[:, 0], more=table[:, 1])
     csv = b"time,force\n0,0.1\n1,0.2\n2,0.3\n"
     files = [csv, npy.getvalue(), npz.getvalue()]
-    pulse = SignalTable(
-        [SignalInfo(number, name, "mV", 100.0) for number, name in enumerate(("force", "more"))],
-        [np.arange(200.0) % 80, np.arange(200.0) % 70],
-    )
-    for suffix in ("edf", "wav", "xdf"):
-        path = _FOLDER / f"seed.{suffix}"
+    values = np.stack([np.arange(200.0) % 80, np.arange(200.0) % 70], axis=1)
+    pulse = SignalTable(["force", "more"], ["mV", "mV"], values, 100, 10**18)
+    for write in (
+        lambda path: edf_writer.write(path, pulse),
+        lambda path: wavfile.write(path, 100, values.astype(np.float32)),
+        lambda path: xdf_writer.write(path, pulse),
+    ):
+        path = _FOLDER / "seed"
         path.unlink(missing_ok=True)
-        write_signals(path, pulse)
+        write(path)
         files.append(path.read_bytes())
     mcap = io.BytesIO()
     writer = Writer(mcap)

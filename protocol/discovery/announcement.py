@@ -156,14 +156,11 @@ def only_match(candidates: Sequence[Announcement]) -> Announcement:
     return candidates[0]
 
 
-def announced_addresses(
-    host: str, own: Iterable[Interface], interfaces: dict[str, list[str]]
-) -> list[str]:
+def announced_addresses(host: str, own: Iterable[Interface]) -> list[str]:
     """Return the addresses to announce for a node that is bound to `host`.
 
-    host: address or interface, or all of them ("*", "[::]"). own: this machine's addresses.
-    interfaces: addresses of each interface, by its name. Raises DiscoveryError when there is no
-    address to announce.
+    host: an address, or all of them ("*", "[::]"). own: this machine's addresses. Raises
+    DiscoveryError when there is no address to announce.
     """
     if host in EVERYWHERE:
         reason = "this machine is on no network"
@@ -171,8 +168,7 @@ def announced_addresses(
         found = [str(one.ip) for one in own if one.version in versions and not one.ip.is_loopback]
     else:
         reason = "is no address here"
-        bound = host.strip("[]")
-        found = interfaces.get(host) or [bound for one in own if str(one.ip) == bound]
+        found = [str(one.ip) for one in own if str(one.ip) == host.strip("[]")]
     if not found:
         raise DiscoveryError(f"--announce: {host}: {reason}; there is nothing to announce")
     return found

@@ -51,7 +51,7 @@ def main() -> None:
     with run_as_sidecar() as ready:
         from protocol.discovery import browser
 
-        addresses = announced_addresses(node["bound_to"], *browser.own_addresses())
+        addresses = announced_addresses(node["bound_to"], browser.own_addresses())
         network = browser.open_multicast(addresses)
         ready(", ".join(addresses))
     if receive() is None:

@@ -1,10 +1,9 @@
 """Search of the local network for sensing nodes that announce themselves, by zeroconf."""
 
 import logging
-import socket
 from collections import Counter
 from dataclasses import replace
-from ipaddress import ip_address, ip_interface
+from ipaddress import ip_interface
 
 from protocol.discovery.announcement import (
     SERVICE,
@@ -29,9 +28,6 @@ except ImportError as error:
 
 __all__ = ["Browser", "ServiceInfo", "ZeroconfError", "open_multicast", "own_addresses"]
 
-MULTICAST_GROUP = ("224.0.0.251", 5353)
-# The same of a site, since that of a link needs an interface; only the route is looked up.
-GROUP_OF_IPV6 = ("ff05::fb", 5353)
 # More nodes than any one network has; further names are counted only.
 MAX_NAMES = 256
 # Longest wait for a name's other records; a node sends them together with the name.
@@ -44,12 +40,12 @@ UNREACHABLE, TOO_MANY = "unreachable", "too_many"
 class Browser:
     """Search in threads of its own, from construction until the end of a `with`.
 
-    refused: counts of announcements that are not valid, by cause. Raises DiscoveryError where no
-    network of this machine carries multicast.
+    refused: counts of announcements that are not valid, by cause. Raises DiscoveryError where
+    multicast DNS cannot be opened.
     """
 
     def __init__(self) -> None:
-        self._own, _ = own_addresses()
+        self._own = own_addresses()
         self._found: dict[str, Announcement] = {}
         self._seen: set[str] = set()
         self.refused: Counter[str] = Counter()
@@ -107,56 +103,28 @@ class Browser:
             logger.warning(f"not a sensing node: {shown}: {reason}")
 
 
-def own_addresses() -> tuple[list[Interface], dict[str, list[str]]]:
-    """Return this machine's addresses with their networks, and those of IPv4 by interface.
+def own_addresses() -> list[Interface]:
+    """Return this machine's addresses with their networks.
 
     Two kinds of IPv6 addresses are left out: those of one link alone, which differ by interface and
     not by network, and that of loopback, which carries no multicast.
     """
-    own: list[Interface] = []
-    names: dict[str, list[str]] = {}
-    for adapter in ifaddr.get_adapters():
-        for address in adapter.ips:
-            ip = address.ip if isinstance(address.ip, str) else address.ip[0]
-            one = ip_interface(f"{ip}/{address.network_prefix}")
-            if one.version == 4:
-                names.setdefault(adapter.name, []).append(ip)
-            if one.version == 4 or not (one.ip.is_link_local or one.ip.is_loopback):
-                own.append(one)
-    return own, names
+    found = (
+        ip_interface(f"{ip.ip if isinstance(ip.ip, str) else ip.ip[0]}/{ip.network_prefix}")
+        for adapter in ifaddr.get_adapters()
+        for ip in adapter.ips
+    )
+    return [one for one in found if one.version == 4 or not (one.is_link_local or one.is_loopback)]
 
 
 def open_multicast(addresses: list[str]) -> Zeroconf:
     """Open multicast DNS on the networks of these addresses. Raises DiscoveryError."""
-    able = [address for address in addresses if _carries_multicast(address)]
-    if not able:
-        raise DiscoveryError(
-            f"no network here carries multicast ({', '.join(addresses) or 'there is none'}), which"
-            " discovery needs; give the sensing node's address: --connect tcp://HOST:5555"
-        )
-    versions = {ip_address(address).version for address in able}
-    ip_version = IPVersion.All
-    if len(versions) == 1:
-        ip_version = IPVersion.V4Only if versions == {4} else IPVersion.V6Only
     try:
-        return Zeroconf(interfaces=able, ip_version=ip_version)
+        if not addresses:
+            raise OSError(None, "there is no network")
+        return Zeroconf(interfaces=addresses)
     except OSError as error:
-        raise DiscoveryError(f"multicast DNS cannot be opened here: {error.strerror}") from None
-
-
-def _carries_multicast(address: str) -> bool:
-    """Return whether the kernel has a route from an address to the group; nothing is sent."""
-    family, group = (
-        (socket.AF_INET6, GROUP_OF_IPV6) if ":" in address else (socket.AF_INET, MULTICAST_GROUP)
-    )
-    with socket.socket(family, socket.SOCK_DGRAM) as probe:
-        try:
-            if family == socket.AF_INET:
-                interface = socket.inet_aton(address)
-                probe.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, interface)
-            else:
-                probe.bind((address, 0))
-            probe.connect(group)
-        except OSError:
-            return False
-    return True
+        raise DiscoveryError(
+            f"multicast DNS cannot be opened here: {error.strerror}; give the sensing node's"
+            " address: --connect tcp://HOST:5555"
+        ) from None

@@ -157,12 +157,6 @@ class Hello(NamedTuple):
     display: str
 
 
-class EarlierHello(NamedTuple):
-    """Hello in version 1. Sensing nodes of version 1 answer no other, and so show their version."""
-
-    display: str
-
-
 class Welcome(NamedTuple):
     """Answer of the sensing node: its session, the samples sent so far, the stream."""
 
@@ -243,15 +237,7 @@ class ProbeReport(NamedTuple):
 
 
 ControlMessage = (
-    Hello
-    | EarlierHello
-    | Welcome
-    | Bye
-    | ClockRequest
-    | ClockReply
-    | DisplayReport
-    | SetPoint
-    | ProbeReport
+    Hello | Welcome | Bye | ClockRequest | ClockReply | DisplayReport | SetPoint | ProbeReport
 )
 
 _HELLO: Final = "hello"
@@ -271,8 +257,6 @@ _NAMES = {kind: name for name, (kind, _) in _KINDS.items()}
 
 def encode_control(message: ControlMessage) -> bytes:
     """Encode a control message."""
-    if isinstance(message, EarlierHello):
-        return _pack([1, _HELLO, message.display])
     name = _NAMES[type(message)]
     if isinstance(message, Welcome):
         return _pack([VERSION, name, *message[:-1], message.description.to_wire()])
@@ -329,8 +313,7 @@ def _unpack(data: bytes) -> list[Any]:
         raise WireError("malformed", "a message is a msgpack array")
     if type(fields[0]) is not int or fields[0] != VERSION:
         is_hello = type(fields[0]) is int and fields[1:2] == [_HELLO]
-        display = fields[2] if len(fields) > 2 and _fits(fields[2], str) else ""
-        raise VersionError(_shown(fields[0]), VERSION, display if is_hello else None)
+        raise VersionError(_shown(fields[0]), VERSION, is_hello)
     return fields
 
 

@@ -16,17 +16,10 @@ from protocol.errors import SourceError
 from protocol.wire.stream import first_repeated
 from pulse_sensors.plausibility import RecordedColumn, never_falls
 from sensing_node.files.clock import are_times, repaired
-from sensing_node.files.signals import ColumnKey, SignalFile, SignalInfo, SignalTable, split_unit
+from sensing_node.files.signals import ColumnKey, SignalFile, SignalInfo, split_unit
 
-# Title of the column of times in a file that telepulse writes.
-TIMES = "t [s]"
 # Most columns that are kept as times.
 MOST_CLOCKS = 4
-
-
-def titles_of(table: SignalTable) -> list[str]:
-    """Return the titles of a table's signals, with their units."""
-    return [f"{s.name} [{s.unit}]" if s.unit else s.name for s in table.signals]
 
 
 def _row(number: int) -> str:
@@ -41,7 +34,7 @@ def column_file(
     times: Sequence[int] = (),
     rate_hz: float | None = None,
     place: Callable[[int], str] = _row,
-    **more: Any,
+    notes: Sequence[str] = (),
 ) -> SignalFile:
     """Return a file whose columns are read one by one.
 
@@ -57,8 +50,6 @@ def column_file(
         Rate that the file states apart from its columns.
     place : callable
         Return the place of a sample in the file for people.
-    more : Any
-        Further attributes of the file.
     """
     labels = [f"{split_unit(t)[0]} [s]" if n in times else t for n, t in enumerate(titles)]
 
@@ -102,7 +93,7 @@ def column_file(
         SignalInfo(number, *split_unit(titles[number]), rate_hz, samples)
         for number, samples in numbers.items()
     )
-    return SignalFile(path, signals, load, **more)
+    return SignalFile(path, signals, load, tuple(notes))
 
 
 def numbers_of(keys: Sequence[ColumnKey], titles: Sequence[str], path: Path) -> list[int]:

@@ -1,287 +1,132 @@
-"""EDF, EDF+ and BDF files (Kemp et al. 1992 and 2003, https://www.edfplus.info; BioSemi's BDF).
+"""EDF, EDF+ and BDF files, by edfio (Kemp et al. 1992 and 2003, https://www.edfplus.info).
 
-A discontinuous file (EDF+D) gets its gaps back from the onset of each record. Files are written by
-edfio, with the lowest code as a missing value; read here, since edfio leaves out an EDF+D's gaps.
+edfio joins the records of a discontinuous file (EDF+D) as if they followed one another; here, each
+is moved to its onset. In a file that telepulse wrote, the lowest code is a missing sample.
 """
 
-import math
 import re
-from datetime import datetime
+import warnings
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
+import edfio
 import numpy as np
-from numpy.typing import NDArray
 
 from protocol.errors import SourceError
-from sensing_node.files.bounds import check_samples
-from sensing_node.files.edf_texts import WRITER, ascii_text, identifications, read_texts
+from sensing_node.files.bounds import check_bytes, check_samples, read_whole
 from sensing_node.files.grids import on_grid
-from sensing_node.files.signals import (
-    ColumnKey,
-    FileMark,
-    Floats,
-    SignalFile,
-    SignalInfo,
-    SignalTable,
-    signal_file,
-    unix_ns,
-    utc,
-)
+from sensing_node.files.signals import ColumnKey, Floats, SignalFile, SignalInfo, signal_file
 
-# Limit of values, so that each fits the 8 characters of the header.
-LARGEST = 1e7
+VERSIONS, WRITER = (b"0", b"\xffBIOSEMI"), "telepulse"
+# Bytes of the header, and again of each signal; fields of it.
 HEADER_BYTES = 256
-# Widths of a signal's header fields.
-LABEL, TRANSDUCER, UNIT, NUMBER, FILTERS, RESERVED = 16, 80, 8, 8, 80, 32
+LENGTH, RESERVED, RECORDS, COUNT = (
+    slice(184, 192),
+    slice(192, 236),
+    slice(236, 244),
+    slice(252, 256),
+)
+# Place of the samples in a record among the fields of the signals, and widths.
+PER_RECORD, LABEL, NUMBER = 216, 16, 8
 MOST_SIGNALS = 1000
-# Margin, as a share of the range, that keeps written values above the lowest code.
-RANGE_MARGIN = 0.02
-_ONSET = re.compile(rb"([+-]\d+(?:\.\d*)?)(?:\x15(\d+(?:\.\d*)?))?\x14")
-
-
-class EdfLayout(NamedTuple):
-    """Header of a file: its signals' labels, units, ranges, and samples in a record."""
-
-    labels: list[str]
-    units: list[str]
-    physical: list[tuple[float, float]]
-    digital: list[tuple[int, int]]
-    per_record: list[int]
-    record_s: float
-    begin_ns: int | None
-    plus: str
-    ours: bool
-    metadata: dict[str, str]
+ANNOTATIONS = " Annotations"
+_ONSET = re.compile(rb"([+-]\d+(?:\.\d*)?)(?:\x15\d+(?:\.\d*)?)?\x14")
 
 
 def read(path: Path) -> SignalFile:
-    """Open a file. Raises SourceError or OSError."""
-    data = np.memmap(path, np.uint8, "r") if path.stat().st_size else np.empty(0, np.uint8)
-    wide = bytes(data[:1]) == b"\xff"
-    size = 3 if wide else 2
-    try:
-        layout, stated = _read_header(data, path)
-    except (ValueError, IndexError, UnicodeDecodeError) as error:
-        raise SourceError(f"{path}: its header is damaged: {error}") from None
-    record_bytes = size * sum(layout.per_record)
-    begin = HEADER_BYTES * (1 + len(layout.labels))
-    records = max(0, len(data) - begin) // record_bytes if record_bytes else 0
-    if not records:
-        raise SourceError(f"{path}: holds no whole data record")
-    notes = []
-    if stated > records:
-        notes.append(f"the header states {stated} records, and the file holds {records}")
-    records = min(records, stated) if stated > 0 else records
-    check_samples(path, records * max(layout.per_record))
-    table = data[begin : begin + records * record_bytes].reshape(records, record_bytes)
-    starts = np.cumsum([0, *layout.per_record]) * size
-    annotations = [n for n, label in enumerate(layout.labels) if label.endswith(" Annotations")]
-    even_s = np.arange(records, dtype=np.float64) * layout.record_s
-    onsets_s, marks, begin_ns = even_s, list[FileMark](), layout.begin_ns
-    if layout.plus and annotations:
-        columns = [table[:, starts[n] : starts[n + 1]] for n in annotations]
-        onsets_s, marks, first_s = _annotations(columns, even_s)
-        # The header has whole seconds, and the first record the rest.
-        begin_ns = None if begin_ns is None else begin_ns + round(first_s * 1e9)
-    left_out: dict[ColumnKey, str] = {
-        layout.labels[n]: f"has the range {layout.physical[n]} for the codes {layout.digital[n]}"
-        for n in range(len(layout.labels))
-        if n not in annotations and not _has_range(layout.physical[n], layout.digital[n])
-    }
-    plain = [
-        n
-        for n in range(len(layout.labels))
-        if n not in annotations and _has_range(layout.physical[n], layout.digital[n])
-    ]
-    if plain and not layout.record_s > 0:
-        raise SourceError(f"{path}: its records last {layout.record_s:g} s")
-    rates = [layout.per_record[n] / layout.record_s for n in plain]
-    signals = [
-        SignalInfo(at, layout.labels[n], layout.units[n], rate, records * layout.per_record[n])
-        for at, (n, rate) in enumerate(zip(plain, rates, strict=True))
-    ]
-
-    def values(signal: SignalInfo) -> Floats:
-        n, rate_hz = plain[signal.number], rates[signal.number]
-        codes = _decode(table[:, starts[n] : starts[n + 1]], wide)
-        (low, high), (least, most) = layout.physical[n], layout.digital[n]
-        scaled = (codes - least) * ((high - low) / (most - least)) + low
-        if layout.ours:
-            scaled[codes == least] = np.nan
-        if layout.plus != "D":
-            return scaled.ravel()
-        within_s: Floats = np.arange(layout.per_record[n], dtype=np.float64) / rate_hz
-        t_s: Floats = (onsets_s[:, np.newaxis] + within_s).ravel()
-        return on_grid(t_s, scaled.ravel(), rate_hz, path)
-
-    return signal_file(path, signals, values, begin_ns, notes, marks, layout.metadata, left_out)
-
-
-def _has_range(physical: tuple[float, float], digital: tuple[int, int]) -> bool:
-    """Return whether a signal's codes stand for values: real recorders have others, too."""
-    differ = physical[0] != physical[1] and digital[0] < digital[1]
-    return differ and bool(np.all(np.isfinite(physical)))
-
-
-def _read_header(data: NDArray[np.uint8], path: Path) -> tuple[EdfLayout, int]:
-    """Return the header, and the number of records that it states. Raises ValueError."""
-    if len(data) < HEADER_BYTES:
+    """Open a file. Raises SourceError, and errors of edfio for a damaged one."""
+    with path.open("rb") as file:
+        head = file.read(HEADER_BYTES)
+    if len(head) < HEADER_BYTES:
         raise SourceError(f"{path}: is shorter than the header of an EDF file")
-    head = bytes(data[:HEADER_BYTES])
-    if head[:8].strip() not in (b"0", b"\xffBIOSEMI"):
+    if head[:8].strip() not in VERSIONS:
         raise SourceError(f"{path}: is no EDF or BDF file")
-    text = head.decode("latin-1")
-    count = int(text[252:256])
+    try:
+        edf, stated = _opened(path, head), int(head[RECORDS])
+        held = edf.num_data_records
+        signals = [each for each in edf.signals if not each.label.endswith(ANNOTATIONS)]
+        plain = [each for each in signals if _has_range(each)]
+    except ValueError as error:
+        raise SourceError(f"{path}: its header is damaged: {error}") from None
+    if not held:
+        raise SourceError(f"{path}: holds no whole data record")
+    records = min(held, stated) if stated > 0 else held
+    check_samples(path, records * max((s.samples_per_data_record for s in signals), default=0))
+    left_out: dict[ColumnKey, str] = {
+        s.label: f"has the range {tuple(s.physical_range)} for the codes {tuple(s.digital_range)}"
+        for s in signals
+        if s not in plain
+    }
+    discontinuous = head[RESERVED].strip()[3:5] == b"+D"
+    onsets_s = _onsets_s(path, head, records, edf.data_record_duration) if discontinuous else None
+    ours = WRITER in edf.local_recording_identification.split()
+
+    def values(info: SignalInfo) -> Floats:
+        signal = plain[info.number]
+        scaled: Floats = signal.data[: info.samples]
+        if ours:
+            codes = signal.digital[: info.samples]
+            scaled = np.where(codes == signal.digital_min, np.nan, scaled)
+        if onsets_s is None:
+            return scaled
+        within_s = np.arange(signal.samples_per_data_record) / signal.sampling_frequency
+        t_s = (onsets_s[:, np.newaxis] + within_s).ravel()
+        return on_grid(t_s, scaled, signal.sampling_frequency, path)
+
+    infos = [
+        SignalInfo(
+            number,
+            each.label,
+            "" if each.physical_dimension == "-" else each.physical_dimension,
+            each.sampling_frequency,
+            records * each.samples_per_data_record,
+        )
+        for number, each in enumerate(plain)
+    ]
+    states = f"the header states {stated} records, and the file holds {held}"
+    return signal_file(path, infos, values, [states] if stated > held else [], left_out)
+
+
+def _has_range(signal: Any) -> bool:
+    """Return whether a signal's codes stand for values: real recorders have others, too."""
+    (low, high), (least, most) = signal.physical_range, signal.digital_range
+    return bool(low != high and least < most and np.isfinite([low, high]).all())
+
+
+def _opened(path: Path, head: bytes) -> Any:
+    """Return a file as edfio opens it. Raises SourceError or ValueError."""
+    count = int(head[COUNT])
     if not 1 <= count <= MOST_SIGNALS:
         raise ValueError(f"{count} signals")
-    block = bytes(data[HEADER_BYTES : HEADER_BYTES * (1 + count)]).decode("latin-1")
-    if len(block) < HEADER_BYTES * count:
-        raise ValueError(f"it breaks off within its {count} signals")
-    fields, at = [], 0
-    for width in (LABEL, TRANSDUCER, UNIT, *[NUMBER] * 4, FILTERS, NUMBER, RESERVED):
-        fields.append([block[at + n * width : at + (n + 1) * width].strip() for n in range(count)])
-        at += width * count
-    labels, _, units, low, high, least, most, _, per_record, _ = fields
-    physical = [(float(a), float(b)) for a, b in zip(low, high, strict=True)]
-    digital = [(int(a), int(b)) for a, b in zip(least, most, strict=True)]
-    counts = [int(each) for each in per_record]
-    if min(counts) < 0:
-        raise ValueError(f"a record of {min(counts)} samples")
-    reserved = text[192:236].strip()
-    plus = reserved[4] if reserved[:4] in ("EDF+", "BDF+") and len(reserved) > 4 else ""
-    patient, recording = text[8:88].strip(), text[88:168].strip()
-    layout = EdfLayout(
-        labels,
-        ["" if unit in ("-", "") else unit for unit in units],
-        physical,
-        digital,
-        counts,
-        float(text[244:252]),
-        _begin_ns(text),
-        plus,
-        WRITER in recording.split(),
-        read_texts(patient, recording),
-    )
-    return layout, int(text[236:244])
+    length = b"%d" % (HEADER_BYTES * (1 + count))
+    wide = head[:1] == VERSIONS[1][:1]
+    # Of an EDF, samples are read as they are loaded.
+    file: Path | bytes = path
+    if wide:
+        check_bytes(path, path.stat().st_size)
+    if head[LENGTH].strip() != length:
+        whole = read_whole(path)
+        file = whole[: LENGTH.start] + length.ljust(NUMBER) + whole[LENGTH.stop :]
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        return (edfio.read_bdf if wide else edfio.read_edf)(file, header_encoding="latin-1")
 
 
-def _begin_ns(text: str) -> int | None:
-    """Return the Unix time of the begin, taken as UTC; None for a date that is left out."""
-    if text[88:168].startswith("Startdate X"):
-        return None
-    try:
-        at = datetime.strptime(text[168:184], "%d.%m.%y%H.%M.%S")
-    except ValueError:
-        return None
-    # Two digits of a year: 85 to 99 are those of 1985 to 1999.
-    year = at.year % 100 + (1900 if at.year % 100 >= 85 else 2000)
-    return unix_ns(at.replace(year=year))
-
-
-def _decode(table: NDArray[np.uint8], wide: bool) -> Floats:
-    """Return the codes of a signal, shape (records, samples of a record)."""
-    if not wide:
-        return np.ascontiguousarray(table).view("<i2").astype(np.float64)
-    # In the upper bytes, so that the sign is right.
-    codes = np.pad(table.reshape(len(table), -1, 3), ((0, 0), (0, 0), (1, 0)))
-    return (np.ascontiguousarray(codes).view("<i4")[..., 0] >> 8).astype(np.float64)
-
-
-def _annotations(
-    columns: list[NDArray[np.uint8]], expected_s: Floats
-) -> tuple[Floats, list[FileMark], float]:
-    """Return the onset of each record in s after the first one, the annotations, and that one."""
-    onsets_s, marks = np.array(expected_s, float), list[FileMark]()
-    for place, column in enumerate(columns):
-        for record, row in enumerate(column):
-            for number, entry in enumerate(row.tobytes().split(b"\0")):
-                found = _ONSET.match(entry)
-                if found is None:
-                    continue
-                at_s = float(found[1])
-                if place == 0 and number == 0:
-                    onsets_s[record] = at_s
-                texts = entry[found.end() :].split(b"\x14")
-                length_s = float(found[2]) if found[2] else None
-                marks += [
-                    FileMark(at_s, text.decode("utf-8", "replace"), length_s)
-                    for text in texts
-                    if text
-                ]
-    first_s = float(onsets_s[0])
-    marks = [mark._replace(at_s=mark.at_s - first_s) for mark in marks]
-    return onsets_s - first_s, marks, first_s
-
-
-def write(path: Path, table: SignalTable) -> list[str]:
-    """Write a file of whole seconds, at whole rates: BDF with 24 bits by its suffix, else EDF+."""
-    import edfio
-
-    wide = path.suffix.lower() == ".bdf"
-    notes: list[str] = []
-    rates = [signal.rate_hz or table.rate_hz for signal in table.signals]
-    values, together = table.values, len({signal.begin_s for signal in table.signals}) == 1
-    if not together or any(rate != round(rate) for rate in rates):
-        rates = [float(round(table.rate_hz))] * len(rates)
-        values = list(table.at_one_rate(notes, rates[0]).T)
-    seconds = max(
-        math.ceil(len(each) / rate - 1e-9) for each, rate in zip(values, rates, strict=True)
-    )
-    bits = 24 if wide else 16
-    signals = [
-        _signal(edfio, info.name, info.unit, each, round(rate), seconds, bits)
-        for info, each, rate in zip(table.signals, values, rates, strict=True)
-    ]
-    if any(len(each) < seconds * rate for each, rate in zip(values, rates, strict=True)):
-        notes.append(f"missing samples fill up whole seconds, {seconds} s")
-    begin = None if table.begin_ns is None else utc(table.begin_ns)
-    patient, recording = identifications(edfio, table.metadata, begin)
-    marks = [edfio.EdfAnnotation(mark.at_s, mark.length_s, mark.text) for mark in table.marks]
-    (edfio.Bdf if wide else edfio.Edf)(
-        signals,
-        patient=patient,
-        recording=recording,
-        starttime=None if begin is None else begin.time(),
-        annotations=sorted(marks, key=lambda mark: float(mark.onset)),
-    ).write(path)
-    steps = ", ".join(
-        f"{one.label} {(one.physical_max - one.physical_min) / ((1 << bits) - 1):.2g}"
-        f" {one.physical_dimension}".rstrip()
-        for one in signals
-    )
-    return [*notes, f"{bits} bits; quantisation steps: {steps}"]
-
-
-def _signal(
-    edfio: Any, name: str, unit: str, values: Floats, rate_hz: int, seconds: int, bits: int
-) -> Any:
-    """Return a signal of whole seconds; the lowest code marks its missing samples."""
-    whole = np.full(seconds * rate_hz, np.nan)
-    whole[: len(values)] = values
-    low, high = _range(whole[~np.isnan(whole)])
-    if max(abs(low), abs(high)) >= LARGEST:
-        raise ValueError(
-            f"{name} reaches {max(low, high, key=abs):.3g}; scale it below {LARGEST:g}"
-        )
-    return (edfio.BdfSignal if bits == 24 else edfio.EdfSignal)(
-        np.where(np.isnan(whole), low, whole),
-        rate_hz,
-        label=ascii_text(name)[:LABEL],
-        physical_dimension=ascii_text(unit)[:UNIT],
-        physical_range=(low, high),
-        digital_range=(-(1 << (bits - 1)), (1 << (bits - 1)) - 1),
-    )
-
-
-def _range(values: Floats) -> tuple[float, float]:
-    """Return limits just outside the values; each fits the 8 characters of an EDF header."""
-    if not len(values):
-        return -1.0, 1.0
-    low, high = float(values.min()), float(values.max())
-    width = max(high - low, 1e-3, 1e-4 * abs(low), 1e-4 * abs(high))
-    power = math.floor(math.log10(width))
-    unit, digits = 10.0 ** (power - 1), max(0, 1 - power)
-    low = math.floor((low - RANGE_MARGIN * width) / unit) * unit
-    high = math.ceil((high + RANGE_MARGIN * width) / unit) * unit
-    return round(low, digits), round(high, digits)
+def _onsets_s(path: Path, head: bytes, records: int, record_s: float) -> Floats:
+    """Return the onset of each record in s after the first one, by its first annotation."""
+    count = int(head[COUNT])
+    data = np.memmap(path, np.uint8, "r", HEADER_BYTES)
+    fields = data[: HEADER_BYTES * count].tobytes()
+    labels = [fields[n * LABEL : (n + 1) * LABEL].strip() for n in range(count)]
+    counts = fields[PER_RECORD * count : (PER_RECORD + NUMBER) * count]
+    size = 3 if head[:1] == VERSIONS[1][:1] else 2
+    widths = [size * int(counts[n * NUMBER : (n + 1) * NUMBER]) for n in range(count)]
+    rows = data[HEADER_BYTES * count :][: records * sum(widths)].reshape(records, sum(widths))
+    onsets_s: Floats = np.arange(records, dtype=np.float64) * record_s
+    notes = next((n for n in range(count) if labels[n].endswith(ANNOTATIONS.encode())), count)
+    begin = sum(widths[:notes])
+    for record, row in enumerate(rows[:, begin : begin + sum(widths[notes : notes + 1])]):
+        if (found := _ONSET.match(row.tobytes())) is not None:
+            onsets_s[record] = float(found[1])
+    onsets_s -= onsets_s[0]
+    return onsets_s

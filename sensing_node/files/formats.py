@@ -1,24 +1,20 @@
-"""The formats of files of signals: one table for sources, `telepulse convert` and exports."""
+"""The formats of files of signals, and the checks that hold for all of them."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
 from typing import NamedTuple
 
-from protocol.errors import OutputError, SourceError
+from protocol.errors import SourceError
 from protocol.wire.marks import printable
 from pulse_sensors.plausibility import RecordedColumn
 from sensing_node.files.bounds import check_regular
-from sensing_node.files.losses import losses
 from sensing_node.files.signals import (
     ColumnKey,
-    FileMark,
     SignalFile,
     SignalReader,
-    SignalTable,
-    SignalWriter,
     find_signal,
     finite,
     rate_fault,
@@ -31,27 +27,26 @@ MOST_CHARACTERS = 1000
 class FileFormat(NamedTuple):
     """A format: its name, the suffixes of its files, the module in this package that reads it.
 
-    extra: extra of telepulse that installs the library which the module imports. written: suffixes
-    of files that it also writes.
+    extra: extra of telepulse that installs the library which the module imports, if a plain
+    installation lacks it.
     """
 
     name: str
     suffixes: tuple[str, ...]
     module: str
     extra: str = ""
-    written: tuple[str, ...] = ()
 
 
 FORMATS = (
-    FileFormat("CSV", (".csv", ".txt"), "csv_table", written=(".csv",)),
-    FileFormat("NumPy", (".npy", ".npz"), "numpy_arrays", written=(".npz",)),
+    FileFormat("CSV", (".csv", ".txt"), "csv_table"),
+    FileFormat("NumPy", (".npy", ".npz"), "numpy_arrays"),
     FileFormat("MATLAB", (".mat",), "matlab"),
-    FileFormat("WFDB", (".hea", ".dat"), "wfdb_record", written=(".hea",)),
-    FileFormat("EDF+ or BDF", (".edf", ".bdf"), "edf", "analysis", (".edf", ".bdf")),
-    FileFormat("XDF", (".xdf",), "xdf", "files", (".xdf",)),
+    FileFormat("WFDB", (".hea", ".dat"), "wfdb_record"),
+    FileFormat("EDF+ or BDF", (".edf", ".bdf"), "edf"),
+    FileFormat("XDF", (".xdf",), "xdf", "files"),
     FileFormat("MCAP", (".mcap",), "mcap_messages", "files"),
-    FileFormat("Parquet", (".parquet",), "parquet", "files", (".parquet",)),
-    FileFormat("WAV", (".wav",), "wav", written=(".wav",)),
+    FileFormat("Parquet", (".parquet",), "parquet", "files"),
+    FileFormat("WAV", (".wav",), "wav"),
 )
 
 
@@ -80,10 +75,7 @@ def open_signals(path: Path) -> SignalFile:
     finite are missing samples, NaN.
     """
     check_regular(path)
-    return _open(path, format_of(path))
-
-
-def _open(path: Path, chosen: FileFormat) -> SignalFile:
+    chosen = format_of(path)
     with _one_line(path, chosen):
         if path.is_file() and not path.stat().st_size:
             raise SourceError(f"{path}: is empty")
@@ -116,27 +108,12 @@ def _open(path: Path, chosen: FileFormat) -> SignalFile:
         signals=tuple(signals),
         load=load,
         notes=(*map(_clean, file.notes), *notes),
-        marks=_clean_marks(file.marks),
-        metadata=_clean_texts(file.metadata),
         left_out=left_out | numbers,
     )
 
 
 def _clean(text: str) -> str:
     return printable(text, MOST_CHARACTERS)
-
-
-def _clean_marks(marks: Sequence[FileMark]) -> tuple[FileMark, ...]:
-    return tuple(mark._replace(text=_clean(mark.text)) for mark in marks)
-
-
-def _clean_texts(texts: Mapping[str, str]) -> dict[str, str]:
-    """Return texts, which may have several lines, without other control characters."""
-    return {
-        _clean(key): "\n".join(line for line in map(_clean, text.splitlines()) if line)
-        for key, text in texts.items()
-        if text.strip()
-    }
 
 
 def _clean_column(column: RecordedColumn) -> RecordedColumn:
@@ -149,64 +126,6 @@ def _clean_column(column: RecordedColumn) -> RecordedColumn:
     )
 
 
-def write_signals(path: Path, table: SignalTable, suffix: str | None = None) -> list[str]:
-    """Write signals into a new file, in the format of its suffix or of the given one.
-
-    Returns
-    -------
-    list of str
-        What the file does not hold, by reading it back.
-
-    Raises
-    ------
-    OutputError
-        If the file exists already or cannot be written, its format is not written, or the signals
-        have no sample.
-    """
-    suffix = suffix or path.suffix.lower()
-    chosen = next((known for known in FORMATS if suffix in known.written), None)
-    if chosen is None:
-        suffixes = ", ".join(suffix for known in FORMATS for suffix in known.written)
-        named = f"{suffix} is none of" if suffix else "its name lacks a suffix, one of"
-        raise OutputError(f"{path}: {named} {suffixes}")
-    if not any(map(len, table.values)):
-        raise OutputError(f"{path}: is not written, the signals have no sample")
-    if path.exists():
-        raise OutputError(f"{path}: exists already; name another file")
-    table = table.from_first_sample()
-    try:
-        write: SignalWriter = import_module(f"{__package__}.{chosen.module}").write
-        notes = write(path, _clean_table(table))
-    except ImportError as error:
-        raise OutputError(
-            f"{path}: writing {chosen.name} needs {error.name}, which cannot be loaded ({error});"
-            f" pip install 'telepulse[{chosen.extra}]'"
-        ) from None
-    except OSError as error:
-        raise OutputError(f"{path}: cannot be written: {error.strerror or error}") from None
-    except ValueError as error:
-        raise OutputError(f"{path}: cannot hold these signals: {error}") from None
-    return [*notes, *losses(table, _open(path, chosen))]
-
-
-def _clean_table(table: SignalTable) -> SignalTable:
-    """Return a table whose names are printable and distinct, so that each format can hold them."""
-    signals, taken = [], set[str]()
-    for signal in table.signals:
-        name = plain = _clean(signal.name) or f"signal {signal.number}"
-        number = 2
-        while name in taken:
-            name, number = f"{plain} {number}", number + 1
-        taken.add(name)
-        signals.append(signal._replace(name=name, unit=_clean(signal.unit)))
-    return table._replace(
-        signals=signals,
-        values=[finite(values) for values in table.values],
-        marks=_clean_marks(table.marks),
-        metadata=_clean_texts(table.metadata),
-    )
-
-
 @contextmanager
 def _one_line(path: Path, chosen: FileFormat) -> Iterator[None]:
     try:
@@ -214,15 +133,16 @@ def _one_line(path: Path, chosen: FileFormat) -> Iterator[None]:
     except SourceError as error:
         raise SourceError(_clean(str(error))) from None
     except ImportError as error:
+        package = f"'telepulse[{chosen.extra}]'" if chosen.extra else error.name
         raise SourceError(
             f"{path}: reading {chosen.name} needs {error.name}, which cannot be loaded ({error});"
-            f" pip install 'telepulse[{chosen.extra}]'"
+            f" pip install {package}"
         ) from None
     except FileNotFoundError as error:
         named = Path(error.filename or path).name
         lacks = "no such recording" if named == path.name else f"its file {named} is missing"
         raise SourceError(f"{path}: {lacks}") from None
-    except (LookupError, TypeError, AttributeError, NameError):
+    except (LookupError, TypeError, AttributeError, NameError, ArithmeticError):
         # A library that meets what it does not expect: its words say nothing to a person.
         raise SourceError(f"{path}: is damaged, or is no {chosen.name} file") from None
     except Exception as error:  # libraries raise many kinds for a damaged file

@@ -32,8 +32,6 @@ from sensing_node.files.signals import (
 
 MAGIC = b"\x89MCAP0\r\n"
 MAX_RECORD_BYTES = 1 << 28
-# Metadata record with what a person states about a recording of telepulse.
-ABOUT = "telepulse.about"
 FRAME_SCHEMA, STREAM_SCHEMA = "telepulse.Frame", "telepulse.Stream"
 # Most signals of a file, and tables in tables of a message.
 MOST_FIELDS, DEEPEST = 256, 4
@@ -190,7 +188,6 @@ def read(path: Path) -> SignalFile:
     channels: dict[int, tuple[str, str, str]] = {}
     schemas: dict[int, str] = {}
     frames, others, unread = _Frames(), set[str](), 0
-    texts = dict[str, str]()
     fields: _Fields = {}
     with path.open("rb") as file:
         records = McapRecords(file, path)
@@ -201,8 +198,6 @@ def read(path: Path) -> SignalFile:
                 case "Channel":
                     schema = schemas.get(record.schema_id, "")
                     channels[record.id] = (record.topic, schema, record.message_encoding)
-                case "Metadata" if record.name == ABOUT:
-                    texts |= record.metadata
                 case "Message" if record.channel_id in channels:
                     topic, schema, encoding = channels[record.channel_id]
                     if encoding != "json":
@@ -222,22 +217,13 @@ def read(path: Path) -> SignalFile:
     if others:
         notes.append(f"only messages in JSON are read, not {', '.join(sorted(others))[:200]}")
     ours = frames.signals(notes)
-    # Frames' own times are of another clock than the messages'.
-    begin_ns = None if ours else min((times[0] for times, _ in fields.values()), default=None)
+    begin_ns = min((times[0] for times, _ in fields.values()), default=0)
     left_out = dict[ColumnKey, str]()
-    found = ours or list(_numbers(fields, begin_ns or 0, path, left_out))
+    found = ours or list(_numbers(fields, begin_ns, path, left_out))
     signals = [info._replace(number=number) for number, (info, _) in enumerate(found)]
     if not signals and others:
         raise SourceError(f"{path}: {notes[-1]}; convert them to JSON, or export a table of them")
-    return signal_file(
-        path,
-        signals,
-        lambda each: found[each.number][1],
-        begin_ns,
-        notes,
-        metadata=texts,
-        left_out=left_out,
-    )
+    return signal_file(path, signals, lambda each: found[each.number][1], notes, left_out)
 
 
 def _take(

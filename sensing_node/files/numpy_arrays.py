@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from protocol.errors import SourceError
 from sensing_node.files.bounds import check_bytes, check_samples
-from sensing_node.files.columns import TIMES, column_file, titles_of
-from sensing_node.files.signals import SignalFile, SignalTable
+from sensing_node.files.columns import column_file
+from sensing_node.files.signals import SignalFile
 
 RATE = "rate_hz"
 # First bytes of an array, and of an archive of some and of none.
@@ -106,13 +106,3 @@ def _header(file: Any) -> tuple[tuple[int, ...], "np.dtype[Any]"]:
 def _member(path: Path, name: str) -> NDArray[Any]:
     with np.load(path, allow_pickle=False) as loaded:
         return np.asarray(loaded[name])
-
-
-def write(path: Path, table: SignalTable) -> list[str]:
-    """Write an .npz file, with an array of times in s."""
-    notes: list[str] = []
-    grid = table.at_one_rate(notes)
-    times_s = np.arange(len(grid)) / table.rate_hz
-    columns = dict(zip(titles_of(table), grid.T, strict=True))
-    np.savez(path, **{TIMES: times_s, RATE: np.float64(table.rate_hz)} | columns)
-    return notes

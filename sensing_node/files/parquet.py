@@ -12,13 +12,7 @@ from pyarrow import parquet
 from pulse_sensors.plausibility import SECONDS
 from sensing_node.files.bounds import check_samples
 from sensing_node.files.columns import column_file
-from sensing_node.files.signals import SignalFile, SignalTable, split_unit
-
-TIME = "t_s"
-# Key of the file's metadata with the Unix time of its begin.
-BEGIN = "begin_unix_ns"
-# Keys of other programs and of exported tables, which describe columns.
-DESCRIPTIONS = ("pandas", "ARROW:", "telepulse.", "creator", BEGIN)
+from sensing_node.files.signals import SignalFile, split_unit
 
 
 def read(path: Path) -> SignalFile:
@@ -50,19 +44,12 @@ def read(path: Path) -> SignalFile:
             values = values.cast(pyarrow.float64(), safe=False)
         return np.asarray(values.to_numpy())
 
-    texts = {
-        key.decode("utf-8", "replace"): text.decode("utf-8", "replace")
-        for key, text in (schema.metadata or {}).items()
-    }
-    begin = texts.get(BEGIN, "")
     return column_file(
         path,
         titles,
         {n: rows for n, kind in enumerate(schema.types) if _is_number(kind)},
         column,
         [n for n, kind in enumerate(schema.types) if _seconds(kind) is not None],
-        begin_ns=int(begin) if begin.isdecimal() else None,
-        metadata={key: text for key, text in texts.items() if not key.startswith(DESCRIPTIONS)},
     )
 
 
@@ -75,18 +62,3 @@ def _seconds(kind: Any) -> float | None:
     """Return the unit of a type of times, in s; None for another type."""
     types = pyarrow.types
     return SECONDS[kind.unit] if types.is_timestamp(kind) or types.is_duration(kind) else None
-
-
-def write(path: Path, table: SignalTable) -> list[str]:
-    """Write a file with a column of times; missing samples are null."""
-    notes: list[str] = []
-    grid = table.at_one_rate(notes)
-    fields = [pyarrow.field(TIME, pyarrow.float64(), metadata={"unit": "s"})]
-    arrays = [pyarrow.array(np.arange(len(grid)) / table.rate_hz)]
-    for signal, values in zip(table.signals, grid.T, strict=True):
-        fields.append(pyarrow.field(signal.name, pyarrow.float64(), metadata={"unit": signal.unit}))
-        arrays.append(pyarrow.array(values, mask=np.isnan(values)))
-    begin = {} if table.begin_ns is None else {BEGIN: str(table.begin_ns)}
-    schema = pyarrow.schema(fields, metadata={**table.metadata, **begin})
-    parquet.write_table(pyarrow.table(arrays, schema=schema), path, compression="zstd")
-    return notes

@@ -4,7 +4,6 @@ import codecs
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple, Protocol
 
@@ -37,8 +36,8 @@ _NAMED_UNIT = re.compile(r"(.*\S)\s*[\[(]\s*([^\[\]()]*?)\s*[\])]")
 class SignalInfo(NamedTuple):
     """Properties of a signal: its number from 0, name, unit as in the file, and rate.
 
-    rate_hz: None where the file states none. begin_s: time of the first sample after the file's
-    begin.
+    rate_hz: None where the file states none. begin_s: time of the first sample after the
+    earliest one of the file.
     """
 
     number: int
@@ -47,14 +46,6 @@ class SignalInfo(NamedTuple):
     rate_hz: float | None = None
     samples: int = 0
     begin_s: float = 0.0
-
-
-class FileMark(NamedTuple):
-    """An annotation: seconds after the file's begin, text, and its length in s if it has one."""
-
-    at_s: float
-    text: str
-    length_s: float | None = None
 
 
 @dataclass(frozen=True)
@@ -68,14 +59,8 @@ class SignalFile:
     load : callable
         Return the samples of signals, given by names or numbers; NaN are missing. Raises
         SourceError.
-    begin_ns : int or None
-        Unix time of the begin; None where the file states none.
     notes : tuple of str
         What was left out or is doubtful.
-    marks : tuple of FileMark
-        Annotations in the file.
-    metadata : mapping of str to str
-        Further texts of the file.
     left_out : mapping of str or int to str
         Reasons why signals, by name or number, are not among `signals`: "has a rate of 0.5 Hz".
     """
@@ -83,10 +68,7 @@ class SignalFile:
     path: Path
     signals: tuple[SignalInfo, ...]
     load: Callable[[Sequence[ColumnKey]], list[RecordedColumn]]
-    begin_ns: int | None = None
     notes: tuple[str, ...] = ()
-    marks: tuple[FileMark, ...] = ()
-    metadata: Mapping[str, str] = field(default_factory=dict)
     left_out: Mapping[ColumnKey, str] = field(default_factory=dict)
 
     def find(self, key: ColumnKey) -> SignalInfo:
@@ -132,47 +114,6 @@ def find_signal(
     raise SourceError(f"{path}: no signal {key!r}; it has {names[:200]}")
 
 
-class SignalTable(NamedTuple):
-    """Signals with their samples, to be written into a file; NaN are missing."""
-
-    signals: Sequence[SignalInfo]
-    values: Sequence[Floats]
-    begin_ns: int | None = None
-    marks: Sequence[FileMark] = ()
-    metadata: Mapping[str, str] = {}
-
-    @property
-    def rate_hz(self) -> float:
-        """The highest rate."""
-        return max(signal.rate_hz or 0.0 for signal in self.signals)
-
-    def from_first_sample(self) -> "SignalTable":
-        """Return the table with its begin and times from its first sample on."""
-        first_s = min(signal.begin_s for signal in self.signals)
-        begin_ns = None if self.begin_ns is None else self.begin_ns + round(first_s * 1e9)
-        return self._replace(
-            signals=[each._replace(begin_s=each.begin_s - first_s) for each in self.signals],
-            marks=[mark._replace(at_s=mark.at_s - first_s) for mark in self.marks],
-            begin_ns=begin_ns,
-        )
-
-    def at_one_rate(self, notes: list[str], rate_hz: float | None = None) -> Floats:
-        """Return all signals at the highest rate, shape (samples, signals); note a change."""
-        rate_hz = rate_hz or self.rate_hz
-        begin_s = min(signal.begin_s for signal in self.signals)
-        slower = [s.name for s in self.signals if (s.rate_hz, s.begin_s) != (rate_hz, begin_s)]
-        if slower:
-            notes.append(f"interpolated at {rate_hz:g} Hz: {', '.join(slower)[:200]}")
-        return aligned(self.signals, self.values, rate_hz)[1]
-
-
-class SignalWriter(Protocol):
-    """A format's writer."""
-
-    def __call__(self, path: Path, table: SignalTable) -> list[str]:
-        """Write a new file; return what it could not hold. Raises OSError or SourceError."""
-
-
 class SignalReader(Protocol):
     """A format's reader."""
 
@@ -184,10 +125,7 @@ def signal_file(
     path: Path,
     signals: Sequence[SignalInfo],
     values: Callable[[SignalInfo], Floats],
-    begin_ns: int | None = None,
     notes: Sequence[str] = (),
-    marks: Sequence[FileMark] = (),
-    metadata: Mapping[str, str] = {},
     left_out: Mapping[ColumnKey, str] = {},
 ) -> SignalFile:
     """Return a file whose signals are read one by one, by `values`."""
@@ -200,9 +138,7 @@ def signal_file(
             raise SourceError(f"{path}: column {twice} is named twice; a column is one channel")
         return [RecordedColumn(values(each), each.number, each.name) for each in found]
 
-    return SignalFile(
-        path, tuple(signals), load, begin_ns, tuple(notes), tuple(marks), metadata, left_out
-    )
+    return SignalFile(path, tuple(signals), load, tuple(notes), left_out)
 
 
 def rate_fault(rate_hz: float | None) -> str | None:
@@ -210,17 +146,6 @@ def rate_fault(rate_hz: float | None) -> str | None:
     if rate_hz is None or LEAST_HZ <= rate_hz <= MOST_HZ:
         return None
     return f"has a rate of {rate_hz:g} Hz; rates are {LEAST_HZ:g} Hz to {MOST_HZ:g} Hz"
-
-
-def utc(unix_ns: int) -> datetime:
-    """Return a Unix time as UTC, in whole microseconds."""
-    return datetime(1970, 1, 1, tzinfo=UTC) + timedelta(microseconds=unix_ns // 1000)
-
-
-def unix_ns(at: datetime) -> int:
-    """Return the Unix time of a time, which is UTC where it states no zone."""
-    since = at.replace(tzinfo=at.tzinfo or UTC) - datetime(1970, 1, 1, tzinfo=UTC)
-    return since // timedelta(microseconds=1) * 1000
 
 
 def finite(values: NDArray[Any]) -> NDArray[Any]:
@@ -260,11 +185,6 @@ def split_unit(name: str) -> tuple[str, str]:
         return found[1], found[2]
     found = _AFTER_SLASH.fullmatch(name.strip())
     return (found[1], found[2]) if found and UNITS.fullmatch(found[2]) else (name, "")
-
-
-def plain_micro(text: str) -> str:
-    """Return a text with u for each sign of micro, which ASCII lacks."""
-    return text.replace("\N{MICRO SIGN}", "u").replace("\N{GREEK SMALL LETTER MU}", "u")
 
 
 def aligned(

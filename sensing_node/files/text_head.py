@@ -6,8 +6,8 @@ from typing import NamedTuple
 
 from sensing_node.files.clock import are_times
 from sensing_node.files.signals import LEAST_HZ, MOST_HZ, UNITS, split_unit
+from sensing_node.files.text_layout import is_comment
 
-COMMENTS = ("#", "%", "//")
 _NUMBER = re.compile(r"\d+(?:[.,]\d+)?(?:e[-+]?\d+)?", re.IGNORECASE)
 _BEFORE = r"(?P<before>\d+(?:[.,]\d+)?)\s*"
 # Each with whether it states the time between samples in place of the rate.
@@ -40,11 +40,6 @@ class Head(NamedTuple):
 
     titles: list[str]
     rate_hz: float | None
-
-
-def is_comment(line: str) -> bool:
-    """Return whether a line is a comment."""
-    return line.lstrip().startswith(COMMENTS)
 
 
 def read_head(lines: Sequence[str], split: Callable[[str], list[str]], width: int) -> Head:

@@ -1,7 +1,4 @@
-"""WAV files: one signal a channel, without a unit; integers are scaled to -1 to 1.
-
-Written as 32-bit floats, in the signals' own units.
-"""
+"""WAV files: one signal a channel, without a unit; integers are scaled to -1 to 1."""
 
 import io
 import warnings
@@ -10,11 +7,9 @@ from pathlib import Path
 import numpy as np
 from scipy.io import wavfile
 
-from protocol.config.quantities import count_text
 from protocol.errors import SourceError
 from sensing_node.files.bounds import check_samples, read_whole
-from sensing_node.files.grids import fill_gaps
-from sensing_node.files.signals import Floats, SignalFile, SignalInfo, SignalTable, signal_file
+from sensing_node.files.signals import Floats, SignalFile, SignalInfo, signal_file
 
 
 def read(path: Path) -> SignalFile:
@@ -41,21 +36,4 @@ def read(path: Path) -> SignalFile:
         for number in range(data.shape[1])
     ]
     notes = [str(each.message).splitlines()[0] for each in caught]
-    return signal_file(path, signals, values, notes=notes)
-
-
-def write(path: Path, table: SignalTable) -> list[str]:
-    """Write a WAV file. Its rate is a whole number, and it has no missing samples."""
-    notes: list[str] = []
-    grid = table.at_one_rate(notes)
-    rate_hz = round(table.rate_hz)
-    if abs(rate_hz - table.rate_hz) > 1e-6:
-        raise ValueError(f"a rate of {table.rate_hz:g} Hz is not a whole number")
-    if np.isnan(grid).any():
-        if np.isnan(grid).all(axis=0).any():
-            raise ValueError("all samples of a signal are missing")
-        count = count_text(int(np.isnan(grid).sum()), "missing sample is", "missing samples are")
-        notes.append(f"{count} replaced by straight lines")
-        grid = np.stack([fill_gaps(column) for column in grid.T], axis=1)
-    wavfile.write(path, rate_hz, grid.astype(np.float32))
-    return [*notes, "values are in 32-bit floats"]
+    return signal_file(path, signals, values, notes)

@@ -7,7 +7,6 @@ https://physionet.org/physiotools/wag/.
 
 import re
 from collections.abc import Iterator
-from datetime import datetime
 from pathlib import Path
 from typing import NamedTuple
 
@@ -20,12 +19,8 @@ from sensing_node.files.signals import (
     Floats,
     SignalFile,
     SignalInfo,
-    SignalTable,
-    plain_micro,
     read_text,
     signal_file,
-    unix_ns,
-    utc,
 )
 
 Ints = NDArray[np.int64]
@@ -36,11 +31,6 @@ FORMATS = {
     **{"24": (24, -(1 << 23)), "32": (32, -(1 << 31)), "80": (8, -128), "212": (12, -(1 << 11))},
 }
 MOST_SEGMENTS = 100_000
-# Greatest code that is written, in format 16.
-HIGHEST_CODE = 32_000
-# A comment such as "side: left", and the key of those that are none.
-_STATEMENT = re.compile(r"([^\W\d][\w ]{0,30}): (.*\S)")
-COMMENTS = "comments"
 _STORAGE = re.compile(r"(\d+)(?:x(\d{1,5}))?(?::(\d{1,9}))?(?:\+(\d{1,12}))?")
 _GAIN = re.compile(r"([-+.\deE]+)(?:\((-?\d+)\))?(?:/(\S+))?")
 
@@ -67,10 +57,8 @@ class RecordHeader(NamedTuple):
 
     rate_hz: float
     frames: int
-    begin_ns: int | None
     signals: tuple[StoredSignal, ...]
     segments: tuple[tuple[str, int], ...]
-    comments: tuple[str, ...]
 
 
 def read(path: Path) -> SignalFile:
@@ -109,12 +97,7 @@ def read(path: Path) -> SignalFile:
                     break
         return whole
 
-    texts = dict[str, str]()
-    for line in header.comments:
-        found = _STATEMENT.fullmatch(line)
-        key, text = (found[1], found[2]) if found else (COMMENTS, line)
-        texts[key] = f"{texts[key]}\n{text}" if key in texts else text
-    return signal_file(path, signals, values, header.begin_ns, notes, metadata=texts)
+    return signal_file(path, signals, values, notes)
 
 
 def _header_of(path: Path) -> Path:
@@ -126,7 +109,6 @@ def _header_of(path: Path) -> Path:
 def _read_header(path: Path) -> RecordHeader:
     """Read a header. Raises SourceError or OSError."""
     lines = [line.strip() for line in read_text(path).splitlines()]
-    comments = tuple(line[1:].strip() for line in lines if line.startswith("#"))
     lines = [line for line in lines if line and not line.startswith("#")]
     if not lines:
         raise SourceError(f"{path}: is no header of a WFDB record: it holds no line")
@@ -143,22 +125,11 @@ def _read_header(path: Path) -> RecordHeader:
         described = lines[1 : 1 + expected]
         if segments:
             parts = tuple(_segment(line) for line in described)
-            return RecordHeader(rate_hz, frames, _begin_ns(rest), (), parts, comments)
+            return RecordHeader(rate_hz, frames, (), parts)
         signals = tuple(_signal(line, number) for number, line in enumerate(described))
     except (ValueError, IndexError, OverflowError) as error:
         raise SourceError(f"{path}: is no header of a WFDB record: {error}") from None
-    return RecordHeader(rate_hz, frames, _begin_ns(rest), signals, (), comments)
-
-
-def _begin_ns(rest: list[str]) -> int | None:
-    """Return the Unix time of the begin; the header's time is taken as UTC."""
-    try:
-        clock, _, part = rest[2].partition(".")
-        text = f"{rest[3]} {clock}"
-        at = datetime.strptime(text, "%d/%m/%Y %H:%M:%S")
-        return unix_ns(at) + round(float(f"0.{part or 0}") * 1e9)
-    except (IndexError, ValueError):
-        return None
+    return RecordHeader(rate_hz, frames, signals, ())
 
 
 def _segment(line: str) -> tuple[str, int]:
@@ -275,41 +246,3 @@ def _decode(data: NDArray[np.uint8], code: str, first: int, count: int, width: i
     frames = samples[: len(samples) // width * width].reshape(-1, width)
     chosen = frames[:, first : first + count].ravel().astype(np.int64)
     return chosen - {"160": 1 << 15, "80": 128}.get(code, 0)
-
-
-def write(path: Path, table: SignalTable) -> list[str]:
-    """Write a record in format 16: NAME.hea, and NAME.dat beside it."""
-    head = _header_of(path)
-    name, data = head.stem, head.with_suffix(".dat")
-    if re.fullmatch(r"[\w-]+", name, re.ASCII) is None:
-        raise ValueError(f"a record's name has letters, digits, _ and -, not {name!r}")
-    notes: list[str] = []
-    grid = table.at_one_rate(notes)
-    began = "" if table.begin_ns is None else f"{utc(table.begin_ns):%H:%M:%S.%f %d/%m/%Y}"
-    lines = [f"{name} {grid.shape[1]} {table.rate_hz:.12g} {len(grid)} {began}".rstrip()]
-    codes = np.full(grid.shape, FORMATS["16"][1], "<i2")
-    for column, (signal, values) in enumerate(zip(table.signals, grid.T, strict=True)):
-        known = values[~np.isnan(values)]
-        low, high = (float(known.min()), float(known.max())) if len(known) else (-1.0, 1.0)
-        middle, half = (low + high) / 2, max((high - low) / 2, 1e-9 * max(abs(low), abs(high), 1))
-        gain = float(f"{HIGHEST_CODE / half:.6g}")
-        baseline = -round(middle * gain)
-        scaled = np.rint(values * gain) + baseline
-        codes[~np.isnan(values), column] = scaled[~np.isnan(values)].astype("<i2")
-        # Other readers drop what is not ASCII: from µN, they would read N.
-        unit = re.sub(r"\s", "_", plain_micro(signal.unit)) or "NU"
-        check = int(codes[:, column].sum(dtype=np.int64)) & 0xFFFF
-        first = int(codes[0, column]) if len(codes) else 0
-        lines.append(
-            f"{data.name} 16 {gain!r}({baseline})/{unit} 16 0 {first}"
-            f" {check - 0x10000 if check > 0x7FFF else check} 0 {plain_micro(signal.name)}"
-        )
-        notes.append(f"{signal.name} in steps of {1 / gain:.2g} {unit}")
-    for key, text in table.metadata.items():
-        stated = "" if key == COMMENTS else f"{key}: "
-        lines += [f"# {stated}{line}" for line in text.splitlines()]
-    with data.open("xb") as file:
-        file.write(codes.tobytes())
-    with head.open("x", encoding="utf-8") as header:
-        header.write("\n".join(lines) + "\n")
-    return notes

@@ -145,11 +145,6 @@ class Probe:
         self.faults: list[str] = []
         self.reference_n = self.hold_down_n = 0.0
 
-    @property
-    def relative_stiffness(self) -> float:
-        """Learnt stiffness of the tissue over that of the model."""
-        return self._relative.ratio
-
     def press(self, force_n: float, now_ns: int) -> None:
         """Take a set-point in N; one that is no number, or negative, releases the wrist."""
         self._set_point_n = force_n if force_n > 0 else 0.0

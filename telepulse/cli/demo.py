@@ -118,7 +118,7 @@ def demo(
     ui: Annotated[
         bool,
         typer.Option(
-            help="Show the live state: as a panel in a terminal, otherwise one line per second."
+            help="Show the live state: a line that is renewed in a terminal, or one a second."
         ),
     ] = True,
     page: Annotated[

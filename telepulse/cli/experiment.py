@@ -1,4 +1,4 @@
-"""`telepulse experiment`: run blinded trials and report their results."""
+"""`telepulse experiment`: run blinded trials."""
 
 from contextlib import ExitStack, closing
 from importlib.resources import files
@@ -20,7 +20,7 @@ from protocol.errors import SceneError
 from protocol.host.output import configure_logging, create_file, unblocked_output
 from protocol.host.process import freeze_objects, stop_on_signals
 from protocol.host.realtime import check_strict, parse_realtime
-from telepulse.cli.options import PROGRAM, FolderOption, TablesOption, YesOption, publish
+from telepulse.cli.options import PROGRAM, YesOption
 
 app = typer.Typer(
     no_args_is_help=True, help="Blinded trials: can a finger tell the link from direct playback?"
@@ -80,15 +80,15 @@ def run(
     """Run a session: the subject feels A, B and X on the scene's actuator, and answers by keys.
 
     A scene with a [display.drive] runs on the real bench. A scene without one is refused for a
-    person, who would feel nothing, unless --without-drive is given. The report at the end
-    of the session shows what A, B and X were.
+    person, who would feel nothing, unless --without-drive is given. At the end of the session it
+    prints what was answered by condition; the log has every trial, a JSON object a line.
 
     Exit status: 0 when it has ended or was stopped by q, 2 when it cannot be run or a fault ends
     it; the reason is one line on stderr.
     """
     from display_node.benches import start_benches
     from telepulse.experiment.log import open_log, read_log
-    from telepulse.experiment.report import build_report
+    from telepulse.experiment.results import show_results
     from telepulse.experiment.session import load_plan
     from telepulse.experiment.subjects import (
         Keyboard,
@@ -140,32 +140,4 @@ def run(
     if not finished:
         console.print(f"stopped; continue: telepulse experiment run {session} --log {log} --resume")
         return
-    publish(lambda: build_report([read_log(log)]), None, None)
-
-
-@app.command()
-def report(
-    logs: Annotated[list[Path], typer.Argument(metavar="LOG...", show_default=False)],
-    out: FolderOption = Path("out/experiment"),
-    spoilt: Annotated[bool, typer.Option("--spoilt", help="Include the spoilt trials.")] = False,
-    json: TablesOption = None,
-) -> None:
-    """Report the results of logs: proportions with exact intervals, thresholds, objective errors.
-
-    Several logs are several subjects of one experiment: people or simulated observers, on one
-    scene, with intervals of one kind. Trials in which more than 1 % of the ticks were
-    missed, or a stream without a link was stale, are listed as spoilt and left out.
-    Prints tables and writes a page.
-    """
-    from telepulse.experiment.log import read_log
-    from telepulse.experiment.report import build_report
-
-    publish(lambda: build_report([read_log(path) for path in logs], spoilt), out, json)
-
-
-@app.command()
-def plan(json: TablesOption = None) -> None:
-    """Print the number of trials that an effect takes to show, and what six trials can show."""
-    from telepulse.experiment.psychometrics import build_plan
-
-    publish(build_plan, None, json)
+    show_results(read_log(log), console)

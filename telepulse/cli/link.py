@@ -1,4 +1,4 @@
-"""`telepulse link`, `relay` and `tunnel`: forward a stream between nodes."""
+"""`telepulse link` and `relay`: forward a stream between nodes."""
 
 import logging
 from typing import Annotated
@@ -28,7 +28,6 @@ from telepulse.cli.options import PROGRAM, LinkOption, SeedOption
 from telepulse.link_proxy import LinkProxy
 from telepulse.relay import Relay
 from telepulse.simulation.link_scene import LinkScene, parse_link
-from telepulse.tunnel_relay import TunnelRelay
 
 logger = logging.getLogger(__name__)
 
@@ -114,55 +113,3 @@ def relay(
     freeze_objects()
     summary = node.run(seconds)
     sum_up(PROGRAM, summary, "relay", console, json, provenance)
-
-
-def tunnel(
-    nodes: Annotated[
-        str,
-        typer.Option(
-            help="Address at which the sensing node registers. Its connections use the next port."
-        ),
-    ] = "tcp://*:5755",
-    bind: Annotated[
-        str,
-        typer.Option(help="Address for displays to connect to; control uses the next port."),
-    ] = "tcp://*:5655",
-    seconds: StopAfterOption = None,
-    json: JsonOption = None,
-    quiet: QuietOption = False,
-    log_level: LogLevelOption = None,
-    key: KeyOption = None,
-    allow: AllowOption = None,
-    insecure: InsecureOption = False,
-) -> None:
-    r"""Join displays to a sensing node where no router lets a connection in.
-
-    Runs on a third machine that both can reach. The sensing node connects to it from within
-    (`--dial-out`), and displays connect to it as to the sensing node, with the sensing node's
-    public key as their `--peer`. What passes is encrypted between the two: this machine reads and
-    alters nothing.
-
-        telepulse tunnel --key keys/relay.key
-
-        sensing-node radial --dial-out tcp://RELAY:5755 --key keys/wrist.key --peer relay.pub
-
-        display-node radial --connect tcp://RELAY:5655 --key keys/finger.key --peer wrist.pub
-
-    The relay allows the sensing node's key (`telepulse keys allow wrist.pub`), and serves one
-    sensing node at a time.
-
-    Exit status: 0 at Ctrl-C or SIGTERM, 2 when an address or a key cannot be used; the reason is
-    one line on stderr.
-    """
-    console = plain_console(quiet, json)
-    with one_line_errors(PROGRAM):
-        configure_logging(log_level, quiet)
-        raise_file_limit()
-        check_writable(json)
-        relay = TunnelRelay(bind, nodes, server_keys(nodes, key, allow, insecure))
-        provenance = collect()
-    stop_on_signals(relay.stop)
-    logger.info(f"displays on {bind}, the sensing node on {nodes}")
-    freeze_objects()
-    summary = relay.run(seconds)
-    sum_up(PROGRAM, summary, "tunnels", console, json, provenance)

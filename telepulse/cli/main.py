@@ -31,14 +31,12 @@ PANELS = {
         "replay": "record",
         "report": "record",
         "export": "record",
-        "convert": "record",
         "lsl": "view",
     },
     "Networks": {
         "keys": "keys",
         "discover": "discover",
         "relay": "link",
-        "tunnel": "link",
         "link": "link",
     },
     "Research": {"experiment": "experiment", "study": "study", "paper": "paper"},
@@ -47,7 +45,7 @@ MODULES = {name: module for commands in PANELS.values() for name, module in comm
 PANEL_OF = {name: panel for panel, commands in PANELS.items() for name in commands}
 GROUPS = {"scenes", "study", "emulate", "experiment", "keys"}
 # Commands that run beside nodes or as one: a terminal that is not read must not delay them.
-LIVE = {"demo", "link", "bench", "relay", "tunnel", "record", "mark", "replay", "view", "lsl"}
+LIVE = {"demo", "link", "bench", "relay", "record", "mark", "replay", "view", "lsl"}
 LIVE |= {"sweep"}
 
 

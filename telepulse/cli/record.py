@@ -232,29 +232,6 @@ def export(
         plain_console().print(export_to(file, out or file.with_suffix(suffix)))
 
 
-def convert(
-    source: Annotated[Path, typer.Argument(metavar="IN", help="A file of signals.")],
-    out: Annotated[
-        Path,
-        typer.Argument(
-            metavar="OUT",
-            help="The file to write, in the format of its suffix: .hea (WFDB), .edf, .bdf, .xdf,"
-            " .parquet, .csv, .npz or .wav; it must not exist yet.",
-        ),
-    ],
-) -> None:
-    """Convert a file of signals into another format, with names, units, rates, gaps and texts.
-
-    IN is a WFDB record, EDF, BDF, XDF, MCAP, Parquet, CSV, NumPy or WAV. Prints each signal with
-    its missing samples. Then reads OUT back, and prints what it lacks or has otherwise.
-    """
-    from telepulse.recording.conversion import convert_file
-
-    with one_line_errors(PROGRAM):
-        for line in convert_file(source, out):
-            plain_console().print(line)
-
-
 def report(
     file: FileArgument,
     out: Annotated[

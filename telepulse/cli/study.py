@@ -43,9 +43,9 @@ def integrators(out: FolderOption = Path("out/integrators"), json: TablesOption 
 
     Takes about half a minute. python-control is included if it is installed.
     """
+    from telepulse.parallel import in_one_thread
     from telepulse.reports.studies import integrator_scores as study
     from telepulse.reports.studies.integrator_report import report_integrators
-    from telepulse.reports.studies.sweep import in_one_thread
 
     effort = study.IntegratorEffort()
     publish(
@@ -162,45 +162,4 @@ def link(
         lambda: link_report.report_links(link_scores.score_links(effort, scheduler), effort),
         out,
         json,
-    )
-
-
-@app.command()
-def press(
-    out: FolderOption = Path("out/press"),
-    json: TablesOption = None,
-    scheduler: SchedulerOption = None,
-    check: CheckOption = False,
-) -> None:
-    """Measure the press from the finger to the wrist: steps, stability, limits, over round trips.
-
-    On several modelled wrists. Uses all cores; takes about six minutes on two.
-    """
-    from telepulse.reports.studies import press_report, press_scores
-
-    effort = press_scores.PressEffort()
-    publish_checked(
-        lambda: press_report.report_press(press_scores.score_press(effort, scheduler), effort),
-        out,
-        json,
-        check,
-    )
-
-
-@app.command()
-def depth(
-    out: FolderOption = Path("out/depth"),
-    json: TablesOption = None,
-    scheduler: SchedulerOption = None,
-    check: CheckOption = False,
-) -> None:
-    """Sweep modelled wrists of several pressures, repeatedly: the best hold-down against the truth.
-
-    Uses all cores; takes about a minute on two.
-    """
-    from telepulse.reports.studies import depth_study as study
-
-    effort = study.DepthEffort()
-    publish_checked(
-        lambda: study.report_depths(study.score_depths(effort, scheduler), effort), out, json, check
     )

@@ -16,7 +16,7 @@ from pydantic import BaseModel, ConfigDict
 from display_node.display import Display
 from display_node.hardware import Hardware
 from display_node.scoring.deadlines import GAP_NS
-from telepulse.experiment.psychometrics import IntervalErrors
+from telepulse.experiment.observer import IntervalErrors
 from telepulse.experiment.session import Letter, SessionPlan, Trial
 from telepulse.scene import Scene
 from telepulse.simulation.virtual_time import Simulation
@@ -54,7 +54,7 @@ class PlayedInterval(BaseModel):
     pulse_n : float
         Reference pulse from peak to peak.
     ticks : int
-        Ticks of the whole interval, missed ones included; 0 in logs of older versions.
+        Ticks of the whole interval, missed ones included.
     stale_ticks : int
         Ticks with the gate open and a stale stream.
     longest_gap_ms : float
@@ -74,15 +74,15 @@ class PlayedInterval(BaseModel):
     roughness_sensed_n: float | None
     pulse_n: float
     deadline_misses: int
-    ticks: int = 0
-    stale_ticks: int = 0
-    longest_gap_ms: float = 0.0
+    ticks: int
+    stale_ticks: int
+    longest_gap_ms: float
 
     @property
     def stale(self) -> str:
         """Reason why the pulse was not fully felt, a stale stream or no full strength; or ""."""
         if self.stale_ticks:
-            percent = 100 * self.stale_ticks / self._tick_count
+            percent = 100 * self.stale_ticks / self.ticks
             return f"the stream stale for {percent:.1f} % of the ticks"
         return "" if self.felt_s else "never felt at full strength"
 
@@ -93,16 +93,11 @@ class PlayedInterval(BaseModel):
         A stale stream is an effect of the link model, which is under test and does not depend on
         the machine. A slow machine shows as missed ticks.
         """
-        if self.deadline_misses > MOST_MISSED * self._tick_count:
-            return f"{100 * self.deadline_misses / self._tick_count:.1f} % of the ticks missed"
+        if self.deadline_misses > MOST_MISSED * self.ticks:
+            return f"{100 * self.deadline_misses / self.ticks:.1f} % of the ticks missed"
         if self.longest_gap_ms > GAP_NS * 1e-6:
             return f"no tick for {self.longest_gap_ms:.0f} ms"
         return "" if self.on_link else self.stale
-
-    @property
-    def _tick_count(self) -> int:
-        # Logs of older versions have no count of ticks, which came at 1 kHz.
-        return self.ticks or max(1, round(self.felt_s * 1_000))
 
 
 def draw_interval(

@@ -1,32 +1,32 @@
-"""The log of a session, and the results of one log or several.
+"""The log of a session: one JSON object a line, which `pandas.read_json(lines=True)` reads.
 
-The first line of a log describes the session; each further one is a trial. The lines are JSON, and
-each is written to the disk at once. An incomplete last line, as after a crash, is ignored.
+The first line describes the session; each further one is a trial with its conditions, its answer
+and its errors. Each is written to the disk at once. An incomplete last line, as after a crash, is
+ignored.
 """
 
+import math
 import os
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Sequence
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
 from random import SystemRandom
-from typing import Any, Literal, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple
 
-import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
 from protocol.config.scene import validate
 from protocol.errors import OutputError, TelepulseError
 from telepulse.experiment.interval import PlayedInterval, interval_errors
-from telepulse.experiment.psychometrics import IntervalErrors, Proportion
-from telepulse.experiment.session import Kind, SessionPlan, SessionTable, Trial, draw_trials
+from telepulse.experiment.session import SessionPlan, SessionTable, Trial, draw_trials
 from telepulse.scene import scene_provenance
 
 
 class LogError(TelepulseError, ValueError):
     """A session's log cannot be used.
 
-    Example scenarios: no such file, an edited line, logs of two experiments in one report.
+    Example scenarios: no such file, an edited line, a log of another session.
     """
 
 
@@ -48,7 +48,7 @@ class SessionHeader(_Line):
 
     tables: session file and scene as written. threshold: of the simulated observer; None for a
     person. felt_on: "models" where there is no drive, so that nobody feels anything. provenance: of
-    the run. Logs of older versions lack the last two.
+    the run.
     """
 
     line: Literal["session"] = "session"
@@ -58,30 +58,82 @@ class SessionHeader(_Line):
     seed: int
     threshold: float | None
     trials: tuple[Trial, ...]
-    felt_on: Literal["drive", "models"] | None = None
-    provenance: dict[str, Any] = Field(default_factory=dict)
+    felt_on: Literal["drive", "models"]
+    provenance: dict[str, Any]
 
-    @property
-    def subject(self) -> str:
-        """Kind of subject and bench; only answers of one kind may be pooled."""
-        if self.threshold is not None:
-            return "a simulated observer"
-        return "a person on the scene's models" if self.felt_on == "models" else "a person"
+
+Share = Annotated[float, Field(allow_inf_nan=False)]
 
 
 class AnsweredTrial(_Line):
     """The line of an answered trial.
 
-    response_s: time from the trial's start to the answer; None for a simulated observer. played:
-    every interval that was felt, in order.
+    Attributes
+    ----------
+    condition, direct, x, pulse_seed
+        Those of the `Trial`.
+    answer
+        The letter that X was identified as, or the rating.
+    correct : bool or None
+        Whether X was identified; None for a rating, and in a catch trial, which has no right
+        answer.
+    response_s : float or None
+        Time from the trial's start to the answer; None for a simulated observer.
+    error_a, error_b, error_x : float or None
+        Mean aligned force error of a letter's intervals over the direct pulse from peak to peak;
+        None for a letter that was not felt.
+    spoilt : str
+        Why the machine spoilt the trial, or "".
+    stale : bool
+        Whether the stream over the link was stale in an interval: an effect of the condition.
+    played
+        Every interval that was felt, in order.
     """
 
     line: Literal["trial"] = "trial"
     time: str
     index: int = Field(ge=0)
+    condition: str | None
+    direct: Literal["A", "B"]
+    x: Literal["A", "B"]
+    pulse_seed: int
     answer: Answer
+    correct: bool | None
     response_s: float | None
+    error_a: Share | None
+    error_b: Share | None
+    error_x: Share | None
+    spoilt: str
+    stale: bool
     played: tuple[PlayedInterval, ...] = Field(min_length=1)
+
+    @classmethod
+    def of(
+        cls,
+        index: int,
+        trial: Trial,
+        answer: Answer,
+        played: Sequence[PlayedInterval],
+        response_s: float | None = None,
+    ) -> "AnsweredTrial":
+        """Return the line of a trial that was answered now."""
+        errors = {
+            f"error_{name}": None if math.isnan(share) else share
+            for name, share in interval_errors(played)._asdict().items()
+        }
+        judged = isinstance(answer, str) and trial.condition is not None
+        return cls(
+            time=now(),
+            index=index,
+            answer=answer,
+            correct=answer == trial.x if judged else None,
+            response_s=response_s,
+            spoilt=next((why for each in played if (why := each.spoilt)), ""),
+            stale=any(each.on_link and each.stale for each in played),
+            played=tuple(played),
+            **trial.model_dump(),
+            **errors,
+        )
 
 
 class ResumedSession(_Line):
@@ -90,7 +142,7 @@ class ResumedSession(_Line):
     line: Literal["resumed"] = "resumed"
     version: str
     time: str
-    provenance: dict[str, Any] = Field(default_factory=dict)
+    provenance: dict[str, Any]
 
 
 LogLine = SessionHeader | AnsweredTrial | ResumedSession
@@ -100,17 +152,10 @@ _LINE: TypeAdapter[LogLine] = TypeAdapter(LogLine)
 class SessionLog(NamedTuple):
     """A log that was read. whole_bytes: length of the file up to the last complete line."""
 
-    path: Path
     header: SessionHeader
     session: SessionTable
     answered: tuple[AnsweredTrial, ...]
     whole_bytes: int
-
-    @property
-    def version(self) -> str:
-        """Version that wrote the log, with its commit if that is known."""
-        commit = self.header.provenance.get("commit")
-        return f"{self.header.version} ({commit})" if commit else self.header.version
 
 
 def read_log(path: Path) -> SessionLog:
@@ -134,7 +179,7 @@ def read_log(path: Path) -> SessionLog:
     if indices != list(range(len(header.trials)))[: len(indices)]:
         raise LogError(f"{path}: the trials are not in order: the file was edited")
     session = validate(header.tables.get("session"), SessionTable, where=f"{path}: session:")
-    return SessionLog(path, header, session, answered, whole_bytes)
+    return SessionLog(header, session, answered, whole_bytes)
 
 
 class SessionLogFile:
@@ -205,139 +250,3 @@ def open_log(
     made = scene_provenance(plan.direct, {"session": log.header.seed}).to_dict()
     file.write(ResumedSession(version=version("telepulse"), time=now(), provenance=made))
     return file, log.header, len(log.answered)
-
-
-class TrialOutcome(NamedTuple):
-    """An answered trial with its subject and its conditions."""
-
-    subject: str
-    trial: Trial
-    answered: AnsweredTrial
-
-    @property
-    def correct(self) -> bool:
-        """True if X was identified correctly; meaningless in a catch trial."""
-        return self.answered.answer == self.trial.x
-
-    @property
-    def rating(self) -> int:
-        """The rating, 1 to 5."""
-        return int(self.answered.answer)
-
-    @property
-    def spoilt(self) -> str:
-        """Reason why the machine spoilt the trial, or ""."""
-        return next((why for played in self.answered.played if (why := played.spoilt)), "")
-
-    @property
-    def stale(self) -> bool:
-        """True if the stream over the link was stale in an interval."""
-        return any(played.on_link and played.stale for played in self.answered.played)
-
-    @property
-    def errors(self) -> IntervalErrors:
-        """Aligned force errors of A, B and X as shares of the pulse; NaN where not felt."""
-        return interval_errors(self.answered.played)
-
-    def force_mn(self, on_link: bool, field: str) -> float:
-        """Return the mean force error of the intervals over the link, or the direct ones, in mN."""
-        played = [p for p in self.answered.played if p.on_link is on_link]
-        values = [value for p in played if (value := getattr(p, field)) is not None]
-        return 1e3 * float(np.mean(values)) if values else float("nan")
-
-
-class SessionResults(NamedTuple):
-    """All outcomes that count, in order, and the conditions in the order of the session file.
-
-    spoilt: outcomes in which ticks were missed or a direct stream was stale. pooled: True if
-    `outcomes` includes them. who: the kind of subject; kinds are never pooled.
-    """
-
-    kind: Kind
-    title: str
-    conditions: tuple[str, ...]
-    subjects: tuple[str, ...]
-    outcomes: tuple[TrialOutcome, ...]
-    trials: int
-    spoilt: tuple[TrialOutcome, ...]
-    pooled: bool
-    who: str
-    thresholds: tuple[float, ...]
-    versions: tuple[str, ...]
-
-    def of(self, condition: str | None) -> list[TrialOutcome]:
-        """Return a condition's outcomes; None: those of catch trials."""
-        return [o for o in self.outcomes if o.trial.condition == condition]
-
-    @property
-    def tested(self) -> list[TrialOutcome]:
-        """All but catch trials."""
-        return [o for o in self.outcomes if o.trial.condition is not None]
-
-    def by_condition(self) -> Iterator[tuple[str, list[TrialOutcome]]]:
-        """Return the conditions that have answers, with their outcomes."""
-        return ((name, found) for name in self.conditions if (found := self.of(name)))
-
-
-def gather(logs: Sequence[SessionLog], with_spoilt: bool = False) -> SessionResults:
-    """Pool logs of one kind of subject, session and scene. Raises LogError.
-
-    with_spoilt: include spoilt trials; without any other trials they are always included.
-    """
-    first = logs[0]
-    for log in logs[1:]:
-        mine, theirs = log.session, first.session
-        if (mine.kind, mine.conditions) != (theirs.kind, theirs.conditions):
-            raise LogError(
-                f"{log.path}: other conditions than in {first.path}; report them separately"
-            )
-        if what := _difference(log, first):
-            raise LogError(f"{log.path}: {what}; report them separately")
-    found = tuple(
-        TrialOutcome(log.path.stem, log.header.trials[answered.index], answered)
-        for log in logs
-        for answered in log.answered
-    )
-    if all(o.trial.condition is None for o in found):
-        raise LogError(f"{first.path}: no trial of a condition is answered yet")
-    clean = tuple(outcome for outcome in found if not outcome.spoilt)
-    pooled = with_spoilt or all(o.trial.condition is None for o in clean)
-    return SessionResults(
-        kind=first.session.kind,
-        title=first.session.title or first.path.stem,
-        conditions=tuple(condition.name for condition in first.session.conditions),
-        subjects=tuple(dict.fromkeys(log.path.stem for log in logs)),
-        outcomes=found if pooled else clean,
-        trials=sum(len(log.header.trials) for log in logs),
-        spoilt=tuple(outcome for outcome in found if outcome.spoilt),
-        pooled=pooled,
-        who=first.header.subject,
-        thresholds=tuple(sorted({t for log in logs if (t := log.header.threshold) is not None})),
-        versions=tuple(sorted({log.version for log in logs})),
-    )
-
-
-def _difference(log: SessionLog, first: SessionLog) -> str:
-    """Return the difference that keeps a log from being pooled with the first, or ""."""
-    if log.header.subject != first.header.subject:
-        return f"answered by {log.header.subject}, {first.path} by {first.header.subject}"
-    if log.header.tables.get("scene") != first.header.tables.get("scene"):
-        return f"another scene than in {first.path}"
-    # These keys may differ between the sessions of one experiment.
-    free = {"title", "trials", "catch", "seed"}
-    mine, theirs = (each.session.model_dump(exclude=free) for each in (log, first))
-    differing = [key for key in mine if mine[key] != theirs[key]]
-    return f"another {', '.join(differing)} than in {first.path}" if differing else ""
-
-
-def share_correct(outcomes: Iterable[TrialOutcome]) -> Proportion:
-    """Return the proportion of correct answers."""
-    hits = [o.correct for o in outcomes]
-    return Proportion(sum(hits), len(hits))
-
-
-def share_close(outcomes: Iterable[TrialOutcome]) -> Proportion:
-    """Return the proportion rated close to a direct touch, or the same."""
-    # The paper asked whether X was "close to a direct touch", which is the rating 4.
-    hits = [o.rating >= 4 for o in outcomes]
-    return Proportion(sum(hits), len(hits))

@@ -9,7 +9,7 @@ import select
 import sys
 import time
 from collections import Counter, deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -27,8 +27,8 @@ from telepulse.experiment.interval import (
     interval_errors,
     play_in_virtual_time,
 )
-from telepulse.experiment.log import Answer, AnsweredTrial, SessionHeader, SessionLogFile, now
-from telepulse.experiment.psychometrics import SimulatedObserver
+from telepulse.experiment.log import Answer, AnsweredTrial, SessionHeader, SessionLogFile
+from telepulse.experiment.observer import SimulatedObserver
 from telepulse.experiment.session import LETTERS, Kind, Letter, SessionPlan
 
 NAME = "experiment"
@@ -50,8 +50,19 @@ POLL_S = 1e-3
 
 DrawInterval = Callable[[Letter, int], Interval]
 """Function that returns the nth playing of a letter."""
-Subject = Callable[[int, DrawInterval], AnsweredTrial | None]
+Subject = Callable[[int, DrawInterval], "Answered | None"]
 """Function that answers a trial, given its index and intervals; None ends the session."""
+
+
+class Answered(NamedTuple):
+    """The answer of a trial, the intervals felt for it, and the time to it.
+
+    A subject has no access to the trial.
+    """
+
+    answer: Answer
+    played: Sequence[PlayedInterval]
+    response_s: float | None = None
 
 
 class Action(NamedTuple):
@@ -184,7 +195,7 @@ class Person:
         """End the session, and a running interval at once."""
         self._stopping = True
 
-    def answer(self, index: int, draw: DrawInterval) -> AnsweredTrial | None:
+    def answer(self, index: int, draw: DrawInterval) -> Answered | None:
         """Run a trial until its answer; return None if the session ends. Raises BenchError."""
         session = self._plan.session
         dialogue, played = Dialogue(session.kind, session.replays), list[PlayedInterval]()
@@ -204,13 +215,7 @@ class Person:
                 played.append(interval)
                 self._show(f"{action.present} is over")
             elif action.answer is not None:
-                return AnsweredTrial(
-                    time=now(),
-                    index=index,
-                    answer=action.answer,
-                    response_s=round(time.monotonic() - began_s, 3),
-                    played=tuple(played),
-                )
+                return Answered(action.answer, played, round(time.monotonic() - began_s, 3))
         return None
 
     def _await_key(self) -> str | None:
@@ -301,11 +306,11 @@ def run_session(
 ) -> bool:
     """Run trial after trial and log each; return whether all are answered."""
     for index in range(done, len(header.trials)):
-        draw = partial(draw_interval, plan, header.seed, index, header.trials[index])
-        answered = subject(index, draw)
+        trial = header.trials[index]
+        answered = subject(index, partial(draw_interval, plan, header.seed, index, trial))
         if answered is None:
             return False
-        file.write(answered)
+        file.write(AnsweredTrial.of(index, trial, *answered))
     return True
 
 
@@ -313,14 +318,12 @@ def simulated_subject(plan: SessionPlan, threshold: float, seed: int) -> Subject
     """Return an observer that feels each interval once, in virtual time, on the scene's models."""
     kind = plan.session.kind
 
-    def answer(index: int, draw: DrawInterval) -> AnsweredTrial:
+    def answer(index: int, draw: DrawInterval) -> Answered:
         # An observer for each trial: a resumed session has the same answers as an unbroken one.
         observer = SimulatedObserver(threshold, seed * 100_000 + index)
         played = [play_in_virtual_time(draw(letter, 1)) for letter in LETTERS[kind]]
         errors = interval_errors(played)
         value = observer.identify(errors) if kind == "abx" else observer.rate(errors.a, errors.x)
-        return AnsweredTrial.model_validate(
-            {"time": now(), "index": index, "answer": value, "response_s": None, "played": played}
-        )
+        return Answered(value, played)
 
     return answer

@@ -12,13 +12,19 @@ from numpy.typing import NDArray
 
 from display_node.scoring.tracking_error import MAX_GAP_NS, interpolate
 from protocol.config.quantities import count_text
-from protocol.errors import SourceError
-from sensing_node.files.formats import write_signals
-from sensing_node.files.signals import FileMark, SignalInfo, SignalTable
+from protocol.errors import OutputError, SourceError
+from protocol.wire.marks import printable
+from telepulse.recording import edf_writer, wfdb_writer, xdf_writer
 from telepulse.recording.session import RecordedSession, felt_force, longest_session
+from telepulse.recording.signal_table import Annotation, Floats, SignalTable, SignalWriter
 
 SECOND_NS = 1_000_000_000
-Floats = NDArray[np.float64]
+MOST_CHARACTERS = 1000
+WRITERS: dict[str, SignalWriter] = {
+    ".edf": edf_writer.write,
+    ".hea": wfdb_writer.write,
+    ".xdf": xdf_writer.write,
+}
 Ints = NDArray[np.int64]
 
 
@@ -28,7 +34,19 @@ def export_signals(path: Path, file: Path, suffix: str = ".edf") -> str:
     Raises SourceError or OutputError.
     """
     table, text = recording_signals(path)
-    notes = write_signals(file, table, suffix)
+    if file.exists():
+        raise OutputError(f"{file}: exists already; name another file")
+    try:
+        notes = WRITERS[suffix](file, table)
+    except ImportError as error:
+        raise OutputError(
+            f"{file}: an export to {suffix[1:]} needs {error.name}, which cannot be loaded"
+            f" ({error}); pip install {error.name}"
+        ) from None
+    except OSError as error:
+        raise OutputError(f"{file}: cannot be written: {error.strerror or error}") from None
+    except ValueError as error:
+        raise OutputError(f"{file}: cannot hold these signals: {error}") from None
     return f"{file}: {'; '.join([text, *notes])}"
 
 
@@ -62,29 +80,43 @@ def recording_signals(path: Path) -> tuple[SignalTable, str]:
     if not np.isnan(felt.press_n).all():
         forces.append(("Press", _resampled(grid_ns, felt.t_ns, felt.press_n), "mN"))
     losses = _losses(t_ns, numbers, period_ns)
-    events = [FileMark(max(0, at_ns - begin_ns) * 1e-9, text) for at_ns, text in felt.events]
-    missing_end = [FileMark(seconds, session.cut)] if session.cut else []
+    events = [Annotation(max(0, at_ns - begin_ns) * 1e-9, text) for at_ns, text in felt.events]
+    missing_end = [Annotation(seconds, session.cut)] if session.cut else []
     origin = [
-        FileMark(0.0, f"{key} {run[key]}")
+        Annotation(0.0, f"{key} {run[key]}")
         for run in session.provenance
         for key in ("version", "commit", "host", "command")
         if key in run
     ]
+    # From N, and from mV of an ECG.
+    scaled = 1e3 * np.stack([values for _, values, _ in forces], axis=1)
     table = SignalTable(
-        [
-            SignalInfo(number, name, unit, float(rate_hz), len(grid_ns))
-            for number, (name, _, unit) in enumerate(forces)
-        ],
-        # From N, and from mV of an ECG.
-        [1e3 * each for _, each, _ in forces],
+        _distinct([name for name, _, _ in forces]),
+        [unit for _, _, unit in forces],
+        np.where(np.isfinite(scaled), scaled, np.nan),
+        rate_hz,
         begin_ns - felt.sensing_minus_unix_ns,
-        [*losses, *events, *missing_end, *origin],
-        session.about,
+        [
+            each._replace(text=printable(each.text, MOST_CHARACTERS))
+            for each in (*losses, *events, *missing_end, *origin)
+        ],
+        {key: printable(text, MOST_CHARACTERS) for key, text in session.about.items()},
     )
     return table, (
         f"{seconds} s at {rate_hz} Hz, {count_text(len(losses), 'loss', 'losses')}"
         f" and {count_text(len(events), 'event')} as annotations"
     )
+
+
+def _distinct(names: list[str]) -> list[str]:
+    """Return names with a number after each that another one has already: "Felt 2"."""
+    taken: list[str] = []
+    for name in names:
+        number, free = 2, name
+        while free in taken:
+            number, free = number + 1, f"{name} {number}"
+        taken.append(free)
+    return taken
 
 
 def _samples(session: RecordedSession) -> tuple[Ints, Ints, Floats]:
@@ -98,10 +130,10 @@ def _samples(session: RecordedSession) -> tuple[Ints, Ints, Floats]:
     return np.concatenate(times), np.concatenate(numbers), np.concatenate(values)
 
 
-def _losses(t_ns: Ints, numbers: Ints, period_ns: int) -> list[FileMark]:
+def _losses(t_ns: Ints, numbers: Ints, period_ns: int) -> list[Annotation]:
     """Return a mark for each gap in the sequence numbers."""
     return [
-        FileMark(
+        Annotation(
             (int(t_ns[at] - t_ns[0]) + period_ns) * 1e-9,
             f"{count_text(missing, 'sample')} lost",
             missing * period_ns * 1e-9,

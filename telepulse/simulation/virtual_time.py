@@ -9,7 +9,6 @@ import itertools
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Final
 
@@ -18,6 +17,7 @@ from display_node.fault_advice import SENSING_NOTE
 from display_node.hardware import Hardware
 from display_node.scoring.tracking_error import TrackingError, scored
 from protocol.run_summary import Summary
+from protocol.summary_tables import DataConnections
 from protocol.ticks import TickState
 from protocol.wire.messages import (
     Bye,
@@ -40,7 +40,6 @@ from sensing_node.scene import (
 from sensing_node.sources.source import SampleSource
 from telepulse.scene import Scene
 from telepulse.simulation.link_model import MessageLink
-from telepulse.simulation.parallel_paths import ParallelPaths
 
 # The sensing clock is ahead by this, so that a confusion of the two clocks shows at once.
 SENSING_CLOCK_AHEAD_NS: Final = 3_600_000_000_000
@@ -139,8 +138,10 @@ class Simulation:
         self._down = MessageLink(scene.link, seed, begin_ns)
         self._up = MessageLink(scene.link, seed + 1, begin_ns)
         self._batch = self._description.batch
-        frame_ns = self._batch * self._description.period_ns
-        self._paths = ParallelPaths(self._down, scene.link, scene.display, frame_ns)
+        # Data connections, each with losses of its own. As datagrams, a stream has none, and one
+        # copy of each frame is sent.
+        self._paths = scene.display.paths if scene.link.transport == "tcp" else 1
+        self.display.receiver.paths = self._paths
         self._events: list[tuple[int, int, Handler, bytes]] = []
         self._order = itertools.count()
 
@@ -187,7 +188,6 @@ class Simulation:
         while events and events[0][0] <= now_ns:
             at_ns, _, event, data = heapq.heappop(events)
             event(data, at_ns)
-        self._paths.poll(now_ns)
         # In virtual time, work takes none.
         while self.display.work():
             pass
@@ -219,7 +219,7 @@ class Simulation:
             clock=clock,
             limited=limited,
             faults=faults,
-            data_connections=self._paths.data_connections(),
+            data_connections=DataConnections(self._paths),
         )
         return scored(summary, errors, windows=True)
 
@@ -255,13 +255,13 @@ class Simulation:
                     samples = true_frame.samples_of(channel)
                     error.add_reference(samples, contactor.force_ratio)
                 data = encode_frame(frame)
-                for path, arrival_ns in self._paths.arrivals_ns(now_ns, len(data)):
-                    self._schedule(arrival_ns, partial(self._receive, path), data)
+                for path in range(self._paths):
+                    arrival_ns = self._down.data_arrival_ns(now_ns, len(data), path)
+                    if arrival_ns is not None:
+                        self._schedule(arrival_ns, self._receive, data)
         self._schedule_batch()
 
-    def _receive(self, path: int, data: bytes, now_ns: int) -> None:
-        self._paths.received(path)
-        self.display.receiver.paths = self._paths.count
+    def _receive(self, data: bytes, now_ns: int) -> None:
         self.display.on_frame(data, now_ns)
 
     def _answer(self, data: bytes, now_ns: int) -> None:

@@ -14,18 +14,19 @@ PROGRAMS = ("telepulse", "sensing-node", "display-node", "make", "python", "pip"
 OTHERS = ("source", "pre-commit", "curl", "ssh", "wg-quick", "promtool", "prometheus")
 # Names of the streams of `telepulse lsl`.
 NAMES = ("telepulse wrist", "telepulse finger", "telepulse events")
-PYTHON = "python"
-SHELLS = ("console", "sh", "shell", "bash")
+# Stands before a block whose commands a test runs, in the order of the page.
+RUN = "<!-- run -->"
 
 
 @dataclass(frozen=True)
 class Block:
-    """An indented or fenced block; an indented one has no language."""
+    """An indented or fenced block; an indented one has no language. run: it is marked so."""
 
     page: str
     line: int
     language: str
     text: str
+    run: bool = False
 
     @property
     def place(self) -> str:
@@ -33,15 +34,13 @@ class Block:
 
     @property
     def is_shell(self) -> bool:
-        """Return whether it holds commands, by its language or by the program it begins with."""
-        if self.language:
-            return self.language in SHELLS
-        return self.text.strip().removeprefix("$ ").split()[0] in (*PROGRAMS, *OTHERS)
+        """Return whether it holds commands, by the program it begins with."""
+        return not self.language and self.text.split()[0] in (*PROGRAMS, *OTHERS)
 
 
 def pages() -> list[Path]:
     named = [ROOT / name for name in ("README.md", "CONTRIBUTING.md")]
-    return [*(page for page in named if page.exists()), *sorted((ROOT / "docs").rglob("*.md"))]
+    return [*named, *sorted((ROOT / "docs").rglob("*.md"))]
 
 
 def written(page: Path) -> str:
@@ -53,20 +52,19 @@ def written(page: Path) -> str:
 
 def blocks() -> Iterator[Block]:
     for page in pages():
-        name = str(page.relative_to(ROOT))
+        name, before = str(page.relative_to(ROOT)), ""
         for token in MarkdownIt().parse(written(page)):
             if token.type in ("fence", "code_block"):
                 assert token.map is not None
-                yield Block(name, token.map[0] + 1, token.info.strip(), token.content)
+                language = token.info.strip()
+                yield Block(name, token.map[0] + 1, language, token.content, before == RUN)
+            before = token.content.strip()
 
 
 def commands(block: Block) -> Iterator[str]:
-    """Yield the commands of a shell block, one line each, without prompts, comments, output."""
-    prompted = any(line.startswith("$ ") for line in block.text.splitlines())
+    """Yield the commands of a shell block, one line each, without comments."""
     for line in block.text.replace("\\\n", " ").splitlines():
-        if prompted and not line.startswith("$ "):
-            continue
-        if words := re.sub(r"(^|\s)#\s.*", "", line.removeprefix("$ ")).split():
+        if words := re.sub(r"(^|\s)#\s.*", "", line).split():
             yield " ".join(words)
 
 

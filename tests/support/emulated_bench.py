@@ -22,6 +22,7 @@ from protocol.host.child_process import ChildProcess
 from protocol.wire.telemetry import Status
 from telepulse.processes import free_addresses
 from tests.support.live_display import await_status, subscribe
+from tests.support.nodes import process
 from tests.support.waiting import until
 
 KINDS = ("tmcl", "cia402")
@@ -195,10 +196,23 @@ class EmulatedBench:
             os.setpriority(os.PRIO_PROCESS, process.pid, NICE)
 
     def kill(self) -> None:
-        for process in self.processes.values():
-            if process.poll() is None:
-                process.kill()
-            process.wait()
+        for child in self.processes.values():
+            if child.poll() is None:
+                child.kill()
+            child.wait()
+
+
+@contextmanager
+def emulated_tmcl(scene: Path, *options: str) -> Iterator[ChildProcess]:
+    """Run a module whose lines are `drive` and `film` in the scene's folder, until the end."""
+    drive, film = scene.parent / "drive", scene.parent / "film"
+    links = ("--link", str(drive), "--film-link", str(film))
+    with process("telepulse", "emulate", "tmcl", str(scene), *links, *options) as child:
+        assert child.read_line(STATE_WITHIN_S) == f"TMCL module on {drive}; film on {film}"
+        yield child
+        if child.poll() is None:
+            child.terminate()
+            child.wait(ENDS_WITHIN_S)
 
 
 @contextmanager

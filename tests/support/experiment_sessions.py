@@ -42,4 +42,7 @@ def played(letter: Letter, on_link: bool, error_n: float) -> PlayedInterval:
         roughness_sensed_n=None,
         pulse_n=0.3,
         deadline_misses=0,
+        ticks=1000,
+        stale_ticks=0,
+        longest_gap_ms=2.0,
     )

@@ -34,7 +34,7 @@ class FeltForce:
 
     def __init__(self) -> None:
         # The traces of each contactor, by message.
-        self._traces: list[list[Trace]] = []
+        self.traces: list[list[Trace]] = []
         self.status: Status | None = None
         self.over = threading.Event()
 
@@ -48,9 +48,13 @@ class FeltForce:
                 if socket.poll(POLL_MS):
                     topic, data = socket.recv_multipart()
                     if topic == TRACE:
-                        self._traces.append(read_trace(data))
+                        self.add(read_trace(data))
                     elif topic == STATUS:
                         self.status = read_status(data)
+
+    def add(self, traces: list[Trace]) -> None:
+        """Add the ticks of a message, a trace for each contactor."""
+        self.traces.append(traces)
 
     def first_ns(self, since_ns: int, within_s: float, felt: bool = True) -> int | None:
         """Return when the pulse was first felt at full strength, or not felt, from `since_ns` on.
@@ -62,8 +66,8 @@ class FeltForce:
         number = 0
         while True:
             late = time.monotonic() > until_s
-            while number < len(self._traces):
-                trace = self._traces[number][0]
+            while number < len(self.traces):
+                trace = self.traces[number][0]
                 wanted = np.flatnonzero((trace.now_ns >= since_ns) & (trace.scored == felt))
                 if len(wanted):
                     return int(trace.now_ns[wanted[0]])
@@ -102,7 +106,7 @@ class FeltForce:
     def all_peaks(self) -> list[tuple[float, float, float]]:
         """Return the peaks of each contactor."""
         peaks = []
-        for contactor in range(len(self._traces[0])):
+        for contactor in range(len(self.traces[0])):
             trace = self.trace(contactor)
             seconds = np.diff(trace.now_ns) * 1e-9
             target, felt = (np.abs(np.diff(n)) / seconds for n in (trace.target_n, trace.felt_n))
@@ -111,7 +115,7 @@ class FeltForce:
 
     def trace(self, contactor: int = 0) -> Trace:
         """Return all ticks of a contactor so far as one trace."""
-        columns = zip(*(traces[contactor] for traces in self._traces), strict=True)
+        columns = zip(*(traces[contactor] for traces in self.traces), strict=True)
         return Trace(*(np.concatenate(column) for column in columns))
 
 

@@ -7,6 +7,7 @@ import time
 from contextlib import ExitStack, suppress
 from pathlib import Path
 
+import msgpack
 import zmq
 
 from protocol.sockets import control_address
@@ -24,6 +25,9 @@ MESSAGE_BYTES = (0, 1, 10, 100, 10_000, 60_000)
 RAW_BYTES = 2_000
 ESTABLISHED = "01"
 BURST = 200
+PAUSED_EVERY = 20
+# Of control messages, and one that is none.
+KINDS = ("hello", "clock?", "report", "bye", "welcome", "x" * 50)
 
 
 def port_of(address: str) -> int:
@@ -60,6 +64,18 @@ def subscribe_endlessly(port: int, topic_bytes: int, seconds: float) -> None:
                 number += BURST
 
 
+def connected(address: str, within_s: float = PATIENCE_S) -> socket.socket:
+    """Connect to a TCP or ipc address without ZeroMQ."""
+    scheme, _, place = address.partition("://")
+    if scheme == "ipc":
+        plain = socket.socket(socket.AF_UNIX)
+        plain.settimeout(within_s)
+        plain.connect(place)
+        return plain
+    host, _, port = place.rpartition(":")
+    return socket.create_connection((host, int(port)), within_s)
+
+
 def _shake_hands(connection: socket.socket) -> None:
     """Open a connection as ZeroMQ does."""
     connection.sendall(GREETING + struct.pack("BB", 4, len(READY)) + READY)
@@ -88,28 +104,55 @@ def send_garbage(
     port: int, connections: int, messages: int, silent: int, rng: random.Random
 ) -> None:
     """Send random bytes and random messages to a port while it holds silent connections."""
+    address = f"tcp://127.0.0.1:{port}"
     with ExitStack() as held:
-        # Fewer where the port accepts no more.
-        with suppress(TimeoutError):
-            for _ in range(silent):
-                place = ("127.0.0.1", port)
-                held.enter_context(socket.create_connection(place, REFUSED_WITHIN_S))
+        hold(address, silent, held)
         for _ in range(connections):
             # The receiver may have closed it already, or accept no connection for now.
-            with (
-                suppress(ConnectionError, TimeoutError),
-                socket.create_connection(("127.0.0.1", port), PATIENCE_S) as connection,
-            ):
-                connection.sendall(rng.choice((b"", GREETING[:12], GREETING)))
-                connection.sendall(rng.randbytes(RAW_BYTES))
+            with suppress(ConnectionError, TimeoutError):
+                send_bytes(address, rng)
         for kind in (zmq.DEALER, zmq.XSUB, zmq.PUB):
-            with zmq.Context() as context, context.socket(kind) as peer:
-                peer.setsockopt(zmq.LINGER, 0)
-                peer.setsockopt(zmq.SNDTIMEO, 1)
-                peer.connect(f"tcp://127.0.0.1:{port}")
-                for _ in range(messages):
-                    with suppress(zmq.Again):
-                        peer.send(rng.randbytes(rng.choice(MESSAGE_BYTES)))
+            send_messages(address, kind, messages, rng)
+
+
+def hold(address: str, count: int, held: ExitStack, pause_s: float = 0.0) -> None:
+    """Open connections that send nothing; fewer where the address accepts no more."""
+    with suppress(TimeoutError):
+        for _ in range(count):
+            held.enter_context(connected(address, REFUSED_WITHIN_S))
+            time.sleep(pause_s)
+
+
+def send_bytes(address: str, rng: random.Random, rounds: int = 1, pause_s: float = 0.0) -> None:
+    """Send bytes that are not ZMTP, or only begin like it."""
+    with connected(address) as peer:
+        peer.sendall(rng.choice((b"", GREETING[:12], GREETING, b"GET / HTTP/1.1\r\n\r\n")))
+        for _ in range(rounds):
+            peer.sendall(rng.randbytes(RAW_BYTES))
+            time.sleep(pause_s)
+
+
+def send_messages(
+    address: str, kind: int, count: int, rng: random.Random, pause_s: float = 0.0
+) -> None:
+    """Send garbage in valid ZMTP."""
+    with zmq.Context() as context, context.socket(kind) as peer:
+        peer.setsockopt(zmq.LINGER, 0)
+        peer.setsockopt(zmq.SNDTIMEO, 1)
+        peer.connect(address)
+        for number in range(count):
+            with suppress(zmq.Again):
+                peer.send_multipart(garbage(rng))
+            if number % PAUSED_EVERY == 0:
+                time.sleep(pause_s)
+
+
+def garbage(rng: random.Random) -> list[bytes]:
+    """Return the parts of a message: random bytes, or msgpack that resembles a message."""
+    size = rng.choice(MESSAGE_BYTES)
+    named = [2, rng.choice(KINDS), *(rng.getrandbits(63) for _ in range(size % 9))]
+    part = rng.randbytes(size) if rng.random() < 0.5 else bytes(msgpack.packb(named))
+    return [part] * rng.choice((1, 1, 1, 6))
 
 
 def flood_with_requests(address: str, seconds: float) -> int:

@@ -1,9 +1,12 @@
 """Files of signals, written byte by byte or by other libraries."""
 
-from collections.abc import Mapping
+import json
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from mcap.writer import Writer
 from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
@@ -33,6 +36,22 @@ def wfdb_record(
     lines += [f"{name}.dat 16 {GAINS[key]:g}/{UNITS[key]} 16 0 0 0 0 {key}" for key in signals]
     (folder / f"{name}.hea").write_text("\n".join([*lines, "# a note", ""]), encoding="utf-8")
     return folder / name
+
+
+def mcap(
+    path: Path, contents: Sequence[Any], topic: str = "/pulse", encoding: str = "json"
+) -> Path:
+    """Write messages at 250 Hz, and return the path."""
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start()
+        schema = writer.register_schema("sensor", "jsonschema", b"{}")
+        channel = writer.register_channel(topic, encoding, schema)
+        for number, content in enumerate(contents):
+            at_ns = 10**18 + number * 4_000_000
+            writer.add_message(channel, at_ns, json.dumps(content).encode(), at_ns)
+        writer.finish()
+    return path
 
 
 def beats_per_min(values: Floats, rate_hz: float) -> float:

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 
 from display_node.display import Display
 from display_node.hardware import build_display_drive
+from display_node.plant.contact import ContactLaw
 from display_node.plant.scene import StepperScene
 from display_node.scene import DisplayScene
 from protocol.config.kinds import load_object
@@ -70,8 +71,10 @@ class ThreadedBench:
 
     scene: with a drive. force_n: the pulse, by ms. with_film: the scene's film is read; otherwise
     the force is estimated from the drive's position. watch: called with the motor's state every
-    ms. finger: its stiffness, as a factor of the scene's. on_tick: called with the time and the
-    target of every tick. fault_ns: time of the display's first fault.
+    ms; by default `moments` collects them. finger: its stiffness, as a factor of the scene's. law:
+    the contact with the tip, if it is not a finger's. on_tick: called with the time and the target
+    of every tick. late_ns: by how much a tick of a time in ns is late. fault_ns: time of the
+    display's first fault.
     """
 
     scene: DisplayScene
@@ -79,10 +82,12 @@ class ThreadedBench:
     with_film: bool = True
     watch: Callable[[MotorState], None] | None = None
     finger: float = 1.0
+    law: ContactLaw | None = None
     sending: bool = True
     world: VirtualTime = field(default_factory=VirtualTime)
     loop: VirtualThread | None = None
     on_tick: Callable[[int, float], object] = lambda *_: None
+    late_ns: Callable[[int], int] = lambda _: 0
     fault_ns: int | None = None
 
     def __post_init__(self) -> None:
@@ -94,12 +99,13 @@ class ThreadedBench:
         world, actuator = self.world, self.scene.actuator
         stiffness = self.finger * actuator.fingertip_n_per_m
         finger = actuator.model_copy(update={"fingertip_n_per_m": stiffness})
-        law = finger.contact(self.scene.layer.layer())
+        law = self.law or finger.contact(self.scene.layer.layer())
         self.motor = FaultyMotor(actuator, law, self.drive_scene.touch_m, world.now_ns)
-        self.motor.trace = self.watch
+        self.moments: list[MotorState] = []
+        self.motor.trace = self.watch or self.moments.append
         self.film = FilmPort(world)
         self._board = EmulatedFilm(self.motor, self.film)  # type: ignore[arg-type]
-        self._sender, self._streamed_ms = Sender(), 0
+        self.sender, self._streamed_ms = Sender(), 0
         self._frames: deque[tuple[int, bytes]] = deque()
         self._answers: deque[tuple[int, bytes]] = deque()
         self._stopping = False
@@ -121,9 +127,10 @@ class ThreadedBench:
     def __exit__(self, *_: object) -> None:
         self._patches.close()
 
-    def start(self) -> None:
+    def start(self, loop_after_ms: int = 0) -> None:
         """Home the drive, move it to first touch and begin the loop."""
-        self.call(self._connect)
+        self.call(self.connect)
+        self.run(loop_after_ms)
         self._stopping = False
         self.loop = self.world.thread(self._loop, name="loop")
 
@@ -135,6 +142,12 @@ class ThreadedBench:
 
     def run(self, ms: float) -> None:
         self.world.run(self.world.now_ns + round(ms * MS))
+
+    def stall(self, ms: int, loop_first: bool = False) -> None:
+        """Stop the display's process for some time, as by SIGSTOP; which thread wakes first."""
+        threads = sorted(self.threads, key=lambda thread: (thread.name == "loop") != loop_first)
+        self.world.stall(threads, self.world.now_ns + ms * MS)
+        self.run(ms)
 
     @property
     def faults(self) -> list[str]:
@@ -157,7 +170,7 @@ class ThreadedBench:
         if raised:
             raise raised[0]
 
-    def _connect(self) -> None:
+    def connect(self) -> None:
         """Start the bench as `display_node.node.connected` does, the film on a virtual port."""
         scene, actuator = self.scene, self.scene.actuator
         assert scene.drive is not None
@@ -175,7 +188,7 @@ class ThreadedBench:
         except BaseException:
             self.hardware.close()
             raise
-        self.display = Display(scene, "virtual", score=False)
+        self.display = Display(scene, "virtual")
         self.display.use(self.hardware)
 
     def _poll_motor(self) -> None:
@@ -189,7 +202,7 @@ class ThreadedBench:
         now_ns = self.world.now_ns
         if self.sending:
             forces_n = [self.force_n(self._streamed_ms + number) for number in range(BATCH)]
-            frame = self._sender.frame_of(now_ns, forces_n)
+            frame = self.sender.frame_of(now_ns, forces_n)
             self._frames.append((now_ns + NETWORK_NS, frame))
         # The pulse continues while nothing is sent.
         self._streamed_ms += BATCH
@@ -204,6 +217,8 @@ class ThreadedBench:
             if tick is None:
                 world.sleep((pacer.due_ns - now_ns) * 1e-9)
                 continue
+            if late_ns := self.late_ns(now_ns):
+                world.sleep(late_ns * 1e-9)
             self._receive(now_ns)
             self._tick(tick.due_ns, tick.elapsed_ticks)
 
@@ -226,6 +241,6 @@ class ThreadedBench:
             self.fault_ns = self.world.now_ns
         for request in self.display.requests(self.world.perf_counter_ns()):
             sent_ns = self.world.now_ns
-            answer = self._sender.answer(request, sent_ns + NETWORK_NS)
+            answer = self.sender.answer(request, sent_ns + NETWORK_NS)
             if answer is not None and self.sending:
                 self._answers.append((sent_ns + 2 * NETWORK_NS, answer))

@@ -34,30 +34,11 @@ PidFile none
 """
 
 
-class ThreeKeyrings:
-    """Key files of the three machines: the wrist allows the finger, the relay the wrist."""
-
-    def __init__(self, folder: Path) -> None:
-        self.wrist, self.relay = Keyring(folder / "wrist"), Keyring(folder / "relay")
-        self.wrist.allow("finger")
-        self.relay.allow("wrist")
-        # The same pair, in the folder of either machine.
-        for kind in ("key", "pub"):
-            text = Path(self.relay.path("wrist", kind)).read_bytes()
-            Path(self.wrist.path("wrist", kind)).write_bytes(text)
-
-    def for_relay(self) -> tuple[str, ...]:
-        return ("--key", self.relay.path("relay"))
-
-    def for_wrist(self) -> tuple[str, ...]:
-        return ("--key", self.wrist.path("wrist"))
-
-    def for_finger(self) -> tuple[str, ...]:
-        return ("--key", self.wrist.path("finger"), "--peer", self.wrist.path("wrist", "pub"))
-
-    @property
-    def relays_public(self) -> str:
-        return self.relay.path("relay", "pub")
+def nodes_keys(folder: Path) -> Keyring:
+    """Return the key files of the two nodes: the wrist allows the finger."""
+    keys = Keyring(folder)
+    keys.allow("finger")
+    return keys
 
 
 @dataclass(frozen=True)
@@ -69,17 +50,7 @@ class Ends:
 
 
 @contextmanager
-def dialled_out(sites: Sites, keys: ThreeKeyrings, folder: Path) -> Iterator[Ends]:
-    """Run the relay on the third machine."""
-    with ExitStack() as stack:
-        with sites.third.entered():
-            stack.enter_context(process("telepulse", "tunnel", *keys.for_relay()))
-        relay = ("--dial-out", f"tcp://{THIRD_ADDRESS}:5755", "--peer", keys.relays_public)
-        yield Ends(relay, f"tcp://{OTHER_THIRD_ADDRESS}:5655")
-
-
-@contextmanager
-def over_ssh(sites: Sites, keys: ThreeKeyrings, folder: Path) -> Iterator[Ends]:
+def over_ssh(sites: Sites, folder: Path) -> Iterator[Ends]:
     """Run sshd on the third machine, and the page's ssh on the two others."""
     for name in ("host", "login"):
         run_within(sites.third, f"ssh-keygen -q -t ed25519 -N '' -f {folder / name}")
@@ -110,7 +81,7 @@ def over_ssh(sites: Sites, keys: ThreeKeyrings, folder: Path) -> Iterator[Ends]:
 
 
 @contextmanager
-def over_wireguard(sites: Sites, keys: ThreeKeyrings, folder: Path) -> Iterator[Ends]:
+def over_wireguard(sites: Sites, folder: Path) -> Iterator[Ends]:
     """Write the page's configurations, and bring WireGuard up on the three machines."""
     third, other = (
         block.text for block in blocks() if (block.page, block.language) == (PAGE, "text")
@@ -144,9 +115,8 @@ def over_wireguard(sites: Sites, keys: ThreeKeyrings, folder: Path) -> Iterator[
         yield Ends(("--bind", "tcp://10.9.0.2:5555"), "tcp://10.9.0.2:5555")
 
 
-Way = Callable[[Sites, ThreeKeyrings, Path], AbstractContextManager[Ends]]
+Way = Callable[[Sites, Path], AbstractContextManager[Ends]]
 WAYS: dict[str, tuple[Way, tuple[str, ...], str]] = {
-    "dial-out": (dialled_out, (), ""),
     "ssh": (over_ssh, ("ssh", SSHD), "openssh-client, openssh-server"),
     "WireGuard": (over_wireguard, ("wg", "wg-quick"), "wireguard-tools, wireguard-go"),
 }
@@ -167,7 +137,7 @@ def on_page(program: str, part: str) -> list[str]:
 
 
 def play(
-    sites: Sites, ends: Ends, keys: ThreeKeyrings, folder: Path, seconds: float
+    sites: Sites, ends: Ends, keys: Keyring, folder: Path, seconds: float
 ) -> tuple[dict[str, Any], dict[str, Any]]:
     """Run both nodes; return the summaries of the sensing node and of the display."""
     sensed, played = folder / "sensed.json", folder / "played.json"
@@ -176,14 +146,15 @@ def play(
             display = stack.enter_context(
                 process(
                     *("display_node.cli", str(RADIAL), "--no-screen", "--once"),
-                    *("--connect", ends.connect, *keys.for_finger(), "--json", str(played)),
+                    *("--connect", ends.connect, "--json", str(played)),
+                    *("--key", keys.path("finger"), "--peer", keys.path("wrist", "pub")),
                 )
             )
         with sites.wrist.entered():
             sensing = stack.enter_context(
                 process(
                     *("sensing_node.cli", str(RADIAL), "--seconds", str(seconds)),
-                    *(*ends.sensing, *keys.for_wrist(), "--json", str(sensed)),
+                    *(*ends.sensing, "--key", keys.path("wrist"), "--json", str(sensed)),
                 )
             )
         assert sensing.wait(seconds + 2 * PATIENCE_S) == 0

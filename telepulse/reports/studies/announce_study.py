@@ -10,6 +10,7 @@ import numpy as np
 
 from display_node.prediction.ensemble import Ensemble
 from display_node.prediction.r_waves import RWaveDetector
+from telepulse.parallel import in_one_thread, sweep
 from telepulse.reports.studies.announce_detector import DetectorScore, score_lead
 from telepulse.reports.studies.announce_oracle import OracleErrors, score_oracle
 from telepulse.reports.studies.announce_pulses import (
@@ -32,7 +33,6 @@ from telepulse.reports.studies.prediction_study import (
     instant_ns,
     observe_frame,
 )
-from telepulse.reports.studies.sweep import in_one_thread, sweep
 
 # Jitters of the transit time; without any, the errors are the least that the predictor can have.
 JITTERS_S, NO_JITTER_S = (0.005, 0.02), 0.0

@@ -119,7 +119,7 @@ def _named(one: Settings) -> dict[str, str]:
         one.predictor,
         delay,
         f"{one.batch_ms:g}",
-        str(one.paths or "auto"),
+        str(one.paths),
     )
     return dict(zip(NAMES, values, strict=True))
 

@@ -18,7 +18,7 @@ from protocol.config.scene_file import find_scene
 from protocol.histogram import Histogram
 from protocol.run_summary import Summary
 from protocol.ticks import TickState
-from telepulse.reports.studies.sweep import sweep
+from telepulse.parallel import sweep
 from telepulse.scene import load_scene
 from telepulse.simulation.link_scene import parse_link
 from telepulse.simulation.virtual_time import Simulation
@@ -34,29 +34,28 @@ EQUAL = 0.1
 
 
 class Settings(NamedTuple):
-    """Settings of a scene; delay_ms None is E = auto, paths None is auto."""
+    """Settings of a scene; delay_ms None is E = auto."""
 
     tick_ms: float
     predictor: str
     delay_ms: float | None
     batch_ms: float
-    paths: int | None
+    paths: int
 
     def __str__(self) -> str:
         delay = "auto" if self.delay_ms is None else f"{self.delay_ms:g} ms"
         return (
             f"tick {self.tick_ms:g} ms, {self.predictor}, E {delay}, frames of"
-            f" {self.batch_ms:g} ms, paths {self.paths or 'auto'}"
+            f" {self.batch_ms:g} ms, paths {self.paths}"
         )
 
     def toml(self) -> str:
         """Return the scene file."""
-        paths = '"auto"' if self.paths is None else self.paths
         delay = "auto" if self.delay_ms is None else f"{self.delay_ms:g} ms"
         return (
             f'extends = "radial"\n[sensing]\nbatch = "{self.batch_ms:g} ms"\n[display]\n'
             f'tick = "{self.tick_ms:g} ms"\npredictor = "{self.predictor}"\n'
-            f'compensation = "{delay}"\npaths = {paths}\n'
+            f'compensation = "{delay}"\npaths = {self.paths}\n'
         )
 
 
@@ -86,7 +85,7 @@ class CostEffort:
     predictors: tuple[str, ...] = ("hold", "linear", "stack")
     delays_ms: tuple[float | None, ...] = (None, 0.0, 40.0)
     batches_ms: tuple[float, ...] = (1.0, 5.0, 20.0)
-    paths: tuple[int | None, ...] = (None, 1, 3)
+    paths: tuple[int, ...] = (1, 3)
     seconds: float = 10.0
     settle_seconds: float = 10.0
     live_seconds: float = 16.0

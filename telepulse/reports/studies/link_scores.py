@@ -30,8 +30,8 @@ from protocol.config.scene_file import find_scene
 from protocol.tactile import matching_force_ratio
 from protocol.ticks import TickState
 from sensing_node.scene import build_source, describe_stream
+from telepulse.parallel import in_one_thread, sweep
 from telepulse.reports.studies.prediction_pulses import RATE_HZ, SCORED_FROM_S, Pulse, pulses
-from telepulse.reports.studies.sweep import in_one_thread, sweep
 from telepulse.scene import load_scene
 from telepulse.simulation.link_model import MessageLink
 from telepulse.simulation.link_scene import parse_link

@@ -6,6 +6,7 @@ from functools import partial
 from typing import NamedTuple
 
 from display_node.reception.playout import LATE_TARGET, DelayEstimator
+from telepulse.parallel import sweep
 from telepulse.reports.studies import playout_links as links
 from telepulse.reports.studies.playout_rules import (
     FixedDelay,
@@ -17,7 +18,6 @@ from telepulse.reports.studies.playout_rules import (
     Ramjee4,
     play,
 )
-from telepulse.reports.studies.sweep import sweep
 
 MS = 1e6
 # Weights of lateness in the optimum's cost: ms of mean delay per unit of late share.

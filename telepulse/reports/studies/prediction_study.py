@@ -12,6 +12,7 @@ import numpy as np
 
 from display_node.prediction import PredictorName, build_predictors
 from display_node.prediction.ensemble import Ensemble
+from telepulse.parallel import in_one_thread, sweep
 from telepulse.reports.studies.prediction_oracle import (
     best_filter_errors,
     known_rhythms,
@@ -25,7 +26,6 @@ from telepulse.reports.studies.prediction_pulses import (
     pulses,
     pulses_without_shape_cue,
 )
-from telepulse.reports.studies.sweep import in_one_thread, sweep
 
 HORIZONS_MS = (20, 50, 100, 200)
 TICK_NS = 1_000_000

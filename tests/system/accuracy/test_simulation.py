@@ -228,16 +228,13 @@ def test_over_tcp_a_loss_is_a_delay() -> None:
 def test_over_tcp_the_paths_of_the_scene_are_modelled() -> None:
     lossy = with_link("delay=20ms,jitter=3ms,loss=1%,transport=tcp")
     played = {}
-    for paths in (1, 3, None):
+    for paths in (1, 3):
         display = lossy.display.model_copy(update={"paths": paths})
         played[paths] = summarise(dataclasses.replace(lossy, display=display), SECONDS, seed=1)
         assert accounted(played[paths]) == SAMPLES
         assert played[paths].rejected == {}
-    single, triple, auto = played.values()
-    assert [summary.data_connections.open for summary in played.values()] == [1, 3, 3]
-    assert known(auto.data_connections.stalls) > 2
+    single, triple = played.values()
+    assert [summary.data_connections.open for summary in played.values()] == [1, 3]
     assert known(single.frames.copies) == 0
-    assert known(triple.frames.copies) > known(auto.frames.copies) > 0
-    delays_ms = [known(summary.one_way_delay_ms.p99) for summary in (triple, auto, single)]
-    assert delays_ms == sorted(delays_ms)
-    assert delays_ms[0] < delays_ms[2] / 2
+    assert known(triple.frames.copies) > 0
+    assert known(triple.one_way_delay_ms.p99) < known(single.one_way_delay_ms.p99) / 2

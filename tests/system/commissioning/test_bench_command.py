@@ -6,6 +6,7 @@ from typer.testing import CliRunner
 
 from telepulse.cli.main import app
 from telepulse.scene import load_scene
+from tests.support.emulated_bench import emulated_tmcl
 from tests.support.nodes import ROOT, process
 
 SCENES = ("radial", "wan", "bench", "real_bench", "conditioned", "paper")
@@ -173,10 +174,7 @@ def test_a_drive_that_is_not_there_fails(tmp_path: Path) -> None:
 @pytest.mark.usefixtures("goes_first")
 def test_an_emulated_drive_is_checked_over_its_real_bytes(tmp_path: Path) -> None:
     scene, path = drive_scene(tmp_path), tmp_path / "bench.json"
-    links = ("--link", str(tmp_path / "drive"), "--film-link", str(tmp_path / "film"))
-    with process("telepulse", "emulate", "tmcl", str(scene), *links) as emulator:
-        assert emulator.stdout is not None
-        assert "TMCL module" in emulator.stdout.readline()
+    with emulated_tmcl(scene):
         bench(scene, "--only", "display", "--yes", "--seconds", "1", "--json", str(path))
     found = rows(path)
     assert "640 commands a second" in found[("drive", "line")]["found"]

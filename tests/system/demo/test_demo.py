@@ -182,7 +182,7 @@ def test_the_demo_scores_against_the_pulse_before_the_sensing_chain(tmp_path: Pa
     assert summary["limited"]["force"]["times"] == 0
 
 
-def test_in_a_terminal_the_demo_draws_a_panel_with_a_pulse_trace() -> None:
+def test_in_a_terminal_the_demo_renews_a_line() -> None:
     leader, follower = pty.openpty()
     environment = os.environ | {"COLUMNS": "100", "LINES": "40", "TERM": "xterm"}
     command = ("-m", MODULE, "demo", "--seconds", "5", "--no-page")
@@ -195,9 +195,8 @@ def test_in_a_terminal_the_demo_draws_a_panel_with_a_pulse_trace() -> None:
         os.close(leader)
         assert child.wait(10) == 0
     text = output.decode(errors="replace")
-    for word in ("heart rate", "force felt", "playout delay", "deadline misses"):
+    for word in ("playing: ", "heart rate", "felt "):
         assert word in text
-    assert any("\u2801" <= character <= "\u28ff" for character in text)
     assert "The pulse was felt for" in text
 
 

@@ -197,7 +197,7 @@ def test_discovery_without_a_network_is_refused() -> None:
     if unavailable() is not None or shutil.which("unshare") is None:
         pytest.skip("needs the right to a network namespace")
     for module, option, word in (
-        (DISPLAY, "--discover", "no network here carries multicast (there is none)"),
+        (DISPLAY, "--discover", "cannot be opened here: there is no network; give"),
         (SENSING, "--announce", "is no address here; there is nothing to announce"),
     ):
         command = ["unshare", "-n", *python_command("-m", module, str(RADIAL), option)]

@@ -1,10 +1,13 @@
-"""Every block of the pages is of a kind that a test can check."""
+"""The blocks of the pages: tables are valid in a scene, snippets and marked commands run."""
 
-import ast
 import json
 import re
+import shlex
+import shutil
+import sysconfig
 import tomllib
 from pathlib import Path
+from subprocess import PIPE, STDOUT
 from typing import Any
 
 import pytest
@@ -13,38 +16,23 @@ import yaml
 from display_node.scene import DisplayScene
 from protocol.config.scene import validate
 from protocol.config.scene_file import find_scene, load_document
+from protocol.host.child_process import ChildProcess
 from sensing_node.scene import SensingScene
 from telepulse.simulation.link_scene import LinkScene
-from tests.support.doc_pages import PYTHON, Block, blocks
+from tests.support.doc_pages import Block, blocks, commands
 from tests.support.nodes import ROOT, run_python
+from tests.support.recordings import record
 
 BLOCKS = list(blocks())
 SECTIONS = {"sensing": SensingScene, "display": DisplayScene, "link": LinkScene}
-# Neither commands nor data of ours: bytes, output, files of other programs.
-SHOWN = {
-    ("docs/wire.md", "[2, session, first_sample"),
-    ("docs/fuzzing.md", "frame "),
-    ("docs/realtime.md", "USER - rtprio"),
-    ("docs/discovery.md", "looking for a sensing node"),
-}
-# First words of code that needs root and iperf3; tests/system/links runs it.
-UNRUN = ("with emulate(",)
-# Its snippets read the output of its commands: `doc_output.py` runs them after those.
-READS = "docs/analysis.md"
+TABLES = [b for b in BLOCKS if b.language == "toml" or not (b.language or b.is_shell)]
+DATA = [b for b in BLOCKS if b.language in ("json", "yaml")]
+PYTHON = "python"
+RUN = sorted({b.page for b in BLOCKS if b.language == PYTHON or b.run})
+BIN = Path(sysconfig.get_path("scripts"))
+LONGEST_S = 120
 # Values of snippets that would take too long in a test.
 SHORTER = {"SECONDS = 60": "SECONDS = 2"}
-
-
-def snippets() -> list[Block]:
-    python = (b for b in BLOCKS if b.language == PYTHON or (not b.language and is_python(b.text)))
-    return [b for b in python if b.page != READS]
-
-
-def is_python(text: str) -> bool:
-    try:
-        return any(isinstance(part, ast.With | ast.Import) for part in ast.parse(text).body)
-    except SyntaxError:
-        return False
 
 
 def tables(text: str) -> list[dict[str, Any]]:
@@ -55,41 +43,14 @@ def tables(text: str) -> list[dict[str, Any]]:
         return [tomllib.loads(part) for part in re.split(r"\n\n", text)]
 
 
-def kind(block: Block) -> str:
-    """Return the kind of a block. Raises for an unknown kind."""
-    if block.is_shell:
-        return "shell"
-    if block.language.startswith(("{", "text", "promql")):
-        return "shown"
-    if block.language in (PYTHON, "toml", "json", "yaml"):
-        return block.language
-    if is_python(block.text):
-        return PYTHON
-    if any(block.page == page and block.text.startswith(words) for page, words in SHOWN):
-        return "shown"
-    tables(block.text)
-    return "toml"
-
-
-@pytest.mark.parametrize("block", BLOCKS, ids=lambda block: block.place)
-def test_a_block_is_valid_in_its_language(block: Block) -> None:
-    match kind(block):
-        case "toml":
-            for table in tables(block.text):
-                check_scene(table, block.place)
-        case "json":
-            json.loads(block.text)
-        case "yaml":
-            yaml.safe_load(block.text)
-
-
-def check_scene(table: dict[str, Any], where: str) -> None:
-    """Check that a table is valid within a shipped scene."""
-    base = "real_bench" if "observer" in str(table) else "radial"
-    scene = load_document(find_scene(base))
-    for section, schema in SECTIONS.items():
-        if section in table:
-            validate(merged(scene.get(section, {}), table[section]), schema, where)
+@pytest.mark.parametrize("block", TABLES, ids=lambda block: block.place)
+def test_a_table_is_valid_within_a_shipped_scene(block: Block) -> None:
+    for table in tables(block.text):
+        base = "real_bench" if "observer" in str(table) else "radial"
+        scene = load_document(find_scene(base))
+        for section, schema in SECTIONS.items():
+            if section in table:
+                validate(merged(scene.get(section, {}), table[section]), schema, block.place)
 
 
 def merged(below: dict[str, Any], above: dict[str, Any]) -> dict[str, Any]:
@@ -103,20 +64,46 @@ def merged(below: dict[str, Any], above: dict[str, Any]) -> dict[str, Any]:
     return result
 
 
-@pytest.mark.parametrize("block", snippets(), ids=lambda block: block.place)
-def test_a_snippet_runs_and_prints_what_the_page_shows(block: Block, tmp_path: Path) -> None:
-    if block.text.startswith(UNRUN):
-        return
+# A busy machine takes seconds to start each of its processes.
+@pytest.mark.timeout(400)
+@pytest.mark.parametrize("page", RUN)
+def test_a_page_runs_from_top_to_bottom(page: str, tmp_path: Path) -> None:
+    """Run its marked commands and its snippets in one folder, with the scenes and a recording."""
+    shutil.copytree(ROOT / "scenes", tmp_path / "scenes")
+    record(tmp_path / "pulse.mcap", seconds=10)
+    here = [block for block in BLOCKS if block.page == page]
+    for block, following in zip(here, [*here[1:], None], strict=True):
+        if block.language == PYTHON:
+            run_snippet(block, following, tmp_path)
+        elif block.run:
+            for command in commands(block):
+                run_command(command, tmp_path)
+
+
+def run_command(command: str, folder: Path) -> None:
+    program, *words = shlex.split(command)
+    path = str(BIN / program)
+    with ChildProcess(path, path, *words, cwd=folder, stdout=PIPE, stderr=STDOUT) as child:
+        output, _ = child.communicate(timeout=LONGEST_S)
+    assert child.returncode == 0, f"{command}\n{output}"
+
+
+def run_snippet(block: Block, following: Block | None, folder: Path) -> None:
+    """Run a page's Python; it prints what the page shows below it."""
     text = block.text
     for long, short in SHORTER.items():
         text = text.replace(long, short)
     # A file, as a reader saves it: other processes import it.
-    (tmp_path / "snippet.py").write_text(text, encoding="utf-8")
-    run = run_python("snippet.py", cwd=tmp_path, timeout=None)
+    (folder / "snippet.py").write_text(text, encoding="utf-8")
+    run = run_python("snippet.py", cwd=folder, timeout=LONGEST_S)
     assert run.returncode == 0, run.stderr
-    after = [b for b in BLOCKS if b.page == block.page and b.line > block.line]
-    if text == block.text and after and after[0].language == "text":
-        assert run.stdout == after[0].text
+    if text == block.text and following is not None and following.language == "text":
+        assert run.stdout == following.text
+
+
+def test_data_is_valid_in_its_language() -> None:
+    for block in DATA:
+        {"json": json.loads, "yaml": yaml.safe_load}[block.language](block.text)
 
 
 def test_the_site_links_to_no_page_that_is_gone() -> None:

@@ -6,10 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from display_node.scene import DisplayScene
-from sensing_node.scene import SensingScene
 from tests.support.nodes import ROOT, run_python
-from tests.unit.documentation.test_docs import keys
 
 # Fetched by the browser itself; other links may lead anywhere.
 FETCHED = {*((tag, "src") for tag in ("script", "img", "iframe", "source")), ("link", "href")}
@@ -72,16 +69,3 @@ def test_a_browser_fetches_nothing_from_elsewhere(site: Path) -> None:
         text = sheet.read_text(encoding="utf-8")
         foreign += re.findall(r"(?:url\(|@import)\s*['\"]?(?:https?:)?//[^)]*", text)
     assert foreign == []
-
-
-def test_the_generated_pages_follow_the_code(site: Path) -> None:
-    def words(name: str) -> str:
-        page = (site / "reference" / f"{name}.html").read_text(encoding="utf-8")
-        return re.sub(r"<[^>]+>", "", page)
-
-    scenes = words("scenes")
-    assert [key for s in (SensingScene, DisplayScene) for key in keys(s) if key not in scenes] == []
-    assert "≥ 100 us, ≤ 100 ms" in scenes
-    assert "telepulse keys revoke" in words("commands")
-    assert "2^63" in words("wire")
-    assert "playout_delay_ms.mean" in words("summary")

@@ -4,8 +4,7 @@ import signal
 import textwrap
 import time
 import uuid
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -14,10 +13,10 @@ import serial
 from display_node.hardware import build_display_drive
 from display_node.scene import DisplayScene
 from protocol.config.scene import load_section
-from protocol.host.child_process import ChildProcess
 from pulse_drives.drive import Drive
 from pulse_sensors.binary_frames import FrameDecoder
 from tests.support.can_messages import udp_multicast_reason
+from tests.support.emulated_bench import emulated_tmcl
 from tests.support.log_lines import refused
 from tests.support.nodes import process
 from tests.support.sample_blocks import forces
@@ -67,16 +66,6 @@ def keep(drive: Drive, rate_hz: float, until: Callable[[], bool]) -> None:
 def tmcl_scene(tmp_path: Path) -> Path:
     port = tmp_path / "drive"
     return scene_with(tmp_path, f'kind = "tmcl"\nport = "{port}"\nreply_timeout = "50 ms"')
-
-
-@contextmanager
-def emulated_tmcl(scene: Path, *options: str) -> Iterator[ChildProcess]:
-    """Run a module whose lines are `drive` and `film` in the scene's folder."""
-    drive, film = scene.parent / "drive", scene.parent / "film"
-    links = ("--link", str(drive), "--film-link", str(film))
-    with process("telepulse", "emulate", "tmcl", str(scene), *links, *options) as child:
-        assert child.read_line(LONGEST_S) == f"TMCL module on {drive}; film on {film}"
-        yield child
 
 
 @pytest.mark.smoke

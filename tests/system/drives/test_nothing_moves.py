@@ -16,9 +16,9 @@ from typer.testing import CliRunner
 from display_node.cli import app as display_app
 from telepulse.cli.main import app as telepulse_app
 from telepulse.processes import free_addresses
+from tests.support.emulated_bench import emulated_tmcl
 from tests.support.experiment_sessions import write as write_session
-from tests.support.nodes import ROOT, process, run_python
-from tests.support.waiting import until
+from tests.support.nodes import ROOT, run_python
 from tests.system.commissioning.test_bench_command import drive_scene
 
 # Longer than any file system permits, so that no such file can be created.
@@ -33,7 +33,6 @@ respiration = 0.256
 respiration_rate = "15 /min"
 """
 CLEAR = "Is the bench clear of fingers? [y/N]"
-ENDS_WITHIN_S = 60.0
 # Modules that reach a TMCL module; ours too, as another test may have imported it already.
 LINE = ("pytrinamic.tmcl", "pulse_drives.tmcl.line")
 
@@ -53,7 +52,7 @@ class Case:
 
 
 @dataclass
-class EmulatedBench:
+class RecordedBench:
     """The scene of an emulated drive and film; `windows`: begin and end of each case in ns."""
 
     folder: Path
@@ -88,15 +87,10 @@ class EmulatedBench:
 
 
 @contextmanager
-def emulated_bench(folder: Path) -> Iterator[EmulatedBench]:
-    bench = EmulatedBench(folder, drive_scene(folder))
-    links = ("--link", folder / "drive", "--film-link", folder / "film")
-    words = ("emulate", "tmcl", bench.scene, *links, "--trace", folder / "motor.csv")
-    with process("telepulse", *map(str, words)) as emulator:
-        until((folder / "film").exists)
+def emulated_bench(folder: Path) -> Iterator[RecordedBench]:
+    bench = RecordedBench(folder, drive_scene(folder))
+    with emulated_tmcl(bench.scene, "--trace", str(folder / "motor.csv")):
         yield bench
-        emulator.terminate()
-        emulator.wait(ENDS_WITHIN_S)
 
 
 def run_in_process(case: Case, monkeypatch: pytest.MonkeyPatch) -> tuple[int, str]:
@@ -126,7 +120,7 @@ def refuse_a_session(folder: Path) -> "subprocess.CompletedProcess[str]":
     return run_python("-m", "telepulse", *map(str, words), input="n")
 
 
-def cases(bench: EmulatedBench, taken: str) -> dict[str, Case]:
+def cases(bench: RecordedBench, taken: str) -> dict[str, Case]:
     """Return the failures by name. taken: an address that another process has bound."""
     folder, scene = bench.folder, str(bench.scene)
     there = folder / "there.mcap"

@@ -28,7 +28,7 @@ from tests.support.drive_benches import tmcl_scene
 from tests.support.log_lines import strays
 from tests.support.nodes import ROOT, free_address
 from tests.support.sender import SCENES
-from tests.support.virtual_bench import VirtualBench
+from tests.support.threaded_bench import ThreadedBench
 from tests.system.commissioning.test_bench_command import drive_scene
 
 DRIVES = ROOT / "pulse_drives"
@@ -148,10 +148,14 @@ def test_a_node_checks_its_loop_once_before_its_drive_moves(
 ) -> None:
     judged = Mock()
     monkeypatch.setattr("display_node.control.force_loop.refuse_unstable", judged)
-    with closing(DisplayNode(bench_scene, [free_address()], "tcp://127.0.0.1:*")) as node:
+    with (
+        closing(DisplayNode(bench_scene, [free_address()], "tcp://127.0.0.1:*")) as node,
+        ThreadedBench(bench_scene, lambda ms: 0.3) as bench,
+    ):
         assert judged.call_count == 1
-        node.use(VirtualBench(lambda ms: 0.3).hardware)
-    # Once more by the virtual bench's own display.
+        bench.call(bench.connect)
+        node.use(bench.hardware)
+    # Once more by the bench's own display.
     assert judged.call_count == 2
 
 

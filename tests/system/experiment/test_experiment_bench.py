@@ -1,6 +1,7 @@
 """Intervals on a drive and a film: in virtual time, and as processes on an emulated drive."""
 
 import re
+from functools import partial
 from pathlib import Path
 from subprocess import PIPE
 from unittest.mock import Mock
@@ -13,15 +14,16 @@ from telepulse.experiment.interval import IntervalPlayback, PlayedInterval, draw
 from telepulse.experiment.log import read_log
 from telepulse.experiment.session import Letter, Trial
 from telepulse.experiment.subjects import Keyboard, Person
-from tests.support.emulated_bench import bench_scene_text
+from tests.support.emulated_bench import bench_scene_text, emulated_tmcl
 from tests.support.experiment_sessions import condition, plan, write
-from tests.support.nodes import ROOT, process
-from tests.support.virtual_bench import MS, TICK_MS, VirtualBench
-from tests.support.waiting import until
+from tests.support.nodes import ROOT
+from tests.support.sender import MS, display_scene
+from tests.support.threaded_bench import ThreadedBench
 
 LINK = "delay=40ms,jitter=5ms,loss=1%"
 # On a busy machine the bench stops by faults of its own; the session continues after them.
 TRIES = 5
+TICK_S = 2e-3
 PULSE = """kind = "synthetic"
 rate = "1 kHz"
 peak_to_peak = "0.3 N"
@@ -39,32 +41,35 @@ def bench_scene(folder: Path) -> Path:
 
 
 def test_one_interval_after_the_other_is_pressed_by_the_motor(tmp_path: Path) -> None:
-    bench, scene = VirtualBench(force_n=lambda _: 0.0), str(bench_scene(tmp_path))
+    scene = str(bench_scene(tmp_path))
     found = plan(tmp_path, condition("plain", LINK), scene=scene, interval="0.5 s")
     trial = Trial(condition="plain", direct="A", x="B", pulse_seed=3)
     felt: list[PlayedInterval] = []
     letters: tuple[Letter, ...] = ("A", "X", "A")
 
-    def most_n(from_ns: int, until_ns: int) -> float:
-        """Return the motor's greatest force from one time to another."""
-        return max(m.force_n for m in bench.moments if from_ns <= m.time_ns < until_ns)
+    with ThreadedBench(display_scene("tmcl_bench"), lambda _: 0.0) as bench:
+        bench.call(bench.connect)
 
-    for letter in letters:
-        interval = draw_interval(found, 1, 0, trial, letter, 1)
-        begin_ns, hardware = bench.now_ms * MS, bench.hardware
-        playing, on = IntervalPlayback(interval, begin_ns, hardware), True
-        while on:
-            bench.now_ms += TICK_MS
-            now_ns = bench.now_ms * MS
-            bench.drive.motor.advance(now_ns)
-            bench.drive.now_ns = bench.film.now_ns = bench.drive.reaches_ns = now_ns
-            on = playing.tick(now_ns)
-        assert playing.display.safety.faults == []
-        felt.append(playing.played())
-        opened_ns = begin_ns + interval.foreperiod_ns
-        assert most_n(begin_ns, opened_ns) < 0.01
-        assert most_n(opened_ns, now_ns) > 0.2
-        assert most_n(now_ns - 20 * MS, now_ns) < 0.01
+        def play(playing: IntervalPlayback) -> None:
+            while playing.tick(bench.world.perf_counter_ns()):
+                bench.world.sleep(TICK_S)
+
+        def most_n(from_ns: int, until_ns: int) -> float:
+            """Return the motor's greatest force from one time to another."""
+            return max(m.force_n for m in bench.moments if from_ns <= m.time_ns < until_ns)
+
+        for letter in letters:
+            interval = draw_interval(found, 1, 0, trial, letter, 1)
+            begin_ns = bench.world.now_ns
+            playing = IntervalPlayback(interval, begin_ns, bench.hardware)
+            bench.call(partial(play, playing))
+            now_ns = bench.world.now_ns
+            assert playing.display.safety.faults == []
+            felt.append(playing.played())
+            opened_ns = begin_ns + interval.foreperiod_ns
+            assert most_n(begin_ns, opened_ns) < 0.01
+            assert most_n(opened_ns, now_ns) > 0.2
+            assert most_n(now_ns - 20 * MS, now_ns) < 0.01
     errors_n = [played.aligned_n or 0 for played in felt]
     # The film's reading is 8 ms old: against the present pulse, the error would be 10 mN.
     assert max(errors_n[0], errors_n[2]) < 3e-3
@@ -75,13 +80,16 @@ def test_one_interval_after_the_other_is_pressed_by_the_motor(tmp_path: Path) ->
 def test_the_loop_is_judged_once_before_the_drive_moves(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    bench, judged = VirtualBench(force_n=lambda _: 0.0), Mock()
+    judged = Mock()
     found = plan(tmp_path, condition("plain", LINK), scene=str(bench_scene(tmp_path)))
     monkeypatch.setattr("display_node.control.force_loop.refuse_unstable", judged)
     person = Person(found, Mock(Keyboard), print)
     assert judged.call_count == 1
-    person.use(bench.hardware)
-    assert judged.call_count == 1
+    with ThreadedBench(display_scene("tmcl_bench"), lambda _: 0.0) as bench:
+        bench.call(bench.connect)
+        before = judged.call_count
+        person.use(bench.hardware)
+        assert judged.call_count == before
 
 
 def run_once(session: Path, log: Path) -> str:
@@ -100,16 +108,12 @@ def test_a_session_on_an_emulated_drive(tmp_path: Path) -> None:
         tmp_path / "s.toml", scene=str(scene), kind="rating", trials=1, interval="0.3 s"
     )
     log = tmp_path / "log.jsonl"
-    words = ("--link", tmp_path / "drive", "--film-link", tmp_path / "film", "--trace", trace)
-    with process("telepulse", "emulate", "tmcl", str(scene), *map(str, words)) as emulator:
-        until((tmp_path / "film").exists)
+    with emulated_tmcl(scene, "--trace", str(trace)):
         for _ in range(TRIES):
             if not (why := run_once(session, log)):
                 break
         else:
             pytest.fail(f"not felt to the end in {TRIES} attempts: {why}")
-        emulator.terminate()
-        emulator.wait(20)
     assert [p.letter for p in read_log(log).answered[0].played] == ["A", "X"]
     force_n = np.genfromtxt(trace, delimiter=",", skip_header=1, usecols=3)
     assert 0.1 < force_n.max() < 2.5

@@ -3,6 +3,7 @@
 import json
 import os
 import pty
+import re
 import signal
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -10,14 +11,13 @@ from pathlib import Path
 from subprocess import PIPE
 from typing import Any
 
+import pandas as pd
 import pytest
 from typer.testing import CliRunner, Result
 
 from protocol.host.child_process import ChildProcess
 from telepulse.cli.main import app
-from telepulse.experiment.log import SessionLog, gather, open_log, read_log, share_correct
-from telepulse.experiment.psychometrics import probability_of_a
-from telepulse.experiment.report import build_report, threshold_of
+from telepulse.experiment.log import SessionLog, open_log, read_log
 from telepulse.experiment.session import load_plan
 from tests.support.experiment_sessions import condition, write
 from tests.support.nodes import known
@@ -54,20 +54,12 @@ def lines(log: Path) -> list[dict[str, Any]]:
 
 def test_an_observer_is_right_as_often_as_its_threshold_says(tmp_path: Path) -> None:
     session = write(tmp_path / "s.toml", PLAIN, trials=6)
-    shares = []
     # Far below the error of the link, about it, and far above it, where answers are guesses.
-    for threshold in ("0.1 %", "4 %", "1000 %"):
-        results = gather([observed(session, threshold, tmp_path / f"{len(shares)}.jsonl")])
-        plain = results.of("plain")
-        found = share_correct(plain)
-        shares.append(found.share)
-        level = float(threshold.split()[0]) / 100
-        calls_a = [float(probability_of_a(o.errors, level)) for o in plain]
-        expected = [p if o.trial.x == "A" else 1 - p for p, o in zip(calls_a, plain, strict=True)]
-        low, high = found.interval
-        assert low <= sum(expected) / len(expected) <= high
-    assert shares[0] == 1 > shares[1] > shares[2]
-    assert low < 0.5 < high
+    right = [
+        sum(bool(each.correct) for each in observed(session, threshold, tmp_path / name).answered)
+        for threshold, name in (("0.1 %", "1.jsonl"), ("4 %", "2.jsonl"), ("1000 %", "3.jsonl"))
+    ]
+    assert right[0] == 6 > right[1] > right[2]
 
 
 def test_a_killed_session_continues_as_if_unbroken(tmp_path: Path) -> None:
@@ -162,42 +154,29 @@ def test_the_output_before_the_end_does_not_depend_on_what_x_is(tmp_path: Path) 
     on_link = [[p.on_link for p in log.answered[0].played] for log in logs]
     assert on_link[0][:2] == on_link[1][:2]
     assert on_link[0][2] != on_link[1][2]
-    right = [share_correct(gather([log], with_spoilt=True).tested).hits for log in logs]
-    assert sorted(right) == [0, 1]
+    assert {log.answered[0].correct for log in logs} == {False, True}
 
 
-def test_a_report_of_several_subjects(tmp_path: Path) -> None:
+def test_a_session_ends_with_its_answers_by_condition(tmp_path: Path) -> None:
     session = write(tmp_path / "s.toml", PLAIN, NOTHING, trials=3, catch=1)
-    logs = [tmp_path / "anna.jsonl", tmp_path / "bo.jsonl"]
-    for log, threshold in zip(logs, ("1 %", "20 %"), strict=True):
-        observed(session, threshold, log)
-    out, table = tmp_path / "out", tmp_path / "t.json"
-    result = experiment("report", *logs, "--out", out, "--json", table)
+    log = tmp_path / "anna.jsonl"
+    result = experiment("run", session, "--log", log, "--observer", "1 %")
     assert result.exit_code == 0, result.output
-    page = (out / "index.html").read_text(encoding="utf-8")
-    for name in ("shares", "psychometric", "course", "errors"):
-        assert f"experiment-{name}.svg" in page
-        assert (out / f"experiment-{name}.svg").stat().st_size > 5_000
-    results = gather([read_log(log) for log in logs])
-    first = json.loads(table.read_text(encoding="utf-8"))["chapters"][0]
-    rows = {row["condition"]: row for row in first["tables"][0]["rows"]}
-    found = share_correct(results.of("plain"))
-    assert rows["plain"]["right"] == f"{found.hits} of 6"
-    assert rows["all of them"]["right"].endswith("of 12")
-    assert float(rows["plain"]["direct (mN)"]) < 2 < float(rows["plain"]["link (mN)"])
-    assert {row["subject"] for row in first["tables"][1]["rows"]} == {"anna", "bo"}
-    assert "22.3 to 95.7 %" in result.output
-    assert threshold_of(results.outcomes) is not None
+    assert re.search(r"plain +│ +3 of 3 +│ +29.2 to 100.0 % +│ +\d", result.output)
+    assert re.search(r"nothing +│ +\d of 3 +│", result.output)
+    assert "Simulated: an observer with a threshold of 1 %; nobody felt anything." in result.output
 
 
-def test_a_report_of_ratings(tmp_path: Path) -> None:
+def test_pandas_reads_a_log(tmp_path: Path) -> None:
     session = write(tmp_path / "s.toml", PLAIN, kind="rating", trials=4, catch=4)
-    log = observed(session, "1 %", tmp_path / "log.jsonl")
-    table = build_report([log]).chapters[0].tables[0]
-    rows = {row[0]: dict(zip(table.columns, row, strict=True)) for row in table.rows}
-    assert float(rows["plain"]["mean (95 %)"].split()[0]) < 2
-    assert float(rows["no link (catch)"]["mean (95 %)"].split()[0]) > 3
-    assert rows["plain"]["close"] == "0 of 4"
+    log = tmp_path / "log.jsonl"
+    observed(session, "1 %", log)
+    lines = pd.read_json(log, lines=True)
+    trials = lines[lines["line"] == "trial"]
+    ratings = trials["answer"].astype(float).groupby(trials["condition"].fillna("catch")).mean()
+    assert ratings["plain"] < 2
+    assert ratings["catch"] > 3
+    assert (trials["error_x"] > trials["error_a"])[trials["condition"] == "plain"].all()
 
 
 @pytest.mark.parametrize(
@@ -215,8 +194,10 @@ def test_a_report_of_ratings(tmp_path: Path) -> None:
         ),
         (("run", "live.toml", "--log", "x", "--observer", "5 %"), "is a live sensor"),
         (("run", "s.toml", "--log", "x", "--observer", "-1"), "'-1' must be more than 0"),
-        (("report", "there"), "there: not a log"),
-        (("report", "garbage"), "garbage: line 1: not a line of a session's log"),
+        (
+            ("run", "s.toml", "--log", "garbage", "--resume", "--without-drive"),
+            "garbage: line 1: not a line of a session's log",
+        ),
         (("new", "s.toml"), "s.toml: exists already; name another file"),
     ],
 )
@@ -244,12 +225,9 @@ def test_a_log_continues_only_with_its_own_session(tmp_path: Path) -> None:
     assert "session, scene or observer differ from those in the log's first line" in result.stderr
 
 
-def test_the_example_and_the_plan_are_printed(tmp_path: Path) -> None:
+def test_the_example_is_written(tmp_path: Path) -> None:
     assert experiment("new", tmp_path / "mine.toml").exit_code == 0
     assert "[[conditions]]" in (tmp_path / "mine.toml").read_text(encoding="utf-8")
-    result = experiment("plan")
-    assert result.exit_code == 0
-    assert "The paper had six." in result.output
 
 
 def test_a_session_ends_safely_on_sigterm(tmp_path: Path) -> None:

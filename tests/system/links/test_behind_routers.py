@@ -7,7 +7,7 @@ import pytest
 
 from tests.support.nodes import assert_accounted
 from tests.support.routers import ROUTER_ADDRESS, behind_routers, needs_routers
-from tests.support.ways import WAYS, ThreeKeyrings, missing, play
+from tests.support.ways import WAYS, missing, nodes_keys, play
 
 
 @needs_routers
@@ -15,14 +15,14 @@ from tests.support.ways import WAYS, ThreeKeyrings, missing, play
 def test_a_finger_behind_one_router_feels_a_wrist_behind_another(name: str, tmp_path: Path) -> None:
     if (reason := missing(name)) is not None:
         pytest.skip(reason)
-    keys = ThreeKeyrings(tmp_path)
+    keys = nodes_keys(tmp_path)
     with behind_routers() as sites:
         # Neither router lets anybody in.
         with sites.finger.entered(), socket.socket() as caller:
             caller.settimeout(0.5)
             with pytest.raises(TimeoutError):
                 caller.connect((ROUTER_ADDRESS, 5555))
-        with WAYS[name][0](sites, keys, tmp_path) as ends:
+        with WAYS[name][0](sites, tmp_path) as ends:
             sensed, played = play(sites, ends, keys, tmp_path, seconds=5)
     samples = played["samples"]
     assert_accounted(samples)

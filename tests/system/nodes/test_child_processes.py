@@ -112,7 +112,7 @@ def test_the_relay_of_an_emulated_link_imports_nothing_of_the_current_folder() -
 def test_the_workers_of_a_study_import_nothing_of_the_current_folder() -> None:
     code = (
         "from telepulse.processes import free_addresses;"
-        "from telepulse.reports.studies.sweep import sweep; print(len(sweep(free_addresses, [1])))"
+        "from telepulse.parallel import sweep; print(len(sweep(free_addresses, [1])))"
     )
     with ChildProcess("study", "-c", code, stdout=PIPE, stderr=PIPE) as study:
         assert study.read_line(PATIENCE_S) == "1"

@@ -10,12 +10,11 @@ from display_node.reception.addresses import Lookup
 from display_node.reception.connection import Connection
 from display_node.reception.endpoint import Endpoint
 from display_node.reception.failover import DataPath
-from display_node.reception.redundancy import Redundancy
 from protocol.errors import AddressError
 from protocol.security import socket_monitor
 from protocol.security.socket_monitor import HandshakeMonitor
 from protocol.sockets import Context, Socket, control_address
-from protocol.summary_tables import DataConnections, Reconnections
+from protocol.summary_tables import Reconnections
 from protocol.wire.messages import ClockRequest, SetPoint
 from telepulse.processes import free_addresses
 from tests.support.nodes import free_address
@@ -485,44 +484,3 @@ def test_copies_of_what_the_closed_connection_delivered_are_dropped_from_the_kep
     path.failover.racing = True
     assert receive([b"7", b"9"], [b"10"]) == [b"10", b"9"]
     path.close(0)
-
-
-class Scheduled(Redundancy):
-    """A decision by the time in ms alone: three paths from 100 ms on, and one from 200 ms."""
-
-    def change(self, now_ns: int) -> str:
-        """Change the paths when it is time."""
-        wanted = 3 if 100 <= now_ns // MS < 200 else 1
-        changed, self.paths = wanted != self.paths, wanted
-        self.opened += changed and wanted > 1
-        return "as scheduled" if changed else ""
-
-
-def test_paths_are_opened_and_closed_during_a_run(
-    context: Context, asked: list[str], no_answers: None, caplog: pytest.LogCaptureFixture
-) -> None:
-    caplog.set_level("INFO")
-    publisher, address = context.socket(zmq.XPUB), free_address()
-    publisher.setsockopt(zmq.XPUB_VERBOSER, 1)
-    publisher.bind(address)
-    connection = Connection(context, [address], 1, redundancy=Scheduled(0.01))
-    connection.subscribe(5 * MS, 0, 0)
-    poll(connection, 0, 20)
-    descriptors = list(connection.descriptors)
-    assert publisher.recv() == b"\1"
-    poll(connection, 20, 120)
-    # Each new path subscribes over a connection of its own, and delivers.
-    assert [publisher.recv(), publisher.recv()] == [b"\1", b"\1"]
-    assert connection.data_connections == DataConnections(open=3, opened=1, stalls=0)
-    assert set(descriptors) < set(connection.descriptors)
-    publisher.send(b"a frame")
-    copies: list[bytes] = []
-    until(lambda: len(copies) == 3 or copies.extend(connection.routes[0].messages()))
-    poll(connection, 120, 220)
-    assert [publisher.recv(), publisher.recv()] == [b"\0", b"\0"]
-    assert connection.descriptors == descriptors
-    assert (connection.data_connections.open, connection.most_paths) == (1, 3)
-    assert caplog.messages == [
-        "as scheduled: 3 data connections from now on, not 1",
-        "as scheduled: 1 data connection from now on, not 3",
-    ]

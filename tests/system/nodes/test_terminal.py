@@ -14,6 +14,7 @@ from display_node.telemetry.terminal import watch
 from protocol.run_summary import Summary
 from protocol.sockets import Context
 from protocol.ticks import TickState
+from protocol.wire.marks import MARK, Mark, pack_mark
 from protocol.wire.telemetry import STATUS, TRACE, TraceWriter, pack_status
 from tests.support.nodes import free_address, run_python
 
@@ -64,15 +65,21 @@ def shown(context: Context, send: Callable[[zmq.Socket[bytes]], None]) -> str:
 
     def look() -> bool:
         nonlocal subscriptions
-        while subscriptions < 2 and publisher.poll(10):
+        while subscriptions < 3 and publisher.poll(10):
             publisher.recv()
             subscriptions += 1
-            if subscriptions == 2:
+            if subscriptions == 3:
                 send(publisher)
         return ": " not in output.getvalue() and time.monotonic() < end_s
 
     watch(address, Console(file=output, width=500), keep_watching=look)
     return output.getvalue()
+
+
+def test_a_mark_is_printed(context: Context) -> None:
+    mark = pack_mark(Mark(1, 1, 0, "cuff on"))
+    text = shown(context, lambda publisher: publisher.send_multipart((MARK, mark)))
+    assert text.endswith("mark: cuff on\n")
 
 
 @pytest.mark.parametrize("next_process", [False, True])

@@ -248,13 +248,19 @@ def test_no_file_is_overwritten(recording: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("library", "to"), [("pyarrow", export_parquet), ("edfio", export_signals)]
+    ("library", "to", "package"),
+    [("pyarrow", export_parquet, r"'telepulse\[analysis\]'"), ("edfio", export_signals, "edfio")],
 )
 def test_a_library_that_is_not_installed_is_named(
-    library: str, to: Any, recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    library: str,
+    to: Any,
+    package: str,
+    recording: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setitem(sys.modules, library, None)
-    with pytest.raises(OutputError, match=rf"needs {library}.*telepulse\[analysis\]"):
+    with pytest.raises(OutputError, match=rf"needs {library}.*pip install {package}"):
         to(recording, tmp_path / "out")
     assert not (tmp_path / "out").exists()
 

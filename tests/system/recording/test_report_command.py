@@ -119,9 +119,8 @@ def test_a_recorded_press_has_a_chapter_on_press_hold_down_and_height(path: Path
     assert all("press_n" in fields for fields in ticks)
     assert sum("hold_down_n" in fields for fields in ticks) > len(ticks) / 2
     table, _ = recording_signals(path)
-    labels = [signal.name for signal in table.signals]
-    assert "Press" in labels
-    assert 0.5e3 < np.nanmax(table.values[labels.index("Press")]) < 1.5e3
+    assert "Press" in table.names
+    assert 0.5e3 < np.nanmax(table.values[:, table.names.index("Press")]) < 1.5e3
 
 
 @pytest.mark.timeout(2 * PATIENCE_S)

@@ -51,7 +51,7 @@ def test_the_front_has_the_points_that_no_other_dominates() -> None:
 def test_the_shipped_settings_are_those_of_the_default_scene_and_every_case_can_be_loaded(
     tmp_path: Path,
 ) -> None:
-    assert shipped() == Settings(2.0, "stack", None, 5.0, None)
+    assert shipped() == Settings(2.0, "stack", None, 5.0, 1)
     effort = CostEffort()
     cases = [*effort.combinations(), *effort.variations()]
     assert effort.combinations()[0] == effort.variations()[0] == shipped()

@@ -3,6 +3,7 @@ import sys
 import pytest
 
 from telepulse.document import Report
+from telepulse.parallel import in_one_thread
 from telepulse.reports.studies.integrator_report import NOT_INSTALLED, report_integrators
 from telepulse.reports.studies.integrator_scores import (
     CONTROL,
@@ -10,7 +11,6 @@ from telepulse.reports.studies.integrator_scores import (
     IntegratorEffort,
     score_integrators,
 )
-from telepulse.reports.studies.sweep import in_one_thread
 
 LITTLE = IntegratorEffort(
     seconds=0.3, rounds=1, substeps=(1, 2), solvers=(("RK45", 1e-6),), rotor_seconds=0.2

@@ -10,11 +10,11 @@ import pytest
 
 from protocol.config.scene_file import find_scene
 from protocol.errors import SceneError, SweepError
-from telepulse.reports.studies import sweep as sweep_module
+from telepulse import parallel as sweep_module
+from telepulse.parallel import THREADS, in_one_thread, sweep
 from telepulse.reports.studies.link_scores import LinkCase, LinkEffort, run_link
 from telepulse.reports.studies.playout_links import GAUSSIAN
 from telepulse.reports.studies.playout_scores import PlayoutEffort, score_playout
-from telepulse.reports.studies.sweep import THREADS, in_one_thread, sweep
 from tests.support.nodes import free_address, process, run_python
 
 LONG_S = 60

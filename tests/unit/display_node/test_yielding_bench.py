@@ -2,7 +2,9 @@
 
 import dataclasses
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from dataclasses import dataclass
 
 import numpy as np
 import pytest
@@ -10,16 +12,15 @@ from numpy.typing import NDArray
 
 from display_node.contactor import Contactor
 from display_node.plant.contact import ContactLaw
+from display_node.plant.scene import StepperScene
 from display_node.press.scene import PressScene
 from display_node.scene import DisplayScene
 from protocol.wire.messages import Frame, encode_frame
 from protocol.wire.stream import Channel
 from pulse_sensors.samples import SampleBlock
-from tests.support import virtual_bench
-from tests.support.fault_injection import FaultyMotor
 from tests.support.sender import AHEAD_NS, MS, display_scene
 from tests.support.streams import synthetic
-from tests.support.virtual_bench import VirtualBench
+from tests.support.threaded_bench import ThreadedBench
 
 LIMIT_N = 2.5
 # Hand of 300 N/m that follows a tip with a time constant of 0.1 s.
@@ -51,12 +52,12 @@ class PressSensor:
 
     def __init__(self, bench: "PressedBench") -> None:
         self._bench, self._rng = bench, np.random.default_rng(1)
-        self._taken_ms = 0
+        self._taken_ms = bench.world.now_ns // MS
         self.reads_n: float | None = None
         self.rejected: Counter[str] = Counter()
 
     def poll(self) -> list[SampleBlock]:
-        now_ms = self._bench.now_ms
+        now_ms = self._bench.world.now_ns // MS
         count, self._taken_ms = now_ms - self._taken_ms, now_ms
         if count <= 0:
             return []
@@ -65,10 +66,14 @@ class PressSensor:
         return [SampleBlock(values, 0, (now_ms - count + 1) * MS, (now_ms + 1) * MS)]
 
 
-class PressedBench(VirtualBench):
+@dataclass
+class PressedBench(ThreadedBench):
     """The bench of scene tmcl_bench with a press sensor, under a hand; tip_m: one a millisecond."""
 
-    hand: Hand
+    @property
+    def hand(self) -> Hand:
+        assert isinstance(self.law, Hand)
+        return self.law
 
     @property
     def tip_m(self) -> NDArray[np.float64]:
@@ -85,40 +90,39 @@ class PressedBench(VirtualBench):
         sender.sent += count
         return encode_frame(frame)
 
+    def connect(self) -> None:
+        super().connect()
+        press = self.display.press
+        assert press is not None
+        press.use(PressSensor(self))  # type: ignore[arg-type]
+
 
 @pytest.fixture
-def pressed(monkeypatch: pytest.MonkeyPatch) -> Callable[..., PressedBench]:
-    """Return a function that makes a bench: touch, whether the film is blind, whether it yields."""
+def pressed(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., PressedBench]]:
+    """Return a function that starts a bench; blind: its film drifts; yields: it does to a hand."""
+    benches = ExitStack()
 
     def build(touch_mm: float = 8, blind: bool = False, yields: bool = True) -> PressedBench:
         sensor = {"kind": "serial", "port": "x", "framing": "binary", "rate": "1 kHz", "unit": "N"}
         press = PressScene.model_validate({"film_reads_press": not blind, "sensor": sensor})
         plain = display_scene("tmcl_bench")
         assert plain.drive is not None
+        assert isinstance(plain.actuator, StepperScene)
         drive = plain.drive.model_copy(update={"touch_m": touch_mm * 1e-3})
         scene: DisplayScene = plain.model_copy(update={"press": press, "drive": drive})
-        hands = []
-
-        def motor(actuator: object, law: ContactLaw, *rest: object) -> FaultyMotor:
-            hands.append(Hand(law))
-            return FaultyMotor(actuator, hands[-1], *rest)  # type: ignore[arg-type]
-
-        monkeypatch.setattr(virtual_bench, "display_scene", lambda _: scene)
-        monkeypatch.setattr(virtual_bench, "EmulatedMotor", motor)
-        # Faster to touch, which is further away.
-        monkeypatch.setattr(virtual_bench, "TOUCHING_HZ", 16_000.0)
         if not yields:
             monkeypatch.setattr(Contactor, "_yield", lambda *_: None)
             monkeypatch.setattr(Contactor, "_read_around_press", lambda *_: None)
         source = synthetic(preset="paper", rate="1 kHz", peak_to_peak="0.3 N", preload="0 N")
         pulse_n = source.take(12_000)[:, 0].tolist()
-        bench = PressedBench(lambda ms: float(pulse_n[max(0, int(ms))]))
-        bench.hand = hands[0]
+        hand = Hand(plain.actuator.contact(scene.layer.layer()))
+        bench = PressedBench(scene, lambda ms: float(pulse_n[ms % len(pulse_n)]), law=hand)
         stream, channels = bench.sender.stream, (Channel("pulse"), Channel("hold-down"))
         bench.sender.stream = dataclasses.replace(stream, channels=channels)
         monkeypatch.setattr(bench.sender, "frame_of", bench.frame_of)
-        assert bench.display.press is not None
-        bench.display.press.use(PressSensor(bench))  # type: ignore[arg-type]
+        benches.enter_context(bench)
+        bench.start()
+        bench.moments.clear()
         if blind:
             # A charge amplifier with a time constant of 2 s.
             level = [0.0]
@@ -127,10 +131,11 @@ def pressed(monkeypatch: pytest.MonkeyPatch) -> Callable[..., PressedBench]:
                 level[0] += (force_n - level[0]) * 1e-3 / 2.0
                 return force_n - level[0]
 
-            monkeypatch.setattr(bench.drive.motor.injector, "film_n", film_n)
+            monkeypatch.setattr(bench.motor.injector, "film_n", film_n)
         return bench
 
-    return build
+    with benches:
+        yield build
 
 
 @pytest.mark.parametrize("blind", [False, True])
@@ -169,7 +174,7 @@ def test_the_tip_yields_no_further_than_its_travel(pressed: Callable[..., Presse
     assert bench.display.press is not None
     assert 0.3e-3 < -bench.tip_m[-1_600:].mean() < 0.7 * bench.display.press.yielded_m
     # The finger lies at least 1 mm before home, so that the tip can leave it.
-    assert bench.drive.supervisor.origin_m > -2.2e-3
+    assert bench.tip_m.min() > -2.2e-3
 
 
 def test_after_a_fault_the_tip_leaves_a_finger_that_has_followed_it(

@@ -27,21 +27,6 @@ def test_pages_are_published_on_this_machine_alone_and_nodes_on_no_network_outsi
     ports = [port for service in SERVICES.values() for port in service.get("ports", ())]
     assert sorted(ports) == ["127.0.0.1:5006:5006", "127.0.0.1:5007:5007"]
     assert COMPOSE["networks"]["link"]["internal"] is True
-    joined = {name: service.get("networks", []) for name, service in SERVICES.items()}
-    assert {name for name, networks in joined.items() if "page" in networks} == {
-        *("display", "display-wan"),
-    }
-
-
-def test_without_a_profile_the_two_nodes_run_and_nothing_else() -> None:
-    usual = {name for name, service in SERVICES.items() if "profiles" not in service}
-    assert usual == {"keys", "display", "sensing"}
-    for service in SERVICES.values():
-        mode = service.get("network_mode", "")
-        assert set(service.get("depends_on", ())) | {mode.removeprefix("service:")} <= {
-            *SERVICES,
-            "",
-        }
 
 
 @pytest.mark.parametrize("service", [name for name in SERVICES if name != "keys"])

@@ -1,8 +1,10 @@
 import re
+import tomllib
 from collections.abc import Iterator
 from typing import Any, get_args
 
 import pytest
+import yaml
 from pydantic import BaseModel
 
 from display_node.scene import DisplayScene
@@ -59,17 +61,6 @@ def test_every_cause_of_refusal_is_documented_and_no_other() -> None:
     assert documented == CAUSE_MEANINGS.keys()
 
 
-def test_nothing_claims_that_the_finger_is_at_rest() -> None:
-    """Statements about the finger are measured: `drives/withdrawal.py` makes the sentence."""
-    texts = [
-        *(ROOT / "docs").rglob("*.md"),
-        *(path for package in PACKAGES for path in (ROOT / package).rglob("*.py")),
-        *(ROOT / "telepulse").rglob("*.js"),
-        *(ROOT / "telepulse").rglob("*.html"),
-    ]
-    assert [path for path in texts if "finger is at rest" in path.read_text(encoding="utf-8")] == []
-
-
 def test_the_safety_case_names_existing_tests() -> None:
     text = (ROOT / "docs" / "safety_case.md").read_text(encoding="utf-8")
     named = set(re.findall(r"`(test_\w+\.py)::(test_\w+)`", text))
@@ -87,3 +78,9 @@ def test_no_address_of_a_registry_is_written_down(name: str) -> None:
     text = (ROOT / name).read_text(encoding="utf-8")
     assert "index-url" not in text
     assert not re.search(r"https?://", text)
+
+
+def test_the_citation_names_this_version() -> None:
+    citation = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    assert (citation["version"], citation["license"]) == (project["version"], project["license"])

@@ -27,11 +27,5 @@ def test_a_reference_page_is_what_the_code_gives(
         pytest.skip("typer is not of the version in constraints.txt")
     monkeypatch.setenv("COLUMNS", "40")
     text = page.read_text("utf-8")
+    assert "{from-code}" not in text
     assert generated(text) == text, "python -m docs.ext writes it again"
-
-
-def test_the_pages_that_a_clone_shows_hold_their_tables() -> None:
-    assert {page.stem for page in PAGES} == {"commands", "scenes", "summary", "wire"}
-    for page in PAGES:
-        assert page.read_text("utf-8").count("\n| ") > 20
-        assert "{from-code}" not in page.read_text("utf-8")

@@ -10,7 +10,6 @@ import pytest
 from pydantic import TypeAdapter
 from rich.console import Console
 
-from display_node.telemetry.terminal_view import TerminalView
 from docs.ext import summary_keys
 from protocol.figures import (
     MILLISECONDS,
@@ -44,14 +43,6 @@ def printed(summary: Json) -> str:
     return console.export_text()
 
 
-def panel(summary: Json) -> str:
-    view = TerminalView()
-    view.status = Status("playing", "", summary, False)
-    console = Console(file=io.StringIO(), width=1_000, record=True)
-    console.print(view.panel())
-    return console.export_text()
-
-
 def on_the_page(summary: Json) -> str:
     live = LiveState()
     live.summary = summary
@@ -65,7 +56,6 @@ def scraped(summary: Json) -> str:
 
 SURFACES: dict[Surface, Callable[[Json], str]] = {
     Surface.SUMMARY: printed,
-    Surface.TERMINAL: panel,
     Surface.PAGE: on_the_page,
     Surface.REPORT: lambda summary: str(REGISTRY.cells(summary, Surface.REPORT)),
     Surface.METRICS: scraped,

@@ -25,7 +25,6 @@ def test_the_compliance_falls_by_babbs_constants_on_either_side_of_zero(pressure
 def test_the_pulse_is_highest_at_the_mean_pressure(mean_share: float) -> None:
     tube = TubeLaw.highest_at_mean(mean_share)
     mean_pa = DIASTOLIC_PA + mean_share * (SYSTOLIC_PA - DIASTOLIC_PA)
-    assert tube.best_outside_pa(DIASTOLIC_PA, SYSTOLIC_PA) == pytest.approx(mean_pa)
     best = tube.height(mean_pa, DIASTOLIC_PA, SYSTOLIC_PA)
     for other_pa in (0.9 * mean_pa, 1.1 * mean_pa):
         assert tube.height(other_pa, DIASTOLIC_PA, SYSTOLIC_PA) < best

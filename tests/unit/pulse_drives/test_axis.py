@@ -7,9 +7,21 @@ from hypothesis import strategies as st
 from pulse_drives.axis import LARGEST, Axis, Units, build_axis
 from telepulse.emulators.motor import TICK_NS, EmulatedMotor
 from tests.support.drive_benches import FORCE_LIMIT_N, LAYER, stepper, tmcl_scene
-from tests.support.virtual_bench import to_touch
 
 UNITS = Units(step_m=1e-6, per_step=4.0, per_step_rate=0.5, direction=-1, home_m=-2e-3)
+# 1 mm/s of the usual stepper.
+TOUCHING_HZ = 1_600.0
+
+
+def to_touch(motor: EmulatedMotor, now_ns: int) -> int:
+    """Move the tip off the finger, then to first touch; return the time of the touch."""
+    for rate_hz in (-TOUCHING_HZ, TOUCHING_HZ):
+        motor.run(rate_hz)
+        while (motor.tip_m < 0) is (rate_hz > 0):
+            now_ns += TICK_NS
+            motor.advance(now_ns)
+    motor.run(0.0)
+    return now_ns
 
 
 def test_speeds_and_positions_are_converted_to_units_and_direction_of_the_drive() -> None:

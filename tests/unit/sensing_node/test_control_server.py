@@ -13,7 +13,6 @@ from protocol.wire.messages import (
     ClockRequest,
     ControlMessage,
     DisplayReport,
-    EarlierHello,
     Hello,
     ProbeReport,
     SetPoint,
@@ -29,8 +28,6 @@ from sensing_node.control_server import (
     LEAST_PER_S,
     MAX_CLIENTS,
     MAX_HOPS,
-    MOST_OTHER_VERSIONS,
-    OTHER_VERSION_AFTER_NS,
     REQUESTS_AT_ONCE,
     STRANGERS_PER_S,
     Client,
@@ -154,44 +151,15 @@ def test_an_invalid_message_is_counted_by_cause_and_not_answered(
 
 
 def test_a_display_of_another_version_is_refused_and_can_find_out(server: ControlServer) -> None:
-    old = encode_control(EarlierHello("anna's"))
-    assert old == msgpack.packb([1, "hello", "anna's"])
+    old = msgpack.packb([1, "hello", "anna's"])
     # The answer, which the old display refuses, has this node's version.
     assert isinstance(server.answer(ANNA, old, NOW_NS, 0), Welcome)
-    server.count_other_versions(NOW_NS + OTHER_VERSION_AFTER_NS)
-    assert not server.rejected
-    server.count_other_versions(NOW_NS + OTHER_VERSION_AFTER_NS + 1)
     assert server.rejected == {"version": 1}
     assert not server.clients
     assert server.other_version.startswith("the peer has version 1 of the protocol, this node ")
     # All strangers together are answered ten times a second.
     answers = [server.answer((b"%d" % i,), old, NOW_NS, 0) for i in range(20)]
     assert sum(answer is not None for answer in answers) == STRANGERS_PER_S - 1
-
-
-def test_the_hello_in_version_1_of_a_known_display_is_ignored(server: ControlServer) -> None:
-    ask(server, ANNA, HELLO)
-    assert ask(server, ANNA, EarlierHello("anna's")) is None
-    assert not server.rejected
-    assert not server.other_version
-
-
-def test_a_display_that_asks_in_both_versions_over_two_connections_is_of_this_one(
-    server: ControlServer,
-) -> None:
-    ask(server, ANNA, EarlierHello("anna's"))
-    ask(server, (b"another connection",), Hello("anna's"))
-    server.count_other_versions(None)
-    assert not server.rejected
-    assert not server.other_version
-
-
-def test_names_of_displays_of_other_versions_are_bounded(server: ControlServer) -> None:
-    for number in range(2 * MOST_OTHER_VERSIONS):
-        ask(server, (b"%d" % number,), EarlierHello(f"old {number}"))
-    assert server.rejected == {"version": MOST_OTHER_VERSIONS}
-    server.count_other_versions(None)
-    assert server.rejected == {"version": 2 * MOST_OTHER_VERSIONS}
 
 
 @pytest.mark.parametrize(

@@ -23,6 +23,7 @@ def test_a_scene_without_a_link_has_a_link_without_impairments() -> None:
         ("[display]", "[displya]", ["displya", "did you mean display?"]),
         ("poisson_ratio = 0.5", "poisson_ratio = 0.6", ["poisson_ratio", "0.5"]),
         ("kp = 190", "kp = -1", ["controller", "kp"]),
+        ("[display]\n", '[display]\npaths = "auto"\n', ["[display] paths", "write paths = 3"]),
     ],
 )
 def test_a_bad_scene_is_one_line_with_file_section_and_key(

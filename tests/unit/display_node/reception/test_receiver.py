@@ -11,7 +11,6 @@ from protocol.wire.messages import (
     Bye,
     ClockReply,
     ClockRequest,
-    EarlierHello,
     Frame,
     Hello,
     Welcome,
@@ -41,10 +40,8 @@ def test_hello_is_repeated_until_the_welcome_and_frames_before_the_clock_are_ref
     assert {type(r) for r in requests} == {ClockRequest}
 
 
-def test_an_unanswered_display_also_asks_in_version_1_and_names_an_older_node() -> None:
+def test_a_node_of_another_version_is_refused_and_named() -> None:
     receiver, sender = Receiver("test", 0, 0.01), Sender()
-    asked = [r for ns in range(0, 4000 * MS, MS) for r in receiver.requests(ns)]
-    assert [type(r) for r in asked] == 2 * [*8 * [Hello], EarlierHello]
     _, *welcome = msgpack.unpackb(encode_control(Welcome(7, 0, sender.stream)))
     receiver.on_control(msgpack.packb([1, *welcome]), 4000 * MS)
     assert receiver.rejected == {"version": 1}

@@ -6,7 +6,6 @@ import pytest
 from protocol.config.kinds import KindGroup, KindTable, ListedKind, OfKind, load_object
 from protocol.config.scene import Section, load_section, validate
 from protocol.errors import SceneError
-from tests.support.distributions import install
 
 OWN = "protocol.config.kinds:KindTable"
 MOTORS = KindGroup[KindTable]("telepulse.motors", "motor", KindTable, {"own": OWN})
@@ -37,6 +36,24 @@ class Unrelated:
 KINDS = (
     "linear = Linear\nmisnamed = Misnamed\nunrelated = Unrelated\nmissing = Missing\nown = Linear"
 )
+
+
+def install(folder: Path, name: str, code: str, version: str = "1.2", **entry_points: str) -> None:
+    """Write a distribution of one module, `name`, and what pip writes of its entry points.
+
+    entry_points: of each group, with _ in place of its dot, lines "kind = class".
+    """
+    (folder / f"{name}.py").write_text(code, encoding="utf-8")
+    info = folder / f"{name}-{version}.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text(
+        f"Metadata-Version: 2.1\nName: {name}\nVersion: {version}\n", encoding="utf-8"
+    )
+    lines: list[str] = []
+    for group, pairs in entry_points.items():
+        lines.append(f"[{group.replace('_', '.', 1)}]")
+        lines += [pair.replace("= ", f"= {name}:") for pair in pairs.splitlines()]
+    (info / "entry_points.txt").write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
 @pytest.fixture(autouse=True)

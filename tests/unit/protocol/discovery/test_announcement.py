@@ -155,17 +155,15 @@ def test_only_addresses_on_own_networks_are_used(
 
 
 def test_the_addresses_that_are_bound_are_announced() -> None:
-    names = {"eth0": ["192.0.2.2"]}
-    assert announced_addresses("*", OWN, names) == ["192.0.2.2", "172.17.0.1"]
-    assert announced_addresses("127.0.0.1", OWN, names) == ["127.0.0.1"]
+    assert announced_addresses("*", OWN) == ["192.0.2.2", "172.17.0.1"]
+    assert announced_addresses("127.0.0.1", OWN) == ["127.0.0.1"]
     everywhere = ["192.0.2.2", "172.17.0.1", "2001:db8::2"]
-    assert announced_addresses("[::]", OWN, names) == everywhere
-    assert announced_addresses("[2001:db8::2]", OWN, names) == ["2001:db8::2"]
-    assert announced_addresses("eth0", OWN, names) == ["192.0.2.2"]
+    assert announced_addresses("[::]", OWN) == everywhere
+    assert announced_addresses("[2001:db8::2]", OWN) == ["2001:db8::2"]
     with pytest.raises(DiscoveryError, match=r"192\.0\.2\.9: is no address here"):
-        announced_addresses("192.0.2.9", OWN, names)
+        announced_addresses("192.0.2.9", OWN)
     with pytest.raises(DiscoveryError, match="on no network"):
-        announced_addresses("*", OWN[:1], {})
+        announced_addresses("*", OWN[:1])
 
 
 def test_a_node_is_selected_by_its_name_and_by_its_key() -> None:

@@ -59,6 +59,5 @@ def test_a_file_of_a_recorder_is_played_as_expected(
 
 def test_the_start_and_the_rate_of_a_wristband_are_no_samples() -> None:
     file = open_signals(FIELD / "e4_bvp.csv")
-    assert file.begin_ns == 1_544_027_337_000_000_000
     values = file.load([0])[0].values
     assert (len(values), values.max() < 120) == (1920, True)

@@ -1,35 +1,18 @@
 """Numbers in messages of other programs: which field is played, and what is missing."""
 
-import json
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from mcap.writer import Writer
 
 from protocol.errors import SourceError
 from sensing_node.files.formats import open_signals
 from sensing_node.files.grids import find_gaps
 from sensing_node.sources.choice import record_table
-from telepulse.recording.conversion import convert_file
-from tests.support.recordings import record
+from tests.support.signal_files import mcap
 
 FORCE_N = (0.3 + 0.1 * np.sin(np.arange(500) / 10)).tolist()
-
-
-def mcap(path: Path, contents: list[Any], topic: str = "/pulse") -> Path:
-    """Write messages at 250 Hz."""
-    with path.open("wb") as file:
-        writer = Writer(file)
-        writer.start()
-        schema = writer.register_schema("sensor", "jsonschema", b"{}")
-        channel = writer.register_channel(topic, "json", schema)
-        for number, content in enumerate(contents):
-            at_ns = 10**18 + number * 4_000_000
-            writer.add_message(channel, at_ns, json.dumps(content).encode(), at_ns)
-        writer.finish()
-    return path
 
 
 def stamp(number: int) -> dict[str, int]:
@@ -72,9 +55,7 @@ def test_null_and_nan_are_missing_samples_at_the_rate_of_all_messages(tmp_path: 
         file.find("/pulse.other")
 
 
-def test_what_a_person_stated_is_read_from_our_recording(tmp_path: Path) -> None:
-    about = {"subject": "S01", "side": "left"}
-    record(tmp_path / "a.mcap", 2, about=about)
-    assert open_signals(tmp_path / "a.mcap").metadata == about
-    list(convert_file(tmp_path / "a.mcap", tmp_path / "a.hea"))
-    assert "# subject: S01\n# side: left\n" in (tmp_path / "a.hea").read_text(encoding="utf-8")
+def test_messages_in_another_encoding_are_refused_by_name(tmp_path: Path) -> None:
+    path = mcap(tmp_path / "a.mcap", [{"x": 1}], "/film", "cdr")
+    with pytest.raises(SourceError, match=r"only messages in JSON are read, not /film \(cdr\)"):
+        open_signals(path)

@@ -3,20 +3,23 @@
 import random
 from collections.abc import Callable
 from contextlib import suppress
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 import edfio
 import numpy as np
+import pyarrow
 import pytest
+from pyarrow import parquet
 from scipy.io import wavfile
 
 from protocol.errors import SourceError
 from sensing_node.files.formats import open_signals
 from sensing_node.files.grids import fill_gaps, find_gaps, on_grid
 from sensing_node.files.signals import SignalFile, aligned
-from tests.support.signal_files import Floats, pulse_and_ecg, wfdb_record
+from telepulse.recording import xdf_writer
+from telepulse.recording.signal_table import SignalTable
+from tests.support.signal_files import Floats, mcap, pulse_and_ecg, wfdb_record
 
 SIGNALS = pulse_and_ecg()
 
@@ -26,7 +29,7 @@ def samples(file: SignalFile) -> dict[str, Floats]:
     return {column.name: column.values for column in file.load([s.name for s in file.signals])}
 
 
-def test_a_record_by_hand_has_units_rate_begin_and_gaps(tmp_path: Path) -> None:
+def test_a_record_by_hand_has_units_rate_and_gaps(tmp_path: Path) -> None:
     written = {**SIGNALS, "ABP": SIGNALS["ABP"].copy()}
     written["ABP"][[3, 4, 5, 900]] = np.nan
     path = wfdb_record(tmp_path, written)
@@ -37,7 +40,6 @@ def test_a_record_by_hand_has_units_rate_begin_and_gaps(tmp_path: Path) -> None:
             ("ABP", "mmHg", 250.0, 1000),
             ("RESP", "V", 250.0, 1000),
         ]
-    assert file.begin_ns == datetime(2016, 11, 24, 12, tzinfo=UTC).timestamp() * 1e9
     read = samples(file)
     for name, values in written.items():
         np.testing.assert_allclose(read[name], values, atol=0.006)
@@ -80,6 +82,18 @@ def test_segments_are_joined_and_what_lies_between_is_missing(tmp_path: Path) ->
     assert np.all(np.isnan(read[300:400]))
 
 
+def test_signals_of_a_record_may_have_several_samples_in_a_frame(tmp_path: Path) -> None:
+    wfdb_record(tmp_path, {"ABP": SIGNALS["ABP"][::2]}, rate="125")
+    wfdb_record(tmp_path, {"II": SIGNALS["II"]}, name="e")
+    (tmp_path / "both.hea").write_text(
+        "both 2 125\nrec.dat 16 100/mmHg 16 0 0 0 0 ABP\ne.dat 16x2 2000/mV 16 0 0 0 0 II\n",
+        encoding="utf-8",
+    )
+    file = open_signals(tmp_path / "both")
+    assert [signal.rate_hz for signal in file.signals] == [125, 250]
+    np.testing.assert_allclose(samples(file)["II"], SIGNALS["II"], atol=1e-3)
+
+
 @pytest.mark.parametrize("kind", ["edf", "bdf"])
 def test_edf_and_bdf_of_another_library_are_read(tmp_path: Path, kind: str) -> None:
     signal = edfio.BdfSignal if kind == "bdf" else edfio.EdfSignal
@@ -96,7 +110,6 @@ def test_edf_and_bdf_of_another_library_are_read(tmp_path: Path, kind: str) -> N
         ("II", "mV", 250.0),
         ("ABP", "mmHg", 125.0),
     ]
-    assert file.marks == ((1.5, "cuff", None),)
     reread = (edfio.read_bdf if kind == "bdf" else edfio.read_edf)(tmp_path / f"e.{kind}")
     for one, values in zip(reread.signals, samples(file).values(), strict=True):
         np.testing.assert_allclose(values, one.data, rtol=1e-9, atol=1e-9)
@@ -107,13 +120,34 @@ def test_a_discontinuous_edf_gets_its_gap_back(tmp_path: Path) -> None:
     signal = edfio.EdfSignal(SIGNALS["ABP"], 250, label="ABP")
     edfio.Edf([signal], annotations=[edfio.EdfAnnotation(0, None, "x")]).write(path)
     data = path.read_bytes().replace(b"EDF+C", b"EDF+D")
-    data = path.read_bytes().replace(b"EDF+C", b"EDF+D")
     for second in (3, 2):
         data = data.replace(b"+%d\x14\x14" % second, b"+%d\x14\x14" % (second + 2))
     path.write_bytes(data)
     read = samples(open_signals(path))["ABP"]
     assert find_gaps(read) == (500, 1, 500)
     np.testing.assert_allclose(read[1000:], SIGNALS["ABP"][500:], atol=0.01)
+
+
+@pytest.mark.parametrize("length", [b"9999    ", b"        ", b"x"])
+def test_an_edf_with_a_wrong_length_of_its_header_is_read(tmp_path: Path, length: bytes) -> None:
+    path = _edf(tmp_path)
+    before, data = samples(open_signals(path)), path.read_bytes()
+    path.write_bytes(data[:184] + length + data[184 + len(length) :])
+    np.testing.assert_array_equal(samples(open_signals(path))["ABP"], before["ABP"])
+
+
+@pytest.mark.parametrize(("stated", "held"), [(b"-1", 4), (b"9", 4), (b"3", 3)])
+def test_an_edf_whose_number_of_records_is_wrong_is_read(
+    tmp_path: Path, stated: bytes, held: int
+) -> None:
+    path = _edf(tmp_path)
+    data = path.read_bytes()
+    path.write_bytes(data[:236] + stated.ljust(8) + data[244 : -3 if held == 4 else None])
+    file = open_signals(path)
+    held -= held == 4
+    assert len(samples(file)["ABP"]) == 250 * held
+    note = f"the header states 9 records, and the file holds {held}"
+    assert file.notes == ((note,) if stated == b"9" else ())
 
 
 @pytest.mark.parametrize("kind", ["i2", "i4", "f4", "u1"])
@@ -138,10 +172,30 @@ def _wav(folder: Path) -> Path:
     return folder / "a.wav"
 
 
+def _xdf(folder: Path) -> Path:
+    table = SignalTable(["ABP"], ["mN"], SIGNALS["ABP"][:, np.newaxis], 250, 10**18)
+    xdf_writer.write(folder / "a.xdf", table)
+    return folder / "a.xdf"
+
+
+def _parquet(folder: Path) -> Path:
+    parquet.write_table(pyarrow.table(SIGNALS), folder / "a.parquet")
+    return folder / "a.parquet"
+
+
+def _npz(folder: Path) -> Path:
+    np.savez(folder / "a.npz", **SIGNALS)  # type: ignore[arg-type]
+    return folder / "a.npz"
+
+
 MAKE: dict[str, Callable[[Path], Path]] = {
     "hea": lambda folder: wfdb_record(folder, SIGNALS).with_suffix(".hea"),
     "edf": _edf,
     "wav": _wav,
+    "xdf": _xdf,
+    "parquet": _parquet,
+    "npz": _npz,
+    "mcap": lambda folder: mcap(folder / "a.mcap", [{"x": n % 7} for n in range(500)]),
 }
 
 

@@ -9,12 +9,11 @@ import pyarrow
 import pytest
 from pyarrow import parquet
 
-from protocol.errors import OutputError, SourceError
+from protocol.errors import SourceError
 from sensing_node.files.formats import open_signals
 from sensing_node.files.grids import find_gaps
 from sensing_node.sources.choice import record_table
 from sensing_node.sources.recorded import RecordedSource, RecordingScene
-from telepulse.recording.conversion import convert_file
 from tests.support.signal_files import pulse_and_ecg
 
 ABP = pulse_and_ecg()["ABP"]
@@ -37,11 +36,9 @@ def csv_file(path: Path, title: str, separator: str = ",", decimal: str = ".") -
     "title",
     ["t", "Time (s)", "seconds", "sec", "elapsed [s]", "zeit [s]", "ts", "index", "x [s]"],
 )
-def test_a_conversion_finds_the_times_that_a_source_finds(tmp_path: Path, title: str) -> None:
+def test_times_are_found_by_their_title_or_since_they_rise(tmp_path: Path, title: str) -> None:
     path = csv_file(tmp_path / "a.csv", f"{title},ABP [mmHg]")
-    first, last = convert_file(path, tmp_path / "a.npz")
-    assert "ABP, mmHg, 250 Hz, 4 s: no sample is missing" in first
-    assert last.endswith("written whole")
+    assert "plays ABP (mmHg)" in record_table(path)[1]
     assert played(path).period_ns == 4_000_000
 
 
@@ -74,7 +71,7 @@ def test_empty_cells_are_missing_samples_and_words_are_named_by_line(tmp_path: P
         open_signals(path).load(("ABP",))
 
 
-def test_dates_are_times_and_state_the_begin(tmp_path: Path) -> None:
+def test_dates_are_times(tmp_path: Path) -> None:
     # At 5 Hz, times without a unit would be taken as ms.
     dates = [BEGIN + timedelta(milliseconds=200 * n) for n in range(1000)]
     index, column = tmp_path / "index.parquet", tmp_path / "column.parquet"
@@ -87,10 +84,6 @@ def test_dates_are_times_and_state_the_begin(tmp_path: Path) -> None:
     for path in (index, column, text):
         source = played(path)
         assert (source.period_ns, source.warnings) == (200_000_000, [])
-        out = tmp_path / f"{path.stem}.edf"
-        first, _ = convert_file(path, out)
-        assert "ABP, mmHg, 5 Hz, 200 s" in first
-        assert open_signals(out).begin_ns == BEGIN.timestamp() * 1e9
 
 
 def test_numbers_of_parquet_may_be_decimal_or_share_a_name(tmp_path: Path) -> None:
@@ -102,9 +95,6 @@ def test_numbers_of_parquet_may_be_decimal_or_share_a_name(tmp_path: Path) -> No
     assert [signal.number for signal in file.signals] == [0, 1, 2]
     for column in file.load((1, 2)):
         np.testing.assert_allclose(column.values, ABP, atol=1e-3)
-    assert (
-        "is written as ABP 2" in list(convert_file(tmp_path / "a.parquet", tmp_path / "b.npz"))[-1]
-    )
 
 
 def test_only_arrays_of_numbers_are_signals(tmp_path: Path) -> None:
@@ -119,11 +109,6 @@ def test_only_arrays_of_numbers_are_signals(tmp_path: Path) -> None:
     assert [(each.name, each.rate_hz) for each in file.signals] == [("ABP", 250.0), ("II", 250.0)]
     assert file.notes == ("the array 'object' holds Python objects, and is left out",)
     assert played(tmp_path / "a.npz").period_ns == 4_000_000
-    _, first, second, _ = convert_file(tmp_path / "a.npz", tmp_path / "a.xdf")
-    assert (first.split(", ")[3], second.split(", ")[3]) == (
-        "4 s: no sample is missing",
-        "2 s: no sample is missing",
-    )
     np.savez(tmp_path / "b.npz", **{"data[0] [N]": ABP, "data[1]": ABP, "rate_hz": 250.0})
     signals = open_signals(tmp_path / "b.npz").signals
     assert [(each.name, each.unit) for each in signals] == [("data[0]", "N"), ("data[1]", "")]
@@ -132,8 +117,8 @@ def test_only_arrays_of_numbers_are_signals(tmp_path: Path) -> None:
 def test_a_table_without_rate_or_times_says_what_to_do(tmp_path: Path) -> None:
     np.save(tmp_path / "a.npy", ABP)
     with pytest.raises(SourceError, match=r'--rate "500 Hz" beside --source, rate = "500 Hz" in'):
-        list(convert_file(tmp_path / "a.npy", tmp_path / "a.csv"))
+        played(tmp_path / "a.npy")
     (tmp_path / "b.csv").write_text("t,ABP\n", encoding="utf-8")
-    with pytest.raises((SourceError, OutputError)) as caught:
-        list(convert_file(tmp_path / "b.csv", tmp_path / "c.csv"))
+    with pytest.raises(SourceError) as caught:
+        played(tmp_path / "b.csv")
     assert "\n" not in str(caught.value)

@@ -1,16 +1,18 @@
 """A probe on a supervised drive over an emulated wrist, in virtual time."""
 
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from protocol.config.kinds import load_object
 from protocol.errors import SourceError
 from protocol.tissue import StiffeningLaw
 from protocol.wire.stream import Channel
-from pulse_drives.axis import build_axis
+from pulse_drives import build_drive
 from pulse_drives.scene import MotorScene, TmclScene
 from pulse_sensors.samples import SampleBlock
 from sensing_node.press.live_probe import LiveProbe, columns_of
@@ -20,13 +22,14 @@ from sensing_node.sources.wrist import WristScene
 from telepulse.emulators.motor import EmulatedMotor, MotorState
 from telepulse.emulators.wrist import TissueContact, WristBoard
 from tests.support.drive_benches import stepper
-from tests.support.virtual_bench import VirtualDrive, to_touch
+from tests.support.virtual_lines import tmcl_line
+from tests.support.virtual_time import VirtualTime
 
 MS = 1_000_000
 FRAME = 4
 LIMITS = ProbeLimits(speed_m_per_s=0.03, travel_m=0.014)
 DRIVE = TmclScene.model_validate({"kind": "tmcl", "port": "x", "touch": "5 mm"})
-DRIVE_LATE_NS = 3 * MS
+VIRTUAL = ("pulse_drives", "telepulse.emulators", "sensing_node.press")
 
 
 class VirtualBoard:
@@ -34,25 +37,30 @@ class VirtualBoard:
 
     channels, period_ns = WristBoard.channels, MS
 
-    def __init__(self, motor: EmulatedMotor, wrist: WristScene, late_ms: int) -> None:
-        self._motor, self._board, self._late_ns = motor, WristBoard(wrist), late_ms * MS
+    def __init__(
+        self, world: VirtualTime, motor: EmulatedMotor, wrist: WristScene, late_ms: int
+    ) -> None:
+        self._world, self._motor, self._board = world, motor, WristBoard(wrist)
+        self._late_ns = late_ms * MS
         self._blocks: list[SampleBlock] = []
-        self.now_ns = self._taken_ns = 0
         self.silent = False
         self.cell_n: float | None = None
         self.rejected: Counter[str] = Counter()
+        world.every(FRAME * MS, self._take)
 
-    def take(self) -> None:
+    def _take(self) -> None:
         """Sample the forces of the last four milliseconds."""
+        now_ns = self._world.now_ns
+        self._motor.advance(now_ns)
         forces_n = [self._motor.forces_n.popleft() for _ in range(FRAME)]
         values = np.array(self._board.read(forces_n))
         if self.cell_n is not None:
             values[:, 1] = self.cell_n
-        first_ns = self.now_ns - (FRAME - 1) * MS
-        self._blocks.append(SampleBlock(values, 0, first_ns, first_ns + FRAME * MS))
+        self._blocks.append(SampleBlock(values, 0, now_ns - (FRAME - 1) * MS, now_ns + MS))
 
     def poll(self) -> list[SampleBlock]:
-        due = [b for b in self._blocks if b.end_ns - MS + self._late_ns <= self.now_ns]
+        due_ns = self._world.now_ns - self._late_ns
+        due = [block for block in self._blocks if block.end_ns - MS <= due_ns]
         self._blocks = self._blocks[len(due) :]
         return [] if self.silent else due
 
@@ -64,46 +72,46 @@ class VirtualBoard:
 
 
 class PressedBench:
-    """A probe over a wrist; force_n: the true force, one a millisecond."""
+    """A probe on an emulated drive over a wrist; force_n: the true force, one a millisecond."""
 
-    def __init__(self, stiffness: float = 1.0, late_ms: int = 4) -> None:
-        length_m = StiffeningLaw().scaled(stiffness).length_m
-        wrist = WristScene.model_validate({"kind": "wrist", "length": f"{length_m} m"})
-        motor = EmulatedMotor(stepper(), TissueContact(wrist), DRIVE.touch_m, -10_000 * MS)
-        to_touch(motor, -10_000 * MS)
-        motor.advance(0)
-        motor.forces_n.clear()
-        motor.set_watchdog(DRIVE.watchdog_ns)
+    def __init__(
+        self, world: VirtualTime, motor: EmulatedMotor, board: VirtualBoard, probe: LiveProbe
+    ) -> None:
+        self.world, self.motor, self.board, self.probe = world, motor, board, probe
         self.moments: list[MotorState] = []
         motor.trace = self.moments.append
-        axis = build_axis(DRIVE, MotorScene(), LIMITS.travel_m)
-        self.drive = VirtualDrive(motor, axis, DRIVE_LATE_NS, DRIVE.watchdog_ns)
-        self.board = VirtualBoard(motor, wrist, late_ms)
-        self.now_ns = 0
-        self.probe = LiveProbe(
-            LIMITS,
-            self.drive,  # type: ignore[arg-type]
-            self.board,
-            lambda: self.now_ns,
-        )
 
-    def run(self, ms: int, set_point_n: float | None = None, steps: bool = True) -> None:
-        for _ in range(ms):
-            self.now_ns += MS
-            at_ms, motor = self.now_ns // MS, self.drive.motor
-            motor.advance(self.now_ns)
-            self.board.now_ns = self.drive.now_ns = self.now_ns
-            if at_ms % FRAME == 0:
-                self.board.take()
-            if set_point_n is not None and at_ms % 20 == 0:
+    def run(self, ms: int, set_point_n: float | None = None) -> None:
+        for _ in range(0, ms, 20):
+            if set_point_n is not None:
                 self.probe.press(set_point_n)
-            if steps and at_ms % 2 == 0:
-                self.probe.step(self.now_ns)
-            self.drive.run_thread(self.now_ns)
+            self.world.run(self.world.now_ns + 20 * MS)
+
+    def hang(self, ms: int) -> None:
+        """Let the probe's own thread hang."""
+        threads = [thread for thread in self.world.threads if thread.name == "probe"]
+        self.world.stall(threads, self.world.now_ns + ms * MS)
+        self.run(ms)
 
     @property
     def force_n(self) -> NDArray[np.float64]:
         return np.array([moment.force_n for moment in self.moments])
+
+
+@contextmanager
+def pressed(stiffness: float = 1.0, late_ms: int = 4) -> Iterator[PressedBench]:
+    """Provide a probe at rest, off the wrist."""
+    length_m = StiffeningLaw().scaled(stiffness).length_m
+    wrist = WristScene.model_validate({"kind": "wrist", "length": f"{length_m} m"})
+    world = VirtualTime()
+    motor = EmulatedMotor(stepper(), TissueContact(wrist), DRIVE.touch_m, world.now_ns)
+    load_object(DRIVE.driver)  # so that its clock is replaced too
+    with world.substituted(VIRTUAL), tmcl_line(world, DRIVE, motor):
+        board = VirtualBoard(world, motor, wrist, late_ms)
+        drive = build_drive(DRIVE, MotorScene(), LIMITS.travel_m)
+        probe = LiveProbe(LIMITS, drive, board, world.perf_counter_ns)
+        probe.start()
+        yield PressedBench(world, motor, board, probe)
 
 
 @pytest.mark.parametrize("late_ms", [2, 16])
@@ -111,20 +119,20 @@ class PressedBench:
 def test_set_points_are_followed_by_a_supervised_drive_without_swinging(
     stiffness: float, late_ms: int
 ) -> None:
-    bench = PressedBench(stiffness, late_ms)
-    bench.run(1_500, 0.6)
-    assert bench.probe.state == "pressing"
-    for wanted_n in (1.5, 0.5, 2.5):
-        bench.run(1_500, wanted_n)
-        forces_n = bench.force_n
-        assert np.abs(forces_n[-1_000:] / wanted_n - 1).max() < 0.05
-    assert bench.force_n.max() <= LIMITS.force_n
-    # Over 5 ms, as the drive moves in whole microsteps.
-    assert np.abs(np.diff(bench.force_n[::5])).max() / 5e-3 < LIMITS.slew_n_per_s
-    assert bench.probe.depth_m == pytest.approx(
-        StiffeningLaw().scaled(stiffness).depth_m(2.5), rel=0.2
-    )
-    assert not bench.probe.faults()
+    with pressed(stiffness, late_ms) as bench:
+        bench.run(1_500, 0.6)
+        assert bench.probe.state == "pressing"
+        for wanted_n in (1.5, 0.5, 2.5):
+            bench.run(1_500, wanted_n)
+            forces_n = bench.force_n
+            assert np.abs(forces_n[-1_000:] / wanted_n - 1).max() < 0.05
+        assert bench.force_n.max() <= LIMITS.force_n
+        # Over 5 ms, as the drive moves in whole microsteps.
+        assert np.abs(np.diff(bench.force_n[::5])).max() / 5e-3 < LIMITS.slew_n_per_s
+        assert bench.probe.depth_m == pytest.approx(
+            StiffeningLaw().scaled(stiffness).depth_m(2.5), rel=0.2
+        )
+        assert not bench.probe.faults()
 
 
 def silence(bench: PressedBench) -> None:
@@ -132,7 +140,7 @@ def silence(bench: PressedBench) -> None:
 
 
 def stop_motor(bench: PressedBench) -> None:
-    bench.drive.motor.fail("overtemperature")
+    bench.motor.fail("overtemperature")
 
 
 def freeze_cell(bench: PressedBench) -> None:
@@ -150,11 +158,11 @@ def freeze_cell(bench: PressedBench) -> None:
 def test_after_a_fault_the_probe_leaves_the_wrist(
     happens: Callable[[PressedBench], None], fault: str, follows: bool
 ) -> None:
-    bench = PressedBench()
-    bench.run(1_500, 1.5)
-    pressed_ms = len(bench.moments)
-    happens(bench)
-    bench.run(1_000, 1.5)
+    with pressed() as bench:
+        bench.run(1_500, 1.5)
+        pressed_ms = len(bench.moments)
+        happens(bench)
+        bench.run(1_000, 1.5)
     assert fault in bench.probe.faults()[0]
     assert bench.probe.state == "fault"
     assert bench.force_n[pressed_ms:].max() < LIMITS.force_n * LIMITS.overforce
@@ -163,18 +171,18 @@ def test_after_a_fault_the_probe_leaves_the_wrist(
 
 
 def test_a_loop_that_hangs_leaves_the_withdrawal_to_the_drives_thread() -> None:
-    bench = PressedBench()
-    bench.run(1_500, 1.5)
-    bench.run(1_000, 1.5, steps=False)
-    assert bench.force_n[-1] == 0
-    bench.run(10)
+    with pressed() as bench:
+        bench.run(1_500, 1.5)
+        bench.hang(1_000)
+        assert bench.force_n[-1] == 0
+        bench.run(20)
     assert "drive: no command" in bench.probe.faults()[0]
 
 
 def test_a_load_cell_that_is_frozen_before_the_wrist_is_found_before_it_presses() -> None:
-    bench = PressedBench()
-    bench.board.cell_n = 0.01
-    bench.run(2_000, 1.5)
+    with pressed() as bench:
+        bench.board.cell_n = 0.01
+        bench.run(2_000, 1.5)
     assert "unchanged over" in bench.probe.faults()[0]
     assert bench.force_n.max() == 0
 

@@ -1,4 +1,4 @@
-"""Runs of the press in virtual time, each with its scores.
+"""Runs of the press in virtual time, each with its scores, for tests and benchmarks.
 
 A finger steps between forces every 4 s. Scored are: the hold-down against the press, the height of
 the felt pulse against that which the present press would give, what swings on in the set-point
@@ -93,22 +93,6 @@ class SwingScore(NamedTuple):
         return all(later <= max(earlier, REST_N) for earlier, later in pairs)
 
 
-class PressStep(NamedTuple):
-    """Press and hold-down around one step, at times relative to it."""
-
-    time_s: Floats
-    press_n: Floats
-    hold_down_n: Floats
-
-
-class HeightPoints(NamedTuple):
-    """The pulse's height against hold-down: forces, the wrist's, and the learnt one."""
-
-    force_n: Floats
-    truth_n: Floats
-    learnt_n: Floats
-
-
 def steps(time_s: float, levels_n: Sequence[float] = LEVELS_N) -> float:
     """Return the force that the hand means at a time: a step every `STEP_S`."""
     number = int(time_s / STEP_S)
@@ -118,7 +102,7 @@ def steps(time_s: float, levels_n: Sequence[float] = LEVELS_N) -> float:
     return before + (after - before) * (0.5 - 0.5 * math.cos(math.pi * part))
 
 
-def follow(setting: PressSetting, seconds: float) -> tuple[FollowScore, PressStep, HeightPoints]:
+def follow(setting: PressSetting, seconds: float) -> FollowScore:
     """Run steps of a finger, and score those after `LEARNT_S`."""
     loop = PressLoop(setting, steps if setting.pulse == OWN_PULSE else _visit_then_step(setting))
     trace = loop.run(seconds)
@@ -133,16 +117,7 @@ def follow(setting: PressSetting, seconds: float) -> tuple[FollowScore, PressSte
             window = slice(at, at + beat)
             heights.append(_height(trace.pulse_n[window]) / _height(trace.truth_n[window]) - 1)
     gain, account = float(trace.loop_gain.max()), loop.press.sender.counts()
-    score = FollowScore(tuple(late), tuple(heights), gain, *_peaks(trace), account)
-    begin = _ticks(math.ceil(LEARNT_S / STEP_S) * STEP_S)
-    shown = slice(begin - _ticks(0.5), begin + _ticks(3.5))
-    response = PressStep(
-        trace.time_s[shown] - trace.time_s[begin], trace.press_n[shown], trace.hold_down_n[shown]
-    )
-    forces = np.arange(0.4, 1.81, 0.02)
-    truth = np.array([loop.wrist.artery.height_n(force_n) for force_n in forces])
-    learnt = np.array([loop.press.curve.height(force_n) for force_n in forces])
-    return score, response, HeightPoints(forces, truth, learnt)
+    return FollowScore(tuple(late), tuple(heights), gain, *_peaks(trace), account)
 
 
 def _visit_then_step(setting: PressSetting) -> Meant:
@@ -173,8 +148,7 @@ def _visit_then_step(setting: PressSetting) -> Meant:
 
 def hold_down_error(setting: PressSetting) -> float:
     """Return the largest error of the hold-down after the finger's steps."""
-    score, *_ = follow(setting, STIFF_S)
-    return max(score.late)
+    return max(follow(setting, STIFF_S).late)
 
 
 def swing(setting: PressSetting) -> SwingScore:

@@ -1,4 +1,4 @@
-"""`telepulse convert`, `export` and `simulate --source` with files of others, as commands."""
+"""`simulate --source` with files of others, and texts in exports, as commands."""
 
 import json
 from pathlib import Path
@@ -17,31 +17,6 @@ MODULE = "telepulse"
 ABP = pulse_and_ecg()["ABP"]
 
 
-def test_convert_prints_what_is_missing_and_lost_and_nothing_that_controls_a_terminal(
-    tmp_path: Path,
-) -> None:
-    rows = "".join(f"{n / 250};{'' if n == 9 else v}\n" for n, v in enumerate(ABP.tolist()))
-    path = tmp_path / "a.csv"
-    path.write_text(
-        f"# by hand\nzeit [s];ABP\x1b[31m [mmHg]\n{rows.replace('.', ',')}", encoding="utf-8"
-    )
-    result = run(MODULE, "convert", str(path), str(tmp_path / "a.edf"))
-    assert (result.returncode, result.stderr) == (0, "")
-    first, second = result.stdout.splitlines()
-    assert "ABP [31m, mmHg, 250 Hz, 4 s: 1 sample is missing" in first
-    assert first.isprintable()
-    assert "16 bits; quantisation steps" in second
-
-
-def test_convert_notes_what_is_left_out(tmp_path: Path) -> None:
-    signal = edfio.EdfSignal(ABP, 250, label="ABP", physical_dimension="mmHg")
-    notes = [edfio.EdfAnnotation(1.0, None, "cuff")]
-    patient = edfio.Patient(code="S01")
-    edfio.Edf([signal], annotations=notes, patient=patient).write(tmp_path / "a.edf")
-    result = run(MODULE, "convert", str(tmp_path / "a.edf"), str(tmp_path / "a.csv"))
-    assert "1 annotation is left out; texts are left out: subject" in result.stdout
-
-
 @pytest.mark.parametrize(
     ("name", "content", "line"),
     [
@@ -54,9 +29,7 @@ def test_what_cannot_be_read_is_one_line_with_status_2(
     tmp_path: Path, name: str, content: bytes, line: str
 ) -> None:
     (tmp_path / name).write_bytes(content)
-    for command in (("convert", str(tmp_path / name), str(tmp_path / "out.csv")),
-                    ("simulate", "--source", str(tmp_path / name))):  # fmt: skip
-        assert line in refused(MODULE, *command)
+    assert line in refused(MODULE, "simulate", "--source", str(tmp_path / name))
 
 
 def test_the_advice_on_rate_and_preload_can_be_followed(tmp_path: Path) -> None:

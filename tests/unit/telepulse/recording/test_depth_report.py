@@ -2,15 +2,12 @@
 
 import numpy as np
 import pytest
-from matplotlib.figure import Figure
 
 from display_node.press.sweep import SweptLevel
 from display_node.scoring.depth_curve import BeatPoint, DepthCurve, Estimate
 from telepulse.recording.depth_report import report_depth
-from telepulse.reports.studies.depth_study import DepthEffort, DepthScore, report_depths
 
 POINTS = [BeatPoint(1.2, 0.3, 0.4, 0.1, 0.4, 0.3, 1.0)] * 5
-MEANS_MMHG = (70.0, 100.0)
 
 
 def curve(best_n: float = 1.2) -> DepthCurve:
@@ -34,19 +31,3 @@ def test_a_deviation_is_shown_to_the_digit_in_which_it_is_not_nought() -> None:
     rows = report_depth(curve(), [SweptLevel(1.2, 1.2, POINTS)], (), "press", True).chapters[0]
     forces = [row[1] for row in rows.tables[0].rows]
     assert forces == ["0.900 (± below 0.001)", "1.200 ± 0.002", "1.50 ± 0.02"]
-
-
-def test_a_study_of_sweeps_says_that_no_person_was_measured_and_names_its_curves() -> None:
-    found = curve()
-    score = DepthScore(1.2, found, found.height_n.tolist(), 90.0)
-    scores = {("steps", mean): [score, score] for mean in MEANS_MMHG}
-    report = report_depths(scores, DepthEffort(MEANS_MMHG, (1, 2)))
-    assert "modelled wrists" in report.title
-    assert report.findings[0].startswith("On 2 modelled wrists, ")
-    assert "No person was measured." in report.findings[-1]
-    (chapter,) = report.chapters
-    assert "modelled" in chapter.tables[0].note
-    figure = Figure()
-    chapter.plots[0].draw(figure)
-    (legend,) = figure.legends
-    assert [text.get_text() for text in legend.get_texts()] == ["70 mmHg", "100 mmHg"]
