@@ -51,7 +51,6 @@ size: .venv/installed-test
 
 report: .venv/installed-report
 	$(BIN)/telepulse paper
-	$(BIN)/telepulse study integrators
 
 bench: .venv/installed-test-all
 	$(BIN)/python -m benchmarks $(ARGS)
@@ -85,7 +84,7 @@ clean:
 	touch $@
 
 .venv/installed-report: .venv/installed
-	$(PIP) install -c constraints.txt -e '.[report,bench]'
+	$(PIP) install -c constraints.txt -e '.[report]'
 	touch $@
 
 .venv/installed-fuzz: .venv/installed-test

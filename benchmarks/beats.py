@@ -17,7 +17,6 @@ from display_node.prediction.artefacts import ArtefactDetector
 from display_node.prediction.ensemble import Ensemble
 from display_node.scoring.beat_quality import GOOD
 from display_node.scoring.beats import Beat
-from telepulse.reports.studies.prediction_pulses import recorded_pulses
 from tests.support.drawn_beats import (
     BATCH,
     FOUND_FROM_S,
@@ -36,6 +35,7 @@ from tests.support.drawn_beats import (
     true_notch_s,
     true_onset_and_peak_s,
 )
+from tests.support.drawn_pulses import recorded_pulses
 
 NEAR_S = 0.06
 

@@ -36,7 +36,7 @@ LATER = (
     *("unit/soak", "unit/support", "unit/documentation", "unit/telepulse/testing"),
     *("unit/test_class_names.py", "unit/test_clock_reads.py", "unit/test_import_cycles.py"),
     # Studies, comparisons with other libraries, and words on pages.
-    *("unit/telepulse/reports", "unit/telepulse/view", "unit/telepulse/experiment"),
+    *("unit/telepulse/view", "unit/telepulse/experiment"),
     *("unit/telepulse/paper", "unit/telepulse/test_document.py"),
     "unit/protocol/test_figures.py",
     "unit/display_node/control/test_linear_loop.py",

@@ -1,6 +1,6 @@
 """Prediction under "auto" beside buffering: on all pulses of the study, and where a pulse changes.
 
-The pulses have a height of 0.3 N on a static force. Those of `telepulse study prediction` are
+The pulses have a height of 0.3 N on a static force. Those of `make bench ARGS=prediction` are
 scored after 20 s of learning. Two pulses change after `TURN_S`, to fibrillation and to a moving
 hand, and are scored from then on.
 """
@@ -20,7 +20,10 @@ from protocol.ticks import TickState
 from sensing_node.sources.heart import NOMINAL_BEAT_S
 from sensing_node.sources.recorded import RecordingScene
 from telepulse.parallel import sweep
-from telepulse.reports.studies.prediction_pulses import (
+from telepulse.scene import Scene, load_scene
+from telepulse.simulation.link_scene import parse_link
+from telepulse.simulation.virtual_time import STREAM_BEGINS_NS, Simulation
+from tests.support.drawn_pulses import (
     NOISE,
     RATE_HZ,
     SCORED_FROM_S,
@@ -32,9 +35,6 @@ from telepulse.reports.studies.prediction_pulses import (
     pulses,
     through_chain,
 )
-from telepulse.scene import Scene, load_scene
-from telepulse.simulation.link_scene import parse_link
-from telepulse.simulation.virtual_time import STREAM_BEGINS_NS, Simulation
 
 SECONDS, TURN_S = 50.0, 30.0
 SIZE_N, STATIC_N = 0.3, 0.75

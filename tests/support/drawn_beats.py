@@ -11,7 +11,7 @@ from display_node.scoring.beats import Beat, BeatAnalysis
 from protocol.wire.messages import ChannelSamples, channel_samples
 from sensing_node.sources.heart import NOMINAL_BEAT_S
 from sensing_node.sources.synthetic import PRESETS
-from telepulse.reports.studies.prediction_pulses import (
+from tests.support.drawn_pulses import (
     Beats,
     breathing,
     drawn,

@@ -15,11 +15,11 @@ from display_node.prediction.scene import own_predictor
 from protocol.run_summary import Summary
 from protocol.ticks import TickState
 from sensing_node.sources.recorded import RecordingScene
-from telepulse.reports.studies.prediction_pulses import Floats, drawn, fibrillating, make_rhythm
 from telepulse.scene import Scene, load_scene
 from telepulse.simulation.link_model import MessageLink
 from telepulse.simulation.link_scene import parse_link
 from telepulse.simulation.virtual_time import Simulation
+from tests.support.drawn_pulses import Floats, drawn, fibrillating, make_rhythm
 from tests.support.nodes import RADIAL, known
 
 MS = 1_000_000
@@ -192,3 +192,19 @@ def test_late_samples_improve_the_prediction(monkeypatch: pytest.MonkeyPatch) ->
     monkeypatch.setattr(ClassicBuffer, "delay_ns", one_percent_late_ns(STALLS))
     monkeypatch.setattr(telepulse.simulation.virtual_time, "MessageLink", ClassicBuffer)
     assert stack_n < 0.5 * error_n("stack", 0)
+
+
+def test_a_longer_fixed_delay_is_felt_later_and_nearer_to_the_pulse_of_that_long_ago() -> None:
+    errors, shares = [], []
+    for delay_ms in (0, 80):
+        display = {"predictor": "linear", "compensation": f"{delay_ms} ms"}
+        run = telepulse.simulate("radial", 6.0, link="delay=40ms,jitter=1ms", display=display)
+        assert run.summary.playout_delay_ms.mean == pytest.approx(delay_ms, abs=0.5)
+        shares.append(known(run.summary.compensation.predicted))
+        errors.append(run.summary.force_rmse_n)
+    predicted, buffered = errors
+    # Only the begin of the stream is predicted with a buffer.
+    assert shares[0] == 1 > 0.02 > shares[1]
+    assert known(predicted.in_phase) < 0.6 * known(buffered.in_phase)
+    # All samples are there in time.
+    assert 0 < known(buffered.aligned) < 1e-3 < known(predicted.aligned)

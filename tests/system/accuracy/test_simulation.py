@@ -18,7 +18,7 @@ from tests.support.recording_files import heartpy_recording
 SCENES = sorted((ROOT / "scenes").glob("*.toml"))
 LIVE = [p for p in SCENES if p.stem.endswith("_bench") and p.stem != "real_bench"]
 LIVE += [path for path in SCENES if path.stem == "real_press"]
-# Where the finger presses, the felt pulse depends on its press: test_press_study.py, in reports.
+# Where the finger presses, the felt pulse depends on its press: test_press_bars.py.
 PRESSED = ("press", "press_far")
 MODELLED = [path for path in SCENES if path not in LIVE and path.stem not in PRESSED]
 SECONDS = 8

@@ -8,23 +8,15 @@ from urllib.parse import urlsplit
 
 import pytest
 
+import telepulse
 from protocol.config.scene_file import find_scene
 from protocol.errors import SceneError, SweepError
 from telepulse import parallel as sweep_module
 from telepulse.parallel import THREADS, in_one_thread, sweep
-from telepulse.reports.studies.link_scores import LinkCase, LinkEffort, run_link
-from telepulse.reports.studies.playout_links import GAUSSIAN
-from telepulse.reports.studies.playout_scores import PlayoutEffort, score_playout
 from tests.support.nodes import free_address, process, run_python
 
 LONG_S = 60
-LITTLE = PlayoutEffort(seconds=3, scan=2, bisections=1, links=(GAUSSIAN,))
-play_little = partial(run_link, effort=LinkEffort(seconds=1, settle_seconds=1))
-CASES = [
-    LinkCase("delay=20ms,jitter=3ms,loss=5%", "linear", delay_ms, seed)
-    for delay_ms in (0.0, None)
-    for seed in (1, 2)
-]
+play_little = partial(telepulse.simulate, "radial", 2.0, link="delay=20ms,jitter=3ms,loss=5%")
 
 
 def scheduler_at(address: str) -> tuple[str, ...]:
@@ -74,19 +66,19 @@ def test_an_error_of_one_thread_is_raised_here() -> None:
 
 
 def test_all_cores_and_a_cluster_find_the_results_of_one_process(cluster: str) -> None:
-    alone = [play_little(case) for case in CASES]
-    assert len({result.in_phase_n for result in alone}) == len(CASES)
-    assert sweep(play_little, CASES) == alone
-    assert sweep(play_little, CASES, cluster) == alone
-    assert score_playout(LITTLE, cluster) == score_playout(LITTLE)
+    seeds = (1, 2, 3)
+    alone = [play_little(seed).summary.force_rmse_n for seed in seeds]
+    assert len({errors.in_phase for errors in alone}) == len(seeds)
+    for scheduler in (None, cluster):
+        found = sweep(play_little, seeds, scheduler)
+        assert [run.summary.force_rmse_n for run in found] == alone
 
 
 def test_a_case_that_fails_is_named(cluster: str) -> None:
     with pytest.raises(SweepError, match=r"^-1: ValueError: math domain error$"):
         sweep(math.sqrt, [4, -1, 9], cluster)
-    lost = LinkCase("delay=40parsec", "hold", 0.0)
-    with pytest.raises(SweepError, match=r"^hold at E = 0 ms over delay=40parsec, seed 1: Scene"):
-        sweep(play_little, [CASES[0], lost])
+    with pytest.raises(SweepError, match=r"^-3: ArgumentError: "):
+        sweep(play_little, [1, -3])
 
 
 def test_a_worker_that_dies_is_reported() -> None:

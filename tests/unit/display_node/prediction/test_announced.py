@@ -1,17 +1,21 @@
 """R waves change what is predicted only where they announce beats."""
 
 from display_node.prediction.ensemble import Ensemble
-from telepulse.reports.studies.announce_pulses import (
+from tests.support.announced_pulses import (
     FAULTS,
     announce,
     announced_pulses,
+    nrmse,
+    run,
     with_fault,
 )
-from telepulse.reports.studies.announce_study import nrmse, run
-from telepulse.reports.studies.prediction_pulses import Beats, Pulse, drawn, drawn_beats
-from telepulse.reports.studies.prediction_study import (
+from tests.support.drawn_pulses import (
     FRAME,
     HORIZONS_MS,
+    Beats,
+    Pulse,
+    drawn,
+    drawn_beats,
     instant_ns,
     observe_frame,
 )

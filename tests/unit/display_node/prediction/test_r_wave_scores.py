@@ -1,7 +1,7 @@
 """Sensitivity and precision of R waves on drawn leads, whose beats are known.
 
 No package in the test extra has an ECG with annotated beats. Records of PhysioNet are scored by
-`telepulse study announce --records`.
+`make bench ARGS="announce --records FOLDER"`.
 """
 
 import numpy as np
@@ -9,8 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from sensing_node.sources.ecg import draw_ecg
-from telepulse.reports.studies.announce_detector import score_lead
-from telepulse.reports.studies.announce_records import AnnotatedLead
+from tests.support.r_wave_scores import AnnotatedLead, score_lead
 
 Floats = NDArray[np.float64]
 SECONDS, RATE_HZ = 300.0, 360.0

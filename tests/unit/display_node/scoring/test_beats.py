@@ -10,7 +10,6 @@ import pytest
 
 from display_node.scoring.beat_quality import GOOD
 from display_node.scoring.beats import find_beats
-from telepulse.reports.studies.prediction_pulses import recorded_pulses
 from tests.support.drawn_beats import (
     BEGIN_NS,
     FOUND_FROM_S,
@@ -25,6 +24,7 @@ from tests.support.drawn_beats import (
     true_notch_s,
     true_onset_and_peak_s,
 )
+from tests.support.drawn_pulses import recorded_pulses
 
 
 @pytest.mark.parametrize("preset", ["wide", "paper"])

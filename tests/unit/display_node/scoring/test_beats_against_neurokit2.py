@@ -6,8 +6,8 @@ The tests are skipped where it is not installed.
 import numpy as np
 import pytest
 
-from telepulse.reports.studies.prediction_pulses import recorded_pulses
 from tests.support.drawn_beats import RATE_HZ, analysed, draw, frames, moved, noisy, seconds
+from tests.support.drawn_pulses import recorded_pulses
 
 neurokit2 = pytest.importorskip("neurokit2", reason="neurokit2 is not installed")
 # Its use of pandas is not ours to mend.

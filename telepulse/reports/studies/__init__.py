@@ -1,1 +1,0 @@
-"""Studies: computations about the system, each with a report."""
