@@ -11,7 +11,7 @@ import typer
 from display_node.benches import open_press, start_benches
 from display_node.doctor import run_doctor
 from display_node.node import DisplayNode
-from display_node.reception.addresses import discovered
+from display_node.reception.addresses import discovered, list_nodes
 from display_node.scene import DisplayScene
 from display_node.telemetry.recorder_process import start_recorder
 from display_node.verdict import NOT_VALID_STATUS, conclude
@@ -125,6 +125,10 @@ def display(
     `telepulse keys` makes the keys. Telemetry that leaves this machine is protected by this
     node's own key; `--allow` names the allow-list of its readers, a file like the sensing node's.
 
+    `--discover` finds a sensing node that announces itself. Without a scene it plays nothing, and
+    lists all of them, for 4 s or `--seconds`. Announcements are not authenticated: only its key
+    proves which node it is (`--peer`).
+
     The real-time loop is alone in this process. The live state is drawn by a second process
     from the telemetry, which other programs may read as well (`--telemetry`). If ticks are late,
     `--doctor` prints the settings that help on this host, and `--realtime` requests them.
@@ -144,6 +148,9 @@ def display(
         check_writable(json)
         if doctor:
             run_doctor(None if scene is None else find_scene(scene), seconds, console, json)
+            return
+        if scene is None and discover:
+            list_nodes(seconds, console, json)
             return
         if scene is None:
             raise SceneError("no scene: display-node SCENE plays one")

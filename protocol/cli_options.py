@@ -146,7 +146,7 @@ DiscoverOption = Annotated[
     typer.Option(
         "--discover",
         help="Find the sensing node on the local network, instead of --connect; --peer still gives"
-        " its public key.",
+        " its public key. Without SCENE: list all nodes.",
     ),
 ]
 NamedOption = Annotated[

@@ -5,15 +5,20 @@ delays by seconds. So each look-up runs in a thread of its own (decision 6), and
 addresses only.
 """
 
+import json as json_format
 import logging
 import math
 import socket
 import threading
 import time
 from pathlib import Path
+from typing import Any
+
+from rich.console import Console
 
 from protocol.discovery.announcement import Announcement, fingerprint, matching, only_match
 from protocol.errors import DiscoveryError, ProtectionError
+from protocol.host.output import write_whole
 from protocol.security.keys import read_public
 from protocol.sockets import tcp_address
 
@@ -62,6 +67,41 @@ def discovered(name: str | None, peer: Path | None, seconds: float | None) -> li
     addresses = [tcp_address((address, one.port)) for address in one.addresses]
     logger.info(f"found {one.name!r} at {', '.join(addresses)}")
     return addresses
+
+
+LISTED_S = 4.0
+
+
+def list_nodes(seconds: float | None, console: Console, json: Path | None) -> None:
+    """Print the sensing nodes that announce themselves within `seconds` (4 s where None).
+
+    Raises DiscoveryError, and OutputError where `json` cannot be written.
+    """
+    from protocol.discovery.browser import Browser
+
+    with Browser() as look:
+        time.sleep(LISTED_S if seconds is None else seconds)
+        found, refused = sorted(look.found, key=lambda one: one.name), look.refused
+    rows: list[dict[str, Any]] = [
+        {
+            "name": one.name,
+            "stream": one.stream,
+            "addresses": [tcp_address((address, one.port)) for address in one.addresses],
+            "key": one.fingerprint,
+            "node": one.node,
+        }
+        for one in found
+    ]
+    for row in rows:
+        key = row["key"] or "none: any display may connect"
+        addresses = " ".join(row["addresses"])
+        what = f"stream {row['stream']!r}, key {key}, node {row['node']}"
+        console.print(f"{row['name']!r} at {addresses}: {what}")
+    causes = ", ".join(f"{count} {cause}" for cause, count in sorted(refused.items()))
+    console.print(f"{len(rows)} sensing nodes announced; refused: {causes or 'nothing'}")
+    if json is not None:
+        table = {"nodes": rows, "refused": dict(refused)}
+        write_whole(json, json_format.dumps(table, indent=2) + "\n")
 
 
 def _others(found: list[Announcement]) -> str:

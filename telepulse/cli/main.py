@@ -23,7 +23,6 @@ PANELS = {
         "tune": "commissioning",
         "sweep": "sweep",
         "emulate": "emulate",
-        "plugins": "plugins",
     },
     "Record and analyse": {
         "record": "record",
@@ -31,11 +30,9 @@ PANELS = {
         "replay": "record",
         "report": "record",
         "export": "record",
-        "lsl": "view",
     },
     "Networks": {
         "keys": "keys",
-        "discover": "discover",
         "relay": "link",
         "link": "link",
     },
@@ -45,8 +42,7 @@ MODULES = {name: module for commands in PANELS.values() for name, module in comm
 PANEL_OF = {name: panel for panel, commands in PANELS.items() for name in commands}
 GROUPS = {"scenes", "study", "emulate", "experiment", "keys"}
 # Commands that run beside nodes or as one: a terminal that is not read must not delay them.
-LIVE = {"demo", "link", "bench", "relay", "record", "mark", "replay", "view", "lsl"}
-LIVE |= {"sweep"}
+LIVE = {"demo", "link", "bench", "relay", "record", "mark", "replay", "view", "sweep"}
 
 
 class LazyGroup(TyperGroup):

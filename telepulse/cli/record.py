@@ -28,9 +28,11 @@ from protocol.cli_options import (
     sum_up,
     telemetry_keys,
 )
+from protocol.errors import OutputError
 from protocol.host.output import check_writable, configure_logging, unblocked_output
 from protocol.host.process import freeze_objects, raise_file_limit, stop_on_signals
 from protocol.provenance import collect
+from protocol.security.keys import ClientKeys
 from telepulse.cli.options import (
     NOT_WHOLE,
     PROGRAM,
@@ -49,9 +51,17 @@ MARKED_WITHIN_S = 5.0
 def record(
     address: AddressArgument,
     file: Annotated[
-        Path,
-        typer.Argument(metavar="FILE.mcap", help="The recording; the file must not exist yet."),
-    ],
+        Path | None,
+        typer.Argument(metavar="[FILE.mcap]", help="The recording; the file must not exist yet."),
+    ] = None,
+    lsl: Annotated[
+        bool,
+        typer.Option(
+            "--lsl",
+            help="Publish to the Lab Streaming Layer instead, for LabRecorder: forces of the wrist"
+            " and of the finger, and events.",
+        ),
+    ] = False,
     seconds: StopAfterOption = None,
     until_silent: SilenceOption = None,
     about: AboutOption = None,
@@ -81,6 +91,10 @@ def record(
     display shows them to all readers of its telemetry; --about is kept in the file's metadata
     alone. Neither is sent to the sensing node.
 
+    --lsl writes no file. It publishes three streams: "telepulse wrist", the force of each channel
+    as it came; "telepulse finger", target and felt force of each tick; "telepulse events", events
+    as markers.
+
     --key is the display's own key file. With another key, give the display's public key as --peer.
 
     Exit status: 0 when all was written, 1 when something is missing, which it prints, 2 when it
@@ -92,6 +106,13 @@ def record(
     with one_line_errors(PROGRAM):
         configure_logging(log_level, quiet)
         keys = telemetry_keys(address, key, peer, insecure)
+        if lsl == (file is not None) or (lsl and (about or marks or marks_from)):
+            raise OutputError(
+                "give FILE.mcap, or --lsl; marks and --about are kept in a recording alone"
+            )
+        if file is None:
+            _publish_to_lsl(address, keys, seconds, until_silent)
+            return
         stated = read_about(about or ())
         sources: list[MarkSource] = [LineMarks()] if marks else []
         if marks_from is not None:
@@ -99,6 +120,18 @@ def record(
         recorder = McapRecorder(address, file, keys, stated, sources)
     stop_on_signals(recorder.stop)
     if not recorder.run(seconds, until_silent, display_pid):
+        raise SystemExit(NOT_WHOLE)
+
+
+def _publish_to_lsl(
+    address: str, keys: ClientKeys | None, seconds: float | None, until_silent: float | None
+) -> None:
+    # Imported here: it needs a library that a recording does without.
+    from telepulse.lsl_outlet import LslOutlet
+
+    outlet = LslOutlet(address, keys)
+    stop_on_signals(outlet.stop)
+    if not outlet.run(seconds, until_silent):
         raise SystemExit(NOT_WHOLE)
 
 

@@ -1,4 +1,4 @@
-"""`telepulse view` and `lsl`: show a display live, in a browser or to tools of LSL."""
+"""`telepulse view`: show a display live in a browser."""
 
 import ipaddress
 import logging
@@ -27,7 +27,7 @@ from protocol.errors import AddressError, OutputError, ProtectionError, Telepuls
 from protocol.host.child_process import ChildProcess
 from protocol.host.output import configure_logging
 from protocol.host.process import stop_on_signals
-from telepulse.cli.options import NOT_WHOLE, PROGRAM, AddressArgument, SilenceOption
+from telepulse.cli.options import PROGRAM, AddressArgument
 
 logger = logging.getLogger(__name__)
 
@@ -126,33 +126,3 @@ def _check_host(host: str, insecure: bool) -> None:
         raise ProtectionError(
             f"--host {host} shows the page to all who reach this machine; --insecure allows it"
         )
-
-
-def lsl(
-    address: AddressArgument,
-    seconds: StopAfterOption = None,
-    until_silent: SilenceOption = None,
-    quiet: QuietOption = False,
-    log_level: LogLevelOption = None,
-    key: KeyOption = None,
-    peer: PeerOption = None,
-    insecure: InsecureOption = False,
-) -> None:
-    """Publish a display's stream to the Lab Streaming Layer, where LabRecorder finds it.
-
-    Three streams: "telepulse wrist", the force of each channel as it came; "telepulse finger",
-    target and felt force of each tick; "telepulse events", events as markers. Ends with the
-    display. Give the display's own key as --key; with another key, give --peer as well.
-
-    Exit status: 0 at the end; 1 when telemetry was missed, which is printed; 2 when it cannot
-    begin.
-    """
-    from telepulse.lsl_outlet import LslOutlet
-
-    with one_line_errors(PROGRAM):
-        configure_logging(log_level, quiet)
-        keys = telemetry_keys(address, key, peer, insecure)
-        outlet = LslOutlet(address, keys)
-    stop_on_signals(outlet.stop)
-    if not outlet.run(seconds, until_silent):
-        raise SystemExit(NOT_WHOLE)

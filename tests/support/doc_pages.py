@@ -12,7 +12,7 @@ from tests.support.nodes import ROOT
 PROGRAMS = ("telepulse", "sensing-node", "display-node", "make", "python", "pip", "docker")
 # Programs that are not telepulse's.
 OTHERS = ("source", "pre-commit", "curl", "ssh", "wg-quick", "promtool", "prometheus")
-# Names of the streams of `telepulse lsl`.
+# Names of the streams of `telepulse record --lsl`.
 NAMES = ("telepulse wrist", "telepulse finger", "telepulse events")
 # Stands before a block whose commands a test runs, in the order of the page.
 RUN = "<!-- run -->"

@@ -25,7 +25,7 @@ from tests.support.tcp import needs_emulator
 from tests.support.waiting import PATIENCE_S, until
 
 zeroconf = pytest.importorskip("zeroconf")
-DISPLAY, SENSING, TELEPULSE = "display_node.cli", "sensing_node.cli", "telepulse"
+DISPLAY, SENSING = "display_node.cli", "sensing_node.cli"
 BIND = "tcp://127.0.0.1:5555"
 
 
@@ -116,7 +116,7 @@ def test_invalid_announcements_are_refused_and_several_nodes_are_listed(
         place.service(right.name, 5555, to_txt(right)),
     ):
         json_path = tmp_path / "found.json"
-        listing = (TELEPULSE, "discover", "--seconds", "3", "--json", str(json_path))
+        listing = (DISPLAY, "--discover", "--seconds", "3", "--json", str(json_path))
         with (
             place.process(DISPLAY, *display("--named", "Pulse on right")) as chosen,
             ThreadPoolExecutor() as pool,
@@ -130,8 +130,9 @@ def test_invalid_announcements_are_refused_and_several_nodes_are_listed(
         assert errors.count("not a sensing node: ") == 2
         assert "not a sensing node: older: the peer has version 0 of the protocol" in errors
         assert "2 sensing nodes announced; refused: 1 malformed, 1 version" in output
-        (table,) = json.loads(json_path.read_text(encoding="utf-8"))["chapters"][0]["tables"]
-        assert [row["name"] for row in table["rows"]] == ["pulse on left", "pulse on right"]
+        listed = json.loads(json_path.read_text(encoding="utf-8"))
+        assert [row["name"] for row in listed["nodes"]] == ["pulse on left", "pulse on right"]
+        assert listed["refused"] == {"malformed": 1, "version": 1}
 
         status, _, errors = either.result()
         assert status == 2

@@ -1,4 +1,4 @@
-"""The streams of `telepulse lsl` as LabRecorder records them and pyxdf reads them."""
+"""The streams of `telepulse record --lsl` as LabRecorder records them and pyxdf reads them."""
 
 import shutil
 import subprocess
@@ -29,7 +29,7 @@ def test_pyxdf_reads_what_lab_recorder_wrote_of_our_outlet(
     with (
         process("sensing_node.cli", str(RADIAL), "--bind", address, "--quiet"),
         process("display_node.cli", str(RADIAL), *display),
-        process("telepulse", "lsl", telemetry),
+        process("telepulse", "record", telemetry, "--lsl"),
     ):
         names = [f"telepulse {part}" for part in ("wrist", "finger")]
         for name in names:

@@ -47,7 +47,10 @@ class Source(TelemetryPublisher):
 @contextmanager
 def streaming(address: str, pylsl: Any) -> Iterator[tuple[Source, Any, Any]]:
     """Run a source, an outlet process that reads it, and inlets of wrist, finger and events."""
-    with publishing(address, kind=Source) as source, process(MODULE, "lsl", address) as outlet:
+    with (
+        publishing(address, kind=Source) as source,
+        process(MODULE, "record", address, "--lsl") as outlet,
+    ):
         source.begin()
         source.send_clock()
         source.publish(40)
@@ -149,10 +152,15 @@ def test_a_new_session_continues_in_the_same_stream(
 
 
 def test_a_remote_address_without_keys_is_refused_in_one_line() -> None:
-    assert "--insecure" in refused(MODULE, "lsl", "tcp://192.0.2.1:5557")
+    assert "--insecure" in refused(MODULE, "record", "tcp://192.0.2.1:5557", "--lsl")
 
 
 def test_silence_ends_the_outlet_with_the_option(address: str) -> None:
-    result = run(MODULE, "lsl", address, "--until-silent", "0.3")
+    result = run(MODULE, "record", address, "--lsl", "--until-silent", "0.3")
     assert result.returncode == 1
     assert f"{address}: no telemetry came; is a display running there?" in result.stderr
+
+
+def test_a_file_or_lsl_is_chosen(address: str) -> None:
+    for options in ((), ("run.mcap", "--lsl"), ("--lsl", "--marks")):
+        assert "give FILE.mcap, or --lsl" in refused(MODULE, "record", address, *options)

@@ -39,7 +39,7 @@ def test_a_scene_of_its_kinds_is_simulated(installed: Mapping[str, str], tmp_pat
     assert figures["faults"] == []
     # The beat of a sine of 2 Hz.
     assert figures["beats"]["rate_per_min"] == pytest.approx(120, rel=0.02)
-    listed = run_python("-m", "telepulse", "plugins", env=installed)
+    listed = run_python("-m", "telepulse", "scenes", "kinds", env=installed)
     found = re.findall(r"^telepulse\.(\w+) +(\w+) +telepulse-example 0\.1\.0$", listed.stdout, re.M)
     assert dict(found) == {
         "sources": "sine",
