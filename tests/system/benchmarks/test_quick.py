@@ -4,7 +4,10 @@ import pytest
 
 from tests.support.nodes import run_python
 
-NAMES = ("announce", "cost", "depth", "integrators", "link", "playout", "press", "prediction")
+NAMES = (
+    *("announce", "cost", "depth", "integrators", "link", "peers", "playout", "prediction"),
+    "press",
+)
 
 
 @pytest.mark.timeout(300)

@@ -10,25 +10,11 @@ import pytest
 
 from display_node.verdict import MOST_LINES, NOT_VALID_STATUS
 from protocol.host.child_process import ChildProcess
-from tests.support.log_lines import refused
 from tests.support.nodes import RADIAL, ROOT, assert_accounted, process, read_json, run, run_python
 from tests.support.signal_files import pulse_and_ecg, wfdb_record
 
 MODULE = "telepulse"
 PATIENCE_S = 60.0
-KEYS = {
-    "samples": {"sent", "played", "predicted", "late", "lost", "before_joining"},
-    "frames": {"received", "reordered", "copies", "first"},
-    "one_way_delay_ms": {"p50", "p99", "max", "beyond"},
-    "playout_delay_ms": {"mean", "p99", "beyond"},
-    "clock": {"offset_ms", "skew_ppm", "uncertainty_ms", "asymmetry_ms", "steps"},
-    "force_rmse_n": {"aligned", "in_phase"},
-    "strain_rmse": {"aligned", "in_phase"},
-    "loop": {
-        *("ticks", "deadline_misses", "tick_us", "late_us"),
-        *("late", "last_5s", "worst_5s", "realtime"),
-    },
-}
 
 
 def assert_felt(figures: dict[str, Any]) -> None:
@@ -47,9 +33,6 @@ def test_the_demo_carries_the_pulse_and_accounts_for_every_sample(tmp_path: Path
     result = run(MODULE, "demo", "--seconds", "4", "--json", str(out), "--no-ui")
     assert result.returncode == 0, result.stderr
     summary = read_json(out)
-    for key, inner in KEYS.items():
-        assert set(summary[key]) == inner
-    assert {"covered_delay_ms", "within_jnd", "speed", "rejected", "faults"} <= set(summary)
     samples = summary["samples"]
     assert_accounted(samples)
     assert samples["sent"] + samples["before_joining"] == 4000
@@ -60,19 +43,6 @@ def test_the_demo_carries_the_pulse_and_accounts_for_every_sample(tmp_path: Path
     assert told[0].startswith("  The pulse was felt for ")
     assert any(f" {samples['sent']} samples" in line for line in told)
     assert result.stderr == ""
-
-
-def test_the_demo_over_a_bad_link_counts_what_is_late_and_lost(tmp_path: Path) -> None:
-    out = tmp_path / "out.json"
-    link = "delay=40ms,jitter=10ms,loss=5%"
-    arguments = ("--seconds", "4", "--json", str(out), "--link", link, "--no-ui")
-    result = run(MODULE, "demo", *arguments)
-    assert result.returncode == 0, result.stderr
-    summary = read_json(out)
-    assert_accounted(summary["samples"])
-    assert summary["samples"]["lost"] > 50
-    assert summary["one_way_delay_ms"]["p50"] > 25
-    assert summary["playout_delay_ms"]["mean"] > 45
 
 
 def test_a_demo_of_three_fingers_has_the_figures_of_each(tmp_path: Path) -> None:
@@ -166,22 +136,6 @@ def test_a_run_in_which_nothing_is_felt_says_so_first_and_ends_with_status_4(
     assert "Nothing is wrong" not in result.stdout
 
 
-def test_the_demo_scores_against_the_pulse_before_the_sensing_chain(tmp_path: Path) -> None:
-    scene, out = tmp_path / "clipping.toml", tmp_path / "out.json"
-    # 10 mV are 0.227 N at Fig. 4's sensitivity: no sample of the stream is above.
-    chain = '[sensing.conditioning]\nadc_bits = 16\nadc_range = "10 mV"\n\n'
-    text = RADIAL.read_text(encoding="utf-8")
-    scene.write_text(text.replace("[sensing.layer]", chain + "[sensing.layer]"), "utf-8")
-    result = run(MODULE, "demo", str(scene), "--seconds", "3", "--json", str(out), "--no-ui")
-    assert result.returncode == 0, result.stderr
-    summary = read_json(out)
-    assert summary["force_rmse_n"]["aligned"] > 50e-3
-    (fault,) = summary["faults"]
-    assert fault.endswith("samples beyond the ADC's range")
-    assert summary["limited"]["adc"]["share"] > 0.5
-    assert summary["limited"]["force"]["times"] == 0
-
-
 def test_in_a_terminal_the_demo_renews_a_line() -> None:
     leader, follower = pty.openpty()
     environment = os.environ | {"COLUMNS": "100", "LINES": "40", "TERM": "xterm"}
@@ -234,45 +188,3 @@ def read_or_end(descriptor: int) -> bytes:
     except OSError:
         # Linux reports the end of a pseudo-terminal's last writer as an error.
         return b""
-
-
-@pytest.mark.parametrize(
-    ("arguments", "word"),
-    [
-        (("demo", "nowhere"), "radial"),
-        (("demo", "nowhere.toml"), "no such scene file"),
-        (("demo", "--link", "delay=40"), "time"),
-        (("simulate", "radial", "--link", "loss=7"), "less"),
-        (("link", "--connect", "tcp://h", "--bind", "tcp://127.0.0.1:1"), "address"),
-    ],
-)
-def test_bad_input_is_one_line_and_status_2(arguments: tuple[str, ...], word: str) -> None:
-    assert word in refused(MODULE, *arguments)
-
-
-def test_simulate_prints_the_same_summary(tmp_path: Path) -> None:
-    out = tmp_path / "out.json"
-    result = run(MODULE, "simulate", "wan", "--seconds", "5", "--json", str(out), "--details")
-    assert result.returncode == 0, result.stderr
-    summary = read_json(out)
-    assert_accounted(summary["samples"])
-    assert summary["speed"] > 0
-    assert summary["loop"]["deadline_misses"] is None
-    for word in ("sent =", "one-way delay", "force RMSE", "times real time"):
-        assert word in result.stdout
-
-
-@pytest.mark.parametrize("seconds", ["nan", "inf", "-1", "0", "soon"])
-def test_a_duration_that_cannot_be_used_is_refused(seconds: str) -> None:
-    result = run(MODULE, "simulate", "--seconds", seconds)
-    assert result.returncode == 2
-    assert "--seconds" in result.stderr
-    assert "Traceback" not in result.stderr
-
-
-@pytest.mark.parametrize("command", ["demo", "simulate"])
-def test_a_result_that_cannot_be_written_is_refused_before_the_run(
-    command: str, tmp_path: Path
-) -> None:
-    missing = tmp_path / "nowhere" / "out.json"
-    assert str(missing) in refused(MODULE, command, "--seconds", "1000", "--json", str(missing))

@@ -18,7 +18,7 @@ from protocol.host.child_process import ChildProcess, python_command
 from protocol.wire.messages import VERSION
 from telepulse.simulation.link_scene import parse_link
 from tests.support.keyring import Keyring
-from tests.support.log_lines import messages, refused, strays
+from tests.support.log_lines import messages, strays
 from tests.support.netem import Namespace, emulate, unavailable
 from tests.support.nodes import RADIAL, ROOT, assert_accounted, read_json, start
 from tests.support.tcp import needs_emulator
@@ -208,9 +208,3 @@ def test_discovery_without_a_network_is_refused() -> None:
         assert result.returncode == 2
         assert result.stderr.count("\n") == 1
         assert word in result.stderr
-
-
-def test_options_that_exclude_each_other_are_refused(tmp_path: Path) -> None:
-    assert "choose one" in refused(DISPLAY, *display("--discover", "--connect", "tcp://h:1"))
-    ipc = ("--bind", f"ipc://{tmp_path}/stream")
-    assert "is on this machine alone" in refused(SENSING, str(RADIAL), *ipc, "--announce")

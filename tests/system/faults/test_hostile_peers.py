@@ -19,8 +19,8 @@ from tests.support.hostile_peers import (
     send_garbage,
     subscribe_endlessly,
 )
-from tests.support.node_rig import node_rig, rss_bytes, sequence_monitor, unaccounted
-from tests.support.nodes import free_address, process
+from tests.support.node_rig import node_rig, unaccounted
+from tests.support.nodes import free_address
 from tests.support.waiting import until
 
 CONNECTIONS, MESSAGES, SILENT = 60, 400, 500
@@ -33,12 +33,7 @@ GROWN_BYTES = 40_000_000
 
 @pytest.mark.parametrize(
     ("scene", "garbage", "grown_bytes"),
-    [
-        ("radial", True, 60_000_000),
-        ("radial", False, GROWN_BYTES),
-        ("three_fingers", True, 60_000_000),
-        ("announce", True, 60_000_000),
-    ],
+    [("radial", False, GROWN_BYTES), ("three_fingers", True, 60_000_000)],
 )
 def test_hostile_peers_on_every_port_cost_the_nodes_little_and_the_pulse_nothing(
     scene: str, garbage: bool, grown_bytes: int, tmp_path: Path
@@ -70,9 +65,8 @@ def test_hostile_peers_on_every_port_cost_the_nodes_little_and_the_pulse_nothing
     assert_limits_kept(felt)
 
 
-@pytest.mark.parametrize("scene", ["radial", "three_fingers"])
-def test_a_flood_of_frames_is_counted_and_cut_off(scene: str, tmp_path: Path) -> None:
-    with node_rig(tmp_path, scene=scene) as rig:
+def test_a_flood_of_frames_is_counted_and_cut_off(tmp_path: Path) -> None:
+    with node_rig(tmp_path) as rig:
         felt, display = rig.felt(), rig.display()
         sensing = rig.sense("flood=data")
         until(lambda: felt.status and felt.status.summary["rejected"].get("flood"))
@@ -96,25 +90,6 @@ def test_of_endless_clock_requests_few_are_read(tmp_path: Path) -> None:
     assert sent.rejected["flood"] < REQUESTS_AT_ONCE + 2 * FLOODED_S * 1_200
     assert summary.samples.lost == 0
     assert summary.faults == []
-
-
-def test_endless_subscriptions_cost_a_relay_little_and_are_not_forwarded(tmp_path: Path) -> None:
-    inner, outer = free_addresses(2)
-    command = ("relay", "--connect", inner, "--bind", outer)
-    with node_rig(tmp_path) as rig:
-        rig.bind, rig.connect = inner, [inner]
-        sensing = rig.sense()
-        with process("telepulse", *command) as relay, sequence_monitor(outer) as sessions:
-            until(lambda: sessions)
-            before_bytes = rss_bytes(relay.pid)
-            subscribe_endlessly(port_of(outer), 200, SUBSCRIBING_S)
-            assert rss_bytes(relay.pid) - before_bytes < GROWN_BYTES
-            sent = sensing.end()
-            until(lambda: list(sessions.values()) == [sent.samples.sent])
-            relay.terminate()
-            _, errors = relay.communicate(timeout=20)
-    assert sent.rejected == {}
-    assert errors.count("it subscribes to topics not published here") == 1
 
 
 @pytest.mark.parametrize("ipc", [False, True])

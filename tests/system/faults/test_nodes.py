@@ -7,8 +7,6 @@ from dataclasses import asdict
 from pathlib import Path
 from subprocess import PIPE
 
-import pytest
-
 from protocol.config.scene_file import find_scene
 from protocol.host.child_process import ChildProcess
 from tests.support.felt_force import PATIENCE_S, assert_back_within_a_second, assert_limits_kept
@@ -28,15 +26,16 @@ QUEUED_BYTES = 500_000
 GROWN_BYTES = 20_000_000
 # In one process and without actuators: twenty real-time loops would take all cores.
 LISTENERS = 18
-SCENES = ("radial", "three_fingers", "announce")
 
 
-@pytest.mark.parametrize("scene", SCENES)
 def test_a_killed_sensing_node_is_felt_again_and_its_sessions_are_accounted_for(
-    scene: str, tmp_path: Path
+    tmp_path: Path,
 ) -> None:
     rng, killed = random.Random(1), 0
-    with node_rig(tmp_path, scene=scene) as rig, sequence_monitor(rig.connect[0]) as sessions:
+    with (
+        node_rig(tmp_path, scene="three_fingers") as rig,
+        sequence_monitor(rig.connect[0]) as sessions,
+    ):
         sensing, display, felt = rig.play()
 
         def kill() -> int:
@@ -64,12 +63,9 @@ def test_a_killed_sensing_node_is_felt_again_and_its_sessions_are_accounted_for(
     assert_limits_kept(felt)
 
 
-@pytest.mark.parametrize("scene", SCENES)
-def test_a_restarted_display_feels_the_stream_that_continued_meanwhile(
-    scene: str, tmp_path: Path
-) -> None:
+def test_a_restarted_display_feels_the_stream_that_continued_meanwhile(tmp_path: Path) -> None:
     rng = random.Random(2)
-    with node_rig(tmp_path, scene=scene) as rig:
+    with node_rig(tmp_path, scene="announce") as rig:
         sensing, display, felt = rig.play()
 
         def kill() -> int:
@@ -91,11 +87,10 @@ def test_a_restarted_display_feels_the_stream_that_continued_meanwhile(
     assert_limits_kept(felt)
 
 
-@pytest.mark.parametrize("scene", SCENES)
 def test_a_stopped_display_resumes_at_the_present_and_another_loses_nothing(
-    scene: str, tmp_path: Path
+    tmp_path: Path,
 ) -> None:
-    with node_rig(tmp_path, scene=scene) as rig:
+    with node_rig(tmp_path) as rig:
         sensing, display, felt = rig.play()
         other = rig.display("other")
 

@@ -10,9 +10,7 @@ import pytest
 from display_node.verdict import NOT_VALID_STATUS
 from protocol.errors import ProcessError
 from protocol.host.child_process import ChildProcess
-from telepulse.simulation.link_scene import parse_link
-from tests.support.netem import emulate, unavailable
-from tests.support.nodes import RADIAL, ROOT, assert_accounted, free_address, read_json
+from tests.support.nodes import RADIAL, ROOT, free_address
 from tests.support.waiting import until
 
 PATIENCE_S = 60.0
@@ -75,16 +73,6 @@ def is_running(pid: int) -> bool:
 
 
 @pytest.mark.usefixtures("hostile")
-def test_the_demo_with_link_and_page_imports_nothing_of_the_current_folder(tmp_path: Path) -> None:
-    out = tmp_path / "demo.json"
-    options = ("--seconds", "2", "--link", "delay=5ms", "--json", str(out))
-    command = ("-m", "telepulse", "demo", str(RADIAL), *options)
-    with ChildProcess("demo", *command, stdout=PIPE, stderr=PIPE) as demo:
-        demo.await_end(PATIENCE_S)
-    assert_accounted(read_json(out)["samples"])
-
-
-@pytest.mark.usefixtures("hostile")
 def test_the_processes_beside_a_node_import_nothing_of_the_current_folder(tmp_path: Path) -> None:
     """Metrics, recorder and screen of a display; the metrics of a sensing node."""
     address, recording = free_address(), tmp_path / "a.mcap"
@@ -98,24 +86,6 @@ def test_the_processes_beside_a_node_import_nothing_of_the_current_folder(tmp_pa
         sensing.await_end(PATIENCE_S)
         display.await_end(PATIENCE_S, (NOT_VALID_STATUS,))
     assert recording.stat().st_size > 0
-
-
-@pytest.mark.skipif(unavailable() is not None, reason=str(unavailable()))
-@pytest.mark.usefixtures("hostile")
-def test_the_relay_of_an_emulated_link_imports_nothing_of_the_current_folder() -> None:
-    with emulate(parse_link("delay=1ms")) as link:
-        pass
-    assert link.carried is not None
-
-
-@pytest.mark.usefixtures("hostile")
-def test_the_workers_of_a_study_import_nothing_of_the_current_folder() -> None:
-    code = (
-        "from telepulse.processes import free_addresses;"
-        "from telepulse.parallel import sweep; print(len(sweep(free_addresses, [1])))"
-    )
-    with ChildProcess("study", "-c", code, stdout=PIPE, stderr=PIPE) as study:
-        assert study.read_line(PATIENCE_S) == "1"
 
 
 def test_the_wait_for_a_line_has_a_limit() -> None:

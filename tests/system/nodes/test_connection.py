@@ -10,8 +10,6 @@ from display_node.reception.addresses import Lookup
 from display_node.reception.connection import Connection
 from display_node.reception.endpoint import Endpoint
 from display_node.reception.failover import DataPath
-from protocol.errors import AddressError
-from protocol.security import socket_monitor
 from protocol.security.socket_monitor import HandshakeMonitor
 from protocol.sockets import Context, Socket, control_address
 from protocol.summary_tables import Reconnections
@@ -170,26 +168,6 @@ def test_a_silence_of_all_addresses_is_a_cut(
     assert [asked.count(name) for name in ("127.0.0.1", "other")] == [3, 3]
 
 
-def test_requests_to_connect_are_repeated_soon_but_each_eleventh_is_not(context: Context) -> None:
-    publisher, address = bound(context)
-    asking = Endpoint(context.socket(zmq.SUB))
-
-    def timeouts_ms(tries: int, fast_retry: bool = True) -> list[int]:
-        timeouts = []
-        for _ in range(tries):
-            asking.connect(address, 0, fast_retry)
-            timeouts.append(asking.socket.getsockopt(zmq.CONNECT_TIMEOUT))
-        return timeouts
-
-    assert timeouts_ms(3, fast_retry=False) == [0, 0, 0]
-    assert timeouts_ms(3) == [100, 100, 100]
-    asking.socket.subscribe(b"")
-    deliver(publisher, asking)
-    assert asking.received(0)
-    asking.answer_ns = 900 * MS
-    assert timeouts_ms(12) == [900] * 10 + [0, 900]
-
-
 def test_patience_grows_with_the_time_of_the_first_answer(context: Context) -> None:
     _, address = bound(context)
     far = Endpoint(context.socket(zmq.SUB))
@@ -260,64 +238,6 @@ def test_further_connections_are_used_while_they_are_established(context: Contex
     until(lambda: len(used()) == 2)
 
 
-def test_patience_is_shorter_after_a_stall_of_the_display(
-    context: Context, asked: list[str], no_answers: None, logged: list[str]
-) -> None:
-    publisher, address = bound(context)
-    connection, path = subscribed(context, address)
-    deliver(publisher, path)
-    poll(connection, 20, 40)
-    deliver(publisher, path)
-    assert poll(connection, 1_000, 1_490) == [1_150]
-
-
-def test_the_silence_after_the_end_of_a_stream_is_no_cut(
-    context: Context, asked: list[str], no_answers: None
-) -> None:
-    publisher, address = bound(context)
-    connection, path = subscribed(context, address)
-    deliver(publisher, path)
-    poll(connection, 20, 30)
-    # As `DisplayNode` does once the stream has ended.
-    connection.subscribe(1_000 * MS, 0, 30 * MS)
-    assert poll(connection, 30, 2_000) == []
-    assert connection.reconnections == Reconnections(0, 0, 0)
-    assert poll(connection, 2_000, 3_100) == [2_010, 3_020]
-
-
-def test_once_one_port_answers_the_request_to_the_other_is_repeated(
-    context: Context, asked: list[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    # Hosts answer in real time, and the test's time stands still.
-    monkeypatch.setattr(socket_monitor, "POLL_EVERY_NS", 0)
-    _, address = bound(context)
-    connection = Connection(context, [address], 1)
-    began = 0
-    end_s = time.monotonic() + PATIENCE_S
-    while not connection.routes[0].paths[0].first.answered:
-        assert time.monotonic() < end_s
-        began += connection.poll(1_000 * MS)
-    assert began == 1
-    # The answer to control's request, sent at the same time, may still arrive.
-    assert not connection.poll(1_099 * MS)
-    assert control_of(connection).getsockopt(zmq.CONNECT_TIMEOUT) == 100
-    # Nothing listens to control: without the repetition it would wait for its whole patience.
-    assert connection.poll(1_100 * MS)
-    assert control_of(connection).getsockopt(zmq.CONNECT_TIMEOUT) == 0
-    assert not connection.poll(1_101 * MS)
-    # The sensing node was not reached before.
-    assert connection.reconnections == Reconnections(0, 0, 0)
-
-
-def test_patience_is_longer_for_rare_frames(context: Context, asked: list[str]) -> None:
-    connection = Connection(context, ["tcp://somewhere:1"], 1)
-    connection.subscribe(10_000 * MS, 0, 0)
-    poll(connection, 0, 29_000)
-    assert len(asked) == 1
-    poll(connection, 29_000, 32_000)
-    assert len(asked) == 2
-
-
 def test_paths_are_distributed_over_the_addresses(context: Context) -> None:
     addresses = ["tcp://127.0.0.1:1", "tcp://127.0.0.1:3", "tcp://127.0.0.1:5"]
     for paths, shares in ((3, [1, 1, 1]), (4, [2, 1, 1]), (8, [3, 3, 2])):
@@ -367,11 +287,6 @@ def test_the_ip_addresses_of_a_name_are_tried_in_turn(monkeypatch: pytest.Monkey
     lookup = Lookup("tcp://both:5555")
     found = [looked_up(lookup) for _ in range(3)]
     assert found == ["tcp://127.0.0.1:5555", "tcp://[::1]:5555", "tcp://127.0.0.1:5555"]
-
-
-def test_a_wrong_address_is_refused_at_once(context: Context) -> None:
-    with pytest.raises(AddressError):
-        Connection(context, ["tcp://127.0.0.1:5555", "somewhere:5555"], 2)
 
 
 def test_a_silent_data_path_gets_a_second_connection_while_control_goes_on(
@@ -441,23 +356,6 @@ def test_a_connection_that_floods_is_closed_for_a_while(
     connection.control.close(8_000 * MS)
     assert poll(connection, 5_060, 8_020) == [8_000]
     assert logged == [f"{address} sends far more than a stream; closed for 5 s"]
-
-
-def test_the_look_up_is_repeated_where_no_thread_can_be_started(
-    monkeypatch: pytest.MonkeyPatch, logged: list[str]
-) -> None:
-    lookup = Lookup("tcp://127.0.0.1:5555")
-
-    def no_thread(_: threading.Thread) -> None:
-        raise RuntimeError("can't start new thread")
-
-    with monkeypatch.context() as patch:
-        patch.setattr(threading.Thread, "start", no_thread)
-        for _ in range(3):
-            lookup.start()
-            assert not lookup.running
-    assert len(logged) == 1
-    assert looked_up(lookup) == "tcp://127.0.0.1:5555"
 
 
 def test_copies_of_what_the_closed_connection_delivered_are_dropped_from_the_kept_one(

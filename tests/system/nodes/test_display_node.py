@@ -1,7 +1,6 @@
 import re
 import secrets
 import signal
-import socket
 import time
 from pathlib import Path
 
@@ -10,7 +9,6 @@ import numpy as np
 import pytest
 import zmq
 
-from display_node.telemetry.status_line import LINE_WIDTH
 from display_node.verdict import NOT_VALID_STATUS
 from protocol.sockets import Context, control_address
 from protocol.wire.messages import (
@@ -27,13 +25,10 @@ from protocol.wire.telemetry import TRACE, read_status, read_trace
 from tests.support.live_display import (
     MODULE,
     PATIENCE_S,
-    await_state,
-    await_status,
     display_arguments,
     sensing_arguments,
     subscribe,
 )
-from tests.support.log_lines import refused, unusual
 from tests.support.nodes import (
     RADIAL,
     assert_accounted,
@@ -58,65 +53,6 @@ def telemetry(context: Context) -> zmq.Socket:
 
 def arguments(address: str, telemetry: zmq.Socket, *more: str) -> tuple[str, ...]:
     return display_arguments(address, telemetry.getsockopt_string(zmq.LAST_ENDPOINT), *more)
-
-
-@pytest.mark.parametrize("first", ["display", "sensing"])
-def test_either_node_may_start_first(
-    first: str, context: Context, address: str, telemetry: zmq.Socket, tmp_path: Path
-) -> None:
-    summary = tmp_path / "display.json"
-    display = arguments(address, telemetry, "--once", "--json", str(summary))
-    nodes = [(MODULE, display), (SENSING, sensing_arguments(address, 4))]
-    if first == "sensing":
-        nodes.reverse()
-    with process(nodes[0][0], *nodes[0][1]) as one:
-        if first == "display":
-            await_state(telemetry, "waiting")
-        else:
-            await_bound(context, address)
-        with process(nodes[1][0], *nodes[1][1]) as other:
-            await_state(telemetry, "playing")
-            assert one.wait(PATIENCE_S) == 0
-            assert other.wait(PATIENCE_S) == 0
-    samples = read_json(summary)["samples"]
-    assert_accounted(samples)
-    assert samples["played"] > 1000
-
-
-def await_bound(context: Context, address: str) -> None:
-    data = subscribe(context, address)
-    data.setsockopt(zmq.RCVTIMEO, int(PATIENCE_S * 1000))
-    data.recv()
-
-
-def test_a_restarted_sensing_node_is_felt_again(
-    address: str, telemetry: zmq.Socket, tmp_path: Path
-) -> None:
-    summary = tmp_path / "display.json"
-    with process(MODULE, *arguments(address, telemetry, "--json", str(summary))) as display:
-        with process(SENSING, *sensing_arguments(address, 60)) as sensing:
-            await_state(telemetry, "playing")
-            sensing.kill()
-            await_state(telemetry, "stale")
-        with process(SENSING, *sensing_arguments(address, 60)):
-            await_state(telemetry, "playing")
-            display.send_signal(signal.SIGTERM)
-            assert display.wait(PATIENCE_S) == 0
-    result = read_json(summary)
-    assert_accounted(result["samples"])
-    assert result["faults"] == []
-
-
-def test_a_restarted_display_plays_while_the_sensing_node_continues(
-    context: Context, address: str
-) -> None:
-    with process(SENSING, *sensing_arguments(address, 60)) as sensing:
-        for _ in range(2):
-            telemetry = subscribe(context, free_address())
-            with process(MODULE, *arguments(address, telemetry)) as display:
-                await_state(telemetry, "playing")
-                display.kill()
-        assert sensing.poll() is None
 
 
 def test_telemetry_has_every_tick_and_ends_with_a_final_status(
@@ -242,39 +178,6 @@ def frame_now(first: int, session: int = 7, force_n: float = 0.3, ahead_s: float
     return encode_frame(Frame(session, first, t_ns, 1_000_000, np.full((5, 1), force_n, "<f4")))
 
 
-def test_a_taken_telemetry_port_or_a_wrong_address_is_refused_in_one_line(
-    context: Context, address: str
-) -> None:
-    context.socket(zmq.PUB).bind(address)
-    line = refused(MODULE, *display_arguments(free_address(), address))
-    assert address in line
-    assert "in use" in line
-    for wrong in ("localhost:5555", "tcp://localhost", "tcp://h:70000", "x"):
-        assert wrong in refused(MODULE, str(RADIAL), "--connect", wrong, "--no-screen")
-
-
-@pytest.mark.parametrize(
-    ("module", "option", "place"),
-    [
-        (MODULE, "--connect", "tcp://192.0.2.1:5555"),
-        (MODULE, "--telemetry", "tcp://*:*"),
-        (SENSING, "--bind", "tcp://*:{}"),
-    ],
-)
-def test_beyond_loopback_a_node_starts_with_keys_or_with_insecure(
-    module: str, option: str, place: str, address: str
-) -> None:
-    place = place.format(address.rpartition(":")[2])
-    options = (str(RADIAL), option, place, "--seconds", "0.2", "--quiet")
-    line, insecure = refused(module, *options), run(module, *options, "--insecure")
-    assert f"-node: {place} reaches beyond this machine" in line
-    for word in ("telepulse keys new", "--key", "--insecure"):
-        assert word in line
-    # A display that has felt nothing says so by its status.
-    assert insecure.returncode == (NOT_VALID_STATUS if module == MODULE else 0)
-    assert unusual(insecure.stderr) == ""
-
-
 def test_a_port_without_a_listener_is_named_with_the_number_of_refusals(address: str) -> None:
     result = run(MODULE, str(RADIAL), "--connect", address, "--seconds", "3.5")
     assert result.returncode == NOT_VALID_STATUS
@@ -291,38 +194,6 @@ def test_a_port_without_a_listener_is_named_with_the_number_of_refusals(address:
     assert re.fullmatch(
         rf"  This run is not valid: no pulse was felt; {reason}; {remedy}\.", verdict
     )
-
-
-def test_a_port_that_answers_without_a_handshake_is_no_node() -> None:
-    with socket.create_server(("127.0.0.1", 0), backlog=100) as server:
-        address = f"tcp://127.0.0.1:{server.getsockname()[1]}"
-        result = run(MODULE, str(RADIAL), "--connect", address, "--seconds", "4.5")
-    assert result.returncode == NOT_VALID_STATUS
-    assert f"waiting: {address} answers, but is no node" in result.stdout
-    assert f"no pulse was felt; {address} answers, but is no node" in result.stdout
-
-
-def test_help_names_options_keys_and_exit_status() -> None:
-    text = run(MODULE, "--help").stdout
-    for word in ("--connect", "--once", "compensation", "Exit status", "tcp://HOST:5555"):
-        assert word in text
-
-
-def test_without_a_terminal_the_screen_prints_a_line_a_second(address: str) -> None:
-    options = ("--connect", address, "--once", "--seconds", "30")
-    with (
-        process(MODULE, str(RADIAL), *options) as display,
-        process(SENSING, *sensing_arguments(address, 8)),
-    ):
-        output, errors = display.communicate(timeout=PATIENCE_S + 10)
-    lines = [line for line in output.splitlines() if line.startswith("playing:")]
-    assert 1 <= len(lines) <= 9
-    # A line has no heart rate while a busy machine delays the pulse.
-    assert any("heart rate" in line for line in lines)
-    assert all(re.search(r" felt \d+ of \d+ mN", line) for line in lines)
-    assert all(len(line) <= LINE_WIDTH for line in lines)
-    assert "The pulse was felt for" in output
-    assert unusual(errors) == ""
 
 
 def test_with_three_paths_the_first_copy_of_each_frame_is_played(
@@ -342,31 +213,6 @@ def test_with_three_paths_the_first_copy_of_each_frame_is_played(
     assert result["samples"]["lost"] == 0
     # The three paths may have been connected at slightly different times.
     assert 1.5 < result["frames"]["copies"] / result["frames"]["received"] <= 2
-    assert result["rejected"] == {}
-
-
-def test_the_loss_of_one_of_two_addresses_loses_no_sample(
-    address: str, telemetry: zmq.Socket, tmp_path: Path
-) -> None:
-    summary, relayed = tmp_path / "out.json", free_address()
-    # Control starts on the first address, that of the relay, which is killed.
-    more = ("--connect", address, "--once", "--json", str(summary))
-    relay_arguments = ("link", "--connect", address, "--bind", relayed, "--seconds", "60")
-    with (
-        process("telepulse", *relay_arguments) as relay,
-        process(MODULE, *arguments(relayed, telemetry, *more)) as display,
-        process(SENSING, *sensing_arguments(address, 10)),
-    ):
-        await_status(telemetry, lambda status: status.summary["frames"]["copies"] >= 50)
-        relay.kill()
-        assert display.wait(PATIENCE_S + 10) == 0
-    result = read_json(summary)
-    assert_accounted(result["samples"])
-    # The end of the stream came over the other address.
-    assert result["samples"]["sent"] + result["samples"]["before_joining"] == 10_000
-    assert result["samples"]["lost"] == 0
-    assert set(result["frames"]["first"]) == {relayed, address}
-    assert sum(result["frames"]["first"].values()) == result["frames"]["received"]
     assert result["rejected"] == {}
 
 

@@ -1,5 +1,4 @@
 import os
-import signal
 import time
 from pathlib import Path
 
@@ -7,7 +6,6 @@ import pytest
 
 from display_node.doctor.jitter import Ticks, run_ticks
 from tests.support.live_display import MODULE, PATIENCE_S
-from tests.support.log_lines import refused
 from tests.support.nodes import RADIAL, process, read_json, run_python
 from tests.support.rights import needs_rights, without_rights
 from tests.support.waiting import until
@@ -64,14 +62,13 @@ def test_a_refused_setting_is_named_with_advice(tmp_path: Path) -> None:
     assert 'put "USER - memlock unlimited" into' in doctor.stdout
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL])
-def test_a_stopped_doctor_leaves_no_busy_processes(number: signal.Signals) -> None:
+def test_a_killed_doctor_leaves_no_busy_processes() -> None:
     with process(MODULE, "--doctor", "--seconds", "20", "--quiet") as doctor:
         children = Path(f"/proc/{doctor.pid}/task/{doctor.pid}/children")
         while not (found := children.read_text(encoding="ascii").split()):
             assert doctor.poll() is None
             time.sleep(0.01)
-        doctor.send_signal(number)
+        doctor.kill()
         doctor.wait(PATIENCE_S)
         until(lambda: not any(map(computes, found)))
 
@@ -83,16 +80,3 @@ def computes(process_id: str) -> bool:
     except OSError:
         return False
     return "State:\tZ" not in status
-
-
-def test_a_wrong_scene_or_report_of_a_doctor_is_refused_in_one_line(tmp_path: Path) -> None:
-    wrong = (
-        ("no such scene.toml", "report.json", "no such scene file"),
-        (RADIAL, "", "is a folder"),
-    )
-    for scene, json, message in wrong:
-        line = refused(MODULE, "--doctor", str(scene), "--json", str(tmp_path / json))
-        assert line.startswith("display-node: ")
-        assert message in line
-    # Without --doctor a scene is required.
-    assert refused(MODULE) == "display-node: no scene: display-node SCENE plays one\n"

@@ -8,7 +8,6 @@ from pathlib import Path
 import pytest
 
 from display_node.scene import DisplayScene
-from protocol import provenance
 from protocol.config.scene import load_section
 from protocol.provenance import REDACTED, collect
 from telepulse.experiment.session import load_plan
@@ -28,14 +27,6 @@ def test_provenance_names_scene_host_command_and_the_settings_in_effect() -> Non
     assert table == found.to_dict()
     assert table["actuator"]["kind"] == "stepper"
     assert "kp" in table["gains"]
-
-
-def test_only_a_checkout_has_a_commit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(provenance, "_ROOT", tmp_path)
-    assert collect().commit is None
-    assert "commit" not in collect().to_dict()
-    (tmp_path / ".git").mkdir()
-    assert collect().commit is None
 
 
 SECRET = "hunter2"
@@ -94,8 +85,3 @@ def test_a_summary_has_its_provenance_and_neither_it_nor_an_experiments_log_has_
     for text in (out.read_text(encoding="utf-8"), json.dumps(load_plan(session).tables)):
         assert SECRET not in text
         assert REDACTED in text
-
-
-def test_a_scene_without_secrets_is_kept_as_it_is() -> None:
-    found = collect(RADIAL)
-    assert REDACTED not in found.to_bytes().decode()

@@ -3,9 +3,6 @@ import re
 import signal
 from pathlib import Path
 
-import pytest
-
-from display_node.verdict import NOT_VALID_STATUS
 from protocol.sockets import Context
 from tests.support.live_display import (
     MODULE,
@@ -82,20 +79,16 @@ runpy.run_module(sys.argv.pop(1), run_name="__main__", alter_sys=True)
 """
 
 
-@pytest.mark.parametrize(
-    ("module", "option"), [(MODULE, "--connect"), ("sensing_node.cli", "--bind")]
-)
 def test_each_refused_setting_is_a_line_and_a_full_collection_skips_old_objects(
-    module: str, option: str, tmp_path: Path
+    tmp_path: Path,
 ) -> None:
     """A collection stopped a sensing node for 20 to 30 ms soon after a display had joined."""
     summary = tmp_path / "summary.json"
     node = without_rights(
-        *("-c", COLLECTIONS, module, str(RADIAL), option, free_address(), "--quiet"),
+        *("-c", COLLECTIONS, "sensing_node.cli", str(RADIAL), "--bind", free_address(), "--quiet"),
         *("--seconds", "0.2", "--json", str(summary), "--realtime", REQUEST),
     )
-    # 0.2 s are too short for a pulse to be felt.
-    assert node.returncode in (0, NOT_VALID_STATUS)
+    assert node.returncode == 0
     refusals = [line.partition(" is not granted: ")[0] for line in messages(node.stderr)]
     assert refusals == ["real-time: lock", "real-time: fifo=7"]
     assert read_json(summary)["loop"]["realtime"] == ["slack"]
@@ -104,17 +97,7 @@ def test_each_refused_setting_is_a_line_and_a_full_collection_skips_old_objects(
     assert examined < frozen / 5
 
 
-@pytest.mark.parametrize(
-    ("module", "wish", "line"),
-    [
-        (MODULE, "fifo=7,strict", f"display-node: {NO_PRIORITY}"),
-        ("sensing_node.cli", "fifo=7,strict", f"sensing-node: {NO_PRIORITY}"),
-        (MODULE, "lok", "display-node: --realtime: unknown measure 'lok'; did you mean lock?\n"),
-    ],
-)
-def test_a_node_with_a_strict_or_misspelt_request_that_is_refused_does_not_start(
-    module: str, wish: str, line: str
-) -> None:
-    node = without_rights("-m", module, str(RADIAL), "--realtime", wish)
+def test_a_node_whose_strict_request_is_refused_does_not_start() -> None:
+    node = without_rights("-m", MODULE, str(RADIAL), "--realtime", "fifo=7,strict")
     assert (node.returncode, node.stdout, node.stderr.count("\n")) == (2, "", 1)
-    assert node.stderr.startswith(line)
+    assert node.stderr.startswith(f"display-node: {NO_PRIORITY}")

@@ -77,13 +77,6 @@ def test_a_thread_that_runs_without_a_pause_loses_the_priority(
 
 
 @needs_rights
-def test_a_priority_is_given_up_without_a_free_descriptor() -> None:
-    child = run_python("-c", NO_DESCRIPTOR)
-    assert (child.returncode, child.stdout) == (0, "[0, 0, 0]\n")
-    assert child.stderr == "real-time: fifo is given up: 200 ms without a pause\n"
-
-
-@needs_rights
 def test_a_process_that_handles_no_signal_is_ended_by_the_kernel() -> None:
     # Python handles no signal while a function of a library runs.
     child = run_python("-c", HANGS)
@@ -120,23 +113,6 @@ def test_a_processor_that_does_not_exist_is_refused(option: str) -> None:
         pytest.fail("the settings are in effect")
     assert os.sched_getaffinity(0) == THERE
 
-
-NO_DESCRIPTOR = """
-import os, resource, threading, time
-from protocol.host.realtime import apply_realtime, parse_realtime
-
-with apply_realtime(parse_realtime("fifo=7")):
-    later = threading.Thread(target=time.sleep, args=(1,))
-    later.start()
-    none_free = os.dup(0)
-    resource.setrlimit(resource.RLIMIT_NOFILE, (none_free, none_free))
-    os.close(none_free)
-    end_s = time.monotonic() + 0.5
-    while time.monotonic() < end_s:
-        pass
-    threads = [0, threading.get_native_id(), later.native_id]
-    print([os.sched_getscheduler(number) for number in threads])
-"""
 
 ELSEWHERE = """
 import os, sys

@@ -38,12 +38,6 @@ def test_unread_output_does_not_block_its_writer(
         assert stream.dropped > 0
 
 
-def test_bytes_are_refused_as_by_any_text_stream() -> None:
-    """click tries to write bytes to find out whether a stream is binary."""
-    with unread("closed") as number, pytest.raises(TypeError, match="not bytes"):
-        queued(number).write(b"")  # type: ignore[arg-type]
-
-
 def test_dropped_lines_are_counted_and_reported_once_output_is_possible_again() -> None:
     out, into = os.pipe()
     with closing(os.fdopen(out, "rb")) as reader:

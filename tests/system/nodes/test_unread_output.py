@@ -82,29 +82,6 @@ def test_a_display_whose_output_is_not_read_plays_and_ends(
             assert samples["played"] > 0
 
 
-def test_programs_beside_the_nodes_end_when_their_output_is_not_read(tmp_path: Path) -> None:
-    here, there, telemetry = (free_address() for _ in range(3))
-    with ExitStack() as stack:
-        programs = [
-            stack.enter_context(started("pipe", TELEPULSE, *arguments))
-            for arguments in (
-                ("relay", "--connect", here, "--bind", there),
-                ("link", "--connect", here, "--bind", free_address()),
-                ("view", telemetry),
-            )
-        ]
-        json = tmp_path / "demo.json"
-        demo = ("demo", "--seconds", "1", "--no-page", "--json", str(json))
-        shown = stack.enter_context(started("terminal", TELEPULSE, *demo))
-        for program in programs:
-            until(lambda program=program: obeys_sigterm(program))
-            program.send_signal(signal.SIGTERM)
-        for program in programs:
-            assert program.wait(ENDS_WITHIN_S) == 0, program.args
-        assert shown.wait(ENDS_WITHIN_S) == 0
-        assert_accounted(read_json(json)["samples"])
-
-
 def test_a_node_whose_terminal_closes_ends_as_at_ctrl_c(tmp_path: Path) -> None:
     master, terminal = os.openpty()
     json = tmp_path / "sum.json"

@@ -66,15 +66,6 @@ def test_questions_and_answers_pass_and_are_counted_over_several_runs(ends: Ends
     assert ends.proxy.received_bytes == 3 * (5 + len(b"answer"))
 
 
-def test_a_message_between_two_runs_waits(ends: Ends) -> None:
-    ends.begin()
-    ends.proxy.stop()
-    ends.display.send(b"question")
-    ends.proxy.start()
-    assert answer(ends.sensing, b"answer") == b"question"
-    assert ends.display.recv() == b"answer"
-
-
 def test_a_flood_without_a_sensing_node_neither_blocks_it_nor_garbles_later_messages(
     ends: Ends, context: Context
 ) -> None:
@@ -106,11 +97,3 @@ def test_a_flood_without_a_sensing_node_neither_blocks_it_nor_garbles_later_mess
     ends.display.send(b"last")
     assert answer(ends.sensing, b"answer") == b"last"
     assert ends.display.recv() == b"answer"
-
-
-def test_it_sleeps_while_nothing_passes(ends: Ends) -> None:
-    ends.begin()
-    began_s = time.process_time()
-    time.sleep(0.5)
-    # A proxy that polls without waiting takes all of it.
-    assert time.process_time() - began_s < 0.25

@@ -2,11 +2,9 @@
 
 import itertools
 import threading
-import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from urllib.parse import urlsplit
 
 import zmq
 
@@ -16,11 +14,8 @@ from protocol.run_summary import Summary
 from protocol.security.allow_list import allow, revoke
 from protocol.security.keys import ClientKeys, KeyPair, ServerKeys, new_pair, read_pair
 from protocol.sockets import Context, Socket, control_address
-from protocol.wire.messages import encode_frame
 from telepulse.relay import Relay
-from tests.support.middleman import middleman
-from tests.support.nodes import free_address, known
-from tests.support.streams import frame
+from tests.support.nodes import free_address
 from tests.support.waiting import PATIENCE_S, until
 
 
@@ -99,31 +94,6 @@ def numbered() -> Iterator[bytes]:
     return (b"%d" % number for number in itertools.count())
 
 
-def test_frames_questions_and_answers_pass_a_chain_of_three_each_envelope_an_address_longer(
-    context: Context,
-) -> None:
-    addresses = [free_address() for _ in range(4)]
-    sensing, display = Sensing(context, addresses[0]), Raw(context, addresses[3])
-    with (
-        relaying(addresses[0], addresses[1]),
-        relaying(addresses[1], addresses[2]),
-        relaying(addresses[2], addresses[3]) as end,
-    ):
-        display.control.send(b"question")
-        *envelope, question = sensing.question()
-        assert (len(envelope), question) == (4, b"question")
-        sensing.control.send_multipart([*envelope, b"answer"])
-        assert display.control.recv() == b"answer"
-        first = int(published(sensing.data, display.data, numbered()))
-        for number in range(100):
-            sensing.data.send(b"%d" % (10_000 + number))
-        received = [display.data.recv()]
-        while received[-1] != b"10099":
-            received.append(display.data.recv())
-        assert received[-100:] == [b"%d" % (10_000 + number) for number in range(100)]
-        assert 101 <= known(end().frames.received) <= 100 + 10_000 - first
-
-
 def test_without_subscriptions_nothing_is_sent(context: Context) -> None:
     inner, outer = free_address(), free_address()
     data = sockets.bind(context, zmq.XPUB, inner)
@@ -179,88 +149,6 @@ def test_an_unanswered_question_makes_it_connect_anew(context: Context, logged: 
 
         until(another)
         assert any("silent" in line for line in logged)
-
-
-class DeadOnes:
-    """Passes data on; after `cut`, the connections that exist by then carry nothing more."""
-
-    def __init__(self) -> None:
-        self._seen: set[int] = set()
-        self._dead: set[int] = set()
-
-    def __call__(self, data: bytes) -> bytes:
-        # Each direction of a connection has a thread of its own.
-        self._seen.add(threading.get_ident())
-        return b"" if threading.get_ident() in self._dead else data
-
-    def cut(self) -> None:
-        self._dead |= self._seen
-
-
-def test_where_frames_alone_fall_silent_they_come_over_a_second_connection(
-    context: Context,
-) -> None:
-    inner, outer, public = free_address(), free_address(), free_address()
-    sensing, display = Sensing(context, inner), Raw(context, outer)
-    dead = DeadOnes()
-    frames = (encode_frame(frame(5 * number)) for number in itertools.count())
-
-    def play() -> object:
-        """Send a frame, ask and answer; return the received frame, if any."""
-        sensing.data.send(next(frames))
-        display.control.send(b"question")
-        *envelope, _ = sensing.question()
-        sensing.control.send_multipart([*envelope, b"answer"])
-        assert display.control.recv() == b"answer"
-        return display.data.poll(5) and display.data.recv()
-
-    ports = [urlsplit(address).port or 0 for address in (public, inner)]
-    with (
-        middleman(*ports) as line,
-        middleman(*(port + 1 for port in ports)),
-        relaying(public, outer) as end,
-    ):
-        line.down = dead
-        until(play)
-        # Frames come regularly, so that their length is known.
-        for _ in range(50):
-            play()
-        dead.cut()
-        while play():
-            pass
-        from_s = time.monotonic()
-        until(play)
-        silent_s = time.monotonic() - from_s
-        reconnections = end().reconnections
-        # As fast as a display, far below the 10 s for frames of unknown length.
-        assert silent_s < 8
-        assert reconnections.opened
-        assert reconnections.control == 0
-
-
-def test_a_display_that_reads_nothing_costs_no_more_than_its_queue(context: Context) -> None:
-    inner, outer = free_address(), free_address()
-    sensing, reader = Sensing(context, inner), Raw(context, outer)
-    frame = bytes(50_000)
-    with relaying(inner, outer) as end:
-        asleep = sockets.connect(context, zmq.SUB, outer)
-        asleep.setsockopt(zmq.RCVHWM, 1)
-        asleep.subscribe(b"")
-        for subscriber in (reader.data, asleep):
-            published(sensing.data, subscriber, numbered())
-        before_bytes, most_bytes = resident_bytes(), 0
-        for number in range(4_000):
-            sensing.data.send(frame)
-            reader.data.recv()
-            if number % 100 == 0:
-                most_bytes = max(most_bytes, resident_bytes())
-        # Of the 200 MB that were sent, a queue holds 50 MB.
-        assert most_bytes - before_bytes < 2 * sockets.HIGH_WATER_FRAMES * len(frame)
-        assert known(end().frames.received) >= 4_000
-
-
-def resident_bytes() -> int:
-    return int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1]) * 4096
 
 
 def test_with_keys_it_admits_allowed_keys_and_is_admitted_where_its_own_is_allowed(

@@ -8,7 +8,6 @@ from subprocess import Popen
 import pytest
 
 from protocol.sockets import Context
-from telepulse.cli.main import app
 from tests.support.live_display import (
     PATIENCE_S,
     await_state,
@@ -69,23 +68,3 @@ def test_two_relays_feed_a_display_each_and_every_sample_is_accounted_for(
         assert samples["lost"] == 0
         assert summary["frames"]["received"] <= frames
     assert relayed[0] >= relayed[1]
-
-
-@pytest.mark.parametrize(
-    ("option", "address"),
-    [
-        ("--connect", "tcp://192.0.2.1:5555"),
-        ("--bind", "tcp://*:5655"),
-        ("--connect", "wrist"),
-        ("--bind", "tcp://127.0.0.1:70000"),
-    ],
-)
-def test_an_address_that_cannot_be_used_is_refused_in_one_line(
-    option: str, address: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    local = ("--connect", "tcp://127.0.0.1:5555", "--bind", "tcp://127.0.0.1:5655")
-    with pytest.raises(SystemExit) as ended:
-        app(("relay", *local, option, address), standalone_mode=False)
-    error = capsys.readouterr().err
-    assert (ended.value.code, error.count("\n")) == (2, 1)
-    assert address in error

@@ -10,7 +10,6 @@ import pytest
 import zmq
 
 from protocol import sockets
-from protocol.security import authenticator as authenticator_module
 from protocol.security.allow_list import UNREADABLE_AT_MOST_NS, revoke
 from protocol.security.authenticator import TOO_MANY, Authenticator
 from protocol.security.budgets import BEHIND_NS, ConnectionBudget
@@ -152,20 +151,6 @@ def test_a_peer_that_is_not_allowed_receives_nothing_and_is_counted(
         assert keyring.pair("stranger").public.key.hex() in logged[0]
 
 
-def test_a_hundred_attempts_are_counted_each_and_logged_once(
-    publisher: Publisher, keyring: Keyring, logged: list[str]
-) -> None:
-    stranger, rejected = publisher.subscribe(keyring.client("stranger")), publisher.rejected
-    for attempt in range(1, 101):
-        publisher.poll_until(lambda attempt=attempt: rejected["unknown_key"] == attempt)
-        if attempt < 100:
-            sockets.reconnect(stranger.socket, publisher.address, publisher.address)
-    assert rejected["unknown_key"] == 100
-    # It may also leave before it is answered.
-    assert len([line for line in logged if line.endswith(" is not allowed")]) == 1
-    assert len(logged) <= 2
-
-
 @pytest.mark.parametrize("publisher", ADDRESSES, indirect=True)
 def test_allowed_keys_receive_until_revoked_and_the_others_continue(
     publisher: Publisher, keyring: Keyring, logged: list[str]
@@ -214,23 +199,6 @@ def test_a_key_that_is_allowed_during_the_run_connects(
     publisher.poll_until(lambda: early.received)
 
 
-def test_a_revocation_in_an_unreadable_list_counts_once_the_list_is_readable(
-    publisher: Publisher, keyring: Keyring, logged: list[str]
-) -> None:
-    keyring.allow("thumb")
-    goes = publisher.subscribe(keyring.client("thumb"))
-    publisher.poll_until(lambda: goes.received)
-    keyring.allowed.write_text(keyring.pair("finger").public.line + "\n", encoding="utf-8")
-    keyring.allowed.chmod(0o664)
-    publisher.poll_until(lambda: any("chmod go-w" in line for line in logged))
-    late = publisher.subscribe(keyring.client("finger"))
-    publisher.poll_until(lambda: publisher.rejected["list_unreadable"])
-    keyring.allowed.chmod(0o644)
-    publisher.poll_until(lambda: publisher.rejected["revoked_key"])
-    assert "thumb is no longer allowed" in logged
-    assert late.received == []
-
-
 def test_all_but_the_node_itself_are_cut_while_the_list_cannot_be_read(
     publisher: Publisher, keyring: Keyring, logged: list[str]
 ) -> None:
@@ -273,17 +241,6 @@ def test_a_flood_while_the_authenticator_is_not_polled_blocks_no_connection(
     assert subscriber.socket.recv() == b"-1"
     publisher.poll_until(lambda: publisher.rejected["handshake"] == 1500)
     assert len(logged) <= 2
-
-
-def test_a_bounded_number_of_refused_peers_is_named(
-    publisher: Publisher, keyring: Keyring, monkeypatch: pytest.MonkeyPatch, logged: list[str]
-) -> None:
-    monkeypatch.setattr(authenticator_module, "MAX_NAMED", 3)
-    for number in range(6):
-        publisher.subscribe(keyring.client(f"stranger{number}"))
-        publisher.poll_until(lambda number=number: publisher.rejected["unknown_key"] > number)
-    assert len(logged) == 4
-    assert logged[-1].startswith("more peers are refused")
 
 
 def is_closed(one: plain.socket) -> bool:

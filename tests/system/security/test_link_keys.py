@@ -6,7 +6,6 @@ from protocol.security.keys import ClientKeys
 from protocol.sockets import Context
 from protocol.wire.messages import Welcome, decode_control
 from tests.support.keyring import Keyring
-from tests.support.log_lines import refused
 from tests.support.nodes import RADIAL, free_address, process
 from tests.support.sensing_client import KeyedClient
 from tests.support.waiting import until
@@ -34,9 +33,3 @@ def test_a_link_has_keys_on_both_sides(context: Context, keyring: Keyring, tmp_p
         until(received)
     assert isinstance(decode_control(finger.answers[0]), Welcome)
     assert stranger.answers == stranger.frames == []
-
-
-def test_a_link_beyond_this_machine_without_keys_does_not_start() -> None:
-    for option, other in (("--connect", "--bind"), ("--bind", "--connect")):
-        line = refused("telepulse", "link", option, "tcp://192.0.2.1:5555", other, free_address())
-        assert line.startswith("telepulse: tcp://192.0.2.1:5555 reaches beyond")

@@ -45,11 +45,6 @@ PLACE = """(time) => {
 SIGNED = r"−?[\d.]+(e−?\d+)?"
 
 
-def waiting() -> LiveState:
-    """Return the state without a display."""
-    return LiveState()
-
-
 def one_finger() -> LiveState:
     """Return the state of a display in whose last 10 s were events of every kind."""
     display = SimulatedDisplay(LiveState())
@@ -76,7 +71,7 @@ def pressed() -> LiveState:
     return display.live
 
 
-STATES = (waiting, one_finger, three_fingers, pressed)
+STATES = (one_finger, three_fingers, pressed)
 
 
 @pytest.fixture(scope="module")
@@ -115,7 +110,7 @@ def still(visit: Visit, address: str, **reader: Any) -> Iterator[Page]:
     """Open a page and pause it."""
     with visit(address, **reader) as page:
         page.locator("body[data-ready]").wait_for()
-        page.locator("#state", has_text=re.compile("playing|waiting")).wait_for()
+        page.locator("#state", has_text="playing").wait_for()
         unfold(page)
         page.locator("#pause").click()
         page.wait_for_function("!document.getElementById('explore').hidden")
@@ -144,7 +139,7 @@ def in_sight(page: Page, id: str) -> dict[str, float]:
     return box
 
 
-@pytest.mark.parametrize("state", ["one_finger", "three_fingers", "pressed"])
+@pytest.mark.parametrize("state", ["three_fingers", "pressed"])
 def test_each_plot_shows_the_values_of_all_its_curves_anywhere(
     url: str, visit: Visit, state: str
 ) -> None:
@@ -234,39 +229,6 @@ def is_drawn(page: Page, colour: str, x: float) -> bool:
     return int(same.any(axis=1).sum()) > 40
 
 
-def test_a_plot_without_values_has_its_reason(url: str, visit: Visit) -> None:
-    empty = {plot.id: plot.empty for plot in PLOTS}
-    with visit(f"{url}/waiting") as page:
-        page.locator("#plot-force .empty").wait_for()
-        unfold(page)
-        page.locator("#plot-offset .empty").wait_for()
-        shown = [
-            (
-                figure.get_attribute("id").removeprefix("plot-"),
-                figure.locator(".empty").inner_text(),
-            )
-            for figure in page.locator("figure:visible").all()
-        ]
-        assert shown == [(id, empty[id]) for id, _ in shown]
-        assert {"force", "error", "height", "delay", "offset"} < {id for id, _ in shown}
-    with visit(f"{url}/one_finger") as page:
-        unfold(page)
-        page.locator("#plot-predictor .empty").wait_for()
-        assert page.locator("#plot-predictor .empty").inner_text() == empty["predictor"]
-        for id in ("force", "error", "delay"):
-            assert not page.locator(f"#plot-{id} .empty").is_visible()
-
-
-def test_the_button_of_the_present_window_undoes_a_zoom(url: str, visit: Visit) -> None:
-    with still(visit, f"{url}/one_finger") as page:
-        box = in_sight(page, "force")
-        page.mouse.move(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
-        page.mouse.wheel(0, -300)
-        page.wait_for_function(f"{SPAN}.start > -9.5")
-        page.locator("label", has_text="10 s").click()
-        page.wait_for_function(f"{SPAN}.start === -10 && {SPAN}.end === 0")
-
-
 def drag(page: Page, x: float, y: float, across: float, down: float) -> None:
     """Move a finger over the page."""
     session = page.context.new_cdp_session(page)
@@ -308,16 +270,8 @@ def test_a_finger_scrolls_moves_and_taps_a_paused_plot(url: str, visit: Visit) -
         assert shown["x"] + shown["width"] <= box["x"] + box["width"]
 
 
-def test_a_mouse_gets_no_hint_for_touch(url: str, visit: Visit) -> None:
-    with still(visit, f"{url}/one_finger") as page:
-        hint = page.locator("#explore").inner_text()
-        assert "wheel" in hint
-        assert "pinch" not in hint
-
-
-@pytest.mark.parametrize("state", ["three_fingers", "pressed"])
-def test_lines_and_marks_are_seen_on_both_grounds(url: str, visit: Visit, state: str) -> None:
-    with visit(f"{url}/{state}") as page:
+def test_lines_and_marks_are_seen_on_both_grounds(url: str, visit: Visit) -> None:
+    with visit(f"{url}/pressed") as page:
         page.locator("#state", has_text="playing").wait_for()
         page.locator("#plot-force .keys i").first.wait_for()
         unfold(page)
@@ -327,12 +281,3 @@ def test_lines_and_marks_are_seen_on_both_grounds(url: str, visit: Visit, state:
             assert len(swatches) > 15
             for swatch in swatches:
                 assert swatch.evaluate(CONTRAST) >= 3
-
-
-def test_a_number_keeps_its_unit_on_its_line(url: str, visit: Visit) -> None:
-    with visit(f"{url}/one_finger") as page:
-        page.locator("#state", has_text="playing").wait_for()
-        page.wait_for_function("document.getElementById('within').textContent.includes('%')")
-        texts = page.locator(".figures dd:visible").all_text_contents()
-        assert any("mN" in text for text in texts)
-        assert not [text for text in texts if re.search(r"\d (%|ms|s|mN)\b", text)]

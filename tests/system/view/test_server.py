@@ -2,26 +2,16 @@ import asyncio
 import re
 import socket
 import threading
-import time
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from http.client import HTTPConnection
-from typing import Any
 from urllib.parse import urlsplit
 
 import pytest
-import zmq
 
-from display_node.fault_advice import advise
-from protocol.run_summary import Summary
-from protocol.sockets import Context
-from protocol.ticks import TickState
-from protocol.wire.telemetry import CAPTURE, STATUS, TRACE, CaptureWriter, TraceWriter, pack_status
 from telepulse.view import server
 from telepulse.view.server import PageServer
-from tests.support.browser import Visit
 from tests.support.nodes import free_address
-from tests.support.telemetry_publisher import publishing
 from tests.support.waiting import PATIENCE_S, until
 
 
@@ -45,21 +35,6 @@ def serving(telemetry: str) -> Iterator[PageServer]:
     finally:
         made[0].stop()
         thread.join(20)
-
-
-@pytest.fixture
-def pull_session() -> Any:
-    return pytest.importorskip("bokeh.client").pull_session
-
-
-def test_several_viewers_are_counted_until_they_leave(pull_session: Any) -> None:
-    with serving(free_address()) as page:
-        first, second = (pull_session(url=page.url) for _ in range(2))
-        assert page.viewers == 2
-        first.close()
-        until(lambda: page.viewers == 1)
-        second.close()
-        until(lambda: page.viewers == 0)
 
 
 PATHS = ("/", "/autoload.js?bokeh-autoload-element=1", "/metadata", "/static/js/bokeh.min.js")
@@ -149,63 +124,3 @@ def test_pages_that_are_opened_again_and_again_wait(monkeypatch: pytest.MonkeyPa
         statuses = [get(page, "/")[0] for _ in range(2 * server.MAX_VIEWERS)]
     assert statuses[: server.OPENED_AT_ONCE] == [200] * server.OPENED_AT_ONCE
     assert statuses.count(503) >= server.MAX_VIEWERS
-
-
-def test_telemetry_that_has_queued_is_shown_with_its_age(
-    pull_session: Any, context: Context, address: str
-) -> None:
-    """Regression test: a page showed telemetry that had queued for 5 s as current."""
-    display = context.socket(zmq.XPUB)
-    display.bind(address)
-    with serving(address) as page:
-        for _ in range(4):
-            assert display.poll(20_000)
-            display.recv()
-        sent_ns = time.perf_counter_ns() - 5 * 10**9
-        capture, trace = CaptureWriter(1), TraceWriter()
-        capture.wanted = True
-        trace.add(TickState(now_ns=sent_ns, felt_n=0.356, scored=True))
-        for message in capture.take(sent_ns, time.time_ns() - 5 * 10**9):
-            display.send_multipart((CAPTURE, message))
-        display.send_multipart((TRACE, trace.rest() or b""))
-        display.send_multipart((STATUS, pack_status("playing", "pulse", Summary(), final=False)))
-
-        def shown() -> dict[str, Any]:
-            session = pull_session(url=page.url)
-            words: dict[str, Any] = session.document.roots[0].tags[0].data["shown"][0]
-            session.close()
-            return words
-
-        until(lambda: shown()["state"][0] == "playing")
-        _, note, _ = shown()["state"]
-        assert re.fullmatch(r"\d+\.\d s ago", note), note
-        assert 5.0 <= float(note.split()[0]) < 30.0
-
-
-FAULT = "drive: no answer for 403 ms"
-FINGER = "pressed with 245 mN, the drive does not answer"
-
-
-def test_a_fault_is_named_once_with_what_to_do_and_what_is_measured(
-    visit: Visit, address: str
-) -> None:
-    with publishing(address) as publisher, serving(address) as server, visit(server.url) as page:
-        publisher.begin()
-        publisher.publish(400)
-        note = page.locator("#state-note")
-
-        def shown() -> bool:
-            """Publish on, as a display does: an old status is shown with its age instead."""
-            for _ in range(20):
-                publisher.tick()
-            publisher.status("fault", Summary(faults=[FAULT], finger=FINGER))
-            # A number and its unit are kept on one line.
-            text = str(note.inner_text()).replace("\xa0", " ")
-            return text.endswith(f"; finger: {FINGER}")
-
-        until(shown)
-        assert page.locator("#state").inner_text() == "fault"
-        alarm = page.locator(f"#alarms li[data-name='fault: {FAULT}']")
-        assert alarm.inner_text().startswith(f"fault: {FAULT} – {advise(FAULT)}")
-        assert page.locator("#events li", has_text=f"fault: {FAULT}: {advise(FAULT)}").count() == 1
-        assert "at rest" not in page.locator("body").inner_text()

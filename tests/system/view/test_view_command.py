@@ -1,7 +1,5 @@
 from pathlib import Path
 
-import pytest
-
 from tests.support.keyring import Keyring
 from tests.support.log_lines import refused
 from tests.support.nodes import free_address, process, run, run_python
@@ -10,21 +8,6 @@ from tests.support.waiting import PATIENCE_S
 
 MODULE = "telepulse"
 TELEMETRY = "tcp://127.0.0.1:5600"
-
-
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (("nonsense",), "nonsense"),
-        ((TELEMETRY, "--host", "0.0.0.0"), "shows the page to all who reach"),
-        ((TELEMETRY, "--host", "wrist"), "IP address"),
-        ((TELEMETRY, "--host", "192.0.2.7"), "--insecure"),
-        ((TELEMETRY, "--host", "192.0.2.7", "--insecure"), "cannot serve the page on 192.0.2.7"),
-        (("tcp://192.0.2.7:5600",), "without keys"),
-    ],
-)
-def test_bad_input_is_one_line_and_status_2(arguments: tuple[str, ...], words: str) -> None:
-    assert words in refused(MODULE, "view", *arguments)
 
 
 def test_a_taken_port_is_refused_where_it_was_given() -> None:

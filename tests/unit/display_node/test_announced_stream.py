@@ -38,24 +38,7 @@ def test_a_scene_can_leave_the_ecg_unused(tmp_path: Path) -> None:
     assert summary.beats.count is not None
 
 
-def test_a_predictor_that_learns_nothing_uses_no_r_waves(tmp_path: Path) -> None:
-    figures = run(tmp_path, '[display]\npredictor = "linear"').announce
-    assert figures.used == 0.0
-    assert figures.unused == "this predictor uses none"
-
-
 def test_an_ecg_that_is_only_noise_is_not_used(tmp_path: Path) -> None:
     figures = run(tmp_path, '[sensing.source.announce]\nnoise = "5 mV"').announce
     assert not figures.used
     assert figures.unused is not None
-
-
-def test_several_contactors_are_predicted_with_one_ecg(tmp_path: Path) -> None:
-    table = '[sensing.source]\nheart_rate_variability = "15 %"\n[sensing.source.announce]\n'
-    figures = run(tmp_path, table, base="three_fingers").announce
-    assert figures.used is not None
-    assert figures.used > 0.3
-
-
-def test_a_stream_without_an_ecg_has_no_figures_of_one(tmp_path: Path) -> None:
-    assert run(tmp_path, "", base="radial").announce == AnnounceFigures()

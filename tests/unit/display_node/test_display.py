@@ -237,12 +237,3 @@ def test_any_clock_of_a_peer_leaves_loop_and_telemetry_working(claimed_ns: int, 
         if trace is not None:
             read_trace(trace)
     read_status(under_test.pack_status(under_test.summary(), final=False))
-
-
-def test_the_telemetry_is_readable_after_sessions_of_enormous_counts() -> None:
-    under_test = display()
-    for session in range(50):
-        welcome = ["welcome", session, 0, description().to_wire()]
-        for message in (welcome, ["bye", session, 2**63 - 1]):
-            under_test.on_control(msgpack.packb([1, *message]), session * MS)
-    read_status(under_test.pack_status(under_test.summary(), final=False))

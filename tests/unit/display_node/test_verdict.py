@@ -8,7 +8,6 @@ from display_node.verdict import MOST_LINES, verdict
 from protocol.beats import BeatFigures
 from protocol.counters import Availability, Interruptions, Limited, Limits
 from protocol.loop_tables import Deadlines, Loop
-from protocol.press_figures import PressFigures
 from protocol.run_summary import Summary
 from protocol.summary_tables import (
     AlignedErrors,
@@ -179,19 +178,3 @@ def test_of_several_contactors_the_worst_is_named() -> None:
         "The force at guan, the worst contactor, was off by 20.0 mN RMS, 6.7"
     )
     assert "The error at guan was large enough to notice for 20 % of the time" in lines[4]
-
-
-@pytest.mark.parametrize(
-    ("late", "lost", "words"),
-    [(15, 0, "15 came too late (0.1 %)"), (0, 4, "4 were lost (less than 0.1 %)")],
-)
-def test_what_did_not_happen_to_samples_is_not_told(late: int, lost: int, words: str) -> None:
-    played = 15_000 - late - lost
-    counts = SampleCounts(sent=15_000, played=played, predicted=0, late=late, lost=lost)
-    lines, _ = verdict(replace(FINE, samples=counts))
-    assert f"Of 15000 samples, {words}; the finger felt no gap." in lines
-
-
-def test_lost_set_points_of_a_press_are_told() -> None:
-    lines, _ = verdict(replace(FINE, press=PressFigures(sent=400, lost=3)))
-    assert any(line.endswith("Of 400 set-points, 3 were lost.") for line in lines)

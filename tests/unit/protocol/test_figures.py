@@ -21,12 +21,8 @@ from protocol.figures import (
     Registry,
     Surface,
     Unit,
-    absent,
-    figure,
-    table,
 )
 from protocol.run_summary import REGISTRY, Summary, print_summary
-from protocol.summary_tables import Clock
 from protocol.wire.telemetry import Status
 from telepulse.metrics.server import NodeState, families
 from telepulse.view import text as page
@@ -106,44 +102,6 @@ def test_every_key_of_the_json_is_a_figure_in_the_reference() -> None:
     assert all(reason in reference for each in REGISTRY.figures for reason in each.absent.values())
 
 
-@dataclass(frozen=True, slots=True)
-class LongerClock(Clock):
-    drift_ms: float | None = figure("Drift", "drift {}", MILLISECONDS, metric="clock_drift")
-
-
-@dataclass(frozen=True, slots=True)
-class LongerSummary(Summary):
-    clock: Clock = table(LongerClock, "clock")  # noqa: RUF009
-    heat: float | None = figure("Heat", "{} K", row="heat", metric="heat_kelvins")
-
-
-def test_a_new_figure_is_one_field() -> None:
-    hints = LongerSummary.__annotations__
-    hints["clock"] = LongerClock
-    registry = Registry(LongerSummary)
-    summary = LongerSummary(clock=LongerClock(offset_ms=1.0, drift_ms=2.5), heat=7.0).to_dict()
-    for surface in set(Surface) - {Surface.METRICS}:
-        rows = {row.name: row for row in registry.rows(summary, surface)}
-        assert rows["clock"].text == "offset 1.000 ms, drift 2.50 ms"
-        assert (rows["clock"].large, rows["clock"].note) == ("offset 1.000 ms", "drift 2.50 ms")
-        assert rows["heat"].text == "7.0 K"
-        assert registry.cells(summary, surface)["clock, drift"] == "2.50 ms"
-    assert {"clock_drift", "heat_kelvins"} <= {each.metric for each in registry.figures}
-
-
-def test_a_figure_beside_its_row_has_a_name_without_a_hole_and_a_count_without_a_noun() -> None:
-    summary = full_summary().to_dict()
-    cells = REGISTRY.cells(summary, Surface.REPORT)
-    assert "felt ahead, mean time ahead" in cells
-    assert "prediction, RMS error" in cells
-    for each in REGISTRY.on(Surface.REPORT):
-        assert "  " not in each.name, each.key
-        before, hole, after = each.text.partition("{}")
-        assert each.title or not (before and hole and after), each.key
-    assert cells["loop, ticks"] == str(summary["loop"]["ticks"])
-    assert cells["prediction, corrections felt"] == str(summary["compensation"]["corrections"])
-
-
 @pytest.mark.parametrize(
     ("unit", "value", "text"),
     [
@@ -166,11 +124,6 @@ def test_a_field_without_a_figure_is_refused() -> None:
 
     with pytest.raises(TypeError, match=r"Bare\.secret has no Figure"):
         Registry(Bare)
-
-
-def test_a_figure_is_absent_from_the_surfaces_named_or_from_all() -> None:
-    assert absent("No.", Surface.PAGE) == {Surface.PAGE: "No."}
-    assert absent("No.").keys() == set(Surface)
 
 
 def test_each_metric_is_of_one_figure() -> None:

@@ -76,12 +76,6 @@ def test_knocks_are_doubtful_beats_and_do_not_move_the_best_force() -> None:
     assert not wrong(curve.good)
 
 
-def test_a_probe_that_reaches_its_limit_is_noted_and_pressed_no_further() -> None:
-    run = sweep(Wrist(wrist_scene(), ProbeLimits(force_n=1.3)))
-    assert "when 1.51 N were set" in run.notes[0]
-    assert max(level.wanted_n for level in run.levels) < 1.6
-
-
 def test_a_steady_sweep_notes_the_probes_limit_and_ends_there() -> None:
     run, pressed_n = DepthSweep(SweepPlan(high_n=6.0, ramp_ns=30 * SECOND_NS)), []
     wrist = Disturbed(wrist_scene(), ProbeLimits(force_n=1.3))

@@ -1,11 +1,164 @@
-"""Age of a status by the stamps of the traces, with readers and displays that stall."""
+"""Alerts of a status, and its age by the stamps of the traces, where reader and display stall."""
+
+from dataclasses import asdict
+from typing import Any
 
 import pytest
 
-from display_node.telemetry.alerts import WINDOW_NS, StatusAge
+from display_node.fault_advice import FILM_NOTE
+from display_node.telemetry.alerts import WINDOW_NS, StatusAge, alerts, delay_note
+from protocol.beats import BeatFigures
+from protocol.errors import CAUSE_MEANINGS
+from protocol.loop_tables import Deadlines, Loop
+from protocol.run_summary import Summary
+from protocol.summary_tables import Compensation
 
 MS, SECOND_NS = 1_000_000, 1_000_000_000
 HOUR_NS = 3600 * SECOND_NS
+Changes = dict[str, Any]
+
+
+def rejected(cause: str, count: int) -> Changes:
+    return {"rejected": {cause: count}}
+
+
+def late(loop: Loop) -> Changes:
+    return {"loop": asdict(loop)}
+
+
+def doubtful(**changes: Any) -> Changes:
+    return {"beats": asdict(BeatFigures(**{"count": 22, "quality": 0.12, "alarm": True} | changes))}
+
+
+def several(**contactors: Summary) -> Changes:
+    return {"contactors": Summary(contactors=contactors).to_dict()["contactors"]}
+
+
+NO_PULSE = (
+    "the received signal is no regular pulse (quality 0.12): check the sensor's place and contact"
+)
+WRONG = (
+    "the predicted force was off by more than 10 % of the pulse's height for {} of the last 5 s,"
+    " which a finger notices"
+)
+STIFF = (
+    "5.00 times the scene's fingertip, implausible for a finger: the film reads too much"
+    " (telepulse calibrate) or the motor moves further than its step count says (telepulse bench)"
+)
+CHECK_FILM = "check the film's sensor and its cable; then start the display again"
+STALE = {"stale": "no samples to play"}
+TROUBLED = Summary(
+    beats=BeatFigures(quality=0.12, alarm=True),
+    compensation=Compensation(noticed_5s=0.123, alarm=True),
+    finger="pressed with 245 mN",
+    finger_stiffness=5.0,
+)
+THREE = several(cun=Summary(), guan=TROUBLED, chi=Summary(finger="withdrawn", finger_stiffness=1.0))
+FINGERS = "; finger: guan: pressed with 245 mN, chi: withdrawn"
+# A display's state, changes of its summary, and the alerts, which terminal and page show alike.
+ALERTS: list[tuple[str, Changes, dict[str, str]]] = [
+    ("playing", {}, {}),
+    (
+        "fault",
+        {"faults": ["feedback lost"], "finger": "pressed with 245 mN"},
+        {"fault: feedback lost": f"{CHECK_FILM}; finger: pressed with 245 mN"},
+    ),
+    (
+        "fault",
+        {"faults": ["guan: feedback lost"]} | several(cun=Summary(finger="off"), guan=Summary()),
+        {"fault: guan: feedback lost": f"{CHECK_FILM}; finger: cun: off"},
+    ),
+    ("playing", {"faults": [f"{FILM_NOTE}3 missing"]}, {FILM_NOTE.removesuffix(": "): "3 missing"}),
+    ("stale", {}, STALE),
+    ("stale", rejected("revoked", 4), {"revoked": CAUSE_MEANINGS["revoked"], **STALE}),
+    ("playing", rejected("revoked", 4), {}),
+    *(
+        (state, rejected(cause, count), {"not connected": f"{count} {cause}: {meaning}"} | also)
+        for state, cause, count, also in (
+            ("waiting", "refused_key", 1, {}),
+            ("stale", "not_authentic", 319, STALE),
+            ("waiting", "handshake", 3, {}),
+        )
+        for meaning in (CAUSE_MEANINGS[cause],)
+    ),
+    # A node that shuts down breaks a handshake or two.
+    ("stale", rejected("handshake", 2), STALE),
+    ("playing", rejected("refused_key", 9), {}),
+    ("waiting", rejected("session", 4), {}),
+    ("playing", doubtful(), {"pulse": NO_PULSE}),
+    ("playing", doubtful(alarm=False), {}),
+    # A pulse is judged while it is felt.
+    ("stale", doubtful(), STALE),
+    ("playing", {"compensation": asdict(Compensation(noticed_5s=0.04, alarm=False))}, {}),
+    (
+        "playing",
+        {"compensation": asdict(Compensation(noticed_5s=0.123, alarm=True))},
+        {"prediction": WRONG.format("12.3 %")},
+    ),
+    # Of a program that does not send the figure.
+    ("playing", {"compensation": {"alarm": True}}, {"prediction": WRONG.format("too much")}),
+    (
+        "playing",
+        late(Loop(3000, 411, late=True, last_5s=Deadlines(0.0822, 412.0))),
+        {"deadline misses": "8.2 % of the ticks of the last 5 s missed, longest gap 412 ms"},
+    ),
+    ("playing", late(Loop(3000, 1, late=False)), {}),
+    # Late ticks are no matter while nothing is felt.
+    ("waiting", late(Loop(3000, 411, late=True)), {}),
+    ("playing", {"finger_stiffness": 5.0}, {"finger's stiffness": STIFF}),
+    (
+        "playing",
+        THREE,
+        {
+            "finger's stiffness: guan": STIFF,
+            "pulse: guan": NO_PULSE,
+            "prediction: guan": WRONG.format("12.3 %"),
+        },
+    ),
+    (
+        "stale",
+        THREE,
+        {
+            "stale": f"no samples to play{FINGERS}",
+            "finger's stiffness: guan": STIFF,
+            "prediction: guan": WRONG.format("12.3 %"),
+        },
+    ),
+]
+
+
+@pytest.mark.parametrize(("state", "changes", "expected"), ALERTS)
+def test_each_condition_has_its_alert_and_a_good_state_none(
+    state: str, changes: Changes, expected: dict[str, str]
+) -> None:
+    assert alerts(state, Summary().to_dict() | changes) == list(expected.items())
+
+
+def test_of_a_silent_display_only_faults_and_silence_are_alerts_and_of_the_last_status_faults() -> (
+    None
+):
+    summary = Summary(faults=["feedback lost"], finger="force unknown since 3 s").to_dict()
+    summary |= doubtful()
+    assert alerts("fault", summary, silent_ns=4 * SECOND_NS) == [
+        ("fault: feedback lost", CHECK_FILM),
+        ("no telemetry", "since 4 s; finger: unknown, before that: force unknown since 3 s"),
+    ]
+    last = alerts("fault", summary, is_last_status=True, silent_ns=HOUR_NS)
+    assert [alert.name for alert in last] == ["fault: feedback lost"]
+
+
+@pytest.mark.parametrize(
+    ("trusted", "share", "note"),
+    [
+        (True, 0.5, ", prediction trusted"),
+        (False, 0.5, ", prediction not trusted"),
+        (True, None, ""),
+    ],
+)
+def test_a_delay_has_the_trust_where_it_is_used(
+    trusted: bool, share: float | None, note: str
+) -> None:
+    assert delay_note(40.0, trusted, {"compensation": {"trusted": share}}) == f"40.0 ms{note}"
 
 
 def receive(age: StatusAge, ahead_ns: int, from_ns: int, to_ns: int = 0, delay_ns: int = MS) -> int:

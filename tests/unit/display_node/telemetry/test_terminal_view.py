@@ -1,5 +1,4 @@
 import io
-from dataclasses import asdict
 
 import numpy as np
 import pytest
@@ -8,8 +7,6 @@ from hypothesis import strategies as st
 from rich.console import Console
 
 from display_node.telemetry.terminal_view import TerminalView
-from protocol.beats import BeatFigures
-from protocol.errors import CAUSE_MEANINGS
 from protocol.loop_tables import Loop
 from protocol.run_summary import Summary
 from protocol.summary_tables import (
@@ -22,6 +19,7 @@ from protocol.summary_tables import (
     SampleCounts,
 )
 from protocol.wire.telemetry import STATUS, TRACE, Status, Trace, pack_status
+from tests.unit.display_node.telemetry.test_alerts import ALERTS
 
 BEAT_S = 0.8
 SECOND_NS = 1_000_000_000
@@ -84,8 +82,13 @@ def test_a_line_shows_the_state() -> None:
         ),
         ("ended", {}, "ended: 3 lost and 7 late of 1000 samples"),
         ("ended", {"samples": {"sent": 5000}}, "ended: none lost of 5000 samples"),
-        # Late ticks are no matter while nothing is felt.
-        ("waiting", {"loop": {"late": True}}, "waiting: finger not pressed"),
+        (
+            "stale",
+            {"rejected": {"revoked": 4}},
+            "stale: no samples to play, finger not pressed; revoked",
+        ),
+        # A display that waits names the reason in its own words.
+        ("waiting", {"rejected": {"refused_key": 1}}, "waiting: finger not pressed"),
     ],
 )
 def test_a_line_shows_what_matters_in_its_state(
@@ -112,19 +115,18 @@ def test_an_item_without_room_is_left_out_whole() -> None:
     assert view("waiting", 0, waiting_for=2 * reason, finger="off").line() == "waiting: finger off"
 
 
-@pytest.mark.parametrize(("trusted", "note"), [(True, " by prediction"), (False, "")])
-def test_a_line_shows_the_present_delay_of_a_felt_pulse(trusted: bool, note: str) -> None:
+def test_a_line_shows_the_present_delay_of_a_felt_pulse() -> None:
     ahead_ms, delay_ns = 5_000.0, 12_300_000
     under_test, trace = TerminalView(), pulse(1)
     under_test.add_trace(
         trace._replace(
             instant_ns=trace.now_ns + round(ahead_ms * 1e6) - delay_ns,
-            trusted=np.full(len(trace.now_ns), trusted),
+            trusted=np.full(len(trace.now_ns), True),
         )
     )
     known = Summary(clock=Clock(offset_ms=ahead_ms))
     under_test.status = Status("playing", "my pulse", known.to_dict(), False)
-    assert under_test.line().endswith(f", delay 12.3 ms{note}")
+    assert under_test.line().endswith(", delay 12.3 ms by prediction")
     # Not of a pulse that is not felt.
     under_test.add_trace(pulse(1, start_s=2)._replace(scored=np.zeros(1000, bool)))
     assert "delay" not in under_test.line()
@@ -143,34 +145,16 @@ def test_a_press_is_in_the_line(press: dict[str, object], shown: str) -> None:
     assert f", press {shown}" in under_test.line()
 
 
-def test_a_signal_that_is_no_pulse_is_an_alert_while_it_is_felt() -> None:
-    beats = asdict(BeatFigures(count=22, quality=0.12, alarm=True))
-    alert = (
-        "pulse: the received signal is no regular pulse (quality 0.12):"
-        " check the sensor's place and contact"
-    )
-    assert view(beats=beats).new_alerts() == [alert]
-    assert view("stale", 0, beats=beats).new_alerts() == ["stale: no samples to play"]
-    assert view(beats=beats | {"alarm": False}).new_alerts() == []
-
-
-def test_of_several_contactors_alerts_and_fingers_have_their_names() -> None:
-    guan = Summary(
-        beats=BeatFigures(quality=0.12, alarm=True),
-        compensation=Compensation(noticed_5s=0.1, alarm=True),
-        finger="pressed with 245 mN",
-        finger_stiffness=5.0,
-    )
-    chi = Summary(finger="withdrawn", finger_stiffness=1.0)
-    contactors = Summary(contactors={"cun": Summary(), "guan": guan, "chi": chi}).to_dict()
-    several = {"contactors": contactors["contactors"]}
-    texts = view(**several).new_alerts()
-    names = ["finger's stiffness: guan", "pulse: guan", "prediction: guan"]
-    assert [text.rpartition(name)[1] for name, text in zip(names, texts, strict=True)] == names
-    # A pulse is judged only while it is felt, of each contactor.
-    stale = view("stale", **several).new_alerts()
-    assert stale[0].endswith("; finger: guan: pressed with 245 mN, chi: withdrawn")
-    assert not any(text.startswith("pulse") for text in stale)
+@pytest.mark.parametrize(("state", "changes", "expected"), ALERTS)
+def test_each_alert_is_printed_once_in_full_and_shown_while_it_lasts(
+    state: str, changes: dict[str, object], expected: dict[str, str]
+) -> None:
+    under_test = view(state, 0, **changes)
+    texts = [f"{name}: {text}" for name, text in expected.items()]
+    assert under_test.new_alerts() == texts
+    assert under_test.new_alerts() == []
+    shown = " ".join(printed(under_test).split())
+    assert all(text in shown for text in texts)
 
 
 def test_of_several_contactors_a_line_shows_the_forces_of_all() -> None:
@@ -180,47 +164,6 @@ def test_of_several_contactors_a_line_shows_the_forces_of_all() -> None:
     under_test.add_trace(weak, strong)
     felt_mn = f"{weak.felt_n[-10] * 1e3:.0f}"
     assert f"felt {felt_mn}, 700 of {felt_mn}, {felt_mn} mN" in under_test.line()
-
-
-def test_a_fault_is_shown_with_its_advice() -> None:
-    under_test = view("fault", 0, faults=["feedback lost"], finger="pressed with 245 mN")
-    alert = (
-        "fault: feedback lost: check the film's sensor and its cable; then start the display"
-        " again; finger: pressed with 245 mN"
-    )
-    assert under_test.new_alerts() == [alert]
-    assert under_test.new_alerts() == []
-    assert alert in " ".join(printed(under_test).split())
-
-
-def test_a_revoked_display_is_named_until_it_plays_again() -> None:
-    rejected = {"revoked": 4}
-    line = view("stale", 0, rejected=rejected).line()
-    assert line == "stale: no samples to play; revoked"
-    assert "revoked" not in view(rejected=rejected).line()
-
-
-@pytest.mark.parametrize(
-    ("state", "rejected", "named"),
-    [
-        ("waiting", {"refused_key": 1}, True),
-        ("stale", {"not_authentic": 319}, True),
-        ("waiting", {"handshake": 3}, True),
-        # A node that shuts down breaks a handshake or two.
-        ("stale", {"handshake": 2}, False),
-        ("playing", {"refused_key": 9}, False),
-        ("waiting", {"session": 4}, False),
-    ],
-)
-def test_the_cause_of_a_refused_connection_is_shown(
-    state: str, rejected: dict[str, int], named: bool
-) -> None:
-    under_test = view(state, 0, rejected=rejected)
-    ((cause, count),) = rejected.items()
-    alert = f"not connected: {count} {cause}: {CAUSE_MEANINGS[cause]}"
-    assert (alert in under_test.new_alerts()) == named
-    # A display that waits names the reason in its own words.
-    assert ("not connected" in under_test.line()) == (named and state != "waiting")
 
 
 def test_without_a_status_or_a_pulse_the_view_waits() -> None:

@@ -1,6 +1,5 @@
 """The page of a display with several contactors: what it shows of each, and of all."""
 
-import re
 from typing import Any
 
 import pytest
@@ -12,7 +11,7 @@ from protocol.summary_tables import Compensation
 from telepulse.telemetry.decoder import without_none
 from telepulse.view.live import MAX_CONTACTORS, LiveState
 from telepulse.view.plots import FINGER_COLOURS
-from telepulse.view.text import alarms, beyond, contactor_rows, figures
+from telepulse.view.text import beyond, contactor_rows, figures
 from telepulse.view.window_data import window_data, window_scores
 from tests.support.page_states import (
     BEATS_A_SECOND,
@@ -23,6 +22,7 @@ from tests.support.page_states import (
     SWING_N,
     SimulatedDisplay,
 )
+from tests.unit.telepulse.test_document import luminance
 
 NAMES = ("cun", "guan", "chi")
 WINDOW_NS = 5 * SECOND_NS
@@ -127,31 +127,6 @@ def test_figures_of_a_contactor_have_its_name_and_those_of_the_display_none(
         assert "guan" not in "".join(shown[1][id])
 
 
-def test_the_alarms_of_a_contactor_have_its_name(display: SimulatedDisplay) -> None:
-    prediction = Compensation(noticed_5s=0.123, alarm=True)
-    changes = of_guan(beats=DOUBTFUL, compensation=prediction, finger_stiffness=0.1)
-    display.status("playing", contactors=changes)
-    found = {alarm.name: alarm.text for alarm in alarms(display.live, 0)}
-    assert set(found) == {"finger's stiffness: guan", "pulse: guan", "prediction: guan"}
-    assert "quality 0.31" in found["pulse: guan"]
-
-
-def test_a_limit_of_one_contactor_is_an_alarm_with_its_name(display: SimulatedDisplay) -> None:
-    display.status("playing", contactors=of_guan(limited=FORCE_LIMIT))
-    (alarm,) = alarms(display.live, 0)
-    assert alarm == ("limited", "guan: force limit 3 times, 1.5 s (10.0 % of the run)")
-
-
-def test_the_fingers_of_a_fault_are_named(display: SimulatedDisplay) -> None:
-    cun, guan = (Summary(finger=text) for text in ("withdrawn", "pressed with 245 mN"))
-    display.status(
-        "fault", faults=["guan: feedback lost"], contactors=of_contactors(cun=cun, guan=guan)
-    )
-    (alarm,) = alarms(display.live, 0)
-    assert alarm.name == "fault: guan: feedback lost"
-    assert alarm.text.endswith("; finger: cun: withdrawn, guan: pressed with 245 mN")
-
-
 def test_contactors_beyond_the_pages_room_are_counted() -> None:
     names = tuple(f"finger {n}" for n in range(MAX_CONTACTORS + 2))
     display = SimulatedDisplay(LiveState(), names=names)
@@ -205,16 +180,10 @@ def test_a_channel_that_the_stream_does_not_have_is_left_out(display: SimulatedD
     assert len(display.live.contactors[1].wrist) > len(chi.wrist) == count
 
 
-def _luminance(colour: str) -> float:
-    parts = [int(part, 16) / 255 for part in re.findall("..", colour[1:])]
-    red, green, blue = (p / 12.92 if p <= 0.04045 else ((p + 0.055) / 1.055) ** 2.4 for p in parts)
-    return 0.2126 * red + 0.7152 * green + 0.0722 * blue
-
-
 @pytest.mark.parametrize("ground", ["#ffffff", "#1a2027"])
 def test_every_colour_is_distinct_and_legible_in_light_and_dark(ground: str) -> None:
     assert len(set(FINGER_COLOURS)) == MAX_CONTACTORS
     for colour in FINGER_COLOURS:
-        two = sorted((_luminance(colour), _luminance(ground)))
+        two = sorted((luminance(colour), luminance(ground)))
         # WCAG 2.1, criterion 1.4.11: contrast of graphics.
         assert (two[1] + 0.05) / (two[0] + 0.05) >= 3.0

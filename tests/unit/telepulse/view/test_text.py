@@ -3,13 +3,14 @@ from typing import Any
 
 import pytest
 
-from protocol.counters import Availability, Limited, Limits
+from protocol.counters import Limited, Limits
 from protocol.loop_tables import Deadlines, Loop
-from protocol.summary_tables import Clock, Compensation, SampleCounts
+from protocol.summary_tables import Clock, SampleCounts
 from telepulse.view.live import LiveState
 from telepulse.view.text import ALWAYS_SEEN, FIGURES, GROUPS, age, alarms, figures, state
 from telepulse.view.window_data import window_scores
 from tests.support.page_states import AHEAD_NS, MS, SECOND_NS, SimulatedDisplay
+from tests.unit.display_node.telemetry.test_alerts import ALERTS
 
 LATE = Loop(3000, 411, late=True, last_5s=Deadlines(0.0822, 412.0))
 
@@ -71,16 +72,6 @@ def test_figures_have_their_units(display: SimulatedDisplay) -> None:
     assert shown["rejected"] == ("0 messages", "nothing")
 
 
-def test_a_share_stands_beside_the_part_that_it_is_of(display: SimulatedDisplay) -> None:
-    whole = Availability(60.0, 0.16, 0.01, 0.83, 0.0, 0.0, 0.0, 0.0, played=0.17, judged=0.16)
-    compensation = {"predicted": 0.012, "trusted": None}
-    display.status("stale", availability=asdict(whole), compensation=compensation)
-    shown = figures(display.live, window_scores(display.live, SECOND_NS))
-    parts = "felt 16.0 %, starting 1.0 %, stale 83.0 % of 60.0 s"
-    assert shown["availability"] == ("16.0 %", parts)
-    assert shown["felt-ahead"] == ("1.2 %", "of the time with a pulse (17.0 % of the run)")
-
-
 def test_old_figures_have_their_age_and_no_heart_rate(display: SimulatedDisplay) -> None:
     now, late = 0, 2_300_000_000
     assert (age(display.live, now), age(display.live, late)) == ("", "2.3 s ago")
@@ -91,19 +82,6 @@ def test_old_figures_have_their_age_and_no_heart_rate(display: SimulatedDisplay)
     assert figures(display.live, shown, late)["heart"].value == "–"
     display.status("ended", final=True)
     assert age(display.live, late) == ""
-
-
-def test_the_time_at_a_limit_is_a_figure(display: SimulatedDisplay) -> None:
-    data = window_scores(display.live, SECOND_NS)
-    display.status("playing", limited=asdict(Limits(force=Limited(0, 0.0, 0.0))))
-    assert figures(display.live, data)["at-a-limit"].value == "never"
-    limits = Limits(force=Limited(312, 4.1, 0.205), slew=Limited(2, 0.2, 0.01))
-    display.status("playing", limited=asdict(limits))
-    assert figures(display.live, data)["at-a-limit"] == (
-        "4.1 s",
-        "force limit 312 times, 4.1 s (20.5 % of the run); slew limit 2 times, 0.2 s"
-        " (1.0 % of the run)",
-    )
 
 
 def test_the_last_state_is_marked_as_the_last(display: SimulatedDisplay) -> None:
@@ -127,9 +105,16 @@ def test_a_fault_is_shown_with_what_was_measured_at_the_finger_alone(
     assert state(display.live)[1] == "the pulse is felt"
 
 
-def test_there_is_no_alarm_while_it_plays(display: SimulatedDisplay) -> None:
-    assert names(display) == []
-    # Nor is a clock that is further ahead a cause.
+@pytest.mark.parametrize(("state", "changes", "expected"), ALERTS)
+def test_each_alert_is_an_alarm_and_a_good_state_has_none(
+    display: SimulatedDisplay, state: str, changes: dict[str, Any], expected: dict[str, str]
+) -> None:
+    display.status(state, **changes)
+    found = [alarm for alarm in alarms(display.live, 0) if alarm.name != "refused"]
+    assert found == list(expected.items())
+
+
+def test_a_clock_that_is_further_ahead_is_no_alarm(display: SimulatedDisplay) -> None:
     display.status("playing", clock=asdict(Clock(AHEAD_NS / MS + 1, 3.0, 0.05, 0.1, 0)))
     assert names(display) == []
 
@@ -155,29 +140,6 @@ def test_silence_is_an_alarm_until_the_stream_or_the_display_has_ended(
     assert names(display) == []
     display.status("ended", final=True)
     assert names(display, silent_ns=3 * SECOND_NS) == []
-
-
-def test_a_fault_is_an_alarm_with_what_to_do_and_the_finger(display: SimulatedDisplay) -> None:
-    display.status("fault", faults=["feedback lost"], finger="force unknown since 3 s")
-    (alarm,) = alarms(display.live, 0)
-    assert alarm.name == "fault: feedback lost"
-    assert alarm.text == (
-        "check the film's sensor and its cable; then start the display again;"
-        " finger: force unknown since 3 s"
-    )
-    latched, silent = alarms(display.live, silent_ns=4 * SECOND_NS)
-    assert "finger" not in latched.text
-    assert silent.text == "since 4 s; finger: unknown, before that: force unknown since 3 s"
-    # It stays at the end.
-    display.status("fault", final=True, faults=["feedback lost"])
-    assert names(display, silent_ns=60 * SECOND_NS) == ["fault: feedback lost"]
-
-
-def test_a_revoked_display_is_an_alarm(display: SimulatedDisplay) -> None:
-    display.status("stale", rejected={"revoked": 2})
-    assert {"stale", "revoked", "refused"} == set(names(display))
-    display.status("playing", rejected={"revoked": 2})
-    assert "revoked" not in names(display)
 
 
 @pytest.mark.parametrize(
@@ -206,43 +168,17 @@ def test_predicted_samples_are_no_loss_and_no_alarm(display: SimulatedDisplay) -
     assert names(display) == []
 
 
-def test_a_bad_prediction_is_an_alarm(display: SimulatedDisplay) -> None:
-    display.status("playing", compensation=asdict(Compensation(noticed_5s=0.04, alarm=False)))
-    assert names(display) == []
-    display.status("playing", compensation=asdict(Compensation(noticed_5s=0.123, alarm=True)))
-    (alarm,) = alarms(display.live, 0)
-    assert alarm == (
-        "prediction",
-        "the predicted force was off by more than 10 % of the pulse's height for 12.3 % of the"
-        " last 5 s, which a finger notices",
-    )
-    display.status("playing", compensation={"alarm": True})
-    assert "for too much of the last 5 s" in alarms(display.live, 0)[0].text
-
-
-@pytest.mark.parametrize(
-    ("trusted", "share", "note"),
-    [(True, 0.5, ", prediction trusted"), (False, 0.5, ", prediction not trusted"), (1, None, "")],
-)
 def test_the_present_delay_is_shown_with_trust_where_it_is_used(
-    display: SimulatedDisplay, trusted: bool, share: float | None, note: str
+    display: SimulatedDisplay,
 ) -> None:
-    display.trusted = trusted
-    display.go(0.4, compensation={} if share is None else {"trusted": share})
+    display.trusted = True
+    display.go(0.4, compensation={"trusted": 0.5})
     shown = figures(display.live, window_scores(display.live, SECOND_NS))
     assert shown["predictor"] == ("ensemble", "")
-    assert shown["delay"] == ("40.0 ms", f"of the finger behind the wrist{note}")
+    assert shown["delay"] == ("40.0 ms", "of the finger behind the wrist, prediction trusted")
     display.go(0.4, "stale")
     shown = figures(display.live, window_scores(display.live, SECOND_NS))
     assert shown["delay"] == ("–", "of the finger behind the wrist")
-
-
-def test_many_deadline_misses_are_an_alarm_with_rate_and_gap(display: SimulatedDisplay) -> None:
-    display.status("playing", loop=asdict(Loop(3000, 1, late=False)))
-    assert names(display) == []
-    display.status("playing", loop=asdict(LATE))
-    (alarm,) = alarms(display.live, 0)
-    assert alarm.text == "8.2 % of the ticks of the last 5 s missed, longest gap 412 ms"
 
 
 @pytest.mark.parametrize("name", ["clock step", "missed"])

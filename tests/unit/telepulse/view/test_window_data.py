@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from telepulse.view.live import LiveState
-from telepulse.view.window_data import POINTS, nice, window_data, window_scores
+from telepulse.view.window_data import POINTS, window_data, window_scores
 from tests.support.page_states import (
     BEATS_A_SECOND,
     FINGER,
@@ -166,23 +166,6 @@ def test_frames_that_the_display_refuses_are_not_drawn(changes: dict[str, object
     display = SimulatedDisplay(LiveState())
     display.frame(**changes)
     assert len(display.live.contactors[0].wrist) == 0
-
-
-def test_another_run_of_the_display_begins_afresh(display: SimulatedDisplay) -> None:
-    display.status("ended", final=True)
-    display.event("begin", "another run of the display")
-    assert display.live.state == ""
-    assert not display.live.display_ended
-    (contactor,) = display.live.contactors
-    assert len(contactor.ticks) == len(contactor.wrist) == 0
-
-
-def test_limits_are_round_and_change_seldom() -> None:
-    assert nice(np.array([0.0, 437.0])) == (0.0, 600.0)
-    assert nice(np.array([3.0, math.nan, 437.0, 0.0])) == (0.0, 600.0)
-    assert nice(np.array([-31.0, 18.0])) == (-40.0, 20.0)
-    # Noise below 0 takes no step of the axis.
-    assert nice(np.array([-0.2, 437.0])) == (0.0, 600.0)
 
 
 def test_a_mark_is_shown_for_a_whole_window_of_many_events() -> None:
