@@ -31,9 +31,9 @@ from pulse_drives.tmcl.module import Command
 from telepulse.emulators import PtyPort
 from telepulse.emulators.cia402 import EmulatedCia402Node
 from telepulse.emulators.motor import EmulatedMotor
-from telepulse.emulators.slcan import SlcanBus
 from telepulse.emulators.tmcl import EmulatedCanLine, EmulatedSerialLine, EmulatedTmclModule
 from tests.support.drive_benches import polled
+from tests.support.slcan import SlcanBus
 
 RUNS = 5
 CALLS = 500

@@ -1,6 +1,6 @@
 """Drives and films that report false values: the felt force, and the time until it is reported.
 
-Every fault of `telepulse.emulators.fault_injection` on both kinds of drive, with a film and
+Every fault of `tests.support.fault_injection` on both kinds of drive, with a film and
 without, by the product's own code in virtual time. `python -m benchmarks.injected_faults NAME` runs
 the faults of one name, `python -m benchmarks.injected_faults NAME 3` those on a finger three times
 as stiff as the scene's.
@@ -12,7 +12,7 @@ from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
 
 from benchmarks.benchmark import Benchmark
-from telepulse.emulators.fault_injection import FaultKind
+from tests.support.fault_injection import FaultKind
 from tests.support.fault_runs import (
     BAR_ABOVE_MS,
     BAR_FORCE_N,

@@ -1,7 +1,7 @@
-"""Some injected faults and stalls on real processes: the whole emulated bench, as people start it.
+"""Stalls of the display on real processes: the whole emulated bench, as people start it.
 
-The results of `benchmarks/injected_faults.py` and `benchmarks/random_stalls.py`, which are in
-virtual time, checked against the emulated motor's own record.
+The results of `benchmarks/random_stalls.py`, which is in virtual time, checked against the emulated
+motor's own record.
 """
 
 import signal
@@ -16,30 +16,16 @@ from benchmarks.benchmark import Benchmark
 from tests.support.emulated_bench import BenchFailedError, EmulatedBench, MotorTrace, playing
 from tests.support.fault_runs import KINDS, LIMIT_N, TOUCH_N
 
-# Time from first contact to the fault: by then the pulse is felt.
-BEGIN_S = "2"
 AFTER_S = 2.5
-FAULT_WITHIN_S = 8.0
 TRIES = 3
 STOPPED_S = (0.1, 0.4, 2.0)
-FAULTS = (
-    ("reversed",),
-    ("reversed-encoder",),
-    ("gain-encoder", "--size", "3"),
-    ("no-retraction",),
-    ("position-frozen",),
-    ("delayed", "--size", "30 ms"),
-    ("film-zero",),
-    ("film-frozen",),
-)
 
 
 def main(benchmark: Benchmark) -> None:
     """Print the table."""
     rows = [stopped_row(kind, seconds) for seconds in STOPPED_S for kind in KINDS]
-    rows += [fault_row(kind, *fault) for fault in FAULTS for kind in KINDS]
     benchmark.table(
-        f"Stalls and injected faults on real processes; the limit is {LIMIT_N:g} N",
+        f"Stalls on real processes; the limit is {LIMIT_N:g} N",
         ("what happens", "drive", "most N", "above ms", "off ms", "at the end N", "named"),
         rows,
     )
@@ -57,33 +43,18 @@ def stopped_row(kind: str, seconds: float) -> tuple[str, ...]:
         time.sleep(AFTER_S)
         return continued_ns
 
-    return _row(f"stopped for {seconds:g} s", kind, (), stop)
-
-
-def fault_row(kind: str, *fault: str) -> tuple[str, ...]:
-    """Inject a fault into the emulated drive, and return the table's row."""
-
-    def await_fault(bench: EmulatedBench) -> None:
-        try:
-            bench.await_state("fault", FAULT_WITHIN_S)
-        except BenchFailedError:
-            return
-        time.sleep(AFTER_S)
-
-    return _row(" ".join(word for word in fault if word != "--size"), kind, fault, await_fault)
+    return _row(f"stopped for {seconds:g} s", kind, stop)
 
 
 def _row(
     what: str,
     kind: str,
-    fault: tuple[str, ...],
     act: Callable[[EmulatedBench], int | None],
 ) -> tuple[str, ...]:
-    options = ("--fault", *fault, "--fault-after", BEGIN_S) if fault else ()
     for _ in range(TRIES):
         with TemporaryDirectory(prefix="telepulse-") as folder:
             try:
-                with playing(Path(folder), kind, "real_bench", *options) as bench:
+                with playing(Path(folder), kind, "real_bench") as bench:
                     at_ns = act(bench)
                     last_ns = time.perf_counter_ns()
                     faults = bench.end().get("faults", [])

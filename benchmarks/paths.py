@@ -14,10 +14,10 @@ from benchmarks.timing import median_quantile
 from protocol.config.scene_file import find_scene
 from protocol.histogram import bound
 from protocol.run_summary import Summary
-from telepulse.netem import NodesOutcome, run_nodes, unavailable
 from telepulse.scene import load_scene
 from telepulse.simulation.link_scene import parse_link
 from telepulse.simulation.virtual_time import summarise
+from tests.support.netem import NodesOutcome, run_nodes, unavailable
 
 SECONDS = 30.0
 LOSS_FREE = "delay=20ms,jitter=3ms"

@@ -23,10 +23,10 @@ from protocol.config.scene_file import find_scene
 from protocol.run_summary import Summary
 from protocol.wire.messages import decode_frame
 from protocol.wire.telemetry import TRACE, read_trace
-from telepulse.netem import EmulatedLink, emulate, unavailable
-from telepulse.netem.emulated_link import PORT
 from telepulse.processes import NodeProcess
 from telepulse.simulation.link_scene import parse_link
+from tests.support.netem import EmulatedLink, emulate, unavailable
+from tests.support.netem.emulated_link import PORT
 from tests.support.press_runs import FOLLOW_ERROR, FOLLOWED_S, LEVELS_N, STEP_S
 
 SECONDS = 70.0

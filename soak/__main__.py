@@ -20,9 +20,9 @@ from soak.report import print_verdict, write_verdict
 from soak.run import Run
 from soak.scenario import Scenario
 from soak.verdict import judge_none
-from telepulse.netem import unavailable
 from telepulse.scene import DEFAULT_SCENE, load_scene
 from tests.support.keyring import Keyring
+from tests.support.netem import unavailable
 
 PROGRAM = "soak"
 # Nodes end by themselves this long after the soak's time.

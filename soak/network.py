@@ -11,9 +11,9 @@ from subprocess import PIPE
 from typing import IO
 
 from protocol.host.child_process import ChildProcess
-from telepulse.netem import EmulatedLink, Namespace, emulate
 from telepulse.processes import free_addresses
 from telepulse.simulation.link_scene import LinkScene, parse_link
+from tests.support.netem import EmulatedLink, Namespace, emulate
 
 CALM = "delay=10ms,jitter=1ms"
 LINKS = 4

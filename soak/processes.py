@@ -13,8 +13,8 @@ from typing import Any
 from soak.accounts import Mark
 from soak.claims import StatusClaim
 from soak.core_time import CoreTime
-from telepulse.netem import Namespace
 from telepulse.processes import NodeProcess
+from tests.support.netem import Namespace
 
 # A node prints this when its loop begins.
 _UP = {"sensing_node.cli": "streaming ", "display_node.cli": "waiting for "}

@@ -22,7 +22,7 @@ from soak.claims import StatusClaim, no_figures
 from soak.core_time import read_core_time
 from soak.felt import FeltLog
 from soak.processes import SoakProcess
-from telepulse.netem import Namespace
+from tests.support.netem import Namespace
 
 RECONNECT_MS = 20
 HIGH_WATER = 10_000

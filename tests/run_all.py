@@ -13,7 +13,10 @@ from pathlib import Path
 TESTS = Path(__file__).parent
 CORE = ("protocol", "pulse_sensors", "pulse_drives", "sensing_node", "display_node")
 COVERED = [f"--cov={package}" for package in CORE] if os.environ.get("COVERAGE") else []
-COMPUTING = ("compiled", "reports", "accuracy", "commissioning")
+COMPUTING = (
+    *("compiled", "accuracy", "documentation", "benchmarks", "commissioning", "paper", "plugins"),
+    *("python_api", "stability"),
+)
 SYSTEM = sorted({path.parent for path in TESTS.glob("system/*/test_*.py")})
 REAL_TIME = [str(folder) for folder in SYSTEM if folder.name not in COMPUTING]
 OTHERS = [path for path in TESTS.iterdir() if path.is_dir() and path.name != "system"]

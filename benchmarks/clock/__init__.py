@@ -14,8 +14,8 @@ from benchmarks.benchmark import Benchmark
 from benchmarks.clock import virtual
 from protocol.clock.one_way import Floats
 from protocol.host.child_process import ChildProcess
-from telepulse.netem import Namespace, emulate, unavailable
 from telepulse.simulation.link_scene import parse_link
+from tests.support.netem import Namespace, emulate, unavailable
 
 LINK = "delay=20ms,jitter=3ms,loss=1%"
 SECONDS = 62.0

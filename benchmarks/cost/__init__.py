@@ -26,7 +26,7 @@ from benchmarks.cost.runs import (
     shipped,
     simulate_cost,
 )
-from telepulse.netem import NodesOutcome, unavailable
+from tests.support.netem import NodesOutcome, unavailable
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

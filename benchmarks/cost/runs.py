@@ -15,10 +15,10 @@ from protocol.config.scene_file import find_scene
 from protocol.histogram import Histogram
 from protocol.run_summary import Summary
 from protocol.ticks import TickState
-from telepulse.netem import NodesOutcome, run_nodes
 from telepulse.scene import load_scene
 from telepulse.simulation.link_scene import parse_link
 from telepulse.simulation.virtual_time import Simulation
+from tests.support.netem import NodesOutcome, run_nodes
 
 LINK = "delay=20ms,jitter=3ms,loss=1%"
 # A host of a tenth of this machine's speed, such as a small single-board computer.

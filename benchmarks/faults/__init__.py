@@ -11,7 +11,7 @@ from tempfile import TemporaryDirectory
 from benchmarks.benchmark import Benchmark
 from benchmarks.faults.backlog import backlogs
 from benchmarks.faults.cases import CASES, NEEDS_EMULATOR, FaultResult
-from telepulse.netem import unavailable
+from tests.support.netem import unavailable
 
 TIMES = 6
 SEED = 1

@@ -12,11 +12,11 @@ from subprocess import PIPE
 
 from protocol.host.child_process import ChildProcess
 from protocol.sockets import control_address
-from telepulse.netem import emulate
 from telepulse.processes import free_addresses
 from telepulse.simulation.link_scene import parse_link
 from tests.support.felt_force import FeltForce
 from tests.support.hostile_peers import deaf_subscriber, port_of, send_garbage
+from tests.support.netem import emulate
 from tests.support.node_rig import Node, node_rig, sequence_monitor, unaccounted
 
 WHOLE = parse_link("delay=20ms,jitter=3ms")

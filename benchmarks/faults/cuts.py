@@ -18,9 +18,9 @@ from tempfile import TemporaryDirectory
 
 from benchmarks.benchmark import Benchmark
 from protocol.config.scene_file import find_scene
-from telepulse.netem import EmulatedLink, PacketFilter, emulate
 from telepulse.simulation.link_scene import LinkScene, parse_link
 from tests.support.felt_force import FeltForce
+from tests.support.netem import EmulatedLink, PacketFilter, emulate
 from tests.support.node_rig import PORT, Node, node_rig
 
 WHOLE_TEXT = "20±3 ms"

@@ -10,9 +10,9 @@ from benchmarks.load.run import process, relay
 from benchmarks.load.sensing import Stream, sense
 from protocol import sockets
 from protocol.wire.messages import ClockRequest, encode_control
-from telepulse.netem import emulate, unavailable
 from telepulse.processes import free_addresses
 from telepulse.simulation.link_scene import parse_link
+from tests.support.netem import emulate, unavailable
 
 LINK, CUT = "delay=5ms", "loss=100%"
 CUTS_S = (1.0, 3.0, 5.0, 8.0)

@@ -36,6 +36,7 @@ seed = 1
 name = "buffered"
 link = "delay=40ms,jitter=5ms,loss=1%"
 compensation = "auto"
+predictor = "linear"
 
 [[conditions]]
 name = "all predicted"

@@ -5,7 +5,7 @@ import time
 from collections.abc import Callable
 from contextlib import ExitStack, closing
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
+from typing import Annotated, Any, Literal, TypeVar
 
 import typer
 
@@ -25,7 +25,6 @@ from sensing_node.sources.wrist import WristScene
 from telepulse.cli.options import PROGRAM, ContactorOption
 from telepulse.emulators import PtyPort
 from telepulse.emulators.drive_run import FILM_SILENT, MOTOR_FAULTS, DriveRun
-from telepulse.emulators.fault_injection import FaultKind, InjectedFault, parse_fault
 from telepulse.emulators.motor import EmulatedMotor
 from telepulse.emulators.sensor_board import BoardBehaviour, build_board, play, source_table
 from telepulse.emulators.tmcl import (
@@ -37,14 +36,10 @@ from telepulse.emulators.tmcl import (
 from telepulse.emulators.wrist import TissueContact, WristBoard
 from telepulse.scene import DEFAULT_SCENE
 
-if TYPE_CHECKING:
-    import can
-
 FOREVER_S = 1e9
 POLL_S = 0.001
 TMCL_FAULTS = (*MOTOR_FAULTS, FILM_SILENT, *ANSWER_FAULTS, "unplugged")
 CIA402_FAULTS = (*MOTOR_FAULTS, FILM_SILENT, "silent", "unplugged")
-UNREPORTED: tuple[str, ...] = tuple(kind.value for kind in FaultKind)
 SceneT = TypeVar("SceneT", bound=DriveScene)
 
 app = typer.Typer(
@@ -61,12 +56,7 @@ DriveArgument = Annotated[
 ]
 STILL_NOISE_N = 0.5e-3
 _TO_PORT = "Create this symbolic link to the port, for the scene's `port`."
-BoardLink = Annotated[Path | None, typer.Option(metavar="PATH", help=_TO_PORT)]
-_TO_DRIVE = (
-    "Create this symbolic link to the serial port of the module, or of an slcan adapter with the"
-    " drive on its bus, for the scene's `port` or `channel`."
-)
-DriveLink = Annotated[Path | None, typer.Option(metavar="PATH", help=_TO_DRIVE)]
+LinkOption = Annotated[Path | None, typer.Option(metavar="PATH", help=_TO_PORT)]
 _TO_FILM = (
     "Create PATH as a link to a serial port on which a sensor board sends the force under the"
     ' finger, in framing = "binary".'
@@ -79,11 +69,6 @@ _WRIST = (
 WristOption = Annotated[
     str | None, typer.Option(metavar="SCENE", help=_WRIST, autocompletion=scene_names)
 ]
-_SIZE = (
-    "Size of a fault that has one, with its unit: --fault delayed --size '45 ms', --fault gain"
-    " --size 0.3."
-)
-SizeOption = Annotated[str | None, typer.Option("--size", help=_SIZE)]
 _AFTER = "Time from the first press on the finger to the fault."
 AfterOption = Annotated[float, typer.Option("--fault-after", min=0, metavar="SECONDS", help=_AFTER)]
 _FROM_START = "Begin the fault at the start, in place of --fault-after."
@@ -96,8 +81,7 @@ def _fault_option(names: tuple[str, ...]) -> Any:
     return typer.Option(
         "--fault",
         metavar="NAME",
-        help=f"Fault, which begins at --fault-after: {', '.join(names)}; or one of those that"
-        f" the drive does not report: {', '.join(UNREPORTED)}.",
+        help=f"Fault, which begins at --fault-after: {', '.join(names)}.",
     )
 
 
@@ -107,7 +91,7 @@ def sensor(
         str,
         typer.Argument(help="Its source is what the board senses.", autocompletion=scene_names),
     ] = DEFAULT_SCENE,
-    link: BoardLink = None,
+    link: LinkOption = None,
     framing: Annotated[
         Literal["binary", "text", "untimed"],
         typer.Option(help="Frames, lines of time and value, or lines of a value alone."),
@@ -202,10 +186,9 @@ def tmcl(
     scene: DriveArgument,
     contactor: ContactorOption = None,
     wrist: WristOption = None,
-    link: DriveLink = None,
+    link: LinkOption = None,
     film_link: FilmLink = None,
     fault: Annotated[str | None, _fault_option(TMCL_FAULTS)] = None,
-    size: SizeOption = None,
     fault_after: AfterOption = 0.0,
     fault_from_start: FromStartOption = False,
     trace: TraceOption = None,
@@ -219,15 +202,17 @@ def tmcl(
     """
     with one_line_errors(PROGRAM), ExitStack() as open_things:
         configure_logging(log_level)
-        injected = _injected_fault(fault, size, TMCL_FAULTS)
+        _check_fault(fault, TMCL_FAULTS)
         drive, motor, board = _load(scene, contactor, wrist, TmclScene)
         module = EmulatedTmclModule(drive, motor)
         line: EmulatedSerialLine | EmulatedCanLine
         if drive.port is not None:
             port = PtyPort(link)
             line, place = EmulatedSerialLine(module, port), str(port.path)
+        elif link is not None:
+            raise SceneError("--link: the scene's module is on a CAN bus, not on a serial port")
         else:
-            line = EmulatedCanLine(module, drive, _bus(drive, link))
+            line = EmulatedCanLine(module, drive, open_bus(drive))
             place = f"CAN {drive.interface} {drive.channel}, identifier {drive.module}"
         cable = open_things.enter_context(ExitStack())
         cable.callback(line.close)
@@ -248,7 +233,7 @@ def tmcl(
         run = DriveRun(motor, film_link, trace, open_things, board)
         _say(f"TMCL module on {place}", film_link)
         after_s = None if fault_from_start else fault_after
-        run.run(poll, begin_fault, fault, injected, after_s, seconds)
+        run.run(poll, begin_fault, fault, after_s, seconds)
 
 
 @app.command()
@@ -260,10 +245,8 @@ def cia402(
         str | None, typer.Option(help="CAN interface as python-can names it; default: the scene's.")
     ] = None,
     channel: Annotated[str | None, typer.Option(help="Channel of the CAN interface.")] = None,
-    link: DriveLink = None,
     film_link: FilmLink = None,
     fault: Annotated[str | None, _fault_option(CIA402_FAULTS)] = None,
-    size: SizeOption = None,
     fault_after: AfterOption = 0.0,
     fault_from_start: FromStartOption = False,
     trace: TraceOption = None,
@@ -281,11 +264,11 @@ def cia402(
 
     with one_line_errors(PROGRAM), ExitStack() as open_things:
         configure_logging(log_level)
-        injected = _injected_fault(fault, size, CIA402_FAULTS)
+        _check_fault(fault, CIA402_FAULTS)
         drive, motor, board = _load(scene, contactor, wrist, Cia402Scene)
-        changes = {"interface": interface, "channel": channel or (str(link) if link else None)}
+        changes = {"interface": interface, "channel": channel}
         drive = drive.model_copy(update={key: to for key, to in changes.items() if to})
-        node = EmulatedCia402Node(drive, motor, _bus(drive, link))
+        node = EmulatedCia402Node(drive, motor, open_bus(drive))
         cable = open_things.enter_context(ExitStack())
         cable.callback(node.close)
 
@@ -301,20 +284,12 @@ def cia402(
         run = DriveRun(motor, film_link, trace, open_things, board)
         _say(f"CiA 402 node {drive.node} on CAN {drive.interface} {drive.channel}", film_link)
         after_s = None if fault_from_start else fault_after
-        run.run(poll, begin_fault, fault, injected, after_s, seconds)
+        run.run(poll, begin_fault, fault, after_s, seconds)
 
 
-def _injected_fault(
-    fault: str | None, size: str | None, names: tuple[str, ...]
-) -> InjectedFault | None:
-    """Return the fault that `DriveRun` injects; None for any other. Raises SceneError."""
-    if fault in UNREPORTED:
-        return parse_fault(FaultKind(fault), size)
+def _check_fault(fault: str | None, names: tuple[str, ...]) -> None:
     if fault is not None and fault not in names:
-        raise SceneError(f"--fault: no {fault!r}; there are {', '.join((*names, *UNREPORTED))}")
-    if size is not None:
-        raise SceneError(f"--size: {fault} has no size" if fault else "--size: needs --fault")
-    return None
+        raise SceneError(f"--fault: no {fault!r}; there are {', '.join(names)}")
 
 
 def _load(
@@ -351,17 +326,6 @@ def _load_probe(
     now_ns = time.perf_counter_ns()
     motor = EmulatedMotor(stepper, TissueContact(source), drive.touch_m, now_ns)
     return drive, motor, WristBoard(source)
-
-
-def _bus(drive: DriveScene, link: Path | None) -> "can.BusABC":
-    """Return the scene's bus; for an slcan adapter, the bus behind an emulated one."""
-    if drive.interface == "slcan":
-        from telepulse.emulators.slcan import SlcanBus
-
-        return SlcanBus(PtyPort(link))
-    if link is not None:
-        raise SceneError(f"--link: CAN by {drive.interface} has no serial port; slcan has one")
-    return open_bus(drive)
 
 
 def _say(what: str, film_link: Path | None) -> None:

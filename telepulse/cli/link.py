@@ -25,7 +25,7 @@ from protocol.host.process import freeze_objects, raise_file_limit, stop_on_sign
 from protocol.provenance import collect
 from protocol.sockets import control_address
 from telepulse.cli.options import PROGRAM, LinkOption, SeedOption
-from telepulse.netem.link_proxy import LinkProxy
+from telepulse.link_proxy import LinkProxy
 from telepulse.relay import Relay
 from telepulse.simulation.link_scene import LinkScene, parse_link
 

@@ -213,28 +213,26 @@ def fit_line(load_n: Array, reading: Array) -> CalibrationLine:
     Raises BenchError for fewer than 3 loads, for equal loads, and for readings that do not
     change with them.
     """
+    from scipy.stats import linregress
+
     count = len(load_n)
     if count < LEAST_LOADS:
         raise BenchError(f"{count} loads; at least {LEAST_LOADS} are needed for a line")
     if not np.ptp(load_n):
         raise BenchError(f"all loads are {load_n[0]:g} N; different ones are needed for a line")
-    around_n = load_n - load_n.mean()
-    power = float(around_n @ around_n)
-    slope = float(around_n @ reading) / power
-    offset = float(reading.mean() - slope * load_n.mean())
-    if not np.ptp(reading) or not slope:
+    line = linregress(load_n, reading)
+    if not np.ptp(reading) or not line.slope:
         raise BenchError("the readings do not change with the loads")
-    off = reading - slope * load_n - offset
-    spread = float(np.sqrt(off @ off / (count - 2)))
-    hysteresis_n, repeatability_n = _spreads_n(load_n, off / slope)
+    off_n = (reading - line.slope * load_n - line.intercept) / line.slope
+    hysteresis_n, repeatability_n = _spreads_n(load_n, off_n)
     return CalibrationLine(
-        slope=slope,
-        offset=offset,
-        slope_error=spread / power**0.5,
-        offset_error=spread * float(np.sqrt(1 / count + load_n.mean() ** 2 / power)),
-        r_squared=1 - float(off @ off) / float(np.sum((reading - reading.mean()) ** 2)),
-        residual_n=off / slope,
-        rms_n=float(np.sqrt(np.sum((off / slope) ** 2) / (count - 2))),
+        slope=float(line.slope),
+        offset=float(line.intercept),
+        slope_error=float(line.stderr),
+        offset_error=float(line.intercept_stderr),
+        r_squared=float(line.rvalue**2),
+        residual_n=off_n,
+        rms_n=float(np.sqrt(np.sum(off_n**2) / (count - 2))),
         hysteresis_n=hysteresis_n,
         repeatability_n=repeatability_n,
     )

@@ -1,10 +1,12 @@
-"""Keys of a scene file set by editing its text, so that comments and order stay."""
+"""Keys set in a copy of a scene file, in which comments and order stay."""
 
-import re
 import tomllib
 from pathlib import Path
 
-from protocol.config.scene_file import EXTENDS, load_toml, scene_names, to_toml
+import tomlkit
+from tomlkit.exceptions import TOMLKitError
+
+from protocol.config.scene_file import EXTENDS, load_toml, merge, scene_names
 from protocol.errors import SceneError
 from protocol.host.output import write_whole
 
@@ -12,24 +14,26 @@ Changes = dict[str, dict[str, float | str]]
 """Keys and values by table of [display], such as {"film": {"latency": "4 ms"}}."""
 
 
-def set_keys(text: str, changes: Changes) -> str:
-    """Return the text of a scene with keys set.
+def set_keys(path: Path, changes: Changes) -> str:
+    """Return the text of a scene with keys set; new ones are at the end of their table.
 
-    An existing key is changed in place; a new key is added at the end of its table, a new table at
-    the end of the text. Raises SceneError where a table has no [header] of its own.
+    Raises SceneError where tomlkit does not set them.
     """
-    lines = text.splitlines()
-    for table, keys in changes.items():
-        for key, value in keys.items():
-            text_of_value = to_toml({"x": value}).strip().removeprefix("x = ")
-            _set(lines, f"display.{table}", key, text_of_value)
-    edited = "\n".join(lines) + "\n"
-    display = tomllib.loads(edited).get("display", {})
-    for table, keys in changes.items():
-        if not keys.items() <= display.get(table, {}).items():
-            raise SceneError(
-                f"[display.{table}] is not written as a table of its own: set it by hand"
-            )
+    text = path.read_text(encoding="utf-8")
+    try:
+        document = tomlkit.parse(text)
+        display = document.setdefault("display", tomlkit.table(is_super_table=True))
+        for table, keys in changes.items():
+            if table in display:
+                display[table].update(keys)
+            else:
+                display[table] = keys
+        edited = tomlkit.dumps(document).rstrip("\n") + "\n"
+        whole = tomllib.loads(edited) == merge(tomllib.loads(text), {"display": changes})
+    except (TOMLKitError, ValueError):
+        whole = False
+    if not whole:
+        raise SceneError(f"{path}: the results of the bench check can only be set by hand")
     return edited
 
 
@@ -46,11 +50,7 @@ def check_editable(path: Path, target: Path | None) -> None:
             f"{target}: the copy would not find {parent!r}, which {path} extends by a relative"
             f" path; write the copy to the folder {path.parent}"
         )
-    tried: Changes = {"actuator": {"latency": "1 ms"}, "film": {"latency": "1 ms"}}
-    try:
-        set_keys(path.read_text(encoding="utf-8"), tried)
-    except (tomllib.TOMLDecodeError, AttributeError):
-        raise _not_editable(path) from None
+    set_keys(path, {"actuator": {"latency": "1 ms"}, "film": {"latency": "1 ms"}})
 
 
 def write_scene(source: Path, target: Path, changes: Changes, note: str = "") -> None:
@@ -58,36 +58,4 @@ def write_scene(source: Path, target: Path, changes: Changes, note: str = "") ->
 
     Raises SceneError or OutputError.
     """
-    try:
-        edited = set_keys(source.read_text(encoding="utf-8"), changes)
-    except tomllib.TOMLDecodeError:
-        raise _not_editable(source) from None
-    write_whole(target, edited + (note and note + "\n"))
-
-
-def _not_editable(path: Path) -> SceneError:
-    return SceneError(
-        f"{path}: [display.actuator] and [display.film] must each be a table of its own:"
-        " otherwise the results of the bench check can only be set by hand"
-    )
-
-
-def _set(lines: list[str], table: str, key: str, value: str) -> None:
-    header = re.compile(rf"\s*\[\s*{re.escape(table)}\s*\]\s*(#.*)?")
-    begin = next((at for at, line in enumerate(lines) if header.fullmatch(line)), None)
-    if begin is None:
-        lines += ["", f"[{table}]", f"{key} = {value}"]
-        return
-    end = next(
-        (at for at in range(begin + 1, len(lines)) if lines[at].lstrip().startswith("[")),
-        len(lines),
-    )
-    assigned = re.compile(rf'(\s*{re.escape(key)}\s*=\s*)("[^"]*"|[^"#\s]+)(\s*(?:#.*)?)')
-    for at in range(begin + 1, end):
-        match = assigned.fullmatch(lines[at])
-        if match is not None:
-            lines[at] = match[1] + value + match[3]
-            return
-    while end > begin + 1 and not lines[end - 1].strip():
-        end -= 1
-    lines.insert(end, f"{key} = {value}")
+    write_whole(target, set_keys(source, changes) + (note and note + "\n"))

@@ -5,7 +5,6 @@ modelled: position and torque modes, other homing methods, arbitration and error
 """
 
 import math
-import struct
 import time
 from importlib.resources import files
 from threading import RLock
@@ -27,7 +26,6 @@ from pulse_drives.cia402.state_machine import (
     State,
 )
 from pulse_drives.scene import Cia402Scene
-from telepulse.emulators.fault_injection import FaultInjector
 from telepulse.emulators.motor import EmulatedMotor
 
 ALL_MODES = (Mode.PROFILE_VELOCITY, Mode.CYCLIC_VELOCITY)
@@ -43,7 +41,6 @@ _OBJECTS = {
     0x606C: "velocity",
     0x60FD: "digital_inputs",
 }
-_IDENTIFIER = struct.Struct(">H")
 # State after a controlword.
 _TRANSITIONS: dict[tuple[State, int], State] = {
     (State.SWITCH_ON_DISABLED, Controlword.SHUTDOWN): State.READY,
@@ -183,27 +180,6 @@ class EmulatedCia402Drive:
         self.state = State.FAULT
 
 
-class _FaultyNetwork(canopen.Network):
-    """A network whose frames pass a fault injector on their way to the bus."""
-
-    def __init__(self, bus: can.BusABC, injector: FaultInjector) -> None:
-        super().__init__(bus)
-        self._injector = injector
-
-    def send_message(self, can_id: int, data: bytes, remote: bool = False) -> None:
-        """Send a frame, unless the injected fault drops or delays it."""
-        self._injector.queue_answer(
-            _IDENTIFIER.pack(can_id) + bytes(data), time.perf_counter_ns(), header=_IDENTIFIER.size
-        )
-        self.send_due()
-
-    def send_due(self) -> None:
-        """Send the frames that were delayed until now."""
-        for frame in self._injector.due_answers(time.perf_counter_ns()):
-            (can_id,) = _IDENTIFIER.unpack_from(frame)
-            super().send_message(can_id, frame[_IDENTIFIER.size :])
-
-
 class EmulatedCia402Node:
     """Node that answers SDOs, takes RPDOs, and sends TPDOs when `poll` is called.
 
@@ -228,7 +204,7 @@ class EmulatedCia402Node:
         self._heartbeat_id = 0
         self._last_sent = (0, 0)
         self._sent_s = 0.0
-        self._network = _FaultyNetwork(bus, motor.injector)
+        self._network = self.network(bus)
         self._network.NOTIFIER_CYCLE = NOTIFIER_CYCLE_S
         sheet = str(files("pulse_drives.cia402") / "cia402.eds")
         self._node = canopen.LocalNode(scene.node, sheet)
@@ -241,6 +217,10 @@ class EmulatedCia402Node:
         self._network.connect()
         self._node.nmt.state = "INITIALISING"
         self._node.nmt.state = "PRE-OPERATIONAL"
+
+    def network(self, bus: can.BusABC) -> canopen.Network:
+        """Return the network of a bus."""
+        return canopen.Network(bus)
 
     def poll(self) -> None:
         """Advance to the present and send due frames; call it every few milliseconds."""
@@ -258,7 +238,6 @@ class EmulatedCia402Node:
                     for variable in pdo:
                         variable.raw = self._value(variable.index)
                     pdo.transmit()
-            self._network.send_due()
 
     def close(self) -> None:
         """Leave the bus."""

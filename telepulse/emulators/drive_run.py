@@ -10,8 +10,7 @@ from pathlib import Path
 from protocol.errors import OutputError
 from protocol.host.process import freeze_objects, stop_on_signals
 from telepulse.emulators import PtyPort
-from telepulse.emulators.fault_injection import InjectedFault
-from telepulse.emulators.motor import TICK_NS, EmulatedMotor, MotorFault, MotorState
+from telepulse.emulators.motor import EmulatedMotor, MotorFault, MotorState
 from telepulse.emulators.sensor_board import PULSES, binary
 from telepulse.emulators.wrist import WristBoard
 
@@ -43,8 +42,7 @@ class EmulatedFilm:
     def deliver(self) -> None:
         """Send the motor's forces since the last call."""
         forces_n = self._motor.forces_n
-        held_back = self._motor.injector.film_delay_ns // TICK_NS
-        while len(forces_n) >= FRAME + held_back:
+        while len(forces_n) >= FRAME:
             forces = [forces_n.popleft() for _ in range(FRAME)]
             one = [[force_n] for force_n in forces]
             values = one if self._wrist is None else self._wrist.read(forces)
@@ -92,15 +90,13 @@ class DriveRun:
         poll: Callable[[], None],
         begin_fault: Callable[[str], None],
         fault: str | None,
-        injected: InjectedFault | None,
         after_s: float | None,
         seconds: float | None,
     ) -> None:
         """Poll the drive until stopped, or for `seconds`, and begin the fault named `fault`.
 
-        begin_fault: begins a fault of the bus or serial line, by name. injected: the fault as
-        `FaultInjector` applies it, if it is one that the drive does not report. after_s: time from
-        the tip's first press to the fault; None: the fault begins at the start.
+        begin_fault: begins a fault of the bus or serial line, by name. after_s: time from the tip's
+        first press to the fault; None: the fault begins at the start.
         """
         stopped = threading.Event()
         stop_on_signals(stopped.set)
@@ -113,9 +109,7 @@ class DriveRun:
             due = after_s is None or now_s - pressed_s >= after_s
             if fault and not self._active_fault and due:
                 self._active_fault = fault
-                if injected is not None:
-                    self._motor.injector.begin(injected, time.perf_counter_ns())
-                elif fault in MOTOR_FAULTS:
+                if fault in MOTOR_FAULTS:
                     self._motor.fail(MOTOR_FAULTS[fault])
                 elif fault != FILM_SILENT:
                     begin_fault(fault)

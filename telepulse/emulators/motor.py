@@ -12,7 +12,6 @@ from typing import Literal, NamedTuple
 from display_node.plant.contact import ContactLaw
 from display_node.plant.scene import StepperScene
 from display_node.plant.stepper import Stepper
-from telepulse.emulators.fault_injection import FaultInjector
 
 TICK_NS = 1_000_000
 TICK_S = TICK_NS * 1e-9
@@ -43,8 +42,7 @@ class EmulatedMotor:
     rate_hz: step rate of the shaft, positive towards the finger. tip_m: position of the tip from
     first touch. rested_ns: time at which the motor came to rest last. tripped: the watchdog has
     stopped the motor. forces_n: forces for the film to send, one per millisecond, until a reader
-    takes them. trace: called with the state every millisecond. injector: applies the faults that
-    the drive does not report.
+    takes them. trace: called with the state every millisecond.
     """
 
     def __init__(self, scene: StepperScene, law: ContactLaw, touch_m: float, now_ns: int) -> None:
@@ -68,7 +66,6 @@ class EmulatedMotor:
         self.tripped = False
         self.forces_n: deque[float] = deque(maxlen=10_000)
         self.trace: Callable[[MotorState], None] | None = None
-        self.injector = FaultInjector(scene.step_m)
         while self._stepper.screw_m < SWITCH_M + touch_m / 2:
             self._stepper.move(2e-3 / self._step_m)
         self._stepper.move(0.0)
@@ -79,14 +76,12 @@ class EmulatedMotor:
     @property
     def position_steps(self) -> int:
         """The drive's counter as the bus reports it, positive towards the finger."""
-        return self.injector.position_steps(self._counter, self._now_ns)
+        return self._counter
 
     @property
     def counter_hz(self) -> float:
-        """The signed step rate as the drive counts it."""
-        if self.injector.counts_shaft:
-            return self.rate_hz
-        return self.rate_hz / self.injector.motion_ratio
+        """The signed step rate as the drive counts it: one without an encoder counts its steps."""
+        return self.rate_hz
 
     @property
     def homing(self) -> bool:
@@ -102,7 +97,7 @@ class EmulatedMotor:
         """Go to this signed step rate, as fast as the acceleration allows."""
         self._homing = None
         before_hz = self._target_hz
-        self._target_hz = 0.0 if self.fault else self.injector.executed_hz(rate_hz)
+        self._target_hz = 0.0 if self.fault else rate_hz
         self._carry += (before_hz - self._target_hz) * max(0, self._command_ns - self._now_ns)
 
     def home(self, search_hz: float, leave_hz: float) -> None:
@@ -157,22 +152,26 @@ class EmulatedMotor:
         self._carry = 0.0
         if self._at_limit(target_hz):
             target_hz = 0.0
-        before_m, injector = self._stepper.screw_m, self.injector
-        travel_m = self._stepper.move(injector.motion_ratio * target_hz)
-        turned = (self._stepper.screw_m - before_m) / self._step_m
-        self._counted += turned if injector.counts_shaft else turned / injector.motion_ratio
-        rate_hz = turned / TICK_S
+        rate_hz = self._turn(target_hz) / TICK_S
         if self.rate_hz and not rate_hz:
             self.rested_ns = self._now_ns
         self.rate_hz = rate_hz
-        self.tip_m = travel_m - self._touch_m
+        self.tip_m = self._stepper.tip_m - self._touch_m
         self.force_n = self._law.force(self.tip_m)
-        self.forces_n.append(injector.film_n(self.force_n))
+        self.forces_n.append(self.force_n)
         if self.trace is not None:
             speed_m_per_s = rate_hz * self._step_m
             self.trace(MotorState(self._now_ns, self.tip_m, speed_m_per_s, self.force_n))
         if self.force_n > self._thrust_n and not self.fault:
             self.fail("stall")
+
+    def _turn(self, target_hz: float) -> float:
+        """Turn the shaft for a millisecond; return the steps that it turned."""
+        before_m = self._stepper.screw_m
+        self._stepper.move(target_hz)
+        turned = (self._stepper.screw_m - before_m) / self._step_m
+        self._counted += turned
+        return turned
 
     def _at_limit(self, target_hz: float) -> bool:
         """Return whether the switch or, except while homing, a soft limit stops this motion."""

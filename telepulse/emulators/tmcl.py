@@ -8,6 +8,7 @@ currents, the other motors of a module, and the time that a real line takes for 
 import select
 import struct
 import time
+from collections import deque
 from typing import TYPE_CHECKING
 
 from pulse_drives.scene import TmclScene
@@ -62,14 +63,15 @@ class DatagramSplitter:
 
 
 class EmulatedTmclModule:
-    """Module that answers requests and moves the motor; the fault injector queues its answers.
+    """Module that executes requests, moves the motor and queues the answers.
 
     answer_mode: "right", or one of `ANSWER_FAULTS` for the driver to detect. late_s: delay of
     answers in mode "late".
     """
 
     def __init__(self, scene: TmclScene, motor: EmulatedMotor) -> None:
-        self._scene, self._motor, self.injector = scene, motor, motor.injector
+        self._scene, self._motor = scene, motor
+        self._answers: deque[tuple[int, bytes]] = deque()
         self._direction = -1 if scene.inverted else 1
         self._axis: dict[int, int] = {
             Parameter.SEARCH_MODE: LEFT_SWITCH,
@@ -84,10 +86,17 @@ class EmulatedTmclModule:
         self.late_s = 0.03
 
     def receive(self, request: bytes, now_ns: int) -> None:
-        """Execute a request of 9 bytes, and queue the answer in the fault injector."""
+        """Execute a request of 9 bytes, and queue the answer."""
         if reply := self.reply(request, now_ns):
             late_s = self.late_s if self.answer_mode == "late" else 0.0
-            self.injector.queue_answer(reply, now_ns + round(late_s * 1e9))
+            self._answers.append((now_ns + round(late_s * 1e9), reply))
+
+    def due_answers(self, now_ns: int) -> list[bytes]:
+        """Return the answers that are to be sent by now, in their order."""
+        due = []
+        while self._answers and self._answers[0][0] <= now_ns:
+            due.append(self._answers.popleft()[1])
+        return due
 
     def reply(self, request: bytes, now_ns: int) -> bytes:
         """Return 9 bytes of reply to 9 bytes of request; empty for another module's request."""
@@ -214,7 +223,7 @@ class EmulatedSerialLine:
         if readable:
             for request in self._datagrams.feed(self._port.read(), time.perf_counter_ns()):
                 self._module.receive(request, time.perf_counter_ns())
-        for reply in self._module.injector.due_answers(time.perf_counter_ns()):
+        for reply in self._module.due_answers(time.perf_counter_ns()):
             self._port.write(reply)
 
     def close(self) -> None:
@@ -239,7 +248,7 @@ class EmulatedCanLine:
         if frame is not None and len(frame.data) >= 7:
             request = self._address + bytes(frame.data[:7])
             self._module.receive(request + bytes([checksum(request)]), time.perf_counter_ns())
-        for reply in self._module.injector.due_answers(time.perf_counter_ns()):
+        for reply in self._module.due_answers(time.perf_counter_ns()):
             data, identifier = reply[1:8], reply[0]
             self._bus.send(can.Message(arbitration_id=identifier, is_extended_id=False, data=data))
 

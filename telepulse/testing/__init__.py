@@ -1,7 +1,8 @@
 """Conformance tests of plug-ins, for the tests of whoever writes one.
 
-Each function checks one kind, and raises ConformanceError with a line that says what does not hold.
-They need no test framework, and nothing of telepulse's own tests:
+Each function takes the section model of a kind and its keys as in a scene, with the kind. It raises
+ConformanceError with a line that says what does not hold. They need no test framework, and nothing
+of telepulse's own tests:
 
     from telepulse.testing import check_source
 

@@ -21,19 +21,9 @@ DEPTHS_M = (1e-5, 1e-4, 5e-4)
 def check_actuator(section: type[ActuatorScene], keys: Mapping[str, Any]) -> None:
     """Check a kind of actuator, at a tick of 1 ms.
 
-    Parameters
-    ----------
-    section
-        Section model of the kind.
-    keys
-        Its keys as in a scene, with the kind.
-
-    Raises
-    ------
-    ConformanceError
-        With what does not hold: a step that `drift` and `response` do not predict, a model that is
-        not linear, state that `STATE` does not name (the stability check would miss it), a limit
-        or a contact law that is none.
+    Each step must be as `drift` and `response` predict it, the model linear, and each variable of
+    its state named by `STATE`: the stability check would miss others. The limit of the output must
+    be positive, and the force of a contact law rise with the depth.
     """
     table = read_table(section, keys)
     require(table.output_limit > 0, f"output_limit is {table.output_limit}: it must be positive")

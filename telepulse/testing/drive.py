@@ -36,22 +36,16 @@ def check_drive(
 
     Parameters
     ----------
-    section
-        Section model of the kind.
-    keys
-        Its keys as in a scene, with the kind.
     position_m
         Function that returns the true position of the tip in m, 0 at first touch: of the
         emulation, or of a gauge beside the drive.
     actuator
         Keys of the motor, as in [display.actuator]; by default those of a stepper.
 
-    Raises
-    ------
-    ConformanceError
-        With what does not hold: a command that waits, a motion that goes the wrong way or beyond
-        the soft limits, a tip that stays on the finger without commands or after a withdrawal, a
-        drive that cannot be started again or is not released.
+    Notes
+    -----
+    No command may wait, no motion go the wrong way or beyond the soft limits. The tip must leave
+    the finger without commands and after a withdrawal, and the drive start again and be released.
     """
     table = read_table(section, keys)
     require(hasattr(section, "driver"), f'{section.__name__} lacks driver = "module:class"')

@@ -26,19 +26,8 @@ Feed = Callable[[Predictor, list[int], list[float]], None]
 def check_predictor(section: type[PredictorScene], keys: Mapping[str, Any]) -> None:
     """Check a kind of predictor on a synthetic pulse of 1 kHz.
 
-    Parameters
-    ----------
-    section
-        Section model of the kind.
-    keys
-        Its keys as in a scene, with the kind.
-
-    Raises
-    ------
-    ConformanceError
-        With what does not hold: predictions that are not finite, that change when they are
-        repeated, or that depend on samples which the predictor has not been given; an estimate of
-        the error that is not one; work that takes longer than a tick.
+    Predictions must be finite, the same when repeated, and depend on no sample that the predictor
+    has not been given. An estimate of the error must be one, and no work take longer than a tick.
     """
     table = read_table(section, keys)
     pulse_n = _pulse(LEARNS_S)

@@ -33,21 +33,15 @@ def check_sensor(
 
     Parameters
     ----------
-    section
-        Section model of the kind.
-    keys
-        Its keys as in a scene, with the kind.
     folder
         Folder from which paths among the keys count; by default the current one.
     seconds
         Time for which the sensor is read.
 
-    Raises
-    ------
-    ConformanceError
-        With what does not hold: a read that waits too long, samples of another shape than the
-        channels, values that are not finite, time that goes back, another rate than that of the
-        table, a device that is not released or cannot be opened again.
+    Notes
+    -----
+    A read may not wait for long. Samples must have the shape of the channels, finite values, rising
+    times and the table's rate, and the device must be released and open again.
     """
     table = read_table(section, keys)
     folder = Path() if folder is None else folder

@@ -23,22 +23,10 @@ PIECES = (1, 7, 250, 1, 64)
 def check_source(
     section: type[SourceScene], keys: Mapping[str, Any], folder: Path | None = None
 ) -> None:
-    """Check a kind of source.
+    """Check a kind of source; paths among its keys count from `folder`, by default the current one.
 
-    Parameters
-    ----------
-    section
-        Section model of the kind.
-    keys
-        Its keys as in a scene, with the kind.
-    folder
-        Folder from which paths among the keys count; by default the current one.
-
-    Raises
-    ------
-    ConformanceError
-        With what does not hold: the description of the stream, the shape of samples, values that
-        are not finite, samples that depend on how many are taken at once, a call that waits.
+    Its samples must have the shape of the channels and finite values, whatever the number taken at
+    once, and no call may wait.
     """
     table = read_table(section, keys)
     context = SourceContext(Path() if folder is None else folder)

@@ -23,8 +23,9 @@ from pulse_drives.scene import Cia402Scene, TmclScene
 from telepulse.emulators import PtyPort
 from telepulse.emulators.cia402 import ALL_MODES, EmulatedCia402Node
 from telepulse.emulators.motor import TICK_NS, EmulatedMotor
-from telepulse.emulators.slcan import SlcanBus
 from telepulse.emulators.tmcl import EmulatedCanLine, EmulatedSerialLine, EmulatedTmclModule
+from tests.support.fault_injection import FaultyMotor
+from tests.support.slcan import SlcanBus
 from tests.support.virtual_lines import cia402_line, tmcl_line
 from tests.support.virtual_time import VirtualTime
 
@@ -33,7 +34,7 @@ FORCE_LIMIT_N = 2.5
 # For a machine so busy that threads wait: far longer than a bench's usual 50 ms.
 PATIENT = {"watchdog": "800 ms", "homing_speed": "20 mm/s", "touch": "0.6 mm"}
 LONGEST_WAIT_S = 20.0
-VIRTUAL = ("pulse_drives", "telepulse.emulators")
+VIRTUAL = ("pulse_drives", "telepulse.emulators", "tests.support.fault_injection")
 
 
 def stepper(**keys: Any) -> StepperScene:
@@ -108,7 +109,7 @@ def drive_scene(kind: str, place: str, **keys: Any) -> TmclScene | Cia402Scene:
 def emulated_motor(
     scene: TmclScene | Cia402Scene, actuator: StepperScene, now_ns: int
 ) -> EmulatedMotor:
-    return EmulatedMotor(actuator, actuator.contact(LAYER), scene.touch_m, now_ns)
+    return FaultyMotor(actuator, actuator.contact(LAYER), scene.touch_m, now_ns)
 
 
 @contextmanager

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from display_node.scene import DisplayScene
 from display_node.telemetry.alerts import STIFFNESS, alerts
 from protocol.errors import TelepulseError
-from telepulse.emulators.fault_injection import FaultKind, parse_fault
 from telepulse.emulators.motor import MotorState
+from tests.support.fault_injection import FaultKind, parse_fault
 from tests.support.sender import MS, display_scene
 from tests.support.streams import synthetic
 from tests.support.threaded_bench import ThreadedBench

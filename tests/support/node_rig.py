@@ -16,10 +16,10 @@ from protocol.config.scene_file import find_scene
 from protocol.errors import ProcessError
 from protocol.run_summary import Summary
 from protocol.wire.messages import decode_frame
-from telepulse.netem import EmulatedLink
 from telepulse.processes import NodeProcess, free_addresses
 from tests.support.altered_node import STEP
 from tests.support.felt_force import POLL_MS, FeltForce, recording
+from tests.support.netem import EmulatedLink
 from tests.support.waiting import until
 
 PORT = 5555

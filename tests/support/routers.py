@@ -11,8 +11,8 @@ from pathlib import Path
 
 import pytest
 
-from telepulse.netem import unavailable
-from telepulse.netem.namespace import Namespace
+from tests.support.netem import unavailable
+from tests.support.netem.namespace import Namespace
 
 # Documentation networks (RFC 5737), which are nobody's.
 THIRD_ADDRESS, OTHER_THIRD_ADDRESS = "203.0.113.1", "198.51.100.1"

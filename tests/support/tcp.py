@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from telepulse.netem import EmulatedLink, unavailable
-from telepulse.netem.namespace import Namespace
+from tests.support.netem import EmulatedLink, unavailable
+from tests.support.netem.namespace import Namespace
 
 PORT = 5000
 PATIENCE_S = 20.0

@@ -21,7 +21,8 @@ from pulse_drives.scene import Cia402Scene, DriveScene, TmclScene
 from pulse_sensors.sensor import Sensor
 from pulse_sensors.serial_port import SerialScene
 from telepulse.emulators.drive_run import EmulatedFilm
-from telepulse.emulators.motor import EmulatedMotor, MotorState
+from telepulse.emulators.motor import MotorState
+from tests.support.fault_injection import FaultyMotor
 from tests.support.sender import MS, Sender
 from tests.support.virtual_lines import PORT_BYTES, Pipe, cia402_line, tmcl_line
 from tests.support.virtual_time import VirtualThread, VirtualTime
@@ -32,6 +33,7 @@ VIRTUAL = (
     "display_node.hardware",
     "pulse_sensors.sensor",
     "telepulse.emulators",
+    "tests.support.fault_injection",
 )
 BATCH = 5
 NETWORK_NS = 2 * MS
@@ -98,7 +100,7 @@ class ThreadedBench:
         stiffness = self.finger * actuator.fingertip_n_per_m
         finger = actuator.model_copy(update={"fingertip_n_per_m": stiffness})
         law = self.law or finger.contact(self.scene.layer.layer())
-        self.motor = EmulatedMotor(actuator, law, self.drive_scene.touch_m, world.now_ns)
+        self.motor = FaultyMotor(actuator, law, self.drive_scene.touch_m, world.now_ns)
         self.moments: list[MotorState] = []
         self.motor.trace = self.watch or self.moments.append
         self.film = FilmPort(world)

@@ -14,6 +14,7 @@ from pulse_drives.scene import Cia402Scene, TmclScene
 from telepulse.emulators.cia402 import ALL_MODES, EmulatedCia402Node
 from telepulse.emulators.motor import TICK_NS, EmulatedMotor
 from telepulse.emulators.tmcl import DatagramSplitter, EmulatedTmclModule, checksum
+from tests.support.fault_injection import FaultyCia402Node, FaultyTmclModule
 from tests.support.virtual_time import VirtualEvent, VirtualTime
 
 # A line to a module on USB, each way.
@@ -84,7 +85,7 @@ class ModulePort:
 
     def poll(self) -> None:
         """Send the replies that are due."""
-        for reply in self._module.injector.due_answers(self._world.now_ns):
+        for reply in self._module.due_answers(self._world.now_ns):
             self._world.at(self._world.now_ns + LINE_NS, partial(self.replies.write, reply))
 
     def _receive(self, data: bytes) -> None:
@@ -201,7 +202,7 @@ def tmcl_line(
     world: VirtualTime, scene: TmclScene, motor: EmulatedMotor
 ) -> Iterator[tuple[EmulatedTmclModule, ModulePort, ModuleBus]]:
     """A module on a serial port or a bus, which each driver opens in place of a real one."""
-    module = EmulatedTmclModule(scene, motor)
+    module = FaultyTmclModule(scene, motor)
     port = ModulePort(world, module)
     bus = ModuleBus(port)
     world.every(TICK_NS, port.poll)
@@ -223,7 +224,7 @@ def cia402_line(
     with (
         patch("can.Notifier", notifier),
         patch("can.Bus", lambda **_: ours),
-        closing(EmulatedCia402Node(scene, motor, drives, modes)) as node,
+        closing(FaultyCia402Node(scene, motor, drives, modes)) as node,
     ):
         world.every(TICK_NS, node.poll)
         yield node, ours

@@ -5,7 +5,7 @@
 
 import pytest
 
-from telepulse.emulators.fault_injection import FaultKind
+from tests.support.fault_injection import FaultKind
 from tests.support.fault_runs import FaultCase, hostile_stream, paper_pulse, run_fault
 
 PULSE = paper_pulse()

@@ -1,21 +1,18 @@
 """Each benchmark runs every part of itself with little effort."""
 
-import subprocess
-import sys
-
 import pytest
 
-from tests.support.nodes import ROOT
+from tests.support.nodes import run_python
 
-NAMES = ("announce", "cost", "integrators", "link", "peers", "playout", "prediction")
+NAMES = (
+    *("announce", "cost", "depth", "integrators", "link", "peers", "playout", "prediction"),
+    "press",
+)
 
 
 @pytest.mark.timeout(300)
 @pytest.mark.parametrize("name", NAMES)
 def test_a_quick_run_prints_its_tables(name: str) -> None:
-    command = [sys.executable, "-m", "benchmarks", name, "--quick"]
-    ran = subprocess.run(
-        command, cwd=ROOT, capture_output=True, text=True, timeout=300, check=False
-    )
+    ran = run_python("-m", "benchmarks", name, "--quick", timeout=300)
     assert ran.returncode == 0, ran.stderr
     assert "─" in ran.stdout

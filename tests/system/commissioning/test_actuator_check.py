@@ -38,7 +38,7 @@ def test_the_papers_actuator_is_found_exactly() -> None:
     assert verdicts(found) == {}
 
 
-@pytest.mark.parametrize("latency_ms", [0.0, 4.2, 13.5])
+@pytest.mark.parametrize("latency_ms", [0.0, 4.2])
 def test_the_latency_is_found_within_a_fifth_of_a_tick(latency_ms: float) -> None:
     found = checked(bench(latency_ns=round(latency_ms * 1e6))[0], bench()[0])
     assert number(found, "latency") == pytest.approx(latency_ms, abs=0.2)

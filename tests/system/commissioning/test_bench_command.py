@@ -73,16 +73,6 @@ def test_a_loop_that_would_be_unstable_fails_and_gains_are_proposed(tmp_path: Pa
     assert "gains for it" in out
 
 
-def test_a_noisy_wrist_sensor_is_named(tmp_path: Path) -> None:
-    noisy = ('kind = "synthetic"', 'kind = "synthetic"\nhum = "60 mN"\nnoise = "4 mN"')
-    scene, path = changed(tmp_path, noisy), tmp_path / "bench.json"
-    status, _, _ = bench(scene, "--only", "sensing", "--json", str(path))
-    assert status == 1
-    found = rows(path)
-    assert found[("wrist", "noise")]["verdict"] == "fail"
-    assert found[("wrist", "mains")]["found"] == "99 % of the noise"
-
-
 def test_each_channel_of_force_is_checked_and_no_ecg(tmp_path: Path) -> None:
     path = tmp_path / "bench.json"
     for scene, parts in (

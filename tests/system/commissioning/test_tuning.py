@@ -1,4 +1,3 @@
-import json
 from pathlib import Path
 
 import pytest
@@ -75,13 +74,3 @@ def test_a_loop_that_is_not_stable_is_refused_with_a_way_out(tmp_path: Path) -> 
     assert error.count("\n") == 1
     assert "wild.toml" in error
     assert "not stable" in error
-
-
-def test_json_holds_the_table(tmp_path: Path) -> None:
-    path = tmp_path / "tune.json"
-    status, _, _ = tune("bench", "--json", str(path))
-    assert status == 0
-    (table,) = json.loads(path.read_text(encoding="utf-8"))["chapters"][0]["tables"]
-    rows = {row[""]: row for row in table["rows"]}
-    assert rows["stable"] == {"": "stable", "scene": "yes", "design": "yes"}
-    assert rows["kp"]["scene"] == "390"

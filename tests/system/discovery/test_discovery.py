@@ -16,10 +16,10 @@ from protocol.discovery.announcement import SERVICE, Announcement, to_txt
 from protocol.discovery.browser import Browser
 from protocol.host.child_process import ChildProcess, python_command
 from protocol.wire.messages import VERSION
-from telepulse.netem import Namespace, emulate, unavailable
 from telepulse.simulation.link_scene import parse_link
 from tests.support.keyring import Keyring
 from tests.support.log_lines import messages, strays
+from tests.support.netem import Namespace, emulate, unavailable
 from tests.support.nodes import RADIAL, ROOT, assert_accounted, read_json, start
 from tests.support.tcp import needs_emulator
 from tests.support.waiting import PATIENCE_S, until

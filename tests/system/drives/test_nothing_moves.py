@@ -132,7 +132,6 @@ def cases(bench: RecordedBench, taken: str) -> dict[str, Case]:
     unstable_session = str(
         write_session(folder / "unstable.toml", scene=unstable, kind="rating", trials=1)
     )
-    inline = bench.scene_with("[display]\n", '[display]\nfilm.noise = "1 mN"\n')
     board = f'port = "{folder}/no-board"\nframing = "binary"\nrate = "1 kHz"\nunit = "N"\n'
     no_source = bench.scene_with(SOURCE, f'kind = "serial"\n{board}')
     port = taken.rpartition(":")[2]
@@ -158,7 +157,6 @@ def cases(bench: RecordedBench, taken: str) -> dict[str, Case]:
         ),
         "bench's tables": Case((*checks, "--json", no_file), "cannot be written"),
         "bench's scene": Case((*checks, "--write", no_file), "cannot be written"),
-        "bench's scene's tables": Case(("bench", inline, *checks[2:]), "by hand"),
         "bench with fingers": Case(
             ("bench", scene, "--only", "display"), CLEAR, answers="n\n", status=1
         ),

@@ -8,7 +8,6 @@ from pathlib import Path
 import pytest
 
 from protocol.config.scene_file import find_scene
-from telepulse.netem import PacketFilter, emulate
 from telepulse.simulation.link_scene import parse_link
 from tests.support.felt_force import (
     BACK_WITHIN_S,
@@ -16,6 +15,7 @@ from tests.support.felt_force import (
     assert_back_within_a_second,
     assert_limits_kept,
 )
+from tests.support.netem import PacketFilter, emulate
 from tests.support.node_rig import PORT, node_rig, unaccounted
 from tests.support.tcp import needs_emulator, retransmissions
 from tests.support.waiting import until

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from telepulse.netem import EmulatedLink, EmulatorError, emulate, unavailable
 from telepulse.simulation.link_scene import parse_link
+from tests.support.netem import EmulatedLink, EmulatorError, emulate, unavailable
 from tests.support.nodes import known
 from tests.support.tcp import PORT, connected, needs_emulator, stream
 

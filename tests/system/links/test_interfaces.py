@@ -10,9 +10,9 @@ import pytest
 
 from protocol.security.allow_list import revoke
 from protocol.sockets import Context
-from telepulse.netem.namespace import Namespace
 from tests.support.keyring import Keyring
 from tests.support.live_display import await_state, await_status, subscribe
+from tests.support.netem.namespace import Namespace
 from tests.support.nodes import RADIAL, process
 from tests.support.routers import cable, needs_routers, run_within
 from tests.support.tcp import answers

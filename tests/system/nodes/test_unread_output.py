@@ -23,7 +23,7 @@ from tests.support.unread import KINDS, obeys_sigterm, process_into, unread
 from tests.support.waiting import until
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="/dev/full, /proc")
-ENDS_WITHIN_S = 20.0
+ENDS_WITHIN_S = 60.0
 SENSING, DISPLAY, TELEPULSE = "sensing_node.cli", "display_node.cli", "telepulse"
 
 

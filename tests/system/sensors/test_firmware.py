@@ -2,6 +2,7 @@
 
 import shutil
 import subprocess
+from collections import Counter
 from contextlib import closing
 from pathlib import Path
 
@@ -10,6 +11,7 @@ import pytest
 
 from protocol.config.scene import validate
 from pulse_sensors.binary_frames import FrameDecoder
+from pulse_sensors.samples import SampleBlock
 from pulse_sensors.sensor import open_sensor
 from pulse_sensors.serial_port import SerialScene
 from tests.support.nodes import ROOT
@@ -55,6 +57,7 @@ def test_frames_of_the_sketch_are_decoded(tmp_path: Path) -> None:
 
 ARDUINO = Path("/usr/share/arduino/hardware/arduino/avr")
 SIMAVR = Path("/usr/include/simavr/sim_avr.h")
+TRIES = 3
 CORE = ("main", "HardwareSerial", "HardwareSerial0", "Print", "abi")
 WIRING = ("wiring", "wiring_analog", "wiring_digital", "hooks")
 CHIP = "-mmcu=atmega328p -DF_CPU=16000000L -DARDUINO=10819 -Os -ffunction-sections -fdata-sections"
@@ -72,6 +75,22 @@ def missing() -> str | None:
     return (
         "needs gcc and, of Debian: gcc-avr, avr-libc, arduino-core-avr, libsimavr-dev, libelf-dev"
     )
+
+
+def read_board(command: list[str]) -> tuple[list[SampleBlock], float, Counter[str]]:
+    """Run the emulated board; return its samples, the skew of its clock, and what was refused."""
+    with subprocess.Popen(command, stdout=subprocess.PIPE, encoding="utf-8") as running:
+        assert running.stdout is not None
+        while not (line := running.stdout.readline().strip()).startswith("/dev/"):
+            assert running.poll() is None
+        table = {"kind": "serial", "port": line, "framing": "binary", "rate": "1 kHz"}
+        table |= {"unit": "counts", "zero": 512, "newtons_per_count": 0.001}
+        scene = validate(table, SerialScene, "scene")
+        try:
+            with closing(open_sensor(scene, Path())) as sensor:
+                return received(sensor, SAMPLES), sensor.skew_ppm, sensor.rejected
+        finally:
+            running.kill()
 
 
 @pytest.mark.skipif(missing() is not None, reason=str(missing()))
@@ -93,21 +112,13 @@ def test_the_sketch_on_an_atmega_streams_by_the_chips_own_clock(tmp_path: Path) 
             command, cwd=tmp_path, capture_output=True, encoding="utf-8", check=False
         )
         assert made.returncode == 0, made.stderr
-    with subprocess.Popen(
-        [str(board), str(firmware), str(DRIFT_PPM)], stdout=subprocess.PIPE, encoding="utf-8"
-    ) as running:
-        assert running.stdout is not None
-        while not (line := running.stdout.readline().strip()).startswith("/dev/"):
-            assert running.poll() is None
-        table = {"kind": "serial", "port": line, "framing": "binary", "rate": "1 kHz"}
-        table |= {"unit": "counts", "zero": 512, "newtons_per_count": 0.001}
-        scene = validate(table, SerialScene, "scene")
-        try:
-            with closing(open_sensor(scene, Path())) as sensor:
-                blocks = received(sensor, SAMPLES)
-                skew_ppm, rejected = sensor.skew_ppm, sensor.rejected
-        finally:
-            running.kill()
+    command = [str(board), str(firmware), str(DRIFT_PPM)]
+    # Where the machine keeps the reader from its processor, the port overflows; a board that loses
+    # samples does so each time.
+    for _ in range(TRIES):
+        blocks, skew_ppm, rejected = read_board(command)
+        if not any(block.missing for block in blocks):
+            break
     assert set(rejected) <= {"partial"}
     assert [block.missing for block in blocks] == [0] * len(blocks)
     force_n = np.array(forces(blocks))

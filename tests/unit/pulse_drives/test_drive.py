@@ -9,7 +9,6 @@ from pulse_drives.axis import build_axis
 from pulse_drives.drive import OPENED_M, SEARCH_MARGIN_M, TouchGuard, bound_search
 from pulse_drives.supervisor import Supervisor
 from pulse_drives.withdrawal import WithdrawalOutcome
-from telepulse.emulators.fault_injection import FaultKind, InjectedFault
 from tests.support.drive_benches import (
     FORCE_LIMIT_N,
     LAYER,
@@ -18,6 +17,7 @@ from tests.support.drive_benches import (
     tmcl_scene,
     virtual_bench,
 )
+from tests.support.fault_injection import FaultKind, InjectedFault
 
 KINDS = ("tmcl", "tmcl-can", "cia402")
 RATE_HZ = 400.0

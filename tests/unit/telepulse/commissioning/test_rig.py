@@ -1,5 +1,6 @@
 """The real-time part of a bench check, on an emulated drive and its film in virtual time."""
 
+from collections import Counter
 from collections.abc import Iterator
 
 import numpy as np
@@ -15,6 +16,7 @@ from telepulse.commissioning.rig import (
     HardwareRig,
     check_answers,
     check_line,
+    judge_line_errors,
     listen,
 )
 from telepulse.commissioning.sensor_check import judge_sensor, measure
@@ -155,3 +157,12 @@ def test_the_command_rate_that_the_line_allows_is_judged(scene: TmclScene, verdi
     assert check.verdict == verdict
     assert f"at most {1 / scene.exchange_s:.0f} commands a second" in check.text
     assert bool(check.reason) == (verdict != "ok")
+
+
+def test_errors_of_the_line_are_named_and_superseded_commands_are_none() -> None:
+    counts = Counter({"wrong": 1, "superseded": 40, "garbled": 2, "not closed": 0})
+    checks = judge_line_errors(counts)
+    assert [(check.name, check.text, check.verdict) for check in checks] == [
+        ("line errors", "2 answers with a wrong checksum", "warn"),
+        ("line errors", "1 answer to another request", "warn"),
+    ]

@@ -43,11 +43,6 @@ def test_a_good_sensor_is_ok() -> None:
     assert verdicts(samples()) == {}
 
 
-def test_a_zero_that_is_shown_as_0_has_no_sign() -> None:
-    (zero,) = (c for c in judge_sensor(measure(samples(zero_n=-2e-5)), 1000.0) if c.name == "zero")
-    assert zero.text == "0.0 mN"
-
-
 def test_the_age_is_that_of_the_newest_sample_just_before_a_batch() -> None:
     assert measure(samples(batch=8)).age_s == pytest.approx(8e-3)
     assert measure(samples(batch=1)).age_s == pytest.approx(1e-3)

@@ -3,12 +3,17 @@
 import pytest
 
 from display_node.plant.scene import StepperScene
-from protocol.errors import SceneError
 from protocol.wire.stream import LayerTable
 from pulse_drives.scene import TmclScene
-from telepulse.emulators.fault_injection import FaultInjector, FaultKind, InjectedFault, parse_fault
-from telepulse.emulators.motor import TICK_NS, EmulatedMotor
+from telepulse.emulators.motor import TICK_NS
 from telepulse.emulators.tmcl import EmulatedTmclModule
+from tests.support.fault_injection import (
+    FaultInjector,
+    FaultKind,
+    FaultyMotor,
+    InjectedFault,
+    parse_fault,
+)
 
 MS = TICK_NS
 TOUCH_M = 2e-3
@@ -17,9 +22,9 @@ RATE_HZ = 4_000.0
 RAN_MS = 100
 
 
-def moved(fault: InjectedFault | None, rate_hz: float = RATE_HZ) -> EmulatedMotor:
+def moved(fault: InjectedFault | None, rate_hz: float = RATE_HZ) -> FaultyMotor:
     """Run a motor for 0.1 s, with a fault from the start."""
-    motor = EmulatedMotor(SCENE, SCENE.contact(LayerTable().layer()), TOUCH_M, now_ns=0)
+    motor = FaultyMotor(SCENE, SCENE.contact(LayerTable().layer()), TOUCH_M, now_ns=0)
     if fault is not None:
         motor.injector.begin(fault, 0)
         # A position freezes at its first report.
@@ -133,23 +138,8 @@ def test_a_fault_begins_when_it_is_begun() -> None:
     assert [int.from_bytes(reply[4:8], "big") for reply in replies] == [at]
 
 
-@pytest.mark.parametrize("kind", FaultKind)
-def test_every_kind_is_read_with_its_default_size_and_bounds(kind: FaultKind) -> None:
-    fault = parse_fault(kind, None)
-    assert fault.kind is kind
-    if not kind.size:
-        with pytest.raises(SceneError, match="has no size"):
-            parse_fault(kind, "1")
-        return
-    least, most = (parse_fault(kind, text) for text in kind.size[1:3])
-    assert least.size <= fault.size <= most.size
-    number, *unit = kind.size[2].split()
-    with pytest.raises(SceneError, match=f"{kind.value} takes"):
-        parse_fault(kind, " ".join((f"{float(number) * 1.1:g}", *unit)))
-    with pytest.raises(SceneError, match="--size: "):
-        parse_fault(kind, "3 bananas")
-
-
 def test_a_size_is_in_its_unit() -> None:
     assert parse_fault(FaultKind.DELAYED, "45 ms") == InjectedFault(FaultKind.DELAYED, 0.045)
     assert parse_fault(FaultKind.LOST, "20 %") == InjectedFault(FaultKind.LOST, 0.2)
+    assert parse_fault(FaultKind.FILM_NOISE, None) == InjectedFault(FaultKind.FILM_NOISE, 0.2)
+    assert parse_fault(FaultKind.FILM_ZERO, None) == InjectedFault(FaultKind.FILM_ZERO)

@@ -2,7 +2,7 @@ import struct
 
 import pytest
 
-from telepulse.netem.forwarder import PacketFilter
+from tests.support.netem.forwarder import PacketFilter
 
 SYN, ACK = 0x02, 0x10
 DATA, CONTROL, DISPLAY = 5555, 5556, 40_000

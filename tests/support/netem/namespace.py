@@ -55,7 +55,7 @@ def _set(name: str, request: int, value: bytes) -> None:
 
 
 def _control(descriptor: int, request: int, argument: bytes) -> None:
-    # Windows has no such module; the link proxy, in this package, runs there.
+    # Windows has no such module; the tests that need a link are skipped there.
     import fcntl
 
     fcntl.ioctl(descriptor, request, argument)

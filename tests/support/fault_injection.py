@@ -1,25 +1,36 @@
-"""Faults injected between an emulated drive's motor, its bus and the film. Pure.
+"""Emulated drives with injected faults between their motor, their bus and the film.
 
 The drive does not report such a fault and continues to answer: supervision has to detect it. Not
 modelled: two faults at once, intermittent faults.
 """
 
 import random
+import struct
+import time
 from collections import deque
 from dataclasses import dataclass
 from enum import Enum
 
+import can
+import canopen
+
+from display_node.plant.contact import ContactLaw
+from display_node.plant.scene import StepperScene
 from protocol.config.quantities import parse_quantity, parse_ratio
-from protocol.errors import SceneError
+from telepulse.emulators.cia402 import EmulatedCia402Node
+from telepulse.emulators.motor import TICK_NS, EmulatedMotor
+from telepulse.emulators.tmcl import EmulatedTmclModule
 
 _RATIO = "ratio"
-_GAIN = (_RATIO, "0.3", "3", "2")
+_IDENTIFIER = struct.Struct(">H")
 
 
 class FaultKind(Enum):
-    """A kind of fault; size: dimension, bounds and default of its size, as text.
+    """A kind of fault; size: dimension and default of its size, as text; empty where it has none.
 
-    "-encoder": the reported position is the shaft's instead of the commanded one.
+    A motor turns the wrong way, by a factor, or not back; the position that it reports is wrong, or
+    with "-encoder" that of the shaft; its answers come late, twice, garbled or not at all; the film
+    reads 0 N, a constant, a multiple or noise, or is late.
     """
 
     size: tuple[str, ...]
@@ -32,22 +43,22 @@ class FaultKind(Enum):
 
     REVERSED = "reversed"
     REVERSED_ENCODER = "reversed-encoder"
-    GAIN = ("gain", *_GAIN)
-    GAIN_ENCODER = ("gain-encoder", *_GAIN)
+    GAIN = "gain", _RATIO, "2"
+    GAIN_ENCODER = "gain-encoder", _RATIO, "2"
     NO_RETRACTION = "no-retraction"
     POSITION_FROZEN = "position-frozen"
-    POSITION_JUMP = "position-jump", "length", "-10 mm", "10 mm", "0.5 mm"
-    POSITION_DRIFT = "position-drift", "speed", "-10 mm/s", "10 mm/s", "1 mm/s"
-    POSITION_NOISE = "position-noise", "length", "0 mm", "10 mm", "50 µm"
-    DELAYED = "delayed", "time", "0 ms", "1 s", "30 ms"
-    LOST = "lost", _RATIO, "0", "1", "0.3"
-    DUPLICATED = "duplicated", _RATIO, "0", "1", "1"
-    GARBAGE = "garbage", _RATIO, "0", "1", "0.3"
+    POSITION_JUMP = "position-jump", "length", "0.5 mm"
+    POSITION_DRIFT = "position-drift", "speed", "1 mm/s"
+    POSITION_NOISE = "position-noise", "length", "50 µm"
+    DELAYED = "delayed", "time", "30 ms"
+    LOST = "lost", _RATIO, "0.3"
+    DUPLICATED = "duplicated", _RATIO, "1"
+    GARBAGE = "garbage", _RATIO, "0.3"
     FILM_ZERO = "film-zero"
     FILM_FROZEN = "film-frozen"
-    FILM_SCALED = "film-scaled", _RATIO, "-10", "10", "0.5"
-    FILM_NOISE = "film-noise", "force", "0 N", "10 N", "0.2 N"
-    FILM_LATE = "film-late", "time", "0 ms", "1 s", "60 ms"
+    FILM_SCALED = "film-scaled", _RATIO, "0.5"
+    FILM_NOISE = "film-noise", "force", "0.2 N"
+    FILM_LATE = "film-late", "time", "60 ms"
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,25 +70,14 @@ class InjectedFault:
 
 
 def parse_fault(kind: FaultKind, size: str | None) -> InjectedFault:
-    """Return the fault of a kind and a size such as "30 ms"; None: its default size.
-
-    Raises SceneError where the kind has no size, or for a size that does not fit.
-    """
+    """Return the fault of a kind and a size such as "30 ms"; None: its default size."""
     if not kind.size:
-        if size is not None:
-            raise SceneError(f"--size: {kind.value} has no size")
+        assert size is None, f"{kind.value} has no size"
         return InjectedFault(kind)
-    dimension, *bounds, default = kind.size
-    try:
-        value, least, most = (
-            parse_ratio(text) if dimension == _RATIO else parse_quantity(text, dimension)
-            for text in (size or default, *bounds)
-        )
-    except ValueError as error:
-        raise SceneError(f"--size: {error}") from None
-    if not least <= value <= most:
-        raise SceneError(f"--size: {kind.value} takes {' to '.join(bounds)}, not {size}")
-    return InjectedFault(kind, value)
+    dimension, default = kind.size
+    if dimension == _RATIO:
+        return InjectedFault(kind, parse_ratio(size or default))
+    return InjectedFault(kind, parse_quantity(size or default, dimension))
 
 
 class FaultInjector:
@@ -164,3 +164,85 @@ class FaultInjector:
         while self._answers and self._answers[0][0] <= now_ns:
             due.append(self._answers.popleft()[1])
         return due
+
+
+class FaultyMotor(EmulatedMotor):
+    """A motor with an injector of faults, which also spoils the answers of the drive around it."""
+
+    def __init__(self, scene: StepperScene, law: ContactLaw, touch_m: float, now_ns: int) -> None:
+        self.injector = FaultInjector(scene.step_m)
+        self._late_n: deque[float] = deque()
+        super().__init__(scene, law, touch_m, now_ns)
+
+    @property
+    def position_steps(self) -> int:
+        return self.injector.position_steps(super().position_steps, self._now_ns)
+
+    @property
+    def counter_hz(self) -> float:
+        injector = self.injector
+        return self.rate_hz if injector.counts_shaft else self.rate_hz / injector.motion_ratio
+
+    def run(self, rate_hz: float) -> None:
+        super().run(self.injector.executed_hz(rate_hz))
+
+    def _turn(self, target_hz: float) -> float:
+        ratio, before = self.injector.motion_ratio, self._counted
+        turned = super()._turn(ratio * target_hz)
+        if not self.injector.counts_shaft:
+            self._counted = before + turned / ratio
+        return turned
+
+    def _tick(self) -> None:
+        super()._tick()
+        self._late_n.append(self.injector.film_n(self.forces_n.pop()))
+        while len(self._late_n) > self.injector.film_delay_ns // TICK_NS:
+            self.forces_n.append(self._late_n.popleft())
+
+
+class FaultyTmclModule(EmulatedTmclModule):
+    """A TMCL module whose answers the injector of its motor spoils; a plain motor has none."""
+
+    def receive(self, request: bytes, now_ns: int) -> None:
+        super().receive(request, now_ns)
+        if isinstance(self._motor, FaultyMotor):
+            for due_ns, answer in self._answers:
+                self._motor.injector.queue_answer(answer, due_ns)
+            self._answers.clear()
+
+    def due_answers(self, now_ns: int) -> list[bytes]:
+        if isinstance(self._motor, FaultyMotor):
+            return self._motor.injector.due_answers(now_ns)
+        return super().due_answers(now_ns)
+
+
+class _FaultyNetwork(canopen.Network):
+    """A network whose frames pass a fault injector on their way to the bus."""
+
+    def __init__(self, bus: can.BusABC, injector: FaultInjector) -> None:
+        super().__init__(bus)
+        self._injector = injector
+
+    def send_message(self, can_id: int, data: bytes, remote: bool = False) -> None:
+        frame = _IDENTIFIER.pack(can_id) + bytes(data)
+        self._injector.queue_answer(frame, time.perf_counter_ns(), header=_IDENTIFIER.size)
+        self.send_due()
+
+    def send_due(self) -> None:
+        for frame in self._injector.due_answers(time.perf_counter_ns()):
+            (can_id,) = _IDENTIFIER.unpack_from(frame)
+            super().send_message(can_id, frame[_IDENTIFIER.size :])
+
+
+class FaultyCia402Node(EmulatedCia402Node):
+    """A CiA 402 node whose frames the injector of its motor spoils; a plain motor has none."""
+
+    def network(self, bus: can.BusABC) -> canopen.Network:
+        if isinstance(self.motor, FaultyMotor):
+            return _FaultyNetwork(bus, self.motor.injector)
+        return super().network(bus)
+
+    def poll(self) -> None:
+        super().poll()
+        if isinstance(self._network, _FaultyNetwork):
+            self._network.send_due()

@@ -3,9 +3,9 @@
 They need root and /dev/net/tun. Namespaces and devices end with the process that made them.
 """
 
-from telepulse.netem.emulated_link import EmulatedLink, NodesOutcome, emulate, run_nodes
-from telepulse.netem.forwarder import PacketFilter
-from telepulse.netem.namespace import EmulatorError, Namespace, unavailable
+from tests.support.netem.emulated_link import EmulatedLink, NodesOutcome, emulate, run_nodes
+from tests.support.netem.forwarder import PacketFilter
+from tests.support.netem.namespace import EmulatorError, Namespace, unavailable
 
 __all__ = ["EmulatedLink", "EmulatorError", "Namespace", "NodesOutcome", "PacketFilter"]
 __all__ += ["emulate", "run_nodes", "unavailable"]

@@ -21,9 +21,9 @@ from typing import Literal
 
 from protocol.histogram import Histogram
 from protocol.host.process import freeze_objects
-from telepulse.netem.namespace import MTU_BYTES
 from telepulse.simulation.link_model import Direction
 from telepulse.simulation.link_scene import parse_link
+from tests.support.netem.namespace import MTU_BYTES
 
 TCP = 6
 SYN = 0x02

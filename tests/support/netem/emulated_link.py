@@ -1,6 +1,7 @@
 """Two namespaces and the emulated links between them, and runs of the two real nodes over them."""
 
 import json
+import os
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -13,11 +14,12 @@ from typing import IO
 from protocol.errors import ProcessError
 from protocol.host.child_process import ChildProcess
 from protocol.run_summary import Summary
-from telepulse.netem.forwarder import DROP, ForwarderCounts, PacketFilter
-from telepulse.netem.namespace import EmulatorError, Namespace
 from telepulse.processes import NodeProcess, cpu_time_s
 from telepulse.simulation.link_scene import LinkScene
+from tests.support.netem.forwarder import DROP, ForwarderCounts, PacketFilter
+from tests.support.netem.namespace import EmulatorError, Namespace
 
+ROOT = Path(__file__).resolve().parents[3]
 # Addresses inside the two namespaces, with one network for each link.
 SENSING_ADDRESS, DISPLAY_ADDRESS = "10.77.{}.1", "10.77.{}.2"
 ANSWERS_WITHIN_S = 30.0
@@ -71,9 +73,11 @@ def emulate(*scenes: LinkScene, seed: int = 1) -> Iterator[EmulatedLink]:
     ):
         tuns = (*sensing.tuns, *display.tuns)
         arguments = (str(seed), *map(str, tuns), *(scene.text() for scene in scenes))
-        command = ("forwarder of the emulated link", "-m", "telepulse.netem", *arguments)
+        # Its modules are those of this tree, which is not installed.
+        environment = os.environ | {"PYTHONPATH": str(ROOT)}
+        command = ("forwarder of the emulated link", "-m", "tests.support.netem", *arguments)
         with ChildProcess(
-            *command, stdin=PIPE, stdout=PIPE, stderr=PIPE, pass_fds=tuns
+            *command, stdin=PIPE, stdout=PIPE, stderr=PIPE, pass_fds=tuns, env=environment
         ) as forwarder:
             assert forwarder.stdin is not None
             link = EmulatedLink(sensing, display, _receive(forwarder)["began_ns"], forwarder.stdin)
