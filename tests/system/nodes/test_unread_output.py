@@ -87,7 +87,13 @@ def test_a_node_whose_terminal_closes_ends_as_at_ctrl_c(tmp_path: Path) -> None:
     json = tmp_path / "sum.json"
     command = ("-m", SENSING, str(RADIAL), "--bind", free_address(), "--json", str(json))
     options: dict[str, Any] = dict.fromkeys(("stdin", "stdout", "stderr"), terminal)
-    options["preexec_fn"] = lambda: fcntl.ioctl(0, termios.TIOCSCTTY, 0)
+
+    def own_terminal() -> None:
+        fcntl.ioctl(0, termios.TIOCSCTTY, 0)
+        # Under nohup the tests have it ignored, and so would the node.
+        signal.signal(signal.SIGHUP, signal.SIG_DFL)
+
+    options["preexec_fn"] = own_terminal
     with ChildProcess("sensing node", *command, cwd=ROOT, **options) as node:
         os.close(terminal)
         until(lambda: obeys_sigterm(node))
