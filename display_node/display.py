@@ -11,7 +11,7 @@ from typing import Final
 from display_node.contactor import Contactor
 from display_node.control.safety import Safety
 from display_node.hardware import Hardware
-from display_node.prediction.announcement import BeatAnnouncement
+from display_node.prediction.r_waves import BeatAnnouncement
 from display_node.prediction.trust import Trust
 from display_node.press.local_press import LocalPress
 from display_node.reception.playout import PlayedDelays, PlayoutClock

@@ -12,8 +12,8 @@ from heapq import heappop, heappush
 from typing import Final
 
 from display_node.press.hand import FollowingHand
+from display_node.press.learnt_beats import PulseHeight
 from display_node.press.loop_gain import LoopGain
-from display_node.press.pulse_height import PulseHeight
 from display_node.press.reading import PressReading
 from display_node.press.set_points import SetPointSender
 from display_node.press.tissue_model import PulseCurve, StiffnessFit

@@ -16,8 +16,13 @@ from pydantic import Field, model_validator
 from protocol.config.quantities import Hertz, Metres, MetresPerSecond, Name, Newtons, Ratio
 from protocol.config.scene import Section
 from protocol.wire.stream import ANNOUNCE, PULSE, Channel, first_repeated
-from sensing_node.sources.ecg import AnnounceScene, EcgColumn
-from sensing_node.sources.heart import NOMINAL_BEAT_S, Heartbeat, SyntheticHeart
+from sensing_node.sources.heart import (
+    NOMINAL_BEAT_S,
+    AnnounceScene,
+    EcgColumn,
+    Heartbeat,
+    SyntheticHeart,
+)
 from sensing_node.sources.source import SampleSource, SourceContext, SourceScene
 
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from display_node.prediction.ensemble import Ensemble
 from display_node.prediction.r_waves import RWaveDetector
-from sensing_node.sources.ecg import draw_ecg
+from sensing_node.sources.heart import draw_ecg
 from tests.support.drawn_pulses import (
     FRAME,
     HORIZONS_MS,

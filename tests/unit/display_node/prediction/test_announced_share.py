@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from display_node.prediction.announced_share import AnnouncedShare
+from display_node.prediction.announced import AnnouncedShare
 from display_node.prediction.experts import FURTHEST, HORIZONS
 
 NO_PAUSE = (0.0, 0.0)

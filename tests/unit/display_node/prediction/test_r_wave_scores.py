@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from sensing_node.sources.ecg import draw_ecg
+from sensing_node.sources.heart import draw_ecg
 from tests.support.r_wave_scores import AnnotatedLead, score_lead
 
 Floats = NDArray[np.float64]

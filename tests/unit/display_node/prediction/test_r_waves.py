@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 from display_node.prediction.r_waves import RWaveDetector, RWaveTime
-from sensing_node.sources.ecg import draw_ecg
+from sensing_node.sources.heart import draw_ecg
 
 Floats = NDArray[np.float64]
 RNG = np.random.default_rng(1)

@@ -2,8 +2,7 @@ import math
 
 import pytest
 
-from display_node.press.learnt_beats import BeatLevels
-from display_node.press.pulse_height import PulseHeight
+from display_node.press.learnt_beats import BeatLevels, PulseHeight
 
 MS = 1_000_000
 BEAT_NS = 800 * MS

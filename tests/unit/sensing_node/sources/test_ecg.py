@@ -5,7 +5,7 @@ import pytest
 
 from display_node.prediction.r_waves import RWaveDetector
 from protocol.wire.stream import Channel
-from sensing_node.sources.ecg import AnnounceScene, draw_ecg
+from sensing_node.sources.heart import AnnounceScene, draw_ecg
 from sensing_node.sources.synthetic import PositionScene, SyntheticScene, SyntheticSource
 
 ECG = AnnounceScene(transit="170 ms", transit_jitter="8 ms", noise="0 V")
