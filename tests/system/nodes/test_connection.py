@@ -5,7 +5,6 @@ import time
 import pytest
 import zmq
 
-from display_node.reception import endpoint
 from display_node.reception.addresses import Lookup
 from display_node.reception.connection import Connection
 from display_node.reception.endpoint import Endpoint
@@ -324,38 +323,6 @@ def test_a_silent_data_path_gets_a_second_connection_while_control_goes_on(
     kept = path.first is not first
     assert connection.reconnections == Reconnections(opened=1, kept=kept, control=0)
     deliver(publisher, path)
-
-
-def test_a_connection_that_floods_is_closed_for_a_while(
-    context: Context,
-    asked: list[str],
-    no_answers: None,
-    monkeypatch: pytest.MonkeyPatch,
-    logged: list[str],
-) -> None:
-    monkeypatch.setattr(endpoint, "BURST", 200)
-    publisher, address = bound(context)
-    connection, path = subscribed(context, address)
-    deliver(publisher, path)
-    received, end_s = 0, time.monotonic() + PATIENCE_S
-    while path.first.address is not None:
-        assert time.monotonic() < end_s
-        for _ in range(100):
-            publisher.send(b"a frame")
-        received += len(list(path.messages()))
-        connection.poll(20 * MS)
-    assert 200 <= received < 1_000
-    assert connection.rejected["flood"] > 0
-    # It stays closed for 5 s, and is then connected again.
-    looked_up = len(asked)
-    poll(connection, 30, 5_000)
-    assert path.first.address is None
-    assert len(asked) == looked_up
-    poll(connection, 5_030, 5_060)
-    deliver(publisher, path)
-    connection.control.close(8_000 * MS)
-    assert poll(connection, 5_060, 8_020) == [8_000]
-    assert logged == [f"{address} sends far more than a stream; closed for 5 s"]
 
 
 def test_copies_of_what_the_closed_connection_delivered_are_dropped_from_the_kept_one(

@@ -6,7 +6,6 @@ from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
 
-import msgpack
 import numpy as np
 import pytest
 
@@ -15,7 +14,6 @@ from protocol.wire.messages import (
     ClockReply,
     ClockRequest,
     DisplayReport,
-    Welcome,
     decode_control,
     decode_frame,
     encode_control,
@@ -190,15 +188,6 @@ def test_a_display_that_does_not_confirm_the_end_is_waited_for_until_a_second_si
         assert node.wait(PATIENCE_MS / 1000) == 0
         # A wait to its end takes 3 s.
         assert time.monotonic() - begin_s < 2.5
-
-
-def test_a_display_of_another_version_is_refused_in_one_line(address: str, client: Client) -> None:
-    with process(MODULE, str(RADIAL), "--bind", address) as node:
-        for _ in range(3):
-            client.control.send(msgpack.packb([1, "hello", "old"]))
-            assert isinstance(decode_control(client.control.recv()), Welcome)
-        errors = end(node)
-    assert errors.count("refused: the peer has version 1 of the protocol, this node version 2") == 1
 
 
 def test_a_scene_without_conditioning_does_not_load_scipy() -> None:

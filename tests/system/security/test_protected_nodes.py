@@ -95,29 +95,6 @@ def test_a_revoked_display_is_cut_off_and_reports_it_while_the_other_continues(
     assert samples["played"] > samples["lost"]
 
 
-@pytest.mark.smoke
-def test_a_display_that_is_refused_logs_the_reason_once(
-    keyring: Keyring, tmp_path: Path, address: str
-) -> None:
-    jsons = [tmp_path / "wrong.json", tmp_path / "none.json"]
-    wrong = display(keyring, "finger", address, "--json", str(jsons[0]), peer="stranger")
-    none = (str(RADIAL), "--connect", address, "--no-screen", "--json", str(jsons[1]))
-    with (
-        process(SENSING, *sensing(keyring, address, 60, tmp_path / "sensed.json")),
-        process(DISPLAY, *wrong, "--seconds", "4") as one,
-        process(DISPLAY, *none, "--seconds", "4") as other,
-    ):
-        (told, first), (_, second) = (n.communicate(timeout=2 * PATIENCE_S) for n in (one, other))
-    reason = "breaks off: it is not stranger, whose public key --peer gives"
-    assert first.count(reason) == 1
-    assert second.count("requires a key; give --key and --peer") == 1
-    # The verdict on the run begins with the same reason.
-    assert "This run is not valid: no pulse was felt; " in told
-    assert told.count(reason) == 1
-    assert read_json(jsons[0])["rejected"]["handshake"] >= 2
-    assert read_json(jsons[1])["rejected"]["no_key"] >= 2
-
-
 def test_telemetry_beyond_this_machine_is_for_allowed_readers_and_the_own_screen(
     context: Context, keyring: Keyring, address: str
 ) -> None:
