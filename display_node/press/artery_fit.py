@@ -18,26 +18,58 @@ from display_node.press.artery_law import (
     TYPICAL_PULSE_N,
     ArteryLaw,
 )
-from display_node.press.learnt_beats import NO_WAVE, BeatLevels, BeatMemory
+from display_node.press.learnt_beats import BeatLevels, BeatMemory
 from display_node.press.respiration import WAVE, FittedWave, fit_wave
 from protocol.tissue import COLLAPSE_PER_PA, TubeLaw
 
 Floats = NDArray[np.float64]
-# Deviations of the logarithms from the typical artery: of the gain, and of persons' mean pressure,
-# pulse pressure, collapse and distension; a stiff artery's constants are 0.7 of a normal one's.
-GAIN_DEVIATION: Final = 2.0
-DEVIATIONS: Final = (0.3, 0.35, 0.2, 0.3)
-# The probe's area changes all of them together: forces by its factor, constants by its reciprocal.
+# The probe's area changes forces by its factor, and the tube's constants by its reciprocal.
 AREA_DEVIATION: Final = 0.3
-# Pressures of the three levels between foot and peak, and the film's level over the height at 1 N
-# and its change with the force: typical values and their deviations.
-TYPICAL_LEVELS: Final = (0.1, 0.46, 0.6)
-LEVELS_DEVIATION, FILM_DEVIATION, TILT_DEVIATION = 0.25, 0.3, 0.2
+
+
+class Parameter(NamedTuple):
+    """A parameter of the fit: its typical value, and by how much persons deviate from it.
+
+    by_area: change of a logarithm with that of the probe's area.
+    """
+
+    name: str
+    typical: float
+    deviation: float
+    by_area: float = 0.0
+
+
+_TUBE: Final = TubeLaw.highest_at_mean(MEAN_SHARE)
+_MEAN, _PULSE, _COLLAPSE, _DISTENSION = np.log(
+    [
+        TYPICAL_MEAN_N,
+        TYPICAL_PULSE_N,
+        PA_PER_N * COLLAPSE_PER_PA,
+        PA_PER_N * _TUBE.distension_per_pa,
+    ]
+).tolist()
+PARAMETERS: Final = (
+    # Logarithms of the law's; a stiff artery's constants are 0.7 of a normal one's.
+    Parameter("gain", 0.0, 2.0),
+    Parameter("mean pressure", _MEAN, 0.3, 1.0),
+    Parameter("pulse pressure", _PULSE, 0.35, 1.0),
+    Parameter("collapse", _COLLAPSE, 0.2, -1.0),
+    Parameter("distension", _DISTENSION, 0.3, -1.0),
+    # Pressures of the three levels between foot and peak.
+    Parameter("first quartile", 0.1, 0.25),
+    Parameter("second quartile", 0.46, 0.25),
+    Parameter("third quartile", 0.6, 0.25),
+    # The film's level over the height at 1 N, and its change with the force.
+    Parameter("film", 0.0, 0.3),
+    Parameter("tilt", 0.0, 0.2),
+)
+GAIN, MEAN, PULSE, COLLAPSE, DISTENSION, FIRST, SECOND, THIRD, FILM, TILT = range(len(PARAMETERS))
+LAW, LEVELS = slice(GAIN, FIRST), slice(FIRST, FILM)
 MOST_DEVIATIONS: Final = 4.0
 # Errors of a beat's levels: of its pressures, of its height, and the film's over the best height.
 PRESSURE_ERROR, HEIGHT_ERROR, FILM_ERROR = 0.015, 0.01, 0.002
 # Bound of what respiration adds to a beat's pressure.
-MOST_BREATH: Final = 0.25
+MOST_RESPIRATION: Final = 0.25
 # A beat counts less from this multiple of its expected error on.
 OUTLIER: Final = 2.0
 # Steps of a fit and their first damping.
@@ -51,23 +83,32 @@ MANY_FITS, SELDOM = 40, 15
 MARGIN: Final = 10.0
 # Share of a beat's weight that each later beat takes.
 FORGET: Final = 0.0003
-LAW: Final = slice(0, 5)
-GAIN, MEAN, PULSE, COLLAPSE, DISTENSION, LEVELS, FILM, TILT = 0, 1, 2, 3, 4, 5, 8, 9
 
 
 class _Model(NamedTuple):
     """Levels of beats by the law, and their derivatives.
 
     levels_n: one row a beat. heights_n: of each beat's hold-down, without respiration. by_law:
-    derivatives by the parameters, last axis. by_breath, by_force: by the respiratory pressure and
-    by the hold-down.
+    derivatives by the parameters, last axis. by_respiration, by_force: by the respiratory pressure
+    and by the hold-down.
     """
 
     levels_n: Floats
     heights_n: Floats
     by_law: Floats
-    by_breath: Floats
+    by_respiration: Floats
     by_force: Floats
+
+
+class Wave(NamedTuple):
+    """Respiratory pressure that is expected of each beat.
+
+    expected: at its peak. drift: from the peak to the foot. deviation: of what is expected.
+    """
+
+    expected: Floats
+    drift: Floats
+    deviation: Floats
 
 
 class _Descent(NamedTuple):
@@ -75,7 +116,7 @@ class _Descent(NamedTuple):
 
     cost: float
     values: Floats
-    breath: Floats
+    respiration: Floats
     model: _Model
 
 
@@ -87,15 +128,11 @@ class ArteryFit:
     """
 
     def __init__(self) -> None:
-        tube = TubeLaw.highest_at_mean(MEAN_SHARE)
-        constants = PA_PER_N * COLLAPSE_PER_PA, PA_PER_N * tube.distension_per_pa
-        logs = np.log(np.array([1.0, TYPICAL_MEAN_N, TYPICAL_PULSE_N, *constants]))
-        self._typical: Floats = np.concatenate([logs, np.array([*TYPICAL_LEVELS, 0.0, 0.0])])
-        levels = LEVELS_DEVIATION, LEVELS_DEVIATION, LEVELS_DEVIATION
-        deviations = GAIN_DEVIATION, *DEVIATIONS, *levels, FILM_DEVIATION, TILT_DEVIATION
-        area = AREA_DEVIATION * np.array([0.0, 1.0, 1.0, -1.0, -1.0, *np.zeros(5)])
-        prior = np.diag(np.square(np.array(deviations))) + np.outer(area, area)
-        self._weights: Floats = np.linalg.inv(prior).astype(np.float64)
+        self._typical: Floats = np.array([each.typical for each in PARAMETERS])
+        area = AREA_DEVIATION * np.array([each.by_area for each in PARAMETERS])
+        deviations = np.array([each.deviation for each in PARAMETERS])
+        prior = np.diag(np.square(deviations)) + np.outer(area, area)
+        self._certain: Floats = np.linalg.inv(prior).astype(np.float64)
         self._bounds: Floats = MOST_DEVIATIONS * np.sqrt(np.diag(prior)).astype(np.float64)
         self._values: Floats = self._typical.copy()
         self._rival: Floats = self._typical.copy()
@@ -129,19 +166,20 @@ class ArteryFit:
         if self._fits % RIVAL_BEATS == 0:
             self._rival = self._typical.copy()
             self._rival[MEAN] += STARTS[self._fits // RIVAL_BEATS % len(STARTS)]
-        found = self._descend(self._values, beats.breath, beats.wave)
+        expected = Wave(beats["expected"], beats["drift"], beats["deviation"])
+        found = self._descend(self._values, beats["respiration"], expected)
         if self._fits < MANY_FITS or self._fits % SELDOM < RIVAL_BEATS:
-            no_wave = np.tile(NO_WAVE, (len(beats.rows), 1))
-            rival = self._descend(self._rival, no_wave[:, 0], no_wave)
+            none = np.zeros(len(beats.rows))
+            rival = self._descend(self._rival, none, Wave(none, none, none + WAVE))
             self._rival = rival.values
             if rival.cost < found.cost - MARGIN:
                 found = rival
-                beats.wave[:] = no_wave
+                beats.expect_none()
         self._fits += 1
-        self._values, beats.breath[:] = found.values, found.breath
+        self._values, beats["respiration"][:] = found.values, found.respiration
         self.residues = self._residues(found.model)
         self.law = _law(self._values)
-        self.respiration = fit_wave(beats.times_s, beats.breath, beat.at_s)
+        self.respiration = fit_wave(beats["at_s"], beats["respiration"], beat.at_s)
 
     def restart(self) -> None:
         """Begin with times that are unrelated to those before; what was learnt is kept."""
@@ -150,73 +188,89 @@ class ArteryFit:
 
     def _residues(self, model: _Model) -> Floats:
         """Return what each beat deviates from the law: ln(height), and the film's level."""
-        levels_n = self.beats.levels_n
+        levels_n = self.beats["levels_n"]
         seen, expected = (each[:, -1] - each[:, 0] for each in (levels_n, model.levels_n))
         logs = np.log(np.maximum(seen, 1e-12) / np.maximum(expected, 1e-12))
         feet = (levels_n - model.levels_n)[:, :2].mean(axis=1) / model.heights_n
         residues: Floats = np.clip(np.stack([logs, feet]), -1.0, 1.0)
         return residues
 
-    def _descend(self, values: Floats, breath: Floats, wave: Floats) -> _Descent:
-        """Return the law after steps of Levenberg and Marquardt.
-
-        The respiratory pressure of each beat is eliminated (Schur complement).
-        """
-        beats, low, high = self.beats, self._typical - self._bounds, self._typical + self._bounds
-        expected, drift, certain = wave[:, 0], wave[:, 1], 1 / wave[:, 2] ** 2
-
-        def cost_of(errors: Floats, precise: Floats, values: Floats, breath: Floats) -> float:
-            away = values - self._typical
-            cost = (errors**2 * precise).sum() + certain @ (breath - expected) ** 2
-            return float(cost + away @ self._weights @ away)
-
-        model, damping = self._model(values, breath, drift), DAMPING
+    def _descend(self, values: Floats, respiration: Floats, wave: Wave) -> _Descent:
+        """Return the law after steps of Levenberg and Marquardt from `values`."""
+        model, damping = self._model(values, respiration, wave.drift), DAMPING
         for _ in range(STEPS):
-            errors = beats.levels_n - model.levels_n
-            precise = self._weigh(errors, self._variances(model))
-            toward = precise * model.by_breath
-            own = (toward * model.by_breath).sum(axis=1) + certain
-            shared = np.matmul(toward[:, None, :], model.by_law)[:, 0]
-            flat = model.by_law.reshape(-1, len(values))
-            scaled = flat * precise.reshape(-1, 1)
-            normal = scaled.T @ flat + self._weights - (shared / own[:, None]).T @ shared
-            pull_own = (toward * errors).sum(axis=1) + certain * (expected - breath)
-            pull = errors.ravel() @ scaled + self._weights @ (self._typical - values)
-            pull -= shared.T @ (pull_own / own)
-            change = np.linalg.solve(normal + damping * np.diag(np.diag(normal)), pull)
-            trial = np.clip(values + change, low, high)
-            own_change = (pull_own - shared @ (trial - values)) / own
-            trial_breath = np.clip(breath + own_change, -MOST_BREATH, MOST_BREATH)
-            found = self._model(trial, trial_breath, drift)
-            trial_cost = cost_of(beats.levels_n - found.levels_n, precise, trial, trial_breath)
-            if trial_cost < cost_of(errors, precise, values, breath):
-                values, breath, model, damping = trial, trial_breath, found, damping / 10
+            errors = self.beats["levels_n"] - model.levels_n
+            weights = self._weigh(errors, self._variances(model))
+            trial = self._step(values, respiration, wave, model, weights, damping)
+            found = self._model(*trial, wave.drift)
+            trial_errors = self.beats["levels_n"] - found.levels_n
+            before = self._cost(errors, weights, values, respiration, wave)
+            if self._cost(trial_errors, weights, *trial, wave) < before:
+                (values, respiration), model, damping = trial, found, damping / 10
             else:
                 damping *= 10
         # The likelihood compares laws with other variances; for it, no wave is assumed.
-        errors, variances = beats.levels_n - model.levels_n, self._variances(model)
-        precise, away = self._weigh(errors, variances), values - self._typical
-        cost = (errors**2 * precise).sum() + np.log(variances).sum() + away @ self._weights @ away
-        cost += breath @ breath / WAVE**2
-        return _Descent(float(cost), values, breath, model)
+        errors, variances = self.beats["levels_n"] - model.levels_n, self._variances(model)
+        weights, away = self._weigh(errors, variances), values - self._typical
+        cost = (errors**2 * weights).sum() + np.log(variances).sum() + away @ self._certain @ away
+        cost += respiration @ respiration / WAVE**2
+        return _Descent(float(cost), values, respiration, model)
+
+    def _step(
+        self,
+        values: Floats,
+        respiration: Floats,
+        wave: Wave,
+        model: _Model,
+        weights: Floats,
+        damping: float,
+    ) -> tuple[Floats, Floats]:
+        """Return the parameters and each beat's respiratory pressure after a damped step.
+
+        The respiratory pressures are eliminated from the normal equations (Schur complement).
+        """
+        errors, certain = self.beats["levels_n"] - model.levels_n, 1 / wave.deviation**2
+        toward = weights * model.by_respiration
+        own = (toward * model.by_respiration).sum(axis=1) + certain
+        shared = np.matmul(toward[:, None, :], model.by_law)[:, 0]
+        flat = model.by_law.reshape(-1, len(values))
+        scaled = flat * weights.reshape(-1, 1)
+        normal = scaled.T @ flat + self._certain - (shared / own[:, None]).T @ shared
+        pull_own = (toward * errors).sum(axis=1) + certain * (wave.expected - respiration)
+        pull = errors.ravel() @ scaled + self._certain @ (self._typical - values)
+        pull -= shared.T @ (pull_own / own)
+        change = np.linalg.solve(normal + damping * np.diag(np.diag(normal)), pull)
+        bounds = self._typical - self._bounds, self._typical + self._bounds
+        trial: Floats = np.clip(values + change, *bounds)
+        own_change = (pull_own - shared @ (trial - values)) / own
+        return trial, np.clip(respiration + own_change, -MOST_RESPIRATION, MOST_RESPIRATION)
+
+    def _cost(
+        self, errors: Floats, weights: Floats, values: Floats, respiration: Floats, wave: Wave
+    ) -> float:
+        """Return the weighted squares of errors, and of deviations from what is expected."""
+        cost = (errors**2 * weights).sum()
+        cost += 1 / wave.deviation**2 @ (respiration - wave.expected) ** 2
+        away = values - self._typical
+        return float(cost + away @ self._certain @ away)
 
     def _weigh(self, errors: Floats, variances: Floats) -> Floats:
         """Return the weights of the levels: older beats and outliers count less."""
         rms = np.sqrt((errors**2 / variances).mean(axis=1))
-        kept = np.exp(-FORGET * self.beats.rows[:, 4])
+        kept = np.exp(-FORGET * self.beats["age_beats"])
         kept *= np.minimum(1.0, OUTLIER / np.maximum(rms, 1e-9))
         weights: Floats = kept[:, None] / variances
         return weights
 
-    def _model(self, values: Floats, breath: Floats, drift: Floats) -> _Model:
+    def _model(self, values: Floats, respiration: Floats, drift: Floats) -> _Model:
         """Return the beats' levels as the film shows them."""
-        beats = self.beats
-        pressures = np.empty((len(breath), 5))
-        pressures[:, 0] = breath + drift
-        pressures[:, 1:4] = breath[:, None] + values[LEVELS:FILM]
-        pressures[:, 4] = breath + 1.0
-        model = _levels(values, pressures, beats.forces_n)
-        heights_n, tilt = model.heights_n[:, None], beats.forces_n[:, None] - 1.0
+        forces_n = self.beats["hold_down_n"]
+        pressures = np.empty((len(respiration), 5))
+        pressures[:, 0] = respiration + drift
+        pressures[:, 1:4] = respiration[:, None] + values[LEVELS]
+        pressures[:, 4] = respiration + 1.0
+        model = _levels(values, pressures, forces_n)
+        heights_n, tilt = model.heights_n[:, None], forces_n[:, None] - 1.0
         model.levels_n[:] += (values[FILM] + values[TILT] * tilt) * heights_n
         model.by_law[..., FILM] = heights_n
         model.by_law[..., TILT] = heights_n * tilt
@@ -224,14 +278,14 @@ class ArteryFit:
 
     def _variances(self, model: _Model) -> Floats:
         """Return the variance of each level."""
-        beats = self.beats
+        levels_n, moved_n = self.beats["levels_n"], self.beats["moved_n"]
         film_n = FILM_ERROR * float(model.heights_n.max())
-        height_n = HEIGHT_ERROR * np.maximum(beats.levels_n[:, -1] - beats.levels_n[:, 0], 0.0)
+        height_n = HEIGHT_ERROR * np.maximum(levels_n[:, -1] - levels_n[:, 0], 0.0)
         variances: Floats = (
             film_n**2
             + height_n[:, None] ** 2
-            + (PRESSURE_ERROR * model.by_breath) ** 2
-            + (beats.rows[:, 3:4] * model.by_force) ** 2
+            + (PRESSURE_ERROR * model.by_respiration) ** 2
+            + (moved_n[:, None] * model.by_force) ** 2
         )
         return variances
 
@@ -248,16 +302,16 @@ def _levels(values: Floats, pressures: Floats, forces_n: Floats) -> _Model:
     by_collapse = gain * (closing * (below_n - 1.0 / a))
     by_distension = gain * (above_n * opening - (1.0 - opening) / b)
     levels_n, heights_n = volume[:, :-2] - volume[:, -1:], volume[:, -2] - volume[:, -1]
-    softer, by_breath = compliance[:, :-2] - compliance[:, -1:], pulse_n * compliance[:, :-2]
+    softer, by_respiration = compliance[:, :-2] - compliance[:, -1:], pulse_n * compliance[:, :-2]
     by_law = np.zeros((*levels_n.shape, len(values)))
     by_law[..., GAIN] = levels_n
     by_law[..., MEAN] = mean_n * softer
-    by_law[..., PULSE] = pressures * by_breath - MEAN_SHARE * pulse_n * softer
+    by_law[..., PULSE] = pressures * by_respiration - MEAN_SHARE * pulse_n * softer
     by_law[..., COLLAPSE] = by_collapse[:, :-2] - by_collapse[:, -1:]
     by_law[..., DISTENSION] = by_distension[:, :-2] - by_distension[:, -1:]
-    for number in (1, 2, 3):
-        by_law[:, number, LEVELS + number - 1] = by_breath[:, number]
-    return _Model(levels_n, np.maximum(heights_n, 1e-12), by_law, by_breath, -softer)
+    for number, level in enumerate((FIRST, SECOND, THIRD), 1):
+        by_law[:, number, level] = by_respiration[:, number]
+    return _Model(levels_n, np.maximum(heights_n, 1e-12), by_law, by_respiration, -softer)
 
 
 def _law(values: Floats) -> ArteryLaw:

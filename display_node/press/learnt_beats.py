@@ -41,74 +41,73 @@ class BeatLevels(NamedTuple):
         return self.levels_n[-1] - self.levels_n[0]
 
 
+# Columns of the beats that are kept: those of `BeatLevels`, the age in beats, and the fitted
+# respiratory pressure over the pulse pressure. By the wave: what that should be, its drift from the
+# peak to the foot, and its deviation.
+BEAT: Final = np.dtype(
+    [
+        ("at_s", float),
+        ("rise_s", float),
+        ("hold_down_n", float),
+        ("moved_n", float),
+        ("levels_n", float, 5),
+        ("age_beats", float),
+        ("respiration", float),
+        ("expected", float),
+        ("drift", float),
+        ("deviation", float),
+    ]
+)
+
+
 class BeatMemory:
     """The newest beats of each hold-down, and the respiratory pressure of each.
 
     Attributes
     ----------
     rows
-        One row a beat: time, rise, hold-down, motion, age in beats, its five levels, and its
-        respiratory pressure; of that, the expectation, its drift to the foot, and its deviation.
+        One row a beat, oldest first, of type `BEAT`. `respiration` and its expectation by the wave
+        may be written.
     """
 
     def __init__(self) -> None:
-        self.rows: Floats = np.zeros((0, 14))
+        self.rows: NDArray[np.void] = np.zeros(0, BEAT)
 
-    @property
-    def times_s(self) -> Floats:
-        """Time of each beat's peak."""
-        times_s: Floats = self.rows[:, 0]
-        return times_s
-
-    @property
-    def forces_n(self) -> Floats:
-        """Hold-down of each beat."""
-        forces_n: Floats = self.rows[:, 2]
-        return forces_n
-
-    @property
-    def levels_n(self) -> Floats:
-        """Levels of each beat."""
-        levels_n: Floats = self.rows[:, 5:10]
-        return levels_n
-
-    @property
-    def breath(self) -> Floats:
-        """Fitted respiratory pressure of each beat over the pulse pressure; it may be written."""
-        breath: Floats = self.rows[:, 10]
-        return breath
-
-    @property
-    def wave(self) -> Floats:
-        """Expectation of it by the wave, drift to the foot, and deviation; it may be written."""
-        wave: Floats = self.rows[:, 11:]
-        return wave
+    def __getitem__(self, column: str) -> Floats:
+        """Return a column of `BEAT`, one value or row of values a beat."""
+        values: Floats = self.rows[column]
+        return values
 
     def add(self, beat: BeatLevels) -> None:
         """Add a beat; the oldest one of a hold-down is forgotten where there are many."""
-        bins = np.rint(self.forces_n / BIN_N)
+        bins = np.rint(self["hold_down_n"] / BIN_N)
         same = np.flatnonzero(bins == round(beat.hold_down_n / BIN_N))
         if len(same) >= OF_A_BIN:
             self.rows = np.delete(self.rows, same[0], 0)
         elif len(bins) >= MOST_BEATS:
             _, of_bin, counts = np.unique(bins, return_inverse=True, return_counts=True)
             self.rows = np.delete(self.rows, np.argmax(of_bin == counts.argmax()), 0)
-        self.rows[:, 4] += 1.0
-        row = (*beat[:4], 0.0, *beat.levels_n, 0.0, *NO_WAVE)
-        self.rows = np.vstack([self.rows, row])
+        self["age_beats"][:] += 1.0
+        row = np.array((*beat, 0.0, 0.0, *NO_WAVE), BEAT)
+        self.rows = np.append(self.rows, row)
 
     def restart(self) -> None:
         """Begin with times that are unrelated to those before."""
-        self.rows[:, 0] = -math.inf
+        self["at_s"][:] = -math.inf
 
     def expect(self, wave: FittedWave) -> None:
         """Expect a wave in the newest beats, and begin with it in the last one."""
-        recent = self.times_s > self.times_s[-1] - FITTED_S
-        times_s, rises_s = self.times_s[recent], self.rows[recent, 1]
-        at = wave.at(times_s)
-        drift = wave.at(times_s - rises_s) - at
-        self.wave[recent] = np.stack([at, drift, np.full(len(at), wave.deviation)], axis=1)
-        self.breath[-1] = at[-1]
+        times_s = self["at_s"]
+        recent = times_s > times_s[-1] - FITTED_S
+        at = wave.at(times_s[recent])
+        self["expected"][recent] = at
+        self["drift"][recent] = wave.at(times_s[recent] - self["rise_s"][recent]) - at
+        self["deviation"][recent] = wave.deviation
+        self["respiration"][-1] = at[-1]
+
+    def expect_none(self) -> None:
+        """Expect of no beat any respiration."""
+        self["expected"][:], self["drift"][:], self["deviation"][:] = NO_WAVE
 
 
 # Levels are taken of a beat in which the hold-down stays within this share and force.

@@ -114,7 +114,7 @@ class PulseCurve:
             self._fit.scale(math.log(height_n / self.height(force_n)))
         self._fit.observe(beat)
         self.beats += 1
-        forces = self._fit.beats.forces_n
+        forces = self._fit.beats["hold_down_n"]
         near = np.exp(-0.5 * ((self._grid[:, None] - forces) / BEND_OVER_N) ** 2)
         near /= near.sum(axis=1, keepdims=True) + DOUBTED_BEATS
         logs, levels = self._fit.residues
