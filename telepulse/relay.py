@@ -12,9 +12,14 @@ from contextlib import suppress
 import zmq
 
 from display_node.reception.addresses import Lookup
-from display_node.reception.connection import CUT_NS
-from display_node.reception.endpoint import ANSWER_NS, PATIENCE_NS
-from display_node.reception.failover import PATIENCE_FRAMES, DataPath
+from display_node.reception.failover import DataPath
+from display_node.reception.timeouts import (
+    ANSWER_NS,
+    CUT_NS,
+    PATIENCE_FRAMES,
+    PATIENCE_NS,
+    Timeouts,
+)
 from protocol import sockets
 from protocol.config.quantities import count_text
 from protocol.errors import WireError
@@ -175,7 +180,7 @@ class FrameForwarder:
 
     def _set_timeout(self, frame_ns: int) -> None:
         longest_ns = MAX_SILENT_NS // PATIENCE_FRAMES
-        self._path.failover.set_timeouts(min(frame_ns, longest_ns), ANSWER_NS)
+        self._path.failover.set_timeouts(Timeouts(min(frame_ns, longest_ns)))
 
 
 class UnansweredDetector:

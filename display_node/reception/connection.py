@@ -7,19 +7,10 @@ from collections.abc import Iterator, Sequence
 import zmq
 
 from display_node.reception.addresses import Lookup
-from display_node.reception.endpoint import (
-    ANSWER_NS,
-    ANSWER_ROUND_TRIPS,
-    FLOODED_NS,
-    Endpoint,
-)
-from display_node.reception.failover import (
-    FOLLOWS_WITHIN_NS,
-    PATIENCE_FRAMES,
-    REPEATED_NS,
-    DataPath,
-)
+from display_node.reception.endpoint import FLOODED_NS, Endpoint
+from display_node.reception.failover import DataPath
 from display_node.reception.reachability import Reachability
+from display_node.reception.timeouts import Timeouts, answer_timeout_ns
 from display_node.reception.turns import ControlTurns
 from protocol import sockets
 from protocol.security.keys import ClientKeys
@@ -59,9 +50,6 @@ class Route:
             self.lookup.start()
 
 
-# When all endpoints together are silent for this time, data and control are connected anew; over a
-# long round trip, for the time after which each path is silent (`Failover.silence_ns`).
-CUT_NS = 500_000_000
 # After a pause of this process of at least this time, the first messages may be queued ones, which
 # do not show that the connection still works.
 STALLED_NS = 250_000_000
@@ -91,13 +79,13 @@ class Connection:
             for number, address in enumerate(addresses)
         ]
         self._turns = itertools.cycle(self.routes)
-        # Duration of a frame, and time allowed for the answer to a connection request.
-        self._times_ns: tuple[int, int] | None = None
+        # Of the stream; None before it is known.
+        self._timeouts: Timeouts | None = None
         self._received_ns: int | None = None
         # Whether the sensing node was ever reached: before that, there is nothing to reconnect.
         self._reached = False
         self._polled_ns: int | None = None
-        self._cut_ns = CUT_NS
+        self._cut_ns = Timeouts().cut_ns
         self._controls = self._clock_requests = 0
         self.control = Endpoint(sockets.unconnected(context, zmq.DEALER, keys))
         self._further = ControlTurns(context, turns, keys)
@@ -136,14 +124,14 @@ class Connection:
 
         round_trip_ns: time of a request to the sensing node and of its reply.
         """
-        times_ns = frame_ns, max(ANSWER_NS, ANSWER_ROUND_TRIPS * round_trip_ns)
-        if times_ns == self._times_ns:
+        before, answer_ns = self._timeouts, answer_timeout_ns(round_trip_ns)
+        if before is not None and (before.frame_ns, before.answer_ns) == (frame_ns, answer_ns):
             return
-        first, self._times_ns = self._times_ns is None, times_ns
-        self.control.answer_ns = times_ns[1]
+        self._timeouts = timeouts = Timeouts(frame_ns, answer_ns)
+        self.control.answer_ns = timeouts.answer_ns
         for path in self._paths:
-            path.set_times(*times_ns)
-            if first:
+            path.set_timeouts(timeouts)
+            if before is None:
                 path.subscribe(now_ns)
 
     def poll(self, now_ns: int) -> bool:
@@ -163,10 +151,10 @@ class Connection:
         for route in self.routes:
             route.poll(now_ns)
             self._watch(route, now_ns)
-        if self._times_ns is not None:
+        if self._timeouts is not None:
             addresses = [route.paths[0].first.address for route in self.routes]
             known = [sockets.control_address(each) for each in addresses if each is not None]
-            self._further.poll(known, self._times_ns[1], now_ns)
+            self._further.poll(known, self._timeouts.answer_ns, now_ns)
         introduce = self._repeat_request(now_ns)
         if cut and control.address is not None:
             return self._connect_control(control.address, now_ns)
@@ -260,16 +248,14 @@ class Connection:
         received = sum(path.take_received(now_ns) for path in self._paths)
         if received + self.control.received(now_ns):
             self._received_ns, self._reached = now_ns, True
-            answer_ns = self.control.answer_ns
-            least_ns, usual_ns = max(FOLLOWS_WITHIN_NS, answer_ns), REPEATED_NS + answer_ns
-            self._cut_ns = least_ns if stalled else max(CUT_NS, usual_ns)
-        elif self._received_ns is not None:
+            timeouts = self._timeouts or Timeouts(0)
+            if timeouts.answer_ns != self.control.answer_ns:
+                timeouts = Timeouts(timeouts.frame_ns, self.control.answer_ns)
+            self._cut_ns = timeouts.follows_ns if stalled else timeouts.cut_ns
+        elif self._received_ns is not None and now_ns - self._received_ns >= self._cut_ns:
             # After its end a stream is silent, which is no cut.
-            frame_ns = 0 if self._times_ns is None else self._times_ns[0]
-            silent_ns = max(self._cut_ns, PATIENCE_FRAMES * frame_ns)
-            if now_ns - self._received_ns >= silent_ns:
-                self._received_ns = None
-                return True
+            self._received_ns = None
+            return True
         return False
 
     def _move_control(self, now_ns: int) -> bool:

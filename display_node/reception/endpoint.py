@@ -2,19 +2,13 @@
 
 from collections.abc import Iterator
 
+from display_node.reception.timeouts import ANSWER_NS, answer_timeout_ns, patience_ns
 from protocol import sockets
 from protocol.security.budgets import TokenBucket
 
-# Silence after which the socket is connected anew: this time, or so many times `answer_ns`. Over a
-# long round trip, the handshakes take some six of them, and so does TCP where a repetition is lost.
-PATIENCE_NS, PATIENCE_ANSWERS = 2_000_000_000, 4
-# An unanswered connection request is repeated after this many round trips, but not before
-# `ANSWER_NS`. The kernel alone would repeat it after 1 s.
-ANSWER_ROUND_TRIPS = 3
-# Wait for the answer to a request to connect. Ten requests are repeated early; then, as the network
-# may have become slower, one is left to the kernel, which repeats it after 1 s.
-ANSWER_NS, UNHURRIED_NS = 100_000_000, 3_000_000_000
-FAST_RETRIES = 10
+# Ten unanswered requests to connect are repeated early. Then one is left for this time to the
+# kernel, which repeats it after 1 s: the network may have become slower.
+FAST_RETRIES, UNHURRIED_NS = 10, 3_000_000_000
 # A hostile peer may send any number of messages. After a stall of the display, some 5 000 queued
 # frames come at once (docs/decisions/0022). At 10 to 20 µs each, the highest sustained rate takes a
 # tenth of a core. Above it, the connection is closed for a while.
@@ -67,7 +61,7 @@ class Endpoint:
         received, self._received = self._received, 0
         if received:
             self._tries = 0
-            self._silent_ns = now_ns + self._patience_ns
+            self._silent_ns = now_ns + patience_ns(self.answer_ns)
         return received
 
     def answer(self, now_ns: int) -> None:
@@ -75,12 +69,8 @@ class Endpoint:
         if self.answered:
             return
         self.answered = True
-        self.answer_ns = max(self.answer_ns, ANSWER_ROUND_TRIPS * (now_ns - self.asked_ns))
-        self._silent_ns = now_ns + self._patience_ns
-
-    @property
-    def _patience_ns(self) -> int:
-        return max(PATIENCE_NS, PATIENCE_ANSWERS * self.answer_ns)
+        self.answer_ns = max(self.answer_ns, answer_timeout_ns(now_ns - self.asked_ns))
+        self._silent_ns = now_ns + patience_ns(self.answer_ns)
 
     def close(self, until_ns: int) -> int:
         """Disconnect, and stay closed until a time; return the number of dropped messages."""
@@ -108,7 +98,7 @@ class Endpoint:
         self.asked_ns, self.answered = now_ns, False
         sockets.reconnect(self.socket, self.address, address, self.answer_ns if fast_retry else 0)
         self.address = address
-        self._silent_ns = now_ns + (self._patience_ns if fast_retry else UNHURRIED_NS)
+        self._silent_ns = now_ns + (patience_ns(self.answer_ns) if fast_retry else UNHURRIED_NS)
 
     def disconnect(self) -> int:
         """Close the connection; return how many queued messages were dropped."""

@@ -13,25 +13,13 @@ from enum import Enum
 import zmq
 
 from display_node.reception.endpoint import Endpoint
+from display_node.reception.timeouts import Timeouts
 from protocol import sockets
 from protocol.security.budgets import TokenBucket
 from protocol.security.keys import ClientKeys
 
-# TCP repeats lost data after 0.2 s and a round trip; the wait doubles each time the repetition is
-# lost. A longer silence than the first wait is treated as a cut: a new connection is faster.
-REPEATED_NS = 200_000_000
-# After a stall of this process, queued messages arrive within the first of these times. The
-# connection is dead if nothing follows them within the second.
+# After a stall of this process, queued messages arrive within this time.
 COMES_IN_WITHIN_NS = 50_000_000
-FOLLOWS_WITHIN_NS = 150_000_000
-PATIENCE_FRAMES = 3
-# A request to connect is repeated after this time without an answer. ZeroMQ would repeat it sooner,
-# but always to the same address.
-UNANSWERED_NS = 2_000_000_000
-# After a host's answer, data follows within some six round trips, unless a packet is lost. The
-# allowed time doubles at each attempt.
-STALLED_NS = 250_000_000
-STALLED_ANSWERS = 2
 # When TCP resumes after a silence, queued data comes as one packet, then two, then four, a round
 # trip apart. If less than the share MOST of it has come within this time, a new
 # connection is faster.
@@ -54,17 +42,18 @@ class Keep(Enum):
 class Failover:
     """Decisions about one data path's two connections.
 
-    silence_ns: time without a frame after which a second connection is opened. racing: whether a
-    second connection is open. opened, kept: number of second connections so far, and of those that
-    replaced the first one.
+    A single time decides, `_due_ns`: at it, the second connection is opened, or opened anew. Each
+    event moves it by one of the `Timeouts`, and the last event's counts.
+
+    timeouts: times of silence. racing: whether a second connection is open. opened, kept: number of
+    second connections so far, and of those that replaced the first one.
     """
 
     def __init__(self) -> None:
-        self.silence_ns, self._follows_ns = 2 * REPEATED_NS, FOLLOWS_WITHIN_NS
-        self._stalled_ns = self._stalls_after_ns = STALLED_NS
-        self._unanswered_ns = UNANSWERED_NS
+        self.timeouts = Timeouts()
+        # Of the present race: grows with each attempt that stalls.
+        self._stalled_ns = self.timeouts.stalled_ns
         self._budget = TokenBucket(OPENED_PER_S, OPENED_AT_ONCE)
-        self._frame_ns = REPEATED_NS
         # After a silence: number of messages still missing, and the time by which they are due.
         self._owed, self._caught_up_ns = 0.0, 0
         self._due_ns = self._suspect_until_ns = self._first_ns = 0
@@ -75,21 +64,16 @@ class Failover:
         self.racing = False
         self.opened = self.kept = 0
 
-    def set_timeouts(self, frame_ns: int, answer_ns: int) -> None:
-        """Expect a frame every `frame_ns`, and a reply to a request within `answer_ns`."""
-        self._frame_ns = frame_ns
-        least_ns = PATIENCE_FRAMES * frame_ns
-        was_ns, self.silence_ns = self.silence_ns, max(REPEATED_NS + answer_ns, least_ns)
+    def set_timeouts(self, timeouts: Timeouts) -> None:
+        """Apply other times of silence, also to the present silence."""
+        was, self.timeouts = self.timeouts, timeouts
         if not self.racing:
-            self._due_ns += self.silence_ns - was_ns
-        self._follows_ns = max(FOLLOWS_WITHIN_NS, least_ns, answer_ns)
-        self._unanswered_ns = max(UNANSWERED_NS, answer_ns)
-        self._stalls_after_ns = max(STALLED_NS, STALLED_ANSWERS * answer_ns) + frame_ns
+            self._due_ns += timeouts.silence_ns - was.silence_ns
 
     def start(self, now_ns: int) -> None:
         """Begin to expect frames, which have been subscribed to."""
         self._known = False
-        self._first_ns, self._due_ns = now_ns, now_ns + self.silence_ns
+        self._first_ns, self._due_ns = now_ns, now_ns + self.timeouts.silence_ns
 
     def first_received(self, now_ns: int, behind: bool, count: int) -> Keep | None:
         """Take `count` messages of the first connection; return which to keep, if that is clear.
@@ -102,20 +86,21 @@ class Failover:
         elif behind:
             return self._keep(Keep.SECOND, now_ns)
         else:
-            if self._back_ns is None or now_ns - self._first_ns >= self.silence_ns:
+            if self._back_ns is None or now_ns - self._first_ns >= self.timeouts.silence_ns:
                 self._back_ns = now_ns
             self._first_ns = now_ns
-            self._due_ns = max(self._due_ns, now_ns + self.silence_ns)
+            self._due_ns = max(self._due_ns, now_ns + self.timeouts.silence_ns)
         return None
 
     def _expect_next(self, now_ns: int, count: int) -> None:
         suspect = now_ns < self._suspect_until_ns
-        self._due_ns = now_ns + (self._follows_ns if suspect else self.silence_ns)
+        timeouts = self.timeouts
+        self._due_ns = now_ns + (timeouts.follows_ns if suspect else timeouts.silence_ns)
         silence_ns, self._first_ns = now_ns - self._first_ns, now_ns
-        owed = MOST * silence_ns / self._frame_ns
+        owed = MOST * silence_ns / timeouts.frame_ns
         # Nothing was owed before the subscription.
         known, self._known = self._known, True
-        if known and silence_ns >= self.silence_ns // 2 and owed >= LEAST_OWED:
+        if known and silence_ns >= timeouts.silence_ns // 2 and owed >= LEAST_OWED:
             self._owed, self._caught_up_ns = owed, now_ns + CAUGHT_UP_NS
         self._owed -= count
         if self._owed > 0:
@@ -132,7 +117,7 @@ class Failover:
             return self._keep(Keep.FIRST, now_ns)
         if self._second_ns is None:
             self._second_ns = now_ns
-        self._due_ns = now_ns + self.silence_ns
+        self._due_ns = now_ns + self.timeouts.silence_ns
         return None
 
     def settle(self, now_ns: int) -> Keep | None:
@@ -145,7 +130,7 @@ class Failover:
             over = min(second_ns, first_ns) >= SETTLED_NS or second_ns >= 2 * SETTLED_NS
         else:
             back = self._back_ns is not None and now_ns - self._back_ns >= SETTLED_NS
-            over = back and first_ns < self.silence_ns
+            over = back and first_ns < self.timeouts.silence_ns
         return self._keep(which, now_ns) if over else None
 
     def mark_suspect(self, now_ns: int) -> None:
@@ -155,7 +140,7 @@ class Failover:
         """
         if not self.racing:
             self._suspect_until_ns = now_ns + COMES_IN_WITHIN_NS
-            self._due_ns = min(self._due_ns, now_ns + self._follows_ns)
+            self._due_ns = min(self._due_ns, now_ns + self.timeouts.follows_ns)
 
     def give_up(self) -> None:
         """Let a second connection be due at once."""
@@ -173,11 +158,11 @@ class Failover:
         if now_ns < self._due_ns or not self._budget.take(now_ns):
             return False
         if not self.racing:
-            self._stalled_ns = self._stalls_after_ns
+            self._stalled_ns = self.timeouts.stalled_ns
         elif self._answered:
-            self._stalled_ns = min(2 * self._stalled_ns, self._unanswered_ns)
+            self._stalled_ns = min(2 * self._stalled_ns, self.timeouts.unanswered_ns)
         self.racing, self._answered, self._second_ns = True, False, None
-        self._due_ns = now_ns + self._unanswered_ns
+        self._due_ns = now_ns + self.timeouts.unanswered_ns
         self.opened += 1
         return True
 
@@ -190,7 +175,7 @@ class Failover:
     def _keep(self, which: Keep, now_ns: int) -> Keep:
         self.kept += which is Keep.SECOND
         self.abandon()
-        self._first_ns, self._due_ns = now_ns, now_ns + self.silence_ns
+        self._first_ns, self._due_ns = now_ns, now_ns + self.timeouts.silence_ns
         return which
 
 
@@ -246,12 +231,12 @@ class DataPath:
         for endpoint in self.endpoints:
             endpoint.socket.unsubscribe(b"")
 
-    def set_times(self, frame_ns: int, answer_ns: int) -> None:
-        """Expect a frame every `frame_ns`, and a reply to a request within `answer_ns`."""
-        self.failover.set_timeouts(frame_ns, answer_ns)
+    def set_timeouts(self, timeouts: Timeouts) -> None:
+        """Apply other times of silence, and the rate of frames that they are for."""
+        self.failover.set_timeouts(timeouts)
         for endpoint in self.endpoints:
-            endpoint.answer_ns = answer_ns
-            endpoint.expect(1e9 / frame_ns)
+            endpoint.answer_ns = timeouts.answer_ns
+            endpoint.expect(1e9 / timeouts.frame_ns)
 
     def take_received(self, now_ns: int) -> int:
         """Return how many frames came since the last call; close an unneeded connection."""

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 import pytest
 
 from display_node.reception.failover import Failover, Keep
+from display_node.reception.timeouts import Timeouts
 
 MS = 1_000_000
 FRAME_MS, ONE_WAY_MS = 5, 20
@@ -118,7 +119,7 @@ class Played:
 def started(frame_ms: int = FRAME_MS) -> Failover:
     """Return a failover that begins at 0 ms, with a frame every `frame_ms`."""
     failover = Failover()
-    failover.set_timeouts(frame_ms * MS, ANSWER_MS * MS)
+    failover.set_timeouts(Timeouts(frame_ms * MS, ANSWER_MS * MS))
     failover.start(0)
     return failover
 
@@ -245,6 +246,16 @@ def assert_due_at(failover: Failover, ms: int) -> None:
     assert failover.due(ms * MS)
 
 
+@pytest.mark.parametrize("frame_ms", [0, 5, 100, 10_000])
+@pytest.mark.parametrize("answer_ms", [100, 150, 2_000])
+def test_a_second_connection_is_opened_before_all_are_made_anew(
+    frame_ms: int, answer_ms: int
+) -> None:
+    timeouts = Timeouts(frame_ms * MS, answer_ms * MS)
+    assert timeouts.follows_ns <= timeouts.silence_ns <= timeouts.cut_ns
+    assert min(timeouts.silence_ns, timeouts.stalled_ns, timeouts.unanswered_ns) >= answer_ms * MS
+
+
 def test_patience_is_longer_for_rare_frames_and_shorter_after_a_stall() -> None:
     assert_due_at(started(frame_ms=10_000), 30_000)
     failover = Failover()
@@ -260,7 +271,7 @@ def test_silence_after_the_end_of_a_stream_is_no_cut() -> None:
     # No frames are owed from the time before the first one.
     failover.first_received(1_000 * MS, behind=False, count=1)
     assert not failover.due(1_319 * MS)
-    failover.set_timeouts(1_000 * MS, ANSWER_MS * MS)
+    failover.set_timeouts(Timeouts(1_000 * MS, ANSWER_MS * MS))
     assert_due_at(failover, 4_000)
 
 
