@@ -18,7 +18,7 @@ from urllib.request import urlopen
 from benchmarks.benchmark import Benchmark
 from benchmarks.timing import median_quantile
 from protocol.config.scene_file import find_scene
-from protocol.loop_tables import Loop
+from protocol.summary.tables import Loop
 from telepulse.processes import NodeProcess, free_addresses
 
 SECONDS = 8.0

@@ -13,7 +13,7 @@ from benchmarks.benchmark import Benchmark
 from benchmarks.timing import median_quantile
 from protocol.config.scene_file import find_scene
 from protocol.histogram import bound
-from protocol.run_summary import Summary
+from protocol.summary.tables import Summary
 from telepulse.scene import load_scene
 from telepulse.simulation.link_scene import parse_link
 from telepulse.simulation.virtual_time import summarise

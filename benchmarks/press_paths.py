@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from benchmarks.benchmark import Benchmark
 from protocol.config.scene_file import find_scene
-from protocol.run_summary import Summary
+from protocol.summary.tables import Summary
 from protocol.wire.messages import decode_frame
 from protocol.wire.telemetry import TRACE, read_trace
 from telepulse.processes import NodeProcess

@@ -9,8 +9,7 @@ from rich.console import Console
 from rich.table import Table
 
 from protocol.histogram import bound
-from protocol.loop_tables import Lateness, TickTime
-from protocol.summary_tables import OneWayDelay
+from protocol.summary.tables import Lateness, OneWayDelay, TickTime
 
 REPEATS = 15
 BATCH_S = 0.02

@@ -30,8 +30,8 @@ from protocol.host.process import (
 )
 from protocol.host.realtime import RealtimeRequest, check_strict, parse_realtime
 from protocol.provenance import collect
-from protocol.run_summary import Summary
 from protocol.sockets import beyond_loopback
+from protocol.summary.tables import Summary
 
 logger = logging.getLogger(__name__)
 

@@ -18,9 +18,7 @@ from display_node.scene import DisplayScene
 from display_node.scoring.beat_statistics import BeatStatistics
 from display_node.scoring.prediction_score import PredictionScore
 from display_node.scoring.tracking_error import TrackingError
-from protocol.counters import Limits
-from protocol.run_summary import Summary
-from protocol.summary_tables import Compensation
+from protocol.summary.tables import Compensation, Limits, Summary
 from protocol.tactile import matching_force_ratio
 from protocol.ticks import LimitCounter, TickState
 from protocol.wire.messages import ChannelSamples

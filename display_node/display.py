@@ -11,18 +11,22 @@ from typing import Final
 from display_node.contactor import Contactor
 from display_node.control.safety import Safety
 from display_node.hardware import Hardware
-from display_node.prediction.r_waves import BeatAnnouncement
+from display_node.prediction.announcement import BeatAnnouncement
 from display_node.prediction.trust import Trust
 from display_node.press.local_press import LocalPress
 from display_node.reception.playout import PlayedDelays, PlayoutClock
 from display_node.reception.receiver import Receiver
 from display_node.scene import DisplayScene
 from display_node.scoring.tracking_error import scored
-from protocol.beats import AnnounceFigures
-from protocol.loop_tables import Loop, TickTime
 from protocol.pieces import complete
-from protocol.press_figures import PressFigures
-from protocol.run_summary import Summary, with_contactors
+from protocol.summary.tables import (
+    AnnounceFigures,
+    Loop,
+    PressFigures,
+    Summary,
+    TickTime,
+    with_contactors,
+)
 from protocol.ticks import AvailabilityCounter, InterruptionCounter, TickState
 from protocol.wire.messages import ControlMessage, DisplayReport, SetPoint
 from protocol.wire.telemetry import pack_status

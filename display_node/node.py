@@ -22,11 +22,10 @@ from display_node.telemetry.publisher import Publisher
 from protocol import sockets
 from protocol.histogram import Histogram
 from protocol.host.realtime import Pacer
-from protocol.loop_tables import Lateness, TickTime
 from protocol.pieces import Pieces, complete
-from protocol.run_summary import Summary
 from protocol.security.authenticator import Authenticator
 from protocol.security.keys import ClientKeys, ServerKeys
+from protocol.summary.tables import Lateness, Summary, TickTime
 from protocol.wire.messages import encode_control
 from protocol.wire.telemetry import CONTROL
 from pulse_drives.withdrawal import describe_finger

@@ -1,6 +1,6 @@
 """Verdict on a display's run: its closing summary in at most six lines, for the person at it.
 
-Every other figure of the run is in the rows of `protocol.run_summary`.
+Every other figure of the run is in the rows of `protocol.summary.rows`.
 """
 
 from collections import Counter
@@ -13,10 +13,9 @@ from rich.console import Console
 from display_node.fault_advice import FILM_NOTE, SENSING_NOTE, latched, name_faults
 from display_node.scoring.tracking_error import JND
 from protocol.cli_options import FAULT_STATUS, sum_up
-from protocol.counters import Limits
 from protocol.errors import CAUSE_MEANINGS
 from protocol.provenance import Provenance
-from protocol.run_summary import Summary
+from protocol.summary.tables import Limits, Summary
 
 MOST_LINES = 6
 # Exit status of a run that is not valid and latched no fault.

@@ -10,8 +10,7 @@ import numpy as np
 from rich.console import Console
 
 from display_node.telemetry.terminal_view import TerminalView
-from protocol.run_summary import Summary
-from protocol.summary_tables import Clock, SampleCounts
+from protocol.summary.tables import Clock, SampleCounts, Summary
 from protocol.ticks import TickState
 from protocol.wire.messages import Frame, encode_frame
 from protocol.wire.stream import StreamDescription

@@ -17,10 +17,11 @@ from protocol.host.child_process import Sidecar, sidecar_module
 from protocol.host.output import STDOUT
 from protocol.host.realtime import RealtimeGrant, RealtimeRequest, apply_realtime
 from protocol.provenance import BUILD, Provenance
-from protocol.run_summary import Summary, print_summary, write_json
 from protocol.security.allow_list import read_allowed
 from protocol.security.keys import ClientKeys, ServerKeys, read_pair, read_public
 from protocol.sockets import beyond_loopback, control_address
+from protocol.summary.rows import print_summary, write_json
+from protocol.summary.tables import Summary
 
 logger = logging.getLogger(__name__)
 

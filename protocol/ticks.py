@@ -1,6 +1,6 @@
 """The state of a display's last tick, and counters of its ticks. Pure.
 
-The counters give the figures of `protocol.counters`, whose models are not compiled.
+The counters give the figures of `protocol.summary.tables`, which are not compiled.
 """
 
 import math
@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from protocol.counters import STATE_NAMES, Availability, Interruptions, Limited
+from protocol.summary.tables import STATES, Availability, Interruptions, Limited
 
 
 @dataclass(slots=True)
@@ -57,7 +57,7 @@ class AvailabilityCounter:
             return Availability()
         ticks = {_KEYS.get(state, state): count for state, count in self._ticks.items()}
         ticks |= {"missed": self._all - sum(self._ticks.values()), "played": played_ticks}
-        shares = {key: ticks.get(key, 0) / self._all for key in (*STATE_NAMES, "played")}
+        shares = {key: ticks.get(key, 0) / self._all for key in (*STATES, "played")}
         return Availability(self._all * self._tick_s, **shares)
 
 

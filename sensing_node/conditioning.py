@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from protocol.config.quantities import Hertz, Newtons, Volts, count_text
-from protocol.counters import Limits
 from protocol.errors import SceneError
+from protocol.summary.tables import Limits
 from protocol.tactile import Adc
 from protocol.ticks import LimitCounter
 from pulse_sensors.force_scale import SensitivityTable

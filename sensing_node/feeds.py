@@ -9,7 +9,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from protocol.counters import Limits
+from protocol.summary.tables import Limits
 from protocol.wire.messages import Frame
 from protocol.wire.stream import StreamDescription
 from pulse_sensors.samples import SampleBlock

@@ -10,12 +10,10 @@ import zmq
 
 from protocol import sockets
 from protocol.config.quantities import count_text
-from protocol.press_figures import PressFigures
-from protocol.run_summary import Summary
 from protocol.security.authenticator import Authenticator
 from protocol.security.budgets import SubscriptionBudget
 from protocol.security.keys import ServerKeys
-from protocol.summary_tables import SampleCounts
+from protocol.summary.tables import PressFigures, SampleCounts, Summary
 from protocol.wire.messages import HEADER_BYTES, Bye, encode_control, encode_frame
 from protocol.wire.stream import StreamDescription
 from protocol.wire.telemetry import STATUS, pack_status

@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 
 from protocol.config.quantities import count_text
-from protocol.run_summary import contactors_of
 from protocol.security.keys import ClientKeys
+from protocol.summary.tables import contactors_of
 from protocol.wire.messages import Frame
 from protocol.wire.stream import StreamDescription
 from pulse_sensors import library

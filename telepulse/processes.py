@@ -19,7 +19,7 @@ from pydantic import TypeAdapter
 
 from display_node.verdict import NOT_VALID_STATUS
 from protocol.host.child_process import ChildProcess
-from protocol.run_summary import Summary
+from protocol.summary.tables import Summary
 
 logger = logging.getLogger(__name__)
 

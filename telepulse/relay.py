@@ -23,12 +23,11 @@ from display_node.reception.timeouts import (
 from protocol import sockets
 from protocol.config.quantities import count_text
 from protocol.errors import WireError
-from protocol.run_summary import Summary
 from protocol.security.authenticator import Authenticator
 from protocol.security.budgets import SubscriptionBudget
 from protocol.security.keys import ClientKeys, ServerKeys
 from protocol.security.socket_monitor import HandshakeMonitor
-from protocol.summary_tables import FrameCounts, Reconnections
+from protocol.summary.tables import FrameCounts, Reconnections, Summary
 from protocol.wire.messages import decode_frame
 
 logger = logging.getLogger(__name__)

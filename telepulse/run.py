@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 from display_node.scoring.tracking_error import interpolate
 from protocol.config.quantities import count_text
 from protocol.errors import OutputError
-from protocol.run_summary import Summary
-from protocol.summary_tables import AlignedErrors
+from protocol.summary.tables import AlignedErrors, Summary
 from protocol.wire.messages import Frame
 from protocol.wire.telemetry import PlaybackStatus
 

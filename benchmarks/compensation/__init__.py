@@ -9,7 +9,7 @@ from benchmarks.compensation.trust import show_trust
 from display_node.prediction import PredictorName
 from display_node.prediction.scene import own_predictor
 from protocol.config.scene_file import find_scene
-from protocol.run_summary import Summary
+from protocol.summary.tables import Summary
 from telepulse.scene import load_scene
 from telepulse.simulation.link_scene import parse_link
 from telepulse.simulation.virtual_time import Simulation

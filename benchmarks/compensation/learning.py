@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 from benchmarks.benchmark import Benchmark
 from protocol.config.scene_file import find_scene
-from protocol.counters import ErrorWindow
+from protocol.summary.tables import ErrorWindow
 from protocol.ticks import TickState
 from sensing_node.sources.synthetic import SyntheticScene
 from telepulse.parallel import sweep

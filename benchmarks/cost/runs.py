@@ -13,7 +13,7 @@ from typing import NamedTuple
 from benchmarks.cost import cpu_quota
 from protocol.config.scene_file import find_scene
 from protocol.histogram import Histogram
-from protocol.run_summary import Summary
+from protocol.summary.tables import Summary
 from protocol.ticks import TickState
 from telepulse.scene import load_scene
 from telepulse.simulation.link_scene import parse_link

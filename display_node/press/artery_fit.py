@@ -27,7 +27,7 @@ Floats = NDArray[np.float64]
 AREA_DEVIATION: Final = 0.3
 
 
-class Parameter(NamedTuple):
+class LawParameter(NamedTuple):
     """A parameter of the fit: its typical value, and by how much persons deviate from it.
 
     by_area: change of a logarithm with that of the probe's area.
@@ -50,18 +50,18 @@ _MEAN, _PULSE, _COLLAPSE, _DISTENSION = np.log(
 ).tolist()
 PARAMETERS: Final = (
     # Logarithms of the law's; a stiff artery's constants are 0.7 of a normal one's.
-    Parameter("gain", 0.0, 2.0),
-    Parameter("mean pressure", _MEAN, 0.3, 1.0),
-    Parameter("pulse pressure", _PULSE, 0.35, 1.0),
-    Parameter("collapse", _COLLAPSE, 0.2, -1.0),
-    Parameter("distension", _DISTENSION, 0.3, -1.0),
+    LawParameter("gain", 0.0, 2.0),
+    LawParameter("mean pressure", _MEAN, 0.3, 1.0),
+    LawParameter("pulse pressure", _PULSE, 0.35, 1.0),
+    LawParameter("collapse", _COLLAPSE, 0.2, -1.0),
+    LawParameter("distension", _DISTENSION, 0.3, -1.0),
     # Pressures of the three levels between foot and peak.
-    Parameter("first quartile", 0.1, 0.25),
-    Parameter("second quartile", 0.46, 0.25),
-    Parameter("third quartile", 0.6, 0.25),
+    LawParameter("first quartile", 0.1, 0.25),
+    LawParameter("second quartile", 0.46, 0.25),
+    LawParameter("third quartile", 0.6, 0.25),
     # The film's level over the height at 1 N, and its change with the force.
-    Parameter("film", 0.0, 0.3),
-    Parameter("tilt", 0.0, 0.2),
+    LawParameter("film", 0.0, 0.3),
+    LawParameter("tilt", 0.0, 0.2),
 )
 GAIN, MEAN, PULSE, COLLAPSE, DISTENSION, FIRST, SECOND, THIRD, FILM, TILT = range(len(PARAMETERS))
 LAW, LEVELS = slice(GAIN, FIRST), slice(FIRST, FILM)
@@ -100,7 +100,7 @@ class _Model(NamedTuple):
     by_force: Floats
 
 
-class Wave(NamedTuple):
+class ExpectedWave(NamedTuple):
     """Respiratory pressure that is expected of each beat.
 
     expected: at its peak. drift: from the peak to the foot. deviation: of what is expected.
@@ -166,11 +166,11 @@ class ArteryFit:
         if self._fits % RIVAL_BEATS == 0:
             self._rival = self._typical.copy()
             self._rival[MEAN] += STARTS[self._fits // RIVAL_BEATS % len(STARTS)]
-        expected = Wave(beats["expected"], beats["drift"], beats["deviation"])
+        expected = ExpectedWave(beats["expected"], beats["drift"], beats["deviation"])
         found = self._descend(self._values, beats["respiration"], expected)
         if self._fits < MANY_FITS or self._fits % SELDOM < RIVAL_BEATS:
             none = np.zeros(len(beats.rows))
-            rival = self._descend(self._rival, none, Wave(none, none, none + WAVE))
+            rival = self._descend(self._rival, none, ExpectedWave(none, none, none + WAVE))
             self._rival = rival.values
             if rival.cost < found.cost - MARGIN:
                 found = rival
@@ -195,7 +195,7 @@ class ArteryFit:
         residues: Floats = np.clip(np.stack([logs, feet]), -1.0, 1.0)
         return residues
 
-    def _descend(self, values: Floats, respiration: Floats, wave: Wave) -> _Descent:
+    def _descend(self, values: Floats, respiration: Floats, wave: ExpectedWave) -> _Descent:
         """Return the law after steps of Levenberg and Marquardt from `values`."""
         model, damping = self._model(values, respiration, wave.drift), DAMPING
         for _ in range(STEPS):
@@ -220,7 +220,7 @@ class ArteryFit:
         self,
         values: Floats,
         respiration: Floats,
-        wave: Wave,
+        wave: ExpectedWave,
         model: _Model,
         weights: Floats,
         damping: float,
@@ -246,7 +246,12 @@ class ArteryFit:
         return trial, np.clip(respiration + own_change, -MOST_RESPIRATION, MOST_RESPIRATION)
 
     def _cost(
-        self, errors: Floats, weights: Floats, values: Floats, respiration: Floats, wave: Wave
+        self,
+        errors: Floats,
+        weights: Floats,
+        values: Floats,
+        respiration: Floats,
+        wave: ExpectedWave,
     ) -> float:
         """Return the weighted squares of errors, and of deviations from what is expected."""
         cost = (errors**2 * weights).sum()

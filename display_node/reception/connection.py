@@ -15,7 +15,7 @@ from display_node.reception.turns import ControlTurns
 from protocol import sockets
 from protocol.security.keys import ClientKeys
 from protocol.security.socket_monitor import HandshakeMonitor
-from protocol.summary_tables import DataConnections, Reconnections
+from protocol.summary.tables import DataConnections, Reconnections
 from protocol.wire.messages import ClockRequest, ControlMessage, SetPoint
 
 logger = logging.getLogger(__name__)

@@ -13,7 +13,7 @@ from operator import add
 from typing import Final
 
 from protocol.errors import WireError
-from protocol.summary_tables import SampleCounts
+from protocol.summary.tables import SampleCounts
 from protocol.wire.messages import ChannelSamples
 
 KEEP_SAMPLES: Final = 16_384

@@ -11,7 +11,7 @@ from collections import deque
 from typing import Final
 
 from protocol.histogram import Histogram
-from protocol.summary_tables import Compensation, PlayoutDelay
+from protocol.summary.tables import Compensation, PlayoutDelay
 
 BIN_NS: Final = 1_000_000
 BINS: Final = 11_000

@@ -14,8 +14,7 @@ from display_node.reception.playout import JUMP_NS, DelayEstimator
 from protocol.clock.estimator import READY_AFTER, ClockEstimator, ClockExchange
 from protocol.errors import VersionError, WireError
 from protocol.histogram import Histogram
-from protocol.run_summary import Summary
-from protocol.summary_tables import Clock, FrameCounts, OneWayDelay
+from protocol.summary.tables import Clock, FrameCounts, OneWayDelay, Summary
 from protocol.wire import messages as wire
 from protocol.wire.stream import StreamDescription
 

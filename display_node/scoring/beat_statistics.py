@@ -12,7 +12,7 @@ from display_node.scoring.beat_quality import GOOD
 from display_node.scoring.beats import Beat, BeatAnalysis
 from display_node.scoring.rises import LONGEST
 from display_node.scoring.step_means import STEP_S
-from protocol.beats import BeatFigures
+from protocol.summary.tables import BeatFigures
 from protocol.wire.messages import ChannelSamples
 
 # Medians are over the good beats of this time.

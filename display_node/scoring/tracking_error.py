@@ -16,10 +16,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from protocol.counters import ErrorWindow, ErrorWindowCounter
+from display_node.scoring.error_windows import ErrorWindowCounter
 from protocol.pieces import Pieces
-from protocol.run_summary import Summary
-from protocol.summary_tables import AlignedErrors, Roughness
+from protocol.summary.tables import AlignedErrors, ErrorWindow, Roughness, Summary
 from protocol.wire.messages import ChannelSamples
 
 ABOVE_HZ: Final = 25.0

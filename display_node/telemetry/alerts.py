@@ -11,7 +11,6 @@ from display_node.scoring.beat_statistics import pulse_alarm
 from display_node.scoring.deadlines import deadline_alarm
 from display_node.scoring.prediction_score import prediction_alarm
 from protocol.errors import CAUSE_MEANINGS, explain_causes
-from protocol.run_summary import contactors_of
 from protocol.security.socket_monitor import (
     HANDSHAKE,
     NO_KEY,
@@ -21,6 +20,7 @@ from protocol.security.socket_monitor import (
     REPLAYED,
     REVOKED,
 )
+from protocol.summary.tables import contactors_of
 
 # A display without telemetry for this long counts as silent.
 SILENT_AFTER_NS = 2_000_000_000

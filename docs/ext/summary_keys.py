@@ -2,9 +2,8 @@
 
 from typing import Any
 
-from protocol.counters import ErrorWindow
-from protocol.figures import Surface
-from protocol.run_summary import OF_A_CONTACTOR, REGISTRY, Summary
+from protocol.summary.figures import Surface, figures
+from protocol.summary.tables import OF_A_CONTACTOR, ErrorWindow, Summary
 
 _KINDS = {
     int | None: "whole number",
@@ -25,7 +24,7 @@ def write() -> str:
     rows = (
         f"| `{figure.key}` | {_kind(figure.type, figure.unit)} | {figure.meaning} |"
         f" {figure.row} | {_metric(figure)} |"
-        for figure in REGISTRY.figures
+        for figure in figures()
     )
     return "\n".join(
         [
@@ -57,7 +56,7 @@ def _metric(figure: Any) -> str:
 
 def _left_out() -> list[str]:
     keys: dict[tuple[str, str], list[str]] = {}
-    for figure in REGISTRY.figures:
+    for figure in figures():
         for surface, reason in figure.absent.items():
             keys.setdefault((surface.value, reason), []).append(f"`{figure.key}`")
     return [

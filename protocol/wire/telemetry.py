@@ -22,7 +22,7 @@ from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
 
 from protocol.config.quantities import Name
 from protocol.errors import WireError
-from protocol.run_summary import LARGEST, Summary
+from protocol.summary.tables import LARGEST, Summary
 from protocol.ticks import TickState
 from protocol.wire.messages import COUNT_RANGE, LARGEST_N, MAX_CHANNELS, MAX_FRAME_BYTES, TIME_RANGE
 

@@ -4,7 +4,7 @@ from collections import Counter
 from dataclasses import dataclass
 from typing import Final, Protocol
 
-from protocol.press_figures import PressFigures, SetPointCounts
+from protocol.summary.tables import PressFigures, SetPointCounts
 from protocol.wire.messages import ProbeReport, SetPoint
 
 # A display that sends no set-point for this long loses the permission to press. The probe has left

@@ -44,8 +44,7 @@ from protocol.errors import ProcessError
 from protocol.host.child_process import ChildProcess
 from protocol.host.output import check_writable, configure_logging
 from protocol.host.process import lower_priority, stop_on_signals
-from protocol.press_figures import PressFigures
-from protocol.run_summary import Summary
+from protocol.summary.tables import PressFigures, Summary
 from protocol.tactile import matching_force_ratio
 from protocol.wire.messages import decode_frame
 from protocol.wire.telemetry import Trace

@@ -22,9 +22,10 @@ from display_node.telemetry.alerts import StatusAge
 from display_node.telemetry.terminal_view import TerminalView
 from protocol import sockets
 from protocol.errors import AddressError, SidecarError, WireError
-from protocol.figures import COUNT, Figure, Surface
-from protocol.run_summary import REGISTRY, contactors_of
 from protocol.security.keys import ClientKeys, read_pair
+from protocol.summary.figures import Figure, Surface, figures_on
+from protocol.summary.tables import contactors_of
+from protocol.summary.units import COUNT
 from protocol.wire.telemetry import STATUS, TRACE, Status, read_status, read_trace
 from telepulse.http_site import Site, in_url
 
@@ -93,7 +94,7 @@ def families(
     # Prometheus requires all samples of a name in one group, with one help text.
     found: dict[str, Metric] = {}
     help_texts: dict[str, str] = {}
-    for figure in REGISTRY.on(Surface.METRICS):
+    for figure in figures_on(Surface.METRICS):
         help_text = help_texts.setdefault(figure.metric, figure.help or figure.meaning)
         for labels, value in _samples_of_all(figure, status.summary):
             name = PREFIX + figure.metric

@@ -10,12 +10,9 @@ from pydantic import TypeAdapter
 
 from display_node.control.scene import SafetyScene
 from display_node.scoring.tracking_error import scored
-from protocol.counters import Availability
 from protocol.errors import SourceError
 from protocol.histogram import Histogram
-from protocol.loop_tables import Loop
-from protocol.run_summary import Summary, with_contactors
-from protocol.summary_tables import PlayoutDelay
+from protocol.summary.tables import Availability, Loop, PlayoutDelay, Summary, with_contactors
 from telepulse.recording.contactor_findings import ContactorFindings
 from telepulse.recording.forces import Trend
 from telepulse.recording.pressed_beats import PressedBeats

@@ -10,7 +10,7 @@ from pydantic import TypeAdapter
 
 from protocol.config.arguments import file_path
 from protocol.errors import SourceError
-from protocol.run_summary import Summary
+from protocol.summary.tables import Summary
 from protocol.wire.telemetry import PlaybackStatus
 from telepulse.recording.reader import RecordingReader, in_tick_order
 from telepulse.run import Run, RunBuilder, RunTick

@@ -9,10 +9,11 @@ from statistics import median
 
 from display_node.scoring.beat_quality import GOOD
 from protocol.config.quantities import count_text
-from protocol.counters import interruptions_text
 from protocol.errors import explain_causes
-from protocol.figures import Surface
-from protocol.run_summary import REGISTRY, Summary
+from protocol.summary.figures import Surface
+from protocol.summary.phrases import interruptions_text
+from protocol.summary.rows import cells
+from protocol.summary.tables import Summary
 from telepulse.document import Chapter, Plot, Report, Table, percent, provenance_table
 from telepulse.recording.contactor_findings import ContactorFindings
 from telepulse.recording.findings import RunFindings, read_findings
@@ -172,15 +173,13 @@ def _spans(findings: RunFindings) -> str:
 
 def _summary(findings: RunFindings) -> Table:
     summaries = findings.summary(), findings.display_summary or Summary()
-    recorded, own = (REGISTRY.cells(each.to_dict(), Surface.REPORT) for each in summaries)
+    recorded, own = (cells(each.to_dict(), Surface.REPORT) for each in summaries)
     rows = [(name, recorded[name] or NONE, own[name] or NONE) for name in recorded]
     for contactor in findings.contactors:
         of = f"{contactor.name}: " if len(findings.contactors) > 1 else ""
         if of:
             ours, display = (
-                REGISTRY.cells(
-                    figures.to_dict()["contactors"].get(contactor.name, {}), Surface.REPORT
-                )
+                cells(figures.to_dict()["contactors"].get(contactor.name, {}), Surface.REPORT)
                 for figures in summaries
             )
             rows += [(of + name, ours[name] or NONE, display[name] or NONE) for name in ours]

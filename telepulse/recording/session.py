@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from protocol.config.quantities import count_text
 from protocol.errors import SourceError, WireError
-from protocol.run_summary import contactors_of
+from protocol.summary.tables import contactors_of
 from protocol.wire.messages import Frame, Welcome, decode_control, decode_frame
 from protocol.wire.stream import StreamDescription
 from telepulse.recording.reader import RecordedMessage, RecordingReader

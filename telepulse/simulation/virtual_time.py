@@ -16,8 +16,7 @@ from display_node.display import Display
 from display_node.fault_advice import SENSING_NOTE
 from display_node.hardware import Hardware
 from display_node.scoring.tracking_error import TrackingError, scored
-from protocol.run_summary import Summary
-from protocol.summary_tables import DataConnections
+from protocol.summary.tables import DataConnections, Summary
 from protocol.ticks import TickState
 from protocol.wire.messages import (
     Bye,

@@ -4,10 +4,10 @@ from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple
 
 from display_node.telemetry.alerts import NOT_CONNECTED, Alert, alerts
-from protocol.counters import LIMIT_NAMES
 from protocol.errors import explain_causes
-from protocol.run_summary import contactors_of
 from protocol.security.socket_monitor import REVOKED
+from protocol.summary.phrases import LIMIT_NAMES
+from protocol.summary.tables import contactors_of
 
 # A cut is reported after the time that a display waits for a sensing node.
 CUT_AFTER_NS = 1_000_000_000

@@ -9,7 +9,7 @@ import types
 import typing
 from typing import Any
 
-from protocol.run_summary import Summary
+from protocol.summary.tables import Summary
 from protocol.wire.stream import StreamDescription
 from protocol.wire.telemetry import PlaybackStatus
 

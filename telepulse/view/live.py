@@ -11,7 +11,7 @@ import numpy as np
 
 from display_node.reception.receiver import FUTURE_NS, OLDEST_NS
 from display_node.scoring.beats import BeatAnalysis
-from protocol.run_summary import contactors_of
+from protocol.summary.tables import contactors_of
 from protocol.wire.messages import channel_samples
 from protocol.wire.stream import HOLD_DOWN
 from telepulse.telemetry.decoder import MARK_EVENT, Entry, Fields

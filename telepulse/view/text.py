@@ -15,10 +15,11 @@ from display_node.telemetry.alerts import (
     finger_note,
 )
 from protocol.config.quantities import count_text
-from protocol.counters import limit_texts
 from protocol.errors import explain_causes
-from protocol.figures import Surface
-from protocol.run_summary import REGISTRY, contactors_of
+from protocol.summary.figures import Surface, figures_on
+from protocol.summary.phrases import limit_texts
+from protocol.summary.rows import summary_rows
+from protocol.summary.tables import contactors_of
 from telepulse.telemetry.decoder import Fields
 from telepulse.telemetry.events import CUT, CUT_AFTER_NS
 from telepulse.view.depth import DepthState, levels
@@ -62,7 +63,7 @@ FIGURES = {
     "predictor": "predictor",
     "press": "press",
     "levels": "levels",
-    **{each.row.replace(" ", "-"): each.row for each in REGISTRY.on(Surface.PAGE)},
+    **{each.row.replace(" ", "-"): each.row for each in figures_on(Surface.PAGE)},
 }
 
 
@@ -161,7 +162,7 @@ def figures(live: LiveState, data: WindowScores, silent_ns: int = 0) -> dict[str
 
 def _rows(summary: Fields) -> dict[str, PageFigure]:
     """Return the rows of a summary's JSON, by the ids of their figures."""
-    rows = REGISTRY.rows(summary, Surface.PAGE)
+    rows = summary_rows(summary, Surface.PAGE)
     return {row.name.replace(" ", "-"): PageFigure(row.large, row.note) for row in rows}
 
 

@@ -6,8 +6,7 @@ from typing import Any, get_type_hints
 
 from pydantic import TypeAdapter
 
-from protocol.counters import ErrorWindow
-from protocol.run_summary import Summary
+from protocol.summary.tables import ErrorWindow, Summary
 
 
 def full_summary() -> Summary:

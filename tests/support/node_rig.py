@@ -14,7 +14,7 @@ import zmq
 
 from protocol.config.scene_file import find_scene
 from protocol.errors import ProcessError
-from protocol.run_summary import Summary
+from protocol.summary.tables import Summary
 from protocol.wire.messages import decode_frame
 from telepulse.processes import NodeProcess, free_addresses
 from tests.support.altered_node import STEP

@@ -4,10 +4,7 @@ import math
 from dataclasses import asdict
 from typing import Any
 
-from protocol.loop_tables import Loop
-from protocol.press_figures import PressFigures
-from protocol.run_summary import Summary
-from protocol.summary_tables import AlignedErrors, Clock, SampleCounts
+from protocol.summary.tables import AlignedErrors, Clock, Loop, PressFigures, SampleCounts, Summary
 from protocol.tactile import ElasticLayer
 from telepulse.telemetry.decoder import Entry, without_none
 from telepulse.telemetry.schema import EVENT, FRAME, LEVELS, STATUS, STREAM, TICK

@@ -11,9 +11,9 @@ import zmq
 
 from display_node.telemetry.publisher import Publisher
 from protocol import sockets
-from protocol.run_summary import Summary
 from protocol.security.authenticator import Authenticator
 from protocol.security.keys import ServerKeys
+from protocol.summary.tables import Summary
 from protocol.ticks import TickState
 from protocol.wire.messages import Bye, ClockReply, Frame, Welcome, encode_control, encode_frame
 from protocol.wire.telemetry import (

@@ -13,7 +13,7 @@ from typing import IO
 
 from protocol.errors import ProcessError
 from protocol.host.child_process import ChildProcess
-from protocol.run_summary import Summary
+from protocol.summary.tables import Summary
 from telepulse.processes import NodeProcess, cpu_time_s
 from telepulse.simulation.link_scene import LinkScene
 from tests.support.netem.forwarder import DROP, ForwarderCounts, PacketFilter

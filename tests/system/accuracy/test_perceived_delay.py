@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 import telepulse.simulation.virtual_time
 from display_node.prediction import PredictorName
 from display_node.prediction.scene import own_predictor
-from protocol.run_summary import Summary
+from protocol.summary.tables import Summary
 from protocol.ticks import TickState
 from sensing_node.sources.recorded import RecordingScene
 from telepulse.scene import Scene, load_scene

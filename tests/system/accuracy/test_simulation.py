@@ -6,9 +6,10 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
-from protocol.counters import STATE_NAMES, limit_texts
 from protocol.errors import SceneError
-from protocol.run_summary import Summary, print_summary
+from protocol.summary.phrases import limit_texts
+from protocol.summary.rows import print_summary
+from protocol.summary.tables import STATES, Summary
 from telepulse.scene import Scene, load_scene
 from telepulse.simulation.link_scene import parse_link
 from telepulse.simulation.virtual_time import Simulation, summarise
@@ -139,7 +140,7 @@ def test_shares_of_time_name_the_time_to_which_they_refer() -> None:
     assert 3.0 < judged * seconds < 4.0
     assert times.felt == pytest.approx(judged, abs=0.01)
     assert times.stale == pytest.approx(10 / seconds, abs=0.03)
-    parts = [getattr(times, name) for name in STATE_NAMES]
+    parts = [getattr(times, name) for name in STATES]
     assert sum(parts) == pytest.approx(1.0)
     assert f"of the time judged ({100 * judged:.1f} % of the run)" in shown(summary)
 

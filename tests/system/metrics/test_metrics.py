@@ -14,9 +14,9 @@ import pytest
 from prometheus_client import CollectorRegistry, make_wsgi_app
 from prometheus_client.parser import text_string_to_metric_families
 
-from protocol.figures import COUNT, Surface
 from protocol.host.child_process import ChildProcess
-from protocol.run_summary import REGISTRY
+from protocol.summary.figures import Surface, figures_on
+from protocol.summary.units import COUNT
 from telepulse.metrics import server as http
 from telepulse.metrics.server import MAX_REQUESTS, MetricsHTTPServer
 from tests.support.keyring import Keyring
@@ -102,7 +102,7 @@ def test_both_nodes_serve_what_they_sum_up(tmp_path: Path) -> None:
         until(finger.gone)
     assert 0 < known(sent) <= sensed
     summary, compared = read_json(jsons[0]), 0
-    for figure in REGISTRY.on(Surface.METRICS):
+    for figure in figures_on(Surface.METRICS):
         # The other figures changed until the display's end.
         if figure.key.partition(".")[0] in ("samples", "frames", "one_way_delay_ms", "rejected"):
             value = figure.value(summary)

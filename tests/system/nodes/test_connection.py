@@ -11,7 +11,7 @@ from display_node.reception.endpoint import Endpoint
 from display_node.reception.failover import DataPath
 from protocol.security.socket_monitor import HandshakeMonitor
 from protocol.sockets import Context, Socket, control_address
-from protocol.summary_tables import Reconnections
+from protocol.summary.tables import Reconnections
 from protocol.wire.messages import ClockRequest, SetPoint
 from telepulse.processes import free_addresses
 from tests.support.nodes import free_address

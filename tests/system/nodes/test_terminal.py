@@ -11,8 +11,8 @@ from rich.console import Console
 
 from display_node.telemetry import terminal
 from display_node.telemetry.terminal import watch
-from protocol.run_summary import Summary
 from protocol.sockets import Context
+from protocol.summary.tables import Summary
 from protocol.ticks import TickState
 from protocol.wire.marks import MARK, Mark, pack_mark
 from protocol.wire.telemetry import STATUS, TRACE, TraceWriter, pack_status

@@ -5,9 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from protocol.counters import Availability, Limited, Limits
-from protocol.loop_tables import Loop
-from protocol.summary_tables import PlayoutDelay
+from protocol.summary.tables import Availability, Limited, Limits, Loop, PlayoutDelay
 from protocol.wire.telemetry import CONTROL
 from telepulse.recording.findings import RunFindings, read_findings
 from telepulse.recording.mcap_writer import McapWriter

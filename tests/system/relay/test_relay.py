@@ -10,10 +10,10 @@ import zmq
 
 from protocol import sockets
 from protocol.errors import AddressError
-from protocol.run_summary import Summary
 from protocol.security.allow_list import allow, revoke
 from protocol.security.keys import ClientKeys, KeyPair, ServerKeys, new_pair, read_pair
 from protocol.sockets import Context, Socket, control_address
+from protocol.summary.tables import Summary
 from telepulse.relay import Relay
 from tests.support.nodes import free_address
 from tests.support.waiting import PATIENCE_S, until

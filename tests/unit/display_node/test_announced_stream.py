@@ -4,8 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from protocol.beats import AnnounceFigures
-from protocol.run_summary import Summary
+from protocol.summary.tables import AnnounceFigures, Summary
 from telepulse.scene import load_scene
 from telepulse.simulation.virtual_time import summarise
 

@@ -10,9 +10,10 @@ from display_node.scene import DisplayScene
 from display_node.scoring.tracking_error import TrackingError
 from protocol.config.scene import validate
 from protocol.errors import SceneError
-from protocol.figures import Surface
 from protocol.pieces import complete
-from protocol.run_summary import contactors_of, rows
+from protocol.summary.figures import Surface
+from protocol.summary.rows import row_texts
+from protocol.summary.tables import contactors_of
 from protocol.wire.messages import Bye, Frame, encode_control, encode_frame
 from protocol.wire.stream import Channel
 from tests.support.sender import AHEAD_NS, MS, Sender, display_scene
@@ -117,7 +118,7 @@ def test_a_contactor_with_a_shorter_lead_plays_samples_that_are_late_for_another
     }
     assert counts["cun"]["played"] > counts["chi"]["played"]
     assert counts["cun"]["late"] < counts["chi"]["late"]
-    text = dict(rows(summary, Surface.SUMMARY))["samples"]
+    text = dict(row_texts(summary, Surface.SUMMARY))["samples"]
     assert [line.partition(":")[0] for line in text.splitlines()[1:]] == ["cun", "chi"]
 
 

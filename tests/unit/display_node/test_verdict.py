@@ -5,17 +5,21 @@ from dataclasses import replace
 import pytest
 
 from display_node.verdict import MOST_LINES, verdict
-from protocol.beats import BeatFigures
-from protocol.counters import Availability, Interruptions, Limited, Limits
-from protocol.loop_tables import Deadlines, Loop
-from protocol.run_summary import Summary
-from protocol.summary_tables import (
+from protocol.summary.tables import (
     AlignedErrors,
+    Availability,
+    BeatFigures,
     Clock,
     Compensation,
+    Deadlines,
+    Interruptions,
+    Limited,
+    Limits,
+    Loop,
     OneWayDelay,
     PlayoutDelay,
     SampleCounts,
+    Summary,
 )
 
 FINE = Summary(

@@ -14,8 +14,7 @@ from protocol.cli_options import (
 )
 from protocol.host.process import stop_on_signals
 from protocol.provenance import collect
-from protocol.run_summary import Summary
-from protocol.summary_tables import SampleCounts
+from protocol.summary.tables import SampleCounts, Summary
 from tests.support.keyring import Keyring
 
 

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 from protocol.config.scene import validate
-from protocol.counters import Limited, Limits
 from protocol.errors import SceneError
+from protocol.summary.tables import Limited, Limits
 from protocol.tactile import Film
 from protocol.wire.stream import Channel
 from sensing_node.conditioning import Conditioned, ConditioningScene

@@ -6,9 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from protocol.loop_tables import Loop
-from protocol.run_summary import Availability, Summary
-from protocol.summary_tables import SampleCounts
+from protocol.summary.tables import Availability, Loop, SampleCounts, Summary
 from protocol.ticks import InterruptionCounter
 from protocol.wire.telemetry import Trace
 from soak.claims import StatusClaim, no_figures, read_line

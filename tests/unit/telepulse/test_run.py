@@ -8,9 +8,8 @@ import pytest
 from matplotlib import pyplot as plt
 
 import telepulse
-from protocol.counters import Availability
 from protocol.errors import SceneError, SourceError
-from protocol.summary_tables import AlignedErrors
+from protocol.summary.tables import AlignedErrors, Availability
 from tests.support.recordings import GAIN, record
 
 LINK = "delay=40ms,jitter=10ms,loss=1%"

@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 from display_node.scoring.beat_statistics import BeatStatistics, pulse_alarm
 from display_node.scoring.beats import BeatAnalysis, find_beats
 from display_node.scoring.heart_rate import heart_rate_per_min
-from protocol.beats import BeatFigures
+from protocol.summary.tables import BeatFigures
 from sensing_node.sources.heart import NOMINAL_BEAT_S
 from sensing_node.sources.synthetic import PRESETS, Wave
 from telepulse.cli.main import app

@@ -5,7 +5,7 @@ import pytest
 from numpy.typing import NDArray
 
 from display_node.scoring.beat_statistics import BeatStatistics, pulse_alarm
-from protocol.beats import BeatFigures
+from protocol.summary.tables import BeatFigures
 from sensing_node.sources.synthetic import SyntheticScene, SyntheticSource
 from tests.support.drawn_beats import PERIOD_NS, samples
 

@@ -1,8 +1,7 @@
 """Alarms on missed ticks, in virtual time."""
 
 from display_node.scoring.deadlines import GAP_NS, WINDOW_NS, DeadlineWatch, deadline_alarm
-from protocol.loop_tables import Loop
-from protocol.run_summary import Summary
+from protocol.summary.tables import Loop, Summary
 
 TICK_NS = 1_000_000
 

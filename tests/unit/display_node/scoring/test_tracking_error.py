@@ -8,8 +8,8 @@ import pytest
 from numpy.typing import NDArray
 
 from display_node.scoring.tracking_error import RoughnessMeter, TrackingError
-from protocol.counters import windows_text
-from protocol.summary_tables import Roughness
+from protocol.summary.phrases import windows_text
+from protocol.summary.tables import Roughness
 from protocol.tactile import ElasticLayer
 
 MS = 1_000_000
@@ -313,10 +313,10 @@ def test_a_window_without_a_known_error_reports_its_delay() -> None:
     (window,) = error.windows
     assert window.playout_delay_ms == pytest.approx(500)
     assert window.aligned_n is not None
-    assert windows_text([asdict(window)]) is not None
+    assert windows_text([[asdict(window)]]) is not None
     add_output(error, ticks_ns + 20_000 * MS, pulse_n(ticks_ns))
     error.finish()
-    text = windows_text([asdict(each) for each in error.windows])
+    text = windows_text([[asdict(each) for each in error.windows]])
     assert text is not None
     assert text.splitlines()[1] == "15 to 21 s: E 43.0 ms, aligned unknown, in phase unknown"
 

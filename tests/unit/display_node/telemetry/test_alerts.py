@@ -7,11 +7,8 @@ import pytest
 
 from display_node.fault_advice import FILM_NOTE
 from display_node.telemetry.alerts import WINDOW_NS, StatusAge, alerts, delay_note
-from protocol.beats import BeatFigures
 from protocol.errors import CAUSE_MEANINGS
-from protocol.loop_tables import Deadlines, Loop
-from protocol.run_summary import Summary
-from protocol.summary_tables import Compensation
+from protocol.summary.tables import BeatFigures, Compensation, Deadlines, Loop, Summary
 
 MS, SECOND_NS = 1_000_000, 1_000_000_000
 HOUR_NS = 3600 * SECOND_NS

@@ -14,8 +14,7 @@ from display_node.plant.feedback import Feedback
 from display_node.scene import DisplayScene
 from protocol.config.scene import load_section
 from protocol.errors import WireError
-from protocol.run_summary import Summary
-from protocol.summary_tables import SampleCounts
+from protocol.summary.tables import SampleCounts, Summary
 from protocol.ticks import TickState
 from protocol.wire.messages import LARGEST_N, TIME_RANGE
 from protocol.wire.telemetry import TRACE_TICKS, Trace, TraceWriter, read_status, read_trace

@@ -7,16 +7,16 @@ from hypothesis import strategies as st
 from rich.console import Console
 
 from display_node.telemetry.terminal_view import TerminalView
-from protocol.loop_tables import Loop
-from protocol.run_summary import Summary
-from protocol.summary_tables import (
+from protocol.summary.tables import (
     AlignedErrors,
     Clock,
     Compensation,
+    Loop,
     OneWayDelay,
     PlayoutDelay,
     Roughness,
     SampleCounts,
+    Summary,
 )
 from protocol.wire.telemetry import STATUS, TRACE, Status, Trace, pack_status
 from tests.unit.display_node.telemetry.test_alerts import ALERTS

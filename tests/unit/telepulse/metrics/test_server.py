@@ -10,12 +10,20 @@ from prometheus_client.metrics_core import Metric
 from prometheus_client.parser import text_string_to_metric_families
 from prometheus_client.registry import Collector
 
-from protocol.beats import BeatFigures
-from protocol.counters import Limited, Limits
 from protocol.errors import AddressError
-from protocol.loop_tables import Lateness, Loop
-from protocol.run_summary import Summary
-from protocol.summary_tables import Clock, Compensation, FrameCounts, OneWayDelay, SampleCounts
+from protocol.summary.tables import (
+    BeatFigures,
+    Clock,
+    Compensation,
+    FrameCounts,
+    Lateness,
+    Limited,
+    Limits,
+    Loop,
+    OneWayDelay,
+    SampleCounts,
+    Summary,
+)
 from protocol.wire.telemetry import Status
 from telepulse.metrics.server import SILENT_AFTER_NS, NodeState, families, parse_address
 

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from fuzz.telemetry_readers import MS, preamble, status_message
-from protocol.press_figures import PressFigures
-from protocol.run_summary import Summary
+from protocol.summary.tables import PressFigures, Summary
 from protocol.tactile import ElasticLayer
 from protocol.wire.messages import ClockReply, Frame, Welcome, encode_control, encode_frame
 from protocol.wire.stream import Channel, StreamDescription

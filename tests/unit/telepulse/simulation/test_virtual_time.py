@@ -8,7 +8,7 @@ import pytest
 
 from display_node.prediction.scene import own_predictor
 from protocol.config.scene import validate
-from protocol.counters import Limited
+from protocol.summary.tables import Limited
 from protocol.wire.messages import Frame
 from sensing_node.feeds import Framer, PacedSource
 from sensing_node.scene import SensingScene, build_source, describe_stream

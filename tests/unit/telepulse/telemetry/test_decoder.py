@@ -12,12 +12,18 @@ from hypothesis import strategies as st
 
 from display_node.fault_advice import FILM_NOTE, advise
 from display_node.scoring.beat_statistics import pulse_alarm
-from protocol.beats import BeatFigures
-from protocol.counters import Limited, Limits
 from protocol.errors import CAUSE_MEANINGS
-from protocol.loop_tables import Deadlines, Loop
-from protocol.run_summary import Summary
-from protocol.summary_tables import Clock, Compensation, SampleCounts
+from protocol.summary.tables import (
+    BeatFigures,
+    Clock,
+    Compensation,
+    Deadlines,
+    Limited,
+    Limits,
+    Loop,
+    SampleCounts,
+    Summary,
+)
 from protocol.ticks import TickState
 from protocol.wire.marks import MARK, Mark, pack_mark
 from protocol.wire.messages import Hello, encode_control, encode_frame

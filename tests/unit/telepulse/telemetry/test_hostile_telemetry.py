@@ -25,18 +25,19 @@ from fuzz.telemetry_readers import (
     status_message,
     trace_message,
 )
-from protocol.counters import Availability
 from protocol.errors import CAUSE_MEANINGS
-from protocol.loop_tables import Deadlines, Loop
-from protocol.run_summary import Summary
-from protocol.summary_tables import (
+from protocol.summary.tables import (
     AlignedErrors,
+    Availability,
     Clock,
     Compensation,
+    Deadlines,
+    Loop,
     OneWayDelay,
     PlayoutDelay,
     Roughness,
     SampleCounts,
+    Summary,
 )
 from protocol.ticks import TickState
 from protocol.wire.messages import Frame

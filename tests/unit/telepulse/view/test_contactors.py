@@ -4,10 +4,7 @@ from typing import Any
 
 import pytest
 
-from protocol.beats import BeatFigures
-from protocol.counters import Limited, Limits
-from protocol.run_summary import Summary
-from protocol.summary_tables import Compensation
+from protocol.summary.tables import BeatFigures, Compensation, Limited, Limits, Summary
 from telepulse.telemetry.decoder import without_none
 from telepulse.view.live import MAX_CONTACTORS, LiveState
 from telepulse.view.plots import FINGER_COLOURS

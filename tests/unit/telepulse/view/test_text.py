@@ -3,9 +3,7 @@ from typing import Any
 
 import pytest
 
-from protocol.counters import Limited, Limits
-from protocol.loop_tables import Deadlines, Loop
-from protocol.summary_tables import Clock, SampleCounts
+from protocol.summary.tables import Clock, Deadlines, Limited, Limits, Loop, SampleCounts
 from telepulse.view.live import LiveState
 from telepulse.view.text import ALWAYS_SEEN, FIGURES, GROUPS, age, alarms, figures, state
 from telepulse.view.window_data import window_scores

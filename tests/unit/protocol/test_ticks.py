@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from protocol import counters
+from protocol.summary import phrases, tables
 from protocol.ticks import AvailabilityCounter, InterruptionCounter, LimitCounter
 
 TICK_S = 1e-3
@@ -14,7 +14,7 @@ STATES = ["playing", "starting", "stale", "fault", "waiting", "ended"]
 runs = st.lists(st.tuples(st.sampled_from(STATES), st.integers(1, 50)), min_size=1, max_size=300)
 
 
-def counted(*ticks: tuple[str, int]) -> counters.Availability:
+def counted(*ticks: tuple[str, int]) -> tables.Availability:
     counter = AvailabilityCounter(TICK_S)
     for state, elapsed in ticks:
         counter.add(state, elapsed)
@@ -25,8 +25,8 @@ def counted(*ticks: tuple[str, int]) -> counters.Availability:
 def test_the_shares_are_of_the_whole_time_and_add_up_to_it(ticks: list[tuple[str, int]]) -> None:
     found = counted(*ticks)
     assert found.seconds == pytest.approx(TICK_S * sum(elapsed for _, elapsed in ticks))
-    assert sum(getattr(found, name) for name in counters.STATE_NAMES) == pytest.approx(1.0)
-    text = counters.availability_text(dataclasses.asdict(found))
+    assert sum(getattr(found, name) for name in tables.STATES) == pytest.approx(1.0)
+    text = phrases.availability_text(dataclasses.asdict(found))
     assert text is not None
     printed = [float(percent) for percent in re.findall(r"(?<!< )(\d+\.\d) %", text)]
     assert sum(printed) == pytest.approx(100.0)
@@ -39,16 +39,16 @@ def test_a_missed_tick_counts_for_no_state() -> None:
 
 def test_a_share_of_0_is_not_printed_and_a_small_one_is_above_0() -> None:
     ticks = [("playing", 1)] * 9_999 + [("stale", 1)]
-    text = counters.availability_text(dataclasses.asdict(counted(*ticks)))
+    text = phrases.availability_text(dataclasses.asdict(counted(*ticks)))
     assert text == "felt 100.0 %, stale < 0.1 % of 10.0 s"
 
 
 def test_shares_are_unknown_before_the_first_tick() -> None:
-    assert counted() == counters.Availability()
-    assert counters.availability_text(dataclasses.asdict(counters.Availability())) is None
+    assert counted() == tables.Availability()
+    assert phrases.availability_text(dataclasses.asdict(tables.Availability())) is None
 
 
-def interrupted(*ticks: tuple[bool, int]) -> counters.Interruptions:
+def interrupted(*ticks: tuple[bool, int]) -> tables.Interruptions:
     counter = InterruptionCounter(1e-3)
     for full, elapsed in ticks:
         counter.add(full, elapsed)
@@ -56,8 +56,8 @@ def interrupted(*ticks: tuple[bool, int]) -> counters.Interruptions:
 
 
 def test_interruptions_are_unknown_before_the_first_tick_and_then_0() -> None:
-    none = counters.Interruptions(0, 0.0)
-    assert interrupted() == counters.Interruptions()
+    none = tables.Interruptions(0, 0.0)
+    assert interrupted() == tables.Interruptions()
     assert interrupted((False, 1), (False, 1)) == none
     # Neither a start nor missed ticks alone are an interruption.
     assert interrupted((False, 1), (True, 1), (True, 50), (True, 1)) == none
@@ -89,20 +89,20 @@ def test_the_figures_are_times_seconds_and_the_share_of_the_run() -> None:
     counter = LimitCounter()
     for limited in (True, True, False, True):
         counter.add(limited)
-    assert counter.limited(1e-3, 12) == counters.Limited(2, pytest.approx(3e-3), 0.25)
-    assert LimitCounter().limited(1e-3, 0) == counters.Limited(0, 0.0, 0.0)
+    assert counter.limited(1e-3, 12) == tables.Limited(2, pytest.approx(3e-3), 0.25)
+    assert LimitCounter().limited(1e-3, 0) == tables.Limited(0, 0.0, 0.0)
 
 
 def test_each_limit_that_was_reached_is_a_phrase_the_longest_first() -> None:
-    limits = counters.Limits(
-        force=counters.Limited(1, 0.0041, 0.0001),
-        negative=counters.Limited(0, 0.0, 0.0),
-        adc=counters.Limited(312, 4.1, 0.205),
+    limits = tables.Limits(
+        force=tables.Limited(1, 0.0041, 0.0001),
+        negative=tables.Limited(0, 0.0, 0.0),
+        adc=tables.Limited(312, 4.1, 0.205),
     )
-    assert counters.limit_texts(dataclasses.asdict(limits)) == [
+    assert phrases.limit_texts(dataclasses.asdict(limits)) == [
         "ADC range 312 times, 4.1 s (20.5 % of the run)",
         "force limit 1 time, 4.1 ms (< 0.1 % of the run)",
     ]
-    assert counters.limit_texts(dataclasses.asdict(counters.Limits())) == []
+    assert phrases.limit_texts(dataclasses.asdict(tables.Limits())) == []
     # A recording leaves out the figures that do not apply.
-    assert counters.limit_texts({"force": {}}) == counters.limit_texts({}) == []
+    assert phrases.limit_texts({"force": {}}) == phrases.limit_texts({}) == []

@@ -11,18 +11,10 @@ from pydantic import TypeAdapter
 from rich.console import Console
 
 from docs.ext import summary_keys
-from protocol.figures import (
-    MILLISECONDS,
-    NEWTONS,
-    PPM,
-    SHARE,
-    STRAIN,
-    Figure,
-    Registry,
-    Surface,
-    Unit,
-)
-from protocol.run_summary import REGISTRY, Summary, print_summary
+from protocol.summary.figures import Figure, Reader, Surface, figures, figures_on
+from protocol.summary.rows import cells, print_summary
+from protocol.summary.tables import Summary
+from protocol.summary.units import UNITS
 from protocol.wire.telemetry import Status
 from telepulse.metrics.server import NodeState, families
 from telepulse.view import text as page
@@ -53,7 +45,7 @@ def scraped(summary: Json) -> str:
 SURFACES: dict[Surface, Callable[[Json], str]] = {
     Surface.SUMMARY: printed,
     Surface.PAGE: on_the_page,
-    Surface.REPORT: lambda summary: str(REGISTRY.cells(summary, Surface.REPORT)),
+    Surface.REPORT: lambda summary: str(cells(summary, Surface.REPORT)),
     Surface.METRICS: scraped,
 }
 
@@ -83,7 +75,7 @@ def changed(summary: Json, figure: Figure) -> Json:
 def test_a_figure_is_on_a_surface_or_absent_for_a_reason(surface: Surface) -> None:
     show, summary = SURFACES[surface], full_summary().to_dict()
     before = show(summary)
-    for each in REGISTRY.figures:
+    for each in figures():
         if surface in each.absent:
             assert each.absent[surface].endswith("."), each.key
         else:
@@ -96,39 +88,44 @@ def test_every_key_of_the_json_is_a_figure_in_the_reference() -> None:
             return [key for name in value for key in keys(value[name], f"{before}.{name}")]
         return [before.removeprefix(".")]
 
-    assert sorted(keys(Summary().to_dict())) == sorted(each.key for each in REGISTRY.figures)
+    assert sorted(keys(Summary().to_dict())) == sorted(each.key for each in figures())
     reference = summary_keys.write()
-    assert all(f"| `{each.key}` |" in reference for each in REGISTRY.figures)
-    assert all(reason in reference for each in REGISTRY.figures for reason in each.absent.values())
+    assert all(f"| `{each.key}` |" in reference for each in figures())
+    assert all(reason in reference for each in figures() for reason in each.absent.values())
 
 
 @pytest.mark.parametrize(
     ("unit", "value", "text"),
     [
-        (MILLISECONDS, -0.004, "0.00 ms"),
-        (MILLISECONDS, -0.006, "-0.01 ms"),
-        (NEWTONS, -4e-7, "0.000 mN"),
-        (PPM, -0.0, "0.0 ppm"),
-        (SHARE, -1e-6, "0.0 %"),
-        (STRAIN, -0.0, "0.000e+00"),
+        ("ms", -0.004, "0.00 ms"),
+        ("ms", -0.006, "-0.01 ms"),
+        ("N", -4e-7, "0.000 mN"),
+        ("ppm", -0.0, "0.0 ppm"),
+        ("share", -1e-6, "0.0 %"),
+        ("strain", -0.0, "0.000e+00"),
     ],
 )
-def test_a_value_that_rounds_to_zero_has_no_sign(unit: Unit, value: float, text: str) -> None:
-    assert unit.text(value) == text
+def test_a_value_that_rounds_to_zero_has_no_sign(unit: str, value: float, text: str) -> None:
+    assert UNITS[unit].text(value) == text
 
 
-def test_a_field_without_a_figure_is_refused() -> None:
-    @dataclass(frozen=True, slots=True)
-    class Bare(Summary):
-        secret: float | None = None
+@dataclass(frozen=True, slots=True)
+class Bare:
+    secret: float | None = None
 
-    with pytest.raises(TypeError, match=r"Bare\.secret has no Figure"):
-        Registry(Bare)
+
+@pytest.mark.parametrize(
+    ("entries", "refusal"),
+    [({}, r"Bare\.secret has no entry"), ({"secret": {}, "other": {}}, "Bare has no other")],
+)
+def test_each_field_has_an_entry_and_each_entry_a_field(entries: Json, refusal: str) -> None:
+    with pytest.raises(TypeError, match=refusal):
+        list(Reader({}, entries).figures(Bare))
 
 
 def test_each_metric_is_of_one_figure() -> None:
     names = [
-        (each.metric, tuple(sorted(each.labels.items()))) for each in REGISTRY.on(Surface.METRICS)
+        (each.metric, tuple(sorted(each.labels.items()))) for each in figures_on(Surface.METRICS)
     ]
     assert all(name for name, _ in names)
     assert len(set(names)) == len(names)

@@ -7,13 +7,12 @@ from typing import Any
 import pytest
 from rich.console import Console
 
-from protocol import loop_tables
-from protocol import summary_tables as tables
-from protocol.counters import Availability, Limited, Limits
-from protocol.run_summary import Summary, print_summary, write_json
+from protocol.summary import tables
+from protocol.summary.rows import print_summary, write_json
+from protocol.summary.tables import Availability, Limited, Limits, Summary
 from tests.support.full_summary import full_summary
 
-LATE_US = loop_tables.Lateness(60.0, 900.0, 5_000.0, 52_344.0, ["p999"])
+LATE_US = tables.Lateness(60.0, 900.0, 5_000.0, 52_344.0, ["p999"])
 NEVER = Limited(0, 0.0, 0.0)
 
 
@@ -50,7 +49,7 @@ def test_a_figure_that_is_not_finite_is_null(value: float) -> None:
     summary = Summary(
         covered_delay_ms=value,
         force_rmse_n=tables.AlignedErrors(aligned=value),
-        loop=loop_tables.Loop(tick_us=loop_tables.TickTime(p50=value)),
+        loop=tables.Loop(tick_us=tables.TickTime(p50=value)),
     )
     table = summary.to_dict()
     assert table["covered_delay_ms"] is None
@@ -113,7 +112,7 @@ def test_the_file_holds_the_summary(summary: Summary, tmp_path: Path) -> None:
         ),
         (Summary(clock=tables.Clock(offset_ms=-5e6)), "clock", "offset -5000.000 s"),
         (
-            Summary(loop=loop_tables.Loop(late_us=LATE_US)),
+            Summary(loop=tables.Loop(late_us=LATE_US)),
             "tick lateness",
             "p50 60 µs, p99 900 µs, p99.9 > 5000 µs, max 52344 µs",
         ),
@@ -122,7 +121,7 @@ def test_the_file_holds_the_summary(summary: Summary, tmp_path: Path) -> None:
             "one-way delay",
             "p50 20.00 ms, p99 > 2000.00 ms, max 2500.00 ms",
         ),
-        (Summary(loop=loop_tables.Loop(1, 1)), "loop", "1 tick, 1 deadline miss"),
+        (Summary(loop=tables.Loop(1, 1)), "loop", "1 tick, 1 deadline miss"),
         (Summary(samples=tables.SampleCounts(before_joining=1)), "joined", "after 1 sample"),
     ],
     ids=[
