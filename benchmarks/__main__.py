@@ -33,6 +33,10 @@ def main(
     quick: Annotated[
         bool, typer.Option("--quick", help="Try every part with little effort; judge nothing.")
     ] = False,
+    case: Annotated[
+        list[str] | None,
+        typer.Option(metavar="TEXT", help="Run only the cases whose name has this text."),
+    ] = None,
     seeds: Annotated[
         int | None,
         typer.Option(metavar="N", min=1, help="Number of seeds."),
@@ -66,7 +70,7 @@ def main(
             raise typer.BadParameter(f"no benchmark {name!r}; known: {', '.join(known)}")
     holds = True
     for name in names:
-        run = Benchmark(name, quick, seeds, scheduler, records, plots)
+        run = Benchmark(name, quick, tuple(case or ()), seeds, scheduler, records, plots)
         try:
             importlib.import_module(f"benchmarks.{name}").main(run)
             holds &= run.close()

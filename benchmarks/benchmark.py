@@ -52,6 +52,8 @@ class Benchmark:
     quick
         The least effort that still runs every part: a check that the benchmark works. Its figures
         mean nothing, and are not judged.
+    cases
+        Texts that choose cases by their names, where a benchmark has some; none for all.
     seeds
         Number of seeds, where a benchmark repeats its runs with several; None for its own.
     scheduler
@@ -64,6 +66,7 @@ class Benchmark:
 
     name: str
     quick: bool = False
+    cases: tuple[str, ...] = ()
     seeds: int | None = None
     scheduler: str | None = None
     records: Path | None = None
@@ -76,6 +79,14 @@ class Benchmark:
     ) -> None:
         """Print a table, and keep it for the page."""
         self._show(Table(title, columns, list(rows), note))
+
+    def choose(self, names: Iterable[str]) -> list[str]:
+        """Return the names of cases to run. Raises ValueError where a text chooses none."""
+        known = list(names)
+        for text in self.cases:
+            if not any(text in name for name in known):
+                raise ValueError(f"no case {text!r}; known: {', '.join(known)}")
+        return [name for name in known if not self.cases or any(t in name for t in self.cases)]
 
     def judge(self, name: str, figure: float) -> None:
         """Judge a figure by the criterion of this name. Raises KeyError without one."""

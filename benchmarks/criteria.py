@@ -93,6 +93,52 @@ CRITERIA: Final[dict[str, tuple[Criterion, ...]]] = {
         Criterion("random spikes / best moving, 5 %", most=1.6),
         Criterion("TCP stalls / best moving, 5 %", most=1.7),
     ),
+    "wire": (Criterion("a frame of 5 samples, encoded and decoded", 15e-6, scale=1e6, unit="µs"),),
+    "simulation": (Criterion("speed of the default scene, times real time", least=50.0),),
+    "contactors": (
+        share("a further contactor's tick over the first one's, stack", most=0.4),
+        share("a further contactor's tick over the first one's, linear", most=0.4),
+        Criterion("skew between contactors", 0.1e-3, scale=1e3, unit="ms"),
+    ),
+    "drives": (
+        Criterion("PDO of a velocity command, 99th percentile", 50e-6, scale=1e6, unit="µs"),
+    ),
+    "emulated_bench": (
+        Criterion("benches that did not play", most=0),
+        Criterion("RMSE over the model's", most=1.5),
+        Criterion("samples a second", least=1_000),
+        Criterion("commands a second", least=500),
+    ),
+    "bench_faults": (
+        Criterion("time from a fault until the tip rests or is off", 0.1, scale=1e3, unit="ms"),
+        Criterion("force after a restart", most=2.5, unit="N"),
+        Criterion("slew after a restart", most=50.0, unit="N/s"),
+    ),
+    "stalls": (Criterion("stalls that leave the tip pressed", most=0),),
+    "faults": (
+        Criterion("time until the pulse is felt again after a fault", most=1.0, unit="s"),
+        Criterion("samples that no count names", most=0),
+        Criterion("force at the finger", most=2.5, unit="N"),
+        Criterion("slew of the target", most=50.0, unit="N/s"),
+        Criterion("time until the pulse is felt again after a cut", most=1.0, unit="s"),
+        share("ticks missed by the display's own core time in a flood", most=0.01),
+    ),
+    "paths": (
+        Criterion("p99 of three connections over that without loss", most=1.1),
+        Criterion("samples lost over three", most=0),
+    ),
+    "peers": (
+        Criterion("p50 of telepulse over that of pyzmq", most=1.25),
+        Criterion("p50 of telepulse, CURVE over that of pyzmq, CURVE", most=1.25),
+        Criterion("p50 of telepulse over that of LSL", most=1.0),
+    ),
+    "clock": (
+        Criterion("error of the offset after 5 s", 1e-3, scale=1e3, unit="ms"),
+        Criterion("error of the offset after 60 s", 0.3e-3, scale=1e3, unit="ms"),
+        Criterion("error of the skew after 60 s", 5e-6, scale=1e6, unit="ppm"),
+        Criterion("RMS error over LSL's at 0 ppm, its easiest", most=0.33),
+    ),
+    "load": (Criterion("time until a relay has frames again after a cut", most=1.0, unit="s"),),
     "depth": (
         share("error of the best hold-down", most=0.05),
         share("range of the repeats, over their mean", most=0.05),

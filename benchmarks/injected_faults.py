@@ -1,9 +1,7 @@
 """Drives and films that report false values: the felt force, and the time until it is reported.
 
-Every fault of `tests.support.fault_injection` on both kinds of drive, with a film and
-without, by the product's own code in virtual time. `python -m benchmarks.injected_faults NAME` runs
-the faults of one name, `python -m benchmarks.injected_faults NAME 3` those on a finger three times
-as stiff as the scene's.
+Every fault of `tests.support.fault_injection` on both kinds of drive, with a film and without, by
+the product's own code in virtual time. Cases that are chosen run with soft and stiff fingers too.
 """
 
 import os
@@ -51,6 +49,8 @@ CASES = (
     FaultCase(FaultKind.REVERSED_ENCODER, from_start=True),
     *(FaultCase(kind, size) for kind, sizes in SIZES.items() for size in sizes),
 )
+# Stiffness of the finger over the scene's.
+FINGERS = (0.3, 1.0, 3.0)
 STREAMS: dict[str, Callable[[], Callable[[int], float]]] = {
     "pulse": paper_pulse,
     "hostile": lambda: hostile_stream,
@@ -65,7 +65,7 @@ class Run:
     kind: str
     with_film: bool
     stream: str
-    finger: float = 1.0
+    finger: float
 
     def outcome(self) -> FaultOutcome:
         """Run the case and return its result."""
@@ -80,11 +80,16 @@ class Run:
         return " ".join(word for word in (self.case.kind.value, self.case.size, begin) if word)
 
 
-def rows() -> list[tuple[str, ...]]:
-    """Return the table's rows, of all faults."""
+def rows(benchmark: Benchmark) -> list[tuple[str, ...]]:
+    """Return the table's rows, of the chosen faults."""
+    kinds = set(benchmark.choose(sorted({case.kind.value for case in CASES})))
+    cases = [case for case in CASES if case.kind.value in kinds]
+    if benchmark.quick:
+        cases = cases[:1]
     runs = [
-        Run(case, kind, with_film, stream, 1.0)
-        for case in (None, *CASES)
+        Run(case, kind, with_film, stream, finger)
+        for case in (None, *cases)
+        for finger in (FINGERS if benchmark.cases else (1.0,))
         for with_film in (True, False)
         for stream in STREAMS
         for kind in KINDS
@@ -99,6 +104,7 @@ def rows() -> list[tuple[str, ...]]:
         table.append(
             (
                 run.name,
+                f"{run.finger:g}",
                 "film" if run.with_film else "none",
                 run.stream,
                 run.kind,
@@ -122,6 +128,7 @@ def main(benchmark: Benchmark) -> None:
         f" limit of {LIMIT_N:g} N, off the finger {BAR_OFF_MS / 1e3:g} s after the fault, named",
         (
             "fault",
+            "finger",
             "film",
             "stream",
             "drive",
@@ -134,5 +141,5 @@ def main(benchmark: Benchmark) -> None:
             "stiffness",
             "named",
         ),
-        rows(),
+        rows(benchmark),
     )

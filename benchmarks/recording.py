@@ -1,4 +1,7 @@
-"""Cost of a recorder: for each of the display's ticks, for itself, and the size of its file."""
+"""Cost of a recorder, of reports and exports of a long recording, and of a long file as a source.
+
+Its cases: "recorder", "reports", "long files".
+"""
 
 import math
 import os
@@ -7,6 +10,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
+from subprocess import DEVNULL, PIPE
 
 import numpy as np
 import zmq
@@ -21,6 +25,7 @@ from protocol.summary.tables import Summary
 from protocol.ticks import TickState
 from protocol.wire.messages import Frame, encode_frame
 from protocol.wire.telemetry import TRACE_TICKS, pack_status
+from tests.support.recordings import record
 
 TICK_NS = 1_000_000
 TICKS_A_FRAME = 5
@@ -31,7 +36,14 @@ END = pack_status("ended", "", Summary(), final=True)
 
 
 def main(benchmark: Benchmark) -> None:
-    """Print the tables."""
+    """Print the tables of the chosen cases."""
+    parts = {"recorder": recorder_cost, "reports": reports, "long files": long_files}
+    for name in benchmark.choose(parts):
+        parts[name](benchmark)
+
+
+def recorder_cost(benchmark: Benchmark) -> None:
+    """Print what a recorder costs for each of the display's ticks and for itself."""
     rows = []
     for name, reader in (("nobody reads", nobody), ("a screen reads", screen)):
         cost_us, _ = measure(reader, TICKS)
@@ -116,3 +128,102 @@ def recorder(address: str, path: Path) -> Iterator[bool]:
     with ChildProcess("recorder", *command) as process:
         yield True
         process.wait()
+
+
+COMMANDS = (
+    ("report",),
+    ("export", "--to", "csv"),
+    ("export", "--to", "parquet"),
+    ("export", "--to", "edf"),
+)
+# ru_maxrss is in kB on Linux.
+MB = 1e-3
+
+
+def reports(benchmark: Benchmark) -> None:
+    """Print time, memory and size of the reports and exports of an hour's recording."""
+    rows = []
+    with tempfile.TemporaryDirectory(prefix="telepulse-") as folder:
+        path = Path(folder, "hour.mcap")
+        record(path, HOUR_S)
+        for command, *options in COMMANDS:
+            out = Path(folder, "-".join((command, *options)))
+            core_s, most_mb = run_command(command, str(path), *options, "--out", str(out))
+            figures = (core_s, most_mb, size_mb(out))
+            rows.append((" ".join((command, *options)), *(f"{figure:.0f}" for figure in figures)))
+        title = f"A recording of {HOUR_S} s, {path.stat().st_size * 1e-6:.0f} MB"
+    benchmark.table(title, ("telepulse", "s of a core", "most memory, MB", "written, MB"), rows)
+
+
+def run_command(*arguments: str) -> tuple[float, float]:
+    """Run a command of telepulse; return its time on a core in s and its peak memory in MB."""
+    process = ChildProcess("command", "-m", "telepulse", *arguments, stdout=DEVNULL)
+    _, status, usage = os.wait4(process.pid, 0)
+    process.returncode = os.waitstatus_to_exitcode(status)
+    if process.returncode:
+        raise SystemExit(f"benchmarks: {' '.join(arguments)} failed")
+    return usage.ru_utime + usage.ru_stime, usage.ru_maxrss * MB
+
+
+def size_mb(path: Path) -> float:
+    """Return the size of a file, or of a folder's files."""
+    files = [path] if path.is_file() else list(path.iterdir())
+    return math.fsum(file.stat().st_size for file in files) * 1e-6
+
+
+DAY_S, HOUR_S, RATE_HZ = 86_400, 3_600, 1_000
+# Samples that are written at once: whole beats of 0.8 s.
+PART = 800_000
+FIRST_SAMPLE = """
+import sys
+from pathlib import Path
+from sensing_node.sources.choice import record_table
+from sensing_node.sources.recorded import RecordedSource, RecordingScene
+table, _ = record_table(Path(sys.argv[1]))
+RecordedSource(RecordingScene.model_validate(table | {"rate": "1 kHz"}), Path()).take(1)
+# Of this program alone: ru_maxrss has that of the one which started it, too.
+print(Path("/proc/self/status").read_text().partition("VmHWM:")[2].split()[0])
+"""
+
+
+def long_files(benchmark: Benchmark) -> None:
+    """Print time and memory until the first sample of a long file can be played."""
+    rows = []
+    with tempfile.TemporaryDirectory(prefix="telepulse-") as folder:
+        for name, kind, seconds in (
+            ("a day, .npy of 32-bit floats", "<f4", DAY_S),
+            ("a day, .npy of 16-bit integers", "<i2", DAY_S),
+            ("an hour, .csv with times", "", HOUR_S),
+        ):
+            path = Path(folder, "pulse.npy" if kind else "pulse.csv")
+            write(path, kind, seconds * RATE_HZ)
+            start_s, most_mb = first_sample(path)
+            size_mb = path.stat().st_size * 1e-6
+            rows.append((name, f"{size_mb:.0f}", f"{start_s:.1f}", f"{most_mb:.0f}"))
+    columns = ("file at 1 kHz", "size, MB", "until the first sample, s", "most memory, MB")
+    benchmark.table("A long file as a source", columns, rows)
+
+
+def write(path: Path, kind: str, samples: int) -> None:
+    """Write a pulse of 75 beats a minute as an array of a kind of numbers, or as text."""
+    beat_s = np.arange(PART) / RATE_HZ % 0.8
+    pulse = 1000 * np.exp(-(((beat_s - 0.3) / 0.08) ** 2))
+    if kind:
+        array = np.lib.format.open_memmap(path, "w+", kind, (samples,))
+        for first in range(0, samples, PART):
+            array[first : first + PART] = pulse[: samples - first]
+        return
+    with path.open("w", encoding="ascii") as file:
+        file.write("t [s],force [mN]\n")
+        for at in range(samples):
+            file.write(f"{at / RATE_HZ:.3f},{pulse[at % PART]:.2f}\n")
+
+
+def first_sample(path: Path) -> tuple[float, float]:
+    """Play the first sample in a process; return its whole time in s and its peak memory in MB."""
+    began_s = time.perf_counter()
+    with ChildProcess("player", "-c", FIRST_SAMPLE, str(path), stdout=PIPE) as process:
+        printed, _ = process.communicate()
+    if process.returncode:
+        raise SystemExit(f"benchmarks: {path} cannot be played")
+    return time.perf_counter() - began_s, int(printed) * 1e-3

@@ -1,12 +1,9 @@
-"""Timing of a call, and tables."""
+"""Timing of calls."""
 
 import statistics
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
-
-from rich.console import Console
-from rich.table import Table
 
 from protocol.histogram import bound
 from protocol.summary.tables import Lateness, OneWayDelay, TickTime
@@ -41,16 +38,6 @@ def paced(period_ns: int) -> Iterator[int]:
         due_ns += period_ns
         time.sleep(max(0, due_ns - time.perf_counter_ns()) * 1e-9)
         yield due_ns
-
-
-def show(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
-    """Print a table."""
-    table = Table(title=title, title_justify="left")
-    for position, column in enumerate(columns):
-        table.add_column(column, justify="left" if position == 0 else "right")
-    for row in rows:
-        table.add_row(*row)
-    Console().print(table)
 
 
 def median_quantile(

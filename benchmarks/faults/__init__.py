@@ -1,6 +1,8 @@
 """Faults of nodes, networks and peers: time until the pulse is felt again, unaccounted samples.
 
-Some need root, for the link emulator.
+Its cases: "faults" of every kind, "cuts" of seven kinds many times each, "reconnections" where
+nothing is cut, "floods" of a peer, and the "backlog" of a display that never reads. Some need root,
+for the link emulator.
 """
 
 import random
@@ -9,39 +11,51 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from benchmarks.benchmark import Benchmark
+from benchmarks.faults import cuts, flood
 from benchmarks.faults.backlog import backlogs
 from benchmarks.faults.cases import CASES, NEEDS_EMULATOR, FaultResult
 from tests.support.netem import unavailable
 
 TIMES = 6
 SEED = 1
-BAR_MS = 1_000.0
-FORCE_LIMIT_N, SLEW_LIMIT_N_PER_S = 2.5, 50.0
 
 
 def main(benchmark: Benchmark) -> None:
-    """Print the table.
+    """Print the tables of the chosen cases."""
+    parts = {
+        "faults": each_fault,
+        "cuts": cuts.each_kind,
+        "reconnections": cuts.where_nothing_is_cut,
+        "floods": flood.floods,
+        "backlog": backlogs,
+    }
+    for name in benchmark.choose(parts):
+        parts[name](benchmark)
 
-    The bars: felt again within 1 s, no sample unaccounted for, no force and no slew of the target
-    beyond the scene's limits.
-    """
-    reason = unavailable()
-    rows = []
+
+def each_fault(benchmark: Benchmark) -> None:
+    """Make every fault several times."""
+    reason, times = unavailable(), 1 if benchmark.quick else TIMES
+    rows, results = [], []
     for number, (name, case) in enumerate(CASES.items()):
         if case in NEEDS_EMULATOR and reason is not None:
             print(f"{name}: left out: {reason}")
             continue
         with TemporaryDirectory(prefix="telepulse-") as folder:
-            rows.append(row(name, case(Path(folder), TIMES, random.Random(SEED + number))))
-    backlogs(benchmark)
+            results.append(case(Path(folder), times, random.Random(SEED + number)))
+        rows.append(row(name, results[-1]))
     benchmark.table(
-        f"{TIMES} times each, radial.toml, links of 20±3 ms or this machine alone: ms from its end"
-        f" until the pulse is felt again, median and most (bar {BAR_MS:g}); share of the time that"
-        " it was felt meanwhile; samples that no count names (bar 0); most force, most slew of the"
-        f" target and felt (limits {FORCE_LIMIT_N:g} N, {SLEW_LIMIT_N_PER_S:g} N/s)",
+        f"{times} times each, radial.toml, links of 20±3 ms or this machine alone: ms from its end"
+        " until the pulse is felt again, median and most; share of the time that it was felt"
+        " meanwhile; samples that no count names; most force, most slew of the target and felt",
         ("fault", "median", "most", "felt", "missing", "N", "N/s target", "N/s felt"),
         rows,
     )
+    back_ms = [each for found in results for each in found.back_ms]
+    benchmark.judge("time until the pulse is felt again after a fault", 1e-3 * max(back_ms))
+    benchmark.judge("samples that no count names", sum(found.unaccounted for found in results))
+    benchmark.judge("force at the finger", max(found.peaks[0] for found in results))
+    benchmark.judge("slew of the target", max(found.peaks[1] for found in results))
 
 
 def row(name: str, found: FaultResult) -> tuple[str, ...]:

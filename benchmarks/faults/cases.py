@@ -221,7 +221,7 @@ def one_of_twenty_never_reads(folder: Path, times: int, rng: random.Random) -> F
         total = sent.samples.sent or 0
         missing = unaccounted(sent, summary) + sum(
             abs(total - received - before) + lost
-            for received, _, _, lost, before in json.loads(output)
+            for received, _, _, _, lost, before in json.loads(output)
         )
         return FaultResult(missing, felt.peaks(), felt=share)
 

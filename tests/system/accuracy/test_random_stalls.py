@@ -8,7 +8,7 @@ from tests.support.sender import MS
 from tests.support.stall_runs import MOST_READINGS, StallRun
 from tests.support.threaded_bench import ThreadedBench
 
-# `make bench ARGS=random_stalls` runs hours.
+# `make bench ARGS="stalls --case random"` runs hours.
 SECONDS = 30.0
 
 
