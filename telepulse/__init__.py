@@ -8,7 +8,6 @@ The commands are `sensing-node`, `display-node` and `telepulse`. From Python:
 2 mN
 """
 
-import warnings
 from importlib import import_module
 from typing import TYPE_CHECKING, Any, Final
 
@@ -39,9 +38,6 @@ _MODULES: Final = {
     "simulate": "telepulse.simulation.simulated_run",
     "sweep": "telepulse.parallel",
 }
-# Each former name, and its successor. Its use warns; type checkers do not know it. An entry is kept
-# for one minor version.
-_RENAMED: Final[dict[str, str]] = {}
 __version__: str
 __all__ = [
     "Beat",
@@ -66,10 +62,6 @@ if not TYPE_CHECKING:  # A type checker would take any name for one of the packa
         """Import a name of `__all__` from its module; look up `__version__`."""
         if name == "__version__":
             return import_module("importlib.metadata").version("telepulse")
-        if name in _RENAMED:
-            old, name = name, _RENAMED[name]
-            text = f"telepulse.{old} is now telepulse.{name}; the next minor version drops {old}"
-            warnings.warn(text, DeprecationWarning, stacklevel=2)
         if name not in _MODULES:
             raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
         return getattr(import_module(_MODULES[name]), name)

@@ -4,7 +4,7 @@ import json
 import math
 import os
 from array import array
-from base64 import b64decode, b64encode
+from base64 import b64decode
 from collections import defaultdict
 from collections.abc import Iterator
 from pathlib import Path
@@ -17,7 +17,7 @@ from mcap import stream_reader
 from mcap.records import Message
 
 from protocol.errors import SourceError, WireError
-from protocol.wire.messages import VERSION, Welcome, decode_control, decode_frame
+from protocol.wire.messages import Welcome, decode_control, decode_frame
 from protocol.wire.stream import Channel
 from sensing_node.files.bounds import MOST_SAMPLES
 from sensing_node.files.grids import FREE_GAP, MOST_GAPS, evenly, unsteady
@@ -126,17 +126,6 @@ class _BoundedFile:
         return self._file.read(min(count, max(0, self._size - self._file.tell())))
 
 
-def in_this_version(data: str) -> str:
-    """Return a received message, in base64, of which only the version is changed from 1.
-
-    Frames and descriptions of version 1 are valid in this version.
-    """
-    head = b64decode(data[:4])
-    if head[1:2] != b"\1":
-        return data
-    return b64encode(head[:1] + bytes([VERSION]) + head[2:]).decode("ascii") + data[4:]
-
-
 class _Frames:
     """Frames of a recording: the samples of its longest session, by number."""
 
@@ -146,7 +135,7 @@ class _Frames:
 
     def take(self, schema: str, data: str) -> None:
         """Take a message's exact bytes, in base64. Raises WireError or ValueError."""
-        received = b64decode(in_this_version(data))
+        received = b64decode(data)
         if schema == STREAM_SCHEMA:
             welcome = decode_control(received)
             if isinstance(welcome, Welcome):

@@ -2,7 +2,6 @@
 
 import ipaddress
 import logging
-import os
 import sys
 from contextlib import ExitStack
 from importlib.util import find_spec
@@ -26,14 +25,12 @@ from protocol.cli_options import (
 from protocol.errors import AddressError, OutputError, ProtectionError, TelepulseError
 from protocol.host.child_process import ChildProcess
 from protocol.host.output import configure_logging
-from protocol.host.process import stop_on_signals
+from protocol.host.process import lower_priority, stop_on_signals
 from telepulse.cli.options import PROGRAM, AddressArgument
 
 logger = logging.getLogger(__name__)
 
 STARTS_WITHIN_S = 30.0
-# Lower priority than the display's loop, which may be on the same machine.
-NICENESS = 10
 
 
 def check_bokeh() -> None:
@@ -85,8 +82,7 @@ def view(
         from telepulse.view.server import PageServer
 
         # Before the server starts threads, which inherit it.
-        if hasattr(os, "nice"):
-            os.nice(NICENESS)
+        lower_priority()
         page = PageServer(address, host, port, keys)
     stop_on_signals(page.stop)
     console.print(f"page: {page.url}")

@@ -55,7 +55,7 @@ COLUMNS = {
         "message": "the event in words",
     },
     BEATS: {
-        "contactor": "name of the contactor that played the beat; empty in older recordings",
+        "contactor": "name of the contactor that played the beat; empty for an only one",
         "channel": "number of its channel",
         "session": "session of the sensing node",
         "onset_ns": "where the steepest rise's tangent meets the foot, on the sensing clock",

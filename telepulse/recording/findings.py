@@ -217,10 +217,8 @@ class RunFindings:
     def _status(self, t_s: float, fields: dict[str, Any]) -> None:
         new, playing = _SUMMARY.validate_python(fields["summary"]), fields.get("playing")
         if playing:
-            # A list since displays have several contactors.
-            listed = playing if isinstance(playing, list) else [playing]
-            self._stale_after_ns = int(listed[0]["stale_after_ns"])
-            self._playing = [self._follow(each) for each in listed]
+            self._stale_after_ns = int(playing[0]["stale_after_ns"])
+            self._playing = [self._follow(each) for each in playing]
             self._take_early()
         last = self.display_summary or Summary()
         self.display_summary, self.is_final_summary = new, fields["final"]
@@ -243,8 +241,7 @@ class RunFindings:
 
     def _follow(self, playing: dict[str, Any]) -> ContactorFindings:
         """Return the contactor that a status names; a further run's display may have others."""
-        # Recordings of older versions have no names.
-        name = str(playing.get("contactor", ""))
+        name = str(playing["contactor"])
         known = (each for each in self.contactors if each.name in ("", name))
         contactor = next(known, None)
         if contactor is None:

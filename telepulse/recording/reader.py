@@ -35,10 +35,6 @@ class RecordedMessage(NamedTuple):
             raise ValueError("nested too deep") from None
         if type(fields) is not dict:
             raise ValueError(f"not a table: {fields!r:.40}")
-        if self.topic in (FRAME, STREAM) and isinstance(data := fields.get("data"), str):
-            from sensing_node.files.mcap_messages import in_this_version
-
-            fields["data"] = in_this_version(data)
         return fields
 
 

@@ -45,11 +45,7 @@ class RecordedBeats:
             if self._instant_ns is not None:
                 self._entries.play(self._instant_ns)
             if playing := fields.get("playing"):
-                # A list since displays have several contactors, which have names since then.
-                listed = playing if isinstance(playing, list) else [playing]
-                self._contactors = [
-                    (str(p.get("contactor", "")), int(p["channel"])) for p in listed
-                ]
+                self._contactors = [(str(p["contactor"]), int(p["channel"])) for p in playing]
         elif (frame := self._entries.take(entry.topic, fields)) is not None:
             receiver = self._entries.receiver
             if frame.session != self._session:

@@ -73,9 +73,7 @@ class RecordedRun:
     def _status(self, fields: Fields) -> None:
         self._summary = _SUMMARY.validate_python(fields["summary"])
         if playing := fields.get("playing"):
-            # Recordings of older versions have one contactor, without a name.
-            listed = playing if isinstance(playing, list) else [{"contactor": "", **playing}]
-            self._playback = [PlaybackStatus(**each) for each in listed]
+            self._playback = [PlaybackStatus(**each) for each in playing]
 
     def run(self, name: str, about: dict[str, str]) -> Run:
         """Return the run; about: what a person stated about the recording."""

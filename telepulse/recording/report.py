@@ -94,7 +94,6 @@ def build_recording_report(path: Path) -> Report:
             "Stated by the person who recorded", ("entry", "text"), tuple(findings.about.items())
         )
         chapters.append(Chapter("About the recording", tables=(stated,)))
-    # Recordings of older versions have no provenance.
     if runs := findings.provenance:
         titles = [f"Run {n}" for n in range(1, len(runs) + 1)] if len(runs) > 1 else ["The run"]
         tables = tuple(map(provenance_table, titles, runs))

@@ -146,7 +146,11 @@ class PageServer:
         logging.getLogger("bokeh.server").setLevel(logging.ERROR)
         self._loop = IOLoop.current()
         self._polling = PeriodicCallback(self._poll_telemetry, POLL_EVERY_MS)
-        self._server = self._serve(host, port)
+        try:
+            self._server = self._serve(host, port)
+        except AddressError:
+            self._client.close()
+            raise
         self.url = f"http://{in_url(host)}:{self._server.port}"
 
     @property

@@ -4,8 +4,6 @@ import inspect
 import re
 from pathlib import Path
 
-import pytest
-
 import telepulse
 from tests.support.nodes import ROOT
 
@@ -47,17 +45,6 @@ def test_the_version_and_the_names_are_those_of_the_package() -> None:
     assert documented == telepulse.__all__
     assert {name for name in dir(telepulse) if not name.startswith("__")} == {*telepulse.__all__}
     assert {"__version__", "__all__", "__doc__"} <= set(dir(telepulse))
-
-
-def test_a_renamed_name_works_with_a_warning_that_names_its_successor(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.setitem(telepulse._RENAMED, "run_scene", "simulate")
-    with pytest.warns(
-        DeprecationWarning, match=r"^telepulse\.run_scene is now telepulse\.sim"
-    ) as w:
-        assert getattr(telepulse, "run_scene") is telepulse.simulate  # noqa: B009
-    assert w[0].filename == __file__
 
 
 def test_the_packages_carry_their_types() -> None:

@@ -2,7 +2,6 @@
 
 import io
 import json
-from base64 import b64decode, b64encode
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -12,7 +11,6 @@ from mcap.reader import make_reader
 from mcap.writer import Writer
 
 from protocol.errors import OutputError, SourceError
-from protocol.wire.messages import VERSION, Frame
 from telepulse.recording.export import export_csv, export_mcap, export_parquet
 from telepulse.recording.findings import read_findings
 from telepulse.recording.mcap_writer import McapWriter
@@ -20,7 +18,7 @@ from telepulse.recording.reader import MAX_WAITING, RecordedMessage, RecordingRe
 from telepulse.recording.session import longest_session
 from telepulse.recording.signal_export import export_signals
 from telepulse.telemetry.decoder import Entry
-from telepulse.telemetry.schema import CLOCK, EVENT, FRAME, STREAM, TICK
+from telepulse.telemetry.schema import CLOCK, EVENT, FRAME, TICK
 from tests.support.recordings import record
 
 TICKS_A_CHUNK = 4
@@ -208,30 +206,6 @@ def test_a_felt_force_that_becomes_unknown_is_read(
 
     change(good, path, forget)
     READERS[reader](path, path.with_name("out"))
-
-
-def test_a_recording_of_version_1_is_read(good: list[RecordedMessage], path: Path) -> None:
-    def age(of: str, at: int, fields: dict[str, Any]) -> None:
-        if of in (FRAME, STREAM):
-            fields["data"] = as_version_1(fields["data"])
-
-    def as_version_1(data: str) -> str:
-        message = b64decode(data)
-        assert message[1] == VERSION
-        return b64encode(message[:1] + b"\1" + message[2:]).decode()
-
-    def frames(path: Path) -> list[Frame]:
-        session = longest_session(path)
-        assert session.samples
-        return list(session.frames())
-
-    present = path.with_name("present.mcap")
-    change(good, present, lambda *_: None)
-    change(good, path, age)
-    for one, other in zip(frames(path), frames(present), strict=True):
-        assert one[:4] == other[:4]
-        assert one.values.tolist() == other.values.tolist()
-    assert read_findings(path)
 
 
 def test_a_played_channel_that_is_missing_is_one_line(
