@@ -12,7 +12,7 @@ from benchmarks.benchmark import Benchmark
 from display_node.press.finger_press import PressLimits
 from sensing_node.press.probe import ProbeLimits
 from telepulse.simulation.link_scene import LinkScene
-from telepulse.simulation.press_loop import BATCH, ArterialPulse, PressSetting, link_of
+from tests.support.press_loop import BATCH, ArterialPulse, PressSetting, link_of
 from tests.support.press_runs import (
     FOLLOW_ERROR,
     REST_N,

@@ -20,7 +20,7 @@ from protocol.wire.messages import SetPoint
 from sensing_node.press.probe import ProbeLimits
 from sensing_node.press.set_points import SetPointServer
 from sensing_node.sources.wrist import Wrist
-from telepulse.simulation.press_loop import (
+from tests.support.press_loop import (
     AHEAD_NS,
     OWN_PULSE,
     PRESS,

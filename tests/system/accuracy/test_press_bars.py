@@ -5,7 +5,7 @@ import pytest
 from display_node.press.finger_press import PressLimits
 from sensing_node.press.probe import ProbeLimits
 from telepulse.simulation.link_scene import parse_link
-from telepulse.simulation.press_loop import ArterialPulse, PressSetting, link_of
+from tests.support.press_loop import ArterialPulse, PressSetting, link_of
 from tests.support.press_runs import (
     EASED_S,
     FOLLOW_ERROR,

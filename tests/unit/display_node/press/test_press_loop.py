@@ -7,7 +7,7 @@ from protocol.wire.messages import SetPoint
 from sensing_node.press.probe import ProbeLimits
 from telepulse.simulation.link_model import MessageLink
 from telepulse.simulation.link_scene import LinkScene
-from telepulse.simulation.press_loop import (
+from tests.support.press_loop import (
     AHEAD_NS,
     PRESS,
     SESSION,
