@@ -53,7 +53,7 @@ LATER = (
     ),
     "unit/telepulse/recording/test_recorded_beats.py",
     "unit/telepulse/recording/test_recorded_wrist.py",
-    "unit/telepulse/simulation/test_press_loop.py",
+    "unit/display_node/press/test_press_loop.py",
 )
 SYSTEM = "system"
 
