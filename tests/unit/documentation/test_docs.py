@@ -1,19 +1,13 @@
 import re
 import tomllib
-from collections.abc import Iterator
-from typing import Any, get_args
 
 import pytest
 import yaml
-from pydantic import BaseModel
 
-from display_node.scene import DisplayScene
 from protocol.errors import CAUSE_MEANINGS
 from protocol.security.authenticator import REASONS
 from protocol.security.budgets import SUBSCRIPTION
 from protocol.security.socket_monitor import REFUSED_KEY, REVOKED
-from sensing_node.scene import SensingScene
-from telepulse.simulation.link_scene import LinkScene
 from tests.support.nodes import ROOT
 
 PACKAGES = (
@@ -24,27 +18,6 @@ PACKAGES = (
     "display_node",
     "telepulse",
 )
-
-
-def keys(schema: type[BaseModel]) -> Iterator[str]:
-    """Yield every key of a scene's section, those of its tables included."""
-    for name, field in schema.model_fields.items():
-        yield field.alias or name
-        for inner in tables(field.annotation):
-            yield from keys(inner)
-
-
-def tables(annotation: Any) -> Iterator[type[BaseModel]]:
-    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-        yield annotation
-    for part in get_args(annotation):
-        yield from tables(part)
-
-
-@pytest.mark.parametrize("schema", [SensingScene, DisplayScene, LinkScene])
-def test_every_key_of_a_scene_is_documented(schema: type[BaseModel]) -> None:
-    words = set(re.findall(r"\w+", (ROOT / "docs" / "scenes.md").read_text(encoding="utf-8")))
-    assert set(keys(schema)) - words == set()
 
 
 def test_every_cause_of_refusal_is_documented_and_no_other() -> None:
