@@ -16,7 +16,7 @@ from display_node.press.sweep import DepthSweep, SweepPlan
 from display_node.scoring.depth_curve import DepthCurve
 from protocol.tissue import PASCALS_PER_MMHG
 from sensing_node.sources.wrist import Wrist, WristScene
-from telepulse.simulation.depth_loop import sweep_wrist
+from telepulse.simulation.simulated_run import sweep_wrist
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

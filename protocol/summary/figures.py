@@ -14,9 +14,8 @@ from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple, get_type_hints
 
-from protocol.summary.phrases import HEADLINES, PHRASES
+from protocol.summary.phrases import COUNT, HEADLINES, PHRASES, UNITS, Unit
 from protocol.summary.tables import Summary
-from protocol.summary.units import COUNT, UNITS, Unit
 
 TABLE = Path(__file__).with_name("figures.toml")
 _METRIC = re.compile(r"(?P<name>\w*?)(?P<counter>_total)?(?:\{(?P<labels>.*)\})?")

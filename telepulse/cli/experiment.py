@@ -87,8 +87,7 @@ def run(
     it; the reason is one line on stderr.
     """
     from display_node.benches import start_benches
-    from telepulse.experiment.log import open_log, read_log
-    from telepulse.experiment.results import show_results
+    from telepulse.experiment.log import open_log, read_log, show_results
     from telepulse.experiment.session import load_plan
     from telepulse.experiment.subjects import (
         Keyboard,

@@ -34,7 +34,7 @@ from telepulse.cli.options import PROGRAM, FolderOption, SceneArgument, TablesOp
 from telepulse.cli.view import open_page
 from telepulse.document import Report
 from telepulse.recording.depth_report import describe_level, report_depth
-from telepulse.simulation.depth_loop import sweep_wrist
+from telepulse.simulation.simulated_run import sweep_wrist
 
 logger = logging.getLogger(__name__)
 

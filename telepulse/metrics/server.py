@@ -24,8 +24,8 @@ from protocol import sockets
 from protocol.errors import AddressError, SidecarError, WireError
 from protocol.security.keys import ClientKeys, read_pair
 from protocol.summary.figures import Figure, Surface, figures_on
+from protocol.summary.phrases import COUNT
 from protocol.summary.tables import contactors_of
-from protocol.summary.units import COUNT
 from protocol.wire.telemetry import STATUS, TRACE, Status, read_status, read_trace
 from telepulse.http_site import Site, in_url
 

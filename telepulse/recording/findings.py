@@ -13,8 +13,7 @@ from display_node.scoring.tracking_error import scored
 from protocol.errors import SourceError
 from protocol.histogram import Histogram
 from protocol.summary.tables import Availability, Loop, PlayoutDelay, Summary, with_contactors
-from telepulse.recording.contactor_findings import ContactorFindings
-from telepulse.recording.forces import Trend
+from telepulse.recording.forces import ContactorFindings, Trend
 from telepulse.recording.pressed_beats import PressedBeats
 from telepulse.recording.reader import RecordingReader, in_tick_order
 from telepulse.telemetry.decoder import Entry, PassiveReceiver

@@ -1,14 +1,17 @@
-"""Values over a whole recording: trends in fixed memory, and the forces at wrist and finger.
+"""A contactor in a recording: trends in fixed memory, forces at wrist and finger, and its beats.
 
 Errors, blocks for plots, and heart rates are computed from the forces. Pure.
 """
 
+import math
+from collections import defaultdict
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from display_node.scoring.beat_statistics import BeatStatistics
 from display_node.scoring.heart_rate import heart_rate_per_min
 from display_node.scoring.tracking_error import JND, TrackingError, interpolate
 from protocol.wire.messages import Frame
@@ -241,3 +244,53 @@ def _heart_rate_per_min(t_s: Floats, force_n: Floats) -> float | None:
         return None
     even_s = np.linspace(t_s[0], t_s[-1], len(t_s))
     return heart_rate_per_min(even_s, np.interp(even_s, t_s, force_n))
+
+
+class ContactorFindings:
+    """Forces at wrist and finger over a recording, and the beats.
+
+    name: of the contactor; empty before the display's first status. beats: statistics of them.
+    trends: interval in ms, height in mN and quality of each beat over the time of the recording.
+    """
+
+    def __init__(self) -> None:
+        self.name = ""
+        self.forces = ForceHistory()
+        self.beats = BeatStatistics()
+        self.trends: defaultdict[str, Trend] = defaultdict(Trend)
+
+    def begin(self) -> None:
+        """Begin another session."""
+        self.forces.alignment.begin()
+        self.beats.restart()
+
+    def set_playback(self, playing: dict[str, Any]) -> None:
+        """Set channel, scale and strain by the display's status."""
+        channel, ratio = int(playing["channel"]), float(playing["force_ratio"])
+        strain = playing.get("strain_per_newton")
+        self.forces.alignment.set_playback(
+            channel, ratio, None if strain is None else float(strain)
+        )
+
+    def add_frame(
+        self, frame: Frame, description: StreamDescription, last_s: float, last_ns: int
+    ) -> None:
+        """Add a frame; last_s, last_ns: time of its last sample, in the recording and sensed."""
+        alignment = self.forces.alignment
+        alignment.add_frame(frame, description)
+        for beat in self.beats.observe(frame.samples_of(alignment.channel)):
+            t_s = np.array([last_s + (beat.onset_ns - last_ns) * 1e-9])
+            values = {
+                "interval_ms": beat.interval_s * 1e3,
+                "height_mn": beat.height_n * 1e3,
+                "quality": math.nan if beat.quality is None else beat.quality,
+            }
+            for name, value in values.items():
+                self.trends[name].add(t_s, np.array([value]))
+
+    def add_tick(
+        self, t_s: float, sensing_now_ns: int, instant_ns: int, state: dict[str, Any]
+    ) -> None:
+        """Add a tick at full strength; state: fields of this contactor."""
+        felt_n = float(state.get("felt_n", math.nan))
+        self.forces.alignment.add_tick(AlignedTick(t_s, sensing_now_ns, instant_ns, felt_n))

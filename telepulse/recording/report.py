@@ -15,8 +15,8 @@ from protocol.summary.phrases import interruptions_text
 from protocol.summary.rows import cells
 from protocol.summary.tables import Summary
 from telepulse.document import Chapter, Plot, Report, Table, percent, provenance_table
-from telepulse.recording.contactor_findings import ContactorFindings
 from telepulse.recording.findings import RunFindings, read_findings
+from telepulse.recording.forces import ContactorFindings
 from telepulse.recording.press_chapter import press_chapters
 from telepulse.recording.report_plots import ContactorPlots, RunPlots, force_plot, with_events
 from telepulse.telemetry.decoder import MARK_EVENT

@@ -8,9 +8,8 @@ from numpy.typing import NDArray
 
 from display_node.scoring.tracking_error import JND
 from telepulse.document import Plot, text_colour
-from telepulse.recording.contactor_findings import ContactorFindings
 from telepulse.recording.findings import RecordedEvent, RunFindings
-from telepulse.recording.forces import AlignedBlock, Trend
+from telepulse.recording.forces import AlignedBlock, ContactorFindings, Trend
 from telepulse.telemetry.decoder import MARK_EVENT
 
 if TYPE_CHECKING:

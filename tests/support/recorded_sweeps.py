@@ -13,7 +13,7 @@ from protocol.wire.stream import Channel, StreamDescription
 from sensing_node.sources.wrist import Wrist, WristScene
 from telepulse.recording.mcap_writer import McapWriter
 from telepulse.recording.session import RecordedSession
-from telepulse.simulation.depth_loop import BATCH, sweep_wrist
+from telepulse.simulation.simulated_run import BATCH, sweep_wrist
 from telepulse.telemetry.decoder import Entry
 from telepulse.telemetry.schema import FRAME, STREAM
 

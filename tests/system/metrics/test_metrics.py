@@ -16,7 +16,7 @@ from prometheus_client.parser import text_string_to_metric_families
 
 from protocol.host.child_process import ChildProcess
 from protocol.summary.figures import Surface, figures_on
-from protocol.summary.units import COUNT
+from protocol.summary.phrases import COUNT
 from telepulse.metrics import server as http
 from telepulse.metrics.server import MAX_REQUESTS, MetricsHTTPServer
 from tests.support.keyring import Keyring

@@ -4,12 +4,13 @@ import copy
 import datetime
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from pydantic import BaseModel
 
 from display_node.display import Display
 from display_node.scene import DisplayScene
@@ -21,10 +22,26 @@ from protocol.errors import SceneError, SourceError
 from sensing_node.scene import SensingScene, build_source, describe_stream
 from telepulse.simulation.link_scene import LinkScene, parse_link
 from tests.support.nodes import RADIAL, ROOT
-from tests.unit.documentation.test_docs import keys
 
 SCHEMAS: dict[str, Any] = {"sensing": SensingScene, "display": DisplayScene, "link": LinkScene}
 SHIPPED = [load_document(path) for path in (ROOT / "scenes").glob("*.toml")]
+
+
+def keys(schema: type[BaseModel]) -> Iterator[str]:
+    """Yield every key of a scene's section, those of its tables included."""
+    for name, field in schema.model_fields.items():
+        yield field.alias or name
+        for inner in tables(field.annotation):
+            yield from keys(inner)
+
+
+def tables(annotation: Any) -> Iterator[type[BaseModel]]:
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        yield annotation
+    for part in get_args(annotation):
+        yield from tables(part)
+
+
 KEYS = sorted({key for schema in SCHEMAS.values() for key in keys(schema)})
 
 units = st.sampled_from(["", "%", *(unit for units in UNITS.values() for unit in units)])

@@ -13,7 +13,7 @@ from protocol.errors import DepthError
 from protocol.wire.messages import channel_samples
 from sensing_node.press.probe import ProbeLimits
 from sensing_node.sources.wrist import Wrist, WristScene
-from telepulse.simulation.depth_loop import sweep_wrist
+from telepulse.simulation.simulated_run import sweep_wrist
 
 SECOND_NS = 1_000_000_000
 

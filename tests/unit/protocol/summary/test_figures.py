@@ -12,9 +12,9 @@ from rich.console import Console
 
 from docs.ext import summary_keys
 from protocol.summary.figures import Figure, Reader, Surface, figures, figures_on
+from protocol.summary.phrases import UNITS
 from protocol.summary.rows import cells, print_summary
 from protocol.summary.tables import Summary
-from protocol.summary.units import UNITS
 from protocol.wire.telemetry import Status
 from telepulse.metrics.server import NodeState, families
 from telepulse.view import text as page

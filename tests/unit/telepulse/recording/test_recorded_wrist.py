@@ -10,7 +10,7 @@ from protocol.errors import DepthError, SourceError
 from protocol.wire.stream import Channel
 from sensing_node.scene import serve_set_points
 from telepulse.recording.recorded_wrist import RecordedWrist, exported_session
-from telepulse.simulation.depth_loop import BATCH
+from telepulse.simulation.simulated_run import BATCH
 from tests.support.recorded_sweeps import PERIOD_NS, SweptWrist, session_of
 
 
