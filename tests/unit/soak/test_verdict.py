@@ -10,9 +10,8 @@ from protocol.wire.telemetry import Trace
 from soak.accounts import Reckoning
 from soak.bench_truth import FingerClaim, Round, judge_bench
 from soak.core_time import Excused
-from soak.faults import Done
+from soak.faults import Done, Played, recoveries, undisturbed_gaps_s
 from soak.felt import Bounds, FeltLog
-from soak.recovery import Played, recoveries, undisturbed_gaps_s
 from soak.schedule import (
     BENCH_KINDS,
     CONTINUOUS,
