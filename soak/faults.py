@@ -63,7 +63,7 @@ async def _replace(fault: Fault, node: SoakProcess, scenario: Scenario, seed: in
     else:
         node.kill()
     if fault.kind == "impostor":
-        intruder = scenario.start_intruder("impostor", scenario.network.bind, str(seed))
+        intruder = scenario.start_intruder("impostor", str(seed), scenario.network.bind)
         await asyncio.sleep(fault.for_s)
         scenario.stop_intruder(intruder)
     else:
@@ -88,7 +88,7 @@ async def _flood(fault: Fault, scenario: Scenario, seed: int) -> int:
     addresses = [scenario.network.near]
     if name == "telemetry":
         addresses = [scenario.telemetry(role) for role in (CONTINUOUS, RESTARTED)]
-    intruder = scenario.start_intruder("floods", name, str(seed), *addresses)
+    intruder = scenario.start_intruder(name, str(seed), *addresses)
     await asyncio.sleep(fault.for_s)
     scenario.stop_intruder(intruder)
     return time.perf_counter_ns()
