@@ -11,18 +11,14 @@ from rich.console import Console
 
 from display_node.telemetry.terminal_view import TerminalView
 from protocol.summary.tables import Clock, SampleCounts, Summary
-from protocol.ticks import TickState
-from protocol.wire.messages import Frame, encode_frame
 from protocol.wire.stream import StreamDescription
 from protocol.wire.telemetry import (
     CAPTURE,
     CONTROL,
     STATUS,
     SUBSCRIBED,
-    TRACE,
     CaptureWriter,
     PlaybackStatus,
-    TraceWriter,
     pack_status,
 )
 from telepulse.lsl_outlet import LslForwarder
@@ -41,13 +37,13 @@ from tests.support.telemetry_publisher import (
     SESSION,
     WALL_NS,
     WELCOME,
+    Message,
     clock_reply,
 )
 
 SECOND_NS = 1000 * MS
 AHEAD_NS = 5 * SECOND_NS
 MOST_CHARACTERS = 100_000
-Message = tuple[bytes, bytes]
 
 
 class TelemetryReaders:
@@ -144,14 +140,6 @@ def preamble() -> list[Message]:
     return [*messages, status_message("playing")]
 
 
-def trace_message(*felt: TickState, others: Sequence[TickState] = ()) -> Message:
-    """Return ticks as a trace message; others: states of further contactors, at each tick."""
-    writer = TraceWriter()
-    for tick in felt:
-        writer.add(tick, *others)
-    return TRACE, writer.rest() or b""
-
-
 def status_message(state: str, *playing: PlaybackStatus, **changes: Any) -> Message:
     """Return a status message, of a display whose clock is known.
 
@@ -165,17 +153,6 @@ def status_message(state: str, *playing: PlaybackStatus, **changes: Any) -> Mess
     return STATUS, pack_status(
         state, "pulse", summary, False, SESSION, playing=playing or [PLAYING]
     )
-
-
-def heard_message(
-    frame: Frame, arrived_ns: int, now_ns: int, wall_ns: int, run: int = 1
-) -> Message:
-    """Return a frame as a captured message."""
-    heard = CaptureWriter(run)
-    heard.follow(SUBSCRIBED)
-    heard.add(arrived_ns, 0, encode_frame(frame))
-    (part,) = heard.take(now_ns, wall_ns)
-    return CAPTURE, part
 
 
 def _refuse_constant(name: str) -> None:

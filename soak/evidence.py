@@ -9,9 +9,9 @@ from display_node.scene import DisplayScene
 from sensing_node.sources.synthetic import SyntheticScene
 from soak.accounts import Session, reckon, unaccounted
 from soak.core_time import NONE_EXCUSED, excuse
+from soak.faults import gaps_s, recoveries, undisturbed_gaps_s
 from soak.felt import FeltLog
 from soak.processes import SoakProcess
-from soak.recovery import gaps_s, recoveries, undisturbed_gaps_s
 from soak.run import MINUTE_S, Run
 from soak.scenario import CALM_DISPLAY, CALM_SENSING, DISTURBED
 from soak.schedule import CONTINUOUS, PORTS, RESTARTED, SENSING, TEMPORARY

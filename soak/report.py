@@ -12,8 +12,8 @@ from rich.table import Table
 from rich.text import Text
 
 from protocol.errors import OutputError
+from soak.faults import Played, gaps_s, recoveries
 from soak.processes import SoakProcess
-from soak.recovery import Played, gaps_s, recoveries
 from soak.run import Run
 from soak.verdict import MEGA, Check
 

@@ -6,13 +6,11 @@ from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from soak.faults import do
+from soak.faults import Played, do, recoveries
 from soak.leftovers import namespaces_of
-from soak.recovery import Played, recoveries
 from soak.scenario import CALM_DISPLAY, CALM_SENSING, DISTURBED, Scenario
 from soak.schedule import CONTINUOUS, RESTARTED, SENSING, Episode, episodes
-from soak.taps import Taps
-from soak.terminals import Terminals
+from soak.taps import Taps, Terminals
 
 SAMPLE_EVERY_S = 2.0
 # Time in which all nodes start, and the pulse is felt at all displays, before the first fault.

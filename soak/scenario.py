@@ -75,12 +75,12 @@ class Scenario:
             if not node.running:
                 raise ProcessError(str(node.complaint()))
 
-    def start_intruder(self, module: str, *arguments: str) -> ChildProcess:
+    def start_intruder(self, kind: str, *arguments: str) -> ChildProcess:
         """Start a hostile process beside the sensing node."""
-        namespace, command = self.network.sensing, ("-m", f"soak.{module}", *arguments)
+        namespace, command = self.network.sensing, ("-m", "soak.intruder", kind, *arguments)
         entered = nullcontext() if namespace is None else namespace.entered()
-        with (self.folder / f"{module}.err").open("ab") as errors, entered:
-            self.intruders.append(ChildProcess(module, *command, stdout=errors, stderr=errors))
+        with (self.folder / f"{kind}.err").open("ab") as errors, entered:
+            self.intruders.append(ChildProcess(kind, *command, stdout=errors, stderr=errors))
         return self.intruders[-1]
 
     def stop_intruder(self, intruder: ChildProcess) -> None:

@@ -1,4 +1,4 @@
-"""Taps of a soak: every display's telemetry, and every frame that a sensing node sends.
+"""Taps of a soak: displays' telemetry and terminals, and all frames of a sensing node.
 
 The frames are received beside the sensing node, where no link delays or loses them. For a killed
 node, only they show the number of samples that it had sent.
@@ -7,18 +7,19 @@ node, only they show the number of samples that it had sent.
 import asyncio
 import time
 from collections.abc import Sequence
-from contextlib import nullcontext
+from contextlib import nullcontext, suppress
 from dataclasses import dataclass, field
 
 import zmq
 import zmq.asyncio
 
 from protocol.errors import WireError
+from protocol.host.child_process import python_command
 from protocol.security.keys import ClientKeys
 from protocol.wire.messages import decode_frame
 from protocol.wire.telemetry import STATUS, TRACE, read_status, read_trace, unpack
 from soak.accounts import Mark
-from soak.claims import StatusClaim, no_figures
+from soak.claims import LineClaim, StatusClaim, no_figures, read_line
 from soak.core_time import read_core_time
 from soak.felt import FeltLog
 from soak.processes import SoakProcess
@@ -27,6 +28,8 @@ from tests.support.netem import Namespace
 RECONNECT_MS = 20
 HIGH_WATER = 10_000
 RENEW_AFTER_MS = 300
+# A stopped display ends its terminal; another is opened for the next display.
+AGAIN_AFTER_S = 0.2
 
 
 async def end_tasks(tasks: Sequence["asyncio.Task[None]"]) -> None:
@@ -160,3 +163,47 @@ def _take_status(data: bytes, node: SoakProcess, felt: FeltLog, now_ns: int) -> 
             no_figures=tuple(no_figures(unpack(data))),
         )
         node.claims.append(claim)
+
+
+@dataclass(slots=True)
+class Terminals:
+    """Terminals of displays. lines: the lines shown, by the display's role."""
+
+    lines: dict[str, list[LineClaim]] = field(default_factory=dict)
+    _tasks: list[asyncio.Task[None]] = field(default_factory=list)
+
+    def open(self, role: str, address: str) -> None:
+        """Show a display's telemetry in a process, as `display-node` does itself.
+
+        The process is started here and not by the display, so that it outlives a killed one.
+        """
+        self.lines[role] = []
+        self._tasks.append(asyncio.create_task(self._show(role, address)))
+
+    async def close(self) -> None:
+        """End all terminals. Raises the errors of reading them."""
+        await end_tasks(self._tasks)
+
+    async def _show(self, role: str, address: str) -> None:
+        while True:
+            process = await asyncio.create_subprocess_exec(
+                *python_command("-m", "display_node.telemetry.terminal", address),
+                stdout=asyncio.subprocess.PIPE,
+                start_new_session=True,
+            )
+            try:
+                await self._read(process, role)
+            except asyncio.CancelledError:
+                with suppress(ProcessLookupError):
+                    process.kill()
+                raise
+            finally:
+                await process.wait()
+            await asyncio.sleep(AGAIN_AFTER_S)
+
+    async def _read(self, process: asyncio.subprocess.Process, role: str) -> None:
+        assert process.stdout is not None
+        async for data in process.stdout:
+            claim = read_line(data.decode("utf-8", "replace").rstrip("\n"), time.perf_counter_ns())
+            if claim is not None:
+                self.lines[role].append(claim)

@@ -4,7 +4,7 @@ from contextlib import suppress
 
 import can
 
-from fuzz.scratch import scratch_folder
+from fuzz.targets import scratch_folder
 from fuzz.targets.can_messages import DATABASE
 from protocol.config.scene import validate
 from protocol.errors import SourceError

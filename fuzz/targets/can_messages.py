@@ -6,7 +6,7 @@ from collections.abc import Iterator
 import can
 
 from fuzz.packets import check_fed
-from fuzz.scratch import scratch_folder
+from fuzz.targets import scratch_folder
 from protocol.config.scene import validate
 from pulse_sensors.can_bus import CanDecoder, CanScene
 

@@ -1,7 +1,7 @@
 """Key files and allow-lists, and ZeroMQ's authentication requests."""
 
 from fuzz.refusals import check_line
-from fuzz.scratch import scratch_folder
+from fuzz.targets import scratch_folder
 from protocol.errors import KeyFileError
 from protocol.security.allow_list import read_allowed
 from protocol.security.authenticator import (

@@ -4,7 +4,7 @@ from contextlib import suppress
 
 import numpy as np
 
-from fuzz.scratch import scratch_folder
+from fuzz.targets import scratch_folder
 from protocol.errors import SourceError
 from telepulse.commissioning.calibration import read_loads
 

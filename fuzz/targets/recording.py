@@ -7,7 +7,7 @@ import numpy as np
 from mcap.writer import Writer
 from scipy.io import wavfile
 
-from fuzz.scratch import scratch_folder
+from fuzz.targets import scratch_folder
 from protocol.config.scene import validate
 from protocol.errors import SourceError
 from sensing_node.sources.recorded import RecordedSource, RecordingScene

@@ -1,7 +1,7 @@
 """Scene files: all sections, and the objects built from them without hardware."""
 
 from fuzz.refusals import check_line
-from fuzz.scratch import scratch_folder
+from fuzz.targets import scratch_folder
 from protocol.config.scene_file import find_scene, scene_names
 from protocol.errors import SceneError
 from telepulse.scene import load_scene

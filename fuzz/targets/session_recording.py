@@ -7,7 +7,7 @@ from contextlib import suppress
 
 from mcap.writer import CompressionType, Writer
 
-from fuzz.scratch import scratch_folder
+from fuzz.targets import scratch_folder
 from fuzz.targets.control import seeds as controls
 from fuzz.targets.frame import seeds as frames
 from protocol.errors import SourceError

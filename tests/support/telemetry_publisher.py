@@ -2,7 +2,7 @@
 
 import math
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import TypeVar
 
@@ -33,6 +33,7 @@ from tests.support.streams import description
 SESSION = 7
 MS = 1_000_000
 BATCH = 5
+Message = tuple[bytes, bytes]
 QUEUE = 100
 WALL_NS = 1_700_000_000_000_000_000
 NOW_NS = 50_000_000_000
@@ -112,6 +113,25 @@ def bye(samples_sent: int) -> bytes:
     return encode_control(Bye(SESSION, samples_sent))
 
 
+def trace_message(*felt: TickState, others: Sequence[TickState] = ()) -> Message:
+    """Return ticks as a trace message; others: states of further contactors, at each tick."""
+    writer = TraceWriter()
+    for tick in felt:
+        writer.add(tick, *others)
+    return TRACE, writer.rest() or b""
+
+
+def heard_message(
+    frame: Frame, arrived_ns: int, now_ns: int, wall_ns: int, run: int = 1
+) -> Message:
+    """Return a frame as a captured message."""
+    heard = CaptureWriter(run)
+    heard.follow(SUBSCRIBED)
+    heard.add(arrived_ns, 0, encode_frame(frame))
+    (part,) = heard.take(now_ns, wall_ns)
+    return CAPTURE, part
+
+
 Kind = TypeVar("Kind", bound=TelemetryPublisher)
 
 
@@ -158,10 +178,5 @@ class HandmadeTelemetry:
 
     def ticks(self, *felt: TickState) -> list[Entry]:
         """Publish a trace of at most 20 ticks."""
-        writer = TraceWriter()
-        for tick in felt:
-            writer.add(tick)
-        message = writer.rest()
-        assert message is not None
         self.capture.traces_published += 1
-        return self.decoder.decode(TRACE, message)
+        return self.decoder.decode(*trace_message(*felt))

@@ -1,9 +1,12 @@
 import re
 import tomllib
+from importlib.metadata import version
+from pathlib import Path
 
 import pytest
 import yaml
 
+from docs.ext.pages import FOLDER, generated
 from protocol.errors import CAUSE_MEANINGS
 from protocol.security.authenticator import REASONS
 from protocol.security.budgets import SUBSCRIPTION
@@ -17,6 +20,15 @@ PACKAGES = (
     "sensing_node",
     "display_node",
     "telepulse",
+)
+PAGES = [
+    path for path in sorted(FOLDER.glob("*.md")) if "<!-- from code" in path.read_text("utf-8")
+]
+# Other versions of it describe options and defaults in other words.
+PINNED = re.findall(
+    r"^typer==(.+)$",
+    (ROOT / "constraints.txt").read_text("utf-8"),
+    re.MULTILINE,
 )
 
 
@@ -57,3 +69,15 @@ def test_the_citation_names_this_version() -> None:
     citation = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     assert (citation["version"], citation["license"]) == (project["version"], project["license"])
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda path: path.stem)
+def test_a_reference_page_is_what_the_code_gives(
+    page: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if page.stem == "commands" and [version("typer")] != PINNED:
+        pytest.skip("typer is not of the version in constraints.txt")
+    monkeypatch.setenv("COLUMNS", "40")
+    text = page.read_text("utf-8")
+    assert "{from-code}" not in text
+    assert generated(text) == text, "python -m docs.ext writes it again"

@@ -1,4 +1,4 @@
-"""Each check of truth passes correct statements and fails a fabricated error."""
+"""The record of what was felt, and each check of statements against it."""
 
 from dataclasses import replace
 from typing import Any
@@ -10,17 +10,19 @@ from protocol.summary.tables import Availability, Loop, SampleCounts, Summary
 from protocol.ticks import InterruptionCounter
 from protocol.wire.telemetry import Trace
 from soak.claims import StatusClaim, no_figures, read_line
-from soak.felt import FeltLog
+from soak.felt import Bounds, FeltLog, felt_again_ns, longest_gap_ns
 from soak.truth import judge_ends, judge_events, judge_lines, judge_stalls, judge_statuses
 
 MS = 1_000_000
 WRIST_PER_MIN = 75.0
 
 
-def trace(from_ms: int, count: int, felt_n: float = 0.245, full: bool = True) -> Trace:
+def trace(
+    from_ms: int, count: int, felt_n: float | list[float] = 0.245, full: bool = True
+) -> Trace:
     now_ns = (from_ms + np.arange(count)) * MS
-    felt = np.full(count, felt_n)
-    return Trace(now_ns, now_ns, felt, felt, np.full(count, full))
+    felt, target = np.full(count, felt_n), np.zeros(count)
+    return Trace(now_ns, now_ns, target, felt, np.full(count, full))
 
 
 def record(*traces: Trace) -> FeltLog:
@@ -28,6 +30,43 @@ def record(*traces: Trace) -> FeltLog:
     for each in traces:
         found.add_trace(each)
     return found
+
+
+def test_spells_interruptions_and_misses_are_kept_apart_by_process() -> None:
+    felt = record(trace(0, 20), trace(20, 20, full=False), trace(90, 20))
+    assert felt.spells == [(0, 19 * MS), (90 * MS, 109 * MS)]
+    assert felt.interruptions == [(19 * MS, 90 * MS, 20)]
+    assert felt.misses == [(39 * MS, 90 * MS, 50)]
+    assert felt.gaps == [(39 * MS, 90 * MS, True)]
+    felt.begin_process()
+    felt.add_trace(trace(900, 20))
+    assert len(felt.interruptions) == len(felt.misses) == len(felt.gaps) == 1
+    assert (felt.ticks, felt.full, felt.last) == (80, 60, (919 * MS, 0.245, True))
+    assert felt.newest_ns(500 * MS) == 109 * MS
+    assert felt.between(300 * MS, 800 * MS).low_n is None
+    assert record().spells == record().misses == record().interruptions == []
+
+
+def test_slews_after_missed_ticks_are_apart_and_none_is_between_processes() -> None:
+    felt = record(trace(0, 150, 0.0), trace(150, 50, 0.02))
+    assert felt.bounds().felt_slew_n_per_s == pytest.approx(20.0)
+    felt.add_trace(trace(203, 3, [0.5, float("nan"), 0.5]))
+    felt.add_trace(trace(2_000, 1, -0.2))
+    assert felt.bounds() == Bounds(
+        204, (0.0, 0.0), (-0.2, 0.5), 0.0, pytest.approx(20.0), pytest.approx(0.48 / 0.004), 1
+    )
+
+
+def test_felt_again_is_felt_for_good_and_gaps_count_at_both_ends() -> None:
+    spells = [(0, 1_000 * MS), (1_900 * MS, 1_950 * MS), (2_500 * MS, 9_000 * MS)]
+    assert felt_again_ns(spells, 1_100 * MS, 9_000 * MS) == 1_400 * MS
+    assert felt_again_ns(spells, 500 * MS, 9_000 * MS) == 0
+    assert felt_again_ns(spells, 1_100 * MS, 2_400 * MS) is None
+    # The rest of a touch at the end of the fault is not long enough.
+    assert felt_again_ns(spells, 900 * MS, 9_000 * MS) == 1_600 * MS
+    for from_ms, until_ms, gap_ms in ((0, 9_000, 900), (3_000, 8_000, 0), (8_000, 9_700, 700)):
+        assert longest_gap_ns(spells, from_ms * MS, until_ms * MS) == gap_ms * MS
+    assert longest_gap_ns([], 100 * MS, 400 * MS) == 300 * MS
 
 
 def summary(**changes: Any) -> dict[str, Any]:

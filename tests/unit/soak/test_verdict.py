@@ -7,12 +7,11 @@ import numpy as np
 import pytest
 
 from protocol.wire.telemetry import Trace
-from soak.accounts import Reckoning
+from soak.accounts import Mark, Reckoning, Session, reckon, unaccounted
 from soak.bench_truth import FingerClaim, Round, judge_bench
-from soak.core_time import Excused
-from soak.faults import Done
+from soak.core_time import CoreTime, Excused, excuse
+from soak.faults import Done, Played, recoveries, undisturbed_gaps_s
 from soak.felt import Bounds, FeltLog
-from soak.recovery import Played, recoveries, undisturbed_gaps_s
 from soak.schedule import (
     BENCH_KINDS,
     CONTINUOUS,
@@ -24,6 +23,7 @@ from soak.schedule import (
     episodes,
     troubles,
 )
+from soak.slope import slope
 from soak.verdict import (
     AGAIN_BAR_S,
     MEMORY_BAR_MB_PER_H,
@@ -181,3 +181,105 @@ def test_a_wrong_statement_of_a_bench_fails(played: Round, failed: str) -> None:
     checks = judge_bench([played], [])
     assert ", ".join(x.name.removeprefix("bench: ") for x in checks if x.ok is False) == failed
     assert judge_bench([], ["not felt"])[0].ok is False
+
+
+def reading(at_ms: int, waited_ms: float, stolen_ms: int = 0, processor: int = 0) -> CoreTime:
+    return CoreTime(at_ms * MS, round(waited_ms * MS), processor, stolen_ms * MS)
+
+
+@pytest.mark.parametrize(
+    ("gap_ms", "after", "excused"),
+    [
+        # 3 ms of waiting; the 4th missed tick is the loop's own.
+        ((4, 9, 4), reading(20, 3.2), Excused(waited=3)),
+        ((4, 9, 4), reading(20, 0.0), Excused()),
+        ((4, 19, 14), reading(20, 3.0, stolen_ms=10), Excused(3, 10)),
+        # Of another processor nothing was stolen from the loop.
+        ((4, 19, 14), reading(20, 3.0, 10, processor=1), Excused(3, 0)),
+        # It waited at another time.
+        ((24, 29, 4), reading(20, 9.0), Excused()),
+    ],
+)
+def test_a_miss_is_excused_by_as_much_as_the_machine_took_meanwhile(
+    gap_ms: tuple[int, int, int], after: CoreTime, excused: Excused
+) -> None:
+    begin, end, missed = gap_ms
+    last = CoreTime(40 * MS, after.waited_ns, after.processor, after.stolen_ns)
+    assert excuse([(begin * MS, end * MS, missed)], [reading(0, 0.0), after, last], MS) == excused
+
+
+def test_a_slope_holds_against_outliers_and_wandering_memory_is_not_growing() -> None:
+    rng, times_s = np.random.default_rng(2), np.arange(0.0, 300.0, 2.0)
+    values = 40.0 + 0.01 * times_s + rng.normal(0.0, 0.1, 150)
+    values[[7, 90, 140]] += 500.0
+    found = slope([(times_s, values)])
+    assert found is not None
+    assert found.low < 0.01 < found.high < 0.02
+    # If the samples counted as independent, the slope would be significant in nearly all runs.
+    walks = [np.cumsum(rng.normal(0.0, 0.01, 150)) for _ in range(50)]
+    slopes = [walk for values in walks if (walk := slope([(times_s, values)])) is not None]
+    assert sum(not walk.low <= 0.0 <= walk.high for walk in slopes) < 25
+    assert slope([(times_s[:29], times_s[:29])]) is None
+
+
+FIRST = Session(began_ns=0, ended_ns=10 * S, period_ns=MS, least=10_000, most=10_000)
+# Killed at 30 s: the number of samples sent by then is not known exactly.
+KILLED = Session(began_ns=20 * S, ended_ns=30 * S, period_ns=MS, least=9_990, most=10_005)
+KILL = (30 * S, 32 * S)
+PLAYED, REPORTED = (5, "playing", 4_900), (15, "ended", 10_000)
+Row = tuple[float, str, int]
+
+
+def marks(*rows: Row) -> list[Mark]:
+    return [Mark(round(at_s * S), state, total) for at_s, state, total in rows]
+
+
+@pytest.mark.parametrize(("total", "off"), [(10_000, 0), (9_999, 1), (10_001, -1), (1, 9_999)])
+def test_a_session_whose_end_was_reported_is_accounted_for_to_the_sample(
+    total: int, off: int
+) -> None:
+    (found,) = reckon(marks(PLAYED, (11, "ended", total)), [FIRST], [])
+    assert (found.exact, found.off) == (True, off)
+
+
+@pytest.mark.parametrize(
+    ("total", "faults", "off"),
+    [
+        (20_005, [KILL], 0),
+        (19_000, [KILL], 0),
+        (18_999, [KILL], 1),
+        (20_006, [KILL], -1),
+        # A fault shortly after another excuses what began with the first.
+        (14_000, [(25 * S, 28 * S), KILL], 0),
+        (13_999, [(25 * S, 28 * S), KILL], 1),
+    ],
+)
+def test_only_the_tail_of_a_killed_session_may_be_missing(
+    total: int, faults: list[tuple[int, int]], off: int
+) -> None:
+    rows = marks(PLAYED, REPORTED, (29, "playing", 18_900), (33, "starting", total))
+    exact, open_end = reckon(rows, [FIRST, KILLED], faults)
+    assert exact.off == 0
+    assert (open_end.exact, open_end.off) == (False, off)
+
+
+@pytest.mark.parametrize(
+    ("rows", "off"),
+    [
+        # A session that was over before the display joined may count or not.
+        (((29.9, "waiting", 0), (41, "ended", 8_000)), 0),
+        (((29.9, "waiting", 0), (41, "ended", 18_000)), 0),
+        (((29.9, "playing", 1), (41, "ended", 8_000)), 9_000),
+    ],
+)
+def test_after_a_killed_session_the_next_end_sums_up_both(rows: tuple[Row, ...], off: int) -> None:
+    last = Session(began_ns=32 * S, ended_ns=40 * S, period_ns=MS, least=8_000, most=8_000)
+    (found,) = reckon(marks(*rows), [KILLED, last], [])
+    assert found.off == off
+    assert reckon(marks((5, "waiting", 0)), [FIRST], []) == []
+
+
+def test_set_points_that_do_not_add_up_are_found() -> None:
+    whole = {"sent": 10, "applied": 7, "superseded": 2, "lost": 1}
+    assert unaccounted([dict.fromkeys(whole), whole]) == []
+    assert unaccounted([whole | {"sent": 11}]) == ["11 sent, 7 + 2 + 1"]

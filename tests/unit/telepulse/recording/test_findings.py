@@ -3,7 +3,7 @@ import json
 import numpy as np
 import pytest
 
-from fuzz.telemetry_readers import MS, preamble, status_message
+from fuzz.telemetry_readers import preamble, status_message
 from protocol.summary.tables import PressFigures, Summary
 from protocol.tactile import ElasticLayer
 from protocol.wire.messages import ClockReply, Frame, Welcome, encode_control, encode_frame
@@ -13,7 +13,7 @@ from telepulse.recording.findings import RunFindings
 from telepulse.recording.mcap_writer import as_json
 from telepulse.telemetry.decoder import TelemetryDecoder
 from tests.support.streams import synthetic
-from tests.support.telemetry_publisher import HandmadeTelemetry
+from tests.support.telemetry_publisher import MS, HandmadeTelemetry
 
 
 def playing(name: str, channel: int) -> PlaybackStatus:

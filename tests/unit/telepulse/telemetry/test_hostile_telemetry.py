@@ -12,19 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fuzz.telemetry_readers import (
-    AHEAD_NS,
-    MS,
-    PLAYING,
-    SESSION,
-    WALL_NS,
-    Message,
-    TelemetryReaders,
-    heard_message,
-    preamble,
-    status_message,
-    trace_message,
-)
+from fuzz.telemetry_readers import AHEAD_NS, TelemetryReaders, preamble, status_message
 from protocol.errors import CAUSE_MEANINGS
 from protocol.summary.tables import (
     AlignedErrors,
@@ -42,6 +30,15 @@ from protocol.summary.tables import (
 from protocol.ticks import TickState
 from protocol.wire.messages import Frame
 from protocol.wire.telemetry import TRACE, PlaybackStatus
+from tests.support.telemetry_publisher import (
+    MS,
+    PLAYING,
+    SESSION,
+    WALL_NS,
+    Message,
+    heard_message,
+    trace_message,
+)
 
 MOST_MORE_BYTES = 1 << 30
 AWKWARD = [math.nan, math.inf, -math.inf, 1e300, -1e300, 5e-324, 1e15, 1e6, -1e6, 0.0, 0.3]
