@@ -187,26 +187,20 @@ def _thinned(live: LiveState, rows: TableSlice, values: Floats, gap_ns: int) -> 
     return {"t": (t_ns - live.now_ns).astype(np.float64) * 1e-9, "y": y}
 
 
-class WindowErrors(NamedTuple):
-    """Errors of a contactor's felt force at each of its ticks, in phase and aligned, in N.
+def _errors(
+    live: LiveState, contactor: ContactorState, window_ns: int
+) -> tuple[Floats, Floats, float | None]:
+    """Return a contactor's errors at each tick, in phase and aligned, and the JND, all in N.
 
-    NaN where the pulse of that instant has not arrived, or is not felt at full strength. jnd_n: the
-    just noticeable difference; None where it is unknown.
+    NaN where the pulse of that instant has not arrived, or is not felt at full strength; None where
+    the just noticeable difference is unknown.
     """
-
-    in_phase_n: Floats
-    aligned_n: Floats
-    jnd_n: float | None
-
-
-def _errors(live: LiveState, contactor: ContactorState, window_ns: int) -> WindowErrors:
-    """Return the errors of a contactor in the window."""
     ticks = contactor.ticks.since(live.now_ns - window_ns)
     wrist = contactor.wrist.since(live.now_ns - window_ns - SPAN_NS)
     # The felt force contains the finger's own press, which the wrist's does not.
     if live.pressing or not contactor.playing or not len(wrist.t_ns):
         nothing = np.full(len(ticks.t_ns), math.nan)
-        return WindowErrors(nothing, nothing, None)
+        return nothing, nothing, None
     right_n = contactor.playing["force_ratio"] * wrist.values[:, 0]
     felt_n, delay_ns = ticks.values[:, [FELT_N, DELAY_NS]].T
     scored = ~np.isnan(delay_ns)
@@ -216,7 +210,7 @@ def _errors(live: LiveState, contactor: ContactorState, window_ns: int) -> Windo
         for at_ns in (ticks.t_ns, played_ns)
     )
     lately = right_n[wrist.t_ns > wrist.t_ns[-1] - SPAN_NS]
-    return WindowErrors(in_phase_n, aligned_n, JND * float(np.ptp(lately)))
+    return in_phase_n, aligned_n, JND * float(np.ptp(lately))
 
 
 def _scores(live: LiveState, contactor: ContactorState, window_ns: int) -> Scores:

@@ -157,20 +157,6 @@ def test_a_node_that_is_silent_has_no_figures_and_is_not_up_nor_before_its_first
     }
 
 
-words = st.text(st.characters(exclude_categories=["Cs"]), max_size=20)
-
-
-@given(stream=words, faults=st.lists(words), causes=st.dictionaries(words, st.integers(0, 2**53)))
-def test_any_text_is_exported_as_is(stream: str, faults: list[str], causes: dict[str, int]) -> None:
-    # The parser splits lines where Python does; Prometheus does at "\n" alone.
-    stream, *faults = (" ".join(text.split()) for text in (stream, *faults))
-    causes = {" ".join(cause.split()): count for cause, count in causes.items()}
-    summary = Summary(rejected=causes, faults=faults)
-    found = scraped(families("display-node", node_state(summary, stream=stream), SECOND_NS))
-    got = {dict(labels)["cause"]: n for (name, labels), n in found.items() if "rejected" in name}
-    assert got == causes
-
-
 def test_where_metrics_are_served() -> None:
     assert [parse_address(text) for text in ("9100", "0", "[::1]:9100", "localhost:9100")] == [
         ("127.0.0.1", 9100),

@@ -7,7 +7,6 @@ from telepulse.view.live import LiveState
 from telepulse.view.window_data import POINTS, window_data, window_scores
 from tests.support.page_states import (
     BEATS_A_SECOND,
-    FINGER,
     MEAN_N,
     MS,
     ONE_WAY_NS,
@@ -39,16 +38,6 @@ def test_a_delayed_pulse_has_an_error_in_phase_and_none_aligned(display: Simulat
     assert scores.aligned_n < 1e-4
     assert scores.within_jnd == 1.0
     assert scores.jnd_n == pytest.approx(0.1 * RATIO * 2 * SWING_N, rel=1e-3)
-
-
-def test_the_force_at_the_finger_is_that_of_equal_strain(display: SimulatedDisplay) -> None:
-    columns = window_data(display.live, WINDOW_NS).columns
-    peak_n = MEAN_N + SWING_N
-    assert columns["wrist"]["y"].max() == pytest.approx(1e3 * peak_n, rel=1e-3)
-    assert columns["finger"]["y"].max() == pytest.approx(RATIO * 1e3 * peak_n, rel=1e-3)
-    assert display.live.contactors[0].playing["strain_per_newton"] == pytest.approx(
-        FINGER.strain_per_newton
-    )
 
 
 def test_each_beat_is_marked_at_its_onset_once_the_next_one_has_begun(
