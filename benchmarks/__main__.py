@@ -13,7 +13,7 @@ from benchmarks.benchmark import Benchmark, first_line, write_tables
 from protocol.errors import TelepulseError
 
 # What the benchmarks share.
-SHARED = {"__main__", "benchmark", "criteria", "timing"}
+SHARED = {"__main__", "benchmark", "criteria", "nodes", "timing"}
 
 
 def questions() -> dict[str, str]:

@@ -74,13 +74,6 @@ CRITERIA: Final[dict[str, tuple[Criterion, ...]]] = {
         Criterion("fibrillation, stack: over its oracle", most=1.0),
         Criterion("tick of the stack, 99th percentile", 150e-6, scale=1e6, unit="µs"),
     ),
-    # Errors are over the pulse's peak to peak.
-    "integrators": (
-        Criterion("methods that beat the default", most=0),
-        Criterion("error of the default in the loop", most=1e-14),
-        Criterion("error of the default on a rotor", most=1e-12),
-        Criterion("error of the reference", most=1e-12),
-    ),
     # Our mean delay over the optimum's, both at 1 % late.
     "playout": (
         Criterion("Gaussian / best constant", most=1.05),

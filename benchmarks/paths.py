@@ -11,6 +11,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from benchmarks.benchmark import Benchmark
+from benchmarks.nodes import NodesOutcome, run_nodes
 from benchmarks.timing import median_quantile
 from protocol.config.scene_file import find_scene
 from protocol.histogram import bound
@@ -18,12 +19,12 @@ from protocol.summary.tables import Summary
 from telepulse.scene import load_scene
 from telepulse.simulation.link_scene import parse_link
 from telepulse.simulation.virtual_time import summarise
-from tests.support.netem import NodesOutcome, run_nodes, unavailable
+from tests.support.netem import unavailable
 
-SECONDS = 30.0
+SECONDS, QUICK_S = 30.0, 8.0
 LOSS_FREE = "delay=20ms,jitter=3ms"
 LOSSY = LOSS_FREE + ",loss=1%"
-# Times count from the link's start, a second before the sensing node starts.
+# Times count from the link's start, before the nodes'.
 CUT = LOSS_FREE + ",cut.from=10s,cut.for=5s"
 CUT_FOR_GOOD = LOSS_FREE + ",cut.from=10s,cut.for=60min"
 CONGESTION_CONTROL = Path("/proc/sys/net/ipv4/tcp_congestion_control")
@@ -35,25 +36,30 @@ def main(benchmark: Benchmark) -> None:
     if reason is not None:
         print(f"paths: left out: {reason}")
         return
+    seconds = QUICK_S if benchmark.quick else SECONDS
+    losses = ("0 %",) if benchmark.quick else ("0 %", "1 %", "3 %")
+    cut_links: dict[str, tuple[str, ...]] = {
+        "no cut": (LOSS_FREE,),
+        "5 s cut": (CUT,),
+        "5 s cut of the first": (CUT, LOSS_FREE),
+        "cut of the first for good": (CUT_FOR_GOOD, LOSS_FREE),
+    }
+    cut_names = list(cut_links)[:1] if benchmark.quick else list(cut_links)
     with TemporaryDirectory(prefix="telepulse-") as folder:
+        scenes = {paths: scene_of(Path(folder), paths) for paths in (1, 2, 3)}
+
+        def play(paths: int, *links: str) -> NodesOutcome:
+            return run_nodes(scenes[paths], *map(parse_link, links), seconds=seconds)
+
         runs = [
-            (
-                loss,
-                paths,
-                play(Path(folder), f"{LOSS_FREE},loss={loss.replace(' ', '')}", paths=paths),
-            )
-            for loss in ("0 %", "1 %", "3 %")
+            (loss, paths, play(paths, f"{LOSS_FREE},loss={loss.replace(' ', '')}"))
+            for loss in losses
             for paths in (1, 3, *((2,) if loss != "0 %" else ()))
         ]
-        model = simulated(Path(folder))
+        simulated = replace(load_scene(scenes[1]), link=parse_link(LOSSY + ",transport=tcp"))
+        model = summarise(simulated, seconds, seed=1)
         cuts = [
-            cut_row(name, links, play(Path(folder), *links).display)
-            for name, links in (
-                ("no cut", (LOSS_FREE,)),
-                ("5 s cut", (CUT,)),
-                ("5 s cut of the first", (CUT, LOSS_FREE)),
-                ("cut of the first for good", (CUT_FOR_GOOD, LOSS_FREE)),
-            )
+            cut_row(name, cut_links[name], play(1, *cut_links[name]).display) for name in cut_names
         ]
     three = [run.display for _, paths, run in runs if paths == 3]
     base_ms = runs[0][2].display.one_way_delay_ms.p99 or 0.0
@@ -62,7 +68,7 @@ def main(benchmark: Benchmark) -> None:
     benchmark.judge("samples lost over three", sum(each.samples.lost or 0 for each in three))
     control = CONGESTION_CONTROL.read_text(encoding="ascii").strip()
     benchmark.table(
-        f"Paths at 20±3 ms, 10 ms frames, {SECONDS:g} s each, TCP's {control}: one-way delay in ms",
+        f"Paths at 20±3 ms, 10 ms frames, {seconds:g} s each, TCP's {control}: one-way delay in ms",
         ("loss", "paths", "p50", "p99", "max", "over first", "mean E", "lost"),
         [
             *(row(loss, paths, run.display, base_ms) for loss, paths, run in runs),
@@ -73,10 +79,10 @@ def main(benchmark: Benchmark) -> None:
         "Cost of the same runs, in both directions with acknowledgements, control and IP headers:"
         " traffic, and processor time in % of a core",
         ("loss", "paths", "packets/s", "kB/s", "sensing node", "display node"),
-        [cost_row(*run) for run in runs],
+        [cost_row(*run, seconds) for run in runs],
     )
     benchmark.table(
-        f"Networks at 20±3 ms, a path each, {SECONDS:g} s: what is felt of a cut, in ms",
+        f"Networks at 20±3 ms, a path each, {seconds:g} s: what is felt of a cut, in ms",
         ("cut", "networks", "mean E", "longest delay", "later by", "late", "lost", "first copies"),
         cuts,
     )
@@ -96,17 +102,15 @@ def row(loss: str, paths: int, summary: Summary, base_ms: float) -> tuple[str, .
     )
 
 
-def cost_row(loss: str, paths: int, run: NodesOutcome) -> tuple[str, ...]:
+def cost_row(loss: str, paths: int, run: NodesOutcome, seconds: float) -> tuple[str, ...]:
     """Return what a run cost the network and both nodes."""
     carried = run.carried
-    assert carried is not None
-    shares = (run.sensing_cpu or 0.0, run.display_cpu or 0.0)
     return (
         loss,
         str(paths),
-        f"{carried.packets / SECONDS:.0f}",
-        f"{carried.bytes / SECONDS / 1e3:.1f}",
-        *(f"{100 * share:.1f}" for share in shares),
+        f"{carried.packets / seconds:.0f}",
+        f"{carried.bytes / seconds / 1e3:.1f}",
+        *(f"{100 * share:.1f}" for share in (run.sensing_cpu, run.display_cpu)),
     )
 
 
@@ -124,23 +128,10 @@ def cut_row(name: str, links: Sequence[str], summary: Summary) -> tuple[str, ...
     )
 
 
-def play(folder: Path, *links: str, paths: int = 1) -> NodesOutcome:
-    """Run both nodes over real TCP, with an address for each link."""
-    scene = scene_of(folder, paths)
-    return run_nodes(scene, *map(parse_link, links), seconds=SECONDS)
-
-
-def simulated(folder: Path) -> Summary:
-    """Return the summary of one path with loss by the model of TCP."""
-    scene = load_scene(scene_of(folder, 1))
-    link = parse_link(LOSSY + ",transport=tcp")
-    return summarise(replace(scene, link=link), SECONDS, seed=1)
-
-
 def scene_of(folder: Path, paths: int) -> Path:
     """Return the default scene with frames of 10 ms and this number of paths."""
     text = find_scene("radial").read_text(encoding="utf-8")
     text = text.replace('batch = "5 ms"', 'batch = "10 ms"')
-    scene = folder / "paths.toml"
+    scene = folder / f"{paths}.toml"
     scene.write_text(text.replace("[display]\n", f"[display]\npaths = {paths}\n"), "utf-8")
     return scene

@@ -10,8 +10,6 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from benchmarks.announce.oracle import HORIZONS_MS as ORACLE_HORIZONS_MS
-from benchmarks.announce.oracle import score_oracle
 from benchmarks.announce.records import annotated_leads, recorded_announced
 from benchmarks.benchmark import Benchmark
 from telepulse.parallel import in_one_thread
@@ -97,8 +95,6 @@ def main(benchmark: Benchmark) -> None:
         elif jitter_s == JITTERS_S[1]:
             what = "greatest rise of an error where the transit time varies by 20 ms"
             benchmark.judge(what, _greatest_rise_of(errors))
-    known = [(str(versions[0]), seconds, seed, JITTERS_S[0]) for seed, versions in cases]
-    _show_oracle(benchmark, known)
     if records is not None:
         recorded = recorded_announced(records, RECORDED_S)
         errors = _by_name(both for (both,) in benchmark.run(score_both, [(r,) for r in recorded]))
@@ -169,19 +165,6 @@ def _greatest_rise(without: tuple[float, ...], announced: tuple[float, ...]) -> 
 def _greatest_rise_of(errors: Runs) -> float:
     runs = [each for runs in errors.values() for each in runs]
     return max(_greatest_rise(each.without, each.announced) for each in runs)
-
-
-def _show_oracle(benchmark: Benchmark, cases: list[tuple[str, float, int, float]]) -> None:
-    runs: dict[str, list[tuple[float, ...]]] = {}
-    for (name, *_), errors in zip(cases, benchmark.run(score_oracle, cases), strict=True):
-        runs.setdefault(name, []).append(errors)
-    rows = [
-        (name, *(f"{np.mean(at):.3f}, {max(at):.3f}" for at in zip(*errors, strict=True)))
-        for name, errors in runs.items()
-    ]
-    title = "An oracle that has the generator, transit time varying by 5 ms"
-    columns = ("pulse", *(f"{each} ms" for each in ORACLE_HORIZONS_MS))
-    benchmark.table(title, columns, rows, "Mean, greatest of the seeds.")
 
 
 def _show_leads(benchmark: Benchmark) -> None:

@@ -1,7 +1,7 @@
-"""Mean delay and late frames of our playout delay, beside published rules and two offline optima.
+"""Mean delay and late frames of our playout delay over ten links, beside two offline optima.
 
-Each rule gets the same delays, and is tuned for the least mean delay within the permitted late
-share. Both optima are computed from the whole trace.
+Our delay is tuned for the least mean delay within the permitted late share. Both optima, a constant
+and a moving delay, are computed from the whole trace.
 """
 
 import math
@@ -9,42 +9,17 @@ from dataclasses import dataclass
 from functools import partial
 from typing import NamedTuple
 
+import numpy as np
+
 from benchmarks.benchmark import Benchmark
 from benchmarks.criteria import CRITERIA
 from benchmarks.playout import links
-from benchmarks.playout.rules import (
-    FixedDelay,
-    MakeRule,
-    MoonPercentile,
-    NetEqLike,
-    PlayedTrace,
-    Ramjee1,
-    Ramjee4,
-    play,
-)
-from display_node.reception.playout import LATE_TARGET, DelayEstimator
+from benchmarks.playout.links import DelayTrace, Nanoseconds
+from display_node.reception.playout import LATE_TARGET, DelayEstimator, PlayoutClock
 
 MS = 1e6
-
-
-class TunedRule(NamedTuple):
-    """A rule and its one parameter, from the setting with fewest late frames to that with most."""
-
-    make: MakeRule
-    fewest: float
-    most: float
-    default: float
-
-
-OURS = "ours"
-RULES: dict[str, TunedRule] = {
-    OURS: TunedRule(partial(DelayEstimator, max_slew=math.inf), 1e-4, 0.3, LATE_TARGET),
-    "Ramjee 1": TunedRule(Ramjee1, 60.0, 0.5, 4.0),
-    "Ramjee 4": TunedRule(Ramjee4, 60.0, 0.5, 4.0),
-    "Moon percentile": TunedRule(MoonPercentile, 1e-4, 0.3, 0.01),
-    "NetEQ-like": TunedRule(NetEqLike, 1e-4, 0.999, 0.05),
-    "fixed": TunedRule(lambda reserve_ms: FixedDelay(round(reserve_ms * MS)), 600.0, 1.0, 40.0),
-}
+# Late targets, from that with fewest late frames to that with most.
+FEWEST, MOST = 1e-4, 0.3
 CONSTANT, MOVING = "best constant", "best moving, 5 %"
 
 
@@ -63,154 +38,142 @@ class Effort:
 QUICK = Effort(seconds=5.0, scan=2, bisections=1)
 
 
-class RuleScore(NamedTuple):
-    """One rule on one link.
+class PlayedTrace(NamedTuple):
+    """Mean delay in ms at which a trace's frames were played, and the share that came late."""
 
-    `tuned` has the least delay within the permitted late share if that was `reached`, and
-    otherwise the fewest late frames. `default` is the rule's default setting, `warped` the same
-    with the display's slew limit. `tried` holds every setting, in order of its late share.
-    """
+    delay_ms: float
+    late: float
 
-    tuned: PlayedTrace
+    def __str__(self) -> str:
+        return f"{self.delay_ms:.1f} / {100 * self.late:.1f}"
+
+
+class Tuned(NamedTuple):
+    """The least delay within the permitted late share if it was `reached`, else fewest late."""
+
+    played: PlayedTrace
     reached: bool
-    default: PlayedTrace
-    warped: PlayedTrace
-    tried: tuple[PlayedTrace, ...]
 
 
 class LinkScore(NamedTuple):
-    """A link's smallest delay and both optima in ms, from the whole trace.
+    """Figures of a link.
 
-    optima_ms[MOVING] is a lower bound of the moving optimum, found_ms the mean delay of the best
-    path that was found.
+    smallest_ms: its smallest delay. optima_ms: of MOVING a lower bound; found_ms is the mean delay
+    of the best path that was found. tuned: our delay. default, warped: the default late target,
+    free to change at once and with the display's slew limit.
     """
 
     smallest_ms: float
     optima_ms: dict[str, float]
     found_ms: float
-
-
-class RuleOnLink(NamedTuple):
-    """A case: the name of a rule and of a link."""
-
-    rule: str
-    link: str
-
-    def __str__(self) -> str:
-        return f"{self.rule} on {self.link}"
-
-
-Rules = dict[str, dict[str, RuleScore]]
+    tuned: Tuned
+    default: PlayedTrace
+    warped: PlayedTrace
 
 
 def main(benchmark: Benchmark) -> None:
-    """Play every rule on every link, print the tables, and judge ours by the optima."""
+    """Play every link, print the tables, and judge our delay by the optima."""
     effort, names = QUICK if benchmark.quick else Effort(), list(links.LINKS)
-    found = benchmark.run(partial(score_link, effort=effort), names)
-    cases = [RuleOnLink(rule, link) for link in names for rule in RULES]
-    played = iter(benchmark.run(partial(score_rule, effort=effort), cases))
-    optima = dict(zip(names, found, strict=True))
-    rules: Rules = {link: {rule: next(played) for rule in RULES} for link in names}
-    _show_tuned(benchmark, optima, rules)
-    _show_ratios(benchmark, optima, rules)
-    for way, title in (("default", "free to change at once"), ("warped", "slew of at most 5 %")):
-        _show_defaults(benchmark, rules, way, title)
+    scores = benchmark.run(partial(score_link, effort=effort), names)
+    judged, rows = {criterion.name for criterion in CRITERIA["playout"]}, []
+    for link, score in zip(names, scores, strict=True):
+        ours_ms, least_ms = score.tuned.played.delay_ms, score.smallest_ms
+        late = "" if score.tuned.reached else f" at {100 * score.tuned.played.late:.1f} %"
+        cells = [f"{ours_ms:.1f}{late}"]
+        for optimum, optimum_ms in score.optima_ms.items():
+            above = (ours_ms - least_ms) / (optimum_ms - least_ms)
+            cells += [f"{optimum_ms:.1f}", f"{ours_ms / optimum_ms:.3f}", f"{above:.3f}"]
+            if f"{link} / {optimum}" in judged:
+                benchmark.judge(f"{link} / {optimum}", ours_ms / optimum_ms)
+        rows.append((link, *cells, str(score.default), str(score.warped)))
+    gap = max(score.found_ms / score.optima_ms[MOVING] - 1 for score in scores)
+    ratios = ("ours over it", "without smallest")
+    benchmark.table(
+        f"Mean delay in ms at {100 * LATE_TARGET:g} % late, delay free to change at once",
+        ("link", "ours", CONSTANT, *ratios, MOVING, *ratios, "default", "default, 5 %"),
+        rows,
+        "Without smallest: after subtracting the trace's smallest delay. The best moving delay is a"
+        f" lower bound; paths at most {100 * gap:.1f} % above it were found. Defaults: mean delay"
+        " in ms / late frames in %, free to change at once and with a slew of at most 5 %.",
+    )
 
 
 def score_link(link: str, effort: Effort) -> LinkScore:
-    """Compute the optima of a link."""
-    delay_ms = links.make_trace(link, effort.seconds).delay_ns / MS
+    """Compute the optima of a link, and our delay, tuned and at its default."""
+    trace = links.make_trace(link, effort.seconds)
+    delay_ms = trace.delay_ns / MS
     optimum = links.best_moving(delay_ms, LATE_TARGET)
     return LinkScore(
         float(delay_ms.min()),
         {CONSTANT: links.best_constant_ms(delay_ms, LATE_TARGET), MOVING: optimum.bound_ms},
         optimum.best.mean_ms,
+        tune(trace, effort),
+        play(DelayEstimator(LATE_TARGET, max_slew=math.inf), trace),
+        play(DelayEstimator(LATE_TARGET), trace, warped=True),
     )
 
 
-def score_rule(case: RuleOnLink, effort: Effort, permitted_late: float = LATE_TARGET) -> RuleScore:
-    """Tune a rule on a link, and play it at its default.
+def tune(trace: DelayTrace, effort: Effort, permitted_late: float = LATE_TARGET) -> Tuned:
+    """Tune the late target on a trace.
 
     Settings are tried evenly over the parameter's logarithm, then by bisection towards the
     permitted late share.
     """
-    rule, trace = RULES[case.rule], links.make_trace(case.link, effort.seconds)
-    few, many = math.log(rule.fewest), math.log(rule.most)
+
+    def tried_at(setting: float) -> PlayedTrace:
+        return play(DelayEstimator(math.exp(setting), max_slew=math.inf), trace)
+
+    few, many = math.log(FEWEST), math.log(MOST)
     scanned = [few + (many - few) * step / (effort.scan - 1) for step in range(effort.scan)]
-    tried = [play(rule.make(math.exp(setting)), trace) for setting in scanned]
+    tried = [tried_at(setting) for setting in scanned]
     over = [number for number, played in enumerate(tried) if played.late > permitted_late]
     if over and over[0] > 0:
         few, many = scanned[over[0] - 1], scanned[over[0]]
         for _ in range(effort.bisections):
             middle = (few + many) / 2
-            tried.append(play(rule.make(math.exp(middle)), trace))
+            tried.append(tried_at(middle))
             if tried[-1].late <= permitted_late:
                 few = middle
             else:
                 many = middle
-    tried.sort(key=lambda played: played.late)
     within = [played for played in tried if played.late <= permitted_late]
-    tuned = min(within, key=lambda played: played.delay_ms) if within else tried[0]
-    # Our estimator gets the display's slew limit; the others have no such parameter.
-    follower = DelayEstimator(rule.default) if case.rule == OURS else rule.make(rule.default)
-    return RuleScore(
-        tuned=tuned,
-        reached=bool(within),
-        default=play(rule.make(rule.default), trace),
-        warped=play(follower, trace, warped=True),
-        tried=tuple(tried),
-    )
+    if within:
+        return Tuned(min(within, key=lambda played: played.delay_ms), True)
+    return Tuned(min(tried, key=lambda played: played.late), False)
 
 
-def _show_tuned(benchmark: Benchmark, optima: dict[str, LinkScore], rules: Rules) -> None:
-    def over_moving(delay_ms: float, link: str) -> str:
-        return f"{delay_ms:.1f} ({delay_ms / optima[link].optima_ms[MOVING]:.2f})"
+def play(rule: DelayEstimator, trace: DelayTrace, warped: bool = False) -> PlayedTrace:
+    """Play a trace by the delay that an estimator sets as the frames arrive.
 
-    def tuned(rule: str, link: str) -> str:
-        score = rules[link][rule]
-        missed = "" if score.reached else f" at {100 * score.tuned.late:.1f} %"
-        return over_moving(score.tuned.delay_ms, link) + missed
-
-    rows = [
-        (name, *(over_moving(score.optima_ms[name], link) for link, score in optima.items()))
-        for name in (CONSTANT, MOVING)
-    ]
-    rows += [(rule, *(tuned(rule, link) for link in optima)) for rule in RULES]
-    gap = max(each.found_ms / each.optima_ms[MOVING] - 1 for each in optima.values())
-    benchmark.table(
-        f"Mean delay in ms at {100 * LATE_TARGET:g} % late, delay free to change at once",
-        ("rule", *optima),
-        rows,
-        "In parentheses over the best moving delay, which is a lower bound; paths at most"
-        f" {100 * gap:.1f} % above it were found. The late share is shown where no setting is"
-        " within the permitted one.",
-    )
+    With `warped` the delay changes by at most 5 % of time, as in a display; otherwise at once.
+    """
+    arrived_ns = trace.arrived_ns.tolist()
+    set_ns: list[int] = []
+    for delay_ns, now_ns in zip(trace.delay_ns.tolist(), arrived_ns, strict=True):
+        rule.observe(delay_ns, now_ns)
+        set_ns.append(rule.delay_ns or 0)
+    if warped:
+        clock, before = PlayoutClock(), [set_ns[0], *set_ns]
+        set_ns = [
+            now_ns - clock.instant(now_ns, now_ns - before_ns)
+            for now_ns, before_ns in zip(arrived_ns, before, strict=False)
+        ]
+        # With a slew, the delay in use until the next arrival is the one reached at that arrival.
+        set_ns = [*set_ns[1:], set_ns[-1]]
+    felt_ns = felt_delays_ns(trace, np.array(set_ns, dtype=np.int64))
+    return PlayedTrace(float(felt_ns.mean()) * 1e-6, float((trace.delay_ns > felt_ns).mean()))
 
 
-def _show_ratios(benchmark: Benchmark, optima: dict[str, LinkScore], rules: Rules) -> None:
-    """Show our delay over each optimum, and judge it where there is a criterion."""
-    judged, rows = {criterion.name for criterion in CRITERIA["playout"]}, []
-    for link, score in optima.items():
-        ours_ms, least_ms = rules[link][OURS].tuned.delay_ms, score.smallest_ms
-        cells = []
-        for optimum, optimum_ms in score.optima_ms.items():
-            above = (ours_ms - least_ms) / (optimum_ms - least_ms)
-            cells += [f"{ours_ms / optimum_ms:.3f}", f"{above:.3f}"]
-            if f"{link} / {optimum}" in judged:
-                benchmark.judge(f"{link} / {optimum}", ours_ms / optimum_ms)
-        rows.append((link, *cells))
-    benchmark.table(
-        "Our mean delay over the optima",
-        ("link", CONSTANT, "without smallest", MOVING, "without smallest"),
-        rows,
-        "Without smallest: after subtracting the trace's smallest delay, which no rule can avoid.",
-    )
+def felt_delays_ns(trace: DelayTrace, set_ns: Nanoseconds) -> Nanoseconds:
+    """Return the delay at which each frame's instant was played, shape (frames,).
 
-
-def _show_defaults(benchmark: Benchmark, rules: Rules, way: str, title: str) -> None:
-    rows = []
-    for rule in RULES:
-        played: list[PlayedTrace] = [getattr(scores[rule], way) for scores in rules.values()]
-        rows.append((rule, *(f"{each.delay_ms:.1f} / {100 * each.late:.1f}" for each in played)))
-    title = f"Mean delay in ms / late frames in % at the defaults, {title}"
-    benchmark.table(title, ("rule", *rules), rows)
+    set_ns[i] is the delay in use from arrival i until the next. Each instant is played once, as
+    soon as its age reaches the delay in use. So a delay that grows because a frame came late cannot
+    save that frame, and when the delay shrinks, the skipped instants are played at once.
+    """
+    arrived_ns = trace.arrived_ns
+    # The newest instant played by the time of the next arrival.
+    played_ns = np.maximum.accumulate(arrived_ns[1:] - set_ns[:-1])
+    during = np.searchsorted(played_ns, trace.sent_ns)
+    felt_ns: Nanoseconds = np.maximum(set_ns[during], arrived_ns[during] - trace.sent_ns)
+    return felt_ns

@@ -42,20 +42,11 @@ class AnnouncedPulse(NamedTuple):
 def announce(pulse: Pulse, beats: Beats, jitter_s: float, seed: int) -> AnnouncedPulse:
     """Add an ECG whose R waves precede the onsets by the transit time, with a random deviation."""
     rng = np.random.default_rng((seed, 200))
-    waves_s = _wave_times(beats, jitter_s, rng)
+    onsets_s = beats.onsets_s
+    waves_s = onsets_s - TRANSIT_S + jitter_s * rng.standard_normal(len(onsets_s))
     t_s = np.arange(len(pulse.sensed)) / RATE_HZ
     ecg_mv = draw_ecg(t_s, [(each, 1.0) for each in waves_s.tolist()])
     return AnnouncedPulse(pulse, ecg_mv + NOISE_MV * rng.standard_normal(len(t_s)))
-
-
-def wave_times(beats: Beats, jitter_s: float, seed: int) -> Floats:
-    """Return the times in s of the R waves that `announce` draws."""
-    return _wave_times(beats, jitter_s, np.random.default_rng((seed, 200)))
-
-
-def _wave_times(beats: Beats, jitter_s: float, rng: np.random.Generator) -> Floats:
-    onsets_s = beats.onsets_s
-    return onsets_s - TRANSIT_S + jitter_s * rng.standard_normal(len(onsets_s))
 
 
 def announced_pulses(seconds: float, seed: int, jitter_s: float) -> list[AnnouncedPulse]:

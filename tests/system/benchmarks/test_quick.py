@@ -5,7 +5,7 @@ import pytest
 from tests.support.nodes import run_python
 
 NAMES = (
-    *("announce", "cost", "depth", "integrators", "link", "peers", "playout", "prediction"),
+    *("announce", "depth", "link", "peers", "playout", "prediction"),
     "press",
 )
 

@@ -12,7 +12,7 @@ from protocol.wire.messages import decode_frame
 from telepulse.simulation.link_scene import parse_link
 from tests.support.keyring import Keyring
 from tests.support.netem import PacketFilter, emulate
-from tests.support.netem.emulated_link import PORT
+from tests.support.node_rig import PORT
 from tests.support.nodes import ROOT, process, read_json
 from tests.support.sensing_client import KeyedClient
 from tests.support.tcp import needs_emulator

@@ -17,7 +17,6 @@ STARTS = re.compile(
 # The class itself, and modules that start other programs.
 STARTERS = {
     "protocol/host/child_process.py": "Python, for all others",
-    "benchmarks/calm.py": "chromium, and the demo of another checkout",
     "protocol/provenance.py": "git",
     "tests/machines/__main__.py": "pytest",
     "tests/machines/environments.py": "Python, pip, git, and tools of the system",

@@ -1,11 +1,12 @@
-"""Prediction under "auto" beside buffering: on all pulses of the study, and where a pulse changes.
+"""Prediction under "auto": its first seconds, and on all pulses beside buffering.
 
-The pulses have a height of 0.3 N on a static force. Those of `make bench ARGS=prediction` are
-scored after 20 s of learning. Two pulses change after `TURN_S`, to fibrillation and to a moving
-hand, and are scored from then on.
+The pulses of the second table have a height of 0.3 N on a static force. Those of
+`make bench ARGS=prediction` are scored after 20 s of learning. Two pulses change after `TURN_S`, to
+fibrillation and to a moving hand, and are scored from then on.
 """
 
 import math
+import statistics
 import tempfile
 from dataclasses import replace
 from pathlib import Path
@@ -16,10 +17,11 @@ import numpy as np
 from benchmarks.benchmark import Benchmark
 from display_node.prediction import PredictorName
 from protocol.config.scene_file import find_scene
+from protocol.summary.tables import ErrorWindow
 from protocol.ticks import TickState
 from sensing_node.sources.heart import NOMINAL_BEAT_S
 from sensing_node.sources.recorded import RecordingScene
-from telepulse.parallel import sweep
+from sensing_node.sources.synthetic import SyntheticScene
 from telepulse.scene import Scene, load_scene
 from telepulse.simulation.link_scene import parse_link
 from telepulse.simulation.virtual_time import STREAM_BEGINS_NS, Simulation
@@ -36,12 +38,79 @@ from tests.support.drawn_pulses import (
     through_chain,
 )
 
+LINKS = {
+    "20±3 ms, 1 % loss": "delay=20ms,jitter=3ms,loss=1%",
+    "40±10 ms": "delay=40ms,jitter=10ms",
+    "tcp stalls": "delay=40ms,loss=1%,transport=tcp",
+}
+FIRST_LINK = "delay=40ms,jitter=10ms,loss=1%"
+SEEDS = 20
+FIRST_S = 31.0
+IN_PHASE_NS = 5_000_000
 SECONDS, TURN_S = 50.0, 30.0
 SIZE_N, STATIC_N = 0.3, 0.75
 # Hold-down force of a moving hand, which changes twice a second.
 SHIFT_N, SHIFTS_HZ = 0.1, 2
 TURNS = ("fibrillation begins", "the arm moves")
 PREDICTORS: tuple[PredictorName, ...] = ("stack", "linear")
+
+
+def main(benchmark: Benchmark) -> None:
+    """Print both tables."""
+    show_learning(benchmark)
+    show_trust(benchmark)
+
+
+class Start(NamedTuple):
+    """Windows of a run, and when E was first reduced, and first below 5 ms, in s of the stream."""
+
+    windows: list[ErrorWindow]
+    reduced_s: float
+    in_phase_s: float
+
+
+def show_learning(benchmark: Benchmark) -> None:
+    """Print E and the errors second by second, medians over the seeds."""
+    seeds = 1 if benchmark.quick else benchmark.seeds or SEEDS
+    starts = benchmark.run(start, range(1, seeds + 1))
+    rows = []
+    for each in zip(*(start.windows for start in starts), strict=False):
+        delay_ms = statistics.median(window.playout_delay_ms for window in each)
+        aligned, in_phase = (
+            1e3 * statistics.median(error for error in errors if error is not None)
+            for errors in zip(*((w.aligned_n, w.in_phase_n) for w in each), strict=True)
+        )
+        times = f"{each[0].from_s:.0f} to {each[0].to_s:.0f}"
+        rows.append((times, f"{delay_ms:.1f}", f"{aligned:.2f}", f"{in_phase:.2f}"))
+    benchmark.table(
+        f"radial over {FIRST_LINK}, E = auto, medians of {seeds} seeds",
+        ("s", "E, ms", "aligned, mN", "in phase, mN"),
+        rows,
+    )
+    reduced_s, in_phase_s = (
+        statistics.median(getattr(start, name) for start in starts)
+        for name in ("reduced_s", "in_phase_s")
+    )
+    print(f"E reduced after {reduced_s:.1f} s, below 5 ms after {in_phase_s:.1f} s (medians)")
+
+
+def start(seed: int) -> Start:
+    """Play the beginning of a stream."""
+    scene = load_scene(find_scene("radial"))
+    source = scene.sensing.source
+    assert isinstance(source, SyntheticScene)
+    sensing = scene.sensing.model_copy(update={"source": source.model_copy(update={"seed": seed})})
+    ticks: list[tuple[int, bool, int]] = []
+
+    def watch(state: TickState) -> None:
+        ticks.append((state.now_ns, state.trusted, state.playout_delay_ns))
+
+    played = replace(scene, sensing=sensing, link=parse_link(FIRST_LINK))
+    summary = Simulation(played, seed).run(FIRST_S, watch=watch)
+    first_ns = ticks[0][0]
+    reduced_ns = next((now_ns for now_ns, trusted, _ in ticks if trusted), ticks[-1][0])
+    in_phase_ns = next((now for now, _, delay in ticks if delay < IN_PHASE_NS), ticks[-1][0])
+    return Start(summary.windows, *((t - first_ns) * 1e-9 for t in (reduced_ns, in_phase_ns)))
 
 
 class Case(NamedTuple):
@@ -67,9 +136,11 @@ class Score(NamedTuple):
     risen_s: float
 
 
-def show_trust(benchmark: Benchmark, links: dict[str, str]) -> None:
-    """Print the tables: links as `parse_link` reads them, by name. Uses all cores."""
+def show_trust(benchmark: Benchmark) -> None:
+    """Print the errors and E of each pulse over each link."""
+    links = dict(list(LINKS.items())[: 1 if benchmark.quick else None])
     steady = [(each.name, each.sensed, each.true, SCORED_FROM_S) for each in pulses(SECONDS, 1)]
+    steady = steady[:1] if benchmark.quick else steady
     turning = [(name, *turned(name), TURN_S) for name in TURNS]
     cases = [
         Case(name, _in_n(sensed, true), _in_n(true, true), from_s, link, predictor)
@@ -79,7 +150,7 @@ def show_trust(benchmark: Benchmark, links: dict[str, str]) -> None:
     ]
     scores = {
         (case.pulse, case.link, case.predictor): score
-        for case, score in zip(cases, sweep(score, cases), strict=True)
+        for case, score in zip(cases, benchmark.run(score, cases), strict=True)
     }
     rows = []
     for name, *_ in steady + turning:
