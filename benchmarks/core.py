@@ -18,7 +18,6 @@ import numpy as np
 
 from benchmarks.benchmark import Benchmark
 from benchmarks.peers import BARE, BARE_CURVE, OURS, OURS_CURVE
-from benchmarks.peers.race import run
 from display_node.prediction.scene import own_predictor
 from display_node.reception.playout import LATE_TARGET
 from display_node.reception.receiver import Receiver
@@ -100,7 +99,7 @@ def latency() -> dict[str, float]:
     """Return p50 of the time until a frame is done, over that of pyzmq until it is decoded."""
     figures = {}
     for name, ours, bare in (("", OURS, BARE), (", CURVE", OURS_CURVE, BARE_CURVE)):
-        runs = [run(peer.module, peer.curve, MESSAGES) for peer in (bare, ours)]
+        runs = [peer.run(MESSAGES) for peer in (bare, ours)]
         base_us, usable_us = (float(np.median(each.delays_ns)) * 1e-3 for each in runs)
         figures[f"pyzmq in µs{name}"] = base_us
         figures[f"latency over pyzmq{name}"] = usable_us / base_us

@@ -7,13 +7,14 @@ when the subscriber has finished with it: for telepulse, after the update of the
 alternating order. pyzmq is used with msgpack.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.metadata import PackageNotFoundError, version
 
 import numpy as np
 
 from benchmarks.benchmark import Benchmark
-from benchmarks.peers.race import Run, run
+from benchmarks.peers import others, ours
+from benchmarks.peers.race import Publish, Run, Subscribe, run
 
 ROUNDS = 6
 MESSAGES = 2_000
@@ -22,10 +23,11 @@ QUANTILES = (50.0, 99.0)
 
 @dataclass(frozen=True, slots=True)
 class Peer:
-    """A row of the table: its module, and the packages that it needs."""
+    """A row of the table: its ends, and the packages that it needs."""
 
     name: str
-    module: str
+    publish: Publish
+    subscribe: Subscribe
     packages: tuple[str, ...] = ()
     curve: bool = False
 
@@ -37,15 +39,19 @@ class Peer:
         except PackageNotFoundError:
             return None
 
+    def run(self, messages: int) -> Run:
+        """Run it once."""
+        return run(self.publish, self.subscribe, self.curve, messages)
 
-UDP = Peer("UDP", "udp")
-BARE = Peer("pyzmq", "bare", ("pyzmq", "msgpack"))
-OURS = Peer("telepulse", "ours")
-DECODED = Peer("decoded only", "decoded")
-BARE_CURVE = Peer("pyzmq, CURVE", "bare", ("pyzmq", "msgpack"), curve=True)
-OURS_CURVE = Peer("telepulse, CURVE", "ours", curve=True)
-LSL = Peer("LSL", "lsl", ("pylsl",))
-ZENOH = Peer("zenoh", "zenoh_peer", ("eclipse-zenoh",))
+
+UDP = Peer("UDP", others.publish_udp, others.subscribe_udp)
+BARE = Peer("pyzmq", others.publish_pyzmq, others.subscribe_pyzmq, ("pyzmq", "msgpack"))
+OURS = Peer("telepulse", ours.publish, ours.subscribe)
+DECODED = Peer("decoded only", ours.publish, ours.subscribe_decoded)
+BARE_CURVE = replace(BARE, name="pyzmq, CURVE", curve=True)
+OURS_CURVE = replace(OURS, name="telepulse, CURVE", curve=True)
+LSL = Peer("LSL", others.publish_lsl, others.subscribe_lsl, ("pylsl",))
+ZENOH = Peer("zenoh", others.publish_zenoh, others.subscribe_zenoh, ("eclipse-zenoh",))
 PEERS = (UDP, BARE, DECODED, OURS, BARE_CURVE, OURS_CURVE, LSL, ZENOH)
 COMPARED = ((OURS, BARE), (OURS_CURVE, BARE_CURVE), (OURS, LSL))
 
@@ -61,9 +67,9 @@ def main(benchmark: Benchmark) -> None:
         columns,
         [row(peer, runs) for peer in PEERS],
     )
-    for ours, other in COMPARED:
-        if (found := ratio(ours, other, runs)) is not None:
-            benchmark.judge(f"p50 of {ours.name} over that of {other.name}", found)
+    for peer, other in COMPARED:
+        if (found := ratio(peer, other, runs)) is not None:
+            benchmark.judge(f"p50 of {peer.name} over that of {other.name}", found)
     print("; ".join(dict.fromkeys(peer.versions for peer in runs if peer.versions)))
 
 
@@ -73,7 +79,7 @@ def run_in_turns(peers: tuple[Peer, ...], rounds: int, messages: int) -> dict[Pe
     runs: dict[Peer, list[Run]] = {peer: [] for peer in there}
     for number in range(rounds):
         for peer in there if number % 2 == 0 else reversed(there):
-            runs[peer].append(run(peer.module, peer.curve, messages))
+            runs[peer].append(peer.run(messages))
     return runs
 
 

@@ -1,7 +1,11 @@
-"""Interface of every peer's publisher and subscriber."""
+"""Interface of every peer's publisher and subscriber, and CURVE on ZeroMQ's sockets."""
 
 import struct
 from typing import NamedTuple
+
+import zmq
+
+from protocol.sockets import Socket
 
 VALUE = 0.5
 FIELDS = struct.Struct("<qqf")
@@ -33,3 +37,25 @@ class Arrival(NamedTuple):
     sequence: int
     sent_ns: int
     usable_ns: int
+
+
+def make_keys() -> Keys:
+    """Return keys for a server and its one client."""
+    return Keys(*zmq.curve_keypair(), *zmq.curve_keypair())
+
+
+def serve(socket: Socket, keys: Keys | None) -> Socket:
+    """Make the socket encrypt as the server; without keys leave it as it is."""
+    if keys is not None:
+        socket.setsockopt(zmq.CURVE_SERVER, 1)
+        socket.setsockopt(zmq.CURVE_SECRETKEY, keys.server_secret)
+    return socket
+
+
+def join(socket: Socket, keys: Keys | None) -> Socket:
+    """Make the socket encrypt as the client; without keys leave it as it is."""
+    if keys is not None:
+        socket.setsockopt(zmq.CURVE_SERVERKEY, keys.server_public)
+        socket.setsockopt(zmq.CURVE_PUBLICKEY, keys.client_public)
+        socket.setsockopt(zmq.CURVE_SECRETKEY, keys.client_secret)
+    return socket

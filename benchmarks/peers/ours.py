@@ -6,14 +6,13 @@ from collections.abc import Iterable, Iterator
 import numpy as np
 import zmq
 
-from benchmarks.peers import curve
-from benchmarks.peers.message import VALUE, Arrival, Wire
+from benchmarks.peers.message import VALUE, Arrival, Wire, join, serve
 from display_node.reception.jitter_buffer import JitterBuffer
 from display_node.reception.receiver import Receiver
 from protocol import sockets
 from protocol.provenance import BUILD
 from protocol.tactile import ElasticLayer
-from protocol.wire.messages import ChannelSamples, Frame, encode_control, encode_frame
+from protocol.wire.messages import ChannelSamples, Frame, encode_control, encode_frame, unpack_frame
 from protocol.wire.stream import Channel, StreamDescription
 from sensing_node.control_server import ControlServer
 
@@ -28,8 +27,8 @@ WAIT_NS = 10_000_000
 def publish(wire: Wire, numbers: Iterable[int]) -> None:
     """Answer the display and send a frame for each number, with the time before encoding."""
     context: sockets.Context = zmq.Context()
-    data = curve.serve(sockets.unconnected(context, zmq.PUB), wire.keys)
-    control = curve.serve(sockets.unconnected(context, zmq.ROUTER), wire.keys)
+    data = serve(sockets.unconnected(context, zmq.PUB), wire.keys)
+    control = serve(sockets.unconnected(context, zmq.ROUTER), wire.keys)
     data.bind(data_address(wire))
     control.bind(sockets.control_address(data_address(wire)))
     desk = ControlServer(DESCRIPTION, SESSION)
@@ -64,8 +63,8 @@ def stamped_buffer() -> tuple[JitterBuffer, list[int]]:
 def subscribe(wire: Wire) -> Iterator[Arrival]:
     """Yield frames as they are in the buffer, by the loop of `DisplayNode` without ticks."""
     context: sockets.Context = zmq.Context()
-    data = curve.join(sockets.unconnected(context, zmq.SUB), wire.keys)
-    control = curve.join(sockets.unconnected(context, zmq.DEALER), wire.keys)
+    data = join(sockets.unconnected(context, zmq.SUB), wire.keys)
+    control = join(sockets.unconnected(context, zmq.DEALER), wire.keys)
     data.connect(data_address(wire))
     control.connect(sockets.control_address(data_address(wire)))
     receiver = Receiver("peer", channels=[0], late_target=LATE_TARGET)
@@ -87,6 +86,20 @@ def subscribe(wire: Wire) -> Iterator[Arrival]:
             sockets.send(control, encode_control(request))
         if not requests:
             sockets.wait_on_descriptors(descriptors, WAIT_NS)
+
+
+def subscribe_decoded(wire: Wire) -> Iterator[Arrival]:
+    """Yield frames as they are decoded: the smallest part that yields a sample, no session."""
+    context: sockets.Context = zmq.Context()
+    data = join(sockets.unconnected(context, zmq.SUB), wire.keys)
+    data.connect(data_address(wire))
+    data.subscribe(b"")
+    descriptors = sockets.descriptors((data,))
+    while True:
+        for message in sockets.receive_parts(data):
+            _, sequence, sent_ns, *_ = unpack_frame(message)
+            yield Arrival(sequence, sent_ns, time.perf_counter_ns())
+        sockets.wait_on_descriptors(descriptors, WAIT_NS)
 
 
 def data_address(wire: Wire) -> str:

@@ -2,17 +2,15 @@
 
 import time
 from array import array
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
-from importlib import import_module
 from multiprocessing import get_context
 from multiprocessing.connection import Connection
 
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.peers.curve import make_keys
-from benchmarks.peers.message import Arrival, Wire
+from benchmarks.peers.message import Arrival, Wire, make_keys
 from benchmarks.timing import paced
 from telepulse.processes import free_addresses
 
@@ -20,6 +18,10 @@ PERIOD_NS = 1_000_000
 # Connecting, and the first messages of a process, are not measured.
 WARM_UP = 300
 PATIENCE_S = 30.0
+
+
+Publish = Callable[[Wire, Iterable[int]], None]
+Subscribe = Callable[[Wire], Iterator[Arrival]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,41 +40,42 @@ class Run:
     cpu_ns: int
 
 
-def run(module: str, curve: bool, messages: int) -> Run:
-    """Run a peer by its module in this package. Raises RuntimeError when nothing arrives."""
-    address = free_addresses(1)[0]
+def run(publish: Publish, subscribe: Subscribe, curve: bool, messages: int) -> Run:
+    """Run a peer by its module-level functions. Raises RuntimeError when nothing arrives."""
+    name, address = subscribe.__name__, free_addresses(1)[0]
     wire = Wire(int(address.rpartition(":")[2]), make_keys() if curve else None)
     spawn = get_context("spawn")
     ours, theirs = spawn.Pipe(duplex=False)
     processes = [
-        spawn.Process(target=publish, args=(module, wire), daemon=True),
-        spawn.Process(target=subscribe, args=(module, wire, messages, theirs), daemon=True),
+        spawn.Process(target=_publish, args=(publish, wire), daemon=True),
+        spawn.Process(target=_subscribe, args=(subscribe, wire, messages, theirs), daemon=True),
     ]
     try:
         for process in processes:
             process.start()
         theirs.close()
         if not ours.poll(PATIENCE_S + messages * PERIOD_NS * 1e-9):
-            raise RuntimeError(f"{module}: no figures within {PATIENCE_S:g} s of their time")
+            raise RuntimeError(
+                f"{subscribe.__name__}: no figures within {PATIENCE_S:g} s of their time"
+            )
         received: Run = ours.recv()
         return received
     except EOFError:
-        raise RuntimeError(f"{module}: its subscriber ended without figures") from None
+        raise RuntimeError(f"{name} ended without figures") from None
     finally:
         for process in processes:
             process.terminate()
             process.join()
 
 
-def publish(module: str, wire: Wire) -> None:
+def _publish(publish: Publish, wire: Wire) -> None:
     """Send a message every millisecond until terminated."""
-    numbers = (number for number, _ in enumerate(paced(PERIOD_NS)))
-    import_module(f"benchmarks.peers.{module}").publish(wire, numbers)
+    publish(wire, (number for number, _ in enumerate(paced(PERIOD_NS))))
 
 
-def subscribe(module: str, wire: Wire, messages: int, result: Connection) -> None:
+def _subscribe(subscribe: Subscribe, wire: Wire, messages: int, result: Connection) -> None:
     """Receive the warm-up and then so many messages, and return the figures."""
-    result.send(measure(import_module(f"benchmarks.peers.{module}").subscribe(wire), messages))
+    result.send(measure(subscribe(wire), messages))
 
 
 def measure(arrivals: Iterator[Arrival], messages: int) -> Run:
