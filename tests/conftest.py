@@ -38,7 +38,7 @@ LATER = (
     # Studies, comparisons with other libraries, and words on pages.
     *("unit/telepulse/view", "unit/telepulse/experiment"),
     *("unit/telepulse/paper", "unit/telepulse/test_document.py"),
-    "unit/protocol/test_figures.py",
+    "unit/protocol/summary/test_figures.py",
     "unit/display_node/control/test_linear_loop.py",
     # Seconds each, of what quicker tests have in part.
     *("unit/display_node/test_announced_stream.py", "unit/display_node/test_hardware.py"),
