@@ -1,7 +1,7 @@
 """Run every test; the arguments are pytest's.
 
 First those that compute, two at a time. Then those in real time, three at a time: they mostly wait,
-and computing beside them would disturb them. Last the one that needs both processors for its bench.
+and computing beside them would disturb them. Last those that need both processors, one at a time.
 COVERAGE=1 adds the coverage of the core: a fifth more time for those that compute.
 """
 
@@ -18,9 +18,10 @@ COMPUTING = (
     *("python_api", "stability"),
 )
 SYSTEM = sorted({path.parent for path in TESTS.glob("system/*/test_*.py")})
-REAL_TIME = [str(folder) for folder in SYSTEM if folder.name not in COMPUTING]
-# A board, three drives and both nodes, whose forces are to be in step to 2 ms.
-ALONE = [str(TESTS / "system" / "drives" / "test_several_drives.py")]
+# Three drives whose forces are to be in step to 2 ms; the demo, whose terminal shows a heart
+# rate only while few ticks are missed.
+ALONE = [TESTS / "system" / name for name in ("drives/test_several_drives.py", "demo")]
+REAL_TIME = [path for path in SYSTEM if path.name not in COMPUTING and path not in ALONE]
 OTHERS = [path for path in TESTS.iterdir() if path.is_dir() and path.name != "system"]
 # Long files first, and each in its place: at the end both processes have work.
 COMPUTE = [*(TESTS / "system" / name for name in COMPUTING), *sorted(OTHERS)]
@@ -28,8 +29,8 @@ FIRST = [*COVERED, "--cov-report=", "--cov-fail-under=0"] if COVERED else []
 LAST = [*COVERED, "--cov-append"] if COVERED else []
 PARTS = (
     ("--no-loadscope-reorder", *map(str, COMPUTE), *FIRST),
-    (*REAL_TIME, *(f"--ignore={path}" for path in ALONE), "--numprocesses=3", *LAST),
-    (*ALONE, "--numprocesses=0", *LAST),
+    (*map(str, REAL_TIME), *(f"--ignore={path}" for path in ALONE), "--numprocesses=3", *LAST),
+    (*map(str, ALONE), "--numprocesses=0", *LAST),
 )
 NO_TESTS_MATCHED = 5
 
