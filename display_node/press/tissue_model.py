@@ -105,7 +105,8 @@ class PulseCurve:
         height_n, force_n = beat.height_n, beat.hold_down_n
         if not LEAST_HEIGHT_N <= height_n <= LARGEST_N or not abs(force_n) <= LARGEST_N:
             return
-        if not max(map(abs, beat.levels_n)) <= (MOST_FOOT + 1) * height_n:
+        # Not by the largest: with a level that is no number, `max` depends on its place.
+        if not all(abs(level_n) <= (MOST_FOOT + 1) * height_n for level_n in beat.levels_n):
             return
         if not math.isfinite(beat.at_s) or not 0 <= beat.moved_n <= LARGEST_N:
             return

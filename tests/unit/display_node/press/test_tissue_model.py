@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from display_node.press.artery_law import HIGHEST, LOWEST, ArteryLaw
@@ -156,6 +156,8 @@ def test_a_change_of_the_wrist_is_learnt() -> None:
 
 
 @given(st.lists(st.tuples(*[st.floats(allow_nan=True, allow_infinity=True)] * 9), max_size=20))
+@example([(0.0, 0.0, 0.0, 0.0, 0.0, math.nan, 0.0, 0.0, 1.0)])
+@example([(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, math.nan, 1.0)])
 def test_no_beat_makes_the_curve_useless(beats: list[tuple[float, ...]]) -> None:
     curve = PulseCurve(3.0)
     for at_s, rise_s, force_n, moved_n, *levels in beats:
