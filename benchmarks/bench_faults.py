@@ -4,14 +4,15 @@ The time ends when the tip stays at rest or stays almost off the finger, whichev
 read from the emulated motor's own record, on the clock by which the fault is made.
 """
 
+import math
 import signal
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
 
@@ -44,47 +45,57 @@ class Outcome:
 def main(benchmark: Benchmark) -> None:
     """Print the tables: faults, restarts, and stops of the display's process."""
     kinds = ("TMCL, ms", "CiA 402, ms")
+    found = [(fault, happened(fault)) for fault in FAULTS]
     benchmark.table(
         f"From a fault until the tip rests or is off, most of {REPEATS}",
         ("fault", "what is done", *kinds, "named"),
-        faults := [row(*fault) for fault in FAULTS],
+        [row(fault, outcomes) for fault, outcomes in found],
     )
+    restarts = [restarted(kind, name, once) for name, once in RESTARTS for kind in KINDS]
     benchmark.table(
         "Felt after a restart",
         ("restart", "drive", "most N", "fastest N/s", "rise ms"),
-        restarts := [
-            restart_row(kind, name, happens) for name, happens in RESTARTS for kind in KINDS
-        ],
+        [each.row() for each in restarts],
     )
     # A display that is stopped cannot act, so only its drive's watchdog counts then.
-    faults = [each for each in faults if not each[0].startswith("the display stands still")]
-    times_ms = [
-        float(cell) for _, _, *cells, _ in faults for cell in cells if cell not in ("none", "–")
+    peace_ms = [
+        most_ms(some)
+        for fault, outcomes in found
+        if not fault.name.startswith("the display stands still")
+        for some in outcomes.values()
     ]
-    benchmark.judge("time from a fault until the tip rests or is off", 1e-3 * max(times_ms))
-    felt = [each for each in restarts if each[2]]
-    benchmark.judge("force after a restart", max(float(each[2]) for each in felt))
-    benchmark.judge("slew after a restart", max(float(each[3]) for each in felt))
+    benchmark.judge("time from a fault until the tip rests or is off", 1e-3 * max(peace_ms))
+    benchmark.judge("force after a restart", max(each.most_n for each in restarts))
+    benchmark.judge("slew after a restart", max(each.most_n_per_s for each in restarts))
 
 
-def row(
-    name: str, done: str, once: Callable[[str, Path], Outcome], kinds: Sequence[str] = KINDS
-) -> tuple[str, ...]:
-    """Return the row of a fault; kinds: of the drives that can have it."""
-    outcomes: list[Outcome] = []
-    times_ms = []
-    for kind in KINDS:
-        if kind not in kinds:
-            times_ms.append("–")
-            continue
-        some = [tried(partial(once, kind)) for _ in range(REPEATS)]
-        found = [outcome for outcome in some if outcome is not None]
-        times_ms.append(f"{max(outcome.peace_ms for outcome in found):.0f}" if found else "none")
-        outcomes += found
-    named = sorted(
-        {": ".join(fault.split(": ")[:2]) for outcome in outcomes for fault in outcome.named}
-    )
-    return name, done, *times_ms, ", ".join(named)
+def most_ms(outcomes: Sequence[Outcome]) -> float:
+    """Return the longest time of a fault; infinite where no attempt came so far."""
+    return max((outcome.peace_ms for outcome in outcomes), default=math.inf)
+
+
+def _shown(figure: float, form: str = ".0f") -> str:
+    return f"{figure:{form}}" if math.isfinite(figure) else "none"
+
+
+def row(fault: "Fault", outcomes: Mapping[str, Sequence[Outcome]]) -> tuple[str, ...]:
+    """Return the row of a fault; outcomes: by the kind of drive, where it can have the fault."""
+    times = ["–" if kind not in outcomes else _shown(most_ms(outcomes[kind])) for kind in KINDS]
+    named = {
+        ": ".join(text.split(": ")[:2])
+        for some in outcomes.values()
+        for outcome in some
+        for text in outcome.named
+    }
+    return fault.name, fault.done, *times, ", ".join(sorted(named))
+
+
+def happened(fault: "Fault") -> dict[str, list[Outcome]]:
+    """Return the results of a fault, repeated, by the kind of drive that can have it."""
+    tries = {
+        kind: [tried(partial(fault.once, kind)) for _ in range(REPEATS)] for kind in fault.kinds
+    }
+    return {kind: [each for each in some if each is not None] for kind, some in tries.items()}
 
 
 def tried(once: Callable[[Path], Outcome]) -> Outcome | None:
@@ -149,10 +160,24 @@ def pressed(motor: MotorTrace, at_ns: int) -> bool:
     return bool(before.any() and motor.force_n[before].min() > 0.05)
 
 
-def restart_row(
-    kind: str, name: str, happens: Callable[[Path, str], MotorTrace]
-) -> tuple[str, ...]:
-    """Return force, slew and rise at the finger after a restart."""
+@dataclass(frozen=True, slots=True)
+class Restart:
+    """Force and slew at the finger after a restart, infinite where no attempt played, and rise."""
+
+    name: str
+    kind: str
+    most_n: float = math.inf
+    most_n_per_s: float = math.inf
+    rise: str = f"failed {TRIES} times"
+
+    def row(self) -> tuple[str, ...]:
+        """Return the row of the table."""
+        figures = _shown(self.most_n, ".3f"), _shown(self.most_n_per_s, ".1f")
+        return self.name, self.kind, *figures, self.rise
+
+
+def restarted(kind: str, name: str, happens: Callable[[Path, str], MotorTrace]) -> Restart:
+    """Return what is felt after a restart."""
     for _ in range(TRIES):
         with TemporaryDirectory(prefix="telepulse-") as folder:
             try:
@@ -162,8 +187,8 @@ def restart_row(
                 continue
         felt_n = motor.force_n
         slope = (felt_n[STRETCH_MS:] - felt_n[:-STRETCH_MS]) / STRETCH_MS * 1e3
-        return name, kind, f"{felt_n.max():.3f}", f"{slope.max():.1f}", rise_ms(felt_n)
-    return name, kind, "", "", f"failed {TRIES} times"
+        return Restart(name, kind, float(felt_n.max()), float(slope.max()), rise_ms(felt_n))
+    return Restart(name, kind)
 
 
 def sensing_restarted(folder: Path, kind: str) -> MotorTrace:
@@ -211,36 +236,45 @@ def rise_ms(felt_n: "np.typing.NDArray[np.float64]") -> str:
     return f"{then - first}"
 
 
-FAULTS: tuple[tuple[Any, ...], ...] = (
-    ("the film falls silent", "the tip leaves the finger", partial(trouble, "film-silent")),
-    (
+class Fault(NamedTuple):
+    """A fault, what the bench does then, a function that makes it once, and drives that have it."""
+
+    name: str
+    done: str
+    once: Callable[[str, Path], Outcome]
+    kinds: Sequence[str] = KINDS
+
+
+FAULTS = (
+    Fault("the film falls silent", "the tip leaves the finger", partial(trouble, "film-silent")),
+    Fault(
         "the sensing node is killed",
         "the force fades to 0",
         partial(kill_one, "sensing", signal.SIGKILL),
     ),
-    (
+    Fault(
         "the wrist's sensor is unplugged",
         "the force fades to 0",
         partial(kill_one, "board", signal.SIGKILL),
     ),
     *(
-        (
+        Fault(
             f"the display stands still for {seconds:g} s",
             "the drive's watchdog; then a latched fault",
             partial(kill_one, "display", signal.SIGSTOP, stopped_s=seconds),
         )
         for seconds in STOPS_S
     ),
-    (
+    Fault(
         "the display is killed",
         "the drive's watchdog",
         partial(kill_one, "display", signal.SIGKILL),
     ),
-    ("over-temperature", "the drive stops", partial(trouble, "overtemperature")),
-    ("the drive falls silent", "its watchdog, or our stop", partial(trouble, "silent")),
-    ("the drive's answers are garbled", "our stop", partial(trouble, "garbled"), ("tmcl",)),
-    ("another device answers", "our stop", partial(trouble, "wrong"), ("tmcl",)),
-    ("the drive's cable is pulled", "its watchdog", partial(trouble, "unplugged")),
+    Fault("over-temperature", "the drive stops", partial(trouble, "overtemperature")),
+    Fault("the drive falls silent", "its watchdog, or our stop", partial(trouble, "silent")),
+    Fault("the drive's answers are garbled", "our stop", partial(trouble, "garbled"), ("tmcl",)),
+    Fault("another device answers", "our stop", partial(trouble, "wrong"), ("tmcl",)),
+    Fault("the drive's cable is pulled", "its watchdog", partial(trouble, "unplugged")),
 )
 RESTARTS: tuple[tuple[str, Callable[[Path, str], MotorTrace]], ...] = (
     ("sensing node started anew", sensing_restarted),

@@ -2,7 +2,7 @@
 
 import inspect
 import sys
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple, TypeVar
@@ -43,7 +43,7 @@ class Table(NamedTuple):
 
 @dataclass
 class Benchmark:
-    """What a benchmark is given, and prints through.
+    """Settings of one run of a benchmark, and the place where its tables and verdicts go.
 
     Parameters
     ----------
@@ -87,6 +87,11 @@ class Benchmark:
             if not any(text in name for name in known):
                 raise ValueError(f"no case {text!r}; known: {', '.join(known)}")
         return [name for name in known if not self.cases or any(t in name for t in self.cases)]
+
+    def run_parts(self, parts: "Mapping[str, Callable[[Benchmark], None]]") -> None:
+        """Run the chosen parts of a benchmark, by the names of its cases."""
+        for name in self.choose(parts):
+            parts[name](self)
 
     def judge(self, name: str, figure: float) -> None:
         """Judge a figure by the criterion of this name. Raises KeyError without one."""

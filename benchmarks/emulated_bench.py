@@ -5,7 +5,9 @@ delay has settled. Each half second is shifted in time to fit best: a changing d
 the drive. The display's own figure for the whole run is printed beside it.
 """
 
+import math
 import time
+from dataclasses import dataclass, field
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -39,27 +41,47 @@ def main(benchmark: Benchmark) -> None:
     pulse_n = pulse()
     with TemporaryDirectory(prefix="telepulse-") as folder:
         base_n = settled_rmse_n(model_force_n(Path(folder)), pulse_n)
-    rows = sorted(row(kind, base_n, pulse_n) for _ in range(runs) for kind in KINDS)
+    played = [play(kind) for _ in range(runs) for kind in sorted(KINDS)]
     benchmark.table(
         f"The whole emulated bench, {SECONDS:g} s a run: RMSE of the motor's own force, settled,"
         f" beside the in-process model's of {base_n * 1e3:.2f} mN; of the whole run, by the"
         " display",
         ("drive", "RMSE mN", "ratio", "whole", "samples/s", "commands/s", "missed", "on the way"),
-        rows,
+        sorted(row(run, base_n, pulse_n) for run in played),
     )
-    played = [each for each in rows if each[1] != "none"]
-    benchmark.judge("benches that did not play", len(rows) - len(played))
-    for name, column, judged in (
-        ("RMSE over the model's", 2, max),
-        ("samples a second", 4, min),
-        ("commands a second", 5, min),
-    ):
-        if played:
-            benchmark.judge(name, judged(float(each[column]) for each in played))
+    benchmark.judge("benches that did not play", sum(bool(run.failed) for run in played))
+    rmses_n = [settled_rmse_n(run.force_n, pulse_n) for run in played if not run.failed]
+    benchmark.judge("RMSE over the model's", max(rmses_n, default=math.nan) / base_n)
+    # To the whole numbers that are printed: a run begins and ends within a period.
+    sampled = [round(run.sampled_hz) for run in played if not run.failed]
+    commanded = [round(run.commanded_hz) for run in played if not run.failed]
+    benchmark.judge("samples a second", min(sampled, default=math.nan))
+    benchmark.judge("commands a second", min(commanded, default=math.nan))
 
 
-def row(kind: str, base_n: float, pulse_n: Forces) -> tuple[str, ...]:
-    """Return the row of a run."""
+@dataclass(frozen=True, slots=True)
+class PlayedBench:
+    """A run of the bench: the motor's force, rates of samples and commands, and the summary.
+
+    failed: why it did not play, or "".
+    """
+
+    kind: str
+    force_n: Forces = field(default_factory=lambda: np.zeros(0))
+    sampled_hz: float = 0.0
+    summary: dict[str, Any] = field(default_factory=dict)
+    failed: str = ""
+
+    @property
+    def commanded_hz(self) -> float:
+        """Commands a second that reached the drive."""
+        loop = self.summary["loop"]
+        given = loop["ticks"] - self.summary["hardware"].get("drive superseded", 0)
+        return float(given / ((loop["ticks"] + loop["deadline_misses"]) * 2e-3))
+
+
+def play(kind: str) -> PlayedBench:
+    """Run the bench with a kind of drive."""
     with TemporaryDirectory(prefix="telepulse-") as folder:
         try:
             with playing(Path(folder), kind, SOURCE) as bench:
@@ -69,26 +91,27 @@ def row(kind: str, base_n: float, pulse_n: Forces) -> tuple[str, ...]:
                 summary = bench.end()
                 motor = bench.motor()
         except BenchFailedError as error:
-            return kind, "none", "", "", "", "", "", str(error).splitlines()[0]
+            return PlayedBench(kind, failed=str(error).splitlines()[0])
     sampled = after["samples"]["sent"] - before["samples"]["sent"]
-    rmse_n = settled_rmse_n(motor.force_n, pulse_n)
-    shown = (f"{rmse_n * 1e3:.2f}", f"{rmse_n / base_n:.2f}")
-    return kind, *shown, *figures(summary, sampled / felt_s)
+    return PlayedBench(kind, motor.force_n, sampled / felt_s, summary)
 
 
-def figures(summary: dict[str, Any], sampled_hz: float) -> tuple[str, ...]:
-    """Return the row's figures from the display's summary."""
-    loop = summary["loop"]
-    rmse_n = summary["force_rmse_n"]["aligned"] or np.nan
-    counts = summary["hardware"]
-    given = loop["ticks"] - counts.get("drive superseded", 0)
-    ran_s = (loop["ticks"] + loop["deadline_misses"]) * 2e-3
-    on_the_way = [f"{count} {name}" for name, count in counts.items()] + summary["faults"]
+def row(run: PlayedBench, base_n: float, pulse_n: Forces) -> tuple[str, ...]:
+    """Return the row of a run."""
+    if run.failed:
+        return run.kind, "none", "", "", "", "", "", run.failed
+    summary, rmse_n = run.summary, settled_rmse_n(run.force_n, pulse_n)
+    whole_n = summary["force_rmse_n"]["aligned"] or np.nan
+    on_the_way = [f"{count} {name}" for name, count in summary["hardware"].items()]
+    on_the_way += summary["faults"]
     return (
+        run.kind,
         f"{rmse_n * 1e3:.2f}",
-        f"{sampled_hz:.0f}",
-        f"{given / ran_s:.0f}",
-        str(loop["deadline_misses"]),
+        f"{rmse_n / base_n:.2f}",
+        f"{whole_n * 1e3:.2f}",
+        f"{run.sampled_hz:.0f}",
+        f"{run.commanded_hz:.0f}",
+        str(summary["loop"]["deadline_misses"]),
         ", ".join(on_the_way) or "nothing",
     )
 

@@ -1,4 +1,4 @@
-"""What to buffer and what to predict over five links: error of the felt force at each delay.
+"""Error of the felt force at each delay, buffered and predicted, over five links.
 
 The perceived delay E is the part of a link's delay that is buffered; the rest is predicted. Each
 case runs both nodes in virtual time.

@@ -37,9 +37,7 @@ END = pack_status("ended", "", Summary(), final=True)
 
 def main(benchmark: Benchmark) -> None:
     """Print the tables of the chosen cases."""
-    parts = {"recorder": recorder_cost, "reports": reports, "long files": long_files}
-    for name in benchmark.choose(parts):
-        parts[name](benchmark)
+    benchmark.run_parts({"recorder": recorder_cost, "reports": reports, "long files": long_files})
 
 
 def recorder_cost(benchmark: Benchmark) -> None:

@@ -35,9 +35,7 @@ SEEDS, CHUNK_S = 36, 300.0
 
 def main(benchmark: Benchmark) -> None:
     """Print the tables of the chosen cases."""
-    parts = {"peaks": peaks, "random": random_stalls}
-    for name in benchmark.choose(parts):
-        parts[name](benchmark)
+    benchmark.run_parts({"peaks": peaks, "random": random_stalls})
 
 
 def peaks(benchmark: Benchmark) -> None:

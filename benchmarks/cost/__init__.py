@@ -1,4 +1,4 @@
-"""What each setting of a display costs, as real processes, and what a slow host can still run.
+"""Cost of each setting of a display, as real processes, and limits of a slow host.
 
 Settings are the tick, the predictor, the perceived delay E, the length of a frame and the number of
 connections, over one link that loses packets. Needs root, for the link emulator.

@@ -22,15 +22,15 @@ SEED = 1
 
 def main(benchmark: Benchmark) -> None:
     """Print the tables of the chosen cases."""
-    parts = {
-        "faults": each_fault,
-        "cuts": cuts.each_kind,
-        "reconnections": cuts.where_nothing_is_cut,
-        "floods": flood.floods,
-        "backlog": backlogs,
-    }
-    for name in benchmark.choose(parts):
-        parts[name](benchmark)
+    benchmark.run_parts(
+        {
+            "faults": each_fault,
+            "cuts": cuts.each_kind,
+            "reconnections": cuts.where_nothing_is_cut,
+            "floods": flood.floods,
+            "backlog": backlogs,
+        }
+    )
 
 
 def each_fault(benchmark: Benchmark) -> None:

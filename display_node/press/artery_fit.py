@@ -110,6 +110,12 @@ class ExpectedWave(NamedTuple):
     drift: Floats
     deviation: Floats
 
+    @property
+    def certain(self) -> Floats:
+        """Weight of what is expected."""
+        weights: Floats = 1 / self.deviation**2
+        return weights
+
 
 class _Descent(NamedTuple):
     """A law after some steps: its cost, parameters, respiration and levels of the beats."""
@@ -201,7 +207,7 @@ class ArteryFit:
         for _ in range(STEPS):
             errors = self.beats["levels_n"] - model.levels_n
             weights = self._weigh(errors, self._variances(model))
-            trial = self._step(values, respiration, wave, model, weights, damping)
+            trial = self._step(values, respiration, wave, model, errors, weights, damping)
             found = self._model(*trial, wave.drift)
             trial_errors = self.beats["levels_n"] - found.levels_n
             before = self._cost(errors, weights, values, respiration, wave)
@@ -222,6 +228,7 @@ class ArteryFit:
         respiration: Floats,
         wave: ExpectedWave,
         model: _Model,
+        errors: Floats,
         weights: Floats,
         damping: float,
     ) -> tuple[Floats, Floats]:
@@ -229,7 +236,7 @@ class ArteryFit:
 
         The respiratory pressures are eliminated from the normal equations (Schur complement).
         """
-        errors, certain = self.beats["levels_n"] - model.levels_n, 1 / wave.deviation**2
+        certain = wave.certain
         toward = weights * model.by_respiration
         own = (toward * model.by_respiration).sum(axis=1) + certain
         shared = np.matmul(toward[:, None, :], model.by_law)[:, 0]
@@ -255,7 +262,7 @@ class ArteryFit:
     ) -> float:
         """Return the weighted squares of errors, and of deviations from what is expected."""
         cost = (errors**2 * weights).sum()
-        cost += 1 / wave.deviation**2 @ (respiration - wave.expected) ** 2
+        cost += wave.certain @ (respiration - wave.expected) ** 2
         away = values - self._typical
         return float(cost + away @ self._certain @ away)
 

@@ -1,4 +1,4 @@
-"""What each figure of the summary means, and how it is shown: the table `figures.toml`, read once.
+"""Meaning and presentation of the summary's figures: the table `figures.toml`, read once.
 
 Terminal, live page, Prometheus, the report of a recording and the reference read the same table. A
 new figure is a field in `tables.py` and an entry there.
@@ -20,6 +20,8 @@ from protocol.summary.tables import Summary
 TABLE = Path(__file__).with_name("figures.toml")
 _METRIC = re.compile(r"(?P<name>\w*?)(?P<counter>_total)?(?:\{(?P<labels>.*)\})?")
 Entry = Mapping[str, Any]
+# Keys of an entry that become something else; the others are fields of `Figure` as they stand.
+READ = {"row", "noun", "unit", "form", "show", "headline", "metric", "left_out", "like"}
 
 
 class Surface(StrEnum):
@@ -121,7 +123,7 @@ class Reader(NamedTuple):
             if isinstance(found.type, type) and dataclasses.is_dataclass(found.type):
                 inner = found if found.show is None else dataclasses.replace(found, phrase=found)
                 entry = self.entries[name]
-                like = value_at(self.entries, entry["like"]) if "like" in entry else {}
+                like = self.entries[entry["like"]] if "like" in entry else {}
                 yield from self._replace(entries={**like, **entry}).figures(found.type, inner)
             else:
                 yield found
@@ -134,7 +136,12 @@ class Reader(NamedTuple):
         unit = UNITS[entry["unit"]] if "unit" in entry else shared.unit
         if "form" in entry:
             unit = (unit or COUNT)._replace(form=entry["form"])
-        plain = ("meaning", "title", "text", "separator", "show_zero", "share_of", "prominent")
+        plain = {
+            name: value
+            for name, value in entry.items()
+            if name not in READ and not isinstance(value, dict)
+        }
+        # A key that no figure has is a TypeError here.
         return Figure(
             key,
             kind,
@@ -148,7 +155,7 @@ class Reader(NamedTuple):
             counter=match["counter"] is not None,
             labels={**shared.labels, **labels},
             absent={**shared.absent, **self._absent(entry)},
-            **{name: entry[name] for name in (*plain, "label", "help") if name in entry},
+            **plain,
         )
 
     def _absent(self, entry: Entry) -> dict[Surface, str]:

@@ -33,7 +33,7 @@ class PressedProbe(Protocol):
 
     @property
     def state(self) -> str:
-        """What the probe does."""
+        """State of the probe: off, pressing, easing, leaving or fault."""
 
     @property
     def hold_down_n(self) -> float:

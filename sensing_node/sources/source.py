@@ -68,7 +68,7 @@ class SampleSource(ABC):
 
 @dataclass(frozen=True, slots=True)
 class SourceContext:
-    """What a source needs besides its own table.
+    """Context of a source, besides its own table.
 
     folder: of the scene's file. plausible: refuse samples that cannot be a pulse. press: limits of
     the probe, where the scene has one.

@@ -116,7 +116,11 @@ class Bare:
 
 @pytest.mark.parametrize(
     ("entries", "refusal"),
-    [({}, r"Bare\.secret has no entry"), ({"secret": {}, "other": {}}, "Bare has no other")],
+    [
+        ({}, r"Bare\.secret has no entry"),
+        ({"secret": {}, "other": {}}, "Bare has no other"),
+        ({"secret": {"meanning": "misspelt"}}, "meanning"),
+    ],
 )
 def test_each_field_has_an_entry_and_each_entry_a_field(entries: Json, refusal: str) -> None:
     with pytest.raises(TypeError, match=refusal):
