@@ -9,7 +9,7 @@ import errno
 import os
 import re
 import select
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from socket import if_indextoname
 from types import MappingProxyType
@@ -140,14 +140,20 @@ def bind(
 
 
 def connect(
-    context: Context, kind: int, address: str, security: LinkSecurity | None = None
+    context: Context,
+    kind: int,
+    address: str,
+    security: LinkSecurity | None = None,
+    watch: Callable[[Socket], object] | None = None,
 ) -> Socket:
     """Return a socket of `kind` that connects to `address`, now or when it appears.
 
     With `security` (`ClientKeys`) the connection is encrypted, and only the holder of the peer's
-    key can answer. Raises AddressError.
+    key can answer. watch: called with the socket before it connects. Raises AddressError.
     """
     socket = _socket_for(context, kind, address, security)
+    if watch is not None:
+        watch(socket)
     try:
         socket.connect(address)
     except zmq.ZMQError as error:

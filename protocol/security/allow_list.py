@@ -16,7 +16,7 @@ logger = logging.getLogger(__name__)
 MAX_ALLOWED = 10_000
 _MAX_BYTES = 200 * MAX_ALLOWED
 POLL_EVERY_NS = 1_000_000_000
-# Longest time for which an unreadable list, which may revoke a key, lets peers stay connected.
+# After this time without a readable list all peers are cut off: the change may have revoked a key.
 UNREADABLE_AT_MOST_NS = 10_000_000_000
 
 
@@ -49,7 +49,8 @@ class AllowList:
     def poll(self, now_ns: int) -> list[bytes]:
         """Read the list if it has changed, and return the keys that were revoked.
 
-        Call it often: it checks the file once a second.
+        These are all keys once the list has been unreadable for 10 s. Call it often: it checks the
+        file once a second.
         """
         if now_ns < self._poll_ns:
             return []

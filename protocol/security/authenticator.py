@@ -74,7 +74,7 @@ def encode_zap_reply(request: Sequence[bytes], user: str | None) -> list[bytes]:
 
 
 class Authenticator:
-    """Authentication for all sockets that a context binds; create it before they bind.
+    """Authentication for the sockets that are passed to `protect`, before they bind.
 
     With keys, the allow-list decides; without, every peer may connect. In both cases the number of
     connections is bounded, so that a peer that connects repeatedly does not affect the others.
@@ -103,13 +103,17 @@ class Authenticator:
         self._to_cut: set[str] = set()
         self._keys = keys
         if keys is not None:
+            self._public = keys.own.public
             self._list = AllowList(keys.allowed)
             self._zap = context.socket(zmq.ROUTER)
             self._zap.bind(ZAP_ENDPOINT)
             self.sockets.append(self._zap)
 
     def protect(self, socket: sockets.Socket) -> None:
-        """Let only keys of the allow-list connect to `socket`; call this before it is bound."""
+        """Require a key of the allow-list, if there are keys, and count the socket's connections.
+
+        Call this before the socket is bound.
+        """
         if self._keys is not None:
             socket.setsockopt(zmq.CURVE_SERVER, 1)
             socket.setsockopt(zmq.CURVE_SECRETKEY, self._keys.own.secret)
@@ -135,7 +139,7 @@ class Authenticator:
         if self._keys is not None:
             self._cut_revoked(now_ns)
             for envelope, empty, *request in sockets.receive_multipart(self._zap, MAX_ANSWERS):
-                user = self._user_of(self._keys.own.public, request)
+                user = self._user_of(self._public, request)
                 sockets.send(self._zap, envelope, empty, *encode_zap_reply(request, user))
 
     def _cut_revoked(self, now_ns: int) -> None:
@@ -158,8 +162,12 @@ class Authenticator:
         # A peer with the node's own secret key is the node itself.
         public = own if request.key == own.key else self._list.allowed.get(request.key)
         if public is None or (public is not own and not self._list.readable):
-            cause = REVOKED_KEY if self._list.was_allowed(request.key) else UNKNOWN_KEY
-            cause = cause if self._list.readable else LIST_UNREADABLE
+            if not self._list.readable:
+                cause = LIST_UNREADABLE
+            elif self._list.was_allowed(request.key):
+                cause = REVOKED_KEY
+            else:
+                cause = UNKNOWN_KEY
             self._refuse(cause, request.address, request.key)
             return None
         addresses = self._addresses.setdefault(request.key, set())

@@ -71,7 +71,7 @@ class ConnectionTable:
         Connections that were refused for their key are left out: the authenticator counts those.
         """
         failures: list[tuple[str, str]] = []
-        earlier = self._failure
+        unresolved = self._failure is not None
         read = 0
         for event, value, _ in self._monitor.events(MAX_EVENTS):
             read += 1
@@ -94,11 +94,11 @@ class ConnectionTable:
                 self._failure = _REFUSED_BY_KEY
             elif event != zmq.EVENT_DISCONNECTED:
                 self._failure = cause_of(value)
-            earlier = None
+            unresolved = False
         self.behind = read == MAX_EVENTS
         # ZeroMQ keeps a connection whose message it could not decrypt: no disconnection
         # follows. So a failure that is still open since the last call has no address.
-        return failures + (self._report("") if earlier is not None else [])
+        return failures + (self._report("") if unresolved else [])
 
     @property
     def connections(self) -> int:
@@ -126,8 +126,8 @@ class ConnectionTable:
     def cut(self, addresses: set[str] | None) -> None:
         """Cut the connections from `addresses`; None: all connections."""
         for descriptor, address in self._open.items():
-            if addresses is None or address in addresses:
-                cut(descriptor, address)
+            if descriptor not in self._cut and (addresses is None or address in addresses):
+                self.cut_one(descriptor)
 
     def cut_one(self, descriptor: int) -> None:
         """Cut one connection. It is not counted any more, although ZeroMQ closes it later."""
@@ -176,12 +176,12 @@ class ConnectionTable:
         return address
 
     def _report(self, address: str) -> list[tuple[str, str]]:
-        """Return and clear the failure that waits for its address, if any."""
+        """Return the last failure with the address of its connection, and clear it."""
         cause, self._failure = self._failure, None
         return [] if cause in (None, _REFUSED_BY_KEY) else [(cause, address)]
 
     def _settle(self, descriptor: int | None = None) -> None:
-        """End the pending state of a connection; of the oldest one if None is given."""
+        """End a connection's pending state, or the oldest one's where it is not pending."""
         if descriptor not in self._pending:
             descriptor = next(iter(self._pending), None)
         if descriptor is not None:

@@ -140,7 +140,10 @@ def read_text(path: Path, limit_bytes: int = MAX_KEY_FILE_BYTES) -> tuple[str, i
 
 
 def parse_public(line: str) -> PublicKey:
-    """Parse a public key's line. Raises ValueError without the line, which may be a secret key."""
+    """Parse a public key's line.
+
+    Raises ValueError, whose text does not quote the line: it may be a secret key.
+    """
     kind, name, key = _words(line)
     if kind != PUBLIC:
         raise ValueError("a secret key, which never leaves its machine")
@@ -164,7 +167,7 @@ def _words(line: str) -> tuple[str, str, bytes]:
         raise ValueError(f"it is not '{PUBLIC} NAME KEY'")
     kind, name, key = words
     if not _NAME.fullmatch(name):
-        raise ValueError("its name is none")
+        raise ValueError("its second word is no name of a key")
     if not _HEX.fullmatch(key):
         raise ValueError("its last word is not a key of 64 hexadecimal digits")
     return kind, name, bytes.fromhex(key)

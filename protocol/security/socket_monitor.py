@@ -77,9 +77,9 @@ class HandshakeMonitor:
     """Monitor of connecting sockets: counts failed handshakes and reports each reason once.
 
     ZeroMQ itself retries without end and reports nothing. rejected: failed handshakes by cause.
-    accepted: sockets whose connection a host has accepted. established: those whose connection can
-    carry messages. retried: attempts to connect that failed, by socket. refusal: the last failed
-    handshake, with what to do about it; empty after one that succeeded.
+    accepted: sockets whose TCP connection is open; its handshake may still fail. established: those
+    whose handshake has succeeded. retried: attempts to connect that failed, by socket. refusal: the
+    last failed handshake, with what to do about it; empty after one that succeeded.
     """
 
     def __init__(self, context: Context, keys: ClientKeys | None) -> None:
@@ -104,7 +104,7 @@ class HandshakeMonitor:
     def poll(self, now_ns: int) -> list[Socket]:
         """Read the waiting events; call it often.
 
-        Returns the sockets whose request to connect a host has answered, even with a refusal later.
+        Returns the sockets whose TCP connection was opened since the last call.
         """
         if now_ns < self._poll_ns:
             return []

@@ -33,13 +33,13 @@ class TelemetryClient:
     def __init__(self, address: str, keys: ClientKeys | None) -> None:
         self._address = address
         self._context: sockets.Context = zmq.Context()
+        self._handshakes = HandshakeMonitor(self._context, keys)
         try:
-            self._socket = sockets.connect(self._context, zmq.XSUB, address, keys)
+            watch = self._handshakes.watch
+            self._socket = sockets.connect(self._context, zmq.XSUB, address, keys, watch)
         except BaseException:
             self._context.destroy(linger=0)
             raise
-        self._handshakes = HandshakeMonitor(self._context, keys)
-        self._handshakes.watch(self._socket)
         self._refused = 0
         self._reconnect_ns: int | None = None
         self._stopping = False

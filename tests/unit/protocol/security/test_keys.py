@@ -113,7 +113,7 @@ GOOD = f"telepulse-public-key wrist {'ab' * 32}\n"
         (GOOD + GOOD, "not one line"),
         ("wrist " + "ab" * 32, "not 'telepulse-public-key NAME KEY'"),
         (GOOD.replace("public", "pubic"), "not 'telepulse-public-key NAME KEY'"),
-        (GOOD.replace("wrist", "../wrist"), "its name is none"),
+        (GOOD.replace("wrist", "../wrist"), "its second word is no name of a key"),
         (GOOD.replace("wrist", "left wrist"), "not 'telepulse-public-key NAME KEY'"),
         (GOOD.replace("abab", "ab", 1), "not a key of 64"),
         (GOOD.replace("abab", "ababab", 1), "not a key of 64"),
