@@ -234,8 +234,7 @@ class Contactor:
         """Keep the felt force of this tick for its score, after all contactors are commanded."""
         state = self.state
         if state.scored and self.tracking_error is not None:
-            # Age of a reading of a real film.
-            age_ns = self.scene.film.latency_ns if self.feedback is not None else 0
+            age_ns = self.film_age_ns
             self.tracking_error.add_output(
                 state.sensing_now_ns - age_ns, state.instant_ns - age_ns, state.felt_n
             )
@@ -264,6 +263,11 @@ class Contactor:
         hardware.place_finger(tip.origin_m, press.unseen_n)
         self._added_m_per_s = tip.speed_m_per_s
 
+    @property
+    def film_age_ns(self) -> int:
+        """Age of a reading of the real film; 0 where the film is modelled."""
+        return 0 if self.feedback is None else self.scene.film.latency_ns
+
     def playback(self, channel: int) -> PlaybackStatus:
         """Return which channel is played, and how."""
         scene = self.scene
@@ -274,6 +278,7 @@ class Contactor:
             self.layer.strain_per_newton,
             scene.predictor.kind,
             scene.safety.stale_after_ns,
+            self.film_age_ns,
         )
 
     def summary(self, ticks: int, played_s: float, felt_n: float) -> Summary:

@@ -24,6 +24,7 @@ from protocol.wire.telemetry import (
 from telepulse.lsl_outlet import LslForwarder
 from telepulse.metrics.server import NodeState as ReportedStatus
 from telepulse.metrics.server import families
+from telepulse.recording.contents import RecordingContents
 from telepulse.recording.findings import RunFindings
 from telepulse.recording.mcap_writer import as_json
 from telepulse.telemetry.decoder import TelemetryDecoder
@@ -53,7 +54,7 @@ class TelemetryReaders:
         self.screen, self.live, self.decoder = TerminalView(), LiveState(), TelemetryDecoder()
         self.outlets = KeptOutlets()
         self.forwarder = LslForwarder(self.outlets)  # type: ignore[arg-type]
-        self.findings = RunFindings()
+        self.contents = RecordingContents()
 
     def take(self, topic: bytes, data: bytes) -> None:
         """Pass a telemetry message to every reader."""
@@ -63,7 +64,7 @@ class TelemetryReaders:
             self.live.take(entry)
             # Every reader of JSON can read a recording.
             fields = json.loads(as_json(entry.fields), parse_constant=_refuse_constant)
-            self.findings.take(entry._replace(fields=fields))
+            self.contents.take(entry._replace(fields=fields))
         self.forwarder.take(entries)
 
     def draw(self) -> None:
@@ -91,8 +92,8 @@ class TelemetryReaders:
             for metric in families("fuzz", reported, 0):
                 assert all(type(sample.value) in (int, float, bool) for sample in metric.samples)
         self.forwarder.finish()
-        self.findings.finish()
-        json.dumps(self.findings.summary().to_dict(), allow_nan=False)
+        self.contents.finish()
+        json.dumps(RunFindings(self.contents).summary().to_dict(), allow_nan=False)
 
 
 class KeptOutlets:
@@ -128,9 +129,9 @@ class KeptOutlets:
         assert math.isfinite(time_s)
 
 
-def preamble() -> list[Message]:
+def preamble(run: int = 1) -> list[Message]:
     """Return what a display publishes before a pulse is felt: stream, clock, status, frames."""
-    heard = CaptureWriter(run=1)
+    heard = CaptureWriter(run)
     heard.follow(SUBSCRIBED)
     heard.add(0, CONTROL, WELCOME)
     for number in range(8):

@@ -1,9 +1,8 @@
 """A run as arrays: the force at the wrist, the force that was due, and the one that was felt."""
 
-from array import array
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,14 +11,12 @@ from display_node.scoring.tracking_error import interpolate
 from protocol.config.quantities import count_text
 from protocol.errors import OutputError
 from protocol.summary.tables import AlignedErrors, Summary
-from protocol.wire.messages import Frame
-from protocol.wire.telemetry import PlaybackStatus
+from telepulse.columns import SessionColumns, join_ticks
 
 if TYPE_CHECKING:
     import pandas as pd
 
 Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 # Characters of a mark's text that a plot shows.
 MARK_SHOWN = 30
@@ -43,6 +40,8 @@ class ContactorRun:
         Force at the finger per force at the wrist that makes both strains equal.
     strain_per_newton : float
         Strain under the finger per newton (Dargahi, Xie and Ji 2008).
+    film_age_s : float
+        Age of `felt_n` at its tick, in s: latency of a real film.
     """
 
     name: str
@@ -51,6 +50,7 @@ class ContactorRun:
     felt_n: Floats
     force_ratio: float
     strain_per_newton: float
+    film_age_s: float = 0.0
 
     @property
     def strain(self) -> Floats:
@@ -151,9 +151,9 @@ class Run:
         As `summary.force_rmse_n`, but from the ticks of the arrays alone: those at full strength
         for which the force at the wrist is known. None where there is no such tick.
         """
-        wrist_n = self.first.force_ratio * self.wrist_n
-        then_n = np.interp(self.t_s - self.delay_s, self.t_s, wrist_n)
-        return AlignedErrors(*(_rms((self.felt_n - n)[self.played]) for n in (then_n, wrist_n)))
+        wrist_n, felt_s = self.first.force_ratio * self.wrist_n, self.t_s - self.first.film_age_s
+        due_n = (np.interp(at_s, self.t_s, wrist_n) for at_s in (felt_s - self.delay_s, felt_s))
+        return AlignedErrors(*(_rms((self.felt_n - n)[self.played]) for n in due_n))
 
     def columns(self) -> dict[str, NDArray[Any]]:
         """Return all arrays by name; those of further contactors begin with their names."""
@@ -252,98 +252,43 @@ def _rms(error_n: Floats) -> float | None:
     return float(np.sqrt(np.mean(known_n**2))) if len(known_n) else None
 
 
-class RunTick(NamedTuple):
-    """A tick of a run. Times in ns.
-
-    sensing_now_ns: None where the sensing clock is unknown. instant_ns: the played instant of the
-    pulse; None where none was played. played: at full strength.
-    """
-
-    now_ns: int
-    sensing_now_ns: int | None
-    instant_ns: int | None
-    played: bool
-    predicted: bool
-
-
-class _Session:
-    """Samples and ticks of one session of the sensing node."""
-
-    def __init__(self) -> None:
-        self.frames: list[tuple[Ints, Floats]] = []
-        self.sensing_ns = array("q")
-
-    def wrist_n(self, channel: int) -> Floats:
-        """Return the force of a channel at each tick, NaN where no sample is known."""
-        at_ns = np.array(self.sensing_ns, np.int64)
-        if not self.frames:
-            return np.full(len(at_ns), np.nan)
-        t_ns = np.concatenate([t_ns for t_ns, _ in self.frames])
-        order = np.argsort(t_ns, kind="stable")
-        values = np.concatenate([values for _, values in self.frames])[:, channel]
-        return interpolate(at_ns, t_ns[order], values[order])
+def build_run(name: str, sessions: Sequence[SessionColumns], summary: Summary) -> Run:
+    """Return the run of some sessions, with the contactors that play the last one."""
+    names = list(sessions[-1].playing)
+    now_ns, sensing_ns, instant_ns, playing, scored, predicted = (
+        join_ticks(sessions, column)
+        for column in ("now_ns", "sensing_ns", "instant_ns", "playing", "scored", "predicted")
+    )
+    return Run(
+        name,
+        (now_ns - now_ns[:1]) * 1e-9,
+        np.where(playing, (sensing_ns - instant_ns) * 1e-9, np.nan),
+        scored,
+        predicted,
+        {contactor: _contactor_run(contactor, sessions) for contactor in names},
+        summary,
+    )
 
 
-class RunBuilder:
-    """Builder of a run from its frames and ticks, in the order of time."""
-
-    def __init__(self) -> None:
-        self._sessions = [_Session()]
-        self._now_ns, self._delay_s = array("q"), array("d")
-        self._played, self._predicted = array("b"), array("b")
-        # Target and felt force of each contactor; a contactor that appears later has gaps before.
-        self._forces: list[tuple[array[float], array[float]]] = []
-
-    def begin(self) -> None:
-        """Begin a session, whose clock and samples are unrelated to those before."""
-        self._sessions.append(_Session())
-
-    def add_frame(self, frame: Frame, group_delay_ns: int = 0) -> None:
-        """Add the samples of a frame; the pulse is earlier than them by the group delay."""
-        at_ns = np.arange(len(frame.values), dtype=np.int64) * frame.period_ns
-        t_ns = frame.t_first_ns - group_delay_ns + at_ns
-        self._sessions[-1].frames.append((t_ns, frame.values.astype(np.float64)))
-
-    def add_tick(self, tick: RunTick, forces_n: Sequence[tuple[float, float]]) -> None:
-        """Add a tick; forces_n: target and felt force of each contactor."""
-        sensing_ns, instant_ns = tick.sensing_now_ns, tick.instant_ns
-        # At a time without samples the force is NaN.
-        self._sessions[-1].sensing_ns.append(-(1 << 62) if sensing_ns is None else sensing_ns)
-        if sensing_ns is None or instant_ns is None:
-            self._delay_s.append(np.nan)
-        else:
-            self._delay_s.append((sensing_ns - instant_ns) * 1e-9)
-        while len(self._forces) < len(forces_n):
-            gap = [np.nan] * len(self._now_ns)
-            self._forces.append((array("d", gap), array("d", gap)))
-        for number, (target_n, felt_n) in enumerate(self._forces):
-            due, felt = forces_n[number] if number < len(forces_n) else (np.nan, np.nan)
-            target_n.append(due)
-            felt_n.append(felt)
-        self._now_ns.append(tick.now_ns)
-        self._played.append(tick.played)
-        self._predicted.append(tick.predicted)
-
-    def run(self, name: str, playback: Sequence[PlaybackStatus], summary: Summary) -> Run:
-        """Return the run; playback: which channel each contactor plays, and how."""
-        now_ns = np.array(self._now_ns, np.int64)
-        contactors = {
-            each.contactor: ContactorRun(
-                each.contactor,
-                np.concatenate([part.wrist_n(each.channel) for part in self._sessions]),
-                np.array(target_n),
-                np.array(felt_n),
-                each.force_ratio,
-                each.strain_per_newton,
-            )
-            for each, (target_n, felt_n) in zip(playback, self._forces, strict=False)
-        }
-        return Run(
-            name,
-            ((now_ns - now_ns[:1]) * 1e-9).astype(np.float64),
-            np.array(self._delay_s),
-            np.array(self._played, np.bool_),
-            np.array(self._predicted, np.bool_),
-            contactors,
-            summary,
-        )
+def _contactor_run(name: str, sessions: Sequence[SessionColumns]) -> ContactorRun:
+    """Return the forces of a contactor; NaN in sessions that it did not play."""
+    wrist_n, forces_n = list[Floats](), list[tuple[Floats, Floats]]()
+    for session in sessions:
+        ready, at_ns = session.ticks["ready"], session.ticks["sensing_ns"]
+        played = session.playing.get(name)
+        sensed_n = np.full(len(ready), np.nan)
+        if played is not None:
+            sensed_n[ready] = interpolate(at_ns[ready], *session.pulse(played.channel))
+        wrist_n.append(sensed_n)
+        forces_n.append(session.forces_n(name))
+    target_n, felt_n = map(np.concatenate, zip(*forces_n, strict=True))
+    last = sessions[-1].playing[name]
+    return ContactorRun(
+        name,
+        np.concatenate(wrist_n),
+        target_n,
+        felt_n,
+        last.force_ratio,
+        last.strain_per_newton,
+        last.film_age_ns * 1e-9,
+    )

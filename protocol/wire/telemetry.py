@@ -37,7 +37,8 @@ class PlaybackStatus(NamedTuple):
     contactor: its name. channel: number of the played channel. force_ratio: force at the finger
     per force at the wrist that makes both strains equal. strain_per_newton: strain of the layer
     under the finger per force, in 1/N. predictor: its name. stale_after_ns: time without samples
-    after which the stream is stale.
+    after which the stream is stale. film_age_ns: age of the felt force at its tick; 0 without a
+    real film.
     """
 
     contactor: Name
@@ -46,6 +47,7 @@ class PlaybackStatus(NamedTuple):
     strain_per_newton: Annotated[float, Field(ge=-LARGEST, le=LARGEST)]
     predictor: str
     stale_after_ns: Annotated[int, Field(ge=0, lt=TIME_RANGE.stop)]
+    film_age_ns: Annotated[int, Field(ge=0, lt=TIME_RANGE.stop)] = 0
 
 
 class Status(NamedTuple):

@@ -4,15 +4,16 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Literal
 
+import tomlkit
 import typer
 
 from display_node.scene import DisplayScene
 from protocol.cli_options import BENCH_IS_CLEAR, LogLevelOption, one_line_errors, plain_console
 from protocol.config.quantities import parse_quantity
 from protocol.config.scene import Section, load_section
-from protocol.config.scene_file import find_scene, scene_names, to_toml
+from protocol.config.scene_file import find_scene, scene_names
 from protocol.errors import SceneError
-from protocol.host.output import check_writable, configure_logging
+from protocol.host.output import check_writable, configure_logging, write_whole
 from protocol.provenance import collect
 from pulse_sensors.sensor import SensorScene
 from sensing_node.scene import SensingScene
@@ -73,7 +74,7 @@ def bench(
     """
     # Imported here: scipy takes long to import, and other commands do without.
     from telepulse.commissioning import bench_check
-    from telepulse.commissioning.scene_edit import check_editable, write_scene
+    from telepulse.commissioning.scene_edit import check_editable, set_keys
     from telepulse.commissioning.tuning import as_toml
 
     console, findings = plain_console(json=json), bench_check.BenchFindings()
@@ -110,7 +111,7 @@ def bench(
 
     publish(check, out, json)
     if findings.changes:
-        found = to_toml({"display": findings.changes})
+        found = tomlkit.dumps({"display": findings.changes})
         console.print("\nfound, as keys of the scene:\n\n" + found, end="")
         if write is None and contactor is None:
             console.print("\n--write SCENE.toml writes a copy of the scene with them")
@@ -118,7 +119,7 @@ def bench(
         console.print("\ngains for it:\n\n" + as_toml(findings.designs[1].controller))
     if write is not None and findings.changes:
         with one_line_errors(PROGRAM):
-            write_scene(find_scene(scene), write, findings.changes, findings.note)
+            write_whole(write, set_keys(find_scene(scene), findings.changes) + findings.note)
         console.print(f"\nscene: {write}")
     if findings.failed:
         raise SystemExit(1)

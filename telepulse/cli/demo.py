@@ -276,6 +276,8 @@ class _Scorer:
         layers = [contactor.layer.layer() for contactor in scored]
         self._ratios = [matching_force_ratio(wrist, layer) for layer in layers]
         self.errors = [TrackingError(layer.strain_per_newton) for layer in layers]
+        # Age of a felt force at its tick, as `Contactor.film_age_ns`.
+        self._ages_ns = [0 if each.drive is None else each.film.latency_ns for each in scored]
 
     def add_sent(self) -> None:
         """Add the frames that have arrived from the sensing node."""
@@ -288,10 +290,10 @@ class _Scorer:
 
     def add_felt(self, traces: list[Trace]) -> None:
         """Add the felt forces of a trace of the display."""
-        for trace, error in zip(traces, self.errors, strict=bool(self.errors)):
-            columns = (
-                column[trace.scored] for column in (trace.now_ns, trace.instant_ns, trace.felt_n)
-            )
+        several = bool(self.errors)
+        for trace, error, age_ns in zip(traces, self.errors, self._ages_ns, strict=several):
+            times_ns = trace.now_ns - age_ns, trace.instant_ns - age_ns
+            columns = (column[trace.scored] for column in (*times_ns, trace.felt_n))
             for tick in zip(*(column.tolist() for column in columns), strict=True):
                 error.add_output(*tick)
 

@@ -20,20 +20,27 @@ from protocol.host.output import configure_logging
 from protocol.host.process import freeze_objects, stop_on_signals
 from pulse_drives.scene import Cia402Scene, DriveScene, TmclScene, open_bus
 from pulse_sensors.binary_frames import MAX_SAMPLES, SampleFormat
-from sensing_node.scene import SensingScene
-from sensing_node.sources.wrist import WristScene
+from sensing_node.scene import SensingScene, build_source
+from sensing_node.sources.wrist import WristScene, WristSensors
 from telepulse.cli.options import PROGRAM, ContactorOption
 from telepulse.emulators import PtyPort
 from telepulse.emulators.drive_run import FILM_SILENT, MOTOR_FAULTS, DriveRun
 from telepulse.emulators.motor import EmulatedMotor
-from telepulse.emulators.sensor_board import BoardBehaviour, build_board, play, source_table
+from telepulse.emulators.sensor_board import (
+    LINES,
+    BoardBehaviour,
+    SensorBoard,
+    binary,
+    play,
+    source_table,
+)
 from telepulse.emulators.tmcl import (
     ANSWER_FAULTS,
     EmulatedCanLine,
     EmulatedSerialLine,
     EmulatedTmclModule,
 )
-from telepulse.emulators.wrist import TissueContact, WristBoard
+from telepulse.emulators.wrist import TissueContact
 from telepulse.scene import DEFAULT_SCENE
 
 FOREVER_S = 1e9
@@ -147,9 +154,12 @@ def sensor(
         configure_logging(log_level)
         path = find_scene(scene)
         section = load_section(path, "sensing", SensingScene)
-        board = build_board(
-            _unpressed(section) if still else section, path.parent, framing, samples, behaviour
+        # A real board sends its readings, plausible or not.
+        source = build_source(
+            _unpressed(section) if still else section, path.parent, plausible=False
         )
+        encode = binary(samples, source.channels) if framing == "binary" else LINES[framing]
+        board = SensorBoard(source, encode, behaviour, time.perf_counter_ns())
         port = PtyPort(link)
     stop_on_signals(stopped.set)
     with closing(port):
@@ -205,18 +215,18 @@ def tmcl(
         _check_fault(fault, TMCL_FAULTS)
         drive, motor, board = _load(scene, contactor, wrist, TmclScene)
         module = EmulatedTmclModule(drive, motor)
-        line: EmulatedSerialLine | EmulatedCanLine
+        cable = open_things.enter_context(ExitStack())
+        serve: Callable[[float], None]
         if drive.port is not None:
-            port = PtyPort(link)
-            line, place = EmulatedSerialLine(module, port), str(port.path)
+            port = cable.enter_context(closing(PtyPort(link)))
+            serve, place = EmulatedSerialLine(module, port).serve, str(port.path)
         elif link is not None:
             raise SceneError("--link: the scene's module is on a CAN bus, not on a serial port")
         else:
-            line = EmulatedCanLine(module, drive, open_bus(drive))
+            bus = open_bus(drive)
+            cable.callback(bus.shutdown)
+            serve = EmulatedCanLine(module, drive, bus).serve
             place = f"CAN {drive.interface} {drive.channel}, identifier {drive.module}"
-        cable = open_things.enter_context(ExitStack())
-        cable.callback(line.close)
-        serve: Callable[[float], None] = line.serve
 
         def begin_fault(name: str) -> None:
             nonlocal serve
@@ -294,10 +304,10 @@ def _check_fault(fault: str | None, names: tuple[str, ...]) -> None:
 
 def _load(
     name: str, contactor: str | None, wrist: str | None, kind: type[SceneT]
-) -> tuple[SceneT, EmulatedMotor, WristBoard | None]:
+) -> tuple[SceneT, EmulatedMotor, WristSensors | None]:
     """Return the drive of a scene's contactor or probe, and its motor.
 
-    wrist: name of the scene of the wrist under the probe, whose board is returned too.
+    wrist: name of the scene of the wrist under the probe, whose sensors are returned too.
     """
     path = find_scene(name)
     if wrist is not None:
@@ -313,8 +323,8 @@ def _load(
 
 def _load_probe(
     path: Path, wrist: Path, kind: type[SceneT]
-) -> tuple[SceneT, EmulatedMotor, WristBoard]:
-    """Return the drive of a scene's probe, its motor, and the board at a wrist."""
+) -> tuple[SceneT, EmulatedMotor, WristSensors]:
+    """Return the drive of a scene's probe, its motor, and the sensors at a wrist."""
     press = load_section(path, "sensing", SensingScene).press
     source = WristScene.narrow(
         load_section(wrist, "sensing", SensingScene).source, f"--wrist {wrist}: [sensing.source]"
@@ -325,7 +335,7 @@ def _load_probe(
     stepper = stepper.model_copy(update=press.motor.model_dump())
     now_ns = time.perf_counter_ns()
     motor = EmulatedMotor(stepper, TissueContact(source), drive.touch_m, now_ns)
-    return drive, motor, WristBoard(source)
+    return drive, motor, WristSensors(source)
 
 
 def _say(what: str, film_link: Path | None) -> None:

@@ -3,10 +3,11 @@
 from pathlib import Path
 from typing import Annotated
 
+import tomlkit
 import typer
 
 from protocol.cli_options import one_line_errors, plain_console
-from protocol.config.scene_file import find_scene, load_document, scene_names, to_toml
+from protocol.config.scene_file import find_scene, load_document, scene_names
 from protocol.host.output import create_file
 from telepulse.cli.options import PROGRAM, SceneArgument
 from telepulse.plugins import GROUPS
@@ -48,7 +49,7 @@ def copy(
 def show(scene: SceneArgument) -> None:
     """Print a scene with units, merged with the scenes that it extends."""
     with one_line_errors(PROGRAM):
-        text = to_toml(load_document(find_scene(scene)))
+        text = tomlkit.dumps(load_document(find_scene(scene)))
     plain_console().print(text, end="")
 
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from display_node.press.sweep import SweptLevel
+from display_node.scoring.beat_quality import GOOD
 from display_node.scoring.depth_curve import LEVEL_SHARE, BeatPoint, DepthCurve, Estimate
 from telepulse.document import Chapter, Plot, Report, Table, percent
 
@@ -74,7 +75,7 @@ def report_depth(
             "The three levels",
             words,
             (Table.of("Levels", rows, note),),
-            (height_plot(curve),),
+            (height_plot(curve.points, curve),),
             findings,
         ),
         _shape_chapter(levels, good),
@@ -104,28 +105,31 @@ def _shape_chapter(levels: Sequence[SweptLevel], good: Sequence[BeatPoint]) -> C
     return Chapter("Shape", (words,), (table,), (Plot("shape", "Shape against hold-down.", draw),))
 
 
-def height_plot(curve: DepthCurve) -> Plot:
-    """Return the plot of the beats' heights and their curve against the hold-down."""
+def height_plot(points: Sequence[BeatPoint], curve: DepthCurve | None = None) -> Plot:
+    """Return the plot of the beats' heights and, where there is one, their curve."""
+    caption = "Height of the pulse against hold-down"
+    caption += "." if curve is None else ", and the three levels."
 
     def draw(figure: "Figure") -> None:
         axes = figure.add_subplot()
-        height_mn, band_mn = 1e3 * curve.height_n, 2e3 * curve.deviation_n
-        axes.fill_between(curve.force_n, height_mn - band_mn, height_mn + band_mn, alpha=0.3, lw=0)
-        axes.plot(curve.force_n, height_mn, label="fitted, with two deviations")
-        for good, style in ((True, "o"), (False, "x")):
-            points = [point for point in curve.points if (point in curve.good) is good]
-            forces = [point.hold_down_n for point in points]
-            heights = [1e3 * point.height_n for point in points]
-            axes.plot(forces, heights, style, ms=4, label="beats" if good else "doubtful beats")
-        for name, found in curve.levels().items():
+        if curve is not None:
+            height_mn, band_mn = 1e3 * curve.height_n, 2e3 * curve.deviation_n
+            low_mn, high_mn = height_mn - band_mn, height_mn + band_mn
+            axes.fill_between(curve.force_n, low_mn, high_mn, alpha=0.3, lw=0)
+            axes.plot(curve.force_n, height_mn, label="fitted, with two deviations")
+        for style, label, good in (("o", "beats", True), ("x", "doubtful beats", False)):
+            chosen = [point for point in points if (point.quality >= GOOD) is good]
+            heights_mn = [1e3 * point.height_n for point in chosen]
+            axes.plot([each.hold_down_n for each in chosen], heights_mn, style, ms=4, label=label)
+        for name, found in (curve.levels() if curve else {}).items():
             if found is not None:
                 axes.axvline(found.value, ls=":", color="C1")
                 axes.annotate(name, (found.value, 0), rotation=90, va="bottom", ha="right")
         axes.set(xlabel="hold-down (N)", ylabel="height of the pulse (mN)")
-        axes.set_ylim(bottom=0, top=1.3e3 * curve.largest_n.value)
+        axes.set_ylim(bottom=0, top=1.3e3 * curve.largest_n.value if curve else None)
         axes.legend()
 
-    return Plot("height", "Height of the pulse against hold-down, and the three levels.", draw)
+    return Plot("height", caption, draw)
 
 
 def _cells(level: SweptLevel) -> dict[str, str]:

@@ -1,15 +1,13 @@
 """Export of a recording as tables in CSV or Parquet, or as a repaired MCAP file.
 
-The table of beats is computed from the recorded frames (`recorded_beats.py`); each other table has
+The table of beats is computed from the recorded frames (`RecordedBeats`); each other table has
 the messages of one topic.
 """
 
 import csv
 import json
 from collections import Counter
-from collections.abc import Callable, Iterable
 from contextlib import ExitStack
-from functools import partial
 from itertools import chain
 from pathlib import Path
 from typing import Any
@@ -17,18 +15,9 @@ from typing import Any
 from protocol.config.quantities import count_text
 from protocol.errors import OutputError, SourceError
 from protocol.host.output import write_whole
-from telepulse.recording.export_tables import (
-    BEATS,
-    TABLES,
-    Row,
-    TableColumn,
-    beat_columns,
-    columns,
-    rows,
-)
+from telepulse.recording.export_tables import TABLES, RecordedBeats, Row, TableColumn, columns, rows
 from telepulse.recording.mcap_writer import McapWriter
-from telepulse.recording.reader import RecordingReader
-from telepulse.recording.recorded_beats import RecordedBeats
+from telepulse.recording.reader import RecordingReader, reading
 from telepulse.telemetry.decoder import Entry
 from telepulse.telemetry.schema import SCHEMAS
 
@@ -151,26 +140,23 @@ def _write_tables(path: Path, folder: Path, kind: type[CsvTable] | type[ParquetT
     tables: dict[str, CsvTable | ParquetTable] = {}
     counts: Counter[str] = Counter()
     try:
-        with ExitStack() as stack:
-
-            def add(name: str, header: Callable[[], list[TableColumn]], new: Iterable[Row]) -> None:
-                for row in new:
-                    if name not in tables:
-                        if not tables:
-                            folder.mkdir(parents=True)
-                        tables[name] = kind(folder / (TABLES[name] + kind.suffix), header())
-                        stack.callback(tables[name].close)
-                    tables[name].add(row)
-                    counts[name] += 1
-
+        with reading(path), ExitStack() as stack:
             for message in reader:
                 if message.topic not in SCHEMAS:
                     continue
                 entry = Entry(message.topic, message.t_ns, message.fields)
-                found = list(beats.take(entry))
-                if entry.topic in TABLES:
-                    add(entry.topic, partial(columns, entry, beats.units), rows(entry))
-                add(BEATS, beat_columns, found)
+                for each in [entry, *beats.take(entry)]:
+                    if (name := TABLES.get(each.topic)) is None:
+                        continue
+                    for row in rows(each):
+                        if name not in tables:
+                            if not tables:
+                                folder.mkdir(parents=True)
+                            header = columns(each, beats.units)
+                            tables[name] = kind(folder / (name + kind.suffix), header)
+                            stack.callback(tables[name].close)
+                        tables[name].add(row)
+                        counts[name] += 1
             if tables:
                 described = _description(path, reader, list(tables.values()))
                 for table in tables.values():
@@ -182,10 +168,8 @@ def _write_tables(path: Path, folder: Path, kind: type[CsvTable] | type[ParquetT
         raise
     except OSError as error:
         raise OutputError(f"{folder}: cannot be written: {error.strerror or error}") from None
-    except (LookupError, ValueError, TypeError, AttributeError, ArithmeticError) as error:
-        raise SourceError(f"{path}: a message is not telepulse's: {error!r:.80}") from None
     reader.log_gaps()
-    return f"{folder}: " + ", ".join(f"{counts[topic]} {name}" for topic, name in TABLES.items())
+    return f"{folder}: " + ", ".join(f"{counts[name]} {name}" for name in TABLES.values())
 
 
 def _description(

@@ -1,20 +1,22 @@
-"""Tables of an exported recording: their columns, and the rows of each message."""
+"""Tables of an exported recording: their columns, the rows of each message, and the beats."""
 
 from base64 import b64decode
+from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
+from display_node.scoring.beats import BeatAnalysis
 from protocol.wire.messages import decode_frame
-from telepulse.telemetry.decoder import Entry
+from telepulse.telemetry.decoder import Entry, Fields, PassiveReceiver
 from telepulse.telemetry.schema import (
     CLOCK,
     EVENT,
     FRAME,
     NUMBER,
     SCHEMAS,
+    STATUS,
     STRING,
     TICK,
-    Schema,
 )
 
 BEATS = "beats"
@@ -91,17 +93,18 @@ class TableColumn(NamedTuple):
         return next((unit for end, unit in UNITS.items() if self.name.endswith(end)), "")
 
 
-UNIX_COLUMN = TableColumn("unix_ns", "integer", UNIX)
-
-
 def columns(first: Entry, units: Sequence[str] = ()) -> list[TableColumn]:
-    """Return the columns of a table of messages from the first one.
+    """Return the columns of a table from its first entry.
 
     units: of the stream's channels, where they are known; those of others are N. Raises KeyError
     or ValueError.
     """
     topic, fields = first.topic, first.fields
-    found = _fixed_columns(topic, SCHEMAS[topic][1]["properties"])
+    kinds = BEAT_KINDS if topic == BEATS else SCHEMAS[topic][1]["properties"]
+    found = [
+        TableColumn(name, kinds.get(name, {}).get("type", "integer"), text)
+        for name, text in COLUMNS[topic].items()
+    ]
     if topic == FRAME:
         values = decode_frame(b64decode(fields["data"])).values
         kind = "float32" if values.itemsize == 4 else "number"
@@ -110,39 +113,87 @@ def columns(first: Entry, units: Sequence[str] = ()) -> list[TableColumn]:
                 found.append(TableColumn(f"ecg_{n}_mv", kind, f"ECG, channel {n}"))
             else:
                 found.append(TableColumn(f"force_{n}_n", kind, f"force at the wrist, channel {n}"))
-    if topic == TICK:
-        for n in range(1, len(fields.get("others", [])) + 1):
-            for force in OF_EACH_CONTACTOR:
-                text = f"{COLUMNS[topic][force]}; of contactor {n}"
-                found.append(TableColumn(force.replace("_n", f"_{n}_n"), "number", text))
-    return [*found, UNIX_COLUMN]
+    for n in range(1, len(_others(first)) + 1):
+        for force in OF_EACH_CONTACTOR:
+            text = f"{COLUMNS[topic][force]}; of contactor {n}"
+            found.append(TableColumn(force.replace("_n", f"_{n}_n"), "number", text))
+    return [*found, TableColumn("unix_ns", "integer", UNIX)]
 
 
-def _fixed_columns(topic: str, properties: Schema) -> list[TableColumn]:
-    return [
-        TableColumn(name, properties.get(name, {}).get("type", "integer"), text)
-        for name, text in COLUMNS[topic].items()
-    ]
-
-
-def beat_columns() -> list[TableColumn]:
-    """Return the columns of the table of beats."""
-    return [*_fixed_columns(BEATS, BEAT_KINDS), UNIX_COLUMN]
-
-
-def rows(message: Entry) -> Iterator[Row]:
-    """Yield a message's rows, None without a value. Raises KeyError, ValueError, TypeError."""
-    fields = message.fields
-    if message.topic == FRAME:
+def rows(entry: Entry) -> Iterator[Row]:
+    """Yield an entry's rows, None without a value. Raises KeyError, ValueError, TypeError."""
+    topic, unix_ns, fields = entry
+    if topic == FRAME:
         frame = decode_frame(b64decode(fields["data"]))
         head = [fields["arrived_ns"], fields["path"], frame.session]
         for at, values in enumerate(frame.values.tolist()):
             t_ns = frame.t_first_ns + at * frame.period_ns
-            yield [*head, frame.first_sample + at, t_ns, *values, message.t_ns]
-    elif message.topic == EVENT:
-        words = (fields[name] for name in ("level", "name", "message"))
-        yield [message.t_ns, *words, message.t_ns]
+            yield [*head, frame.first_sample + at, t_ns, *values, unix_ns]
     else:
-        others = fields.get("others", []) if message.topic == TICK else []
-        more = [each.get(force) for each in others for force in OF_EACH_CONTACTOR]
-        yield [*(fields.get(name) for name in COLUMNS[message.topic]), *more, message.t_ns]
+        more = [each.get(force) for each in _others(entry) for force in OF_EACH_CONTACTOR]
+        known = fields | {"t_ns": unix_ns}
+        yield [*(known.get(name) for name in COLUMNS[topic]), *more, unix_ns]
+
+
+def _others(entry: Entry) -> list[Fields]:
+    """Return the further contactors of a tick."""
+    others: list[Fields] = entry.fields.get("others", []) if entry.topic == TICK else []
+    return others
+
+
+class RecordedBeats:
+    """Analysis of the played channels of a recording, as the display finds their beats.
+
+    A beat's times are on the sensing clock; its entry has the Unix time of its onset. Until a
+    status has named the contactors, the first channel is played by one without a name.
+    """
+
+    def __init__(self) -> None:
+        self._entries = PassiveReceiver()
+        self._session: int | None = None
+        self._instant_ns: int | None = None
+        # Every force is analysed: the first status comes after the first frames.
+        self._analyses: defaultdict[int, BeatAnalysis] = defaultdict(BeatAnalysis)
+        self._contactors: list[tuple[str, int]] = [("", 0)]
+
+    @property
+    def units(self) -> list[str]:
+        """Units of the stream's channels; none before its description."""
+        description = self._entries.receiver.description
+        return [] if description is None else [channel.unit for channel in description.channels]
+
+    def take(self, entry: Entry) -> Iterator[Entry]:
+        """Yield the beats that an entry completes, each as an entry of the table.
+
+        Raises KeyError, ValueError or TypeError for fields that are not those of an entry.
+        """
+        fields = entry.fields
+        if entry.topic == TICK:
+            self._instant_ns = fields["instant_ns"]
+        elif entry.topic == STATUS:
+            # The buffer is emptied this often: each tick would double the time of an export.
+            if self._instant_ns is not None:
+                self._entries.play(self._instant_ns)
+            if playing := fields.get("playing"):
+                self._contactors = [(str(p["contactor"]), int(p["channel"])) for p in playing]
+        elif (frame := self._entries.take(entry.topic, fields)) is not None:
+            receiver = self._entries.receiver
+            if frame.session != self._session:
+                self._session = frame.session
+                self._analyses.clear()
+            unix_ahead_ns = entry.t_ns - receiver.clock.remote_ns(fields["arrived_ns"])
+            found = {
+                channel: self._analyses[channel].observe(frame.samples_of(channel))
+                for channel, unit in enumerate(self.units)
+                if unit == "N"
+            }
+            for name, channel in self._contactors:
+                source = {"contactor": name, "channel": channel, "session": frame.session}
+                for beat in found.get(channel, ()):
+                    times = {
+                        "upstroke_ms": beat.upstroke_s * 1e3,
+                        "interval_ms": beat.interval_s * 1e3,
+                        "rate_per_min": 60 / beat.interval_s,
+                    }
+                    beat_fields = source | beat._asdict() | times
+                    yield Entry(BEATS, beat.onset_ns + unix_ahead_ns, beat_fields)

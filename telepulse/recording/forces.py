@@ -1,12 +1,8 @@
-"""A contactor in a recording: trends in fixed memory, forces at wrist and finger, and its beats.
-
-Errors, blocks for plots, and heart rates are computed from the forces. Pure.
-"""
+"""Forces and beats of a contactor over a recording, computed from its columns. Pure."""
 
 import math
-from collections import defaultdict
-from collections.abc import Callable
-from typing import Any, NamedTuple
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,82 +10,56 @@ from numpy.typing import NDArray
 from display_node.scoring.beat_statistics import BeatStatistics
 from display_node.scoring.heart_rate import heart_rate_per_min
 from display_node.scoring.tracking_error import JND, TrackingError, interpolate
-from protocol.wire.messages import Frame
-from protocol.wire.stream import StreamDescription
+from protocol.wire.telemetry import PlaybackStatus
+from telepulse.columns import SessionColumns
 
-# BLOCK ticks are aligned at once. They wait for the samples around their instants until PATIENCE
-# further ticks have come, as in the display.
-BLOCK = PATIENCE = 2_048
-MAX_FRAMES = 20_000
+# Ticks of which the JND is computed at once, and that are plotted together.
+BLOCK = 2_048
 # Heart rates use every tenth tick, which gives enough points in a beat.
 THIN = 10
 HEART_WINDOW_S = 6.0
 # A window with a longer gap has no heart rate.
 MAX_GAP_S = 0.25
-# Blocks that are kept from the start.
+# Blocks that are plotted from the start.
 FIRST_BLOCKS = 3
-# Bins of a trend, and their initial width.
+# Most bins of a trend, and their least width.
 BINS = 1_000
 NARROWEST_S = 0.1
-# Least, greatest, sum and count of a bin: the function that adds a value, and the initial value.
-STATISTICS = ((np.minimum, np.inf), (np.maximum, -np.inf), (np.add, 0.0), (np.add, 0.0))
 Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 
-class TrendPoints(NamedTuple):
-    """Bins that hold values: middle in s, least, greatest, mean and sum of each."""
+class Trend(NamedTuple):
+    """Statistics of values in equal bins of time, of those bins that hold values.
+
+    t_s: middle of each bin. low, high, mean, total: least, greatest, mean and sum of its values.
+    """
 
     t_s: Floats
     low: Floats
     high: Floats
     mean: Floats
     total: Floats
+    width_s: float
 
 
-class Trend:
-    """Statistics of values in equal bins of time; the bins double their width when they run out."""
+def find_trend(t_s: Floats, values: Floats, width_s: float = NARROWEST_S) -> Trend:
+    """Return the trend of values at times since the start; NaN and infinite values are ignored.
 
-    def __init__(self, width_s: float = NARROWEST_S) -> None:
-        """Begin with bins of a width."""
-        self.width_s = width_s
-        self._bins: list[Floats] = [np.full(BINS, empty) for _, empty in STATISTICS]
-
-    def add(self, t_s: Floats, values: Floats) -> None:
-        """Add values at times since the start; NaN and infinite values are ignored."""
-        known = np.isfinite(values)
-        t_s, values = np.maximum(t_s[known], 0), values[known]
-        if not len(values):
-            return
-        while t_s.max() >= self.width_s * BINS:
-            self.width_s *= 2
-            self._bins = [
-                np.append(join.reduce(bins.reshape(-1, 2), axis=1), np.full(BINS // 2, empty))
-                for (join, empty), bins in zip(STATISTICS, self._bins, strict=True)
-            ]
-        at = (t_s / self.width_s).astype(np.int64)
-        new = (values, values, values, np.ones(len(values)))
-        for (join, _), bins, added in zip(STATISTICS, self._bins, new, strict=True):
-            join.at(bins, at, added)
-
-    def points(self) -> TrendPoints:
-        """Return the bins that hold values."""
-        held = np.flatnonzero(self._bins[-1])
-        low, high, total, count = (bins[held] for bins in self._bins)
-        t_s: Floats = np.asarray((held + 0.5) * self.width_s, float)
-        return TrendPoints(t_s, low, high, total / count, total)
-
-
-class AlignedTick(NamedTuple):
-    """A tick at full strength; t_s: since the recording's start.
-
-    sensing_now_ns, instant_ns: time of the tick and of the pulse played, on the sensing clock.
+    width_s: of the bins, which is doubled until they are enough.
     """
-
-    t_s: float
-    sensing_now_ns: int
-    instant_ns: int
-    felt_n: float
+    known = np.isfinite(values)
+    t_s, values = np.maximum(t_s[known], 0), values[known]
+    while t_s.max(initial=0) >= width_s * BINS:
+        width_s *= 2
+    at = (t_s / width_s).astype(np.int64)
+    low, high = np.full(BINS, np.inf), np.full(BINS, -np.inf)
+    np.minimum.at(low, at, values)
+    np.maximum.at(high, at, values)
+    counts = np.bincount(at, minlength=BINS)
+    held = np.flatnonzero(counts)
+    total = np.bincount(at, values, BINS).astype(np.float64)[held]
+    middle_s = np.asarray((held + 0.5) * width_s, float)
+    return Trend(middle_s, low[held], high[held], total / counts[held], total, width_s)
 
 
 class AlignedBlock(NamedTuple):
@@ -100,141 +70,127 @@ class AlignedBlock(NamedTuple):
     felt_n: Floats
 
 
-class ForceAlignment:
-    """Alignment of felt force with the pulse at the wrist, in blocks of ticks.
+class ContactorFindings:
+    """Findings about a contactor.
 
-    No block spans two sessions. take_block: receives each complete block. errors: as the display
-    computes them; those of strain are None until `set_playback` gives the strain per newton. ratio:
-    target force at the finger per force at the wrist; None before the first status.
+    Attributes
+    ----------
+    name, channel
+        Its name, and the channel that it played first.
+    ratio : float or None
+        Target force at the finger per force at the wrist; None where no status states it.
+    errors : TrackingError
+        Errors as the display computes them.
+    error_n, jnd_n : Trend
+        Felt minus target force, and the just noticeable difference, at full strength.
+    first, worst : list of AlignedBlock
+        The first blocks at full strength, and those around the largest error.
+    heart : list of (float, float or None, float or None)
+        Time in s, and heart rate per minute at wrist and finger, None for a window with a gap.
+    beats : BeatStatistics
+        Statistics of the beats at the wrist.
+    trends : dict of str to Trend
+        Interval in ms, height in mN and quality of each beat; empty without beats.
     """
 
-    def __init__(self, take_block: Callable[[AlignedBlock], object]) -> None:
-        self._take_block = take_block
+    def __init__(self, name: str, sessions: Sequence[SessionColumns], begin_ns: int) -> None:
+        """Compute the findings; begin_ns: Unix time at which the recording begins."""
+        self.name = name
+        played = [(each, each.playing.get(name)) for each in sessions if len(each.frames)]
+        known = [(session, playing) for session, playing in played if playing is not None]
+        self.channel = known[0][1].channel if known else 0
+        self.ratio = known[0][1].force_ratio if known else None
         self.errors = TrackingError()
-        self.channel = 0
-        self._begin()
-
-    def _begin(self) -> None:
-        self.ratio: float | None = None
-        self._ticks: list[AlignedTick] = []
-        self._t_ns: list[Ints] = []
-        self._values: list[Floats] = []
-
-    def begin(self) -> None:
-        """Complete the blocks of a session, and begin another."""
-        self.finish()
-        self._begin()
-
-    def set_playback(
-        self, channel: int, ratio: float, strain_per_newton: float | None = None
-    ) -> None:
-        """Set channel, ratio and strain by the first status, and score the ticks before it.
-
-        strain_per_newton: of the layer under the finger, in 1/N; None where it is not recorded.
-        """
-        if self.ratio is not None:
-            return
-        self.errors.strain_per_newton = strain_per_newton
-        self.channel, self.ratio = channel, ratio
-        for t_ns, values in zip(self._t_ns, self._values, strict=True):
-            self._add_reference(t_ns, values, ratio)
-        for tick in self._ticks:
-            self.errors.add_output(tick.sensing_now_ns, tick.instant_ns, tick.felt_n)
-
-    def add_frame(self, frame: Frame, description: StreamDescription) -> None:
-        """Add a frame's samples."""
-        at = np.arange(len(frame.values), dtype=np.int64) * frame.period_ns
-        t_ns = frame.t_first_ns - description.group_delay_ns + at
-        values = frame.values.astype(np.float64)
-        self._t_ns.append(t_ns)
-        self._values.append(values)
-        if self.ratio is not None:
-            self._add_reference(t_ns, values, self.ratio)
-        if len(self._t_ns) > MAX_FRAMES:
-            del self._t_ns[: MAX_FRAMES // 2], self._values[: MAX_FRAMES // 2]
-
-    def _add_reference(self, t_ns: Ints, values: Floats, ratio: float) -> None:
-        target_n = values[:, self.channel] * ratio
-        self.errors.add_reference_force(t_ns.tolist(), target_n.tolist())
-
-    def add_tick(self, tick: AlignedTick) -> None:
-        """Add a tick."""
-        self._ticks.append(tick)
-        if self.ratio is not None:
-            self.errors.add_output(tick.sensing_now_ns, tick.instant_ns, tick.felt_n)
-        if len(self._ticks) >= PATIENCE + BLOCK:
-            self._release()
-
-    def finish(self) -> None:
-        """Complete the remaining blocks."""
-        while self._ticks:
-            self._release()
-        self.errors.finish()
-
-    def _release(self) -> None:
-        ticks, self._ticks = self._ticks[:BLOCK], self._ticks[BLOCK:]
-        if self.ratio is None or not self._t_ns:
-            return
-        t_ns, values = np.concatenate(self._t_ns), np.concatenate(self._values)
-        order = np.argsort(t_ns, kind="stable")
-        t_ns, values = t_ns[order], values[order]
-        instant_ns = np.array([tick.instant_ns for tick in ticks], np.int64)
-        target_n = self.ratio * interpolate(instant_ns, t_ns, values[:, self.channel])
-        t_s, felt_n = np.array([(tick.t_s, tick.felt_n) for tick in ticks]).T
-        self._take_block(AlignedBlock(t_s, target_n, felt_n))
-        keep = max(0, int(np.searchsorted(t_ns, instant_ns[-1])) - 1)
-        self._t_ns, self._values = [t_ns[keep:]], [values[keep:]]
+        blocks: list[AlignedBlock] = []
+        for session, playing in known:
+            self.errors.strain_per_newton = playing.strain_per_newton
+            _add_errors(self.errors, session, playing)
+            blocks += _aligned_blocks(session, playing, begin_ns)
+        self.heart = list(_heart_rates(blocks))
+        errors_n = [block.felt_n - block.target_n for block in blocks]
+        t_s = np.concatenate([[], *(block.t_s for block in blocks)])
+        jnds_n = [np.full(len(b.t_s), JND * float(np.ptp(_known(b)))) for b in blocks]
+        self.error_n = find_trend(t_s, np.concatenate([[], *errors_n]))
+        self.jnd_n = find_trend(t_s, np.concatenate([[], *jnds_n]))
+        largest_n = [float(np.nanmax(np.abs(error_n))) for error_n in errors_n]
+        worst = int(np.argmax(largest_n)) if blocks else 0
+        self.first, self.worst = blocks[:FIRST_BLOCKS], blocks[max(0, worst - 1) : worst + 2]
+        self.beats = BeatStatistics()
+        # Without any status, the first channel is analysed.
+        beats = [
+            row
+            for session, playing in (known or played)
+            for row in _beats(self.beats, session, playing.channel if playing else 0, begin_ns)
+        ]
+        columns = np.array(beats).reshape(-1, 4).T
+        names = ("interval_ms", "height_mn", "quality")
+        self.trends = {
+            each: find_trend(columns[0], values)
+            for each, values in zip(names, columns[1:], strict=True)
+            if beats
+        }
 
 
-class ForceHistory:
-    """Forces of a recording: errors over time, blocks for two plots, heart rates.
+def _add_errors(errors: TrackingError, session: SessionColumns, playing: PlaybackStatus) -> None:
+    """Add what a contactor felt at full strength, and its target, in the order of arrival.
 
-    first, worst: the first blocks at full strength, and those around the largest error. heart:
-    time in s, and heart rate per minute at wrist and finger, None for a window with a gap.
+    Each frame is added after the ticks before its arrival, as in the display: the reference is
+    bounded, and has to hold what is still to be scored.
     """
+    scored, age_ns = session.ticks["scored"] & session.ticks["ready"], playing.film_age_ns
+    felt_n = session.forces_n(playing.contactor)[1][scored]
+    now_ns, instant_ns = (
+        session.ticks[column][scored] - age_ns for column in ("sensing_ns", "instant_ns")
+    )
+    t_ns = session.pulse_ns()
+    target_n = playing.force_ratio * session.values[:, playing.channel].astype(np.float64)
+    ends = np.cumsum(session.frames["samples"])
+    # Number of the ticks at full strength before each frame, and after the last one.
+    before = np.append(0, np.cumsum(scored))[[*session.frames["ticks"], len(scored)]]
+    for frame, (end, count) in enumerate(zip(ends, session.frames["samples"], strict=True)):
+        samples, ticks = slice(end - count, end), slice(before[frame], before[frame + 1])
+        errors.add_reference_force(t_ns[samples].tolist(), target_n[samples].tolist())
+        for tick in zip(
+            now_ns[ticks].tolist(), instant_ns[ticks].tolist(), felt_n[ticks].tolist(), strict=True
+        ):
+            errors.add_output(*tick)
+    errors.finish()
 
-    def __init__(self) -> None:
-        self.alignment = ForceAlignment(self._take)
-        self.error_n, self.jnd_n = Trend(), Trend()
-        self.first: list[AlignedBlock] = []
-        self.worst: list[AlignedBlock] = []
-        self.heart: list[tuple[float, float | None, float | None]] = []
-        self._before: list[AlignedBlock] = []
-        self._worst_n = -1.0
-        self._follow_worst = False
-        self._heart_blocks: list[AlignedBlock] = []
 
-    def _take(self, block: AlignedBlock) -> None:
-        error_n = block.felt_n - block.target_n
-        known_n = block.target_n[~np.isnan(error_n)]
-        if not len(known_n):
-            return
-        self.error_n.add(block.t_s, error_n)
-        jnd_n = JND * float(np.ptp(known_n))
-        self.jnd_n.add(block.t_s, np.full(len(block.t_s), jnd_n))
-        self._keep_for_plots(block, float(np.nanmax(np.abs(error_n))))
-        self._add_heart_rates(block)
+def _aligned_blocks(
+    session: SessionColumns, playing: PlaybackStatus, begin_ns: int
+) -> Iterator[AlignedBlock]:
+    """Yield the ticks at full strength in blocks, without those of which nothing is known."""
+    scored = np.flatnonzero(session.ticks["scored"] & session.ticks["ready"])
+    instant_ns = session.ticks["instant_ns"] - playing.film_age_ns
+    t_s = (session.ticks["unix_ns"] - begin_ns) * 1e-9
+    _, felt_n = session.forces_n(playing.contactor)
+    pulse = session.pulse(playing.channel)
+    for first in range(0, len(scored), BLOCK):
+        ticks = scored[first : first + BLOCK]
+        target_n = playing.force_ratio * interpolate(instant_ns[ticks], *pulse)
+        block = AlignedBlock(t_s[ticks], target_n, felt_n[ticks])
+        if len(_known(block)):
+            yield block
 
-    def _keep_for_plots(self, block: AlignedBlock, largest_n: float) -> None:
-        """Keep the first blocks, and the block with the largest error with those beside it."""
-        if len(self.first) < FIRST_BLOCKS:
-            self.first.append(block)
-        if self._follow_worst:
-            self.worst.append(block)
-        self._follow_worst = largest_n > self._worst_n
-        if self._follow_worst:
-            self._worst_n, self.worst = largest_n, [*self._before, block]
-        self._before = [block]
 
-    def _add_heart_rates(self, block: AlignedBlock) -> None:
-        """Add the heart rates of a window once it is complete."""
-        self._heart_blocks.append(AlignedBlock(*(values[::THIN] for values in block)))
-        t_s, *forces_n = (np.concatenate(parts) for parts in zip(*self._heart_blocks, strict=True))
-        if t_s[-1] - t_s[0] < HEART_WINDOW_S:
-            return
-        self._heart_blocks.clear()
-        wrist, felt = (_heart_rate_per_min(t_s, force_n) for force_n in forces_n)
-        self.heart.append((float(t_s.mean()), wrist, felt))
+def _known(block: AlignedBlock) -> Floats:
+    """Return the target force where the felt force is known as well."""
+    return block.target_n[~np.isnan(block.felt_n - block.target_n)]
+
+
+def _heart_rates(
+    blocks: Sequence[AlignedBlock],
+) -> Iterator[tuple[float, float | None, float | None]]:
+    """Yield time, and heart rate at wrist and finger, of windows of whole blocks."""
+    window: list[AlignedBlock] = []
+    for block in blocks:
+        window.append(AlignedBlock(*(values[::THIN] for values in block)))
+        t_s, target_n, felt_n = map(np.concatenate, zip(*window, strict=True))
+        if t_s[-1] - t_s[0] >= HEART_WINDOW_S:
+            window.clear()
+            wrist, felt = (_heart_rate_per_min(t_s, force_n) for force_n in (target_n, felt_n))
+            yield float(t_s.mean()), wrist, felt
 
 
 def _heart_rate_per_min(t_s: Floats, force_n: Floats) -> float | None:
@@ -246,51 +202,14 @@ def _heart_rate_per_min(t_s: Floats, force_n: Floats) -> float | None:
     return heart_rate_per_min(even_s, np.interp(even_s, t_s, force_n))
 
 
-class ContactorFindings:
-    """Forces at wrist and finger over a recording, and the beats.
-
-    name: of the contactor; empty before the display's first status. beats: statistics of them.
-    trends: interval in ms, height in mN and quality of each beat over the time of the recording.
-    """
-
-    def __init__(self) -> None:
-        self.name = ""
-        self.forces = ForceHistory()
-        self.beats = BeatStatistics()
-        self.trends: defaultdict[str, Trend] = defaultdict(Trend)
-
-    def begin(self) -> None:
-        """Begin another session."""
-        self.forces.alignment.begin()
-        self.beats.restart()
-
-    def set_playback(self, playing: dict[str, Any]) -> None:
-        """Set channel, scale and strain by the display's status."""
-        channel, ratio = int(playing["channel"]), float(playing["force_ratio"])
-        strain = playing.get("strain_per_newton")
-        self.forces.alignment.set_playback(
-            channel, ratio, None if strain is None else float(strain)
-        )
-
-    def add_frame(
-        self, frame: Frame, description: StreamDescription, last_s: float, last_ns: int
-    ) -> None:
-        """Add a frame; last_s, last_ns: time of its last sample, in the recording and sensed."""
-        alignment = self.forces.alignment
-        alignment.add_frame(frame, description)
-        for beat in self.beats.observe(frame.samples_of(alignment.channel)):
-            t_s = np.array([last_s + (beat.onset_ns - last_ns) * 1e-9])
-            values = {
-                "interval_ms": beat.interval_s * 1e3,
-                "height_mn": beat.height_n * 1e3,
-                "quality": math.nan if beat.quality is None else beat.quality,
-            }
-            for name, value in values.items():
-                self.trends[name].add(t_s, np.array([value]))
-
-    def add_tick(
-        self, t_s: float, sensing_now_ns: int, instant_ns: int, state: dict[str, Any]
-    ) -> None:
-        """Add a tick at full strength; state: fields of this contactor."""
-        felt_n = float(state.get("felt_n", math.nan))
-        self.forces.alignment.add_tick(AlignedTick(t_s, sensing_now_ns, instant_ns, felt_n))
+def _beats(
+    statistics: BeatStatistics, session: SessionColumns, channel: int, begin_ns: int
+) -> Iterator[tuple[float, float, float, float]]:
+    """Yield time in s, interval in ms, height in mN and quality of each beat of a session."""
+    statistics.restart()
+    ahead_ns = session.frames["unix_ahead_ns"].tolist()
+    for frame, unix_ahead_ns in zip(session.each_frame(), ahead_ns, strict=True):
+        for beat in statistics.observe(frame.samples_of(channel)):
+            quality = math.nan if beat.quality is None else beat.quality
+            t_s = (beat.onset_ns + unix_ahead_ns - begin_ns) * 1e-9
+            yield t_s, beat.interval_s * 1e3, beat.height_n * 1e3, quality

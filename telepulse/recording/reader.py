@@ -4,17 +4,15 @@ import json
 import logging
 from collections import deque
 from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any, NamedTuple
+from typing import IO, Any, NamedTuple
 
 from protocol.config.quantities import count_text
 from protocol.errors import SourceError
 from telepulse.recording.mcap_writer import ABOUT, PROVENANCE
 from telepulse.telemetry.decoder import Entry
-from telepulse.telemetry.schema import CLOCK, FRAME, REFUSED, SCHEMAS, STREAM, TICK
-
-if TYPE_CHECKING:
-    from sensing_node.files.mcap_messages import McapRecords
+from telepulse.telemetry.schema import CLOCK, EVENT, FRAME, REFUSED, SCHEMAS, STREAM, TICK
 
 logger = logging.getLogger(__name__)
 
@@ -43,10 +41,10 @@ class RecordingReader:
 
     The attributes are complete once all messages were read.
 
-    whole: the recording has its end. damaged: chunks with a wrong checksum, which are left out.
-    cut_bytes: bytes at the end of the file that cannot be read. begin_ns, end_ns: Unix time of the
-    first and last message. provenance: of each run of the display, as text by key. about: what a
-    person stated about the recording, by key.
+    path: of the file. whole: the recording has its end. damaged: number of chunks with a wrong
+    checksum, which are left out. cut_bytes: bytes at the end of the file that cannot be read.
+    begin_ns, end_ns: Unix time of the first and last message. provenance: of each run of the
+    display, as text by key. about: what a person stated about the recording, by key.
     """
 
     def __init__(self, path: Path) -> None:
@@ -59,30 +57,15 @@ class RecordingReader:
                 " pip install 'telepulse[record]'"
             ) from None
         self._mcap = mcap_messages
-        self._path = path
+        self.path = path
         self._begin()
 
     def _begin(self) -> None:
-        self._records: McapRecords | None = None
+        self.whole, self.damaged, self.cut_bytes = False, 0, 0
         self.begin_ns: int | None = None
         self.end_ns = 0
         self.provenance: list[dict[str, str]] = []
         self.about: dict[str, str] = {}
-
-    @property
-    def whole(self) -> bool:
-        """True once the end of the recording was read."""
-        return self._records is not None and self._records.whole
-
-    @property
-    def damaged(self) -> int:
-        """Number of chunks with a wrong checksum, which are left out."""
-        return 0 if self._records is None else self._records.damaged
-
-    @property
-    def cut_bytes(self) -> int:
-        """Number of bytes at the end of the file that cannot be read."""
-        return 0 if self._records is None else self._records.cut_bytes
 
     def gaps(self) -> list[str]:
         """Return a line for each part that could not be read; complete once all was read."""
@@ -101,24 +84,24 @@ class RecordingReader:
     def log_gaps(self) -> None:
         """Warn of each part that could not be read."""
         for line in self.gaps():
-            logger.warning(f"{self._path}: {line}")
+            logger.warning(f"{self.path}: {line}")
 
     def __iter__(self) -> Iterator[RecordedMessage]:
         """Read from the beginning. Raises SourceError for a file that is no recording."""
         self._begin()
         try:
-            with self._path.open("rb") as file:
+            with self.path.open("rb") as file:
                 yield from self._messages(file)
         except FileNotFoundError:
-            raise SourceError(f"{self._path}: no such recording") from None
+            raise SourceError(f"{self.path}: no such recording") from None
         except SourceError:
             raise
         except OSError as error:
             reason = error.strerror or error
-            raise SourceError(f"{self._path}: cannot be read: {reason}") from None
+            raise SourceError(f"{self.path}: cannot be read: {reason}") from None
 
     def _messages(self, file: IO[bytes]) -> Iterator[RecordedMessage]:
-        self._records = records = self._mcap.McapRecords(file, self._path)
+        records = self._mcap.McapRecords(file, self.path)
         channels: dict[int, str] = {}
         schemas: dict[int, str] = {}
         ours = False
@@ -139,10 +122,21 @@ class RecordingReader:
                     self.end_ns = max(self.end_ns, record.log_time)
                     topic = channels[record.channel_id]
                     yield RecordedMessage(topic, record.log_time, bytes(record.data))
+        self.whole, self.damaged = records.whole, records.damaged
+        self.cut_bytes = records.cut_bytes
         if not ours:
             topics = ", ".join(sorted(set(channels.values())))
             held = f"its topics are {topics[:200]}" if topics else "it is empty"
-            raise SourceError(f"{self._path}: holds no telepulse recording; {held}")
+            raise SourceError(f"{self.path}: holds no telepulse recording; {held}")
+
+
+@contextmanager
+def reading(path: Path) -> Iterator[None]:
+    """Raise SourceError for what is raised where a message is not telepulse's."""
+    try:
+        yield
+    except (LookupError, ValueError, TypeError, AttributeError, ArithmeticError) as error:
+        raise SourceError(f"{path}: a message is not telepulse's: {error!r:.80}") from None
 
 
 # Field with the time at which the display received a message, on its clock.
@@ -160,8 +154,10 @@ def in_tick_order(messages: Iterable[RecordedMessage]) -> Iterator[Entry]:
     waiting: deque[tuple[int, Entry]] = deque()
     for message in messages:
         entry = Entry(message.topic, message.t_ns, message.fields)
-        if entry.topic in _RECEIVED:
-            waiting.append((entry.fields[_RECEIVED[entry.topic]], entry))
+        if entry.topic in _RECEIVED or (waiting and entry.topic == EVENT):
+            # An event follows the message that caused it.
+            received = _RECEIVED.get(entry.topic)
+            waiting.append((entry.fields[received] if received else waiting[-1][0], entry))
             if len(waiting) > MAX_WAITING:
                 yield waiting.popleft()[1]
             continue

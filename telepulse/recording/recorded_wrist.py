@@ -14,24 +14,17 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from display_node.scoring.beat_quality import GOOD, BeatShape
-from display_node.scoring.beats import Beat
-from display_node.scoring.depth_curve import BeatPoint, DepthCurve, fit_depth_curve
-from display_node.scoring.pressed_beats import (
-    SteadyAnalysis,
-    beat_shape,
-    judge_beat,
-    measure_beat,
-    steady_hold_down_n,
-)
+from display_node.scoring.beat_quality import GOOD
+from display_node.scoring.depth_curve import DepthCurve, fit_depth_curve
 from protocol.errors import SourceError
 from protocol.tactile import ElasticLayer
 from protocol.tissue import StiffeningLaw
-from protocol.wire.messages import Frame, channel_samples, encode_frame
+from protocol.wire.messages import Frame, encode_frame
 from protocol.wire.stream import HOLD_DOWN, PULSE, StreamDescription
 from sensing_node.files.formats import open_signals
 from sensing_node.press.probe import ProbeLimits
 from sensing_node.sources.wrist import ProbedTissue, Wrist
+from telepulse.recording.pressed_beats import SteadyBeat, find_steady_beats, judge_beats
 from telepulse.recording.session import RecordedSession
 
 Floats = NDArray[np.float64]
@@ -43,14 +36,6 @@ BATCH: Final = 50
 # Parts of a beat's shape, and the part at which its peak is put: beats of two levels are blended
 # peak to peak, since a stronger press shortens the rise.
 PARTS, PEAK_AT = 400, 60
-
-
-class RecordedBeat(NamedTuple):
-    """A beat at a hold-down force: its measures, interval, and shape of height 1 in equal parts."""
-
-    point: BeatPoint
-    interval_s: float
-    shape: Floats
 
 
 class RecordedLevel(NamedTuple):
@@ -72,14 +57,15 @@ class RecordedWrist(ProbedTissue):
 
     def __init__(self, session: RecordedSession, limits: ProbeLimits | None = None) -> None:
         super().__init__(session.description.period_ns, limits, StiffeningLaw())
-        beats, points = _read_beats(session)
-        self.curve: DepthCurve = fit_depth_curve(points)
-        self._levels = _sort_into_levels(beats)
+        beats = _read_beats(session)
+        self.curve: DepthCurve = fit_depth_curve([each.point for each in beats])
+        good = [each for each in beats if each.point.quality >= GOOD]
+        self._levels = _sort_into_levels(good)
         self._forces_n = [level.force_n for level in self._levels]
         self._heights: list[float] = self.curve.height_n.tolist()
         self._least_n = float(self.curve.force_n[0])
         self._step_n = float(self.curve.force_n[1]) - self._least_n
-        self._intervals_s = [beat.interval_s for beat in beats]
+        self._intervals_s = [each.beat.interval_s for each in good]
         self._number = 0
         self._phase = 0.0
 
@@ -156,78 +142,32 @@ def exported_session(path: Path) -> RecordedSession:
     return found
 
 
-def _read_beats(session: RecordedSession) -> tuple[list[RecordedBeat], list[BeatPoint]]:
-    """Return the good beats of a recording in the order of hold-down, and the points of all beats.
-
-    Raises SourceError.
-    """
-    times_ns, pulse_n, hold_downs_n, beats = _analyse(session)
-    steady: list[tuple[BeatPoint, BeatShape, Beat]] = []
-    for beat in beats:
-        shape = beat_shape(beat, times_ns, pulse_n)
-        held_n = hold_downs_n[_span(beat, times_ns)]
-        if shape is None or len(held_n) * session.description.period_ns < 0.9e9 * beat.interval_s:
-            continue
-        force_n = steady_hold_down_n(held_n)
-        if force_n is not None:
-            steady.append((measure_beat(beat, times_ns, pulse_n, force_n), shape, beat))
-    # In the order of the hold-down, neighbours are alike.
-    steady.sort(key=lambda each: each[0].hold_down_n)
-    points, shapes = [each[0] for each in steady], [each[1] for each in steady]
-    points = [
-        point._replace(quality=judge_beat(number, points, shapes))
-        for number, point in enumerate(points)
-    ]
-    found = [
-        RecordedBeat(point, beat.interval_s, _drawn(beat, times_ns, pulse_n))
-        for point, (*_, beat) in zip(points, steady, strict=True)
-        if point.quality >= GOOD
-    ]
-    return found, points
-
-
-def _analyse(session: RecordedSession) -> tuple[Floats, Floats, Floats, list[Beat]]:
-    """Return times, pulse and hold-down of all samples, and the beats. Raises SourceError."""
-    description, analysis, beats = session.description, SteadyAnalysis(), list[Beat]()
-    names = [channel.name for channel in description.channels]
+def _read_beats(session: RecordedSession) -> list[SteadyBeat]:
+    """Return the beats of a recording in the order of hold-down. Raises SourceError."""
+    names = [channel.name for channel in session.description.channels]
     if HOLD_DOWN not in names or PULSE not in names:
         raise SourceError(
             f"the recording has the channels {', '.join(names)}; to be pressed it needs"
             f" {PULSE!r} and {HOLD_DOWN!r}, as one of a pressed wrist has"
         )
-    film, cell = names.index(PULSE), names.index(HOLD_DOWN)
-    times, pulse, held = list[int](), list[Floats](), list[Floats]()
-    for frame in session.frames():
-        values = frame.values.astype(np.float64)
-        samples = channel_samples(
-            frame.first_sample, frame.t_first_ns, frame.period_ns, values[:, film].tolist()
-        )
-        times += samples.times_ns
-        pulse.append(values[:, film])
-        held.append(values[:, cell] - values[:, film])
-        beats += analysis.observe(samples, float(held[-1].mean()))
-    return np.array(times, float), np.concatenate(pulse), np.concatenate(held), beats
+    frames = list(session.frames())
+    return judge_beats(find_steady_beats(frames, names.index(PULSE), names.index(HOLD_DOWN)))
 
 
-def _span(beat: Beat, times_ns: Floats) -> slice:
-    end_ns = beat.onset_ns + round(beat.interval_s * 1e9)
-    first, last = np.searchsorted(times_ns, [beat.onset_ns, end_ns])
-    return slice(int(first), int(last))
-
-
-def _drawn(beat: Beat, times_ns: Floats, pulse_n: Floats) -> Floats:
+def _drawn(steady: SteadyBeat) -> Floats:
     """Return a beat's shape, without the line from its begin to its end, with its peak in place."""
+    beat = steady.beat
     at_ns = beat.onset_ns + np.linspace(0, beat.interval_s * 1e9, PARTS + 1)
-    values: Floats = np.interp(at_ns, times_ns, pulse_n)
+    values: Floats = np.interp(at_ns, steady.times_ns, steady.pulse_n)
     values = (values - np.linspace(values[0], values[-1], PARTS + 1))[:PARTS]
     # Without that line, the beat's begin follows its end.
     values = np.roll(values, PEAK_AT - int(values.argmax()))
     return np.append(values, values[0]) / np.ptp(values)
 
 
-def _sort_into_levels(beats: Sequence[RecordedBeat]) -> list[RecordedLevel]:
+def _sort_into_levels(beats: Sequence[SteadyBeat]) -> list[RecordedLevel]:
     """Return the levels of hold-down, from the least to the greatest."""
-    groups: list[list[RecordedBeat]] = []
+    groups: list[list[SteadyBeat]] = []
     for beat in beats:
         if not groups or beat.point.hold_down_n - groups[-1][0].point.hold_down_n > LEVEL_N:
             groups.append([])
@@ -235,7 +175,7 @@ def _sort_into_levels(beats: Sequence[RecordedBeat]) -> list[RecordedLevel]:
     return [
         RecordedLevel(
             float(np.mean([beat.point.hold_down_n for beat in group])),
-            [[*beat.shape.tolist(), 0.0] for beat in group],
+            [[*_drawn(beat).tolist(), 0.0] for beat in group],
         )
         for group in groups
     ]

@@ -1,32 +1,43 @@
 """The report of a recording: its chapters in their order."""
 
-from collections.abc import Iterable
-from dataclasses import replace
+from collections.abc import Iterable, Iterator
 from datetime import UTC, datetime
-from functools import partial
 from pathlib import Path
 from statistics import median
 
-from display_node.scoring.beat_quality import GOOD
+from display_node.scoring.depth_curve import fit_depth_curve
 from protocol.config.quantities import count_text
-from protocol.errors import explain_causes
+from protocol.errors import DepthError, explain_causes
 from protocol.summary.figures import Surface
 from protocol.summary.phrases import interruptions_text
 from protocol.summary.rows import cells
 from protocol.summary.tables import Summary
 from telepulse.document import Chapter, Plot, Report, Table, percent, provenance_table
-from telepulse.recording.findings import RunFindings, read_findings
+from telepulse.recording.depth_report import height_plot
+from telepulse.recording.findings import HELD, RunFindings, read_findings
 from telepulse.recording.forces import ContactorFindings
-from telepulse.recording.press_chapter import press_chapters
-from telepulse.recording.report_plots import ContactorPlots, RunPlots, force_plot, with_events
+from telepulse.recording.pressed_beats import judge_beats
+from telepulse.recording.report_plots import (
+    beats_plot,
+    clock_plot,
+    delay_plots,
+    error_plot,
+    force_plot,
+    heart_plot,
+    loop_plot,
+    loss_plot,
+    press_plot,
+    with_events,
+)
 from telepulse.telemetry.decoder import MARK_EVENT
 
 NONE = "–"
 # Columns of the figures: a recording may begin after the display, and end before it.
 RECORDED, WHOLE = "recorded span", "whole run (display)"
+# The curve is fitted to the last beats, so many of which take a second or two.
+MOST_BEATS = 300
 LEVELS = {2: "info", 3: "warning", 4: "error"}
-# Plots of a difference that a press makes meaningless, and why they are left out.
-DIFFERENCES = ("force-worst", "error")
+# A press makes the difference of the forces meaningless, so that its plots are left out.
 PRESSED = (
     "A finger or a sweep pressed the wrist. The force felt then contains the finger's own press,"
     " and the pulse that this press gives, so it is not compared with the pulse at the wrist."
@@ -36,39 +47,18 @@ PRESSED = (
 def build_recording_report(path: Path) -> Report:
     """Read a recording and report it. Raises SourceError."""
     findings = read_findings(path)
-    drawn = RunPlots(findings)
-    several = len(findings.contactors) > 1
-    timed = partial(with_events, findings.events)
-    delays = (
-        timed(
-            Plot(
-                "delays",
-                "Delays over time: mean, and from the least to the greatest.",
-                drawn.delays,
-            )
-        ),
-        Plot(
-            "delay-distribution", "Share of frames and ticks up to each delay.", drawn.distribution
-        ),
-        timed(
-            Plot(
-                "loss",
-                "Samples that came too late, where no trusted prediction was felt, or never, by the"
-                " display's count.",
-                drawn.loss,
-            )
-        ),
+    delays, distribution = delay_plots(findings)
+    delays, loss, clock, loop = (
+        with_events(findings, plot)
+        for plot in (delays, loss_plot(findings), clock_plot(findings), loop_plot(findings))
     )
-    clock = Plot(
-        "clock",
-        "The sensing clock against the display's: change of the offset since it was first known,"
-        " with the display's uncertainty; skew; round trips.",
-        drawn.clock,
-    )
-    loop = Plot("loop", "The display's real-time loop, by its own count.", drawn.loop)
     events = tuple(
-        (f"{t_s:.2f}", LEVELS.get(level, str(level)), name, text)
-        for t_s, level, name, text in findings.events
+        (f"{t_s:.2f}", LEVELS.get(event.level, str(event.level)), event.name, event.text)
+        for t_s, event in zip(
+            findings.times_s([event.unix_ns for event in findings.events]),
+            findings.events,
+            strict=True,
+        )
     )
     columns = ("time (s)", "level", "event", "text")
     more = f"{findings.more_events} further events are not shown." if findings.more_events else ""
@@ -82,19 +72,21 @@ def build_recording_report(path: Path) -> Report:
         *(
             chapter
             for number, contactor in enumerate(findings.contactors)
-            for chapter in _contactor_chapters(contactor, number, several, findings)
+            for chapter in _contactor_chapters(contactor, number, findings)
         ),
         *press_chapters(findings),
-        Chapter("Delay and loss", plots=delays),
-        Chapter("Clock and loop", plots=(timed(clock), timed(loop))),
+        Chapter("Delay and loss", plots=(delays, distribution, loss)),
+        Chapter("Clock and loop", plots=(clock, loop)),
         Chapter("What happened", tables=(Table("Events", columns, events, more),)),
     ]
-    if findings.about:
+    if findings.contents.about:
         stated = Table(
-            "Stated by the person who recorded", ("entry", "text"), tuple(findings.about.items())
+            "Stated by the person who recorded",
+            ("entry", "text"),
+            tuple(findings.contents.about.items()),
         )
         chapters.append(Chapter("About the recording", tables=(stated,)))
-    if runs := findings.provenance:
+    if runs := findings.contents.provenance:
         titles = [f"Run {n}" for n in range(1, len(runs) + 1)] if len(runs) > 1 else ["The run"]
         tables = tuple(map(provenance_table, titles, runs))
         chapters.append(Chapter("Provenance of the recording", tables=tables, folded=True))
@@ -103,7 +95,7 @@ def build_recording_report(path: Path) -> Report:
 
 def _in_short(findings: RunFindings) -> Iterable[str]:
     """Yield at most five sentences: on the recorded span, and the last one on the whole run."""
-    summary, own = findings.summary(), findings.display_summary or Summary()
+    summary, own = findings.summary(), findings.contents.summary or Summary()
     samples, errors, felt = summary.samples, summary.force_rmse_n, summary.availability.felt
     shared = "A pulse was not felt" if felt is None else f"A pulse was felt for {percent(felt)}"
     yield f"{shared} of the {findings.seconds:.1f} s that were recorded."
@@ -126,7 +118,7 @@ def _in_short(findings: RunFindings) -> Iterable[str]:
     share = f" ({percent(missed / (ticks + missed), '.2f')})" if ticks + missed else ""
     marks = sum(event.name == MARK_EVENT for event in findings.events) or "none"
     yield f"{missed} of {ticks + missed} ticks were missed{share}. Marks: {marks}."
-    if findings.display_summary is None:
+    if findings.contents.summary is None:
         yield "The recording has no figures of the display's whole run."
         return
     gap_ms, seconds = own.loop.worst_5s.gap_ms, own.availability.seconds
@@ -142,13 +134,15 @@ def _in_short(findings: RunFindings) -> Iterable[str]:
 
 
 def _paragraphs(findings: RunFindings) -> Iterable[str]:
-    begin = datetime.fromtimestamp((findings.begin_ns or 0) // 1_000_000_000, UTC)
-    streams = ", ".join(f"“{name}”" for name in dict.fromkeys(findings.streams)) or "no stream"
+    begin = datetime.fromtimestamp((findings.contents.begin_ns or 0) // 1_000_000_000, UTC)
+    streams = (
+        ", ".join(f"“{name}”" for name in dict.fromkeys(findings.contents.streams)) or "no stream"
+    )
     yield (
         f"{streams}, {begin:%Y-%m-%d %H:%M:%S} UTC, {findings.seconds:.1f} s,"
-        f" {count_text(len(findings.streams), 'session')} of the sensing node."
+        f" {count_text(len(findings.contents.streams), 'session')} of the sensing node."
     )
-    for line in findings.gaps:
+    for line in findings.contents.gaps:
         yield f"The recording: {line}."
     if findings.runs > 1:
         yield f"The display was started {findings.runs} times; its own figures are of the last run."
@@ -158,7 +152,7 @@ def _paragraphs(findings: RunFindings) -> Iterable[str]:
 
 def _spans(findings: RunFindings) -> str:
     """Return which span each column of figures covers, where a status states the run's length."""
-    own = findings.display_summary or Summary()
+    own = findings.contents.summary or Summary()
     recorded_s, whole_s = findings.summary().availability.seconds, own.availability.seconds
     if recorded_s is None or whole_s is None:
         return ""
@@ -171,7 +165,7 @@ def _spans(findings: RunFindings) -> str:
 
 
 def _summary(findings: RunFindings) -> Table:
-    summaries = findings.summary(), findings.display_summary or Summary()
+    summaries = findings.summary(), findings.contents.summary or Summary()
     recorded, own = (cells(each.to_dict(), Surface.REPORT) for each in summaries)
     rows = [(name, recorded[name] or NONE, own[name] or NONE) for name in recorded]
     for contactor in findings.contactors:
@@ -183,11 +177,11 @@ def _summary(findings: RunFindings) -> Table:
             )
             rows += [(of + name, ours[name] or NONE, display[name] or NONE) for name in ours]
         for place, name in enumerate(("wrist", "finger")):
-            rates = [r for _, *ends in contactor.forces.heart if (r := ends[place]) is not None]
+            rates = [r for _, *ends in contactor.heart if (r := ends[place]) is not None]
             shown = f"{median(rates):.1f} /min" if rates else NONE
             rows.append((f"{of}heart rate at the {name}, median", shown, NONE))
     last = (
-        "its final status" if findings.is_final_summary else "its last status, since it never ended"
+        "its final status" if findings.contents.final else "its last status, since it never ended"
     )
     return Table(
         "The run",
@@ -202,57 +196,65 @@ def _summary(findings: RunFindings) -> Table:
 
 
 def _contactor_chapters(
-    contactor: ContactorFindings, number: int, several: bool, findings: RunFindings
-) -> tuple[Chapter, ...]:
+    contactor: ContactorFindings, number: int, findings: RunFindings
+) -> tuple[Chapter, Chapter]:
     """Return the chapters on force and beats; number: of the contactor, from 0."""
-    of = f" – {contactor.name}" if several else ""
-    ending = f"-{number + 1}" if several else ""
-    drawn = ContactorPlots(contactor)
-    force = _force(contactor, drawn, of, ending)
-    if findings.pressed:
-        plots = [plot for plot in force.plots if not plot.name.startswith(DIFFERENCES)]
-        force = Chapter(force.title, (*force.paragraphs, PRESSED), plots=plots)
-    return tuple(
-        replace(chapter, plots=tuple(with_events(findings.events, plot) for plot in chapter.plots))
-        for chapter in (force, _beats(contactor, drawn, of, ending))
-    )
-
-
-def _force(contactor: ContactorFindings, drawn: ContactorPlots, of: str, ending: str) -> Chapter:
-    title, forces, alignment = f"Force{of}", contactor.forces, contactor.forces.alignment
-    if alignment.ratio is None or not forces.first:
-        return Chapter(title, ("The pulse was never played at its full strength.",))
-    first, worst = (force_plot(blocks) for blocks in (forces.first, forces.worst))
+    several = len(findings.contactors) > 1
+    of, ending = (f" – {contactor.name}", f"-{number + 1}") if several else ("", "")
+    words, plots = ["No beat was found in the recorded samples."], list[Plot]()
+    if contactor.trends:
+        words, plots = [], [with_events(findings, beats_plot(f"beats{ending}", contactor))]
+    beats = Chapter(f"Beats{of}", words, plots=plots)
+    if contactor.ratio is None or not contactor.first:
+        unplayed = "The pulse was never played at its full strength."
+        return Chapter(f"Force{of}", (unplayed,)), beats
     plots = [
-        Plot(f"force-first{ending}", "The first seconds at full strength.", first),
-        Plot(f"force-worst{ending}", "Around the largest difference.", worst),
-        Plot(
-            f"error{ending}",
-            "Force felt minus force at the wrist, over the whole time. The band is the just"
-            " noticeable difference: 10 % of the pulse's peak to peak.",
-            drawn.error,
-        ),
+        force_plot(f"force-first{ending}", "The first seconds at full strength.", contactor.first),
     ]
+    if not findings.pressed:
+        caption = "Around the largest difference."
+        plots.append(force_plot(f"force-worst{ending}", caption, contactor.worst))
+        plots.append(error_plot(f"error{ending}", contactor))
     # On a busy host each window may have a gap.
-    if any(rate is not None for _, *rates in forces.heart for rate in rates):
-        caption = "Heart rate, by the intervals between beats in six seconds."
-        plots.append(Plot(f"heart-rate{ending}", caption, drawn.heart))
-    channel = f"channel {alignment.channel}"
+    if any(rate is not None for _, *rates in contactor.heart for rate in rates):
+        plots.append(heart_plot(f"heart-rate{ending}", contactor))
+    channel, ratio = f"channel {contactor.channel}", contactor.ratio
     target = (
         f"The target force at the finger is that of {channel} at the wrist"
-        if alignment.ratio == 1
-        else f"The target force at the finger is {alignment.ratio:.4g} times that of {channel} at"
+        if ratio == 1
+        else f"The target force at the finger is {ratio:.4g} times that of {channel} at"
         " the wrist, so that both strains are equal"
     )
-    found = f"{target}. It is shown at the instants that were played, as “at the wrist”."
-    return Chapter(title, (found,), plots=tuple(plots))
+    words = [f"{target}. It is shown at the instants that were played, as “at the wrist”."]
+    if findings.pressed:
+        words.append(PRESSED)
+    timed = [with_events(findings, plot) for plot in plots]
+    return Chapter(f"Force{of}", words, plots=timed), beats
 
 
-def _beats(contactor: ContactorFindings, drawn: ContactorPlots, of: str, ending: str) -> Chapter:
-    if not contactor.trends:
-        return Chapter(f"Beats{of}", ("No beat was found in the recorded samples.",))
-    caption = (
-        "Each beat of the pulse at the wrist: time to the next one, force from foot to peak, and"
-        f" quality, the similarity to the good beats before. Below {GOOD:g} a beat is doubtful."
-    )
-    return Chapter(f"Beats{of}", plots=(Plot(f"beats{ending}", caption, drawn.beats),))
+def press_chapters(findings: RunFindings) -> Iterator[Chapter]:
+    """Yield the chapter on the press, where the recorded stream has a hold-down."""
+    if not len(findings.trends[HELD].t_s):
+        return
+    words, plots = [], [press_plot(findings)]
+    beats = findings.steady_beats
+    points = [each.point for each in judge_beats(beats[-MOST_BEATS:])]
+    try:
+        curve = fit_depth_curve(points)
+    except DepthError as error:
+        words.append(f"No curve of the pulse's height against the hold-down: {error}.")
+        if points:
+            plots.append(height_plot(points))
+    else:
+        largest_mn, best_n = 1e3 * curve.largest_n.value, curve.best_n.value
+        words.append(
+            f"The pulse is highest, {largest_mn:.0f} mN, at a hold-down of {best_n:.2f} N;"
+            f" {len(curve.good)} of {count_text(len(points), 'beat')} at a steady hold-down are"
+            " good."
+        )
+        if curve.at_end:
+            words.append(f"{curve.at_end[0].upper()}{curve.at_end[1:]}.")
+        plots.append(height_plot(points, curve))
+    if len(beats) > MOST_BEATS:
+        words.append(f"The curve is of the last {MOST_BEATS} of {len(beats)} beats.")
+    yield Chapter("Press and hold-down", tuple(words), plots=tuple(plots))

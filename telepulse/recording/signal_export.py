@@ -5,6 +5,7 @@ events become annotations.
 """
 
 import math
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -14,8 +15,11 @@ from display_node.scoring.tracking_error import MAX_GAP_NS, interpolate
 from protocol.config.quantities import count_text
 from protocol.errors import OutputError, SourceError
 from protocol.wire.marks import printable
+from telepulse.columns import UNKNOWN_NS, SessionColumns, join_ticks
 from telepulse.recording import edf_writer, wfdb_writer, xdf_writer
-from telepulse.recording.session import RecordedSession, felt_force, longest_session
+from telepulse.recording.contents import read_contents
+from telepulse.recording.reader import RecordingReader
+from telepulse.recording.session import RecordedSession, longest_session
 from telepulse.recording.signal_table import Annotation, Floats, SignalTable, SignalWriter
 
 SECOND_NS = 1_000_000_000
@@ -61,26 +65,34 @@ def recording_signals(path: Path) -> tuple[SignalTable, str]:
             f"{path}: its rate is {description.rate_hz:g} Hz, below the {slowest_hz} Hz"
             " that an export of signals needs; export it to csv"
         )
+    contents = read_contents(RecordingReader(path))
+    described = [each for each in contents.sessions if each.description is not None]
+    parts = [each for each in described if each.number == session.number] or [SessionColumns()]
+    sensing_ns, unix_ns = (join_ticks(parts, column) for column in ("sensing_ns", "unix_ns"))
+    known = sensing_ns != UNKNOWN_NS
+    if not known.any():
+        raise SourceError(f"{path}: holds no tick while the sensing clock was known")
+    ahead_ns = (sensing_ns - unix_ns)[known]
     t_ns, numbers, values = _samples(session)
-    felt = felt_force(path, session.number)
     rate_hz, begin_ns = round(description.rate_hz), int(t_ns[0])
     seconds = math.ceil((t_ns[-1] - begin_ns + period_ns) / SECOND_NS)
     grid_ns = begin_ns + np.arange(seconds * rate_hz, dtype=np.int64) * SECOND_NS // rate_hz
-    forces = [
+    signals = [
         (
             f"{'Force' if channel.unit == 'N' else 'ECG'} {channel.name}",
-            _resampled(grid_ns, t_ns, values[:, index]),
             "mN" if channel.unit == "N" else "uV",
+            _resampled(grid_ns, t_ns, values[:, index]),
         )
         for index, channel in enumerate(description.channels)
     ]
-    for name, force_n in zip(felt.contactors, felt.forces_n.T, strict=True):
-        label = f"Felt {name}" if name else "Force felt"
-        forces.append((label, _resampled(grid_ns, felt.t_ns, force_n), "mN"))
-    if not np.isnan(felt.press_n).all():
-        forces.append(("Press", _resampled(grid_ns, felt.t_ns, felt.press_n), "mN"))
+    order = np.flatnonzero(known)[np.argsort(sensing_ns[known], kind="stable")]
+    for name, felt_n in _felt_forces(parts):
+        signals.append((name, "mN", _resampled(grid_ns, sensing_ns[order], felt_n[order])))
     losses = _losses(t_ns, numbers, period_ns)
-    events = [Annotation(max(0, at_ns - begin_ns) * 1e-9, text) for at_ns, text in felt.events]
+    events = [event for event in contents.events if event.session == session.number]
+    # The clock at an event is that of the last tick before it.
+    ticks = np.searchsorted(unix_ns[known], [event.unix_ns for event in events], "right") - 1
+    times_ns = [event.unix_ns for event in events] + ahead_ns[np.maximum(ticks, 0)] - begin_ns
     missing_end = [Annotation(seconds, session.cut)] if session.cut else []
     origin = [
         Annotation(0.0, f"{key} {run[key]}")
@@ -88,18 +100,25 @@ def recording_signals(path: Path) -> tuple[SignalTable, str]:
         for key in ("version", "commit", "host", "command")
         if key in run
     ]
+    annotations = [
+        *losses,
+        *(
+            Annotation(max(0, at_ns) * 1e-9, f"{event.name}: {event.text}")
+            for at_ns, event in zip(times_ns.tolist(), events, strict=True)
+        ),
+        *missing_end,
+        *origin,
+    ]
+    names, units, columns = zip(*signals, strict=True)
     # From N, and from mV of an ECG.
-    scaled = 1e3 * np.stack([values for _, values, _ in forces], axis=1)
+    scaled = 1e3 * np.stack(columns, axis=1)
     table = SignalTable(
-        _distinct([name for name, _, _ in forces]),
-        [unit for _, _, unit in forces],
+        _distinct(names),
+        units,
         np.where(np.isfinite(scaled), scaled, np.nan),
         rate_hz,
-        begin_ns - felt.sensing_minus_unix_ns,
-        [
-            each._replace(text=printable(each.text, MOST_CHARACTERS))
-            for each in (*losses, *events, *missing_end, *origin)
-        ],
+        begin_ns - int(ahead_ns[0]),
+        [each._replace(text=printable(each.text, MOST_CHARACTERS)) for each in annotations],
         {key: printable(text, MOST_CHARACTERS) for key, text in session.about.items()},
     )
     return table, (
@@ -108,7 +127,18 @@ def recording_signals(path: Path) -> tuple[SignalTable, str]:
     )
 
 
-def _distinct(names: list[str]) -> list[str]:
+def _felt_forces(parts: Sequence[SessionColumns]) -> Iterator[tuple[str, Floats]]:
+    """Yield name and force in N of each contactor, and the press of a finger that presses back."""
+    names = list(parts[-1].playing) or [""]
+    for name in names:
+        felt_n = np.concatenate([part.forces_n(name)[1] for part in parts])
+        yield f"Felt {name}" if len(names) > 1 else "Force felt", felt_n
+    press_n = join_ticks(parts, "press_n")
+    if not np.isnan(press_n).all():
+        yield "Press", press_n
+
+
+def _distinct(names: Sequence[str]) -> list[str]:
     """Return names with a number after each that another one has already: "Felt 2"."""
     taken: list[str] = []
     for name in names:

@@ -11,7 +11,8 @@ from protocol.errors import SceneError
 from protocol.wire.messages import channel_samples
 from sensing_node.press.set_points import SetPointServer
 from sensing_node.sources.source import SampleSource
-from telepulse.run import Run, RunBuilder, RunTick
+from telepulse.columns import SessionColumns, TickRow
+from telepulse.run import Run, build_run
 from telepulse.scene import DEFAULT_SCENE, Scene, load_scene
 from telepulse.simulation.virtual_time import SENSING_CLOCK_AHEAD_NS, Simulation
 
@@ -72,28 +73,28 @@ def simulate(
             raise SceneError("changes of a scene that is loaded already: give them to load_scene")
     else:
         scene = load_scene(scene, sensing=sensing, display=display, link=link)
-    builder = RunBuilder()
-    simulation = Simulation(scene, seed, take_frame=builder.add_frame)
+    session = SessionColumns()
+    simulation = Simulation(scene, seed, take_frame=session.add_frame)
     node, tick_ns = simulation.display, scene.display.tick_ns
     for state in simulation.ticks(seconds):
-        ready, alive = node.receiver.ready, node.state in ("starting", "playing")
+        alive = node.state in ("starting", "playing")
         lead_ns = max(contactor.lead_ns for contactor in node.contactors)
         known = node.receiver.buffer.known(tick_ns, 1, 0, state.instant_ns + lead_ns)
-        builder.add_tick(
-            RunTick(
-                state.now_ns,
-                state.now_ns + SENSING_CLOCK_AHEAD_NS,
-                state.instant_ns if ready and alive else None,
-                state.scored,
-                alive and not known,
-            ),
-            [(each.target_n, each.felt_n) for each in node.states],
+        tick = TickRow(
+            state.now_ns,
+            state.now_ns + SENSING_CLOCK_AHEAD_NS,
+            state.instant_ns,
+            ready=True,
+            playing=node.receiver.ready and alive,
+            scored=state.scored,
+            predicted=alive and not known,
         )
-    playback = [
-        contactor.playback(channel)
+        session.add_tick(tick, [(each.target_n, each.felt_n) for each in node.states])
+    session.playing = {
+        contactor.name: contactor.playback(channel)
         for contactor, channel in zip(node.contactors, node.receiver.channels, strict=False)
-    ]
-    return builder.run(scene.path.stem, playback, simulation.end())
+    }
+    return build_run(scene.path.stem, [session], simulation.end())
 
 
 SESSION, PRESS = 7, 11

@@ -38,14 +38,14 @@ class Entry(NamedTuple):
 class TelemetryDecoder:
     """Decoder of the telemetry of one display, over any number of its runs.
 
-    missed: counts by kind of messages that did not arrive or could not be read. ended: the display
-    has sent its last status. provenance: of the display's run; None before it arrives. last_mark:
-    newest mark of the run.
+    now_ns: latest instant of the telemetry, on the display's clock. missed: counts by kind of
+    messages that did not arrive or could not be read. ended: the display has sent its last status.
+    provenance: of the display's run; None before it arrives. last_mark: newest mark of the run.
     """
 
     def __init__(self) -> None:
         self._run: int | None = None
-        self._unix_offset_ns = self._now_ns = 0
+        self._unix_offset_ns = self.now_ns = 0
         # Messages of each kind that arrived, plus those published before this decoder began.
         self._arrived: Counter[str] = Counter()
         self._session: int | None = None
@@ -54,11 +54,6 @@ class TelemetryDecoder:
         self.ended = False
         self.provenance: dict[str, str] | None = None
         self.last_mark: Mark | None = None
-
-    @property
-    def now_ns(self) -> int:
-        """Latest instant of the telemetry, on the display's clock."""
-        return self._now_ns
 
     @property
     def started(self) -> bool:
@@ -98,10 +93,10 @@ class TelemetryDecoder:
         return entry
 
     def _entry(self, topic: str, fields: Fields) -> Entry:
-        return Entry(topic, min(max(0, self._now_ns + self._unix_offset_ns), LATEST_NS), fields)
+        return Entry(topic, min(max(0, self.now_ns + self._unix_offset_ns), LATEST_NS), fields)
 
     def _captured(self, captured: telemetry.CapturedMessages) -> Iterator[Entry]:
-        self._now_ns = captured.now_ns
+        self.now_ns = captured.now_ns
         published = Counter(traces=captured.traces_published, statuses=captured.statuses_published)
         published["captured messages"] = captured.before
         if captured.run != self._run:
@@ -117,7 +112,7 @@ class TelemetryDecoder:
             text = ", ".join(f"{count} {name}" for name, count in lost.items())
             yield self.event(Event("WARNING", "missed", f"the recorder missed {text}"))
         for message in captured.messages:
-            self._now_ns = message.arrived_ns
+            self.now_ns = message.arrived_ns
             yield from self._message(message)
 
     def _message(self, message: telemetry.CapturedMessage) -> Iterator[Entry]:
@@ -161,7 +156,7 @@ class TelemetryDecoder:
             if others:
                 keys = ("target_n", "felt_n", "predictor_error_n")
                 fields["others"] = [{k: f[k] for k in keys if k in f} for f in others]
-            self._now_ns = fields["now_ns"]
+            self.now_ns = fields["now_ns"]
             yield self._entry(TICK, fields)
 
     def _mark(self, mark: Mark) -> Iterator[Entry]:
@@ -169,12 +164,12 @@ class TelemetryDecoder:
         if before is not None and mark.number > before.number + 1:
             self.missed["marks"] += mark.number - before.number - 1
         if self.started:
-            yield self.event(Event("INFO", MARK_EVENT, mark.text), self._now_ns - mark.at_ns)
+            yield self.event(Event("INFO", MARK_EVENT, mark.text), self.now_ns - mark.at_ns)
 
     def _status(self, status: telemetry.Status) -> Iterator[Entry]:
         playing = [each._asdict() for each in status.playing] or None
         yield self._entry(STATUS, without_none(status._asdict() | {"playing": playing}))
-        yield from map(self.event, self._events.take(status.state, status.summary, self._now_ns))
+        yield from map(self.event, self._events.take(status.state, status.summary, self.now_ns))
         if status.final:
             self.ended = True
             yield self.event(Event("INFO", "end", "the display has ended"))

@@ -202,12 +202,13 @@ def _errors(
         nothing = np.full(len(ticks.t_ns), math.nan)
         return nothing, nothing, None
     right_n = contactor.playing["force_ratio"] * wrist.values[:, 0]
+    felt_ns = ticks.t_ns - contactor.playing.get("film_age_ns", 0)
     felt_n, delay_ns = ticks.values[:, [FELT_N, DELAY_NS]].T
     scored = ~np.isnan(delay_ns)
-    played_ns: Times = ticks.t_ns - np.where(scored, delay_ns, 0).astype(np.int64)
+    played_ns: Times = felt_ns - np.where(scored, delay_ns, 0).astype(np.int64)
     in_phase_n, aligned_n = (
         np.where(scored, felt_n - interpolate(at_ns, wrist.t_ns, right_n), math.nan)
-        for at_ns in (ticks.t_ns, played_ns)
+        for at_ns in (felt_ns, played_ns)
     )
     lately = right_n[wrist.t_ns > wrist.t_ns[-1] - SPAN_NS]
     return in_phase_n, aligned_n, JND * float(np.ptp(lately))

@@ -45,6 +45,7 @@ class SimulatedDisplay:
         self.played = 0
         self.linked = True
         self.trusted = False
+        self.film_age_ns = 0
         self.event("begin", "the recording")
         layer = {name: getattr(WRIST, name) for name in WRIST.__slots__}
         channels = {"channels": [{"name": f"of {name}", "unit": "N"} for name in names]}
@@ -74,6 +75,7 @@ class SimulatedDisplay:
                 "strain_per_newton": FINGER.strain_per_newton,
                 "predictor": "ensemble",
                 "stale_after_ns": 60 * MS,
+                "film_age_ns": self.film_age_ns,
             }
             for channel, name in enumerate(self.names)
         ]
@@ -105,7 +107,7 @@ class SimulatedDisplay:
             if self.linked and self.at_ns // MS % BATCH == 0:
                 self.frame()
             played_ns = self.at_ns - PLAYOUT_NS
-            felt_n = pulse_n(played_ns) * RATIO if playing else 0.0
+            felt_n = pulse_n(played_ns - self.film_age_ns) * RATIO if playing else 0.0
             others = [{"felt_n": felt_n * (1 + n), "target_n": 0.0} for n in range(len(self.names))]
             self.played += playing
             self.take(

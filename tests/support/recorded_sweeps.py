@@ -1,21 +1,15 @@
 """A recorded sweep of the modelled wrist, as a session and as a file, without a display."""
 
-from base64 import b64encode
-from pathlib import Path
-
 import numpy as np
 from numpy.typing import NDArray
 
 from display_node.press.sweep import DepthSweep, SweepPlan
 from protocol.tactile import ElasticLayer
-from protocol.wire.messages import Frame, Welcome, encode_control, encode_frame
+from protocol.wire.messages import Frame, encode_frame
 from protocol.wire.stream import Channel, StreamDescription
 from sensing_node.sources.wrist import Wrist, WristScene
-from telepulse.recording.mcap_writer import McapWriter
 from telepulse.recording.session import RecordedSession
 from telepulse.simulation.simulated_run import BATCH, sweep_wrist
-from telepulse.telemetry.decoder import Entry
-from telepulse.telemetry.schema import FRAME, STREAM
 
 PERIOD_NS = 1_000_000
 
@@ -47,12 +41,3 @@ def session_of(
         data[first] = encode_frame(frame)
         first += len(part)
     return RecordedSession(1, description, data, BATCH * len(taken))
-
-
-def record_session(path: Path, session: RecordedSession) -> None:
-    """Write a session as a recording."""
-    writer = McapWriter(path)
-    welcome = encode_control(Welcome(session.number, 0, session.description))
-    for topic, data in ((STREAM, welcome), *((FRAME, data) for data in session.data.values())):
-        writer.add(Entry(topic, 1, {"data": b64encode(data).decode()}))
-    writer.close()

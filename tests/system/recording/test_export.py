@@ -4,7 +4,6 @@ import csv
 import json
 import re
 import shutil
-import sys
 from collections.abc import Callable
 from datetime import UTC, datetime
 from pathlib import Path
@@ -15,7 +14,6 @@ import numpy as np
 import pytest
 from pyarrow import parquet
 
-from protocol.errors import OutputError
 from protocol.provenance import PROVENANCE, collect
 from telepulse.recording.export import export_csv, export_mcap, export_parquet
 from telepulse.recording.mcap_writer import McapWriter
@@ -24,9 +22,8 @@ from telepulse.recording.report import build_recording_report
 from telepulse.recording.signal_export import export_signals
 from telepulse.telemetry.decoder import TelemetryDecoder
 from telepulse.telemetry.schema import FRAME
-from tests.support.log_lines import refused
-from tests.support.nodes import RADIAL, ROOT, run
-from tests.support.recordings import AHEAD_NS, BATCH, BEGIN_NS, DELAY_TICKS, GAIN, UNIX_NS, record
+from tests.support.nodes import RADIAL, run
+from tests.support.recordings import BATCH, BEGIN_NS, DELAY_TICKS, GAIN, UNIX_NS, record
 
 MODULE = "telepulse"
 TABLES = ("samples", "ticks", "clock", "events", "beats")
@@ -38,16 +35,6 @@ TO: dict[str, Callable[[Path, Path], str]] = {
 LOWEST_CODE = -32_768
 # A single frame, and a gap of a tenth of a second.
 LOST = {100, *range(300, 320)}
-
-PRINTS = {
-    "csv": r"3000 ticks, 0\.\d{3} mN off at most\n",
-    "parquet": r"2890 samples, 0\.\d{4} to 0\.\d{4} N\n",
-    "mcap.reader": r"\d+ begin the recording\n\d+ session 'radial pulse', session 1\n(?s:.*)",
-    "edfio": r"Force pulse 1000\.0 Hz .* at most\nForce felt (?s:.*) s state: ended.*\n",
-}
-BLOCKS = re.findall(
-    r"```python\n(.*?)```", (ROOT / "docs/analysis.md").read_text(encoding="utf-8"), re.DOTALL
-)
 
 
 @pytest.fixture(scope="module")
@@ -113,18 +100,6 @@ def test_parquet_holds_what_csv_holds_with_types_and_units(exports: Path) -> Non
     ticks = parquet.read_table(exports / "pulse.parquet" / "ticks.parquet")
     assert ticks["predictor_error_n"].null_count == len(ticks)
     assert str(ticks.schema.field("scored").type) == "bool"
-
-
-def test_many_rows_are_written_in_groups(
-    recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("telepulse.recording.export.ROWS_A_GROUP", 700)
-    export_parquet(recording, tmp_path / "out")
-    file = parquet.ParquetFile(tmp_path / "out" / "ticks.parquet")
-    assert file.metadata.num_row_groups == 5
-    assert file.read()["instant_ns"].to_pylist() == [
-        BEGIN_NS + AHEAD_NS + (tick - DELAY_TICKS) * 1_000_000 for tick in range(3_000)
-    ]
 
 
 def test_edf_holds_forces_at_their_times_with_losses_and_events(
@@ -215,18 +190,6 @@ def test_reader_report_and_exports_name_how_much_of_the_end_is_missing(
     assert "last status, since it never ended" in short.tables[0].note
 
 
-def test_all_tables_have_one_time_base_and_each_column_names_its_clock(exports: Path) -> None:
-    times_ns: list[int] = []
-    for name in TABLES:
-        with (exports / "pulse" / f"{name}.csv").open(newline="", encoding="utf-8") as file:
-            times_ns += [int(row["unix_ns"]) for row in csv.DictReader(file)]
-    assert max(times_ns) - min(times_ns) <= 4_000_000_000
-    for table in described_in(exports / "pulse")["columns"].values():
-        for name, column in table.items():
-            if name.endswith("_ns"):
-                assert "clock" in column["description"] or "Unix" in column["description"], name
-
-
 def test_the_command_writes_beside_the_recording(recording: Path, tmp_path: Path) -> None:
     path = shutil.copy(recording, tmp_path / "a.mcap")
     result = run(MODULE, "export", str(path), "--to", "parquet")
@@ -237,45 +200,3 @@ def test_the_command_writes_beside_the_recording(recording: Path, tmp_path: Path
         "provenance.json",
         *(f"{name}.parquet" for name in TABLES),
     }
-
-
-def test_no_file_is_overwritten(recording: Path, tmp_path: Path) -> None:
-    there = tmp_path / "there.edf"
-    there.write_bytes(b"precious")
-    line = refused(MODULE, "export", str(recording), "--to", "edf", "--out", str(there))
-    assert "exists already" in line
-    assert there.read_bytes() == b"precious"
-
-
-@pytest.mark.parametrize(
-    ("library", "to", "package"),
-    [("pyarrow", export_parquet, r"'telepulse\[analysis\]'"), ("edfio", export_signals, "edfio")],
-)
-def test_a_library_that_is_not_installed_is_named(
-    library: str,
-    to: Any,
-    package: str,
-    recording: Path,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.setitem(sys.modules, library, None)
-    with pytest.raises(OutputError, match=rf"needs {library}.*pip install {package}"):
-        to(recording, tmp_path / "out")
-    assert not (tmp_path / "out").exists()
-
-
-@pytest.mark.parametrize(("library", "prints"), PRINTS.items())
-def test_the_code_that_loads_each_format_does_it(
-    library: str,
-    prints: str,
-    exports: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    assert len(BLOCKS) == len(PRINTS)
-    loads = rf"(import|from|from pyarrow import) {library}\b"
-    (code,) = (block for block in BLOCKS if re.search(loads, block))
-    monkeypatch.chdir(exports)
-    exec(code, {})
-    assert re.fullmatch(prints, capsys.readouterr().out)

@@ -2,8 +2,6 @@ import errno
 import os
 import random
 import resource
-import shlex
-import shutil
 import signal
 import subprocess
 import time
@@ -15,14 +13,11 @@ from pathlib import Path
 import pytest
 
 from protocol.errors import SourceError
-from protocol.host.child_process import ChildProcess, python_command
+from protocol.host.child_process import ChildProcess
 from protocol.wire.messages import decode_frame, encode_frame
-from telepulse.recording.export import export_mcap
 from telepulse.recording.reader import RecordedMessage, RecordingReader
-from telepulse.recording.report import build_recording_report
 from telepulse.telemetry.schema import EVENT, FRAME, STATUS, STREAM, TICK
 from tests.support.keyring import Keyring
-from tests.support.log_lines import messages as messages_of
 from tests.support.log_lines import refused, unusual
 from tests.support.nodes import free_address, process, run
 from tests.support.telemetry_publisher import TelemetryPublisher, bye, numbered_frame, publishing
@@ -122,17 +117,6 @@ def test_marks_and_statements_are_in_the_file(path: Path) -> None:
     assert list(marks) == ["cuff on", "mark 2"]
     assert 0.2e9 < marks["mark 2"] - marks["cuff on"] < 1e9
     assert reader.about == {"subject": "S01", "side": "left [2J"}
-    export_mcap(path, path.with_name("b.mcap"))
-    assert read(path.with_name("b.mcap"))[1].about == reader.about
-    chapters = {chapter.title: chapter for chapter in build_recording_report(path).chapters}
-    (stated,) = chapters["About the recording"].tables
-    assert ("subject", "S01") in stated.rows
-
-
-def test_a_key_that_cannot_be_stated_is_one_line(path: Path) -> None:
-    line = refused(MODULE, "record", "tcp://127.0.0.1:9", str(path), "--about", "sujet=S01")
-    assert "'sujet=S01' is none of its keys" in line
-    assert not path.exists()
 
 
 @pytest.mark.parametrize("seed", [1, 2])
@@ -187,20 +171,6 @@ def test_a_full_disk_is_reported_once_and_retried_until_nothing_is_missing(path:
     assert events_of(path).count("disk") == 2
 
 
-def test_a_disk_that_stays_full_leaves_what_was_written_and_the_count(path: Path) -> None:
-    with recording(path) as (display, recorder):
-        fill_up(display, recorder, path)
-        errors = end(display, recorder, status=1)
-    numbers = frames_of(path)
-    assert numbers == list(range(len(numbers)))
-    messages, reader = read(path)
-    assert not reader.whole
-    counted = [line for line in messages_of(errors) if "messages could not be written" in line]
-    lost = int(counted[0].split(": ")[1].split()[0])
-    taken = display.frames + display.ticks
-    assert taken <= lost + sum(map(len, messages.values())) <= taken + 100
-
-
 def limit(process: ChildProcess, size_bytes: int) -> None:
     """Limit the size of a process's files, which acts as a full disk and needs no rights."""
     resource.prlimit(process.pid, resource.RLIMIT_FSIZE, (size_bytes, resource.RLIM_INFINITY))
@@ -222,40 +192,6 @@ def publish_until_larger(display: TelemetryPublisher, path: Path, size_bytes: in
     while not path.exists() or path.stat().st_size <= size_bytes:
         assert time.monotonic() < end_s, "nothing is written"
         publish_for(display, 0.1)
-
-
-def can_mount() -> bool:
-    command = ["unshare", "-m", "mount", "-t", "tmpfs", "none", "/mnt"]
-    return (
-        shutil.which("unshare") is not None
-        and not subprocess.run(command, capture_output=True, check=False).returncode
-    )
-
-
-def test_a_small_disk_that_is_really_full_and_has_room_again(tmp_path: Path) -> None:
-    if not can_mount():
-        pytest.skip("needs the right to mount a small disk")
-    address, disk = free_address(), tmp_path / "disk"
-    disk.mkdir()
-    record = shlex.join(python_command("-m", MODULE, "record", address, f"{disk}/a.mcap"))
-    script = (
-        f"mount -t tmpfs -o size=2000k none {disk} && head -c 2000000 /dev/zero >{disk}/ballast"
-        f" && {record}; status=$?;"
-        f" cp {disk}/a.mcap {tmp_path}/a.mcap; exit $status"
-    )
-    command = ["unshare", "-m", "sh", "-c", script]
-    with publishing(address) as display:
-        recorder = subprocess.Popen(
-            command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, encoding="utf-8"
-        )
-        display.begin()
-        publish_for(display, 1.5)
-        # The mount exists only in the recorder's namespace, which its process shows.
-        Path(f"/proc/{recorder.pid}/root{disk}/ballast").unlink()
-        publish_for(display, 0.6)
-        errors = end(display, recorder)
-    assert errors.count(os.strerror(errno.ENOSPC)) == 1
-    assert frames_of(tmp_path / "a.mcap") == list(range(display.frames))
 
 
 def test_a_late_recorder_gets_the_streams_description(path: Path) -> None:
@@ -311,13 +247,6 @@ def test_a_key_that_is_allowed_later_is_recorded_from_then_on(path: Path, tmp_pa
     numbers = frames_of(path)
     assert 0 < numbers[0] < numbers[-1] == display.frames - 1
     assert numbers == list(range(numbers[0], display.frames))
-
-
-def test_silence_ends_it_with_the_option(tmp_path: Path) -> None:
-    address = free_address()
-    result = run(MODULE, "record", address, str(tmp_path / "a.mcap"), "--until-silent", "0.3")
-    assert result.returncode == 1
-    assert f"no telemetry came from {address}" in result.stderr
 
 
 @pytest.mark.parametrize(

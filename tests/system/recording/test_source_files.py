@@ -5,31 +5,14 @@ from pathlib import Path
 
 import edfio
 import numpy as np
-import pytest
 from pyarrow import parquet
 
-from tests.support.log_lines import refused
 from tests.support.nodes import read_json, run
 from tests.support.recordings import record
 from tests.support.signal_files import pulse_and_ecg
 
 MODULE = "telepulse"
 ABP = pulse_and_ecg()["ABP"]
-
-
-@pytest.mark.parametrize(
-    ("name", "content", "line"),
-    [
-        ("a.npy", b"hello", "is no NumPy file; save it by numpy.save or numpy.savez"),
-        ("a.hea", b"# x\n", "is no header of a WFDB record: it holds no line"),
-        ("a.parquet", b"", "is empty"),
-    ],
-)
-def test_what_cannot_be_read_is_one_line_with_status_2(
-    tmp_path: Path, name: str, content: bytes, line: str
-) -> None:
-    (tmp_path / name).write_bytes(content)
-    assert line in refused(MODULE, "simulate", "--source", str(tmp_path / name))
 
 
 def test_the_advice_on_rate_and_preload_can_be_followed(tmp_path: Path) -> None:
@@ -47,8 +30,6 @@ def test_the_advice_on_rate_and_preload_can_be_followed(tmp_path: Path) -> None:
     result = run(MODULE, *asked)
     assert 'set preload = "1 N" or more (beside --source: --preload)' in result.stderr
     assert run(MODULE, *asked, "--preload", "1 N").returncode == 0
-    assert "--rate is of a record" in refused(MODULE, "simulate", "--rate", "250 Hz")
-    assert "'fast' is no frequency" in run(MODULE, *asked, "--rate", "fast").stderr
 
 
 def test_what_a_person_stated_is_in_every_export(tmp_path: Path) -> None:

@@ -9,32 +9,44 @@ from protocol.tactile import ElasticLayer
 from protocol.wire.messages import ClockReply, Frame, Welcome, encode_control, encode_frame
 from protocol.wire.stream import Channel, StreamDescription
 from protocol.wire.telemetry import CONTROL, PlaybackStatus
+from telepulse.columns import SessionColumns
+from telepulse.recording.contents import RecordingContents
 from telepulse.recording.findings import RunFindings
 from telepulse.recording.mcap_writer import as_json
-from telepulse.telemetry.decoder import TelemetryDecoder
+from telepulse.telemetry.decoder import Entry, TelemetryDecoder
 from tests.support.streams import synthetic
 from tests.support.telemetry_publisher import MS, HandmadeTelemetry
+from tests.unit.telepulse.recording.test_forces import pulse_session
 
 
 def playing(name: str, channel: int) -> PlaybackStatus:
     return PlaybackStatus(name, channel, 1.0, -4.8e-6, "linear", 60 * MS)
 
 
+def contents_of(entries: list[Entry]) -> RecordingContents:
+    """Return the contents of entries, as they are read from a file."""
+    contents = RecordingContents()
+    for entry in entries:
+        contents.take(entry._replace(fields=json.loads(as_json(entry.fields))))
+    contents.finish()
+    return contents
+
+
 def test_contactors_keep_their_findings_where_a_further_run_has_others() -> None:
-    decoder, findings = TelemetryDecoder(), RunFindings()
-    statuses = [[playing("cun", 0), playing("chi", 2)], [playing("chi", 2), playing("guan", 0)]]
-    for message in preamble()[:-1] + [status_message("playing", *each) for each in statuses]:
-        for entry in decoder.decode(*message):
-            findings.take(entry)
+    decoder, first, second = TelemetryDecoder(), playing("cun", 0), playing("chi", 2)
+    messages = [*preamble()[:-1], status_message("playing", first, second)]
+    messages += [*preamble(run=2)[:-1], status_message("playing", second, playing("guan", 0))]
+    findings = RunFindings(
+        contents_of([entry for message in messages for entry in decoder.decode(*message)])
+    )
     assert [each.name for each in findings.contactors] == ["cun", "chi", "guan"]
-    assert [each.forces.alignment.channel for each in findings.contactors] == [0, 2, 0]
     assert list(findings.summary().contactors) == ["cun", "chi", "guan"]
 
 
 def test_frames_before_the_first_status_are_those_of_its_channels() -> None:
     channels = tuple(Channel(name) for name in ("cun", "guan"))
     welcome = Welcome(1, 0, StreamDescription("pulse", MS, 100, channels, ElasticLayer()))
-    telemetry, findings = HandmadeTelemetry(), RunFindings()
+    telemetry = HandmadeTelemetry()
     entries = telemetry.receive((CONTROL, encode_control(welcome)), at_ns=0)
     for t_ns in range(8):
         reply = encode_control(ClockReply(1, t_ns, t_ns, t_ns))
@@ -45,35 +57,26 @@ def test_frames_before_the_first_status_are_those_of_its_channels() -> None:
         frame = encode_frame(Frame(1, first, first * MS, MS, values))
         entries += telemetry.receive((0, frame), at_ns=(first + 100) * MS)
     entries += telemetry.decoder.decode(*status_message("playing", playing("second", 1)))
-    for entry in entries:
-        findings.take(entry._replace(fields=json.loads(as_json(entry.fields))))
-    (contactor,) = findings.contactors
+    (contactor,) = RunFindings(contents_of(entries)).contactors
+    assert contactor.channel == 1
     assert contactor.beats.figures().count > 4
 
 
-def test_the_strain_is_that_of_the_recorded_status_or_unknown() -> None:
-    findings = RunFindings()
-    (contactor,) = findings.contactors
-    alignment = contactor.forces.alignment
-    alignment.errors.add_reference_force([0, 10 * MS, 20 * MS], [0.1, 0.3, 0.2])
-    alignment.errors.add_output(10 * MS, 10 * MS, 0.4)
-    status = playing("cun", 0)._asdict()
-    # Older displays did not publish it.
-    contactor.set_playback({key: status[key] for key in ("channel", "force_ratio")})
-    findings.finish()
-    assert findings.summary().force_rmse_n.aligned == pytest.approx(0.1)
-    assert findings.summary().strain_rmse.aligned is None
-    contactor.begin()
-    contactor.set_playback(status)
-    assert findings.summary().strain_rmse.aligned == pytest.approx(0.1 * 4.8e-6)
+def test_a_session_without_a_status_is_played_as_the_one_before_or_else_the_next() -> None:
+    contents = RecordingContents()
+    contents.sessions = [SessionColumns(number) for number in range(5)]
+    for number, name in ((1, "cun"), (3, "chi")):
+        contents.sessions[number].playing = {name: playing(name, 0)}
+    contents.finish()
+    names = [name for session in contents.sessions for name in session.playing]
+    assert names == ["cun", "cun", "cun", "chi", "chi"]
 
 
 def test_a_pressing_fingers_force_is_not_compared_with_the_wrists() -> None:
-    findings = RunFindings()
-    errors = findings.contactors[0].forces.alignment.errors
-    errors.add_reference_force([0, 10 * MS, 20 * MS], [0.1, 0.3, 0.2])
-    errors.add_output(10 * MS, 10 * MS, 1.3)
-    findings.finish()
-    assert findings.summary().force_rmse_n.aligned is not None
-    findings.display_summary = Summary(press=PressFigures(press_n=1.0))
+    contents = RecordingContents()
+    contents.sessions = [pulse_session(3)]
+    findings = RunFindings(contents)
+    assert findings.summary().force_rmse_n.aligned == pytest.approx(1e-3)
+    assert findings.summary().strain_rmse.aligned == pytest.approx(1e-3 * 4.8e-6)
+    contents.summary = Summary(press=PressFigures(press_n=1.0))
     assert findings.summary().force_rmse_n.aligned is None

@@ -5,26 +5,20 @@ foxglove.Log. Foxglove itself is not run.
 """
 
 import errno
-import json
 import math
 import os
 from collections import Counter
-from itertools import pairwise
 from pathlib import Path
-from typing import Any
 
 import pytest
 from mcap.reader import SeekingReader
-from mcap.records import Chunk, DataEnd, Footer, Header, MessageIndex
-from mcap.stream_reader import StreamReader
 
 from protocol.errors import OutputError
 from telepulse.recording import mcap_writer
 from telepulse.recording.mcap_writer import MAX_RUNS, McapWriter, RetryingFile
 from telepulse.recording.reader import RecordingReader
 from telepulse.telemetry.decoder import Entry
-from telepulse.telemetry.schema import CLOCK, EVENT, FRAME, SCHEMAS, STATUS, STREAM, TICK
-from tests.support.foxglove import assert_fits, assert_readable
+from telepulse.telemetry.schema import FRAME, SCHEMAS, TICK
 from tests.support.recordings import record
 
 
@@ -55,11 +49,6 @@ class Disk:
 @pytest.fixture
 def disk(monkeypatch: pytest.MonkeyPatch) -> Disk:
     return Disk(monkeypatch)
-
-
-@pytest.fixture
-def path(tmp_path: Path) -> Path:
-    return tmp_path / "a.mcap"
 
 
 @pytest.mark.parametrize("trouble", ["full", "not kept"])
@@ -145,25 +134,6 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def test_messages_are_json_and_fit_their_schemas(recording: Path) -> None:
-    seen: Counter[str] = Counter()
-    with recording.open("rb") as file:
-        reader = SeekingReader(file, validate_crcs=True)
-        for schema, channel, message in reader.iter_messages(log_time_order=False):
-            assert schema is not None
-            assert schema.id > 0
-            assert (channel.message_encoding, schema.encoding) == ("json", "jsonschema")
-            table = json.loads(schema.data)
-            if not seen[channel.topic]:
-                assert schema.name == SCHEMAS[channel.topic][0]
-                assert_readable(table, schema.name)
-            seen[channel.topic] += 1
-            assert message.sequence == seen[channel.topic] - 1
-            assert_fits(json.loads(message.data), table, channel.topic)
-            assert message.publish_time == message.log_time
-    assert set(seen) == {FRAME, TICK, CLOCK, STREAM, STATUS, EVENT}
-
-
 def test_the_files_summary_has_counts_and_times(recording: Path) -> None:
     with recording.open("rb") as file:
         reader = SeekingReader(file)
@@ -186,26 +156,3 @@ def test_the_files_summary_has_counts_and_times(recording: Path) -> None:
     for chunk in summary.chunk_indexes:
         assert chunk.message_start_time <= chunk.message_end_time
         assert chunk.message_index_length > 0
-
-
-def test_every_chunk_is_followed_by_the_index_of_its_messages(recording: Path) -> None:
-    with recording.open("rb") as file:
-        records: list[Any] = list(StreamReader(file, emit_chunks=True).records)
-    assert isinstance(records[0], Header)
-    assert (type(records[-1]), records[-1].summary_start > 0) == (Footer, True)
-    assert sum(isinstance(each, DataEnd) for each in records) == 1
-    for before, each in pairwise(records):
-        if isinstance(before, Chunk):
-            assert isinstance(each, MessageIndex)
-
-
-def test_an_event_is_a_foxglove_log(recording: Path) -> None:
-    name, schema = SCHEMAS[EVENT]
-    assert name == "foxglove.Log"
-    assert list(schema["properties"]) == ["timestamp", "level", "message", "name", "file", "line"]
-    events = [message for message in RecordingReader(recording) if message.topic == EVENT]
-    assert events
-    for message in events:
-        stamp = message.fields["timestamp"]
-        assert stamp["sec"] * 10**9 + stamp["nsec"] == message.t_ns
-        assert message.fields["level"] in (2, 3, 4)

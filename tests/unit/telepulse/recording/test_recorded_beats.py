@@ -6,7 +6,7 @@ import pytest
 from protocol.wire.messages import Frame, Welcome, encode_control, encode_frame
 from protocol.wire.stream import Channel
 from protocol.wire.telemetry import CONTROL
-from telepulse.recording.recorded_beats import RecordedBeats
+from telepulse.recording.export_tables import RecordedBeats, rows
 from telepulse.telemetry.decoder import Entry
 from telepulse.telemetry.schema import STATUS
 from tests.support.drawn_beats import PERIOD_NS, Floats, analysed, draw, frames
@@ -43,12 +43,15 @@ def test_each_contactor_has_the_beats_of_its_channel() -> None:
     pulse = draw().force_n[:12_000].astype("<f4").astype(float)
     later = 2 * np.roll(pulse, 7)
     beats = RecordedBeats()
-    rows = [
-        row for each in recorded(np.stack([pulse, pulse, later], 1)) for row in beats.take(each)
+    found_rows = [
+        row
+        for each in recorded(np.stack([pulse, pulse, later], 1))
+        for beat in beats.take(each)
+        for row in rows(beat)
     ]
     assert beats.units == ["mV", "N", "N"]
     for name, channel, force_n in (("cun", 2, later), ("chi", 1, pulse)):
-        found, expected = [row for row in rows if row[0] == name], analysed(frames(force_n))
+        found, expected = [row for row in found_rows if row[0] == name], analysed(frames(force_n))
         assert len(expected) > 8
         for row, beat in zip(found, expected, strict=True):
             *head, foot_n, height_n, upstroke_ms, interval_ms, rate_per_min, quality, unix_ns = row

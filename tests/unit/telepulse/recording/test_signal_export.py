@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 import pyxdf
 
-from protocol.errors import OutputError
 from sensing_node.files.formats import open_signals
 from sensing_node.files.grids import find_gaps
-from telepulse.recording import edf_writer, signal_export, wfdb_writer, xdf_writer
+from telepulse.recording import edf_writer, wfdb_writer, xdf_writer
 from telepulse.recording.signal_export import export_signals
 from telepulse.recording.signal_table import Annotation, Floats, SignalTable
 from tests.support.recordings import record
@@ -88,26 +87,6 @@ def test_begin_texts_and_annotations_are_in_the_file_or_in_a_note(tmp_path: Path
     assert [row[0] for row in streams[3]["time_series"]] == ["cuff", "lost"]
 
 
-def test_names_and_texts_that_edf_cannot_hold_are_named(tmp_path: Path) -> None:
-    about = {"subject": "S" * 40, "position": "é", "side": "left", "notes": "long " * 60}
-    table = TABLE._replace(names=["Felt pulse of the left", "Kraft é", "b"], about=about)
-    _, names, texts = edf_writer.write(tmp_path / "a.edf", table)
-    assert names == (
-        "names are changed: Felt pulse of the left is written as Felt pulse of th,"
-        " Kraft é is written as Kraft e"
-    )
-    assert texts == "texts are changed or left out: position, subject, notes"
-    high = table._replace(values=1e9 * table.values)
-    with pytest.raises(ValueError, match=r"scale it below 1e\+07"):
-        edf_writer.write(tmp_path / "b.edf", high)
-
-
-def test_pyxdf_has_no_complaint(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    xdf_writer.write(tmp_path / "a.xdf", TABLE)
-    assert open_signals(tmp_path / "a.xdf").notes == ()
-    assert [each.message for each in caplog.records if each.levelname != "INFO"] == []
-
-
 def test_our_recording_is_played_and_exported_to_each_format(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
     record(path, 3, {100, *range(300, 320)})
@@ -130,16 +109,3 @@ def test_our_recording_is_played_and_exported_to_each_format(tmp_path: Path) -> 
         )
     marks = [note.text for note in edfio.read_edf(tmp_path / "out.edf").annotations]
     assert "100 samples lost" in marks
-
-
-def test_a_record_has_a_plain_name_and_a_path_may_lack_its_suffix(tmp_path: Path) -> None:
-    record(tmp_path / "a.mcap", 2)
-    export_signals(tmp_path / "a.mcap", tmp_path / "plain", ".hea")
-    assert len(open_signals(tmp_path / "plain").signals) == 2
-    for name in ("plain.x", "a b.hea"):
-        with pytest.raises(OutputError, match="a record's name has letters, digits, _ and -, not"):
-            export_signals(tmp_path / "a.mcap", tmp_path / name, ".hea")
-
-
-def test_names_of_signals_differ() -> None:
-    assert signal_export._distinct(["a", "a", "a 2", "a"]) == ["a", "a 2", "a 2 2", "a 3"]

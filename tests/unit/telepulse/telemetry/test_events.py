@@ -79,18 +79,3 @@ def test_a_display_that_stood_still_names_its_interruption_once() -> None:
     assert 2.85 <= without_s <= 3.0
     assert abs(ended_s - began_s - without_s) <= 0.02
     assert abs(began_s - 1.5) <= 0.02
-
-
-def test_interruptions_between_two_statuses_are_one_event() -> None:
-    watch, summary = EventDetector(), display().summary().to_dict()
-    assert not [x for x in watch.take("playing", summary, 0) if x.name == INTERRUPTED]
-    known = {"count": 2, "seconds": 0.3, "longest_s": 0.2, "began_s": 1.0, "ended_s": 1.2}
-    (event,) = (
-        x
-        for x in watch.take("playing", summary | {"interruptions": known}, 200 * MS)
-        if x.name == INTERRUPTED
-    )
-    assert event.text == (
-        "after 0.30 s without the whole pulse, interrupted 2 times, the last from 1.00 to 1.20 s"
-        " of the run"
-    )

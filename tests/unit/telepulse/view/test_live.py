@@ -1,5 +1,4 @@
 import numpy as np
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -22,12 +21,6 @@ def test_the_newest_rows_are_kept_and_counted(blocks: list[int]) -> None:
     assert stretch.values[:, 0].tolist() == [2.0 * t for t in stretch.t_ns.tolist()]
 
 
-def test_more_at_once_than_there_is_room_for_is_refused() -> None:
-    rolling = RollingTable(1, CAPACITY)
-    with pytest.raises(ValueError, match="room for 100"):
-        rolling.insert(np.arange(101, dtype=np.int64), np.zeros((101, 1)))
-
-
 @given(st.integers(2, 5_000), st.integers(0, 100))
 def test_a_thinned_curve_keeps_its_extremes_and_order(count: int, first: int) -> None:
     t_ns = np.arange(first, first + count, dtype=np.int64)
@@ -41,17 +34,6 @@ def test_a_thinned_curve_keeps_its_extremes_and_order(count: int, first: int) ->
     if len(inner):
         assert thin_values.max() >= inner.max()
         assert thin_values.min() <= inner.min()
-
-
-def test_a_curve_keeps_its_points_while_it_moves() -> None:
-    values = np.random.default_rng(1).normal(size=3_000)
-    t_ns = np.arange(3_000, dtype=np.int64)
-    drawn = [
-        set(zip(*thin(a, t_ns[a:b], values[a:b], 200, 10), strict=True))
-        for a, b in [(0, 2_900), (37, 2_937)]
-    ]
-    both = {(t, y) for t, y in drawn[0] if 64 < t < 2_850}
-    assert both <= drawn[1]
 
 
 def test_nan_values_leave_a_gap() -> None:

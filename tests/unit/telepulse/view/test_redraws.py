@@ -11,7 +11,7 @@ from tests.support.page_states import MS, SimulatedDisplay
 PERIODS = 40
 
 
-def redraws(missed: float | None, local: bool = True, state: str = "playing") -> int:
+def redraws(missed: float | None, local: bool, state: str) -> int:
     """Return how often the curves are drawn in 40 periods of a display that misses ticks."""
     display = SimulatedDisplay(LiveState())
     deadlines = {} if missed is None else {"last_5s": {"missed": missed, "gap_ms": 4.0}}
@@ -33,16 +33,18 @@ def redraws(missed: float | None, local: bool = True, state: str = "playing") ->
 
 
 @pytest.mark.parametrize(
-    ("missed", "periods"), [(None, 1), (0.0, 1), (0.0009, 1), (0.0011, 2), (0.0031, 4), (0.2, 5)]
+    ("missed", "local", "state", "periods"),
+    [
+        (None, True, "playing", 1),
+        (0.0009, True, "playing", 1),
+        (0.0011, True, "playing", 2),
+        (0.0031, True, "playing", 4),
+        (0.2, True, "playing", 5),
+        (0.2, False, "playing", 1),
+        (0.2, True, "fault", 1),
+    ],
 )
-def test_a_page_gives_way_to_a_loop_that_misses_ticks(missed: float | None, periods: int) -> None:
-    assert redraws(missed) == PERIODS // periods
-
-
-def test_a_page_on_another_computer_is_drawn_in_every_period() -> None:
-    assert redraws(0.2, local=False) == PERIODS
-
-
-@pytest.mark.parametrize("state", ["waiting", "stale", "fault"])
-def test_a_state_without_a_pulse_is_drawn_in_every_period(state: str) -> None:
-    assert redraws(0.2, state=state) == PERIODS
+def test_a_page_on_this_computer_gives_way_to_a_loop_that_misses_ticks(
+    missed: float | None, local: bool, state: str, periods: int
+) -> None:
+    assert redraws(missed, local, state) == PERIODS // periods

@@ -5,7 +5,7 @@ import pytest
 
 from protocol.summary.tables import Deadlines, Limited, Limits, Loop, SampleCounts
 from telepulse.view.live import LiveState
-from telepulse.view.text import ALWAYS_SEEN, FIGURES, GROUPS, age, alarms, figures, state
+from telepulse.view.text import FIGURES, age, alarms, figures, state
 from telepulse.view.window_data import window_scores
 from tests.support.page_states import SECOND_NS, SimulatedDisplay
 from tests.unit.display_node.telemetry.test_alerts import ALERTS
@@ -32,34 +32,11 @@ def test_an_unknown_figure_is_a_dash() -> None:
     assert state(live) == ("waiting", "no telemetry from a display yet")
 
 
-def test_a_display_that_waits_says_for_what(display: SimulatedDisplay) -> None:
-    reason = "nobody listens at tcp://wrist:5555, refused 12 times"
-    for word, note in (("waiting", reason), ("stale", f"no samples to play: {reason}")):
-        display.go(0.2, word, waiting_for=reason)
-        assert state(display.live)[1].startswith(note)
-    display.go(0.2, "playing", waiting_for=reason)
-    assert state(display.live) == ("playing", "the pulse is felt")
-
-
-def test_each_figure_is_seen_once() -> None:
-    ids = [*ALWAYS_SEEN, *(id for group in GROUPS for id in group.figures)]
-    assert sorted(ids) == sorted(FIGURES)
-
-
 def test_force_and_delay_are_shown_while_the_pulse_is_felt(display: SimulatedDisplay) -> None:
     for word, force, delay in (("playing", "900 of 900 mN", "40.0 ms"), ("stale", "–", "–")):
         display.go(0.2, word)
         shown = figures(display.live, window_scores(display.live, SECOND_NS))
         assert (shown["force"].value, shown["delay"].value) == (force, delay)
-
-
-def test_figures_have_their_units(display: SimulatedDisplay) -> None:
-    shown = figures(display.live, window_scores(display.live, 5 * SECOND_NS))
-    assert shown["heart"].value == "75 /min"
-    assert shown["within"] == ("100.0 %", "of the 100.0 % of the last 5 s that could be judged")
-    assert shown["loss"].value == "0.00 %"
-    # The sensing host has run for 5000 s longer than the display's.
-    assert shown["clock"].value == "offset 5000.000 s"
 
 
 def test_old_figures_have_their_age_and_no_heart_rate(display: SimulatedDisplay) -> None:
