@@ -24,7 +24,6 @@ from protocol.summary.tables import (
     Loop,
     PressFigures,
     Summary,
-    TickTime,
     with_contactors,
 )
 from protocol.ticks import AvailabilityCounter, InterruptionCounter, TickState
@@ -312,15 +311,11 @@ class Display:
         parts = counts.played, counts.predicted, counts.late, counts.lost
         return DisplayReport(session, self._name, *parts, *numbers)
 
-    def summary(
-        self, deadline_misses: int | None = None, tick_us: TickTime | None = None
-    ) -> Summary:
-        """Return the summary so far; the arguments are the figures of the caller's loop."""
-        return complete(self.summary_pieces(deadline_misses, tick_us))
+    def summary(self, deadline_misses: int | None = None) -> Summary:
+        """Return the summary so far; deadline_misses: of the caller's loop."""
+        return complete(self.summary_pieces(deadline_misses))
 
-    def summary_pieces(
-        self, deadline_misses: int | None = None, tick_us: TickTime | None = None
-    ) -> Generator[None, None, Summary]:
+    def summary_pieces(self, deadline_misses: int | None = None) -> Generator[None, None, Summary]:
         """Build the summary piece by piece.
 
         The first piece takes what must agree with the state of one tick: accounts, faults, and the
@@ -337,7 +332,7 @@ class Display:
             interruptions=self._interruptions.interruptions(),
             compensation=delays.compensation(may_trust=self._trust is not None),
             announce=self._announcement.figures() if self._announcement else AnnounceFigures(),
-            loop=Loop(ticks, deadline_misses, tick_us or TickTime()),
+            loop=Loop(ticks, deadline_misses),
             press=PressFigures() if self.press is None else self.press.figures(),
             rejected=dict(self.receiver.rejected),
             faults=list(self.safety.faults),

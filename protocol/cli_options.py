@@ -83,8 +83,7 @@ JsonOption = Annotated[
 
 
 DetailsOption = Annotated[
-    bool,
-    typer.Option("--details", help="Print every figure of the run below the verdict on it."),
+    bool, typer.Option("--details", help="Print every figure of the run below the verdict on it.")
 ]
 
 

@@ -22,10 +22,7 @@ class TubeLaw:
     dV/dP is exp(collapse · P) below zero, where the artery collapses, and exp(−distension · P)
     above, where its wall carries the load.
 
-    Parameters
-    ----------
-    collapse_per_pa, distension_per_pa
-        Constants a and b of Babbs (2012), in 1/Pa.
+    collapse_per_pa, distension_per_pa: constants a and b of Babbs (2012), in 1/Pa.
     """
 
     collapse_per_pa: float = COLLAPSE_PER_PA
@@ -43,19 +40,12 @@ class TubeLaw:
         return self.volume(systolic_pa - outside_pa) - self.volume(diastolic_pa - outside_pa)
 
     @classmethod
-    def highest_at_mean(
-        cls, mean_share: float, collapse_per_pa: float = COLLAPSE_PER_PA
-    ) -> "TubeLaw":
+    def highest_at_mean(cls, mean_share: float) -> "TubeLaw":
         """Return the law whose pulse is highest where the outside pressure is the mean arterial.
 
-        Parameters
-        ----------
-        mean_share
-            (mean − diastolic) / (systolic − diastolic), between 0 and 1.
-        collapse_per_pa
-            Constant a, in 1/Pa.
+        mean_share: (mean − diastolic) / (systolic − diastolic), between 0 and 1.
         """
-        return cls(collapse_per_pa, collapse_per_pa * mean_share / (1 - mean_share))
+        return cls(COLLAPSE_PER_PA, COLLAPSE_PER_PA * mean_share / (1 - mean_share))
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,12 +54,8 @@ class StiffeningLaw:
 
     The stiffness (F + knee) / length rises with the force (Fung's exponential law).
 
-    Parameters
-    ----------
-    knee_n
-        Force at which the stiffness is twice that of first touch, in N.
-    length_m
-        Depth over which the stiffness rises by the factor e, in m.
+    knee_n: force at which the stiffness is twice that of first touch. length_m: depth over which it
+    rises by the factor e.
     """
 
     knee_n: float = 0.3
@@ -86,7 +72,3 @@ class StiffeningLaw:
     def stiffness_n_per_m(self, force_n: float) -> float:
         """Return dF/dz at a force; below 0 N, that of first touch."""
         return (max(force_n, 0.0) + self.knee_n) / self.length_m
-
-    def scaled(self, stiffness: float) -> "StiffeningLaw":
-        """Return a tissue with this multiple of the stiffness at every force."""
-        return StiffeningLaw(self.knee_n, self.length_m / stiffness)

@@ -62,7 +62,6 @@ class DriveScene(KindTable):
     """
 
     # Its class, a `Drive`, as "module:class"; it is made of this table and an `Axis`.
-
     driver: ClassVar[str]
     interface: str | None = None
     channel: str | None = None
@@ -158,7 +157,7 @@ class Cia402Scene(DriveScene):
         return sum(map(can_frame_bits, CIA402_BYTES)) / self.bitrate_bit_per_s
 
 
-DRIVES = KindGroup[DriveScene](
+DRIVES = KindGroup(
     "telepulse.drives",
     "drive",
     DriveScene,

@@ -34,11 +34,6 @@ _HEAD = struct.Struct("<BII")
 _CRC_BYTES = 2
 
 
-def max_encoded_bytes(channels: int) -> int:
-    """Return the greatest size of a frame; COBS adds a byte, and another for each 254 bytes."""
-    return (_HEAD.size + 4 * MAX_SAMPLES * channels + _CRC_BYTES) * 255 // 254 + 1
-
-
 class FrameEncoder:
     """Encoder of a board's samples, numbered from 0. Raises SourceError without cobs."""
 
@@ -49,15 +44,10 @@ class FrameEncoder:
         self._counter = 0
 
     def frame(self, values: Values, last_us: int) -> bytes:
-        """Return a frame of samples.
+        """Return a frame of 1 to 64 samples, each a number, or as many as there are channels.
 
-        Parameters
-        ----------
-        values : sequence
-            1 to 64 samples, each a number, or as many as there are channels. Integer formats round
-            them and limit them to their range.
-        last_us : int
-            Device's time at the last one, in µs.
+        Integer formats round them and limit them to their range. last_us: device's time at the
+        last one.
         """
         dtype = self._dtype
         samples = np.asarray(values, dtype=np.float64)
@@ -76,23 +66,15 @@ class FrameDecoder:
 
     Noise costs the frame that it corrupts; if it hits the zero byte between two frames, both are
     lost. Bytes before the first zero byte may be the end of a partly received frame, so a decoding
-    error in them counts as "partial" only.
-
-    Parameters
-    ----------
-    period_ns : int
-        Nominal time between samples.
-    channels : int
-        Number of values in a sample; frames with another number are rejected.
-
-    Raises
-    ------
-    SourceError
-        Without the cobs package.
+    error in them counts as "partial" only. Frames with another number of values in a sample than
+    `channels` are rejected. Raises SourceError without cobs.
     """
 
     def __init__(self, period_ns: int, channels: int = 1) -> None:
-        self._channels, self._most_bytes = channels, max_encoded_bytes(channels)
+        self._channels = channels
+        # COBS adds a byte, and another for each 254 bytes.
+        most_bytes = _HEAD.size + 4 * MAX_SAMPLES * channels + _CRC_BYTES
+        self._most_bytes = most_bytes * 255 // 254 + 1
         self._cobs = library("cobs.cobs", 'framing = "binary"')
         self._period_ns = period_ns
         self.rejected: Counter[str] = Counter()

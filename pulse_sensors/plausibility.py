@@ -12,7 +12,7 @@ All forces are in N. Pure.
 
 import math
 import re
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final, NamedTuple, Self
 
@@ -192,36 +192,25 @@ def unusable_values(values: NDArray[Any]) -> str | None:
     return f"{count} beyond {LARGEST:g}, the first is sample {bad[0]}; cut or fill them"
 
 
-class StatedTimes(NamedTuple):
-    """Times of a file in s, the rate in Hz between their gaps, and the number of gaps.
-
-    name: of their column, or its number.
-    """
-
-    name: str
-    times_s: NDArray[np.float64]
-    rate_hz: float
-    gaps: int
-
-
-def stated_times(column: RecordedColumn) -> StatedTimes | None:
-    """Return the file's own times; None without them.
+def stated_rate_hz(column: RecordedColumn) -> float | None:
+    """Return the rate between the gaps of the file's own times, in Hz; None without times.
 
     Times in a column whose name has no unit are in the largest unit that gives a usual rate.
     """
-    for name, step, gaps, _ in _time_columns(column):
-        found = _UNIT.search(name)
-        units = SECONDS.values() if found is None else (_seconds(found[1]),)
+    for name, step, _, _ in _time_columns(column):
+        stated, units = _units(name)
         for seconds in units:
-            if step * seconds and (found or USUAL_HZ[0] <= 1 / (step * seconds) <= USUAL_HZ[1]):
-                times_s = column.rising[name] * seconds
-                return StatedTimes(name, times_s, 1 / (step * seconds), gaps)
+            if step * seconds and (stated or USUAL_HZ[0] <= 1 / (step * seconds) <= USUAL_HZ[1]):
+                return 1 / (step * seconds)
     return None
 
 
-def _seconds(unit: str) -> float:
-    """Return the length of a unit of time in s."""
-    return (SECONDS | {"min": 60.0}).get(unit.lower().replace("µ", "u"), 1.0)
+def _units(name: str) -> tuple[bool, Sequence[float]]:
+    """Return whether a column's name states the unit of its times; that unit, or all, in s."""
+    found = _UNIT.search(name)
+    if found is None:
+        return False, list(SECONDS.values())
+    return True, [(SECONDS | {"min": 60.0}).get(found[1].lower().replace("µ", "u"), 1.0)]
 
 
 def is_time_name(name: str) -> bool:
@@ -269,17 +258,8 @@ def examine(
 ) -> tuple[str | None, list[str]]:
     """Examine a recording's forces, not all equal, with its file and its scene's keys.
 
-    Parameters
-    ----------
-    forces : callable
-        Return the forces in N of some of the column's values.
-
-    Returns
-    -------
-    refusal : str or None
-        Reason why they cannot be a pulse, and advice.
-    warnings : list of str
-        Doubtful properties of forces that are not refused.
+    forces: returns the forces in N of some of the column's values. Returns the reason why they
+    cannot be a pulse, with advice; and what is doubtful in forces that are not refused.
     """
     refusal = _refuse_times(column) or _refuse_rate(column, rate_hz)
     if refusal is None:
@@ -314,9 +294,8 @@ def _refuse_rate(column: RecordedColumn, rate_hz: float) -> str | None:
     If the name of a column does not state the unit, the one that fits best is assumed.
     """
     for name, step, _, rounding in _time_columns(column):
-        found = _UNIT.search(name)
-        seconds = SECONDS.values() if found is None else (_seconds(found[1]),)
-        rates_hz = [1 / (step * s) for s in seconds if SHORTEST_S <= step * s <= LONGEST_S]
+        _, units = _units(name)
+        rates_hz = [1 / (step * s) for s in units if SHORTEST_S <= step * s <= LONGEST_S]
         if not rates_hz:
             continue
         own_hz = min(rates_hz, key=lambda own: abs(math.log(own / rate_hz)))

@@ -146,12 +146,7 @@ class SampleCounter:
     def missing(self, first: int, count: int, passed_ns: int | None) -> int:
         """Return the number of samples lost before `count` new ones, numbered from `first` on.
 
-        Parameters
-        ----------
-        first : int
-            Number of the first new sample, 0 to modulus - 1.
-        passed_ns : int, optional
-            Time from the last sample before to the last of these; None if unknown.
+        passed_ns: time from the last sample before to the last of these; None if unknown.
         """
         jump = (first - self._next) % self._modulus
         self._next = first + count
@@ -203,15 +198,8 @@ class Timeline:
     def timestamp(self, count: int, missing: int, last_ns: int) -> tuple[int, int, int] | None:
         """Return the times of `count` samples, the last of which was measured at `last_ns`.
 
-        Parameters
-        ----------
-        missing : int
-            Number of samples known to be lost before them; a jump of the time may show more.
-
-        Returns
-        -------
-        first_ns, end_ns, missing : int
-            As in `SampleBlock`; or None if the samples are earlier than the last ones.
+        missing: samples known to be lost before them; a jump of the time may show more. Returns
+        first_ns, end_ns and missing as in `SampleBlock`; None if they are earlier than the last.
         """
         if self._origin_ns is None:
             self._origin_ns = last_ns - (count - 1) * self._nominal_ns
@@ -254,12 +242,9 @@ def _bounded(value: float, share: float, of: float) -> float:
 class Timestamper:
     """Conversion of one sensor's blocks to its channels' units on the host's clock. Pure.
 
-    Attributes
-    ----------
-    samples, missing : int
-        Number of samples so far, and of samples lost before them.
-    restarts, behind : int
-        Number of restarts of the device's clock, and of blocks refused as earlier than the last.
+    samples, missing: numbers of samples so far, and of those lost before them. restarts: of the
+    device's clock, followed by `clock`. behind: blocks refused as earlier than the last. rate: the
+    check of the measured rate.
     """
 
     def __init__(self, table: SensorTable) -> None:
@@ -267,14 +252,9 @@ class Timestamper:
         announcing = [number for number, c in enumerate(table.wire_channels) if c.announces]
         self._announcing, self._millivolts = announcing, MILLIVOLTS[table.announce_unit]
         self._timeline = Timeline(table.period_ns)
-        self._clock = DeviceClock()
-        self._rate = RateCheck(table.rate_hz)
+        self.clock = DeviceClock()
+        self.rate = RateCheck(table.rate_hz)
         self.samples = self.missing = self.restarts = self.behind = 0
-
-    @property
-    def skew_ppm(self) -> float:
-        """Rate error of the device's clock against the host's, in ppm; 0 without device times."""
-        return self._clock.skew_ppm
 
     def timestamp(self, block: SampleBlock, arrival_ns: int) -> SampleBlock | None:
         """Return a decoder's block, scaled, with its times; None if it is earlier than the last."""
@@ -282,10 +262,10 @@ class Timestamper:
         if block.device_ns is not None:
             if block.restarted:
                 self.restarts += self.samples > 0
-                self._clock = DeviceClock()
-            self._clock.observe(block.device_ns, arrival_ns)
+                self.clock = DeviceClock()
+            self.clock.observe(block.device_ns, arrival_ns)
             # No sample arrives before it is taken, so the arrival bounds the device's time.
-            last_ns = min(self._clock.host_ns(block.device_ns), arrival_ns)
+            last_ns = min(self.clock.host_ns(block.device_ns), arrival_ns)
         count = len(block.values)
         times_ns = self._timeline.timestamp(count, block.missing, last_ns)
         if times_ns is None:
@@ -294,15 +274,11 @@ class Timestamper:
         first_ns, end_ns, missing = times_ns
         self.samples += count
         self.missing += missing
-        self._rate.add(self.samples, arrival_ns, self._timeline.rate_hz, whole=not missing)
+        self.rate.add(self.samples, arrival_ns, self._timeline.rate_hz, whole=not missing)
         values = self._table.newtons(block.values)
         if self._announcing:
             values[:, self._announcing] = self._millivolts * block.values[:, self._announcing]
         return block._replace(values=values, missing=missing, first_ns=first_ns, end_ns=end_ns)
-
-    def lasting_rate_fault(self, name: str) -> str | None:
-        """Return the fault of a rate that has differed from the scene's for 2 s, or None."""
-        return self._rate.lasting_fault(name)
 
     def faults(self, name: str) -> list[str]:
         """Return the faults of a sensor, one line each, which names the sensor."""
@@ -313,5 +289,5 @@ class Timestamper:
             faults.append(f"{count_text(self.missing, 'sample')} missing from {name}")
         if self.restarts:
             faults.append(f"{name} restarted its clock {count_text(self.restarts, 'time')}")
-        rate_fault = self._rate.fault(name)
+        rate_fault = self.rate.fault(name)
         return faults if rate_fault is None else [*faults, rate_fault]

@@ -82,7 +82,7 @@ class SensorScene(SensorTable, KindTable):
         """
 
 
-SENSORS = KindGroup[SensorScene](
+SENSORS = KindGroup(
     "telepulse.sensors",
     "sensor",
     SensorScene,
@@ -123,7 +123,7 @@ class Sensor:
         self.period_ns, self.channels = settings.period_ns, settings.wire_channels
         self._port = port
         self._decoder = decoder
-        self._timestamper = Timestamper(settings)
+        self.timestamper = Timestamper(settings)
         self._clock = clock
         # (time in ns, data | exception: device gone | None: device back)
         self._received: deque[tuple[int, Any]] = deque()
@@ -145,10 +145,10 @@ class Sensor:
                 self._note_connection(at_ns, gone=data)
                 continue
             for block in self._decoder.feed(data):
-                if (timestamped := self._timestamper.timestamp(block, at_ns)) is not None:
+                if (timestamped := self.timestamper.timestamp(block, at_ns)) is not None:
                     blocks.append(timestamped)
         if blocks and not self._rate_reported:
-            fault = self._timestamper.lasting_rate_fault(self._port.name)
+            fault = self.timestamper.rate.lasting_fault(self._port.name)
             if fault is not None:
                 self._rate_reported = True
                 logger.warning(fault)
@@ -158,18 +158,13 @@ class Sensor:
     def rejected(self) -> Counter[str]:
         """Count of data that could not be used, by cause."""
         rejected = Counter(self._decoder.rejected)
-        rejected["behind"] += self._timestamper.behind
+        rejected["behind"] += self.timestamper.behind
         rejected["backlog"] += self._dropped
         return +rejected
 
-    @property
-    def skew_ppm(self) -> float:
-        """Rate error of the device's clock against the host's, in ppm; 0 without device times."""
-        return self._timestamper.skew_ppm
-
     def faults(self) -> list[str]:
         """Return the faults so far, one line each."""
-        faults = self._timestamper.faults(self._port.name)
+        faults = self.timestamper.faults(self._port.name)
         if self._losses:
             gone_ns = self._gone_for_ns
             if self._gone_since_ns is not None:
@@ -223,21 +218,9 @@ class Sensor:
                 return
 
 
-def open_sensor(
-    scene: SensorScene, folder: Path, clock: Callable[[], int] = time.perf_counter_ns
-) -> Sensor:
+def open_sensor(scene: SensorScene, folder: Path) -> Sensor:
     """Open the sensor of a scene, for the caller to close.
 
-    Parameters
-    ----------
-    folder : Path
-        Folder of the scene file.
-    clock : callable
-        Host's clock in ns.
-
-    Raises
-    ------
-    SourceError
-        When the device is not there, or a library is missing.
+    folder: of the scene's file. Raises SourceError where the device or a library is missing.
     """
-    return Sensor(*scene.device(folder), scene, clock)
+    return Sensor(*scene.device(folder), scene)

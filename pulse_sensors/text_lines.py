@@ -76,16 +76,9 @@ class LineTimes:
 class TextDecoder:
     """Decoder of a device's lines, from chunks of any size. Pure.
 
-    Everything up to the first line end is discarded, since it may be a part of a line.
-
-    Parameters
-    ----------
-    period_ns : int
-        Nominal time between samples in ns.
-    columns : sequence of int
-        Indices of the values among the numbers after the time, from 0; one for each channel.
-    time_unit : {"us", "ms", "s"}, optional
-        Unit of a line's first number; None where lines have no time.
+    Everything up to the first line end is discarded, since it may be a part of a line. columns:
+    indices of the values among the numbers after the time, from 0; one for each channel. time_unit:
+    of a line's first number; None where lines have no time.
     """
 
     def __init__(self, period_ns: int, columns: Sequence[int], time_unit: TimeUnit | None) -> None:

@@ -13,7 +13,7 @@ from protocol.summary.tables import Limits
 from protocol.wire.messages import Frame
 from protocol.wire.stream import StreamDescription
 from pulse_sensors.samples import SampleBlock
-from sensing_node.press.load_cell import SampleSensor
+from sensing_node.press.live_probe import LiveProbe, SampleSensor
 from sensing_node.press.set_points import PressedProbe
 from sensing_node.sources.source import SampleSource
 
@@ -55,7 +55,9 @@ class LiveSource:
     exhausted = False
     group_delay_ns = 0
 
-    def __init__(self, sensor: SampleSensor, pressed: PressedProbe | None = None) -> None:
+    def __init__(
+        self, sensor: SampleSensor | LiveProbe, pressed: PressedProbe | None = None
+    ) -> None:
         self.pressed = pressed
         self.channels, self.period_ns = sensor.channels, sensor.period_ns
         self._sensor = sensor

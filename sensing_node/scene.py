@@ -20,8 +20,7 @@ from pulse_drives.scene import DriveScene
 from pulse_sensors.sensor import SENSORS, SensorScene, open_sensor
 from sensing_node.conditioning import Conditioned, ConditioningScene
 from sensing_node.feeds import LiveSource, Source
-from sensing_node.press.live_probe import LiveProbe
-from sensing_node.press.load_cell import JoinedSensors, SampleSensor
+from sensing_node.press.live_probe import JoinedSensors, LiveProbe, SampleSensor
 from sensing_node.press.scene import ProbeScene
 from sensing_node.press.set_points import SetPointServer
 from sensing_node.sources.choice import duration_text, record_table
@@ -189,7 +188,7 @@ def _start_probe(
             cell = open_sensor(press.sensor, folder)
             unless_joined.callback(cell.close)
             sensor = JoinedSensors(film, cell)
-        probe = LiveProbe(press.limits(), drive, sensor)
+        probe = LiveProbe(press, drive, sensor)
         unless_joined.pop_all()
     with closing(probe):
         probe.start()
@@ -202,8 +201,7 @@ def build_source(scene: SensingScene, folder: Path, plausible: bool = True) -> S
     folder: folder of the scene's file. plausible: refuse a recording that cannot be a pulse. Raises
     SourceError or SceneError, the latter also for a live sensor, which `open_source` opens.
     """
-    press = None if scene.press is None else scene.press.limits()
-    source = scene.modelled.build(SourceContext(folder, plausible, press))
+    source = scene.modelled.build(SourceContext(folder, plausible, scene.press))
     return source if scene.conditioning is None else Conditioned(source, scene.conditioning)
 
 

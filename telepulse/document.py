@@ -261,10 +261,6 @@ def _cell(value: Any) -> str:
     return ", ".join(map(str, value)) if isinstance(value, list) else str(value)
 
 
-# Markers and dashes, by which lines that overlap can be distinguished.
-STYLES = ("o-", "s--", "^-", "v--", "P-", "x:", "D-", "*-")
-
-
 def text_colour() -> str:
     """Return the text colour of the theme that is being drawn."""
     from matplotlib import rcParams

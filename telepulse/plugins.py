@@ -8,7 +8,7 @@ distribution names it in an entry point of the group. `telepulse.testing` checks
 from display_node.plant.scene import ACTUATORS, ActuatorScene, ForceModel, StepperScene
 from display_node.prediction import Predictor
 from display_node.prediction.scene import PREDICTORS, BasePredictor, PredictorScene
-from protocol.config.kinds import KindGroup, KindTable
+from protocol.config.kinds import KindGroup
 from protocol.config.scene import Section
 from protocol.errors import DriveError, SceneError, SourceError
 from protocol.wire.stream import Channel
@@ -44,4 +44,4 @@ __all__ = [
     "StepperScene",
     "decoded_block",
 ]
-GROUPS: tuple[KindGroup[KindTable], ...] = (SOURCES, SENSORS, DRIVES, ACTUATORS, PREDICTORS)
+GROUPS: tuple[KindGroup, ...] = (SOURCES, SENSORS, DRIVES, ACTUATORS, PREDICTORS)

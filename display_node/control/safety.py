@@ -2,7 +2,7 @@
 
 A gain falls to 0 when the stream is stale or the loop stalls, and returns by a ramp. After a fault
 of any contactor, a latch holds all targets at 0 N; the drives then withdraw their tips
-(`drives/withdrawal.py`). Each contactor's target has a force limit and a slew limit.
+(`pulse_drives/withdrawal.py`). Each contactor's target has a force limit and a slew limit.
 """
 
 from typing import Final

@@ -143,7 +143,7 @@ class StepperScene(MotorScene, ActuatorScene):
         return self.contact(layer).position(min(self.thrust_n, force_limit_n))
 
 
-ACTUATORS = KindGroup[ActuatorScene](
+ACTUATORS = KindGroup(
     "telepulse.actuators",
     "actuator",
     ActuatorScene,

@@ -78,7 +78,7 @@ class BasePredictor:
         """Take R waves, and do not use them."""
 
 
-PREDICTORS = KindGroup[PredictorScene](
+PREDICTORS = KindGroup(
     "telepulse.predictors",
     "predictor",
     PredictorScene,

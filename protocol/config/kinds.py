@@ -11,7 +11,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points, version
-from typing import Any, Generic, Self, TypeVar, get_args
+from typing import Any, Self, get_args
 
 from pydantic import GetCoreSchemaHandler, ValidationError
 from pydantic_core import CoreSchema, PydanticCustomError, core_schema
@@ -55,9 +55,6 @@ class KindTable(Section):
         return table
 
 
-TableT_co = TypeVar("TableT_co", bound=KindTable, covariant=True)
-
-
 @dataclass(frozen=True, slots=True)
 class ListedKind:
     """One kind of a group; `problem` is the reason why it cannot be used, None without any."""
@@ -70,7 +67,7 @@ class ListedKind:
 
 
 @dataclass(frozen=True, eq=False)
-class KindGroup(Generic[TableT_co]):
+class KindGroup:
     """The kinds that one table of a scene can have.
 
     name: the group of entry points, such as "telepulse.sources". noun: what a kind is. base: class
@@ -81,18 +78,6 @@ class KindGroup(Generic[TableT_co]):
     noun: str
     base: type[KindTable]
     own: Mapping[str, str]
-
-    def find(self, kind: str) -> type[TableT_co] | None:
-        """Return the section model of a kind; None where there is none.
-
-        Raises SceneError, which names the distribution, for a plug-in that cannot be used.
-        """
-        found: type[TableT_co] | None = find_kind(kind, [self])
-        return found
-
-    def sections(self) -> dict[str, type[TableT_co]]:
-        """Return the section models of telepulse's own kinds."""
-        return {kind: _load(self, self.own_entry(kind)) for kind in self.own}
 
     def names(self) -> list[str]:
         """Return the names of all kinds, telepulse's own first."""
@@ -109,25 +94,21 @@ class KindGroup(Generic[TableT_co]):
                 problem = "telepulse has a kind of this name, which is used"
             else:
                 try:
-                    self.find(entry.name)
+                    find_kind(entry.name, [self])
                 except SceneError as error:
                     problem = str(error)
             name, _, number = _distribution(entry).partition(" ")
             yield ListedKind(self.name, entry.name, name, number, problem)
 
-    def own_entry(self, kind: str) -> EntryPoint:
-        """Return the entry point of one of telepulse's own kinds."""
-        return EntryPoint(kind, self.own[kind], self.name)
 
-
-def find_kind(kind: str, groups: Sequence[KindGroup[KindTable]]) -> type[Any] | None:
+def find_kind(kind: str, groups: Sequence[KindGroup]) -> type[Any] | None:
     """Return the section model of a kind of one of the groups; None where there is none.
 
     Raises SceneError for a plug-in that cannot be used, and for several of one name.
     """
     for group in groups:
         if kind in group.own:
-            return _load(group, group.own_entry(kind))
+            return _load_own(group, kind)
     found = [
         (group, each) for group in groups for each in entry_points(group=group.name, name=kind)
     ]
@@ -140,8 +121,12 @@ def find_kind(kind: str, groups: Sequence[KindGroup[KindTable]]) -> type[Any] | 
     return _load(*found[0]) if found else None
 
 
+def _load_own(group: KindGroup, kind: str) -> type[Any]:
+    return _load(group, EntryPoint(kind, group.own[kind], group.name))
+
+
 @cache
-def _load(group: KindGroup[Any], entry: EntryPoint) -> type[Any]:
+def _load(group: KindGroup, entry: EntryPoint) -> type[Any]:
     """Return the section model of an entry point. Raises SceneError."""
     try:
         found = entry.load()
@@ -155,7 +140,7 @@ def _load(group: KindGroup[Any], entry: EntryPoint) -> type[Any]:
     return section
 
 
-def _refuse_misfit(group: KindGroup[Any], entry: EntryPoint, found: Any) -> None:
+def _refuse_misfit(group: KindGroup, entry: EntryPoint, found: Any) -> None:
     """Raise SceneError where an object cannot be a kind of the group."""
     if not (isinstance(found, type) and issubclass(found, group.base)):
         raise SceneError(f"{entry.value} is no subclass of {group.base.__name__}")
@@ -181,15 +166,12 @@ class OfKind:
     also: kinds that only this field can have. Errors of the kind's own model keep their keys.
     """
 
-    def __init__(
-        self, *groups: KindGroup[KindTable], also: Mapping[str, type[Section]] | None = None
-    ) -> None:
-        self._groups = groups
-        self._also = also or {}
+    def __init__(self, *groups: KindGroup, also: Mapping[str, type[Section]] = {}) -> None:
+        self._groups, self._also = groups, also
 
     def sections(self) -> list[type[Section]]:
         """Return the section models of telepulse's own kinds, for the reference."""
-        own = [section for group in self._groups for section in group.sections().values()]
+        own = [_load_own(group, kind) for group in self._groups for kind in group.own]
         return [*own, *self._also.values()]
 
     def __get_pydantic_core_schema__(

@@ -5,7 +5,6 @@ value replaces the inherited one. A table of another `kind` replaces the whole i
 because its keys differ.
 """
 
-import datetime
 import json
 import re
 import tomllib
@@ -111,11 +110,6 @@ def load_toml(path: Path, what: str) -> Tables:
     return document
 
 
-def to_toml(tables: Tables) -> str:
-    """Return tables as TOML text, each under its own [header]."""
-    return "\n\n".join(_blocks(tables)) + "\n"
-
-
 def place(keys: Iterable[int | str]) -> str:
     """Return the keys of a value as one dotted key; long keys are cut."""
     return ".".join(_key(str(key)[:_KEY_SHOWN]) for key in keys)
@@ -151,34 +145,6 @@ def _too_large(value: Any, *keys: int | str) -> Iterator[list[int | str]]:
         yield list(keys)
 
 
-def _blocks(tables: Tables, *names: str) -> Iterator[str]:
-    """Yield a table's own keys with its header, then the tables in it."""
-    own = [f"{_key(k)} = {_value(v)}" for k, v in tables.items() if not isinstance(v, dict)]
-    if own or not tables:
-        yield "\n".join([f"[{place(names)}]", *own] if names else own)
-    for key, value in tables.items():
-        if isinstance(value, dict):
-            yield from _blocks(value, *names, key)
-
-
 def _key(key: str) -> str:
-    return key if _BARE_KEY.fullmatch(key) else _string(key)
-
-
-def _value(value: Any) -> str:
-    if isinstance(value, dict):
-        return f"{{{', '.join(f'{_key(key)} = {_value(inner)}' for key, inner in value.items())}}}"
-    if isinstance(value, list):
-        return f"[{', '.join(map(_value, value))}]"
-    if isinstance(value, bool):
-        return str(value).lower()
-    if isinstance(value, str):
-        return _string(value)
-    if isinstance(value, datetime.date | datetime.time):
-        return value.isoformat()
-    return repr(value)
-
-
-def _string(text: str) -> str:
-    # JSON's escapes are valid in TOML, which requires one further character to be escaped.
-    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
+    # JSON's escapes are valid in TOML.
+    return key if _BARE_KEY.fullmatch(key) else json.dumps(key, ensure_ascii=False)

@@ -6,6 +6,7 @@ import socket
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import asdict
 
 from protocol.discovery.announcement import SERVICE, Announcement, announced_addresses, to_txt
 from protocol.errors import DiscoveryError
@@ -33,32 +34,27 @@ def start_announcer(
     if not address.startswith("tcp://"):
         raise DiscoveryError(f"--announce: {address} is on this machine alone; bind tcp://*:5555")
     bound_to, _, port = address.removeprefix("tcp://").rpartition(":")
-    node = {
-        "bound_to": "127.0.0.1" if bound_to == "localhost" else bound_to,
-        "port": int(port),
-        "stream": stream,
-        "host": socket.gethostname().partition(".")[0],
-        "key": None if keys is None else keys.own.public.key.hex(),
-    }
-    module = "protocol.discovery.announcer"
-    with Sidecar("announcer", module, json.dumps(node)) as sidecar:
+    bound_to = "127.0.0.1" if bound_to == "localhost" else bound_to
+    host = socket.gethostname().partition(".")[0]
+    key = None if keys is None else keys.own.public.key
+    node = json.dumps(asdict(Announcement.of_node(stream, host, int(port), key)))
+    with Sidecar("announcer", "protocol.discovery.announcer", bound_to, node) as sidecar:
         yield lambda: sidecar.send(begin=True)
 
 
 def main() -> None:
     """Announce the node after its first message, and withdraw the announcement when it ends."""
-    node = json.loads(sys.argv[1])
+    bound_to, node = sys.argv[1:]
+    announcement = Announcement(**json.loads(node))
     with run_as_sidecar() as ready:
         from protocol.discovery import browser
 
-        addresses = announced_addresses(node["bound_to"], browser.own_addresses())
+        addresses = announced_addresses(bound_to, browser.own_addresses())
         network = browser.open_multicast(addresses)
         ready(", ".join(addresses))
     if receive() is None:
         network.close()
         return
-    key = None if node["key"] is None else bytes.fromhex(node["key"])
-    announcement = Announcement.of_node(node["stream"], node["host"], node["port"], key)
     info = browser.ServiceInfo(
         SERVICE,
         f"{announcement.name}.{SERVICE}",

@@ -22,6 +22,7 @@ from typing import Any, Self
 
 from protocol.errors import ProcessError, SidecarError, TelepulseError
 from protocol.host.output import OUR_LOGGERS
+from protocol.host.process import lower_priority
 
 logger = logging.getLogger(__name__)
 
@@ -29,8 +30,6 @@ logger = logging.getLogger(__name__)
 SIDECARS = "telepulse.sidecars"
 STARTS_WITHIN_S = 30.0
 ENDS_WITHIN_S = 5.0
-# Sidecars run at this lower priority, so that the loop comes first.
-NICENESS = 10
 
 
 def python_command(*arguments: str) -> list[str]:
@@ -99,12 +98,6 @@ class ChildProcess(subprocess.Popen[str]):
             silent = f"printed nothing for {within_s:g} s"
             raise self._failure(silent if expired.is_set() else "ended")
         return line.rstrip("\n")
-
-    def write_line(self, line: str) -> None:
-        """Write a line to the process's standard input. Raises OSError when it has ended."""
-        assert self.stdin is not None
-        self.stdin.write(line + "\n")
-        self.stdin.flush()
 
     def close_input(self) -> None:
         """Close the process's standard input, where it has not ended already."""
@@ -193,7 +186,7 @@ class Sidecar:
     def send(self, **message: Any) -> None:
         """Send a message. Does nothing where the process has ended; its end was logged."""
         with suppress(OSError):
-            self._process.write_line(json.dumps(message))
+            print(json.dumps(message), file=self._process.stdin, flush=True)
 
     def __enter__(self) -> Self:
         return self
@@ -237,14 +230,13 @@ def sidecar_module(name: str) -> str:
 
 
 @contextmanager
-def run_as_sidecar(niceness: int = NICENESS) -> Iterator[Callable[[str], None]]:
+def run_as_sidecar() -> Iterator[Callable[[str], None]]:
     """Yield a callback that reports readiness to the node.
 
     A TelepulseError is reported as well and ends the process with status 1. The process lowers its
-    own priority by `niceness`, so that the node's loop comes first.
+    own priority, so that the node's loop comes first.
     """
-    if hasattr(os, "nice"):
-        os.nice(niceness)
+    lower_priority()
     logging.getLogger().addHandler(_NodeHandler())
     for ours in OUR_LOGGERS:
         # All records are sent; the node drops those below its own level.

@@ -1,10 +1,9 @@
 """A CANopen drive of profile CiA 402, in cyclic synchronous or profile velocity mode.
 
 A command is one RPDO (process data to the drive), and the SYNC at which it takes effect; neither
-waits for the drive. Our
-heartbeat is sent only with commands. So the drive stops when commands stop, whether this process
-has ended or hangs. After a fault a thread withdraws the tip (decisions 19, 29). Decision 32
-explains why canopen's `BaseNode402` does not suffice.
+waits for the drive. Our heartbeat is sent only with commands. So the drive stops when commands
+stop, whether this process has ended or hangs. After a fault a thread withdraws the tip (decisions
+19, 29). Decision 32 explains why canopen's `BaseNode402` does not suffice.
 """
 
 import time

@@ -58,12 +58,8 @@ def repaired(
 ) -> tuple[Floats, list[str]] | None:
     """Return times that never fall, and a line on each kind of change; None if too many are wrong.
 
-    Parameters
-    ----------
-    times : ndarray, shape (samples,)
-        Times in any unit; NaN where a time cannot be read.
-    place : callable
-        Return the place in the file of a sample, by its number: "row 12".
+    times: in any unit; NaN where one cannot be read. place: returns the place in the file of a
+    sample, by its number: "row 12".
     """
     unread = np.flatnonzero(~np.isfinite(times))
     notes: list[str] = []

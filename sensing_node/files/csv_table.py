@@ -18,12 +18,12 @@ from typing import NamedTuple
 import numpy as np
 
 from protocol.errors import SourceError
-from pulse_sensors.plausibility import RecordedColumn, stated_times
+from pulse_sensors.plausibility import stated_rate_hz
 from sensing_node.files.bounds import check_regular, check_samples
 from sensing_node.files.clock import time_of
-from sensing_node.files.columns import column_file, numbers_of
-from sensing_node.files.signals import ColumnKey, Floats, SignalFile, rate_fault, text_encoding
-from sensing_node.files.text_head import read_head
+from sensing_node.files.columns import column_file
+from sensing_node.files.signals import Floats, SignalFile, rate_fault, text_encoding
+from sensing_node.files.text_head import read_titles, stated_rate
 from sensing_node.files.text_layout import (
     NUMBER,
     QUOTED,
@@ -111,10 +111,11 @@ class TextTable:
         """Return the values of a column."""
         return np.frombuffer(self._values[at], np.float64)
 
-    def check(self, at: int) -> None:
-        """Refuse a column of numbers with a cell that is none. Raises SourceError."""
-        if at in self._wrong and self._form.kinds[at] == NUMBER:
+    def checked_column(self, at: int) -> Floats:
+        """Return the values of a signal. Raises SourceError for a cell that is no number."""
+        if at in self._wrong:
             raise SourceError(f"{self._path}: {self._wrong[at].fault}")
+        return self.column(at)
 
     def holds_numbers(self, at: int, title: str) -> bool:
         """Return whether a column is a signal.
@@ -137,16 +138,24 @@ def read(path: Path) -> SignalFile:
     lines = _lines(path)
     first = list(islice(lines, FIRST_LINES))
     form = recognise(first, path)
-    head = read_head(_above(first, form), form.layout.split, len(form.kinds))
-    start, rate_hz = form.start, head.rate_hz
-    if not any(head.titles):
+    above, start = _above(first, form), form.start
+    titles, rate_hz = read_titles(above, form.layout.split, len(form.kinds)), stated_rate(above)
+    if not any(titles):
         tops = [form.layout.numbers(form.layout.split(line)) for line in first[start : start + 3]]
         if (stated_hz := _rate_of_wristband(tops)) is not None:
             start, rate_hz = start + 2, stated_hz
     table = TextTable(form, path)
     for rows in _rows(form, chain(first[start:], lines), start):
         table.add(rows)
-    return _file(path, head.titles, form.kinds, table, rate_hz)
+    notes = table.leave_out_broken_end()
+    numbers = [at for at, title in enumerate(titles) if table.holds_numbers(at, title)]
+    times = [at for at, kind in enumerate(form.kinds) if kind == TIME]
+    lengths = dict.fromkeys(numbers, len(table))
+    file = column_file(path, titles, lengths, table.column, times, place=table.place, notes=notes)
+    # Times in the table state the rate better than a line above it.
+    if not any(stated_rate_hz(file.load([at])[0]) for at in numbers):
+        file = replace(file, signals=tuple(s._replace(rate_hz=rate_hz) for s in file.signals))
+    return replace(file, values=table.checked_column)
 
 
 def _lines(path: Path) -> Iterator[str]:
@@ -186,24 +195,3 @@ def _rows(form: Form, lines: Iterable[str], start: int) -> Iterator[list[_Row]]:
         # A row in each line.
         numbered = enumerate(read, start + reader.line_num - len(read) + 1)
         yield [(number, cells) for number, cells in numbered if any(cells)]
-
-
-def _file(
-    path: Path, titles: Sequence[str], kinds: Sequence[str], table: TextTable, rate_hz: float | None
-) -> SignalFile:
-    """Return the file of a table. rate_hz: as stated above it."""
-    notes = table.leave_out_broken_end()
-    numbers = [at for at, title in enumerate(titles) if table.holds_numbers(at, title)]
-    times = [at for at, kind in enumerate(kinds) if kind == TIME]
-    lengths = dict.fromkeys(numbers, len(table))
-    file = column_file(path, titles, lengths, table.column, times, place=table.place, notes=notes)
-
-    def load(keys: Sequence[ColumnKey]) -> list[RecordedColumn]:
-        for at in numbers_of(keys, titles, path):
-            table.check(at)
-        return file.load(keys)
-
-    # Times in the table state the rate better than a line above it.
-    clocked = any(stated_times(file.load([at])[0]) for at in numbers)
-    signals = [each._replace(rate_hz=None if clocked else rate_hz) for each in file.signals]
-    return replace(file, load=load, signals=tuple(signals))

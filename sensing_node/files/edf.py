@@ -15,17 +15,13 @@ import numpy as np
 from protocol.errors import SourceError
 from sensing_node.files.bounds import check_bytes, check_samples, read_whole
 from sensing_node.files.grids import on_grid
-from sensing_node.files.signals import ColumnKey, Floats, SignalFile, SignalInfo, signal_file
+from sensing_node.files.signals import ColumnKey, Floats, SignalFile, SignalInfo
 
 VERSIONS, WRITER = (b"0", b"\xffBIOSEMI"), "telepulse"
 # Bytes of the header, and again of each signal; fields of it.
 HEADER_BYTES = 256
-LENGTH, RESERVED, RECORDS, COUNT = (
-    slice(184, 192),
-    slice(192, 236),
-    slice(236, 244),
-    slice(252, 256),
-)
+LENGTH, RESERVED = slice(184, 192), slice(192, 236)
+RECORDS, COUNT = slice(236, 244), slice(252, 256)
 # Place of the samples in a record among the fields of the signals, and widths.
 PER_RECORD, LABEL, NUMBER = 216, 16, 8
 MOST_SIGNALS = 1000
@@ -61,11 +57,11 @@ def read(path: Path) -> SignalFile:
     onsets_s = _onsets_s(path, head, records, edf.data_record_duration) if discontinuous else None
     ours = WRITER in edf.local_recording_identification.split()
 
-    def values(info: SignalInfo) -> Floats:
-        signal = plain[info.number]
-        scaled: Floats = signal.data[: info.samples]
+    def values(number: int) -> Floats:
+        signal, samples = plain[number], infos[number].samples
+        scaled: Floats = signal.data[:samples]
         if ours:
-            codes = signal.digital[: info.samples]
+            codes = signal.digital[:samples]
             scaled = np.where(codes == signal.digital_min, np.nan, scaled)
         if onsets_s is None:
             return scaled
@@ -84,7 +80,7 @@ def read(path: Path) -> SignalFile:
         for number, each in enumerate(plain)
     ]
     states = f"the header states {stated} records, and the file holds {held}"
-    return signal_file(path, infos, values, [states] if stated > held else [], left_out)
+    return SignalFile(path, tuple(infos), values, (states,) if stated > held else (), left_out)
 
 
 def _has_range(signal: Any) -> bool:

@@ -1,27 +1,18 @@
 """The formats of files of signals, and the checks that hold for all of them."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
+from functools import partial
 from importlib import import_module
 from pathlib import Path
 from typing import NamedTuple
 
 from protocol.errors import SourceError
-from protocol.wire.marks import printable
-from pulse_sensors.plausibility import RecordedColumn
 from sensing_node.files.bounds import check_regular
-from sensing_node.files.signals import (
-    ColumnKey,
-    SignalFile,
-    SignalReader,
-    find_signal,
-    finite,
-    rate_fault,
-)
+from sensing_node.files.signals import ColumnKey, SignalFile, clean, rate_fault
 
 MOST_NOTES = 10
-MOST_CHARACTERS = 1000
 
 
 class FileFormat(NamedTuple):
@@ -79,12 +70,11 @@ def open_signals(path: Path) -> SignalFile:
     with _one_line(path, chosen):
         if path.is_file() and not path.stat().st_size:
             raise SourceError(f"{path}: is empty")
-        read: SignalReader = import_module(f"{__package__}.{chosen.module}").read
-        file = read(path)
-    left_out: dict[ColumnKey, str] = {_clean(str(n)): r for n, r in file.left_out.items()}
+        file: SignalFile = import_module(f"{__package__}.{chosen.module}").read(path)
+    left_out: dict[ColumnKey, str] = {clean(str(n)): r for n, r in file.left_out.items()}
     signals, numbers = [], dict[ColumnKey, str]()
     for signal in file.signals:
-        named = signal._replace(name=_clean(signal.name), unit=_clean(signal.unit))
+        named = signal._replace(name=clean(signal.name), unit=clean(signal.unit))
         if (fault := rate_fault(signal.rate_hz)) is None:
             signals.append(named)
         else:
@@ -96,33 +86,12 @@ def open_signals(path: Path) -> SignalFile:
     if len(notes) > MOST_NOTES:
         notes[MOST_NOTES:] = [f"left out: {len(notes) - MOST_NOTES} further signals"]
 
-    def load(keys: Sequence[ColumnKey]) -> list[RecordedColumn]:
-        for key in keys:
-            if key in left_out or key in numbers:
-                find_signal(path, key, (), left_out | numbers)
-        with _one_line(path, chosen):
-            return [_clean_column(column) for column in file.load(keys)]
-
     return replace(
         file,
         signals=tuple(signals),
-        load=load,
-        notes=(*map(_clean, file.notes), *notes),
+        notes=(*map(clean, file.notes), *notes),
         left_out=left_out | numbers,
-    )
-
-
-def _clean(text: str) -> str:
-    return printable(text, MOST_CHARACTERS)
-
-
-def _clean_column(column: RecordedColumn) -> RecordedColumn:
-    return replace(
-        column,
-        values=finite(column.values),
-        name=_clean(column.name),
-        others=tuple(map(_clean, column.others)),
-        rising={_clean(name): times for name, times in column.rising.items()},
+        guard=partial(_one_line, path, chosen),
     )
 
 
@@ -131,7 +100,7 @@ def _one_line(path: Path, chosen: FileFormat) -> Iterator[None]:
     try:
         yield
     except SourceError as error:
-        raise SourceError(_clean(str(error))) from None
+        raise SourceError(clean(str(error))) from None
     except ImportError as error:
         package = f"'telepulse[{chosen.extra}]'" if chosen.extra else error.name
         raise SourceError(

@@ -19,19 +19,9 @@ FREE_GAP = 200_000
 
 
 def on_grid(t_s: Floats, values: Floats, rate_hz: float, path: Path) -> Floats:
-    """Return values at a constant rate, NaN where no time is near.
+    """Return values, each with an ascending time, at a constant rate; NaN where no time is near.
 
-    Parameters
-    ----------
-    t_s : ndarray, shape (samples,)
-        Ascending times in s.
-    values : ndarray, shape (samples,)
-        Value at each time.
-
-    Raises
-    ------
-    SourceError
-        If times fall, or gaps are longer than `MOST_GAPS` times the signal.
+    Raises SourceError if times fall, or gaps are longer than `MOST_GAPS` times the signal.
     """
     falls = np.flatnonzero(~(np.diff(t_s) >= 0))
     if len(falls) or not np.all(np.isfinite(t_s)):
@@ -56,19 +46,8 @@ def evenly(
     """Return the rate in Hz of time-stamped values, and the values at that rate.
 
     Values whose times are even within half a sample are returned as they are; others are
-    interpolated linearly, with NaN in gaps longer than `GAP_STEPS` usual steps.
-
-    Parameters
-    ----------
-    t_s : ndarray, shape (samples,)
-        Ascending times in s.
-    rate_hz : float, optional
-        The rate, where it is known.
-
-    Raises
-    ------
-    SourceError
-        If times fall, do not differ, or extend too far.
+    interpolated linearly, with NaN in gaps longer than `GAP_STEPS` usual steps. rate_hz: where it
+    is known. Raises SourceError if times fall, do not differ, or extend too far.
     """
     if len(t_s) == 1 and rate_hz:
         return rate_hz, values

@@ -21,14 +21,7 @@ from protocol.wire.messages import Welcome, decode_control, decode_frame
 from protocol.wire.stream import Channel
 from sensing_node.files.bounds import MOST_SAMPLES
 from sensing_node.files.grids import FREE_GAP, MOST_GAPS, evenly, unsteady
-from sensing_node.files.signals import (
-    ColumnKey,
-    Floats,
-    SignalFile,
-    SignalInfo,
-    finite,
-    signal_file,
-)
+from sensing_node.files.signals import ColumnKey, Floats, SignalFile, SignalInfo, finite
 
 MAGIC = b"\x89MCAP0\r\n"
 MAX_RECORD_BYTES = 1 << 28
@@ -209,19 +202,13 @@ def read(path: Path) -> SignalFile:
     begin_ns = min((times[0] for times, _ in fields.values()), default=0)
     left_out = dict[ColumnKey, str]()
     found = ours or list(_numbers(fields, begin_ns, path, left_out))
-    signals = [info._replace(number=number) for number, (info, _) in enumerate(found)]
+    signals = tuple(info._replace(number=number) for number, (info, _) in enumerate(found))
     if not signals and others:
         raise SourceError(f"{path}: {notes[-1]}; convert them to JSON, or export a table of them")
-    return signal_file(path, signals, lambda each: found[each.number][1], notes, left_out)
+    return SignalFile(path, signals, lambda number: found[number][1], tuple(notes), left_out)
 
 
-def _take(
-    message: Message,
-    topic: str,
-    schema: str,
-    frames: _Frames,
-    fields: _Fields,
-) -> None:
+def _take(message: Message, topic: str, schema: str, frames: _Frames, fields: _Fields) -> None:
     """Take the numbers of a message. Raises several errors for one that is damaged."""
     content = json.loads(message.data)
     if schema in (FRAME_SCHEMA, STREAM_SCHEMA):
@@ -256,10 +243,7 @@ def _flat(value: Any, name: str, depth: int) -> Iterator[tuple[str, float]]:
 
 
 def _numbers(
-    fields: _Fields,
-    begin_ns: int,
-    path: Path,
-    left_out: dict[ColumnKey, str],
+    fields: _Fields, begin_ns: int, path: Path, left_out: dict[ColumnKey, str]
 ) -> Iterator[tuple[SignalInfo, Floats]]:
     for name, (times_ns, read) in fields.items():
         order = np.argsort(times_ns, kind="stable")

@@ -3,18 +3,19 @@
 import codecs
 import re
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple, Protocol
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
 from protocol.errors import SourceError
+from protocol.wire.marks import printable
 from protocol.wire.stream import first_repeated
-from pulse_sensors.plausibility import RecordedColumn, StatedTimes, blocks, stated_times
-from sensing_node.files.bounds import read_whole
+from pulse_sensors.plausibility import RecordedColumn, blocks, stated_rate_hz
 
 ColumnKey = Annotated[int, Field(ge=0)] | str
 """Number of a signal from 0, or its name."""
@@ -22,6 +23,7 @@ ColumnKey = Annotated[int, Field(ge=0)] | str
 Floats = NDArray[np.float64]
 # Limits of a rate in Hz that a file may state.
 LEAST_HZ, MOST_HZ = 1.0, 100_000.0
+MOST_CHARACTERS = 1000
 # First bytes of a text, from which its encoding is recognised.
 FIRST_BYTES = 1 << 16
 UNITS = re.compile(
@@ -52,41 +54,88 @@ class SignalInfo(NamedTuple):
 class SignalFile:
     """An open file of signals.
 
-    Attributes
-    ----------
-    signals : tuple of SignalInfo
-        The file's signals.
-    load : callable
-        Return the samples of signals, given by names or numbers; NaN are missing. Raises
-        SourceError.
-    notes : tuple of str
-        What was left out or is doubtful.
-    left_out : mapping of str or int to str
-        Reasons why signals, by name or number, are not among `signals`: "has a rate of 0.5 Hz".
+    values: returns the samples of a signal, given by its number. notes: what was left out or is
+    doubtful. left_out: reasons why signals, by name or number, are not among `signals`: "has a rate
+    of 0.5 Hz". guard: makes one line of any error of a reader.
+
+    Of a table, titles: of all columns, also of those that hold no numbers. labels: titles with the
+    unit s of times. clocks: returns columns of times by number, and what was changed in them.
     """
 
     path: Path
     signals: tuple[SignalInfo, ...]
-    load: Callable[[Sequence[ColumnKey]], list[RecordedColumn]]
+    values: Callable[[int], NDArray[Any]]
     notes: tuple[str, ...] = ()
     left_out: Mapping[ColumnKey, str] = field(default_factory=dict)
+    guard: Callable[[], AbstractContextManager[None]] = nullcontext
+    titles: tuple[str, ...] = ()
+    labels: tuple[str, ...] = ()
+    clocks: Callable[[], tuple[dict[int, NDArray[Any]], list[str]]] = lambda: ({}, [])
 
     def find(self, key: ColumnKey) -> SignalInfo:
         """Return the signal of a name or number. Raises SourceError."""
-        return find_signal(self.path, key, self.signals, self.left_out)
+        at = self._column_of(key) if self.titles else key
+        for signal in self.signals:
+            if at in (signal.number, signal.name):
+                return signal
+        for known in (key, at):
+            if known in self.left_out:
+                raise SourceError(f"{self.path}: signal {key!r} {self.left_out[known]}")
+        if self.titles:
+            title = self.titles[int(at)]
+            raise SourceError(f"{self.path}: column {at}, {title!r}, holds no numbers")
+        names = ", ".join(signal.name for signal in self.signals)
+        raise SourceError(f"{self.path}: no signal {key!r}; it has {names[:200]}")
 
-    def describe(
-        self, column: RecordedColumn, rate_hz: float | None = None
-    ) -> tuple[SignalInfo, StatedTimes | None]:
-        """Return what is known of a loaded column, with its rate, and the times that state it.
+    def _column_of(self, key: ColumnKey) -> int:
+        """Return the number of a table's column; its title may lack the unit."""
+        titles, number = self.titles, key
+        if isinstance(key, str):
+            names = titles if key in titles else [split_unit(title)[0] for title in titles]
+            number = names.index(key) if key in names else len(titles)
+        if int(number) >= len(titles):
+            held = ", ".join(titles)[:200] if any(titles) and isinstance(key, str) else len(titles)
+            raise SourceError(f"{self.path}: no column {key!r}; it has {held}")
+        return int(number)
+
+    def load(self, keys: Sequence[ColumnKey]) -> list[RecordedColumn]:
+        """Return the samples of signals, given by names or numbers; NaN are missing.
+
+        Raises SourceError.
+        """
+        found = [self.find(key) for key in keys]
+        chosen = [signal.number for signal in found]
+        if (twice := first_repeated(chosen)) is not None:
+            raise SourceError(
+                f"{self.path}: column {twice} is named twice; a column is one channel"
+            )
+        others = tuple(label for n, label in enumerate(self.labels) if n not in chosen)
+        columns = []
+        with self.guard():
+            clocks, notes = self.clocks()
+            for number, name, *_ in found:
+                values = finite(self.values(number))
+                rising = {
+                    self.labels[n] or str(n): times
+                    for n, times in clocks.items()
+                    if n not in chosen and len(times) == len(values)
+                }
+                columns.append(
+                    RecordedColumn(
+                        values, number, name, others, rising, tuple(notes) if rising else ()
+                    )
+                )
+        return columns
+
+    def describe(self, column: RecordedColumn, rate_hz: float | None = None) -> SignalInfo:
+        """Return what is known of a loaded column, with its rate.
 
         rate_hz: rate of a file that states none. Raises SourceError without a usable rate.
         """
         known = [signal for signal in self.signals if signal.number == column.number]
         info = known[0] if known else SignalInfo(column.number, column.name)
-        times = stated_times(column) if info.rate_hz is None and rate_hz is None else None
         if info.rate_hz is None:
-            info = info._replace(rate_hz=rate_hz if times is None else times.rate_hz)
+            info = info._replace(rate_hz=rate_hz or stated_rate_hz(column))
         if info.rate_hz is None:
             raise SourceError(
                 f"{self.path}: states no rate; add a column of times that never fall, or state the"
@@ -95,50 +144,7 @@ class SignalFile:
             )
         if (fault := rate_fault(info.rate_hz)) is not None:
             raise SourceError(f"{self.path}: {column.title} {fault}")
-        return info, times
-
-
-def find_signal(
-    path: Path,
-    key: ColumnKey,
-    signals: Sequence[SignalInfo],
-    left_out: Mapping[ColumnKey, str] = {},
-) -> SignalInfo:
-    """Return the signal of a name or number. Raises SourceError."""
-    for signal in signals:
-        if key in (signal.number, signal.name):
-            return signal
-    if key in left_out:
-        raise SourceError(f"{path}: signal {key!r} {left_out[key]}")
-    names = ", ".join(signal.name for signal in signals)
-    raise SourceError(f"{path}: no signal {key!r}; it has {names[:200]}")
-
-
-class SignalReader(Protocol):
-    """A format's reader."""
-
-    def __call__(self, path: Path) -> SignalFile:
-        """Open a file. Any error of it becomes one line."""
-
-
-def signal_file(
-    path: Path,
-    signals: Sequence[SignalInfo],
-    values: Callable[[SignalInfo], Floats],
-    notes: Sequence[str] = (),
-    left_out: Mapping[ColumnKey, str] = {},
-) -> SignalFile:
-    """Return a file whose signals are read one by one, by `values`."""
-
-    def load(keys: Sequence[ColumnKey]) -> list[RecordedColumn]:
-        # Not of the file itself: a cycle would keep its samples after their use.
-        found = [find_signal(path, key, signals, left_out) for key in keys]
-        twice = first_repeated(signal.number for signal in found)
-        if twice is not None:
-            raise SourceError(f"{path}: column {twice} is named twice; a column is one channel")
-        return [RecordedColumn(values(each), each.number, each.name) for each in found]
-
-    return SignalFile(path, tuple(signals), load, tuple(notes), left_out)
+        return info
 
 
 def rate_fault(rate_hz: float | None) -> str | None:
@@ -148,16 +154,16 @@ def rate_fault(rate_hz: float | None) -> str | None:
     return f"has a rate of {rate_hz:g} Hz; rates are {LEAST_HZ:g} Hz to {MOST_HZ:g} Hz"
 
 
+def clean(text: str) -> str:
+    """Return a text of a file in one printable line."""
+    return printable(text, MOST_CHARACTERS)
+
+
 def finite(values: NDArray[Any]) -> NDArray[Any]:
     """Return values with NaN, which is a missing sample, for each that is not finite."""
     if values.dtype.kind in "iu" or not any(np.isinf(block).any() for block in blocks(values)):
         return values
     return np.where(np.isfinite(values), values, np.nan)
-
-
-def read_text(path: Path) -> str:
-    """Return the text of a file."""
-    return read_whole(path).decode(text_encoding(path), "replace")
 
 
 def text_encoding(path: Path) -> str:
@@ -187,10 +193,8 @@ def split_unit(name: str) -> tuple[str, str]:
     return (found[1], found[2]) if found and UNITS.fullmatch(found[2]) else (name, "")
 
 
-def aligned(
-    signals: Sequence[SignalInfo], values: Sequence[Floats], rate_hz: float
-) -> tuple[float, Floats]:
-    """Return signals on one grid: its begin in s, and an array of shape (samples, signals).
+def aligned(signals: Sequence[SignalInfo], values: Sequence[Floats], rate_hz: float) -> Floats:
+    """Return signals on one grid, shape (samples, signals).
 
     Signals of another rate or phase are interpolated linearly; NaN before and after a signal.
     """
@@ -214,4 +218,4 @@ def aligned(
             # The last sample holds for its period.
             known = (at_s >= begin) & (at_s < begin + len(each) / rate - 1e-9)
             grid[known, column] = np.interp(at_s[known], times_s, each)
-    return begin_s, grid
+    return grid

@@ -2,7 +2,6 @@
 
 import re
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
 
 from sensing_node.files.clock import are_times
 from sensing_node.files.signals import LEAST_HZ, MOST_HZ, UNITS, split_unit
@@ -35,17 +34,10 @@ _OTHER_UNITS = re.compile(
 )
 
 
-class Head(NamedTuple):
-    """Statements above a table: a title of each column, with its unit, and the rate in Hz."""
+def read_titles(lines: Sequence[str], split: Callable[[str], list[str]], width: int) -> list[str]:
+    """Return a title of each column, with its unit, from the lines above a table.
 
-    titles: list[str]
-    rate_hz: float | None
-
-
-def read_head(lines: Sequence[str], split: Callable[[str], list[str]], width: int) -> Head:
-    """Return what the lines above a table state of its columns.
-
-    split: return the cells of a line. width: number of the table's columns.
+    split: returns the cells of a line. width: number of the table's columns.
     """
     titles, units = [""] * width, [""] * width
     for line in lines:
@@ -67,8 +59,7 @@ def read_head(lines: Sequence[str], split: Callable[[str], list[str]], width: in
         units = _fitted(rows.pop(), width) or units
     if rows and _fits(rows[-1], width) and (width > 1 or not is_comment(above[len(rows) - 1])):
         titles = _fitted(rows[-1], width) or titles
-    titles = [_titled(title, unit) for title, unit in zip(titles, units, strict=True)]
-    return Head(titles, stated_rate(lines))
+    return [_titled(title, unit) for title, unit in zip(titles, units, strict=True)]
 
 
 def are_units(cells: Sequence[str]) -> bool:
@@ -101,11 +92,8 @@ def _bare(line: str) -> str:
 
 def _key_row(cells: list[str]) -> list[str]:
     """Return the cells of a row, its first one cut at a colon or an equals sign if it is alone."""
-    return (
-        [cell.strip() for cell in re.split("[:=]", cells[0], maxsplit=1)]
-        if len(cells) == 1
-        else cells
-    )
+    alone = len(cells) == 1
+    return [cell.strip() for cell in re.split("[:=]", cells[0], maxsplit=1)] if alone else cells
 
 
 def _fitted(cells: Sequence[str], width: int) -> list[str] | None:

@@ -29,14 +29,10 @@ SAMPLE_LINES, FEW_LINES = 20, 8
 QUOTED = 60
 COMMENTS = ("#", "%", "//")
 MISSING = frozenset(("", "-", "--", "na", "n/a", "#n/a", "null", "none", "?"))
-# Numbers with marks between thousands, and these marks, by the mark before the decimals.
+# Numbers with marks between thousands, by the mark before the decimals.
 _GROUPED = {
     ".": re.compile(r"[-+]?\d{1,3}(?:[,'\u00a0\u202f ]\d{3})+(?:\.\d*)?"),
     ",": re.compile(r"[-+]?[1-9]\d{0,2}(?:[.'\u00a0\u202f ]\d{3})+(?:,\d*)?"),
-}
-_BETWEEN_THOUSANDS = {
-    ".": re.compile("[,'\u00a0\u202f ]"),
-    ",": re.compile("[.'\u00a0\u202f ]"),
 }
 _LABELLED = re.compile(
     r"[\"']?([^\W\d][\w .%/()\[\]-]*?)[\"']?\s*[=:]\s*([-+]?\d+(?:[.,]\d+)?(?:e[-+]?\d+)?)"
@@ -79,7 +75,7 @@ class Layout(NamedTuple):
         """Return the number in a cell, NaN in one of a missing sample; None for another text."""
         plain = text.strip(" \t'\"\u00a0")
         if _GROUPED[self.decimal].fullmatch(plain):
-            plain = _BETWEEN_THOUSANDS[self.decimal].sub("", plain)
+            plain = re.sub(rf"[^\d{self.decimal}+-]", "", plain)
         try:
             return float(plain if self.decimal == "." else plain.replace(",", "."))
         except ValueError:

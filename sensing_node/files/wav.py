@@ -9,7 +9,7 @@ from scipy.io import wavfile
 
 from protocol.errors import SourceError
 from sensing_node.files.bounds import check_samples, read_whole
-from sensing_node.files.signals import Floats, SignalFile, SignalInfo, signal_file
+from sensing_node.files.signals import Floats, SignalFile, SignalInfo
 
 
 def read(path: Path) -> SignalFile:
@@ -27,13 +27,13 @@ def read(path: Path) -> SignalFile:
     scale = 1.0 if data.dtype.kind == "f" else float(1 << (8 * data.dtype.itemsize - 1))
     zero = 128.0 if data.dtype == np.uint8 else 0.0
 
-    def values(signal: SignalInfo) -> Floats:
-        one: Floats = (data[:, signal.number].astype(np.float64) - zero) / scale
+    def values(number: int) -> Floats:
+        one: Floats = (data[:, number].astype(np.float64) - zero) / scale
         return one
 
-    signals = [
+    signals = tuple(
         SignalInfo(number, f"channel {number}", "", float(rate_hz), len(data))
         for number in range(data.shape[1])
-    ]
-    notes = [str(each.message).splitlines()[0] for each in caught]
-    return signal_file(path, signals, values, notes)
+    )
+    notes = tuple(str(each.message).splitlines()[0] for each in caught)
+    return SignalFile(path, signals, values, notes)

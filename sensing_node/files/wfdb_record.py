@@ -14,14 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from protocol.errors import SourceError
-from sensing_node.files.bounds import check_regular, check_samples
-from sensing_node.files.signals import (
-    Floats,
-    SignalFile,
-    SignalInfo,
-    read_text,
-    signal_file,
-)
+from sensing_node.files.bounds import check_regular, check_samples, read_whole
+from sensing_node.files.signals import Floats, SignalFile, SignalInfo, text_encoding
 
 Ints = NDArray[np.int64]
 DEFAULT_GAIN = 200.0
@@ -69,35 +63,33 @@ def read(path: Path) -> SignalFile:
     stored = {signal.name: signal for part, _ in parts for signal in part.signals}
     described = header.signals or tuple(stored.values())
     frames = max((at + _frames(path, part) for part, at in parts), default=0)
-    notes = []
     if not frames:
         raise SourceError(f"{path}: its files hold no whole sample")
     check_samples(path, frames * max(each.per_frame for each in described))
-    if header.frames and frames < header.frames:
-        notes.append(
-            f"the header states {header.frames} samples, and the files hold {frames}; the rest is"
-            " missing"
-        )
+    lacks = (
+        f"the header states {header.frames} samples, and the files hold {frames}; the rest is"
+        " missing"
+    )
     signals = [
         SignalInfo(number, each.name, each.unit, header.rate_hz * each.per_frame,
                    frames * each.per_frame)
         for number, each in enumerate(described)
     ]  # fmt: skip
 
-    def values(signal: SignalInfo) -> Floats:
-        per_frame = described[signal.number].per_frame
+    def values(wanted: int) -> Floats:
+        name, per_frame = described[wanted].name, described[wanted].per_frame
         whole = np.full(frames * per_frame, np.nan)
         for part, at in parts:
             for number, each in enumerate(part.signals):
-                if each.name == signal.name and (header.segments or number == signal.number):
+                if each.name == name and (header.segments or number == wanted):
                     if each.per_frame != per_frame:
-                        raise SourceError(f"{path}: {signal.name} changes its rate in a segment")
+                        raise SourceError(f"{path}: {name} changes its rate in a segment")
                     taken = _physical(path, part, number)[: len(whole) - at * per_frame]
                     whole[at * per_frame :][: len(taken)] = taken
                     break
         return whole
 
-    return signal_file(path, signals, values, notes)
+    return SignalFile(path, tuple(signals), values, (lacks,) if frames < header.frames else ())
 
 
 def _header_of(path: Path) -> Path:
@@ -108,7 +100,8 @@ def _header_of(path: Path) -> Path:
 
 def _read_header(path: Path) -> RecordHeader:
     """Read a header. Raises SourceError or OSError."""
-    lines = [line.strip() for line in read_text(path).splitlines()]
+    text = read_whole(path).decode(text_encoding(path), "replace")
+    lines = [line.strip() for line in text.splitlines()]
     lines = [line for line in lines if line and not line.startswith("#")]
     if not lines:
         raise SourceError(f"{path}: is no header of a WFDB record: it holds no line")

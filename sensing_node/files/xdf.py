@@ -12,13 +12,7 @@ import pyxdf
 from protocol.errors import SourceError
 from sensing_node.files.bounds import read_whole
 from sensing_node.files.grids import evenly, unsteady
-from sensing_node.files.signals import (
-    ColumnKey,
-    Floats,
-    SignalFile,
-    SignalInfo,
-    signal_file,
-)
+from sensing_node.files.signals import ColumnKey, Floats, SignalFile, SignalInfo
 
 MAGIC = b"XDF:"
 STREAM_HEADER, SAMPLES = 2, 3
@@ -60,7 +54,7 @@ def read(path: Path) -> SignalFile:
             info = SignalInfo(len(signals), label, unit, rate_hz, len(even), times_s[0] - begin_s)
             signals.append(info)
             samples.append(even)
-    return signal_file(path, signals, lambda each: samples[each.number], notes, left_out)
+    return SignalFile(path, tuple(signals), samples.__getitem__, tuple(notes), left_out)
 
 
 def _check_counts(data: bytes, path: Path) -> None:

@@ -12,15 +12,17 @@ from collections import Counter, deque
 from collections.abc import Callable
 from typing import Final, NamedTuple
 
+import numpy as np
+
 from protocol.errors import SourceError
-from protocol.tissue import StiffeningLaw
 from protocol.wire.stream import HOLD_DOWN, Channel
 from pulse_drives.drive import Drive
 from pulse_drives.start_advice import advised
 from pulse_drives.withdrawal import WithdrawalOutcome
 from pulse_sensors.samples import SampleBlock
-from sensing_node.press.load_cell import SampleSensor
+from pulse_sensors.sensor import Sensor
 from sensing_node.press.probe import TOUCH_N, Probe, ProbeLimits
+from sensing_node.press.set_points import PressedProbe
 
 logger = logging.getLogger(__name__)
 
@@ -37,6 +39,69 @@ MOST_BLOCKS: Final = 4_096
 # its last digit. Less where the wrist was pressed just before, and a broken one reads 0 now.
 FROZEN_M: Final = 0.5e-3
 FROZEN_PRESSED_M: Final = 0.1e-3
+# The film's samples wait this long for the load cell's.
+PATIENCE_NS: Final = 100_000_000
+# Samples of the load cell that are kept: some seconds of any.
+KEPT: Final = 8_192
+
+
+class JoinedSensors:
+    """A film's samples, each with the load cell's force at its time.
+
+    Both must have the same delay, as a pulse belongs to the hold-down that is measured with it.
+    Samples for which no force comes count as missing, and in `rejected`.
+    """
+
+    def __init__(self, film: Sensor, cell: Sensor) -> None:
+        self.channels = (*film.channels, Channel(HOLD_DOWN))
+        self.period_ns = film.period_ns
+        self._film, self._cell = film, cell
+        self._waiting: deque[SampleBlock] = deque()
+        self._times_ns: deque[int] = deque(maxlen=KEPT)
+        self._forces_n: deque[float] = deque(maxlen=KEPT)
+        self._missing = self._alone = 0
+
+    def poll(self) -> list[SampleBlock]:
+        """Return the film's samples for which the load cell's force has arrived."""
+        for block in self._cell.poll():
+            self._times_ns.extend(block.times_ns)
+            self._forces_n.extend(block.force_n)
+        self._waiting.extend(self._film.poll())
+        joined = []
+        while self._waiting:
+            block = self._waiting[0]
+            covered = self._times_ns and self._times_ns[0] <= block.times_ns[0]
+            if covered and self._times_ns[-1] >= block.times_ns[-1]:
+                forces_n = np.interp(block.times_ns, self._times_ns, self._forces_n)
+                values = np.column_stack([block.values, forces_n])
+                missing = block.missing + self._missing
+                joined.append(block._replace(values=values, missing=missing))
+                self._missing = 0
+            elif self._waiting[-1].end_ns - block.end_ns < PATIENCE_NS:
+                break
+            else:
+                self._missing += len(block.values) + block.missing
+                self._alone += len(block.values)
+            self._waiting.popleft()
+        return joined
+
+    @property
+    def rejected(self) -> Counter[str]:
+        """Count of data that could not be used, by cause."""
+        alone = Counter(without_load_cell=self._alone)
+        return +(self._film.rejected + self._cell.rejected + alone)
+
+    def faults(self) -> list[str]:
+        """Return the faults of both, one line each."""
+        return [*self._film.faults(), *self._cell.faults()]
+
+    def close(self) -> None:
+        """Release both devices."""
+        self._film.close()
+        self._cell.close()
+
+
+SampleSensor = Sensor | JoinedSensors
 
 
 class Reading(NamedTuple):
@@ -70,7 +135,7 @@ class FrozenCell:
         return f"load cell: {cell_n * 1e3:.0f} mN unchanged over {travel_m * 1e3:.1f} mm of travel"
 
 
-class LiveProbe:
+class LiveProbe(PressedProbe):
     """A probe: its force loop, its drive, and its sensors, whose samples are the stream.
 
     sensor: of film and load cell. clock: the host's, in ns. Positions are 0 where the probe rests,
@@ -87,7 +152,7 @@ class LiveProbe:
         self.channels, self.period_ns = sensor.channels, sensor.period_ns
         self._drive, self._sensor, self._clock = drive, sensor, clock
         self._film_at, self._cell_at = columns_of(sensor.channels)
-        self._limits, self._probe = limits, Probe(limits, StiffeningLaw())
+        self._limits, self.probe = limits, Probe(limits)
         self._frozen = FrozenCell()
         self._lock = threading.Lock()
         self._blocks: deque[SampleBlock] = deque(maxlen=MOST_BLOCKS)
@@ -99,16 +164,6 @@ class LiveProbe:
         self.dropped = 0
 
     @property
-    def state(self) -> str:
-        """What the probe does."""
-        return self._probe.state
-
-    @property
-    def hold_down_n(self) -> float:
-        """Static force that the load cell measures."""
-        return self._probe.hold_down_n
-
-    @property
     def depth_m(self) -> float:
         """Travel of the probe since it has touched the wrist; 0 off the wrist."""
         return self._position_m - self._touched_m
@@ -116,7 +171,7 @@ class LiveProbe:
     def press(self, force_n: float) -> None:
         """Take a set-point in N."""
         with self._lock:
-            self._probe.press(force_n, self._clock())
+            self.probe.press(force_n, self._clock())
 
     def start(self) -> None:
         """Wait for the first sample, bring the drive to its rest and follow set-points; blocks.
@@ -158,7 +213,7 @@ class LiveProbe:
 
     def faults(self) -> list[str]:
         """Return the faults of the sensors and of the probe, one line each."""
-        return [*self._sensor.faults(), *self._probe.faults]
+        return [*self._sensor.faults(), *self.probe.faults]
 
     def close(self) -> None:
         """Take the probe off the wrist, bring the drive to rest, and close drive and sensors."""
@@ -187,11 +242,11 @@ class LiveProbe:
                 self.step(self._clock())
         finally:
             if not self._closing.is_set():
-                self._probe.fault("probe: its loop has ended")
+                self.probe.fault("probe: its loop has ended")
 
     def step(self, now_ns: int) -> None:
         """Read the sensors, and command the drive; the thread calls it every 2 ms."""
-        probe, drive, reading = self._probe, self._drive, self._read()
+        probe, drive, reading = self.probe, self._drive, self._read()
         status = drive.status()
         with self._lock:
             if status.fault is not None and not probe.faults:
@@ -199,7 +254,7 @@ class LiveProbe:
             position_m = self._position_m
             if reading is not None:
                 position_m = drive.commanded_m(reading.taken_ns)
-                if now_ns - reading.taken_ns > self._limits.silent_after_ns:
+                if now_ns - reading.taken_ns > self._limits.cell_within_ns:
                     reading = None
                 elif not probe.faults and (fault := self._frozen.check(reading.cell_n, position_m)):
                     probe.fault(fault)

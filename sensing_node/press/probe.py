@@ -7,9 +7,18 @@ wrist. A fault is latched, and the probe leaves.
 
 import math
 from collections import deque
-from dataclasses import dataclass
-from typing import Final, Literal
+from typing import Annotated, Final, Literal
 
+from pydantic import Field
+
+from protocol.config.quantities import (
+    Metres,
+    MetresPerSecond,
+    Nanoseconds,
+    Newtons,
+    NewtonsPerSecond,
+)
+from protocol.config.scene import Section
 from protocol.tissue import StiffeningLaw
 
 ProbeState = Literal["off", "pressing", "easing", "leaving", "fault"]
@@ -44,37 +53,21 @@ CLEARANCE_M: Final = 2e-3
 TOUCH_N: Final = 0.03
 # Reference until first touch; the speed of the approach follows from it.
 SEEK_N: Final = 0.06
+_TIME_NS = Field(ge=50_000_000, le=10_000_000_000)
 
 
-@dataclass(frozen=True, slots=True)
-class ProbeLimits:
-    """Limits of the probe.
+class ProbeLimits(Section):
+    """Limits of the probe: the keys of the `press` table that `ProbeScene` explains."""
 
-    Attributes
-    ----------
-    force_n, slew_n_per_s
-        Largest force and largest change of it.
-    overforce
-        Measured force, as a multiple of the limit, that is a fault.
-    speed_m_per_s, travel_m
-        Largest speed, and greatest distance from the position at rest.
-    resting_n
-        Force to which a stale set-point eases off.
-    stale_after_ns, leave_after_ns
-        Time without a set-point after which the loop eases off, and after which it leaves.
-    silent_after_ns
-        Time without a reading of the load cell that is a fault.
-    """
-
-    force_n: float = 3.0
-    slew_n_per_s: float = 25.0
-    overforce: float = 1.25
-    speed_m_per_s: float = 0.06
-    travel_m: float = 0.02
-    resting_n: float = 0.2
-    stale_after_ns: int = 300_000_000
-    leave_after_ns: int = 2_000_000_000
-    silent_after_ns: int = 50_000_000
+    force_limit_n: Annotated[Newtons, Field(gt=0, le=10)] = 3.0
+    slew_limit_n_per_s: Annotated[NewtonsPerSecond, Field(gt=0, le=100)] = 25.0
+    overforce: Annotated[float, Field(ge=1, le=2)] = 1.25
+    max_speed_m_per_s: Annotated[MetresPerSecond, Field(gt=0, le=0.2)] = 0.06
+    travel_m: Annotated[Metres, Field(gt=2e-3, le=0.05)] = 0.02
+    resting_n: Annotated[Newtons, Field(ge=0, le=1)] = 0.2
+    stale_after_ns: Annotated[Nanoseconds, _TIME_NS] = 300_000_000
+    leave_after_ns: Annotated[Nanoseconds, _TIME_NS] = 2_000_000_000
+    cell_within_ns: Annotated[Nanoseconds, Field(ge=10_000_000, le=100_000_000)] = 50_000_000
 
 
 class RelativeStiffness:
@@ -117,20 +110,12 @@ class RelativeStiffness:
 class Probe:
     """The controller of the probe's drive: readings in, speed of the drive out.
 
-    Attributes
-    ----------
-    state
-        What the probe does.
-    faults
-        Latched faults, the first one first.
-    reference_n
-        Force that the loop follows.
-    hold_down_n
-        Measured force without the pulse.
+    faults: latched, the first one first. reference_n: force that the loop follows. hold_down_n:
+    measured force without the pulse.
     """
 
-    def __init__(self, limits: ProbeLimits, law: StiffeningLaw) -> None:
-        self._limits, self._law = limits, law
+    def __init__(self, limits: ProbeLimits) -> None:
+        self._limits, self._law = limits, StiffeningLaw()
         self._relative = RelativeStiffness()
         self._set_point_n = 0.0
         self._set_point_ns: int | None = None
@@ -156,26 +141,14 @@ class Probe:
             self.faults.append(name)
 
     def step(
-        self,
-        cell_n: float | None,
-        pulse_n: float,
-        position_m: float,
-        now_ns: int,
-        age_ns: int = 0,
+        self, cell_n: float | None, pulse_n: float, position_m: float, now_ns: int, age_ns: int = 0
     ) -> float:
         """Advance to `now_ns` and return the speed in m/s, positive into the wrist.
 
-        Parameters
-        ----------
-        cell_n
-            Reading of the load cell, or None without a new one.
-        pulse_n
-            Pulse that the film measures at the same time, which the load cell contains.
-        position_m
-            Position of the drive; 0 at rest, off the wrist.
-        age_ns
-            Time since the newest reading and this position. The loop compares the reading with
-            the reference at that time.
+        cell_n: reading of the load cell, or None without a new one. pulse_n: what the film measures
+        at the same time, which the load cell contains. position_m: of the drive; 0 at rest, off the
+        wrist. age_ns: time since the newest reading and this position; the loop compares the
+        reading with the reference at that time.
         """
         elapsed_s = 0.0 if self._last_ns is None else max(0, now_ns - self._last_ns) * 1e-9
         self._last_ns = now_ns
@@ -201,12 +174,12 @@ class Probe:
             self._read_ns = now_ns
         if cell_n is not None:
             self._read_ns = now_ns
-            most_n = limits.force_n * limits.overforce
+            most_n = limits.force_limit_n * limits.overforce
             if not math.isfinite(cell_n):
                 self.fault("load cell: a reading is no number")
             elif abs(cell_n) > most_n:
                 self.fault(f"load cell: more than {most_n:.2f} N")
-        elif now_ns - self._read_ns > limits.silent_after_ns:
+        elif now_ns - self._read_ns > limits.cell_within_ns:
             self.fault("load cell: silent")
         if not math.isfinite(position_m) or position_m > limits.travel_m:
             self.fault("probe: beyond its travel")
@@ -223,7 +196,7 @@ class Probe:
             self.state = "easing"
         else:
             self.state = "pressing"
-            return min(self._set_point_n, FORCE_SHARE * limits.force_n)
+            return min(self._set_point_n, FORCE_SHARE * limits.force_limit_n)
         self._returning = True
         if self.state == "easing":
             return min(self.reference_n, limits.resting_n)
@@ -231,7 +204,7 @@ class Probe:
 
     def _follow(self, wanted_n: float, elapsed_s: float) -> float:
         """Move the reference towards a force within the slew limit; return its slope in N/s."""
-        most = SLEW_SHARE * self._limits.slew_n_per_s
+        most = SLEW_SHARE * self._limits.slew_limit_n_per_s
         missing_n = wanted_n - self.reference_n
         if self.state == "pressing" and self._returning:
             if missing_n > 0:
@@ -260,10 +233,10 @@ class Probe:
         """Return the speed within the limits of the drive, of the slew and of the travel."""
         limits = self._limits
         if not math.isfinite(speed_m_per_s) or not math.isfinite(position_m):
-            return -limits.speed_m_per_s
-        soon_n = max(self.hold_down_n, 0.0) + limits.slew_n_per_s * (LAG_S + self._age_s)
+            return -limits.max_speed_m_per_s
+        soon_n = max(self.hold_down_n, 0.0) + limits.slew_limit_n_per_s * (LAG_S + self._age_s)
         stiffness = self._relative.greatest * self._law.stiffness_n_per_m(soon_n)
-        most = min(limits.speed_m_per_s, limits.slew_n_per_s / stiffness)
+        most = min(limits.max_speed_m_per_s, limits.slew_limit_n_per_s / stiffness)
         # Towards its ends the drive is slowed, so that it stops at them.
         into = min(most, max(0.0, CROSSOVER_RAD_PER_S * (limits.travel_m - position_m)))
         return min(max(speed_m_per_s, -most), into)

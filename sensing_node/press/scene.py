@@ -1,25 +1,13 @@
 """The `press` table of a sensing node: the limits of the probe at the wrist, and its drive."""
 
-from typing import Annotated
+from pydantic import model_validator
 
-from pydantic import Field, model_validator
-
-from protocol.config.quantities import (
-    Metres,
-    MetresPerSecond,
-    Nanoseconds,
-    Newtons,
-    NewtonsPerSecond,
-)
-from protocol.config.scene import Section
 from pulse_drives.scene import DriveTable, MotorScene
 from pulse_sensors.sensor import OneForceSensor
 from sensing_node.press.probe import CLEARANCE_M, ProbeLimits
 
-_TIME_NS = Field(ge=50_000_000, le=10_000_000_000)
 
-
-class ProbeScene(Section):
+class ProbeScene(ProbeLimits):
     """The `press` table: the probe follows a distant finger within these limits.
 
     force_limit and slew_limit: of the force on the wrist. overforce: measured force, as a multiple
@@ -32,15 +20,6 @@ class ProbeScene(Section):
     source.
     """
 
-    force_limit_n: Annotated[Newtons, Field(gt=0, le=10)] = 3.0
-    slew_limit_n_per_s: Annotated[NewtonsPerSecond, Field(gt=0, le=100)] = 25.0
-    overforce: Annotated[float, Field(ge=1, le=2)] = 1.25
-    max_speed_m_per_s: Annotated[MetresPerSecond, Field(gt=0, le=0.2)] = 0.06
-    travel_m: Annotated[Metres, Field(gt=2e-3, le=0.05)] = 0.02
-    resting_n: Annotated[Newtons, Field(ge=0, le=1)] = 0.2
-    stale_after_ns: Annotated[Nanoseconds, _TIME_NS] = 300_000_000
-    leave_after_ns: Annotated[Nanoseconds, _TIME_NS] = 2_000_000_000
-    cell_within_ns: Annotated[Nanoseconds, Field(ge=10_000_000, le=100_000_000)] = 50_000_000
     drive: DriveTable | None = None
     motor: MotorScene = MotorScene()
     sensor: OneForceSensor | None = None
@@ -61,17 +40,3 @@ class ProbeScene(Section):
         if drive.furthest_m is not None and drive.furthest_m <= CLEARANCE_M:
             raise ValueError("drive.furthest ends before the wrist; leave it out for travel")
         return self
-
-    def limits(self) -> ProbeLimits:
-        """Return the limits that the table describes."""
-        return ProbeLimits(
-            self.force_limit_n,
-            self.slew_limit_n_per_s,
-            self.overforce,
-            self.max_speed_m_per_s,
-            self.travel_m,
-            self.resting_n,
-            self.stale_after_ns,
-            self.leave_after_ns,
-            self.cell_within_ns,
-        )

@@ -1,11 +1,13 @@
 """Set-points of the displays: permission to press, order, validity, and their account. Pure."""
 
+from abc import ABC, abstractmethod
 from collections import Counter
 from dataclasses import dataclass
-from typing import Final, Protocol
+from typing import Final
 
-from protocol.summary.tables import PressFigures, SetPointCounts
+from protocol.summary.tables import PressFigures
 from protocol.wire.messages import ProbeReport, SetPoint
+from sensing_node.press.probe import Probe
 
 # A display that sends no set-point for this long loses the permission to press. The probe has left
 # the wrist by then (`ProbeLimits.leave_after_ns`).
@@ -28,21 +30,27 @@ REASONS: Final = {
 _FIGURES: Final = ("sent", "applied", "superseded", "lost")
 
 
-class PressedProbe(Protocol):
-    """A probe that takes set-points, for example the synthetic wrist's."""
+class PressedProbe(ABC):
+    """A probe that takes set-points, for example the synthetic wrist's. probe: its controller."""
+
+    probe: Probe
 
     @property
     def state(self) -> str:
         """State of the probe: off, pressing, easing, leaving or fault."""
+        return self.probe.state
 
     @property
     def hold_down_n(self) -> float:
-        """Measured static force."""
+        """Static force that the load cell measures."""
+        return self.probe.hold_down_n
 
     @property
+    @abstractmethod
     def depth_m(self) -> float:
-        """Position of the probe; 0 at first touch."""
+        """Depth of the probe in the wrist; at most 0 off it."""
 
+    @abstractmethod
     def press(self, force_n: float) -> None:
         """Take a set-point in N."""
 
@@ -64,14 +72,9 @@ class PressHolder:
 
     def outcomes(self) -> dict[str, int]:
         """Return the account of the set-points up to the newest one that arrived."""
-        sent = self.newest + 1
-        lost = sent - self.applied - self.superseded
-        return {
-            "sent": sent,
-            "applied": self.applied,
-            "superseded": self.superseded,
-            "lost": lost,
-        }
+        sent, applied, superseded = self.newest + 1, self.applied, self.superseded
+        counts = (sent, applied, superseded, sent - applied - superseded)
+        return dict(zip(_FIGURES, counts, strict=True))
 
     def arrive(self, number: int) -> str | None:
         """Mark a number as arrived; return the cause if it is refused."""
@@ -104,7 +107,7 @@ class SetPointServer:
         self._holder: PressHolder | None = None
         # The displays that have pressed, by their run; the sums of those that were forgotten.
         self._holders: dict[int, PressHolder] = {}
-        self._forgotten: Counter[str] = Counter()
+        self._forgotten = Counter(dict.fromkeys(_FIGURES, 0))
         self.rejected: Counter[str] = Counter()
 
     def answer(self, message: SetPoint, now_ns: int) -> ProbeReport:
@@ -136,16 +139,12 @@ class SetPointServer:
                     self._probe.press(message.force_n)
         return self._report(holder, self._probe.state)
 
-    def counts(self) -> SetPointCounts:
-        """Return the account of all displays that have pressed; the newest one's is open."""
-        totals = self._totals()
-        return SetPointCounts(**{key: totals[key] for key in _FIGURES})
-
     def figures(self) -> PressFigures:
-        """Return the account, and the state of the probe."""
-        totals, probe = self._totals(), self._probe
-        account = {key: totals[key] for key in _FIGURES}
-        return PressFigures(**account, hold_down_n=probe.hold_down_n, probe=probe.state)
+        """Return the account of all displays that have pressed, and the state of the probe."""
+        totals, probe = self._forgotten.copy(), self._probe
+        for holder in self._holders.values():
+            totals.update(holder.outcomes())
+        return PressFigures(**totals, hold_down_n=probe.hold_down_n, probe=probe.state)
 
     def _admit(self, press: int, now_ns: int) -> PressHolder:
         """Give the permission to a display; one that had it before continues its account."""
@@ -156,12 +155,6 @@ class SetPointServer:
         holder.seen_ns = now_ns
         holders[press] = holder
         return holder
-
-    def _totals(self) -> Counter[str]:
-        totals = self._forgotten.copy()
-        for holder in self._holders.values():
-            totals.update(holder.outcomes())
-        return totals
 
     def _report(self, holder: PressHolder, state: str) -> ProbeReport:
         return ProbeReport(

@@ -5,7 +5,6 @@ Also the scales to newtons that a file's unit stands for.
 
 import math
 import re
-from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -56,9 +55,17 @@ def choose_pulse(file: SignalFile) -> ChosenSignal:
     """
     order = [
         # Of a message's topic, each of whose fields has it in its name, the field comes first.
-        *(_named(file.signals, lambda signal: _field(signal.name))),
-        *(_named(file.signals, lambda signal: signal.name)),
-        *(ChosenSignal(s, f"by its unit, {s.unit}") for s in file.signals if _is_force(s.unit)),
+        *(
+            ChosenSignal(signal, "by its name")
+            for part in (_field, str)
+            for signal in file.signals
+            if _PULSE.search(part(signal.name).replace("_", " "))
+        ),
+        *(
+            ChosenSignal(s, f"by its unit, {s.unit}")
+            for s in file.signals
+            if s.unit in {**FORCES, **PRESSURES}
+        ),
         *(ChosenSignal(signal, FIRST) for signal in file.signals),
     ]
     faults = {signal.number: _no_pulse(file, signal) for signal in file.signals}
@@ -74,21 +81,10 @@ def choose_pulse(file: SignalFile) -> ChosenSignal:
     raise SourceError(f"{file.path}: holds no pulse: {', '.join(named)[:300]}; name one: --channel")
 
 
-def _named(
-    signals: Iterable[SignalInfo], name: Callable[[SignalInfo], str]
-) -> Iterator[ChosenSignal]:
-    for signal in signals:
-        if _PULSE.search(name(signal).replace("_", " ")):
-            yield ChosenSignal(signal, "by its name")
-
-
-def _is_force(unit: str) -> bool:
-    return unit in FORCES or unit in PRESSURES
-
-
 def _no_pulse(file: SignalFile, signal: SignalInfo) -> str | None:
     """Return the reason why a signal is no pulse, whatever its name; or None."""
-    if _is_time_or_number(_field(signal.name)) or signal.unit in SECONDS:
+    field = _field(signal.name)
+    if is_time_name(field) or _STAMP.fullmatch(field) or signal.unit in SECONDS:
         return TIMES
     try:
         values = file.load((signal.number,))[0].values
@@ -108,11 +104,6 @@ def _no_pulse(file: SignalFile, signal: SignalInfo) -> str | None:
 def _field(name: str) -> str:
     """Return the last part of a field's path, such as "force" of "/pulse.film.force"."""
     return name.rpartition(".")[2] if name.startswith("/") else name
-
-
-def _is_time_or_number(name: str) -> bool:
-    """Return whether a name is that of times, or of parts or numbers of a stamp."""
-    return is_time_name(name) or _STAMP.fullmatch(name) is not None
 
 
 def choose_announcing(file: SignalFile, pulse: SignalInfo) -> SignalInfo | None:
@@ -146,7 +137,7 @@ def record_table(
     with suppress(SourceError, ValueError):
         # Without a usable rate, the source is refused.
         column = file.load((pulse.number,))[0]
-        info, _ = file.describe(column, None if rate is None else parse_quantity(rate, "frequency"))
+        info = file.describe(column, None if rate is None else parse_quantity(rate, "frequency"))
         text += f"; it lasts {duration_text(len(column.values) / (info.rate_hz or math.nan))}"
     if announcing is not None:
         table["announce"] = announcing.number

@@ -158,21 +158,13 @@ def draw_ecg(
 
 
 class EcgColumn:
-    """The channel "announce": an ECG whose R waves precede the beats' onsets by the transit time.
-
-    r_waves_s: times of the last R waves.
-    """
+    """The channel "announce": an ECG whose R waves come by the transit time before the onsets."""
 
     def __init__(self, scene: AnnounceScene, period_s: float, rng: np.random.Generator) -> None:
         self.channel = Channel(ANNOUNCE, "mV")
         self._scene, self._period_s, self._rng = scene, period_s, rng
         self._beats: deque[tuple[float, float]] = deque(maxlen=16)
         self._drawn = 0
-
-    @property
-    def r_waves_s(self) -> list[float]:
-        """Times of the last R waves in s."""
-        return [at_s for at_s, _ in self._beats]
 
     def draw(self, beat: Heartbeat) -> NDArray[np.float64]:
         """Draw one beat, and return the samples in mV that no later beat can change."""

@@ -148,17 +148,8 @@ def _height(values: NDArray[Any]) -> float:
 class RecordedSource(SampleSource):
     """A recorded pulse in N, one channel for each column; `warnings` lists doubtful properties.
 
-    Parameters
-    ----------
-    folder : Path
-        Folder of the scene file.
-    plausible : bool
-        Refuse values that cannot be a pulse with this scene.
-
-    Raises
-    ------
-    SourceError
-        If the file cannot be read or scaled, or its values are refused.
+    folder: of the scene's file. plausible: refuse values that cannot be a pulse with this scene.
+    Raises SourceError if the file cannot be read or scaled, or its values are refused.
     """
 
     def __init__(self, scene: RecordingScene, folder: Path, plausible: bool = True) -> None:
@@ -224,17 +215,10 @@ class RecordedSource(SampleSource):
             fill_gaps(column.values) if column.number in missing else column.values
             for column in loaded
         ]
-        if (
-            len(
-                {
-                    (info.rate_hz, info.begin_s, len(each))
-                    for info, each in zip(infos, filled, strict=True)
-                }
-            )
-            == 1
-        ):
+        pairs = zip(infos, filled, strict=True)
+        if len({(info.rate_hz, info.begin_s, len(each)) for info, each in pairs}) == 1:
             return [replace(c, values=each) for c, each in zip(loaded, filled, strict=True)]
-        _, grid = aligned(infos, filled, rate_hz)
+        grid = aligned(infos, filled, rate_hz)
         return [
             replace(column, values=fill_gaps(np.ascontiguousarray(values)))
             for column, values in zip(loaded, grid.T, strict=True)
@@ -256,7 +240,7 @@ class RecordedSource(SampleSource):
 
 def _info(file: SignalFile, column: RecordedColumn, rate_hz: float | None) -> SignalInfo:
     """Return what a file states of a column, with the rate to play it at. Raises SourceError."""
-    info, _ = file.describe(column, rate_hz)
+    info = file.describe(column, rate_hz)
     own_hz = info.rate_hz or 0.0
     if rate_hz is not None and abs(own_hz / rate_hz - 1) > RATE_TOLERANCE:
         raise SourceError(

@@ -104,7 +104,7 @@ class SourceScene(KindTable):
         return None
 
 
-SOURCES = KindGroup[SourceScene](
+SOURCES = KindGroup(
     "telepulse.sources",
     "source",
     SourceScene,

@@ -7,7 +7,7 @@ beats, noise and mains hum are options. The same seed gives the same samples, in
 import math
 from collections import deque
 from dataclasses import dataclass
-from typing import Annotated, Any, Literal, Protocol, Self
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -133,17 +133,6 @@ class SyntheticScene(SourceScene):
         return self.model_copy(update=update)
 
 
-class Column(Protocol):
-    """Samples of one channel, drawn beat by beat; they begin with time 0."""
-
-    @property
-    def channel(self) -> Channel:
-        """The channel."""
-
-    def draw(self, beat: Heartbeat) -> NDArray[np.float64]:
-        """Draw one beat, and return the further samples that no later beat can change."""
-
-
 class SyntheticSource(SampleSource):
     """A synthetic pulse in N, one channel for each position of one heart's artery.
 
@@ -166,7 +155,7 @@ class SyntheticSource(SampleSource):
         self.delays_s = tuple(place.distance_m / velocity_m_per_s for place in scene.places)
         # The first one's noise is drawn with the rhythm; so further ones change neither.
         rngs = [rng, *(np.random.default_rng((scene.seed, n)) for n in range(1, len(scene.places)))]
-        self._columns: list[Column] = [
+        self._columns: list[PulseColumn | EcgColumn] = [
             PulseColumn(scene.at(place), place.name, delay_s, period_s, own_rng)
             for place, delay_s, own_rng in zip(scene.places, self.delays_s, rngs, strict=True)
         ]

@@ -6,7 +6,7 @@ one, then falls; beyond, the artery is closed in diastole and the pulse is flat 
 """
 
 import math
-from typing import Annotated, ClassVar, Literal, NamedTuple
+from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -94,18 +94,6 @@ class Artery:
         return self._tube.height(outside_pa, self.diastolic_pa, self._systolic_pa)
 
 
-class WristInputs(NamedTuple):
-    """Arterial pressures, noise and ECG of the next samples of a wrist.
-
-    pressures_pa: in the artery. noise: of film and load cell. ecg_mv: shape (count, 1), or
-    (count, 0) without an ECG.
-    """
-
-    pressures_pa: list[float]
-    noise: list[list[float]]
-    ecg_mv: NDArray[np.float64]
-
-
 class WristSensors:
     """The arterial pressure under a probe, film and load cell that sense it, and an ECG.
 
@@ -131,12 +119,17 @@ class WristSensors:
         self.artery = Artery(scene, mean_share)
         self._film_n = self._cell_n = 0.0
 
-    def next_samples(self, count: int) -> WristInputs:
-        """Return the inputs of the next samples, for `sense`."""
+    def next_samples(
+        self, count: int
+    ) -> tuple[list[float], list[list[float]], NDArray[np.float64]]:
+        """Return arterial pressures in Pa and noise of the next samples, for `sense`, and the ECG.
+
+        The ECG in mV has the shape (count, 1), or (count, 0) where there is none.
+        """
         waveform = self._waveform.take(count)
         pressures_pa = self.artery.mean_pa + self._pulse_pa * waveform[:, 0]
         noise = self._rng.standard_normal((count, 2))
-        return WristInputs(pressures_pa.tolist(), noise.tolist(), waveform[:, 1:])
+        return pressures_pa.tolist(), noise.tolist(), waveform[:, 1:]
 
     def sense(self, pressure_pa: float, noise: list[float], force_n: float) -> tuple[float, float]:
         """Return what film and load cell read in N, a period later, for a static force."""
@@ -150,24 +143,17 @@ class WristSensors:
         return film_n, self._cell_n + self._scene.cell_noise_n * noise[1]
 
 
-class ProbedTissue(SampleSource):
+class ProbedTissue(SampleSource, PressedProbe):
     """Soft tissue under a probe with a modelled drive, both integrated sample by sample.
 
-    Attributes
-    ----------
-    period_ns
-        Time between samples.
-    probe
-        Controller of the probe, which takes the set-points.
-    force_n
-        True static force on the wrist after the last sample.
+    force_n: true static force on the wrist after the last sample.
     """
 
     channels = WristSensors.channels
 
     def __init__(self, period_ns: int, limits: ProbeLimits | None, law: StiffeningLaw) -> None:
         self._law, self.period_ns = law, period_ns
-        self.probe = Probe(limits or ProbeLimits(), StiffeningLaw())
+        self.probe = Probe(limits or ProbeLimits())
         self._time_ns = 0
         self._speed_m_per_s = self._position_m = 0.0
         self.force_n = 0.0
@@ -180,16 +166,6 @@ class ProbedTissue(SampleSource):
     def faults(self) -> list[str]:
         """See `SampleSource.faults`."""
         return list(self.probe.faults)
-
-    @property
-    def state(self) -> str:
-        """State of the probe."""
-        return self.probe.state
-
-    @property
-    def hold_down_n(self) -> float:
-        """Static force that the load cell measures."""
-        return self.probe.hold_down_n
 
     @property
     def depth_m(self) -> float:
@@ -213,12 +189,7 @@ class ProbedTissue(SampleSource):
 class Wrist(ProbedTissue):
     """Source of the channels of a pressed wrist: "pulse" (film), "hold-down" (load cell), and ECG.
 
-    Attributes
-    ----------
-    artery
-        Artery under the probe.
-    pressures_pa
-        Arterial pressures of the samples that were taken last.
+    artery: under the probe. pressures_pa: arterial, of the samples that were taken last.
     """
 
     def __init__(self, scene: WristScene, limits: ProbeLimits | None = None) -> None:

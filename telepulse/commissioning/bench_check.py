@@ -34,8 +34,8 @@ from telepulse.commissioning.sensor_check import (
     SensorRecord,
     grade,
     judge_sensor,
-    measure,
     of_each_force,
+    reading_age_s,
 )
 from telepulse.commissioning.tuning import MOST_SENSITIVITY, Design, design, judge, report_design
 from telepulse.document import Chapter, Plot, Report, Table
@@ -76,11 +76,12 @@ class BenchFindings:
 
     @property
     def note(self) -> str:
-        """Comment with the identified eq 22; "" where the scene has keys for m, c and k."""
+        """Line of a comment with eq 22; "" where the scene has keys for m, c and k."""
         if self.actuator is None or self.actuator.contact is None:
             return ""
         m, c, k, _ = self.actuator.identified.values
-        return f"# Eq 22 from commanded to felt force: m = {m:.4g} s², c = {c:.4g} s, k = {k:.4g}"
+        found = f"m = {m:.4g} s², c = {c:.4g} s, k = {k:.4g}"
+        return f"# Eq 22 from commanded to felt force: {found}\n"
 
     def add(self, part: str, *checks: Check) -> None:
         """Add checks of a part."""
@@ -93,12 +94,10 @@ class BenchFindings:
         if actuator.keys:
             self.changes["actuator"] = actuator.keys
 
-    def add_still(self, part: str, record: SensorRecord, nominal_hz: float, live: bool) -> float:
-        """Add the checks of a sensor; return the 99 % quantile of its newest age in s."""
+    def add_still(self, part: str, record: SensorRecord, nominal_hz: float, live: bool) -> None:
+        """Add the checks of a sensor."""
         self.still[part] = record
-        figures = measure(record)
-        self.add(part, *judge_sensor(figures, nominal_hz, live))
-        return figures.age_s
+        self.add(part, *judge_sensor(record, nominal_hz, live))
 
     @contextmanager
     def part(self, part: str) -> Iterator[None]:
@@ -187,7 +186,8 @@ def _check_drive(
                 # The newest reading since the last call, if any.
                 drive.start(lambda: next((r.force_n[-1] for r in reversed(sensor.poll())), None))
             record = next(iter(listen(sensor, seconds).values()))
-            age_s = findings.add_still("film", record, film.rate_hz, live=True)
+            findings.add_still("film", record, film.rate_hz, live=True)
+            age_s = reading_age_s(record)
             findings.add("film", _check_age(age_s))
             findings.add("drive", check_answers(drive))
             # Slow enough that no command is superseded: the travel of one would be missing.
@@ -268,13 +268,13 @@ def _actuator_chapter(actuator: ActuatorFindings) -> Chapter:
         rows.append((name, f"{value * scale:.4g}{unit}", f"{half_width * scale:.2g}{unit}", remark))
     rows.append(("delay of slow changes, latency + c/k", f"{found.delay_s * 1e3:.3g} ms", "", ""))
     if "m" not in found.undetermined:
-        answer = step_response(found.model)
+        rise_s, overshoot, settling_s = step_response(found.model)
         rows += [
             ("resonance", f"{found.model.resonance_hz:.4g} Hz", "", ""),
             ("damping ζ", f"{found.model.damping:.3g}", "", ""),
-            ("rise, 10 to 90 %", f"{answer.rise_s * 1e3:.3g} ms", "", ""),
-            ("overshoot", f"{answer.overshoot * 100:.0f} %", "", ""),
-            ("settling to 2 %", f"{answer.settling_s * 1e3:.3g} ms", "", ""),
+            ("rise, 10 to 90 %", f"{rise_s * 1e3:.3g} ms", "", ""),
+            ("overshoot", f"{overshoot * 100:.0f} %", "", ""),
+            ("settling to 2 %", f"{settling_s * 1e3:.3g} ms", "", ""),
         ]
     note = (
         "from the voltage to the force; the film's filter is compensated"

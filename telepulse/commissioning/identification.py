@@ -122,21 +122,12 @@ def _at_ticks(model: SecondOrderModel, command: ActuatorInput) -> tuple[Array, A
     return states[0] + command.values[0] / model.k, states[1] * command.tick_s
 
 
-@dataclass(frozen=True, slots=True)
-class StepResponse:
-    """Figures of a step response.
+def step_response(model: SecondOrderModel) -> tuple[float, float, float]:
+    """Return rise in s, overshoot and settling in s of eq 22's response to a step.
 
-    rise_s: from 10 to 90 %; overshoot: beyond the end value, as a share of it; settling_s: from
-    the command until the response stays within 2 %, latency included.
+    The rise is from 10 to 90 %; the overshoot beyond the end value, as a share of it; the settling
+    from the command until the response stays within 2 %, latency included.
     """
-
-    rise_s: float
-    overshoot: float
-    settling_s: float
-
-
-def step_response(model: SecondOrderModel) -> StepResponse:
-    """Return the figures of eq 22's response to a step."""
     damping = max(model.damping, LEAST_DAMPING)
     horizon_s = 10 * max(1 / damping, 2 * damping) / (2 * np.pi * model.resonance_hz)
     t_s = np.linspace(0.0, horizon_s, STEP_POINTS)
@@ -146,11 +137,8 @@ def step_response(model: SecondOrderModel) -> StepResponse:
     share = model.k * respond(replace(model, latency_s=0.0), step, t_s)
     reached = [t_s[np.argmax(share >= level)] for level in (0.1, 0.9)]
     outside = np.flatnonzero(np.abs(share - 1) > SETTLED)
-    return StepResponse(
-        rise_s=float(reached[1] - reached[0]),
-        overshoot=max(0.0, float(share.max()) - 1),
-        settling_s=model.latency_s + float(t_s[outside[-1]]),
-    )
+    overshoot = max(0.0, float(share.max()) - 1)
+    return float(reached[1] - reached[0]), overshoot, model.latency_s + float(t_s[outside[-1]])
 
 
 @dataclass(frozen=True, slots=True)

@@ -74,9 +74,9 @@ class PressRecorder:
             commanded_s, samples = self.rig.tick(output)
             self.commanded_s.append(commanded_s)
             self.output.append(output)
-            for sample in samples:
-                self.film_s.append(sample.time_s)
-                self.film_n.append(sample.force_n)
+            for time_s, force_n in samples:
+                self.film_s.append(time_s)
+                self.film_n.append(force_n)
                 if not abs(self.force_n) <= self.max_n:
                     self._stop(f"the film reads {self.force_n:.3g} N, above {self.max_n:.3g} N")
             last_s = self.film_s[-1] if self.film_s else self.commanded_s[0]
@@ -208,7 +208,7 @@ def _ramp(recorder: PressRecorder, speed_m_per_s: float, until_n: float) -> Pres
 
 @dataclass(frozen=True, slots=True)
 class ContactFit:
-    """Contact under the actuator; each value with its 95 % interval to either side.
+    """Contact under the actuator; half-widths: the 95 % interval of a value, to either side.
 
     touch_m: place of first touch, from where the press began. backlash_m: below 0, the force on
     the way out exceeds that on the way in. unexplained: RMS of the fit's residuals, as a share of
@@ -218,7 +218,6 @@ class ContactFit:
     finger_n_per_m: float
     finger_half_width: float
     touch_m: float
-    touch_half_width: float
     backlash_m: float
     backlash_half_width: float
     unexplained: float
@@ -273,7 +272,6 @@ def fit_contact(
         finger_n_per_m=1 / softness,
         finger_half_width=float(half_widths[2] / softness**2),
         touch_m=touch_m,
-        touch_half_width=float(half_widths[0]),
         backlash_m=backlash_m,
         backlash_half_width=float(half_widths[1]),
         unexplained=float(np.std(off_m) / np.std(x_m)),

@@ -1,8 +1,11 @@
-"""The bench that a press drives, tick by tick: the scene's models, or its drive and film."""
+"""The bench that a press drives, tick by tick: the scene's models, or its drive and film.
+
+A rig's output is a speed in m/s, positive into the finger; for the paper's second-order model a
+voltage in V.
+"""
 
 import time
 from collections import Counter
-from typing import NamedTuple, Protocol
 
 import numpy as np
 
@@ -29,30 +32,8 @@ ANSWER_WITHIN_S = 0.2
 # in time.
 ANSWER_WARN_S, ANSWER_FAIL_S = 0.03, 0.1
 
-
-class FilmSample(NamedTuple):
-    """One reading of the film under the finger, and its time."""
-
-    time_s: float
-    force_n: float
-
-
-class Rig(Protocol):
-    """An actuator with a film under it.
-
-    Its output is a speed in m/s, positive into the finger; for the paper's second-order model a
-    voltage in V.
-    """
-
-    @property
-    def tick_s(self) -> float:
-        """Length of a tick."""
-
-    def tick(self, output: float) -> tuple[float, list[FilmSample]]:
-        """Hold an output for one tick; return its time in s and the readings until its end."""
-
-    def withdraw(self) -> None:
-        """Go back to where the rig began, and rest there."""
+FilmSample = tuple[float, float]
+"""Time in s and force in N of a reading of the film under the finger."""
 
 
 class ModelRig:
@@ -73,15 +54,15 @@ class ModelRig:
         self._ticks = 0
 
     def tick(self, output: float) -> tuple[float, list[FilmSample]]:
-        """See `Rig.tick`."""
+        """Hold an output for one tick; return its time in s and the readings until its end."""
         self._actuator.step(output * self._scale)
         commanded_s = self._ticks * self.tick_s
         self._ticks += 1
         reading_n = self._film.read(self._actuator.force_n)
-        return commanded_s, [FilmSample(self._ticks * self.tick_s, reading_n)]
+        return commanded_s, [(self._ticks * self.tick_s, reading_n)]
 
     def withdraw(self) -> None:
-        """See `Rig.withdraw`; a model presses nothing."""
+        """Do nothing: a model presses nobody."""
 
 
 class HardwareRig:
@@ -96,9 +77,10 @@ class HardwareRig:
         film.poll()
 
     def tick(self, output: float) -> tuple[float, list[FilmSample]]:
-        """See `Rig.tick`; an output is held, and recorded, for longer where a tick is late.
+        """Hold an output for one tick; return its time in s and the readings until its end.
 
-        Raises DriveError when the drive has failed.
+        It is held, and recorded, for longer where a tick is late. Raises DriveError when the drive
+        has failed.
         """
         commanded_ns = time.perf_counter_ns()
         self._drive.command(output)
@@ -108,19 +90,22 @@ class HardwareRig:
         if fault is not None:
             raise DriveError("fault", f"the drive stopped: {fault}")
         samples = [
-            FilmSample((taken_ns - self._began_ns) * 1e-9, force_n)
+            ((taken_ns - self._began_ns) * 1e-9, force_n)
             for reading in self._film.poll()
             for taken_ns, force_n in zip(reading.times_ns, reading.force_n, strict=True)
         ]
         return (commanded_ns - self._began_ns) * 1e-9, samples
 
     def withdraw(self) -> None:
-        """See `Rig.withdraw`; afterwards the drive follows no further commands."""
+        """Go back off the finger and rest; afterwards the drive follows no further commands."""
         drive = self._drive
         drive.withdraw("stopped")
         end_s = time.monotonic() + WITHDRAWN_WITHIN_S
         while drive.status().withdrawal is WithdrawalOutcome.UNDER_WAY and time.monotonic() < end_s:
             time.sleep(PERIOD_S)
+
+
+Rig = ModelRig | HardwareRig
 
 
 def listen(sensor: Sensor, seconds: float) -> dict[str, SensorRecord]:

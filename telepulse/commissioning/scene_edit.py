@@ -8,7 +8,6 @@ from tomlkit.exceptions import TOMLKitError
 
 from protocol.config.scene_file import EXTENDS, load_toml, merge, scene_names
 from protocol.errors import SceneError
-from protocol.host.output import write_whole
 
 Changes = dict[str, dict[str, float | str]]
 """Keys and values by table of [display], such as {"film": {"latency": "4 ms"}}."""
@@ -51,11 +50,3 @@ def check_editable(path: Path, target: Path | None) -> None:
             f" path; write the copy to the folder {path.parent}"
         )
     set_keys(path, {"actuator": {"latency": "1 ms"}, "film": {"latency": "1 ms"}})
-
-
-def write_scene(source: Path, target: Path, changes: Changes, note: str = "") -> None:
-    """Write a copy of a scene with keys set, and a comment at its end.
-
-    Raises SceneError or OutputError.
-    """
-    write_whole(target, set_keys(source, changes) + (note and note + "\n"))

@@ -71,90 +71,70 @@ def of_each_force(
     }
 
 
-@dataclass(frozen=True, slots=True)
-class SensorFigures:
-    """Figures of a sensor record.
+def judge_sensor(record: SensorRecord, nominal_hz: float, live: bool = False) -> list[Check]:
+    """Judge a record against the scene's rate; live: the sensor is real, so it has noise.
 
-    jitter_s, arrival_jitter_s: RMS deviation of the times from equal intervals. age_s: age of the
-    newest sample just before the next batch, 99th percentile. lost: share of samples that are
-    missing. mains_hz, mains: 50 or 60 Hz, and the share of the noise's power in it and two
-    harmonics.
+    Raises BenchError for a record that is too short, or whose times do not advance.
     """
-
-    rate_hz: float
-    jitter_s: float
-    arrival_jitter_s: float
-    age_s: float
-    lost: float
-    zero_n: float
-    noise_n: float
-    mains_hz: float
-    mains: float
-
-
-def measure(record: SensorRecord) -> SensorFigures:
-    """Return the figures of a record. Raises BenchError for one that is too short."""
-    count = len(record.force_n)
+    count, nominal_s = len(record.force_n), 1 / nominal_hz
     if count < LEAST_SAMPLES:
         raise BenchError(
             f"{count} samples came from the sensor; at least {LEAST_SAMPLES} are needed"
         )
-    taken_s = (record.taken_ns - record.taken_ns[0]) * 1e-9
-    period_s, deviation_s = _fit_line(np.arange(count), taken_s)
+    taken_s, arrival_s, last = _times_s(record)
+    period_s, off_s = _fit_line(np.arange(count), taken_s)
     if not period_s > 0:
         raise BenchError("the samples' times do not advance: check the device's clock")
-    last = np.cumsum(record.batch_sizes) - 1
-    arrival_s = (record.arrival_ns - record.taken_ns[0]) * 1e-9
-    _, arrival_deviation_s = _fit_line(last, arrival_s)
-    # Just before a batch arrives, the newest sample is the last one of the previous batch.
-    ages_s = arrival_s[1:] - taken_s[last[:-1]] if len(last) > 1 else arrival_s - taken_s[last]
-    _, noise_n = _fit_line(taken_s, record.force_n)
-    mains_hz, mains = _mains(noise_n, period_s)
-    return SensorFigures(
-        rate_hz=1 / period_s,
-        jitter_s=float(np.std(deviation_s)),
-        arrival_jitter_s=float(np.std(arrival_deviation_s)),
-        age_s=float(np.quantile(ages_s, 0.99)),
-        lost=record.missing / (record.missing + count),
-        zero_n=float(np.mean(record.force_n)),
-        noise_n=float(np.std(noise_n)),
-        mains_hz=mains_hz,
-        mains=mains,
-    )
-
-
-def judge_sensor(figures: SensorFigures, nominal_hz: float, live: bool = False) -> list[Check]:
-    """Judge the figures against the scene's rate; live: the sensor is real, so it has noise."""
-    f, period_s = figures, 1 / nominal_hz
+    rate_hz, jitter_s = 1 / period_s, float(np.std(off_s))
+    arrival_jitter_s = float(np.std(_fit_line(last, arrival_s)[1]))
+    lost = record.missing / (record.missing + count)
+    # A drift is no noise.
+    _, off_n = _fit_line(taken_s, record.force_n)
+    noise_n, zero_n = float(np.std(off_n)), float(np.mean(record.force_n))
+    mains_hz, mains = _mains(off_n, period_s)
     # Name, finding, value, bounds of "warn" and "fail", and the reason.
     table = (
         # A display assumes the scene's rate, and follows the deviation of a crystal.
-        ("rate", f"{f.rate_hz:.1f} Hz", abs(f.rate_hz / nominal_hz - 1), 0.005, 0.02,
+        ("rate", f"{rate_hz:.1f} Hz", abs(rate_hz / nominal_hz - 1), 0.005, 0.02,
          f"the scene has {nominal_hz:g} Hz: correct it, or check the board"),
         # Shares of a period. No filter can be designed for samples that are a whole period off.
         ("jitter of sample times",
-         f"{f.jitter_s * 1e6:.0f} µs RMS (arrival: {f.arrival_jitter_s * 1e6:.0f} µs)",
-         f.jitter_s / period_s, 0.25, 1.0, "let the device send its own time with the samples"),
-        ("missing samples", f"{f.lost * 100:.2f} %", f.lost, 0.0, 0.01,
+         f"{jitter_s * 1e6:.0f} µs RMS (arrival: {arrival_jitter_s * 1e6:.0f} µs)",
+         jitter_s / nominal_s, 0.25, 1.0, "let the device send its own time with the samples"),
+        ("missing samples", f"{lost * 100:.2f} %", lost, 0.0, 0.01,
          "check cable, baud rate and load"),
         ("noise",
-         f"{f.noise_n * 1e3:.2f} mN RMS, {f.mains * 100:.0f} % of its power at {f.mains_hz:g} Hz",
-         f.noise_n, NOISE_WARN_N, NOISE_FAIL_N,
+         f"{noise_n * 1e3:.2f} mN RMS, {mains * 100:.0f} % of its power at {mains_hz:g} Hz",
+         noise_n, NOISE_WARN_N, NOISE_FAIL_N,
          "nothing may press the sensor during this check: a pulse has about 0.3 N, and"
          f" {NOISE_FAIL_N * 1e3:.0f} mN are just felt"),
-        ("zero", f"{f.zero_n * 1e3:z.1f} mN", abs(f.zero_n), 50e-3, np.inf,
+        ("zero", f"{zero_n * 1e3:z.1f} mN", abs(zero_n), 50e-3, np.inf,
          "nothing should press now; `telepulse calibrate` finds the zero"),
     )  # fmt: skip
-    checks = [grade(*row) for row in table]
-    if live and not f.noise_n:
+    checks = {row[0]: grade(*row) for row in table}
+    if live and not noise_n:
         reason = "the reading never changes: is the sensor connected, and is its unit right?"
-        checks = [
-            with_warning(check, reason) if check.name == "noise" else check for check in checks
-        ]
-    if f.mains > MAINS_WARN and f.noise_n > NOISE_WARN_N:
+        checks["noise"] = with_warning(checks["noise"], reason)
+    if mains > MAINS_WARN and noise_n > NOISE_WARN_N:
         reason = "shield the film, or reject it with `mains` in [sensing.conditioning]"
-        checks.append(Check("mains", f"{f.mains * 100:.0f} % of the noise", "warn", reason))
-    return checks
+        checks["mains"] = Check("mains", f"{mains * 100:.0f} % of the noise", "warn", reason)
+    return list(checks.values())
+
+
+def reading_age_s(record: SensorRecord) -> float:
+    """Return the age of the newest sample just before the next batch, 99th percentile, in s."""
+    taken_s, arrival_s, last = _times_s(record)
+    # Just before a batch arrives, the newest sample is the last one of the previous batch.
+    ages_s = arrival_s[1:] - taken_s[last[:-1]] if len(last) > 1 else arrival_s - taken_s[last]
+    return float(np.quantile(ages_s, 0.99))
+
+
+def _times_s(
+    record: SensorRecord,
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int64]]:
+    """Return times of the samples and of the batches' arrival, and each batch's last sample."""
+    begin_ns, last = record.taken_ns[0], np.cumsum(record.batch_sizes) - 1
+    return (record.taken_ns - begin_ns) * 1e-9, (record.arrival_ns - begin_ns) * 1e-9, last
 
 
 def _fit_line(

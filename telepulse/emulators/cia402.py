@@ -62,7 +62,7 @@ class EmulatedCia402Drive:
 
     modes: the supported velocity modes; other modes except homing are ignored. error_code: 0
     without an error. abort_option: reaction to a missing heartbeat: 3 is a quick stop, 0 none, any
-    other value a fault.
+    other value a fault. homing: number of the method, and its two speeds in the drive's units.
     """
 
     def __init__(self, scene: Cia402Scene, motor: EmulatedMotor, modes: tuple[Mode, ...]) -> None:
@@ -70,10 +70,10 @@ class EmulatedCia402Drive:
         self._direction = -1 if scene.inverted else 1
         self._control = self._homed = 0
         self._missed_heartbeat = False
-        self._method = self._search = self._leave = 0
         self.state = State.SWITCH_ON_DISABLED
         self.mode = self.error_code = 0
         self.abort_option = 1
+        self.homing = (0, 0, 0)
 
     @property
     def statusword(self) -> int:
@@ -106,10 +106,6 @@ class EmulatedCia402Drive:
         if mode in self._modes or mode == Mode.HOMING:
             self.mode = mode
             self._homed = 0
-
-    def search_by(self, method: int, search: int, leave: int) -> None:
-        """Set the homing method by its number, and the speeds in the drive's units."""
-        self._method, self._search, self._leave = method, search, leave
 
     def limit(self, least: int, most: int) -> None:
         """Set software position limits in the drive's units; equal ones: none."""
@@ -162,11 +158,11 @@ class EmulatedCia402Drive:
 
     def _home(self) -> None:
         away = POSITIVE_SWITCH if self._direction < 0 else NEGATIVE_SWITCH
-        self._homed = HOMING_ATTAINED if self._method in (HERE, away) else HOMING_ERROR
-        if self._method == HERE:
+        method, *speeds = self.homing
+        self._homed = HOMING_ATTAINED if method in (HERE, away) else HOMING_ERROR
+        if method == HERE:
             self._motor.zero()
-        elif self._method == away:
-            speeds = (self._search, self._leave)
+        elif method == away:
             self._motor.home(*(speed / self._scene.velocity_scale for speed in speeds))
 
     def _quick_stop(self) -> None:
@@ -305,7 +301,7 @@ class EmulatedCia402Node:
             self.drive.advance(time.perf_counter_ns())
             if self._waiting is not None:
                 stored = self._stored
-                self.drive.search_by(stored(0x6098), stored(0x6099, 1), stored(0x6099, 2))
+                self.drive.homing = stored(0x6098), stored(0x6099, 1), stored(0x6099, 2)
                 self.drive.limit(stored(0x607D, 1), stored(0x607D, 2))
                 self.drive.control(*self._waiting)
                 self._waiting = None

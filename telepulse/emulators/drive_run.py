@@ -9,10 +9,11 @@ from pathlib import Path
 
 from protocol.errors import OutputError
 from protocol.host.process import freeze_objects, stop_on_signals
+from sensing_node.sources.wrist import WristSensors
 from telepulse.emulators import PtyPort
 from telepulse.emulators.motor import EmulatedMotor, MotorFault, MotorState
 from telepulse.emulators.sensor_board import PULSES, binary
-from telepulse.emulators.wrist import WristBoard
+from telepulse.emulators.wrist import read_wrist
 
 FRAME = 4
 TRACE_HEADER = "time_ns,tip_m,speed_m_per_s,force_n,trouble\n"
@@ -33,10 +34,10 @@ class EmulatedFilm:
     """
 
     def __init__(
-        self, motor: EmulatedMotor, port: PtyPort, wrist: WristBoard | None = None
+        self, motor: EmulatedMotor, port: PtyPort, wrist: WristSensors | None = None
     ) -> None:
         self._motor, self._port, self._wrist = motor, port, wrist
-        self._encode = binary("float32", PULSES if wrist is None else wrist.channels)
+        self._encode = binary("float32", PULSES if wrist is None else WristSensors.channels)
         self._sent = 0
 
     def deliver(self) -> None:
@@ -45,7 +46,7 @@ class EmulatedFilm:
         while len(forces_n) >= FRAME:
             forces = [forces_n.popleft() for _ in range(FRAME)]
             one = [[force_n] for force_n in forces]
-            values = one if self._wrist is None else self._wrist.read(forces)
+            values = one if self._wrist is None else read_wrist(self._wrist, forces)
             self._sent += FRAME
             self._port.write(self._encode(values, (self._sent - 1) * 1_000))
 
@@ -62,7 +63,7 @@ class DriveRun:
         film_link: Path | None,
         trace: Path | None,
         resources: ExitStack,
-        wrist: WristBoard | None = None,
+        wrist: WristSensors | None = None,
     ) -> None:
         self._motor = motor
         self._film: EmulatedFilm | None = None

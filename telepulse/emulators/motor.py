@@ -40,9 +40,8 @@ class EmulatedMotor:
     the drive has homed.
 
     rate_hz: step rate of the shaft, positive towards the finger. tip_m: position of the tip from
-    first touch. rested_ns: time at which the motor came to rest last. tripped: the watchdog has
-    stopped the motor. forces_n: forces for the film to send, one per millisecond, until a reader
-    takes them. trace: called with the state every millisecond.
+    first touch. tripped: the watchdog has stopped the motor. forces_n: forces for the film to send,
+    one per millisecond, until a reader takes them. trace: called with the state every millisecond.
     """
 
     def __init__(self, scene: StepperScene, law: ContactLaw, touch_m: float, now_ns: int) -> None:
@@ -56,7 +55,7 @@ class EmulatedMotor:
         self._homing: Literal["seek", "leave", "rest"] | None = None
         self._search_hz = self._leave_hz = 0.0
         self._watchdog_ns = 0
-        self._fed_ns = self._now_ns = self._command_ns = self.rested_ns = now_ns
+        self._fed_ns = self._now_ns = self._command_ns = now_ns
         # Correction, in steps times ns, for a command that arrived within the present tick.
         self._carry = 0.0
         self._zero_steps = 0
@@ -153,8 +152,6 @@ class EmulatedMotor:
         if self._at_limit(target_hz):
             target_hz = 0.0
         rate_hz = self._turn(target_hz) / TICK_S
-        if self.rate_hz and not rate_hz:
-            self.rested_ns = self._now_ns
         self.rate_hz = rate_hz
         self.tip_m = self._stepper.tip_m - self._touch_m
         self.force_n = self._law.force(self.tip_m)

@@ -4,17 +4,16 @@ Not modelled: a crystal whose rate changes, lost bytes, control lines, a board t
 itself, the electrical noise of a real front end.
 """
 
-import json
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import tomlkit
 
 from protocol.wire.stream import PULSE, Channel
 from pulse_sensors.binary_frames import FrameEncoder, SampleFormat
-from sensing_node.scene import SensingScene, build_source
 from sensing_node.sources.source import SampleSource
 from telepulse.emulators import PtyPort
 
@@ -50,6 +49,10 @@ def timed_line(samples: Samples, last_us: int) -> bytes:
 def line(samples: Samples, last_us: int) -> bytes:
     """Encode one line with the values of a sample."""
     return b",".join(b"%.6f" % value for value in samples[-1]) + b"\r\n"
+
+
+LINES: dict[str, Encode] = {"text": timed_line, "untimed": line}
+"""Encoders of the framings that are lines of text."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,26 +118,6 @@ class SensorBoard:
         self.next_delivery_ns += max(1, round(self._rng.uniform(longest_ns / 4, longest_ns)))
 
 
-LINES = {"text": timed_line, "untimed": line}
-
-
-def build_board(
-    scene: SensingScene,
-    folder: Path,
-    framing: str,
-    samples: SampleFormat,
-    behaviour: BoardBehaviour,
-) -> SensorBoard:
-    """Build a board that plays the scene's source from now on.
-
-    framing: "text", "untimed" or "binary". Raises SceneError or SourceError.
-    """
-    # A real board sends its readings, plausible or not.
-    source = build_source(scene, folder, plausible=False)
-    encode = binary(samples, source.channels) if framing == "binary" else LINES[framing]
-    return SensorBoard(source, encode, behaviour, time.perf_counter_ns())
-
-
 def source_table(
     port: Path,
     rate_hz: float,
@@ -143,21 +126,20 @@ def source_table(
     channels: Sequence[Channel] = PULSES,
 ) -> str:
     """Return the [sensing.source] of a scene that reads the board."""
-    binary = framing == "binary"
-    lines = ["[sensing.source]", 'kind = "serial"', f'port = "{port}"']
-    lines.append(f'framing = "{"binary" if binary else "text"}"')
+    source: dict[str, object] = {"kind": "serial", "port": str(port)}
+    source["framing"] = "binary" if framing == "binary" else "text"
     if framing == "text":
-        lines.append('device_time = "us"')
-    lines.append(f'rate = "{rate_hz:g} Hz"')
+        source["device_time"] = "us"
+    source["rate"] = f"{rate_hz:g} Hz"
     if len(channels) > 1:
-        lines.append(f"names = {json.dumps([channel.name for channel in channels])}")
-    if binary and samples != "float32":
-        lines += ['unit = "counts"', f"newtons_per_count = {NEWTONS_PER_COUNT:g}"]
+        source["names"] = [channel.name for channel in channels]
+    if framing == "binary" and samples != "float32":
+        source |= {"unit": "counts", "newtons_per_count": NEWTONS_PER_COUNT}
         if any(channel.announces for channel in channels):
-            lines.append('announce_unit = "uV"')
+            source["announce_unit"] = "uV"
     else:
-        lines.append('unit = "N"')
-    return "\n".join(lines)
+        source["unit"] = "N"
+    return tomlkit.dumps({"sensing": {"source": source}}).rstrip()
 
 
 def play(board: SensorBoard, port: PtyPort, until_ns: int, stopped: Callable[[], bool]) -> None:

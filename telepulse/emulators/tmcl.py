@@ -226,10 +226,6 @@ class EmulatedSerialLine:
         for reply in self._module.due_answers(time.perf_counter_ns()):
             self._port.write(reply)
 
-    def close(self) -> None:
-        """Unplug."""
-        self._port.close()
-
 
 class EmulatedCanLine:
     """CAN frames of 7 bytes to the module's identifier, answered with the host's identifier."""
@@ -251,7 +247,3 @@ class EmulatedCanLine:
         for reply in self._module.due_answers(time.perf_counter_ns()):
             data, identifier = reply[1:8], reply[0]
             self._bus.send(can.Message(arbitration_id=identifier, is_extended_id=False, data=data))
-
-    def close(self) -> None:
-        """Leave the bus."""
-        self._bus.shutdown()

@@ -23,19 +23,11 @@ class TissueContact(ContactLaw):
         return self._law.force_n(position_m - CLEARANCE_M)
 
 
-class WristBoard:
-    """Readings of film and load cell for the static forces under the probe, one a millisecond.
+def read_wrist(sensors: WristSensors, forces_n: list[float]) -> list[list[float]]:
+    """Return film and load cell in N for the static forces under the probe, one a millisecond.
 
-    The board has no electrodes: an ECG of the scene is left out.
+    The emulated board has no electrodes: an ECG of the scene is left out.
     """
-
-    channels = WristSensors.channels
-
-    def __init__(self, scene: WristScene) -> None:
-        self._sensors = WristSensors(scene)
-
-    def read(self, forces_n: list[float]) -> list[list[float]]:
-        """Return the next samples of both in N."""
-        inputs = self._sensors.next_samples(len(forces_n))
-        triples = zip(inputs.pressures_pa, inputs.noise, forces_n, strict=True)
-        return [list(self._sensors.sense(*each)) for each in triples]
+    pressures_pa, noise, _ = sensors.next_samples(len(forces_n))
+    triples = zip(pressures_pa, noise, forces_n, strict=True)
+    return [list(sensors.sense(*each)) for each in triples]

@@ -16,7 +16,6 @@ from pydantic import BaseModel, ConfigDict
 from display_node.display import Display
 from display_node.hardware import Hardware
 from display_node.scoring.deadlines import GAP_NS
-from telepulse.experiment.observer import IntervalErrors
 from telepulse.experiment.session import Letter, SessionPlan, Trial
 from telepulse.scene import Scene
 from telepulse.simulation.virtual_time import Simulation
@@ -203,7 +202,7 @@ def play_in_virtual_time(interval: Interval) -> PlayedInterval:
     return playing.played()
 
 
-def interval_errors(played: Sequence[PlayedInterval]) -> IntervalErrors:
+def interval_errors(played: Sequence[PlayedInterval]) -> tuple[float, float, float]:
     """Return the mean aligned force errors of A, B and X over the direct pulse from peak to peak.
 
     An interval that was never felt at full strength counts as 1. NaN for a letter without any
@@ -216,4 +215,4 @@ def interval_errors(played: Sequence[PlayedInterval]) -> IntervalErrors:
         shares = [1.0 if error_n is None else error_n / pulse_n for error_n in errors_n]
         return sum(shares) / len(shares) if shares else math.nan
 
-    return IntervalErrors(share("A"), share("B"), share("X"))
+    return share("A"), share("B"), share("X")

@@ -14,7 +14,7 @@ from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
 from random import SystemRandom
-from typing import Annotated, Any, Literal, NamedTuple
+from typing import Annotated, Any, BinaryIO, Literal, NamedTuple
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
@@ -124,10 +124,7 @@ class AnsweredTrial(_Line):
         response_s: float | None = None,
     ) -> "AnsweredTrial":
         """Return the line of a trial that was answered now."""
-        errors = {
-            f"error_{name}": None if math.isnan(share) else share
-            for name, share in interval_errors(played)._asdict().items()
-        }
+        shares = (None if math.isnan(each) else each for each in interval_errors(played))
         judged = isinstance(answer, str) and trial.condition is not None
         return cls(
             time=now(),
@@ -139,7 +136,7 @@ class AnsweredTrial(_Line):
             stale=any(each.on_link and each.stale for each in played),
             played=tuple(played),
             **trial.model_dump(),
-            **errors,
+            **dict(zip(("error_a", "error_b", "error_x"), shares, strict=True)),
         )
 
 
@@ -189,43 +186,19 @@ def read_log(path: Path) -> SessionLog:
     return SessionLog(header, session, answered, whole_bytes)
 
 
-class SessionLogFile:
-    """A log that is written; each line is on the disk when `write` returns.
-
-    append_at: length after which to continue an existing log; None: a new file. Raises
-    OutputError.
-    """
-
-    def __init__(self, path: Path, append_at: int | None = None) -> None:
-        self._path = path
-        try:
-            self._file = path.open("xb" if append_at is None else "ab")
-            if append_at is not None:
-                self._file.truncate(append_at)
-        except FileExistsError:
-            raise OutputError(
-                f"{path}: exists already; continue it by --resume, or name another file"
-            ) from None
-        except OSError as error:
-            raise OutputError(f"{path}: cannot be written: {error.strerror}") from None
-
-    def close(self) -> None:
-        """Close the file."""
-        self._file.close()
-
-    def write(self, line: LogLine) -> None:
-        """Append a line. Raises OutputError."""
-        try:
-            self._file.write(line.model_dump_json().encode() + b"\n")
-            self._file.flush()
-            os.fsync(self._file.fileno())
-        except OSError as error:
-            raise OutputError(f"{self._path}: cannot be written: {error.strerror}") from None
+def write_line(file: BinaryIO, line: LogLine) -> None:
+    """Append a line, which is on the disk on return. Raises OutputError."""
+    try:
+        file.write(line.model_dump_json().encode() + b"\n")
+        file.flush()
+        os.fsync(file.fileno())
+    except OSError as error:
+        raise OutputError(f"{file.name}: cannot be written: {error.strerror}") from None
 
 
 def open_log(
     path: Path, plan: SessionPlan, threshold: float | None, resume: bool
-) -> tuple[SessionLogFile, SessionHeader, int]:
+) -> tuple[BinaryIO, SessionHeader, int]:
     """Return the log to write, its header, and the number of answered trials.
 
     A log that is resumed must have the same session, scene and observer. Raises LogError or
@@ -245,18 +218,33 @@ def open_log(
             felt_on="models" if made_up else "drive",
             provenance=scene_provenance(plan.direct, {"session": seed}).to_dict(),
         )
-        file = SessionLogFile(path)
-        file.write(header)
+        file = _open_file(path)
+        write_line(file, header)
         return file, header, 0
     log = read_log(path)
     if (log.header.tables, log.header.threshold) != (plan.tables, threshold):
         raise LogError(
             f"{path}: session, scene or observer differ from those in the log's first line"
         )
-    file = SessionLogFile(path, log.whole_bytes)
+    file = _open_file(path, log.whole_bytes)
     made = scene_provenance(plan.direct, {"session": log.header.seed}).to_dict()
-    file.write(ResumedSession(version=version("telepulse"), time=now(), provenance=made))
+    write_line(file, ResumedSession(version=version("telepulse"), time=now(), provenance=made))
     return file, log.header, len(log.answered)
+
+
+def _open_file(path: Path, append_at: int | None = None) -> BinaryIO:
+    """Open a new log, or continue an existing one after a length. Raises OutputError."""
+    try:
+        file = path.open("xb" if append_at is None else "ab")
+        if append_at is not None:
+            file.truncate(append_at)
+        return file
+    except FileExistsError:
+        raise OutputError(
+            f"{path}: exists already; continue it by --resume, or name another file"
+        ) from None
+    except OSError as error:
+        raise OutputError(f"{path}: cannot be written: {error.strerror}") from None
 
 
 # A rating from here on is "close to a direct touch", which is what the paper asked.

@@ -6,15 +6,7 @@ strategy of Macmillan and Creelman, *Detection Theory*, ch. 9. At the threshold,
 """
 
 from random import Random
-from typing import Literal, NamedTuple
-
-
-class IntervalErrors(NamedTuple):
-    """Force errors of a trial's intervals, in one unit; NaN for a letter that was not felt."""
-
-    a: float
-    b: float
-    x: float
+from typing import Literal
 
 
 class SimulatedObserver:
@@ -29,9 +21,9 @@ class SimulatedObserver:
         self._threshold = threshold
         self._random = Random(f"observer {seed}")
 
-    def identify(self, errors: IntervalErrors) -> Literal["A", "B"]:
-        """Return "A" or "B" for X."""
-        a, b, x = map(self._feel, errors)
+    def identify(self, a: float, b: float, x: float) -> Literal["A", "B"]:
+        """Return "A" or "B" for X, from the errors of A, B and X."""
+        a, b, x = map(self._feel, (a, b, x))
         return "A" if abs(x - a) < abs(x - b) else "B"
 
     def rate(self, reference: float, x: float) -> Literal[1, 2, 3, 4, 5]:

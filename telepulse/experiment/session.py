@@ -145,10 +145,9 @@ def draw_trials(session: SessionTable, seed: int) -> tuple[Trial, ...]:
     random.shuffle(names)
     trials = []
     for name in names:
-        trial: dict[str, Any] = {"condition": name, "pulse_seed": random.getrandbits(31)}
-        if session.kind == "rating":
-            trial |= {"direct": "A", "x": "B"}
-        else:
-            trial |= {"direct": random.choice("AB"), "x": random.choice("AB")}
+        seed, direct, x = random.getrandbits(31), "A", "B"
+        if session.kind == "abx":
+            direct, x = random.choice("AB"), random.choice("AB")
+        trial = {"condition": name, "direct": direct, "x": x, "pulse_seed": seed}
         trials.append(Trial.model_validate(trial))
     return tuple(trials)

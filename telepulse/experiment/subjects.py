@@ -11,7 +11,7 @@ import time
 from collections import Counter, deque
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any, BinaryIO, NamedTuple
 
 from display_node.display import Display
 from display_node.fault_advice import advise
@@ -27,7 +27,7 @@ from telepulse.experiment.interval import (
     interval_errors,
     play_in_virtual_time,
 )
-from telepulse.experiment.log import Answer, AnsweredTrial, SessionHeader, SessionLogFile
+from telepulse.experiment.log import Answer, AnsweredTrial, SessionHeader, write_line
 from telepulse.experiment.observer import SimulatedObserver
 from telepulse.experiment.session import LETTERS, Kind, Letter, SessionPlan
 
@@ -220,26 +220,17 @@ class Person:
 
     def _await_key(self) -> str | None:
         """Return the next key, or None if the session ends; the bench rests meanwhile."""
-        keys: list[str] = []
+        key: str | None = None
 
-        def listen(wait_s: float) -> bool:
-            key = self._keyboard.key(wait_s)
-            if key is not None:
-                keys.append(key)
-            return not keys and not self._stopping
+        def rest(now_ns: int, elapsed_ticks: int) -> bool:
+            nonlocal key
+            self._display.tick(now_ns, elapsed_ticks)
+            self._check()
+            key = self._keyboard.key()
+            return key is None and not self._stopping
 
-        if self._hardware is None:
-            while listen(KEY_WAIT_S):
-                pass
-        else:
-
-            def rest(now_ns: int, elapsed_ticks: int) -> bool:
-                self._display.tick(now_ns, elapsed_ticks)
-                self._check()
-                return listen(0.0)
-
-            _run_ticks(self._tick_ns, rest)
-        return None if self._stopping else keys[0]
+        _run_ticks(self._tick_ns, rest)
+        return None if self._stopping else key
 
     def _play(self, interval: Interval) -> PlayedInterval | None:
         """Play an interval to its end; return None if the session ends."""
@@ -302,7 +293,7 @@ def check_playable(plan: SessionPlan, header: SessionHeader) -> None:
 
 
 def run_session(
-    plan: SessionPlan, file: SessionLogFile, header: SessionHeader, done: int, subject: Subject
+    plan: SessionPlan, file: BinaryIO, header: SessionHeader, done: int, subject: Subject
 ) -> bool:
     """Run trial after trial and log each; return whether all are answered."""
     for index in range(done, len(header.trials)):
@@ -310,7 +301,7 @@ def run_session(
         answered = subject(index, partial(draw_interval, plan, header.seed, index, trial))
         if answered is None:
             return False
-        file.write(AnsweredTrial.of(index, trial, *answered))
+        write_line(file, AnsweredTrial.of(index, trial, *answered))
     return True
 
 
@@ -322,8 +313,8 @@ def simulated_subject(plan: SessionPlan, threshold: float, seed: int) -> Subject
         # An observer for each trial: a resumed session has the same answers as an unbroken one.
         observer = SimulatedObserver(threshold, seed * 100_000 + index)
         played = [play_in_virtual_time(draw(letter, 1)) for letter in LETTERS[kind]]
-        errors = interval_errors(played)
-        value = observer.identify(errors) if kind == "abx" else observer.rate(errors.a, errors.x)
+        a, b, x = interval_errors(played)
+        value = observer.identify(a, b, x) if kind == "abx" else observer.rate(a, x)
         return Answered(value, played)
 
     return answer

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
-from socketserver import ThreadingMixIn
+from socketserver import TCPServer, ThreadingMixIn
 from typing import Any
 from wsgiref.simple_server import WSGIRequestHandler, WSGIServer
 from wsgiref.types import StartResponse, WSGIApplication, WSGIEnvironment
@@ -96,7 +96,12 @@ def families(
     help_texts: dict[str, str] = {}
     for figure in figures_on(Surface.METRICS):
         help_text = help_texts.setdefault(figure.metric, figure.help or figure.meaning)
-        for labels, value in _samples_of_all(figure, status.summary):
+        # The node's, then those of each of several contactors.
+        samples = list(_samples(figure, status.summary))
+        for contactor, figures in status.summary["contactors"].items():
+            of_it = {"contactor": contactor}
+            samples += [(labels | of_it, value) for labels, value in _samples(figure, figures)]
+        for labels, value in samples:
             name = PREFIX + figure.metric
             metric = found.setdefault(name, Metric(name, help_text, figure.metric_type))
             metric.add_sample(name + ("_total" if figure.counter else ""), labels, value)
@@ -115,16 +120,6 @@ def _heart_rates(contactors: Iterable[str], rates_per_min: Iterable[float | None
         if rate_per_min is not None:
             found.add_sample(name, {"contactor": contactor} if contactor else {}, rate_per_min / 60)
     return found
-
-
-def _samples_of_all(
-    figure: Figure, summary: Mapping[str, Any]
-) -> Iterator[tuple[dict[str, str], float]]:
-    """Yield the samples of a figure: the node's, then those of each of several contactors."""
-    yield from _samples(figure, summary)
-    for name, figures in summary["contactors"].items():
-        for labels, value in _samples(figure, figures):
-            yield labels | {"contactor": name}, value
 
 
 def _samples(figure: Figure, summary: Mapping[str, Any]) -> Iterator[tuple[dict[str, str], float]]:
@@ -180,9 +175,7 @@ class MetricsHTTPServer(ThreadingMixIn, WSGIServer):
 
     def server_bind(self) -> None:
         """Bind without looking up the host's name, which may wait for a name server."""
-        self.socket.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        self.socket.bind(self.server_address)
-        self.server_address = self.socket.getsockname()
+        TCPServer.server_bind(self)
         self.server_name, self.server_port = str(self.server_address[0]), self.server_address[1]
         self.setup_environ()
 

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any, TypeVar, get_args
 
-from protocol.config.kinds import KindTable
+from protocol.config.kinds import KindTable, find_kind
 from protocol.config.scene import Section, validate
 from protocol.errors import SceneError
 from telepulse.plugins import GROUPS
@@ -83,7 +83,7 @@ def check_entry_point(section: type[Section]) -> None:
         raise ConformanceError(f"{section.__name__} is a subclass of none of {bases}")
     for kind in get_args(section.model_fields["kind"].annotation):
         try:
-            found = group.find(kind)
+            found = find_kind(kind, [group])
         except SceneError as error:
             raise ConformanceError(str(error)) from None
         require(

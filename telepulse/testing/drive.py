@@ -57,7 +57,9 @@ def check_drive(
             _start(drive, position_m)
             _check_commands(drive, position_m)
             _check_limit(drive, position_m)
-            _check_silence(drive, table, position_m)
+            # Without commands for the watchdog's time, the drive withdraws the tip.
+            time.sleep(table.watchdog_ns * 1e-9)
+            _check_withdrawn(drive, position_m, "without commands")
             _start(drive, position_m)
             _keep(drive, SPEED_M_PER_S, FORWARD_S)
             drive.withdraw("conformance test")
@@ -129,12 +131,6 @@ def _check_limit(drive: Drive, position_m: Callable[[], float]) -> None:
         time.sleep(PERIOD_S)
     fault = drive.status().fault
     require(fault is None, f"at the soft limit there is a fault: {fault}")
-
-
-def _check_silence(drive: Drive, table: DriveScene, position_m: Callable[[], float]) -> None:
-    """Check that the tip is withdrawn once no command has come for the watchdog's time."""
-    time.sleep(table.watchdog_ns * 1e-9)
-    _check_withdrawn(drive, position_m, "without commands")
 
 
 def _check_withdrawn(

@@ -2,7 +2,7 @@
 
 import math
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from display_node.prediction import Predictor
@@ -20,8 +20,6 @@ SQUARES = 25
 HORIZON_NS = 50 * TICK_NS
 LARGEST_N = 1e3
 
-Feed = Callable[[Predictor, list[int], list[float]], None]
-
 
 def check_predictor(section: type[PredictorScene], keys: Mapping[str, Any]) -> None:
     """Check a kind of predictor on a synthetic pulse of 1 kHz.
@@ -34,7 +32,7 @@ def check_predictor(section: type[PredictorScene], keys: Mapping[str, Any]) -> N
     first = _build(table, 1)[0]
     require(first.predict(0) == 0.0, "a prediction before any sample is not 0")
     began_s = time.process_time()
-    _play([first], pulse_n, _given)
+    _play([first], pulse_n)
     busy_s = (time.process_time() - began_s) / len(pulse_n)
     require(
         busy_s < TICK_NS * 1e-9,
@@ -44,7 +42,7 @@ def check_predictor(section: type[PredictorScene], keys: Mapping[str, Any]) -> N
     again_n = _predictions(first, len(pulse_n), backwards=True)
     require(predicted_n == again_n, "predict changes later predictions: it must not keep anything")
     other = _build(table, 1)[0]
-    _play([other], pulse_n, _overwritten)
+    _play([other], pulse_n, overwrite=True)
     require(
         _predictions(other, len(pulse_n)) == predicted_n,
         "it looks ahead: its predictions follow the lists that observe was given, after the caller"
@@ -52,15 +50,15 @@ def check_predictor(section: type[PredictorScene], keys: Mapping[str, Any]) -> N
     )
     _check_instances(table, pulse_n, predicted_n)
     _check_error(table, first)
-    _play(_build(table, 3), pulse_n[: 100 * FRAME], _given)
+    _play(_build(table, 3), pulse_n[: 100 * FRAME])
     _check_extremes(_build(table, 1)[0])
 
 
 def _check_instances(table: PredictorScene, pulse_n: list[float], predicted_n: list[float]) -> None:
     """Check that what one predictor is given does not reach another."""
     ahead, later = _build(table, 1)[0], _build(table, 1)[0]
-    _play([ahead], [*pulse_n, *(1.0 + each for each in pulse_n[:500])], _given)
-    _play([later], pulse_n, _given)
+    _play([ahead], [*pulse_n, *(1.0 + each for each in pulse_n[:500])])
+    _play([later], pulse_n)
     require(
         _predictions(later, len(pulse_n)) == predicted_n,
         "it looks ahead: predictions depend on later samples that another predictor was given",
@@ -99,27 +97,23 @@ def _build(table: PredictorScene, count: int) -> Sequence[Predictor]:
     return found
 
 
-def _play(predictors: Sequence[Predictor], pulse_n: list[float], feed: Feed) -> None:
-    """Give each channel the same pulse, frame by frame, as a display does."""
+def _play(predictors: Sequence[Predictor], pulse_n: list[float], overwrite: bool = False) -> None:
+    """Give each channel the same pulse, frame by frame, as a display does.
+
+    overwrite: write later samples into the lists that a predictor was given.
+    """
     for first in range(0, len(pulse_n), FRAME):
-        values = pulse_n[first : first + FRAME]
+        frame_n = pulse_n[first : first + FRAME]
         for predictor in predictors:
+            values = list(frame_n)
             times_ns = [(first + number) * TICK_NS for number in range(len(values))]
-            feed(predictor, times_ns, list(values))
-        for _ in values:
+            predictor.observe(times_ns, values)
+            if overwrite:
+                times_ns[:] = [each + len(values) * TICK_NS for each in times_ns]
+                values[:] = [each + 1.0 for each in values]
+        for _ in frame_n:
             for predictor in predictors:
                 predictor.work()
-
-
-def _given(predictor: Predictor, times_ns: list[int], values: list[float]) -> None:
-    predictor.observe(times_ns, values)
-
-
-def _overwritten(predictor: Predictor, times_ns: list[int], values: list[float]) -> None:
-    predictor.observe(times_ns, values)
-    for number in range(len(values)):
-        times_ns[number] += len(values) * TICK_NS
-        values[number] += 1.0
 
 
 def _predictions(predictor: Predictor, samples: int, backwards: bool = False) -> list[float]:

@@ -39,7 +39,8 @@ class PressedBeat(NamedTuple):
 class DepthState:
     """Hold-down of one wrist, its beats in the order of hold-down, and the curve of their heights.
 
-    pressed: whether the stream has a hold-down. samples: hold-down and pulse of each.
+    pressed: whether the stream has a hold-down. samples: hold-down and pulse of each. analysis:
+    finds the beats of a session.
     """
 
     def __init__(self) -> None:
@@ -48,11 +49,7 @@ class DepthState:
         self._beats: list[PressedBeat] = []
         self._count = self._fitted = 0
         self._curve: DepthCurve | None = None
-        self._analysis = SteadyAnalysis()
-
-    def begin_session(self) -> None:
-        """Expect the beats of another session, whose clock may be another."""
-        self._analysis = SteadyAnalysis()
+        self.analysis = SteadyAnalysis()
 
     def add_frame(
         self, t_ns: Times, first_ns: int, period_ns: int, pulse_n: Floats, hold_down_n: Floats
@@ -66,7 +63,7 @@ class DepthState:
             return
         self.samples.insert(t_ns, np.column_stack([hold_down_n, pulse_n]))
         pulse = channel_samples(0, first_ns, period_ns, pulse_n.tolist())
-        for beat in self._analysis.observe(pulse, float(hold_down_n.mean())):
+        for beat in self.analysis.observe(pulse, float(hold_down_n.mean())):
             self._add(beat, int(t_ns[0]) - first_ns)
 
     @property

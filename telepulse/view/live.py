@@ -11,6 +11,7 @@ import numpy as np
 
 from display_node.reception.receiver import FUTURE_NS, OLDEST_NS
 from display_node.scoring.beats import BeatAnalysis
+from display_node.scoring.pressed_beats import SteadyAnalysis
 from protocol.summary.tables import contactors_of
 from protocol.wire.messages import channel_samples
 from protocol.wire.stream import HOLD_DOWN
@@ -39,7 +40,8 @@ class ContactorState:
     Columns of ticks: felt_n (NaN where unknown), playout delay in ns (NaN where the pulse is not
     felt at full strength), predictor_error_n (NaN without one), target_n. wrist: force in N of
     samples. beats: at the onset of each, force at the foot and height in N, and quality (NaN where
-    unknown). playing: the signal that is played, as in the last status; empty before.
+    unknown), as `analysis` finds them. playing: the signal that is played, as in the last status;
+    empty before.
     """
 
     def __init__(self) -> None:
@@ -47,11 +49,7 @@ class ContactorState:
         self.wrist = RollingTable(1, FAST_ROWS)
         self.beats = RollingTable(3, SLOW_ROWS)
         self.playing: Fields = {}
-        self._analysis = BeatAnalysis()
-
-    def begin_session(self) -> None:
-        """Expect the beats of another session, whose clock and pulse may be others."""
-        self._analysis = BeatAnalysis()
+        self.analysis = BeatAnalysis()
 
     def add_tick(self, t_ns: int, fields: Fields, delay_ns: float) -> None:
         """Add a tick, with this contactor's forces."""
@@ -68,7 +66,7 @@ class ContactorState:
         values = fields["force_n"][channel::channels]
         self.wrist.insert(t_ns, np.array(values)[:, np.newaxis])
         samples = channel_samples(0, fields["t_first_ns"], period_ns, values)
-        for beat in self._analysis.observe(samples):
+        for beat in self.analysis.observe(samples):
             quality = math.nan if beat.quality is None else beat.quality
             onset_ns = beat.onset_ns - samples.times_ns[0] + first_ns
             self.beats.add(onset_ns, beat.foot_n, beat.height_n, quality)
@@ -220,9 +218,10 @@ class LiveState:
     def _stream(self, entry: Entry) -> None:
         fields = entry.fields
         if fields["session"] != self._session:
+            # The clock and the pulse of another session may be others.
             for contactor in self.contactors:
-                contactor.begin_session()
-            self.depth.begin_session()
+                contactor.analysis = BeatAnalysis()
+            self.depth.analysis = SteadyAnalysis()
         self._session, self.stream_ended = fields["session"], False
         self.channels = [channel["name"] for channel in fields.get("channels", ())]
         self._group_delay_ns = fields["group_delay_ns"]

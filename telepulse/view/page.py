@@ -24,9 +24,9 @@ from telepulse.view.live import LISTED_EVENTS, LiveState
 from telepulse.view.plots import EVENT_LINES, FINGER_COLOURS, FINGERS, MUTED, PLOTS, PagePlot
 from telepulse.view.window_data import (
     ALL_GROUPS,
+    SECOND_NS,
     Columns,
     WindowData,
-    WindowScores,
     hidden_plots,
     window_data,
     window_scores,
@@ -39,7 +39,6 @@ REDRAW_MS, TEXTS_EVERY = 200, 2
 MISSED_PER_STEP, SELDOM = 0.001, 5
 WINDOWS_S = (5, 10, 30, 60)
 WINDOW_S = 10
-SECOND_NS = 1_000_000_000
 # Runs in the browser when the connection to the server is lost: the page keeps the last state.
 SERVER_LOST = """
 const at = (id) => document.getElementById(id), over = ["ended", "fault"];
@@ -136,45 +135,28 @@ class Plots:
         )
         for curve in plot.curves:
             columns = f"{curve.name}_t", f"{curve.name}_y"
+            style: dict[str, Any] = {"source": self.curves[plot.group], "line_width": 2}
+            style["line_color"] = curve.colour
             if curve.marker:
-                drawn.scatter(
-                    *columns,
-                    source=self.curves[plot.group],
-                    marker=curve.marker,
-                    size=9,
-                    line_color=curve.colour,
-                    line_width=2,
-                    fill_color=None,
-                )
+                drawn.scatter(*columns, marker=curve.marker, size=9, fill_color=None, **style)
             else:
-                drawn.line(
-                    *columns,
-                    source=self.curves[plot.group],
-                    line_color=curve.colour,
-                    line_dash=curve.dash,
-                    line_width=2,
-                )
+                drawn.line(*columns, line_dash=curve.dash, **style)
         if plot.id == FINGERS.id:
             drawn.multi_line("t", "y", source=self.fingers, line_color="colour", line_width=2)
         if plot.id == "error":
             drawn.add_layout(self._band)
-        self._explore(drawn, plot)
+        drawn.toolbar.active_drag = drawn.toolbar.active_scroll = None
+        if not plot.across:
+            drawn.vspan(
+                x="t",
+                source=self.events[plot.group],
+                line_color="colour",
+                line_dash="dash",
+                line_width="width",
+            )
+            # Tools for a reader in a pause, in which `page.js` activates them.
+            drawn.add_tools(PanTool(dimensions="width"), WheelZoomTool(dimensions="width"))
         return drawn
-
-    def _explore(self, drawn: figure, plot: PagePlot) -> None:
-        """Add the events, and tools for a reader in a pause, in which `page.js` activates them."""
-        toolbar = drawn.toolbar
-        toolbar.active_drag = toolbar.active_scroll = None
-        if plot.across:
-            return
-        drawn.vspan(
-            x="t",
-            source=self.events[plot.group],
-            line_color="colour",
-            line_dash="dash",
-            line_width="width",
-        )
-        drawn.add_tools(PanTool(dimensions="width"), WheelZoomTool(dimensions="width"))
 
 
 def padded(columns: dict[str, Columns]) -> dict[str, NDArray[np.float32]]:
@@ -206,12 +188,9 @@ class LivePage:
         self._live, self._silent_ns, self._mark, self._local = live, silent_ns, mark, local
         self._plots = Plots()
         self._texts = ColumnDataSource({"shown": [None]})
-        self._choices = ColumnDataSource(
-            {
-                **{"paused": [False], "window_s": [WINDOW_S], "contactor": [0], "unfolded": [""]},
-                "seen": [0],
-            }
-        )
+        choices: dict[str, Any] = {"paused": False, "window_s": WINDOW_S, "contactor": 0}
+        choices |= {"unfolded": "", "seen": 0}
+        self._choices = ColumnDataSource({name: [each] for name, each in choices.items()})
         # Number and text of the reader's last mark.
         self._marked = ColumnDataSource({"number": [0], "text": [""]})
         self._marked.on_change("data", lambda _, __, data: self._mark(str(data["text"][0])))
@@ -291,7 +270,12 @@ class LivePage:
             content |= self._state()
         if chosen or (due and not paused):
             silent_ns = 0 if paused else self._silent_ns()
-            content |= _figures(live, window_scores(live, window_ns, number), silent_ns)
+            scores = window_scores(live, window_ns, number)
+            content |= {
+                "figures": [text.figures(live, scores, silent_ns), hidden_plots(live)],
+                "contactors": [scores.chosen, text.contactor_rows(live, scores)],
+                "beyond": text.beyond(live),
+            }
         drawn = live.now_ns, len(live.events), live.display_ended, *choice
         if drawn != self._drawn:
             self._drawn = drawn
@@ -348,15 +332,6 @@ def redraw_every(live: LiveState, local: bool) -> int:
     if not local or live.display_ended or live.state != "playing":
         return 1
     return min(SELDOM, 1 + int(missed / MISSED_PER_STEP))
-
-
-def _figures(live: LiveState, scores: WindowScores, silent_ns: int) -> dict[str, Any]:
-    """Return the texts that belong to a contactor in a window."""
-    return {
-        "figures": [text.figures(live, scores, silent_ns), hidden_plots(live)],
-        "contactors": [scores.chosen, text.contactor_rows(live, scores)],
-        "beyond": text.beyond(live),
-    }
 
 
 @cache

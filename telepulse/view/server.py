@@ -153,11 +153,6 @@ class PageServer:
             raise
         self.url = f"http://{in_url(host)}:{self._server.port}"
 
-    @property
-    def viewers(self) -> int:
-        """Number of open pages."""
-        return len(self._server.get_sessions())
-
     def stop(self) -> None:
         """Make `run` return soon; safe in a signal handler."""
         self._stopping = True

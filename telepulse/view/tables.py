@@ -33,9 +33,6 @@ class RollingTable:
         self._values = np.empty((2 * capacity, columns))
         self._end = self._dropped = 0
 
-    def __len__(self) -> int:
-        return self._end
-
     def add(self, t_ns: int, *values: float) -> None:
         """Add a row that is newer than those before."""
         self._make_room(1)
@@ -69,8 +66,6 @@ class RollingTable:
         return TableSlice(first, self._t_ns[at : self._end], self._values[at : self._end])
 
     def _make_room(self, count: int) -> None:
-        if count > self._capacity:
-            raise ValueError(f"{count} rows at once; there is room for {self._capacity}")
         if self._end + count <= len(self._t_ns):
             return
         drop = self._end - (self._capacity - count)

@@ -7,26 +7,19 @@ import numpy as np
 
 from display_node.scoring.beat_quality import GOOD
 from display_node.scoring.tracking_error import JND
-from display_node.telemetry.alerts import (
-    SILENT_AFTER_NS,
-    Alert,
-    alerts,
-    delay_note,
-    finger_note,
-)
+from display_node.telemetry.alerts import SILENT_AFTER_NS, Alert, alerts, delay_note, finger_note
 from protocol.config.quantities import count_text
 from protocol.errors import explain_causes
 from protocol.summary.figures import Surface, figures_on
-from protocol.summary.phrases import limit_texts
+from protocol.summary.phrases import SHARE, limit_texts
 from protocol.summary.rows import summary_rows
 from protocol.summary.tables import contactors_of
 from telepulse.telemetry.decoder import Fields
 from telepulse.telemetry.events import CUT, CUT_AFTER_NS
 from telepulse.view.depth import DepthState, levels
 from telepulse.view.live import DELAY_NS, FELT_N, MAX_CONTACTORS, LiveState
-from telepulse.view.window_data import Scores, WindowScores
+from telepulse.view.window_data import SECOND_NS, Scores, WindowScores
 
-SECOND_NS = 1_000_000_000
 # An alarm for a single occurrence is shown for this long.
 SHOWN_NS = 5 * SECOND_NS
 MUCH_LOSS = 5.0
@@ -221,15 +214,11 @@ def _millinewtons(force_n: float | None, digits: int) -> str:
     return NOTHING if force_n is None else f"{force_n * 1e3:.{digits}f} mN"
 
 
-def _percent(share: float) -> str:
-    return f"{100 * share:.1f} %"
-
-
 def _error(error_n: float | None, scores: Scores, window: str) -> PageFigure:
     note = f"RMS of {window}"
     if error_n is None or not scores.jnd_n:
         return PageFigure(NOTHING, note)
-    share = _percent(JND * error_n / scores.jnd_n)
+    share = SHARE.text(JND * error_n / scores.jnd_n)
     return PageFigure(f"{error_n * 1e3:.2f} mN", f"{note}, {share} of the pulse's height")
 
 
@@ -237,8 +226,8 @@ def _within(scores: Scores, window: str) -> PageFigure:
     """Return the share within the JND, and the share of the window that it refers to."""
     if scores.within_jnd is None or scores.judged is None:
         return PageFigure(NOTHING, f"of {window}, none of which could be judged")
-    note = f"of the {_percent(scores.judged)} of {window} that could be judged"
-    return PageFigure(_percent(scores.within_jnd), note)
+    note = f"of the {SHARE.text(scores.judged)} of {window} that could be judged"
+    return PageFigure(SHARE.text(scores.within_jnd), note)
 
 
 def _loss(samples: Fields) -> PageFigure:
@@ -284,11 +273,8 @@ def _levels(depth: DepthState) -> PageFigure:
     """Return the best hold-down and the two levels around it, as far as the beats show them."""
     if not depth.pressed:
         return PageFigure(NOTHING)
-    good, beats = (
-        sum(point.quality >= GOOD for point in depth.points),
-        len(depth.points),
-    )
-    of = f"{good} good of {count_text(beats, 'beat')} at a steady hold-down"
+    good = sum(point.quality >= GOOD for point in depth.points)
+    of = f"{good} good of {count_text(len(depth.points), 'beat')} at a steady hold-down"
     if depth.curve is None:
         return PageFigure(NOTHING, f"too few for a curve: {of}")
     texts = {
