@@ -48,9 +48,6 @@ def main(
     records: Annotated[
         Path | None, typer.Option(metavar="FOLDER", help="Folder of recordings to compare besides.")
     ] = None,
-    plots: Annotated[
-        Path | None, typer.Option(metavar="FOLDER", help="Write plots into this folder.")
-    ] = None,
     write: Annotated[
         Path | None,
         typer.Option(metavar="PAGE", help="Replace the tables between the marks of this page."),
@@ -70,7 +67,7 @@ def main(
             raise typer.BadParameter(f"no benchmark {name!r}; known: {', '.join(known)}")
     holds = True
     for name in names:
-        run = Benchmark(name, quick, tuple(case or ()), seeds, scheduler, records, plots)
+        run = Benchmark(name, quick, tuple(case or ()), seeds, scheduler, records)
         try:
             importlib.import_module(f"benchmarks.{name}").main(run)
             holds &= run.close()

@@ -12,12 +12,14 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 
 from benchmarks.benchmark import Benchmark
 from tests.support.emulated_bench import KINDS, BenchFailedError, EmulatedBench, MotorTrace, playing
+
+Result = TypeVar("Result")
 
 REPEATS = 2
 TRIES = 3
@@ -98,7 +100,7 @@ def happened(fault: "Fault") -> dict[str, list[Outcome]]:
     return {kind: [each for each in some if each is not None] for kind, some in tries.items()}
 
 
-def tried(once: Callable[[Path], Outcome]) -> Outcome | None:
+def tried(once: Callable[[Path], Result]) -> Result | None:
     """Return the result of a fault on a bench that played until then.
 
     None if on a busy machine every attempt failed before the fault.
@@ -118,10 +120,10 @@ def kill_one(
     """Send a process of the bench a signal; a stopped one continues after a while."""
     with playing(folder, kind) as bench:
         at_ns = time.perf_counter_ns()
-        bench.processes[name].send_signal(signal_number)
         if signal_number == signal.SIGSTOP:
-            time.sleep(stopped_s)
-            bench.processes[name].send_signal(signal.SIGCONT)
+            bench.stall(name, stopped_s)
+        else:
+            bench.processes[name].send_signal(signal_number)
         time.sleep(AFTER_S)
         return ended(bench, at_ns)
 
@@ -176,22 +178,17 @@ class Restart:
         return self.name, self.kind, *figures, self.rise
 
 
-def restarted(kind: str, name: str, happens: Callable[[Path, str], MotorTrace]) -> Restart:
+def restarted(kind: str, name: str, happens: Callable[[str, Path], MotorTrace]) -> Restart:
     """Return what is felt after a restart."""
-    for _ in range(TRIES):
-        with TemporaryDirectory(prefix="telepulse-") as folder:
-            try:
-                motor = happens(Path(folder), kind)
-            except BenchFailedError as error:
-                print(f"once more: {str(error).splitlines()[0]}")
-                continue
-        felt_n = motor.force_n
-        slope = (felt_n[STRETCH_MS:] - felt_n[:-STRETCH_MS]) / STRETCH_MS * 1e3
-        return Restart(name, kind, float(felt_n.max()), float(slope.max()), rise_ms(felt_n))
-    return Restart(name, kind)
+    motor = tried(partial(happens, kind))
+    if motor is None:
+        return Restart(name, kind)
+    felt_n = motor.force_n
+    slope = (felt_n[STRETCH_MS:] - felt_n[:-STRETCH_MS]) / STRETCH_MS * 1e3
+    return Restart(name, kind, float(felt_n.max()), float(slope.max()), rise_ms(felt_n))
 
 
-def sensing_restarted(folder: Path, kind: str) -> MotorTrace:
+def sensing_restarted(kind: str, folder: Path) -> MotorTrace:
     """Kill and restart the sensing node, and return the record from then on."""
     with playing(folder, kind) as bench:
         bench.processes["sensing"].kill()
@@ -200,13 +197,10 @@ def sensing_restarted(folder: Path, kind: str) -> MotorTrace:
         return felt_again(bench, bench.start_sensing)
 
 
-def display_restarted(folder: Path, kind: str) -> MotorTrace:
+def display_restarted(kind: str, folder: Path) -> MotorTrace:
     """Stop the display until the drive's watchdog acts, restart it, and return the record since."""
     with playing(folder, kind) as bench:
-        display = bench.processes["display"]
-        display.send_signal(signal.SIGSTOP)
-        time.sleep(STOPPED_S)
-        display.send_signal(signal.SIGCONT)
+        display = bench.stall("display", STOPPED_S)
         bench.await_state("fault")
         display.terminate()
         display.wait()
@@ -276,7 +270,7 @@ FAULTS = (
     Fault("another device answers", "our stop", partial(trouble, "wrong"), ("tmcl",)),
     Fault("the drive's cable is pulled", "its watchdog", partial(trouble, "unplugged")),
 )
-RESTARTS: tuple[tuple[str, Callable[[Path, str], MotorTrace]], ...] = (
+RESTARTS: tuple[tuple[str, Callable[[str, Path], MotorTrace]], ...] = (
     ("sensing node started anew", sensing_restarted),
     ("display started anew after a fault", display_restarted),
 )

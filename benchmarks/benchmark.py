@@ -1,11 +1,11 @@
-"""One run of a benchmark: its effort, and where its tables, verdicts and plots go."""
+"""One run of a benchmark: its effort, and where its tables and verdicts go."""
 
 import inspect
 import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple, TypeVar
+from typing import NamedTuple, TypeVar
 
 import rich.box
 from rich.console import Console, JustifyMethod
@@ -15,13 +15,9 @@ from rich.text import Text
 from benchmarks.criteria import CRITERIA, Criterion
 from telepulse.parallel import sweep
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
 Case = TypeVar("Case")
 Result = TypeVar("Result")
 FILE_WIDTH = 200
-PLOT_SIZE_IN = (8.0, 4.5)
 
 
 class Table(NamedTuple):
@@ -60,8 +56,6 @@ class Benchmark:
         Address of a Dask scheduler such as `tcp://HOST:8786`; without one, this machine's cores.
     records
         Folder of recordings that a benchmark compares besides; None for none.
-    plots
-        Folder for plots; None for none.
     """
 
     name: str
@@ -70,7 +64,6 @@ class Benchmark:
     seeds: int | None = None
     scheduler: str | None = None
     records: Path | None = None
-    plots: Path | None = None
     tables: list[Table] = field(default_factory=list)
     figures: dict[str, float] = field(default_factory=dict)
 
@@ -103,20 +96,6 @@ class Benchmark:
     def run(self, function: Callable[[Case], Result], cases: Iterable[Case]) -> list[Result]:
         """Return a module-level function's result for each case, computed on all cores."""
         return sweep(function, cases, self.scheduler)
-
-    def plot(self, name: str, draw: "Callable[[Figure], None]") -> None:
-        """Write a plot as NAME.svg, where a folder for plots is given."""
-        if self.plots is None:
-            return
-        # Imported here: matplotlib takes long to import, and most runs draw nothing.
-        from matplotlib.figure import Figure
-
-        figure = Figure(figsize=PLOT_SIZE_IN, layout="constrained")
-        draw(figure)
-        self.plots.mkdir(parents=True, exist_ok=True)
-        path = self.plots / f"{self.name}-{name}.svg"
-        figure.savefig(path)
-        print(path)
 
     def close(self) -> bool:
         """Print the verdicts; return whether no criterion is missed."""

@@ -4,10 +4,9 @@ Heart rates are 60 to 90 a minute, with 4 % of variability, breathing of 20 %, a
 The repeats of a wrist differ in noise, rhythm and breathing. No person is measured.
 """
 
-from collections.abc import Mapping, Sequence
-from functools import partial
+from collections.abc import Sequence
 from itertools import product
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -17,9 +16,6 @@ from display_node.scoring.depth_curve import DepthCurve
 from protocol.tissue import PASCALS_PER_MMHG
 from sensing_node.sources.wrist import Wrist, WristScene
 from telepulse.simulation.simulated_run import sweep_wrist
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 # Mean pressure of the wrist's pulse above diastole, as a share of the pulse pressure; the heart
 # rate changes it a little.
@@ -43,14 +39,10 @@ class DepthCase(NamedTuple):
 
 
 class DepthScore(NamedTuple):
-    """One sweep's result: the force of the mean arterial pressure, the curve, and the time taken.
-
-    The wrist's own height at forces of the curve is `true_n`.
-    """
+    """One sweep: the force of the mean arterial pressure, the curve found, and the time taken."""
 
     mean_n: float
     curve: DepthCurve
-    true_n: Sequence[float]
     seconds: float
 
     @property
@@ -96,9 +88,7 @@ def score_depth(case: DepthCase) -> DepthScore:
     plan = PLANS[case.plan]
     run = DepthSweep(plan)
     samples = sweep_wrist(wrist, run, plan.high_n)
-    curve = run.curve()
-    true_n = [wrist.artery.height_n(force_n) for force_n in curve.force_n.tolist()]
-    return DepthScore(wrist.artery.best_n, curve, true_n, samples * wrist.period_ns * 1e-9)
+    return DepthScore(wrist.artery.best_n, run.curve(), samples * wrist.period_ns * 1e-9)
 
 
 def main(benchmark: Benchmark) -> None:
@@ -119,8 +109,6 @@ def main(benchmark: Benchmark) -> None:
     benchmark.judge("error of the best hold-down", max(errors))
     widest = [spread for repeats in scores.values() for spread in ranges(repeats).values()]
     benchmark.judge("range of the repeats, over their mean", max(widest))
-    shown = {mean: repeats[0] for (plan, mean), repeats in scores.items() if plan == "steps"}
-    benchmark.plot("curves", partial(_draw, scores=shown))
 
 
 def _row(plan: str, mean_mmhg: float, repeats: Sequence[DepthScore]) -> tuple[str, ...]:
@@ -143,16 +131,3 @@ def ranges(repeats: Sequence[DepthScore]) -> dict[str, float]:
         for name in figures[0]
         if (values := [each[name] for each in figures])
     }
-
-
-def _draw(figure: "Figure", scores: Mapping[float, DepthScore]) -> None:
-    """Draw one sweep of each wrist: its beats, the fitted curve, the wrist's own."""
-    axes = figure.add_subplot()
-    for mean_mmhg, score in scores.items():
-        curve, color = score.curve, axes.plot([], [])[0].get_color()
-        axes.plot(curve.force_n, 1e3 * np.array(score.true_n), ":", color=color)
-        axes.plot(curve.force_n, 1e3 * curve.height_n, color=color, label=f"{mean_mmhg:g} mmHg")
-        forces_n = [point.hold_down_n for point in curve.good]
-        axes.plot(forces_n, [1e3 * point.height_n for point in curve.good], ".", color=color)
-    axes.set(xlabel="hold-down (N)", ylabel="height of the pulse (mN)")
-    axes.legend(title="mean arterial pressure")

@@ -13,10 +13,11 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
+import tomlkit
 from numpy.typing import NDArray
 
 from benchmarks.benchmark import Benchmark
-from protocol.config.scene_file import find_scene, load_document, to_toml
+from protocol.config.scene_file import find_scene, load_document
 from sensing_node.scene import build_source
 from telepulse.scene import load_scene
 from telepulse.simulation.virtual_time import Simulation
@@ -155,7 +156,7 @@ def model_force_n(folder: Path) -> Forces:
     for live in ("drive", "feedback"):
         del tables["display"][live]
     path = folder / "model.toml"
-    path.write_text(to_toml(tables), "utf-8")
+    path.write_text(tomlkit.dumps(tables), "utf-8")
     scene = load_scene(path)
     felt_n: list[float] = []
     Simulation(scene, seed=1).run(SECONDS, watch=lambda felt: felt_n.append(felt.felt_n))

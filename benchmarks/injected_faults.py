@@ -4,9 +4,7 @@ Every fault of `tests.support.fault_injection` on both kinds of drive, with a fi
 the product's own code in virtual time. Cases that are chosen run with soft and stiff fingers too.
 """
 
-import os
 from collections.abc import Callable
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
 
 from benchmarks.benchmark import Benchmark
@@ -95,8 +93,7 @@ def rows(benchmark: Benchmark) -> list[tuple[str, ...]]:
         for kind in KINDS
         if case is None or with_film or not case.kind.value.startswith("film")
     ]
-    with ProcessPoolExecutor(os.cpu_count()) as pool:
-        outcomes = dict(zip(runs, pool.map(Run.outcome, runs), strict=True))
+    outcomes = dict(zip(runs, benchmark.run(Run.outcome, runs), strict=True))
     table: list[tuple[str, ...]] = []
     for run, outcome in outcomes.items():
         faultless = outcomes[replace(run, case=None)]

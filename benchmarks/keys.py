@@ -12,9 +12,10 @@ import zmq
 from benchmarks.benchmark import Benchmark
 from benchmarks.timing import time_call
 from protocol import sockets
-from protocol.security.allow_list import allow, revoke
+from protocol.security.allow_list import revoke
 from protocol.security.authenticator import Authenticator
-from protocol.security.keys import ClientKeys, KeyPair, ServerKeys, new_pair, read_pair
+from protocol.security.keys import ClientKeys, ServerKeys
+from tests.support.keyring import Keyring
 
 FRAME_S = 0.005
 ROUNDS = 10
@@ -70,12 +71,10 @@ class Stream:
 def main(benchmark: Benchmark) -> None:
     """Print the costs of a check of the list, and of a revocation for its key and for others."""
     with tempfile.TemporaryDirectory() as folder:
-        names = ("wrist", "stays", "goes")
-        pairs = {name: read_pair(new_pair(Path(folder), name)[0]) for name in names}
-        allowed = Path(folder, "allowed")
-        allow(allowed, pairs["stays"].public)
-        rows = [_revoke(pairs, allowed, number / ROUNDS) for number in range(ROUNDS)]
-        cost_us = _look_round_us(pairs["wrist"], allowed)
+        keys = Keyring(Path(folder))
+        keys.allow("stays")
+        rows = [_revoke(keys, number / ROUNDS) for number in range(ROUNDS)]
+        cost_us = _look_round_us(keys)
     columns = ("", "median", "most")
     texts = (
         "admission: from connecting to the first frame, ms",
@@ -93,27 +92,26 @@ def main(benchmark: Benchmark) -> None:
     benchmark.table(f"Keys, {ROUNDS} rounds over loopback", columns, table)
 
 
-def _revoke(pairs: dict[str, KeyPair], allowed: Path, phase_s: float) -> tuple[float, float, int]:
+def _revoke(keys: Keyring, phase_s: float) -> tuple[float, float, int]:
     """Admit a key and revoke it.
 
     Returns the ms until the first frame and to the last, and the frames missed by the others.
     phase_s: time of the revocation within the second between two checks of the list.
     """
-    allow(allowed, pairs["goes"].public)
+    keys.allow("goes")
     context: sockets.Context = zmq.Context()
     try:
-        stream = Stream(context, ServerKeys(pairs["wrist"], allowed), "tcp://127.0.0.1:*")
+        stream = Stream(context, keys.server(), "tcp://127.0.0.1:*")
         began_s = time.perf_counter()
         stays, goes = (
-            Reader(context, ClientKeys(pairs[name], pairs["wrist"].public), stream.address)
-            for name in ("stays", "goes")
+            Reader(context, keys.client(name), stream.address) for name in ("stays", "goes")
         )
         stream.readers += (stays, goes)
         stream.run_until(lambda: goes.received and stays.received)
         let_in_ms = (goes.last_s - began_s) * 1e3
         settled_s = time.perf_counter() + 0.5 + phase_s
         stream.run_until(lambda: time.perf_counter() > settled_s)
-        revoke(allowed, "goes")
+        revoke(keys.allowed, "goes")
         revoked_s = time.perf_counter()
         stream.run_until(lambda: stream.authenticator.rejected["revoked_key"])
         settled_s = time.perf_counter() + 1.0
@@ -123,10 +121,10 @@ def _revoke(pairs: dict[str, KeyPair], allowed: Path, phase_s: float) -> tuple[f
         context.destroy(linger=0)
 
 
-def _look_round_us(own: KeyPair, allowed: Path) -> float:
+def _look_round_us(keys: Keyring) -> float:
     context: sockets.Context = zmq.Context()
     try:
-        stream = Stream(context, ServerKeys(own, allowed), "tcp://127.0.0.1:*")
-        return time_call(lambda: stream.authenticator.poll(time.perf_counter_ns())).median_us
+        stream = Stream(context, keys.server(), "tcp://127.0.0.1:*")
+        return time_call(lambda: stream.authenticator.poll(time.perf_counter_ns()))
     finally:
         context.destroy(linger=0)

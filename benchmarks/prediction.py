@@ -6,7 +6,7 @@ The predictors are driven as a display drives them, by frames and ticks.
 import statistics
 import time
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, NamedTuple, get_args
+from typing import NamedTuple, get_args
 
 import numpy as np
 
@@ -27,9 +27,6 @@ from tests.support.drawn_pulses import (
     pulses,
     pulses_without_shape_cue,
 )
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 SEED = 1
 # Costs are measured after this time: while a predictor warms up, a tick costs less.
@@ -129,15 +126,6 @@ def _show_errors(benchmark: Benchmark, errors: Mapping[str, Errors]) -> None:
         ("pulse", *HORIZONS),
         [(name, *_cells(each["stack"])) for name, each in errors.items() if name != MEDIAN],
     )
-
-    def draw(figure: "Figure") -> None:
-        axes = figure.add_subplot()
-        for name, each in medians.items():
-            axes.plot(HORIZONS_MS, each, marker=".", label=name)
-        axes.set(yscale="log", xlabel="ahead (ms)", ylabel="NRMSE, median of the pulses")
-        figure.legend(loc="outside right center")
-
-    benchmark.plot("errors", draw)
 
 
 def _compare(benchmark: Benchmark, title: str, errors: Mapping[str, Errors], judge: bool) -> None:

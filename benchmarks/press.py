@@ -267,8 +267,8 @@ def show_limits(
     finger_n, finger_slew = be_hostile_to_the_finger()
     limits, hand = ProbeLimits(), PressLimits()
     benchmark.table(
-        f"Largest force and slew; limits at the wrist {limits.force_n:g} N and"
-        f" {limits.slew_n_per_s:g} N/s, of the finger {hand.force_n:g} N and"
+        f"Largest force and slew; limits at the wrist {limits.force_limit_n:g} N and"
+        f" {limits.slew_limit_n_per_s:g} N/s, of the finger {hand.force_n:g} N and"
         f" {hand.slew_n_per_s:g} N/s",
         ("case", "force, N", "slew, N/s"),
         [
@@ -277,8 +277,8 @@ def show_limits(
         ],
     )
     force_n, slew = (max(values) for values in zip(*cases.values(), strict=True))
-    benchmark.judge("force at the wrist over its limit", force_n / limits.force_n)
-    benchmark.judge("slew at the wrist over its limit", slew / limits.slew_n_per_s)
+    benchmark.judge("force at the wrist over its limit", force_n / limits.force_limit_n)
+    benchmark.judge("slew at the wrist over its limit", slew / limits.slew_limit_n_per_s)
     benchmark.judge("force of the finger over its limit", finger_n / hand.force_n)
     benchmark.judge("slew of the finger over its limit", finger_slew / hand.slew_n_per_s)
 

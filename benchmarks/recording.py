@@ -1,6 +1,6 @@
-"""Cost of a recorder, of reports and exports of a long recording, and of a long file as a source.
+"""Cost of a recorder, and of a long file as a source.
 
-Its cases: "recorder", "reports", "long files".
+Its cases: "recorder", "long files".
 """
 
 import math
@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
-from subprocess import DEVNULL, PIPE
+from subprocess import PIPE
 
 import numpy as np
 import zmq
@@ -25,7 +25,6 @@ from protocol.summary.tables import Summary
 from protocol.ticks import TickState
 from protocol.wire.messages import Frame, encode_frame
 from protocol.wire.telemetry import TRACE_TICKS, pack_status
-from tests.support.recordings import record
 
 TICK_NS = 1_000_000
 TICKS_A_FRAME = 5
@@ -37,7 +36,7 @@ END = pack_status("ended", "", Summary(), final=True)
 
 def main(benchmark: Benchmark) -> None:
     """Print the tables of the chosen cases."""
-    benchmark.run_parts({"recorder": recorder_cost, "reports": reports, "long files": long_files})
+    benchmark.run_parts({"recorder": recorder_cost, "long files": long_files})
 
 
 def recorder_cost(benchmark: Benchmark) -> None:
@@ -126,47 +125,6 @@ def recorder(address: str, path: Path) -> Iterator[bool]:
     with ChildProcess("recorder", *command) as process:
         yield True
         process.wait()
-
-
-COMMANDS = (
-    ("report",),
-    ("export", "--to", "csv"),
-    ("export", "--to", "parquet"),
-    ("export", "--to", "edf"),
-)
-# ru_maxrss is in kB on Linux.
-MB = 1e-3
-
-
-def reports(benchmark: Benchmark) -> None:
-    """Print time, memory and size of the reports and exports of an hour's recording."""
-    rows = []
-    with tempfile.TemporaryDirectory(prefix="telepulse-") as folder:
-        path = Path(folder, "hour.mcap")
-        record(path, HOUR_S)
-        for command, *options in COMMANDS:
-            out = Path(folder, "-".join((command, *options)))
-            core_s, most_mb = run_command(command, str(path), *options, "--out", str(out))
-            figures = (core_s, most_mb, size_mb(out))
-            rows.append((" ".join((command, *options)), *(f"{figure:.0f}" for figure in figures)))
-        title = f"A recording of {HOUR_S} s, {path.stat().st_size * 1e-6:.0f} MB"
-    benchmark.table(title, ("telepulse", "s of a core", "most memory, MB", "written, MB"), rows)
-
-
-def run_command(*arguments: str) -> tuple[float, float]:
-    """Run a command of telepulse; return its time on a core in s and its peak memory in MB."""
-    process = ChildProcess("command", "-m", "telepulse", *arguments, stdout=DEVNULL)
-    _, status, usage = os.wait4(process.pid, 0)
-    process.returncode = os.waitstatus_to_exitcode(status)
-    if process.returncode:
-        raise SystemExit(f"benchmarks: {' '.join(arguments)} failed")
-    return usage.ru_utime + usage.ru_stime, usage.ru_maxrss * MB
-
-
-def size_mb(path: Path) -> float:
-    """Return the size of a file, or of a folder's files."""
-    files = [path] if path.is_file() else list(path.iterdir())
-    return math.fsum(file.stat().st_size for file in files) * 1e-6
 
 
 DAY_S, HOUR_S, RATE_HZ = 86_400, 3_600, 1_000

@@ -4,10 +4,7 @@ Its cases: "peaks" under a pulse far steeper than a wrist's, whose host misses a
 drawn uniformly from 1 to the longest stall; "random" stalls of the display's process for hours.
 """
 
-import os
-import sys
 import time
-from concurrent.futures import ProcessPoolExecutor
 from unittest.mock import patch
 
 from benchmarks.benchmark import Benchmark
@@ -57,8 +54,9 @@ def peaks(benchmark: Benchmark) -> None:
     )
 
 
-def chunk(kind: str, with_film: bool, seed: int, seconds: float) -> StallCounts:
+def chunk(job: tuple[str, bool, int, float]) -> StallCounts:
     """Run one seed."""
+    kind, with_film, seed, seconds = job
     return StallRun(kind, with_film, seed).run(seconds)
 
 
@@ -69,11 +67,8 @@ def random_stalls(benchmark: Benchmark) -> None:
     # Most benches have a film.
     jobs = [(KINDS[seed % 2], seed // 2 % 4 != 3, seed, seconds) for seed in range(count)]
     total = StallCounts()
-    with ProcessPoolExecutor(os.cpu_count()) as pool:
-        for counts in pool.map(chunk, *zip(*jobs, strict=True)):
-            total.add(counts)
-            done = f"{total.virtual_s / 3600:.2f} h: {total.episodes.total()} episodes"
-            print(f"{done}, {total.pressed.total()} left pressed", file=sys.stderr)
+    for counts in benchmark.run(chunk, jobs):
+        total.add(counts)
     took_s = time.perf_counter() - began_s
     columns = (total.episodes, total.withdrawn, total.played, total.pressed)
     names = sorted(total.episodes)

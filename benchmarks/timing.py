@@ -1,34 +1,41 @@
-"""Timing of calls."""
+"""Timing of calls, and processes that are timed."""
 
 import statistics
 import time
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
+from contextlib import contextmanager, suppress
+from multiprocessing import get_context
+from multiprocessing.process import BaseProcess
+from pathlib import Path
+from typing import Any
 
 from protocol.histogram import bound
 from protocol.summary.tables import Lateness, OneWayDelay, TickTime
 
 REPEATS = 15
 BATCH_S = 0.02
+spawn = get_context("spawn")
 
 
-@dataclass(frozen=True, slots=True)
-class Timing:
-    """Cost of one call in µs: median, least and most of the repeats."""
+@contextmanager
+def process(target: Callable[..., None], *arguments: Any) -> Iterator[BaseProcess]:
+    """Run `target` in a process until the block ends."""
+    child = spawn.Process(target=target, args=arguments, daemon=True)
+    child.start()
+    try:
+        yield child
+    finally:
+        child.terminate()
+        child.join()
 
-    median_us: float
-    least_us: float
-    most_us: float
 
-
-def time_call(call: Callable[[], object]) -> Timing:
-    """Time `call` in batches of about 20 ms."""
+def time_call(call: Callable[[], object]) -> float:
+    """Return the median cost of a call in µs, in batches of about 20 ms."""
     call()
     count = 1
     while (elapsed_s := _batch_s(call, count)) < BATCH_S:
         count = max(count + 1, round(count * min(10.0, 1.2 * BATCH_S / max(elapsed_s, 1e-9))))
-    costs_us = [_batch_s(call, count) / count * 1e6 for _ in range(REPEATS)]
-    return Timing(statistics.median(costs_us), min(costs_us), max(costs_us))
+    return statistics.median(_batch_s(call, count) / count * 1e6 for _ in range(REPEATS))
 
 
 def paced(period_ns: int) -> Iterator[int]:
@@ -53,6 +60,19 @@ def median_quantile(
         return "–"
     figure, beyond = statistics.median_low(found)
     return f"{bound(key, [key] if beyond else [])}{figure:.{digits}f}"
+
+
+def thread_times_s(pid: int) -> tuple[float, float]:
+    """Return the CPU time in s of a process's main thread so far, and of all its other threads."""
+    main_s = rest_s = 0.0
+    for thread in Path(f"/proc/{pid}/task").iterdir():
+        with suppress(OSError):  # it has ended
+            ran_s = int((thread / "schedstat").read_text(encoding="ascii").split()[0]) * 1e-9
+            if thread.name == str(pid):
+                main_s += ran_s
+            else:
+                rest_s += ran_s
+    return main_s, rest_s
 
 
 def _batch_s(call: Callable[[], object], count: int) -> float:

@@ -29,17 +29,6 @@ PROGRAM = "soak"
 OVERTIME_S = 300.0
 
 
-def keyring(folder: Path) -> Keyring:
-    """Make the keys of the nodes, and of the listener beside the sensing node.
-
-    Floods and impostors have none.
-    """
-    keys = Keyring(folder)
-    for name in ("finger", "monitor"):
-        keys.allow(name)
-    return keys
-
-
 def soak(
     minutes: Annotated[float, typer.Option(min=0.2, max=10_000, help="How long.")] = 20.0,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the faults and their times.")] = 1,
@@ -95,7 +84,11 @@ def soak(
         ):
             how = f"over {network.kind}, {'with' if keys else 'without'} keys"
             console.print(f"{minutes:g} minutes of faults by seed {seed}, {how}")
-            ring = keyring(Path(folder, "keys")) if keys else None
+            ring = None
+            if keys:
+                ring = Keyring(Path(folder, "keys"))
+                # Of the displays, and of the listener beside the sensing node.
+                ring.allow("finger", "monitor")
             longest_s = minutes * 60 + OVERTIME_S
             options = ("--realtime", realtime) if realtime else ()
             scenario = Scenario(network, loaded.path, Path(folder), longest_s, ring, options)

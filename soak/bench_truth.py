@@ -14,7 +14,7 @@ from display_node.fault_advice import latched
 from protocol.cli_options import FAULT_STATUS
 from pulse_drives.withdrawal import TOUCH_N
 from soak.claims import pressed_n
-from soak.truth import FORCE_MORE_N, FORCE_SHARE, judge_claims
+from soak.truth import FORCE_MORE_N, fits, judge_claims
 from soak.verdict import Check
 
 # A status is read some time after its film reading, which is some 10 ms old.
@@ -83,8 +83,7 @@ def finger_errors(claim: FingerClaim, of: Round) -> Iterator[str]:
     felt = f"{low_n * 1e3:.0f} to {high_n * 1e3:.0f} mN were felt"
     force_n = pressed_n(claim.finger)
     if force_n is not None:
-        low_n -= FORCE_SHARE * low_n + FORCE_MORE_N
-        if not low_n <= force_n <= high_n * (1 + FORCE_SHARE) + FORCE_MORE_N:
+        if not fits(force_n, low_n, high_n):
             yield f"{claim.finger!r}, and {felt}"
     elif claim.finger.startswith("not pressed") and low_n > TOUCH_N + FORCE_MORE_N:
         yield f"{claim.finger!r}, and {felt}"

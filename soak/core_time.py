@@ -8,6 +8,9 @@ from itertools import pairwise
 from pathlib import Path
 from statistics import median
 
+import numpy as np
+from numpy.typing import NDArray
+
 # Unit of /proc/stat on Linux.
 JIFFY_NS = 10_000_000
 _PROCESSOR_FIELD = 36  # of /proc/PID/stat, counted after the name
@@ -66,6 +69,18 @@ def read_core_time(pid: int, at_ns: int) -> CoreTime | None:
     return None
 
 
+def missed_ticks(
+    now_ns: NDArray[np.int64], tick_ns: int, within: NDArray[np.bool_] | bool = True
+) -> list[tuple[int, int, int]]:
+    """Return the times of the ticks before and after missed ones, and the number missed.
+
+    within: of each pair of neighbours, whether one process made them.
+    """
+    missed = np.rint(np.diff(now_ns) / tick_ns).astype(int) - 1
+    places = np.flatnonzero((missed > 0) & within)
+    return [(int(now_ns[at]), int(now_ns[at + 1]), int(missed[at])) for at in places]
+
+
 def excuse(
     misses: Sequence[tuple[int, int, int]], readings: Sequence[CoreTime], tick_ns: int
 ) -> Excused:
@@ -75,14 +90,7 @@ def excuse(
     time; of the others, the ticks in stolen time. Both are taken between the readings around the
     gap. Gaps between the same two readings share these times.
 
-    Parameters
-    ----------
-    misses
-        For each gap: times of the ticks before and after it in ns, and the number missed.
-    readings
-        Readings of the loop's thread, in order.
-    tick_ns
-        Length of a tick in ns.
+    misses: see `missed_ticks`.
     """
     spans = _spans(misses, [reading.at_ns for reading in readings])
     usual = _usual_wait(readings, spans)

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from protocol.wire.telemetry import Trace
+from soak.core_time import missed_ticks
 from tests.support.felt_force import FeltForce
 
 # Ticks further apart belong to two spells: a tick or a trace may be late.
@@ -131,12 +132,7 @@ class FeltLog(FeltForce):
     @property
     def misses(self) -> list[tuple[int, int, int]]:
         """Return times of the ticks before and after missed ones, and the number missed."""
-        every = self._all
-        missed = np.rint(every.apart_ns / self.tick_ns).astype(int) - 1
-        places = np.flatnonzero((missed > 0) & every.within)
-        return [
-            (int(every.now_ns[at]), int(every.now_ns[at + 1]), int(missed[at])) for at in places
-        ]
+        return missed_ticks(self._all.now_ns, self.tick_ns, self._all.within)
 
     @property
     def gaps(self) -> list[tuple[int, int, bool]]:

@@ -142,9 +142,7 @@ def _faults(random: Random) -> Iterator[Fault]:
 def _target(kind: str, random: Random) -> tuple[str, str]:
     display = random.choice((CONTINUOUS, RESTARTED))
     match kind:
-        case "freeze sensing":
-            return SENSING, ""
-        case _ if kind in SENSING_ENDS:
+        case _ if kind in (*SENSING_ENDS, "freeze sensing"):
             return SENSING, ""
         case _ if kind in DISPLAY_ENDS:
             return RESTARTED, ""

@@ -100,9 +100,7 @@ class Taps:
         socket.setsockopt(zmq.RECONNECT_IVL, RECONNECT_MS)
         socket.setsockopt(zmq.RCVHWM, HIGH_WATER)
         if keys is not None:
-            socket.setsockopt(zmq.CURVE_SECRETKEY, keys.own.secret)
-            socket.setsockopt(zmq.CURVE_PUBLICKEY, keys.own.public.key)
-            socket.setsockopt(zmq.CURVE_SERVERKEY, keys.peer.key)
+            keys.protect(socket)  # type: ignore[arg-type]
         for topic in topics:
             socket.subscribe(topic)
         socket.connect(address)

@@ -41,17 +41,7 @@ def judge_claims(name: str, claims: int, errors: Sequence[str]) -> Check:
 def judge_statuses(
     role: str, processes: Sequence[Sequence[StatusClaim]], tick_ns: int
 ) -> list[Check]:
-    """Judge the statuses of a display.
-
-    Parameters
-    ----------
-    role
-        The display's name, for the table.
-    processes
-        The statuses of each of its processes, in order.
-    tick_ns
-        Length of a tick in ns.
-    """
+    """Judge the statuses of a display; processes: those of each of its processes, in order."""
     claims = [claim for process in processes for claim in process]
     count = len(claims)
     shares = [error for process in processes for error in share_errors(process, tick_ns * 1e-9)]
@@ -144,18 +134,8 @@ def judge_lines(
 ) -> list[Check]:
     """Judge the lines that a terminal showed of a display.
 
-    Parameters
-    ----------
-    role
-        The display's name, for the table.
-    lines
-        The lines, in order.
-    record
-        The display's ticks.
-    wrist_per_min
-        Heart rate of the source, in beats per minute; None where it is not known.
-    impostors
-        Start and end in ns of each time in which forces without a heart rate were sent.
+    record: the display's ticks. wrist_per_min: heart rate of the source; None where it is not
+    known. impostors: start and end of each time in which forces without a heart rate were sent.
     """
     known = [
         line
@@ -183,15 +163,17 @@ def line_errors(line: LineClaim, record: FeltLog) -> Iterator[str]:
     for force_n in line.forces_n:
         if felt.low_n is None or felt.high_n is None:
             yield f"{force_n * 1e3:.0f} mN, and nothing was felt"
-        elif not (
-            felt.low_n - FORCE_SHARE * abs(felt.low_n) - FORCE_MORE_N
-            <= force_n
-            <= felt.high_n + FORCE_SHARE * abs(felt.high_n) + FORCE_MORE_N
-        ):
+        elif not fits(force_n, felt.low_n, felt.high_n):
             span = f"{felt.low_n * 1e3:.0f} to {felt.high_n * 1e3:.0f} mN"
             yield f"{force_n * 1e3:.0f} mN, and {span} were felt"
     if line.not_pressed and not (felt.low_n is not None and felt.low_n < TOUCH_N + FORCE_MORE_N):
         yield f"not pressed, and {(felt.low_n or 0) * 1e3:.0f} mN at least were felt"
+
+
+def fits(force_n: float, low_n: float, high_n: float) -> bool:
+    """Return whether a force agrees with the least and the greatest that was felt."""
+    least_n = low_n - FORCE_SHARE * abs(low_n) - FORCE_MORE_N
+    return least_n <= force_n <= high_n + FORCE_SHARE * abs(high_n) + FORCE_MORE_N
 
 
 def age_errors(line: LineClaim, record: FeltLog) -> Iterator[str]:
@@ -240,14 +222,7 @@ def judge_events(
 ) -> Check:
     """Judge the events: each interruption of the pulse is reported once, and no other.
 
-    Parameters
-    ----------
-    role
-        The display's name, for the table.
-    processes
-        The statuses of each of its processes, in order.
-    interruptions
-        Start and end in ns of each time without full strength, and its number of ticks.
+    interruptions: see `FeltLog.interruptions`.
     """
     errors = [error for process in processes for error in _event_errors(process, interruptions)]
     return judge_claims(f"interruptions of {role}", len(interruptions) or len(errors), errors)
@@ -261,16 +236,7 @@ def judge_stalls(
 ) -> Check:
     """Judge the ends of stalls: after one in which the pulse fades, it returns by a ramp.
 
-    Parameters
-    ----------
-    role
-        The display's name, for the table.
-    processes
-        The statuses of each of its processes, in order.
-    gaps
-        Start and end in ns of each time without a tick, and whether the next was at full strength.
-    faded_ns
-        Time in ns without samples after which the pulse has faded to zero.
+    gaps: see `FeltLog.gaps`. faded_ns: time without samples after which the pulse has faded to 0 N.
     """
     stalls = [gap for gap in gaps if gap[1] - gap[0] > faded_ns]
     # Gaps with a missing trace are left out: there were ticks.
@@ -331,10 +297,7 @@ def judge_ends(
 ) -> Check:
     """Judge the ends of displays that were stopped.
 
-    Parameters
-    ----------
-    ends
-        For each: its name, exit status, the summary that it wrote, and its last status.
+    ends: of each its name, exit status, the summary that it wrote, and its last status.
     """
     errors = []
     for role, status, summary, last in ends:

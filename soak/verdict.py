@@ -15,10 +15,12 @@ MEGA = 1e6
 HOUR_S = 3600.0
 MEMORY_BAR_MB_PER_H = 6.0
 MEMORY_MAX_MB = 128.0
-HANDLES_BAR_PER_H = 12.0
-HANDLES_MAX = 1_000.0
-THREADS_BAR_PER_H = 12.0
-THREADS_MAX = 16.0
+# Of each resource: its unit, the bar of its growth in an hour, and the most.
+USAGE = {
+    "memory": (" MB", MEMORY_BAR_MB_PER_H, MEMORY_MAX_MB),
+    "handles": ("", 12.0, 1_000.0),
+    "threads": ("", 12.0, 16.0),
+}
 AGAIN_BAR_S = 1.0
 # An undisturbed display stays felt; the host's own stalls affect the calm pair as well.
 UNTOUCHED_BAR_S = 0.1
@@ -49,7 +51,7 @@ class Line:
     """
 
     times_s: Floats
-    memory_mb: Floats
+    memory: Floats
     handles: Floats
     threads: Floats
     warm: int
@@ -80,13 +82,9 @@ class LoopFigures:
 
 def judge_usage(role: str, lines: Sequence[Line]) -> list[Check]:
     """Judge memory, descriptors and threads: significant growth or too high a number fails."""
-    memory = [(line.times_s, line.memory_mb, line.warm) for line in lines]
-    handles = [(line.times_s, line.handles, line.warm) for line in lines]
-    threads = [(line.times_s, line.threads, line.warm) for line in lines]
     return [
-        _growth(f"memory of {role}", memory, " MB", MEMORY_BAR_MB_PER_H, MEMORY_MAX_MB),
-        _growth(f"handles of {role}", handles, "", HANDLES_BAR_PER_H, HANDLES_MAX),
-        _growth(f"threads of {role}", threads, "", THREADS_BAR_PER_H, THREADS_MAX),
+        _growth(f"{name} of {role}", [(x.times_s, getattr(x, name), x.warm) for x in lines], *bars)
+        for name, bars in USAGE.items()
     ]
 
 

@@ -6,7 +6,7 @@ Other ECGs than the drawn ones are those of `--records FOLDER` (`benchmarks/anno
 import itertools
 import time
 from collections.abc import Iterable
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -26,9 +26,6 @@ from tests.support.announced_pulses import (
 )
 from tests.support.drawn_pulses import FRAME, HORIZONS_MS, RATE_HZ, SCORED_FROM_S, Floats, Pulse
 from tests.support.r_wave_scores import score_lead
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 # Jitters of the transit time; without any, the errors are the least that the predictor can have.
 JITTERS_S = (0.005, 0.02, 0.0)
@@ -125,22 +122,12 @@ def _show_errors(benchmark: Benchmark, title: str, errors: Runs) -> None:
         cells = (f"{one:.3f} / {other:.3f}" for one, other in zip(without, announced, strict=True))
         rows.append((name, *cells, f"{transit_ms:.0f} ± {deviation_ms:.0f}", f"{used:.0%}"))
 
-    def draw(figure: "Figure") -> None:
-        axes = figure.add_subplot()
-        for name, runs in errors.items():
-            without, announced = _means(runs)
-            (line,) = axes.plot(HORIZONS_MS, without, ".--")
-            axes.plot(HORIZONS_MS, announced, ".-", color=line.get_color(), label=name)
-        axes.set(yscale="log", xlabel="ahead (ms)", ylabel="NRMSE; dashed: without the ECG")
-        figure.legend(loc="outside right center")
-
     benchmark.table(
         title,
         ("pulse", *HORIZONS, "transit time, ms", "used"),
         rows,
         f"NRMSE after {SCORED_FROM_S:g} s, mean of the seeds: without / with the ECG.",
     )
-    benchmark.plot(title.lower().replace(",", "").replace(" ", "-"), draw)
 
 
 def _means(runs: list[BothErrors]) -> tuple[list[float], list[float]]:

@@ -1,6 +1,6 @@
-"""Errors of clock offset and skew, in virtual time and over an emulated link, beside LSL's.
+"""Errors of clock offset and skew over an emulated link, beside LSL's.
 
-The second part needs root, for the link emulator, and pylsl. It takes four minutes.
+It needs root, for the link emulator, and pylsl. It takes four minutes.
 """
 
 import time
@@ -11,7 +11,6 @@ from subprocess import PIPE
 import numpy as np
 
 from benchmarks.benchmark import Benchmark
-from benchmarks.clock import virtual
 from protocol.clock.one_way import Floats
 from protocol.host.child_process import ChildProcess
 from telepulse.simulation.link_scene import parse_link
@@ -29,7 +28,6 @@ LSL = "LSL, 0 ppm"
 
 def main(benchmark: Benchmark) -> None:
     """Print the tables."""
-    virtual.main(benchmark)
     reason = unavailable()
     if reason is not None:
         print(f"clock over the emulator: left out: {reason}")
@@ -113,17 +111,11 @@ def row(name: str, mark_s: float, tables: list[Floats]) -> tuple[str, ...]:
 
 def judge_against_lsl(benchmark: Benchmark, runs: list[dict[str, Floats]]) -> None:
     """Judge our worst clock's RMS error over LSL's, from 5 s to the end."""
-    rms = {
-        name: float(np.sqrt(np.mean(np.concatenate([after_5_s(r[name]) for r in runs]) ** 2)))
-        for name in runs[0]
-    }
+    rms = {}
+    for name in runs[0]:
+        table = np.vstack([each[name] for each in runs])
+        rms[name] = float(np.sqrt(np.mean(table[table[:, 0] >= 5.0, 1] ** 2)))
     ours = max(value for name, value in rms.items() if name != LSL)
     rows = [(name, f"{value:.3f} ms") for name, value in rms.items()]
     benchmark.table("RMS error of the offset from 5 s on", ("clock", "error"), rows)
     benchmark.judge("RMS error over LSL's at 0 ppm, its easiest", ours / rms[LSL])
-
-
-def after_5_s(table: Floats) -> Floats:
-    """Return the errors in ms from 5 s on."""
-    errors_ms: Floats = table[table[:, 0] >= 5.0, 1]
-    return errors_ms

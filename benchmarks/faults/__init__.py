@@ -1,8 +1,7 @@
 """Faults of nodes, networks and peers: time until the pulse is felt again, unaccounted samples.
 
 Its cases: "faults" of every kind, "cuts" of seven kinds many times each, "reconnections" where
-nothing is cut, "floods" of a peer, and the "backlog" of a display that never reads. Some need root,
-for the link emulator.
+nothing is cut, and "floods" of a peer. Some need root, for the link emulator.
 """
 
 import random
@@ -12,7 +11,6 @@ from tempfile import TemporaryDirectory
 
 from benchmarks.benchmark import Benchmark
 from benchmarks.faults import cuts, flood
-from benchmarks.faults.backlog import backlogs
 from benchmarks.faults.cases import CASES, NEEDS_EMULATOR, FaultResult
 from tests.support.netem import unavailable
 
@@ -28,7 +26,6 @@ def main(benchmark: Benchmark) -> None:
             "cuts": cuts.each_kind,
             "reconnections": cuts.where_nothing_is_cut,
             "floods": flood.floods,
-            "backlog": backlogs,
         }
     )
 

@@ -1,6 +1,5 @@
 """The faults. Each is made several times at random instants, until the pulse is felt again."""
 
-import json
 import os
 import random
 import time
@@ -8,9 +7,10 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from subprocess import PIPE
 
-from protocol.host.child_process import ChildProcess
+from benchmarks.load.many_displays import DisplayTimings, run_many_displays
+from benchmarks.load.run import receive
+from benchmarks.timing import process, spawn
 from protocol.sockets import control_address
 from telepulse.processes import free_addresses
 from telepulse.simulation.link_scene import parse_link
@@ -25,9 +25,8 @@ BETWEEN_S = (0.2, 1.2)
 BACK_WITHIN_S = 30.0
 SUSPENDED_S = 2.0
 WATCHED_S = 5.0
-LISTENERS = 18
+LISTENERS, CLOCK_MS = 18, 50
 CONNECTIONS, MESSAGES, SILENT = 500, 2_000, 3_000
-STREAM_ENDS_WITHIN_S = 30.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,15 +48,20 @@ Case = Callable[[Path, int, random.Random], FaultResult]
 
 
 def repeat(
-    felt: FeltForce, times: int, rng: random.Random, fault: Callable[[], int]
+    felt: FeltForce,
+    times: int,
+    rng: random.Random,
+    fault: Callable[[], int],
+    between_s: tuple[float, float] = BETWEEN_S,
 ) -> tuple[float, ...]:
     """Make a fault several times; return the times in ms until the pulse was felt again.
 
-    fault: makes the fault and returns the time of its end in ns.
+    fault: makes the fault and returns the time of its end in ns. between_s: range of the time
+    before each.
     """
     back_ms = []
     for _ in range(times):
-        time.sleep(rng.uniform(*BETWEEN_S))
+        time.sleep(rng.uniform(*between_s))
         ended_ns = fault()
         felt_ns = felt.steady_from_ns(ended_ns, BACK_WITHIN_S)
         back_ms.append(BACK_WITHIN_S * 1e3 if felt_ns is None else (felt_ns - ended_ns) * 1e-6)
@@ -206,23 +210,19 @@ def one_of_twenty_never_reads(folder: Path, times: int, rng: random.Random) -> F
     """Play a display beside eighteen listeners in one process and one that never reads."""
     with node_rig(folder) as rig:
         sensing, display, felt = rig.play()
-        command = ("-m", "tests.support.many_displays", rig.connect[0], str(LISTENERS))
-        listeners = rig.stack.enter_context(ChildProcess("displays", *command, stdout=PIPE))
-        listeners.read_line(STREAM_ENDS_WITHIN_S)
-        time.sleep(1.0)
+        ours, theirs = spawn.Pipe()
+        arguments = rig.connect[0], LISTENERS, CLOCK_MS, None, theirs
+        rig.stack.enter_context(process(run_many_displays, *arguments))
+        receive(ours)
+        ours.send(times * WATCHED_S)
         began_ns = time.perf_counter_ns()
         for _ in range(times):
             with deaf_subscriber(port_of(rig.connect[0])):
                 time.sleep(WATCHED_S)
         share = felt.share(began_ns, time.perf_counter_ns())
-        sent, summary = sensing.end(), display.summary()
-        output, _ = listeners.communicate(timeout=STREAM_ENDS_WITHIN_S)
-        # For a listener, samples that it counts as lost are unaccounted for, too.
-        total = sent.samples.sent or 0
-        missing = unaccounted(sent, summary) + sum(
-            abs(total - received - before) + lost
-            for received, _, _, _, lost, before in json.loads(output)
-        )
+        timings: DisplayTimings = receive(ours)
+        # For a listener, frames that do not arrive are unaccounted for.
+        missing = unaccounted(sensing.end(), display.summary()) + timings.lost
         return FaultResult(missing, felt.peaks(), felt=share)
 
 

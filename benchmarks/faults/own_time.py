@@ -1,18 +1,16 @@
 """Ticks that a display missed because of its own core time, not the machine's load."""
 
 import os
-import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import replace
 from itertools import pairwise
-from pathlib import Path
 
-import numpy as np
-
-from soak.core_time import CoreTime, excuse, read_core_time
+from benchmarks.timing import thread_times_s
+from soak.core_time import CoreTime, excuse, missed_ticks, read_core_time
 from tests.support.felt_force import FeltForce
+from tests.support.waiting import polled
 
 READ_EVERY_S = 0.01
 
@@ -34,27 +32,18 @@ class OwnTime:
     def __init__(self, pid: int) -> None:
         self._pid = pid
         self._readings: list[tuple[CoreTime, int]] = []
-        self._over = threading.Event()
 
     def read(self) -> None:
-        """Read until `finish`."""
-        while not self._over.wait(READ_EVERY_S):
-            reading = read_core_time(self._pid, time.perf_counter_ns())
-            if reading is not None:
-                self._readings.append((reading, _beside_ns(self._pid)))
-
-    def finish(self) -> None:
-        """End `read`."""
-        self._over.set()
+        """Read once, after a pause."""
+        time.sleep(READ_EVERY_S)
+        reading = read_core_time(self._pid, time.perf_counter_ns())
+        if reading is not None:
+            beside_s = thread_times_s(self._pid)[1]
+            self._readings.append((reading, round(beside_s * 1e9)))
 
     def own_misses(self, felt: FeltForce, tick_ns: int) -> tuple[int, int]:
         """Return the number of missed ticks in the traces, and of those that the process caused."""
-        now_ns = felt.trace().now_ns
-        missed = np.rint(np.diff(now_ns) / tick_ns).astype(int) - 1
-        gaps = [
-            (int(now_ns[at]), int(now_ns[at + 1]), int(missed[at]))
-            for at in np.flatnonzero(missed > 0)
-        ]
+        gaps = missed_ticks(felt.trace().now_ns, tick_ns)
         count = sum(each for *_, each in gaps)
         return count, count - excuse(gaps, self._foreign(), tick_ns).all
 
@@ -68,25 +57,9 @@ class OwnTime:
         return readings
 
 
-def _beside_ns(pid: int) -> int:
-    """Return the processor time in ns of all threads except the loop's."""
-    total_ns = 0
-    for thread in os.listdir(f"/proc/{pid}/task"):
-        if int(thread) != pid:
-            with suppress(OSError):
-                text = Path(f"/proc/{pid}/task/{thread}/schedstat").read_text("ascii")
-                total_ns += int(text.split()[0])
-    return total_ns
-
-
 @contextmanager
 def own_time_of(pid: int) -> Iterator[OwnTime]:
     """Read the time of a process."""
     own = OwnTime(pid)
-    reader = threading.Thread(target=own.read)
-    reader.start()
-    try:
+    with polled(own.read):
         yield own
-    finally:
-        own.finish()
-        reader.join()

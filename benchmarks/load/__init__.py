@@ -6,7 +6,6 @@ frame counts for the sender. It takes six minutes.
 """
 
 import os
-from collections.abc import Sequence
 from dataclasses import replace
 
 from benchmarks.benchmark import Benchmark
@@ -129,6 +128,4 @@ def within(figures: Figures) -> bool:
 
 def named(stream: Stream) -> str:
     """Return a stream's frames in words."""
-    counts: Sequence[str] = ("", "a sample")
-    samples = counts[stream.batch] if stream.batch < len(counts) else f"{stream.batch} samples"
-    return f"{samples} a frame"
+    return f"{'a sample' if stream.batch == 1 else f'{stream.batch} samples'} a frame"

@@ -8,8 +8,9 @@ import numpy as np
 import zmq
 
 from benchmarks.benchmark import Benchmark
-from benchmarks.load.run import process, relay
+from benchmarks.load.run import relay
 from benchmarks.load.sensing import Stream, sense
+from benchmarks.timing import process
 from protocol import sockets
 from protocol.clock.estimator import ClockEstimator, ClockExchange
 from protocol.wire.messages import ClockReply, ClockRequest, decode_control, encode_control

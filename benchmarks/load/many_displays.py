@@ -29,6 +29,7 @@ REPORT_SLOTS = 1_000
 PATIENCE_S = 30.0
 # Frames later than this count as lost.
 GRACE_S = 2.0
+FRAME_WITHIN_S = 60.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,13 +78,13 @@ class ManyDisplays:
         while not any(len(arrivals) == self._count for _, _, arrivals in self._frames.values()):
             if time.monotonic() > end_s:
                 raise TimeoutError("not every display receives the stream")
-            self._live(50 * SLOT_NS)
+            self.live(50 * SLOT_NS)
 
     def listen(self, seconds: float) -> DisplayTimings:
         """Return the timings of frames whose first sample is within the next `seconds`."""
         self._frames.clear()
         begin_ns = time.perf_counter_ns()
-        self._live(round((seconds + GRACE_S) * 1e9))
+        self.live(round((seconds + GRACE_S) * 1e9))
         end_ns = begin_ns + round(seconds * 1e9)
         measured = [
             (frame, arrivals)
@@ -102,11 +103,21 @@ class ManyDisplays:
             delays_ns.extend(arrivals)
         return DisplayTimings(delays_ns, lost)
 
+    def await_frame(self) -> float:
+        """Return the time in s until a frame arrives. Raises TimeoutError."""
+        self._frames.clear()
+        began_s = time.monotonic()
+        while not self._frames:
+            if time.monotonic() > began_s + FRAME_WITHIN_S:
+                raise TimeoutError("no frame comes")
+            self.live(SLOT_NS)
+        return time.monotonic() - began_s
+
     def close(self) -> None:
         """Close the sockets."""
         self._context.destroy(linger=0)
 
-    def _live(self, duration_ns: int) -> None:
+    def live(self, duration_ns: int) -> None:
         """Receive and request for `duration_ns`."""
         end_ns = time.perf_counter_ns() + duration_ns
         descriptors = sockets.descriptors([self._data])

@@ -1,10 +1,8 @@
 """One run: a sensing node, relays, groups of many displays, and the cost of each of them."""
 
 import time
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack
 from dataclasses import dataclass, field
-from multiprocessing import get_context
 from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
 from pathlib import Path
@@ -15,15 +13,14 @@ import numpy as np
 
 from benchmarks.load.many_displays import DisplayTimings, run_many_displays
 from benchmarks.load.sensing import Stream, sense
+from benchmarks.timing import process, spawn, thread_times_s
 from protocol.host.process import stop_on_signals
-from protocol.security.allow_list import allow
-from protocol.security.keys import ClientKeys, ServerKeys, new_pair, read_pair
 from telepulse.processes import free_addresses
 from telepulse.relay import Relay
+from tests.support.keyring import Keyring
 
 SECONDS = 5.0
 PATIENCE_S = 60.0
-_spawn = get_context("spawn")
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,7 +64,11 @@ def run(load: Load) -> Figures:
     """Run for `SECONDS`. Raises RuntimeError when a display cannot join."""
     addresses = free_addresses(1 + load.relays)
     with ExitStack() as processes:
-        server, client = processes.enter_context(made_keys()) if load.keys else (None, None)
+        server = client = None
+        if load.keys:
+            keys = Keyring(Path(processes.enter_context(TemporaryDirectory(prefix="telepulse-"))))
+            keys.allow("finger")
+            server, client = keys.server(), keys.client("finger")
         sensing = processes.enter_context(process(sense, load.stream, addresses[0], server))
         relays = [
             processes.enter_context(process(relay, addresses[0], address))
@@ -77,7 +78,7 @@ def run(load: Load) -> Figures:
         listening = addresses[1:] or addresses
         for number, address in enumerate(listening):
             count = len(range(number, load.displays, len(listening)))
-            ours, theirs = _spawn.Pipe()
+            ours, theirs = spawn.Pipe()
             arguments = address, count, load.clock_ms, client, theirs
             displays.append(processes.enter_context(process(run_many_displays, *arguments)))
             theirs.close()
@@ -108,33 +109,11 @@ def run(load: Load) -> Figures:
     )
 
 
-@contextmanager
-def made_keys() -> Iterator[tuple[ServerKeys, ClientKeys]]:
-    """Provide keys of a sensing node and of displays on its allow-list."""
-    with TemporaryDirectory(prefix="telepulse-") as folder:
-        wrist, finger = (read_pair(new_pair(Path(folder), name)[0]) for name in ("wrist", "finger"))
-        allowed = Path(folder) / "allowed"
-        allow(allowed, finger.public)
-        yield ServerKeys(wrist, allowed), ClientKeys(finger, wrist.public)
-
-
 def relay(connect: str, bind: str) -> None:
     """Relay until SIGTERM."""
     node = Relay(connect, bind)
     stop_on_signals(node.stop)
     node.run()
-
-
-@contextmanager
-def process(target: Callable[..., None], *arguments: Any) -> Iterator[BaseProcess]:
-    """Run `target` in a process until the block ends."""
-    child = _spawn.Process(target=target, args=arguments, daemon=True)
-    child.start()
-    try:
-        yield child
-    finally:
-        child.terminate()
-        child.join()
 
 
 def receive(pipe: Connection) -> Any:
@@ -149,12 +128,5 @@ def receive(pipe: Connection) -> Any:
 
 def cpu_s(group: list[BaseProcess]) -> tuple[float, float]:
     """Return the CPU time of processes so far in s: of main threads, of all others."""
-    main = rest = 0.0
-    for child in group:
-        for thread in Path(f"/proc/{child.pid}/task").iterdir():
-            ran_s = int((thread / "schedstat").read_text(encoding="ascii").split()[0]) * 1e-9
-            if int(thread.name) == child.pid:
-                main += ran_s
-            else:
-                rest += ran_s
-    return main, rest
+    times_s = [thread_times_s(child.pid or 0) for child in group]
+    return sum(main_s for main_s, _ in times_s), sum(rest_s for _, rest_s in times_s)

@@ -21,11 +21,6 @@ class Stream:
     batch: int = 1
     channels: int = 1
 
-    @property
-    def frames_hz(self) -> float:
-        """Return the frames per second."""
-        return 1000 / self.batch
-
 
 class Array(SampleSource):
     """An array of films with the same pulse."""

@@ -44,7 +44,6 @@ class Peer:
         return run(self.publish, self.subscribe, self.curve, messages)
 
 
-UDP = Peer("UDP", others.publish_udp, others.subscribe_udp)
 BARE = Peer("pyzmq", others.publish_pyzmq, others.subscribe_pyzmq, ("pyzmq", "msgpack"))
 OURS = Peer("telepulse", ours.publish, ours.subscribe)
 DECODED = Peer("decoded only", ours.publish, ours.subscribe_decoded)
@@ -52,7 +51,7 @@ BARE_CURVE = replace(BARE, name="pyzmq, CURVE", curve=True)
 OURS_CURVE = replace(OURS, name="telepulse, CURVE", curve=True)
 LSL = Peer("LSL", others.publish_lsl, others.subscribe_lsl, ("pylsl",))
 ZENOH = Peer("zenoh", others.publish_zenoh, others.subscribe_zenoh, ("eclipse-zenoh",))
-PEERS = (UDP, BARE, DECODED, OURS, BARE_CURVE, OURS_CURVE, LSL, ZENOH)
+PEERS = (BARE, DECODED, OURS, BARE_CURVE, OURS_CURVE, LSL, ZENOH)
 COMPARED = ((OURS, BARE), (OURS_CURVE, BARE_CURVE), (OURS, LSL))
 
 

@@ -6,26 +6,18 @@ from typing import NamedTuple
 import zmq
 
 from protocol.sockets import Socket
+from tests.support.keyring import Keyring
 
 VALUE = 0.5
 FIELDS = struct.Struct("<qqf")
 """Number, time in ns and one sample, for peers without a format of their own."""
 
 
-class Keys(NamedTuple):
-    """CURVE keys of both ends, as `zmq.curve_keypair` returns them."""
-
-    server_public: bytes
-    server_secret: bytes
-    client_public: bytes
-    client_secret: bytes
-
-
 class Wire(NamedTuple):
     """The address of both processes: a port of 127.0.0.1 and the next one; keys if encrypted."""
 
     port: int
-    keys: Keys | None
+    keys: Keyring | None
 
 
 class Arrival(NamedTuple):
@@ -39,23 +31,16 @@ class Arrival(NamedTuple):
     usable_ns: int
 
 
-def make_keys() -> Keys:
-    """Return keys for a server and its one client."""
-    return Keys(*zmq.curve_keypair(), *zmq.curve_keypair())
-
-
-def serve(socket: Socket, keys: Keys | None) -> Socket:
+def serve(socket: Socket, keys: Keyring | None) -> Socket:
     """Make the socket encrypt as the server; without keys leave it as it is."""
     if keys is not None:
         socket.setsockopt(zmq.CURVE_SERVER, 1)
-        socket.setsockopt(zmq.CURVE_SECRETKEY, keys.server_secret)
+        socket.setsockopt(zmq.CURVE_SECRETKEY, keys.pair("wrist").secret)
     return socket
 
 
-def join(socket: Socket, keys: Keys | None) -> Socket:
+def join(socket: Socket, keys: Keyring | None) -> Socket:
     """Make the socket encrypt as the client; without keys leave it as it is."""
     if keys is not None:
-        socket.setsockopt(zmq.CURVE_SERVERKEY, keys.server_public)
-        socket.setsockopt(zmq.CURVE_PUBLICKEY, keys.client_public)
-        socket.setsockopt(zmq.CURVE_SECRETKEY, keys.client_secret)
+        keys.client("finger").protect(socket)
     return socket

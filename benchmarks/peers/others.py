@@ -1,4 +1,4 @@
-"""The alternatives: raw UDP, pyzmq with msgpack, Lab Streaming Layer, and Eclipse Zenoh.
+"""The alternatives: pyzmq with msgpack, Lab Streaming Layer, and Eclipse Zenoh.
 
 Each has a publisher, which sends a message for each number, and a subscriber, which yields messages
 as they arrive. LSL and Zenoh are imported where they are used: they may not be installed.
@@ -7,7 +7,7 @@ as they arrive. LSL and Zenoh are imported where they are used: they may not be 
 import json
 import time
 from collections.abc import Iterable, Iterator
-from socket import AF_INET, SOCK_DGRAM, socket
+from typing import Any
 
 import msgpack
 import zmq
@@ -15,38 +15,20 @@ import zmq
 from benchmarks.peers.message import FIELDS, VALUE, Arrival, Wire, join, serve
 from protocol.sockets import Context
 
-# Finds streams of this machine only, and none of other programs.
 LSL_CONFIG = """
 [ports]
 IPv6 = disable
 [multicast]
 ResolveScope = machine
 [lab]
-KnownPeers = {{127.0.0.1}}
-SessionID = telepulse-{port}
+KnownPeers = {{{peer}}}
+SessionID = telepulse-{session}
 [log]
 level = -2
 """
 RATE_HZ = 1_000
 RESOLVE_S = 20.0
 ZENOH_KEY = "telepulse/force"
-
-
-def publish_udp(wire: Wire, numbers: Iterable[int]) -> None:
-    """Send datagrams: the least cost of a message between two Python processes."""
-    sender = socket(AF_INET, SOCK_DGRAM)
-    address = ("127.0.0.1", wire.port)
-    for sequence in numbers:
-        sender.sendto(FIELDS.pack(sequence, time.perf_counter_ns(), VALUE), address)
-
-
-def subscribe_udp(wire: Wire) -> Iterator[Arrival]:
-    """Receive datagrams."""
-    receiver = socket(AF_INET, SOCK_DGRAM)
-    receiver.bind(("127.0.0.1", wire.port))
-    while True:
-        sequence, sent_ns, _ = FIELDS.unpack(receiver.recv(FIELDS.size))
-        yield Arrival(sequence, sent_ns, time.perf_counter_ns())
 
 
 def publish_pyzmq(wire: Wire, numbers: Iterable[int]) -> None:
@@ -72,9 +54,7 @@ def subscribe_pyzmq(wire: Wire) -> Iterator[Arrival]:
 
 def publish_lsl(wire: Wire, numbers: Iterable[int]) -> None:
     """Send each sample at once; its channels are the number and the time."""
-    _configure_lsl(wire)
-    import pylsl
-
+    pylsl = load_lsl("127.0.0.1", str(wire.port))
     # Doubles hold nanoseconds exactly for the first 104 days of a machine.
     info = pylsl.StreamInfo("pulse", "force", 2, RATE_HZ, pylsl.cf_double64, f"{wire.port}")
     outlet = pylsl.StreamOutlet(info, chunk_size=1)
@@ -84,9 +64,7 @@ def publish_lsl(wire: Wire, numbers: Iterable[int]) -> None:
 
 def subscribe_lsl(wire: Wire) -> Iterator[Arrival]:
     """Receive by an inlet that blocks for each sample."""
-    _configure_lsl(wire)
-    import pylsl
-
+    pylsl = load_lsl("127.0.0.1", str(wire.port))
     found = pylsl.resolve_byprop("source_id", f"{wire.port}", timeout=RESOLVE_S)
     inlet = pylsl.StreamInlet(found[0], processing_flags=0)
     while True:
@@ -94,10 +72,12 @@ def subscribe_lsl(wire: Wire) -> Iterator[Arrival]:
         yield Arrival(int(sequence), int(sent_ns), time.perf_counter_ns())
 
 
-def _configure_lsl(wire: Wire) -> None:
+def load_lsl(peer: str, session: str) -> Any:
+    """Return pylsl, which finds streams at a peer's address only, and none of other programs."""
     import pylsl
 
-    pylsl.set_config_content(LSL_CONFIG.format(port=wire.port))
+    pylsl.set_config_content(LSL_CONFIG.format(peer=peer, session=session))
+    return pylsl
 
 
 def publish_zenoh(wire: Wire, numbers: Iterable[int]) -> None:

@@ -4,15 +4,18 @@ import time
 from array import array
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
-from multiprocessing import get_context
 from multiprocessing.connection import Connection
+from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.peers.message import Arrival, Wire, make_keys
-from benchmarks.timing import paced
+from benchmarks.peers.message import Arrival, Wire
+from benchmarks.timing import paced, process, spawn
 from telepulse.processes import free_addresses
+from tests.support.hostile_peers import port_of
+from tests.support.keyring import Keyring
 
 PERIOD_NS = 1_000_000
 # Connecting, and the first messages of a process, are not measured.
@@ -42,30 +45,22 @@ class Run:
 
 def run(publish: Publish, subscribe: Subscribe, curve: bool, messages: int) -> Run:
     """Run a peer by its module-level functions. Raises RuntimeError when nothing arrives."""
-    name, address = subscribe.__name__, free_addresses(1)[0]
-    wire = Wire(int(address.rpartition(":")[2]), make_keys() if curve else None)
-    spawn = get_context("spawn")
+    name, port = subscribe.__name__, port_of(free_addresses(1)[0])
     ours, theirs = spawn.Pipe(duplex=False)
-    processes = [
-        spawn.Process(target=_publish, args=(publish, wire), daemon=True),
-        spawn.Process(target=_subscribe, args=(subscribe, wire, messages, theirs), daemon=True),
-    ]
-    try:
-        for process in processes:
-            process.start()
-        theirs.close()
-        if not ours.poll(PATIENCE_S + messages * PERIOD_NS * 1e-9):
-            raise RuntimeError(
-                f"{subscribe.__name__}: no figures within {PATIENCE_S:g} s of their time"
-            )
-        received: Run = ours.recv()
-        return received
-    except EOFError:
-        raise RuntimeError(f"{name} ended without figures") from None
-    finally:
-        for process in processes:
-            process.terminate()
-            process.join()
+    with TemporaryDirectory(prefix="telepulse-") as folder:
+        wire = Wire(port, Keyring(Path(folder)) if curve else None)
+        with (
+            process(_publish, publish, wire),
+            process(_subscribe, subscribe, wire, messages, theirs),
+        ):
+            theirs.close()
+            if not ours.poll(PATIENCE_S + messages * PERIOD_NS * 1e-9):
+                raise RuntimeError(f"{name}: no figures within {PATIENCE_S:g} s of their time")
+            try:
+                received: Run = ours.recv()
+            except EOFError:
+                raise RuntimeError(f"{name} ended without figures") from None
+            return received
 
 
 def _publish(publish: Publish, wire: Wire) -> None:

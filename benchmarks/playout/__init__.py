@@ -1,4 +1,4 @@
-"""Mean delay and late frames of our playout delay over ten links, beside two offline optima.
+"""Mean delay and late frames of our playout delay over eight links, beside two offline optima.
 
 Our delay is tuned for the least mean delay within the permitted late share. Both optima, a constant
 and a moving delay, are computed from the whole trace.

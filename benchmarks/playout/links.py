@@ -108,9 +108,8 @@ def tcp_stalls(rng: np.random.Generator, count: int) -> Milliseconds:
 GAUSSIAN, SPIKES, ROUTE = "Gaussian", "100 ms spikes", "+60 ms route"
 FAST, SLOW = "+200 ppm", "−200 ppm"
 BURSTS, RANDOM, TCP = "Markov bursts", "random spikes", "TCP stalls"
-SHORT_BURSTS, DENSE = "short bursts", "dense spikes"
 # The project's targets name these links without figures. We chose the figures; those of the random
-# links decide which delay is attainable. The last two links are harder ones, without a target.
+# links decide which delay is attainable.
 LINKS: dict[str, Draw] = {
     GAUSSIAN: gaussian,
     SPIKES: spikes,
@@ -120,8 +119,6 @@ LINKS: dict[str, Draw] = {
     BURSTS: partial(bursts, good_s=10.0, bad_s=2.0),
     RANDOM: partial(random_spikes, rate_hz=0.5),
     TCP: tcp_stalls,
-    SHORT_BURSTS: partial(bursts, good_s=2.0, bad_s=0.2),
-    DENSE: partial(random_spikes, rate_hz=1.0),
 }
 
 

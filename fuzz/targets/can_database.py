@@ -5,17 +5,11 @@ from contextlib import suppress
 import can
 
 from fuzz.targets import scratch_folder
-from fuzz.targets.can_messages import DATABASE
-from protocol.config.scene import validate
+from fuzz.targets.can_messages import DATABASE, SCENE
 from protocol.errors import SourceError
-from pulse_sensors.can_bus import CanDecoder, CanScene
+from pulse_sensors.can_bus import CanDecoder
 
 _FOLDER = scratch_folder()
-_TABLE = {
-    **{"kind": "can", "interface": "virtual", "channel": "fuzz", "database": "film.dbc"},
-    **{"signal": "Force", "counter": "Count", "rate": "1 kHz", "unit": "N"},
-}
-_SCENE = validate(_TABLE, CanScene, where="fuzz")
 
 
 def seeds() -> list[bytes]:
@@ -27,6 +21,6 @@ def try_one(data: bytes) -> None:
     """Read a file; either it is refused, or any message can be decoded by it."""
     (_FOLDER / "film.dbc").write_bytes(data)
     with suppress(SourceError):
-        decoder = CanDecoder(_SCENE, _FOLDER)
+        decoder = CanDecoder(SCENE, _FOLDER)
         for length in (0, 8):
             decoder.feed(can.Message(arbitration_id=291, data=bytes(range(length))))

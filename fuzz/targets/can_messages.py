@@ -27,7 +27,8 @@ _TABLE = {
     **{"kind": "can", "interface": "virtual", "channel": "fuzz", "database": "film.dbc"},
     **{"signal": "Force", "counter": "Count", "rate": "1 kHz", "unit": "N"},
 }
-_DECODER = CanDecoder(validate(_TABLE, CanScene, where="fuzz"), _FOLDER)
+SCENE = validate(_TABLE, CanScene, where="fuzz")
+_DECODER = CanDecoder(SCENE, _FOLDER)
 # Time in µs, within the range of an interface; length and flags.
 _HEAD = struct.Struct("<qB")
 

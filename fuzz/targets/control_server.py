@@ -10,14 +10,14 @@ from protocol.wire.messages import (
     encode_control,
 )
 from sensing_node.control_server import ADDRESS_BYTES, MAX_CLIENTS, MAX_HOPS, ControlServer
-from sensing_node.press.set_points import SetPointServer
+from sensing_node.press.set_points import PressedProbe, SetPointServer
 from tests.support.message_examples import DESCRIPTION
 
 SESSION = 7
 STEP_NS = 300_000_000
 
 
-class CheckedProbe:
+class CheckedProbe(PressedProbe):
     """A probe that checks its set-points."""
 
     state, hold_down_n, depth_m = "pressing", 0.0, 0.0
@@ -52,7 +52,7 @@ def try_one(data: bytes) -> None:
             assert len(envelope) <= MAX_HOPS
             assert all(len(address) == ADDRESS_BYTES for address in envelope[1:])
             client.shown_name.encode("ascii")
-    account = set_points.counts()
+    account = set_points.figures()
     parts = account.applied, account.superseded, account.lost
     assert account.sent == sum(part or 0 for part in parts)
     check_causes(server.rejected + set_points.rejected)

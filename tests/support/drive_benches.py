@@ -3,11 +3,10 @@
 Both are a `Bench`. On a real line a thread polls the emulator.
 """
 
-import threading
 import time
 import uuid
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, closing, contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -16,25 +15,24 @@ import can
 
 from display_node.hardware import build_display_drive
 from display_node.plant.scene import StepperScene
-from protocol.config.kinds import load_object
 from protocol.wire.stream import LayerTable
 from pulse_drives.drive import Drive
 from pulse_drives.scene import Cia402Scene, TmclScene
 from telepulse.emulators import PtyPort
 from telepulse.emulators.cia402 import ALL_MODES, EmulatedCia402Node
-from telepulse.emulators.motor import TICK_NS, EmulatedMotor
+from telepulse.emulators.motor import TICK_NS
 from telepulse.emulators.tmcl import EmulatedCanLine, EmulatedSerialLine, EmulatedTmclModule
 from tests.support.fault_injection import FaultyMotor
 from tests.support.slcan import SlcanBus
-from tests.support.virtual_lines import cia402_line, tmcl_line
+from tests.support.virtual_lines import virtual_line
 from tests.support.virtual_time import VirtualTime
+from tests.support.waiting import polled
 
 LAYER = LayerTable().layer()
 FORCE_LIMIT_N = 2.5
 # For a machine so busy that threads wait: far longer than a bench's usual 50 ms.
 PATIENT = {"watchdog": "800 ms", "homing_speed": "20 mm/s", "touch": "0.6 mm"}
 LONGEST_WAIT_S = 20.0
-VIRTUAL = ("pulse_drives", "telepulse.emulators", "tests.support.fault_injection")
 
 
 def stepper(**keys: Any) -> StepperScene:
@@ -60,7 +58,7 @@ class Bench:
 
     scene: TmclScene | Cia402Scene
     actuator: StepperScene
-    motor: EmulatedMotor
+    motor: FaultyMotor
     emulator: Any = None
     line: Any = None
     bus: Any = None
@@ -108,7 +106,7 @@ def drive_scene(kind: str, place: str, **keys: Any) -> TmclScene | Cia402Scene:
 
 def emulated_motor(
     scene: TmclScene | Cia402Scene, actuator: StepperScene, now_ns: int
-) -> EmulatedMotor:
+) -> FaultyMotor:
     return FaultyMotor(actuator, actuator.contact(LAYER), scene.touch_m, now_ns)
 
 
@@ -127,37 +125,12 @@ def virtual_bench(
     keys = {"homing_speed": "20 mm/s", "touch": "0.6 mm", **keys}
     scene = drive_scene(kind, "virtual" if kind == "tmcl" else "c", **keys)
     world, actuator = VirtualTime(), actuator or stepper()
-    load_object(scene.driver)  # so that its clock is replaced too
-    with world.substituted((*VIRTUAL, *also)), ExitStack() as open_things:
-        motor = emulated_motor(scene, actuator, world.now_ns)
-        bench = Bench(scene, actuator, motor, clock=world)
-        if isinstance(scene, Cia402Scene):
-            line = cia402_line(world, scene, motor, modes)
-            bench.emulator, bench.line = open_things.enter_context(line)
-        else:
-            lines = tmcl_line(world, scene, motor)
-            bench.emulator, bench.line, bench.bus = open_things.enter_context(lines)
+    motor = emulated_motor(scene, actuator, world.now_ns)
+    with virtual_line(world, scene, motor, also, modes) as ends:
+        bench = Bench(scene, actuator, motor, *ends, clock=world)
         world.every(TICK_NS, lambda: motor.advance(world.now_ns))
         yield bench
         bench.drive.close()
-
-
-@contextmanager
-def polled(poll: Callable[[], object]) -> Iterator[None]:
-    """Call `poll` in a thread until the end of the block."""
-    over = threading.Event()
-
-    def run() -> None:
-        while not over.is_set():
-            poll()
-
-    thread = threading.Thread(target=run)
-    thread.start()
-    try:
-        yield
-    finally:
-        over.set()
-        thread.join()
 
 
 @contextmanager
@@ -176,7 +149,7 @@ def real_bench(kind: str, **keys: Any) -> Iterator[Bench]:
     if kind.startswith("tmcl"):
         keys["reply_timeout"] = "100 ms"
     place = str(port.path) if kind == "tmcl" else channel
-    scene = drive_scene(kind, place, **PATIENT, **keys)
+    scene = drive_scene(kind, place, **(PATIENT | keys))
     actuator = stepper()
     motor = emulated_motor(scene, actuator, time.perf_counter_ns())
     bench = Bench(scene, actuator, motor, line=port)
@@ -190,7 +163,7 @@ def real_bench(kind: str, **keys: Any) -> Iterator[Bench]:
             EmulatedSerialLine(module, port) if bus is None else EmulatedCanLine(module, scene, bus)
         )
         parts = [partial(line.serve, 0.002), lambda: motor.advance(time.perf_counter_ns())]
-        close = line.close
+        close = port.close if bus is None else bus.shutdown
     with closing(bench.drive), polled(lambda: [part() for part in parts]):
         yield bench
         bench.drive.close()

@@ -6,6 +6,7 @@ Each is a process of its own. The drive's emulator records its motor.
 import json
 import os
 import re
+import signal
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
@@ -14,10 +15,11 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+import tomlkit
 import zmq
 from numpy.typing import NDArray
 
-from protocol.config.scene_file import find_scene, load_document, to_toml
+from protocol.config.scene_file import find_scene, load_document
 from protocol.host.child_process import ChildProcess
 from protocol.wire.telemetry import Status
 from telepulse.processes import free_addresses
@@ -59,7 +61,9 @@ def bench_scene_text(folder: Path, kind: str, watchdog_ms: int, name: str = "") 
     name: of the shipped scene; by default, that of the kind of drive. watchdog_ms: of the drive,
     for a busy machine; 0: the scene's.
     """
-    text = to_toml(load_document(find_scene(name or f"{kind}_bench"))).replace(PORTS, f"{folder}/")
+    text = tomlkit.dumps(load_document(find_scene(name or f"{kind}_bench"))).replace(
+        PORTS, f"{folder}/"
+    )
     if watchdog_ms:
         keys = f'watchdog = "{watchdog_ms} ms"\n'
         if kind == "tmcl":
@@ -89,16 +93,16 @@ class EmulatedBench:
     processes: dict[str, ChildProcess] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        self._address, self.telemetry = free_addresses(2)
+        self.address, self.telemetry = free_addresses(2)
         self.scene = self.folder / "scene.toml"
         # A channel of its own, so that it does not interfere with another bench.
-        last = 10 + int(re.findall(r"\d+$", self._address)[0]) % 200
+        last = 10 + int(re.findall(r"\d+$", self.address)[0]) % 200
         text = bench_scene_text(self.folder, self.kind, self.watchdog_ms, self.name)
         self.scene.write_text(text.replace(CHANNEL, f"239.74.163.{last}"), encoding="utf-8")
 
     def start_board(self) -> None:
         words = ("emulate", "sensor", self.source, "--link", self.folder / "board")
-        self._start("board", "telepulse", *words, "--delivery-ms", "4")
+        self.start("board", "telepulse", *words, "--delivery-ms", "4")
 
     def start_drive(self, contactor: str = "") -> None:
         """Start the drive's emulator; contactor: of which, its name ends those of the files."""
@@ -108,16 +112,16 @@ class EmulatedBench:
         film = ("--film-link", self.folder / f"film{end}", *trace)
         which = ("--contactor", contactor) if contactor else ()
         words = ("emulate", self.kind, self.scene, *which, *serial, *film, *self.drive_options)
-        self._start(f"drive{end}", "telepulse", *words)
+        self.start(f"drive{end}", "telepulse", *words)
 
     def start_sensing(self) -> None:
-        self._start("sensing", "sensing_node.cli", self.scene, "--bind", self._address)
+        self.start("sensing", "sensing_node.cli", self.scene, "--bind", self.address)
 
     def start_display(self) -> None:
-        words = (self.scene, "--connect", self._address, "--telemetry", self.telemetry)
+        words = (self.scene, "--connect", self.address, "--telemetry", self.telemetry)
         json_file = self.folder / "display.json"
         volume = "--quiet" if self.output is None else "--no-screen"
-        self._start("display", "display_node.cli", *words, volume, "--json", json_file)
+        self.start("display", "display_node.cli", *words, volume, "--json", json_file)
 
     def await_state(
         self, wanted: str, within_s: float = STATE_WITHIN_S, played: int = 0
@@ -167,8 +171,10 @@ class EmulatedBench:
         return summary
 
     def motor(self, contactor: str = "") -> MotorTrace:
+        path = self.folder / (f"motor-{contactor}.csv" if contactor else "motor.csv")
         rows = np.genfromtxt(
-            self.folder / (f"motor-{contactor}.csv" if contactor else "motor.csv"),
+            # The last line may not be complete yet.
+            path.read_text("utf-8").splitlines()[:-1],
             delimiter=",",
             names=True,
             dtype=None,
@@ -183,7 +189,8 @@ class EmulatedBench:
     def log(self) -> str:
         return (self.folder / "log").read_text("utf-8")
 
-    def _start(self, name: str, module: str, *words: object) -> None:
+    def start(self, name: str, module: str, *words: object) -> None:
+        """Start a process, in place of the last one of its name."""
         if name in self.processes:
             self.processes[name].wait()
         with (self.folder / "log").open("ab") as log:
@@ -194,6 +201,14 @@ class EmulatedBench:
         # Other load on this machine must not look like a fault, where the priority is permitted.
         with suppress(PermissionError):
             os.setpriority(os.PRIO_PROCESS, process.pid, NICE)
+
+    def stall(self, name: str, seconds: float) -> ChildProcess:
+        """Stop a process for some time, and return it."""
+        process = self.processes[name]
+        process.send_signal(signal.SIGSTOP)
+        time.sleep(seconds)
+        process.send_signal(signal.SIGCONT)
+        return process
 
     def kill(self) -> None:
         for child in self.processes.values():

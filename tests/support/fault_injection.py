@@ -83,8 +83,8 @@ def parse_fault(kind: FaultKind, size: str | None) -> InjectedFault:
 class FaultInjector:
     """Injector of one fault between a motor with steps of step_m, its bus and the film."""
 
-    def __init__(self, step_m: float, seed: int = 1) -> None:
-        self._step_m, self._random = step_m, random.Random(seed)
+    def __init__(self, step_m: float) -> None:
+        self._step_m, self._random = step_m, random.Random(1)
         self._kind: FaultKind | None = None
         self._size, self._begun_ns = 0.0, 0
         self._frozen: float | None = None
@@ -201,19 +201,18 @@ class FaultyMotor(EmulatedMotor):
 
 
 class FaultyTmclModule(EmulatedTmclModule):
-    """A TMCL module whose answers the injector of its motor spoils; a plain motor has none."""
+    """A TMCL module whose answers the injector of its motor spoils."""
+
+    _motor: FaultyMotor
 
     def receive(self, request: bytes, now_ns: int) -> None:
         super().receive(request, now_ns)
-        if isinstance(self._motor, FaultyMotor):
-            for due_ns, answer in self._answers:
-                self._motor.injector.queue_answer(answer, due_ns)
-            self._answers.clear()
+        for due_ns, answer in self._answers:
+            self._motor.injector.queue_answer(answer, due_ns)
+        self._answers.clear()
 
     def due_answers(self, now_ns: int) -> list[bytes]:
-        if isinstance(self._motor, FaultyMotor):
-            return self._motor.injector.due_answers(now_ns)
-        return super().due_answers(now_ns)
+        return self._motor.injector.due_answers(now_ns)
 
 
 class _FaultyNetwork(canopen.Network):
@@ -235,14 +234,14 @@ class _FaultyNetwork(canopen.Network):
 
 
 class FaultyCia402Node(EmulatedCia402Node):
-    """A CiA 402 node whose frames the injector of its motor spoils; a plain motor has none."""
+    """A CiA 402 node whose frames the injector of its motor spoils."""
+
+    motor: FaultyMotor
+    _network: _FaultyNetwork
 
     def network(self, bus: can.BusABC) -> canopen.Network:
-        if isinstance(self.motor, FaultyMotor):
-            return _FaultyNetwork(bus, self.motor.injector)
-        return super().network(bus)
+        return _FaultyNetwork(bus, self.motor.injector)
 
     def poll(self) -> None:
         super().poll()
-        if isinstance(self._network, _FaultyNetwork):
-            self._network.send_due()
+        self._network.send_due()

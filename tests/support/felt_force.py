@@ -1,6 +1,5 @@
 """The force felt at a display while faults are made, recorded from its telemetry."""
 
-import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -9,6 +8,7 @@ import numpy as np
 import zmq
 
 from protocol.wire.telemetry import STATUS, TRACE, Status, Trace, read_status, read_trace
+from tests.support.waiting import polled
 
 POLL_MS = 20
 # A trace covers 20 ms of ticks, and arrives at its end.
@@ -36,21 +36,18 @@ class FeltForce:
         # The traces of each contactor, by message.
         self.traces: list[list[Trace]] = []
         self.status: Status | None = None
-        self.over = threading.Event()
+        # All statuses, and when each arrived.
+        self.statuses: list[tuple[int, Status]] = []
 
-    def record(self, address: str) -> None:
-        """Receive telemetry until `over` is set."""
-        with zmq.Context() as context, context.socket(zmq.SUB) as socket:
-            socket.setsockopt(zmq.LINGER, 0)
-            socket.subscribe(b"")
-            socket.connect(address)
-            while not self.over.is_set():
-                if socket.poll(POLL_MS):
-                    topic, data = socket.recv_multipart()
-                    if topic == TRACE:
-                        self.add(read_trace(data))
-                    elif topic == STATUS:
-                        self.status = read_status(data)
+    def receive(self, socket: "zmq.Socket[bytes]") -> None:
+        """Receive a message of telemetry, if one comes soon."""
+        if socket.poll(POLL_MS):
+            topic, data = socket.recv_multipart()
+            if topic == TRACE:
+                self.add(read_trace(data))
+            elif topic == STATUS:
+                self.status = read_status(data)
+                self.statuses.append((time.perf_counter_ns(), self.status))
 
     def add(self, traces: list[Trace]) -> None:
         """Add the ticks of a message, a trace for each contactor."""
@@ -123,13 +120,12 @@ class FeltForce:
 def recording(address: str) -> Iterator[FeltForce]:
     """Record the display that publishes telemetry at `address`."""
     felt = FeltForce()
-    recorder = threading.Thread(target=felt.record, args=(address,))
-    recorder.start()
-    try:
-        yield felt
-    finally:
-        felt.over.set()
-        recorder.join()
+    with zmq.Context() as context, context.socket(zmq.SUB) as socket:
+        socket.setsockopt(zmq.LINGER, 0)
+        socket.subscribe(b"")
+        socket.connect(address)
+        with polled(lambda: felt.receive(socket)):
+            yield felt
 
 
 def assert_back_within_a_second(

@@ -35,15 +35,14 @@ def port_of(address: str) -> int:
     return int(address.rpartition(":")[2])
 
 
-def deaf_subscriber(port: int, small: bool = True) -> socket.socket:
+def deaf_subscriber(port: int) -> socket.socket:
     """Subscribe to everything a PUB socket on this machine sends, and never read.
 
-    It does not use ZeroMQ, whose thread would read. small: with the kernel's smallest buffer.
+    It does not use ZeroMQ, whose thread would read. It has the kernel's smallest buffer.
     """
     connection = socket.socket()
     connection.settimeout(PATIENCE_S)
-    if small:
-        connection.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1)
+    connection.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1)
     connection.connect(("127.0.0.1", port))
     _shake_hands(connection)
     connection.sendall(SUBSCRIBE_TO_ALL)

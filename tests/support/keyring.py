@@ -23,8 +23,9 @@ class Keyring:
             new_pair(self.folder, name)
         return read_pair(self.folder / f"{name}.key")
 
-    def allow(self, name: str) -> None:
-        allow(self.allowed, self.pair(name).public)
+    def allow(self, *names: str) -> None:
+        for name in names:
+            allow(self.allowed, self.pair(name).public)
 
     def server(self) -> ServerKeys:
         """Return the keys with which wrist binds."""

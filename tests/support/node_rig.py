@@ -2,7 +2,6 @@
 
 import os
 import signal
-import threading
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
@@ -20,7 +19,7 @@ from telepulse.processes import NodeProcess, free_addresses
 from tests.support.altered_node import STEP
 from tests.support.felt_force import POLL_MS, FeltForce, recording
 from tests.support.netem import EmulatedLink
-from tests.support.waiting import until
+from tests.support.waiting import polled, until
 
 PORT = 5555
 STARTS_WITHIN_S = 30.0
@@ -168,22 +167,15 @@ def sequence_monitor(address: str) -> Iterator[dict[int, int]]:
     The counts also cover a node that was killed, which leaves no summary.
     """
     sent: dict[int, int] = {}
-    over = threading.Event()
+    with zmq.Context() as context, context.socket(zmq.SUB) as socket:
+        socket.setsockopt(zmq.RECONNECT_IVL, POLL_MS)
+        socket.subscribe(b"")
+        socket.connect(address)
 
-    def listen() -> None:
-        with zmq.Context() as context, context.socket(zmq.SUB) as socket:
-            socket.setsockopt(zmq.RECONNECT_IVL, POLL_MS)
-            socket.subscribe(b"")
-            socket.connect(address)
-            while not over.is_set():
-                if socket.poll(POLL_MS):
-                    frame = decode_frame(socket.recv())
-                    sent[frame.session] = frame.first_sample + len(frame.values)
+        def listen() -> None:
+            if socket.poll(POLL_MS):
+                frame = decode_frame(socket.recv())
+                sent[frame.session] = frame.first_sample + len(frame.values)
 
-    listener = threading.Thread(target=listen)
-    listener.start()
-    try:
-        yield sent
-    finally:
-        over.set()
-        listener.join()
+        with polled(listen):
+            yield sent

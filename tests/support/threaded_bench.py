@@ -14,27 +14,20 @@ from display_node.hardware import build_display_drive
 from display_node.plant.contact import ContactLaw
 from display_node.plant.scene import StepperScene
 from display_node.scene import DisplayScene
-from protocol.config.kinds import load_object
 from protocol.host.realtime import Pacer
 from pulse_drives import Drive
-from pulse_drives.scene import Cia402Scene, DriveScene, TmclScene
+from pulse_drives.scene import DriveScene
 from pulse_sensors.sensor import Sensor
 from pulse_sensors.serial_port import SerialScene
 from telepulse.emulators.drive_run import EmulatedFilm
 from telepulse.emulators.motor import MotorState
 from tests.support.fault_injection import FaultyMotor
 from tests.support.sender import MS, Sender
-from tests.support.virtual_lines import PORT_BYTES, Pipe, cia402_line, tmcl_line
+from tests.support.virtual_lines import PORT_BYTES, Pipe, virtual_line
 from tests.support.virtual_time import VirtualThread, VirtualTime
 
-# The modules that wait or read the clock.
-VIRTUAL = (
-    "pulse_drives",
-    "display_node.hardware",
-    "pulse_sensors.sensor",
-    "telepulse.emulators",
-    "tests.support.fault_injection",
-)
+# The modules besides the drive's that wait or read the clock.
+VIRTUAL = ("display_node.hardware", "pulse_sensors.sensor")
 BATCH = 5
 NETWORK_NS = 2 * MS
 
@@ -112,14 +105,8 @@ class ThreadedBench:
         self._patches = ExitStack()
 
     def __enter__(self) -> "ThreadedBench":
-        world, patches = self.world, self._patches
-        load_object(self.drive_scene.driver)  # so that its clock is replaced too
-        patches.enter_context(world.substituted(VIRTUAL))
-        if isinstance(self.drive_scene, Cia402Scene):
-            patches.enter_context(cia402_line(world, self.drive_scene, self.motor))
-        else:
-            assert isinstance(self.drive_scene, TmclScene)
-            patches.enter_context(tmcl_line(world, self.drive_scene, self.motor))
+        world = self.world
+        self._patches.enter_context(virtual_line(world, self.drive_scene, self.motor, VIRTUAL))
         world.every(MS, self._poll_motor)
         world.every(BATCH * MS, self._send_frame)
         return self

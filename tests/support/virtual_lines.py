@@ -2,7 +2,7 @@
 
 import math
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import closing, contextmanager
 from functools import partial
 from typing import Any
@@ -10,13 +10,16 @@ from unittest.mock import patch
 
 import can
 
-from pulse_drives.scene import Cia402Scene, TmclScene
+from protocol.config.kinds import load_object
+from pulse_drives.scene import Cia402Scene, DriveScene, TmclScene
 from telepulse.emulators.cia402 import ALL_MODES, EmulatedCia402Node
-from telepulse.emulators.motor import TICK_NS, EmulatedMotor
+from telepulse.emulators.motor import TICK_NS
 from telepulse.emulators.tmcl import DatagramSplitter, EmulatedTmclModule, checksum
-from tests.support.fault_injection import FaultyCia402Node, FaultyTmclModule
+from tests.support.fault_injection import FaultyCia402Node, FaultyMotor, FaultyTmclModule
 from tests.support.virtual_time import VirtualEvent, VirtualTime
 
+# Modules that wait or read the clock.
+VIRTUAL = ("pulse_drives", "telepulse.emulators", "tests.support.fault_injection")
 # A line to a module on USB, each way.
 LINE_NS = 200_000
 # Size of a kernel's buffer for a serial port.
@@ -198,31 +201,44 @@ class Notifier:
 
 
 @contextmanager
-def tmcl_line(
-    world: VirtualTime, scene: TmclScene, motor: EmulatedMotor
-) -> Iterator[tuple[EmulatedTmclModule, ModulePort, ModuleBus]]:
-    """A module on a serial port or a bus, which each driver opens in place of a real one."""
-    module = FaultyTmclModule(scene, motor)
-    port = ModulePort(world, module)
-    bus = ModuleBus(port)
-    world.every(TICK_NS, port.poll)
-    with patch("serial.serial_for_url", lambda *_, **__: port), patch("can.Bus", lambda **_: bus):
-        yield module, port, bus
+def virtual_line(
+    world: VirtualTime,
+    scene: DriveScene,
+    motor: FaultyMotor,
+    also: Sequence[str] = (),
+    modes: Any = ALL_MODES,
+) -> Iterator[tuple[Any, ...]]:
+    """Run a drive's emulator in virtual time, on a line that its driver opens for a real one.
+
+    also: further modules that run in virtual time. Yields the emulator; its port, or our end of the
+    CAN bus of two; and a module's bus.
+    """
+    load_object(scene.driver)  # so that its clock is replaced too
+    with world.substituted((*VIRTUAL, *also)):
+        if isinstance(scene, Cia402Scene):
+            with _cia402_line(world, scene, motor, modes) as ends:
+                yield ends
+        else:
+            assert isinstance(scene, TmclScene)
+            module = FaultyTmclModule(scene, motor)
+            port = ModulePort(world, module)
+            bus = ModuleBus(port)
+            world.every(TICK_NS, port.poll)
+            with (
+                patch("serial.serial_for_url", lambda *_, **__: port),
+                patch("can.Bus", lambda **_: bus),
+            ):
+                yield module, port, bus
 
 
 @contextmanager
-def cia402_line(
-    world: VirtualTime, scene: Cia402Scene, motor: EmulatedMotor, modes: Any = ALL_MODES
+def _cia402_line(
+    world: VirtualTime, scene: Cia402Scene, motor: FaultyMotor, modes: Any
 ) -> Iterator[tuple[EmulatedCia402Node, CanEnd]]:
-    """A drive on a bus of two; yields it with our end of the bus."""
     ours, drives = CanEnd(at_drive=False), CanEnd(at_drive=True)
     ours.far, drives.far = drives, ours
-
-    def notifier(bus: CanEnd, listeners: list[Any], timeout: float = 1.0) -> Notifier:
-        return Notifier(world, bus, listeners)
-
     with (
-        patch("can.Notifier", notifier),
+        patch("can.Notifier", lambda bus, listeners, timeout=1.0: Notifier(world, bus, listeners)),
         patch("can.Bus", lambda **_: ours),
         closing(FaultyCia402Node(scene, motor, drives, modes)) as node,
     ):

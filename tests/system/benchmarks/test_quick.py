@@ -4,10 +4,7 @@ import pytest
 
 from tests.support.nodes import run_python
 
-NAMES = (
-    *("announce", "depth", "link", "peers", "playout", "prediction"),
-    "press",
-)
+NAMES = ("announce", "depth", "peers", "playout", "prediction", "press")
 
 
 @pytest.mark.timeout(300)

@@ -11,7 +11,6 @@ import pytest
 
 import soak.run
 from protocol.host.child_process import ChildProcess
-from soak.__main__ import keyring
 from soak.evidence import verdict
 from soak.leftovers import MARK, left_behind
 from soak.network import loopback
@@ -21,6 +20,7 @@ from soak.scenario import Scenario
 from soak.schedule import RESTARTED, SENSING, Episode, Fault
 from soak.verdict import judge_none
 from telepulse.scene import load_scene
+from tests.support.keyring import Keyring
 from tests.support.log_lines import refused
 from tests.support.nodes import RADIAL
 
@@ -45,7 +45,8 @@ def test_a_soak_finds_every_sample_and_leaves_nothing_behind(tmp_path: Path) -> 
     folder.mkdir()
     scene = load_scene(RADIAL)
     with loopback(seed=1) as network:
-        keys = keyring(tmp_path / "keys")
+        keys = Keyring(tmp_path / "keys")
+        keys.allow("finger", "monitor")
         scenario = Scenario(network, RADIAL, folder, longest_s=60.0, keys=keys, options=OPTIONS)
         under_test = Run(scenario, 1, 60.0, scene.display.tick_ns, print)
         try:
