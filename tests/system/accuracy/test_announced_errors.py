@@ -53,10 +53,8 @@ def errors(name: str, jitter_s: float, seed: int) -> tuple[np.ndarray, np.ndarra
     ("name", "seed", "bound"),
     [
         ("variability", 1, 0.12),
-        ("ectopic", 1, 0.16),
         ("ectopic", 5, 0.16),
         ("fibrillation", 1, 0.15),
-        ("fibrillation", 2, 0.15),
     ],
 )
 def test_an_ecg_lowers_the_error_where_only_it_predicts_the_next_beat(

@@ -1,4 +1,4 @@
-"""Force error and slew of the scenes of a bench, with their actuator and with others."""
+"""Force error and slew of the scenes of a bench."""
 
 import math
 from pathlib import Path
@@ -25,18 +25,14 @@ from tests.support.scene_loops import (
 from tests.support.streams import synthetic
 
 SCENES = Path(__file__).parents[3] / "scenes"
-# RMSE that the paper printed of its experiment.
-PAPERS_RMSE_N = 20.863e-3
 
 
 def display_scene(name: str) -> DisplayScene:
     return load_section(SCENES / f"{name}.toml", "display", DisplayScene)
 
 
-def scenes_loop(name: str, **actually: object) -> ForceLoop:
-    """Return the loop of a scene on its actuator, changed by `actually`."""
-    scene = display_scene(name)
-    return scene.force_loop(scene.actuator.model_copy(update=actually))
+def scenes_loop(name: str) -> ForceLoop:
+    return display_scene(name).force_loop()
 
 
 def errors_n(
@@ -102,33 +98,6 @@ def test_latencies_of_drive_and_film_are_compensated(
     if drive_ms:
         without_lead_n = errors_n(late.force_loop(), breathing_n, drive_ms)[2000:-100]
         assert rms(without_lead_n) > 1.8 * rms(found_n)
-
-
-@pytest.mark.parametrize(
-    "actually",
-    [
-        {"fingertip_n_per_m": 0.8e3},
-        {"fingertip_n_per_m": 1.2e3},
-        {"backlash_m": 0.0},
-        {"backlash_m": 20e-6},
-        {"rotor_resonance_hz": 80.0},
-        {"rotor_resonance_hz": 120.0},
-    ],
-    ids=str,
-)
-def test_another_actuator_than_the_scenes_has_less_than_half_the_papers_error(
-    breathing_n: NDArray[np.float64], actually: dict[str, object]
-) -> None:
-    found_n = errors_n(scenes_loop("real_bench", **actually), breathing_n[:4001])
-    assert rms(found_n[2000:]) < 0.5 * PAPERS_RMSE_N
-    assert np.abs(found_n[1000:]).max() < 0.1
-
-
-def test_another_actuator_on_the_clean_bench_is_corrected_by_its_film(
-    breathing_n: NDArray[np.float64],
-) -> None:
-    loop = scenes_loop("bench", fingertip_n_per_m=0.8e3)
-    assert 0.3e-3 < rms(errors_n(loop, breathing_n[:4001])[2000:]) < 0.5 * PAPERS_RMSE_N
 
 
 @pytest.mark.parametrize("reading_n", [math.nan, math.inf, -math.inf])

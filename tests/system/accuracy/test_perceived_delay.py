@@ -3,20 +3,17 @@
 import dataclasses
 from collections.abc import Callable
 from pathlib import Path
-from typing import ClassVar
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-import telepulse.simulation.virtual_time
 from display_node.prediction import PredictorName
 from display_node.prediction.scene import own_predictor
 from protocol.summary.tables import Summary
 from protocol.ticks import TickState
 from sensing_node.sources.recorded import RecordingScene
 from telepulse.scene import Scene, load_scene
-from telepulse.simulation.link_model import MessageLink
 from telepulse.simulation.link_scene import parse_link
 from telepulse.simulation.virtual_time import Simulation
 from tests.support.drawn_pulses import Floats, drawn, fibrillating, make_rhythm
@@ -115,13 +112,6 @@ def test_auto_compensates_a_calm_pulse_and_buffers_a_troubled_one(
     assert np.abs(np.diff(target_n[within(10, CALM_S)])).max() < 1.2 * own_n
 
 
-def test_a_predictor_without_an_error_estimate_is_not_trusted() -> None:
-    summary = played(scene("delay=40ms", "linear"), 20, 0)
-    assert summary.compensation.trusted is None
-    assert summary.playout_delay_ms.mean == pytest.approx(47, abs=1)
-    assert known(summary.compensation.predicted) < 0.01
-
-
 def test_trust_brings_the_pulse_nearly_into_phase() -> None:
     linear, stack = (played(scene(WAN, name), 33, 28) for name in ("linear", "stack"))
     assert known(stack.compensation.trusted) > 0.15
@@ -149,62 +139,7 @@ def test_a_predicted_pulse_is_not_much_rougher_than_the_sensed_one(
     assert summary.playout_delay_ms.mean == pytest.approx(0, abs=3)
 
 
-def test_a_buffered_pulse_is_not_rougher_than_the_sensed_one() -> None:
-    # Half a microstep adds 0.18 mN to 0.42 mN of noise.
-    summary = played(scene("delay=40ms,jitter=10ms", "linear", 150), 20, 5)
-    assert summary.roughness.energy_ratio == pytest.approx(1.17, abs=0.1)
-
-
 def test_a_delay_above_the_stale_limit_can_be_compensated() -> None:
     # The age of 80 ms, which every sample has, does not make the stream stale.
     summary = played(scene("delay=80ms", "stack", 0), 16, 12)
     assert known(summary.force_rmse_n.in_phase) < 0.015
-
-
-class ClassicBuffer(MessageLink):
-    """Classic jitter buffer: frames are played one delay after sending; later ones are dropped."""
-
-    delay_ns: ClassVar[int] = 0
-
-    def data_arrival_ns(self, now_ns: int, size_bytes: int, path: int = 0) -> int | None:
-        arrival_ns = super().data_arrival_ns(now_ns, size_bytes, path)
-        played_ns = now_ns + self.delay_ns
-        return None if arrival_ns is None or arrival_ns > played_ns else played_ns
-
-
-def one_percent_late_ns(link: str) -> int:
-    """Return the delay within which 99 % of the frames arrive."""
-    way = MessageLink(parse_link(link), 1)
-    sent_ns = range(0, 30_000 * MS, 5 * MS)
-    delays_ns = [known(way.data_arrival_ns(t_ns, 60)) - t_ns for t_ns in sent_ns]
-    return int(np.quantile(delays_ns, 0.99))
-
-
-def test_late_samples_improve_the_prediction(monkeypatch: pytest.MonkeyPatch) -> None:
-    def error_n(predictor: PredictorName, compensation_ms: int) -> float:
-        summary = played(scene(STALLS, predictor, compensation_ms), 20, 12)
-        return known(summary.force_rmse_n.aligned)
-
-    stack_n, stack_later_n = error_n("stack", 0), error_n("stack", 40)
-    # With a larger E, less is predicted.
-    assert stack_later_n < stack_n < error_n("hold", 0)
-    assert stack_later_n < error_n("hold", 40)
-    monkeypatch.setattr(ClassicBuffer, "delay_ns", one_percent_late_ns(STALLS))
-    monkeypatch.setattr(telepulse.simulation.virtual_time, "MessageLink", ClassicBuffer)
-    assert stack_n < 0.5 * error_n("stack", 0)
-
-
-def test_a_longer_fixed_delay_is_felt_later_and_nearer_to_the_pulse_of_that_long_ago() -> None:
-    errors, shares = [], []
-    for delay_ms in (0, 80):
-        display = {"predictor": "linear", "compensation": f"{delay_ms} ms"}
-        run = telepulse.simulate("radial", 6.0, link="delay=40ms,jitter=1ms", display=display)
-        assert run.summary.playout_delay_ms.mean == pytest.approx(delay_ms, abs=0.5)
-        shares.append(known(run.summary.compensation.predicted))
-        errors.append(run.summary.force_rmse_n)
-    predicted, buffered = errors
-    # Only the begin of the stream is predicted with a buffer.
-    assert shares[0] == 1 > 0.02 > shares[1]
-    assert known(predicted.in_phase) < 0.6 * known(buffered.in_phase)
-    # All samples are there in time.
-    assert 0 < known(buffered.aligned) < 1e-3 < known(predicted.aligned)

@@ -8,7 +8,6 @@ import pytest
 
 from display_node.display import Display
 from display_node.prediction import PredictorName
-from display_node.prediction.scene import own_predictor
 from display_node.telemetry.alerts import alerts
 from protocol.wire.telemetry import TRACE_TICKS, TraceWriter, read_trace
 from telepulse.scene import load_scene
@@ -25,15 +24,6 @@ def pulse_n(ms: int) -> float:
 def play(under_test: Display, sender: Sender, from_ms: int, to_ms: int) -> None:
     for ms in range(from_ms, to_ms, 5):
         run(under_test, sender, ms, ms + 5, pulse_n(ms))
-
-
-def test_the_stack_is_nearer_the_present_pulse_than_linear_over_a_late_link() -> None:
-    scene, link, rmse_n = load_scene(RADIAL), parse_link("delay=30ms"), []
-    for predictor in ("stack", "linear"):
-        changes = {"predictor": own_predictor(predictor), "compensation_ns": 0}
-        late = replace(scene, display=scene.display.model_copy(update=changes), link=link)
-        rmse_n.append(known(summarise(late, 20, seed=1).force_rmse_n.in_phase))
-    assert rmse_n[0] < 0.65 * rmse_n[1]
 
 
 def test_samples_whose_instant_was_predicted_well_are_not_late_and_their_error_is_small() -> None:

@@ -63,8 +63,8 @@ def test_nothing_swings_on_after_a_step(tissue: float, finger: float) -> None:
 def test_neither_end_exceeds_its_limits_with_a_hostile_peer() -> None:
     limits, hand = ProbeLimits(), PressLimits()
     force_n, slew = be_hostile(3.0)
-    assert force_n <= limits.force_n
-    assert slew <= limits.slew_n_per_s
+    assert force_n <= limits.force_limit_n
+    assert slew <= limits.slew_limit_n_per_s
     finger_n, finger_slew = be_hostile_to_the_finger()
     assert finger_n <= hand.force_n
     assert finger_slew == pytest.approx(hand.slew_n_per_s, rel=1e-3)

@@ -38,13 +38,6 @@ def test_the_papers_actuator_is_found_exactly() -> None:
     assert verdicts(found) == {}
 
 
-@pytest.mark.parametrize("latency_ms", [0.0, 4.2])
-def test_the_latency_is_found_within_a_fifth_of_a_tick(latency_ms: float) -> None:
-    found = checked(bench(latency_ns=round(latency_ms * 1e6))[0], bench()[0])
-    assert number(found, "latency") == pytest.approx(latency_ms, abs=0.2)
-    assert verdicts(found) == ({"drive's latency": "warn"} if latency_ms else {})
-
-
 def test_the_films_share_of_the_latency_is_not_the_drives() -> None:
     scene, _ = bench(latency_ns=4_000_000)
     late_film = scene.film.model_copy(update={"latency_ns": 5_000_000})
@@ -85,7 +78,7 @@ def test_a_drive_that_loses_steps_is_named() -> None:
 
 SHARP = SecondOrderModel(2.6e-6, 1.1e-3, 1.0)
 FOUND = IdentifiedModel(SHARP, (0.0,) * 4, zero_n=0.0, nrmse=0.02, undetermined=(), delay_s=2e-3)
-FITTED = ContactFit(1000.0, 2.0, 0.0, 1e-6, 0.0, 1e-6, unexplained=0.01)
+FITTED = ContactFit(1000.0, 2.0, 0.0, 0.0, 1e-6, unexplained=0.01)
 
 
 @pytest.mark.parametrize(
@@ -93,7 +86,6 @@ FITTED = ContactFit(1000.0, 2.0, 0.0, 1e-6, 0.0, 1e-6, unexplained=0.01)
     [
         (0.9e-3, FOUND, "ok"),
         (-0.98e-3, FOUND, "warn"),
-        (2.6e-59, FOUND, "warn"),
         (-2.5e-3, FOUND, "fail"),
         (math.nan, FOUND, "fail"),
         (0.9e-3, replace(FOUND, nrmse=0.4), "warn"),

@@ -7,7 +7,7 @@ from typer.testing import CliRunner
 from telepulse.cli.main import app
 from telepulse.scene import load_scene
 from tests.support.emulated_bench import emulated_tmcl
-from tests.support.nodes import ROOT, process
+from tests.support.nodes import ROOT
 
 SCENES = ("radial", "wan", "bench", "real_bench", "conditioned", "paper")
 
@@ -73,47 +73,6 @@ def test_a_loop_that_would_be_unstable_fails_and_gains_are_proposed(tmp_path: Pa
     assert "gains for it" in out
 
 
-def test_each_channel_of_force_is_checked_and_no_ecg(tmp_path: Path) -> None:
-    path = tmp_path / "bench.json"
-    for scene, parts in (
-        ("three_fingers", {"wrist, cun", "wrist, guan", "wrist, chi"}),
-        ("announce", {"wrist"}),
-    ):
-        assert bench(scene, "--only", "sensing", "--json", str(path))[0] == 0
-        assert {part for part, _ in rows(path)} == parts
-
-
-def test_an_emulated_board_that_nothing_presses_passes_and_one_with_a_pulse_is_named(
-    tmp_path: Path,
-) -> None:
-    text = (ROOT / "scenes" / "tmcl_bench.toml").read_text(encoding="utf-8")
-    scene, board, path = tmp_path / "bench.toml", tmp_path / "board", tmp_path / "bench.json"
-    text = text.replace('extends = "bench"', f'extends = "{ROOT / "scenes" / "bench.toml"}"')
-    scene.write_text(text.replace("/tmp/telepulse-board", str(board)), encoding="utf-8")
-    for options, verdict in ((("--still",), "ok"), ((), "fail")):
-        asked = ("emulate", "sensor", "real_bench", "--link", str(board), "--delivery-ms", "4")
-        with process("telepulse", *asked, *options) as emulator:
-            assert emulator.stdout is not None
-            assert "[sensing.source]" in emulator.stdout.readline()
-            bench(scene, "--only", "sensing", "--seconds", "1", "--json", str(path))
-        noise = rows(path)[("wrist", "noise")]
-        assert noise["verdict"] == verdict
-        assert ("nothing may press" in noise["why"]) is (verdict == "fail")
-
-
-def test_a_recording_is_no_sensor(tmp_path: Path) -> None:
-    text = (ROOT / "scenes" / "radial.toml").read_text(encoding="utf-8")
-    (tmp_path / "pulse.csv").write_text("0.1\n0.2\n0.3\n", encoding="utf-8")
-    recording = (
-        '[sensing.source]\nkind = "recording"\npath = "pulse.csv"\nrate = "500 Hz"\nunit = "N"'
-    )
-    scene = tmp_path / "recording.toml"
-    scene.write_text(recording + text[text.index("\n\n[display") :], encoding="utf-8")
-    status, out, _ = bench(scene, "--only", "sensing")
-    assert status == 1
-    assert "a recording" in out.replace("\n", " ")
-
-
 @pytest.mark.parametrize(
     ("options", "reason"),
     [
@@ -160,15 +119,6 @@ def test_nothing_moves_before_the_bench_is_confirmed_clear(tmp_path: Path) -> No
     assert status == 1
     assert "Keep fingers away" in out
     assert "bench of" not in out
-
-
-def test_a_drive_that_is_not_there_fails(tmp_path: Path) -> None:
-    path = tmp_path / "bench.json"
-    status, _, _ = bench(drive_scene(tmp_path), "--only", "display", "--yes", "--json", str(path))
-    assert status == 1
-    found = rows(path)
-    assert found[("film", "ended early")]["verdict"] == "fail"
-    assert "640 commands a second" in found[("drive", "line")]["found"]
 
 
 @pytest.mark.usefixtures("goes_first")

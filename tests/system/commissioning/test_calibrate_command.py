@@ -1,4 +1,3 @@
-import json
 import os
 import pty
 import threading
@@ -8,10 +7,9 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from protocol.errors import SceneError
 from pulse_sensors.serial_port import SerialScene
 from telepulse.cli.main import app
-from telepulse.commissioning.calibration import is_moving, parse_loads
+from telepulse.commissioning.calibration import is_moving
 
 FIG_4 = "load,reading\n0,0\n0.5,22\n1,44\n2,88\n2.5,110\n"
 
@@ -31,7 +29,6 @@ def write(folder: Path, text: str) -> str:
     ("text", "options"),
     [
         (FIG_4, ()),
-        ("0,0\n1,44\n2.5,110\n", ()),
         ("# by hand\n\nReading [V], Load (mN)\n0,0\n0.044,1000\n0.11,2500\n", ()),
         ("weight_g,voltage_mV\n0,0\n101.9716,44\n254.929,110\n", ()),
         (
@@ -65,9 +62,7 @@ def test_the_lines_are_valid_in_a_sensors_table(tmp_path: Path) -> None:
     [
         ("", "the file is empty"),
         ("load,reading\n0,0\n1,x\n", ":3: 'x' is not a number"),
-        ("load,reading\n0,0\n1\n", ":3: 1 columns"),
         ("load,reading\n0,0\n1,nan\n", ":3: 'nan' is not a number"),
-        ("load,time\n0,0\n", ":1: no column for the reading; name it 'reading'"),
         ("load (lb),reading\n0,0\n", ":1: unknown unit 'lb'; known: N, mN, g, kg"),
         ("load (kg),reading\n0,0\n1e308,1\n", ":3: '1e308' is not a number that can be used"),
         (f"load,reading\n{'1' * 200_000},1\n", "cannot be read: field larger than field limit"),
@@ -80,31 +75,6 @@ def test_a_bad_file_is_one_line_with_its_place(text: str, reason: str, tmp_path:
     assert status == 2
     assert error.count("\n") == 1
     assert reason in error
-
-
-def test_a_missing_file_and_no_file_are_named(tmp_path: Path) -> None:
-    assert "cannot be read" in calibrate(str(tmp_path / "none.csv"))[2]
-    assert "give a file of loads, or --scene" in calibrate()[2]
-    assert 'kind "synthetic" is not a live sensor' in calibrate("--scene", "radial")[2]
-
-
-def test_tables_and_page_hold_the_line(tmp_path: Path) -> None:
-    table, page = tmp_path / "line.json", tmp_path / "page"
-    status, out, _ = calibrate(write(tmp_path, FIG_4), "--json", str(table), "--out", str(page))
-    assert status == 0
-    assert f"report: {page / 'index.html'}" in out
-    assert (page / "line.svg").exists()
-    loads, line = json.loads(table.read_text(encoding="utf-8"))["chapters"][0]["tables"]
-    assert len(loads["rows"]) == 5
-    assert line["title"] == "line"
-
-
-def test_loads_are_read_with_their_unit() -> None:
-    assert parse_loads("0, 0.5, 1 N") == [0.0, 0.5, 1.0]
-    assert parse_loads("100 g") == pytest.approx([0.980665])
-    for text in ("0, 1", "1, 2 lb", "a, 2 N", ""):
-        with pytest.raises(SceneError, match="--loads"):
-            parse_loads(text)
 
 
 def test_a_reading_that_drifts_is_moving_and_noise_is_not() -> None:

@@ -6,15 +6,12 @@ import urllib.request
 from contextlib import closing
 from pathlib import Path
 
-import numpy as np
 import pytest
 
-from protocol.wire import messages as wire
 from tests.support.keyring import Keyring
 from tests.support.nodes import ROOT, process, run
-from tests.support.recorded_sweeps import SweptWrist, record_session, session_of
 from tests.support.sensing_client import Client
-from tests.system.nodes.test_press_nodes import await_hold_down, newest_hold_down, set_point
+from tests.system.nodes.test_press_nodes import await_hold_down, newest_hold_down
 
 pytestmark = pytest.mark.system
 SCENE = str(ROOT / "scenes" / "press.toml")
@@ -79,19 +76,3 @@ def test_a_stopped_live_sweep_eases_off_and_names_what_is_missing(
             await_hold_down(client, -0.05, 0.05)
     assert stopped.returncode == 2
     assert "too few beats for a curve" in errors
-
-
-def test_a_recorded_sweep_is_pressed_anew(address: str, tmp_path: Path) -> None:
-    recording, heights_n = tmp_path / "sweep.mcap", {}
-    record_session(recording, session_of(SweptWrist().taken))
-    arguments = (str(recording), "--press", "--bind", address, "--quiet")
-    with process(MODULE, "replay", *arguments), closing(Client(address)) as client:
-        session, number = client.join().session, 0
-        for force_n in (0.8, 1.2):
-            values = []
-            for _ in range(500):
-                client.ask(set_point(session, 1, number, force_n))
-                number += 1
-                values.append(wire.decode_frame(client.data.recv()).values)
-            heights_n[force_n] = float(np.ptp(np.concatenate(values)[-900:, 0]))
-    assert heights_n[1.2] > 1.5 * heights_n[0.8] > 0.1

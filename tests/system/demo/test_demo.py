@@ -1,5 +1,3 @@
-import os
-import pty
 import re
 import signal
 import urllib.request
@@ -9,8 +7,7 @@ from typing import Any
 import pytest
 
 from display_node.verdict import MOST_LINES, NOT_VALID_STATUS
-from protocol.host.child_process import ChildProcess
-from tests.support.nodes import RADIAL, ROOT, assert_accounted, process, read_json, run, run_python
+from tests.support.nodes import RADIAL, assert_accounted, process, read_json, run, run_python
 from tests.support.signal_files import pulse_and_ecg, wfdb_record
 
 MODULE = "telepulse"
@@ -89,20 +86,6 @@ def test_a_demo_whose_display_cannot_play_a_channel_is_one_line(tmp_path: Path) 
     assert "the stream has no channel 'guan'; it has ['pulse']" in result.stderr
 
 
-def test_the_demo_of_a_press_accounts_for_every_set_point(tmp_path: Path) -> None:
-    path, link = tmp_path / "demo.json", "delay=150ms,jitter=15ms,loss=5%"
-    result = run(
-        "telepulse", "demo", "press", "--seconds", "6", "--no-ui", "--details", "--link", link,
-        "--json", str(path),
-    )  # fmt: skip
-    assert result.returncode == 0, result.stderr
-    press = read_json(path)["press"]
-    assert press["sent"] == press["applied"] + press["superseded"] + press["lost"]
-    assert press["applied"] > 50
-    assert press["lost"] > 0
-    assert "set-points" in result.stdout
-
-
 def test_a_demo_whose_display_latches_a_fault_names_it_and_ends_with_status_3(
     tmp_path: Path,
 ) -> None:
@@ -136,24 +119,6 @@ def test_a_run_in_which_nothing_is_felt_says_so_first_and_ends_with_status_4(
     assert "Nothing is wrong" not in result.stdout
 
 
-def test_in_a_terminal_the_demo_renews_a_line() -> None:
-    leader, follower = pty.openpty()
-    environment = os.environ | {"COLUMNS": "100", "LINES": "40", "TERM": "xterm"}
-    command = ("-m", MODULE, "demo", "--seconds", "3", "--no-page")
-    streams = dict.fromkeys(("stdin", "stdout", "stderr"), follower)
-    with ChildProcess("demo", *command, cwd=ROOT, env=environment, **streams) as child:
-        os.close(follower)
-        output = b""
-        while chunk := read_or_end(leader):
-            output += chunk
-        os.close(leader)
-        assert child.wait(10) == 0
-    text = output.decode(errors="replace")
-    for word in ("playing: ", "heart rate", "felt "):
-        assert word in text
-    assert "The pulse was felt for" in text
-
-
 def test_the_first_line_says_where_the_page_is_and_ctrl_c_ends_the_pulse_and_sums_up(
     tmp_path: Path,
 ) -> None:
@@ -180,11 +145,3 @@ def test_without_bokeh_the_demo_names_the_extra_and_continues_unless_a_page_is_r
         first = result.stderr.splitlines()[0]
         assert first.endswith("Bokeh is missing; pip install 'telepulse[view]'")
         assert ("The pulse was felt for" in result.stdout) == (status == 0)
-
-
-def read_or_end(descriptor: int) -> bytes:
-    try:
-        return os.read(descriptor, 65_536)
-    except OSError:
-        # Linux reports the end of a pseudo-terminal's last writer as an error.
-        return b""

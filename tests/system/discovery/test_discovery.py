@@ -1,9 +1,7 @@
 """Announcement and discovery of nodes by real processes and real multicast DNS."""
 
 import json
-import shutil
 import signal
-import subprocess
 import threading
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -14,14 +12,12 @@ import pytest
 
 from protocol.discovery.announcement import SERVICE, Announcement, to_txt
 from protocol.discovery.browser import Browser
-from protocol.host.child_process import ChildProcess, python_command
+from protocol.host.child_process import ChildProcess
 from protocol.wire.messages import VERSION
-from telepulse.simulation.link_scene import parse_link
 from tests.support.keyring import Keyring
 from tests.support.log_lines import messages, strays
-from tests.support.netem import Namespace, emulate, unavailable
-from tests.support.nodes import RADIAL, ROOT, assert_accounted, read_json, start
-from tests.support.tcp import needs_emulator
+from tests.support.netem import Namespace, unavailable
+from tests.support.nodes import RADIAL, read_json, start
 from tests.support.waiting import PATIENCE_S, until
 
 zeroconf = pytest.importorskip("zeroconf")
@@ -164,47 +160,3 @@ def test_an_announced_node_without_the_right_key_is_refused(place: Place, tmp_pa
     summary = read_json(result)
     assert summary["frames"]["received"] == 0
     assert summary["rejected"]["handshake"] >= 1
-
-
-@needs_emulator
-def test_a_node_on_two_networks_is_found_on_both(tmp_path: Path) -> None:
-    ring, result = Keyring(tmp_path / "keys"), tmp_path / "display.json"
-    ring.allow("finger")
-    wrist = ("--bind", "tcp://*:5555", "--key", ring.path("wrist"), "--announce")
-    finger = ("--key", ring.path("finger"), "--peer", ring.path("wrist", "pub"))
-    with emulate(parse_link("delay=2ms"), parse_link("delay=2ms")) as link:
-        there, here = Place(link.sensing), Place(link.display)
-        with (
-            here.process(
-                *(DISPLAY, str(RADIAL), "--discover", *finger, "--once", "--json", str(result))
-            ) as display_node,
-            there.process(SENSING, str(RADIAL), *wrist) as node,
-        ):
-            found = await_line(display_node, "found ")
-            while not display_node.read_line(3 * PATIENCE_S).startswith("playing: "):
-                pass
-            node.terminate()
-            assert node.wait(2 * PATIENCE_S) == 0
-            assert display_node.wait(2 * PATIENCE_S) == 0
-    assert found.endswith("at tcp://10.77.0.1:5555, tcp://10.77.1.1:5555")
-    summary = read_json(result)
-    assert_accounted(summary["samples"])
-    assert summary["samples"]["played"] > 0
-    assert len(summary["frames"]["first"]) == 2
-    assert summary["rejected"] == {}
-
-
-def test_discovery_without_a_network_is_refused() -> None:
-    if unavailable() is not None or shutil.which("unshare") is None:
-        pytest.skip("needs the right to a network namespace")
-    for module, option, word in (
-        (DISPLAY, "--discover", "cannot be opened here: there is no network; give"),
-        (SENSING, "--announce", "is no address here; there is nothing to announce"),
-    ):
-        command = ["unshare", "-n", *python_command("-m", module, str(RADIAL), option)]
-        result = subprocess.run(
-            command, cwd=ROOT, capture_output=True, encoding="utf-8", check=False
-        )
-        assert result.returncode == 2
-        assert result.stderr.count("\n") == 1
-        assert word in result.stderr

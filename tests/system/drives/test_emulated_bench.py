@@ -7,6 +7,7 @@ to rest are in tests/unit/display_node/test_hardware.py, in virtual time.
 import signal
 import time
 from collections.abc import Callable
+from contextlib import AbstractContextManager
 from pathlib import Path
 
 import pytest
@@ -16,12 +17,10 @@ from tests.support.can_messages import udp_multicast_reason
 from tests.support.emulated_bench import BenchFailedError, EmulatedBench, MotorTrace, playing
 from tests.support.unread import unread
 from tests.support.waiting import until
+from tests.system.drives.attempts import PATIENCE_MS, on_bench
 
 LIMIT_N = 2.5
-TRIES = 4
 PLAYED = 500
-# Watchdog for a machine that is busy with other tests; benchmarks/bench_faults.py has the scenes'.
-PATIENCE_MS = 400
 WITHDRAWN_WITHIN_S = 20.0
 # Time from the first press until the ramp is over and the pulse is felt.
 TROUBLE_AFTER_S = "1"
@@ -37,17 +36,11 @@ def on_a_bench(
     """Return the motor's trace of a bench on which `happens` is called while the pulse is felt."""
     if kind == "cia402" and (reason := udp_multicast_reason()) is not None:
         pytest.skip(f"udp_multicast: {reason}")
-    for attempt in range(TRIES):
-        (here := folder / str(attempt)).mkdir()
-        try:
-            patience = {"watchdog_ms": PATIENCE_MS, "output": output}
-            with playing(here, kind, "real_bench", *options, **patience) as bench:
-                happens(bench)
-                bench.end()
-                return bench.motor()
-        except BenchFailedError as error:
-            why = str(error)
-    pytest.fail(f"the pulse was not felt in {TRIES} attempts: {why}")
+
+    def started(here: Path) -> AbstractContextManager[EmulatedBench]:
+        return playing(here, kind, "real_bench", *options, watchdog_ms=PATIENCE_MS, output=output)
+
+    return on_bench(folder, started, happens).motor()
 
 
 def assert_at_rest(motor: MotorTrace) -> None:

@@ -3,11 +3,8 @@
 tests/unit/pulse_drives has the tests that need no real line, in virtual time.
 """
 
-import os
-import pty
 import socket
 import threading
-import tty
 from collections import Counter
 from contextlib import closing
 
@@ -75,32 +72,6 @@ def test_a_missing_line_is_named_in_one_line(scene: TmclScene | Cia402Scene, wor
     with pytest.raises(DriveError, match=words) as error:
         build_display_drive(scene, stepper(), LAYER, FORCE_LIMIT_N).start()
     assert "\n" not in str(error.value)
-
-
-def test_noise_is_no_answer() -> None:
-    master, slave = pty.openpty()
-    tty.setraw(slave)
-    noise = bytes((17 * i) & 0xFF for i in range(256))
-
-    def babble() -> None:
-        while os.read(master, 64) != b"over":
-            os.write(master, noise)
-
-    thread = threading.Thread(target=babble)
-    thread.start()
-    line = TmclLine(tmcl_scene(port=os.ttyname(slave), **PATIENT), Counter())
-    try:
-        for _ in range(5):
-            with pytest.raises(DriveError) as error:
-                line.request(Command.GET_AXIS, Parameter.ACTUAL_POSITION, 0)
-            assert error.value.kind in ("garbled", "wrong", "refused")
-        assert line.counts.total() == 5
-    finally:
-        line.carrier.send(b"over")
-        thread.join()
-        line.close()
-        os.close(master)
-        os.close(slave)
 
 
 def test_a_module_behind_a_network_port_is_reached_by_url() -> None:

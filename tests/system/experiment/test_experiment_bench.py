@@ -4,7 +4,6 @@ import re
 from functools import partial
 from pathlib import Path
 from subprocess import PIPE
-from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -13,7 +12,6 @@ from protocol.host.child_process import ChildProcess
 from telepulse.experiment.interval import IntervalPlayback, PlayedInterval, draw_interval
 from telepulse.experiment.log import read_log
 from telepulse.experiment.session import Letter, Trial
-from telepulse.experiment.subjects import Keyboard, Person
 from tests.support.emulated_bench import bench_scene_text, emulated_tmcl
 from tests.support.experiment_sessions import condition, plan, write
 from tests.support.nodes import ROOT
@@ -75,21 +73,6 @@ def test_one_interval_after_the_other_is_pressed_by_the_motor(tmp_path: Path) ->
     assert max(errors_n[0], errors_n[2]) < 3e-3
     # Over the link, everything is predicted.
     assert errors_n[1] > 4e-3
-
-
-def test_the_loop_is_judged_once_before_the_drive_moves(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    judged = Mock()
-    found = plan(tmp_path, condition("plain", LINK), scene=str(bench_scene(tmp_path)))
-    monkeypatch.setattr("display_node.control.force_loop.refuse_unstable", judged)
-    person = Person(found, Mock(Keyboard), print)
-    assert judged.call_count == 1
-    with ThreadedBench(display_scene("tmcl_bench"), lambda _: 0.0) as bench:
-        bench.call(bench.connect)
-        before = judged.call_count
-        person.use(bench.hardware)
-        assert judged.call_count == before
 
 
 def run_once(session: Path, log: Path) -> str:

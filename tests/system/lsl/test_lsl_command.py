@@ -10,7 +10,7 @@ import pytest
 from protocol.wire.telemetry import CONTROL
 from tests.support.log_lines import refused, unusual
 from tests.support.lsl_loopback import lsl_on_loopback
-from tests.support.nodes import free_address, process, run
+from tests.support.nodes import free_address, process
 from tests.support.telemetry_publisher import (
     BATCH,
     MS,
@@ -46,7 +46,7 @@ class Source(TelemetryPublisher):
 
 @contextmanager
 def streaming(address: str, pylsl: Any) -> Iterator[tuple[Source, Any, Any]]:
-    """Run a source, an outlet process that reads it, and inlets of wrist, finger and events."""
+    """Run a source, an outlet process that reads it, and inlets of wrist and finger."""
     with (
         publishing(address, kind=Source) as source,
         process(MODULE, "record", address, "--lsl") as outlet,
@@ -54,7 +54,7 @@ def streaming(address: str, pylsl: Any) -> Iterator[tuple[Source, Any, Any]]:
         source.begin()
         source.send_clock()
         source.publish(40)
-        inlets = [inlet(pylsl, address, part) for part in ("wrist", "finger", "events")]
+        inlets = [inlet(pylsl, address, part) for part in ("wrist", "finger")]
         yield source, outlet, inlets
         del inlets
 
@@ -86,7 +86,7 @@ def test_an_inlet_receives_the_same_samples_at_the_same_intervals(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     pylsl, address = lsl_on_loopback(tmp_path, monkeypatch), free_address()
-    with streaming(address, pylsl) as (source, outlet, (wrist, finger, _)):
+    with streaming(address, pylsl) as (source, outlet, (wrist, finger)):
         info = wrist.info()
         assert (info.name(), info.type(), info.nominal_srate()) == ("telepulse wrist", "Force", 1e3)
         assert (info.get_channel_labels(), info.get_channel_units()) == (["pulse"], ["N"])
@@ -119,46 +119,6 @@ def test_an_inlet_receives_the_same_samples_at_the_same_intervals(
         assert (outlet.returncode, unusual(errors)) == (0, "")
     assert f"{BATCH} samples missing" in errors
     assert f"{source.frames * BATCH - BATCH} samples" in errors
-
-
-def test_a_new_session_continues_in_the_same_stream(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    pylsl, address = lsl_on_loopback(tmp_path, monkeypatch), free_address()
-    with streaming(address, pylsl) as (source, outlet, (wrist, _, events)):
-        source.publish_for(100)
-        before, _ = pulled(wrist, 100)
-        source.welcome(SESSION + 1)
-        source.frames = source.ticks = 0
-        source.send_clock(SESSION + 1)
-        source.publish_for(200, SESSION + 1)
-        values, _ = pulled(wrist, 200)
-        expected = np.concatenate([numbered_frame(n).values for n in range(200 // BATCH)])
-        np.testing.assert_array_equal(values.astype("<f4"), expected)
-        assert len(before) == 100
-        events_received: list[str] = []
-
-        def received() -> bool:
-            events_received.extend(text for (text,) in events.pull_chunk(timeout=0.0)[0])
-            return f"session: 'test pulse', session {SESSION + 1}" in events_received
-
-        until(received)
-        source.status("ended", final=True)
-        output, errors = outlet.communicate(timeout=30)
-        assert (outlet.returncode, unusual(errors), output) == (0, "", "")
-    assert f"begins: session {SESSION}\n" in errors
-    assert f"continues: session {SESSION + 1}\n" in errors
-    assert "0 samples missing" in errors
-
-
-def test_a_remote_address_without_keys_is_refused_in_one_line() -> None:
-    assert "--insecure" in refused(MODULE, "record", "tcp://192.0.2.1:5557", "--lsl")
-
-
-def test_silence_ends_the_outlet_with_the_option(address: str) -> None:
-    result = run(MODULE, "record", address, "--lsl", "--until-silent", "0.3")
-    assert result.returncode == 1
-    assert f"{address}: no telemetry came; is a display running there?" in result.stderr
 
 
 def test_a_file_or_lsl_is_chosen(address: str) -> None:

@@ -20,8 +20,8 @@ from protocol.summary.phrases import COUNT
 from telepulse.metrics import server as http
 from telepulse.metrics.server import MAX_REQUESTS, MetricsHTTPServer
 from tests.support.keyring import Keyring
-from tests.support.log_lines import refused, unusual
-from tests.support.nodes import RADIAL, ROOT, free_address, known, process, read_json
+from tests.support.log_lines import unusual
+from tests.support.nodes import RADIAL, free_address, known, process, read_json
 from tests.support.waiting import PATIENCE_S, until
 
 DISPLAY, SENSING = "display_node.cli", "sensing_node.cli"
@@ -139,15 +139,6 @@ def test_telemetry_with_keys_is_read_by_the_own_server(tmp_path: Path) -> None:
     telemetry = ("--telemetry", free_address().replace("127.0.0.1", "*"))
     with served(DISPLAY, *display(address, *keys, *telemetry)) as finger:
         until(lambda: finger.figure("up") == 1)
-
-
-def test_without_the_library_it_names_the_extra(tmp_path: Path) -> None:
-    shadow = tmp_path / "prometheus_client.py"
-    shadow.write_text("raise ImportError('not here')\n", encoding="utf-8")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("PYTHONPATH", f"{tmp_path}:{ROOT}")
-        line = refused(SENSING, str(RADIAL), "--metrics", "0")
-    assert "pip install 'telepulse[metrics]'" in line
 
 
 def test_beyond_this_machine_the_node_warns_who_may_read() -> None:

@@ -8,7 +8,6 @@ from subprocess import PIPE
 import pytest
 
 from display_node.verdict import NOT_VALID_STATUS
-from protocol.errors import ProcessError
 from protocol.host.child_process import ChildProcess
 from tests.support.nodes import RADIAL, ROOT, free_address
 from tests.support.waiting import until
@@ -88,36 +87,8 @@ def test_the_processes_beside_a_node_import_nothing_of_the_current_folder(tmp_pa
     assert recording.stat().st_size > 0
 
 
-def test_the_wait_for_a_line_has_a_limit() -> None:
-    with (
-        ChildProcess("sleeper", "-c", "import time; time.sleep(60)", stdout=PIPE) as child,
-        pytest.raises(ProcessError, match=r"sleeper printed nothing for 0\.3 s"),
-    ):
-        child.read_line(0.3)
-    assert child.poll() is not None
-
-
-def test_a_process_that_fails_is_reported_with_its_last_error_line() -> None:
-    code = "import sys; print('first', file=sys.stderr); sys.exit('the last')"
-    for wait, status in ((ChildProcess.await_end, " with status 1"), (ChildProcess.read_line, "")):
-        with (
-            ChildProcess("program", "-c", code, stdout=PIPE, stderr=PIPE) as child,
-            pytest.raises(ProcessError, match=f"^the program ended{status}: the last$"),
-        ):
-            wait(child, PATIENCE_S)
-
-
 def test_a_process_that_ignores_sigterm_is_killed() -> None:
     code = "import signal, time; signal.signal(15, signal.SIG_IGN); print(1, flush=True)"
     with ChildProcess("program", "-c", f"{code}; time.sleep(60)", stdout=PIPE) as child:
         child.read_line(PATIENCE_S)
         assert child.stop(within_s=0.2) == -9
-
-
-def test_lines_pass_both_ways_until_the_input_is_closed() -> None:
-    code = "import sys\nfor line in sys.stdin: print(repr(line), flush=True)"
-    with ChildProcess("echo", "-c", code, stdin=PIPE, stdout=PIPE) as child:
-        child.write_line("one")
-        assert child.read_line(PATIENCE_S) == r"'one\n'"
-        child.close_input()
-        child.await_end(PATIENCE_S)

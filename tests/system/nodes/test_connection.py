@@ -7,11 +7,8 @@ import zmq
 
 from display_node.reception.addresses import Lookup
 from display_node.reception.connection import Connection
-from display_node.reception.endpoint import Endpoint
-from display_node.reception.failover import DataPath
 from protocol.security.socket_monitor import HandshakeMonitor
 from protocol.sockets import Context, Socket, control_address
-from protocol.summary.tables import Reconnections
 from protocol.wire.messages import ClockRequest, SetPoint
 from telepulse.processes import free_addresses
 from tests.support.nodes import free_address
@@ -45,21 +42,6 @@ def no_answers(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(HandshakeMonitor, "poll", lambda self, now_ns: [])
 
 
-def bound(context: Context) -> tuple[Socket, str]:
-    """Return a publisher and its address."""
-    publisher, address = context.socket(zmq.PUB), free_address()
-    publisher.bind(address)
-    return publisher, address
-
-
-def subscribed(context: Context, *addresses: str) -> tuple[Connection, DataPath]:
-    """Return a connection that has subscribed at 0 ms, at 20 ms, and its first path."""
-    connection = Connection(context, addresses, len(addresses))
-    connection.subscribe(5 * MS, 0, 0)
-    poll(connection, 0, 20)
-    return connection, connection.routes[0].paths[0]
-
-
 def looked_up(lookup: Lookup) -> str | None:
     lookup.start()
     until(lambda: not lookup.running)
@@ -86,11 +68,6 @@ def poll(connection: Connection, from_ms: int, to_ms: int) -> list[int]:
         while any(route.lookup.running for route in connection.routes):
             threading.Event().wait(0.0005)
     return connected_ms
-
-
-def deliver(sender: Socket, path: DataPath | Endpoint) -> None:
-    """Send until a message has been received."""
-    until(lambda: list(path.messages()) or sender.send(b"a frame"))
 
 
 def answer_clock(server: Socket, peer: bytes, connection: Connection) -> None:
@@ -137,48 +114,6 @@ def test_a_slow_name_server_does_not_block_the_loop(
     connection.close()
 
 
-def test_only_a_silent_address_is_looked_up_again(context: Context, asked: list[str]) -> None:
-    publisher, address = bound(context)
-    connection, path = subscribed(context, address, "tcp://silent:1")
-    for ms in range(400, 20_000, 400):
-        deliver(publisher, path)
-        poll(connection, ms, ms + 20)
-    assert asked.count("127.0.0.1") == 1
-    assert 8 <= asked.count("silent") <= 12
-    before_subscribing = Connection(context, ["tcp://somewhere:1"], 1)
-    poll(before_subscribing, 0, 11_000)
-    assert 3 <= asked.count("somewhere") <= 4
-
-
-def test_a_silence_of_all_addresses_is_a_cut(
-    context: Context, asked: list[str], no_answers: None
-) -> None:
-    publisher, address = bound(context)
-    connection, path = subscribed(context, address, "tcp://other:1")
-    deliver(publisher, path)
-    # Both are connected anew once, control at the same address; then patience is as usual.
-    control = connection.control.address
-    assert poll(connection, 20, 2_010) == [520]
-    assert connection.reconnections.control == 1
-    assert connection.control.address == control
-    assert [asked.count(name) for name in ("127.0.0.1", "other")] == [2, 2]
-    assert poll(connection, 2_010, 3_000) == [2_520]
-    assert connection.control.address != control
-    assert [asked.count(name) for name in ("127.0.0.1", "other")] == [3, 3]
-
-
-def test_patience_grows_with_the_time_of_the_first_answer(context: Context) -> None:
-    _, address = bound(context)
-    far = Endpoint(context.socket(zmq.SUB))
-    far.connect(address, 0, fast_retry=False)
-    # A round trip of 2 s is in time; then the handshakes take several of them.
-    assert not far.silent(2_900 * MS)
-    far.answer(2_000 * MS)
-    assert far.answer_ns == 6_000 * MS
-    assert not far.silent(20_000 * MS)
-    assert far.silent(27_000 * MS)
-
-
 def turning(context: Context, turns: int) -> tuple[Connection, Socket]:
     """Return a connection with further control connections that are established, and the peer."""
     address = free_address()
@@ -220,30 +155,6 @@ def test_set_points_take_turns_over_further_connections_and_clock_requests_follo
     assert {connection.control_for(ClockRequest(1), later_ns) for _ in range(8)} == {control}
 
 
-def test_further_connections_are_used_while_they_are_established(context: Context) -> None:
-    connection, server = turning(context, 2)
-    address, point = str(server.getsockopt_string(zmq.LAST_ENDPOINT)), SetPoint(7, 5, 0, 0, 1, 1.0)
-
-    def used() -> set[Socket]:
-        now_ns = time.perf_counter_ns()
-        connection.poll(now_ns)
-        return {connection.control_for(point, now_ns) for _ in range(4)}
-
-    assert len(used()) == 2
-    server.close()
-    until(lambda: used() == {connection.control.socket})
-    server = context.socket(zmq.ROUTER)
-    server.bind(address)
-    until(lambda: len(used()) == 2)
-
-
-def test_paths_are_distributed_over_the_addresses(context: Context) -> None:
-    addresses = ["tcp://127.0.0.1:1", "tcp://127.0.0.1:3", "tcp://127.0.0.1:5"]
-    for paths, shares in ((3, [1, 1, 1]), (4, [2, 1, 1]), (8, [3, 3, 2])):
-        connection = Connection(context, addresses, paths)
-        assert [len(route.paths) for route in connection.routes] == shares
-
-
 def test_control_moves_on_from_an_address_that_does_not_answer_and_stays_at_one_that_does(
     context: Context, asked: list[str], no_answers: None
 ) -> None:
@@ -267,17 +178,6 @@ def test_control_moves_on_from_an_address_that_does_not_answer_and_stays_at_one_
     assert connection.control.address == control_address(address)
 
 
-def test_an_unknown_name_is_logged_once(monkeypatch: pytest.MonkeyPatch, logged: list[str]) -> None:
-    def unknown(host: str, port: str, **_: object) -> list[tuple[object, ...]]:
-        raise plain.gaierror(plain.EAI_NONAME, "Name or service not known")
-
-    monkeypatch.setattr(plain, "getaddrinfo", unknown)
-    monkeypatch.setattr(time, "sleep", lambda _: None)
-    lookup = Lookup("tcp://nowhere:5555")
-    assert [looked_up(lookup) for _ in range(3)] == [None] * 3
-    assert logged == ["nowhere is not found: Name or service not known; retrying"]
-
-
 def test_the_ip_addresses_of_a_name_are_tried_in_turn(monkeypatch: pytest.MonkeyPatch) -> None:
     def two(host: str, port: str, **_: object) -> list[tuple[object, ...]]:
         return [(plain.AF_INET6, plain.SOCK_STREAM, 6, "", ("::1", int(port), 0, 0)), here(port)]
@@ -286,66 +186,3 @@ def test_the_ip_addresses_of_a_name_are_tried_in_turn(monkeypatch: pytest.Monkey
     lookup = Lookup("tcp://both:5555")
     found = [looked_up(lookup) for _ in range(3)]
     assert found == ["tcp://127.0.0.1:5555", "tcp://[::1]:5555", "tcp://127.0.0.1:5555"]
-
-
-def test_a_silent_data_path_gets_a_second_connection_while_control_goes_on(
-    context: Context, asked: list[str], no_answers: None, logged: list[str], address: str
-) -> None:
-    publisher, server = context.socket(zmq.XPUB), context.socket(zmq.ROUTER)
-    publisher.setsockopt(zmq.XPUB_VERBOSE, 1)
-    publisher.bind(address)
-    server.bind(control_address(address))
-    connection, path = subscribed(context, address)
-    control_of(connection).send(b"clock?")
-    peer, _ = server.recv_multipart()
-    deliver(publisher, path)
-    first = path.first
-    for ms in range(20, 320, 10):
-        answer_clock(server, peer, connection)
-        assert poll(connection, ms, ms + 10) == []
-    assert connection.reconnections == Reconnections(opened=0, kept=0, control=0)
-    poll(connection, 320, 340)
-    assert connection.reconnections == Reconnections(opened=1, kept=0, control=0)
-    # Each frame that both connections deliver is received once.
-    for _ in range(2):
-        assert publisher.poll(PATIENCE_S * 1000)
-        assert publisher.recv() == b"\1"
-    received: list[bytes] = []
-    for number in range(20):
-        publisher.send(b"frame %d" % number)
-        received += path.messages()
-        threading.Event().wait(0.01)
-    received += path.messages()
-    assert sorted(received) == sorted({b"frame %d" % number for number in range(20)})
-    poll(connection, 340, 350)
-    # One of them is closed.
-    assert not path.failover.racing
-    kept = path.first is not first
-    assert connection.reconnections == Reconnections(opened=1, kept=kept, control=0)
-    deliver(publisher, path)
-
-
-def test_copies_of_what_the_closed_connection_delivered_are_dropped_from_the_kept_one(
-    context: Context, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    path = DataPath(context, None)
-    first, second = path.endpoints
-
-    def receive(from_first: list[bytes], from_second: list[bytes]) -> list[bytes]:
-        for line, messages in ((first, from_first), (second, from_second)):
-            monkeypatch.setattr(line, "messages", lambda brought=messages: iter(brought))
-            monkeypatch.setattr(line, "received", lambda _, brought=messages: len(brought))
-        received = list(path.messages())
-        path.take_received(0)
-        return received
-
-    path.failover.racing = True
-    assert receive([], [b"5"]) == [b"5"]
-    # The first has caught up, some frames ahead by now, and is closed.
-    assert receive([b"4", b"5", b"6", b"7"], []) == [b"4", b"6", b"7"]
-    assert not path.failover.racing
-    assert path.first is second
-    assert receive([], [b"6", b"7", b"8"]) == [b"8"]
-    path.failover.racing = True
-    assert receive([b"7", b"9"], [b"10"]) == [b"10", b"9"]
-    path.close(0)

@@ -1,11 +1,9 @@
-import re
 import time
 
 import numpy as np
 import pytest
 import zmq
 
-from display_node.verdict import NOT_VALID_STATUS
 from protocol.sockets import Context
 from protocol.wire.telemetry import TRACE, read_status, read_trace
 from tests.support.live_display import (
@@ -16,10 +14,8 @@ from tests.support.live_display import (
     subscribe,
 )
 from tests.support.nodes import (
-    RADIAL,
     free_address,
     process,
-    run,
     run_python,
 )
 
@@ -66,24 +62,6 @@ def test_telemetry_has_every_tick_and_ends_with_a_final_status(
     felt_n = np.concatenate([trace.felt_n for trace in ticks])
     assert felt_n.min() >= 0
     assert 0.4 < felt_n.max() < 0.6
-
-
-def test_a_port_without_a_listener_is_named_with_the_number_of_refusals(address: str) -> None:
-    result = run(MODULE, str(RADIAL), "--connect", address, "--seconds", "3.5")
-    assert result.returncode == NOT_VALID_STATUS
-    reason = rf"nobody listens at {address}, refused (\d+) times"
-    lines = re.findall(rf"^waiting: {reason}", result.stdout, re.MULTILINE)
-    assert len(lines) >= 1
-    assert [int(count) for count in lines] == sorted(map(int, lines))
-    # No forces, no heart rate, no alert: there is nothing to feel.
-    assert "mN" not in result.stdout
-    assert "alert" not in result.stdout
-    title, verdict = result.stdout.splitlines()[-2:]
-    assert title.startswith("display node")
-    remedy = "start the sensing node there, or check the address"
-    assert re.fullmatch(
-        rf"  This run is not valid: no pulse was felt; {reason}; {remedy}\.", verdict
-    )
 
 
 LOADED_IN_THE_LOOP = """

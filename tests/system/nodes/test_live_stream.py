@@ -12,7 +12,7 @@ from protocol.errors import ArgumentError, ProtectionError, SourceError
 from sensing_node.scene import build_source
 from telepulse.scene import load_scene
 from tests.support.log_lines import strays
-from tests.support.nodes import RADIAL, process, run_python
+from tests.support.nodes import RADIAL, process
 
 MODULE = "sensing_node.cli"
 
@@ -44,16 +44,6 @@ def test_no_sample_is_missing_while_the_reader_computes(address: str) -> None:
         stream.read(1)
 
 
-def test_all_channels_are_read(address: str) -> None:
-    scene = RADIAL.with_name("three_fingers.toml")
-    sensing = (MODULE, str(scene), "--bind", address, "--seconds", "1.5")
-    with process(*sensing), telepulse.connect(address) as stream:
-        block = stream.read(500)
-        names = [channel.name for channel in stream.describe().channels]
-    assert names == ["cun", "guan", "chi"]
-    assert block.values.shape == (500, 3)
-
-
 def test_who_cannot_be_received_is_named_in_one_line(address: str) -> None:
     with telepulse.connect(address) as stream:
         with pytest.raises(SourceError, match=f"{address}: no sample came for 0.2 s"):
@@ -77,8 +67,3 @@ def test_a_closed_stream_is_named_as_closed(address: str) -> None:
     for call in (lambda: stream.read(1), stream.describe, lambda: list(stream.blocks(1))):
         with pytest.raises(SourceError, match=f"^{address}: this stream was closed$"):
             call()
-
-
-def test_import_costs_nothing_until_a_name_is_used() -> None:
-    code = "import sys, telepulse; print('numpy' in sys.modules, len(telepulse.__all__))"
-    assert run_python("-c", code).stdout.split() == ["False", str(len(telepulse.__all__))]

@@ -1,8 +1,9 @@
-"""The press between real processes: kill, restart, and a hostile peer."""
+"""The press between real processes: kill, restart, and a hand on a press sensor."""
 
 import time
 from collections.abc import Iterator
 from contextlib import closing
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,8 +12,9 @@ from protocol.sockets import Context
 from protocol.wire import messages as wire
 from tests.support.live_display import await_state, subscribe
 from tests.support.log_lines import strays
-from tests.support.nodes import ROOT, free_address, process
+from tests.support.nodes import ROOT, free_address, process, read_json
 from tests.support.sensing_client import Client
+from tests.support.waiting import until
 
 pytestmark = pytest.mark.system
 SCENE = str(ROOT / "scenes" / "press.toml")
@@ -106,3 +108,62 @@ def test_a_restarted_wrist_is_shown_and_pressed_again_by_a_ramp(
         # Over four frames of 5 ms; the ramp has a fifth of the slew limit.
         rises_n = np.array(hold_downs_n)[4:] - np.array(hold_downs_n)[:-4]
         assert rises_n.max() < 0.3 * SLEW_N_PER_S * 0.02
+
+
+# The hand presses with these forces in turn, 3 s each.
+LEVELS_N, EVERY_S, RATE_HZ = (0.8, 1.3), 3, 1_000
+
+HAND = """
+[sensing.source]
+kind = "recording"
+path = "hand.csv"
+column = "press"
+unit = "N"
+rate = "1 kHz"
+"""
+SENSOR_SCENE = """
+extends = "press"
+[display.press.sensor]
+kind = "serial"
+port = "{folder}/hand"
+framing = "binary"
+rate = "1 kHz"
+unit = "N"
+"""
+
+
+def test_a_hand_on_a_press_sensor_presses_the_wrist_and_its_silence_eases_off(
+    address: str, tmp_path: Path
+) -> None:
+    levels = np.repeat(LEVELS_N, EVERY_S * RATE_HZ)
+    rows = "".join(f"{force_n:.4f}\n" for force_n in levels)
+    (tmp_path / "hand.csv").write_text(f"press\n{rows}", encoding="utf-8")
+    (hand := tmp_path / "hand.toml").write_text(HAND, encoding="utf-8")
+    (scene := tmp_path / "scene.toml").write_text(
+        SENSOR_SCENE.format(folder=tmp_path), encoding="utf-8"
+    )
+    json, port = tmp_path / "finger.json", tmp_path / "hand"
+    board = ("emulate", "sensor", str(hand), "--link", str(port), "--delivery-ms", "4")
+    own = ("--telemetry", "tcp://127.0.0.1:*", "--json", str(json), "--quiet")
+    with (
+        process("sensing_node.cli", str(scene), "--bind", address, "--quiet"),
+        closing(Client(address)) as client,
+    ):
+        client.join()
+        with process("telepulse", *board) as sensor:
+            until(port.exists)
+            with process("display_node.cli", str(scene), "--connect", address, *own) as finger:
+                for level_n in LEVELS_N:
+                    await_hold_down(client, 0.95 * level_n, 1.05 * level_n)
+                sensor.terminate()
+                sensor.wait(30)
+                # The bound of 0.5 s is proved in virtual time.
+                await_hold_down(client, -0.1, EASED_N)
+                with process("telepulse", *board):
+                    await_hold_down(client, 0.95 * LEVELS_N[0], 1.05 * LEVELS_N[0])
+                    finger.terminate()
+                    finger.wait(30)
+        await_hold_down(client, -0.1, EASED_N)
+    press = read_json(json)["press"]
+    assert press["sent"] == press["applied"] + press["superseded"] + press["lost"]
+    assert press["applied"] > 20

@@ -1,8 +1,14 @@
+import json
 import os
 import re
 import signal
 from pathlib import Path
+from typing import Any
 
+import pytest
+
+from protocol.errors import RealtimeError
+from protocol.host.realtime import apply_realtime, parse_realtime
 from protocol.sockets import Context
 from tests.support.live_display import (
     MODULE,
@@ -13,7 +19,14 @@ from tests.support.live_display import (
     subscribe,
 )
 from tests.support.log_lines import messages, strays, unusual
-from tests.support.nodes import RADIAL, assert_accounted, free_address, process, read_json
+from tests.support.nodes import (
+    RADIAL,
+    assert_accounted,
+    free_address,
+    process,
+    read_json,
+    run_python,
+)
 from tests.support.realtime_child import locked_kib, schedules
 from tests.support.rights import needs_rights, without_rights
 
@@ -101,3 +114,58 @@ def test_a_node_whose_strict_request_is_refused_does_not_start() -> None:
     node = without_rights("-m", MODULE, str(RADIAL), "--realtime", "fifo=7,strict")
     assert (node.returncode, node.stdout, node.stderr.count("\n")) == (2, "", 1)
     assert node.stderr.startswith(f"display-node: {NO_PRIORITY}")
+
+
+CHILD = "tests.support.realtime_child"
+HANGS = """
+import itertools
+from protocol.host.realtime import apply_realtime, parse_realtime
+with apply_realtime(parse_realtime("fifo=1")):
+    print("held", flush=True)
+    sum(itertools.repeat(0))
+"""
+FIFO, OTHER = os.SCHED_FIFO, [os.SCHED_OTHER, 0]
+THERE = os.sched_getaffinity(0)
+
+
+def measured(option: str, loop_s: float = 0, helper_s: float = 0, *, rights: bool = True) -> Any:
+    run = run_python if rights else without_rights
+    child = run("-m", CHILD, option, str(loop_s), str(helper_s))
+    assert (child.returncode, child.stderr) == (0, "")
+    return json.loads(child.stdout)
+
+
+@needs_rights
+@pytest.mark.parametrize(("loop_s", "helper_s"), [(1.0, 0.0), (0.0, 0.6)], ids=["loop", "helper"])
+def test_a_thread_that_runs_without_a_pause_loses_the_priority(
+    loop_s: float, helper_s: float
+) -> None:
+    found = measured("slack,fifo=7", loop_s, helper_s)
+    assert found["held"]["loop"] == [FIFO, 7]
+    later = found["later"]
+    assert later["loop"] == OTHER
+    assert later["helpers"] == later["zeromq"] == [OTHER]
+    assert found["granted"] == ["slack", "fifo=7 given up"]
+    assert set(found["messages"]) == {"real-time: fifo is given up: 200 ms without a pause"}
+
+
+@needs_rights
+def test_a_process_that_handles_no_signal_is_ended_by_the_kernel() -> None:
+    # Python handles no signal while a function of a library runs.
+    child = run_python("-c", HANGS)
+    assert (child.returncode, child.stdout) == (-signal.SIGKILL, "held\n")
+
+
+@pytest.mark.parametrize("option", ["cpu=4000", f"cpu={max(THERE)},cpu=4000"])
+def test_a_processor_that_does_not_exist_is_refused(option: str) -> None:
+    with apply_realtime(parse_realtime(option)) as held:
+        assert held.granted == {}
+        assert os.sched_getaffinity(0) == THERE
+    (refusal,) = held.refused
+    assert "this process may use" in str(refusal)
+    with (
+        pytest.raises(RealtimeError, match=r"cpu=.*4000 is not granted"),
+        apply_realtime(parse_realtime(f"slack,{option},strict")),
+    ):
+        pytest.fail("the settings are in effect")
+    assert os.sched_getaffinity(0) == THERE

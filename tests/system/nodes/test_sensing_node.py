@@ -19,7 +19,7 @@ from protocol.wire.messages import (
     encode_control,
 )
 from tests.support.log_lines import strays
-from tests.support.nodes import RADIAL, process, read_json, run, run_python
+from tests.support.nodes import RADIAL, process, read_json
 from tests.support.sensing_client import PATIENCE_MS, Client
 
 MODULE = "sensing_node.cli"
@@ -74,37 +74,6 @@ def test_a_stream_from_hello_to_bye(address: str, client: Client, tmp_path: Path
     result = read_json(summary)
     assert result["samples"]["sent"] == 1000
     assert result["rejected"] == {}
-
-
-@pytest.mark.parametrize(
-    ("rate", "batch", "seconds", "sent"),
-    [("1 kHz", "1 s", "0.3", 300), ("100 kHz", "5 ms", "0.2", 20_000)],
-)
-def test_exactly_the_samples_of_the_requested_seconds_are_sent(
-    address: str, tmp_path: Path, rate: str, batch: str, seconds: str, sent: int
-) -> None:
-    scene = scene_file(tmp_path, f'kind = "synthetic"\nrate = "{rate}"', batch=batch)
-    summary = tmp_path / "summary.json"
-    arguments = ("--bind", address, "--seconds", seconds, "--json", str(summary))
-    assert run(MODULE, str(scene), *arguments).returncode == 0
-    assert read_json(summary)["samples"]["sent"] == sent
-
-
-def test_the_chains_delay_and_samples_beyond_the_adcs_range_are_reported(
-    address: str, tmp_path: Path
-) -> None:
-    # 5 mV are 0.114 N at Fig. 4's sensitivity: below all of the pulse.
-    chain = "[sensing.conditioning]\nanti_alias = '40 Hz'\nadc_bits = 16\nadc_range = '5 mV'"
-    scene = scene_file(tmp_path, f'kind = "synthetic"\n{chain}')
-    summary = tmp_path / "summary.json"
-    arguments = ("--bind", address, "--seconds", "0.3", "--json", str(summary))
-    result = run(MODULE, str(scene), *arguments)
-    assert result.returncode == 0
-    assert read_json(summary)["faults"] == ["300 samples beyond the ADC's range"]
-    assert read_json(summary)["limited"]["adc"] == {"times": 1, "seconds": 0.3, "share": 1.0}
-    assert "ADC range 1 time, 0.3 s (100.0 % of the run)" in result.stdout
-    assert "300 samples beyond the ADC's range" in result.stdout
-    assert "delays the pulse by 10.5 ms" in result.stderr
 
 
 def test_a_recording_played_once_is_sent_to_its_last_sample(
@@ -188,16 +157,6 @@ def test_a_display_that_does_not_confirm_the_end_is_waited_for_until_a_second_si
         assert node.wait(PATIENCE_MS / 1000) == 0
         # A wait to its end takes 3 s.
         assert time.monotonic() - begin_s < 2.5
-
-
-def test_a_scene_without_conditioning_does_not_load_scipy() -> None:
-    code = (
-        "import sys; from pathlib import Path; import sensing_node.cli;"
-        "from protocol.config.scene import load_section; from sensing_node.scene import *;"
-        f"scene = load_section(Path({str(RADIAL)!r}), 'sensing', SensingScene);"
-        "build_source(scene, Path()).take(10); print('scipy.signal' in sys.modules)"
-    )
-    assert run_python("-c", code).stdout == "False\n"
 
 
 def test_the_node_waits_until_each_display_has_the_whole_stream(

@@ -1,7 +1,5 @@
 """Sockets of the nodes, and free addresses for tests."""
 
-import errno
-import os
 import time
 from collections.abc import Callable, Iterator
 from subprocess import PIPE
@@ -10,7 +8,6 @@ import pytest
 import zmq
 
 from protocol import sockets
-from protocol.errors import AddressError
 from protocol.host.child_process import ChildProcess
 from protocol.sockets import MAX_MESSAGES, Context, Socket
 from protocol.wire.messages import MAX_FRAME_BYTES
@@ -102,20 +99,6 @@ def test_a_wait_ends_at_a_message_that_arrived_before_one_was_sent(context: Cont
     assert received(other) == [[b"x"]]
 
 
-@pytest.mark.parametrize("timeout_ns", [-1_000_000_000, 0, 1, 100_000])
-def test_a_wait_without_a_message_ends_at_its_timeout(context: Context, timeout_ns: int) -> None:
-    sockets.wait_readable(pair(context), timeout_ns)
-    sockets.wait_readable([], timeout_ns)
-
-
-def test_messages_without_a_peer_queue_up_to_the_high_water_mark(
-    context: Context, address: str
-) -> None:
-    dealer = sockets.connect(context, zmq.DEALER, address)
-    sent = [sockets.send(dealer, b"x") for _ in range(sockets.HIGH_WATER_FRAMES + 10)]
-    assert sent == [True] * sockets.HIGH_WATER_FRAMES + [False] * 10
-
-
 def test_frames_arrive_again_after_a_message_above_the_size_limit_and_a_reconnect(
     context: Context,
 ) -> None:
@@ -133,42 +116,6 @@ def test_frames_arrive_again_after_a_message_above_the_size_limit_and_a_reconnec
     assert received(subscriber) == []
     sockets.reconnect(subscriber, endpoint(publisher), endpoint(publisher))
     meet(publisher, subscriber)
-
-
-def test_reconnect_from_an_address_that_was_never_connected(context: Context) -> None:
-    publisher = sockets.bind(context, zmq.PUB, LOOPBACK)
-    other = sockets.bind(context, zmq.PUB, LOOPBACK)
-    subscriber = sockets.connect(context, zmq.SUB, endpoint(other))
-    subscriber.subscribe(b"")
-    sockets.reconnect(subscriber, "tcp://127.0.0.1:1", endpoint(publisher))
-    meet(publisher, subscriber)
-
-
-def test_a_taken_port_is_refused_in_one_line(context: Context) -> None:
-    address = endpoint(sockets.bind(context, zmq.PUB, LOOPBACK))
-    with pytest.raises(AddressError) as caught:
-        sockets.bind(context, zmq.PUB, address)
-    line = str(caught.value)
-    taken = os.strerror(errno.EADDRINUSE)
-    assert line == f"cannot bind {address}: {taken}; another program holds it"
-
-
-@pytest.mark.parametrize(
-    ("address", "cause"),
-    [
-        ("nonsense", os.strerror(errno.EINVAL)),
-        ("tcp://127.0.0.1", os.strerror(errno.EINVAL)),
-        ("tcp://192.0.2.1:5555", "this machine does not have it"),
-        ("ipc:///no/such/folder/pulse", os.strerror(errno.ENOENT)),
-        ("ipc://" + "x" * 200, os.strerror(errno.ENAMETOOLONG)),
-        ("tcp://127.0.0.1:99999", "no such port"),
-    ],
-)
-def test_an_address_that_cannot_be_bound(context: Context, address: str, cause: str) -> None:
-    with pytest.raises(AddressError, match=cause) as caught:
-        sockets.bind(context, zmq.PUB, address)
-    assert address in str(caught.value)
-    assert "\n" not in str(caught.value)
 
 
 # It reads nothing for longer than two heartbeats.

@@ -1,47 +1,22 @@
 """Terminal view of telemetry over real sockets."""
 
 import io
-import itertools
 import time
 from collections.abc import Callable
 
-import pytest
 import zmq
 from rich.console import Console
 
-from display_node.telemetry import terminal
 from display_node.telemetry.terminal import watch
 from protocol.sockets import Context
 from protocol.summary.tables import Summary
 from protocol.ticks import TickState
 from protocol.wire.marks import MARK, Mark, pack_mark
 from protocol.wire.telemetry import STATUS, TRACE, TraceWriter, pack_status
-from tests.support.nodes import free_address, run_python
+from tests.support.nodes import free_address
 
 SECOND_NS = 1_000_000_000
-FINAL = pack_status("ended", "my pulse", Summary(), final=True)
 PLAYING = pack_status("playing", "my pulse", Summary(finger="pressed with 356 mN"), final=False)
-
-
-@pytest.mark.parametrize("messages", [(), ((TRACE, b"?"), (STATUS, FINAL, b""))])
-def test_neither_silence_nor_unreadable_messages_end_the_watch(
-    context: Context, monkeypatch: pytest.MonkeyPatch, messages: tuple[tuple[bytes, ...], ...]
-) -> None:
-    address, looks = free_address(), itertools.count(1)
-    publisher = context.socket(zmq.PUB)
-    publisher.bind(address)
-    hours_s = itertools.count(0.0, 3600.0)
-    monkeypatch.setattr(terminal.time, "monotonic", lambda: next(hours_s))
-
-    def look() -> bool:
-        look = next(looks)
-        for message in (*messages, *([(STATUS, FINAL)] if look > 20 else [])):
-            publisher.send_multipart(message)
-        return look < 1_000
-
-    last = watch(address, Console(file=io.StringIO()), draw=False, keep_watching=look)
-    assert last is not None
-    assert last.final
 
 
 def message_at(now_ns: int) -> bytes:
@@ -92,13 +67,3 @@ def test_queued_telemetry_of_a_display_that_stalled_is_shown_with_its_age(
     line = shown(context, send)
     assert line.startswith(("playing 5.", "playing 6.")), line
     assert "no telemetry: since" in line
-
-
-def test_scipy_is_loaded_before_the_first_line() -> None:
-    """Its import took seconds within a line, which then showed an old state."""
-    code = (
-        "import sys; from rich.console import Console; from display_node.telemetry import terminal;"
-        f" terminal.watch({free_address()!r}, Console(),"
-        " keep_watching=lambda: print('scipy.signal' in sys.modules))"
-    )
-    assert run_python("-c", code).stdout == "True\n"

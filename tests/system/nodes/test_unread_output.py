@@ -11,15 +11,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-import zmq
 
-from protocol import sockets
 from protocol.host.child_process import ChildProcess
-from protocol.sockets import Context, control_address
-from protocol.wire.messages import Hello, Welcome, decode_control, encode_control
+from protocol.sockets import Context
 from tests.support.live_display import await_state, subscribe
 from tests.support.nodes import RADIAL, ROOT, assert_accounted, free_address, process, read_json
-from tests.support.unread import KINDS, obeys_sigterm, process_into, unread
+from tests.support.unread import obeys_sigterm, process_into, unread
 from tests.support.waiting import until
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="/dev/full, /proc")
@@ -31,29 +28,6 @@ SENSING, DISPLAY, TELEPULSE = "sensing_node.cli", "display_node.cli", "telepulse
 def started(kind: str, module: str, *arguments: str) -> Iterator[ChildProcess]:
     with unread(kind) as number, process_into(number, module, *arguments) as child:
         yield child
-
-
-def test_a_sensing_node_whose_output_is_not_read_serves_and_ends(
-    context: Context, tmp_path: Path
-) -> None:
-    with ExitStack() as stack:
-        nodes = []
-        for kind in KINDS:
-            address, json = free_address(), tmp_path / f"{kind}.json"
-            arguments = (str(RADIAL), "--bind", address, "--json", str(json))
-            node = stack.enter_context(started(kind, SENSING, *arguments))
-            display = sockets.connect(context, zmq.DEALER, control_address(address))
-            # The node logs a hello.
-            display.send(encode_control(Hello(kind)))
-            nodes.append((node, display, json))
-        for node, display, _ in nodes:
-            assert display.poll(ENDS_WITHIN_S * 1000), node.args
-            assert isinstance(decode_control(display.recv()), Welcome)
-            display.close(0)
-            node.send_signal(signal.SIGTERM)
-        for node, _, json in nodes:
-            assert node.wait(ENDS_WITHIN_S) == 0, node.args
-            assert read_json(json)["samples"]["sent"] is not None
 
 
 def test_a_display_whose_output_is_not_read_plays_and_ends(

@@ -21,15 +21,6 @@ class Written:
     folder: Path
     report: dict[str, Any]
 
-    def table(self, title: str) -> dict[str, Any]:
-        tables = [table for chapter in self.report["chapters"] for table in chapter["tables"]]
-        (found,) = [table for table in tables if table["title"] == title]
-        return dict(found)
-
-    def rows(self, title: str) -> dict[str, dict[str, str]]:
-        """A table's rows by their first cell."""
-        return {next(iter(row.values())): row for row in self.table(title)["rows"]}
-
 
 @pytest.fixture(scope="module")
 def written(tmp_path_factory: pytest.TempPathFactory) -> Written:
@@ -71,25 +62,6 @@ def test_the_page_shows_every_plot_and_no_figure_is_missing(written: Written) ->
     for name in PLOTS:
         assert (written.folder / f"{name}.svg").stat().st_size > 5_000
     assert not re.search(r"\b(nan|inf|None)\b|\{[\{%]", page[page.index("<body>") :])
-
-
-def test_the_findings_compare_like_with_like(written: Written) -> None:
-    reproduced, impossible, chosen, _ = written.report["findings"]
-    assert "for a pulse of 0.888 N" in reproduced
-    assert "a force of 12.1 mN, 0.58 times the printed force" in impossible
-    assert chosen.endswith("follow the pulse only with mV by eq 21.")
-
-
-def test_which_unit_can_have_given_which_figure(written: Written) -> None:
-    title = (
-        "The pulse's height at which a unit gives a printed figure, and whether that is possible"
-    )
-    rows = written.rows(title)
-    heights = {name: list(row.values())[1:] for name, row in rows.items()}
-    film_mv = [cell.split("; ")[1].split(",")[0] for cell in heights.pop("mV by eq 21")]
-    assert film_mv == ["possible", "no", "possible"]
-    for cells in heights.values():
-        assert all(cell.endswith("; no, does not follow") for cell in cells)
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])

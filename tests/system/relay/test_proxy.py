@@ -51,21 +51,6 @@ def answer(sensing: Socket, text: bytes) -> bytes:
     return question
 
 
-def test_questions_and_answers_pass_and_are_counted_over_several_runs(ends: Ends) -> None:
-    ends.sensing.bind(ends.inner)
-    for turn in range(3):
-        ends.proxy.start()
-        ends.display.send(b"question")
-        assert answer(ends.sensing, b"answer") == b"question"
-        assert ends.display.recv() == b"answer"
-        # Each is an address and a text.
-        expected = 2 * (turn + 1)
-        count_until(ends.proxy, lambda e=expected: ends.proxy.received == e)
-        ends.proxy.stop()
-        assert (ends.proxy.requests, ends.proxy.received) == (expected, expected)
-    assert ends.proxy.received_bytes == 3 * (5 + len(b"answer"))
-
-
 def test_a_flood_without_a_sensing_node_neither_blocks_it_nor_garbles_later_messages(
     ends: Ends, context: Context
 ) -> None:

@@ -1,18 +1,16 @@
 """Relays between raw peers, in threads of the test."""
 
-import itertools
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 
 import zmq
 
 from protocol import sockets
-from protocol.errors import AddressError
 from protocol.security.allow_list import allow, revoke
 from protocol.security.keys import ClientKeys, KeyPair, ServerKeys, new_pair, read_pair
-from protocol.sockets import Context, Socket, control_address
+from protocol.sockets import Context, control_address
 from protocol.summary.tables import Summary
 from telepulse.relay import Relay
 from tests.support.nodes import free_address
@@ -43,34 +41,17 @@ def relaying(
         end()
 
 
-def bound(context: Context, kind: int, address: str) -> Socket:
-    """Bind a socket once the address is free."""
-    made: list[Socket] = []
-
-    def bind() -> bool:
-        with suppress(AddressError):
-            made.append(sockets.bind(context, kind, address))
-        return bool(made)
-
-    until(bind)
-    return made[0]
-
-
 class Sensing:
     """A sensing node's sockets."""
 
     def __init__(self, context: Context, address: str) -> None:
-        self.data = bound(context, zmq.PUB, address)
-        self.control = bound(context, zmq.ROUTER, control_address(address))
+        self.data = sockets.bind(context, zmq.PUB, address)
+        self.control = sockets.bind(context, zmq.ROUTER, control_address(address))
         self.control.setsockopt(zmq.RCVTIMEO, int(PATIENCE_S * 1000))
 
     def question(self) -> list[bytes]:
         """Return the next question, with its envelope."""
         return self.control.recv_multipart()
-
-    def close(self) -> None:
-        self.data.close(0)
-        self.control.close(0)
 
 
 class Raw:
@@ -82,56 +63,6 @@ class Raw:
         self.control = sockets.connect(context, zmq.DEALER, control_address(address), keys)
         for socket in (self.data, self.control):
             socket.setsockopt(zmq.RCVTIMEO, int(PATIENCE_S * 1000))
-
-
-def published(data: Socket, received: Socket, texts: Iterator[bytes]) -> bytes:
-    """Publish messages one after the other; return the first that arrives."""
-    until(lambda: data.send(next(texts)) or received.poll(20))
-    return received.recv()
-
-
-def numbered() -> Iterator[bytes]:
-    return (b"%d" % number for number in itertools.count())
-
-
-def test_without_subscriptions_nothing_is_sent(context: Context) -> None:
-    inner, outer = free_address(), free_address()
-    data = sockets.bind(context, zmq.XPUB, inner)
-    with relaying(inner, outer) as end:
-        assert not data.poll(300)
-        one, another = Raw(context, outer), Raw(context, outer)
-        # One subscription, whatever the number of displays.
-        assert data.recv() == b"\1"
-        for display in (one, another):
-            published(data, display.data, numbered())
-        assert not data.poll(0)
-        one.data.unsubscribe(b"")
-        assert not data.poll(100)
-        another.data.unsubscribe(b"")
-        assert data.recv() == b"\0"
-        assert end().frames.received
-
-
-def test_a_sensing_node_that_is_started_again_is_received_again(context: Context) -> None:
-    inner, outer = free_address(), free_address()
-    sensing, display = Sensing(context, inner), Raw(context, outer)
-    with relaying(inner, outer):
-        for _ in range(2):
-            published(sensing.data, display.data, numbered())
-            display.control.send(b"question")
-            assert sensing.question()[-1] == b"question"
-            sensing.close()
-            sensing = Sensing(context, inner)
-
-
-def test_a_relay_that_is_started_again_is_a_cut_that_has_ended(context: Context) -> None:
-    inner, outer = free_address(), free_address()
-    sensing, display = Sensing(context, inner), Raw(context, outer)
-    for text in (b"one", b"two"):
-        with relaying(inner, outer):
-            published(sensing.data, display.data, iter([text] * 10_000))
-            display.control.send(text)
-            assert sensing.question()[-1] == text
 
 
 def test_an_unanswered_question_makes_it_connect_anew(context: Context, logged: list[str]) -> None:

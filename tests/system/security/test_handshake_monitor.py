@@ -5,7 +5,6 @@ import pytest
 import zmq
 
 from protocol import sockets
-from protocol.security.allow_list import revoke
 from protocol.security.authenticator import Authenticator
 from protocol.security.keys import ClientKeys
 from protocol.security.socket_monitor import HandshakeMonitor
@@ -69,27 +68,6 @@ def test_a_refused_display_logs_the_reason_once(
     lines = [line for line in logged if line.startswith(address)]
     assert all(line.startswith(f"{address} {reason}") for line in lines)
     assert len(lines) <= 1
-
-
-def test_a_key_that_was_accepted_and_is_refused_later_is_reported_as_revoked(
-    context: Context, keyring: Keyring, logged: list[str], address: str
-) -> None:
-    authenticator = Authenticator(context, keyring.server())
-    socket = sockets.bind(context, zmq.PUB, address, authenticator)
-    display = Connecting(context, address, keyring.client("finger"))
-    waiting = list(display.sockets)
-
-    def both_receive() -> bool:
-        sockets.send(socket, b"a frame")
-        waiting[:] = [each for each in waiting if not list(sockets.receive_multipart(each))]
-        return not waiting
-
-    display.poll_until(both_receive, authenticator)
-    revoke(keyring.allowed, "finger")
-    display.poll_until(lambda: display.monitor.rejected["revoked"] >= 2, authenticator)
-    (line,) = (line for line in logged if line.startswith(address))
-    assert line.startswith(f"{address} has revoked the key of finger")
-    assert "refused_key" not in display.monitor.rejected
 
 
 def test_a_node_without_keys_is_reported_to_a_display_with_keys(

@@ -88,7 +88,7 @@ def read_board(command: list[str]) -> tuple[list[SampleBlock], float, Counter[st
         scene = validate(table, SerialScene, "scene")
         try:
             with closing(open_sensor(scene, Path())) as sensor:
-                return received(sensor, SAMPLES), sensor.skew_ppm, sensor.rejected
+                return received(sensor, SAMPLES), sensor.timestamper.clock.skew_ppm, sensor.rejected
         finally:
             running.kill()
 

@@ -1,4 +1,3 @@
-import itertools
 import threading
 from collections import Counter
 from contextlib import closing
@@ -93,19 +92,6 @@ def test_data_that_are_not_polled_are_dropped_and_counted(monkeypatch: pytest.Mo
         assert len(sensor.poll()) == 10
         assert sensor.rejected == {"backlog": 15}
         assert sensor.poll() == []
-
-
-def test_a_lasting_wrong_rate_is_reported_once(logged: list[str]) -> None:
-    now_ns = itertools.count(0, 1_250_000)
-    port = GivenPort(*range(1, 5_001))
-    with closing(Sensor(port, AsIs(), TABLE, clock=lambda: next(now_ns))) as sensor:
-
-        def all_fetched() -> bool:
-            sensor.poll()
-            return port.empty.is_set()
-
-        until(all_fetched)
-    assert logged == ["the port sends 800 Hz, the scene says 1000 Hz: check its rate"]
 
 
 def test_a_device_that_cannot_be_opened_is_refused_at_once() -> None:

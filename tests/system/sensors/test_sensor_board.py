@@ -7,11 +7,10 @@ from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from protocol.wire.messages import Frame, decode_frame
-from tests.support.nodes import RADIAL, assert_accounted, process, read_json, run
+from tests.support.nodes import RADIAL, assert_accounted, process, read_json
 from tests.support.sensing_client import Client
 from tests.support.waiting import PATIENCE_S, until
 
@@ -76,36 +75,6 @@ def test_a_boards_pulse_reaches_a_display_and_every_sample_is_counted(
     assert display_summary["rejected"] == {}
 
 
-@pytest.mark.parametrize(
-    "options", [("--framing", "text"), ("--samples", "int16")], ids=["text", "int"]
-)
-def test_several_values_of_a_board_are_channels_of_the_stream(
-    tmp_path: Path, address: str, client: Client, options: tuple[str, ...]
-) -> None:
-    played = tmp_path / "played.toml"
-    places = "".join(
-        f'[[sensing.source.position]]\nname = "{name}"\npreload = "{preload_n} N"\n'
-        for name, preload_n in (("cun", 0.3), ("guan", 0.6), ("chi", 0.9))
-    )
-    played.write_text(f'[sensing.source]\nkind = "synthetic"\n{places}', encoding="utf-8")
-    link = tmp_path / "board"
-    command = ("emulate", "sensor", str(played), "--link", str(link), *options)
-    with process(BOARD, *command) as child:
-        # The table that the board prints is what a scene needs to read it.
-        lines = [child.read_line(3 * PATIENCE_S)]
-        while not lines[-1].startswith(('unit = "N"', "newtons_per_count")):
-            lines.append(child.read_line(PATIENCE_S))
-        scene = tmp_path / "read.toml"
-        scene.write_text("\n".join(lines) + "\n", encoding="utf-8")
-        with process(SENSING, str(scene), "--bind", address):
-            stream = client.join().description
-            values = np.concatenate([frame.values for frame in frames(client, 200)])
-    assert [channel.name for channel in stream.channels] == ["cun", "guan", "chi"]
-    assert values.mean(axis=0) == pytest.approx([0.3, 0.6, 0.9], abs=0.05)
-    apart_n = values - [0.3, 0.6, 0.9]
-    np.testing.assert_allclose(apart_n[:, 1:], apart_n[:, :2], atol=2e-4)
-
-
 def test_an_unplugged_cable_is_reported_and_missed_samples_count_as_lost(
     tmp_path: Path, address: str, client: Client
 ) -> None:
@@ -138,14 +107,3 @@ def test_an_unplugged_cable_is_reported_and_missed_samples_count_as_lost(
         passed_ns = later.t_first_ns - earlier.t_first_ns
         samples = len(earlier.values) + gap
         assert passed_ns == pytest.approx(samples * 1e6, rel=0.5, abs=300e6)
-
-
-def test_noise_on_the_line_is_counted_and_reported(tmp_path: Path, address: str) -> None:
-    summary, scene = tmp_path / "sensing.json", str(scene_file(tmp_path))
-    with board(tmp_path, "--noise", "0.002"):
-        result = run(SENSING, scene, "--bind", address, "--seconds", "2", "--json", str(summary))
-    assert result.returncode == 0
-    found = read_json(summary)
-    assert found["samples"]["sent"] > 1000
-    assert found["rejected"]["crc"] > 0
-    assert any("samples missing from" in fault for fault in found["faults"])

@@ -45,7 +45,7 @@ class CaseVerdict(StrEnum):
 
 
 class CaseResult(NamedTuple):
-    """What was run, the verdict, and its reason.
+    """What was run, the verdict, and its reason; a stable loop needs none.
 
     felt_n: felt force in N at the end of each tick; None if the loop did not run.
     """
@@ -71,11 +71,6 @@ def make_setup(
 def scene_setup(name: str) -> DisplayScene:
     """Return the display of a shipped scene, with the shortest ramp."""
     return load_scene(find_scene(name)).display.model_copy(update={"safety": SAFETY})
-
-
-def with_tick(setup: DisplayScene, tick_s: float) -> DisplayScene:
-    """Return a display with another tick, which need not be one that a scene may have."""
-    return setup.model_copy(update={"tick_ns": round(1e9 * tick_s)})
 
 
 def common_setups() -> dict[str, DisplayScene]:
@@ -112,39 +107,19 @@ def settled_range_n(
     return low_n - off_n, law.force(x_m + step_m + rounding_m) + off_n
 
 
-class CaseRun(NamedTuple):
-    """Felt force in N at each tick's end, and the faults that Safety reported."""
-
-    felt_n: Array
-    faults: tuple[str, ...]
-
-
 @dataclass(frozen=True, slots=True)
 class HardCase:
     """A case to run and to judge by the felt force.
 
-    Attributes
-    ----------
-    explanation
-        Reason of the verdict STABLE; the others take theirs from the run.
-    reference
-        Returns the target force in N at a tick.
-    reading
-        Returns the reading in N for the controller, from the tick and the film's own reading.
-    with_safety
-        Safety bounds the reference and checks the reading.
-    target_n, tolerance_microsteps
-        Final target force, and distance from it within which a stepper has settled.
-    ticks
-        Length of the run.
-    disturbance_tick
-        Tick of the disturbance.
+    reference: target force in N at a tick. reading: of the film for the controller in N, from the
+    tick and the film's own. with_safety: Safety bounds both. target_n, tolerance_microsteps: final
+    target force, and distance from it within which a stepper has settled. disturbance_tick: its
+    tick.
     """
 
     case: str
     name: str
     setup: DisplayScene
-    explanation: str = ""
     reference: Callable[[int], float] = lambda _: HELD_N
     reading: Callable[[int, float], float] = lambda _, reading_n: reading_n
     with_safety: bool = True
@@ -153,8 +128,11 @@ class HardCase:
     tolerance_microsteps: float = 1.0
     disturbance_tick: int = 0
 
-    def run(self) -> CaseRun:
-        """Run the loop from rest as the display does, tick by tick. Raises SceneError."""
+    def run(self) -> tuple[Array, list[str]]:
+        """Run the loop from rest as the display does, tick by tick. Raises SceneError.
+
+        Returns the felt force in N at each tick's end, and the faults that Safety reported.
+        """
         loop, tick_ns = self.setup.force_loop(), self.setup.tick_ns
         safety, bounds = Safety(SAFETY, tick_ns), ForceBounds(SAFETY, tick_ns)
         reach, felt_n = range(loop.horizon + 1), []
@@ -166,33 +144,31 @@ class HardCase:
                     safety.fault(fault)
                 wanted_n = bounds.bound(wanted_n, safety.advance(alive=True))
             felt_n.append(loop.tick(wanted_n, reading_n))
-        return CaseRun(np.array(felt_n), tuple(safety.faults))
+        return np.array(felt_n), safety.faults
 
 
 def evaluate(case: HardCase) -> CaseResult:
     """Run a case and judge it."""
     try:
-        run = case.run()
+        felt_n, faults = case.run()
     except SceneError as error:
         return CaseResult(case.case, case.name, CaseVerdict.REFUSED, refusal_reason(error))
     except Exception as error:  # a defect of the loop
         reason = f"{type(error).__name__}: {error}"
         return CaseResult(case.case, case.name, CaseVerdict.FAILS, reason)
-    verdict, reason = judge(case, run)
-    return CaseResult(case.case, case.name, verdict, reason, run.felt_n)
+    return CaseResult(case.case, case.name, *judge(case, felt_n, faults), felt_n)
 
 
-def judge(case: HardCase, run: CaseRun) -> tuple[CaseVerdict, str]:
+def judge(case: HardCase, felt_n: Array, faults: list[str]) -> tuple[CaseVerdict, str]:
     """Return the verdict on a run, and its reason."""
-    felt_n = run.felt_n
     end_n = felt_n[-len(felt_n) // 4 :]
-    defect = CaseVerdict.FAILS if run.faults else CaseVerdict.WRONG
-    fault = f", in spite of the fault: {run.faults[0]}" if run.faults else ""
+    defect = CaseVerdict.FAILS if faults else CaseVerdict.WRONG
+    fault = f", in spite of the fault: {faults[0]}" if faults else ""
     if not np.isfinite(felt_n).all():
         return defect, f"the felt force is not a number{fault}"
     if np.abs(felt_n).max() > BOUND_N:
         return defect, f"felt beyond {BOUND_N:g} N{fault}"
-    if run.faults:
+    if faults:
         # The force may rise for two ticks, at most at the slew limit: one until the drive has
         # the command, one until it reverses.
         slack_n = 2 * SAFETY.slew_limit_n_per_s * case.setup.tick_ns * 1e-9
@@ -201,8 +177,8 @@ def judge(case: HardCase, run: CaseRun) -> tuple[CaseVerdict, str]:
             return defect, f"presses harder{fault}"
         if np.abs(end_n).max() > AT_REST_N:
             return defect, f"does not come to rest{fault}"
-        return CaseVerdict.REFUSED, f"at rest for good after the fault: {run.faults[0]}"
+        return CaseVerdict.REFUSED, f"at rest for good after the fault: {faults[0]}"
     low_n, high_n = settled_range_n(case.setup, case.target_n, case.tolerance_microsteps)
     if end_n.min() < low_n or end_n.max() > high_n:
         return CaseVerdict.WRONG, f"does not settle on {case.target_n:g} N"
-    return CaseVerdict.STABLE, case.explanation
+    return CaseVerdict.STABLE, ""

@@ -1,12 +1,10 @@
-"""Hard cases of the loop itself: contact, damping, ticks, saturation, chatter and a step."""
+"""Hard cases of the loop: contact, damping, ticks, saturation, chatter, steps, hard inputs."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from itertools import product
-from typing import NamedTuple
-
-import numpy as np
+from typing import Any
 
 from display_node.plant.scene import SecondOrderScene, StepperScene
 from display_node.scene import DisplayScene
@@ -24,7 +22,6 @@ from tests.system.stability.hard_case import (
     make_setup,
     scene_setup,
     settled_range_n,
-    with_tick,
 )
 
 STEPPER: SceneTable = {"kind": "stepper"}
@@ -44,7 +41,7 @@ SLOW_M_PER_S = 2e-3
 BETWEEN_N = 0.3003
 # A cycle up to this size is reported as a cycle; a larger one means that the loop does not settle.
 CHATTER_MICROSTEPS = 20.0
-ROUNDING_N = 1e-12
+STRANGE_AT = 500
 
 
 def stiff_contact() -> Iterator[CaseResult]:
@@ -57,14 +54,10 @@ def stiff_contact() -> Iterator[CaseResult]:
     )
     films = (("film as it is", None), ("film of 40 Hz", SLOW_FILM))
     controllers = (("force", ON_FORCE), ("position", ON_POSITION))
-    why = (
-        "within a microstep of the target force; the PID uses the contact's stiffness and solves"
-        " for the error at the tick's end"
-    )
     for parts in product(contacts, films, controllers):
         (contact, actuator, layer), (film_name, film), (error, controller) = parts
         name = f"{contact}, {film_name}, error in {error}, kp = {controller['kp']}"
-        yield evaluate(HardCase(case, name, make_setup(controller, actuator, film, layer), why))
+        yield evaluate(HardCase(case, name, make_setup(controller, actuator, film, layer)))
     name = "rigid stop, E = 5 GPa, film of 40 Hz and 4 poles, error in force, kp = 10"
     fine, slow_film = {**RIGID, "lead": "0.1 mm"}, {**SLOW_FILM, "filter_order": 4}
     yield evaluate(HardCase(case, name, make_setup({"kp": 10}, fine, slow_film, STIFF)))
@@ -78,7 +71,7 @@ def nearly_undamped() -> Iterator[CaseResult]:
         damped = published.ACTUATOR.model_copy(update={"c": c})
         setup = experiment.model_copy(update={"actuator": damped})
         name = f"eq 22, c = {c:g}, the experiment's gains on mV"
-        yield evaluate(HardCase(case, name, setup, "the derivative damps it"))
+        yield evaluate(HardCase(case, name, setup))
         name = f"eq 22, c = {c:g}, proportional on N, kp = 15"
         setup = proportional.model_copy(update={"actuator": damped})
         yield evaluate(HardCase(case, name, setup))
@@ -87,8 +80,7 @@ def nearly_undamped() -> Iterator[CaseResult]:
     for damping, (name, controller) in product((0.2, 1e-6, 0.0), controllers.items()):
         rotor: SceneTable = {**STEPPER, "rotor_resonance": "100 Hz", "rotor_damping": damping}
         name = f"rotor at 100 Hz, ζ = {damping:g}, position with {name}"
-        why = "the gain is below 2 ζ ω of the rotor, or the observer models the rotor"
-        yield evaluate(HardCase(case, name, make_setup(controller, rotor), why))
+        yield evaluate(HardCase(case, name, make_setup(controller, rotor)))
     case, name = "vanishing mass", "eq 22 with m = 1e-300"
     try:
         massless = validate({"kind": "second_order", "m": 1e-300}, SecondOrderScene, "actuator:")
@@ -96,16 +88,15 @@ def nearly_undamped() -> Iterator[CaseResult]:
         yield CaseResult(case, name, CaseVerdict.REFUSED, str(error))
     else:
         setup = experiment.model_copy(update={"actuator": massless})
-        yield evaluate(HardCase(case, name, setup, "as any other mass"))
+        yield evaluate(HardCase(case, name, setup))
 
 
 def extreme_ticks() -> Iterator[CaseResult]:
     """Run the loops at 1 µs and at 100 ms a tick."""
-    why = "hold and filters are exact at any tick; integral and derivative are backward Euler"
     for tick, tick_s, ticks in (("1 µs", 1e-6, 120_000), ("100 ms", 0.1, 400)):
         for name, setup in common_setups().items():
-            run, timed = f"{name}, ticks of {tick}", with_tick(setup, tick_s)
-            yield evaluate(HardCase("extreme ticks", run, timed, why, ticks=ticks))
+            timed = setup.model_copy(update={"tick_ns": round(1e9 * tick_s)})
+            yield evaluate(HardCase("extreme ticks", f"{name}, {tick}", timed, ticks=ticks))
 
 
 def saturated_steps() -> Iterator[CaseResult]:
@@ -135,13 +126,12 @@ def saturated_steps() -> Iterator[CaseResult]:
             "saturated step rate",
             f"{name}, microsteps {fine}, at most {1e3 * SLOW_M_PER_S:g} mm/s",
             slow,
-            "the integral does not grow in saturation",
             reference=swing,
             ticks=SWING_TO + SETTLING,
         )
         result = evaluate(case)
         if result.felt_n is not None:
-            free_n = replace(case, setup=make_setup(controller, drive)).run().felt_n
+            free_n, _ = replace(case, setup=make_setup(controller, drive)).run()
             under_n, usual_n = (
                 HELD_N - float(felt_n[SWING_TO:].min()) for felt_n in (result.felt_n, free_n)
             )
@@ -155,16 +145,11 @@ def force_step() -> Iterator[CaseResult]:
     """Step the reference by 1 N, through Safety as in a display, and without it."""
     pid = make_setup({"kp": 0.1, "ki": 0.5, "kd": 1e-4}, STEPPER)
     setups = {**common_setups(), "PID on force": pid}
-    ways = (
-        ("through", "Safety's slew limit turns it into a ramp"),
-        ("without", "as steep as the loop can follow"),
-    )
-    for (name, setup), (way, why) in product(setups.items(), ways):
+    for (name, setup), way in product(setups.items(), ("through", "without")):
         case = HardCase(
             "a step of 1 N",
             f"{name}, {way} Safety",
             setup,
-            why,
             reference=lambda tick: STEP_TO_N if tick >= STEP_AT else HELD_N,
             with_safety=way == "through",
             target_n=STEP_TO_N,
@@ -173,27 +158,13 @@ def force_step() -> Iterator[CaseResult]:
         yield evaluate(case)
 
 
-class Chatter(NamedTuple):
-    """Remaining motion at a constant reference.
-
-    Range of the felt force in microsteps and in N, and reversals of its direction in 1/s.
-    """
-
-    microsteps: float
-    reversals_hz: float
-    peak_to_peak_n: float
-
-
-def chatter(setup: DisplayScene, felt_n: Array) -> Chatter:
-    """Return the motion in a run's second half, when a stepper's loop has settled."""
+def chatter_microsteps(setup: DisplayScene, felt_n: Array) -> float:
+    """Return the range of the felt force in a run's second half, when a loop has settled."""
     stepper = StepperScene.narrow(setup.actuator, "[display] actuator:")
     felt_n = felt_n[len(felt_n) // 2 :]
     law = stepper.contact(setup.layer.layer())
     travel_m = law.position(float(felt_n.max())) - law.position(float(felt_n.min()))
-    moves = np.diff(felt_n)
-    signs = np.sign(moves[np.abs(moves) > ROUNDING_N])
-    reversals_hz = int(np.count_nonzero(np.diff(signs))) / (len(felt_n) * setup.tick_ns * 1e-9)
-    return Chatter(travel_m / stepper.step_m, reversals_hz, float(np.ptp(felt_n)))
+    return travel_m / stepper.step_m
 
 
 def direction_chatter() -> Iterator[CaseResult]:
@@ -231,7 +202,6 @@ def _at_rest(name: str, setup: DisplayScene) -> CaseResult:
         "direction chatter",
         name,
         setup,
-        "at most the one microstep around the target force",
         reference=lambda _: BETWEEN_N,
         target_n=BETWEEN_N,
         tolerance_microsteps=CHATTER_MICROSTEPS,
@@ -240,12 +210,33 @@ def _at_rest(name: str, setup: DisplayScene) -> CaseResult:
     result = evaluate(case)
     if result.felt_n is None:
         return result
-    found = chatter(setup, result.felt_n)
-    if result.verdict is not CaseVerdict.STABLE or found.microsteps <= 1 + 1e-6:
+    microsteps = chatter_microsteps(setup, result.felt_n)
+    if result.verdict is not CaseVerdict.STABLE or microsteps <= 1 + 1e-6:
         return result
     if setup.film.noise_n:
         return result._replace(reason="no cycle: it follows the film's noise")
     return result._replace(verdict=CaseVerdict.CYCLES, reason="above one microstep")
+
+
+def strange_samples() -> Iterator[CaseResult]:
+    """Put one sample that is not a usable force into the reference, and into the film's reading."""
+    pid = make_setup({"kp": 0.1, "kd": 1e-4}, {"kind": "stepper"})
+    setups = {**common_setups(), "PID on force with kd": pid}
+    samples_n = {
+        "a force spike": (100.0, -100.0, 1e30, -1e30),
+        "denormals and NaN": (5e-324, math.nan, math.inf, -math.inf),
+    }
+    places = ("reference", "reading")
+    for (case, strange_n), name, place in product(samples_n.items(), setups, places):
+        for value_n in strange_n:
+            strange: dict[str, Any] = {place: _strange_at(value_n)}
+            run = f"{name}, one {place} of {value_n:g}"
+            hard = HardCase(case, run, setups[name], ticks=1000, disturbance_tick=STRANGE_AT)
+            yield evaluate(replace(hard, **strange))
+
+
+def _strange_at(strange_n: float) -> Callable[..., float]:
+    return lambda tick, usual_n=HELD_N: strange_n if tick == STRANGE_AT else usual_n
 
 
 def all_cases() -> Iterator[CaseResult]:
@@ -256,3 +247,4 @@ def all_cases() -> Iterator[CaseResult]:
     yield from saturated_steps()
     yield from direction_chatter()
     yield from force_step()
+    yield from strange_samples()

@@ -111,7 +111,7 @@ def test_pages_are_few_and_those_that_do_not_read_are_closed(
         status, body = get(page, "/")
         assert (status, body.count("\n")) == (503, 1)
         # None of them answers a ping.
-        until(lambda: page.viewers == 0)
+        until(lambda: not page._server.get_sessions())
         assert get(page, "/")[0] == 200
         for _, connection in held:
             connection.close()

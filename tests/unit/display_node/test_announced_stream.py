@@ -35,9 +35,3 @@ def test_a_scene_can_leave_the_ecg_unused(tmp_path: Path) -> None:
     summary = run(tmp_path, '[display]\nannounce = "off"')
     assert summary.announce == AnnounceFigures()
     assert summary.beats.count is not None
-
-
-def test_an_ecg_that_is_only_noise_is_not_used(tmp_path: Path) -> None:
-    figures = run(tmp_path, '[sensing.source.announce]\nnoise = "5 mV"').announce
-    assert not figures.used
-    assert figures.unused is not None

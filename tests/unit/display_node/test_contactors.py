@@ -1,26 +1,28 @@
 """Several contactors of one display: one instant, one E, one safety."""
 
+import math
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 
 from display_node.control.force_loop import ForceLoop
 from display_node.display import Display
-from display_node.prediction.ensemble import Ensemble
 from display_node.scene import DisplayScene
-from display_node.scoring.tracking_error import TrackingError
 from protocol.config.scene import validate
 from protocol.errors import SceneError
 from protocol.pieces import complete
-from protocol.summary.figures import Surface
-from protocol.summary.rows import row_texts
 from protocol.summary.tables import contactors_of
 from protocol.wire.messages import Bye, Frame, encode_control, encode_frame
 from protocol.wire.stream import Channel
 from tests.support.sender import AHEAD_NS, MS, Sender, display_scene
 from tests.support.streams import description
 
+Channels = Callable[[int], list[float]]
 NAMES = ("cun", "guan", "chi")
 STREAM = description(channels=tuple(Channel(name) for name in NAMES))
+PLAIN = {"controller": {"kp": 30, "error": "position", "feed_forward": True}}
+SLOW = {**PLAIN, "actuator": {"kind": "stepper", "latency": "5 ms"}}
 # A frame every 5 ms, which arrives after 20 ms.
 ONE_WAY_MS = 20
 
@@ -42,22 +44,32 @@ def pulse_n(sample: float) -> list[float]:
 
 
 def play(
-    under_test: Display, sender: Sender, from_ms: int, to_ms: int
+    under_test: Display,
+    sender: Sender,
+    from_ms: int,
+    to_ms: int,
+    channels: Channels = pulse_n,
+    late_ms: Callable[[int], int] = lambda _: 0,
 ) -> tuple[list[int], list[list[float]]]:
-    """Run a display on a pulse; return the instant and the target force of each contactor."""
-    instants_ns, targets_n = [], []
+    """Run a display on a pulse; return the instant and the target force of each contactor.
+
+    channels: the values of a sample. late_ms: by how much the frame of a time comes later.
+    """
+    instants_ns, targets_n, waiting = [], [], list[tuple[int, bytes]]()
     for ms in range(from_ms, to_ms):
         while under_test.work():
             pass
         under_test.tick(ms * MS)
         sender.serve(under_test, ms * MS)
-        first = sender.sent
         if ms % 5 == 0 and ms >= ONE_WAY_MS:
-            values = np.array([pulse_n(first + number) for number in range(5)], "<f4")
+            values = np.array([channels(sender.sent + number) for number in range(5)], "<f4")
             taken_ns = (ms - ONE_WAY_MS - 4) * MS + AHEAD_NS
-            frame = Frame(sender.session, first, taken_ns, MS, values)
+            frame = Frame(sender.session, sender.sent, taken_ns, MS, values)
             sender.sent += 5
-            under_test.on_frame(encode_frame(frame), ms * MS)
+            waiting.append((ms + late_ms(ms), encode_frame(frame)))
+        for due in [each for each in waiting if each[0] <= ms]:
+            waiting.remove(due)
+            under_test.on_frame(due[1], ms * MS)
         instants_ns.append(under_test.states[0].instant_ns)
         targets_n.append([state.target_n for state in under_test.states])
         assert len({state.instant_ns for state in under_test.states}) == 1
@@ -77,6 +89,9 @@ def test_each_contactor_plays_its_channel_at_the_same_instant() -> None:
 def test_contactors_are_in_the_summary_by_their_names_and_share_its_account() -> None:
     under_test, sender = Display(scene(), "test"), Sender(stream=STREAM)
     play(under_test, sender, 0, 3000)
+    # It is built in pieces, of which each contactor adds one.
+    assert sum(1 for _ in under_test.summary_pieces()) > len(NAMES)
+    assert complete(under_test.summary_pieces()) == under_test.summary()
     summary = under_test.summary().to_dict()
     assert tuple(summary["contactors"]) == NAMES
     counts = summary["samples"]
@@ -89,25 +104,11 @@ def test_contactors_are_in_the_summary_by_their_names_and_share_its_account() ->
 
 
 def test_a_contactor_with_a_shorter_lead_plays_samples_that_are_late_for_another() -> None:
-    slow = {"actuator": {"kind": "stepper", "latency": "5 ms"}}
-    fast = {"controller": {"kp": 30, "error": "position", "feed_forward": True}}
-    quick, lazy = {"channel": "cun", **fast}, {"channel": "chi", **fast, **slow}
+    quick, lazy = {"channel": "cun", **PLAIN}, {"channel": "chi", **SLOW}
     under_test, sender = Display(scene(quick, lazy), "test"), Sender(stream=STREAM)
     play(under_test, sender, 0, 1500)
     # Frames that the slow contactor needs up to 10 ms earlier than they come.
-    waiting: list[tuple[int, bytes]] = []
-    for ms in range(1500, 3000):
-        under_test.tick(ms * MS)
-        sender.serve(under_test, ms * MS)
-        if ms % 5 == 0:
-            values = np.array([pulse_n(sender.sent + number) for number in range(5)], "<f4")
-            taken_ns = (ms - ONE_WAY_MS - 4) * MS + AHEAD_NS
-            frame = Frame(sender.session, sender.sent, taken_ns, MS, values)
-            sender.sent += 5
-            waiting.append((ms + ms // 5 % 3 * 5, encode_frame(frame)))
-        for due in [each for each in waiting if each[0] <= ms]:
-            waiting.remove(due)
-            under_test.on_frame(due[1], ms * MS)
+    play(under_test, sender, 1500, 3000, late_ms=lambda ms: ms // 5 % 3 * 5)
     summary = under_test.summary().to_dict()
     counts = {name: figures["samples"] for name, figures in summary["contactors"].items()}
     parts = ("played", "predicted", "late", "lost")
@@ -118,8 +119,6 @@ def test_a_contactor_with_a_shorter_lead_plays_samples_that_are_late_for_another
     }
     assert counts["cun"]["played"] > counts["chi"]["played"]
     assert counts["cun"]["late"] < counts["chi"]["late"]
-    text = dict(row_texts(summary, Surface.SUMMARY))["samples"]
-    assert [line.partition(":")[0] for line in text.splitlines()[1:]] == ["cun", "chi"]
 
 
 def test_an_only_contactor_has_its_figures_at_the_top_level() -> None:
@@ -145,45 +144,28 @@ def test_a_fault_of_one_contactor_brings_all_to_rest(monkeypatch: pytest.MonkeyP
     assert max(state.felt_n for state in under_test.states) < 5e-3
 
 
-def hostile_frame(sender: Sender, kind: str, first: list[list[float]], ms: int) -> bytes:
-    """Return a frame of a peer of which the second channel is hostile, and the others are not."""
-    values = np.array(first, "<f4")
-    match kind:
-        case "nan":
-            values[:, 1] = np.nan
-        case "jumps":
-            values[:, 1] = 1e6 * (ms // 50 % 2)
-        case "no pulse":
-            values[:, 1] = 0.0
-        case "wrong count":
-            values = values[:, :2]
-    taken_ns = (ms - ONE_WAY_MS - 4) * MS + AHEAD_NS
-    return encode_frame(Frame(sender.session, sender.sent, taken_ns, MS, values))
+def second(value_n: Callable[[int], float]) -> Channels:
+    """Return the channels of a peer of which the second is hostile, and the others are not."""
+    return lambda sample: [pulse_n(sample)[0], value_n(sample), pulse_n(sample)[2]]
 
 
 @pytest.mark.parametrize(
-    ("kind", "refused", "state"),
+    ("channels", "refused", "state"),
     [
-        ("nan", "not_finite", "stale"),
-        ("wrong count", "mismatch", "stale"),
-        ("jumps", None, "playing"),
-        ("no pulse", None, "playing"),
+        (second(lambda _: math.nan), "not_finite", "stale"),
+        (lambda sample: pulse_n(sample)[:2], "mismatch", "stale"),
+        (second(lambda sample: 1e6 * (sample // 50 % 2)), None, "playing"),
+        (second(lambda _: 0.0), None, "playing"),
     ],
+    ids=["nan", "wrong count", "jumps", "no pulse"],
 )
 def test_a_hostile_second_channel_passes_no_limit_of_any_contactor(
-    kind: str, refused: str | None, state: str
+    channels: Channels, refused: str | None, state: str
 ) -> None:
     under_test, sender = Display(scene(), "test"), Sender(stream=STREAM)
     play(under_test, sender, 0, 1500)
-    limits, targets_n = under_test.contactors[1].scene.safety, list[list[float]]()
-    for ms in range(1500, 3000):
-        under_test.tick(ms * MS)
-        targets_n.append([each.target_n for each in under_test.states])
-        sender.serve(under_test, ms * MS)
-        if ms % 5 == 0:
-            genuine = [pulse_n(sender.sent + number) for number in range(5)]
-            under_test.on_frame(hostile_frame(sender, kind, genuine, ms), ms * MS)
-            sender.sent += 5
+    limits = under_test.contactors[1].scene.safety
+    _, targets_n = play(under_test, sender, 1500, 3000, channels)
     forces_n = np.array(targets_n)
     assert forces_n.max() <= limits.force_limit_n
     assert np.abs(np.diff(forces_n, axis=0)).max() <= limits.slew_limit_n_per_s * 1e-3 + 1e-9
@@ -217,22 +199,16 @@ def test_a_description_that_changes_between_sessions_is_followed_by_name_or_refu
     play(under_test, sender, 0, 1500)
     under_test.on_control(encode_control(Bye(sender.session, sender.sent)), 1500 * MS)
     changed = description(channels=tuple(Channel(name) for name in channels))
-    other, targets_n = Sender(session=9, stream=changed), list[list[float]]()
-    places = dict(zip(NAMES, range(3), strict=True))
-    for ms in range(1500, 5000):
-        under_test.tick(ms * MS)
-        targets_n.append([each.target_n for each in under_test.states])
-        other.serve(under_test, ms * MS)
-        if ms % 5 == 0 and ms >= 1600:
-            pulses_n = [[*pulse_n(other.sent + number), 9.0] for number in range(5)]
-            values = [[row[places.get(name, 3)] for name in channels] for row in pulses_n]
-            taken_ns = (ms - ONE_WAY_MS - 4) * MS + AHEAD_NS
-            frame = Frame(9, other.sent, taken_ns, MS, np.array(values, "<f4"))
-            under_test.on_frame(encode_frame(frame), ms * MS)
-            other.sent += 5
+    other = Sender(session=9, stream=changed)
+
+    def named(sample: int) -> list[float]:
+        values_n = dict(zip(NAMES, pulse_n(sample), strict=True))
+        return [values_n.get(name, 9.0) for name in channels]
+
+    _, targets_n = play(under_test, other, 1500, 5000, named)
     assert under_test.safety.faults == []
     if refused is None:
-        sample = (under_test.states[0].instant_ns - AHEAD_NS) / MS + 4 - 1600 + ONE_WAY_MS
+        sample = (under_test.states[0].instant_ns - AHEAD_NS) / MS + 4 - 1500 + ONE_WAY_MS
         assert targets_n[-1] == pytest.approx(pulse_n(sample), abs=2e-3)
         assert under_test.state == "playing"
     else:
@@ -242,14 +218,10 @@ def test_a_description_that_changes_between_sessions_is_followed_by_name_or_refu
 
 
 def test_e_is_the_largest_that_a_contactor_requires() -> None:
-    slow = {
-        "actuator": {"kind": "stepper", "latency": "5 ms"},
-        "controller": {"kp": 30, "error": "position", "feed_forward": True},
-    }
     delays_ns = []
     for contactors in (
         [{"channel": "cun"}, {"channel": "chi"}],
-        [{"channel": "cun"}, {"channel": "chi", **slow}],
+        [{"channel": "cun"}, {"channel": "chi", **SLOW}],
     ):
         under_test = Display(scene(*contactors), "test")
         play(under_test, Sender(stream=STREAM), 0, 3000)
@@ -294,37 +266,3 @@ def test_a_contactor_that_cannot_be_used_is_one_line(
         scene(*contactors, **changes)
     assert named in str(error.value)
     assert "\n" not in str(error.value)
-
-
-def test_every_actuator_is_commanded_before_anything_is_scored_or_learnt(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    order: list[str] = []
-
-    def noted(name: str, owner: type, method: str) -> None:
-        original = getattr(owner, method)
-
-        def note(*arguments: object) -> object:
-            order.append(name)
-            return original(*arguments)
-
-        monkeypatch.setattr(owner, method, note)
-
-    noted("command", ForceLoop, "tick")
-    noted("score", TrackingError, "add_output")
-    noted("learn", Ensemble, "work")
-    under_test, sender = Display(scene(predictor="stack"), "test"), Sender(stream=STREAM)
-    play(under_test, sender, 0, 3000)
-    order.clear()
-    under_test.tick(3000 * MS)
-    assert order == ["command"] * 3 + ["score"] * 3
-    while under_test.work():
-        pass
-    assert "learn" in order[6:]
-
-
-def test_a_summary_is_built_in_pieces_that_each_contactor_adds_one_to() -> None:
-    under_test, sender = Display(scene(), "test"), Sender(stream=STREAM)
-    play(under_test, sender, 0, 3000)
-    assert sum(1 for _ in under_test.summary_pieces()) > len(NAMES)
-    assert complete(under_test.summary_pieces()) == under_test.summary()

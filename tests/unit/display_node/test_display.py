@@ -7,9 +7,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from display_node.display import Display
-from display_node.scene import DisplayScene
-from protocol.config.scene import validate
-from protocol.errors import SceneError
 from protocol.tactile import ElasticLayer
 from protocol.wire.messages import (
     Bye,
@@ -62,15 +59,6 @@ def test_a_cut_link_brings_the_actuator_to_rest_and_its_return_ramps() -> None:
     assert account.sent == account.played + account.late + account.lost
 
 
-def test_a_new_session_is_played_without_intervention() -> None:
-    under_test = display()
-    run(under_test, Sender(session=7), 0, 1500)
-    felt = run(under_test, Sender(session=8), 1500, 4000, force_n=0.5)
-    assert felt[-1] == pytest.approx(0.5, abs=1e-3)
-    assert under_test.receiver.sessions == 2
-    assert set(under_test.summary().rejected) == {"session", "before_clock"}
-
-
 def test_the_end_of_the_stream_is_played_out_and_accounted_for() -> None:
     under_test, sender = display(), Sender()
     run(under_test, sender, 0, 1500)
@@ -96,30 +84,23 @@ def test_the_end_of_the_stream_is_played_out_and_accounted_for() -> None:
 
 
 SOFT = ElasticLayer(young_modulus_pa=1e-3, thickness_m=1e-9)
+NOT_FINITE = (math.nan, math.inf, -math.inf)
+FORCES_N = (*NOT_FINITE, 1e308, -1e308, 5e-324, 1e30, -1e30, 100, -100, 3.4e38)
 
 
 @pytest.mark.parametrize(
     ("force_n", "layer"),
-    [*((force_n, ElasticLayer()) for force_n in (1e30, -1e30, 100, -100, 3.4e38)), (0.3, SOFT)],
+    [*((force_n, ElasticLayer()) for force_n in FORCES_N), (0.3, SOFT)],
 )
 def test_no_force_or_layer_of_a_peer_passes_the_limit(force_n: float, layer: ElasticLayer) -> None:
-    felt = run(display(), Sender(stream=description(layer=layer)), 0, 3000, force_n)
+    under_test = display()
+    sender = Sender(stream=description(layer=layer, bytes_per_sample=8))
+    felt = run(under_test, sender, 0, 3000, force_n)
     assert min(felt) >= 0
     assert max(felt) <= LIMIT_N
-
-
-@settings(max_examples=7)
-@given(st.lists(st.floats(-1e6, 1e6), min_size=20, max_size=60))
-def test_no_sequence_of_forces_passes_the_limit_or_the_slew(forces: list[float]) -> None:
-    under_test, sender = display(), Sender()
-    run(under_test, sender, 0, 1000, force_n=1.0)
-    felt = [0.0]
-    for number, force_n in enumerate(forces):
-        felt = run(under_test, sender, 1000 + 10 * number, 1010 + 10 * number, force_n)
-        assert min(felt) >= 0
-        assert max(felt) <= LIMIT_N
-        # The target's 50 N/s over a tick, with a margin for the loop's correction of its lag.
-        assert np.abs(np.diff(felt)).max() < 1.5 * 0.05
+    assert 0 < under_test.contactors[0].force_ratio < math.inf
+    # A frame with a sample that is not finite, or beyond 1 MN, is counted and not played.
+    assert bool(under_test.receiver.rejected["not_finite"]) != (abs(force_n) < 1e6)
 
 
 def test_the_papers_actuator_faults_when_it_overshoots_its_limit() -> None:
@@ -131,50 +112,6 @@ def test_the_papers_actuator_faults_when_it_overshoots_its_limit() -> None:
     run(under_test, Sender(), 0, 2000)
     assert under_test.state == "fault"
     assert any("above" in fault for fault in under_test.summary().faults)
-
-
-def test_missed_ticks_are_coasted_and_a_long_stall_stops_the_drive() -> None:
-    under_test, sender = display(), Sender()
-    run(under_test, sender, 0, 1500)
-    felt_n = under_test.tick(1510 * MS, elapsed_ticks=10).felt_n
-    assert felt_n == pytest.approx(0.3, abs=5e-3)
-    felt_n = under_test.tick(6510 * MS, elapsed_ticks=5000).felt_n
-    assert felt_n <= LIMIT_N
-
-
-def test_without_compensation_missing_samples_are_predicted() -> None:
-    under_test, sender = display(compensation_ns=0), Sender()
-    run(under_test, sender, 0, 1000)
-    for ms in range(1000, 2000):
-        under_test.tick(ms * MS)
-        if ms % 5 == 0:
-            t_ns = (ms - 4 + np.arange(5)) * MS
-            ramp = 0.3 + 0.1 * (t_ns - 1000 * MS) * 1e-9
-            under_test.on_frame(sender.frame_of(ms * MS, ramp.tolist()), ms * MS)
-    # Samples are up to 5 ms old; the force of a straight ramp is that of the present instant.
-    assert under_test.states[0].target_n == pytest.approx(0.3 + 0.1 * 0.999, abs=1e-4)
-    assert (under_test.summary().samples.late or 0) > 900
-
-
-def test_summary_reports_clock_and_delays() -> None:
-    under_test = display()
-    run(under_test, Sender(), 0, 4000)
-    summary = under_test.summary()
-    assert summary.clock.offset_ms == pytest.approx(5000)
-    assert summary.one_way_delay_ms.max == pytest.approx(0, abs=0.1)
-    assert summary.covered_delay_ms == pytest.approx(7, abs=0.5)
-    assert summary.force_rmse_n.aligned is not None
-    assert math.isclose(
-        summary.strain_rmse.aligned or 0,
-        summary.force_rmse_n.aligned * abs(ElasticLayer().strain_per_newton),
-    )
-
-
-def test_scene_errors_are_one_line() -> None:
-    scene = {"compensation": "40 N", "controller": {"kp": 1}, "actuator": {"kind": "second_order"}}
-    with pytest.raises(SceneError, match=r"compensation: '40 N' is no time") as caught:
-        validate(scene, DisplayScene, "scene: [display]")
-    assert "\n" not in str(caught.value)
 
 
 EXTREMES = [0, 1, -1, 2**31, 2**40 - 1, 2**53, 2**62, -(2**62), 2**63 - 1, -(2**63)]

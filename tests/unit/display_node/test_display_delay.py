@@ -51,6 +51,8 @@ def test_the_felt_pulse_is_e_old_whatever_the_group_delay(
     under_test.tracking_errors[0].finish()
     summary = under_test.summary()
     assert summary.force_rmse_n.aligned == pytest.approx(0.2e-3, abs=0.2e-3)
+    assert summary.clock.offset_ms == pytest.approx(5000)
+    assert summary.one_way_delay_ms.max == pytest.approx(0, abs=0.1)
     assert summary.samples.late == 0
 
 
@@ -64,6 +66,7 @@ def test_the_covered_delay_includes_the_group_delay_that_is_predicted() -> None:
     # The error of a straight line 17 ms ahead is at most (ωt)² / 2 of the amplitude, here 2 %.
     off_n = max(abs(felt_n - pulse_n(at_ms - delay_ms)) for at_ms, delay_ms, felt_n in felt)
     assert 1e-3 < off_n < 0.03 * 0.1 * 2
+    assert (summary.samples.late or 0) > 1_500
 
 
 @pytest.mark.parametrize(

@@ -73,16 +73,16 @@ def rmse_n(bench: ThreadedBench) -> float:
 
 
 @pytest.mark.parametrize(
-    ("late_us", "most_mn"),
-    [(lambda ms: 0, 0.75), (lambda ms: 300, 0.75), (lambda ms: ms * 7919 % 1000, 0.75)],
+    "late_us",
+    [lambda ms: 0, lambda ms: 300, lambda ms: ms * 7919 % 1000],
     ids=["in time", "0.3 ms late", "up to 1 ms late"],
 )
 def test_the_pulse_is_followed_through_drive_and_film(
-    pulse_n: Pulse, late_us: Callable[[int], int], most_mn: float
+    pulse_n: Pulse, late_us: Callable[[int], int]
 ) -> None:
     """The times of the commands determine the travel, also of late ones."""
     with playing(pulse_n, 6_000, lambda now_ns: 1_000 * late_us(now_ns // MS)) as bench:
-        assert rmse_n(bench) < most_mn * 1e-3
+        assert rmse_n(bench) < 0.75e-3
 
 
 def test_missed_ticks_cost_little(pulse_n: Pulse) -> None:
@@ -143,19 +143,6 @@ def test_within_100_ms_of_a_fault_the_tip_rests_or_is_off_the_finger(
     assert bench.faults == ([fault] if fault else [])
     # A drive that is held by its own fault does not withdraw.
     assert (bench.motor.force_n > 0.1) == pressing
-
-
-def test_a_long_overrun_is_a_fault_whatever_the_drive_reports(pulse_n: Pulse) -> None:
-    with playing(pulse_n) as bench:
-        bench.motor.set_watchdog(0)
-        bench.stall(300, loop_first=True)
-        began_ms = now_ms(bench)
-        bench.run(500)
-    fault, *_ = bench.faults
-    assert "no command for 30" in fault
-    assert bench.moments[-1].force_n == 0
-    # During the stall, the drive moved for 300 ms, up to its soft limit.
-    assert ended_after_ms(bench, began_ms) <= 3 * BAR_MS
 
 
 def test_a_slow_first_tick_is_no_fault_since_the_drive_rests_at_first_touch(pulse_n: Pulse) -> None:
@@ -221,13 +208,6 @@ def test_after_a_fault_and_a_restart_the_force_returns_by_a_ramp(happens: Event)
     ramp_n = 0.5 * np.arange(len(felt_n) - begins) * MS / bench.scene.safety.ramp_ns
     assert (felt_n[begins:] <= ramp_n + 0.03).all()
     assert felt_n[-1] == pytest.approx(0.5, abs=2e-3)
-
-
-def test_closing_withdraws_the_tip() -> None:
-    with playing(lambda ms: 0.5) as bench:
-        assert bench.moments[-1].force_n > 0.4
-        bench.stop()
-        assert bench.motor.force_n == 0
 
 
 def test_without_the_films_first_sample_no_drive_moves(pulse_n: Pulse) -> None:

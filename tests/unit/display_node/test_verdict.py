@@ -73,6 +73,9 @@ def test_losses_and_a_prediction_ahead_of_the_network_are_no_alarm() -> None:
     )
 
 
+NOT_FELT = {"availability": Availability(9.0, felt=0.0, waiting=0.99)}
+
+
 @pytest.mark.parametrize(
     ("change", "first"),
     [
@@ -86,32 +89,22 @@ def test_losses_and_a_prediction_ahead_of_the_network_are_no_alarm() -> None:
             " display-node --doctor names what helps.",
         ),
         (
-            {"availability": Availability(9.0, felt=0.0, waiting=0.99), "clock": Clock()},
+            NOT_FELT | {"clock": Clock()},
             "no pulse was felt; the sensing node did not answer: check its address, and"
             " that it runs.",
         ),
         (
-            {
-                "availability": Availability(9.0, felt=0.0, waiting=0.99),
-                "clock": Clock(),
-                "rejected": {"refused_key": 7},
-            },
+            NOT_FELT | {"clock": Clock(), "rejected": {"refused_key": 7}},
             "no pulse was felt; connections refused because the other node's allow-list"
             " lacks this node's key (7 times).",
         ),
         (
-            {
-                "availability": Availability(9.0, felt=0.0, waiting=0.99),
-                "waiting_for": "nobody listens at tcp://wrist:5555, refused 12 times",
-            },
+            NOT_FELT | {"waiting_for": "nobody listens at tcp://wrist:5555, refused 12 times"},
             "no pulse was felt; nobody listens at tcp://wrist:5555, refused 12 times;"
             " start the sensing node there, or check the address.",
         ),
         (
-            {
-                "availability": Availability(9.0, felt=0.0, waiting=0.99),
-                "samples": SampleCounts(sent=0),
-            },
+            NOT_FELT | {"samples": SampleCounts(sent=0)},
             "no pulse was felt; the sensing node sent no samples: check its source.",
         ),
         (

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from display_node.contactor import Contactor
 from display_node.plant.contact import ContactLaw
 from display_node.plant.scene import StepperScene
 from display_node.press.scene import PressScene
@@ -99,10 +98,10 @@ class PressedBench(ThreadedBench):
 
 @pytest.fixture
 def pressed(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., PressedBench]]:
-    """Return a function that starts a bench; blind: its film drifts; yields: it does to a hand."""
+    """Return a function that starts a bench; blind: its film drifts."""
     benches = ExitStack()
 
-    def build(touch_mm: float = 8, blind: bool = False, yields: bool = True) -> PressedBench:
+    def build(touch_mm: float = 8, blind: bool = False) -> PressedBench:
         sensor = {"kind": "serial", "port": "x", "framing": "binary", "rate": "1 kHz", "unit": "N"}
         press = PressScene.model_validate({"film_reads_press": not blind, "sensor": sensor})
         plain = display_scene("tmcl_bench")
@@ -110,9 +109,6 @@ def pressed(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., PressedBe
         assert isinstance(plain.actuator, StepperScene)
         drive = plain.drive.model_copy(update={"touch_m": touch_mm * 1e-3})
         scene: DisplayScene = plain.model_copy(update={"press": press, "drive": drive})
-        if not yields:
-            monkeypatch.setattr(Contactor, "_yield", lambda *_: None)
-            monkeypatch.setattr(Contactor, "_read_around_press", lambda *_: None)
         source = synthetic(preset="paper", rate="1 kHz", peak_to_peak="0.3 N", preload="0 N")
         pulse_n = source.take(12_000)[:, 0].tolist()
         hand = Hand(plain.actuator.contact(scene.layer.layer()))
@@ -156,14 +152,6 @@ def test_the_tip_yields_to_a_hand_by_the_model_of_the_tissue(
     assert max(forces_n) < LIMIT_N
     # The pulse is felt around the press.
     assert np.ptp(forces_n[5_400:7_000]) > 0.1
-
-
-def test_without_it_the_tip_runs_away_from_the_hand(pressed: Callable[..., PressedBench]) -> None:
-    """A force loop alone does not fix the place of the tip."""
-    bench = pressed(yields=False)
-    bench.hand.means_n = 0.3
-    bench.run(3_000)
-    assert "off the finger" in bench.display.safety.faults[0]
 
 
 def test_the_tip_yields_no_further_than_its_travel(pressed: Callable[..., PressedBench]) -> None:

@@ -1,5 +1,3 @@
-import signal
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -7,64 +5,9 @@ import pytest
 from protocol import errors
 from protocol.cli_options import (
     client_keys,
-    one_line_errors,
-    plain_console,
     server_keys,
-    sum_up,
 )
-from protocol.host.process import stop_on_signals
-from protocol.provenance import collect
-from protocol.summary.tables import SampleCounts, Summary
 from tests.support.keyring import Keyring
-
-
-@pytest.mark.parametrize(
-    ("error", "base"),
-    [
-        (errors.TelepulseError("of any kind"), Exception),
-        (errors.SceneError("x.toml: no such scene file"), ValueError),
-        (errors.WireError("truncated", "the message ends too early"), ValueError),
-        (errors.AddressError("cannot bind tcp://127.0.0.1:5555"), OSError),
-        (errors.SourceError("x.csv: no such recording"), OSError),
-        (errors.OutputError("x.json: cannot be written: No space left on device"), OSError),
-    ],
-)
-def test_an_error_has_a_standard_type_and_ends_a_command_with_one_line(
-    error: errors.TelepulseError, base: type[Exception], capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert isinstance(error, errors.TelepulseError)
-    assert isinstance(error, base)
-    with pytest.raises(SystemExit) as caught, one_line_errors("display-node"):
-        raise error
-    assert caught.value.code == 2
-    assert capsys.readouterr() == ("", f"display-node: {error}\n")
-
-
-def test_other_errors_are_bugs_and_pass_unchanged(capsys: pytest.CaptureFixture[str]) -> None:
-    with one_line_errors("display-node"):
-        pass
-    with pytest.raises(KeyError), one_line_errors("display-node"):
-        raise KeyError("a bug")
-    assert capsys.readouterr() == ("", "")
-
-
-@pytest.fixture
-def handlers() -> Iterator[None]:
-    kept = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
-    yield
-    for number, handler in kept.items():
-        signal.signal(number, handler)
-
-
-@pytest.mark.usefixtures("handlers")
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_signal_calls_stop(number: signal.Signals) -> None:
-    stops: list[bool] = []
-    stop_on_signals(lambda: stops.append(True))
-    signal.raise_signal(number)
-    signal.raise_signal(number)
-    assert stops == [True, True]
-
 
 FAR, NEAR = "tcp://192.0.2.1:5555", "tcp://127.0.0.1:5555"
 
@@ -136,18 +79,3 @@ def test_key_files_and_addresses_are_checked_at_once(own: Path, peer: Path) -> N
         server_keys(FAR, own, None, insecure=False)
     with pytest.raises(errors.AddressError, match="not an address"):
         client_keys(["wrist:5555"], None, None, insecure=False)
-
-
-@pytest.mark.parametrize("details", [False, True])
-def test_a_closing_summary_begins_with_its_verdict(
-    details: bool, capsys: pytest.CaptureFixture[str]
-) -> None:
-    summary, told = (
-        Summary(samples=SampleCounts(sent=5)),
-        ["The [felt] pulse.", "Nothing is wrong."],
-    )
-    sum_up("demo", summary, "demo of [radial]", plain_console(), None, collect(), told, details)
-    title, first, second, *rows = capsys.readouterr().out.splitlines()
-    assert title == "demo of [radial]" + ("" if details else " (every figure: --details)")
-    assert (first, second) == ("  The [felt] pulse.", "  Nothing is wrong.")
-    assert [row.split() for row in rows[:1]] == ([["samples", "5", "sent"]] if details else [])

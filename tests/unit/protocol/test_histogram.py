@@ -61,20 +61,3 @@ def test_a_quantile_is_exact_to_one_bin_or_named_beyond_the_range(values: list[f
 def test_nan_is_not_counted() -> None:
     histogram = filled([1.0, math.nan, 1.0])
     assert (histogram.count, histogram.mean) == (2, 1.0)
-
-
-def test_negative_values_count_in_the_first_bin() -> None:
-    histogram = filled([-3.0] * 10 + [7.2] * 10)
-    assert histogram.quantile(0.5) == pytest.approx(BIN / 2, abs=BIN / 2)
-    assert histogram.quantile(0.9) == pytest.approx(7.2, abs=BIN)
-
-
-def test_a_quantile_is_at_most_the_maximum() -> None:
-    assert filled([0.1]).quantile(0.5) == 0.1
-    assert filled([-0.1]).quantile(0.5) == -0.1
-
-
-def test_a_quantile_finds_a_tail_of_one_in_a_hundred() -> None:
-    histogram = filled([1.2] * 99 + [50.2])
-    assert histogram.quantile(0.99) == pytest.approx(1.2, abs=BIN)
-    assert histogram.quantile(0.991) == pytest.approx(50.2, abs=BIN)

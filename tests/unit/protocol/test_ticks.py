@@ -32,22 +32,6 @@ def test_the_shares_are_of_the_whole_time_and_add_up_to_it(ticks: list[tuple[str
     assert sum(printed) == pytest.approx(100.0)
 
 
-def test_a_missed_tick_counts_for_no_state() -> None:
-    found = counted(("playing", 1), ("playing", 3))
-    assert (found.felt, found.missed) == (0.5, 0.5)
-
-
-def test_a_share_of_0_is_not_printed_and_a_small_one_is_above_0() -> None:
-    ticks = [("playing", 1)] * 9_999 + [("stale", 1)]
-    text = phrases.availability_text(dataclasses.asdict(counted(*ticks)))
-    assert text == "felt 100.0 %, stale < 0.1 % of 10.0 s"
-
-
-def test_shares_are_unknown_before_the_first_tick() -> None:
-    assert counted() == tables.Availability()
-    assert phrases.availability_text(dataclasses.asdict(tables.Availability())) is None
-
-
 def interrupted(*ticks: tuple[bool, int]) -> tables.Interruptions:
     counter = InterruptionCounter(1e-3)
     for full, elapsed in ticks:
@@ -91,18 +75,3 @@ def test_the_figures_are_times_seconds_and_the_share_of_the_run() -> None:
         counter.add(limited)
     assert counter.limited(1e-3, 12) == tables.Limited(2, pytest.approx(3e-3), 0.25)
     assert LimitCounter().limited(1e-3, 0) == tables.Limited(0, 0.0, 0.0)
-
-
-def test_each_limit_that_was_reached_is_a_phrase_the_longest_first() -> None:
-    limits = tables.Limits(
-        force=tables.Limited(1, 0.0041, 0.0001),
-        negative=tables.Limited(0, 0.0, 0.0),
-        adc=tables.Limited(312, 4.1, 0.205),
-    )
-    assert phrases.limit_texts(dataclasses.asdict(limits)) == [
-        "ADC range 312 times, 4.1 s (20.5 % of the run)",
-        "force limit 1 time, 4.1 ms (< 0.1 % of the run)",
-    ]
-    assert phrases.limit_texts(dataclasses.asdict(tables.Limits())) == []
-    # A recording leaves out the figures that do not apply.
-    assert phrases.limit_texts({"force": {}}) == phrases.limit_texts({}) == []

@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from protocol.tissue import COLLAPSE_PER_PA, PASCALS_PER_MMHG, StiffeningLaw, TubeLaw
+from protocol.tissue import PASCALS_PER_MMHG, StiffeningLaw, TubeLaw
 
 DIASTOLIC_PA, SYSTOLIC_PA = 80 * PASCALS_PER_MMHG, 120 * PASCALS_PER_MMHG
 PRESSURES = st.floats(-4e4, 4e4)
@@ -41,19 +41,11 @@ def test_a_closed_artery_has_next_to_no_pulse_and_no_diastole() -> None:
     assert low < 0.15 * tube.height(140 * PASCALS_PER_MMHG, DIASTOLIC_PA, SYSTOLIC_PA)
 
 
-def test_volumes_far_from_zero_are_finite() -> None:
-    tube = TubeLaw()
-    assert tube.volume(-1e9) == 0.0
-    assert tube.volume(1e9) == pytest.approx(
-        1 / COLLAPSE_PER_PA + 1 / tube.distension_per_pa, rel=1e-9
-    )
-
-
 @given(st.floats(0, 10), st.floats(0.3, 3))
 def test_depth_and_force_are_inverse_and_the_stiffness_is_the_slope(
     force_n: float, scale: float
 ) -> None:
-    law = StiffeningLaw().scaled(scale)
+    law = StiffeningLaw(length_m=1.2e-3 / scale)
     depth_m = law.depth_m(force_n)
     assert law.force_n(depth_m) == pytest.approx(force_n, abs=1e-12)
     step_m = 1e-8

@@ -22,7 +22,6 @@ from pulse_drives.cia402.state_machine import (
     Controlword,
     Mode,
     State,
-    state_of,
     towards_enabled,
 )
 from pulse_drives.withdrawal import WithdrawalOutcome
@@ -52,15 +51,6 @@ def send(bench: Bench, identifier: int, *messages: bytes) -> None:
     """Send frames as the drive."""
     for data in messages:
         bench.line.far.send(can.Message(arbitration_id=identifier + 1, data=data))
-
-
-def test_every_statusword_has_at_most_one_state() -> None:
-    for word in range(1 << 16):
-        assert sum(word & mask == bits for mask, bits in (s.value for s in State)) <= 1
-    assert state_of(0x0637) is State.ENABLED
-    assert state_of(0x0650) is State.SWITCH_ON_DISABLED
-    assert state_of(0x0218) is State.FAULT
-    assert state_of(0x0001) is None
 
 
 def test_from_a_fault_the_controlwords_lead_to_operation_enabled() -> None:

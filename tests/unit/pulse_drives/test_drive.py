@@ -83,6 +83,7 @@ def test_the_soft_limit_stops_the_tip(kind: str) -> None:
         bench.keep(1e6, lambda: bench.drive.status().held_back)
         assert bench.motor.tip_m <= 0.2e-3
         bench.keep(-RATE_HZ, lambda: bench.motor.tip_m < 0.1e-3)
+        assert not bench.drive.status().held_back
 
 
 @pytest.mark.parametrize("fault", ["overtemperature", "following error", "stall"])

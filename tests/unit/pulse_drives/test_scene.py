@@ -6,7 +6,6 @@ from display_node.hardware import build_display_drive
 from display_node.scene import DisplayScene
 from protocol.config.scene import validate
 from protocol.errors import SceneError
-from pulse_drives.scene import Cia402Scene, TmclScene
 from tests.support.drive_benches import FORCE_LIMIT_N, LAYER
 
 STEPPER = {"kind": "stepper"}
@@ -16,18 +15,6 @@ SERIAL = {"kind": "tmcl", "port": "/dev/ttyACM0"}
 def display(drive: dict[str, Any], actuator: dict[str, Any] = STEPPER) -> DisplayScene:
     table = {"controller": {"kp": 1}, "actuator": actuator, "drive": drive}
     return validate(table, DisplayScene, where="[display]")
-
-
-def test_a_scene_names_its_drive() -> None:
-    tmcl = display({**SERIAL, "watchdog": "80 ms", "homing_speed": "2 mm/s"}).drive
-    assert isinstance(tmcl, TmclScene)
-    assert tmcl.watchdog_ns == 80_000_000
-    assert tmcl.homing_speed_m_per_s == pytest.approx(2e-3)
-    cia402 = display(
-        {"kind": "cia402", "interface": "socketcan", "channel": "can0", "bitrate": "500 kbit/s"}
-    ).drive
-    assert isinstance(cia402, Cia402Scene)
-    assert cia402.bitrate_bit_per_s == 500_000
 
 
 @pytest.mark.parametrize(

@@ -77,12 +77,6 @@ def test_a_loop_without_commands_is_a_fault_but_not_in_a_pause() -> None:
     assert again.run(500).fault is None
 
 
-def test_before_it_is_armed_the_drive_rests() -> None:
-    supervisor = Supervisor(axis(), WATCHDOG_NS)
-    supervisor.command(0.01, MS)
-    assert (supervisor.fault, supervisor.velocity(MS)) == ("not started", 0)
-
-
 @pytest.mark.parametrize(
     ("answers", "fault", "after_ms"),
     [(False, "no answer for 51 ms", 50), (True, "no position for 201 ms", 200)],
@@ -143,13 +137,6 @@ def test_the_first_fault_stays() -> None:
     bench.supervisor.fail("feedback lost", bench.now_ms * MS)
     bench.now_ms += 500
     assert bench.run(100).fault == "feedback lost"
-
-
-def test_a_command_slowed_at_the_end_of_the_travel_is_reported() -> None:
-    bench = Bench()
-    assert not bench.run(10, 5e-3).status(0.0).held_back
-    assert bench.run(300, 60e-3).status(0.0).held_back
-    assert not bench.run(50, -5e-3).status(0.0).held_back
 
 
 def test_a_lock_times_out_while_its_holder_stalls_and_then_excludes_again() -> None:

@@ -85,7 +85,3 @@ def test_an_unfit_database_is_refused_in_one_line(
     assert text in str(caught.value)
     assert str(caught.value).startswith(str(folder))
     assert "\n" not in str(caught.value)
-
-
-def test_the_scene_may_choose_among_messages_with_the_same_signal(folder: Path) -> None:
-    assert CanDecoder(can_scene(signal="Temperature", message="Twin"), folder).frame_id == 293

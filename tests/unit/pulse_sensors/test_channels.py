@@ -8,9 +8,8 @@ import can
 import numpy as np
 import pytest
 
-from display_node.scene import ContactorScene
 from protocol.config.scene import validate
-from protocol.errors import SceneError, SourceError
+from protocol.errors import SceneError
 from protocol.wire.stream import Channel
 from pulse_sensors.binary_frames import MAX_SAMPLES, FrameDecoder, FrameEncoder, SampleFormat
 from pulse_sensors.can_bus import CanDecoder
@@ -20,6 +19,7 @@ from pulse_sensors.samples import Timestamper, decoded_block
 from pulse_sensors.serial_port import SerialScene
 from pulse_sensors.text_lines import TextDecoder
 from tests.support.can_messages import can_scene, write_database
+from tests.support.sample_blocks import Decoded, plain
 
 MS = 1_000_000
 TEXT = {"kind": "serial", "port": "none", "framing": "text", "rate": "1 kHz", "unit": "N"}
@@ -31,28 +31,6 @@ CHANNELS = (Channel("cun"), Channel("guan"), Channel("announce", "mV"))
 
 def serial(**keys: Any) -> SerialScene:
     return validate(TEXT | keys, SerialScene, "scene")
-
-
-def test_a_sensor_without_names_has_the_channel_pulse() -> None:
-    assert serial().wire_channels == (Channel("pulse"),)
-    assert serial(names=["cun"]).wire_channels == (Channel("cun"),)
-
-
-@pytest.mark.parametrize(
-    ("keys", "numbers", "names"),
-    [
-        ({"names": ["cun", "guan"]}, (0, 1), ["cun", "guan"]),
-        ({"columns": [2, 0]}, (2, 0), ["column 2", "column 0"]),
-        ({"columns": [2, 0], "names": ["cun", "chi"]}, (2, 0), ["cun", "chi"]),
-        ({"column": 3, "names": ["chi"]}, (3,), ["chi"]),
-    ],
-)
-def test_columns_of_a_line_are_channels(
-    keys: dict[str, Any], numbers: tuple[int, ...], names: list[str]
-) -> None:
-    scene = serial(**keys)
-    assert scene.numbers == numbers
-    assert [channel.name for channel in scene.wire_channels] == names
 
 
 @pytest.mark.parametrize("timed", [False, True])
@@ -108,23 +86,6 @@ def test_signals_of_one_message_are_one_sample(tmp_path: Path) -> None:
     assert sum(decoder.rejected.values()) == 1
 
 
-@pytest.mark.parametrize(
-    ("signals", "message"),
-    [
-        (["Force", "Temperature"], "'Force', 'Temperature' are in several messages"),
-        (["Squeeze", "Warmth"], "are never in one message: Paged has them on several pages"),
-        (["Force", "Pulse"], "no signal 'Pulse'"),
-    ],
-)
-def test_signals_that_never_come_together_are_refused(
-    tmp_path: Path, signals: list[str], message: str
-) -> None:
-    write_database(tmp_path)
-    with pytest.raises(SourceError, match=message) as refused:
-        CanDecoder(can_scene(signals=signals), tmp_path)
-    assert "\n" not in str(refused.value)
-
-
 def test_channels_of_an_lsl_stream_are_one_sample() -> None:
     scene = validate(LSL | {"channels": [2, 0]}, LslScene, "scene")
     assert [channel.name for channel in scene.wire_channels] == ["channel 2", "channel 0"]
@@ -172,16 +133,32 @@ def test_keys_of_channels_that_contradict_are_refused(
     assert "\n" not in str(refused.value)
 
 
-def test_a_can_sensor_has_a_signal_or_signals() -> None:
-    with pytest.raises(SceneError, match="give one of the two keys"):
-        can_scene(signal="Force", signals=["Force"])
+NAN = float("nan")
 
 
-def test_the_film_under_a_finger_is_one_force() -> None:
-    table = {
-        "controller": {"error": "force", "kp": 1.0},
-        "actuator": {"kind": "stepper", "max_speed": "0.4 m/s", "lead": "2 mm"},
-        "feedback": TEXT | {"names": ["cun", "guan"]},
-    }
-    with pytest.raises(SceneError, match="this sensor has several channels: cun, guan"):
-        validate(table, ContactorScene, "[display]")
+def test_a_chunk_is_a_block_with_the_time_of_its_last_sample() -> None:
+    decoder = LslDecoder((1,))
+    first, second = Chunk([[9, 1], [9, 2]], [4.0, 4.001]), Chunk([[9, 3]], [4.002])
+    assert plain(decoder.feed(first)) == [Decoded((1, 2), 4_001_000_000, restarted=True)]
+    assert plain(decoder.feed(second)) == [Decoded((3,), 4_002_000_000)]
+    decoder.reset()
+    assert plain(decoder.feed(second)) == [Decoded((3,), 4_002_000_000, restarted=True)]
+
+
+def test_samples_that_are_no_numbers_count_as_missing() -> None:
+    decoder = LslDecoder((0,))
+    blocks = decoder.feed(Chunk([[1], [NAN], [NAN], [2], [NAN]], [1.0, 2.0, 3.0, 4.0, 5.0]))
+    blocks += decoder.feed(Chunk([[3]], [6.0]))
+    assert plain(blocks) == [
+        Decoded((1,), 10**9, restarted=True),
+        Decoded((2,), 4 * 10**9, missing=2),
+        Decoded((3,), 6 * 10**9, missing=1),
+    ]
+    assert decoder.rejected == {"not_finite": 3}
+
+
+@pytest.mark.parametrize("time_s", [NAN, float("inf"), -1e300, 1e300])
+def test_a_sample_with_an_impossible_time_is_rejected(time_s: float) -> None:
+    decoder = LslDecoder((0,))
+    assert decoder.feed(Chunk([[1]], [time_s])) == []
+    assert decoder.rejected == {"not_finite": 1}

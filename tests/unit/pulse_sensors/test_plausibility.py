@@ -1,4 +1,5 @@
 import datetime
+import itertools
 import math
 from collections.abc import Mapping
 from pathlib import Path
@@ -7,12 +8,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from protocol.config.scene import validate
-from sensing_node.sources.recorded import RecordedSource, RecordingScene
-from telepulse.scene import load_scene
-from telepulse.simulation.virtual_time import summarise
-from tests.support.nodes import RADIAL
-from tests.support.recording_files import csv_file, recording, refusal, table
+from protocol.wire.stream import Channel
+from pulse_sensors.sample_check import SampleCheck
+from tests.support.recording_files import csv_file, recording, refusal
 from tests.support.streams import synthetic
 
 TIMES_S = np.arange(1000) / 100
@@ -61,11 +59,7 @@ ONLY_RISES = "never falls, so it is a time and not a pulse"
     ("columns", "keys", "text"),
     [
         ({"force": PULSE_N * 1e3}, {}, f'{ABOVE} = "mN" if the values are in mN'),
-        ({"force": PULSE_N * -1e3}, {}, ABOVE),
         ({"force": PULSE_N * 1e3}, {"unit": "V", "film_radius": "9 mm"}, "if the values are in mV"),
-        ({"force": PULSE_N * 1e9}, {}, 'set unit, or unit = "raw" with peak_to_peak'),
-        ({"force": PULSE_N * 1e3}, {"unit": "V", "sensitivity": "44 mV/N"},
-         'set unit = "mV" if the values are in mV'),
         (
             {"force": PULSE_N - PULSE_N.mean()},
             {},
@@ -75,9 +69,6 @@ ONLY_RISES = "never falls, so it is a time and not a pulse"
         ({"force": PULSE_N}, {**RAW, "preload": "0 N"}, "which no display can play"),
         ({"force": -PULSE_N}, {}, "set inverted = true"),
         ({"time": TIMES_S, "force": PULSE_N}, {"column": 0}, f'column 0 ("time") {ONLY_RISES}'),
-        ({"t": TIMES_S // 0.02, "i": TIMES_S, "adc": PULSE_N}, {"column": "i"},
-         'set column = "adc", or the one with the force'),
-        ({"time": TIMES_S}, {"column": "time"}, f'column 0 ("time") {ONLY_RISES}'),
         *(
             (
                 {"force": np.full(100, 0.3)},
@@ -128,19 +119,6 @@ def test_a_doubtful_recording_has_a_warning(
 UNUSED = 'column "time" has the name of times, and falls or is no number: not used'
 
 
-def test_times_that_fall_are_named(tmp_path: Path) -> None:
-    path = csv_file(tmp_path, {"time": TIMES_S[::-1], "force": PULSE_N})
-    assert warnings(path, **FORCE) == [UNUSED]
-
-
-def test_a_column_of_times_in_a_numpy_table_is_refused(tmp_path: Path) -> None:
-    path = tmp_path / "pulse.npy"
-    np.save(path, np.column_stack([TIMES_S, PULSE_N]))
-    assert refusal(path, column=0) == f"column 0 {ONLY_RISES}; set column to the one with the force"
-    assert warnings(path, column=1) == []
-    assert 'set rate = "100 Hz"' in refusal(path, column=1, rate="250 Hz")
-
-
 BEGIN = datetime.datetime(2016, 11, 24, 13, 58, 58, tzinfo=datetime.UTC)
 DATES = [(BEGIN + datetime.timedelta(seconds=float(t))).isoformat() for t in TIMES_S]
 
@@ -182,25 +160,44 @@ def test_impossible_times_are_ignored(tmp_path: Path, times: NDArray[np.float64]
     assert warnings(path, column="force") == in_text
 
 
-@pytest.mark.parametrize("force_n", [np.full(100, 1e3), np.tile([-1e29, 1e29], 50), TIMES_S])
-def test_an_emulated_board_may_send_implausible_forces(
-    tmp_path: Path, force_n: NDArray[np.float64]
-) -> None:
-    """A real sensing node must accept such a board."""
-    path = csv_file(tmp_path, {"force": force_n})
-    scene = validate(table(path), RecordingScene, "[sensing] source")
-    source = RecordedSource(scene, tmp_path, plausible=False)
-    assert len(source.warnings) == 1
-    np.testing.assert_array_equal(source.take(100)[:, 0], force_n[:100])
+MS = 1_000_000
+PULSE = (Channel("pulse"),)
 
 
-def test_a_simulation_reports_a_synthetic_pulse_without_a_preload(tmp_path: Path) -> None:
-    path = tmp_path / "light.toml"
-    path.write_text(
-        RADIAL.read_text("utf-8").replace('preload = "0.3 N"', 'preload = "0 N"'), encoding="utf-8"
-    )
-    summary = summarise(load_scene(path), seconds=5, seed=1)
-    (fault,) = summary.faults
-    assert "below 0 N, which no display can play: set a higher preload" in fault
-    assert summary.limited.negative.share is not None
-    assert summary.limited.negative.share > 0.4
+def test_implausible_live_samples_are_counted_and_reported_once(logged: list[str]) -> None:
+    check = SampleCheck(MS, PULSE)
+    check.add(np.full((5, 1), 0.3) + np.arange(5)[:, np.newaxis] * 1e-3)
+    assert (check.faults(), logged) == ([], [])
+    for number in range(600):
+        check.add(np.array([[300.0 + number], [301.0], [math.nan], [0.3], [-0.2]]))
+    assert logged == [
+        "3 samples beyond 20 N, which no pulse reaches: check unit and scale in [sensing.source]",
+        "399 samples (20 %) below 0 N, which no display can play: set a higher preload in"
+        " [sensing.source], or check the sign",
+    ]
+    assert [fault.split(",")[0] for fault in check.faults()] == [
+        "1800 samples beyond 20 N",
+        "600 samples (20 %) below 0 N",
+    ]
+
+
+def test_a_constant_force_is_reported_once(logged: list[str]) -> None:
+    check = SampleCheck(MS, PULSE)
+    for force_n in itertools.chain([0.1, 0.2], itertools.repeat(0.3, 1600), [0.4]):
+        check.add(np.full((5, 1), force_n))
+    assert logged == ["the force did not change for 5.0 s: check the sensor"]
+    assert check.faults() == ["the force did not change for 8.0 s: check the sensor"]
+
+
+def test_each_channel_is_checked_by_itself_and_named(logged: list[str]) -> None:
+    check = SampleCheck(MS, (Channel("cun"), Channel("guan"), Channel("announce", "mV")))
+    for number in range(1200):
+        moving = np.arange(5) * 1e-3 + number * 1e-6
+        # An ECG may have any sign and size; the force of guan is stuck below 0 N.
+        check.add(np.stack([moving + 0.3, np.full(5, -0.2), -300 - moving], axis=1))
+    assert logged == [
+        "guan: 2000 samples (100 %) below 0 N, which no display can play: set a higher preload in"
+        " [sensing.source], or check the sign",
+        "guan: the force did not change for 5.0 s: check the sensor",
+    ]
+    assert [fault.partition(":")[0] for fault in check.faults()] == ["guan", "guan"]

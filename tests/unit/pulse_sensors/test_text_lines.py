@@ -62,10 +62,6 @@ def test_a_line_without_a_number_counts_as_missing(line: bytes) -> None:
     assert untimed(b"1,2\n1\n1,4\n", column=1) == (blocks, {"not_a_number": 1})
 
 
-def test_empty_lines_and_further_columns_are_skipped() -> None:
-    assert untimed(b"1\n\n2\n" + b"1," * 99 + b"\n") == ([Decoded((1, 2, 1))], {})
-
-
 @given(st.lists(st.integers(1, 30), max_size=30))
 def test_every_line_comes_once_however_the_bytes_are_divided(cuts: list[int]) -> None:
     data, decoder, blocks = lines(range(30)), TextDecoder(MS, (0,), "us"), []
@@ -82,15 +78,6 @@ def test_after_garbage_the_stream_continues(garbage: bytes, at: int) -> None:
     at %= len(lines(range(20)))
     blocks, _ = timed(data[:at] + garbage + data[at:])
     assert values(blocks)[-10:] == list(range(30, 40))
-
-
-def test_lines_that_arrive_together_are_one_block_with_the_last_time() -> None:
-    decoder = TextDecoder(MS, (0,), "us")
-    text = lines(range(1, 6)) + b"x\n" + lines(range(7, 9))
-    assert plain(decoder.feed(b"\n" + text)) == [
-        Decoded((1, 2, 3, 4, 5), 5 * MS, restarted=True),
-        Decoded((7, 8), 8 * MS, missing=1),
-    ]
 
 
 @pytest.mark.parametrize(
@@ -151,10 +138,3 @@ def test_noise_gives_no_sample_and_uses_bounded_memory() -> None:
         assert decoder.feed(b"x" * 1000) == []
     assert decoder.rejected["framing"] == before + 1
     assert values(plain(decoder.feed(b"\n" + lines(range(5))))) == [0, 1, 2, 3, 4]
-
-
-def test_an_endless_first_line_is_partial() -> None:
-    decoder = TextDecoder(MS, (0,), None)
-    assert decoder.feed(b"1" * 1000) == []
-    assert plain(decoder.feed(b"1\n0.26\n")) == [Decoded((0.26,))]
-    assert decoder.rejected == {"partial": 1}

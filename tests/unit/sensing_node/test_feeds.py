@@ -1,17 +1,16 @@
-from collections import Counter
-
 import numpy as np
-import pytest
+import zmq
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from protocol.wire.messages import Frame, decode_frame, encode_frame
+from protocol.wire.messages import Frame
 from protocol.wire.stream import Channel
 from pulse_sensors.samples import SampleBlock
 from pulse_sensors.sensor import Sensor
 from sensing_node.feeds import Framer, LiveSource, PacedSource, ReplaySource, feed_of
-from tests.support.streams import MS, description, synthetic
+from sensing_node.node import MOST_BYTES, queue_limits
+from tests.support.streams import MS, description
 
 START_NS = 77_000_000_123
 
@@ -53,14 +52,6 @@ def numbers(found: SampleBlock | None) -> list[float]:
     return [] if found is None else found.force_n
 
 
-@pytest.mark.parametrize(
-    ("after_ns", "count"),
-    [(-MS, 0), (-1, 0), (0, 1), (MS - 1, 1), (MS, 2), (9 * MS, 10), (100 * MS - 1, 100)],
-)
-def test_one_sample_is_due_each_period(after_ns: int, count: int) -> None:
-    assert numbers(paced().read(START_NS + after_ns)) == list(range(count))
-
-
 @given(st.lists(st.integers(-MS, 20 * MS), max_size=20))
 def test_every_sample_comes_once_at_its_time_with_any_reads(after_ns: list[int]) -> None:
     source, seen = paced(), 0
@@ -75,16 +66,6 @@ def test_every_sample_comes_once_at_its_time_with_any_reads(after_ns: list[int])
         assert source.due_ns(5) == START_NS + (seen + 4) * MS
 
 
-@pytest.mark.parametrize(("length", "reads"), [(7, [5, 2, 0]), (5, [5, 0])])
-def test_a_source_returns_its_rest_and_is_exhausted(length: int, reads: list[int]) -> None:
-    source = paced(length)
-    for read in reads:
-        assert not source.exhausted or not read
-        assert len(numbers(source.read(source.due_ns(5)))) == read
-    assert source.exhausted
-    assert source.read(START_NS + 1000 * MS) is None
-
-
 class GivenSensor(Sensor):
     """A sensor with given blocks in each poll."""
 
@@ -94,13 +75,6 @@ class GivenSensor(Sensor):
 
     def poll(self) -> list[SampleBlock]:
         return self._polls.pop(0) if self._polls else []
-
-    @property
-    def rejected(self) -> Counter[str]:
-        return Counter(crc=3)
-
-    def faults(self) -> list[str]:
-        return ["no sample came"]
 
 
 def live(*blocks: SampleBlock) -> LiveSource:
@@ -131,17 +105,6 @@ def test_a_gap_of_a_sensor_ends_a_block_and_keeps_its_sequence_numbers() -> None
     assert framer.samples_sent == 14
 
 
-def test_a_live_sensor_is_its_own_feed_with_its_counts_and_faults() -> None:
-    source = live()
-    assert feed_of(source, 7) is source
-    assert isinstance(feed_of(synthetic(), 7), PacedSource)
-    assert source.due_ns(1) == MS
-    source.read(50 * MS)
-    assert source.due_ns(5) == 55 * MS
-    assert not source.exhausted
-    assert (source.rejected, source.faults()) == ({"crc": 3}, ["no sample came"])
-
-
 def frame(first: int, count: int = 5, late_ns: int = 0, period_ns: int = MS) -> Frame:
     values = (np.arange(first, first + count)[:, np.newaxis] * 0.1).astype("<f4")
     return Frame(1, first, 1_000 * MS + first * MS + late_ns, period_ns, values)
@@ -164,14 +127,6 @@ def replayed(*frames: Frame) -> list[SampleBlock]:
 def framed(blocks: list[SampleBlock]) -> list[Frame]:
     framer = Framer(description(), session=9)
     return [frame for found in blocks for frame in framer.frames(found)]
-
-
-def test_a_replay_returns_the_same_frames_from_a_new_start() -> None:
-    frames = [frame(20), frame(25, 3), frame(28)]
-    for before, after in zip(frames, framed(replayed(*frames)), strict=True):
-        assert after.values.tobytes() == before.values.tobytes()
-        assert after.first_sample == before.first_sample - 20
-        assert after.t_first_ns - START_NS == before.t_first_ns - frames[0].t_first_ns
 
 
 def test_a_replay_keeps_jitter_and_gaps_and_omits_repetitions() -> None:
@@ -207,24 +162,17 @@ def test_samples_are_numbered_and_timed_without_gaps(sizes: list[int], batch: in
     assert sent == sum(sizes) == framer.samples_sent
 
 
-@pytest.mark.parametrize(("width", "dtype"), [(4, "<f4"), (8, "<f8")])
-def test_samples_have_the_described_width(width: int, dtype: str) -> None:
-    framer = Framer(description(bytes_per_sample=width), session=1)
-    (made,) = framer.frames(block(0, np.array([0.1, 0.2])))
-    assert made.values.dtype == np.dtype(dtype)
-    assert made.values[:, 0].tolist() == np.array([0.1, 0.2], dtype).tolist()
+def limits(period_ns: int, batch: int, channels: int = 1) -> dict[int, int]:
+    names = tuple(Channel(f"c{number}") for number in range(channels))
+    return queue_limits(description(period_ns=period_ns, batch=batch, channels=names))
 
 
-def test_the_largest_frame_can_be_sent() -> None:
-    stream = description(batch=4096, bytes_per_sample=8)
-    (made,) = Framer(stream, session=(1 << 62) - 1).frames(counting(0, 4096))
-    received = decode_frame(encode_frame(made))
-    assert received[:4] == made[:4]
-    np.testing.assert_array_equal(received.values, made.values)
-
-
-def test_each_channel_is_a_column() -> None:
-    stream = description(channels=tuple(Channel(name) for name in "abc"))
-    frames = Framer(stream, session=1).frames(counting(0, 7, channels=3))
-    assert [made.values.shape for made in frames] == [(5, 3), (2, 3)]
-    assert frames[1].values[0].tolist() == [5.0, 5.25, 5.5]
+def test_a_queue_holds_about_a_second_of_the_stream() -> None:
+    assert limits(MS, 5)[zmq.SNDHWM] == 200
+    assert limits(MS, 1)[zmq.SNDHWM] == 1000
+    assert limits(1_000_000_000, 1)[zmq.SNDHWM] == 16
+    # The kernel doubles the size; each small frame needs a packet of about a kilobyte.
+    assert 200_000 < 2 * limits(MS, 5)[zmq.SNDBUF] < 250_000
+    # Where a second needs more than Linux accepts, the kernel chooses.
+    assert zmq.SNDBUF not in limits(1_000, 1000, channels=8)
+    assert limits(100_000, 50, channels=4)[zmq.SNDBUF] <= MOST_BYTES

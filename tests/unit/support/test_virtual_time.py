@@ -30,34 +30,6 @@ def here(world: VirtualTime, monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
     assert module.time is time
 
 
-def test_threads_run_when_their_waits_are_over(world: VirtualTime) -> None:
-    seen: list[tuple[int, str]] = []
-
-    def sleeper(name: str, ms: int) -> None:
-        for _ in range(2):
-            world.sleep(ms * 1e-3)
-            seen.append((world.now_ns // MS, name))
-
-    for name, ms in (("slow", 30), ("fast", 20)):
-        world.thread(sleeper, name, ms)
-    world.run(100 * MS)
-    assert seen == [(20, "fast"), (30, "slow"), (40, "fast"), (60, "slow")]
-    assert world.threads == []
-    assert world.now_ns == 100 * MS
-
-
-def test_an_event_ends_a_wait_before_its_timeout(world: VirtualTime, here: Any) -> None:
-    seen: list[int] = []
-    event = here.threading.Event()
-    started = here.threading.Thread(
-        target=lambda: (event.wait(1.0), seen.append(here.time.perf_counter_ns()))
-    )
-    started.start()
-    world.at(70 * MS, event.set)
-    started.join()
-    assert seen == [70 * MS]
-
-
 @pytest.mark.parametrize("step", [1, -1])
 def test_stalled_threads_wake_together_in_the_order_that_is_chosen(
     world: VirtualTime, step: int

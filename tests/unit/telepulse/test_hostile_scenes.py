@@ -124,14 +124,6 @@ def test_an_integer_that_toml_does_not_have(tmp_path: Path, text: str, place: st
     assert str(caught.value) == f"{path}: display.{place}: an integer of more than 64 bits"
 
 
-def test_a_key_is_cut_where_it_is_long(tmp_path: Path) -> None:
-    path = tmp_path / "scene.toml"
-    path.write_text("k" * 100_000 + " = 1", encoding="utf-8")
-    with pytest.raises(SceneError) as caught:
-        load_document(path)
-    check_line(caught.value)
-
-
 @pytest.mark.parametrize("text", ["delay=1ms,delay.x=3", "delay.x=3,delay=1ms"])
 def test_a_key_is_a_table_or_a_value(text: str) -> None:
     with pytest.raises(SceneError, match="delay is given as a table and as a value"):

@@ -2,7 +2,6 @@
 
 import inspect
 import re
-from pathlib import Path
 
 import telepulse
 from tests.support.nodes import ROOT
@@ -45,8 +44,3 @@ def test_the_version_and_the_names_are_those_of_the_package() -> None:
     assert documented == telepulse.__all__
     assert {name for name in dir(telepulse) if not name.startswith("__")} == {*telepulse.__all__}
     assert {"__version__", "__all__", "__doc__"} <= set(dir(telepulse))
-
-
-def test_the_packages_carry_their_types() -> None:
-    packages = [p.parent for p in Path(ROOT).glob("*/py.typed")]
-    assert {p.name for p in packages} >= {"protocol", "sensing_node", "display_node", "telepulse"}

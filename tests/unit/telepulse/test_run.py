@@ -8,7 +8,6 @@ import pytest
 from matplotlib import pyplot as plt
 
 import telepulse
-from protocol.errors import SceneError, SourceError
 from protocol.summary.tables import AlignedErrors, Availability
 from tests.support.recordings import GAIN, record
 
@@ -54,12 +53,6 @@ def test_columns_name_each_contactor_but_the_first() -> None:
     frame = run.to_dataframe()
     assert list(frame) == list(columns)
     assert (run.about, run.marks) == ({}, [])
-    panels = run.plot(0.5, 1.0)
-    assert len(panels) == 4
-    assert panels[0].get_lines()[0].get_xdata()[0] == pytest.approx(0.5, abs=1e-3)
-    # A notebook shows pyplot's figures, and no others.
-    assert plt.gcf() is panels[0].figure
-    plt.close()
 
 
 def test_a_recording_has_the_same_shape(tmp_path: Path) -> None:
@@ -104,36 +97,3 @@ def test_a_recording_has_its_marks_and_what_was_stated(tmp_path: Path) -> None:
         assert [line.get_xdata()[0] for line in vertical] == pytest.approx([1.5])
     assert [text.get_text() for text in panels[0].texts] == ["$ off"]
     plt.close()
-
-
-def test_a_notebook_shows_one_line(run: telepulse.Run) -> None:
-    ticks = len(run.t_s)
-    assert repr(run) == f"Run('radial', {ticks / 1e3:.1f} s, {ticks} ticks, contactors: channel 0)"
-    scene = telepulse.load_scene("radial", link="delay=20ms")
-    assert repr(scene) == f"Scene({str(scene.path)!r}, link='delay=20000000ns')"
-
-
-def test_a_file_that_is_no_recording_is_refused(tmp_path: Path) -> None:
-    (tmp_path / "x.mcap").write_bytes(b"{}")
-    with pytest.raises(SourceError, match="not an MCAP file"):
-        telepulse.read_recording(tmp_path / "x.mcap")
-
-
-def test_changes_of_a_scene_are_validated() -> None:
-    scene = telepulse.load_scene("radial", display={"predictor": "analogue"}, link=LINK)
-    assert scene.display.predictor.kind == "analogue"
-    assert scene.link.loss == 0.01
-    with pytest.raises(SceneError, match=r"changed: \[display\] predicto: unknown key"):
-        telepulse.simulate("radial", display={"predicto": "linear"})
-    with pytest.raises(SceneError, match="loaded already"):
-        telepulse.simulate(scene, link=LINK)
-    with pytest.raises(SceneError, match="no such scene"):
-        telepulse.load_scene("radiall")
-
-
-def test_every_name_of_the_package_is_imported_when_it_is_used() -> None:
-    assert set(telepulse.__all__) <= set(dir(telepulse))
-    for name in telepulse.__all__:
-        assert getattr(telepulse, name).__name__ == name
-    with pytest.raises(AttributeError, match="no attribute 'simulat'"):
-        telepulse.simulat  # noqa: B018

@@ -46,14 +46,6 @@ def test_the_error_is_in_the_scenes_unit(error: str, expected: float, response: 
         assert at_rest.output([0.4, 0.4], 0.4) == pytest.approx(0, abs=1e-9)
 
 
-def test_the_feed_forward_is_the_speed_of_the_reference() -> None:
-    under_test = controller(kp=100, error="position", feed_forward=True)
-    wanted = (LAW.position(0.35) - LAW.position(0.3)) / TICK_S
-    assert under_test.output([0.3, 0.35], 0.3) == pytest.approx(wanted, abs=1e-9)
-    under_test = controller(kp=100, error="position")
-    assert under_test.output([0.9, 0.3], 0.3) == pytest.approx(0, abs=1e-9)
-
-
 SCENES = ("radial", "real_bench", "tmcl_bench")
 
 
@@ -108,17 +100,3 @@ def test_beyond_the_headroom_the_tip_only_retracts_and_backlash_is_taken_up_befo
     guard = StallGuard(LAW, TICK_S, 1e-5)
     guard.tick(9, 0.0)
     assert guard.fastest(0.0) == pytest.approx(1e-5 / 10e-3)
-
-
-def test_the_holding_time_is_the_mean_over_time() -> None:
-    """One hold of 9 ticks counts as much as nine holds of one tick."""
-    guard = StallGuard(LAW, TICK_S, 0.0)
-    assert guard.held_s == TICK_S
-    for _ in range(100):
-        guard.tick(8, 0.5)
-        for _ in range(9):
-            guard.tick(0, 0.5)
-    assert guard.held_s == pytest.approx(5 * TICK_S, rel=0.1)
-    for _ in range(2000):
-        guard.tick(0, 0.5)
-    assert guard.held_s == pytest.approx(TICK_S, rel=1e-3)

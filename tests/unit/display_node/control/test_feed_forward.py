@@ -69,34 +69,6 @@ def up_and_down_m(*extremes_m: float, ticks: int = 100) -> Positions:
     return np.interp(np.arange(at[-1] + 1), at, extremes_m)
 
 
-@pytest.mark.parametrize(
-    ("table", "horizon"),
-    [
-        ({}, 1),
-        (ROTOR, 2),
-        (BACKLASH, 2),
-        (ROTOR | BACKLASH, 2),
-        (ROTOR | BACKLASH | {"rotor_damping": 1.0}, 2),
-        # Half a period of this rotor is shorter than a tick.
-        (BACKLASH | {"rotor_resonance": "900 Hz"}, 2),
-    ],
-)
-def test_the_horizon_depends_on_rotor_and_backlash(table: dict[str, object], horizon: int) -> None:
-    bench = Bench(**table)
-    assert bench.path.horizon == horizon
-    reference_n = bench.reference_n(swell_m(duration_s=0.1))
-    bench.path.advance(reference_n[: horizon + 1])
-    with pytest.raises(IndexError):
-        Bench(**table).path.advance(reference_n[:1])
-
-
-def test_without_rotor_and_backlash_the_screw_is_the_tip() -> None:
-    screw_m, wanted_m, moved_m = Bench().run(swell_m())
-    assert wanted_m == pytest.approx(swell_m()[1:], rel=1e-9, abs=1e-15)
-    assert screw_m.tolist() == moved_m.tolist()
-    assert screw_m == pytest.approx(wanted_m, rel=1e-9, abs=1e-15)
-
-
 @pytest.mark.parametrize("table", [{}, ROTOR, BACKLASH, ROTOR | BACKLASH])
 @pytest.mark.parametrize("first_m", [0.0, 0.2e-3])
 def test_the_speeds_add_up_to_the_screws_travel(table: dict[str, object], first_m: float) -> None:

@@ -1,5 +1,4 @@
 import math
-from contextlib import nullcontext
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -183,35 +182,6 @@ def test_after_a_displacement_the_loop_comes_to_rest(case: Case) -> None:
     assert abs(loop.tip @ state) < 0.05
 
 
-@pytest.mark.parametrize("kp", [30.0, 100.0, 300.0])
-def test_a_plain_position_loop_has_the_pole_of_backward_euler(kp: float) -> None:
-    poles = Case(POSITION | {"kp": kp}).linear().poles()
-    assert np.abs(poles - 1 / (1 + kp * TICK_S)).min() < 1e-9
-
-
-@every_case
-def test_a_response_consists_of_the_poles(case: Case) -> None:
-    loop = case.linear()
-    response = tips(loop, np.array([1.0] + [0.0] * 400))
-    # The poles' polynomial, as a filter, removes a sequence that consists of these poles only.
-    polynomial = np.real(np.poly(loop.poles()))
-    remainder = np.convolve(response, polynomial)[len(polynomial) : len(response)]
-    assert np.abs(remainder).max() < 1e-9 * np.abs(response).max()
-
-
-def test_the_loop_gain_of_a_force_error_grows_with_the_force() -> None:
-    case = UNFILTERED["force"]
-    _, actuator, _ = case.scenes
-    assert actuator.kind == "stepper"
-    law = actuator.contact(LAYER)
-    gentle, firm = (case.linear(force_n) for force_n in (0.01, 1.0))
-    # Outputs for a displacement of 1; the implicit law reduces the ratio.
-    ratio = (firm.c @ firm.displaced) / (gentle.c @ gentle.displaced)
-    assert 1 < ratio < law.stiffness(1.0) / law.stiffness(0.01)
-    gentle, firm = (CASES["position"].linear(force_n) for force_n in (0.01, 1.0))
-    assert (gentle.c == firm.c).all()
-
-
 def looped(z_domain: control.TransferFunction) -> LinearLoop:
     """Return a transfer function of z with negative feedback of 1."""
     system = control.ss(z_domain)
@@ -256,20 +226,6 @@ def test_margins_are_those_of_python_control(system: control.TransferFunction) -
     assert 1 / found.peak_sensitivity == pytest.approx(disk, rel=2e-3)
 
 
-@pytest.mark.parametrize("gain", [0.01, 0.1, 0.5])
-def test_an_integrators_margins_are_known_in_closed_form(gain: float) -> None:
-    found = margins(looped(tf([gain], [1, -1])))
-    # |1 − e^(jωT)| = gain; half a tick's delay adds to the integrator's 90°.
-    wt = 2 * math.asin(gain / 2)
-    assert found.pole_radius == pytest.approx(1 - gain)
-    assert found.phase_deg == pytest.approx(90 - math.degrees(wt / 2), abs=1e-3)
-    assert found.delay_s == pytest.approx((math.pi / 2 - wt / 2) / wt * TICK_S, rel=1e-4)
-    # At half the tick rate.
-    assert found.gain == pytest.approx(2 / gain, rel=1e-6)
-    assert found.peak_sensitivity == pytest.approx(1 / (1 - gain / 2), rel=1e-4)
-    assert [margins(looped(tf([each], [1, -1]))).stable for each in (1.99, 2.01)] == [True, False]
-
-
 def response(case: Case, travel: float) -> NDArray[np.float64]:
     """Return the force of the shipped loop, in 4 s, whose actuator moves `travel` times as far."""
     shipped = Shipped(case, travel)
@@ -283,25 +239,7 @@ def test_the_shipped_loop_becomes_unstable_at_its_gain_margin(case: Case) -> Non
     assert np.ptp(response(case, 1.05 * margin)[3500:]) > 0.1
 
 
-@judged
-def test_the_linear_loop_becomes_unstable_at_its_delay_margin(case: Case) -> None:
-    loop = case.linear()
-    ticks = margins(loop).delay_s / TICK_S
-
-    def pole_radius(delay: int) -> float:
-        n = len(loop.a)
-        late = np.zeros((n + delay, n + delay))
-        late[:n, :n], late[:n, -1], late[n, :n] = loop.a, loop.b, loop.c
-        late[n + 1 :, n:-1] = np.eye(delay - 1)
-        poles = np.linalg.eigvals(late)
-        # Without what an observer counts by itself, which is at 1.
-        poles = poles[np.argsort(np.abs(poles - 1))][loop.counts :]
-        return float(np.abs(poles).max())
-
-    assert pole_radius(math.floor(ticks)) < 1 < pole_radius(math.ceil(ticks))
-
-
-@pytest.mark.parametrize(("wander", "noise"), [(1.0, 0.0), (0.0, 1.0)])
+@pytest.mark.parametrize(("wander", "noise"), [(2.0, 0.0), (0.0, 0.1), (2.0, 0.1)])
 @pytest.mark.parametrize("name", ["rotor and film", "observer, rotor and film"])
 def test_felt_noise_is_that_of_a_long_noisy_run(name: str, wander: float, noise: float) -> None:
     loop = CASES[name].linear()
@@ -314,15 +252,6 @@ def test_felt_noise_is_that_of_a_long_noisy_run(name: str, wander: float, noise:
         state = closed @ state + error * loop.closed_noise + moved * loop.displaced
         squares += float(loop.tip @ state) ** 2
     assert felt_noise(loop, wander, noise) == pytest.approx(math.sqrt(squares / ticks), rel=0.05)
-
-
-def test_wander_and_noise_add_as_squares() -> None:
-    loop = CASES["rotor and film"].linear()
-    both, wander, noise, none = (
-        felt_noise(loop, *given) for given in ((2.0, 0.1), (2.0, 0.0), (0.0, 0.1), (0.0, 0.0))
-    )
-    assert both == pytest.approx(math.hypot(wander, noise))
-    assert none == 0.0
 
 
 def display_scene(name: str) -> DisplayScene:
@@ -347,15 +276,6 @@ def test_an_unstable_loop_is_refused_in_one_line() -> None:
         refuse(scene.model_copy(update={"controller": controller}))
     assert "telepulse tune" in str(caught.value)
     assert "\n" not in str(caught.value)
-
-
-@pytest.mark.parametrize("kp", [50.0, 100.0, 200.0, 400.0, 800.0, 1600.0])
-def test_a_loop_is_refused_where_its_margins_are_unfit(kp: float) -> None:
-    case = Case(POSITION | {"kp": kp}, ROTOR, SLOW)
-    controller, actuator, film = case.scenes
-    with pytest.raises(SceneError) if kp > 400 else nullcontext():
-        refuse_unstable(controller, actuator, LAYER, film, LIMIT_N, TICK_S)
-    assert (margins(case.linear()).unfit is not None) == (kp > 400)
 
 
 def test_a_force_error_is_checked_up_to_the_limit() -> None:

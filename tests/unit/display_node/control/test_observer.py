@@ -82,31 +82,16 @@ def pressing(bench: Bench) -> Bench:
     return bench
 
 
-@pytest.mark.parametrize("order", [1, 2, 4])
-def test_without_noise_the_felt_force_is_estimated_despite_a_slow_film(order: int) -> None:
-    bench = pressing(Bench(NOISY.model_copy(update={"filter_order": order})))
-    lag_n = []
-    for tick in range(500):
-        bench.tick(0.005 * math.cos(2 * math.pi * 5 * tick * TICK_S))
-        assert bench.observer.force_n == pytest.approx(bench.felt_n, rel=1e-9)
-        lag_n.append(bench.felt_n - bench.reading_n)
-    # The film itself is at least 4 ms late, at up to 3 N/s.
-    assert max(lag_n) > 5e-3
-
-
 @pytest.mark.parametrize("displaced_m", [50e-6, -50e-6])
-def test_a_displaced_finger_is_found_at_rest_and_in_motion(displaced_m: float) -> None:
-    bench, moving = pressing(Bench()), pressing(Bench())
-    bench.displaced_m = moving.displaced_m = displaced_m
-    bench.tick(0.0)
-    assert bench.error_m == pytest.approx(displaced_m, rel=1e-6)
-    for _ in range(1000):
+def test_a_displaced_finger_is_found_in_motion(displaced_m: float) -> None:
+    bench = pressing(Bench())
+    bench.displaced_m = displaced_m
+    bench.swing(1000)
+    assert bench.error_m == pytest.approx(0, abs=20e-9)
+    for _ in range(300):
         bench.tick(0.0)
-    assert bench.error_m == pytest.approx(0, abs=1e-9)
     expected_m = bench.law.position(bench.felt_n)
     assert bench.observer.screw_m == pytest.approx(expected_m, abs=SCENE.step_m)
-    moving.swing(1000)
-    assert moving.error_m == pytest.approx(0, abs=20e-9)
 
 
 def gain(film: FilmTable, wander_n: float = 0.05) -> float:
@@ -144,8 +129,12 @@ def test_an_error_decays_as_the_stationary_gains_predict(noise_n: float, order: 
 
 
 @pytest.mark.parametrize("reading_n", [math.nan, math.inf, -math.inf])
-def test_a_reading_that_is_no_number_is_ignored(reading_n: float) -> None:
-    bench, undisturbed = pressing(Bench()), pressing(Bench())
+@pytest.mark.parametrize("order", [1, 4])
+def test_the_felt_force_is_estimated_and_a_reading_that_is_no_number_ignored(
+    reading_n: float, order: int
+) -> None:
+    film = NOISY.model_copy(update={"filter_order": order})
+    bench, undisturbed = pressing(Bench(film)), pressing(Bench(film))
     for tick in range(300):
         speed = 0.005 * math.cos(2 * math.pi * 5 * tick * TICK_S)
         bench.tick(speed, reading_n if 50 <= tick < 80 else None)
@@ -153,18 +142,6 @@ def test_a_reading_that_is_no_number_is_ignored(reading_n: float) -> None:
         # Meanwhile the model of the film has advanced.
         assert bench.observer.force_n == pytest.approx(undisturbed.observer.force_n, rel=1e-9)
         assert bench.observer.force_n == pytest.approx(bench.felt_n, rel=1e-9)
-
-
-@pytest.mark.parametrize("filter_hz", [None, 40.0])
-def test_the_gain_rises_with_wander_and_falls_with_noise(filter_hz: float | None) -> None:
-    film = NOISY.model_copy(update={"filter_hz": filter_hz})
-    by_wander = [gain(film, wander_n) for wander_n in (0.005, 0.05, 0.5, 5.0)]
-    assert by_wander == sorted(by_wander)
-    assert by_wander[-1] > 5 * by_wander[0] > 0
-    noises_n = (200e-3, 20e-3, 2e-3, 0.2e-3)
-    by_noise = [gain(film.model_copy(update={"noise_n": n})) for n in noises_n]
-    assert by_noise == sorted(by_noise)
-    assert by_noise[-1] > 5 * by_noise[0] > 0
 
 
 def test_a_coarse_adc_counts_as_noise() -> None:

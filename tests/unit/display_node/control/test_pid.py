@@ -32,38 +32,6 @@ def outputs_by_sums(
     return kp * errors + ki * TICK_S * integrals + kd / (filter_s + TICK_S) * rates
 
 
-@settings(deadline=None)
-@given(
-    st.lists(st.floats(-10, 10), min_size=1, max_size=60),
-    st.floats(0, 100),
-    st.floats(0, 1000),
-    st.floats(0, 10),
-    st.floats(1, 5000),
-)
-def test_pid_agrees_with_sums(
-    errors: list[float], kp: float, ki: float, kd: float, corner_hz: float
-) -> None:
-    under_test = pid(kp=kp, ki=ki, kd=kd, derivative_filter=f"{corner_hz:.6f} Hz")
-    expected = outputs_by_sums(np.array(errors), kp, ki, kd, float(f"{corner_hz:.6f}"))
-    outputs = [under_test.step(error) for error in errors]
-    assert outputs == pytest.approx(expected, rel=1e-9, abs=1e-7)
-
-
-@pytest.mark.parametrize("sign", [1, -1])
-@pytest.mark.parametrize("gains", [{"kp": 1, "ki": 50}, {"ki": 50}, {"kp": 0.1, "ki": 500}])
-def test_a_long_saturation_leaves_no_windup(gains: dict[str, float], sign: int) -> None:
-    under_test = pid(limit=1.0, **gains)
-    for _ in range(100_000):
-        saturated = under_test.step(sign * 0.5)
-    assert sign * saturated == pytest.approx(1.0, abs=0.3)
-    assert sign * under_test.step(-sign * 0.5) < 1.0
-    # An integral at the limit unloads within limit / (ki error).
-    ticks = 2 + round(1 / (gains["ki"] * TICK_S * 0.5))
-    for _ in range(ticks):
-        back = under_test.step(-sign * 0.5)
-    assert sign * back < 0
-
-
 def test_under_saturation_the_integral_may_only_unload() -> None:
     under_test = pid(limit=1.0, kp=10, ki=100)
     for _ in range(1000):
@@ -77,27 +45,6 @@ def test_under_saturation_the_integral_may_only_unload() -> None:
     assert under_test.step(0.0) == pytest.approx(0.4)
 
 
-@pytest.mark.parametrize("corner_hz", [10, 100, 1000])
-def test_the_derivative_of_a_ramp_is_its_slope(corner_hz: float) -> None:
-    under_test = pid(kd=2, derivative_filter=f"{corner_hz} Hz")
-    outputs = [under_test.step(3.0 * TICK_S * tick) for tick in range(1000)]
-    assert outputs[-1] == pytest.approx(2 * 3.0)
-    assert all(0 <= output <= 6.0 + 1e-9 for output in outputs)
-
-
-def test_the_derivative_is_filtered_at_its_corner() -> None:
-    under_test = pid(kd=1, tick_s=1e-5, derivative_filter="100 Hz")
-    t_s = np.arange(20_000) * 1e-5
-    omega = 2 * math.pi * 100
-    outputs = np.array([under_test.step(math.sin(omega * t)) for t in t_s])
-    assert outputs[10_000:].max() == pytest.approx(omega / math.sqrt(2), rel=0.01)
-
-
-def test_feed_forward_is_added_before_the_limit() -> None:
-    assert pid(kp=2).step(0.1, feed_forward=3.0) == pytest.approx(3.2)
-    assert pid(limit=1.0, kp=2).step(0.1, feed_forward=3.0) == 1.0
-
-
 @settings(deadline=None)
 @given(
     st.lists(st.tuples(st.floats(-10, 10), st.floats(-10, 10)), min_size=1, max_size=60),
@@ -105,7 +52,7 @@ def test_feed_forward_is_added_before_the_limit() -> None:
     st.floats(0, 1000),
     st.floats(0, 1),
     st.floats(1, 5000),
-    st.floats(1e-6, 10),
+    st.just(0.0) | st.floats(1e-6, 10),
 )
 def test_the_law_holds_for_the_error_at_the_ticks_end(
     steps: list[tuple[float, float]],
@@ -125,12 +72,6 @@ def test_the_law_holds_for_the_error_at_the_ticks_end(
     expected -= ki * TICK_S * errors[0]
     scale = 1 + np.abs(outputs).max() * (1 + kp + ki + 1e3 * kd) * (1 + response)
     assert outputs == pytest.approx(expected + feeds, abs=1e-9 * scale)
-
-
-@pytest.mark.parametrize("response", [1e-6, 1e-3, 1.0])
-def test_a_very_high_gain_removes_the_error_within_a_tick(response: float) -> None:
-    output = pid(kp=1e12).step(0.3, response)
-    assert output == pytest.approx(0.3 / response, rel=1e-5)
 
 
 @pytest.mark.parametrize("response", [1e-3, 0.05])
@@ -203,17 +144,6 @@ def test_the_papers_gains_are_stable_at_every_rate(
     # With the experiment's gains, a jump overshoots by a third.
     assert max(forces_n) < 1.35 * WANTED_N
     assert max(abs(force_n - WANTED_N) for force_n in forces_n[rate_hz // 2 :]) < 1e-3
-
-
-def test_with_a_backward_difference_the_simulations_gains_diverge_at_1_khz() -> None:
-    kp, ki, kd = (PAPERS_SIMULATION[name] for name in ("kp", "ki", "kd"))
-    actuator, total, last_mv = paper_actuator(TICK_S), 0.0, MILLIVOLTS_PER_NEWTON * WANTED_N
-    for _ in range(100):
-        error_mv = MILLIVOLTS_PER_NEWTON * (WANTED_N - actuator.force_n)
-        total += error_mv * TICK_S
-        actuator.step(kp * error_mv + ki * total + kd * (error_mv - last_mv) / TICK_S)
-        last_mv = error_mv
-    assert abs(actuator.force_n) > 1e6 * WANTED_N
 
 
 @pytest.mark.parametrize("response", [0.0, 1e-3])

@@ -91,13 +91,6 @@ def test_advice_names_the_properties_that_slow_a_host(
     assert advice is None or advice in found[0]
 
 
-def test_the_most_effective_advice_is_the_first() -> None:
-    host = replace(GOOD_HOST, quota=1.0)
-    advice = verdict(ticks(1000, 0), None, host, ("fifo: no",), stolen_share=0.031).advice
-    assert [line.split()[0] for line in advice] == ["the", "the", "fifo:"]
-    assert "3.1% of the time" in advice[0]
-
-
 def test_a_host_with_or_without_kernel_files_is_read_and_shown(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

@@ -7,7 +7,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from scipy.integrate import solve_ivp
 from scipy.signal import lsim
 
 from display_node.plant.scene import StepperScene
@@ -35,46 +34,6 @@ def test_ramps_agree_with_lsim(tick_s: float, damping: float) -> None:
     assert np.abs(turned - expected).max() < 1e-9 * np.abs(commanded_m).max()
 
 
-def test_one_ramp_agrees_with_its_differential_equation() -> None:
-    damping, speed = 0.2, 0.01
-    solved = solve_ivp(
-        lambda t, x: [x[1], W * W * (speed * t - x[0]) - 2 * damping * W * x[1]],
-        (0, 0.05),
-        [0, 0],
-        t_eval=np.arange(51) * 1e-3,
-        rtol=1e-10,
-        atol=1e-15,
-    )
-    turned = turned_m(Rotor(RESONANCE_HZ, damping, 1e-3), np.linspace(0, 0.05 * speed, 51))
-    assert np.abs(turned - solved.y[0]).max() < 1e-9 * speed
-
-
-@pytest.mark.parametrize("tick_s", [1e-6, 1e-3, 0.1003])
-def test_without_damping_the_rotor_rings_at_a_constant_amplitude(tick_s: float) -> None:
-    turned = turned_m(Rotor(RESONANCE_HZ, 0.0, tick_s), np.array([0.0] + [1e-6] * 200_000))
-    assert 1e-6 < turned.max() <= 2e-6 * (1 + 1e-6)
-    assert turned.min() >= -1e-6 * 1e-6
-    assert np.ptp(turned[-100_000:]) == pytest.approx(np.ptp(turned[1:100_000]), rel=1e-3)
-
-
-@pytest.mark.parametrize("tick_s", [1e-5, 1e-3, 0.1])
-@pytest.mark.parametrize("damping", [0.2, 2.0])
-def test_the_rotor_settles_at_the_commanded_microstep(tick_s: float, damping: float) -> None:
-    commanded_m = np.array([0.0] + [3e-6] * (2 + round(0.3 / tick_s)))
-    turned = turned_m(Rotor(RESONANCE_HZ, damping, tick_s), commanded_m)
-    assert turned[-1] == pytest.approx(3e-6, rel=1e-6)
-
-
-def test_a_jump_rings_at_the_resonance_and_decays_by_the_damping() -> None:
-    damping, tick_s = 0.05, 1e-5
-    turned = turned_m(Rotor(RESONANCE_HZ, damping, tick_s), np.array([0.0] + [1.0] * 3000))
-    peaks = np.flatnonzero((turned[1:-1] > turned[:-2]) & (turned[1:-1] >= turned[2:])) + 1
-    damped = math.sqrt(1 - damping**2)
-    assert np.diff(peaks)[:2] * tick_s == pytest.approx(1 / (RESONANCE_HZ * damped), rel=2e-3)
-    decay = (turned[peaks[1]] - 1) / (turned[peaks[0]] - 1)
-    assert decay == pytest.approx(math.exp(-2 * math.pi * damping / damped), rel=1e-3)
-
-
 @settings(deadline=None)
 @given(st.lists(st.floats(-10, 10), min_size=1, max_size=50), st.floats(0.01, 5))
 def test_backlash_is_the_play_operator(path: list[float], width: float) -> None:
@@ -84,13 +43,6 @@ def test_backlash_is_the_play_operator(path: list[float], width: float) -> None:
         # The nearest position to the last one within the gap.
         assert driven == min(max(before, driving - width / 2), driving + width / 2)
         before = driven
-
-
-def test_backlash_is_crossed_by_its_whole_width_after_a_reversal() -> None:
-    backlash = Backlash(2.0)
-    assert [backlash.step(x) for x in (0.5, 1.0, 4.0)] == [0.0, 0.0, 3.0]
-    assert [backlash.step(x) for x in (3.0, 2.0, 1.5)] == [3.0, 3.0, 2.5]
-    assert [backlash.step(x) for x in (2.5, 3.5, 3.6)] == [2.5, 2.5, pytest.approx(2.6)]
 
 
 TICK_S = 1e-3
@@ -169,14 +121,6 @@ def test_the_tip_stops_within_a_microstep_of_the_limit_and_comes_back(
     assert (positions_m(under_test, BACK, 500)[-1], under_test.force_n) == (0.0, 0.0)
 
 
-def test_a_short_stroke_ends_before_the_force_limit() -> None:
-    under_test = stepper(stroke="1 mm")
-    end_m = positions_m(under_test, FORWARD, 1000)[-1]
-    assert end_m == pytest.approx(1e-3, abs=scene().step_m)
-    assert end_m <= 1e-3 * (1 + 1e-12)
-    assert under_test.force_n < 1.0
-
-
 def test_travel_is_rate_times_time_also_below_one_step_a_tick() -> None:
     under_test = stepper(limit_n=100.0)
     start_m = positions_m(under_test, 1000.0, 10)[-1]
@@ -228,16 +172,6 @@ def test_the_tip_moves_as_rotor_and_backlash_do(table: dict[str, object]) -> Non
         before_m = at_m
         assert under_test.tip_m == pytest.approx(backlash.step(driving_m), abs=1e-15)
         assert force_n == law.force(under_test.tip_m)
-
-
-def test_a_rotor_rings_after_a_halt_and_comes_to_rest() -> None:
-    rigid, ringing = stepper(), stepper(rotor_resonance="100 Hz")
-    for under_test in (rigid, ringing):
-        positions_m(under_test, 50_000, 30)
-    halted_m, rung_m = positions_m(rigid, HALT, 300), positions_m(ringing, HALT, 300)
-    # After braking from 31 mm/s within 2 ms, a rotor of 100 Hz overshoots.
-    assert max(rung_m) > halted_m[-1] + 5e-6
-    assert rung_m[-1] == pytest.approx(halted_m[-1], abs=1e-9)
 
 
 @pytest.mark.parametrize("limit_n", [0.3, 2.5])

@@ -83,16 +83,6 @@ def test_the_pulse_felt_has_the_height_of_the_present_press() -> None:
     assert felt_n == pytest.approx(0.06, rel=0.1)
 
 
-def test_long_frames_teach_the_same_height_as_short_ones() -> None:
-    heights_n = []
-    for batch in (5, 50):
-        press = pressed(0.8)
-        observe(press, 0.8, 0.15, batch=batch)
-        heights_n.append(press.height_n(0.8))
-    assert heights_n[1] == pytest.approx(heights_n[0], rel=1e-3)
-    assert heights_n[0] == pytest.approx(0.15, rel=0.1)
-
-
 def test_nothing_is_learnt_while_the_pulse_is_doubtful() -> None:
     press = pressed(1.2)
     press.take_beat(0.8, good=True)
@@ -115,10 +105,3 @@ def test_a_doubtful_beat_without_another_is_doubted_for_some_seconds() -> None:
     assert press.curve.height(1.2) > 0.2
     observe(press, 1.2, 0.1, seconds=6, from_s=5.5)
     assert press.curve.height(1.2) == pytest.approx(0.1, rel=0.15)
-
-
-def test_off_the_wrist_no_noise_is_felt() -> None:
-    press = pressed(1.2)
-    observe(press, 1.2, 0.3)
-    felt = [press.felt_n(press.relative(noise_n, 0.01, 0)) for noise_n in (0.02, -0.02)]
-    assert felt == [0.0, 0.0]

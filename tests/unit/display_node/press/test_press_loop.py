@@ -33,7 +33,7 @@ def slew(trace: PressTrace) -> float:
 def test_the_hold_down_follows_and_every_set_point_is_accounted_for(round_trip_s: float) -> None:
     loop = PressLoop(PressSetting(link_of(round_trip_s)), steps)
     trace = loop.run(8.0)
-    counts, arrived = loop.press.sender.counts(), loop.server.counts()
+    counts, arrived = loop.press.sender.counts(), loop.server.figures()
     assert counts.sent == (counts.applied or 0) + (counts.superseded or 0) + (counts.lost or 0)
     assert (counts.sent or 0) > 350
     assert (counts.lost or 0) > 0
@@ -43,12 +43,6 @@ def test_the_hold_down_follows_and_every_set_point_is_accounted_for(round_trip_s
     error = trace.hold_down_n[settled] / trace.press_n[settled] - 1
     assert np.abs(error).max() < 0.06
     assert not loop.wrist.probe.faults
-
-
-def test_the_same_setting_gives_the_same_course() -> None:
-    setting = PressSetting(link_of(0.1))
-    one, other = (PressLoop(setting, steps).run(2.0) for _ in range(2))
-    np.testing.assert_array_equal(np.array(one), np.array(other))
 
 
 def test_a_cut_eases_off_within_half_a_second_and_the_press_returns_by_a_ramp() -> None:
@@ -62,7 +56,7 @@ def test_a_cut_eases_off_within_half_a_second_and_the_press_returns_by_a_ramp() 
     assert trace.hold_down_n[6900] == 0.0
     assert trace.hold_down_n[-1] == pytest.approx(1.2, rel=0.05)
     returned = trace.hold_down_n[7000::EVERY]
-    assert np.diff(returned).max() / (EVERY * 1e-3) < 0.3 * LIMITS.slew_n_per_s
+    assert np.diff(returned).max() / (EVERY * 1e-3) < 0.3 * LIMITS.slew_limit_n_per_s
 
 
 @pytest.mark.parametrize("way", ["set-points", "samples"])
@@ -109,6 +103,6 @@ def test_a_hostile_display_that_presses_passes_no_limit() -> None:
 
     loop = PressLoop(PressSetting(link_of(0.1)), steps, intrude)
     trace = loop.run(8.0)
-    assert trace.hold_down_n.max() <= LIMITS.force_n
-    assert slew(trace) <= LIMITS.slew_n_per_s
+    assert trace.hold_down_n.max() <= LIMITS.force_limit_n
+    assert slew(trace) <= LIMITS.slew_limit_n_per_s
     assert loop.press.sender.held_by_other

@@ -27,6 +27,15 @@ def report(received: int, applied: int, superseded: int, **changes: object) -> P
     return plain._replace(**changes)  # type: ignore[arg-type]
 
 
+def answered() -> SetPointSender:
+    """Return a sender of ten set-points, eight of which are accounted for."""
+    each = sender()
+    for number in range(10):
+        sent(each, number * PERIOD_NS)
+    each.take(report(8, 5, 1))
+    return each
+
+
 def test_fifty_set_points_a_second_are_numbered_and_dated() -> None:
     each = sender()
     messages = [message for now in range(1000) if (message := sent(each, now * MS))]
@@ -79,10 +88,7 @@ def test_the_account_closes_over_sessions() -> None:
     ids=["another display's", "another session's", "old", "same"],
 )
 def test_an_answer_to_another_or_an_older_one_is_ignored(wrong: ProbeReport) -> None:
-    each = sender()
-    for number in range(10):
-        sent(each, number * PERIOD_NS)
-    each.take(report(8, 5, 1))
+    each = answered()
     assert not each.take(wrong)
     assert each.counts() == SetPointCounts(10, 5, 1, 4)
 
@@ -99,10 +105,7 @@ def test_an_answer_to_another_or_an_older_one_is_ignored(wrong: ProbeReport) -> 
 def test_an_answer_that_cannot_be_is_refused_with_the_reason(
     false: ProbeReport, reason: str
 ) -> None:
-    each = sender()
-    for number in range(10):
-        sent(each, number * PERIOD_NS)
-    each.take(report(8, 5, 1))
+    each = answered()
     with pytest.raises(WireError, match=reason) as refused:
         each.take(false)
     assert refused.value.cause == "false_report"

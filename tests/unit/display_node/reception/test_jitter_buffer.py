@@ -102,37 +102,6 @@ def test_every_sample_is_played_predicted_late_or_lost(
     assert account.sent + account.before_joining == sent
 
 
-def test_accounts_of_sessions_add_up() -> None:
-    total = SampleAccount(10, 4, 2, 3, 2) + SampleAccount(7, 1, 3, 1, 1)
-    assert (total, total.lost) == (SampleAccount(17, 5, 5, 4, 3), 3)
-
-
-def test_a_frame_from_before_the_first_counts_as_late() -> None:
-    buffer = filled(samples(50))
-    buffer.advance(at_ns(54))
-    assert buffer.account() == SampleAccount(5, 5, 0, 0, 50)
-    buffer.put(samples(40))
-    assert buffer.account() == SampleAccount(15, 5, 0, 5, 40)
-    assert buffer.account().lost == 5
-
-
-def test_a_sample_that_comes_after_a_trusted_instant_was_predicted() -> None:
-    buffer = filled(samples(0))
-    buffer.advance(at_ns(10), trusted=True)
-    buffer.advance(at_ns(13))
-    # Played again after a jump back, which does not change how an instant was felt first.
-    buffer.advance(at_ns(7))
-    buffer.advance(at_ns(15), trusted=True)
-    buffer.put(samples(5, 12))
-    # Instants 5 to 10 and 14 to 15 were trusted, 11 to 13 were not, 16 is to come.
-    assert buffer.account() == SampleAccount(16, 5, 8, 3)
-    # A lost sample stays lost, however well its instant was predicted.
-    buffer.advance(at_ns(30), trusted=True)
-    buffer.put(samples(20))
-    assert buffer.account() == SampleAccount(25, 6, 13, 3)
-    assert buffer.account().lost == 3
-
-
 def test_how_an_instant_was_felt_is_known_as_long_as_its_sample_may_come() -> None:
     buffer = JitterBuffer()
     tracemalloc.start()
@@ -201,26 +170,6 @@ def test_an_implausible_end_is_refused(samples_sent: int, now_ns: int | None) ->
     assert (buffer.ended, buffer.end_ns) == (True, at_ns(1099))
 
 
-def test_a_missing_tail_is_lost_once_all_other_samples_were_played() -> None:
-    buffer = filled(samples(0), samples(5))
-    buffer.advance(at_ns(6))
-    buffer.end(20, now_ns=at_ns(20))
-    assert counts(buffer.account()) == (7, 7, 0, 0, 0)
-    buffer.advance(at_ns(9))
-    assert counts(buffer.account()) == (20, 10, 0, 0, 10)
-    buffer.advance(at_ns(30))
-    buffer.put(samples(15))
-    assert counts(buffer.account()) == (20, 10, 0, 5, 5)
-
-
-def test_a_session_without_a_frame_was_all_before_joining() -> None:
-    buffer = JitterBuffer()
-    assert buffer.account() == SampleAccount()
-    buffer.end(1000, now_ns=None)
-    assert buffer.account() == SampleAccount(before_joining=1000)
-    assert buffer.end_ns is None
-
-
 def test_duplicates_and_overlaps_are_refused_and_change_nothing() -> None:
     buffer = filled(samples(0), samples(10), samples(20))
     buffer.advance(at_ns(2))
@@ -243,27 +192,6 @@ def test_a_time_that_does_not_fit_the_neighbours_is_refused() -> None:
     # A clock that drifts within the tolerance is accepted.
     for shift_ns in (-TIME_TOLERANCE_NS // 2, TIME_TOLERANCE_NS):
         assert filled(samples(0), samples(1000, shift_ns=shift_ns)).frames == 2
-
-
-def test_frames_a_hundred_places_out_of_order_are_sorted() -> None:
-    frames = [samples(5 * number) for number in range(101)]
-    buffer = filled(*reversed(frames))
-    assert (buffer.frames, buffer.reordered) == (101, 100)
-    buffer.advance(at_ns(0))
-    assert buffer.known(MS, 505) == [0.5 * sample for sample in range(505)]
-
-
-def test_memory_does_not_grow_with_the_stream() -> None:
-    buffer = JitterBuffer()
-    tracemalloc.start()
-    try:
-        for number in range(40):
-            buffer.put(samples(3000 * number, 3000))
-            buffer.advance(at_ns(3000 * number))
-        _, peak = tracemalloc.get_traced_memory()
-    finally:
-        tracemalloc.stop()
-    assert peak < 150 * 2 * KEEP_SAMPLES
 
 
 @pytest.mark.parametrize("order", [1, -1])

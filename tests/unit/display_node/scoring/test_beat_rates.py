@@ -1,23 +1,17 @@
 """Rates of clean pulses of several shapes, and rates that are beyond the counted range."""
 
-import json
-import sys
 from dataclasses import asdict
-from pathlib import Path
-from types import FrameType
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from typer.testing import CliRunner
 
 from display_node.scoring.beat_statistics import BeatStatistics, pulse_alarm
-from display_node.scoring.beats import BeatAnalysis, find_beats
+from display_node.scoring.beats import find_beats
 from display_node.scoring.heart_rate import heart_rate_per_min
 from protocol.summary.tables import BeatFigures
 from sensing_node.sources.heart import NOMINAL_BEAT_S
 from sensing_node.sources.synthetic import PRESETS, Wave
-from telepulse.cli.main import app
 from tests.support.drawn_beats import samples
 
 Floats = NDArray[np.float64]
@@ -107,40 +101,3 @@ def test_the_rate_that_is_felt_and_the_beats_of_an_array_are_right(per_min: int)
 def test_no_rate_is_felt_above_300(per_min: int) -> None:
     force_n = drawn("wide", per_min, 1000, 6.0)
     assert heart_rate_per_min(np.arange(6000) * 1e-3, force_n) is None
-
-
-@pytest.mark.parametrize("per_min", [240, 260])
-def test_a_played_file_has_the_rate_of_its_pulse(per_min: int, tmp_path: Path) -> None:
-    force_n = drawn("deep notch, in proportion", per_min, 200, 12.0)
-    rows = [f"{0.005 * number:.3f},{value:.5f}" for number, value in enumerate(force_n)]
-    path = tmp_path / "fast.csv"
-    path.write_text("\n".join(["time (s),force (N)", *rows]) + "\n", "utf-8")
-    asked = ["simulate", "--source", str(path), "--seconds", "10", "--json", "-"]
-    printed = CliRunner().invoke(app, asked, catch_exceptions=False).stdout
-    figures = json.loads(printed[printed.index("{") :])["beats"]
-    assert figures["rate_per_min"] == pytest.approx(per_min, rel=0.02)
-    assert figures["variability_ms"] < 10
-    assert not figures["alarm"]
-
-
-def test_the_work_of_a_frame_is_small_also_where_a_beat_ends() -> None:
-    """It is done in the thread of a force loop; counted in calls, which do not depend on load."""
-    force_n, analysis, beats = drawn("wide", 180, 1000, 8.0), BeatAnalysis(), 0
-    calls, most = 0, 0
-
-    def count(_frame: FrameType, event: str, _called: object) -> None:
-        nonlocal calls
-        calls += event in ("call", "c_call")
-
-    for first in range(0, len(force_n), 5):
-        frame, calls = samples(first * 1_000_000, force_n[first : first + 5]), 0
-        before = sys.getprofile()
-        sys.setprofile(count)
-        try:
-            beats += len(analysis.observe(frame))
-        finally:
-            sys.setprofile(before)
-        most = max(most, calls)
-    assert beats > 15
-    # All of a beat's work together makes 467 calls, and one piece at most 106.
-    assert most < 150

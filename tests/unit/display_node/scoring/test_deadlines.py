@@ -1,7 +1,6 @@
 """Alarms on missed ticks, in virtual time."""
 
-from display_node.scoring.deadlines import GAP_NS, WINDOW_NS, DeadlineWatch, deadline_alarm
-from protocol.summary.tables import Loop, Summary
+from display_node.scoring.deadlines import GAP_NS, WINDOW_NS, DeadlineWatch
 
 TICK_NS = 1_000_000
 
@@ -62,17 +61,3 @@ def test_a_gap_above_the_watchdog_is_an_alarm_for_five_seconds() -> None:
     assert not loop.watch.alarm
     assert loop.watch.last_5s.gap_ms == 1
     assert loop.watch.worst_5s.gap_ms == 51
-
-
-def test_the_alarm_names_the_share_and_the_gap() -> None:
-    loop = VirtualLoop()
-    loop.late(413)
-    watch = loop.watch
-    figures = Loop(1, 412, late=watch.alarm, last_5s=watch.last_5s, worst_5s=watch.worst_5s)
-    text = deadline_alarm(Summary(loop=figures).to_dict()["loop"])
-    assert text == "8.2 % of the ticks of the last 5 s missed, longest gap 413 ms"
-    assert deadline_alarm({"ticks": 1, "late": False}) is None
-    bare = "too many of the ticks of the last 5 s missed"
-    assert deadline_alarm({"late": True}) == bare
-    assert deadline_alarm(Summary(loop=Loop(late=True)).to_dict()["loop"]) == bare
-    assert deadline_alarm({"ticks": 1}) is None

@@ -18,7 +18,7 @@ def times_s(forces_n: NDArray[np.float64], spacing_s: float = 1e-3) -> NDArray[n
 
 @pytest.mark.parametrize("spacing_s", [1e-3, 1e-2])
 @pytest.mark.parametrize("preset", ["paper", "wide"])
-@pytest.mark.parametrize("rate", [40, 60, 75, 100, 140, 180])
+@pytest.mark.parametrize("rate", [40, 75, 140, 180])
 @pytest.mark.parametrize("noise", ["0 mN", "10 mN"])
 def test_the_rate_of_a_pulse(rate: int, preset: str, noise: str, spacing_s: float) -> None:
     forces_n = pulse_n(6.0, spacing_s, preset=preset, heart_rate=f"{rate} /min", noise=noise)

@@ -70,19 +70,6 @@ def rms(values: Forces) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 
-def test_a_delayed_pulse_is_aligned_but_out_of_phase() -> None:
-    ticks_ns = tick_times_ns(1.0, 5.0)
-    error = scored(ticks_ns, pulse_n(ticks_ns - DELAY_NS))
-    expected_n = 0.15 * 2 * math.sin(math.pi * 1.25 * DELAY_NS * 1e-9) / math.sqrt(2)
-    force, strain = error.force_rmse_n, error.strain_rmse
-    # What is left is the linear interpolation of 1 kHz samples.
-    assert force.aligned == pytest.approx(0, abs=2e-6)
-    assert force.in_phase == pytest.approx(expected_n, rel=1e-4)
-    assert strain.aligned == pytest.approx(abs(STRAIN_PER_NEWTON) * force.aligned)
-    assert strain.in_phase == pytest.approx(abs(STRAIN_PER_NEWTON) * expected_n, rel=1e-4)
-    assert error.within_jnd == 1.0
-
-
 def test_errors_on_noise_agree_with_numpy_also_with_a_reference_out_of_order() -> None:
     ticks_ns = tick_times_ns(1.0, 5.5)
     felt_n = pulse_n(ticks_ns) + np.random.default_rng(4).normal(0, 0.03, len(ticks_ns))
@@ -95,17 +82,10 @@ def test_errors_on_noise_agree_with_numpy_also_with_a_reference_out_of_order() -
     error, other = scored(ticks_ns, felt_n), scored(ticks_ns, felt_n, shuffled)
     assert error.force_rmse_n.aligned == pytest.approx(rms(aligned_n), rel=1e-9)
     assert error.force_rmse_n.in_phase == pytest.approx(rms(in_phase_n), rel=1e-9)
+    assert error.strain_rmse.in_phase == pytest.approx(abs(STRAIN_PER_NEWTON) * rms(in_phase_n))
     within = np.mean(np.abs(aligned_n) < 0.03)
     assert error.within_jnd == pytest.approx(within, abs=1e-3)
     assert (other.force_rmse_n, other.within_jnd) == (error.force_rmse_n, error.within_jnd)
-
-
-def test_within_jnd_is_the_share_below_10_percent_of_peak_to_peak() -> None:
-    ticks_ns = tick_times_ns(1.0, 5.0)
-    felt_n = pulse_n(ticks_ns - DELAY_NS)
-    felt_n[:1000] += 0.031
-    felt_n[1000:] -= 0.029
-    assert scored(ticks_ns, felt_n).within_jnd == 0.75
 
 
 @pytest.mark.parametrize("samples", [0, 1])
@@ -115,15 +95,6 @@ def test_without_a_reference_there_are_no_errors(samples: int) -> None:
     assert error.force_rmse_n.aligned is None
     assert error.strain_rmse.in_phase is None
     assert error.within_jnd is None
-
-
-def test_errors_are_known_before_the_end() -> None:
-    ticks_ns = tick_times_ns(1.0, 5.0)
-    error = TrackingError(STRAIN_PER_NEWTON)
-    add_reference(error, frames(sample_times_ns(6.0), size=100))
-    add_output(error, ticks_ns, pulse_n(ticks_ns - DELAY_NS) + 0.01)
-    assert error.force_rmse_n.aligned == pytest.approx(0.01, rel=1e-3)
-    assert error.within_jnd == 1.0
 
 
 def test_a_reference_may_be_added_after_the_felt_force() -> None:
@@ -319,13 +290,3 @@ def test_a_window_without_a_known_error_reports_its_delay() -> None:
     text = windows_text([[asdict(each) for each in error.windows]])
     assert text is not None
     assert text.splitlines()[1] == "15 to 21 s: E 43.0 ms, aligned unknown, in phase unknown"
-
-
-def test_a_step_of_the_clock_back_before_the_first_tick_counts_as_the_beginning() -> None:
-    ticks_ns = tick_times_ns(1.0, 2.0)
-    error = TrackingError(STRAIN_PER_NEWTON)
-    add_reference(error, frames(sample_times_ns(2.0)))
-    add_output(error, ticks_ns, pulse_n(ticks_ns))
-    add_output(error, ticks_ns - 3_600_000 * MS, pulse_n(ticks_ns))
-    error.finish()
-    assert [each.from_s for each in error.windows] == [0]

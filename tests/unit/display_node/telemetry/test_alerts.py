@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 
 from display_node.fault_advice import FILM_NOTE
-from display_node.telemetry.alerts import WINDOW_NS, StatusAge, alerts, delay_note
+from display_node.telemetry.alerts import WINDOW_NS, StatusAge, alerts
 from protocol.errors import CAUSE_MEANINGS
 from protocol.summary.tables import BeatFigures, Compensation, Deadlines, Loop, Summary
 
@@ -142,20 +142,6 @@ def test_of_a_silent_display_only_faults_and_silence_are_alerts_and_of_the_last_
     ]
     last = alerts("fault", summary, is_last_status=True, silent_ns=HOUR_NS)
     assert [alert.name for alert in last] == ["fault: feedback lost"]
-
-
-@pytest.mark.parametrize(
-    ("trusted", "share", "note"),
-    [
-        (True, 0.5, ", prediction trusted"),
-        (False, 0.5, ", prediction not trusted"),
-        (True, None, ""),
-    ],
-)
-def test_a_delay_has_the_trust_where_it_is_used(
-    trusted: bool, share: float | None, note: str
-) -> None:
-    assert delay_note(40.0, trusted, {"compensation": {"trusted": share}}) == f"40.0 ms{note}"
 
 
 def receive(age: StatusAge, ahead_ns: int, from_ns: int, to_ns: int = 0, delay_ns: int = MS) -> int:

@@ -1,6 +1,5 @@
 import math
 from collections.abc import Callable
-from contextlib import suppress
 from pathlib import Path
 
 import msgpack
@@ -65,18 +64,6 @@ def trace_of(**changes: object) -> Trace:
     return read_trace(message)[0]
 
 
-def test_only_a_display_that_presses_back_sends_its_press() -> None:
-    plain, pressed = TickState(), TickState(press_n=1.2, hold_down_n=1.1)
-    (short,), (long,) = traces([plain] * TRACE_TICKS), traces([pressed] * TRACE_TICKS)
-    assert len(long) > len(short) + TRACE_TICKS * 16
-    writer = TraceWriter()
-    assert [writer.add(pressed, plain) for _ in range(TRACE_TICKS)].index(True) == TRACE_TICKS - 1
-    first, second = read_trace(writer.rest() or b"")
-    assert first.press_n.tolist() == [1.2] * TRACE_TICKS
-    assert np.isnan(second.press_n).all()
-    assert np.isnan(second.hold_down_n).all()
-
-
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, 1e300, -1e300])
 @pytest.mark.parametrize("name", ["felt_n", "predictor_error_n"])
 def test_an_impossible_figure_is_read_as_unknown(name: str, value: float) -> None:
@@ -97,38 +84,6 @@ def test_impossible_targets_and_times_that_fall_or_are_out_of_range_are_refused(
 ) -> None:
     with pytest.raises(WireError, match=reason):
         trace_of(**changes)
-
-
-def test_a_status_is_read_as_it_was_packed() -> None:
-    display = Display(load_section(RADIAL, "display", DisplayScene), "test")
-    status = read_status(display.pack_status(display.summary(), final=True))
-    assert (status.state, status.stream, status.final) == ("waiting", "", True)
-    run(display, Sender(), 0, 1500)
-    summary = display.summary()
-    status = read_status(display.pack_status(summary, final=False))
-    assert (status.state, status.stream, status.final) == ("playing", "test pulse", False)
-    assert status.summary == summary.to_dict()
-
-
-good_trace = traces([TickState()] * TRACE_TICKS)[0]
-plain = st.recursive(
-    st.none() | st.booleans() | int64 | st.floats() | st.text(max_size=5) | st.binary(max_size=60),
-    lambda inner: st.lists(inner, max_size=5) | st.dictionaries(st.text(max_size=3), inner),
-    max_leaves=10,
-)
-
-
-@pytest.mark.parametrize("read", [read_trace, read_status])
-@settings(max_examples=50)
-@given(
-    st.binary(max_size=100)
-    | plain.map(msgpack.packb)
-    | st.lists(plain, min_size=2, max_size=4).map(msgpack.packb)
-    | st.integers(0, len(good_trace)).map(lambda end: good_trace[:end])
-)
-def test_bytes_are_read_or_refused(read: Callable[[bytes], object], data: bytes) -> None:
-    with suppress(WireError):
-        assert isinstance(read(data), tuple | list)
 
 
 def status_of(summary: object) -> list[object]:

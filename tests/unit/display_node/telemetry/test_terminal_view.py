@@ -9,7 +9,6 @@ from rich.console import Console
 from display_node.telemetry.terminal_view import TerminalView
 from protocol.summary.tables import (
     AlignedErrors,
-    Clock,
     Compensation,
     Loop,
     OneWayDelay,
@@ -58,93 +57,6 @@ def printed(under_test: TerminalView, now_ns: int = 0, styles: bool = False) -> 
     return console.export_text(styles=styles)
 
 
-def test_a_line_shows_the_state() -> None:
-    assert view().line() == ("playing: heart rate 75 /min, felt 300 of 300 mN, 3 lost and 7 late")
-
-
-@pytest.mark.parametrize(
-    ("state", "changes", "line"),
-    [
-        (
-            "waiting",
-            {"waiting_for": "nobody listens at tcp://wrist:5555, refused 12 times"},
-            "waiting: nobody listens at tcp://wrist:5555, refused 12 times, finger not pressed",
-        ),
-        (
-            "stale",
-            {"waiting_for": "no answer from tcp://wrist:5555"},
-            "stale: no samples to play, no answer from tcp://wrist:5555, finger not pressed",
-        ),
-        (
-            "fault",
-            {"faults": ["feedback lost"], "finger": "pressed with 245 mN"},
-            "fault: finger pressed with 245 mN; feedback lost",
-        ),
-        ("ended", {}, "ended: 3 lost and 7 late of 1000 samples"),
-        ("ended", {"samples": {"sent": 5000}}, "ended: none lost of 5000 samples"),
-        (
-            "stale",
-            {"rejected": {"revoked": 4}},
-            "stale: no samples to play, finger not pressed; revoked",
-        ),
-        # A display that waits names the reason in its own words.
-        ("waiting", {"rejected": {"refused_key": 1}}, "waiting: finger not pressed"),
-    ],
-)
-def test_a_line_shows_what_matters_in_its_state(
-    state: str, changes: dict[str, object], line: str
-) -> None:
-    assert view(state, 0, **{"finger": "not pressed"} | changes).line() == line
-
-
-def test_a_line_names_an_alert_last_with_its_text_if_there_is_room() -> None:
-    late = {"late": True, "last_5s": {"missed": 0.06, "gap_ms": 10}}
-    assert view(loop=late).line().endswith(", 3 lost and 7 late; deadline misses")
-    alone = view(loop=late, samples={}).line()
-    assert alone == "playing: heart rate 75 /min, felt 300 of 300 mN; deadline misses"
-    short = view("starting", 0, loop={"late": True}, samples={}).line()
-    assert short == "starting: deadline misses: too many of the ticks of the last 5 s missed"
-
-
-def test_an_item_without_room_is_left_out_whole() -> None:
-    reason = (
-        "nobody listens at tcp://a-very-long-name.of-an-institute.example.org:5555, refused 9 times"
-    )
-    line = view("waiting", 0, waiting_for=reason, finger="not pressed (model)").line()
-    assert line == f"waiting: {reason}"
-    assert view("waiting", 0, waiting_for=2 * reason, finger="off").line() == "waiting: finger off"
-
-
-def test_a_line_shows_the_present_delay_of_a_felt_pulse() -> None:
-    ahead_ms, delay_ns = 5_000.0, 12_300_000
-    under_test, trace = TerminalView(), pulse(1)
-    under_test.add_trace(
-        trace._replace(
-            instant_ns=trace.now_ns + round(ahead_ms * 1e6) - delay_ns,
-            trusted=np.full(len(trace.now_ns), True),
-        )
-    )
-    known = Summary(clock=Clock(offset_ms=ahead_ms))
-    under_test.status = Status("playing", "my pulse", known.to_dict(), False)
-    assert under_test.line().endswith(", delay 12.3 ms by prediction")
-    # Not of a pulse that is not felt.
-    under_test.add_trace(pulse(1, start_s=2)._replace(scored=np.zeros(1000, bool)))
-    assert "delay" not in under_test.line()
-
-
-@pytest.mark.parametrize(
-    ("press", "shown"),
-    [
-        ({"hold_down_n": 1.1995, "probe": "pressing"}, "1200 mN, wrist 1200 mN pressing"),
-        ({"hold_down_n": 0.0, "probe": "held"}, "1200 mN, but another display holds the wrist"),
-        ({"hold_down_n": None, "probe": None}, "1200 mN, no answer of the wrist yet"),
-    ],
-)
-def test_a_press_is_in_the_line(press: dict[str, object], shown: str) -> None:
-    under_test = view(press={"press_n": 1.2} | press, finger="not pressed (model, no drive)")
-    assert f", press {shown}" in under_test.line()
-
-
 @pytest.mark.parametrize(("state", "changes", "expected"), ALERTS)
 def test_each_alert_is_printed_once_in_full_and_shown_while_it_lasts(
     state: str, changes: dict[str, object], expected: dict[str, str]
@@ -155,22 +67,6 @@ def test_each_alert_is_printed_once_in_full_and_shown_while_it_lasts(
     assert under_test.new_alerts() == []
     shown = " ".join(printed(under_test).split())
     assert all(text in shown for text in texts)
-
-
-def test_of_several_contactors_a_line_shows_the_forces_of_all() -> None:
-    weak, strong = pulse(6), pulse(6)._replace(felt_n=np.full(6_000, 0.7))
-    contactors = Summary(contactors={"cun": Summary(), "chi": Summary()}).to_dict()["contactors"]
-    under_test = view(contactors=contactors)
-    under_test.add_trace(weak, strong)
-    felt_mn = f"{weak.felt_n[-10] * 1e3:.0f}"
-    assert f"felt {felt_mn}, 700 of {felt_mn}, {felt_mn} mN" in under_test.line()
-
-
-def test_without_a_status_or_a_pulse_the_view_waits() -> None:
-    under_test = TerminalView()
-    assert "waiting" in printed(under_test)
-    under_test.status = Status("waiting", "", Summary().to_dict(), False)
-    assert "waiting" in printed(under_test)
 
 
 def test_the_heart_rate_is_of_the_last_seconds_at_full_strength() -> None:
@@ -209,22 +105,6 @@ def test_the_texts_of_a_status_cannot_draw_on_the_screen(name: str) -> None:
     text = printed(under_test)
     assert "\x1b" not in text + under_test.line()
     assert "evil" in text or "[/]" in text
-
-
-def test_an_old_state_is_shown_with_its_age_and_without_a_heart_rate() -> None:
-    under_test = view()
-    status = pack_status("playing", "my pulse", Summary(), final=False)
-    under_test.take((STATUS, status), 10 * SECOND_NS)
-    assert under_test.line(10 * SECOND_NS).startswith("playing: heart rate 75 /min")
-    late_ns = 12_300_000_000
-    line = under_test.line(late_ns)
-    assert line == "playing 2.3 s ago: no telemetry: since 2 s; finger: unknown"
-    assert "playing 2.3 s ago" in printed(under_test, late_ns)
-    # Grey.
-    assert "\x1b[2mplaying" in printed(under_test, late_ns, styles=True)
-    # The last status of a display has no age.
-    under_test.take((STATUS, FINAL), 0)
-    assert under_test.line(60 * SECOND_NS).startswith("ended")
 
 
 @given(

@@ -4,7 +4,7 @@ import pytest
 from pydantic import TypeAdapter
 
 from protocol.config import quantities
-from protocol.config.quantities import UNITS, count_text, in_unit_of, parse_quantity, parse_ratio
+from protocol.config.quantities import UNITS, parse_quantity, parse_ratio
 
 # A second copy, so that a mistake in the product's table is detected.
 EACH_UNIT = {
@@ -128,21 +128,3 @@ def test_each_type_of_a_scene_field_reads_its_unit(name: str, text: str, value: 
     read = TypeAdapter(getattr(quantities, name)).validate_python(text)
     assert read == pytest.approx(value, rel=1e-15)
     assert type(read) is type(value)
-
-
-@pytest.mark.parametrize(
-    ("value", "like", "text"),
-    [
-        (100_000, "1 us", "100 us"), (1e9, "3 s", "1 s"), (0.002, "-1 mm", "2 mm"),
-        (0.5, "60 %", "0.5"), (0.5, 3, "0.5"), (80, "a name", "80"),
-    ],
-)  # fmt: skip
-def test_a_limit_is_written_in_the_compared_unit(value: float, like: object, text: str) -> None:
-    assert in_unit_of(value, like) == text
-
-
-def test_one_is_singular_and_all_others_are_plural() -> None:
-    samples = [count_text(count, "sample") for count in (0, 1, 2)]
-    assert samples == ["0 samples", "1 sample", "2 samples"]
-    misses = [count_text(count, "deadline miss", "deadline misses") for count in (1, 5)]
-    assert misses == ["1 deadline miss", "5 deadline misses"]

@@ -2,7 +2,7 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import pytest
-from pydantic import Field, ValidationError
+from pydantic import Field
 
 from protocol.config.kinds import OfKind
 from protocol.config.quantities import Metres, Nanoseconds, Newtons, Ratio
@@ -81,34 +81,17 @@ def test_a_scene_is_read_into_si_units(path: Path) -> None:
     assert table.springs == (Spring(kind="spring"),)
 
 
-def test_a_section_cannot_be_changed(path: Path) -> None:
-    table = load(path, "[display]")
-    with pytest.raises(ValidationError):
-        table.channel = 1  # type: ignore[misc]
-
-
 @pytest.mark.parametrize(
     ("text", "line"),
     [
         ("chanel = 1", "chanel: unknown key; did you mean channel?"),
         ("tick_ns = 5", "tick_ns: unknown key; did you mean tick?"),
-        ('"a\\nb" = 1', '"a\\nb": unknown key; known: actuator, tick, limit,'),
-        ('tick = "1 N"', "tick: '1 N' is no time: a time is a number and one of ns, us, µs,"),
-        ("tick = 5", "tick: 5 is no time: a time is a number and one of"),
-        ('tick = "1e300 s"', "tick: '1e300 s' is too large"),
         ('tick = "1 us"', "tick: must be greater than or equal to 100 us, got '1 us'"),
         ('tick = "3 s"', "tick: must be less than or equal to 0.1 s, got '3 s'"),
-        ('limit = "x"', "limit: 'x' is no force: a force is a number and one of mN, N"),
         ('force = "x"', "force: must be 'auto', got 'x' (and 1 more)"),
-        ('share = "60 %"', "share: must be less than or equal to 0.5, got '60 %'"),
-        ("share = nan", "share: nan is no ratio: write 0.01 or '1 %'"),
-        ("channel = 64", "channel: must be less than or equal to 63, got 64"),
         ('channel = "a"', "channel: must be a valid integer"),
-        ("channel = 1.5", "channel: must be a valid integer"),
         ('mode = "lin"', "mode: must be 'hold' or 'linear', got 'lin'"),
         ('mode = "a\\nb"', "mode: must be 'hold' or 'linear', got 'a\\nb'"),
-        ("name = 5", "name: must be a valid string, got 5"),
-        ('name = ""', "name: String should have at least 1 character, got ''"),
         ('actuator = "motor"', "actuator: must be a table, got 'motor'"),
         ("springs = 5", "springs: must be a valid tuple, got 5"),
     ],
@@ -121,15 +104,9 @@ def test_a_wrong_key_or_value_is_named(path: Path, text: str, line: str) -> None
     ("text", "line"),
     [
         ('kind = "moter"', "actuator: unknown kind 'moter'; known: 'motor', 'spring'"),
-        ("kind = 5", "actuator: unknown kind 5; known: 'motor', 'spring'"),
         ('lead = "1 mm"', "actuator: kind is missing; it must be given"),
         ('kind = "motor"', "actuator.lead: missing; it must be given"),
-        ('kind = "motor"\nlead = "1 N"', "actuator.lead: '1 N' is no length: a length is"),
         ('kind = "motor"\nlead = "-2 mm"', "actuator.lead: must be greater than 0 mm, got '-2 mm'"),
-        (
-            'kind = "motor"\nlead = "2 mm"\ngian = 1',
-            "actuator.gian: unknown key; known: kind, lead",
-        ),
         ('kind = "spring"\ngian = 1', "actuator.gian: unknown key; did you mean gain?"),
         ('kind = "spring"\ngain = inf', "actuator.gain: must be a finite number, got inf"),
         ('kind = "spring"\ngain = nan', "actuator.gain: must be a finite number, got nan"),
@@ -139,32 +116,12 @@ def test_a_key_of_an_inner_table_is_named_as_in_the_file(path: Path, text: str, 
     assert line_of(path, f"[display.actuator]\n{text}").startswith(f"[display] {line}")
 
 
-def test_a_table_in_a_list_is_named_by_its_number(path: Path) -> None:
-    text = '[[display.springs]]\nkind = "spring"\n[[display.springs]]\nkind = "spring"\ngain = "a"'
-    assert line_of(path, text).startswith("[display] springs.1.gain: must be a valid number")
-
-
-def test_further_errors_are_counted(path: Path) -> None:
-    line = line_of(path, '[display]\nchannel = -1\nmode = "x"\nshare = 2')
-    assert line.endswith("(and 2 more)")
-
-
-def test_a_long_value_is_cut(path: Path) -> None:
-    assert len(line_of(path, f'[display]\nmode = "{"x" * 10_000}"')) < 200
-
-
 @pytest.mark.parametrize(
     ("text", "line"),
     [
         ("display = 3", "[display] must be a table, got "),
-        ("display = []", "[display] must be a table, got "),
-        ("[[display]]", "[display] must be a table, got "),
         ("", "section [display] is missing"),
-        ('title = "empty"', "section [display] is missing"),
-        ("[sensing]", "section [display] is missing"),
         ("[displya]", "displya: unknown key; did you mean display?"),
-        ("[sensor]", "sensor: unknown key; did you mean sensing?"),
-        ("[foo]", "foo: unknown key; known: sensing, display, link"),
         ('"a\\nb" = 1', '"a\\nb": unknown key; known: sensing, display, link'),
         ("[display]\n[foo]", "foo: unknown key"),
     ],

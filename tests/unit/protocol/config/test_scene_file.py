@@ -1,22 +1,16 @@
-import tomllib
 from pathlib import Path
 
 import pytest
 
 from protocol.config.scene import Section, load_section
 from protocol.config.scene_file import (
-    FOLDERS,
-    MAX_CHAIN,
     find_scene,
     load_document,
     merge,
     read_chain,
-    scene_names,
-    to_toml,
 )
 from protocol.errors import SceneError
-from protocol.provenance import collect
-from tests.support.nodes import RADIAL, ROOT
+from tests.support.nodes import RADIAL
 
 
 class Actuator(Section):
@@ -51,14 +45,6 @@ def test_a_scene_is_found_by_name_and_by_path(
     assert find_scene("mine") == Path("mine")
     with pytest.raises(SceneError, match=r"^radail: no such scene; known by name: .*radial"):
         find_scene("radail")
-
-
-def test_an_installed_package_has_the_scenes_in_their_folder() -> None:
-    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
-    included = project["tool"]["hatch"]["build"]["targets"]["wheel"]["force-include"]
-    packaged, checkout = FOLDERS
-    assert included["scenes"] == packaged.relative_to(ROOT).as_posix()
-    assert checkout == ROOT / "scenes"
 
 
 def test_a_scene_inherits_key_by_key_from_a_file_beside_it(tmp_path: Path) -> None:
@@ -111,50 +97,3 @@ def test_an_error_names_the_file_that_has_the_key(tmp_path: Path) -> None:
 def test_an_invalid_parent_is_refused(extends: str, reason: str, tmp_path: Path) -> None:
     path = write(tmp_path / "a.toml", f"extends = {extends}\n")
     assert refusal(path).startswith(f"{path}: {reason.format(folder=tmp_path)}")
-
-
-def test_a_cycle_is_refused_where_it_closes(tmp_path: Path) -> None:
-    path = write(tmp_path / "a.toml", 'extends = "b.toml"\n')
-    write(tmp_path / "b.toml", 'extends = "../b/c.toml"\n')
-    (tmp_path.parent / "b").mkdir(exist_ok=True)
-    c = write(tmp_path.parent / "b" / "c.toml", f'extends = "../{tmp_path.name}/a.toml"\n')
-    assert "c.toml: extends: " in refusal(path)
-    assert refusal(path).endswith("is this scene or extends it in turn")
-    c.unlink()
-
-
-def test_a_chain_that_is_too_long_is_refused(tmp_path: Path) -> None:
-    for number in range(MAX_CHAIN):
-        write(tmp_path / f"{number}.toml", f'extends = "{number + 1}.toml"\n')
-    write(tmp_path / f"{MAX_CHAIN}.toml", "[display]\n")
-    where = f"{tmp_path}/{MAX_CHAIN - 1}.toml"
-    assert refusal(tmp_path / "0.toml").startswith(f"{where}: extends: more")
-    assert load_document(tmp_path / "1.toml") == {"display": {}}
-
-
-def test_provenance_has_the_chain_and_the_merged_tables() -> None:
-    scene = collect(find_scene("cia402_bench")).scene
-    assert [Path(path).stem for path in scene["extends"]] == ["tmcl_bench", "bench"]
-    assert scene["tables"]["display"]["drive"]["kind"] == "cia402"
-    assert scene["tables"]["display"]["tick"] == "2 ms"
-    assert "extends" not in collect(find_scene("radial")).scene
-
-
-@pytest.mark.parametrize("name", scene_names())
-def test_a_shipped_scene_is_the_same_after_writing(name: str) -> None:
-    tables = load_document(find_scene(name))
-    assert tomllib.loads(to_toml(tables)) == tables
-
-
-def test_every_type_of_toml_is_written() -> None:
-    text = """
-        a = [1, [true, "x"], {"k k" = 1.5}]
-        "odd key" = "quote \\" back\\\\ \\u0000 \\u007f ünïcode"
-        when = 2026-01-02T03:04:05Z
-        large = 1e300
-        [empty]
-        [t."x.y".z]
-        b = inf
-    """
-    tables = tomllib.loads(text)
-    assert tomllib.loads(to_toml(tables)) == tables

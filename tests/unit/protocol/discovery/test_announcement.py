@@ -44,11 +44,6 @@ def test_an_announcement_is_decoded_as_it_was_encoded(stream: str, host: str) ->
     assert read.fingerprint == fingerprint(KEY)
 
 
-def test_a_node_is_the_same_after_a_restart_and_another_on_another_port() -> None:
-    ids = [Announcement.of_node("pulse", "ward", port, None).node for port in (5555, 5555, 5655)]
-    assert ids[0] == ids[1] != ids[2]
-
-
 GOOD = Announcement.of_node("radial pulse", "ward-3", 5555, KEY)
 
 

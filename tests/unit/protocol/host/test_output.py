@@ -29,31 +29,6 @@ def test_any_record_is_one_line_with_time_and_level_and_names_its_exception(
     assert re.fullmatch(rf"{at} ERROR failed: ValueError: no\\nsuch {source}", named)
 
 
-@pytest.mark.parametrize(
-    ("level", "quiet", "levels", "library_levels"),
-    [
-        (None, False, "INFO WARNING ERROR", "WARNING ERROR"),
-        (None, True, "WARNING ERROR", "WARNING ERROR"),
-        ("debug", True, "DEBUG INFO WARNING ERROR", "WARNING ERROR"),
-        ("error", False, "ERROR", "ERROR"),
-    ],
-)
-def test_levels_of_ours_and_of_libraries(
-    level: str | None,
-    quiet: bool,
-    levels: str,
-    library_levels: str,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    configure_logging("debug")
-    configure_logging(level, quiet)
-    for logger, expected in ((ours, levels), (library, library_levels)):
-        for number in (logging.DEBUG, logging.INFO, logging.WARNING, logging.ERROR):
-            logger.log(number, "message")
-        shown = [line.split()[1] for line in capsys.readouterr().err.splitlines()]
-        assert shown == expected.split()
-
-
 def test_an_unknown_level_is_refused() -> None:
     with pytest.raises(OptionError, match="level loud: there are debug, info, warning, error"):
         configure_logging("loud")
@@ -82,13 +57,6 @@ def test_a_file_keeps_its_permissions_and_its_place(tmp_path: Path) -> None:
     assert link.is_symlink()
     assert path.read_text(encoding="utf-8") == "new"
     assert stat.S_IMODE(path.stat().st_mode) == 0o640
-
-
-def test_a_device_is_written_to_directly() -> None:
-    check_writable(Path("/dev/null"))
-    write_whole(Path("/dev/null"), "text")
-    with pytest.raises(OutputError):
-        write_whole(Path("/dev/full"), "text")
 
 
 @pytest.mark.parametrize("name", ["", "no/out.json", "nowhere", "x" * 300, "file/out"])

@@ -3,8 +3,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from protocol.errors import RealtimeError
-from protocol.host.process import spans
-from protocol.host.realtime import PacedTick, Pacer, RealtimeRequest, parse_realtime
+from protocol.host.realtime import Pacer, RealtimeRequest, parse_realtime
 
 MS = 1_000_000
 
@@ -14,8 +13,6 @@ MS = 1_000_000
     [
         (None, RealtimeRequest()),
         ("fifo", RealtimeRequest(fifo=40)),
-        ("fifo=1", RealtimeRequest(fifo=1)),
-        ("fifo=98", RealtimeRequest(fifo=98)),
         ("lock", RealtimeRequest(lock=True)),
         ("cpu=0", RealtimeRequest(cpus=frozenset({0}))),
         ("cpu=2-4", RealtimeRequest(cpus=frozenset({2, 3, 4}))),
@@ -35,19 +32,14 @@ def test_a_realtime_option_is_parsed(text: str | None, expected: RealtimeRequest
     ("text", "reason"),
     [
         ("", "unknown measure ''; known: fifo, lock, cpu, slack, strict"),
-        ("fifo,", "unknown measure ''"),
         ("lok", "unknown measure 'lok'; did you mean lock?"),
         ("fifo=0", "fifo=0: a priority is 1 to 98"),
         ("fifo=99", "fifo=99: a priority is 1 to 98"),
-        ("fifo=high", "fifo=high: a priority"),
-        ("fifo=-1", "fifo=-1: a priority"),
         ("fifo=²", "fifo=²: a priority"),
         ("fifo,fifo=3", "fifo is there twice"),
-        ("lock,lock", "lock is there twice"),
         ("gc", "gc is now always applied: leave it out"),
         ("lock=yes", "lock takes no value, got 'yes'"),
         ("cpu", "cpu=: write one as cpu=1"),
-        ("cpu=-1", "cpu=-1: write one"),
         ("cpu=3-1", "cpu=3-1: write one"),
         ("cpu=1-99999", "cpu=1-99999: write one"),
     ],
@@ -59,29 +51,18 @@ def test_an_invalid_realtime_option_is_refused_in_one_line(text: str, reason: st
     assert "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize(
-    ("cpus", "text"), [({0}, "0"), ({0, 1}, "0-1"), ({7, 1, 2, 3}, "1-3, 7"), (set(), "")]
-)
-def test_processors_are_named_in_spans(cpus: set[int], text: str) -> None:
-    assert spans(frozenset(cpus)) == text
-
-
-def test_late_ticks_stay_on_the_grid_and_stand_for_those_they_missed() -> None:
-    pacer = Pacer(MS, 0)
-    assert pacer.begin(MS - 1) is None
-    assert pacer.begin(MS) == PacedTick(MS, 0, 1)
-    assert pacer.begin(MS + 1) is None
-    assert pacer.begin(4 * MS + 400_000) == PacedTick(4 * MS, 2_400_000, 3)
-    assert (pacer.due_ns, pacer.missed) == (5 * MS, 2)
-
-
 @given(st.integers(1, 10 * MS), st.integers(-(1 << 60), 1 << 60), st.lists(st.integers(0, 50 * MS)))
 def test_every_period_is_counted_once(tick_ns: int, begin_ns: int, waits_ns: list[int]) -> None:
     pacer, now_ns, ticks = Pacer(tick_ns, begin_ns), begin_ns, 0
     for wait_ns in waits_ns:
-        now_ns += wait_ns
+        now_ns, due_ns, missed = now_ns + wait_ns, pacer.due_ns, pacer.missed
         tick = pacer.begin(now_ns)
+        assert (tick is None) == (now_ns < due_ns)
         if tick is not None:
             ticks += 1
+            assert (tick.late_ns, tick.elapsed_ticks) == (
+                now_ns - due_ns,
+                1 + pacer.missed - missed,
+            )
             assert tick.due_ns <= now_ns < tick.due_ns + tick_ns == pacer.due_ns
     assert ticks + pacer.missed == (now_ns - begin_ns) // tick_ns

@@ -1,19 +1,20 @@
-"""Each figure of a summary is on every surface, or left out for a reason."""
+"""Each figure of a summary: its surfaces, and its form in rows and in the file."""
 
 import copy
 import io
+import json
+import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import pytest
 from pydantic import TypeAdapter
 from rich.console import Console
 
-from docs.ext import summary_keys
-from protocol.summary.figures import Figure, Reader, Surface, figures, figures_on
-from protocol.summary.phrases import UNITS
-from protocol.summary.rows import cells, print_summary
+from protocol.summary import tables
+from protocol.summary.figures import Figure, Surface, figures
+from protocol.summary.rows import cells, print_summary, write_json
 from protocol.summary.tables import Summary
 from protocol.wire.telemetry import Status
 from telepulse.metrics.server import NodeState, families
@@ -82,54 +83,56 @@ def test_a_figure_is_on_a_surface_or_absent_for_a_reason(surface: Surface) -> No
             assert show(changed(summary, each)) != before, each.key
 
 
-def test_every_key_of_the_json_is_a_figure_in_the_reference() -> None:
-    def keys(value: Any, before: str = "") -> list[str]:
-        if isinstance(value, dict) and value:
-            return [key for name in value for key in keys(value[name], f"{before}.{name}")]
-        return [before.removeprefix(".")]
-
-    assert sorted(keys(Summary().to_dict())) == sorted(each.key for each in figures())
-    reference = summary_keys.write()
-    assert all(f"| `{each.key}` |" in reference for each in figures())
-    assert all(reason in reference for each in figures() for reason in each.absent.values())
+def printed_rows(summary: Summary) -> str:
+    out = io.StringIO()
+    print_summary(summary, Console(file=out, width=200))
+    return out.getvalue()
 
 
-@pytest.mark.parametrize(
-    ("unit", "value", "text"),
-    [
-        ("ms", -0.004, "0.00 ms"),
-        ("ms", -0.006, "-0.01 ms"),
-        ("N", -4e-7, "0.000 mN"),
-        ("ppm", -0.0, "0.0 ppm"),
-        ("share", -1e-6, "0.0 %"),
-        ("strain", -0.0, "0.000e+00"),
-    ],
-)
-def test_a_value_that_rounds_to_zero_has_no_sign(unit: str, value: float, text: str) -> None:
-    assert UNITS[unit].text(value) == text
+def rows(text: str) -> dict[str, str]:
+    """The printed rows by their names, which end where two spaces are."""
+    parts = (line.partition("  ") for line in text.splitlines())
+    return {name: value.strip() for name, _, value in parts}
 
 
-@dataclass(frozen=True, slots=True)
-class Bare:
-    secret: float | None = None
+def leaves(value: Any) -> list[Any]:
+    if isinstance(value, dict):
+        return [leaf for inner in value.values() for leaf in leaves(inner)]
+    return [value]
+
+
+def test_figures_that_do_not_apply_are_null() -> None:
+    table = Summary().to_dict()
+    assert table.pop("rejected") == table.pop("hardware") == {}
+    assert table.pop("faults") == table.pop("windows") == table["loop"].pop("realtime") == []
+    delays, loop = (table["one_way_delay_ms"], table["playout_delay_ms"]), table["loop"]
+    for quantiles in (*delays, loop["tick_us"], loop["late_us"]):
+        assert quantiles.pop("beyond") == []
+    assert set(leaves(table)) == {None}
 
 
 @pytest.mark.parametrize(
-    ("entries", "refusal"),
+    "summary",
     [
-        ({}, r"Bare\.secret has no entry"),
-        ({"secret": {}, "other": {}}, "Bare has no other"),
-        ({"secret": {"meanning": "misspelt"}}, "meanning"),
+        Summary(),
+        full_summary(),
+        Summary(speed=math.nan),
+        Summary(loop=tables.Loop(tick_us=tables.TickTime(p50=math.inf))),
+        Summary(faults=["zu spät"]),
     ],
 )
-def test_each_field_has_an_entry_and_each_entry_a_field(entries: Json, refusal: str) -> None:
-    with pytest.raises(TypeError, match=refusal):
-        list(Reader({}, entries).figures(Bare))
+def test_the_file_holds_the_summary(summary: Summary, tmp_path: Path) -> None:
+    path = tmp_path / "summary.json"
+    write_json(summary, path)
+
+    def refuse(word: str) -> float:
+        raise AssertionError(f"{word} is not JSON")
+
+    text = path.read_text(encoding="utf-8")
+    assert json.loads(text, parse_constant=refuse) == summary.to_dict()
+    assert text.endswith("}\n")
 
 
-def test_each_metric_is_of_one_figure() -> None:
-    names = [
-        (each.metric, tuple(sorted(each.labels.items()))) for each in figures_on(Surface.METRICS)
-    ]
-    assert all(name for name, _ in names)
-    assert len(set(names)) == len(names)
+@pytest.mark.parametrize("text", ["2–3 mm off", "no [actuator]", "[/red] is no end", "[bold]"])
+def test_texts_are_printed_without_markup(text: str) -> None:
+    assert rows(printed_rows(Summary(faults=[text])))["faults"] == text

@@ -15,9 +15,7 @@ from hypothesis.extra import numpy as hnp
 from numpy.typing import NDArray
 
 from protocol.errors import WireError
-from protocol.tactile import ElasticLayer
 from protocol.wire import messages as wire
-from protocol.wire.stream import Channel, StreamDescription
 from tests.support.message_examples import (
     CONTROL,
     DESCRIPTION,
@@ -38,15 +36,6 @@ VALID: dict[str, tuple[Decoder, bytes]] = {
 each_message = pytest.mark.parametrize(("decode", "data"), VALID.values(), ids=VALID)
 each_decoder = pytest.mark.parametrize("decode", [wire.decode_frame, wire.decode_control])
 DTYPES: list[np.dtype[Any]] = [np.dtype("<f4"), np.dtype("<f8")]
-LARGEST_DESCRIPTION = StreamDescription(
-    name="x" * 80,
-    period_ns=10_000_000_000,
-    batch=4096,
-    channels=tuple(Channel(f"{i:02}" * 40) for i in range(64)),
-    layer=ElasticLayer(1e5, 1e-3, 0.0, 0.02),
-    bytes_per_sample=8,
-    group_delay_ns=7_000_000,
-)
 REPORT = [2, "report", 7, "me", 90, 5, 6, 4, 1.5, 2.5, 40.0, 0.25]
 CLOCK = [2, "clock", 7, 1, 2, 3]
 BYE = [2, "bye", 7, 5000]
@@ -114,22 +103,6 @@ def test_a_control_message_has_these_bytes(message: wire.ControlMessage, data: b
 )
 def test_a_frame_is_decoded_as_it_was_encoded(frame: wire.Frame) -> None:
     assert_same(wire.decode_frame(wire.encode_frame(frame)), frame)
-
-
-@pytest.mark.parametrize(
-    "message",
-    [
-        wire.Hello(""),
-        wire.Hello("žilice " * 10),
-        wire.Bye(2**63 - 1, 0),
-        wire.ClockReply(0, -(2**62), 2**62 - 1, 0),
-        wire.DisplayReport(0, "me", 1, 5, 2, 3, 0.1, 0.2, 0.3, 0.4),
-        wire.Welcome(1, 2, LARGEST_DESCRIPTION),
-    ],
-    ids=lambda message: type(message).__name__,
-)
-def test_a_control_message_is_decoded_as_it_was_encoded(message: wire.ControlMessage) -> None:
-    assert wire.decode_control(wire.encode_control(message)) == message
 
 
 @pytest.mark.parametrize(

@@ -67,15 +67,6 @@ def test_messages_without_a_subscriber_are_counted_only() -> None:
     assert (captured.before, captured.messages) == (3, [CapturedMessage(4, 0, b"d")])
 
 
-def test_a_late_recorder_gets_the_welcome() -> None:
-    writer = CaptureWriter(run=9)
-    writer.add(1, CONTROL, b"welcome")
-    writer.welcome(1, b"welcome")
-    for _ in range(2):
-        writer.follow(SUBSCRIBED)
-        assert list(messages_of(taken(writer))) == [CapturedMessage(1, CONTROL, b"welcome")]
-
-
 def test_a_message_above_a_frames_limit_is_cut() -> None:
     writer = wanted()
     writer.add(1, 0, bytes(3 * MAX_FRAME_BYTES))

@@ -175,9 +175,3 @@ def test_what_a_library_does_not_expect_is_told_in_words_for_people(tmp_path: Pa
     assert refusal(path) == "is damaged, or is no XDF file"
     other.write_bytes(b"RIFF\xff\xff\0\0WAVEjunk\xff\xff\0\0" + bytes(100))
     assert refusal(other) == "is damaged, or is no WAV file"
-
-
-def test_a_matlab_file_of_version_7_3_says_how_to_save_it(tmp_path: Path) -> None:
-    path = tmp_path / "a.mat"
-    path.write_bytes(b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(512))
-    assert "'-v7'), or read it by the Python package h5py" in refusal(path)

@@ -1,10 +1,8 @@
 """Checks that hold for files of every format alike: rates, values, names, refusals."""
 
 import struct
-import sys
 from pathlib import Path
 
-import edfio
 import numpy as np
 import pyarrow
 import pytest
@@ -17,7 +15,7 @@ from sensing_node.files.grids import find_gaps
 from sensing_node.sources.choice import record_table
 from sensing_node.sources.recorded import RecordedSource, RecordingScene
 from telepulse.recording import xdf_writer
-from tests.support.signal_files import pulse_and_ecg, wfdb_record
+from tests.support.signal_files import pulse_and_ecg
 
 PULSE = pulse_and_ecg()["ABP"]
 
@@ -36,18 +34,6 @@ def test_a_rate_beyond_the_limits_is_refused(tmp_path: Path, rate_hz: float) -> 
     assert f"has a rate of {rate_hz:g} Hz; rates are 1 Hz to 100000 Hz" in refusal(
         tmp_path / "a.npz"
     )
-
-
-@pytest.mark.parametrize(("title", "step"), [("t [s]", 2.0), ("t [us]", 2.0), ("t_s", 5.0)])
-def test_a_rate_by_the_files_own_times_is_checked_too(
-    tmp_path: Path, title: str, step: float
-) -> None:
-    rows = "".join(f"{n * step},{v}\n" for n, v in enumerate(PULSE))
-    (tmp_path / "a.csv").write_text(f"{title},ABP\n{rows}", encoding="utf-8")
-    assert "rates are 1 Hz to 100000 Hz" in refusal(tmp_path / "a.csv")
-    arrays = {title.replace("t [us]", "t_us"): np.arange(1000) * step, "ABP": PULSE}
-    parquet.write_table(pyarrow.table(arrays), tmp_path / "a.parquet")
-    assert "rates are 1 Hz to 100000 Hz" in refusal(tmp_path / "a.parquet")
 
 
 def _xdf(path: Path, button_s: list[float]) -> Path:
@@ -81,37 +67,6 @@ def test_an_irregular_stream_is_left_out_unless_it_is_asked_for(
         record_table(path, "Button")
     with pytest.raises(SourceError, match="signal 'Button' has"):
         file.load(("Button",))
-
-
-def test_a_slow_signal_of_an_edf_is_left_out_unless_it_is_asked_for(tmp_path: Path) -> None:
-    path = tmp_path / "a.edf"
-    fast = edfio.EdfSignal(PULSE, 250, label="ABP", physical_dimension="mmHg")
-    slow = edfio.EdfSignal(np.array([96.0, 97.0]), 0.5, label="SpO2", physical_dimension="%")
-    edfio.Edf([slow, fast], data_record_duration=2).write(path)
-    file = open_signals(path)
-    assert [(signal.number, signal.name) for signal in file.signals] == [(1, "ABP")]
-    text = "signal 'SpO2' has a rate of 0.5 Hz; rates are 1 Hz to 100000 Hz"
-    assert file.notes == (f"left out: {text}",)
-    for key in ("SpO2", "0"):
-        with pytest.raises(SourceError, match=r"has a rate of 0\.5 Hz"):
-            record_table(path, key)
-    edfio.Edf([slow], data_record_duration=2).write(path)
-    assert refusal(path) == f"{path}: {text}"
-
-
-def test_a_signal_without_a_range_is_left_out_of_an_edf(tmp_path: Path) -> None:
-    path = tmp_path / "a.edf"
-    signals = [edfio.EdfSignal(PULSE, 250, label=label, physical_range=(0, 200))
-               for label in ("ABP", "Status")]  # fmt: skip
-    edfio.Edf(signals).write(path)
-    data = path.read_bytes()
-    # The second signal's greatest value becomes its least one.
-    at = 256 + 2 * (16 + 80 + 8 + 8) + 8
-    assert data[at : at + 8] == b"200     "
-    path.write_bytes(data[:at] + b"0       " + data[at + 8 :])
-    file = open_signals(path)
-    assert [signal.name for signal in file.signals] == ["ABP"]
-    assert file.notes[0].startswith("left out: signal 'Status' has the range (0.0, 0.0) for")
 
 
 @pytest.mark.parametrize("source", ["npz", "csv", "parquet", "wav"])
@@ -154,52 +109,3 @@ def test_an_xdf_file_that_breaks_off_says_so(tmp_path: Path) -> None:
         open_signals(tmp_path / "cut.xdf")
     (tmp_path / "no_end.xdf").write_bytes(data[: data.rindex(b"<info><first_timestamp>") - 11])
     assert open_signals(tmp_path / "no_end.xdf").notes[0].endswith("no end: the file breaks off")
-
-
-def _nothing(path: Path) -> Path:
-    path.write_bytes(b"")
-    return path
-
-
-def test_refusals_name_file_fault_and_remedy_without_internals(tmp_path: Path) -> None:
-    found = {}
-    for suffix in ("csv", "npy", "npz", "hea", "edf", "xdf", "mcap", "parquet", "wav"):
-        found[suffix] = refusal(_nothing(tmp_path / f"a.{suffix}"))
-    assert set(found.values()) == {f"{tmp_path / f'a.{suffix}'}: is empty" for suffix in found}
-    parquet.write_table(pyarrow.table({"a": ["x"]}), tmp_path / "b.parquet")
-    assert refusal(tmp_path / "b.parquet").endswith(": holds no signal of numbers")
-    np.savez(tmp_path / "b.npz")
-    assert refusal(tmp_path / "b.npz").endswith(": holds no signal of numbers")
-    (tmp_path / "b.npy").write_text("hello", encoding="utf-8")
-    assert refusal(tmp_path / "b.npy").endswith("save it by numpy.save or numpy.savez")
-    (tmp_path / "b.hea").write_text("# a comment\n", encoding="utf-8")
-    assert refusal(tmp_path / "b.hea").endswith("header of a WFDB record: it holds no line")
-
-
-@pytest.mark.parametrize(
-    ("suffix", "library", "package"),
-    [("edf", "edfio", "edfio"), ("xdf", "pyxdf", "'telepulse[files]'")],
-)
-def test_a_library_that_is_missing_is_named_with_what_installs_it(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, suffix: str, library: str, package: str
-) -> None:
-    monkeypatch.delitem(sys.modules, f"sensing_node.files.{suffix}", raising=False)
-    monkeypatch.setitem(sys.modules, library, None)
-    (tmp_path / f"a.{suffix}").write_bytes(b"0")
-    line = refusal(tmp_path / f"a.{suffix}")
-    assert f"needs {library}, which cannot be loaded" in line
-    assert line.endswith(f"pip install {package}")
-
-
-def test_units_beyond_ascii_are_read(tmp_path: Path) -> None:
-    # Headers of others may be in Latin-1.
-    record = wfdb_record(tmp_path, {"ABP": PULSE}).with_suffix(".hea")
-    record.write_bytes(record.read_text(encoding="utf-8").replace("mmHg", "µN").encode("latin-1"))
-    assert open_signals(record).signals[0].unit == "µN"
-    record.write_bytes(record.read_bytes().decode("latin-1").encode("utf-8"))
-    assert open_signals(record).signals[0].unit == "µN"
-
-
-def test_a_wav_of_a_sound_card_is_refused_by_its_rate(tmp_path: Path) -> None:
-    wavfile.write(tmp_path / "a.wav", 192_000, PULSE.astype("f4"))
-    assert "has a rate of 192000 Hz" in refusal(tmp_path / "a.wav")

@@ -1,7 +1,7 @@
 """Tables of CSV, NumPy and Parquet: layouts, times and columns that are no signals."""
 
+from collections.abc import Callable
 from datetime import UTC, datetime, timedelta
-from decimal import Decimal
 from pathlib import Path
 
 import numpy as np
@@ -9,25 +9,21 @@ import pyarrow
 import pytest
 from pyarrow import parquet
 
-from protocol.errors import SourceError
 from sensing_node.files.formats import open_signals
-from sensing_node.files.grids import find_gaps
 from sensing_node.sources.choice import record_table
 from sensing_node.sources.recorded import RecordedSource, RecordingScene
 from tests.support.signal_files import pulse_and_ecg
 
 ABP = pulse_and_ecg()["ABP"]
 TIMES_S = np.arange(1000) / 250
-BEGIN = datetime(2024, 1, 1, tzinfo=UTC)
 
 
 def played(path: Path) -> RecordedSource:
     return RecordedSource(RecordingScene.model_validate(record_table(path)[0]), Path())
 
 
-def csv_file(path: Path, title: str, separator: str = ",", decimal: str = ".") -> Path:
-    rows = [f"{t:.4f}{separator}{v:.4f}".replace(".", decimal)
-            for t, v in zip(TIMES_S, ABP, strict=True)]  # fmt: skip
+def csv_file(path: Path, title: str) -> Path:
+    rows = [f"{t:.4f},{v:.4f}" for t, v in zip(TIMES_S, ABP, strict=True)]
     path.write_text("\n".join([title, *rows, ""]), encoding="utf-8")
     return path
 
@@ -42,35 +38,6 @@ def test_times_are_found_by_their_title_or_since_they_rise(tmp_path: Path, title
     assert played(path).period_ns == 4_000_000
 
 
-@pytest.mark.parametrize(
-    ("separator", "decimal"), [(",", "."), (";", "."), (";", ","), ("\t", "."), ("\t", ","),
-                               (" ", "."), (" ", ",")],
-)  # fmt: skip
-@pytest.mark.parametrize("suffix", ["csv", "txt"])
-def test_separators_and_decimal_commas_are_recognised(
-    tmp_path: Path, separator: str, decimal: str, suffix: str
-) -> None:
-    title = f"# by hand\n\nt{separator}ABP"
-    path = csv_file(tmp_path / f"a.{suffix}", title, separator, decimal)
-    assert [signal.name for signal in open_signals(path).signals] == ["t", "ABP"]
-    (column,) = open_signals(path).load(("ABP",))
-    np.testing.assert_allclose(column.values, ABP, atol=1e-4)
-    assert played(path).period_ns == 4_000_000
-
-
-def test_empty_cells_are_missing_samples_and_words_are_named_by_line(tmp_path: Path) -> None:
-    path = csv_file(tmp_path / "a.csv", "# comment\nt,ABP")
-    lines = path.read_text(encoding="utf-8").splitlines()
-    lines[10] = lines[10].partition(",")[0] + ","
-    path.write_text("\n".join(lines), encoding="utf-8")
-    (column,) = open_signals(path).load(("ABP",))
-    assert find_gaps(column.values).samples == 1
-    lines[20] = "0.1,high"
-    path.write_text("\n".join(lines), encoding="utf-8")
-    with pytest.raises(SourceError, match=r"line 21, '0\.1,high': 'high' is not a number; write"):
-        open_signals(path).load(("ABP",))
-
-
 def test_dates_are_times(tmp_path: Path) -> None:
     # At 5 Hz, times without a unit would be taken as ms.
     dates = [BEGIN + timedelta(milliseconds=200 * n) for n in range(1000)]
@@ -78,23 +45,9 @@ def test_dates_are_times(tmp_path: Path) -> None:
     table = pyarrow.table({"ABP [mmHg]": ABP, "__index_level_0__": dates})
     parquet.write_table(table, index)
     parquet.write_table(pyarrow.table({"time": dates, "ABP [mmHg]": ABP}), column)
-    text = tmp_path / "a.csv"
-    rows = "".join(f"{at:%Y-%m-%dT%H:%M:%S.%f},{v}\n" for at, v in zip(dates, ABP, strict=True))
-    text.write_text("time,ABP [mmHg]\n" + rows, encoding="utf-8")
-    for path in (index, column, text):
+    for path in (index, column):
         source = played(path)
         assert (source.period_ns, source.warnings) == (200_000_000, [])
-
-
-def test_numbers_of_parquet_may_be_decimal_or_share_a_name(tmp_path: Path) -> None:
-    decimals = [Decimal(f"{v:.3f}") for v in ABP]
-    names = ["t_s", "ABP", "ABP", "note"]
-    table = pyarrow.table([TIMES_S, decimals, ABP, ["x"] * 1000], names=names)
-    parquet.write_table(table, tmp_path / "a.parquet")
-    file = open_signals(tmp_path / "a.parquet")
-    assert [signal.number for signal in file.signals] == [0, 1, 2]
-    for column in file.load((1, 2)):
-        np.testing.assert_allclose(column.values, ABP, atol=1e-3)
 
 
 def test_only_arrays_of_numbers_are_signals(tmp_path: Path) -> None:
@@ -114,11 +67,82 @@ def test_only_arrays_of_numbers_are_signals(tmp_path: Path) -> None:
     assert [(each.name, each.unit) for each in signals] == [("data[0]", "N"), ("data[1]", "")]
 
 
-def test_a_table_without_rate_or_times_says_what_to_do(tmp_path: Path) -> None:
-    np.save(tmp_path / "a.npy", ABP)
-    with pytest.raises(SourceError, match=r'--rate "500 Hz" beside --source, rate = "500 Hz" in'):
-        played(tmp_path / "a.npy")
-    (tmp_path / "b.csv").write_text("t,ABP\n", encoding="utf-8")
-    with pytest.raises(SourceError) as caught:
-        played(tmp_path / "b.csv")
-    assert "\n" not in str(caught.value)
+PULSE = pulse_and_ecg(5.0, 200)["ABP"]
+BEGIN = datetime(2024, 1, 31, 23, 59, 58, tzinfo=UTC)
+
+
+def rows(row: Callable[[int], str]) -> str:
+    return "\n".join(map(row, range(len(PULSE)))) + "\n"
+
+
+def t(n: int) -> str:
+    return f"{n / 200:.3f}"
+
+
+def v(n: int, more: float = 0.0) -> str:
+    return f"{PULSE[n] + more:.3f}"
+
+
+def at(n: int, form: str) -> str:
+    return f"{BEGIN + timedelta(milliseconds=5 * n):{form}}"[:-3]
+
+
+def comma(text: str) -> str:
+    """Return a number with a decimal comma, and points between thousands."""
+    return text.replace(",", "_").replace(".", ",").replace("_", ".")
+
+
+# Name of the signal, unit, and text.
+PLAYED = {
+    "quoted, decimal commas": ("Kraft", "mN", '"Zeit [ms]";"Kraft [mN]"\n'
+        + rows(lambda n: f'"{n * 5},0";"{comma(v(n))}"')),
+    "units in brackets": ("Force", "mN", "time (s),Force (mN)\n"
+        + rows(lambda n: f"{t(n)},{v(n)}")),
+    "titles after %": ("Force", "mN", "% fs = 200 Hz\n% Force [mN], ECG [mV]\n"
+        + rows(lambda n: f"{v(n)}, {n % 7}")),
+    "keys of columns": ("Pulse", "mmHg", "Interval=\t0.005 s\nChannelTitle=\tPulse\tECG\n"
+        "Range=\t10.000 V\t10.000 V\nUnitName=\tmmHg\tmV\n"
+        + rows(lambda n: f"{t(n)}\t{v(n)}\t{n % 7}")),
+    "minutes, counts and a separator at the end": ("CH1", "", "rec.acq\n5 msec/sample\n2 channels\n"
+        "min,CH1,CH2,\n,1000,1000,\n" + rows(lambda n: f"{n / 12000:.8f},{v(n)},{n % 7},")),
+    "a fixed width": ("ABP", "mmHg", "# fs: 200\n   sample #      ABP    PLETH\n"
+        "                (mmHg)     (NU)\n"
+        + rows(lambda n: f"{n:10d} {PULSE[n]:8.3f} {PULSE[n] / 9:8.3f}")),
+    "ISO times": ("ppg", "", "timestamp,ppg\n"
+        + rows(lambda n: f"{at(n, '%Y-%m-%dT%H:%M:%S.%f')}Z,{v(n)}")),
+    "German dates": ("Kraft", "mN", "Datum;Kraft/mN\n"
+        + rows(lambda n: f"{at(n, '%d.%m.%Y %H:%M:%S,%f')};{comma(v(n))}")),
+    "times of day over midnight": ("ppg", "", "date,clock,ppg\n"
+        + rows(lambda n: f"{at(n, '%Y-%m-%d,%H:%M:%S.%f')},{v(n)}")),
+    "ms since 1970": ("ppg", "", "n,ts,ppg\n"
+        + rows(lambda n: f"{n},{1544027337000 + 5 * n},{v(n)}")),
+    "labels with colons": ("IR", "", "Ready\n# fs: 200\n"
+        + rows(lambda n: f"IR:{PULSE[n] * 1e3:.0f},RED:{PULSE[n] * 500:.0f}")),
+    "tables of JSON": ("ppg", "", rows(lambda n: f'{{"t_ms": {n * 5}, "ppg": {v(n)}}}')),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("form", PLAYED)
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16", "utf-16-le"])
+def test_a_form_of_text_is_played(tmp_path: Path, form: str, encoding: str) -> None:
+    name, unit, text = PLAYED[form]
+    path = tmp_path / "a.txt"
+    path.write_bytes(text.encode(encoding))
+    table, _ = record_table(path)
+    source = RecordedSource(RecordingScene.model_validate(table), Path())
+    file = open_signals(path)
+    (signal,) = [each for each in file.signals if each.number == table["column"]]
+    assert (signal.name, signal.unit) == (name, unit)
+    assert source.period_ns == pytest.approx(5_000_000, rel=1e-6)
+    assert source.warnings == []
+    values = file.load([signal.number])[0].values
+    assert len(values) == len(PULSE)
+    assert np.corrcoef(values, PULSE)[0, 1] > 0.999
+
+
+def test_a_last_line_that_breaks_off_is_left_out_and_named(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    path.write_text("time,ppg\n" + rows(lambda n: f"{t(n)},{v(n)}") + "5.0")
+    source = RecordedSource(RecordingScene.model_validate(record_table(path)[0]), Path())
+    (warning,) = source.warnings
+    assert warning.endswith("line 1002, the last one, breaks off, and is left out")

@@ -8,39 +8,38 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from protocol.config.kinds import load_object
 from protocol.errors import SourceError
 from protocol.tissue import StiffeningLaw
 from protocol.wire.stream import Channel
 from pulse_drives import build_drive
 from pulse_drives.scene import MotorScene, TmclScene
 from pulse_sensors.samples import SampleBlock
-from sensing_node.press.live_probe import LiveProbe, columns_of
-from sensing_node.press.load_cell import PATIENCE_NS, JoinedSensors
+from sensing_node.press.live_probe import PATIENCE_NS, JoinedSensors, LiveProbe, columns_of
 from sensing_node.press.probe import ProbeLimits
-from sensing_node.sources.wrist import WristScene
+from sensing_node.sources.wrist import WristScene, WristSensors
 from telepulse.emulators.motor import EmulatedMotor, MotorState
-from telepulse.emulators.wrist import TissueContact, WristBoard
+from telepulse.emulators.wrist import TissueContact, read_wrist
 from tests.support.drive_benches import stepper
-from tests.support.virtual_lines import tmcl_line
+from tests.support.fault_injection import FaultyMotor
+from tests.support.virtual_lines import virtual_line
 from tests.support.virtual_time import VirtualTime
 
 MS = 1_000_000
 FRAME = 4
-LIMITS = ProbeLimits(speed_m_per_s=0.03, travel_m=0.014)
+LIMITS = ProbeLimits(max_speed="30 mm/s", travel="14 mm")
 DRIVE = TmclScene.model_validate({"kind": "tmcl", "port": "x", "touch": "5 mm"})
-VIRTUAL = ("pulse_drives", "telepulse.emulators", "sensing_node.press")
+VIRTUAL = ("sensing_node.press",)
 
 
 class VirtualBoard:
     """Film and load cell of a wrist, delivered some milliseconds late in frames of four."""
 
-    channels, period_ns = WristBoard.channels, MS
+    channels, period_ns = WristSensors.channels, MS
 
     def __init__(
         self, world: VirtualTime, motor: EmulatedMotor, wrist: WristScene, late_ms: int
     ) -> None:
-        self._world, self._motor, self._board = world, motor, WristBoard(wrist)
+        self._world, self._motor, self._sensors = world, motor, WristSensors(wrist)
         self._late_ns = late_ms * MS
         self._blocks: list[SampleBlock] = []
         self.silent = False
@@ -53,7 +52,7 @@ class VirtualBoard:
         now_ns = self._world.now_ns
         self._motor.advance(now_ns)
         forces_n = [self._motor.forces_n.popleft() for _ in range(FRAME)]
-        values = np.array(self._board.read(forces_n))
+        values = np.array(read_wrist(self._sensors, forces_n))
         if self.cell_n is not None:
             values[:, 1] = self.cell_n
         self._blocks.append(SampleBlock(values, 0, now_ns - (FRAME - 1) * MS, now_ns + MS))
@@ -101,12 +100,11 @@ class PressedBench:
 @contextmanager
 def pressed(stiffness: float = 1.0, late_ms: int = 4) -> Iterator[PressedBench]:
     """Provide a probe at rest, off the wrist."""
-    length_m = StiffeningLaw().scaled(stiffness).length_m
+    length_m = StiffeningLaw(length_m=1.2e-3 / stiffness).length_m
     wrist = WristScene.model_validate({"kind": "wrist", "length": f"{length_m} m"})
     world = VirtualTime()
-    motor = EmulatedMotor(stepper(), TissueContact(wrist), DRIVE.touch_m, world.now_ns)
-    load_object(DRIVE.driver)  # so that its clock is replaced too
-    with world.substituted(VIRTUAL), tmcl_line(world, DRIVE, motor):
+    motor = FaultyMotor(stepper(), TissueContact(wrist), DRIVE.touch_m, world.now_ns)
+    with virtual_line(world, DRIVE, motor, VIRTUAL):
         board = VirtualBoard(world, motor, wrist, late_ms)
         drive = build_drive(DRIVE, MotorScene(), LIMITS.travel_m)
         probe = LiveProbe(LIMITS, drive, board, world.perf_counter_ns)
@@ -126,11 +124,11 @@ def test_set_points_are_followed_by_a_supervised_drive_without_swinging(
             bench.run(1_500, wanted_n)
             forces_n = bench.force_n
             assert np.abs(forces_n[-1_000:] / wanted_n - 1).max() < 0.05
-        assert bench.force_n.max() <= LIMITS.force_n
+        assert bench.force_n.max() <= LIMITS.force_limit_n
         # Over 5 ms, as the drive moves in whole microsteps.
-        assert np.abs(np.diff(bench.force_n[::5])).max() / 5e-3 < LIMITS.slew_n_per_s
+        assert np.abs(np.diff(bench.force_n[::5])).max() / 5e-3 < LIMITS.slew_limit_n_per_s
         assert bench.probe.depth_m == pytest.approx(
-            StiffeningLaw().scaled(stiffness).depth_m(2.5), rel=0.2
+            StiffeningLaw(length_m=1.2e-3 / stiffness).depth_m(2.5), rel=0.2
         )
         assert not bench.probe.faults()
 
@@ -165,7 +163,7 @@ def test_after_a_fault_the_probe_leaves_the_wrist(
         bench.run(1_000, 1.5)
     assert fault in bench.probe.faults()[0]
     assert bench.probe.state == "fault"
-    assert bench.force_n[pressed_ms:].max() < LIMITS.force_n * LIMITS.overforce
+    assert bench.force_n[pressed_ms:].max() < LIMITS.force_limit_n * LIMITS.overforce
     # A motor that stops itself leaves the probe where it is.
     assert bool(bench.force_n[-1] == 0) is follows
 

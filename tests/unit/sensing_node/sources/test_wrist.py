@@ -36,16 +36,6 @@ def test_the_pulse_is_highest_at_the_mean_arterial_pressure_and_has_the_scenes_h
     assert heights[0.85] < heights[1] > heights[1.15]
 
 
-def test_beyond_the_best_hold_down_the_pulse_is_flat_in_diastole() -> None:
-    source = wrist()
-    shares = {}
-    for share in (0.5, 1.0, 1.4):
-        pulse = pulse_at(source, share * source.artery.best_n)
-        shares[share] = float(np.mean(pulse < pulse.min() + 0.1 * np.ptp(pulse)))
-    assert shares[0.5] < shares[1.0] < shares[1.4]
-    assert shares[1.4] > 0.6
-
-
 def test_the_load_cell_measures_the_static_force_and_the_pulse() -> None:
     source = wrist(cell_noise="0 N")
     pulse_at(source, 1.2)
@@ -80,12 +70,6 @@ def test_an_ecg_announces_each_beat_and_leaves_the_pulse_as_it_is() -> None:
 def test_off_the_wrist_nothing_is_measured() -> None:
     values = wrist(cell_noise="0 N").take(1000)
     assert not values.any()
-
-
-def test_blocks_of_any_size_give_the_same_samples() -> None:
-    whole, parts = wrist(noise="1 mN"), wrist(noise="1 mN")
-    parted = np.concatenate([parts.take(count) for count in (1, 7, 92, 400)])
-    np.testing.assert_array_equal(whole.take(500), parted)
 
 
 @pytest.mark.parametrize(

@@ -34,13 +34,6 @@ def test_a_node_gets_keys_is_allowed_listed_and_revoked() -> None:
     assert keys("list") == "keys/allowed allows nobody\n"
 
 
-def test_another_folder_and_another_list() -> None:
-    keys("new", "finger", "--folder", "ward/keys")
-    keys("allow", "ward/keys/finger.pub", "--list", "ward/displays")
-    assert "finger" in keys("list", "--list", "ward/displays")
-    assert not Path("ward/keys/allowed").exists()
-
-
 @pytest.mark.parametrize(
     ("arguments", "reason"),
     [

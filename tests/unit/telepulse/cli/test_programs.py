@@ -11,7 +11,6 @@ from typer.testing import CliRunner
 import display_node.cli
 import sensing_node.cli
 import telepulse.cli.main
-from protocol.config.scene_file import scene_names
 
 PROGRAMS = (telepulse.cli.main.app, sensing_node.cli.app, display_node.cli.app)
 
@@ -23,29 +22,6 @@ def test_every_program_prints_its_version_and_can_be_completed_by_a_shell(app: t
     assert (result.stdout, result.exit_code) == (printed, 0)
     options = [name for part in typer.main.get_command(app).params for name in part.opts]
     assert "--install-completion" in options
-
-
-@pytest.mark.parametrize(
-    ("app", "line", "words"),
-    [
-        (PROGRAMS[0], "telepulse sim", ["simulate"]),
-        (PROGRAMS[0], "telepulse simulate w", ["wan"]),
-        (PROGRAMS[0], "telepulse scenes show ", scene_names()),
-        (PROGRAMS[1], "sensing-node rad", ["radial"]),
-        (PROGRAMS[2], "display-node rad", ["radial"]),
-    ],
-)
-def test_a_shell_completes_commands_and_scenes(
-    app: typer.Typer, line: str, words: list[str]
-) -> None:
-    program = line.split()[0]
-    environment = {
-        f"_{program.upper().replace('-', '_')}_COMPLETE": "complete_bash",
-        "COMP_WORDS": line,
-        "COMP_CWORD": str(len(line.split(" ")) - 1),
-    }
-    result = CliRunner().invoke(app, env=environment, prog_name=program)
-    assert result.stdout.split() == words
 
 
 @pytest.mark.parametrize("app", [sensing_node.cli.app, display_node.cli.app])

@@ -36,11 +36,3 @@ def test_a_scene_is_shown_with_units_and_all_that_it_extends() -> None:
     assert tomllib.loads(shown) == load_document(find_scene("wan"))
     assert 'lead = "2 mm"' in shown
     assert "extends" not in shown
-
-
-def test_a_scene_that_is_not_there_is_refused_in_one_line() -> None:
-    for command in ("copy", "show"):
-        refused = run(command, "radail")
-        assert refused.exit_code == 2
-        assert refused.stderr.startswith("telepulse: radail: no such scene")
-        assert refused.stderr.count("\n") == 1

@@ -1,6 +1,5 @@
 """The real-time part of a bench check, on an emulated drive and its film in virtual time."""
 
-from collections import Counter
 from collections.abc import Iterator
 
 import numpy as np
@@ -16,10 +15,9 @@ from telepulse.commissioning.rig import (
     HardwareRig,
     check_answers,
     check_line,
-    judge_line_errors,
     listen,
 )
-from telepulse.commissioning.sensor_check import judge_sensor, measure
+from telepulse.commissioning.sensor_check import judge_sensor
 from tests.support.drive_benches import Bench, tmcl_scene, virtual_bench
 from tests.unit.telepulse.commissioning.test_press import bench as press_bench
 
@@ -120,9 +118,8 @@ def test_the_drives_answer_is_timed(late_ms: int, verdict: str) -> None:
 
 def test_a_record_has_every_samples_time(rig: HardwareRig, film: Film) -> None:
     (record,) = listen(film, 0.3).values()  # type: ignore[arg-type]
-    figures = measure(record)
-    assert figures.rate_hz == pytest.approx(1000.0)
-    assert {c.name: c.verdict for c in judge_sensor(figures, 1000.0)}["rate"] == "ok"
+    rate = judge_sensor(record, 1000.0)[0]
+    assert (rate.name, rate.text, rate.verdict) == ("rate", "1000.0 Hz", "ok")
     film.silent = True
     reason = r"no sample came from the sensor in 0\.1 s: it is unplugged"
     with pytest.raises(BenchError, match=reason):
@@ -157,12 +154,3 @@ def test_the_command_rate_that_the_line_allows_is_judged(scene: TmclScene, verdi
     assert check.verdict == verdict
     assert f"at most {1 / scene.exchange_s:.0f} commands a second" in check.text
     assert bool(check.reason) == (verdict != "ok")
-
-
-def test_errors_of_the_line_are_named_and_superseded_commands_are_none() -> None:
-    counts = Counter({"wrong": 1, "superseded": 40, "garbled": 2, "not closed": 0})
-    checks = judge_line_errors(counts)
-    assert [(check.name, check.text, check.verdict) for check in checks] == [
-        ("line errors", "2 answers with a wrong checksum", "warn"),
-        ("line errors", "1 answer to another request", "warn"),
-    ]

@@ -5,8 +5,9 @@ import pytest
 import tomlkit
 
 from protocol.config.scene_file import find_scene, load_document, merge, scene_names
-from protocol.errors import OutputError, SceneError
-from telepulse.commissioning.scene_edit import Changes, check_editable, set_keys, write_scene
+from protocol.errors import SceneError
+from protocol.host.output import write_whole
+from telepulse.commissioning.scene_edit import Changes, check_editable, set_keys
 
 SCENE = """title = "a bench"  # mine
 
@@ -45,7 +46,7 @@ def test_every_shipped_scene_can_be_edited(tmp_path: Path) -> None:
     changes: Changes = {"actuator": {"latency": "4.2 ms", "k": 1.5}}
     for path in map(find_scene, scene_names()):
         written = tmp_path / path.name
-        write_scene(path, written, changes)
+        write_whole(written, set_keys(path, changes))
         assert load_document(written) == merge(load_document(path), {"display": changes})
 
 
@@ -57,7 +58,7 @@ def test_a_scene_that_extends_a_file_beside_it_is_written_beside_it(tmp_path: Pa
     with pytest.raises(SceneError, match="by a relative path; write the copy to the folder"):
         check_editable(child, tmp_path / "far" / "found.toml")
     check_editable(child, tmp_path / "found.toml")
-    write_scene(child, tmp_path / "found.toml", FILM)
+    write_whole(tmp_path / "found.toml", set_keys(child, FILM))
     assert load_document(tmp_path / "found.toml")["display"]["film"]["latency"] == "8 ms"
 
 
@@ -77,7 +78,7 @@ def test_a_table_may_be_written_in_any_way(text: str, tmp_path: Path) -> None:
     source, target = tmp_path / "odd.toml", tmp_path / "found.toml"
     source.write_text(text, encoding="utf-8")
     changes: Changes = {**FILM, "actuator": {"k": 1.5, "latency": "2 ms"}}
-    write_scene(source, target, changes)
+    write_whole(target, set_keys(source, changes))
     found = tomllib.loads(target.read_text(encoding="utf-8"))
     assert found == merge(tomllib.loads(text), {"display": changes})
 
@@ -91,14 +92,4 @@ def test_keys_that_are_not_set_are_no_result(
     with pytest.raises(SceneError, match="can only be set by hand"):
         check_editable(source, target)
     with pytest.raises(SceneError, match="can only be set by hand"):
-        write_scene(source, target, FILM)
-    assert not target.exists()
-
-
-def test_a_comment_goes_to_the_end_of_the_written_scene(tmp_path: Path) -> None:
-    source, target = tmp_path / "scene.toml", tmp_path / "found.toml"
-    source.write_text(SCENE, encoding="utf-8")
-    write_scene(source, target, FILM, "# found")
-    assert target.read_text(encoding="utf-8").endswith("# found\n")
-    with pytest.raises(OutputError, match="cannot be written"):
-        write_scene(source, tmp_path / "no" / "found.toml", {})
+        set_keys(source, FILM)

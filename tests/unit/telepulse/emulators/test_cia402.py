@@ -4,16 +4,11 @@ import pytest
 
 from pulse_drives.cia402.state_machine import (
     HEARTBEAT_ERROR,
-    HERE,
-    HOMING_ATTAINED,
-    HOMING_ERROR,
-    NEGATIVE_SWITCH,
-    POSITIVE_SWITCH,
     Controlword,
     Mode,
     State,
 )
-from telepulse.emulators.cia402 import NEGATIVE_LIMIT, POSITIVE_LIMIT, EmulatedCia402Drive
+from telepulse.emulators.cia402 import EmulatedCia402Drive
 from tests.support.drive_benches import cia402_scene, emulated_motor, stepper
 
 MS = 1_000_000
@@ -45,15 +40,6 @@ class Bench:
             self.drive.advance(self.now_ms * MS)
 
 
-def test_statuswords_on_the_way_to_operation_enabled() -> None:
-    bench = Bench(enabled=False)
-    words = [bench.drive.statusword]
-    for word in (*TO_ENABLED, Controlword.DISABLE_VOLTAGE):
-        bench.control(word)
-        words.append(bench.drive.statusword)
-    assert words == [0x40, 0x31, 0x33, 0x37, 0x40]
-
-
 def test_it_moves_in_operation_enabled_alone_and_takes_only_modes_that_it_has() -> None:
     bench = Bench(enabled=False)
     bench.drive.select(Mode.PROFILE_VELOCITY)
@@ -63,51 +49,6 @@ def test_it_moves_in_operation_enabled_alone_and_takes_only_modes_that_it_has() 
         assert bench.motor.rate_hz == 0.0
     bench.control(Controlword.ENABLE, velocity=1000, ms=10)
     assert bench.motor.rate_hz == pytest.approx(1000.0)
-
-
-def test_reports_are_in_the_drives_units_and_direction() -> None:
-    bench = Bench(inverted=True, velocity_scale=2.0, position_scale=4.0)
-    bench.control(Controlword.ENABLE, velocity=2000, ms=100)
-    assert bench.motor.rate_hz == pytest.approx(-1000.0)
-    assert bench.motor.position_steps == pytest.approx(-100, abs=1)
-    assert bench.drive.velocity == pytest.approx(2000)
-    assert bench.drive.position == -4 * bench.motor.position_steps
-
-
-@pytest.mark.parametrize(
-    ("inverted", "method", "limit"),
-    [(False, NEGATIVE_SWITCH, NEGATIVE_LIMIT), (True, POSITIVE_SWITCH, POSITIVE_LIMIT)],
-)
-def test_the_home_switch_is_on_the_side_away_from_the_finger(
-    inverted: bool, method: int, limit: int
-) -> None:
-    bench = Bench(inverted=inverted)
-    drive, motor = bench.drive, bench.motor
-    drive.select(Mode.HOMING)
-    drive.search_by(method, 8000, 400)
-    bench.control(Controlword.START_HOMING, ms=2)
-    assert not drive.statusword & HOMING_ATTAINED
-    bench.run(2_000)
-    assert drive.statusword & HOMING_ATTAINED == HOMING_ATTAINED
-    assert abs(motor.position_steps) <= 2
-    assert drive.digital_inputs == 0
-    drive.select(Mode.CYCLIC_VELOCITY)
-    bench.control(Controlword.ENABLE, velocity=8_000 if inverted else -8_000, ms=500)
-    assert motor.at_switch
-    assert drive.digital_inputs == limit
-
-
-def test_here_is_home_and_another_method_is_an_error() -> None:
-    bench = Bench()
-    bench.control(Controlword.ENABLE, velocity=1000, ms=100)
-    bench.drive.select(Mode.HOMING)
-    bench.drive.search_by(HERE, 0, 0)
-    bench.control(Controlword.START_HOMING)
-    assert bench.motor.position_steps == 0
-    bench.control(Controlword.ENABLE)
-    bench.drive.search_by(1, 0, 0)
-    bench.control(Controlword.START_HOMING)
-    assert bench.drive.statusword & HOMING_ERROR
 
 
 def test_a_fault_is_reset_by_a_rising_edge_alone() -> None:

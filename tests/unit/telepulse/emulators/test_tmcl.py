@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pytrinamic.tmcl import TMCLReply, TMCLRequest
 
-from pulse_drives.tmcl.module import Command, Parameter, Search
+from pulse_drives.tmcl.module import Command, Parameter
 from telepulse.emulators.motor import EmulatedMotor
 from telepulse.emulators.tmcl import (
     INVALID_COMMAND,
@@ -70,15 +70,6 @@ def test_unknown_requests_are_refused(module: EmulatedTmclModule, data: bytes, s
     assert reply.is_checksum_correct()
 
 
-def test_a_search_on_the_side_that_has_no_switch_is_refused_and_another_modules_ignored(
-    module: EmulatedTmclModule,
-) -> None:
-    assert module.reply(b"\2" + GET_POSITION[1:-1] + b"\x09", 0) == b""
-    module.reply(request(Command.SET_AXIS, Parameter.SEARCH_MODE, value=65), 0)
-    reply = module.reply(request(Command.REFERENCE_SEARCH, Search.START), 0)
-    assert TMCLReply.from_buffer(reply).status == INVALID_VALUE
-
-
 @pytest.mark.parametrize("offset", range(10))
 @pytest.mark.parametrize("noise", [b"\0", b"\xff\x01", b"\x01\x06\x01", bytes(8)])
 def test_after_noise_anywhere_and_a_pause_it_answers_again(
@@ -101,38 +92,3 @@ def test_no_bytes_break_it_and_none_that_are_no_request_move_it(data: bytes, cut
             valid += bool(reply) and reply[2] != WRONG_CHECKSUM
     motor.advance(100_000_000)
     assert valid or motor.rate_hz == 0.0
-
-
-MS = 1_000_000
-
-
-def answer(module: EmulatedTmclModule, now_ns: int, command: int, kind: int, value: int = 0) -> int:
-    reply = TMCLReply.from_buffer(module.reply(request(command, kind, value=value), now_ns))
-    assert reply.is_valid()
-    number: int = reply.value
-    return number
-
-
-@pytest.mark.parametrize("inverted", [False, True])
-def test_limit_switch_states_report_the_home_switch_on_its_side(inverted: bool) -> None:
-    module, motor = module_and_motor(inverted=inverted)
-    sides = (Parameter.RIGHT_SWITCH_STATE, Parameter.LEFT_SWITCH_STATE)
-    assert [answer(module, 0, Command.GET_AXIS, side) for side in sides] == [0, 0]
-    away = Command.ROTATE_RIGHT if inverted else Command.ROTATE_LEFT
-    answer(module, 0, away, 0, 8_000)
-    states = [answer(module, 2_000 * MS, Command.GET_AXIS, side) for side in sides]
-    assert motor.at_switch
-    assert states == [int(inverted), int(not inverted)]
-
-
-def test_after_a_missed_heartbeat_it_obeys_the_next_command() -> None:
-    module, motor = module_and_motor()
-    answer(module, 0, Command.SET_GLOBAL, 68, 50)
-    answer(module, 0, Command.ROTATE_RIGHT, 0, 1_000)
-    assert answer(module, 40 * MS, Command.GET_AXIS, Parameter.ACTUAL_SPEED) == 1_000
-    motor.advance(200 * MS)
-    assert motor.tripped
-    assert motor.rate_hz == 0.0
-    answer(module, 201 * MS, Command.ROTATE_LEFT, 0, 1_000)
-    motor.advance(210 * MS)
-    assert motor.rate_hz == pytest.approx(-1_000)

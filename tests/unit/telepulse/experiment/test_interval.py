@@ -1,14 +1,13 @@
 from pathlib import Path
 
 from telepulse.experiment.interval import (
-    FOREPERIOD_NS,
     Interval,
     IntervalPlayback,
     PlayedInterval,
     draw_interval,
     play_in_virtual_time,
 )
-from telepulse.experiment.session import Trial, draw_trials
+from telepulse.experiment.session import Trial
 from tests.support.experiment_sessions import condition, plan
 
 SLOW = condition("slow", "delay=200ms,jitter=10ms", "auto")
@@ -59,16 +58,6 @@ def test_x_has_the_same_beats_and_other_random_numbers(tmp_path: Path) -> None:
     assert b.on_link
     assert x.on_link
     assert b.aligned_n != x.aligned_n
-
-
-def test_playing_again_is_drawn_anew_and_begins_anywhere_in_a_beat(tmp_path: Path) -> None:
-    found = plan(tmp_path)
-    trial = draw_trials(found.session, 1)[0]
-    drawn = [draw_interval(found, 1, 0, trial, "X", nth) for nth in range(100)]
-    assert len({interval.link_seed for interval in drawn}) == 100
-    waits_ns = [interval.foreperiod_ns - found.session.joining_ns for interval in drawn]
-    assert 0 <= min(waits_ns) < 0.1 * FOREPERIOD_NS
-    assert 0.9 * FOREPERIOD_NS < max(waits_ns) < FOREPERIOD_NS
 
 
 def test_a_direct_interval_is_as_good_as_the_loop_and_a_bad_link_is_not(tmp_path: Path) -> None:

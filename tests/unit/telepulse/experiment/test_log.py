@@ -5,13 +5,11 @@ from pathlib import Path
 from typing import Literal
 
 import pytest
-from typer.testing import CliRunner
 
-from telepulse.cli.main import app
 from telepulse.experiment.interval import Interval, IntervalPlayback, PlayedInterval, draw_interval
 from telepulse.experiment.log import AnsweredTrial
 from telepulse.experiment.session import SessionPlan, Trial, draw_trials
-from tests.support.experiment_sessions import condition, plan, played, write
+from tests.support.experiment_sessions import condition, plan, played
 
 TRIAL = Trial(condition="plain", direct="A", x="B", pulse_seed=1)
 CLEAN = [played("A", False, 1e-3), played("B", True, 50e-3), played("X", True, 50e-3)]
@@ -83,12 +81,3 @@ def test_a_stream_that_its_own_link_leaves_stale_is_named_and_counted(tmp_path: 
     assert "stale" in broken.model_copy(update={"on_link": False}).spoilt
     line = AnsweredTrial.of(0, TRIAL, "A", [*CLEAN[:2], broken.model_copy(update={"letter": "X"})])
     assert (line.stale, line.spoilt) == (True, "")
-
-
-def test_a_scene_without_a_drive_is_refused_for_a_person(tmp_path: Path) -> None:
-    session, out = write(tmp_path / "s.toml"), tmp_path / "log.jsonl"
-    result = CliRunner().invoke(app, ["experiment", "run", str(session), "--log", str(out)])
-    assert result.exit_code == 2
-    assert "has no [display.drive]" in result.stderr
-    assert "--without-drive" in result.stderr
-    assert not out.exists()

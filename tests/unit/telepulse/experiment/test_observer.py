@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.special import ndtr
 
-from telepulse.experiment.observer import IntervalErrors, SimulatedObserver
+from telepulse.experiment.observer import SimulatedObserver
 
 
 @pytest.mark.parametrize("apart", [0.0, 0.7, 2.0, 4.0])
@@ -16,7 +16,7 @@ def test_the_observer_does_as_its_equation_says(apart: float) -> None:
     for trial in range(of):
         a, b = (apart, 0.0) if trial % 2 else (0.0, apart)
         x = a if trial % 3 else b
-        right += observer.identify(IntervalErrors(a, b, x)) == ("A" if trial % 3 else "B")
+        right += observer.identify(a, b, x) == ("A" if trial % 3 else "B")
     nearer, aside = apart / math.sqrt(2), apart / 2 / math.sqrt(1.5)
     share = ndtr(nearer) * ndtr(aside) + ndtr(-nearer) * ndtr(-aside)
     assert abs(right / of - share) < 4 * math.sqrt(0.25 / of)

@@ -44,23 +44,14 @@ def test_everything_a_link_can_do_is_read_and_written() -> None:
     ("text", "words"),
     [
         ("delay=40", ["delay", "time"]),
-        ("delay=40N", ["delay", "time"]),
         ("delay=-1ms", ["delay", "greater"]),
         ("loss=2", ["loss", "less"]),
-        ("loss=much", ["loss", "ratio"]),
         ("dealy=1ms", ["dealy", "unknown key", "did you mean delay?"]),
-        ("delay", ["delay", "time"]),
-        ("jitter_kind=paretto", ["jitter_kind", "gaussian", "pareto", "bursts"]),
         ("transport=udp", ["transport", "datagram", "tcp"]),
-        ("rate=2MHz", ["rate", "bit rate", "Mbit/s"]),
         ("rate=1bit/s", ["rate", "greater than or equal to 1000"]),
-        ("cut=3s", ["cut", "table"]),
         ("cut=3s,cut.from=3s", ["cut", "table"]),
         ("cut.from=3s", ["cut.for", "missing"]),
-        ("cut.from=3s,cut.to=4s", ["cut.to", "unknown key"]),
         ("burst_loss.share=100%,burst_loss.length=50ms", ["burst_loss.share", "less than 1"]),
-        ("burst_loss.share=1%,burst_loss.length=0s", ["burst_loss.length", "greater than 0"]),
-        ("reorder.share=1%", ["reorder.by", "missing"]),
         ("transport=tcp,loss=100%", ["tcp", "loss"]),
     ],
 )
@@ -186,27 +177,6 @@ def test_the_same_seed_gives_the_same_arrivals() -> None:
     assert arrivals(text, 500, seed=1) != arrivals(text, 500, seed=2)
 
 
-def test_bursts_do_not_depend_on_the_traffic() -> None:
-    text = "jitter=1ms,burst_loss.share=20%,burst_loss.length=20ms"
-    every = [arrival is None for arrival in arrivals(text, 1000)]
-    direction = Direction(parse_link(text), 1)
-    # In the reverse order.
-    some = {sent: direction.arrival_ns(sent * MS, BYTES) is None for sent in range(990, -1, -10)}
-    assert some == {sent: every[sent] for sent in range(0, 1000, 10)}
-    assert {*some.values()} == {True, False}
-
-
-def test_an_outage_ends_with_the_later_of_cut_and_burst() -> None:
-    burst, cut = "burst_loss.share=50%,burst_loss.length=50ms", "cut.from=0s,cut.for=100ms"
-    outlasted = 0
-    for seed in range(20):
-        burst_end_ns = Direction(parse_link(burst), seed).outage_end_ns(99 * MS) or 0
-        end_ns = Direction(parse_link(f"{burst},{cut}"), seed).outage_end_ns(99 * MS)
-        assert end_ns == max(100 * MS, burst_end_ns)
-        outlasted += burst_end_ns > 100 * MS
-    assert 0 < outlasted < 20
-
-
 def test_control_is_never_lost_and_waits_for_the_end_of_a_cut() -> None:
     link = MessageLink(parse_link("delay=40ms,loss=100%,cut.from=50ms,cut.for=30ms"), 1)
     assert link.control_arrival_ns(0, BYTES) == 40 * MS
@@ -265,16 +235,6 @@ def test_in_a_long_cut_the_timeout_doubles_and_all_comes_soon_after_its_end() ->
     assert delays[160:] == [20] * 40
 
 
-def test_packets_lost_before_a_retransmission_by_timeout_follow_a_round_trip_later() -> None:
-    delays = tcp_delays_ms("cut.from=200ms,cut.for=239ms", 100)
-    # The retransmission by timeout at 440 ms is the first to arrive.
-    assert delays[20] == 240 + 20
-    # Its acknowledgement reveals the losses after it.
-    assert delays[21] == 240 + 40 + 20 - STEP
-    assert delays[22] == delays[21] - STEP
-    assert delays[60:] == [20] * 40
-
-
 @pytest.mark.parametrize("jitter_kind", ["gaussian", "pareto", "bursts"])
 def test_nothing_is_lost_and_nothing_overtakes(jitter_kind: str) -> None:
     text = f"jitter=10ms,jitter_kind={jitter_kind},loss=5%,reorder.share=5%,reorder.by=50ms"
@@ -289,8 +249,3 @@ def test_without_loss_a_message_takes_the_links_delay_and_waits_at_too_low_a_rat
     assert tcp_delays_ms("", 100) == [20] * 100
     # 100 bytes each 10 ms are 80 kbit/s.
     assert tcp_delays_ms("rate=40kbit/s", 100) == [20 + 20 + STEP * later for later in range(100)]
-
-
-def test_a_connection_of_few_messages_finds_a_loss_by_its_timeout() -> None:
-    stream = TcpStream(Direction(parse_link("delay=20ms,cut.from=0s,cut.for=1ms"), 1))
-    assert stream.arrival_ns(0, 100) == (240 + 20) * MS

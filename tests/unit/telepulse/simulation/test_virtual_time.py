@@ -13,9 +13,8 @@ from protocol.wire.messages import Frame
 from sensing_node.feeds import Framer, PacedSource
 from sensing_node.scene import SensingScene, build_source, describe_stream
 from telepulse.scene import Scene, load_scene
-from telepulse.simulation.link_scene import LinkScene
-from telepulse.simulation.virtual_time import ReferenceForce, Simulation, summarise
-from tests.support.nodes import RADIAL, ROOT
+from telepulse.simulation.virtual_time import ReferenceForce, summarise
+from tests.support.nodes import RADIAL
 
 RESTLESS = {"kind": "synthetic", "heart_rate_variability": "5 %", "noise": "1 mN"}
 FILTERS = {"mains": "50 Hz", "anti_alias": "40 Hz", "adc_bits": 12}
@@ -132,28 +131,3 @@ def test_a_simulation_reports_the_beats_and_a_signal_that_is_no_pulse() -> None:
     assert noise.alarm
     assert noise.quality is not None
     assert noise.quality < 0.5
-
-
-def test_the_whole_chain_is_mostly_its_adc() -> None:
-    step_mn = 20e3 / 2**16 / 0.044
-    scene = load_scene(ROOT / "scenes" / "conditioned.toml")
-    assert rmse_mn(scene) == pytest.approx(step_mn / math.sqrt(12), rel=0.1)
-
-
-def test_lost_set_points_and_answers_are_in_both_accounts() -> None:
-    link = {"delay": "20 ms", "loss": "5 %"}
-    scene = load_scene(ROOT / "scenes" / "press.toml")
-    lossy = dataclasses.replace(scene, link=validate(link, LinkScene, "[link]"))
-    under_test = Simulation(lossy, seed=3)
-    finger = under_test.run(8.0).press
-    wrist = under_test.set_points
-    assert wrist is not None
-    for account in (finger, wrist.counts()):
-        parts = account.applied, account.superseded, account.lost
-        assert account.sent == sum(part or 0 for part in parts) > 200
-        assert 2 < (account.lost or 0) < 40
-    # A lost answer hides what the wrist has taken until the next one.
-    assert 0 <= (wrist.counts().applied or 0) - (finger.applied or 0) <= 5
-    clean = Simulation(scene, seed=3).run(8.0).press
-    assert clean.lost == 0
-    assert (clean.applied or 0) > 200
