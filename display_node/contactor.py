@@ -21,8 +21,8 @@ from display_node.scoring.tracking_error import TrackingError
 from protocol.summary.tables import Compensation, Limits, Summary
 from protocol.tactile import matching_force_ratio
 from protocol.ticks import LimitCounter, TickState
+from protocol.wire.description import StreamDescription
 from protocol.wire.messages import ChannelSamples
-from protocol.wire.stream import StreamDescription
 from protocol.wire.telemetry import PlaybackStatus
 from pulse_drives.withdrawal import FingerState, describe_finger
 

@@ -203,7 +203,7 @@ class Hardware:
         newest = self.feedback.newest
         if newest is None or self.feedback.samples == samples:
             return None
-        self._drive.add_film_reading(newest[1], newest[0])
+        self._drive.add_force_reading(newest[1], newest[0])
         return newest
 
     @property

@@ -16,8 +16,8 @@ from protocol.config.quantities import Name, Nanoseconds, Ratio, parse_quantity
 from protocol.config.scene import Section
 from protocol.config.scene_file import merge
 from protocol.errors import SceneError
+from protocol.wire.description import HOLD_DOWN, LayerTable, first_repeated
 from protocol.wire.messages import MAX_CHANNELS
-from protocol.wire.stream import HOLD_DOWN, LayerTable, first_repeated
 from pulse_drives import Drive
 from pulse_drives.scene import DriveTable
 from pulse_sensors.sensor import OneForceSensor, Sensor

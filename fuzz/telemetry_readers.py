@@ -11,7 +11,7 @@ from rich.console import Console
 
 from display_node.telemetry.terminal_view import TerminalView
 from protocol.summary.tables import Clock, SampleCounts, Summary
-from protocol.wire.stream import StreamDescription
+from protocol.wire.description import StreamDescription
 from protocol.wire.telemetry import (
     CAPTURE,
     CONTROL,

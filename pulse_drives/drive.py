@@ -43,15 +43,15 @@ ADVICE = "look at inverted in its table and at the motor's wiring"
 
 
 class TouchGuard:
-    """Guard of a motion that must not press the film: away from the finger, or to first touch."""
+    """Guard of a motion that must not press: away from finger or wrist, or to first touch."""
 
     def __init__(self, force_n: Callable[[], float | None]) -> None:
-        """Take a function that returns the film's newest reading in N, None without one."""
+        """Take a function that returns the newest force in N, None without one."""
         self._force_n = force_n
         self._least_n = force_n()
 
     def __call__(self) -> None:
-        """Raise DriveError if the film reads much more than its lowest reading so far."""
+        """Raise DriveError if the force is far above its least value so far."""
         force_n = self._force_n()
         if force_n is None:
             return
@@ -60,7 +60,7 @@ class TouchGuard:
         elif force_n > self._least_n + PRESSED_N:
             rise_mn = (force_n - self._least_n) * 1e3
             raise DriveError(
-                WRONG_WAY, f"the film reads {rise_mn:.0f} mN more before first touch; {ADVICE}"
+                WRONG_WAY, f"the force rises by {rise_mn:.0f} mN before first touch; {ADVICE}"
             )
 
 
@@ -133,7 +133,7 @@ class Drive(ABC):
         Parameters
         ----------
         force_n
-            Function that returns the film's newest reading in N, None without one.
+            Function that returns the newest force in N, of film or load cell; None without one.
 
         Raises
         ------
@@ -183,10 +183,10 @@ class Drive(ABC):
         fault, and the tip is withdrawn.
         """
 
-    def add_film_reading(self, force_n: float, taken_ns: int) -> None:
-        """Take a reading of the film in N, which also shows whether a withdrawal succeeds."""
+    def add_force_reading(self, force_n: float, taken_ns: int) -> None:
+        """Take a force of film or load cell in N, which shows whether a withdrawal succeeds."""
         with self._lock:
-            self._supervisor.add_film_reading(force_n, taken_ns)
+            self._supervisor.add_force_reading(force_n, taken_ns)
 
     def status(self) -> DriveStatus:
         """Return the drive's last report, without a request."""

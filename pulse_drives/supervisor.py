@@ -172,10 +172,10 @@ class Supervisor:
                     now_ns,
                 )
 
-    def add_film_reading(self, force_n: float, taken_ns: int) -> None:
-        """Take a reading of the film under the finger, in N."""
+    def add_force_reading(self, force_n: float, taken_ns: int) -> None:
+        """Take a reading in N of the film under the finger, or of the probe's load cell."""
         if self.withdrawal is not None:
-            self.withdrawal.add_film_reading(force_n, taken_ns)
+            self.withdrawal.add_force_reading(force_n, taken_ns)
 
     def fail(self, fault: str, now_ns: int) -> None:
         """Latch a fault and begin the withdrawal; a second one changes nothing."""

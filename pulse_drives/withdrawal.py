@@ -113,8 +113,8 @@ class Withdrawal:
         if position_m <= self._clear_m:
             self.outcome = WithdrawalOutcome.WITHDRAWN
 
-    def add_film_reading(self, force_n: float, taken_ns: int) -> None:
-        """Take a reading of the film, in N."""
+    def add_force_reading(self, force_n: float, taken_ns: int) -> None:
+        """Take a reading in N of the film, or of the probe's load cell."""
         self._last_n = force_n
         if self.outcome is not WithdrawalOutcome.UNDER_WAY:
             return

@@ -18,7 +18,7 @@ from protocol.config.quantities import (
 )
 from protocol.config.scene import Section
 from protocol.tactile import FIG_4_VOLTS_PER_NEWTON, Calibration, Film
-from protocol.wire.stream import ANNOUNCE, PULSE, Channel, first_repeated
+from protocol.wire.description import ANNOUNCE, PULSE, Channel, first_repeated
 
 # Most values of a sample.
 MAX_VALUES = 15

@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal, NamedTuple, Self
 from pydantic import Field, model_validator
 
 from protocol.errors import SourceError
-from protocol.wire.stream import PULSE
+from protocol.wire.description import PULSE
 from pulse_sensors import library
 from pulse_sensors.force_scale import MAX_VALUES
 from pulse_sensors.plausibility import is_usable, rate_contradiction

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from protocol.config.quantities import count_text
-from protocol.wire.stream import Channel
+from protocol.wire.description import Channel
 from pulse_sensors.plausibility import MOST_BELOW, MOST_N, NEGLIGIBLE_N, SETTLED_S
 
 logger = logging.getLogger(__name__)

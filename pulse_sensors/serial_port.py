@@ -11,7 +11,7 @@ from pydantic import Field, model_validator
 from serial.tools import list_ports
 
 from protocol.errors import SourceError
-from protocol.wire.stream import PULSE
+from protocol.wire.description import PULSE
 from pulse_sensors.binary_frames import FrameDecoder
 from pulse_sensors.force_scale import MAX_VALUES
 from pulse_sensors.sensor import SensorScene

@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 
 from protocol.errors import VersionError, WireError
 from protocol.security.budgets import TokenBucket
+from protocol.wire.description import StreamDescription
 from protocol.wire.messages import (
     Bye,
     ClockReply,
@@ -16,7 +17,6 @@ from protocol.wire.messages import (
     Welcome,
     decode_control,
 )
-from protocol.wire.stream import StreamDescription
 from sensing_node.press.set_points import SetPointServer
 
 # A display sends some 52 messages a second in its first minute, 22 later.

@@ -10,8 +10,8 @@ from collections.abc import Iterable
 import numpy as np
 
 from protocol.summary.tables import Limits
+from protocol.wire.description import StreamDescription
 from protocol.wire.messages import Frame
-from protocol.wire.stream import StreamDescription
 from pulse_sensors.samples import SampleBlock
 from sensing_node.press.live_probe import LiveProbe, SampleSensor
 from sensing_node.press.set_points import PressedProbe

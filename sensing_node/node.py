@@ -14,8 +14,8 @@ from protocol.security.authenticator import Authenticator
 from protocol.security.budgets import SubscriptionBudget
 from protocol.security.keys import ServerKeys
 from protocol.summary.tables import PressFigures, SampleCounts, Summary
+from protocol.wire.description import StreamDescription
 from protocol.wire.messages import HEADER_BYTES, Bye, encode_control, encode_frame
-from protocol.wire.stream import StreamDescription
 from protocol.wire.telemetry import STATUS, pack_status
 from pulse_sensors.sample_check import SampleCheck
 from sensing_node.control_server import ControlServer, RequestBudget, Sender

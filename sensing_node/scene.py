@@ -13,8 +13,8 @@ from protocol.config.quantities import MAX_NAME, Name, Nanoseconds, count_text
 from protocol.config.scene import Section, load_section, validate
 from protocol.config.scene_file import load_document
 from protocol.errors import SceneError
+from protocol.wire.description import LayerTable, StreamDescription
 from protocol.wire.messages import HEADER_BYTES, MAX_FRAME_BYTES
-from protocol.wire.stream import LayerTable, StreamDescription
 from pulse_drives import build_drive
 from pulse_drives.scene import DriveScene
 from pulse_sensors.sensor import SENSORS, SensorScene, open_sensor

@@ -21,8 +21,8 @@ import zmq
 from protocol import sockets
 from protocol.sockets import control_address
 from protocol.tactile import ElasticLayer
+from protocol.wire.description import Channel, StreamDescription
 from protocol.wire.messages import ClockReply, Frame, encode_control, encode_frame
-from protocol.wire.stream import Channel, StreamDescription
 from sensing_node.control_server import ControlServer
 from tests.support.hostile_peers import hold, send_bytes, send_messages
 

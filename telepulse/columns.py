@@ -8,8 +8,8 @@ from typing import Any, NamedTuple, get_type_hints
 import numpy as np
 from numpy.typing import NDArray
 
+from protocol.wire.description import StreamDescription
 from protocol.wire.messages import Frame
-from protocol.wire.stream import StreamDescription
 from protocol.wire.telemetry import PlaybackStatus
 
 Floats = NDArray[np.float64]

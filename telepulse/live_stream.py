@@ -20,8 +20,8 @@ from protocol.config.arguments import file_path, number, whole_number
 from protocol.config.quantities import shown
 from protocol.errors import AddressError, SourceError, WireError
 from protocol.security.keys import ClientKeys
+from protocol.wire.description import StreamDescription
 from protocol.wire.messages import Welcome, decode_control, decode_frame, encode_control
-from protocol.wire.stream import StreamDescription
 from telepulse.sample_queue import SampleQueue, StreamBlock
 
 POLL_NS: Final = 5_000_000

@@ -18,8 +18,8 @@ import numpy as np
 from protocol.config.quantities import count_text
 from protocol.security.keys import ClientKeys
 from protocol.summary.tables import contactors_of
+from protocol.wire.description import StreamDescription
 from protocol.wire.messages import Frame
-from protocol.wire.stream import StreamDescription
 from pulse_sensors import library
 from telepulse.sample_queue import FrameReorderer
 from telepulse.telemetry.client import TelemetryClient

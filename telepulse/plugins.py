@@ -11,7 +11,7 @@ from display_node.prediction.scene import PREDICTORS, BasePredictor, PredictorSc
 from protocol.config.kinds import KindGroup
 from protocol.config.scene import Section
 from protocol.errors import DriveError, SceneError, SourceError
-from protocol.wire.stream import Channel
+from protocol.wire.description import Channel
 from pulse_drives.axis import Axis
 from pulse_drives.drive import Drive, DriveDevice
 from pulse_drives.scene import DRIVES, DriveScene

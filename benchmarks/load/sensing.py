@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from protocol.host.process import stop_on_signals
 from protocol.security.keys import ServerKeys
 from protocol.tactile import ElasticLayer
-from protocol.wire.stream import Channel, StreamDescription
+from protocol.wire.description import Channel, StreamDescription
 from sensing_node.node import SensingNode
 from sensing_node.sources.source import SampleSource
 from sensing_node.sources.synthetic import SyntheticScene, SyntheticSource

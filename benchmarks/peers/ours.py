@@ -12,8 +12,8 @@ from display_node.reception.receiver import Receiver
 from protocol import sockets
 from protocol.provenance import BUILD
 from protocol.tactile import ElasticLayer
+from protocol.wire.description import Channel, StreamDescription
 from protocol.wire.messages import ChannelSamples, Frame, encode_control, encode_frame, unpack_frame
-from protocol.wire.stream import Channel, StreamDescription
 from sensing_node.control_server import ControlServer
 
 SESSION = 1

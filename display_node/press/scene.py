@@ -14,7 +14,7 @@ from protocol.config.quantities import (
     NewtonsPerSecond,
 )
 from protocol.config.scene import Section
-from protocol.wire.stream import HOLD_DOWN
+from protocol.wire.description import HOLD_DOWN
 from pulse_sensors.sensor import SENSORS, SensorScene, one_force
 
 

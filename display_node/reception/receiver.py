@@ -16,7 +16,7 @@ from protocol.errors import VersionError, WireError
 from protocol.histogram import Histogram
 from protocol.summary.tables import Clock, FrameCounts, OneWayDelay, Summary
 from protocol.wire import messages as wire
-from protocol.wire.stream import StreamDescription
+from protocol.wire.description import StreamDescription
 
 HELLO_EVERY_NS: Final = 250_000_000
 # The first READY_AFTER clock requests are sent at once, since nothing is played before the clock is

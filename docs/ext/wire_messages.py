@@ -6,7 +6,7 @@ from typing import Any
 from pydantic import TypeAdapter
 
 from protocol.wire import messages
-from protocol.wire.stream import StreamDescription
+from protocol.wire.description import StreamDescription
 
 
 def write() -> str:

@@ -11,7 +11,7 @@ import can
 from display_node.plant.scene import StepperScene
 from protocol.config.scene import validate
 from protocol.errors import DriveError
-from protocol.wire.stream import LayerTable
+from protocol.wire.description import LayerTable
 from pulse_drives.axis import build_axis
 from pulse_drives.cia402 import node as cia402_node
 from pulse_drives.cia402.node import EMERGENCY, TPDO1, TPDO2, Cia402Node

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from protocol.config.quantities import MAX_NAME
 from protocol.errors import VersionError, WireError
-from protocol.wire.stream import StreamDescription, description_from_wire
+from protocol.wire.description import StreamDescription, description_from_wire
 
 VERSION: Final = 2
 # Greatest size of any message between the nodes.

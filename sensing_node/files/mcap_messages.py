@@ -17,8 +17,8 @@ from mcap import stream_reader
 from mcap.records import Message
 
 from protocol.errors import SourceError, WireError
+from protocol.wire.description import Channel
 from protocol.wire.messages import Welcome, decode_control, decode_frame
-from protocol.wire.stream import Channel
 from sensing_node.files.bounds import MOST_SAMPLES
 from sensing_node.files.grids import FREE_GAP, MOST_GAPS, evenly, unsteady
 from sensing_node.files.signals import ColumnKey, Floats, SignalFile, SignalInfo, finite

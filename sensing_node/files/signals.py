@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from protocol.errors import SourceError
+from protocol.wire.description import first_repeated
 from protocol.wire.marks import printable
-from protocol.wire.stream import first_repeated
 from pulse_sensors.plausibility import RecordedColumn, blocks, stated_rate_hz
 
 ColumnKey = Annotated[int, Field(ge=0)] | str

@@ -15,7 +15,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from protocol.errors import SourceError
-from protocol.wire.stream import HOLD_DOWN, Channel
+from protocol.wire.description import HOLD_DOWN, Channel
 from pulse_drives.drive import Drive
 from pulse_drives.start_advice import advised
 from pulse_drives.withdrawal import WithdrawalOutcome
@@ -284,7 +284,7 @@ class LiveProbe(PressedProbe):
             )
         if newest is not None:
             self._newest = newest
-            self._drive.add_film_reading(newest.cell_n, newest.taken_ns)
+            self._drive.add_force_reading(newest.cell_n, newest.taken_ns)
         return newest
 
     def _cell_n(self) -> float | None:

@@ -22,7 +22,7 @@ from pydantic import Field
 
 from protocol.config.quantities import Nanoseconds, Volts
 from protocol.config.scene import Section
-from protocol.wire.stream import ANNOUNCE, Channel
+from protocol.wire.description import ANNOUNCE, Channel
 
 NOMINAL_BEAT_S = 0.8
 SLOW_RHYTHM_HZ = 0.1

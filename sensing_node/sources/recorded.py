@@ -11,8 +11,8 @@ from pydantic import Field, model_validator
 
 from protocol.config.quantities import MAX_NAME, Hertz, Newtons
 from protocol.errors import SourceError
+from protocol.wire.description import ANNOUNCE, PULSE, Channel, first_repeated
 from protocol.wire.messages import LARGEST_N
-from protocol.wire.stream import ANNOUNCE, PULSE, Channel, first_repeated
 from pulse_sensors.force_scale import FORCES, MILLIVOLTS, VOLTAGES, SensitivityTable
 from pulse_sensors.plausibility import (
     BLOCK,

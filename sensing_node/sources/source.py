@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from protocol.config.kinds import KindGroup, KindTable
 from protocol.summary.tables import Limits
-from protocol.wire.stream import Channel
+from protocol.wire.description import Channel
 from sensing_node.press.probe import ProbeLimits
 from sensing_node.press.set_points import PressedProbe
 

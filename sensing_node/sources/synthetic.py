@@ -15,7 +15,7 @@ from pydantic import Field, model_validator
 
 from protocol.config.quantities import Hertz, Metres, MetresPerSecond, Name, Newtons, Ratio
 from protocol.config.scene import Section
-from protocol.wire.stream import ANNOUNCE, PULSE, Channel, first_repeated
+from protocol.wire.description import ANNOUNCE, PULSE, Channel, first_repeated
 from sensing_node.sources.heart import (
     NOMINAL_BEAT_S,
     AnnounceScene,

@@ -14,7 +14,7 @@ from pydantic import Field, model_validator
 
 from protocol.config.quantities import Metres, Newtons, Pascals
 from protocol.tissue import StiffeningLaw, TubeLaw
-from protocol.wire.stream import HOLD_DOWN, PULSE, Channel
+from protocol.wire.description import HOLD_DOWN, PULSE, Channel
 from sensing_node.press.probe import CLEARANCE_M, Probe, ProbeLimits
 from sensing_node.press.set_points import PressedProbe
 from sensing_node.sources.source import SampleSource, SourceContext, SourceScene

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from protocol.errors import BenchError
-from protocol.wire.stream import Channel
+from protocol.wire.description import Channel
 
 Verdict = Literal["ok", "warn", "fail"]
 LEAST_SAMPLES = 200

@@ -65,6 +65,9 @@ class DriveRun:
         resources: ExitStack,
         wrist: WristSensors | None = None,
     ) -> None:
+        # Before the caller says that the drive runs: who reads that may end it at once.
+        self._stopped = threading.Event()
+        stop_on_signals(self._stopped.set)
         self._motor = motor
         self._film: EmulatedFilm | None = None
         self._active_fault = ""
@@ -99,11 +102,9 @@ class DriveRun:
         begin_fault: begins a fault of the bus or serial line, by name. after_s: time from the tip's
         first press to the fault; None: the fault begins at the start.
         """
-        stopped = threading.Event()
-        stop_on_signals(stopped.set)
         freeze_objects()
         began_s, pressed_s = time.monotonic(), math.inf
-        while not stopped.is_set():
+        while not self._stopped.is_set():
             now_s = time.monotonic()
             if self._motor.force_n > PRESSING_N:
                 pressed_s = min(pressed_s, now_s)

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import tomlkit
 
-from protocol.wire.stream import PULSE, Channel
+from protocol.wire.description import PULSE, Channel
 from pulse_sensors.binary_frames import FrameEncoder, SampleFormat
 from sensing_node.sources.source import SampleSource
 from telepulse.emulators import PtyPort

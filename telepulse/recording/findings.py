@@ -12,7 +12,7 @@ from display_node.scoring.tracking_error import scored
 from protocol.errors import SourceError
 from protocol.histogram import Histogram
 from protocol.summary.tables import Availability, Loop, PlayoutDelay, Summary, with_contactors
-from protocol.wire.stream import HOLD_DOWN
+from protocol.wire.description import HOLD_DOWN
 from telepulse.columns import SessionColumns, join_ticks
 from telepulse.recording.contents import COUNTS, PLAYOUT, RecordingContents, read_contents
 from telepulse.recording.forces import NARROWEST_S, ContactorFindings, Floats, find_trend

@@ -19,8 +19,8 @@ from display_node.scoring.depth_curve import DepthCurve, fit_depth_curve
 from protocol.errors import SourceError
 from protocol.tactile import ElasticLayer
 from protocol.tissue import StiffeningLaw
+from protocol.wire.description import HOLD_DOWN, PULSE, StreamDescription
 from protocol.wire.messages import Frame, encode_frame
-from protocol.wire.stream import HOLD_DOWN, PULSE, StreamDescription
 from sensing_node.files.formats import open_signals
 from sensing_node.press.probe import ProbeLimits
 from sensing_node.sources.wrist import ProbedTissue, Wrist

@@ -8,8 +8,8 @@ from pathlib import Path
 
 from protocol.config.quantities import count_text
 from protocol.errors import SourceError, WireError
+from protocol.wire.description import StreamDescription
 from protocol.wire.messages import Frame, Welcome, decode_control, decode_frame
-from protocol.wire.stream import StreamDescription
 from telepulse.recording.reader import RecordedMessage, RecordingReader
 from telepulse.telemetry.schema import FRAME, STREAM
 

@@ -10,7 +10,7 @@ import typing
 from typing import Any
 
 from protocol.summary.tables import Summary
-from protocol.wire.stream import StreamDescription
+from protocol.wire.description import StreamDescription
 from protocol.wire.telemetry import PlaybackStatus
 
 Schema = dict[str, Any]

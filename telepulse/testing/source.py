@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from protocol.summary.tables import Limits
+from protocol.wire.description import Channel, first_repeated
 from protocol.wire.messages import LARGEST_N
-from protocol.wire.stream import Channel, first_repeated
 from sensing_node.sources.source import SampleSource, SourceContext, SourceScene
 from telepulse.testing.conformance import call_within, read_table, require
 

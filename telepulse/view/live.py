@@ -13,8 +13,8 @@ from display_node.reception.receiver import FUTURE_NS, OLDEST_NS
 from display_node.scoring.beats import BeatAnalysis
 from display_node.scoring.pressed_beats import SteadyAnalysis
 from protocol.summary.tables import contactors_of
+from protocol.wire.description import HOLD_DOWN
 from protocol.wire.messages import channel_samples
-from protocol.wire.stream import HOLD_DOWN
 from telepulse.telemetry.decoder import MARK_EVENT, Entry, Fields
 from telepulse.telemetry.schema import EVENT, FRAME, LEVELS, STATUS, STREAM, TICK
 from telepulse.view.depth import DepthState

@@ -8,7 +8,6 @@ from pathlib import Path
 
 from tests.machines.environments import (
     KEPT,
-    MINORS,
     Python,
     UnavailableError,
     dispatch_levels,
@@ -107,7 +106,6 @@ def variants() -> list[Variant]:
     found, processors = pythons(), _processors()
     oldest, newest = found[0], found[-1]
     others = [each for each in (newest, *found[:-1]) if each.version != own().version]
-    there = {each.version[1] for each in found}
     return [
         *(Variant(f"python-{each}", f"Python {each}", each) for each in others),
         *processors[:1],
@@ -123,9 +121,4 @@ def variants() -> list[Variant]:
         Variant("as-it-is", f"nothing, Python {own()}"),
         # Last: what others release may break it on any day.
         Variant("newest", f"newest versions, Python {newest}", newest, "newest"),
-        *(
-            Variant(f"python-3.{minor}", f"Python 3.{minor}", missing="no such Python")
-            for minor in MINORS
-            if minor not in there
-        ),
     ]

@@ -15,12 +15,12 @@ from telepulse.simulation.virtual_time import (
 Floats = NDArray[np.float64]
 
 
-def lags_ms(scene: Scene, seconds: float, settle_seconds: float, seed: int = 1) -> list[float]:
+def lags_ms(scene: Scene, seconds: float, settle_seconds: float) -> list[float]:
     """Simulate a scene; return by how many ms each contactor's force is late.
 
     A lag τ adds −τ ẋ to the force: it is the regression of the error on the pulse's slope.
     """
-    simulation = Simulation(scene, seed)
+    simulation = Simulation(scene, seed=1)
     instants_ns: list[int] = []
     felt_n: list[list[float]] = []
 

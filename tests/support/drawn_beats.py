@@ -53,9 +53,9 @@ def draw(name: str = "regular", preset: str = "wide") -> Drawn:
     return Drawn(0.3 * breathing(pulse) + 0.3, times_s, preset)
 
 
-def noisy(force_n: Floats, share: float = 0.01) -> Floats:
+def noisy(force_n: Floats) -> Floats:
     noise = np.random.default_rng(1).standard_normal(len(force_n))
-    return force_n + share * float(force_n.std()) * noise
+    return force_n + 0.01 * float(force_n.std()) * noise
 
 
 def frames(

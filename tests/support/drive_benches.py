@@ -15,7 +15,7 @@ import can
 
 from display_node.hardware import build_display_drive
 from display_node.plant.scene import StepperScene
-from protocol.wire.stream import LayerTable
+from protocol.wire.description import LayerTable
 from pulse_drives.drive import Drive
 from pulse_drives.scene import Cia402Scene, TmclScene
 from telepulse.emulators import PtyPort

@@ -6,7 +6,7 @@ import numpy as np
 
 from protocol.tactile import ElasticLayer
 from protocol.wire import messages as wire
-from protocol.wire.stream import Channel, StreamDescription
+from protocol.wire.description import Channel, StreamDescription
 
 DESCRIPTION = StreamDescription(
     name="radial pulse",

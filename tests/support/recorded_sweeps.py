@@ -5,8 +5,8 @@ from numpy.typing import NDArray
 
 from display_node.press.sweep import DepthSweep, SweepPlan
 from protocol.tactile import ElasticLayer
+from protocol.wire.description import Channel, StreamDescription
 from protocol.wire.messages import Frame, encode_frame
-from protocol.wire.stream import Channel, StreamDescription
 from sensing_node.sources.wrist import Wrist, WristScene
 from telepulse.recording.session import RecordedSession
 from telepulse.simulation.simulated_run import BATCH, sweep_wrist

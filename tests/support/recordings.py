@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from protocol.tactile import ElasticLayer
 from protocol.ticks import TickState
+from protocol.wire.description import Channel, StreamDescription
 from protocol.wire.messages import ClockReply, Frame, Welcome, encode_control, encode_frame
-from protocol.wire.stream import Channel, StreamDescription
 from protocol.wire.telemetry import CONTROL
 from telepulse.recording.mcap_writer import McapWriter
 from telepulse.telemetry.decoder import Entry

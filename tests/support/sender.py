@@ -11,6 +11,7 @@ from display_node.prediction.scene import own_predictor
 from display_node.reception.receiver import Receiver
 from display_node.scene import DisplayScene
 from protocol.config.scene import load_section
+from protocol.wire.description import StreamDescription
 from protocol.wire.messages import (
     ClockReply,
     ClockRequest,
@@ -21,7 +22,6 @@ from protocol.wire.messages import (
     encode_control,
     encode_frame,
 )
-from protocol.wire.stream import StreamDescription
 from tests.support.streams import description
 
 MS = 1_000_000

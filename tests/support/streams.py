@@ -6,8 +6,8 @@ import pytest
 from display_node.reception.jitter_buffer import JitterBuffer
 from protocol.errors import WireError
 from protocol.tactile import ElasticLayer
+from protocol.wire.description import Channel, StreamDescription
 from protocol.wire.messages import ChannelSamples, Frame
-from protocol.wire.stream import Channel, StreamDescription
 from sensing_node.sources.synthetic import SyntheticScene, SyntheticSource
 
 MS = 1_000_000

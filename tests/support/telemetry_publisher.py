@@ -152,9 +152,9 @@ def publishing(
 class HandmadeTelemetry:
     """A display's telemetry, made message by message and read by a decoder."""
 
-    def __init__(self, run: int = 1) -> None:
+    def __init__(self) -> None:
         self.decoder = TelemetryDecoder()
-        self.restart(run)
+        self.restart(1)
 
     def restart(self, run: int, ahead_ns: int = WALL_NS) -> None:
         self.ahead_ns = ahead_ns

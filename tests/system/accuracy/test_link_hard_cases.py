@@ -12,6 +12,7 @@ import pytest
 
 from display_node.display import Display
 from protocol.summary.tables import SampleCounts
+from protocol.wire.description import StreamDescription
 from protocol.wire.messages import (
     Bye,
     ControlMessage,
@@ -19,7 +20,6 @@ from protocol.wire.messages import (
     encode_control,
     encode_frame,
 )
-from protocol.wire.stream import StreamDescription
 from tests.support.nodes import assert_accounted as assert_closed
 from tests.support.sender import AHEAD_NS, MS, Sender, display
 from tests.support.streams import description

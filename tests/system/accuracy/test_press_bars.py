@@ -4,17 +4,14 @@ import pytest
 
 from display_node.press.finger_press import PressLimits
 from sensing_node.press.probe import ProbeLimits
-from telepulse.simulation.link_scene import parse_link
 from tests.support.press_loop import ArterialPulse, PressSetting, link_of
 from tests.support.press_runs import (
-    EASED_S,
     FOLLOW_ERROR,
     HEIGHT_ERROR,
     MOST_GAIN,
     FollowScore,
     be_hostile,
     be_hostile_to_the_finger,
-    ease_off,
     follow,
     open_gain,
     swing,
@@ -68,8 +65,3 @@ def test_neither_end_exceeds_its_limits_with_a_hostile_peer() -> None:
     finger_n, finger_slew = be_hostile_to_the_finger()
     assert finger_n <= hand.force_n
     assert finger_slew == pytest.approx(hand.slew_n_per_s, rel=1e-3)
-
-
-def test_the_probe_eases_off_after_a_cut() -> None:
-    cut = parse_link("delay=50ms,cut.from=4s,cut.for=10s")
-    assert 0.2 < ease_off(PressSetting(cut)) <= EASED_S

@@ -1,11 +1,13 @@
 """A bench of processes that is started again where a busy machine has stopped it."""
 
-from collections.abc import Callable
-from contextlib import AbstractContextManager
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 
 import pytest
 
+from protocol.errors import DriveError
+from tests.support.drive_benches import Bench, real_bench
 from tests.support.emulated_bench import BenchFailedError, EmulatedBench
 
 TRIES = 4
@@ -29,3 +31,18 @@ def on_bench(
         except BenchFailedError as error:
             why = str(error)
     pytest.fail(f"the pulse was not felt in {TRIES} attempts: {why}")
+
+
+@contextmanager
+def started(kind: str, rate_hz: float = 0.0) -> Iterator[Bench]:
+    """Start a drive on a real line, again where the machine was too busy for its supervision."""
+    for attempt in range(TRIES):
+        with real_bench(kind) as bench:
+            try:
+                bench.start(rate_hz)
+            except DriveError:
+                if attempt == TRIES - 1:
+                    raise
+                continue
+            yield bench
+            return

@@ -7,6 +7,7 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from subprocess import TimeoutExpired
 
 import numpy as np
 import pytest
@@ -59,13 +60,18 @@ def held_s(motor: MotorTrace, level_n: float) -> float:
 def test_the_hold_down_follows_the_finger_and_the_probe_leaves_at_the_end(tmp_path: Path) -> None:
     for attempt in range(TRIES):
         (folder := tmp_path / str(attempt)).mkdir()
-        with pressed_wrist(folder, 9) as bench:
-            wrist_status = bench.processes["sensing"].wait(ENDS_WITHIN_S)
-            bench.processes["display"].wait(ENDS_WITHIN_S)
+        try:
+            with pressed_wrist(folder, 9) as bench:
+                wrist_status = bench.processes["sensing"].wait(ENDS_WITHIN_S)
+                bench.processes["display"].wait(ENDS_WITHIN_S)
+        except TimeoutExpired:
+            # The display had not joined the stream before its end.
+            continue
         here, there = (read_json(folder / f"{name}.json") for name in ("display", "sensing"))
         if not there["faults"]:
             break
-    assert not there["faults"]
+    else:
+        pytest.fail(f"no run without a fault in {TRIES} attempts")
     assert wrist_status == 0
     account = here["press"]
     assert account["sent"] == account["applied"] + account["superseded"] + account["lost"] > 100

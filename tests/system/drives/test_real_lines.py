@@ -10,22 +10,16 @@ from contextlib import closing
 
 import pytest
 
-from display_node.hardware import build_display_drive
-from protocol.errors import DriveError
-from pulse_drives.scene import Cia402Scene, TmclScene
 from pulse_drives.tmcl.line import TmclLine
 from pulse_drives.tmcl.module import Command, Parameter
 from pulse_drives.withdrawal import WithdrawalOutcome
 from telepulse.emulators.tmcl import DATAGRAM, EmulatedTmclModule
 from tests.support.drive_benches import (
-    FORCE_LIMIT_N,
-    LAYER,
-    cia402_scene,
     emulated_motor,
-    real_bench,
     stepper,
     tmcl_scene,
 )
+from tests.system.drives.attempts import started
 
 RATE_HZ = 400.0
 # The longest times that a scene may state: beside other tests, a thread here may start late.
@@ -34,8 +28,7 @@ PATIENT = {"watchdog": "1 s", "reply_timeout": "200 ms"}
 
 @pytest.mark.parametrize("kind", ["tmcl", "tmcl-can", "tmcl-slcan", "cia402", "cia402-slcan"])
 def test_a_drive_follows_commands_and_withdraws_without_them(kind: str) -> None:
-    with real_bench(kind) as bench:
-        bench.start()
+    with started(kind) as bench:
         for rate_hz in (RATE_HZ, -RATE_HZ):
             bench.keep(rate_hz, lambda wanted=rate_hz: bench.motor.rate_hz == pytest.approx(wanted))
         bench.keep(RATE_HZ, lambda: bench.motor.tip_m > 0.05e-3)
@@ -47,8 +40,7 @@ def test_a_drive_follows_commands_and_withdraws_without_them(kind: str) -> None:
 
 @pytest.mark.parametrize("kind", ["tmcl-slcan", "cia402-slcan"])
 def test_noise_from_a_can_adapter_is_only_counted(kind: str) -> None:
-    with real_bench(kind) as bench:
-        bench.start(RATE_HZ)
+    with started(kind, RATE_HZ) as bench:
         for noise in (b"\xff\xfe\r", b"t18\r", b"t181Z\r", b"T12\a", b"t1818" + b"Q" * 40):
             counted = bench.drive.counts["garbled"]
             bench.line.write(noise)
@@ -58,20 +50,6 @@ def test_noise_from_a_can_adapter_is_only_counted(kind: str) -> None:
             bench.keep(RATE_HZ / 4, lambda at=garbled_ns: bench.drive.status().received_ns > at)
         bench.keep(0.0, lambda: not bench.drive.status().moving)
         assert bench.fault == ""
-
-
-@pytest.mark.parametrize(
-    ("scene", "words"),
-    [
-        (tmcl_scene(port="/dev/no-such-port"), "/dev/no-such-port cannot be opened"),
-        (tmcl_scene(interface="no-such", channel="x"), "no-such x cannot be opened"),
-        (cia402_scene(interface="no-such"), "no-such c cannot be opened"),
-    ],
-)
-def test_a_missing_line_is_named_in_one_line(scene: TmclScene | Cia402Scene, words: str) -> None:
-    with pytest.raises(DriveError, match=words) as error:
-        build_display_drive(scene, stepper(), LAYER, FORCE_LIMIT_N).start()
-    assert "\n" not in str(error.value)
 
 
 def test_a_module_behind_a_network_port_is_reached_by_url() -> None:

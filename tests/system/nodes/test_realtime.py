@@ -27,8 +27,8 @@ from tests.support.nodes import (
     read_json,
     run_python,
 )
-from tests.support.realtime_child import locked_kib, schedules
 from tests.support.rights import needs_rights, without_rights
+from tests.system.nodes.realtime_child import locked_kib, schedules
 
 REQUEST = "fifo=7,lock,slack"
 NO_PRIORITY = "real-time: fifo=7 is not granted: RLIMIT_RTPRIO is 0; put"
@@ -116,7 +116,7 @@ def test_a_node_whose_strict_request_is_refused_does_not_start() -> None:
     assert node.stderr.startswith(f"display-node: {NO_PRIORITY}")
 
 
-CHILD = "tests.support.realtime_child"
+CHILD = "tests.system.nodes.realtime_child"
 HANGS = """
 import itertools
 from protocol.host.realtime import apply_realtime, parse_realtime
@@ -128,9 +128,8 @@ FIFO, OTHER = os.SCHED_FIFO, [os.SCHED_OTHER, 0]
 THERE = os.sched_getaffinity(0)
 
 
-def measured(option: str, loop_s: float = 0, helper_s: float = 0, *, rights: bool = True) -> Any:
-    run = run_python if rights else without_rights
-    child = run("-m", CHILD, option, str(loop_s), str(helper_s))
+def measured(option: str, loop_s: float = 0, helper_s: float = 0) -> Any:
+    child = run_python("-m", CHILD, option, str(loop_s), str(helper_s))
     assert (child.returncode, child.stderr) == (0, "")
     return json.loads(child.stdout)
 

@@ -13,8 +13,8 @@ from protocol.config.scene import validate
 from protocol.errors import SceneError
 from protocol.pieces import complete
 from protocol.summary.tables import contactors_of
+from protocol.wire.description import Channel
 from protocol.wire.messages import Bye, Frame, encode_control, encode_frame
-from protocol.wire.stream import Channel
 from tests.support.sender import AHEAD_NS, MS, Sender, display_scene
 from tests.support.streams import description
 

@@ -14,8 +14,8 @@ from display_node.plant.contact import ContactLaw
 from display_node.plant.scene import StepperScene
 from display_node.press.scene import PressScene
 from display_node.scene import DisplayScene
+from protocol.wire.description import Channel
 from protocol.wire.messages import Frame, encode_frame
-from protocol.wire.stream import Channel
 from pulse_sensors.samples import SampleBlock
 from tests.support.sender import AHEAD_NS, MS, display_scene
 from tests.support.streams import synthetic

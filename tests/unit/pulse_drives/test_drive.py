@@ -121,7 +121,7 @@ def test_a_withdrawn_tip_stays_off_the_finger(bench: Bench, reason: str) -> None
 def test_the_film_confirms_a_withdrawal(bench: Bench) -> None:
     bench.start(RATE_HZ, 0.2e-3)
     bench.drive.withdraw("stopped")
-    film = lambda: bench.drive.add_film_reading(bench.motor.force_n, bench.clock.now_ns)  # noqa: E731
+    film = lambda: bench.drive.add_force_reading(bench.motor.force_n, bench.clock.now_ns)  # noqa: E731
     bench.wait(lambda: bench.drive.status().withdrawal is WithdrawalOutcome.WITHDRAWN, film)
     assert bench.motor.force_n == 0.0
 
@@ -210,7 +210,7 @@ def test_a_press_before_first_touch_ends_the_motion() -> None:
     guard = TouchGuard(lambda: next(readings))
     for _ in range(4):
         guard()
-    with pytest.raises(DriveError, match="the film reads 110 mN more before first touch"):
+    with pytest.raises(DriveError, match="the force rises by 110 mN before first touch"):
         guard()
 
 

@@ -79,7 +79,7 @@ class Tip:
             if self.reports:
                 self.withdrawal.add_position(self.position_m, self.now_ms * MS)
             if force:
-                self.withdrawal.add_film_reading(max(0.0, self.position_m * 1e3), self.now_ms * MS)
+                self.withdrawal.add_force_reading(max(0.0, self.position_m * 1e3), self.now_ms * MS)
         return self.withdrawal.outcome
 
 
@@ -109,10 +109,10 @@ def test_a_single_position_or_reading_stops_nothing() -> None:
     assert tip.run(100) is WithdrawalOutcome.WITHDRAWN
     tip = Tip()
     tip.run(20)
-    tip.withdrawal.add_film_reading(0.3, 20 * MS)
+    tip.withdrawal.add_force_reading(0.3, 20 * MS)
     for ms in (90, 91):
-        tip.withdrawal.add_film_reading(9.0, ms * MS)
-    tip.withdrawal.add_film_reading(0.0, 92 * MS)
+        tip.withdrawal.add_force_reading(9.0, ms * MS)
+    tip.withdrawal.add_force_reading(0.0, 92 * MS)
     assert tip.withdrawal.outcome is WithdrawalOutcome.UNDER_WAY
 
 
@@ -185,7 +185,7 @@ def test_readings_that_rise_before_the_first_command_stop_nothing() -> None:
     """The loop reads the film while the drive's thread stalls."""
     tip = Tip()
     for ms in range(1, 200, 4):
-        tip.withdrawal.add_film_reading(0.3 + 1e-3 * ms, ms * MS)
+        tip.withdrawal.add_force_reading(0.3 + 1e-3 * ms, ms * MS)
         tip.withdrawal.add_position(BEGAN_M + 1e-6 * ms, ms * MS)
     assert tip.withdrawal.outcome is WithdrawalOutcome.UNDER_WAY
     tip.now_ms = 200

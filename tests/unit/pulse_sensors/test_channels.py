@@ -10,7 +10,7 @@ import pytest
 
 from protocol.config.scene import validate
 from protocol.errors import SceneError
-from protocol.wire.stream import Channel
+from protocol.wire.description import Channel
 from pulse_sensors.binary_frames import MAX_SAMPLES, FrameDecoder, FrameEncoder, SampleFormat
 from pulse_sensors.can_bus import CanDecoder
 from pulse_sensors.force_scale import SensorTable

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from protocol.wire.stream import Channel
+from protocol.wire.description import Channel
 from pulse_sensors.sample_check import SampleCheck
 from tests.support.recording_files import csv_file, recording, refusal
 from tests.support.streams import synthetic

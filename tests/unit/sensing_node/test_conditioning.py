@@ -13,7 +13,7 @@ from protocol.config.scene import validate
 from protocol.errors import SceneError
 from protocol.summary.tables import Limited, Limits
 from protocol.tactile import Film
-from protocol.wire.stream import Channel
+from protocol.wire.description import Channel
 from sensing_node.conditioning import Conditioned, ConditioningScene
 from sensing_node.scene import SensingScene, build_source, describe_stream
 from sensing_node.sources.source import SampleSource

@@ -4,8 +4,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from protocol.wire.description import Channel
 from protocol.wire.messages import Frame
-from protocol.wire.stream import Channel
 from pulse_sensors.samples import SampleBlock
 from pulse_sensors.sensor import Sensor
 from sensing_node.feeds import Framer, LiveSource, PacedSource, ReplaySource, feed_of

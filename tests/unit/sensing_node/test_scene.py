@@ -7,8 +7,8 @@ import pytest
 from protocol.config.scene import load_section, validate
 from protocol.errors import SceneError
 from protocol.tactile import ElasticLayer
+from protocol.wire.description import StreamDescription
 from protocol.wire.messages import MAX_FRAME_BYTES, Frame, encode_frame
-from protocol.wire.stream import StreamDescription
 from sensing_node.scene import SensingScene, build_source, describe_stream
 from tests.support.nodes import ROOT
 

@@ -6,7 +6,7 @@ Those that are to be named fail tests/system/accuracy/test_injected_faults.py if
 import pytest
 
 from display_node.plant.scene import StepperScene
-from protocol.wire.stream import LayerTable
+from protocol.wire.description import LayerTable
 from telepulse.emulators.motor import TICK_NS
 from tests.support.fault_injection import (
     FaultInjector,

@@ -6,7 +6,7 @@ import pytest
 from display_node.prediction import PredictorName, build_predictors
 from display_node.prediction.ensemble import Ensemble, PathErrors, Stack
 from display_node.prediction.experts import AHEAD, HORIZONS
-from tests.support.pulse_signals import MS, T0_NS, Floats, beats, feed
+from tests.unit.display_node.prediction.pulse_signals import MS, T0_NS, Floats, beats, feed
 
 STEPS = 4_000
 TRUTH = np.cumsum(np.random.default_rng(1).standard_normal(STEPS + 2 * HORIZONS)) * 0.1

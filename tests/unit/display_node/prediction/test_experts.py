@@ -3,7 +3,7 @@ import pytest
 
 from display_node.prediction.experts import Analogue, Fir
 from display_node.prediction.grid import MAX_GAP_NS, STEP_NS, Grid, GridCell, History, Rhythm
-from tests.support.pulse_signals import MS, T0_NS, beats, expert_errors
+from tests.unit.display_node.prediction.pulse_signals import MS, T0_NS, beats, expert_errors
 
 
 def cells(grid: Grid) -> list[GridCell]:

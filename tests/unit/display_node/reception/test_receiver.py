@@ -5,6 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from display_node.reception.receiver import MAX_OPEN_REQUESTS, Receiver
+from protocol.wire.description import Channel
 from protocol.wire.messages import (
     Bye,
     ClockReply,
@@ -15,7 +16,6 @@ from protocol.wire.messages import (
     encode_control,
     encode_frame,
 )
-from protocol.wire.stream import Channel
 from tests.support.sender import AHEAD_NS, MS, Sender
 from tests.support.streams import description
 

@@ -20,7 +20,6 @@ from protocol.wire.telemetry import TRACE_TICKS, Trace, TraceWriter, read_status
 from tests.support.sender import MS, Sender, run
 
 RADIAL = Path(__file__).parents[4] / "scenes" / "radial.toml"
-int64 = st.integers(-(2**63), 2**63 - 1)
 times_ns = st.integers(TIME_RANGE.start, TIME_RANGE.stop - 1)
 forces_n = st.floats(-LARGEST_N, LARGEST_N)
 ticks = st.builds(

@@ -21,7 +21,6 @@ from protocol.wire.telemetry import STATUS, TRACE, Status, Trace, pack_status
 from tests.unit.display_node.telemetry.test_alerts import ALERTS
 
 BEAT_S = 0.8
-SECOND_NS = 1_000_000_000
 SUMMARY = Summary(
     samples=SampleCounts(1000, 890, 100, 7, 3, 0),
     one_way_delay_ms=OneWayDelay(1.25, 4.5, 9.0),

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from protocol.errors import SourceError
 from protocol.tissue import StiffeningLaw
-from protocol.wire.stream import Channel
+from protocol.wire.description import Channel
 from pulse_drives import build_drive
 from pulse_drives.scene import MotorScene, TmclScene
 from pulse_sensors.samples import SampleBlock

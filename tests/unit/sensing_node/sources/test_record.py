@@ -9,7 +9,7 @@ import pytest
 from protocol.config.scene import validate
 from protocol.config.scene_file import find_scene
 from protocol.errors import SceneError, SourceError
-from protocol.wire.stream import Channel
+from protocol.wire.description import Channel
 from sensing_node.files.formats import open_signals
 from sensing_node.files.signals import SignalFile, SignalInfo
 from sensing_node.scene import load_sensing

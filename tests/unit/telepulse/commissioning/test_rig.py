@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from protocol.errors import BenchError, DriveError
-from protocol.wire.stream import Channel
+from protocol.wire.description import Channel
 from pulse_drives.scene import Cia402Scene, TmclScene, can_frame_bits
 from pulse_sensors.samples import SampleBlock
 from telepulse.commissioning.actuator_check import check_actuator

@@ -3,7 +3,7 @@
 import pytest
 
 from display_node.plant.scene import StepperScene
-from protocol.wire.stream import LayerTable
+from protocol.wire.description import LayerTable
 from telepulse.emulators.motor import SWITCH_M, TICK_NS, EmulatedMotor, MotorState
 
 TOUCH_M = 2e-3

@@ -6,8 +6,8 @@ import pytest
 from fuzz.telemetry_readers import preamble, status_message
 from protocol.summary.tables import PressFigures, Summary
 from protocol.tactile import ElasticLayer
+from protocol.wire.description import Channel, StreamDescription
 from protocol.wire.messages import ClockReply, Frame, Welcome, encode_control, encode_frame
-from protocol.wire.stream import Channel, StreamDescription
 from protocol.wire.telemetry import CONTROL, PlaybackStatus
 from telepulse.columns import SessionColumns
 from telepulse.recording.contents import RecordingContents

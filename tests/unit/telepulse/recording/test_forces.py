@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
+from protocol.wire.description import Channel
 from protocol.wire.messages import Frame
-from protocol.wire.stream import Channel
 from protocol.wire.telemetry import PlaybackStatus
 from telepulse.columns import SessionColumns, TickRow
 from telepulse.recording.forces import BINS, ContactorFindings, find_trend

@@ -3,8 +3,8 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
+from protocol.wire.description import Channel
 from protocol.wire.messages import Frame, Welcome, encode_control, encode_frame
-from protocol.wire.stream import Channel
 from protocol.wire.telemetry import CONTROL
 from telepulse.recording.export_tables import RecordedBeats, rows
 from telepulse.telemetry.decoder import Entry

@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 from protocol.errors import DepthError, SourceError
-from protocol.wire.stream import Channel
+from protocol.wire.description import Channel
 from sensing_node.scene import serve_set_points
 from telepulse.recording.recorded_wrist import RecordedWrist, exported_session
 from telepulse.simulation.simulated_run import BATCH

@@ -17,7 +17,7 @@ from telepulse_example.voice_coil import VoiceCoil, VoiceCoilScene
 
 from display_node.plant.scene import SecondOrderScene, StepperScene
 from display_node.prediction.scene import OwnPredictorScene
-from protocol.wire.stream import Channel
+from protocol.wire.description import Channel
 from sensing_node.sources.synthetic import SyntheticScene
 from sensing_node.sources.wrist import WristScene
 from telepulse.testing import (

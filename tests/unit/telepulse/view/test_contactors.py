@@ -4,7 +4,7 @@ import pytest
 
 from telepulse.view.live import LiveState
 from telepulse.view.window_data import window_data, window_scores
-from tests.support.page_states import (
+from tests.unit.telepulse.view.page_states import (
     BEATS_A_SECOND,
     MEAN_N,
     MS,

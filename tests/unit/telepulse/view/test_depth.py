@@ -7,8 +7,8 @@ from display_node.press.sweep import SweepPlan
 from telepulse.view.live import LiveState
 from telepulse.view.text import figures
 from telepulse.view.window_data import hidden_plots, window_data, window_scores
-from tests.support.page_states import SECOND_NS, SimulatedDisplay, play_sweep
 from tests.support.recorded_sweeps import SweptWrist
+from tests.unit.telepulse.view.page_states import SECOND_NS, SimulatedDisplay, play_sweep
 
 WINDOW_NS = 5 * SECOND_NS
 ONLY_PRESSED = {"press", "depth", "shape"}

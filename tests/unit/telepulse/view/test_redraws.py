@@ -6,7 +6,7 @@ from bokeh.document import Document
 from telepulse.telemetry.schema import TICK
 from telepulse.view.live import LiveState
 from telepulse.view.page import LivePage
-from tests.support.page_states import MS, SimulatedDisplay
+from tests.unit.telepulse.view.page_states import MS, SimulatedDisplay
 
 PERIODS = 40
 

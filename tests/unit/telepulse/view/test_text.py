@@ -7,8 +7,8 @@ from protocol.summary.tables import Deadlines, Limited, Limits, Loop, SampleCoun
 from telepulse.view.live import LiveState
 from telepulse.view.text import FIGURES, age, alarms, figures, state
 from telepulse.view.window_data import window_scores
-from tests.support.page_states import SECOND_NS, SimulatedDisplay
 from tests.unit.display_node.telemetry.test_alerts import ALERTS
+from tests.unit.telepulse.view.page_states import SECOND_NS, SimulatedDisplay
 
 LATE = Loop(3000, 411, late=True, last_5s=Deadlines(0.0822, 412.0))
 

@@ -36,11 +36,9 @@ class SimulatedDisplay:
     names: of its contactors. The nth plays channel n, whose pulse is n + 1 times as high.
     """
 
-    def __init__(
-        self, live: LiveState, at_ns: int = SECOND_NS, names: tuple[str, ...] = ("finger",)
-    ) -> None:
+    def __init__(self, live: LiveState, names: tuple[str, ...] = ("finger",)) -> None:
         self.live, self.names = live, names
-        self.at_ns = at_ns
+        self.at_ns = SECOND_NS
         self.summary: dict[str, Any] = {}
         self.played = 0
         self.linked = True
@@ -49,7 +47,7 @@ class SimulatedDisplay:
         self.event("begin", "the recording")
         layer = {name: getattr(WRIST, name) for name in WRIST.__slots__}
         channels = {"channels": [{"name": f"of {name}", "unit": "N"} for name in names]}
-        self.take(STREAM, at_ns, session=SESSION, layer=layer, group_delay_ns=0, **channels)
+        self.take(STREAM, self.at_ns, session=SESSION, layer=layer, group_delay_ns=0, **channels)
         self.status("waiting")
 
     def take(self, topic: str, at_ns: int, **fields: Any) -> None:

@@ -1,9 +1,8 @@
-"""A process that prints its state in the kernel before, with and after real-time measures.
+"""A process that takes real-time measures, and prints what they are in the kernel.
 
-With seconds as arguments, it also computes for so long in the loop's thread, or in a helper's.
+It computes for some seconds in the loop's thread, or in a helper's.
 """
 
-import ctypes
 import json
 import logging
 import os
@@ -30,11 +29,6 @@ def state() -> dict[str, Any]:
         "loop": threads[me],
         "helpers": sorted(threads[number] for number in helpers),
         "zeromq": sorted({threads[number] for number in named}),
-        "others": sorted({threads[number] for number in set(threads) - helpers - named - {me}}),
-        "cpus": sorted(os.sched_getaffinity(me)),
-        "helpers_cpus": sorted(os.sched_getaffinity(min(named))),
-        "locked_kib": locked_kib(),
-        "slack_ns": int(Path("/proc/self/timerslack_ns").read_text(encoding="utf-8")),
     }
 
 
@@ -46,7 +40,7 @@ def schedules(process: int | str = "self") -> dict[int, tuple[int, int]]:
     }
 
 
-def locked_kib(process: int | str = "self") -> int:
+def locked_kib(process: int) -> int:
     lines = Path(f"/proc/{process}/status").read_text(encoding="utf-8").splitlines()
     return next(int(line.split()[1]) for line in lines if line.startswith("VmLck"))
 
@@ -72,12 +66,9 @@ def main(wish: str, loop_s: float, helper_s: float) -> None:
     handler = logging.Handler()
     handler.emit = lambda record: messages.append(record.getMessage())  # type: ignore[method-assign]
     logging.getLogger().addHandler(handler)
-    # A thread that neither Python nor ZeroMQ has started, as numpy starts some; it sleeps for ever.
-    libc = ctypes.CDLL(None)
-    assert libc.pthread_create(ctypes.byref(ctypes.c_ulong()), None, libc.pause, None) == 0
+    found: dict[str, Any] = {"messages": messages}
     with zmq.Context() as context, closing(context.socket(zmq.PUB)):
         time.sleep(0.05)  # its threads have their names then
-        found: dict[str, Any] = {"before": state(), "messages": messages}
         with apply_realtime(parse_realtime(wish)) as held:
             found["held"] = state()
             may_spin.set()
@@ -86,8 +77,6 @@ def main(wish: str, loop_s: float, helper_s: float) -> None:
             time.sleep(2 * helper_s)
             found["later"] = state()
             found["granted"] = list(held.granted)
-            found["refused"] = [str(refusal) for refusal in held.refused]
-        found["after"] = state()
     done.set()
     helper.join()
     json.dump(found, sys.stdout)

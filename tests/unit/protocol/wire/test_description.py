@@ -6,7 +6,7 @@ import pytest
 from pydantic import ValidationError
 
 from protocol.errors import WireError
-from protocol.wire.stream import description_from_wire
+from protocol.wire.description import description_from_wire
 from tests.support.message_examples import DESCRIPTION
 
 WIRE = DESCRIPTION.to_wire()
