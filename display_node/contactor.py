@@ -5,6 +5,7 @@ not arrived of its channel, scales it to its finger and runs its own force loop.
 """
 
 import math
+from collections import deque
 
 from display_node.control.safety import ForceBounds, Safety
 from display_node.hardware import Hardware
@@ -25,6 +26,9 @@ from protocol.wire.description import StreamDescription
 from protocol.wire.messages import ChannelSamples
 from protocol.wire.telemetry import PlaybackStatus
 from pulse_drives.withdrawal import FingerState, describe_finger
+
+# Frames that wait for the slack to be scored; beyond, the oldest is scored at once.
+MOST_UNSCORED = 64
 
 
 class Contactor:
@@ -83,6 +87,10 @@ class Contactor:
         self._concealment = Concealment(Linear(0), scene.tick_ns)
         self._prediction = PredictionScore(scene.tick_ns)
         self._beats = BeatStatistics()
+        # Samples that the scores and the beats have not seen, with the pulse's height; and the
+        # prediction of this tick: its instant, force, offset, height, and whether it is felt.
+        self._unscored: deque[tuple[ChannelSamples, float | None]] = deque()
+        self._predicted: tuple[int, float, float, float | None, bool] | None = None
         self._reference_n: list[float] = []
         self._reading_n = 0.0
 
@@ -105,20 +113,38 @@ class Contactor:
         self.reach_ns = self.lead_ns + self.loop.horizon * self._tick_ns
         self.reserve_ns = self.reach_ns + description.period_ns
         self._concealment = Concealment(predictor, self._tick_ns)
+        self._unscored.clear()
         self._prediction.restart()
         self._beats.restart()
 
     def observe(self, samples: ChannelSamples, cell: ChannelSamples | None = None) -> None:
         """Take new samples of the channel; cell: of the load cell, where the finger presses."""
-        concealment, press = self._concealment, self.press
-        concealment.observe(samples)
-        if press is None or cell is None:
+        self._concealment.observe(samples)
+        if self.press is not None and cell is not None:
+            pressed = self.press.observe(samples, cell)
+            self.press.take_beats(self._beats.observe(pressed))
+        self._unscored.append((samples, self._concealment.height_n))
+        if len(self._unscored) > MOST_UNSCORED:
+            self._score_samples()
+
+    def finish_scores(self) -> None:
+        """Score all that waits; no further tick follows."""
+        while self._score_samples():
+            pass
+        if self.tracking_error is not None:
+            self.tracking_error.finish()
+
+    def _score_samples(self) -> bool:
+        """Find the beats of the oldest frame, and score by it; return whether there was any."""
+        if not self._unscored:
+            return False
+        samples, height_n = self._unscored.popleft()
+        if self.press is None:
             self._beats.observe(samples)
-        else:
-            press.take_beats(self._beats.observe(press.observe(samples, cell)))
-        self._prediction.add_reference(samples, self.force_ratio, concealment.height_n)
+        self._prediction.add_reference(samples, self.force_ratio, height_n)
         if self.tracking_error is not None:
             self.tracking_error.add_reference(samples, self.force_ratio, self._group_delay_ns)
+        return True
 
     @property
     def error_shares(self) -> list[float]:
@@ -128,7 +154,11 @@ class Contactor:
     def work(self) -> bool:
         """Do one piece of the work that no command waits for; return whether there was any."""
         error = self.tracking_error
-        return self._concealment.work() or (error is not None and error.work())
+        return (
+            self._concealment.work()
+            or self._score_samples()
+            or (error is not None and error.work())
+        )
 
     def follow(self, now_ns: int, elapsed_ticks: int, safety: Safety) -> None:
         """Follow the drive of a real bench since the last tick, and latch its fault."""
@@ -183,8 +213,12 @@ class Contactor:
         if concealment.acts or len(wrist_n) < count:
             wrist_n = concealment.complete(wrist_n, count, sampled_ns, newest_ns)
             if full is not None and concealment.acts:
-                self._prediction.add_output(
-                    sampled_ns, wrist_n[0], concealment.offset_n, concealment.height_n, full
+                self._predicted = (
+                    sampled_ns,
+                    wrist_n[0],
+                    concealment.offset_n,
+                    concealment.height_n,
+                    full,
                 )
         if self.press is None:
             self._reference_n = [ratio * force_n for force_n in wrist_n]
@@ -231,8 +265,11 @@ class Contactor:
         return None if fault is None else self._prefix + fault
 
     def score(self) -> None:
-        """Keep the felt force of this tick for its score, after all contactors are commanded."""
+        """Keep the forces of this tick for their scores, after all contactors are commanded."""
         state = self.state
+        if self._predicted is not None:
+            self._prediction.add_output(*self._predicted)
+            self._predicted = None
         if state.scored and self.tracking_error is not None:
             age_ns = self.film_age_ns
             self.tracking_error.add_output(
@@ -293,6 +330,8 @@ class Contactor:
         felt_n
             Force under the finger after the last of these ticks, in N.
         """
+        while self._score_samples():
+            pass
         finger = FingerState(felt_n, measured_by="model, no drive")
         return Summary(
             compensation=self._prediction.scored(Compensation(), played_s),

@@ -92,6 +92,10 @@ class Display:
             self.receiver.take_probe = self.press.take
         self.safety = Safety(scene.safety, scene.tick_ns)
         self.ticks = 0
+        # Of the tick that was commanded: faults of the withdrawals, and where a pulse was played,
+        # the playout delay, the longest prediction in ns, and whether it was trusted.
+        self._late_faults: list[str | None] = []
+        self._delayed: tuple[int, int, bool] | None = None
 
     def use(self, *benches: Hardware | None) -> None:
         """Play on started real benches instead of the models. Call before the first tick.
@@ -170,10 +174,15 @@ class Display:
     def work(self) -> bool:
         """Do one piece of the work that no command waits for; return whether there was any.
 
-        Such work is what the predictors learn and predict from new samples, and the scores. Do it
-        between two ticks; where there is no time for it, some pieces a tick nevertheless.
+        Such work is what the predictors learn and predict from new samples, beats, and the scores.
+        Do it between two ticks; where there is no time for it, some pieces a tick nevertheless.
         """
         return any(contactor.work() for contactor in self.contactors)
+
+    def finish_scores(self) -> None:
+        """Score all that waits, at the end of the run."""
+        for contactor in self.contactors:
+            contactor.finish_scores()
 
     def requests(self, now_ns: int) -> list[ControlMessage]:
         """Return the requests and reports to send to the sensing node now."""
@@ -198,10 +207,12 @@ class Display:
         return press.request(receiver.session, sensing_ns, round_trip_ns, now_ns, alive)
 
     def tick(self, now_ns: int, elapsed_ticks: int = 1) -> TickState:
-        """Advance the force loops to `now_ns`, `elapsed_ticks` ticks after the last one.
+        """Command a tick and account for it; return the state of the first contactor."""
+        self.command(now_ns, elapsed_ticks)
+        return self.account(elapsed_ticks)
 
-        Returns the state of the first contactor.
-        """
+    def command(self, now_ns: int, elapsed_ticks: int = 1) -> None:
+        """Advance the force loops to `now_ns`, `elapsed_ticks` ticks after the last one."""
         contactors, safety = self.contactors, self.safety
         for contactor in self._driven:
             contactor.follow(now_ns, elapsed_ticks, safety)
@@ -215,17 +226,21 @@ class Display:
         if elapsed_ticks > 1:
             safety.skip(elapsed_ticks)
         gain = safety.advance(alive)
-        late_faults = [contactor.tick(gain, alive, safety.faults) for contactor in contactors]
-        # From here on, nothing is waited for by an actuator.
-        for contactor in contactors:
+        self._late_faults = [contactor.tick(gain, alive, safety.faults) for contactor in contactors]
+
+    def account(self, elapsed_ticks: int = 1) -> TickState:
+        """Score and count the commanded tick, for which no actuator waits."""
+        for contactor in self.contactors:
             contactor.score()
         self.ticks += 1
         state = self.states[0]
+        if self._delayed is not None:
+            self._delays.add(*self._delayed)
         self._availability.add(self.state, elapsed_ticks)
         self._interruptions.add(state.scored, elapsed_ticks)
-        for fault in late_faults:
+        for fault in self._late_faults:
             if fault is not None:
-                safety.fault(fault)
+                self.safety.fault(fault)
         return state
 
     def _show_press(self, press: LocalPress) -> None:
@@ -237,6 +252,7 @@ class Display:
     def _play(self, now_ns: int) -> bool:
         """Choose the instant of the pulse that is played; return whether the stream is alive."""
         receiver, contactors = self.receiver, self.contactors
+        self._delayed = None
         buffer, delay_ns = receiver.buffer, receiver.delay.delay_ns
         newest_ns = buffer.newest_ns
         if not receiver.ready or delay_ns is None or newest_ns is None:
@@ -272,7 +288,7 @@ class Display:
                 elif predicted_ns > longest_ns:
                     longest_ns = predicted_ns
         if alive:
-            self._delays.add(sensing_now_ns - instant_ns, longest_ns, trusted)
+            self._delayed = sensing_now_ns - instant_ns, longest_ns, trusted
         return alive
 
     def _group(self) -> list[Group]:

@@ -75,7 +75,7 @@ class DisplayNode:
         watchdogs_ns = [drive.watchdog_ns for drive in drives if drive is not None]
         self._deadlines = DeadlineWatch(scene.tick_ns, min(watchdogs_ns, default=GAP_NS))
         self._publishing = Pieces()
-        self._tick_us = Histogram(1.0, 5_000)
+        self._command_us, self._tick_us = Histogram(1.0, 5_000), Histogram(1.0, 5_000)
         self._late_us = Histogram(2.0, 2_500)
         self._named_faults = 0
         self._refused: set[str] = set()
@@ -136,6 +136,7 @@ class DisplayNode:
         reserve_ns, rested = self._scene.tick_ns // RESERVE_PARTS, True
         try:
             while not self._stopping:
+                woke_ns = time.perf_counter_ns()
                 self._receive(pacer.due_ns)
                 now_ns = time.perf_counter_ns()
                 tick = pacer.begin(now_ns)
@@ -149,7 +150,9 @@ class DisplayNode:
                 # Ticks that are late while nothing is felt alarm nobody.
                 felt = self._display.safety.gain > 0.0
                 self._deadlines.add(now_ns, tick.elapsed_ticks if felt else 1)
-                self._tick(tick.due_ns, tick.elapsed_ticks)
+                self._display.command(tick.due_ns, tick.elapsed_ticks)
+                self._command_us.add((time.perf_counter_ns() - woke_ns) * 1e-3)
+                self._account(tick.due_ns, tick.elapsed_ticks)
                 self._tick_us.add((time.perf_counter_ns() - now_ns) * 1e-3)
                 if not rested:
                     self._work_anyway()
@@ -189,8 +192,9 @@ class DisplayNode:
             round_trip_ns = 2 * receiver.clock.asymmetry_bound_ns
             connection.subscribe(frame_ns, round_trip_ns, time.perf_counter_ns())
 
-    def _tick(self, now_ns: int, elapsed_ticks: int) -> None:
-        self._display.tick(now_ns, elapsed_ticks)
+    def _account(self, now_ns: int, elapsed_ticks: int) -> None:
+        """Count a tick that was commanded; log, request and publish what is due."""
+        self._display.account(elapsed_ticks)
         if self._sweep is not None and self._sweep.over:
             self.stop()
         faults = self._display.safety.faults
@@ -239,7 +243,10 @@ class DisplayNode:
         summary = yield from display.summary_pieces(self._pacer.missed)
         yield
         lateness = late_us.quantiles(p50=0.5, p99=0.99, p999=0.999)
-        times = TickTime(**self._tick_us.quantiles(p50=0.5, p99=0.99))
+        commands, ticks = (
+            TickTime(**times_us.quantiles(p50=0.5, p99=0.99))
+            for times_us in (self._command_us, self._tick_us)
+        )
         yield
         rejected = Counter(summary.rejected) + connection.rejected + self._telemetry.rejected
         rejected += self._readers.rejected
@@ -247,7 +254,8 @@ class DisplayNode:
             summary,
             loop=replace(
                 summary.loop,
-                tick_us=times,
+                command_us=commands,
+                tick_us=ticks,
                 late_us=Lateness(**lateness, max=late_us.maximum),
                 late=deadlines.alarm,
                 last_5s=deadlines.last_5s,
@@ -304,9 +312,8 @@ class DisplayNode:
             hardware.begin_withdrawal()
         for hardware in benches:
             hardware.withdraw()
+        self._display.finish_scores()
         errors = self._display.tracking_errors
-        for error in errors:
-            error.finish()
         summary = self._summary()
         self._telemetry.finish(self._display.pack_status(summary, final=True))
         return scored(summary, errors, windows=True)

@@ -239,7 +239,7 @@ class PressFigures(SetPointCounts):
 
 @dataclass(frozen=True, slots=True)
 class TickTime:
-    """Cost of a tick."""
+    """Time of a part of a tick."""
 
     p50: float | None = None
     p99: float | None = None
@@ -271,6 +271,7 @@ class Loop:
 
     ticks: int | None = None
     deadline_misses: int | None = None
+    command_us: TickTime = field(default_factory=TickTime)
     tick_us: TickTime = field(default_factory=TickTime)
     late_us: Lateness = field(default_factory=Lateness)
     late: bool | None = None

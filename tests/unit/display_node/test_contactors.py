@@ -8,7 +8,11 @@ import pytest
 
 from display_node.control.force_loop import ForceLoop
 from display_node.display import Display
+from display_node.prediction.ensemble import Ensemble
 from display_node.scene import DisplayScene
+from display_node.scoring.beat_statistics import BeatStatistics
+from display_node.scoring.prediction_score import PredictionScore
+from display_node.scoring.tracking_error import TrackingError
 from protocol.config.scene import validate
 from protocol.errors import SceneError
 from protocol.pieces import complete
@@ -266,3 +270,35 @@ def test_a_contactor_that_cannot_be_used_is_one_line(
         scene(*contactors, **changes)
     assert named in str(error.value)
     assert "\n" not in str(error.value)
+
+
+def test_every_actuator_is_commanded_before_anything_is_scored_or_learnt(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    order: list[str] = []
+
+    def noted(name: str, owner: type, method: str) -> None:
+        original = getattr(owner, method)
+
+        def note(*arguments: object) -> object:
+            order.append(name)
+            return original(*arguments)
+
+        monkeypatch.setattr(owner, method, note)
+
+    noted("command", ForceLoop, "tick")
+    noted("score", TrackingError, "add_output")
+    noted("score", PredictionScore, "add_output")
+    noted("learn", Ensemble, "work")
+    noted("beats", BeatStatistics, "observe")
+    under_test, sender = Display(scene(predictor="stack"), "test"), Sender(stream=STREAM)
+    # A frame has just arrived.
+    play(under_test, sender, 0, 3001)
+    order.clear()
+    under_test.command(3001 * MS)
+    assert order == ["command"] * 3
+    under_test.account()
+    assert set(order[3:]) == {"score"}
+    while under_test.work():
+        pass
+    assert {"learn", "beats"} <= set(order)

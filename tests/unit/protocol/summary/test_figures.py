@@ -106,7 +106,7 @@ def test_figures_that_do_not_apply_are_null() -> None:
     assert table.pop("rejected") == table.pop("hardware") == {}
     assert table.pop("faults") == table.pop("windows") == table["loop"].pop("realtime") == []
     delays, loop = (table["one_way_delay_ms"], table["playout_delay_ms"]), table["loop"]
-    for quantiles in (*delays, loop["tick_us"], loop["late_us"]):
+    for quantiles in (*delays, loop["command_us"], loop["tick_us"], loop["late_us"]):
         assert quantiles.pop("beyond") == []
     assert set(leaves(table)) == {None}
 
