@@ -20,6 +20,9 @@ WORKDIR /telepulse
 COPY scenes scenes
 RUN install -d -m 700 -o telepulse keys
 USER telepulse
+# The kernels of the prediction, into the user's cache: a container starts without compiling them, on
+# processors like the one that built the image.
+RUN python -c "import display_node.prediction.ensemble"
 
 # 5555 data, 5556 control
 EXPOSE 5555 5556

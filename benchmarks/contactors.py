@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 
 from benchmarks.benchmark import Benchmark
-from display_node.prediction.ensemble import ChannelPath, Ensemble
+from display_node.prediction.channel_path import ChannelPath
+from display_node.prediction.ensemble import Ensemble
 from protocol.config.scene_file import find_scene
 from sensing_node.sources.synthetic import SyntheticScene, SyntheticSource
 from telepulse.scene import Scene, load_scene

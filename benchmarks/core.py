@@ -1,6 +1,6 @@
-"""The pure and the compiled core in turns: simulation, live tick, steps of a frame, latency.
+"""The pure and the compiled core in turns: prediction, simulation, live tick, frame, latency.
 
-`python -m benchmarks.core simulate|tick|frame|latency` runs one part with the modules that it
+`python -m benchmarks.core work|simulate|tick|frame|latency` runs one part with the modules that it
 finds, and prints its figures as JSON; the benchmark runs it for either build.
 """
 
@@ -12,12 +12,14 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from unittest.mock import patch
 
 import msgpack
 import numpy as np
 
 from benchmarks.benchmark import Benchmark
 from benchmarks.peers import BARE, BARE_CURVE, OURS, OURS_CURVE
+from display_node.prediction.ensemble import Ensemble
 from display_node.prediction.scene import own_predictor
 from display_node.reception.playout import LATE_TARGET
 from display_node.reception.receiver import Receiver
@@ -39,6 +41,22 @@ PAUSE_S = 500e-6
 LINK = "delay=40ms,jitter=10ms,loss=1%"
 
 
+def work() -> dict[str, float]:
+    """Return the time of the predictor's work in a tick of `radial` in virtual time, in µs."""
+    spent_ns, plain = [0], Ensemble.work
+
+    def timed(ensemble: Ensemble) -> bool:
+        began_ns = time.perf_counter_ns()
+        worked = plain(ensemble)
+        spent_ns[0] += time.perf_counter_ns() - began_ns
+        return worked
+
+    with patch.object(Ensemble, "work", timed):
+        simulation = Simulation(load_scene(find_scene("radial")), seed=1)
+        ticks = simulation.run(SECONDS).loop.ticks
+    return {"work of the stack in µs a tick": spent_ns[0] * 1e-3 / (ticks or 1)}
+
+
 def simulate() -> dict[str, float]:
     """Return the simulated time over the processor time of `radial`, without and with learning."""
     radial, speeds = load_scene(find_scene("radial")), {}
@@ -52,14 +70,18 @@ def simulate() -> dict[str, float]:
 
 
 def tick() -> dict[str, float]:
-    """Return the quantiles of the time of a live tick with the stack, in µs."""
+    """Return quantiles of the time of a live tick with the stack, and to its command, in µs."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "summary.json"
         words = ("demo", "--seconds", TICK_SECONDS, "--no-ui", "--link", LINK, "--json", str(path))
         ended = run_python("-m", "telepulse", *words, cwd=Path.cwd(), timeout=120)
         assert ended.returncode == 0, ended.stderr
-        tick_us = json.loads(path.read_text(encoding="utf-8"))["loop"]["tick_us"]
-    return {f"live tick {name} in µs": tick_us[name] for name in ("p50", "p99")}
+        loop = json.loads(path.read_text(encoding="utf-8"))["loop"]
+    return {
+        f"live {part}, {name} in µs": loop[key][name]
+        for part, key in (("tick", "tick_us"), ("wake-up to command", "command_us"))
+        for name in ("p50", "p99")
+    }
 
 
 def frame() -> dict[str, float]:
@@ -107,7 +129,7 @@ def latency() -> dict[str, float]:
     return figures
 
 
-PARTS = {part.__name__: part for part in (simulate, tick, frame, latency)}
+PARTS = {part.__name__: part for part in (work, simulate, tick, frame, latency)}
 
 
 def main(benchmark: Benchmark) -> None:

@@ -1,3 +1,4 @@
+import importlib
 import logging
 import os
 from collections.abc import Iterator
@@ -64,6 +65,12 @@ def is_in(path: Path, *places: str) -> bool:
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--quick", action="store_true", help="the tests of `make test` alone")
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Compile the kernels once, before workers and processes would each do so."""
+    if not hasattr(config, "workerinput"):
+        importlib.import_module("display_node.prediction.ensemble")
 
 
 def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:

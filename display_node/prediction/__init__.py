@@ -2,7 +2,7 @@
 
 To add a predictor that learns:
 
-1. Write an `Expert` in `experts.py`.
+1. Write an `Expert` (`expert.py`), as `fir.py` is one.
 2. Build it in `ensemble.Ensemble`.
 3. Add its name to `PredictorName`, here.
 
@@ -11,13 +11,17 @@ A predictor that learns nothing is a `Predictor`, like `Linear`; build it in `bu
 A predictor of another distribution is a kind of `PREDICTORS` (`scene.py`, `docs/howto/plugins.md`).
 """
 
+import logging
 from bisect import bisect_left
 from collections.abc import Sequence
+from functools import cache
 from typing import TYPE_CHECKING, Literal, Protocol
 
 if TYPE_CHECKING:
     from display_node.prediction.r_waves import RWaveTime
     from display_node.prediction.transit import TransitTime
+
+logger = logging.getLogger(__name__)
 
 PredictorName = Literal["hold", "linear", "fir", "analogue", "stack"]
 WITHOUT_ERROR_ESTIMATE: tuple[PredictorName, ...] = ("hold", "linear")
@@ -96,11 +100,28 @@ class Linear(Predictor):
         return newest + slope * min(instant_ns - newest_ns, self._reach_ns)
 
 
+@cache
+def can_learn() -> bool:
+    """Return whether predictors that learn can be built here; warn once if they cannot.
+
+    Their kernels are compiled by numba, which new versions of Python have to wait for.
+    """
+    try:
+        import numba  # noqa: F401
+    except ImportError as error:
+        logger.warning(
+            f'the predictor "linear" plays in place of one that learns: numba cannot be loaded'
+            f" ({error}); use a version of Python for which `pip install numba` finds a wheel"
+        )
+        return False
+    return True
+
+
 def build_predictors(name: PredictorName, count: int = 1) -> list[Predictor]:
     """Build the predictors of `count` channels of a stream, which have seen nothing."""
-    if name in WITHOUT_ERROR_ESTIMATE:
+    if name in WITHOUT_ERROR_ESTIMATE or not can_learn():
         return [Linear(0 if name == "hold" else REACH_NS) for _ in range(count)]
-    # Imported here, so that a display without these predictors does not load linear algebra.
+    # Imported here, so that a display without these predictors does not load numba.
     from display_node.prediction.ensemble import Ensemble
 
     ensemble = Ensemble(name, count)

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from display_node.prediction.announced_regression import AnnouncedRegression
-from display_node.prediction.experts import HORIZONS, SPACING, Floats, Places
-from display_node.prediction.grid import History
+from display_node.prediction.expert import HORIZONS, SPACING, Floats
+from display_node.prediction.history import History
 from display_node.prediction.transit import TransitTime
 
 # Steps from the arrival of a pulse that divide the moments of a beat: 25 ms before it, from when on
@@ -119,7 +119,7 @@ class AnnouncedShare:
         np.minimum(sure, 1.0, out=sure)
         shares *= sure
 
-    def _judge(self, newest: np.floating, made: Places) -> None:
+    def _judge(self, newest: np.floating, made: NDArray[np.intp]) -> None:
         """Weigh the two shares by how well the announced path predicted the newest values."""
         differences = self._differences.take(made)
         self._recent *= RECENT_KEPT
@@ -139,18 +139,18 @@ class AnnouncedPath:
 
     def __init__(self, channels: int = 1) -> None:
         self.transit = TransitTime()
-        self._regression = AnnouncedRegression(self.transit)
+        self._regression = AnnouncedRegression(self.transit, channels)
         self._share = AnnouncedShare()
         self._path, self._difference = np.zeros(HORIZONS), np.zeros((channels, HORIZONS))
+        self._announced = np.zeros((channels, HORIZONS))
 
     def correct(self, history: History, ahead: Floats) -> None:
         """Correct the stack's paths, shape (channels, 25), where R waves are reliable."""
         self._path[:] = ahead[0]
-        path = self._regression.predict(history)
-        if path is None:
+        if not self._regression.predict(history, self._announced):
             self._difference[:] = 0.0
             return
-        np.subtract(path, ahead, out=self._difference)
+        np.subtract(self._announced, ahead, out=self._difference)
         transit, now = self.transit, history.count
         since_arrival = now - transit.newest - (transit.median or 0.0)
         share = self._share.of(self._difference[0], since_arrival, transit.pause(now))

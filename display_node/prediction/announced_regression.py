@@ -14,53 +14,199 @@ Rawles (1988), A mathematical model of left ventricular function in atrial fibri
 volume as a function of the two R-R intervals before the beat.
 """
 
+import math
+from typing import Final
+
 import numpy as np
 from numpy.typing import NDArray
 
-from display_node.prediction.experts import (
-    AHEAD,
-    FURTHEST,
-    HORIZONS,
-    SPACING,
-    Places,
-    Row,
-    solve,
-)
-from display_node.prediction.grid import History
+from display_node.prediction.expert import FURTHEST, HORIZONS, SPACING, Floats
+from display_node.prediction.history import History
+from display_node.prediction.kernels import FLOATS, PLACES, ROWS, TABLE, kernel
+from display_node.prediction.ridge import solve_ridge
 from display_node.prediction.transit import INTERVALS, Analogues, TransitTime
+
+Places = NDArray[np.int64]
+Row = NDArray[np.float32]
 
 # Lags of the regression's inputs: fewer than among similar moments, since each beat is one
 # analogue.
 LOCAL = np.array([1, 2, 3, 4, 6, 8, 11, 14, 18, 24, 32, 40, 60, 100])
+DEEPEST: Final = 100
 # One regression serves the next steps, and is made for the middle of them. Their number follows how
 # fast the gains change: most within RISING steps of the arrival, least from PASSED steps after it.
-FEWEST_STEPS, USUAL_STEPS, STEPS = 2, 4, 8
+FEWEST_STEPS: Final = 2
+USUAL_STEPS: Final = 4
+STEPS: Final = 8
 RISING, PASSED = 10.0, 60.0
-# A window around each analogue contains all their values; in it, the analogue is at MIDDLE.
-MIDDLE = int(LOCAL[-1])
-LENGTH = MIDDLE + FURTHEST + STEPS + 1
-# For each step from 0 on, where the inputs and outputs are in the window.
-INPUTS = MIDDLE - LOCAL + np.arange(STEPS + 1)[:, np.newaxis]
-OUTPUTS = MIDDLE + AHEAD + np.arange(STEPS + 1)[:, np.newaxis]
 # Steps back to the oldest value that is used: 40 s, and from the present to each input.
-REACH = 8_000
-PRESENT = MIDDLE - LOCAL
+REACH: Final = 8_000
 # Number of the last analogues that are used, the least number of them, and the one up to which
 # shorter pauses than the present one count.
 MOST, FEWEST, ENOUGH = 60, 4, 8
-NEAREST, FARTHEST = FURTHEST + STEPS + 1, REACH - MIDDLE
+NEAREST, FARTHEST = FURTHEST + STEPS + 1, REACH - DEEPEST
 # Width of their kernel over their mean distance: until the pulse arrives, and from then on, when it
 # shows which beats are like the present one.
 EARLY_WIDTH, WIDTH = 1.0, 0.5
 # An R-R interval's difference of 150 ms counts as a deviation of the pulse; in the distances, that
 # of the last one counts as much as this number of inputs. From 10 to 100, the errors are the same.
-INTERVAL_STEPS, INTERVAL_WEIGHT = 30.0, np.float32(30.0)
-# Number of the inputs from the pulse, before those from the R-R intervals.
-PULSE = len(LOCAL)
-OUTPUT = PULSE + INTERVALS
+INTERVAL_STEPS = 30.0
+INTERVAL_WEIGHT: Final = 30.0
+# Number of the inputs from the pulse, and with those from the R-R intervals.
+PULSE: Final = 14
+INPUTS: Final = PULSE + INTERVALS
 # Strength of gains of 0: the beat before, more than 120 ms ago, has a smaller part in what follows.
-STRENGTHS = np.array([0.003, 0.1, 0.01], np.float32)
-RIDGE = np.diag(np.repeat(STRENGTHS, (10, PULSE - 10, INTERVALS)))
+RIDGE = np.repeat([0.003, 0.1, 0.01], (10, PULSE - 10, INTERVALS))
+
+
+@kernel(f"void({ROWS}, int64, {PLACES}, {TABLE}, float64, {FLOATS})")
+def weigh_moments(
+    rows: Row, end: int, lags: Places, intervals: Floats, width: float, weights: Floats
+) -> None:
+    """Write the weights of the moments, which fall with the distance and add up to 1.
+
+    intervals: differences of their R-R intervals from the present's. width: of the kernel, over the
+    mean distance.
+    """
+    row, present, count = rows[0], end - 1, len(lags)
+    total = 0.0
+    for number in range(count):
+        at = present - lags[number]
+        distance = INTERVAL_WEIGHT * intervals[number, 0] ** 2
+        for tap in range(PULSE):
+            apart = row[at - LOCAL[tap]] - row[at] - (row[present - LOCAL[tap]] - row[present])
+            distance += apart * apart
+        weights[number] = distance
+        total += distance
+    scale = count / (width * total + 1e-30)
+    nearest = weights[:count].min()
+    total = 0.0
+    for number in range(count):
+        weights[number] = math.exp(scale * (nearest - weights[number]))
+        total += weights[number]
+    for number in range(count):
+        weights[number] /= total
+
+
+@kernel(f"boolean({ROWS}, int64, {PLACES}, {TABLE}, {FLOATS}, int64, {TABLE}, {FLOATS}, {FLOATS})")
+def regress_moments(
+    rows: Row,
+    end: int,
+    lags: Places,
+    intervals: Floats,
+    weights: Floats,
+    later: int,
+    gains: Floats,
+    low: Floats,
+    high: Floats,
+) -> bool:
+    """Regress what followed the moments on what preceded them; return whether it succeeded.
+
+    later: the steps after each moment for which it is made. gains: where to write the regression's,
+    shape (inputs, channels × 25). low, high: where to write the range of what followed.
+    """
+    channels, count, outputs = len(rows), len(lags), len(low)
+    taps = np.empty((count, INPUTS))
+    mean = np.zeros(INPUTS)
+    for number in range(count):
+        at = end - 1 - lags[number] + later
+        for tap in range(PULSE):
+            taps[number, tap] = rows[0, at - LOCAL[tap]] - rows[0, at]
+        for interval in range(INTERVALS):
+            taps[number, PULSE + interval] = intervals[number, interval]
+        for tap in range(INPUTS):
+            mean[tap] += weights[number] * taps[number, tap]
+    squares = np.zeros((INPUTS, INPUTS))
+    followed = np.empty(outputs)
+    gains[:] = 0.0
+    low[:], high[:] = math.inf, -math.inf
+    for number in range(count):
+        at = end - 1 - lags[number] + later
+        for channel in range(channels):
+            row, begin = rows[channel], channel * HORIZONS
+            for horizon in range(HORIZONS):
+                followed[begin + horizon] = row[at + SPACING * (horizon + 1)] - row[at]
+        for output in range(outputs):
+            low[output] = min(low[output], followed[output])
+            high[output] = max(high[output], followed[output])
+        inputs = taps[number]
+        for tap in range(INPUTS):
+            inputs[tap] -= mean[tap]
+        for tap in range(INPUTS):
+            weighted, square, product = weights[number] * inputs[tap], squares[tap], gains[tap]
+            for other in range(tap + 1):
+                square[other] += weighted * inputs[other]
+            for output in range(outputs):
+                product[output] += weighted * followed[output]
+    for tap in range(INPUTS):
+        squares[tap, tap] += RIDGE[tap]
+    return bool(solve_ridge(squares, gains))
+
+
+@kernel(f"void({ROWS}, int64, {PLACES}, {TABLE}, {FLOATS}, {TABLE}, {TABLE})")
+def continue_moments(
+    rows: Row,
+    end: int,
+    lags: Places,
+    intervals: Floats,
+    weights: Floats,
+    gains: Floats,
+    constants: Floats,
+) -> None:
+    """Write what the next steps' paths are for inputs of 0, shape (steps, channels × 25).
+
+    That is the moments' mean continuation less what their mean inputs add. The intervals are
+    differences from the present's, whose own input is so 0.
+    """
+    constants[:] = 0.0
+    inputs = np.empty(INPUTS)
+    for step in range(len(constants)):
+        constant = constants[step]
+        inputs[:] = 0.0
+        for number in range(len(lags)):
+            weight, at = weights[number], end - lags[number] + step
+            for channel in range(len(rows)):
+                row, begin = rows[channel], channel * HORIZONS
+                for horizon in range(HORIZONS):
+                    followed = row[at + SPACING * (horizon + 1)] - row[at]
+                    constant[begin + horizon] += weight * followed
+            for tap in range(PULSE):
+                inputs[tap] += weight * (rows[0, at - LOCAL[tap]] - rows[0, at])
+            for interval in range(INTERVALS):
+                inputs[PULSE + interval] += weight * intervals[number, interval]
+        for tap in range(INPUTS):
+            gain = gains[tap]
+            for output in range(len(constant)):
+                constant[output] -= inputs[tap] * gain[output]
+
+
+@kernel(f"void({ROWS}, int64, {FLOATS}, {TABLE}, {FLOATS}, {FLOATS}, {TABLE})")
+def follow_moments(
+    rows: Row,
+    end: int,
+    constant: Floats,
+    gains: Floats,
+    low: Floats,
+    high: Floats,
+    paths: Floats,
+) -> None:
+    """Write the path of each channel, shape (channels, 25), from the present's inputs."""
+    row, present = rows[0], end - 1
+    for channel in range(len(rows)):
+        begin, path = channel * HORIZONS, paths[channel]
+        for horizon in range(HORIZONS):
+            path[horizon] = constant[begin + horizon]
+        for tap in range(PULSE):
+            value, gain = row[present - LOCAL[tap]] - row[present], gains[tap]
+            for horizon in range(HORIZONS):
+                path[horizon] += value * gain[begin + horizon]
+        for horizon in range(HORIZONS):
+            # A present unlike all its analogues is not extrapolated beyond them.
+            if path[horizon] < low[begin + horizon]:
+                path[horizon] = low[begin + horizon]
+            elif path[horizon] > high[begin + horizon]:
+                path[horizon] = high[begin + horizon]
+            path[horizon] += rows[channel, present]
 
 
 class AnnouncedRegression:
@@ -69,39 +215,36 @@ class AnnouncedRegression:
     unprecedented: whether the present pause is longer than any before.
     """
 
-    def __init__(self, transit: TransitTime) -> None:
+    def __init__(self, transit: TransitTime, channels: int = 1) -> None:
         self.unprecedented = False
         self._transit = transit
-        # The paths of the next steps from inputs of 0, of all channels side by side; the number of
-        # those that are left.
-        self._constants: Row = np.zeros((0, 0), np.float32)
-        self._left = 0
+        # The paths of the next steps from inputs of 0, of all channels side by side; how many there
+        # are, and how many of them are left.
+        self._constants = np.zeros((STEPS, channels * HORIZONS))
+        self._steps = self._left = 0
+        self._gains = np.zeros((INPUTS, channels * HORIZONS))
+        self._low, self._high = np.zeros((2, channels * HORIZONS))
+        self._weights = np.zeros(MOST)
         self._newest_wave = 0.0
         # Of the R waves that are analogues: when the next ones were found, in order of size; their
         # R-R intervals; and the moments after them until the first of the next ones was found.
         self._analogues: Analogues | None = None
         self._until = np.zeros(0)
-        self._scaled: Row = np.zeros((0, INTERVALS), np.float32)
-        self._usual: tuple[Places, Row] = np.zeros(0, np.intp), self._scaled
+        self._scaled: Floats = np.zeros((0, INTERVALS))
+        self._usual: tuple[Places, Floats] = np.zeros(0, np.int64), self._scaled
 
-    def predict(self, history: History) -> Row | None:
-        """Return the path of each channel, shape (channels, 25).
+    def predict(self, history: History, paths: Floats) -> bool:
+        """Write the path of each channel, shape (channels, 25).
 
-        Returns None where too few beats are analogues.
+        Returns False, and writes nothing, where too few beats are analogues.
         """
         if not self._left:
-            return None
-        constant = self._constants[len(self._constants) - self._left]
+            return False
+        constant = self._constants[self._steps - self._left]
         self._left -= 1
-        past = history.last(MIDDLE + 1)
-        made: Row = (past.take(PRESENT) - past[-1]) @ self._gains
-        made += constant
-        # A present unlike all its analogues is not extrapolated beyond them.
-        np.maximum(made, self._low, out=made)
-        np.minimum(made, self._high, out=made)
-        path = made.reshape(-1, HORIZONS)
-        path += history.rows(1)
-        return path
+        rows, end = history.buffer, history.end
+        follow_moments(rows, end, constant, self._gains, self._low, self._high, paths)
+        return True
 
     def prepare(self, history: History) -> None:
         """Find the analogues of the next steps, and make the regression for them, when it is due.
@@ -116,59 +259,17 @@ class AnnouncedRegression:
         lags, intervals = self._moments(history.count)
         if len(lags) < FEWEST:
             return
-        since = history.count - newest_wave
-        arrives = self._transit.median or 0.0
-        steps = _steps(since - arrives)
-        past = history.rows(REACH + 1)
-        begins = REACH - MIDDLE - lags
-        windows = [_windows(row, begins) for row in past]
-        around = windows[0]
-        # The kernel falls with the distance from the present.
-        apart = around.take(INPUTS[0], axis=1)
-        apart -= around[:, MIDDLE : MIDDLE + 1]
-        apart -= past[0, -1 - MIDDLE :].take(PRESENT) - past[0, -1]
-        distances = np.einsum("ij,ij->i", apart, apart)
-        distances += INTERVAL_WEIGHT * intervals[:, 0] ** 2
+        since, arrives = history.count - newest_wave, self._transit.median or 0.0
         width = EARLY_WIDTH if since < arrives else WIDTH
-        distances *= -len(distances) / (width * float(np.add.reduce(distances)) + 1e-30)
-        weights = np.exp(distances - np.maximum.reduce(distances))
-        weights /= np.add.reduce(weights)
-        # Inputs, R-R intervals and the outputs of all channels side by side, in single precision.
-        made_for = steps // 2
-        at = MIDDLE + made_for
-        columns = np.empty((len(lags), OUTPUT + HORIZONS * len(windows)), np.float32)
-        columns[:, :PULSE] = around.take(INPUTS[made_for], axis=1)
-        columns[:, :PULSE] -= around[:, at : at + 1]
-        columns[:, PULSE:OUTPUT] = intervals
-        outputs = columns[:, OUTPUT:]
-        for place, window in enumerate(windows):
-            begin = HORIZONS * place
-            made = outputs[:, begin : begin + HORIZONS]
-            np.subtract(
-                window[:, at + SPACING : at + FURTHEST + 1 : SPACING],
-                window[:, at : at + 1],
-                out=made,
-            )
-        self._low, self._high = np.minimum.reduce(outputs), np.maximum.reduce(outputs)
-        columns -= weights @ columns
-        products = (columns[:, :OUTPUT].T * weights) @ columns
-        gains, failed = solve(products[:, :OUTPUT] + RIDGE, products[:, OUTPUT:])
-        if failed:
-            return
-        self._gains = gains[:PULSE]
-        # At each of the next steps, the analogues' mean outputs less what their mean inputs add.
-        # The intervals are differences from the present's, whose own input is so 0.
-        means = [weights @ each for each in windows]
-        later = slice(MIDDLE + 1, MIDDLE + 1 + steps)
-        mean_inputs = means[0].take(INPUTS[1 : steps + 1]) - means[0][later, np.newaxis]
-        constants = _beside(
-            [mean.take(OUTPUTS[1 : steps + 1]) - mean[later, np.newaxis] for mean in means]
-        )
-        constants -= mean_inputs @ self._gains
-        constants -= (weights @ intervals) @ gains[PULSE:]
-        self._constants, self._left = constants, steps
+        moments = history.buffer, history.end, lags, intervals
+        weigh_moments(*moments, width, self._weights)
+        steps, gains = _steps(since - arrives), self._gains
+        if regress_moments(*moments, self._weights, steps // 2, gains, self._low, self._high):
+            constants = self._constants[:steps]
+            continue_moments(*moments, self._weights, gains, constants)
+            self._steps = self._left = steps
 
-    def _moments(self, count: int) -> tuple[Places, Row]:
+    def _moments(self, count: int) -> tuple[Places, Floats]:
         """Return the last moments as long after their R wave as the present is.
 
         They are given by their lags, and the differences of their R-R intervals from the present's.
@@ -177,7 +278,7 @@ class AnnouncedRegression:
         if analogues is not self._analogues:
             self._analogues = analogues
             self._until = np.sort(analogues.lengths)
-            self._scaled = (analogues.intervals / INTERVAL_STEPS).astype(np.float32)
+            self._scaled = np.ascontiguousarray(analogues.intervals / INTERVAL_STEPS)
             self._usual = self._chosen(analogues.lags, analogues.lags > 0, count)
         since, until = count - analogues.newest, analogues.lengths
         self.unprecedented = not len(until) or since >= self._until[-1]
@@ -186,10 +287,10 @@ class AnnouncedRegression:
         # At such a moment, the next R wave had not been found yet. In a pause as long as few or
         # none before, they are the ends of the longest ones, after which no beat was near either.
         over = np.where(until > since, 0.0, since + STEPS + 1 - until)
-        lags = analogues.lags + np.rint(over).astype(np.intp)
+        lags = analogues.lags + np.rint(over).astype(np.int64)
         return self._chosen(lags, over <= np.sort(over)[:ENOUGH][-1], count)
 
-    def _chosen(self, lags: Places, chosen: NDArray[np.bool_], count: int) -> tuple[Places, Row]:
+    def _chosen(self, lags: Places, chosen: NDArray[np.bool_], count: int) -> tuple[Places, Floats]:
         """Return the last of the chosen moments whose windows lie within the history."""
         longest = min(FARTHEST, count - (REACH - FARTHEST))
         chosen &= (lags >= NEAREST) & (lags < longest)
@@ -201,17 +302,3 @@ def _steps(since_arrival: float) -> int:
     if since_arrival >= PASSED:
         return STEPS
     return FEWEST_STEPS if abs(since_arrival) <= RISING else USUAL_STEPS
-
-
-def _windows(row: Row, begins: Places) -> Row:
-    """Return the windows that begin at these places of a row, which is contiguous."""
-    # A view of all windows is many times faster here than `sliding_window_view`.
-    size = row.itemsize
-    every: Row = np.ndarray((len(row) - LENGTH + 1, LENGTH), np.float32, row, 0, (size, size))
-    windows: Row = every[begins]
-    return windows
-
-
-def _beside(parts: list[Row]) -> Row:
-    """Return the channels' parts side by side."""
-    return parts[0] if len(parts) == 1 else np.concatenate(parts, axis=-1)

@@ -6,7 +6,7 @@ Weights that were fitted to that predict worse for their whole memory, tens of s
 
 import math
 
-from display_node.prediction.grid import RECENT, History
+from display_node.prediction.history import RECENT, History
 
 # The range is that of recent values without the last 250 ms. It is computed anew every 50 ms.
 LATELY, REVIEWED = 50, 10

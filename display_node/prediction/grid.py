@@ -1,4 +1,4 @@
-"""The regular grid of 5 ms on which the pulse is predicted; the history and the rhythm on it.
+"""The regular grid of 5 ms on which the pulse is predicted, and the rhythm on it.
 
 A cell's value is the mean over 5 ms of the piecewise-linear curve through the samples. At high
 rates this averages noise and aliasing; at low rates, and over short gaps, it interpolates.
@@ -9,9 +9,6 @@ import statistics
 from bisect import bisect_left, bisect_right
 from collections import deque
 from typing import NamedTuple
-
-import numpy as np
-from numpy.typing import NDArray
 
 STEP_NS = 5_000_000
 # Over a longer gap nothing is interpolated; the numbers of the cells continue without a gap.
@@ -125,73 +122,6 @@ class Grid:
         after_ns, after = times[position], values[position]
         before_ns, before = times[position - 1], values[position - 1]
         return before + (t_ns - before_ns) / (after_ns - before_ns) * (after - before)
-
-
-# Recent values are those of the last 5 s; their range is widened on both sides by this share of it.
-RECENT, MARGIN = 1_000, 0.25
-
-
-class History:
-    """The last `capacity` values of a channel, and of others beside it, in single precision.
-
-    They are filled with zeros at the start.
-    """
-
-    def __init__(self, capacity: int, channels: int = 1) -> None:
-        self._capacity = capacity
-        self._rows = np.zeros((channels, 3 * capacity), np.float32)
-        # Of the first channel.
-        self._values = self._rows[0]
-        self._end = capacity
-        self.channels = channels
-        self.count = 0
-
-    @property
-    def newest(self) -> float:
-        """The newest value."""
-        return float(self._values[self._end - 1])
-
-    def push(self, value: float, *others: float) -> None:
-        """Append a value of each channel."""
-        values, capacity = self._values, self._capacity
-        if self._end == len(values):
-            self._rows[:, :capacity] = self._rows[:, -capacity:]
-            self._end = capacity
-        values[self._end] = value
-        for channel, other in enumerate(others, start=1):
-            self._rows[channel, self._end] = other
-        self._end += 1
-        self.count += 1
-
-    def rewrite(self, age: int, value: float, channel: int = 0) -> None:
-        """Replace the value `age` steps before the newest; do nothing where it is too old."""
-        if age < min(self.count, self._capacity):
-            self._rows[channel, self._end - 1 - age] = value
-
-    def bounds(self, count: int, skipped: int) -> tuple[float, float]:
-        """Return the widened range of the newest `count` values without the last `skipped` ones."""
-        recent = self.last(min(count, self.count))[:-skipped]
-        low, high = float(np.minimum.reduce(recent)), float(np.maximum.reduce(recent))
-        margin = MARGIN * (high - low)
-        return low - margin, high + margin
-
-    def ranges(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return the widened range of each channel's recent values, both of shape (channels, 1)."""
-        recent = self.rows(min(RECENT, self.count))
-        low = np.minimum.reduce(recent, axis=1, keepdims=True).astype(np.float64)
-        high = np.maximum.reduce(recent, axis=1, keepdims=True).astype(np.float64)
-        margin = MARGIN * (high - low)
-        return low - margin, high + margin
-
-    def last(self, count: int) -> NDArray[np.float32]:
-        """Return a view of the newest `count` values (at most `capacity`), valid until a push."""
-        values: NDArray[np.float32] = self._values[self._end - count : self._end]
-        return values
-
-    def rows(self, count: int) -> NDArray[np.float32]:
-        """Return a view of the newest `count` values of each channel, valid until a push."""
-        rows: NDArray[np.float32] = self._rows[:, self._end - count : self._end]
-        return rows
 
 
 # Number of the last beats that count, and the least number of them that is enough.

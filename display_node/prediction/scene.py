@@ -11,6 +11,7 @@ from display_node.prediction import (
     Predictor,
     PredictorName,
     build_predictors,
+    can_learn,
 )
 from protocol.config.kinds import KindGroup, KindTable, OfKind
 
@@ -43,7 +44,7 @@ class OwnPredictorScene(PredictorScene):
     @property
     def estimates_error(self) -> bool:
         """See `PredictorScene.estimates_error`."""
-        return self.kind not in WITHOUT_ERROR_ESTIMATE
+        return self.kind not in WITHOUT_ERROR_ESTIMATE and can_learn()
 
     def build(self, tick_ns: int, count: int) -> list[Predictor]:
         """See `PredictorScene.build`."""

@@ -196,6 +196,8 @@ def run_demo(
         log_repetition(source, seconds)
         stream = describe_stream(scene.sensing, source)
         channels = [stream.find_force(contactor.channel) for contactor in scene.display.contactors]
+    # At the first start on a machine this compiles for seconds: before a process waits for another.
+    scene.display.predictor.build(scene.display.tick_ns, 1)
     sensing_address, telemetry_address, link_address = free_addresses(3)
     impaired = scene.link != LinkScene()
     display_address = link_address if impaired else sensing_address

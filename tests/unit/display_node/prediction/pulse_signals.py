@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from display_node.prediction import Predictor
-from display_node.prediction.experts import AHEAD, SPACING, Expert
-from display_node.prediction.grid import History
+from display_node.prediction.expert import AHEAD, SPACING, Expert
+from display_node.prediction.history import History
 
 MS = 1_000_000
 T0_NS = 7_000 * MS
@@ -29,16 +29,16 @@ def beats(t_s: Floats, intervals_s: Sequence[float] = (BEAT_S,)) -> Floats:
 def expert_errors(expert: Expert, signal: Floats, from_step: int) -> Floats:
     """Return the largest error of an expert's trajectories at each horizon, from a step on."""
     history = History(8_192)
-    made, worst = np.zeros((2, len(expert.names), len(AHEAD)))
+    made, worst = np.zeros((len(expert.names), 1, len(AHEAD))), np.zeros((len(expert.names), 25))
     for step, value in enumerate(signal.tolist()):
         history.push(value)
         expert.predict(history, made)
         if step % SPACING:
-            list(expert.prepare(history))
+            expert.prepare(history)
         else:
             expert.learn(history)
         if from_step <= step < len(signal) - AHEAD[-1]:
-            worst = np.maximum(worst, np.abs(value + made - signal[step + AHEAD]))
+            worst = np.maximum(worst, np.abs(value + made[:, 0] - signal[step + AHEAD]))
     return worst
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from display_node.prediction.announced import AnnouncedShare
-from display_node.prediction.experts import FURTHEST, HORIZONS
+from display_node.prediction.expert import FURTHEST, HORIZONS
 
 NO_PAUSE = (0.0, 0.0)
 BEFORE, RISING, PASSED = -20.0, 10.0, 60.0

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from display_node.prediction.artefacts import FEWEST, HELD, LONGEST, ArtefactDetector
 from display_node.prediction.ensemble import Ensemble
-from display_node.prediction.grid import History
+from display_node.prediction.history import History
 from tests.support.drawn_beats import BATCH, RATE_HZ, draw, moved, noisy, prediction_errors_n
 
 Floats = NDArray[np.float64]

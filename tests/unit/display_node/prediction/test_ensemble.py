@@ -4,12 +4,20 @@ import numpy as np
 import pytest
 
 from display_node.prediction import PredictorName, build_predictors
-from display_node.prediction.ensemble import Ensemble, PathErrors, Stack
-from display_node.prediction.experts import AHEAD, HORIZONS
+from display_node.prediction.ensemble import Ensemble
+from display_node.prediction.expert import AHEAD, HORIZONS
+from display_node.prediction.stack import PathErrors, Stack
 from tests.unit.display_node.prediction.pulse_signals import MS, T0_NS, Floats, beats, feed
 
 STEPS = 4_000
 TRUTH = np.cumsum(np.random.default_rng(1).standard_normal(STEPS + 2 * HORIZONS)) * 0.1
+
+
+def predict(stack: Stack, newest: float, rows: Floats) -> Floats:
+    """Return the path of one channel from the trajectories in `rows`, shape (n, 25)."""
+    path = np.zeros((1, HORIZONS))
+    stack.predict(np.array([newest]), np.ascontiguousarray(rows[:, np.newaxis]), path)
+    return path[0]
 
 
 def run(
@@ -26,11 +34,11 @@ def run(
         newest = values[-1]
         coming = TRUTH[step + HORIZONS + 1 : step + 2 * HORIZONS + 1] - newest
         rows = np.array([gain * coming + noise * rng.standard_normal(len(AHEAD)) for gain in gains])
-        path = stack.predict(newest, rows)
+        path = predict(stack, newest, rows)
         stacked = path - newest
-        stack.learn(values)
+        stack.learn(values[1:])
         if errors is not None:
-            errors.add(values[-1:, np.newaxis], path[np.newaxis])
+            errors.add(values[-1:], path[np.newaxis])
         if step >= STEPS // 2:
             squares += (np.vstack([rows, stacked]) - coming) ** 2
     return np.sqrt(squares / (STEPS - STEPS // 2))
@@ -48,7 +56,7 @@ def test_a_stack_is_better_than_its_best_expert_and_corrects_a_constant_gain(
 
 def test_a_stack_starts_with_its_initial_weights() -> None:
     rows = np.vstack([np.full(len(AHEAD), 1.0), np.full(len(AHEAD), 10.0)])
-    stacked = Stack(np.array([0.4, 0.2])).predict(0.5, rows)
+    stacked = predict(Stack(np.array([0.4, 0.2])), 0.5, rows)
     np.testing.assert_allclose(stacked, 2.9)
 
 
@@ -65,7 +73,7 @@ def test_an_estimate_of_the_error_contains_no_older_step() -> None:
     errors = PathErrors(2)
     for step in range(1_000):
         newest = float(step < 500)
-        errors.add(np.array([[newest], [2 * newest]]), np.zeros((2, HORIZONS)))
+        errors.add(np.array([newest, 2 * newest]), np.zeros((2, HORIZONS)))
         means = [errors.mean_squares(steps) for steps in (100, 200)]
         first, last = (math.sqrt(each[0, 0]) for each in means)
         assert [math.sqrt(each[1, 0]) for each in means] == [2 * first, 2 * last]
@@ -82,15 +90,15 @@ def test_an_estimate_of_the_error_contains_no_older_step() -> None:
 def test_one_enormous_sample_leaves_later_estimates_right() -> None:
     errors = PathErrors(1)
     for step in range(1_000):
-        errors.add(np.array([[1e20 if step == 300 else 1.0]]), np.zeros((1, HORIZONS)))
+        errors.add(np.array([1e20 if step == 300 else 1.0]), np.zeros((1, HORIZONS)))
     assert errors.mean_squares(200)[0, 0] == pytest.approx(1.0)
 
 
 def test_a_stack_combines_equal_and_enormous_trajectories() -> None:
     stack = Stack(np.array([0.4, 0.2]))
     for _ in range(4 * HORIZONS):
-        stacked = stack.predict(0.0, np.full((2, HORIZONS), 1e30))
-        stack.learn(np.zeros(HORIZONS + 1))
+        stacked = predict(stack, 0.0, np.full((2, HORIZONS), 1e30))
+        stack.learn(np.zeros(HORIZONS))
     assert np.isfinite(stacked).all()
 
 
@@ -98,15 +106,15 @@ def test_a_stack_stays_stable_when_a_long_silent_expert_predicts_again(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     # 8000 steps with so short a memory correspond to a day with the usual one.
-    monkeypatch.setattr("display_node.prediction.ensemble.MEMORY_STEPS", 10)
+    monkeypatch.setattr("display_node.prediction.stack.MEMORY_STEPS", 10)
     stack, rng = Stack(np.array([1.0, 0.0])), np.random.default_rng(3)
     for step in range(8_000):
         coming = rng.standard_normal(len(AHEAD))
-        stack.predict(0.0, np.vstack([coming, np.zeros(len(AHEAD))]))
-        stack.learn(np.sin(np.arange(step - HORIZONS, step + 1)))
+        predict(stack, 0.0, np.vstack([coming, np.zeros(len(AHEAD))]))
+        stack.learn(np.sin(np.arange(step - HORIZONS + 1.0, step + 1)))
     for _ in range(4 * HORIZONS):
-        woken = stack.predict(0.0, np.ones((2, len(AHEAD))))
-        stack.learn(np.full(HORIZONS + 1, 0.5))
+        woken = predict(stack, 0.0, np.ones((2, len(AHEAD))))
+        stack.learn(np.full(HORIZONS, 0.5))
     assert np.abs(woken - 0.5).max() < 0.1
 
 

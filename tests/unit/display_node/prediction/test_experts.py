@@ -1,8 +1,10 @@
 import numpy as np
 import pytest
 
-from display_node.prediction.experts import Analogue, Fir
-from display_node.prediction.grid import MAX_GAP_NS, STEP_NS, Grid, GridCell, History, Rhythm
+from display_node.prediction.analogue import Analogue
+from display_node.prediction.fir import Fir
+from display_node.prediction.grid import MAX_GAP_NS, STEP_NS, Grid, GridCell, Rhythm
+from display_node.prediction.history import History
 from tests.unit.display_node.prediction.pulse_signals import MS, T0_NS, beats, expert_errors
 
 

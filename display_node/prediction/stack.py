@@ -1,0 +1,173 @@
+"""Combination of trajectories by least squares, and the errors of the paths that it makes."""
+
+from typing import Final
+
+import numpy as np
+
+from display_node.prediction.expert import HORIZONS, Floats
+from display_node.prediction.kernels import CUBE, FLOATS, TABLE, kernel
+from display_node.prediction.ridge import solve_ridge
+
+# Memory of the weights, in steps of learning: it grows by half a step a step, so that what the
+# experts predicted before they had learnt is soon forgotten.
+FIRST_MEMORY_STEPS, MEMORY_STEPS = 30, 1_000
+# Strength of the initial weights: at the start, and the part of it that is never forgotten.
+FIRST_RIDGE, RIDGE = 10.0, 0.01
+# Least strength, over the largest product.
+LEAST_RIDGE: Final = 1e-9
+# The weights are computed anew after this number of steps, which is 50 ms.
+SOLVED = 5
+# Squared errors are limited to this in their sums, in units of the signal's variance.
+WORST: Final = 1e4
+# Steps whose errors are kept: above the longest window of an estimate of the error.
+ERRORS: Final = 256
+
+
+@kernel(f"void({TABLE}, {CUBE}, {FLOATS}, {TABLE})")
+def combine(weights: Floats, trajectories: Floats, newest: Floats, paths: Floats) -> None:
+    """Write each channel's path: its newest value plus the weighted trajectories.
+
+    weights: shape (n, 25). trajectories: shape (n, channels, 25).
+    """
+    for channel in range(len(paths)):
+        path = paths[channel]
+        path[:] = newest[channel]
+        for number in range(len(weights)):
+            for horizon in range(HORIZONS):
+                path[horizon] += weights[number, horizon] * trajectories[number, channel, horizon]
+
+
+@kernel(f"void({CUBE}, {TABLE}, {FLOATS}, float64)")
+def add_products(products: Floats, made: Floats, values: Floats, forget: float) -> None:
+    """Add the products of the trajectories made 250 ms ago with each other and the true values.
+
+    products: of each horizon, shape (25, n, n + 1). made: shape (n + 1, 25), with the value that
+    the trajectories began at in the last row. values: those that have come since.
+    """
+    count = len(made) - 1
+    for horizon in range(HORIZONS):
+        came = values[horizon] - made[count, horizon]
+        for number in range(count):
+            left = made[number, horizon]
+            row = products[horizon, number]
+            for other in range(count):
+                row[other] = row[other] * forget + left * made[other, horizon]
+            row[count] = row[count] * forget + left * came
+
+
+@kernel(f"boolean({CUBE}, {FLOATS}, float64, {TABLE})")
+def solve_weights(products: Floats, trust: Floats, ridge: float, weights: Floats) -> bool:
+    """Write the weights of least squared error at each horizon, with a ridge towards `trust`.
+
+    Returns False, and leaves the weights of a horizon, where there are none.
+    """
+    count = len(trust)
+    # After an enormous sample, the ridge is more than the products' rounding.
+    ridge = max(ridge, LEAST_RIDGE * products.max())
+    squares, solved = np.empty((count, count)), np.empty((count, 1))
+    complete = True
+    for horizon in range(HORIZONS):
+        for number in range(count):
+            for other in range(count):
+                squares[number, other] = products[horizon, number, other]
+            squares[number, number] += ridge
+            solved[number, 0] = products[horizon, number, count] + ridge * trust[number]
+        if solve_ridge(squares, solved):
+            for number in range(count):
+                weights[number, horizon] = solved[number, 0]
+        else:
+            complete = False
+    return complete
+
+
+class Stack:
+    """Combination of n trajectories, with least-squares weights for every horizon.
+
+    A trajectory is used when the values at all its horizons have come. trust: initial weights,
+    shape (n,).
+    """
+
+    def __init__(self, trust: Floats) -> None:
+        count = len(trust)
+        self._trust = np.asarray(trust, np.float64)
+        self._weights = np.repeat(self._trust[:, np.newaxis], HORIZONS, axis=1)
+        # For each horizon, the trajectories' products with each other and with the true values.
+        self._products = np.zeros((HORIZONS, count, count + 1))
+        self._ridge = FIRST_RIDGE
+        # The trajectories of the last steps with the values that they began at.
+        self._made = np.zeros((HORIZONS, count + 1, HORIZONS))
+        self._newest, self._trajectories = 0.0, np.zeros((count, HORIZONS))
+        self._steps = 0
+
+    def predict(self, newest: Floats, trajectories: Floats, paths: Floats) -> None:
+        """Combine trajectories into paths of shape (channels, 25).
+
+        newest: newest value of each channel, shape (channels,). trajectories: shape (n, channels,
+        25). The weights are learnt from the first channel.
+        """
+        self._trajectories, self._newest = trajectories[:, 0], newest[0]
+        combine(self._weights, trajectories, newest, paths)
+
+    def learn(self, values: Floats, artefact: bool = False) -> None:
+        """Learn from the last 25 values of the steps of learning, the newest last.
+
+        artefact: whether one is present; the weights are then kept. Call it after `predict`, at the
+        steps from which the experts learn.
+        """
+        made = self._made[self._steps % HORIZONS]
+        self._steps += 1
+        if self._steps > HORIZONS and not artefact:
+            forget = 1 - 1 / min(MEMORY_STEPS, FIRST_MEMORY_STEPS + self._steps / 2)
+            add_products(self._products, made, values, forget)
+            self._ridge = RIDGE + forget * (self._ridge - RIDGE)
+            if self._steps % SOLVED == 0:
+                solve_weights(self._products, self._trust, self._ridge, self._weights)
+        made[:-1], made[-1] = self._trajectories, self._newest
+
+
+@kernel(f"void({CUBE}, {CUBE}, int64, {FLOATS}, {TABLE})")
+def add_errors(paths: Floats, sums: Floats, steps: int, newest: Floats, made: Floats) -> None:
+    """Add the squared errors that the newest values show to the running sums, and keep new paths.
+
+    paths: shape (channels, 25, 25), by step and horizon. sums: shape (channels, `ERRORS`, 25).
+    """
+    before, after = steps % ERRORS, (steps + 1) % ERRORS
+    for channel in range(len(paths)):
+        for horizon in range(HORIZONS):
+            square = 0.0
+            if horizon < steps:
+                path = paths[channel, (steps - 1 - horizon) % HORIZONS, horizon]
+                square = (newest[channel] - path) ** 2
+                # An error that is no number is the worst, too.
+                square = square if square < WORST else WORST
+            sums[channel, after, horizon] = sums[channel, before, horizon] + square
+        paths[channel, steps % HORIZONS] = made[channel]
+
+
+class PathErrors:
+    """Squared errors of the last paths of each channel, once their values have come."""
+
+    def __init__(self, channels: int) -> None:
+        # The paths of the last steps, and running sums of their squared errors, by step and
+        # horizon.
+        self._paths = np.zeros((channels, HORIZONS, HORIZONS))
+        self._sums = np.zeros((channels, ERRORS, HORIZONS))
+        self._steps = 0
+
+    def add(self, newest: Floats, paths: Floats) -> None:
+        """Judge the last paths by the newest values, shape (channels,), and keep new ones."""
+        add_errors(self._paths, self._sums, self._steps, newest, paths)
+        self._steps += 1
+
+    def mean_squares(self, steps: int) -> Floats:
+        """Return the mean square error at each horizon over the last steps, fewer than `ERRORS`.
+
+        It has the shape (channels, horizons), and is infinite at horizons at which fewer values
+        have been predicted.
+        """
+        newest, before = self._steps % ERRORS, (self._steps - steps) % ERRORS
+        means: Floats = np.maximum(self._sums[:, newest] - self._sums[:, before], 0.0)
+        means /= steps
+        # The nearest horizons were the first to be predicted.
+        means[:, max(self._steps - steps, 0) :] = np.inf
+        return means
