@@ -108,7 +108,7 @@ def can_learn() -> bool:
     """
     try:
         import numba  # noqa: F401
-    except ImportError as error:
+    except (ImportError, OSError) as error:  # The latter where its library does not fit.
         logger.warning(
             f'the predictor "linear" plays in place of one that learns: numba cannot be loaded'
             f" ({error}); use a version of Python for which `pip install numba` finds a wheel"

@@ -15,6 +15,7 @@ import shutil
 import signal
 import socket
 import sys
+import tempfile
 import time
 from typing import Any
 
@@ -23,8 +24,8 @@ PLATFORM = os.environ.get("TELEPULSE_TEST_PLATFORM", "")
 IMPORTED_BEFORE = """
     asyncio concurrent.futures.process ctypes.util logging.handlers multiprocessing.connection
     platform shutil ssl subprocess tempfile threading uuid webbrowser urllib.request ifaddr
-    matplotlib.figure numpy.testing prometheus_client psutil pydantic rich.console scipy.signal
-    serial serial.tools.list_ports typer typer.testing zmq
+    matplotlib.figure numba numpy.testing prometheus_client psutil pydantic rich.console
+    scipy.signal serial serial.tools.list_ports typer typer.testing zmq
 """
 MISSING_MODULES = {
     "win32": "curses fcntl grp posix pty pwd readline resource syslog termios tty",
@@ -97,6 +98,7 @@ def become(name: str) -> None:
     sys.meta_path.insert(0, _Finder())
     sys.platform = name
     # Chosen when shutil is imported: Windows opens no folder.
+    tempfile._O_TMPFILE_WORKS = False
     shutil._use_fd_functions = name != "win32"
     system = {"win32": "Windows", "darwin": "Darwin"}[name]
     platform.system = lambda: system

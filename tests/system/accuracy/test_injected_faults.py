@@ -15,7 +15,7 @@ REVERSED = FaultCase(FaultKind.REVERSED, from_start=True)
 @pytest.mark.parametrize(
     ("kind", "case", "with_film", "hostile", "named"),
     [
-        ("tmcl", REVERSED, True, False, "not started: the film"),
+        ("tmcl", REVERSED, True, False, "not started: the force"),
         ("cia402", FaultCase(FaultKind.REVERSED_ENCODER), False, False, "following error"),
         ("tmcl", FaultCase(FaultKind.GAIN_ENCODER, "3"), False, True, "following error"),
         ("cia402", FaultCase(FaultKind.POSITION_FROZEN), False, True, "following error"),
