@@ -1,4 +1,8 @@
-"""Solution of a positive definite system by Cholesky's factors, for the kernels."""
+"""Solution of a positive definite system by Cholesky's factors, for the kernels.
+
+numba compiles it into the kernels that call it, and does not notice a later change here: after one,
+delete this package's folders __pycache__.
+"""
 
 import math
 
