@@ -18,6 +18,7 @@ import msgpack
 import numpy as np
 
 from benchmarks.benchmark import Benchmark
+from benchmarks.criteria import CRITERIA
 from benchmarks.peers import BARE, BARE_CURVE, OURS, OURS_CURVE
 from display_node.prediction.ensemble import Ensemble
 from display_node.prediction.scene import own_predictor
@@ -157,6 +158,8 @@ def main(benchmark: Benchmark) -> None:
         ("figure", "pure", "compiled", "compiled / pure"),
         rows,
     )
+    for criterion in CRITERIA[benchmark.name]:
+        benchmark.judge(criterion.name, statistics.median(found["pure"][criterion.name]))
 
 
 if __name__ == "__main__":

@@ -87,7 +87,18 @@ CRITERIA: Final[dict[str, tuple[Criterion, ...]]] = {
         Criterion("TCP stalls / best moving, 5 %", most=1.7),
     ),
     "wire": (Criterion("a frame of 5 samples, encoded and decoded", 15e-6, scale=1e6, unit="µs"),),
-    "simulation": (Criterion("speed of the default scene, times real time", least=50.0),),
+    # Of the pure core; its figures are in the units of their names.
+    "core": (
+        Criterion("work of the stack in µs a tick", most=15),
+        Criterion("simulate radial, linear", least=30),
+        Criterion("simulate radial, stack", least=20),
+        Criterion("live tick, p50 in µs", most=110),
+        Criterion("live tick, p99 in µs", most=350),
+        Criterion("live wake-up to command, p50 in µs", most=80),
+        Criterion("live wake-up to command, p99 in µs", most=200),
+        Criterion("latency over pyzmq", most=1.2),
+        Criterion("latency over pyzmq, CURVE", most=1.2),
+    ),
     "contactors": (
         share("a further contactor's tick over the first one's, stack", most=0.4),
         share("a further contactor's tick over the first one's, linear", most=0.4),
