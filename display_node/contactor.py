@@ -330,8 +330,6 @@ class Contactor:
         felt_n
             Force under the finger after the last of these ticks, in N.
         """
-        while self._score_samples():
-            pass
         finger = FingerState(felt_n, measured_by="model, no drive")
         return Summary(
             compensation=self._prediction.scored(Compensation(), played_s),
