@@ -114,8 +114,6 @@ class Simulation:
         self._now_ns = begin_ns
         self._stream_ns = begin_ns + STREAM_BEGINS_NS
         self._scored_from_ns = self._last_ns = self._stream_ns
-        # Age at which a real film is read; the modelled film has its own delay.
-        self._film_age_ns = scene.display.film.latency_ns if hardware is not None else 0
         self._paced = PacedSource(self.source, self._stream_ns + SENSING_CLOCK_AHEAD_NS)
         self._session = seed + 1
         self._framer = Framer(self._description, self._session)
@@ -192,10 +190,10 @@ class Simulation:
             pass
         state = self.display.tick(now_ns, elapsed_ticks)
         if state.scored and now_ns >= self._scored_from_ns:
-            age_ns = self._film_age_ns
-            true_now_ns = now_ns + SENSING_CLOCK_AHEAD_NS - age_ns
+            true_now_ns = now_ns + SENSING_CLOCK_AHEAD_NS
             for _, contactor, error in self._scored:
-                error.add_output(true_now_ns, state.instant_ns - age_ns, contactor.state.felt_n)
+                age_ns, felt_n = contactor.film_age_ns, contactor.state.felt_n
+                error.add_output(true_now_ns - age_ns, state.instant_ns - age_ns, felt_n)
         for message in self.display.requests(now_ns):
             self._send(self._up, now_ns, self._answer, message)
         return state
