@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from display_node.prediction.expert import HORIZONS, SPACING, Expert, Floats
 from display_node.prediction.grid import STEP_NS
 from display_node.prediction.history import History
-from display_node.prediction.kernels import CUBE, FLOATS, PLACES, ROW, ROWS, TABLE, kernel
+from display_node.prediction.kernels import CUBE, FLOATS, PLACES, ROW, ROWS, TABLE, bounded, kernel
 from display_node.prediction.ridge import solve_ridge
 
 Row = NDArray[np.float32]
@@ -209,10 +209,7 @@ def add_regression(made: Floats, inputs: Floats, gains: Floats, low: Floats, hig
             for horizon in range(HORIZONS):
                 path[horizon] += inputs[tap] * gains[channel, tap, horizon]
         for horizon in range(HORIZONS):
-            if path[horizon] < low[channel, horizon]:
-                path[horizon] = low[channel, horizon]
-            elif path[horizon] > high[channel, horizon]:
-                path[horizon] = high[channel, horizon]
+            path[horizon] = bounded(path[horizon], low[channel, horizon], high[channel, horizon])
 
 
 @kernel(f"boolean({ROWS}, int64, {PLACES}, {FLOATS}, {CUBE}, {TABLE}, {TABLE})")

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from display_node.prediction.expert import FURTHEST, HORIZONS, SPACING, Floats
 from display_node.prediction.history import History
-from display_node.prediction.kernels import FLOATS, PLACES, ROWS, TABLE, kernel
+from display_node.prediction.kernels import FLOATS, PLACES, ROWS, TABLE, bounded, kernel
 from display_node.prediction.ridge import solve_ridge
 from display_node.prediction.transit import INTERVALS, Analogues, TransitTime
 
@@ -202,11 +202,8 @@ def follow_moments(
                 path[horizon] += value * gain[begin + horizon]
         for horizon in range(HORIZONS):
             # A present unlike all its analogues is not extrapolated beyond them.
-            if path[horizon] < low[begin + horizon]:
-                path[horizon] = low[begin + horizon]
-            elif path[horizon] > high[begin + horizon]:
-                path[horizon] = high[begin + horizon]
-            path[horizon] += rows[channel, present]
+            within = bounded(path[horizon], low[begin + horizon], high[begin + horizon])
+            path[horizon] = within + rows[channel, present]
 
 
 class AnnouncedRegression:

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from display_node.prediction.expert import HORIZONS, SPACING, Floats
 from display_node.prediction.grid import STEP_NS, Grid
-from display_node.prediction.kernels import FLOATS, ROWS, TABLE, kernel
+from display_node.prediction.kernels import FLOATS, ROWS, TABLE, bounded, kernel
 from display_node.prediction.r_waves import RWaveTime
 from display_node.prediction.transit import TransitTime
 
@@ -28,13 +28,8 @@ def bound_paths(
         row = points[channel]
         row[0], row[1] = rows[channel, end - 1 - SPACING], rows[channel, end - 1]
         for horizon in range(HORIZONS):
-            value = ahead[channel, horizon]
-            # A value that is no number stays one: it is refused when the path is published.
-            if value < low[channel]:
-                value = low[channel]
-            elif value > high[channel]:
-                value = high[channel]
-            row[horizon + 2] = value
+            # A value that is no number is refused when the path is published.
+            row[horizon + 2] = bounded(ahead[channel, horizon], low[channel], high[channel])
 
 
 class ChannelPath:

@@ -3,6 +3,9 @@
 A kernel is a function of typed loops over arrays. Its signature is stated, so that it is compiled,
 or loaded from numba's cache, when its module is imported: never in the loop. The arithmetic keeps
 its order (no fastmath).
+
+numba compiles a kernel into those that call it, and does not notice a later change of one in
+another module: after that, delete this package's folders __pycache__.
 """
 
 import logging
@@ -49,3 +52,11 @@ def kernel(signature: str) -> Callable[[Kernel], Kernel]:
 def _announce(kept: bool) -> None:
     when = "once on this machine" if kept else "at each start: no folder is free for a cache"
     logger.info(f"compiling the kernels of the prediction, {when}; this takes about 10 s")
+
+
+@kernel("float64(float64, float64, float64)")
+def bounded(value: float, low: float, high: float) -> float:
+    """Return a value within bounds; one that is no number stays one."""
+    if value < low:
+        return low
+    return high if value > high else value

@@ -1,8 +1,4 @@
-"""Solution of a positive definite system by Cholesky's factors, for the kernels.
-
-numba compiles it into the kernels that call it, and does not notice a later change here: after one,
-delete this package's folders __pycache__.
-"""
+"""Solution of a positive definite system by Cholesky's factors, for the kernels."""
 
 import math
 

@@ -25,7 +25,7 @@ class PredictorScene(KindTable):
 
     @property
     def estimates_error(self) -> bool:
-        """Whether the predictors estimate their own error, which `compensation = "auto"` uses."""
+        """True where the predictors estimate their own error, for `compensation = "auto"`."""
         return False
 
     @abstractmethod
