@@ -64,8 +64,8 @@ class Display:
             Contactor(each, score, f"{each.shown_name}: " if several else "")
             for each in scene.contactors
         ]
-        # The first building imports linear algebra, for some 100 ms. In the loop, these would spoil
-        # the first exchanges of the clock.
+        # The first building loads the predictor's kernels for half a second, or compiles them for
+        # several. In the loop, this would spoil the first exchanges of the clock.
         scene.predictor.build(scene.tick_ns, 1)
         self.states = [contactor.state for contactor in self.contactors]
         self._driven: list[Contactor] = []

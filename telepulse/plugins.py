@@ -1,4 +1,4 @@
-"""What a plug-in imports: the bases of its kinds, and what they build.
+"""Bases of a plug-in's kinds, and the types of what they build.
 
 Each kind is a section model: a subclass of one of the bases below, with a `kind` of its own name. A
 distribution names it in an entry point of the group. `telepulse.testing` checks it, and

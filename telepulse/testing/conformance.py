@@ -1,4 +1,4 @@
-"""What the conformance tests of all kinds share."""
+"""Common parts of the conformance tests of all kinds."""
 
 import os
 import threading
