@@ -94,17 +94,20 @@ def main() -> int:
     parser = argparse.ArgumentParser(prog="python -m tests.machines", description=__doc__)
     parser.add_argument("variants", nargs="*", help="their names; all, unless given")
     parser.add_argument("--list", action="store_true", help="name the variants")
+    parser.add_argument("--minutes", type=float, default=float("inf"), help="start none after them")
     given = parser.parse_args()
     every = variants()
     unknown = set(given.variants) - {each.name for each in every}
     if unknown:
         parser.error(f"unknown: {', '.join(sorted(unknown))}; --list names the variants")
     chosen = [each for each in every if not given.variants or each.name in given.variants]
-    failed = False
+    failed, until = False, time.monotonic() + 60 * given.minutes
     for variant in chosen:
         if variant.missing or given.list:
             note = f"not here: {variant.missing}" if variant.missing else ""
             print(f"{variant.name:<24} {variant.what:<52} {note}".rstrip())
+        elif time.monotonic() > until:
+            print(f"{variant.name:<24} {variant.what:<52} not run: no time is left")
         else:
             failed |= report(variant)
     return int(failed)
