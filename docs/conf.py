@@ -19,7 +19,7 @@ extensions = [
     "sphinx.ext.napoleon",
     "sphinx_gallery.gen_gallery",
 ]
-exclude_patterns = ["images", "firmware", "ext"]
+exclude_patterns = ["images", "ext"]
 myst_enable_extensions = ["dollarmath"]
 myst_heading_anchors = 3
 

@@ -1,4 +1,4 @@
-"""The sketch of docs/firmware: compiled as C++ with an emulated board, and run by an AVR core."""
+"""The wrist's sketch of firmware/: compiled as C++ with an emulated board, and run on an ATmega."""
 
 import shutil
 import subprocess
@@ -14,10 +14,10 @@ from pulse_sensors.binary_frames import FrameDecoder
 from pulse_sensors.samples import SampleBlock
 from pulse_sensors.sensor import open_sensor
 from pulse_sensors.serial_port import SerialScene
-from tests.support.nodes import ROOT
+from tests.support import avr_boards as boards
 from tests.support.sample_blocks import forces, received
 
-SKETCH = ROOT / "docs" / "firmware" / "telepulse_sensor" / "telepulse_sensor.ino"
+SKETCH = boards.FIRMWARE / "telepulse_sensor" / "telepulse_sensor.ino"
 BOARD = """
 #pragma once
 #include <cstdint>
@@ -36,17 +36,27 @@ struct {
 MAIN = '#include "{sketch}"\nint main() {{ setup(); while (readings < 400) loop(); }}\n'
 
 
+def frames_of_sketch(folder: Path, source: str) -> bytes:
+    """Compile a sketch's text for this machine with an emulated board, and return its output."""
+    (folder / "Arduino.h").write_text(BOARD, encoding="utf-8")
+    sketch, main, program = folder / "sketch.ino", folder / "main.cpp", folder / "board"
+    sketch.write_text(source, encoding="utf-8")
+    main.write_text(MAIN.format(sketch=sketch), encoding="utf-8")
+    paths = [f"-I{folder}", f"-I{SKETCH.parent}"]
+    boards.compile_or_fail(folder, "g++", *boards.WARNINGS, *paths, str(main), "-o", str(program))
+    return subprocess.run([str(program)], capture_output=True, check=True, timeout=20).stdout
+
+
+def test_both_sketches_have_the_same_framing() -> None:
+    # Each folder opens in Arduino's editor as it is, without a library to install.
+    files = [boards.FIRMWARE / name / "telepulse_frames.h" for name in boards.SKETCHES]
+    assert len({file.read_bytes() for file in files}) == 1
+
+
 @pytest.mark.skipif(shutil.which("g++") is None, reason="needs g++")
 def test_frames_of_the_sketch_are_decoded(tmp_path: Path) -> None:
-    (tmp_path / "Arduino.h").write_text(BOARD, encoding="utf-8")
-    main, program = tmp_path / "main.cpp", tmp_path / "board"
-    main.write_text(MAIN.format(sketch=SKETCH), encoding="utf-8")
-    command = ["g++", "-Wall", "-Wextra", "-Werror", f"-I{tmp_path}", str(main), "-o", str(program)]
-    compiled = subprocess.run(command, capture_output=True, encoding="utf-8", check=False)
-    assert compiled.returncode == 0, compiled.stderr
-    sent = subprocess.run([str(program)], capture_output=True, check=True, timeout=20).stdout
     decoder = FrameDecoder(1_000_000)
-    blocks = decoder.feed(sent)
+    blocks = decoder.feed(frames_of_sketch(tmp_path, SKETCH.read_text(encoding="utf-8")))
     assert forces(blocks) == [i * 8 % 1024 for i in range(400)]
     assert [block.missing for block in blocks] == [0] * 100
     assert [block.restarted for block in blocks] == [True] + [False] * 99
@@ -55,26 +65,21 @@ def test_frames_of_the_sketch_are_decoded(tmp_path: Path) -> None:
     assert not decoder.rejected
 
 
-ARDUINO = Path("/usr/share/arduino/hardware/arduino/avr")
-SIMAVR = Path("/usr/include/simavr/sim_avr.h")
+@pytest.mark.skipif(shutil.which("g++") is None, reason="needs g++")
+def test_three_films_and_an_ecg_are_samples_of_four_values(tmp_path: Path) -> None:
+    source = SKETCH.read_text(encoding="utf-8").replace("{A0}", "{A0, A0, A0, A0}")
+    decoder = FrameDecoder(1_000_000, channels=4)
+    blocks = decoder.feed(frames_of_sketch(tmp_path, source.replace("115200", "500000")))
+    values = np.concatenate([block.values for block in blocks])
+    assert values.tolist() == (np.arange(400).reshape(100, 4) * 8 % 1024).tolist()
+    assert not decoder.rejected
+
+
 TRIES = 3
-CORE = ("main", "HardwareSerial", "HardwareSerial0", "Print", "abi")
-WIRING = ("wiring", "wiring_analog", "wiring_digital", "hooks")
-CHIP = "-mmcu=atmega328p -DF_CPU=16000000L -DARDUINO=10819 -Os -ffunction-sections -fdata-sections"
-BOARD_SOURCE = ROOT / "tests" / "support" / "avr" / "board.c"
 # A resonator of 0.5 %, as on an Arduino Uno, may be off by this.
 DRIFT_PPM = 2_000
 PEAK_N = 0.2048
 SAMPLES = 8_000
-
-
-def missing() -> str | None:
-    """Return what is missing to run the sketch on an AVR core; None where nothing is."""
-    if all(map(shutil.which, ("avr-g++", "gcc"))) and ARDUINO.exists() and SIMAVR.exists():
-        return None
-    return (
-        "needs gcc and, of Debian: gcc-avr, avr-libc, arduino-core-avr, libsimavr-dev, libelf-dev"
-    )
 
 
 def read_board(command: list[str]) -> tuple[list[SampleBlock], float, Counter[str]]:
@@ -93,25 +98,10 @@ def read_board(command: list[str]) -> tuple[list[SampleBlock], float, Counter[st
             running.kill()
 
 
-@pytest.mark.skipif(missing() is not None, reason=str(missing()))
+@pytest.mark.skipif(boards.missing() is not None, reason=str(boards.missing()))
 def test_the_sketch_on_an_atmega_streams_by_the_chips_own_clock(tmp_path: Path) -> None:
-    core = ARDUINO / "cores" / "arduino"
-    chip = [*CHIP.split(), f"-I{core}", f"-I{ARDUINO}/variants/standard"]
-    sources = [str(core / f"{name}.cpp") for name in CORE]
-    firmware, board = tmp_path / "sketch.elf", tmp_path / "board"
-    for command in (
-        ["avr-gcc", *chip, "-std=gnu11", "-c", *(str(core / f"{name}.c") for name in WIRING)],
-        [
-            *("avr-g++", *chip, "-std=gnu++17", "-fno-exceptions", "-x", "c++", str(SKETCH)),
-            *(*sources, "-x", "none", *(f"{name}.o" for name in WIRING)),
-            *("-Wl,--gc-sections", "-o", str(firmware)),
-        ],
-        ["gcc", "-O2", str(BOARD_SOURCE), "-o", str(board), "-lsimavr", "-lelf", "-lm", "-lutil"],
-    ):
-        made = subprocess.run(
-            command, cwd=tmp_path, capture_output=True, encoding="utf-8", check=False
-        )
-        assert made.returncode == 0, made.stderr
+    firmware = boards.compile_sketch("telepulse_sensor", tmp_path)
+    board = boards.compile_harness("sensor", tmp_path)
     command = [str(board), str(firmware), str(DRIFT_PPM)]
     # Where the machine keeps the reader from its processor, the port overflows; a board that loses
     # samples does so each time.

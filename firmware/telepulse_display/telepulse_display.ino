@@ -1,0 +1,375 @@
+// The finger's board: a stepper's carrier, a home switch and a film, for telepulse's drive kind
+// "stepdir". PROTOCOL.md, one folder up, states the bytes, the states and what the board does by
+// itself.
+//
+// Uno or Nano with a CNC shield (axis X), and 32-bit boards: see board.h. No library is needed.
+
+#include "board.h"
+#include "frame_reader.h"
+#include "stepper.h"
+
+const uint32_t BAUD = 500000;
+const uint8_t PROTOCOL = 1;
+const uint16_t FIRMWARE = 1 * 256 + 0;
+const uint8_t DEBOUNCE_MS = 3;
+const uint8_t STATE_BYTES = 30 + 2;
+
+// Numbers of PROTOCOL.md.
+enum Format : uint8_t { STATE = 1, GREETING, ANSWER };
+enum Command : uint8_t { GREET = 8, VELOCITY, HOME, LIMITS, ARM, DISARM, CLEAR, WITHDRAW };
+enum State : uint8_t { DISARMED, ARMED, HOMING, READY, RUNNING, WITHDRAWING, WITHDRAWN, FAULT };
+enum Cause : uint8_t { NONE, SILENCE, FILM, FAULT_PIN, HOST, RESET, HOME_SWITCH, NO_HOME,
+                       STUCK_SWITCH, HOMING_TIMEOUT };
+enum Result : uint8_t { DONE, WRONG_STATE, OUT_OF_BOUNDS, UNKNOWN, NO_LIMITS, FILM_OUTSIDE };
+enum Option : uint8_t { INVERTED = 1, NORMALLY_CLOSED = 2, HAS_FAULT_PIN = 4, FAULT_IS_HIGH = 8 };
+
+const int32_t FURTHEST = 1L << 30;
+// Commands are taken in the states whose bits are set.
+const uint8_t MOVES = 1 << READY | 1 << RUNNING;
+
+struct __attribute__((packed)) Limits {
+  int32_t lowest, highest;
+  uint32_t acceleration, highest_rate;
+  uint16_t film_least, film_most;
+  uint32_t withdrawal, withdrawal_rate;
+  uint16_t watchdog_ms;
+  uint8_t options;
+};
+struct __attribute__((packed)) Search {
+  uint32_t rate, distance, opening;
+  uint16_t timeout_ms;
+};
+
+// The limits while homed, for a withdrawal after a reset: then a search has shown the direction.
+struct {
+  Limits limits;
+  uint16_t crc;
+} kept KEPT_OVER_RESET;
+
+FrameReader reader;
+FrameWriter writer;
+Stepper stepper;
+Limits limits;
+Search search;
+bool has_limits = false;
+State state = DISARMED;
+Cause cause = NONE;
+bool homed = false, seeking, returning, expired = false;
+bool home_closed = false, faulty = false, film_outside = false;
+uint8_t home_changing = 0;
+int32_t began_at;
+uint32_t began_ms;
+uint32_t present_ms = 0, commanded_ms;
+uint16_t film = 0, sequence = 0, validity_ms;
+
+bool is_on() { return state != DISARMED && state != FAULT; }
+
+// ---- Motions -----------------------------------------------------------------------------------
+
+uint16_t crc_of_kept() { return crc16((const uint8_t *)&kept.limits, sizeof kept.limits); }
+
+void keep_limits() {
+  kept.limits = limits;
+  kept.crc = crc_of_kept();
+}
+
+void forget_limits() { kept.crc = ~crc_of_kept(); }
+
+// Switch the motor off. Its position is then unknown.
+void switch_off(State next, Cause why) {
+  pin_enable(false);
+  stepper.halt();
+  forget_limits();
+  homed = false;
+  state = next;
+  cause = why;
+}
+
+void switch_on() {
+  inward_level = !(limits.options & INVERTED);
+  stepper.acceleration = limits.acceleration;
+  stepper.halt();
+  pin_enable(true);
+  state = ARMED;
+}
+
+// Take the tip off the finger; out of a search for home, back to where that began.
+void withdraw(Cause why) {
+  int32_t here = stepper.position, target = here - (int32_t)limits.withdrawal;
+  if (homed && target < limits.lowest) target = min(limits.lowest, here);
+  if (state == HOMING) target = began_at;
+  returning = target > here;
+  stepper.bound(min(target, here), max(target, here));
+  float rate = limits.withdrawal_rate;
+  stepper.wanted = returning ? rate : -rate;
+  cause = why;
+  state = WITHDRAWING;
+}
+
+// A switch that closes where the count does not expect it may be stuck, and then ends nothing.
+void withdraw_on() {
+  bool at_home = home_closed && (!homed || stepper.position <= (int32_t)search.opening);
+  bool arrived = returning ? stepper.position >= stepper.highest
+                           : stepper.position <= stepper.lowest || at_home;
+  if (!arrived) return;
+  stepper.wanted = 0;
+  if (stepper.velocity) return;
+  forget_limits();
+  state = WITHDRAWN;
+}
+
+void be_home() {
+  homed = true;
+  keep_limits();
+  stepper.wanted = 0;
+  stepper.bound(limits.lowest, limits.highest);
+  state = READY;
+}
+
+// Seek the switch, away from the finger, then the place where it opens again.
+void seek_home() {
+  if (present_ms - began_ms > search.timeout_ms) {
+    switch_off(FAULT, HOMING_TIMEOUT);
+  } else if (seeking) {
+    if (home_closed) {
+      stepper.wanted = 0;
+      if (stepper.velocity) return;
+      seeking = false;
+      stepper.bound(stepper.position, stepper.position + (int32_t)search.opening);
+      stepper.wanted = max(search.rate / 8, 10UL);
+    } else if (stepper.position <= stepper.lowest) {
+      switch_off(FAULT, NO_HOME);
+    }
+  } else if (!home_closed) {
+    stepper.position = 0;
+    be_home();
+  } else if (stepper.position >= stepper.highest) {
+    switch_off(FAULT, STUCK_SWITCH);
+  }
+}
+
+// ---- The board's own supervision ---------------------------------------------------------------
+
+void read_inputs() {
+  // By halves, a jump at any time is found within 1.5 ms.
+  uint16_t halves[2];
+  board_film(halves);
+  film = halves[0] + halves[1];
+  uint16_t least = 2 * min(halves[0], halves[1]), most = 2 * max(halves[0], halves[1]);
+  film_outside = has_limits && (least < limits.film_least || most >= limits.film_most);
+  faulty = (limits.options & HAS_FAULT_PIN) && pin_fault() == !!(limits.options & FAULT_IS_HIGH);
+  bool closed = pin_home() == !!(limits.options & NORMALLY_CLOSED);
+  home_changing = closed == home_closed ? 0 : home_changing + 1;
+  if (home_changing == DEBOUNCE_MS) home_closed = closed;
+}
+
+void supervise() {
+  if (state < HOMING || state > RUNNING) return;
+  uint32_t silent_ms = present_ms - commanded_ms;
+  if (film_outside) withdraw(FILM);
+  else if (faulty) withdraw(FAULT_PIN);
+  if (state != RUNNING) return;
+  if (silent_ms > limits.watchdog_ms) {
+    withdraw(SILENCE);
+  } else if (home_closed && stepper.position > (int32_t)search.opening) {
+    withdraw(HOME_SWITCH);
+  } else if (silent_ms > validity_ms) {
+    expired = true;
+    stepper.wanted = 0;
+  }
+}
+
+void send() {
+  uint8_t encoded[LARGEST_FRAME];
+  board_write(encoded, writer.encode(encoded));
+}
+
+// ---- Commands ----------------------------------------------------------------------------------
+
+// Return the number of the first field that is out of bounds; 0 if none is.
+uint8_t wrong_limit(const Limits &l) {
+  if (l.lowest < -FURTHEST || l.lowest > FURTHEST) return 1;
+  if (l.highest <= l.lowest || l.highest > FURTHEST) return 2;
+  if (l.acceleration < 1000 || l.acceleration > 100000000) return 3;
+  if (l.highest_rate < 10 || l.highest_rate > TICK_HZ) return 4;
+  if (l.film_least >= l.film_most) return 5;
+  if (l.film_most > FILM_FULL_SCALE + 1) return 6;
+  if (l.withdrawal < 1 || l.withdrawal > (uint32_t)FURTHEST) return 7;
+  if (l.withdrawal_rate < 10 || l.withdrawal_rate > l.highest_rate) return 8;
+  if (l.watchdog_ms < 10 || l.watchdog_ms > 500) return 9;
+  return l.options > 15 ? 10 : 0;
+}
+
+uint8_t wrong_search(const Search &s) {
+  if (s.rate && (s.rate < 10 || s.rate > limits.highest_rate)) return 1;
+  if (s.distance > (uint32_t)FURTHEST) return 2;
+  if (s.opening < 1 || s.opening > (uint32_t)FURTHEST) return 3;
+  return s.timeout_ms < 1 || s.timeout_ms > 60000 ? 4 : 0;
+}
+
+Result begin_home(const Search &wanted, uint8_t &field) {
+  if (!(1 << state & (MOVES | 1 << ARMED))) return WRONG_STATE;
+  if ((field = wrong_search(wanted))) return OUT_OF_BOUNDS;
+  if (film_outside) return FILM_OUTSIDE;
+  search = wanted;
+  if (!search.rate) {
+    stepper.halt();
+    stepper.read_position();
+    stepper.position = 0;
+    be_home();
+    return DONE;
+  }
+  homed = false;
+  forget_limits();
+  state = HOMING;
+  seeking = true;
+  began_ms = present_ms;
+  began_at = stepper.position;
+  stepper.bound(began_at - (int32_t)search.distance, FURTHEST);
+  stepper.wanted = -(float)search.rate;
+  return DONE;
+}
+
+Result take_limits(const Limits &wanted, uint8_t &field) {
+  if (state != DISARMED) return WRONG_STATE;
+  if ((field = wrong_limit(wanted))) return OUT_OF_BOUNDS;
+  limits = wanted;
+  has_limits = true;
+  return DONE;
+}
+
+Result arm() {
+  if (!has_limits) return NO_LIMITS;
+  if (state != DISARMED) return WRONG_STATE;
+  switch_on();
+  return DONE;
+}
+
+Result take_command(uint8_t format, uint8_t at, uint8_t field_bytes, uint8_t &field) {
+  if (format == HOME && field_bytes == sizeof(Search)) {
+    return begin_home(reader.read<Search>(at), field);
+  }
+  if (format == LIMITS && field_bytes == sizeof(Limits)) {
+    return take_limits(reader.read<Limits>(at), field);
+  }
+  if (field_bytes) return UNKNOWN;
+  switch (format) {
+  case ARM:
+    return arm();
+  case DISARM:
+    switch_off(DISARMED, NONE);
+    return DONE;
+  case CLEAR:
+    if (state != WITHDRAWN && state != FAULT) return WRONG_STATE;
+    switch_off(DISARMED, NONE);
+    return DONE;
+  case WITHDRAW:
+    if (state < ARMED || state > RUNNING) return WRONG_STATE;
+    withdraw(HOST);
+    return DONE;
+  }
+  return UNKNOWN;
+}
+
+void take_velocity(uint16_t number, uint8_t at) {
+  int32_t velocity = reader.read<int32_t>(at);
+  uint16_t valid_ms = reader.read<uint16_t>(at);
+  if (!(1 << state & MOVES) || valid_ms < 1 || valid_ms > 1000) return;
+  float most = limits.highest_rate;
+  stepper.wanted = constrain(velocity / 256.0f, -most, most);
+  state = RUNNING;
+  sequence = number;
+  commanded_ms = present_ms;
+  validity_ms = valid_ms;
+  expired = false;
+}
+
+void greet(uint16_t number) {
+  writer.add(GREETING);
+  writer.add(number);
+  writer.add(PROTOCOL);
+  writer.add(FIRMWARE);
+  writer.add(TICK_HZ);
+  writer.add(FILM_FULL_SCALE);
+  writer.add(board_reset_cause());
+  for (const char *letter = CHIP_NAME; *letter; letter++) writer.add(*letter);
+  send();
+}
+
+void take_frame() {
+  if (reader.length < 3) return;
+  uint8_t at = 0, format = reader.read<uint8_t>(at);
+  uint16_t number = reader.read<uint16_t>(at);
+  uint8_t field_bytes = reader.length - at, field = 0;
+  if (format == VELOCITY && field_bytes == 6) return take_velocity(number, at);
+  if (format == GREET && !field_bytes) {
+    sequence = number;
+    return greet(number);
+  }
+  Result result = take_command(format, at, field_bytes, field);
+  if (result == DONE) sequence = number;
+  writer.add(ANSWER);
+  writer.add(number);
+  writer.add(format);
+  writer.add(result);
+  writer.add(field);
+  send();
+}
+
+// ---- Each millisecond --------------------------------------------------------------------------
+
+void send_state(uint32_t now_us) {
+  // A frame that waited for the line would delay the motion.
+  if (board_writable() < STATE_BYTES) return;
+  bool low = homed && stepper.position <= limits.lowest;
+  bool high = homed && stepper.position >= limits.highest;
+  bool bits[] = {homed,        home_closed, low,     high,   faulty,
+                 film_outside, has_limits,  is_on(), expired};
+  uint16_t flags = 0;
+  for (uint8_t bit = 0; bit < sizeof bits; bit++) flags |= (uint16_t)bits[bit] << bit;
+  writer.add(STATE);
+  writer.add(present_ms);
+  writer.add(now_us);
+  writer.add(film);
+  writer.add(stepper.position);
+  writer.add((int32_t)(stepper.velocity * 256));
+  writer.add(state);
+  writer.add(cause);
+  writer.add(flags);
+  writer.add(sequence);
+  writer.add(reader.rejected);
+  send();
+}
+
+void setup() {
+  board_begin(BAUD);
+  bool was_on = kept.crc == crc_of_kept();
+  if (was_on && board_reset_cause() != RESET_POWER_UP && !wrong_limit(kept.limits)) {
+    limits = kept.limits;
+    switch_on();
+    keep_limits();
+    withdraw(RESET);
+  }
+}
+
+void loop() {
+  // One frame at a time, so that no flood of them delays the motion.
+  for (int16_t byte; (byte = board_read()) >= 0;) {
+    if (reader.take(byte)) {
+      take_frame();
+      break;
+    }
+  }
+  uint8_t passed_ms = stepper.passed_ms();
+  if (!passed_ms) return;
+  uint32_t now_us = micros();
+  stepper.read_position();
+  present_ms += passed_ms;
+  board_alive();
+  read_inputs();
+  supervise();
+  if (state == HOMING) seek_home();
+  if (state == WITHDRAWING) withdraw_on();
+  if (is_on()) stepper.follow(passed_ms * 1e-3f);
+  send_state(now_us);
+}

@@ -1,0 +1,278 @@
+/* The finger's board at a finger: an ATmega328P that drives a stepper, screw, rubber and fingertip.
+ *
+ * display FIRMWARE.elf [NAME=VALUE ...]: prints the pseudo-terminal's path, then obeys the lines of
+ * its input. It runs in real time; with clock=0 only for the time that it is told, and then with
+ * its line on the socket of socket=NUMBER, as a terminal delivers bytes in its own time.
+ *
+ * trace=PATH writes rows: "ms", time in s, tip in um, force in mN, motor on; and "step", cycle of
+ * its edge, direction.
+ *
+ * Input, a command a line:
+ *   run MS          with clock=0, run for a time; prints "ran"
+ *   film VOLTS      the film's amplifier has this output, whatever the force; "film ok" ends it
+ *   switch 0 | 1    the home switch is stuck open or closed; "switch ok" ends it
+ *   fault 0 | 1     level of the carrier's fault pin
+ *   reset           reset pin, as DTR pulls it; the bootloader then waits for bootloader_ms
+ *   hang ADDRESS    the program goes on at this address, such as that of an endless loop
+ *   unplug          the cable is gone
+ *   report          prints a line of JSON
+ *
+ * The motor is a two-phase stepper: its force is a sine of the lag, so that it loses four steps
+ * where it lags by more than two. The screw does not turn under load while the motor is off.
+ */
+#define _GNU_SOURCE
+#include <errno.h>
+#include <fcntl.h>
+#include <math.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <unistd.h>
+
+#include "chip.h"
+
+/* Of the ATmega328P: timer 1's interrupt, and the registers of ports B and D and of the reset. */
+enum { TIMER1_COMPA = 11, PINB = 0x23, DDRB = 0x24, PORTB = 0x25, PORTD = 0x2B, MCUSR = 0x54 };
+enum { EXTRF = 2, STEP_BIT = 2, DIRECTION_BIT = 5, HOME_BIT = 1, FAULT_BIT = 2 };
+
+/* Speed against this machine's clock, or 0; open socket of the line, or -1 for a terminal. */
+static double clock_speed = 1, socket_number = -1;
+/* The motor: a NEMA 17 of 0.4 N m and 200 steps a turn, as thrust and mass at a lead of 2 mm. */
+static double microsteps = 16, lead_mm = 2;
+static double thrust_n = 1200, mass_kg = 53, damping = 0.2;
+/* From home to first touch; the tip at power-up, from first touch. */
+static double touch_mm = 2, start_mm = -1;
+/* The rubber's force in N is hertz times depth^1.5 in m. */
+static double hertz = 6.285e6, finger_n_per_m = 1000;
+static double film_zero_v = 0.5, film_v_per_n = 1.8, film_noise_v = 0.003;
+static double bootloader_ms = 0;
+
+static const struct {
+  const char *name;
+  double *value;
+} settings[] = {
+    {"clock", &clock_speed},
+    {"socket", &socket_number},
+    {"microsteps", &microsteps},
+    {"lead_mm", &lead_mm},
+    {"thrust_n", &thrust_n},
+    {"mass_kg", &mass_kg},
+    {"damping", &damping},
+    {"touch_mm", &touch_mm},
+    {"start_mm", &start_mm},
+    {"hertz", &hertz},
+    {"finger_n_per_m", &finger_n_per_m},
+    {"film_zero_v", &film_zero_v},
+    {"film_v_per_n", &film_v_per_n},
+    {"film_noise_v", &film_noise_v},
+    {"bootloader_ms", &bootloader_ms},
+};
+static const double TICK_S = 500.0 / FREQUENCY;
+
+static avr_t *chip;
+static FILE *trace;
+static long steps;
+static double step_m, turn_m, tip_m, speed_m_per_s, force_n;
+static double film_v = NAN;
+static int switch_stuck = -1, fault_level = 1;
+static long lost_steps;
+/* The longest time for which this machine kept the chip waiting. */
+static double latest_s;
+static const double LOST_S = 5e-3;
+static avr_cycle_count_t held_until, entered, in_tick, longest_tick, ticks;
+
+static void change_setting(const char *argument) {
+  char name[32];
+  double value;
+  if (!strncmp(argument, "trace=", 6)) {
+    if (!(trace = fopen(argument + 6, "w"))) exit(2);
+    return;
+  }
+  if (sscanf(argument, "%31[^=]=%lf", name, &value) != 2) exit(2);
+  for (size_t i = 0; i < sizeof settings / sizeof *settings; i++) {
+    if (!strcmp(settings[i].name, name)) {
+      *settings[i].value = value;
+      return;
+    }
+  }
+  exit(2);
+}
+
+/* ---- Mechanics ------------------------------------------------------------------------------- */
+
+static bool motor_is_on(void) {
+  bool driven = chip->data[DDRB] & 1;
+  return driven && !(chip->data[PORTB] & 1) && chip->cycle >= held_until;
+}
+
+static double contact_force_n(double depth_m) {
+  if (depth_m <= 0) return 0;
+  double rubber = 1 / cbrt(hertz * hertz), finger = 1 / finger_n_per_m;
+  double root = fmin(sqrt(depth_m / rubber), cbrt(depth_m / finger));
+  for (int i = 0; i < 20; i++)
+    root -= (root * root * (finger * root + rubber) - depth_m) /
+            (root * (3 * finger * root + 2 * rubber));
+  return root * root * root;
+}
+
+/* In the register itself, as simavr's line to it keeps its level over a reset and the pin does not. */
+static void set_input(int bit, bool level) {
+  chip->data[PINB] = (uint8_t)((chip->data[PINB] & ~(1 << bit)) | level << bit);
+}
+
+static void move_for_a_tick(void) {
+  if (motor_is_on()) {
+    double lag_m = steps * step_m - tip_m;
+    double rate = sqrt(thrust_n * 2 * M_PI / turn_m / mass_kg);
+    double pull_n = thrust_n * sin(2 * M_PI * lag_m / turn_m) - force_n;
+    speed_m_per_s += (pull_n / mass_kg - 2 * damping * rate * speed_m_per_s) * TICK_S;
+    tip_m += speed_m_per_s * TICK_S;
+    /* The carrier's count follows a motor that has slipped by whole electrical turns. */
+    long slipped = lround(lag_m / turn_m) * 4 * (long)microsteps;
+    steps -= slipped;
+    lost_steps += labs(slipped);
+  } else {
+    speed_m_per_s = 0;
+  }
+  force_n = contact_force_n(tip_m);
+  bool closed = switch_stuck < 0 ? tip_m <= -1e-3 * touch_mm : switch_stuck;
+  set_input(HOME_BIT, !closed);
+  set_input(FAULT_BIT, fault_level);
+}
+
+static void on_step(struct avr_irq_t *irq, uint32_t value, void *param) {
+  (void)irq, (void)param;
+  if (!value) return;
+  int direction = chip->data[PORTD] >> DIRECTION_BIT & 1 ? 1 : -1;
+  if (motor_is_on()) steps += direction;
+  if (trace) fprintf(trace, "step,%llu,%d\n", (unsigned long long)chip->cycle, direction);
+}
+
+static void on_conversion(struct avr_irq_t *irq, uint32_t value, void *param) {
+  (void)irq, (void)value, (void)param;
+  double noise = 0;
+  for (int i = 0; i < 12; i++) noise += rand() / (double)RAND_MAX - 0.5;
+  double volts = film_zero_v + film_v_per_n * force_n;
+  if (!isnan(film_v)) volts = film_v;
+  chip_set_millivolts(1e3 * (volts + film_noise_v * noise));
+}
+
+static void on_interrupt(struct avr_irq_t *irq, uint32_t value, void *param) {
+  (void)irq, (void)param;
+  if (value) {
+    entered = chip->cycle;
+  } else if (entered) {
+    avr_cycle_count_t took = chip->cycle - entered;
+    in_tick += took;
+    ticks++;
+    if (took > longest_tick) longest_tick = took;
+    entered = 0;
+  }
+}
+
+/* ---- Running --------------------------------------------------------------------------------- */
+
+static void run(avr_cycle_count_t until) {
+  static avr_cycle_count_t next_tick, next_row;
+  while (chip->cycle < until) {
+    if (chip->cycle < held_until) chip->cycle += 500;
+    else chip_run(chip, chip->cycle + 1);
+    while (next_tick <= chip->cycle) next_tick += 500, move_for_a_tick();
+    if (trace && next_row <= chip->cycle) {
+      next_row += FREQUENCY / 1000;
+      fprintf(trace, "ms,%.4f,%.3f,%.3f,%d\n", (double)chip->cycle / FREQUENCY, 1e6 * tip_m,
+              1e3 * force_n, motor_is_on());
+    }
+  }
+}
+
+static void reset(void) {
+  avr_reset(chip);
+  chip->data[MCUSR] = EXTRF;
+  held_until = chip->cycle + (avr_cycle_count_t)(bootloader_ms * FREQUENCY / 1000);
+}
+
+static void report(void) {
+  printf("{\"time_s\": %.6f, \"tip_um\": %.3f, \"force_mn\": %.3f, \"motor_on\": %d, "
+         "\"lost_steps\": %ld, \"tick_share\": %.4f, \"tick_cycles\": %llu, \"late_ms\": %.1f}\n",
+         (double)chip->cycle / FREQUENCY, 1e6 * tip_m, 1e3 * force_n, motor_is_on(), lost_steps,
+         ticks ? in_tick / (ticks * 500.0) : 0, (unsigned long long)longest_tick,
+         1e3 * latest_s);
+  fflush(stdout);
+}
+
+static void obey(const char *line) {
+  double number = NAN;
+  char word[16] = "";
+  if (sscanf(line, "%15s %lf", word, &number) < 1) return;
+  if (!strcmp(word, "run")) {
+    run(chip->cycle + (avr_cycle_count_t)(number * FREQUENCY / 1000));
+    if (trace) fflush(trace);
+    printf("ran\n");
+    fflush(stdout);
+  } else if (!strcmp(word, "film")) {
+    film_v = number;
+  } else if (!strcmp(word, "switch")) {
+    switch_stuck = isnan(number) ? -1 : (int)number;
+  } else if (!strcmp(word, "fault")) {
+    fault_level = (int)number;
+  } else if (!strcmp(word, "reset")) {
+    reset();
+  } else if (!strcmp(word, "hang")) {
+    chip->pc = (avr_flashaddr_t)number;
+  } else if (!strcmp(word, "unplug")) {
+    chip_unplug();
+  } else if (!strcmp(word, "report")) {
+    report();
+  } else {
+    exit(2);
+  }
+}
+
+/* Obey the lines that have come. Exits at the input's end. */
+static void read_input(void) {
+  static char line[128];
+  static size_t length;
+  for (;;) {
+    ssize_t count = read(STDIN_FILENO, line + length, 1);
+    if (count < 0 && errno == EAGAIN) return;
+    if (count <= 0) exit(0);
+    if (line[length] != '\n' && length < sizeof line - 2) {
+      length++;
+      continue;
+    }
+    line[length] = '\0';
+    length = 0;
+    obey(line);
+  }
+}
+
+int main(int argc, char **argv) {
+  if (argc < 2) return 2;
+  for (int i = 2; i < argc; i++) change_setting(argv[i]);
+  turn_m = 1e-3 * lead_mm / 50;
+  step_m = turn_m / 4 / microsteps;
+  steps = lround(1e-3 * start_mm / step_m);
+  tip_m = steps * step_m;
+  chip = chip_make(argv[1], (int)socket_number);
+  chip_on_conversion(chip, on_conversion);
+  avr_irq_register_notify(
+      avr_io_getirq(chip, AVR_IOCTL_IOPORT_GETIRQ('D'), STEP_BIT), on_step, NULL);
+  avr_irq_register_notify(
+      avr_get_interrupt_irq(chip, TIMER1_COMPA) + AVR_INT_IRQ_RUNNING, on_interrupt, NULL);
+  double began_s = now_s();
+  if (clock_speed) fcntl(STDIN_FILENO, F_SETFL, O_NONBLOCK);
+  for (;;) {
+    read_input();
+    double now = now_s(), late_s = (now - began_s) * clock_speed;
+    late_s -= (double)chip->cycle / FREQUENCY;
+    latest_s = fmax(latest_s, late_s);
+    /* A chip that was kept waiting for long loses the time: it must not run faster than it can. */
+    if (late_s > LOST_S) {
+      began_s += late_s / clock_speed;
+      late_s = 0;
+    }
+    run(chip->cycle + (avr_cycle_count_t)(late_s * FREQUENCY));
+    usleep(500);
+  }
+}

@@ -1,0 +1,415 @@
+"""The finger's board alone: its sketch on an emulated ATmega328P, at a motor, a screw and a finger.
+
+Time passes on command, so nothing here depends on this machine's speed.
+"""
+
+import random
+import struct
+import subprocess
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from tests.support import avr_boards as boards
+from tests.support.avr_boards import (
+    ARM,
+    CLEAR,
+    DISARM,
+    GREET,
+    HOME,
+    LIMITS,
+    STATE,
+    VELOCITY,
+    WITHDRAW,
+    Display,
+)
+
+pytestmark = pytest.mark.skipif(boards.missing() is not None, reason=str(boards.missing()))
+
+DISARMED, ARMED, HOMING, READY, RUNNING, WITHDRAWING, WITHDRAWN, FAULT = range(8)
+DONE, WRONG_STATE, OUT_OF_BOUNDS, UNKNOWN, NO_LIMITS, FILM_OUTSIDE = range(6)
+SILENCE, FILM, FAULT_PIN, HOST, RESET, SWITCH, NO_HOME, STUCK, TIMEOUT = range(1, 10)
+HOMED, AT_HOME, AT_LOWEST, AT_HIGHEST, FAULTY, OUTSIDE, HAS_LIMITS, ON, EXPIRED = (
+    1 << bit for bit in range(9)
+)
+TICK_HZ, FULL_SCALE = 32_000, 16_368
+STEP_M = 2e-3 / 200 / 16
+# In the order of the command: the fields of `limits`, and of `home`.
+USUAL = {
+    "lowest": 0,
+    "highest": 4_000,
+    "acceleration": 10_000_000,
+    "highest_rate": TICK_HZ,
+    "film_least": 500,
+    "film_most": 13_000,
+    "withdrawal": 3_000,
+    "withdrawal_rate": 16_000,
+    "watchdog": 50,
+    "options": 0,
+}
+SEARCH = (8_000, 6_000, 500, 3_000)
+# First touch is at this position, as home is 2 mm before it and the switch opens a little later.
+TOUCH = 3_200
+Open = Callable[..., AbstractContextManager[Display]]
+
+
+@pytest.fixture(scope="module")
+def programs(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    """Compile harness and sketch."""
+    folder = tmp_path_factory.mktemp("board")
+    return (
+        boards.compile_harness("display", folder),
+        boards.compile_sketch("telepulse_display", folder),
+    )
+
+
+@pytest.fixture
+def board(programs: tuple[Path, Path]) -> Open:
+    """Return a function that starts a board, after power-up."""
+
+    @contextmanager
+    def start(*settings: str) -> Iterator[Display]:
+        with boards.running(*programs, *settings) as display:
+            display.run(10)
+            yield display
+
+    return start
+
+
+def arm(display: Display, **limits: int) -> None:
+    assert display.ask(LIMITS, *(USUAL | limits).values()) == (DONE, 0)
+    assert display.ask(ARM) == (DONE, 0)
+
+
+def make_ready(display: Display, **limits: int) -> None:
+    arm(display, **limits)
+    assert display.ask(HOME, *SEARCH) == (DONE, 0)
+    display.run_until(READY)
+
+
+def press(display: Display, **limits: int) -> None:
+    """Press with some 0.3 N, and go on sending."""
+    make_ready(display, **limits)
+    display.drive(12_000, 300)
+    display.drive(0, 20)
+    assert 200 < display.report()["force_mn"] < 500
+
+
+def left_the_finger(display: Display, within_ms: int) -> bool:
+    display.run(within_ms)
+    return bool(display.report()["force_mn"] == 0)
+
+
+def step_times_s(trace: Path, after_s: float) -> NDArray[np.float64]:
+    rows = (row.split(",") for row in trace.read_text().splitlines() if row.startswith("step"))
+    times_s = np.array([int(cycle) for _, cycle, _ in rows]) / 16e6
+    return times_s[times_s > after_s]
+
+
+def test_power_up_leaves_the_motor_off_and_sends_a_state_each_millisecond(board: Open) -> None:
+    with board() as display:
+        last = display.run(500)
+        counters = [state.counter for state in display.states]
+        assert counters == list(range(counters[0], counters[0] + len(counters)))
+        times_us = np.diff([state.time_us for state in display.states])
+        assert times_us == pytest.approx(1_000, abs=50)
+        assert (last.state, last.cause, last.flags, last.position) == (DISARMED, 0, 0, 0)
+        assert not display.report()["motor_on"]
+        display.send(VELOCITY, 256_000, 20)
+        display.run(50)
+        assert display.states[-1].sequence == 0
+        assert display.report()["tip_um"] == -1_000
+
+
+def test_the_greeting_names_protocol_firmware_tick_film_reset_and_board(board: Open) -> None:
+    with board() as display:
+        sequence = display.send(GREET)
+        display.run(5)
+        (body,) = display.others
+        head, name = struct.unpack_from("<BHBHIHB", body), body[13:]
+        assert head[:3] == (boards.GREETING, sequence, 1)
+        assert head[3:] == (256, TICK_HZ, FULL_SCALE, 1)
+        assert name == b"ATmega328P"
+
+
+def test_commands_out_of_order_or_bounds_are_refused_with_the_reason(board: Open) -> None:
+    wrong = {
+        "lowest": -(2**30) - 1,
+        "highest": 0,
+        "acceleration": 999,
+        "highest_rate": TICK_HZ + 1,
+        "film_least": 13_000,
+        "film_most": FULL_SCALE + 2,
+        "withdrawal": 0,
+        "withdrawal_rate": TICK_HZ + 1,
+        "watchdog": 501,
+        "options": 16,
+    }
+    with board() as display:
+        assert display.ask(ARM) == (NO_LIMITS, 0)
+        for number, (name, value) in enumerate(wrong.items(), 1):
+            fields = (USUAL | {name: value}).values()
+            assert display.ask(LIMITS, *fields) == (OUT_OF_BOUNDS, number)
+        assert display.ask(HOME, *SEARCH) == (WRONG_STATE, 0)
+        assert display.ask(CLEAR) == display.ask(WITHDRAW) == (WRONG_STATE, 0)
+        arm(display)
+        assert display.ask(LIMITS, *USUAL.values()) == display.ask(ARM) == (WRONG_STATE, 0)
+        for number, field in enumerate((TICK_HZ + 1, 2**30 + 1, 0, 60_001)):
+            search = [*SEARCH[:number], field, *SEARCH[number + 1 :]]
+            assert display.ask(HOME, *search) == (OUT_OF_BOUNDS, number + 1)
+        assert display.ask(STATE) == (UNKNOWN, 0)
+        # No search has shown the direction yet: the board does not move by itself.
+        display.harness("film 5")
+        display.run(3)
+        assert display.ask(HOME, *SEARCH) == (FILM_OUTSIDE, 0)
+        display.harness("reset")
+        assert display.run(20).state == DISARMED
+        assert display.report()["tip_um"] == pytest.approx(-1_000, abs=1)
+
+
+def test_home_is_where_the_switch_opens(board: Open) -> None:
+    with board() as display:
+        make_ready(display)
+        state, tip_m = display.states[-1], display.report()["tip_um"] * 1e-6
+        assert state.flags & (HOMED | AT_HOME) == HOMED
+        # The switch is debounced for 3 ms, at an eighth of the search's speed.
+        assert tip_m - state.position * STEP_M == pytest.approx(-2e-3, abs=4e-6)
+        # Without a switch, home is where it is.
+        display.drive(4_000, 100)
+        assert display.ask(HOME, 0, 0, 1, 1) == (DONE, 0)
+        assert (display.states[-1].state, display.states[-1].position) == (READY, 0)
+
+
+@pytest.mark.parametrize("rate", [100.5, 3_217.0, -9_999.0, 31_990.0])
+def test_steps_come_at_the_commanded_rate_within_a_tick(
+    board: Open, tmp_path: Path, rate: float
+) -> None:
+    trace = tmp_path / "trace.csv"
+    with board(f"trace={trace}", "finger_n_per_m=0.001") as display:
+        arm(display, lowest=-(10**6), highest=10**6, acceleration=5_000_000)
+        display.ask(HOME, 0, 0, 1, 1)
+        display.drive(rate, 50)
+        began_s = display.report()["time_s"]
+        display.drive(rate, 600)
+        assert display.report()["lost_steps"] == 0
+        assert display.states[-1].velocity == pytest.approx(rate * 256, rel=1e-3)
+    times_s = step_times_s(trace, began_s)
+    numbers = np.arange(len(times_s))
+    slope_s, first_s = np.polyfit(numbers, times_s, 1)
+    assert 1 / slope_s == pytest.approx(abs(rate), rel=1e-3)
+    # Other interrupts delay the timer's by some 5 us.
+    jitter_s = times_s - first_s - slope_s * numbers
+    assert np.abs(jitter_s).max() < 1 / TICK_HZ + 10e-6
+
+
+def test_the_highest_rate_loses_no_step_where_the_acceleration_is_the_motors(board: Open) -> None:
+    def lost_steps(acceleration: int) -> int:
+        with board("finger_n_per_m=0.001") as display:
+            arm(display, lowest=-(10**6), highest=10**6, acceleration=acceleration)
+            display.ask(HOME, 0, 0, 1, 1)
+            for number in range(400):
+                rate = (TICK_HZ, -TICK_HZ, TICK_HZ, 0)[number // 100]
+                display.send(VELOCITY, rate * 256, 20)
+                display.run(1)
+            # The board's loop keeps up: one frame each millisecond.
+            counters = [state.counter for state in display.states[20:]]
+            assert np.diff(counters).max() == 1
+            lost: int = display.report()["lost_steps"]
+            return lost
+
+    assert lost_steps(10_000_000) == 0
+    assert lost_steps(100_000_000) > 0
+
+
+def test_velocity_changes_within_the_acceleration_and_ends_at_the_soft_limits(board: Open) -> None:
+    with board("finger_n_per_m=0.001") as display:
+        make_ready(display, acceleration=1_000_000)
+        known = len(display.states)
+        assert display.drive(20_000, 500).flags & AT_HIGHEST
+        assert display.states[-1].position == 4_000
+        assert display.drive(-20_000, 500).flags & AT_LOWEST
+        states = display.states[known:]
+        changes = np.diff([state.velocity / 256 for state in states])
+        assert np.abs(changes).max() <= 1_000
+        assert max(np.abs([state.velocity / 256 for state in states])) > 15_000
+        positions = [state.position for state in states]
+        assert (min(positions), max(positions)) == (0, 4_000)
+        assert display.report()["lost_steps"] == 0
+
+
+def test_a_velocity_ends_with_its_validity_and_silence_withdraws(board: Open) -> None:
+    with board() as display:
+        press(display)
+        display.drive(1_000, 40, validity_ms=10)
+        known = len(display.states)
+        display.run(60)
+        silent = display.states[known:]
+        rested = next(state for state in silent if state.velocity == 0)
+        assert rested.flags & EXPIRED
+        assert rested.state == RUNNING
+        withdrawing = next(state for state in silent if state.state == WITHDRAWING)
+        assert withdrawing.cause == SILENCE
+        assert 8 <= rested.counter - silent[0].counter <= 12
+        assert 45 <= withdrawing.counter - silent[0].counter <= 52
+        assert left_the_finger(display, within_ms=100)
+        state = display.run_until(WITHDRAWN)
+        assert silent[0].position - state.position == pytest.approx(USUAL["withdrawal"], abs=20)
+        # It stays there whatever the host sends, until `clear`.
+        display.drive(5_000, 50)
+        assert display.states[-1].position == state.position
+        assert display.ask(HOME, *SEARCH) == (WRONG_STATE, 0)
+        assert display.ask(CLEAR) == (DONE, 0)
+        assert display.states[-1].flags & (HOMED | ON) == 0
+
+
+@pytest.mark.parametrize(("volts", "after_ms"), [(5.0, 0.1), (5.0, 0.6), (4.2, 0.9), (0.0, 0.4)])
+def test_a_film_outside_its_limits_withdraws_within_2_ms(
+    board: Open, volts: float, after_ms: float
+) -> None:
+    with board() as display:
+        press(display)
+        display.send(VELOCITY, 0, 500)
+        display.run(2 + after_ms)
+        began_um = display.report()["tip_um"]
+        display.harness(f"film {volts}")
+        display.run(2)
+        # The state of the second millisecond is still on the line.
+        state = display.run(1)
+        assert (state.state, state.cause) == (WITHDRAWING, FILM)
+        assert state.velocity < 0
+        assert state.flags & OUTSIDE
+        assert display.report()["tip_um"] < began_um
+        assert left_the_finger(display, within_ms=100)
+
+
+def test_a_fault_of_the_carrier_and_the_hosts_command_withdraw(board: Open) -> None:
+    with board() as display:
+        press(display, options=4)
+        display.harness("fault 0")
+        display.drive(0, 6)
+        assert (display.states[-1].state, display.states[-1].cause) == (WITHDRAWING, FAULT_PIN)
+        display.ask(DISARM)
+        display.harness("fault 1")
+        # Never homed, it withdraws from where it is.
+        arm(display)
+        assert display.ask(WITHDRAW) == (DONE, 0)
+        began = display.states[-1].position
+        state = display.run_until(WITHDRAWN)
+        assert state.cause == HOST
+        assert began - state.position == pytest.approx(USUAL["withdrawal"], abs=100)
+        # With a home, it ends at the soft limit.
+        assert display.ask(CLEAR) == (DONE, 0)
+        arm(display, lowest=-200)
+        assert display.ask(HOME, 0, 0, 1, 1) == display.ask(WITHDRAW) == (DONE, 0)
+        assert display.run_until(WITHDRAWN).position >= -200
+
+
+def test_garbage_is_counted_and_harmless(board: Open) -> None:
+    noise = random.Random(1)
+    with board() as display:
+        make_ready(display)
+        for _ in range(50):
+            display.drive(0, 4)
+            display.write(noise.randbytes(60))
+        display.drive(0, 4)
+        display.write(b"\1" * 1_000 + b"\0")
+        for _ in range(50):
+            display.drive(0, 4)
+        state = display.states[-1]
+        assert (state.state, state.cause) == (RUNNING, 0)
+        assert state.rejected > 50
+        assert abs(state.position) < 100
+        assert display.spoilt == 0
+        # Answers to limits, arm and home only.
+        assert len(display.others) == 3
+        # Silence with garbage on the line is silence.
+        for _ in range(30):
+            display.write(noise.randbytes(20) + b"\0")
+            display.run(2)
+        assert display.states[-1].cause == SILENCE
+
+
+def test_a_reset_of_a_pressing_board_withdraws_without_a_host(board: Open) -> None:
+    with board("bootloader_ms=50") as display:
+        press(display)
+        display.harness("reset")
+        assert left_the_finger(display, within_ms=200)
+        state = display.run_until(WITHDRAWN)
+        assert state.cause == RESET
+        assert not state.flags & (HOMED | HAS_LIMITS)
+        sequence = display.send(GREET)
+        display.run(5)
+        assert struct.unpack_from("<BHBHIHB", display.others[-1])[1::5] == (sequence, 2)
+        assert display.ask(ARM) == (NO_LIMITS, 0)
+        # Withdrawn or never armed, it stays where it is.
+        display.harness("reset")
+        state = display.run(100)
+        assert (state.state, state.cause, state.position) == (DISARMED, 0, 0)
+
+
+def test_an_unplugged_cable_withdraws(board: Open) -> None:
+    with board() as display:
+        press(display)
+        display.harness("unplug")
+        display.pass_time(150)
+        assert display.report()["force_mn"] == 0
+
+
+def test_a_program_that_hangs_is_reset_by_the_processors_watchdog(
+    board: Open, programs: tuple[Path, Path], tmp_path: Path
+) -> None:
+    command = ["avr-nm", str(programs[1])]
+    symbols = subprocess.run(command, capture_output=True, encoding="utf-8", check=True).stdout
+    (endless,) = (line.split()[0] for line in symbols.splitlines() if "__stop_program" in line)
+    trace = tmp_path / "trace.csv"
+    with board(f"trace={trace}") as display:
+        make_ready(display)
+        display.drive(16_000, 240)
+        assert display.states[-1].position > 3_600
+        display.harness(f"hang {int(endless, 16)}")
+        assert left_the_finger(display, within_ms=200)
+        assert display.run_until(WITHDRAWN).cause == RESET
+        display.send(GREET)
+        display.run(5)
+        assert struct.unpack_from("<BHBHIHB", display.others[-1])[-1] == 4
+    # Without the loop, the interrupt gives no step beyond the soft limit.
+    rows = [row.split(",") for row in trace.read_text().splitlines() if row.startswith("ms")]
+    assert max(float(row[2]) for row in rows) < 4_000 * STEP_M * 1e6 - 2_000 + 15
+
+
+def test_a_home_switch_that_is_stuck_fails_the_search_or_withdraws(board: Open) -> None:
+    for level, cause, most_steps in ((0, NO_HOME, 6_000), (1, STUCK, 500)):
+        with board() as display:
+            arm(display)
+            display.harness(f"switch {level}")
+            display.run(5)
+            began_um = display.report()["tip_um"]
+            display.ask(HOME, *SEARCH)
+            state, report = display.run_until(FAULT), display.report()
+            assert (state.cause, state.flags & HOMED, report["motor_on"]) == (cause, 0, 0)
+            assert abs(report["tip_um"] - began_um) <= (most_steps + 20) * STEP_M * 1e6
+    with board() as display:
+        arm(display)
+        display.ask(HOME, 100, 6_000, 500, 200)
+        assert display.run_until(FAULT).cause == TIMEOUT
+    with board() as display:
+        press(display)
+        display.harness("switch 1")
+        display.drive(0, 10)
+        assert (display.states[-1].state, display.states[-1].cause) == (WITHDRAWING, SWITCH)
+        assert left_the_finger(display, within_ms=100)
+
+
+def test_a_search_that_presses_returns_to_where_it_began(board: Open) -> None:
+    with board() as display:
+        arm(display, options=1, film_most=9_000)
+        display.ask(HOME, *SEARCH)
+        state = display.run_until(WITHDRAWN)
+        assert (state.cause, state.position) == (FILM, 0)
+        report = display.report()
+        assert (report["force_mn"], report["lost_steps"]) == (0, 0)
+        assert report["tip_um"] == pytest.approx(-1_000, abs=5)
