@@ -13,7 +13,7 @@
 //
 // board_avr.h is compiled with avr-gcc and Arduino's core, and run on an emulated ATmega328P, by
 // telepulse's tests. board_rp2040.h has been compiled, not linked, with arm-none-eabi-gcc 12.2 and
-// the headers of its core, and NOT been run. board_esp32.h has NOT been compiled.
+// the headers of its core, and NOT been run. An ESP32 needs a board_*.h of its own.
 #pragma once
 
 #include <Arduino.h>
@@ -34,8 +34,6 @@ extern uint8_t ticks_left;
 #include "board_avr.h"
 #elif defined(ARDUINO_ARCH_RP2040)
 #include "board_rp2040.h"
-#elif defined(ARDUINO_ARCH_ESP32)
-#include "board_esp32.h"
 #else
 #error "No board_*.h for this board yet: see board.h for what it contains."
 #endif
