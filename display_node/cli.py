@@ -18,7 +18,7 @@ from display_node.verdict import NOT_VALID_STATUS, conclude
 from protocol import cli_options as options
 from protocol.config.scene import load_section
 from protocol.config.scene_file import find_scene, scene_names
-from protocol.errors import DiscoveryError, OutputError, ProtectionError, SceneError
+from protocol.errors import DiscoveryError, OutputError, SceneError
 from protocol.host.child_process import ChildProcess
 from protocol.host.output import check_writable, configure_logging, unblocked_output
 from protocol.host.process import (
@@ -30,7 +30,7 @@ from protocol.host.process import (
 )
 from protocol.host.realtime import RealtimeRequest, check_strict, parse_realtime
 from protocol.provenance import collect
-from protocol.sockets import beyond_loopback
+from protocol.security.link_keys import KeyOptions
 from protocol.summary.tables import Summary
 
 logger = logging.getLogger(__name__)
@@ -156,21 +156,14 @@ def display(
             raise SceneError("no scene: display-node SCENE plays one")
         request = parse_realtime(realtime)
         check_strict(request)
+        links = KeyOptions(key, peer, allow, insecure)
         if discover or named is not None:
             if connect != [HERE]:
                 raise DiscoveryError(
                     "--discover finds the address, and --connect is given: choose one"
                 )
-            connect = discovered(named, peer, seconds)
-        keys = options.client_keys(connect, key, peer, insecure)
-        # Telemetry that stays on this machine needs no keys.
-        readers = None
-        if beyond_loopback(telemetry):
-            readers = options.server_keys(telemetry, key, allow, insecure)
-        elif allow is not None:
-            raise ProtectionError(
-                f"--allow is for telemetry beyond this machine, and {telemetry} stays on it"
-            )
+            connect = discovered(named, links.peer_key if peer else None, seconds)
+        keys, readers = links.client(*connect), links.telemetry_server(telemetry)
         path = find_scene(scene)
         choice = {"predictor": predictor, "compensation": compensation}
         section = load_section(path, "display", DisplayScene, choice)

@@ -1,4 +1,4 @@
-"""Command lines of the nodes: options, keys of protected links, metrics, closing summary."""
+"""Command lines of the nodes: options, metrics, closing summary."""
 
 import logging
 import sys
@@ -12,24 +12,22 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
-from protocol.errors import ProtectionError, TelepulseError
+from protocol.errors import TelepulseError
 from protocol.host.child_process import Sidecar, sidecar_module
 from protocol.host.output import STDOUT
 from protocol.host.realtime import RealtimeGrant, RealtimeRequest, apply_realtime
 from protocol.provenance import BUILD, Provenance
-from protocol.security.allow_list import read_allowed
-from protocol.security.keys import ClientKeys, ServerKeys, read_pair, read_public
-from protocol.sockets import beyond_loopback, control_address
+from protocol.sockets import beyond_loopback
 from protocol.summary.rows import print_summary, write_json
 from protocol.summary.tables import Summary
 
 logger = logging.getLogger(__name__)
 
+NO_ANSWER = 1
 USAGE_ERROR = 2
 # Exit status of a node, or of a demo, that ended at a latched fault.
 FAULT_STATUS = 3
 LONGEST_S = 1e9
-ALLOWED = "allowed"
 BENCH_IS_CLEAR = "Is the bench clear of fingers?"
 
 StopAfterOption = Annotated[
@@ -185,9 +183,16 @@ MetricsOption = Annotated[
 
 @contextmanager
 def one_line_errors(program: str) -> Iterator[None]:
-    """Turn the project's own errors into one line on stderr and exit status 2."""
+    """Turn the project's own errors into one line on stderr and exit status 2.
+
+    A question that is not answered ends the program with exit status 1.
+    """
     try:
         yield
+    except typer.Abort:
+        # At Ctrl-C, or without a terminal; the question's line has not ended.
+        print(f"\n{program}: there was no answer", file=sys.stderr)
+        raise SystemExit(NO_ANSWER) from None
     except TelepulseError as error:
         print(f"{program}: {error}", file=sys.stderr)
         raise SystemExit(USAGE_ERROR) from None
@@ -238,71 +243,6 @@ def apply_and_log_realtime(program: str, request: RealtimeRequest) -> Iterator[R
 def with_realtime_settings(summary: Summary, grant: RealtimeGrant) -> Summary:
     """Return a loop's summary with the names of the settings that were granted."""
     return replace(summary, loop=replace(summary.loop, realtime=list(grant.granted)))
-
-
-def server_keys(
-    address: str, key: Path | None, allow: Path | None, insecure: bool
-) -> ServerKeys | None:
-    """Return the keys for sockets bound to `address`; None for a link without keys.
-
-    Raises ProtectionError where keys are required or the options do not fit; KeyFileError.
-    """
-    if key is None and allow is not None:
-        raise ProtectionError(f"--allow {allow} needs this node's own key: --key FILE.key")
-    _check_insecure(key is not None, [address], insecure, "--key keys/NAME.key")
-    if key is None:
-        return None
-    if allow is not None and not allow.exists():
-        raise ProtectionError(f"--allow {allow}: there is no such file")
-    allowed = allow or key.with_name(ALLOWED)
-    read_allowed(allowed)
-    return ServerKeys(read_pair(key), allowed)
-
-
-def client_keys(
-    addresses: Sequence[str], key: Path | None, peer: Path | None, insecure: bool
-) -> ClientKeys | None:
-    """Return the keys for sockets that connect to `addresses`; None for a link without keys.
-
-    Raises ProtectionError where keys are required or the options do not fit; AddressError;
-    KeyFileError.
-    """
-    for address in addresses:
-        control_address(address)
-    keyed = key is not None or peer is not None
-    _check_insecure(keyed, addresses, insecure, "--key keys/NAME.key --peer keys/PEER.pub")
-    if not keyed:
-        return None
-    if key is None:
-        raise ProtectionError(f"--peer {peer} needs this node's own key: --key FILE.key")
-    if peer is None:
-        raise ProtectionError(f"--key {key} needs the other node's public key: --peer FILE.pub")
-    return ClientKeys(read_pair(key), read_public(peer))
-
-
-def telemetry_keys(
-    address: str, key: Path | None, peer: Path | None, insecure: bool
-) -> ClientKeys | None:
-    """Return the keys for reading a display's telemetry.
-
-    A key without a peer is the display's own. Raises as `client_keys` does.
-    """
-    if key is not None and peer is None:
-        pair = read_pair(key)
-        return ClientKeys(pair, pair.public)
-    return client_keys([address], key, peer, insecure)
-
-
-def _check_insecure(keyed: bool, addresses: Sequence[str], insecure: bool, options: str) -> None:
-    """Check that a link has keys, stays on this machine, or is explicitly insecure."""
-    if keyed and insecure:
-        raise ProtectionError("--insecure does without keys, and --key is given: choose one")
-    for address in addresses:
-        if beyond_loopback(address) and not keyed and not insecure:
-            raise ProtectionError(
-                f"{address} reaches beyond this machine without keys; make them by"
-                f" 'telepulse keys new NAME' and give {options}, or give --insecure"
-            )
 
 
 @contextmanager

@@ -18,6 +18,7 @@ from protocol.host.process import (
 )
 from protocol.host.realtime import check_strict, parse_realtime
 from protocol.provenance import collect
+from protocol.security.link_keys import KeyOptions
 from protocol.sockets import control_address
 from sensing_node.node import SensingNode
 from sensing_node.scene import describe_stream, load_sensing, log_repetition, open_source
@@ -93,7 +94,7 @@ def sense(
             request = parse_realtime(realtime)
             check_strict(request)
             control = control_address(bind)
-            keys = options.server_keys(bind, key, allow, insecure)
+            keys = KeyOptions(key, None, allow, insecure).server(bind)
             path = find_scene(scene)
             record = {"source": None if source is None else str(source), "channel": channel}
             section = load_sensing(path, record | {"rate": rate, "preload": preload})

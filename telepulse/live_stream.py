@@ -15,11 +15,10 @@ from display_node.reception.connection import Connection
 from display_node.reception.playout import LATE_TARGET
 from display_node.reception.receiver import Receiver
 from protocol import sockets
-from protocol.cli_options import client_keys
 from protocol.config.arguments import file_path, number, whole_number
 from protocol.config.quantities import shown
 from protocol.errors import AddressError, SourceError, WireError
-from protocol.security.keys import ClientKeys
+from protocol.security.link_keys import ClientKeys, KeyOptions
 from protocol.wire.description import StreamDescription
 from protocol.wire.messages import Welcome, decode_control, decode_frame, encode_control
 from telepulse.sample_queue import SampleQueue, StreamBlock
@@ -247,10 +246,9 @@ def connect(
     """
     if not isinstance(address, str):
         raise AddressError(f"address: must be a text tcp://HOST:PORT, got {shown(address)}")
-    keys = client_keys(
-        [address],
+    keys = KeyOptions(
         None if key is None else file_path("key", key),
         None if peer is None else file_path("peer", peer),
-        insecure,
+        insecure=insecure,
     )
-    return LiveStream(address, keys)
+    return LiveStream(address, keys.client(address))

@@ -25,7 +25,7 @@ from protocol.config.quantities import count_text
 from protocol.errors import WireError
 from protocol.security.authenticator import Authenticator
 from protocol.security.budgets import SubscriptionBudget
-from protocol.security.keys import ClientKeys, ServerKeys
+from protocol.security.link_keys import ClientKeys, ServerKeys
 from protocol.security.socket_monitor import HandshakeMonitor
 from protocol.summary.tables import FrameCounts, Reconnections, Summary
 from protocol.wire.messages import decode_frame
@@ -226,7 +226,7 @@ class Relay:
     connect, bind: address of the sensing node, and the address for displays. client_keys: keys
     towards the sensing node. server_keys: keys towards displays, with the allow-list.
 
-    Raises AddressError or KeyFileError.
+    Raises AddressError.
     """
 
     def __init__(

@@ -10,16 +10,17 @@ from display_node.fault_advice import FILM_NOTE, SENSING_NOTE, advise, latched
 from display_node.scoring.beat_statistics import pulse_alarm
 from display_node.scoring.deadlines import deadline_alarm
 from display_node.scoring.prediction_score import prediction_alarm
-from protocol.errors import CAUSE_MEANINGS, explain_causes
-from protocol.security.socket_monitor import (
+from protocol.refusals import (
+    CAUSE_MEANINGS,
     HANDSHAKE,
     NO_KEY,
     NOT_AUTHENTIC,
     REFUSED_KEY,
-    REPEATED_BREAKS,
     REPLAYED,
     REVOKED,
+    explain_causes,
 )
+from protocol.security.socket_monitor import REPEATED_BREAKS
 from protocol.summary.tables import contactors_of
 
 # A display without telemetry for this long counts as silent.

@@ -11,7 +11,7 @@ from dataclasses import asdict
 from protocol.discovery.announcement import SERVICE, Announcement, announced_addresses, to_txt
 from protocol.errors import DiscoveryError
 from protocol.host.child_process import Sidecar, receive, run_as_sidecar
-from protocol.security.keys import ServerKeys
+from protocol.security.link_keys import ServerKeys
 from protocol.sockets import control_address
 
 logger = logging.getLogger(__name__)

@@ -9,10 +9,13 @@ from pathlib import Path
 
 from protocol.errors import KeyFileError
 from protocol.host.output import create_file
+from protocol.refusals import LIST_UNREADABLE, REVOKED_KEY, UNKNOWN_KEY
 from protocol.security.keys import READ_BY_ALL, PublicKey, parse_public, read_text
 
 logger = logging.getLogger(__name__)
 
+# Its name where no option gives another, beside the node's own key.
+FILE_NAME = "allowed"
 MAX_ALLOWED = 10_000
 _MAX_BYTES = 200 * MAX_ALLOWED
 POLL_EVERY_NS = 1_000_000_000
@@ -37,14 +40,13 @@ class AllowList:
         self._unreadable_since_ns: int | None = None
         self._reason = ""
 
-    @property
-    def readable(self) -> bool:
-        """True unless the file has changed and could not be read."""
-        return self._unreadable_since_ns is None
-
-    def was_allowed(self, key: bytes) -> bool:
-        """Return whether the key was on the list at any time in this run."""
-        return key in self._ever_allowed
+    def cause_to_refuse(self, key: bytes) -> str | None:
+        """Return the cause for which a key may not connect now; None where it may."""
+        if self._unreadable_since_ns is not None:
+            return LIST_UNREADABLE
+        if key in self.allowed:
+            return None
+        return REVOKED_KEY if key in self._ever_allowed else UNKNOWN_KEY
 
     def poll(self, now_ns: int) -> list[bytes]:
         """Read the list if it has changed, and return the keys that were revoked.
@@ -56,7 +58,7 @@ class AllowList:
             return []
         self._poll_ns = now_ns + POLL_EVERY_NS
         stamp = _stamp(self._path)
-        if self.readable and stamp == self._stamp:
+        if self._unreadable_since_ns is None and stamp == self._stamp:
             return []
         try:
             allowed = self._read()
@@ -64,7 +66,7 @@ class AllowList:
             return self._fail(str(error), now_ns)
         # The stamp is older than the reading, so a list that was written meanwhile is read again.
         self._stamp = stamp
-        if not self.readable:
+        if self._unreadable_since_ns is not None:
             self._unreadable_since_ns, self._reason = None, ""
             logger.info(f"{self._path} is read again")
         gone = [public for key, public in self.allowed.items() if key not in allowed]
@@ -102,12 +104,12 @@ def read_allowed(path: Path) -> dict[bytes, PublicKey]:
 
     Empty lines and lines that begin with # are skipped. Raises KeyFileError.
     """
-    return {public.key: public for _, public in _read(path) if public is not None}
+    return {public.key: public for _, public in _read_lines(path) if public is not None}
 
 
 def allow(path: Path, public: PublicKey) -> None:
     """Add a key. Raises KeyFileError, also when the key or its name is on the list already."""
-    lines, name = _read(path), public.name
+    lines, name = _read_lines(path), public.name
     for _, known in lines:
         if known == public:
             raise KeyFileError(f"{name} is allowed already in {path}")
@@ -123,7 +125,7 @@ def allow(path: Path, public: PublicKey) -> None:
 
 def revoke(path: Path, name: str) -> None:
     """Remove the key of a name. Raises KeyFileError when the name is not on the list."""
-    lines = _read(path)
+    lines = _read_lines(path)
     kept = [line for line, known in lines if known is None or known.name != name]
     if len(kept) == len(lines):
         names = ", ".join(sorted(known.name for _, known in lines if known)) or "nobody"
@@ -131,7 +133,7 @@ def revoke(path: Path, name: str) -> None:
     _replace(path, kept)
 
 
-def _read(path: Path) -> list[tuple[str, PublicKey | None]]:
+def _read_lines(path: Path) -> list[tuple[str, PublicKey | None]]:
     try:
         if not path.exists():
             return []

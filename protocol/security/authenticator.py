@@ -18,11 +18,11 @@ import zmq
 
 from protocol import sockets
 from protocol.host.process import connections_that_fit
-from protocol.security.allow_list import AllowList
+from protocol.refusals import CONNECTIONS, HANDSHAKE, TOO_MANY
 from protocol.security.budgets import ConnectionBudget
 from protocol.security.connection_table import ConnectionTable, network_address
-from protocol.security.keys import KEY_BYTES, PublicKey, ServerKeys
-from protocol.security.socket_monitor import HANDSHAKE, NO_KEY, NOT_AUTHENTIC, REPLAYED
+from protocol.security.keys import KEY_BYTES
+from protocol.security.link_keys import ServerKeys
 
 logger = logging.getLogger(__name__)
 
@@ -34,18 +34,6 @@ MAX_NAMED, MAX_ADDRESSES = 1_000, 100
 EVERYWHERE = "everywhere"
 # Number of requests answered in a call; with the key exchanges, they take some 0.3 ms of a loop.
 MAX_ANSWERS = 16
-TOO_MANY = "too_many_connections"
-UNKNOWN_KEY, REVOKED_KEY, LIST_UNREADABLE = "unknown_key", "revoked_key", "list_unreadable"
-REASONS = {
-    NO_KEY: "it has no key",
-    NOT_AUTHENTIC: "it has a wrong public key of this node, or its bytes were altered on the way",
-    REPLAYED: "its messages came twice or in another order",
-    HANDSHAKE: "it made no ZeroMQ connection",
-    UNKNOWN_KEY: "key {} is not allowed",
-    REVOKED_KEY: "key {} is no longer allowed",
-    LIST_UNREADABLE: "the allow-list cannot be read, so that no new peer may connect",
-    TOO_MANY: "more connections than this node has files for; it keeps the earlier ones",
-}
 
 
 class ZapRequest(NamedTuple):
@@ -78,8 +66,7 @@ class Authenticator:
 
     With keys, the allow-list decides; without, every peer may connect. In both cases the number of
     connections is bounded, so that a peer that connects repeatedly does not affect the others.
-    most: greatest number of connections, by default as many as this process may open. Raises
-    KeyFileError where the allow-list cannot be used.
+    most: greatest number of connections, by default as many as this process may open.
 
     Attributes
     ----------
@@ -103,8 +90,7 @@ class Authenticator:
         self._to_cut: set[str] = set()
         self._keys = keys
         if keys is not None:
-            self._public = keys.own.public
-            self._list = AllowList(keys.allowed)
+            self._own, self._list = keys.own.public, keys.allow_list
             self._zap = context.socket(zmq.ROUTER)
             self._zap.bind(ZAP_ENDPOINT)
             self.sockets.append(self._zap)
@@ -139,7 +125,7 @@ class Authenticator:
         if self._keys is not None:
             self._cut_revoked(now_ns)
             for envelope, empty, *request in sockets.receive_multipart(self._zap, MAX_ANSWERS):
-                user = self._user_of(self._public, request)
+                user = self._user_of(request)
                 sockets.send(self._zap, envelope, empty, *encode_zap_reply(request, user))
 
     def _cut_revoked(self, now_ns: int) -> None:
@@ -153,27 +139,23 @@ class Authenticator:
             if not any(table.behind for table in self._tables):
                 self._to_cut.clear()
 
-    def _user_of(self, own: PublicKey, parts: list[bytes]) -> str | None:
+    def _user_of(self, parts: list[bytes]) -> str | None:
         """Return the name of the peer that may connect; count the refusal of any other."""
         request = decode_zap_request(parts)
         if request is None:
             self._refuse(HANDSHAKE, "")
             return None
-        # A peer with the node's own secret key is the node itself.
-        public = own if request.key == own.key else self._list.allowed.get(request.key)
-        if public is None or (public is not own and not self._list.readable):
-            if not self._list.readable:
-                cause = LIST_UNREADABLE
-            elif self._list.was_allowed(request.key):
-                cause = REVOKED_KEY
-            else:
-                cause = UNKNOWN_KEY
+        if request.key == self._own.key:  # a process of this node itself, such as its screen
+            peer = self._own
+        elif cause := self._list.cause_to_refuse(request.key):
             self._refuse(cause, request.address, request.key)
             return None
+        else:
+            peer = self._list.allowed[request.key]
         addresses = self._addresses.setdefault(request.key, set())
         if len(addresses) < MAX_ADDRESSES:
             addresses.add(request.address)
-        return public.name
+        return peer.name
 
     def _refuse(self, cause: str, address: str, key: bytes = b"") -> None:
         self.rejected[cause] += 1
@@ -185,4 +167,5 @@ class Authenticator:
         if len(self._named) > MAX_NAMED:
             logger.warning("more peers are refused than are named here; the summary counts them")
             return
-        logger.warning(f"refused {address or 'a peer'}: {REASONS[cause].format(key.hex())}")
+        reason = CONNECTIONS[cause].at_server.format(key=key.hex())
+        logger.warning(f"refused {address or 'a peer'}: {reason}")

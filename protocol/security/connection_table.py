@@ -18,7 +18,8 @@ from contextlib import contextmanager, suppress
 
 import zmq
 
-from protocol.security.socket_monitor import FAILURES, HANDSHAKE, SocketMonitor, cause_of
+from protocol.refusals import HANDSHAKE
+from protocol.security.socket_monitor import FAILURES, SocketMonitor, cause_of
 from protocol.sockets import Context, Socket
 
 _EVENTS = (

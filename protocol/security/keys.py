@@ -53,28 +53,6 @@ class KeyPair:
         return PublicKey(self.name, z85.decode(zmq.curve_public(z85.encode(self.secret))))
 
 
-@dataclass(frozen=True, slots=True)
-class ServerKeys:
-    """Keys of a node that binds: its own pair, and the file of its allow-list."""
-
-    own: KeyPair
-    allowed: Path
-
-
-@dataclass(frozen=True, slots=True)
-class ClientKeys:
-    """Keys of a node that connects: its own pair, and the public key of the other node."""
-
-    own: KeyPair
-    peer: PublicKey
-
-    def protect(self, socket: "zmq.Socket[bytes]") -> None:
-        """Make `socket` connect only to the peer, encrypted; call this before it connects."""
-        socket.setsockopt(zmq.CURVE_SECRETKEY, self.own.secret)
-        socket.setsockopt(zmq.CURVE_PUBLICKEY, self.own.public.key)
-        socket.setsockopt(zmq.CURVE_SERVERKEY, self.peer.key)
-
-
 def new_pair(folder: Path, name: str) -> tuple[Path, Path]:
     """Create `folder`/`name`.key and .pub.
 

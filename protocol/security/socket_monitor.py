@@ -1,4 +1,4 @@
-"""Connection events of a ZeroMQ socket, and the causes of failed connections to another node."""
+"""Connection events of a ZeroMQ socket, and failed connections to another node."""
 
 import itertools
 import logging
@@ -8,19 +8,26 @@ from collections.abc import Iterator
 
 import zmq
 
-from protocol.security.keys import ClientKeys
+from protocol.refusals import (
+    CONNECTIONS,
+    HANDSHAKE,
+    NO_KEY,
+    NOT_AUTHENTIC,
+    REFUSED_KEY,
+    REPLAYED,
+    REVOKED,
+)
+from protocol.security.link_keys import ClientKeys
 from protocol.sockets import Context, Socket, receive_multipart
 
 logger = logging.getLogger(__name__)
 
-NO_KEY, NOT_AUTHENTIC, REPLAYED, HANDSHAKE = "no_key", "not_authentic", "replayed", "handshake"
-REFUSED_KEY, REVOKED = "refused_key", "revoked"
+FAILURES = zmq.EVENT_HANDSHAKE_FAILED_PROTOCOL | zmq.EVENT_HANDSHAKE_FAILED_NO_DETAIL
 _CAUSES: dict[int, str] = {
     zmq.PROTOCOL_ERROR_ZMTP_MECHANISM_MISMATCH: NO_KEY,
     zmq.PROTOCOL_ERROR_ZMTP_CRYPTOGRAPHIC: NOT_AUTHENTIC,
     zmq.PROTOCOL_ERROR_ZMTP_INVALID_SEQUENCE: REPLAYED,
 }
-FAILURES = zmq.EVENT_HANDSHAKE_FAILED_PROTOCOL | zmq.EVENT_HANDSHAKE_FAILED_NO_DETAIL
 # Event and value. `zmq.utils.monitor` turns both into enumerations, even a descriptor, which takes
 # 40 µs for a new value (docs/decisions/0031-zmq-auth-is-not-enough.md).
 _EVENT = struct.Struct("=HI")
@@ -77,9 +84,9 @@ class HandshakeMonitor:
     """Monitor of connecting sockets: counts failed handshakes and reports each reason once.
 
     ZeroMQ itself retries without end and reports nothing. rejected: failed handshakes by cause.
-    accepted: sockets whose TCP connection is open; its handshake may still fail. established: those
-    whose handshake has succeeded. retried: attempts to connect that failed, by socket. refusal: the
-    last failed handshake, with what to do about it; empty after one that succeeded.
+    connected: sockets whose TCP connection is open; its handshake may still fail. established:
+    those whose handshake has succeeded. retried: attempts to connect that failed, by socket.
+    refusal: the last failed handshake, with what to do about it; empty after one that succeeded.
     """
 
     def __init__(self, context: Context, keys: ClientKeys | None) -> None:
@@ -87,12 +94,12 @@ class HandshakeMonitor:
         self._keys = keys
         self._monitors: list[tuple[Socket, SocketMonitor]] = []
         self._breaks: Counter[str] = Counter()
-        # Hosts that have accepted this node's key; a later refusal is a revocation.
-        self._accepted_by: set[str] = set()
+        # Hosts that have allowed this node's key; a later refusal is a revocation.
+        self._allowed_by: set[str] = set()
         self._reported: set[tuple[str, str]] = set()
         self._poll_ns = 0
         self.rejected: Counter[str] = Counter()
-        self.accepted: set[Socket] = set()
+        self.connected: set[Socket] = set()
         self.established: set[Socket] = set()
         self.retried: Counter[Socket] = Counter()
         self.refusal = ""
@@ -117,13 +124,13 @@ class HandshakeMonitor:
                 else:
                     self.established.discard(socket)
                 if event == zmq.EVENT_CONNECTED:
-                    self.accepted.add(socket)
+                    self.connected.add(socket)
                     answered.append(socket)
                 elif event == zmq.EVENT_CONNECT_RETRIED:
-                    self.accepted.discard(socket)
+                    self.connected.discard(socket)
                     self.retried[socket] += 1
                 elif event == zmq.EVENT_DISCONNECTED:
-                    self.accepted.discard(socket)
+                    self.connected.discard(socket)
                 else:
                     self._count(event, value, endpoint)
         return answered
@@ -133,35 +140,24 @@ class HandshakeMonitor:
         host = endpoint.rpartition(":")[0]
         if event == zmq.EVENT_HANDSHAKE_SUCCEEDED:
             self._breaks[host], self.refusal = 0, ""
-            self._accepted_by.add(host)
+            self._allowed_by.add(host)
             # A second revocation is reported again.
             self._reported.discard((REVOKED, host))
             return
         if event != zmq.EVENT_HANDSHAKE_FAILED_AUTH:
             cause = cause_of(value)
         else:
-            cause = REVOKED if host in self._accepted_by else REFUSED_KEY
+            cause = REVOKED if host in self._allowed_by else REFUSED_KEY
         self.rejected[cause] += 1
         if cause == HANDSHAKE:
             self._breaks[host] += 1
             if self._breaks[host] < REPEATED_BREAKS:
                 return
-        self.refusal = f"{endpoint} {self._reason(cause)}"
+        words, keys = CONNECTIONS[cause], self._keys
+        reason = words.without_keys
+        if keys is not None:
+            reason = words.at_client.format(own=keys.own.name, peer=keys.peer.name)
+        self.refusal = f"{endpoint} {reason}"
         if (cause, host) not in self._reported:
             self._reported.add((cause, host))
             logger.warning(self.refusal)
-
-    def _reason(self, cause: str) -> str:
-        if self._keys is None and cause == NO_KEY:
-            return "requires a key; give --key and --peer"
-        if self._keys is None:
-            return "is no node, or breaks off as soon as it is connected"
-        own, peer = self._keys.own.name, self._keys.peer.name
-        return {
-            REFUSED_KEY: f"does not allow the key of {own}; there: telepulse keys allow {own}.pub",
-            REVOKED: f"has revoked the key of {own}: this node was connected and is no"
-            f" longer allowed; to undo that, there: telepulse keys allow {own}.pub",
-            NO_KEY: "has no keys; start it with --key, or this node with --insecure",
-            NOT_AUTHENTIC: f"sends messages that {peer} has not encrypted, or that were altered",
-            REPLAYED: "sends messages twice or in another order",
-        }.get(cause, f"breaks off: it is not {peer}, whose public key --peer gives")

@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, Final, NamedTuple
 
 from protocol.config.quantities import count_text
-from protocol.errors import explain_causes
+from protocol.refusals import explain_causes
 from protocol.summary.tables import STATES
 
 

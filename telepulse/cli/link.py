@@ -14,15 +14,14 @@ from protocol.cli_options import (
     PeerOption,
     QuietOption,
     StopAfterOption,
-    client_keys,
     one_line_errors,
     plain_console,
-    server_keys,
     sum_up,
 )
 from protocol.host.output import check_writable, configure_logging
 from protocol.host.process import freeze_objects, raise_file_limit, stop_on_signals
 from protocol.provenance import collect
+from protocol.security.link_keys import KeyOptions
 from protocol.sockets import control_address
 from telepulse.cli.options import PROGRAM, LinkOption, SeedOption
 from telepulse.link_proxy import LinkProxy
@@ -52,9 +51,8 @@ def link(
     with one_line_errors(PROGRAM):
         configure_logging(log_level)
         raise_file_limit()
-        # Without --peer the sensing node is on this machine, and has no keys.
-        upstream = client_keys([connect], key if peer else None, peer, insecure)
-        downstream = server_keys(bind, key, allow, insecure)
+        keys = KeyOptions(key, peer, allow, insecure)
+        upstream, downstream = keys.forwarder(connect), keys.server(bind)
         model = parse_link(link) if link else LinkScene()
         proxy = LinkProxy(model, connect, bind, seed, upstream, downstream)
     stop_on_signals(proxy.stop)
@@ -103,9 +101,8 @@ def relay(
         check_writable(json)
         control = control_address(bind)
         control_address(connect)
-        # Without --peer the sensing node is on this machine, and has no keys.
-        upstream = client_keys([connect], key if peer else None, peer, insecure)
-        downstream = server_keys(bind, key, allow, insecure)
+        keys = KeyOptions(key, peer, allow, insecure)
+        upstream, downstream = keys.forwarder(connect), keys.server(bind)
         node = Relay(connect, bind, upstream, downstream)
         provenance = collect()
     stop_on_signals(node.stop)

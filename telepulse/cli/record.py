@@ -24,15 +24,13 @@ from protocol.cli_options import (
     StopAfterOption,
     one_line_errors,
     plain_console,
-    server_keys,
     sum_up,
-    telemetry_keys,
 )
 from protocol.errors import OutputError
 from protocol.host.output import check_writable, configure_logging, unblocked_output
 from protocol.host.process import freeze_objects, raise_file_limit, stop_on_signals
 from protocol.provenance import collect
-from protocol.security.keys import ClientKeys
+from protocol.security.link_keys import ClientKeys, KeyOptions
 from telepulse.cli.options import (
     NOT_WHOLE,
     PROGRAM,
@@ -105,7 +103,7 @@ def record(
 
     with one_line_errors(PROGRAM):
         configure_logging(log_level, quiet)
-        keys = telemetry_keys(address, key, peer, insecure)
+        keys = KeyOptions(key, peer, None, insecure).telemetry_client(address)
         if lsl == (file is not None) or (lsl and (about or marks or marks_from)):
             raise OutputError(
                 "give FILE.mcap, or --lsl; marks and --about are kept in a recording alone"
@@ -155,7 +153,7 @@ def mark(
 
     with one_line_errors(PROGRAM):
         configure_logging()
-        keys = telemetry_keys(address, key, peer, insecure)
+        keys = KeyOptions(key, peer, None, insecure).telemetry_client(address)
         published = await_mark(address, keys, text, MARKED_WITHIN_S)
     if published is None:
         logger.error(f"{address}: no mark, the display did not answer within {MARKED_WITHIN_S:g} s")
@@ -206,7 +204,7 @@ def replay(
         configure_logging(log_level, quiet)
         raise_file_limit()
         check_writable(json)
-        keys = server_keys(bind, key, allow, insecure)
+        keys = KeyOptions(key, None, allow, insecure).server(bind)
         exported = press and file.suffix in (".csv", ".parquet")
         session = exported_session(file) if exported else longest_session(file)
         description = session.description

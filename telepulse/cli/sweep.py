@@ -18,17 +18,18 @@ from protocol.cli_options import (
     KeyOption,
     LogLevelOption,
     PeerOption,
-    client_keys,
     one_line_errors,
     plain_console,
 )
 from protocol.config.quantities import parse_quantity
 from protocol.config.scene import load_section
 from protocol.config.scene_file import find_scene
-from protocol.errors import DepthError, OptionError, explain_causes
+from protocol.errors import DepthError, OptionError
 from protocol.host.output import configure_logging
 from protocol.host.process import freeze_objects, raise_file_limit, stop_on_signals
 from protocol.provenance import collect
+from protocol.refusals import explain_causes
+from protocol.security.link_keys import KeyOptions
 from sensing_node.scene import SensingScene, build_source
 from telepulse.cli.options import PROGRAM, FolderOption, SceneArgument, TablesOption, publish
 from telepulse.cli.view import open_page
@@ -116,7 +117,7 @@ def sweep(
             wrist = build_source(sensing, path.parent)
         else:
             display = load_section(path, "display", DisplayScene)
-            keys = client_keys([connect], key, peer, insecure)
+            keys = KeyOptions(key, peer, None, insecure).client(connect)
 
     def build() -> Report:
         causes: list[str] = []

@@ -20,12 +20,12 @@ from protocol.cli_options import (
     StopAfterOption,
     one_line_errors,
     plain_console,
-    telemetry_keys,
 )
 from protocol.errors import AddressError, OutputError, ProtectionError, TelepulseError
 from protocol.host.child_process import ChildProcess
 from protocol.host.output import configure_logging
 from protocol.host.process import lower_priority, stop_on_signals
+from protocol.security.link_keys import KeyOptions
 from telepulse.cli.options import PROGRAM, AddressArgument
 
 logger = logging.getLogger(__name__)
@@ -75,7 +75,7 @@ def view(
         configure_logging(log_level, quiet)
         check_bokeh()
         _check_host(host, insecure)
-        keys = telemetry_keys(address, key, peer, insecure)
+        keys = KeyOptions(key, peer, None, insecure).telemetry_client(address)
         # The first import takes a second, during which an open page would not be updated.
         import scipy.signal  # noqa: F401
 

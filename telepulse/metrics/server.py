@@ -22,7 +22,7 @@ from display_node.telemetry.alerts import StatusAge
 from display_node.telemetry.terminal_view import TerminalView
 from protocol import sockets
 from protocol.errors import AddressError, SidecarError, WireError
-from protocol.security.keys import ClientKeys, read_pair
+from protocol.security.link_keys import ClientKeys
 from protocol.summary.figures import Figure, Surface, figures_on
 from protocol.summary.phrases import COUNT
 from protocol.summary.tables import contactors_of
@@ -243,9 +243,8 @@ class MetricsServer(Collector):
 
     def follow(self, address: str, key: str | None) -> None:
         """Read a node's telemetry, without end."""
-        pair = read_pair(Path(key)) if key else None
+        keys = ClientKeys.of_own_node(Path(key)) if key else None
         context: sockets.Context = zmq.Context()
-        keys = ClientKeys(pair, pair.public) if pair else None
         socket = sockets.connect(context, zmq.SUB, address, keys)
         for topic in (STATUS, TRACE):
             socket.subscribe(topic)

@@ -2,8 +2,9 @@
 
 from pathlib import Path
 
-from protocol.security.allow_list import allow
-from protocol.security.keys import ClientKeys, KeyPair, ServerKeys, new_pair, read_pair
+from protocol.security.allow_list import AllowList, allow
+from protocol.security.keys import KeyPair, new_pair, read_pair
+from protocol.security.link_keys import ClientKeys, ServerKeys
 
 
 class Keyring:
@@ -29,7 +30,7 @@ class Keyring:
 
     def server(self) -> ServerKeys:
         """Return the keys with which wrist binds."""
-        return ServerKeys(self.pair("wrist"), self.allowed)
+        return ServerKeys(self.pair("wrist"), AllowList(self.allowed))
 
     def client(self, name: str, peer: str = "wrist") -> ClientKeys:
         """Return the keys with which a name connects to `peer`."""

@@ -8,8 +8,9 @@ from pathlib import Path
 import zmq
 
 from protocol import sockets
-from protocol.security.allow_list import allow, revoke
-from protocol.security.keys import ClientKeys, KeyPair, ServerKeys, new_pair, read_pair
+from protocol.security.allow_list import AllowList, allow, revoke
+from protocol.security.keys import KeyPair, new_pair, read_pair
+from protocol.security.link_keys import ClientKeys, ServerKeys
 from protocol.sockets import Context, control_address
 from protocol.summary.tables import Summary
 from telepulse.relay import Relay
@@ -94,7 +95,7 @@ def test_with_keys_it_admits_allowed_keys_and_is_admitted_where_its_own_is_allow
     sensing.setsockopt(zmq.CURVE_SECRETKEY, wrist.secret)
     sensing.setsockopt(zmq.RCVTIMEO, int(PATIENCE_S * 1000))
     sensing.bind(control_address(inner))
-    upstream, downstream = ClientKeys(own, wrist.public), ServerKeys(own, allowed)
+    upstream, downstream = ClientKeys(own, wrist.public), ServerKeys(own, AllowList(allowed))
     with relaying(inner, outer, client_keys=upstream, server_keys=downstream) as end:
         odd = Raw(context, outer, ClientKeys(stranger, own.public))
         keyless = Raw(context, outer)

@@ -10,11 +10,12 @@ import pytest
 import zmq
 
 from protocol import sockets
+from protocol.refusals import TOO_MANY
 from protocol.security.allow_list import UNREADABLE_AT_MOST_NS, revoke
-from protocol.security.authenticator import TOO_MANY, Authenticator
+from protocol.security.authenticator import Authenticator
 from protocol.security.budgets import BEHIND_NS, ConnectionBudget
 from protocol.security.connection_table import MAX_EVENTS, ConnectionTable
-from protocol.security.keys import ClientKeys, ServerKeys
+from protocol.security.link_keys import ClientKeys, ServerKeys
 from protocol.sockets import Context, Socket
 from tests.support.keyring import Keyring
 from tests.support.waiting import PATIENCE_S

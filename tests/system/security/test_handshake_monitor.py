@@ -6,7 +6,7 @@ import zmq
 
 from protocol import sockets
 from protocol.security.authenticator import Authenticator
-from protocol.security.keys import ClientKeys
+from protocol.security.link_keys import ClientKeys
 from protocol.security.socket_monitor import HandshakeMonitor
 from protocol.sockets import Context
 from tests.support.keyring import Keyring

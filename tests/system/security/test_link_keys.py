@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from protocol.security.keys import ClientKeys
+from protocol.security.link_keys import ClientKeys
 from protocol.sockets import Context
 from protocol.wire.messages import Welcome, decode_control
 from tests.support.keyring import Keyring

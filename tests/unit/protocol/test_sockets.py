@@ -1,4 +1,6 @@
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from protocol import sockets
 from protocol.errors import AddressError
@@ -44,3 +46,17 @@ def test_an_invalid_address_of_a_stream_is_refused_with_valid_ones(address: str)
 
 def test_addresses_beyond_this_machine_are_recognised() -> None:
     assert [address for address in HERE + BEYOND if sockets.beyond_loopback(address)] == BEYOND
+
+
+WORDS = st.text(min_size=1)
+
+
+@given(WORDS | WORDS.map("tcp://{}".format) | WORDS.map("tcp://127.0.0.1:{}".format))
+def test_any_address_has_a_control_address_or_is_refused(address: str) -> None:
+    sockets.beyond_loopback(address)
+    try:
+        control = sockets.control_address(address)
+    except AddressError:
+        return
+    assert control.startswith(("tcp://", "ipc://"))
+    assert control != address

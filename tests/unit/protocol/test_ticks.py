@@ -7,17 +7,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from protocol.summary import phrases, tables
-from protocol.ticks import AvailabilityCounter, InterruptionCounter, LimitCounter
+from protocol.ticks import DISPLAY_STATES, AvailabilityCounter, InterruptionCounter, LimitCounter
 
 TICK_S = 1e-3
-STATES = ["playing", "starting", "stale", "fault", "waiting", "ended"]
+STATES = list(DISPLAY_STATES)
 runs = st.lists(st.tuples(st.sampled_from(STATES), st.integers(1, 50)), min_size=1, max_size=300)
 
 
 def counted(*ticks: tuple[str, int]) -> tables.Availability:
     counter = AvailabilityCounter(TICK_S)
-    for state, elapsed in ticks:
-        counter.add(state, elapsed)
+    numbers = [DISPLAY_STATES.index(state) for state, _ in ticks]
+    counter.add(np.array(numbers), np.array([elapsed for _, elapsed in ticks]))
     return counter.availability(played_ticks=0)
 
 
@@ -32,10 +32,11 @@ def test_the_shares_are_of_the_whole_time_and_add_up_to_it(ticks: list[tuple[str
     assert sum(printed) == pytest.approx(100.0)
 
 
-def interrupted(*ticks: tuple[bool, int]) -> tables.Interruptions:
+def interrupted(*ticks: tuple[bool, int], blocks: int = 1) -> tables.Interruptions:
     counter = InterruptionCounter(1e-3)
-    for full, elapsed in ticks:
-        counter.add(full, elapsed)
+    for block in np.array_split(np.array(ticks, int).reshape(-1, 2), blocks):
+        if len(block):
+            counter.add(*block.T)
     return counter.interruptions()
 
 
@@ -54,6 +55,13 @@ def test_an_interruption_is_from_one_full_tick_to_the_next_and_several_add_up() 
     assert dataclasses.astuple(found) == pytest.approx((1, 2.602, 2.602, 0.002, 2.604))
     found = interrupted((True, 1), (False, 100), (True, 1), (False, 1), (True, 1))
     assert dataclasses.astuple(found) == pytest.approx((2, 0.103, 0.101, 0.102, 0.104))
+
+
+@given(st.lists(st.tuples(st.booleans(), st.integers(1, 9))), st.integers(2, 30))
+def test_interruptions_do_not_depend_on_where_blocks_end(
+    ticks: list[tuple[bool, int]], blocks: int
+) -> None:
+    assert interrupted(*ticks, blocks=blocks) == interrupted(*ticks)
 
 
 @given(st.lists(st.booleans()), st.integers(1, 7))

@@ -1,10 +1,9 @@
-import math
 import random
 
 import pytest
 
 from protocol.clock.estimator import ClockEstimator, ClockExchange
-from protocol.clock.one_way import BLOCK, STEADY_BLOCKS, DeviceClock, OneWaySkew
+from protocol.clock.one_way import DeviceClock
 
 MS = 1_000_000
 S = 1_000 * MS
@@ -20,33 +19,6 @@ def arrivals(count: int, jitter_ms: float = 0.0, seed: int = 1) -> list[tuple[in
 
 def shown_ns(local_ns: int, skew_ppm: float) -> int:
     return local_ns + 3_600 * S + round(local_ns * skew_ppm * 1e-6)
-
-
-def estimated(messages: list[tuple[int, int]], skew_ppm: float) -> OneWaySkew:
-    slope = OneWaySkew()
-    for sent_ns, arrived_ns in messages:
-        slope.add(shown_ns(sent_ns, skew_ppm), arrived_ns, slope.skew)
-    return slope
-
-
-def test_the_error_is_infinite_before_there_are_enough_blocks() -> None:
-    assert math.isinf(estimated(arrivals(STEADY_BLOCKS * BLOCK - 1), 200).error)
-    assert math.isfinite(estimated(arrivals(STEADY_BLOCKS * BLOCK), 200).error)
-
-
-@pytest.mark.parametrize("skew_ppm", [-500, 0, 200])
-def test_the_skew_is_found(skew_ppm: int) -> None:
-    slope = estimated(arrivals(12_000, jitter_ms=3), skew_ppm)
-    assert slope.skew * 1e6 == pytest.approx(skew_ppm, abs=3)
-    assert 0 < slope.error < 3e-6
-
-
-def test_the_skew_is_within_two_standard_errors_nine_times_of_ten() -> None:
-    beyond = [
-        abs(slope.skew - 50e-6) > 2 * slope.error
-        for slope in (estimated(arrivals(4_000, 3, seed), 50) for seed in range(40))
-    ]
-    assert sum(beyond) <= 4
 
 
 def followed(frame_skew_ppm: float | None, late_ns: int = 0) -> ClockEstimator:

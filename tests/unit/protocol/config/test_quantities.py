@@ -1,9 +1,7 @@
 import math
 
 import pytest
-from pydantic import TypeAdapter
 
-from protocol.config import quantities
 from protocol.config.quantities import UNITS, parse_quantity, parse_ratio
 
 # A second copy, so that a mistake in the product's table is detected.
@@ -109,22 +107,3 @@ def test_an_invalid_ratio_is_refused_with_valid_ones(text: object) -> None:
 def test_a_ratio_above_1e100_is_refused(text: object) -> None:
     with pytest.raises(ValueError, match="too large"):
         parse_ratio(text)
-
-
-@pytest.mark.parametrize(
-    ("name", "text", "value"),
-    [
-        ("Nanoseconds", "40 ms", 40_000_000), ("Nanoseconds", "0.1 µs", 100),
-        ("Nanoseconds", "0.6 ns", 1), ("Nanoseconds", "1 min", 60_000_000_000),
-        ("Hertz", "75 /min", 1.25), ("Metres", "2 mm", 2e-3), ("Newtons", "300 mN", 0.3),
-        ("NewtonsPerSecond", "5 mN/s", 5e-3), ("Pascals", "0.05 GPa", 0.05e9),
-        ("MetresPerSecond", "400 mm/s", 0.4), ("MetresPerSecond2", "9 m/s²", 9.0),
-        ("NewtonsPerMetre", "1 N/mm", 1000.0), ("Volts", "500 mV", 0.5),
-        ("VoltsPerNewton", "44 mV/N", 0.044), ("Radians", "1.8 °", math.pi / 100),
-        ("Ratio", "1 %", 0.01),
-    ],
-)  # fmt: skip
-def test_each_type_of_a_scene_field_reads_its_unit(name: str, text: str, value: float) -> None:
-    read = TypeAdapter(getattr(quantities, name)).validate_python(text)
-    assert read == pytest.approx(value, rel=1e-15)
-    assert type(read) is type(value)

@@ -133,15 +133,16 @@ def test_a_change_is_read_once(path: Path, polled: AllowList, logged: list[str])
 
 def test_a_list_is_read_until_readable(path: Path, polled: AllowList, logged: list[str]) -> None:
     path.chmod(0o664)
+    assert polled.cause_to_refuse(WRIST.key) is None
     assert run(polled, 1) == []
-    assert not polled.readable
+    assert polled.cause_to_refuse(WRIST.key) == "list_unreadable"
     path.write_text(f"{FINGER.line}\n", encoding="utf-8")
     assert run(polled, 5) == []
-    assert not polled.readable
     assert len(polled.allowed) == 2
     path.chmod(0o644)
     assert run(polled, 1) == [WRIST.key]
-    assert polled.readable
+    causes = [polled.cause_to_refuse(key) for key in (FINGER.key, WRIST.key, bytes(32))]
+    assert causes == [None, "revoked_key", "unknown_key"]
     assert len(logged) == 3
     assert "until it can be read no new peer may connect" in logged[0]
     assert logged[1:] == [f"{path} is read again", "wrist is no longer allowed"]

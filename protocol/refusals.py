@@ -1,0 +1,140 @@
+"""Causes for which connections, messages and samples are refused, and the words for each."""
+
+from collections.abc import Mapping
+from typing import NamedTuple
+
+NO_KEY, NOT_AUTHENTIC, REPLAYED, HANDSHAKE = "no_key", "not_authentic", "replayed", "handshake"
+# Counted by the node that binds.
+UNKNOWN_KEY, REVOKED_KEY, LIST_UNREADABLE = "unknown_key", "revoked_key", "list_unreadable"
+TOO_MANY = "too_many_connections"
+# Counted by the node that connects.
+REFUSED_KEY, REVOKED = "refused_key", "revoked"
+
+
+class ConnectionWords(NamedTuple):
+    """Words for a refused connection.
+
+    meaning: in a closing summary. at_server: in the log of the node that binds, after the peer's
+    address; {key} is the peer's key. at_client: in the log of the node that connects, after the
+    other's address; {own} and {peer} are the names of their keys. without_keys: the same of a node
+    that has no keys.
+    """
+
+    meaning: str
+    at_server: str = ""
+    at_client: str = ""
+    without_keys: str = "is no node, or breaks off as soon as it is connected"
+
+
+CONNECTIONS = {
+    NO_KEY: ConnectionWords(
+        "connections without a key to a node with one, or the reverse: give both --key and --peer",
+        "it has no key",
+        "has no keys; start it with --key, or this node with --insecure",
+        "requires a key; give --key and --peer",
+    ),
+    NOT_AUTHENTIC: ConnectionWords(
+        "bytes not encrypted for this node: the peer has a wrong public key of it (--peer), or"
+        " they were altered on the way",
+        "it has a wrong public key of this node, or its bytes were altered on the way",
+        "sends messages that {peer} has not encrypted, or that were altered",
+    ),
+    REPLAYED: ConnectionWords(
+        "encrypted messages that came twice or out of order: something repeats them",
+        "its messages came twice or in another order",
+        "sends messages twice or in another order",
+    ),
+    HANDSHAKE: ConnectionWords(
+        "connections that ended before they were authenticated: no node, a wrong --peer, or a"
+        " network that breaks off",
+        "it made no ZeroMQ connection",
+        "breaks off: it is not {peer}, whose public key --peer gives",
+    ),
+    UNKNOWN_KEY: ConnectionWords(
+        "peers whose key is not on this node's allow-list: telepulse keys allow adds it",
+        "key {key} is not allowed",
+    ),
+    REVOKED_KEY: ConnectionWords(
+        "connections with a key that was allowed before and has been revoked",
+        "key {key} is no longer allowed",
+    ),
+    LIST_UNREADABLE: ConnectionWords(
+        "connections refused while this node's changed allow-list cannot be read: its log names"
+        " the reason",
+        "the allow-list cannot be read, so that no new peer may connect",
+    ),
+    TOO_MANY: ConnectionWords(
+        "connections beyond this node's file descriptors, which were cut: a peer connects"
+        " repeatedly, or the limit is too low (ulimit -n)",
+        "more connections than this node has files for; it keeps the earlier ones",
+    ),
+    REFUSED_KEY: ConnectionWords(
+        "connections refused because the other node's allow-list lacks this node's key",
+        at_client="does not allow the key of {own}; there: telepulse keys allow {own}.pub",
+    ),
+    REVOKED: ConnectionWords(
+        "the other node allowed this node's key before and has revoked it; to undo that, run"
+        " telepulse keys allow there",
+        at_client="has revoked the key of {own}: this node was connected and is no longer allowed;"
+        " to undo that, there: telepulse keys allow {own}.pub",
+    ),
+}
+# Cause → meaning, in one line.
+CAUSE_MEANINGS = {
+    # Messages between the nodes.
+    "oversized": "messages above 64 KiB; no node of this project sends them",
+    "truncated": "messages that end too early; the peer is no node, or bytes were lost",
+    "not_msgpack": "bytes that are no message; the peer is no node, or bytes were altered",
+    "version": "messages of another protocol version: run the same version on both nodes",
+    "malformed": "messages with fields that do not fit; the peer is no node, or of another version",
+    "not_finite": "samples that are NaN or infinite: check the sensor",
+    "description": "an invalid stream description: check the sensing node's scene",
+    "channel": "streams without a channel that the scene plays: compare `channel` in its [display]"
+    " with the sensing node's source",
+    "before_welcome": "frames that came before the stream's description; usual while joining",
+    "session": "messages of an earlier session; usual after a restart of the sensing node",
+    "before_clock": "frames that came before the clock offset was known; usual while joining",
+    "mismatch": "frames that do not match the stream's description",
+    "timestamp": "frames whose time is far from the present or does not fit their number:"
+    " a clock was set, or the stream is forged",
+    "duplicate": "samples or set-points that had arrived already",
+    "overlap": "samples that had arrived already, in a frame cut differently",
+    "too_old": "samples older than the buffer keeps",
+    "overflow": "samples too far ahead of what is played",
+    "implausible": "clock replies that arrive before their request was sent,"
+    " or an end with an impossible number of samples",
+    "unasked": "clock replies to an unknown or already answered request",
+    "unexpected": "messages that only the other kind of node sends: check the address",
+    "false_report": "reports of the probe that cannot be true",
+    "press_held": "set-points of a display while another one presses",
+    "no_probe": "set-points to a sensing node without a probe: add [sensing.press]",
+    "flood": "messages dropped because a peer sent far more than it should:"
+    " it is broken or hostile",
+    "held_back": "times when a sensing node left messages unread for 5 ms:"
+    " displays send far more than they should",
+    "too_many_displays": "displays beyond the 1 000 that a sensing node serves: use a relay",
+    "subscription": "subscriptions to topics that are not published here, or far too many marks;"
+    " the connection was cut",
+    "mark": "requests of a telemetry reader for marks that are malformed or older than a minute",
+    # Live sensors.
+    "partial": "the rest of a line or frame that began before this node listened",
+    "framing": "bytes that are no frame: check baud rate and format",
+    "crc": "frames with a wrong checksum: check the sensor's cable",
+    "format": "frames of an unknown format: check the sensor's firmware",
+    "not_a_number": "lines without a number in the scene's column",
+    "device_time": "lines whose device time does not follow the last",
+    "counter": "sample counters that jump: the sensor lost samples or restarted",
+    "not_decoded": "CAN messages that the database does not describe",
+    "bus_error": "errors on the CAN bus: check cable, termination and bit rate",
+    "behind": "samples whose time had long passed",
+    "backlog": "reads dropped because the node did not fetch them in time",
+    **{cause: words.meaning for cause, words in CONNECTIONS.items()},
+}
+
+
+def explain_causes(rejected: Mapping[str, int]) -> list[str]:
+    """Return a line for each cause: its count, its name and its meaning."""
+    return [
+        f"{count} {cause}" + (f": {CAUSE_MEANINGS[cause]}" if cause in CAUSE_MEANINGS else "")
+        for cause, count in sorted(rejected.items())
+    ]
