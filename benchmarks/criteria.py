@@ -58,6 +58,7 @@ CRITERIA: Final[dict[str, tuple[Criterion, ...]]] = {
         Criterion("processor time with the ECG over that without", most=1.3),
     ),
     "prediction": (
+        Criterion("stack over its best member, worst", most=1.02),
         Criterion("median, stack: over prototype", most=1.05),
         Criterion("median, analogue 0.05 s: over prototype", most=1.05),
         Criterion("median, fir: over prototype", most=1.05),
@@ -98,6 +99,8 @@ CRITERIA: Final[dict[str, tuple[Criterion, ...]]] = {
         Criterion("live wake-up to command, p99 in µs", most=200),
         Criterion("latency over pyzmq", most=1.2),
         Criterion("latency over pyzmq, CURVE", most=1.2),
+        Criterion("16 seeds in turn over a sweep", least=1.9),
+        Criterion("growth of memory in MB/h", most=6),
     ),
     "contactors": (
         share("a further contactor's tick over the first one's, stack", most=0.4),

@@ -15,6 +15,7 @@ from display_node.prediction import PredictorName, build_predictors
 from display_node.prediction.ensemble import Ensemble
 from telepulse.parallel import in_one_thread
 from tests.support.drawn_pulses import (
+    BEGIN_NS,
     FRAME,
     HORIZONS_MS,
     RATE_HZ,
@@ -27,12 +28,14 @@ from tests.support.drawn_pulses import (
     pulses,
     pulses_without_shape_cue,
 )
+from tests.support.finger_pulses import finger_pulses
 
 SEED = 1
 # Costs are measured after this time: while a predictor warms up, a tick costs less.
 COSTLY_FROM_S = 10.0
 CHEAP: tuple[PredictorName, ...] = ("hold", "linear")
-HORIZONS = tuple(f"{each} ms" for each in HORIZONS_MS)
+AHEAD_MS = (10, *HORIZONS_MS)
+HORIZONS = tuple(f"{each} ms" for each in AHEAD_MS)
 MEDIAN = "median"
 # Of the analogues, the one with the shortest memory has the least error at most horizons.
 ANALOGUE = "analogue 0.05 s"
@@ -40,7 +43,7 @@ Errors = dict[str, tuple[float, ...]]
 
 
 class Reference(NamedTuple):
-    """Errors beside ours, at each horizon; None: none is known."""
+    """Errors beside ours, at each of `HORIZONS_MS`; None: none is known."""
 
     pulse: str
     predictor: str
@@ -81,13 +84,25 @@ class PredictorCost(NamedTuple):
 def main(benchmark: Benchmark) -> None:
     """Print the tables."""
     seconds = 21.0 if benchmark.quick else 60.0
-    sets, silent = (make(seconds, SEED) for make in (pulses, pulses_without_shape_cue))
+    makes = pulses, pulses_without_shape_cue, finger_pulses
+    sets, silent, fingers = (make(seconds, SEED) for make in makes)
     if benchmark.quick:
-        sets, silent = sets[:2], silent[:1]
-    found = iter(benchmark.run(score, sets + silent))
-    errors, cued_not = ({each.name: next(found) for each in part} for part in (sets, silent))
+        sets, silent, fingers = sets[:2], silent[:1], fingers[:1]
+    found = iter(benchmark.run(score, sets + silent + fingers))
+    errors, cued_not, finger_errors = (
+        {each.name: next(found) for each in part} for part in (sets, silent, fingers)
+    )
     errors |= {MEDIAN: _medians(errors)}
-    _show_errors(benchmark, errors)
+    _show_medians(benchmark, errors)
+    all_errors = {name: each for name, each in errors.items() if name != MEDIAN}
+    all_errors |= {f"{name}, no shape cue": each for name, each in cued_not.items()}
+    all_errors |= finger_errors
+    benchmark.table(
+        "The stack's NRMSE by pulse",
+        ("pulse", *HORIZONS),
+        [(name, *_cells(each["stack"])) for name, each in all_errors.items()],
+    )
+    _compare_members(benchmark, all_errors)
     _compare(benchmark, "Beside a prototype", errors, judge=not benchmark.quick)
     _compare(benchmark, "The same where no shape predicts the next beat", cued_not, judge=False)
     # Measured after all other cases have ended, so that nothing else runs.
@@ -112,7 +127,7 @@ def _cells(errors: tuple[float, ...]) -> tuple[str, ...]:
     return tuple(f"{error:.3f}" for error in errors)
 
 
-def _show_errors(benchmark: Benchmark, errors: Mapping[str, Errors]) -> None:
+def _show_medians(benchmark: Benchmark, errors: Mapping[str, Errors]) -> None:
     medians = errors[MEDIAN]
     missing = set() if benchmark.quick else set(RECORDED) - set(errors)
     benchmark.table(
@@ -121,11 +136,22 @@ def _show_errors(benchmark: Benchmark, errors: Mapping[str, Errors]) -> None:
         [(name, *_cells(each)) for name, each in medians.items()],
         f"Without {', '.join(sorted(missing))}: heartpy is not installed." if missing else "",
     )
+
+
+def _compare_members(benchmark: Benchmark, errors: Mapping[str, Errors]) -> None:
+    """Print the stack's errors over those of its best member, hold and linear included."""
+    ratios = {}
+    for name, each in errors.items():
+        members = zip(*(found for member, found in each.items() if member != "stack"), strict=True)
+        ratios[name] = tuple(
+            stack / min(found) for stack, found in zip(each["stack"], members, strict=True)
+        )
     benchmark.table(
-        "The stack's NRMSE by pulse",
+        "The stack's NRMSE over that of its best member",
         ("pulse", *HORIZONS),
-        [(name, *_cells(each["stack"])) for name, each in errors.items() if name != MEDIAN],
+        [(name, *_cells(each)) for name, each in ratios.items()],
     )
+    benchmark.judge("stack over its best member, worst", max(map(max, ratios.values())))
 
 
 def _compare(benchmark: Benchmark, title: str, errors: Mapping[str, Errors], judge: bool) -> None:
@@ -134,45 +160,43 @@ def _compare(benchmark: Benchmark, title: str, errors: Mapping[str, Errors], jud
     for reference in REFERENCES:
         if reference.pulse not in errors:
             continue
-        pairs = list(
-            zip(errors[reference.pulse][reference.predictor], reference.errors, strict=True)
-        )
+        ours_ahead = dict(zip(AHEAD_MS, errors[reference.pulse][reference.predictor], strict=True))
+        ours_at = [ours_ahead[horizon_ms] for horizon_ms in HORIZONS_MS]
+        pairs = list(zip(ours_at, reference.errors, strict=True))
         cells = [f"{ours:.3f} / {theirs or '–'}" for ours, theirs in pairs]
         rows.append((reference.pulse, reference.predictor, reference.source, *cells))
         if judge:
             benchmark.judge(str(reference), max(o / t for o, t in pairs if t is not None))
-    benchmark.table(title, ("pulse", "predictor", "beside", *HORIZONS), rows)
+    benchmark.table(title, ("pulse", "predictor", "beside", *HORIZONS[1:]), rows)
 
 
 def score(pulse: Pulse) -> Errors:
     """Return the NRMSE of hold, linear, the stack and each of its experts, after `SCORED_FROM_S`.
 
-    The RMS is against the pulse without noise, over its standard deviation. After each frame,
-    one prediction is made for each horizon, counted from the newest sample. It is made at the
-    first to the fifth tick after the frame in turn.
+    The RMS is against the pulse without noise, over its standard deviation. After each frame and
+    all work on it, one prediction is made for each horizon, counted from the newest sample.
     """
     stack = Ensemble("stack")
     cheap = [build_predictors(name)[0] for name in CHEAP]
     names = (*CHEAP, *stack.names)
-    squares = np.zeros((len(HORIZONS_MS), len(names)))
-    counts = np.zeros((len(HORIZONS_MS), 1))
-    first_frame = round(SCORED_FROM_S * RATE_HZ) // FRAME
-    for frame in range(len(pulse.sensed) // FRAME):
+    times_ns = BEGIN_NS + np.round(np.arange(len(pulse.sensed)) / pulse.rate_hz * 1e9).astype(int)
+    ahead_ns = np.array(AHEAD_MS) * 1_000_000
+    squares, count = np.zeros((len(AHEAD_MS), len(names))), 0
+    for first in range(0, len(pulse.sensed) - pulse.frame + 1, pulse.frame):
+        last = first + pulse.frame
         for predictor in (stack, *cheap):
-            observe_frame(predictor, pulse.sensed, frame)
-        for tick in range(FRAME):
-            stack.work()
-            if frame < first_frame or tick != frame % FRAME:
-                continue
-            for row, horizon_ms in enumerate(HORIZONS_MS):
-                at = frame * FRAME + FRAME - 1 + horizon_ms * RATE_HZ // 1000
-                if at < len(pulse.true):
-                    at_ns = instant_ns(at)
-                    found = [each.predict(at_ns) for each in cheap]
-                    found += stack.predict_each(at_ns)
-                    squares[row] += (np.array(found) - pulse.true[at]) ** 2
-                    counts[row] += 1
-    errors = np.sqrt(squares / counts)
+            predictor.observe(times_ns[first:last].tolist(), pulse.sensed[first:last].tolist())
+        while stack.work():
+            pass
+        at_ns = times_ns[last - 1] + ahead_ns
+        if times_ns[last - 1] < BEGIN_NS + SCORED_FROM_S * 1e9 or at_ns[-1] > times_ns[-1]:
+            continue
+        true = np.interp(at_ns, times_ns, pulse.true)
+        for row, instant in enumerate(at_ns.tolist()):
+            found = [each.predict(instant) for each in cheap] + stack.predict_each(instant)
+            squares[row] += (np.array(found) - true[row]) ** 2
+        count += 1
+    errors = np.sqrt(squares / count) / pulse.true[times_ns >= BEGIN_NS + SCORED_FROM_S * 1e9].std()
     return {name: tuple(errors[:, column].tolist()) for column, name in enumerate(names)}
 
 

@@ -45,8 +45,8 @@ class Predictor(Protocol):
         """
         return False
 
-    def predict(self, instant_ns: int) -> float:
-        """Return the value at an instant after the newest sample; 0 before any."""
+    def predict(self, sampled_ns: int) -> float:
+        """Return the value at a time after the newest sample; 0 before any."""
 
     def error_n(self, horizon_ns: int) -> float | None:
         """Return the expected RMSE `horizon_ns` after the newest sample; None if unknown."""
@@ -85,7 +85,7 @@ class Linear(Predictor):
         samples[place:place] = zip(times_ns, values, strict=True)
         del samples[:-KEEP]
 
-    def predict(self, instant_ns: int) -> float:
+    def predict(self, sampled_ns: int) -> float:
         """Return the newest value, continued with the slope of the last 10 ms."""
         if not self._samples:
             return 0.0
@@ -97,7 +97,7 @@ class Linear(Predictor):
         if newest_ns == first_ns:
             return newest
         slope = (newest - first) / (newest_ns - first_ns)
-        return newest + slope * min(instant_ns - newest_ns, self._reach_ns)
+        return newest + slope * min(sampled_ns - newest_ns, self._reach_ns)
 
 
 @cache

@@ -162,19 +162,28 @@ def weigh_analogues(rows: Row, end: int, places: Places, nearest: Row, weights: 
             weights[number, analogue] /= total
 
 
-@kernel(f"void({ROWS}, int64, {PLACES}, {TABLE}, {CUBE}, {FLOATS})")
+@kernel(f"void({ROWS}, int64, {PLACES}, {TABLE}, {CUBE}, {FLOATS}, {TABLE}, {TABLE})")
 def continue_analogues(
-    rows: Row, end: int, places: Places, weights: Floats, made: Floats, inputs: Floats
+    rows: Row,
+    end: int,
+    places: Places,
+    weights: Floats,
+    made: Floats,
+    inputs: Floats,
+    low: Floats,
+    high: Floats,
 ) -> None:
     """Write the mean continuations of all channels, shape (4, channels, 25).
 
     Those of the last trajectory are without its regression. inputs: where to write the present's
-    values at the regression's lags less those of its analogues' mean.
+    values at the regression's lags less those of its analogues' mean. low, high: where to write the
+    range of the regression's continuations, shape (channels, 25).
     """
     first = end - 1 - LAGS
     for channel in range(len(rows)):
         row = rows[channel]
         newest = float(row[end - 1])
+        low[channel, :], high[channel, :] = math.inf, -math.inf
         for number in range(len(BEGINS)):
             path = made[number, channel]
             path[:] = 0.0
@@ -185,6 +194,12 @@ def continue_analogues(
                 origin += weight * row[at]
                 for horizon in range(HORIZONS):
                     path[horizon] += weight * row[at + SPACING * (horizon + 1)]
+                if number < MEANS:
+                    continue
+                for horizon in range(HORIZONS):
+                    followed = row[at + SPACING * (horizon + 1)] - row[at]
+                    low[channel, horizon] = min(low[channel, horizon], followed)
+                    high[channel, horizon] = max(high[channel, horizon], followed)
             shift = (1 - OFFSET) * (origin - newest) if number < MEANS else 0.0
             for horizon in range(HORIZONS):
                 path[horizon] += shift - origin
@@ -212,20 +227,11 @@ def add_regression(made: Floats, inputs: Floats, gains: Floats, low: Floats, hig
             path[horizon] = bounded(path[horizon], low[channel, horizon], high[channel, horizon])
 
 
-@kernel(f"boolean({ROWS}, int64, {PLACES}, {FLOATS}, {CUBE}, {TABLE}, {TABLE})")
-def regress(
-    rows: Row,
-    end: int,
-    places: Places,
-    weights: Floats,
-    gains: Floats,
-    low: Floats,
-    high: Floats,
-) -> bool:
+@kernel(f"boolean({ROWS}, int64, {PLACES}, {FLOATS}, {CUBE})")
+def regress(rows: Row, end: int, places: Places, weights: Floats, gains: Floats) -> bool:
     """Regress what followed the analogues on what preceded them; return whether it succeeded.
 
     weights: of the analogues. gains: where to write the regression's, shape (channels, 19, 25).
-    low, high: where to write the range of what followed, shape (channels, 25).
     """
     # One step later, each place is one step nearer to the present.
     first = end - LAGS
@@ -247,10 +253,6 @@ def regress(
             for horizon in range(HORIZONS):
                 followed = row[at + SPACING * (horizon + 1)] - row[at]
                 after[begin + horizon] = followed
-                if number == 0:
-                    low[channel, horizon] = high[channel, horizon] = followed
-                low[channel, horizon] = min(low[channel, horizon], followed)
-                high[channel, horizon] = max(high[channel, horizon], followed)
         taps = before[number]
         for tap in range(INPUTS):
             taps[tap] -= mean[tap]
@@ -280,7 +282,7 @@ class Analogue(Expert):
     steps, which update the analogues' distances and means: so no prediction waits for them.
     """
 
-    trust: tuple[float, ...] = (0.6, 0.2, 0.0, 0.0)
+    trust: tuple[float, ...] = (0.2, 0.1, 0.1, 0.4)
 
     def __init__(self, channels: int = 1) -> None:
         self.names: tuple[str, ...] = NAMES
@@ -303,29 +305,31 @@ class Analogue(Expert):
             return
         rows, end = history.buffer, history.end
         weigh_analogues(rows, end, self._places, self._nearest, self._weights)
-        continue_analogues(rows, end, self._places, self._weights, made, self._inputs)
+        continue_analogues(
+            rows,
+            end,
+            self._places,
+            self._weights,
+            made,
+            self._inputs,
+            self._low,
+            self._high,
+        )
         if self._regresses:
             add_regression(made, self._inputs, self._gains, self._low, self._high)
         else:
             made[-1] = made[0]
 
     def prepare(self, history: History) -> None:
-        """Update all distances, and find the analogues of the next two steps."""
+        """Find the analogues of the next two steps, or make the regression for them, in turn."""
+        if history.count % SPACING == 0:
+            # Rounding exceeds the ridge where the pulse has become many times as large.
+            self._regresses = self._found and regress(
+                history.buffer, history.end, self._places, self._weights[MEANS], self._gains
+            )
+            return
         add_distances(history.buffer, history.end, self._difference, self._distances, FORGETS)
         first = LAGS - min(LAGS - DEEPEST, history.count - SETTLED)
         self._found = first < LAGS - NEAREST - 2 and find_analogues(
             self._distances, first, FORGETS, self._places, self._nearest
-        )
-
-    def learn(self, history: History, artefact: bool = False) -> None:
-        """Make the regression for the next two steps."""
-        # Rounding exceeds the ridge where the pulse has become many times as large.
-        self._regresses = self._found and regress(
-            history.buffer,
-            history.end,
-            self._places,
-            self._weights[MEANS],
-            self._gains,
-            self._low,
-            self._high,
         )

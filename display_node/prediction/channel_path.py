@@ -23,13 +23,18 @@ POINTS: Final = HORIZONS + 2
 def bound_paths(
     rows: NDArray[np.float32], end: int, ahead: Floats, low: Floats, high: Floats, points: Floats
 ) -> None:
-    """Write the points of each channel's path, of which those ahead are kept within bounds."""
+    """Write the points of each channel's path, of which those ahead are kept within bounds.
+
+    The bounds are low and high, or twice the last change from the newest value.
+    """
     for channel in range(len(rows)):
         row = points[channel]
         row[0], row[1] = rows[channel, end - 1 - SPACING], rows[channel, end - 1]
+        change = 2.0 * abs(row[1] - row[0])
+        least, most = min(low[channel], row[1] - change), max(high[channel], row[1] + change)
         for horizon in range(HORIZONS):
             # A value that is no number is refused when the path is published.
-            row[horizon + 2] = bounded(ahead[channel, horizon], low[channel], high[channel])
+            row[horizon + 2] = bounded(ahead[channel, horizon], least, most)
 
 
 class ChannelPath:
@@ -70,12 +75,12 @@ class ChannelPath:
         """Transit time from R waves to the pulse; None without R waves."""
         return None
 
-    def predict(self, instant_ns: int) -> float:
+    def predict(self, sampled_ns: int) -> float:
         """Return the force in N at an instant after the newest sample."""
         path = self._path
         if not path:
             return self._newest
-        return between(path, (instant_ns - self._middle_ns) / SPACING_NS)
+        return between(path, (sampled_ns - self._middle_ns) / SPACING_NS)
 
     def error_n(self, horizon_ns: int) -> float | None:
         """Return the RMSE in N of predictions `horizon_ns` ahead over the last beat and a quarter.

@@ -18,7 +18,7 @@ NEGLIGIBLE_N = 1e-6
 class Blend:
     """Continuous transition from each tick's path of predicted force to the next tick's.
 
-    A new frame corrects the prediction, so the force for the present instant jumps. The jump is
+    A new frame corrects the prediction, so the force at the present time jumps. The jump is
     removed by an offset that decays. offset_n: its present value. busy: whether the last path was
     predicted, or an offset is still in effect.
     """
@@ -26,32 +26,32 @@ class Blend:
     def __init__(self, tick_ns: int) -> None:
         self._tick_ns = tick_ns
         self._path_n: list[float] = []
-        self._instant_ns = self._newest_ns = 0
+        self._sampled_ns = self._newest_ns = 0
         # Horizon of the prediction that caused the offset. It at most halves with each frame, so
         # that a short horizon after a long one does not drop a large offset at once.
         self._spanned_ns = 0
         self._kept = self.offset_n = 0.0
         self.busy = False
 
-    def apply(self, path_n: list[float], instant_ns: int, newest_ns: int) -> list[float]:
+    def apply(self, path_n: list[float], sampled_ns: int, newest_ns: int) -> list[float]:
         """Return the path without the jump from the last one.
 
         Parameters
         ----------
         path_n
-            Force in N at `instant_ns` and at the ticks after it. While not `busy`, at least the
+            Force in N at `sampled_ns` and at the ticks after it. While not `busy`, at least the
             last value is a prediction.
         newest_ns
             Time of the newest sample in ns.
         """
         if newest_ns != self._newest_ns:
-            self._spanned_ns = max(self._instant_ns - self._newest_ns, self._spanned_ns // 2)
+            self._spanned_ns = max(self._sampled_ns - self._newest_ns, self._spanned_ns // 2)
             decay_ticks = DECAY_OVER_HORIZON * self._spanned_ns / self._tick_ns
             self._kept = math.exp(-1 / decay_ticks) if decay_ticks > 0 else 0.0
             self._newest_ns = newest_ns
-        self.offset_n = offset_n = self._offset_at(path_n[0], instant_ns)
-        self._instant_ns, kept = instant_ns, self._kept
-        last_ns = instant_ns + (len(path_n) - 1) * self._tick_ns
+        self.offset_n = offset_n = self._offset_at(path_n[0], sampled_ns)
+        self._sampled_ns, kept = sampled_ns, self._kept
+        last_ns = sampled_ns + (len(path_n) - 1) * self._tick_ns
         if last_ns <= newest_ns and abs(offset_n) < NEGLIGIBLE_N:
             self.offset_n, self._path_n, self.busy = 0.0, [], False
             return path_n
@@ -62,10 +62,10 @@ class Blend:
             offset_n *= kept
         return joined_n
 
-    def _offset_at(self, force_n: float, instant_ns: int) -> float:
+    def _offset_at(self, force_n: float, sampled_ns: int) -> float:
         """Return the rest of the decaying offset plus the jump from the last path to this force."""
         path_n = self._path_n
-        ticks, count = (instant_ns - self._instant_ns) / self._tick_ns, len(path_n)
+        ticks, count = (sampled_ns - self._sampled_ns) / self._tick_ns, len(path_n)
         # After missed ticks or a jump of the playout, the paths do not overlap.
         if not 0 < ticks < count:
             return 0.0
@@ -117,22 +117,22 @@ class Concealment:
         self.height_n = self._size.size
 
     def complete(
-        self, path_n: list[float], count: int, instant_ns: int, newest_ns: int
+        self, path_n: list[float], count: int, sampled_ns: int, newest_ns: int
     ) -> list[float]:
-        """Return the force at `count` instants, one a tick from instant_ns on, without a jump.
+        """Return the force at `count` times, one a tick from sampled_ns on, without a jump.
 
         Call it while the prediction `acts`, and where a value is missing.
 
         Parameters
         ----------
         path_n
-            Received force in N at the first of these instants; it is completed in place.
+            Received force in N at the first of these times; it is completed in place.
         newest_ns
             Time of the newest sample.
         """
         predict, tick_ns, blend = self._predictor.predict, self._tick_ns, self._blend
         for step in range(len(path_n), count):
-            path_n.append(predict(instant_ns + step * tick_ns))
-        path_n = blend.apply(path_n, instant_ns, newest_ns)
+            path_n.append(predict(sampled_ns + step * tick_ns))
+        path_n = blend.apply(path_n, sampled_ns, newest_ns)
         self.acts, self.offset_n = blend.busy, blend.offset_n
         return path_n

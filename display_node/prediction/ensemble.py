@@ -67,6 +67,8 @@ class Ensemble(ChannelPath):
         self._stack = Stack(trust if self._kind == "stack" else np.full(len(trust), 1 / len(trust)))
         self._errors = PathErrors(channels)
         self._history = History(CAPACITY, channels)
+        # The history's count from which on the next step is one of learning, and their number.
+        self._learns_from = self._learnt = 0
         # What is left of the present step.
         self._pieces = Pieces()
         # Number of the history's newest cell in the grid.
@@ -101,14 +103,14 @@ class Ensemble(ChannelPath):
         with np.errstate(all="ignore"):
             return pieces.do_one()
 
-    def predict_each(self, instant_ns: int) -> list[float]:
+    def predict_each(self, sampled_ns: int) -> list[float]:
         """Return the prediction of each of `names`, for studies."""
         if not self._path:
             return [self._newest] * len(self.names)
         before = self._path[:2]
-        position = (instant_ns - self._middle_ns) / SPACING_NS
+        position = (sampled_ns - self._middle_ns) / SPACING_NS
         rows = (before[1] + self.scale * self._trajectories[:, 0]).tolist()
-        return [*(between(before + row, position) for row in rows), self.predict(instant_ns)]
+        return [*(between(before + row, position) for row in rows), self.predict(sampled_ns)]
 
     def _step(self, cell: GridCell) -> Iterator[None]:
         """Do the work for a new cell, piece by piece."""
@@ -119,6 +121,7 @@ class Ensemble(ChannelPath):
             return
         history = self._history
         self._push(cell.value, beside)
+        history.ahead[:] = self.normalised(cell.ends), self.normalised(cell.continues)
         self._artefacts.observe(history)
         self._number = cell.number
         # Cells that late samples corrected replace the interpolated ones.
@@ -131,23 +134,38 @@ class Ensemble(ChannelPath):
             self._announce(cell)
         self._publish(cell)
         yield
-        if history.count % SPACING:
-            for expert in self._experts:
-                expert.prepare(history)
-            if self._announced:
-                yield
-                self._announced.prepare(history)
-            return
         artefact = self._artefacts.present
-        self._errors.add(history.newest_of_each(), self._ahead)
-        values = history.last(FURTHEST + 1)[::SPACING].astype(np.float64)
-        self._stack.learn(values[1:], artefact)
-        if self._announced:
-            self._announced.learn(values, artefact)
-        self._judge()
-        history.ranges(self._low, self._high)
-        for expert in self._experts:
+        if history.count % SPACING == 0:
+            self._errors.add(history.newest_of_each(), self._ahead)
+            if self._announced:
+                values = history.last(FURTHEST + 1)[::SPACING].astype(np.float64)
+                self._announced.learn(values, artefact)
+            self._judge()
+            history.ranges(self._low, self._high)
             yield
+        elif self._announced:
+            self._announced.prepare(history)
+            yield
+        for expert in self._experts:
+            expert.prepare(history)
+        if not cell.newest:
+            # Frames of several cells determine the phase themselves.
+            self._learns_from -= 1
+        elif history.count >= self._learns_from:
+            yield
+            self._learn(artefact)
+
+    def _learn(self, artefact: bool) -> None:
+        """Learn at this step, and two or three steps later in turn.
+
+        With a sample every 10 ms, two kinds of steps alternate, before and after the middle between
+        two samples: what is learnt at one kind alone is wrong at the other.
+        """
+        history = self._history
+        self._learns_from = history.count + SPACING + self._learnt % 2
+        self._learnt += 1
+        self._stack.learn(history, artefact)
+        for expert in self._experts:
             expert.learn(history, artefact)
 
     def _announce(self, cell: GridCell) -> None:

@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from display_node.prediction.history import History
 
 # The horizons are 10 ms apart, up to 250 ms, and a cubic joins them: the pulse ends below 40 Hz.
-# Experts predict at every step of 5 ms, and learn from every second one.
 SPACING: Final = 2
 HORIZONS: Final = 25
 FURTHEST: Final = SPACING * HORIZONS
@@ -37,11 +36,13 @@ class Expert(Protocol):
         """
 
     def learn(self, history: History, artefact: bool = False) -> None:
-        """Learn from the newest value; call it after `predict` at every second step.
+        """Learn what outlasts the moment; call it after `predict` at steps of learning.
 
-        artefact: whether one is present; nothing that outlasts it is then learnt.
+        They are at least `SPACING` steps apart. artefact: whether one is present, from which
+        nothing is learnt.
         """
+        return
 
     def prepare(self, history: History) -> None:
-        """Prepare the next predictions; call it after `predict` at the steps between."""
+        """Prepare the next predictions; call it after `predict` at every step."""
         return

@@ -10,18 +10,20 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from display_node.prediction.expert import FURTHEST, HORIZONS, SPACING, Expert, Floats
-from display_node.prediction.history import History
+from display_node.prediction.expert import HORIZONS, SPACING, Expert, Floats
+from display_node.prediction.history import NEVER, History
 from display_node.prediction.kernels import CUBE, FLOATS, ROWS, TABLE, kernel
 
-# Taps of the filter: the near past at every step, and further back, to 1.3 s, means over STRIDE.
+# Taps of the filter: the signal at the end of the newest cell and beyond, the near past at every
+# step, and further back, to 1.3 s, means over STRIDE.
+ENDS: Final = 2
 NEAR: Final = 40
 FAR: Final = 55
 STRIDE: Final = 4
 REACH: Final = NEAR + FAR * STRIDE + 1
-TAPS: Final = NEAR + FAR
-# Forgetting factor for a memory of 30 s.
-FORGET: Final = 1 - SPACING / 6_000
+TAPS: Final = FAR + NEAR + ENDS
+# Forgetting factor for a memory of 2 400 steps of learning, some 30 s.
+FORGET: Final = 1 - 1 / 2_400
 # Relative to the power of the signal, as it is normalised.
 RIDGE: Final = 0.005
 # The forgotten part of the ridge is restored after this number of regressors.
@@ -30,11 +32,19 @@ RESTORED: Final = 4
 LARGEST_FACTOR: Final = 1e3
 
 
-@kernel(f"void({ROWS}, int64, {FLOATS}, {CUBE}, {CUBE})")
+@kernel(f"void({ROWS}, int64, {FLOATS}, {FLOATS}, {CUBE}, {CUBE})")
 def filter_newest(
-    rows: NDArray[np.float32], end: int, regressor: Floats, weights: Floats, made: Floats
+    rows: NDArray[np.float32],
+    end: int,
+    ahead: Floats,
+    regressor: Floats,
+    weights: Floats,
+    made: Floats,
 ) -> None:
-    """Write the regressor of the newest value, and each channel's trajectory (1, channels, 25)."""
+    """Write the regressor of the newest value, and each channel's trajectory (1, channels, 25).
+
+    ahead: the signal of the first channel at the end of the newest cell, and a cell later.
+    """
     row = rows[0]
     newest = float(row[end - 1])
     first = end - REACH
@@ -45,6 +55,8 @@ def filter_newest(
         regressor[tap] = total / STRIDE - newest
     for tap in range(NEAR):
         regressor[FAR + tap] = row[first + FAR * STRIDE + tap] - newest
+    for tap in range(ENDS):
+        regressor[FAR + NEAR + tap] = ahead[tap] - newest
     for channel in range(len(weights)):
         path = made[0, channel]
         path[:] = 0.0
@@ -77,15 +89,14 @@ def correct(
 @kernel(f"void({ROWS}, int64, {FLOATS}, {CUBE}, {TABLE}, float64)")
 def learn_regressor(
     rows: NDArray[np.float32],
-    end: int,
+    first: int,
     regressor: Floats,
     weights: Floats,
     covariance: Floats,
     factor: float,
 ) -> None:
-    """Correct the weights by the regressor of 250 ms ago and the values that have come since."""
+    """Correct the weights by the regressor of the value `first` and the values that came since."""
     errors = np.empty((len(weights), HORIZONS))
-    first = end - 1 - FURTHEST
     for channel in range(len(weights)):
         for horizon in range(HORIZONS):
             value = rows[channel, first + SPACING * (horizon + 1)]
@@ -120,8 +131,9 @@ class Fir(Expert):
     """x(t+h) − x(t) as a linear function of x(t−i) − x(t), for every horizon h.
 
     Recursive least squares gives the ridge solution of all data at every step without solving a
-    system. A regressor is used when the values at all its horizons have come, 250 ms later: then
-    its gain is the same for every horizon, and values that late samples corrected are correct.
+    system. A regressor is used when the values at all its horizons have come, 25 steps of learning
+    later: then its gain is the same for every horizon, and values that late samples corrected are
+    correct.
     """
 
     names: tuple[str, ...] = ("fir",)
@@ -132,8 +144,9 @@ class Fir(Expert):
         # The covariance over a factor, so that forgetting is no pass over it.
         self._covariance = np.eye(TAPS) / RIDGE
         self._factor = 1.0
-        # Regressors of the last 250 ms, and the newest one.
+        # Regressors of the last steps of learning with the history's count, and the newest one.
         self._regressors = np.zeros((HORIZONS, TAPS))
+        self._counts = [NEVER] * HORIZONS
         self._regressor = np.zeros(TAPS)
         self._count = 0
 
@@ -142,18 +155,20 @@ class Fir(Expert):
         if history.count < REACH:
             made[:] = 0.0
             return
-        filter_newest(history.buffer, history.end, self._regressor, self._weights, made)
+        rows, end, regressor = history.buffer, history.end, self._regressor
+        filter_newest(rows, end, history.ahead, regressor, self._weights, made)
 
     def learn(self, history: History, artefact: bool = False) -> None:
-        """Correct the weights by the regressor of 250 ms ago, and store the newest one."""
+        """Correct the weights by the oldest regressor, and store the newest one in its place."""
         if history.count < REACH:
             return
-        regressor = self._regressors[self._count % HORIZONS]
+        place = self._count % HORIZONS
+        regressor, first = self._regressors[place], history.place_of(self._counts[place])
         self._count += 1
         weights, covariance = self._weights, self._covariance
-        if self._count > HORIZONS and not artefact:
-            rows, end = history.buffer, history.end
-            learn_regressor(rows, end, regressor, weights, covariance, self._factor)
+        if first >= 0 and not artefact:
+            rows = history.buffer
+            learn_regressor(rows, first, regressor, weights, covariance, self._factor)
             self._factor /= FORGET
             if self._count % RESTORED == 0:
                 if self._factor > LARGEST_FACTOR:
@@ -161,3 +176,4 @@ class Fir(Expert):
                     self._factor = 1.0
                 keep_ridge(weights, covariance, self._count // RESTORED % TAPS, self._factor)
         regressor[:] = self._regressor
+        self._counts[place] = NEVER if artefact else history.count

@@ -17,11 +17,19 @@ KEEP_NS = 1_000_000_000
 
 
 class GridCell(NamedTuple):
-    """Cell of the grid: its number from 0, the time of its end, and the signal's mean in it."""
+    """Cell of the grid.
+
+    number: from 0. end_ns: time of its end. value: mean of the signal in it. ends, continues: the
+    signal at its end and a cell later, which is continued linearly from the newest samples. newest:
+    whether the samples that completed it completed no later one.
+    """
 
     number: int
     end_ns: int
     value: float
+    ends: float
+    continues: float
+    newest: bool
 
 
 class Grid:
@@ -72,8 +80,10 @@ class Grid:
     def _complete(self) -> None:
         """Add the cells that the newest sample completes to `new_cells`."""
         end_ns = (self._end_ns or 0) + STEP_NS
-        while end_ns <= self._times[-1]:
-            self.new_cells.append(GridCell(self._count, end_ns, self._mean(end_ns)))
+        newest_ns = self._times[-1]
+        while end_ns <= newest_ns:
+            newest = end_ns + STEP_NS > newest_ns
+            self.new_cells.append(self._cell(self._count, end_ns, newest))
             self._end_ns = end_ns
             self._count += 1
             end_ns += STEP_NS
@@ -93,15 +103,16 @@ class Grid:
             end_ns = first_ns + (position + 1) * STEP_NS
             if end_ns - STEP_NS < times[0]:
                 continue
-            cell = GridCell(self._first_number + position, end_ns, self._mean(end_ns))
-            waiting = len(self.new_cells) - (self._count - cell.number)
+            number = self._first_number + position
+            waiting = len(self.new_cells) - (self._count - number)
             if waiting < 0:
-                self.corrections.append(cell)
+                self.corrections.append(self._cell(number, end_ns, newest=False))
             else:
-                self.new_cells[waiting] = cell
+                newest = self.new_cells[waiting].newest
+                self.new_cells[waiting] = self._cell(number, end_ns, newest)
         self._complete()
 
-    def _mean(self, end_ns: int) -> float:
+    def _cell(self, number: int, end_ns: int, newest: bool) -> GridCell:
         times, values, start_ns = self._times, self._values, end_ns - STEP_NS
         first = bisect_right(times, start_ns)
         last = bisect_left(times, end_ns, first)
@@ -111,8 +122,16 @@ class Grid:
             next_ns, next_value = times[place], values[place]
             area += (next_ns - t_ns) * 0.5 * (value + next_value)
             t_ns, value = next_ns, next_value
-        area += (end_ns - t_ns) * 0.5 * (value + self._interpolate(last, end_ns))
-        return area / STEP_NS
+        ends = self._interpolate(last, end_ns)
+        area += (end_ns - t_ns) * 0.5 * (value + ends)
+        after_ns, newest_ns = end_ns + STEP_NS, times[-1]
+        if after_ns <= newest_ns:
+            continues = self._interpolate(bisect_left(times, after_ns, last), after_ns)
+        else:
+            before_ns = newest_ns - STEP_NS
+            before = self._interpolate(bisect_left(times, before_ns), before_ns)
+            continues = values[-1] + (after_ns - newest_ns) / STEP_NS * (values[-1] - before)
+        return GridCell(number, end_ns, area / STEP_NS, ends, continues, newest)
 
     def _interpolate(self, position: int, t_ns: int) -> float:
         """Return the value at a time between samples `position` − 1 and `position`."""

@@ -11,6 +11,8 @@ Floats = NDArray[np.float64]
 # Recent values are those of the last 5 s; their range is widened on both sides by this share of it.
 RECENT: Final = 1_000
 MARGIN: Final = 0.25
+# Count of a value that was never there.
+NEVER: Final = -(1 << 62)
 
 
 @kernel(f"void({ROWS}, int64, int64, {FLOATS}, {FLOATS})")
@@ -47,6 +49,8 @@ class History:
         self._values = self.buffer[0]
         self.end = capacity
         self.channels = channels
+        # The signal of the first channel at the end of the newest cell, and a cell later.
+        self.ahead = np.zeros(2)
         self.count = 0
         # Newest value of each channel.
         self._newest = np.zeros(channels)
@@ -67,6 +71,7 @@ class History:
             self.buffer[channel, self.end] = other
         self.end += 1
         self.count += 1
+        self.ahead[:] = value
 
     def newest_of_each(self) -> Floats:
         """Return the newest value of each channel, shape (channels,), valid until the next call."""
@@ -77,6 +82,14 @@ class History:
         """Replace the value `age` steps before the newest; do nothing where it is too old."""
         if age < min(self.count, self._capacity):
             self.buffer[channel, self.end - 1 - age] = value
+
+    def place_of(self, count: int) -> int:
+        """Return the place in `buffer` of the value that was the newest at a count.
+
+        It is negative where that value is too old.
+        """
+        age = self.count - count
+        return self.end - 1 - age if age < self._capacity else -1
 
     def bounds(self, count: int, skipped: int) -> tuple[float, float]:
         """Return the widened range of the newest `count` values without the last `skipped` ones."""

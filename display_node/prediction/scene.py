@@ -64,8 +64,8 @@ class BasePredictor:
         """Take a frame's samples, late or not; no sample comes twice."""
         raise NotImplementedError
 
-    def predict(self, instant_ns: int) -> float:
-        """Return the value at an instant after the newest sample; 0 before any."""
+    def predict(self, sampled_ns: int) -> float:
+        """Return the value at a time after the newest sample; 0 before any."""
         raise NotImplementedError
 
     def work(self) -> None:

@@ -3,19 +3,27 @@
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
-from display_node.prediction.expert import HORIZONS, Floats
-from display_node.prediction.kernels import CUBE, FLOATS, TABLE, kernel
+from display_node.prediction.expert import HORIZONS, SPACING, Floats
+from display_node.prediction.history import NEVER, History
+from display_node.prediction.kernels import CUBE, FLOATS, ROWS, TABLE, kernel
 from display_node.prediction.ridge import solve_ridge
 
 # Memory of the weights, in steps of learning: it grows by half a step a step, so that what the
 # experts predicted before they had learnt is soon forgotten.
-FIRST_MEMORY_STEPS, MEMORY_STEPS = 30, 1_000
-# Strength of the initial weights: at the start, and the part of it that is never forgotten.
-FIRST_RIDGE, RIDGE = 10.0, 0.01
+FIRST_MEMORY_STEPS, MEMORY_STEPS = 30, 2_000
+# Steps of learning over which the level of the errors is averaged, about a beat.
+LEVEL_STEPS: Final = 100
+# An error counts as its square over the level, up to this; beyond, its weight falls as it grows.
+LARGEST: Final = 20.0
+# A level of 0.1 % of the deviation is as good as none.
+LEAST_LEVEL: Final = 1e-6
+# Strength of the initial weights, in steps with errors of the level.
+RIDGE: Final = 30.0
 # Least strength, over the largest product.
 LEAST_RIDGE: Final = 1e-9
-# The weights are computed anew after this number of steps, which is 50 ms.
+# The weights are computed anew after this number of steps, some 60 ms.
 SOLVED = 5
 # Squared errors are limited to this in their sums, in units of the signal's variance.
 WORST: Final = 1e4
@@ -37,22 +45,35 @@ def combine(weights: Floats, trajectories: Floats, newest: Floats, paths: Floats
                 path[horizon] += weights[number, horizon] * trajectories[number, channel, horizon]
 
 
-@kernel(f"void({CUBE}, {TABLE}, {FLOATS}, float64)")
-def add_products(products: Floats, made: Floats, values: Floats, forget: float) -> None:
-    """Add the products of the trajectories made 250 ms ago with each other and the true values.
+@kernel(f"void({CUBE}, {FLOATS}, {TABLE}, {ROWS}, int64, float64)")
+def add_products(
+    products: Floats,
+    levels: Floats,
+    made: Floats,
+    rows: NDArray[np.float32],
+    first: int,
+    forget: float,
+) -> None:
+    """Add the products of trajectories with each other and the values that have come since.
 
-    products: of each horizon, shape (25, n, n + 1). made: shape (n + 1, 25), with the value that
-    the trajectories began at in the last row. values: those that have come since.
+    products: of each horizon, shape (25, n, n + 1). levels: of the least squared errors at each
+    horizon. made: shape (n, 25). first: place of the value that the trajectories begin at.
     """
-    count = len(made) - 1
+    count, row = len(made), rows[0]
     for horizon in range(HORIZONS):
-        came = values[horizon] - made[count, horizon]
+        came = row[first + SPACING * (horizon + 1)] - row[first]
+        least = (made[0, horizon] - came) ** 2
+        for number in range(1, count):
+            least = min(least, (made[number, horizon] - came) ** 2)
+        level = max(levels[horizon], LEAST_LEVEL)
+        share = 1.0 / max(level, least / LARGEST)
+        levels[horizon] = level + (min(least, LARGEST * level) - level) / LEVEL_STEPS
         for number in range(count):
-            left = made[number, horizon]
-            row = products[horizon, number]
+            left = share * made[number, horizon]
+            sums = products[horizon, number]
             for other in range(count):
-                row[other] = row[other] * forget + left * made[other, horizon]
-            row[count] = row[count] * forget + left * came
+                sums[other] = sums[other] * forget + left * made[other, horizon]
+            sums[count] = sums[count] * forget + left * came
 
 
 @kernel(f"boolean({CUBE}, {FLOATS}, float64, {TABLE})")
@@ -85,6 +106,10 @@ class Stack:
 
     A trajectory is used when the values at all its horizons have come. trust: initial weights,
     shape (n,).
+
+    A squared error counts over the level of the errors at its time: those of the least wrong
+    trajectory over the last beat. Otherwise a rare beat that none of them predicts, or the time
+    before they had learnt, would choose the weights for as long as they are remembered.
     """
 
     def __init__(self, trust: Floats) -> None:
@@ -93,10 +118,11 @@ class Stack:
         self._weights = np.repeat(self._trust[:, np.newaxis], HORIZONS, axis=1)
         # For each horizon, the trajectories' products with each other and with the true values.
         self._products = np.zeros((HORIZONS, count, count + 1))
-        self._ridge = FIRST_RIDGE
-        # The trajectories of the last steps with the values that they began at.
-        self._made = np.zeros((HORIZONS, count + 1, HORIZONS))
-        self._newest, self._trajectories = 0.0, np.zeros((count, HORIZONS))
+        self._levels = np.ones(HORIZONS)
+        # The trajectories of the last steps of learning, and the history's count at them.
+        self._made = np.zeros((HORIZONS, count, HORIZONS))
+        self._counts = [NEVER] * HORIZONS
+        self._trajectories = np.zeros((count, HORIZONS))
         self._steps = 0
 
     def predict(self, newest: Floats, trajectories: Floats, paths: Floats) -> None:
@@ -105,24 +131,25 @@ class Stack:
         newest: newest value of each channel, shape (channels,). trajectories: shape (n, channels,
         25). The weights are learnt from the first channel.
         """
-        self._trajectories, self._newest = trajectories[:, 0], newest[0]
+        self._trajectories = trajectories[:, 0]
         combine(self._weights, trajectories, newest, paths)
 
-    def learn(self, values: Floats, artefact: bool = False) -> None:
-        """Learn from the last 25 values of the steps of learning, the newest last.
+    def learn(self, history: History, artefact: bool = False) -> None:
+        """Learn from the oldest trajectories, and store the newest ones in their place.
 
-        artefact: whether one is present; the weights are then kept. Call it after `predict`, at the
-        steps from which the experts learn.
+        artefact: whether one is present; the weights are then kept. Call it after `predict`, at
+        steps of learning.
         """
-        made = self._made[self._steps % HORIZONS]
+        place = self._steps % HORIZONS
+        made, first = self._made[place], history.place_of(self._counts[place])
         self._steps += 1
-        if self._steps > HORIZONS and not artefact:
+        if first >= 0 and not artefact:
             forget = 1 - 1 / min(MEMORY_STEPS, FIRST_MEMORY_STEPS + self._steps / 2)
-            add_products(self._products, made, values, forget)
-            self._ridge = RIDGE + forget * (self._ridge - RIDGE)
+            add_products(self._products, self._levels, made, history.buffer, first, forget)
             if self._steps % SOLVED == 0:
-                solve_weights(self._products, self._trust, self._ridge, self._weights)
-        made[:-1], made[-1] = self._trajectories, self._newest
+                solve_weights(self._products, self._trust, RIDGE, self._weights)
+        made[:] = self._trajectories
+        self._counts[place] = NEVER if artefact else history.count
 
 
 @kernel(f"void({CUBE}, {CUBE}, int64, {FLOATS}, {TABLE})")

@@ -60,11 +60,16 @@ class Beats(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Pulse:
-    """A pulse as sensed, and the same without noise, in units of its standard deviation."""
+    """A pulse as sensed, and the same without noise, in units of its standard deviation.
+
+    rate_hz: of both. frame: number of samples in a frame.
+    """
 
     name: str
     sensed: Floats
     true: Floats
+    rate_hz: float = RATE_HZ
+    frame: int = FRAME
 
     def __str__(self) -> str:
         return self.name

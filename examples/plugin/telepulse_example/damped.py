@@ -35,11 +35,11 @@ class Damped(BasePredictor):
         samples = [*self._samples, *zip(times_ns, values, strict=True)]
         self._samples = sorted(samples)[-KEPT:]
 
-    def predict(self, instant_ns: int) -> float:
+    def predict(self, sampled_ns: int) -> float:
         """Return the newest value, and what its slope adds until it has faded."""
         if len(self._samples) < 2:
             return self._samples[-1][1] if self._samples else 0.0
         (first_ns, first), (newest_ns, newest) = self._samples[0], self._samples[-1]
         slope = (newest - first) / (newest_ns - first_ns)
-        passed = (instant_ns - newest_ns) / self._fades_ns
+        passed = (sampled_ns - newest_ns) / self._fades_ns
         return newest - slope * self._fades_ns * math.expm1(-passed)

@@ -33,9 +33,8 @@ def expert_errors(expert: Expert, signal: Floats, from_step: int) -> Floats:
     for step, value in enumerate(signal.tolist()):
         history.push(value)
         expert.predict(history, made)
-        if step % SPACING:
-            expert.prepare(history)
-        else:
+        expert.prepare(history)
+        if step % SPACING == 0:
             expert.learn(history)
         if from_step <= step < len(signal) - AHEAD[-1]:
             worst = np.maximum(worst, np.abs(value + made[:, 0] - signal[step + AHEAD]))

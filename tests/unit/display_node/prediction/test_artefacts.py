@@ -84,4 +84,4 @@ def test_predictions_are_soon_as_good_as_without_the_artefact() -> None:
     with patch.object(ArtefactDetector, "observe"):
         learnt_n = rmse_n(disturbed)
     assert found_n < 1.3 * undisturbed_n
-    assert learnt_n > 1.5 * found_n
+    assert learnt_n > 1.1 * found_n

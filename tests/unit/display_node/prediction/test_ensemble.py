@@ -5,8 +5,11 @@ import pytest
 
 from display_node.prediction import PredictorName, build_predictors
 from display_node.prediction.ensemble import Ensemble
-from display_node.prediction.expert import AHEAD, HORIZONS
+from display_node.prediction.expert import AHEAD, FURTHEST, HORIZONS, SPACING
+from display_node.prediction.history import History
 from display_node.prediction.stack import PathErrors, Stack
+from tests.support.drawn_pulses import Pulse
+from tests.support.finger_pulses import finger_pulses
 from tests.unit.display_node.prediction.pulse_signals import MS, T0_NS, Floats, beats, feed
 
 STEPS = 4_000
@@ -20,6 +23,12 @@ def predict(stack: Stack, newest: float, rows: Floats) -> Floats:
     return path[0]
 
 
+def push(history: History, value: float) -> None:
+    """Let a value come, one step of learning after the one before."""
+    for _ in range(SPACING):
+        history.push(value)
+
+
 def run(
     stack: Stack, gains: tuple[float, ...], noise: float, errors: PathErrors | None = None
 ) -> np.ndarray:
@@ -29,16 +38,17 @@ def run(
     """
     rng = np.random.default_rng(2)
     squares = np.zeros((len(gains) + 1, len(AHEAD)))
+    history = History(2 * FURTHEST)
     for step in range(STEPS):
-        values = TRUTH[step : step + HORIZONS + 1]
-        newest = values[-1]
+        newest = TRUTH[step + HORIZONS]
+        push(history, newest)
         coming = TRUTH[step + HORIZONS + 1 : step + 2 * HORIZONS + 1] - newest
         rows = np.array([gain * coming + noise * rng.standard_normal(len(AHEAD)) for gain in gains])
         path = predict(stack, newest, rows)
         stacked = path - newest
-        stack.learn(values[1:])
+        stack.learn(history)
         if errors is not None:
-            errors.add(values[-1:], path[np.newaxis])
+            errors.add(np.array([newest]), path[np.newaxis])
         if step >= STEPS // 2:
             squares += (np.vstack([rows, stacked]) - coming) ** 2
     return np.sqrt(squares / (STEPS - STEPS // 2))
@@ -95,11 +105,32 @@ def test_one_enormous_sample_leaves_later_estimates_right() -> None:
 
 
 def test_a_stack_combines_equal_and_enormous_trajectories() -> None:
-    stack = Stack(np.array([0.4, 0.2]))
+    stack, history = Stack(np.array([0.4, 0.2])), History(2 * FURTHEST)
     for _ in range(4 * HORIZONS):
+        push(history, 0.0)
         stacked = predict(stack, 0.0, np.full((2, HORIZONS), 1e30))
-        stack.learn(np.zeros(HORIZONS))
+        stack.learn(history)
     assert np.isfinite(stacked).all()
+
+
+def test_a_time_of_enormous_errors_does_not_choose_the_weights() -> None:
+    """Of two experts, the worse one is less wrong at a time that neither predicts."""
+    stack, rng = Stack(np.array([0.5, 0.5])), np.random.default_rng(3)
+    history, squares = History(2 * FURTHEST), np.zeros(2)
+    for step in range(2_000):
+        newest = TRUTH[step + HORIZONS]
+        coming = TRUTH[step + HORIZONS + 1 : step + 2 * HORIZONS + 1] - newest
+        good = coming + 0.1 * rng.standard_normal(HORIZONS)
+        worse = coming + 0.3 * rng.standard_normal(HORIZONS)
+        if 1_000 <= step < 1_020:
+            good += 10.0
+            worse += 3.0
+        push(history, newest)
+        stacked = predict(stack, 0.0, np.vstack([good, worse]))
+        stack.learn(history)
+        if step >= 1_300:
+            squares += np.mean((stacked - coming) ** 2), np.mean((good - coming) ** 2)
+    assert squares[0] < 2 * squares[1]
 
 
 def test_a_stack_stays_stable_when_a_long_silent_expert_predicts_again(
@@ -107,15 +138,20 @@ def test_a_stack_stays_stable_when_a_long_silent_expert_predicts_again(
 ) -> None:
     # 8000 steps with so short a memory correspond to a day with the usual one.
     monkeypatch.setattr("display_node.prediction.stack.MEMORY_STEPS", 10)
+    monkeypatch.setattr("display_node.prediction.stack.RIDGE", 0.01)
     stack, rng = Stack(np.array([1.0, 0.0])), np.random.default_rng(3)
+    history = History(2 * FURTHEST)
     for step in range(8_000):
         coming = rng.standard_normal(len(AHEAD))
+        push(history, math.sin(step))
         predict(stack, 0.0, np.vstack([coming, np.zeros(len(AHEAD))]))
-        stack.learn(np.sin(np.arange(step - HORIZONS + 1.0, step + 1)))
-    for _ in range(4 * HORIZONS):
-        woken = predict(stack, 0.0, np.ones((2, len(AHEAD))))
-        stack.learn(np.full(HORIZONS, 0.5))
-    assert np.abs(woken - 0.5).max() < 0.1
+        stack.learn(history)
+    rise = np.arange(1.0, HORIZONS + 1)
+    for step in range(8 * HORIZONS):
+        push(history, 0.5 * step)
+        woken = predict(stack, 0.0, np.vstack([rise, rise]))
+        stack.learn(history)
+    assert np.abs(woken - 0.5 * rise).max() < 0.1
 
 
 LEARNT: tuple[PredictorName, ...] = ("fir", "analogue", "stack")
@@ -245,6 +281,24 @@ def test_a_pulse_is_predicted_at_any_sampling_rate(period_ns: int, frame: int) -
     at_s = t_s[newest] + np.arange(0.02, 0.2, 0.01)
     found = [predictor.predict(T0_NS + round(instant_s * 1e9)) for instant_s in at_s]
     np.testing.assert_allclose(found, 0.3 + 0.1 * beats(at_s), atol=0.03)
+
+
+@pytest.mark.parametrize("pulse", finger_pulses(30.0, 1), ids=str)
+def test_at_low_rates_and_in_noise_the_stack_is_no_worse_than_its_members(pulse: Pulse) -> None:
+    stack, linear = Ensemble("stack"), build_predictors("linear")[0]
+    squares, period_ns = [], round(1e9 / pulse.rate_hz)
+    for first in range(0, len(pulse.sensed) - pulse.frame, pulse.frame):
+        for predictor in (stack, linear):
+            frame = pulse.sensed[first : first + pulse.frame]
+            feed(predictor, frame, first, period_ns, pulse.frame)
+        newest = first + pulse.frame - 1
+        ahead = newest + math.ceil(10 * MS / period_ns)
+        if newest * period_ns > 12e9 and ahead < len(pulse.sensed):
+            at_ns = T0_NS + ahead * period_ns
+            found = np.array([linear.predict(at_ns), *stack.predict_each(at_ns)])
+            squares.append((found - pulse.sensed[ahead]) ** 2)
+    *members, stacked = np.sqrt(np.mean(squares, axis=0))
+    assert stacked < 1.03 * min(members)
 
 
 def test_predictions_recover_from_an_outage() -> None:

@@ -12,12 +12,12 @@ CHEAP: tuple[PredictorName, ...] = ("hold", "linear")
 
 
 def predicted(
-    name: PredictorName, times_ns: list[int], values: list[float], instant_ns: int
+    name: PredictorName, times_ns: list[int], values: list[float], sampled_ns: int
 ) -> float:
     predictor = build_predictors(name)[0]
     predictor.observe(times_ns, values)
     predictor.work()
-    return predictor.predict(instant_ns)
+    return predictor.predict(sampled_ns)
 
 
 def line(slope_per_ms: float, count: int, period_ns: int = MS) -> tuple[list[int], list[float]]:
@@ -75,8 +75,8 @@ def test_the_order_of_frames_does_not_matter(name: PredictorName) -> None:
         ordered.observe(times_ns[first : first + 5], values[first : first + 5])
     for first in (0, 10, 5, 25, 20, 15):
         mixed.observe(times_ns[first : first + 5], values[first : first + 5])
-    instant_ns = times_ns[-1] + 8 * MS
-    assert mixed.predict(instant_ns) == ordered.predict(instant_ns) != 0
+    sampled_ns = times_ns[-1] + 8 * MS
+    assert mixed.predict(sampled_ns) == ordered.predict(sampled_ns) != 0
 
 
 @pytest.mark.parametrize("name", CHEAP)
