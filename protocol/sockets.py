@@ -220,6 +220,9 @@ def receive_parts(socket: Socket) -> Iterator[bytes]:
         except zmq.Again:
             return
         yield message
+        # Frames usually come one by one, and an exception takes twice as long as this check.
+        if not has_message(socket):
+            return
 
 
 def send(socket: Socket, *parts: bytes) -> bool:
@@ -244,13 +247,13 @@ def wait_readable(sockets: Sequence[Socket], timeout_ns: int) -> None:
         wait_on_descriptors(descriptors(sockets), timeout_ns)
 
 
-def wait_on_descriptors(numbers: Sequence[int], timeout_ns: int) -> None:
+def wait_on_descriptors(numbers: Sequence[int], timeout_ns: int) -> bool:
     """Wait as `wait_readable` does, for `descriptors` of sockets that were read completely.
 
     All must have been read since the last send. A message that is left does not end the wait.
+    Return False if nothing has arrived.
     """
-    if timeout_ns > 0:
-        select.select(numbers, (), (), timeout_ns * 1e-9)
+    return timeout_ns <= 0 or any(select.select(numbers, (), (), timeout_ns * 1e-9))
 
 
 def descriptors(sockets: Sequence[Socket]) -> list[int]:

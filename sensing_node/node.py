@@ -12,7 +12,7 @@ from protocol import sockets
 from protocol.config.quantities import count_text
 from protocol.security.authenticator import Authenticator
 from protocol.security.budgets import SubscriptionBudget
-from protocol.security.keys import ServerKeys
+from protocol.security.link_keys import ServerKeys
 from protocol.summary.tables import PressFigures, SampleCounts, Summary
 from protocol.wire.description import StreamDescription
 from protocol.wire.messages import HEADER_BYTES, Bye, encode_control, encode_frame
@@ -103,7 +103,7 @@ class SensingNode:
 
     Raises
     ------
-    AddressError, KeyFileError
+    AddressError
     """
 
     def __init__(
@@ -161,9 +161,9 @@ class SensingNode:
                 self._serve_until(due_ns)
                 now_ns = min(self._clock(), last_ns)
                 while (block := feed.read(now_ns)) is not None:
-                    self._check.add(block.values)
                     for frame in self._framer.frames(block):
                         sockets.send(self._data, encode_frame(frame))
+                    self._check.add(block.values)
                 self._subscriptions.poll()
                 if due_ns >= next_check_ns:
                     next_check_ns = due_ns + SILENCE_CHECK_NS

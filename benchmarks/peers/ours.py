@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Iterable, Iterator
+from typing import Any
 
 import numpy as np
 import zmq
@@ -13,7 +14,7 @@ from protocol import sockets
 from protocol.provenance import BUILD
 from protocol.tactile import ElasticLayer
 from protocol.wire.description import Channel, StreamDescription
-from protocol.wire.messages import ChannelSamples, Frame, encode_control, encode_frame, unpack_frame
+from protocol.wire.messages import Frame, encode_control, encode_frame, unpack_frame
 from sensing_node.control_server import ControlServer
 
 SESSION = 1
@@ -53,8 +54,8 @@ def stamped_buffer() -> tuple[JitterBuffer, list[int]]:
         return JitterBuffer(), put_ns
 
     class StampedBuffer(JitterBuffer):
-        def put(self, samples: ChannelSamples, *others: ChannelSamples) -> None:
-            super().put(samples, *others)
+        def put(self, *samples: Any) -> None:
+            super().put(*samples)
             put_ns[:] = [time.perf_counter_ns()]
 
     return StampedBuffer(), put_ns

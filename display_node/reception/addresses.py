@@ -19,7 +19,7 @@ from rich.console import Console
 from protocol.discovery.announcement import Announcement, fingerprint, matching, only_match
 from protocol.errors import DiscoveryError, ProtectionError
 from protocol.host.output import write_whole
-from protocol.security.keys import read_public
+from protocol.security.keys import PublicKey
 from protocol.sockets import tcp_address
 
 logger = logging.getLogger(__name__)
@@ -31,18 +31,17 @@ LOG_AFTER_S = 5.0
 LOOK_EVERY_S = 0.05
 
 
-def discovered(name: str | None, peer: Path | None, seconds: float | None) -> list[str]:
+def discovered(name: str | None, peer: PublicKey | None, seconds: float | None) -> list[str]:
     """Return the addresses of the one sensing node that announces itself on this network.
 
-    name, peer: the node's name, and the file of its public key; None accepts any. seconds: longest
-    wait; None for no limit. Raises DiscoveryError where several nodes match or none is found in
-    time, ProtectionError where the node requires keys and `peer` is None, and KeyFileError where
-    `peer` is no key file.
+    name, peer: the node's name and public key; None accepts any. seconds: longest wait; None for no
+    limit. Raises DiscoveryError where several nodes match or none is found in time, and
+    ProtectionError where the node requires keys and `peer` is None.
     """
     # Imported here: only this function needs the zeroconf library.
     from protocol.discovery.browser import Browser
 
-    known = None if peer is None else fingerprint(read_public(peer).key)
+    known = None if peer is None else fingerprint(peer.key)
     with Browser() as look:
         logger.info("looking for a sensing node on the local network")
         begin_s, logged = time.monotonic(), False

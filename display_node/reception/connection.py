@@ -13,7 +13,7 @@ from display_node.reception.reachability import Reachability
 from display_node.reception.timeouts import Timeouts, answer_timeout_ns
 from display_node.reception.turns import ControlTurns
 from protocol import sockets
-from protocol.security.keys import ClientKeys
+from protocol.security.link_keys import ClientKeys
 from protocol.security.socket_monitor import HandshakeMonitor
 from protocol.summary.tables import DataConnections, Reconnections
 from protocol.wire.messages import ClockRequest, ControlMessage, SetPoint
@@ -179,8 +179,8 @@ class Connection:
 
     def _watch(self, route: Route, now_ns: int) -> None:
         first, handshakes = route.paths[0].first, self._handshakes
-        accepted, attempts = first.socket in handshakes.accepted, handshakes.retried[first.socket]
-        route.reachability.poll(now_ns, first.address, accepted, attempts)
+        connected, attempts = first.socket in handshakes.connected, handshakes.retried[first.socket]
+        route.reachability.poll(now_ns, first.address, connected, attempts)
 
     def control_for(self, message: ControlMessage, now_ns: int) -> sockets.Socket:
         """Return the control connection for a message, which is sent now.
@@ -198,7 +198,9 @@ class Connection:
 
     def control_messages(self) -> Iterator[bytes]:
         """Yield the messages that wait on the control connections; call it each tick."""
-        yield from self.control.messages()
+        # Usually nothing waits, and an exception would take twice as long as this check.
+        if sockets.has_message(self.control.socket):
+            yield from self.control.messages()
         yield from self._further.messages()
 
     def _close_floods(self, now_ns: int) -> None:

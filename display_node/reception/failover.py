@@ -16,7 +16,7 @@ from display_node.reception.endpoint import Endpoint
 from display_node.reception.timeouts import Timeouts
 from protocol import sockets
 from protocol.security.budgets import TokenBucket
-from protocol.security.keys import ClientKeys
+from protocol.security.link_keys import ClientKeys
 
 # After a stall of this process, queued messages arrive within this time.
 COMES_IN_WITHIN_NS = 50_000_000

@@ -1,8 +1,8 @@
 """The jitter buffer: one session's samples in time order, and the account of each of them.
 
-All times are on the sensing clock. `advance` sets the played instant. A sample that is in the
-buffer when its instant passes was played. One that arrives later counts as predicted if its instant
-was felt from a trusted prediction, and as late otherwise; one that never arrives is lost. Samples
+All times are on the sensing clock. `advance` plays the samples up to a time. A sample that is in
+the buffer when its time passes was played. One that arrives later counts as predicted if a trusted
+prediction was felt in its place, and as late otherwise; one that never arrives is lost. Samples
 that arrive later are kept as well: after a jump back of the playout they are played.
 """
 
@@ -14,9 +14,10 @@ from typing import Final
 
 from protocol.errors import WireError
 from protocol.summary.tables import SampleCounts
-from protocol.wire.messages import ChannelSamples
 
+# Settled samples that are kept, and the number that is removed at once: in 0.1 ms, not in 1 ms.
 KEEP_SAMPLES: Final = 16_384
+TRIM_SAMPLES: Final = 1_024
 MAX_AHEAD_SAMPLES: Final = 65_536
 TIME_TOLERANCE_NS: Final = 1_000_000_000
 NEVER_NS: Final = -(1 << 64)
@@ -24,7 +25,7 @@ NEVER_NS: Final = -(1 << 64)
 
 @dataclass(frozen=True, slots=True)
 class SampleAccount:
-    """sent = played + predicted + late + lost, of the samples whose instant has passed."""
+    """sent = played + predicted + late + lost, of the samples whose time has passed."""
 
     sent: int = 0
     played: int = 0
@@ -47,9 +48,9 @@ class SampleAccount:
 
 @dataclass(slots=True)
 class _Arrivals:
-    """Samples that arrived after the buffer's instant, as a contactor met them.
+    """Samples that arrived after the buffer had passed their time, as a contactor met them.
 
-    in_time: those that arrived before the contactor's own instant.
+    in_time: those that arrived before the contactor had passed it.
     """
 
     in_time: int = 0
@@ -64,6 +65,8 @@ class JitterBuffer:
     ----------
     begin_index
         Number of the first sample that counts, if another buffer has counted those before it.
+    channels, of
+        Numbers of the channels that are kept, and number of all channels of the stream.
 
     Attributes
     ----------
@@ -76,17 +79,21 @@ class JitterBuffer:
         Whether the session's end is known.
     """
 
-    def __init__(self, begin_index: int | None = None) -> None:
+    def __init__(
+        self, channels: Sequence[int] = (0,), of: int = 1, begin_index: int | None = None
+    ) -> None:
         self._joining = begin_index is None
         self._indices: list[int] = []
         self._times: list[int] = []
-        self._channels: list[list[float]] = []
-        # The instant of the samples before this list position has passed.
+        self._of = of
+        # The number of each channel, and its forces.
+        self._channels: list[tuple[int, list[float]]] = [(number, []) for number in channels]
+        # The time of the samples before this list position has passed.
         self._settled = 0
-        self._instant_ns: int | None = None
-        # The latest instant ever played; it stays when the playout jumps back.
+        self._sampled_ns: int | None = None
+        # The latest time ever played; it stays when the playout jumps back.
         self._passed_ns = NEVER_NS
-        # Whether a trusted prediction is felt where no sample has arrived, and the instants after
+        # Whether a trusted prediction is felt where no sample has arrived, and the times after
         # which this changed, at first to True.
         self._trusted = False
         self._changed_ns: list[int] = []
@@ -105,127 +112,121 @@ class JitterBuffer:
 
     @property
     def waiting(self) -> int:
-        """Samples that wait for their instant."""
+        """Samples that wait for their time."""
         return len(self._times) - self._settled
 
-    def put(self, samples: ChannelSamples, *others: ChannelSamples) -> None:
-        """Take the samples of a frame: of each channel, in the same order at each call.
+    def put(
+        self, first_sample: int, period_ns: int, times_ns: list[int], forces_n: Sequence[float]
+    ) -> None:
+        """Take a frame: the times of its samples, and their forces on all channels in turn.
 
         Raises WireError: "duplicate", "overlap", "timestamp", "too_old", "overflow".
         """
-        first, period_ns, times, forces_n = samples
-        count = len(times)
-        position = bisect_left(self._indices, first)
-        self._check(first, times, period_ns, position)
-        if position < len(self._indices):
-            self.reordered += 1
-        self._indices[position:position] = range(first, first + count)
-        self._times[position:position] = times
-        if not self._channels:
-            self._channels = [[] for _ in range(1 + len(others))]
-        self._channels[0][position:position] = forces_n
-        for values, other in zip(self._channels[1:], others, strict=True):
-            values[position:position] = other.forces_n
-        self.newest_ns = self._times[-1]
+        indices, times, count = self._indices, self._times, len(times_ns)
+        place = len(indices)
+        # Frames seldom come late, and a search reads memory that is no longer in a cache.
+        late = place > 0 and first_sample <= indices[-1]
+        if late:
+            place = self._place(first_sample, period_ns, times_ns)
+        if place:
+            expected_ns = (first_sample - indices[place - 1]) * period_ns
+            _check_gap(times_ns[0] - times[place - 1], expected_ns)
+        elif first_sample < self._floor_index:
+            raise WireError("too_old", f"sample {first_sample} is older than the buffer reaches")
+        if len(times) - self._settled + count > MAX_AHEAD_SAMPLES:
+            raise WireError("overflow", f"more than {MAX_AHEAD_SAMPLES} samples wait already")
+        indices[place:place] = range(first_sample, first_sample + count)
+        times[place:place] = times_ns
+        for number, values in self._channels:
+            values[place:place] = forces_n[number :: self._of]
+        self.newest_ns = times[-1]
         self._period_ns = period_ns
         self.frames += 1
-        if self._first_index is None or first < self._first_index:
-            self._first_index = first
-        if times[0] <= self._passed_ns:
-            passed = bisect_right(times, self._passed_ns)
-            predicted = self._trusted_among(times[:passed])
+        self.reordered += late
+        if self._first_index is None or first_sample < self._first_index:
+            self._first_index = first_sample
+        if times_ns[0] <= self._passed_ns:
+            passed = bisect_right(times_ns, self._passed_ns)
+            predicted = self._trusted_among(times_ns[:passed])
             self._predicted += predicted
             self._late += passed - predicted
             self._settled += passed
             for lag_ns, arrivals in self._arrivals.items():
-                self._judge(times[:passed], lag_ns, arrivals)
-        if len(self._times) > 2 * KEEP_SAMPLES:
+                self._judge(times_ns[:passed], lag_ns, arrivals)
+        if self._settled >= KEEP_SAMPLES + TRIM_SAMPLES:
             self._trim()
+
+    def _place(self, first_sample: int, period_ns: int, times_ns: list[int]) -> int:
+        """Return the place of samples before newer ones. Raises WireError as `put` does."""
+        indices, count = self._indices, len(times_ns)
+        place, last = bisect_left(indices, first_sample), first_sample + count - 1
+        newer = indices[place]
+        if newer <= last:
+            all_here = indices[place + count - 1 : place + count] == [last]
+            cause = "duplicate" if all_here else "overlap"
+            raise WireError(cause, f"sample {newer} is here already")
+        _check_gap(self._times[place] - times_ns[-1], (newer - last) * period_ns)
+        return place
 
     def follow(self, lags_ns: Sequence[int]) -> None:
         """Keep an account for each of several contactors as well. Call before the first sample.
 
-        lags_ns: time in ns by which each plays a sample after the instant of `advance`.
+        lags_ns: time in ns by which each plays a sample after `advance` has passed it.
         """
         self._lags_ns = list(lags_ns)
         self._arrivals = {lag_ns: _Arrivals() for lag_ns in lags_ns if lag_ns}
 
     def _judge(self, times: list[int], lag_ns: int, arrivals: _Arrivals) -> None:
-        """Count samples that arrived after the buffer's instant by a contactor's own instant."""
+        """Count samples that arrived after the buffer had passed them by a contactor's own time."""
         passed = bisect_right(times, self._passed_ns - lag_ns)
         arrivals.in_time += len(times) - passed
         if passed:
-            # The trust changes for a later contactor's instants when it changes for the first's.
+            # The trust changes for a later contactor's samples when it changes for the first's.
             predicted = self._trusted_among([t_ns + lag_ns for t_ns in times[:passed]])
             arrivals.predicted += predicted
             arrivals.late += passed - predicted
 
     def _trusted_among(self, times: list[int]) -> int:
-        """Return how many instants that have passed were felt from a trusted prediction."""
+        """Return how many times that have passed were felt from a trusted prediction."""
         changed_ns = self._changed_ns
         if not changed_ns or times[0] > changed_ns[-1]:
             return len(times) if self._trusted else 0
         return sum(bisect_left(changed_ns, t_ns) % 2 for t_ns in times)
 
-    def _check(self, first: int, times_ns: list[int], period_ns: int, position: int) -> None:
-        """Refuse samples that are present already, or whose times contradict their neighbours."""
-        indices, times, count = self._indices, self._times, len(times_ns)
-        last = first + count - 1
-        if position < len(indices):
-            later = indices[position]
-            if later <= last:
-                all_here = indices[position + count - 1 : position + count] == [last]
-                cause = "duplicate" if all_here else "overlap"
-                raise WireError(cause, f"sample {later} is here already")
-            _check_gap(times[position] - times_ns[-1], (later - last) * period_ns)
-        if position:
-            earlier = indices[position - 1]
-            _check_gap(times_ns[0] - times[position - 1], (first - earlier) * period_ns)
-        elif first < self._floor_index:
-            raise WireError("too_old", f"sample {first} is older than the buffer reaches")
-        if len(times) - self._settled + count > MAX_AHEAD_SAMPLES:
-            raise WireError("overflow", f"more than {MAX_AHEAD_SAMPLES} samples wait already")
-
     def _trim(self) -> None:
-        # The last settled sample is still needed: the instant lies between it and the next.
-        surplus = min(len(self._times) - KEEP_SAMPLES, self._settled - 1)
-        if surplus > 0:
-            self._floor_index = self._indices[surplus - 1] + 1
-            del self._indices[:surplus], self._times[:surplus]
-            for values in self._channels:
-                del values[:surplus]
-            self._settled -= surplus
-            # Earlier samples are refused. Removal in pairs keeps the first change one to True.
-            forgotten = bisect_left(self._changed_ns, self._times[0]) // 2 * 2
-            del self._changed_ns[:forgotten]
+        """Remove the oldest settled samples; earlier ones are refused from then on."""
+        surplus = self._settled - KEEP_SAMPLES
+        self._floor_index = self._indices[surplus - 1] + 1
+        del self._indices[:surplus], self._times[:surplus]
+        for _, values in self._channels:
+            del values[:surplus]
+        self._settled = KEEP_SAMPLES
+        # Removal in pairs keeps the first change one to True.
+        forgotten = bisect_left(self._changed_ns, self._times[0]) // 2 * 2
+        del self._changed_ns[:forgotten]
 
-    def advance(self, instant_ns: int, trusted: bool = False) -> None:
-        """Play an instant, which settles every sample up to it.
+    def advance(self, sampled_ns: int, trusted: bool = False) -> None:
+        """Play the samples up to a time, which settles them.
 
-        trusted: whether a trusted prediction is felt at the instants for which no sample has come.
+        trusted: whether a trusted prediction is felt where no sample has come.
         After the playout jumps back, settled samples stay settled and are returned by `known`
         again.
         """
-        self._instant_ns = instant_ns
-        if instant_ns <= self._passed_ns:
+        self._sampled_ns = sampled_ns
+        if sampled_ns <= self._passed_ns:
             return
         if trusted != self._trusted:
             self._trusted = trusted
             self._changed_ns.append(self._passed_ns)
-        self._passed_ns = instant_ns
-        settled = bisect_right(self._times, instant_ns, self._settled)
+        self._passed_ns = sampled_ns
+        settled = bisect_right(self._times, sampled_ns, self._settled)
         self._played += settled - self._settled
         self._settled = settled
 
-    def known(
-        self, step_ns: int, count: int, channel: int = 0, begin_ns: int | None = None
-    ) -> list[float]:
-        """Return `count` values of a channel, `step_ns` apart, as `known_each` does.
-
-        begin_ns: time of the first value; None for the played instant.
-        """
-        begin_ns = self._instant_ns if begin_ns is None else begin_ns
-        return [] if begin_ns is None else self.known_each(step_ns, count, begin_ns, [channel])[0]
+    def known(self, step_ns: int, count: int) -> list[float]:
+        """Return `count` values of the first channel from the played time on, as `known_each`."""
+        begin_ns = self._sampled_ns
+        return [] if begin_ns is None else self.known_each(step_ns, count, begin_ns, [0])[0]
 
     def known_each(
         self, step_ns: int, count: int, begin_ns: int, channels: Sequence[int]
@@ -233,8 +234,8 @@ class JitterBuffer:
         """Return `count` values of each of some channels, `step_ns` apart.
 
         They are interpolated linearly. The lists end at the newest sample, and are empty before the
-        first one. begin_ns: time of the first value, not after the played instant. channels: places
-        of the channels in the arguments of `put`.
+        first one. begin_ns: time of the first value, not after the played one. channels: places
+        of the channels among those that are kept.
         """
         times, position, t_ns = self._times, self._settled, begin_ns
         length = len(times)
@@ -242,7 +243,7 @@ class JitterBuffer:
             position = bisect_right(times, t_ns)
         if not position:
             return [[] for _ in channels]
-        values, several, at_newest = self._channels[channels[0]], len(channels) > 1, False
+        (_, values), several, at_newest = self._channels[channels[0]], len(channels) > 1, False
         result: list[float] = []
         # Positions and shares, which are the same for all channels.
         places: list[tuple[int, float]] = []
@@ -263,7 +264,7 @@ class JitterBuffer:
             t_ns += step_ns
         results = [result]
         for channel in channels[1:] if several else ():
-            values = self._channels[channel]
+            _, values = self._channels[channel]
             result = []
             for position, share in places:
                 before = values[position - 1]
@@ -316,7 +317,7 @@ class JitterBuffer:
     def accounts(self) -> list[SampleAccount]:
         """Return the account of each contactor that `follow` names.
 
-        The instant of up to its lag's samples, which count as played, is still to come.
+        Samples within its lag count as played, although their time is still to come.
         """
         whole = self.account()
         accounts = {
@@ -337,7 +338,8 @@ class JitterBuffer:
         """
         first = self._first_index
         begin_index = None if first is None else first + self.account().sent
-        following = JitterBuffer(begin_index)
+        channels = [number for number, _ in self._channels]
+        following = JitterBuffer(channels, self._of, begin_index)
         following.follow(self._lags_ns)
         return following
 

@@ -10,9 +10,6 @@ import math
 from collections import deque
 from typing import Final
 
-from protocol.histogram import Histogram
-from protocol.summary.tables import Compensation, PlayoutDelay
-
 BIN_NS: Final = 1_000_000
 BINS: Final = 11_000
 
@@ -306,45 +303,3 @@ class PlayoutClock:
         self._instant_ns += elapsed_ns + error_ns
         self._now_ns = now_ns
         return self._instant_ns
-
-
-class PlayedDelays:
-    """Statistics of the ticks in which the stream was alive; `ticks` is their number."""
-
-    def __init__(self) -> None:
-        self._playout_delay_ms = Histogram(0.5, 8_000)
-        self._covered_ns = self._predicted_ns = 0
-        self._predicted = self._trusted = 0
-        self.ticks = 0
-
-    def add(self, playout_delay_ns: int, predicted_ns: int, trusted: bool) -> None:
-        """Add a tick; playout_delay_ns is E, trusted whether the predictor was.
-
-        predicted_ns: time from the newest sample to the played instant; 0 if that is not predicted.
-        """
-        self._playout_delay_ms.add(playout_delay_ns * 1e-6)
-        self._covered_ns += playout_delay_ns + predicted_ns
-        self.ticks += 1
-        if predicted_ns > 0:
-            self._predicted += 1
-            self._predicted_ns += predicted_ns
-        self._trusted += trusted
-
-    @property
-    def playout_delay_ms(self) -> PlayoutDelay:
-        """Playout delay E, in ms."""
-        delay_ms = self._playout_delay_ms
-        return PlayoutDelay(delay_ms.mean, **delay_ms.quantiles(p99=0.99))
-
-    @property
-    def covered_delay_ms(self) -> float | None:
-        """Mean age of the data, in ms: the delay that playout and prediction bridge together."""
-        return self._covered_ns / self.ticks * 1e-6 if self.ticks else None
-
-    def compensation(self, may_trust: bool) -> Compensation:
-        """Return shares of the ticks; `trusted` is None unless the scene lets trust reduce E."""
-        if not self.ticks:
-            return Compensation()
-        horizon_ms = self._predicted_ns / self._predicted * 1e-6 if self._predicted else None
-        trusted = self._trusted / self.ticks if may_trust else None
-        return Compensation(self._predicted / self.ticks, horizon_ms, trusted)

@@ -253,17 +253,16 @@ class Receiver:
         sensing_now_ns = self.clock.remote_ns(now_ns)
         if not -OLDEST_NS < last_ns - sensing_now_ns < FUTURE_NS:
             raise WireError("timestamp", "a frame's time is not near the present")
-        first, *others = self.channels
-        forces_n = list(numbers[first::channels])
-        samples = [wire.channel_samples(first_sample, t_first_ns, period_ns, forces_n)]
-        times_ns = samples[0].times_ns
-        for other in others:
-            forces_n = list(numbers[other::channels])
-            samples.append(wire.ChannelSamples(first_sample, period_ns, times_ns, forces_n))
+        times_ns = list(range(t_first_ns, last_ns + 1, period_ns))
+        self.buffer.put(first_sample, period_ns, times_ns, numbers)
+        # What follows does not delay the samples.
+        samples = [
+            wire.ChannelSamples(first_sample, period_ns, times_ns, list(numbers[number::channels]))
+            for number in self.channels
+        ]
         if self._announcing is not None:
             announced = list(numbers[self._announcing :: channels])
             self.announcement = samples[0]._replace(forces_n=announced)
-        self.buffer.put(*samples)
         if self._last_bye is not None:
             # The answer to it may have waited for this frame.
             self._quiet_until_ns = 0
@@ -283,7 +282,7 @@ class Receiver:
                     self.channels = [description.find_force(name) for name in wanted]
                     self._announcing, self.announcement = description.announcing, None
                     # Samples, times and clock of two sessions are unrelated.
-                    self._restart(JitterBuffer())
+                    self._restart(JitterBuffer(self.channels, len(description.channels)))
                     self.session, self.description = session, description
                     self.sessions += 1
                     self._clock_requests = self._next_clock_ns = 0

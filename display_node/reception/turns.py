@@ -13,7 +13,7 @@ import zmq
 from display_node.reception.endpoint import Endpoint
 from protocol import sockets
 from protocol.security.budgets import TokenBucket
-from protocol.security.keys import ClientKeys
+from protocol.security.link_keys import ClientKeys
 
 # A connection receives the answers to its share of the set-points and clock requests, at most 100 a
 # second of all. In floods it is closed sooner than one that receives frames.

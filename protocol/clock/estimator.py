@@ -147,6 +147,8 @@ class ClockEstimator:
 
     Attributes
     ----------
+    ready : bool
+        Whether there are enough exchanges to use the estimate.
     steps : int
         Number of steps of a clock that were detected; each starts the estimate again.
     asymmetry_bound_ns : int
@@ -158,11 +160,6 @@ class ClockEstimator:
         self.steps = 0
         self._blocks = np.zeros(KEEP_BLOCKS, _BLOCK)
         self._begin()
-
-    @property
-    def ready(self) -> bool:
-        """True once there are enough exchanges to use the estimate."""
-        return self._taken >= READY_AFTER
 
     @property
     def skew_ppm(self) -> float:
@@ -216,7 +213,7 @@ class ClockEstimator:
             self._one_way.add(sent_ns, arrived_ns, self._skew)
 
     def _begin(self) -> None:
-        self._taken = 0
+        self._taken, self.ready = 0, False
         self._one_way = OneWaySkew()
         # Complete blocks at the beginning of self._blocks; self._block is the next one.
         self._known = 0
@@ -236,6 +233,7 @@ class ClockEstimator:
         if not self._taken:
             self._origin = exchange
         self._taken += 1
+        self.ready = self._taken >= READY_AFTER
         self._block.append(exchange)
         whole = len(self._block) == BLOCK
         # The first block is used from its first exchange on.

@@ -133,10 +133,11 @@ def unpack_frame(data: bytes) -> PackedFrame:
         and type(payload) is bytes
     ):
         raise WireError("malformed", "a frame's field has the wrong type")
+    # Comparisons: a range would compute its steps as well.
     if not (
-        session in _SESSION
-        and first_sample in _COUNT
-        and t_first_ns in _TIME
+        0 <= session < _SESSION.stop
+        and 0 <= first_sample < _COUNT.stop
+        and _TIME.start <= t_first_ns < _TIME.stop
         and 0 < period_ns <= MAX_PERIOD_NS
         and 0 < channels <= MAX_CHANNELS
         and width in _FORMATS

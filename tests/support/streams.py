@@ -47,11 +47,11 @@ def samples(first: int, count: int = 5, shift_ns: int = 0) -> ChannelSamples:
 def filled(*frames: ChannelSamples) -> JitterBuffer:
     buffer = JitterBuffer()
     for each in frames:
-        buffer.put(each)
+        buffer.put(*each)
     return buffer
 
 
 def refusal(buffer: JitterBuffer, refused: ChannelSamples) -> str:
     with pytest.raises(WireError) as caught:
-        buffer.put(refused)
+        buffer.put(*refused)
     return caught.value.cause

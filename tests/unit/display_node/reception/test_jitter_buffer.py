@@ -37,11 +37,11 @@ class Ledger:
                 self.fates[sample] = "predicted" if next(felt) else "late"
         return new
 
-    def advance(self, instant_ns: int, trusted: bool) -> None:
-        self.passed_ns = max(self.passed_ns, instant_ns)
+    def advance(self, sampled_ns: int, trusted: bool) -> None:
+        self.passed_ns = max(self.passed_ns, sampled_ns)
         self.passes.append((self.passed_ns, trusted))
         for sample, fate in self.fates.items():
-            if fate == "waiting" and at_ns(sample) <= instant_ns:
+            if fate == "waiting" and at_ns(sample) <= sampled_ns:
                 self.fates[sample] = "played"
 
     def counts(self, sent: int | None) -> tuple[int, ...]:
@@ -82,14 +82,14 @@ def test_every_sample_is_played_predicted_late_or_lost(
     firsts = [0, *accumulate(sizes)]
     sent = firsts[-1] + lost_tail
     buffer, ledger = JitterBuffer(), Ledger()
-    instant_ns = at_ns(-5)
+    sampled_ns = at_ns(-5)
     for event, value in events:
         if event != "put":
-            instant_ns += value * MS // 2
-            buffer.advance(instant_ns, event == "trusted")
-            ledger.advance(instant_ns, event == "trusted")
+            sampled_ns += value * MS // 2
+            buffer.advance(sampled_ns, event == "trusted")
+            ledger.advance(sampled_ns, event == "trusted")
         elif ledger.put(firsts[value], sizes[value]):
-            buffer.put(samples(firsts[value], sizes[value]))
+            buffer.put(*samples(firsts[value], sizes[value]))
         else:
             assert refusal(buffer, samples(firsts[value], sizes[value])) == "duplicate"
         assert counts(buffer.account()) == ledger.counts(sent=None)
@@ -108,14 +108,14 @@ def test_how_an_instant_was_felt_is_known_as_long_as_its_sample_may_come() -> No
     try:
         for number in range(400):
             if number != 398:
-                buffer.put(samples(500 * number, 500))
+                buffer.put(*samples(500 * number, 500))
             for sample in range(500 * number, 500 * number + 500):
                 buffer.advance(at_ns(sample), trusted=sample % 2 == 1)
         _, peak = tracemalloc.get_traced_memory()
     finally:
         tracemalloc.stop()
     assert peak < 200 * 2 * KEEP_SAMPLES
-    buffer.put(samples(199_000, 500))
+    buffer.put(*samples(199_000, 500))
     assert counts(buffer.account()) == (200_000, 199_500, 250, 250, 0)
 
 
@@ -123,7 +123,7 @@ def test_removed_samples_stay_in_the_account() -> None:
     buffer = JitterBuffer()
     dropped, sent = {3, 150, 190}, 200 * 500
     for number in set(range(200)) - dropped:
-        buffer.put(samples(500 * number, 500))
+        buffer.put(*samples(500 * number, 500))
         buffer.advance(at_ns(500 * number + 499))
     assert counts(buffer.account()) == (sent, sent - 1500, 0, 0, 1500)
     assert [refusal(buffer, samples(first, 500)) for first in (1500, 0)] == ["too_old"] * 2
@@ -134,7 +134,7 @@ def test_removed_samples_stay_in_the_account() -> None:
     assert set(causes) == {"too_old", "duplicate"}
     assert counts(buffer.account()) == (sent, sent - 1500, 0, 0, 1500)
     # A missing frame within reach is taken.
-    buffer.put(samples(95_000, 500))
+    buffer.put(*samples(95_000, 500))
     assert counts(buffer.account()) == (sent, sent - 1500, 0, 500, 1000)
 
 
@@ -147,7 +147,7 @@ def test_samples_played_again_after_a_jump_back_are_counted_once() -> None:
     buffer.advance(at_ns(100.5))
     between = [(low**2 + (low + 0.5) ** 2) / 2 for low in (50.0, 50.5, 51.0)]
     assert buffer.known(MS, 3) == between
-    buffer.put(missing)
+    buffer.put(*missing)
     assert buffer.known(MS, 3) == between
     buffer.advance(at_ns(999))
     assert counts(buffer.account()) == (1000, 995, 0, 5, 0)
@@ -202,7 +202,7 @@ def test_waiting_samples_and_their_memory_are_limited(order: int) -> None:
     tracemalloc.start()
     try:
         for first in firsts[:most]:
-            buffer.put(samples(first, size))
+            buffer.put(*samples(first, size))
         assert {refusal(buffer, samples(first, size)) for first in firsts[most:]} == {"overflow"}
         _, peak = tracemalloc.get_traced_memory()
     finally:
@@ -215,7 +215,7 @@ def test_played_samples_do_not_count_as_waiting() -> None:
     buffer = filled(*(samples(first, 4000) for first in range(0, 32_000, 4000)))
     buffer.advance(at_ns(31_999))
     for first in range(32_000, 32_000 + MAX_AHEAD_SAMPLES - 4000, 4000):
-        buffer.put(samples(first, 4000))
+        buffer.put(*samples(first, 4000))
     assert buffer.waiting == 64_000
 
 
@@ -223,7 +223,7 @@ def test_values_are_returned_while_many_samples_wait() -> None:
     buffer = filled(*(samples(first, 1000) for first in range(0, 2 * KEEP_SAMPLES - 1000, 1000)))
     for first in range(32_000, 36_000, 1000):
         buffer.advance(at_ns(10_000.5))
-        buffer.put(samples(first, 1000))
+        buffer.put(*samples(first, 1000))
         assert buffer.known(MS, 2) == [5000.25, 5000.75]
 
 
@@ -238,9 +238,9 @@ def test_a_straight_line_is_exact_even_across_missing_frames(
 ) -> None:
     here = [number for number, gone in enumerate([False, *missing, False]) if not gone]
     buffer = filled(*(samples(5 * number) for number in here))
-    newest_ns, instant_ns = at_ns(5 * here[-1] + 4), at_ns(start)
-    buffer.advance(instant_ns)
-    instants = [instant_ns + i * step_ns for i in range(count)]
+    newest_ns, sampled_ns = at_ns(5 * here[-1] + 4), at_ns(start)
+    buffer.advance(sampled_ns)
+    instants = [sampled_ns + i * step_ns for i in range(count)]
     expected = [0.5 * (t_ns - T0_NS) / MS for t_ns in instants if t_ns <= newest_ns]
     assert buffer.known(step_ns, count) == pytest.approx(expected, abs=1e-12)
     assert buffer.newest_ns == newest_ns
@@ -249,7 +249,7 @@ def test_a_straight_line_is_exact_even_across_missing_frames(
 def test_no_value_is_returned_before_the_first_sample() -> None:
     buffer = JitterBuffer()
     assert (buffer.known(MS, 2), buffer.newest_ns) == ([], None)
-    buffer.put(samples(10))
+    buffer.put(*samples(10))
     assert buffer.known(MS, 2) == []
     buffer.advance(at_ns(9.9))
     assert buffer.known(MS, 2) == []
@@ -260,25 +260,27 @@ def test_no_value_is_returned_before_the_first_sample() -> None:
 @pytest.mark.parametrize("order", [1, -1], ids=["in order", "out of order"])
 @pytest.mark.parametrize("channel", [0, 1, 2])
 def test_one_channel_is_played(channel: int, order: int) -> None:
-    buffer = JitterBuffer()
     values = np.array([[1, 10, 100], [2, 20, 200], [3, 30, 300], [4, 40, 400]], dtype="<f4")
     frames = [Frame(1, n, at_ns(n), MS, values[n : n + 2]) for n in (0, 2)]
-    for each in frames[::order]:
-        buffer.put(each.samples_of(channel))
-    buffer.advance(at_ns(0))
-    assert buffer.known(MS, 4) == [n * 10.0**channel for n in (1, 2, 3, 4)]
+    original = JitterBuffer([channel], of=3)
+    for buffer in (original, original.successor()):
+        for each in frames[::order]:
+            times_ns = each.samples_of(0).times_ns
+            buffer.put(each.first_sample, MS, times_ns, each.values.flatten().tolist())
+        buffer.advance(at_ns(0))
+        assert buffer.known(MS, 4) == [n * 10.0**channel for n in (1, 2, 3, 4)]
 
 
 @pytest.mark.parametrize("instant_ms", [-1.0, 0.0, 1.25, 3.0])
 @pytest.mark.parametrize("step_ns", [MS // 2, MS])
 def test_channels_read_together_are_those_read_alone(instant_ms: float, step_ns: int) -> None:
-    frame = channel_samples(0, 0, MS, [1.0, 4.0, 9.0, 16.0])
-    buffer = JitterBuffer()
-    buffer.put(frame, frame._replace(forces_n=[0.1, 0.7, 0.3, 0.9]), frame)
+    forces_n = [[1.0, 4.0, 9.0, 16.0], [0.1, 0.7, 0.3, 0.9], [0.0] * 4]
+    buffer = JitterBuffer([0, 1, 0], of=3)
+    buffer.put(0, MS, [0, MS, 2 * MS, 3 * MS], np.array(forces_n).T.flatten().tolist())
     buffer.advance(4 * MS)
     begin_ns = round(instant_ms * MS)
     together = buffer.known_each(step_ns, 4, begin_ns, [1, 2, 0])
-    assert together == [buffer.known(step_ns, 4, channel, begin_ns) for channel in (1, 2, 0)]
+    assert together == [buffer.known_each(step_ns, 4, begin_ns, [each])[0] for each in (1, 2, 0)]
     assert together[1] == together[2] != together[0] or not together[0]
 
 
@@ -298,13 +300,13 @@ def test_each_contactors_account_is_that_of_a_buffer_of_its_own(seed: int) -> No
     for ms in range(1_100):
         for frame in arrivals.get(ms, []):
             for buffer in (shared, *own):
-                buffer.put(frame)
+                buffer.put(*frame)
         trusted ^= random.random() < 0.02
         # The playout pauses, and is faster, at times.
-        instant_ns = ms * MS - 25 * MS + random.randrange(3) * MS
-        shared.advance(instant_ns, trusted)
+        sampled_ns = ms * MS - 25 * MS + random.randrange(3) * MS
+        shared.advance(sampled_ns, trusted)
         for buffer, lag_ns in zip(own, lags_ns, strict=True):
-            buffer.advance(instant_ns - lag_ns, trusted)
+            buffer.advance(sampled_ns - lag_ns, trusted)
     for buffer in (shared, *own):
         buffer.end(1_000, None)
     assert shared.accounts() == [buffer.account() for buffer in own]
