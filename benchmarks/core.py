@@ -1,10 +1,12 @@
 """The pure and the compiled core in turns: prediction, simulation, live tick, frame, latency.
 
-`python -m benchmarks.core work|simulate|tick|frame|latency` runs one part with the modules that it
-finds, and prints its figures as JSON; the benchmark runs it for either build.
+`python -m benchmarks.core work|simulate|tick|frame|latency|sweep|memory` runs one part with the
+modules that it finds, and prints its figures as JSON; the benchmark runs it for either build, and
+the last two for the pure one alone.
 """
 
 import json
+import os
 import statistics
 import sys
 import tempfile
@@ -20,6 +22,7 @@ import numpy as np
 from benchmarks.benchmark import Benchmark
 from benchmarks.criteria import CRITERIA
 from benchmarks.peers import BARE, BARE_CURVE, OURS, OURS_CURVE
+from display_node.display import Display
 from display_node.prediction.ensemble import Ensemble
 from display_node.prediction.scene import own_predictor
 from display_node.reception.playout import LATE_TARGET
@@ -29,6 +32,7 @@ from protocol.wire import messages
 from telepulse.scene import load_scene
 from telepulse.simulation.virtual_time import Simulation
 from tests.support.compiled_core import build, run_in
+from tests.support.node_rig import rss_bytes
 from tests.support.nodes import ROOT, run_python
 from tests.support.sender import MS, Sender
 from tests.support.streams import description
@@ -36,6 +40,16 @@ from tests.support.streams import description
 ROUNDS = 3
 SECONDS = 20.0
 TICK_SECONDS = "20"
+# Memory is watched once the predictors have learnt and all buffers are full.
+MEMORY_SECONDS, MEMORY_FROM_S, MEMORY_EVERY_S = 1_200.0, 120.0, 5.0
+SWEEP = """
+import functools, time, telepulse
+run, times_s = functools.partial(telepulse.simulate, "radial", 30.0), [time.monotonic()]
+for every in (map, telepulse.sweep):
+    list(every(run, range(16)))
+    times_s.append(time.monotonic())
+print((times_s[1] - times_s[0]) / (times_s[2] - times_s[1]))
+"""
 MESSAGES = 2_000
 FRAMES = 1_000
 PAUSE_S = 500e-6
@@ -130,7 +144,32 @@ def latency() -> dict[str, float]:
     return figures
 
 
-PARTS = {part.__name__: part for part in (work, simulate, tick, frame, latency)}
+def sweep() -> dict[str, float]:
+    """Return the time of 16 seeds one after the other over that of a sweep on all cores."""
+    ended = run_python("-c", SWEEP, cwd=Path.cwd(), timeout=600)
+    assert ended.returncode == 0, ended.stderr
+    return {"16 seeds in turn over a sweep": float(ended.stdout)}
+
+
+def memory() -> dict[str, float]:
+    """Return the growth of the memory of both nodes at 5 kHz, in MB in an hour of the stream."""
+    scene = load_scene(find_scene("radial"), sensing={"source": {"rate": "5 kHz"}})
+    simulation, used = Simulation(scene, seed=1), [(0.0, 0)]
+
+    def watch(now_s: float) -> None:
+        if now_s >= used[-1][0] + MEMORY_EVERY_S:
+            used.append((now_s, rss_bytes(os.getpid())))
+
+    # With the running errors too, which a display on real sockets computes.
+    display = Display(scene.display, "simulated display")
+    display.take_ticks, simulation.display = simulation.display.take_ticks, display
+    simulation.run(MEMORY_SECONDS, progress=watch)
+    times_s, late_bytes = np.array([row for row in used if row[0] >= MEMORY_FROM_S]).T
+    return {"growth of memory in MB/h": float(np.polyfit(times_s, late_bytes, 1)[0]) * 3600e-6}
+
+
+IN_TURNS, ONCE = (work, simulate, tick, frame, latency), (sweep, memory)
+PARTS = {part.__name__: part for part in (*IN_TURNS, *ONCE)}
 
 
 def main(benchmark: Benchmark) -> None:
@@ -143,8 +182,8 @@ def main(benchmark: Benchmark) -> None:
         found: dict[str, dict[str, list[float]]] = {name: {} for name in folders}
         for _ in range(ROUNDS):
             for name, folder in folders.items():
-                for part in PARTS:
-                    printed = run_in(folder, "-m", "benchmarks.core", part)
+                for part in IN_TURNS:
+                    printed = run_in(folder, "-m", "benchmarks.core", part.__name__)
                     for key, value in json.loads(printed).items():
                         found[name].setdefault(key, []).append(value)
     rows = []
@@ -158,8 +197,14 @@ def main(benchmark: Benchmark) -> None:
         ("figure", "pure", "compiled", "compiled / pure"),
         rows,
     )
+    figures = {key: statistics.median(values) for key, values in found["pure"].items()}
+    once: dict[str, float] = {}
+    for part in ONCE:
+        once |= json.loads(run_in(ROOT, "-m", "benchmarks.core", part.__name__, timeout=1_200))
+    title = "The pure core: a sweep of 16 seeds, and 20 minutes at 5 kHz in virtual time"
+    benchmark.table(title, list(once), [[f"{value:.3g}" for value in once.values()]])
     for criterion in CRITERIA[benchmark.name]:
-        benchmark.judge(criterion.name, statistics.median(found["pure"][criterion.name]))
+        benchmark.judge(criterion.name, (figures | once)[criterion.name])
 
 
 if __name__ == "__main__":

@@ -14,7 +14,7 @@ from benchmarks.timing import time_call
 from protocol import sockets
 from protocol.security.allow_list import revoke
 from protocol.security.authenticator import Authenticator
-from protocol.security.keys import ClientKeys, ServerKeys
+from protocol.security.link_keys import ClientKeys, ServerKeys
 from tests.support.keyring import Keyring
 
 FRAME_S = 0.005

@@ -22,12 +22,14 @@ from display_node.telemetry.publisher import Publisher
 from protocol import sockets
 from protocol.host.child_process import ChildProcess
 from protocol.summary.tables import Summary
-from protocol.ticks import TickState
+from protocol.ticks import TickBlock, TickState
 from protocol.wire.messages import Frame, encode_frame
-from protocol.wire.telemetry import TRACE_TICKS, pack_status
+from protocol.wire.telemetry import pack_status
 
 TICK_NS = 1_000_000
 TICKS_A_FRAME = 5
+# As of a display: a trace every 100 ms.
+TRACE_TICKS = 100
 TICKS = 20_000
 START_S = 30.0
 Reader = Callable[[str], AbstractContextManager[bool]]
@@ -77,7 +79,7 @@ def publish(publisher: Publisher, ticks: int) -> NDArray[np.float64]:
     chance = np.random.default_rng(1)
     force_n = 0.4 + 0.1 * np.sin(np.arange(TICKS) * 0.008) + 1e-3 * chance.standard_normal(TICKS)
     status = pack_status("playing", "pulse", Summary(), final=False)
-    cost_us = np.empty(ticks)
+    cost_us, block = np.empty(ticks), TickBlock(1, TRACE_TICKS)
     for tick, due_ns in zip(range(ticks), paced(TICK_NS), strict=False):
         values = force_n[tick : tick + TICKS_A_FRAME, np.newaxis].astype("<f4")
         data = encode_frame(Frame(1, tick, due_ns, TICK_NS, values))
@@ -87,8 +89,12 @@ def publish(publisher: Publisher, ticks: int) -> NDArray[np.float64]:
         began_ns = time.perf_counter_ns()
         if tick % TICKS_A_FRAME == 0:
             publisher.captured.add(due_ns, 0, data)
-        if publisher.add(felt) and publisher.publish():
-            publisher.status(status)
+        block.add([felt])
+        if block.count == block.most:
+            publisher.trace.add(block)
+            block.count = 0
+            if publisher.publish():
+                publisher.status(status)
         cost_us[tick] = (time.perf_counter_ns() - began_ns) * 1e-3
     return cost_us
 

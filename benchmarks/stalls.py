@@ -65,7 +65,10 @@ def random_stalls(benchmark: Benchmark) -> None:
     began_s, count = time.perf_counter(), 1 if benchmark.quick else benchmark.seeds or SEEDS
     seconds = 10.0 if benchmark.quick else CHUNK_S
     # Most benches have a film.
-    jobs = [(KINDS[seed % 2], seed // 2 % 4 != 3, seed, seconds) for seed in range(count)]
+    jobs = [
+        (KINDS[seed % len(KINDS)], seed // len(KINDS) % 4 != 3, seed, seconds)
+        for seed in range(count)
+    ]
     total = StallCounts()
     for counts in benchmark.run(chunk, jobs):
         total.add(counts)

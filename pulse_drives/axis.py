@@ -126,7 +126,7 @@ def build_axis(scene: DriveScene, motor: MotorScene, deepest_m: float) -> Axis:
             step_m=motor.step_m,
             per_step=scene.units_per_step,
             per_step_rate=scene.velocity_scale,
-            direction=-1 if scene.inverted else 1,
+            direction=scene.direction,
             home_m=-scene.touch_m,
         ),
         lowest_m=-scene.touch_m,

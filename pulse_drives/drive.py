@@ -20,7 +20,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import Protocol
 
-from protocol.errors import DriveError
+from protocol.errors import DriveError, SceneError
 from pulse_drives.axis import Axis
 from pulse_drives.scene import DriveScene
 from pulse_drives.supervisor import DriveStatus, Supervisor, TimeoutLock
@@ -103,6 +103,25 @@ class DriveDevice(Protocol):
         """Stop the drive as well as its line allows, and close the line. Never raises."""
 
 
+class FilmPort(Protocol):
+    """The film that a drive's board reads, as a port of a `pulse_sensors.sensor.Sensor`.
+
+    name: for people. A reading is the number of its millisecond, the board's time in µs, and the
+    film's counts.
+    """
+
+    name: str
+
+    def open(self) -> None:
+        """Open the drive's line, unless it is open. Raises SourceError."""
+
+    def read(self) -> list[tuple[int, int, int]]:
+        """Wait for readings and return them; none on timeout. Raises DriveError if it is gone."""
+
+    def close(self) -> None:
+        """Release the line. Never raises."""
+
+
 class Drive(ABC):
     """A stepper's drive that takes speeds.
 
@@ -182,6 +201,14 @@ class Drive(ABC):
         fault are ignored. After the first one, the scene's `watchdog` time without a command is a
         fault, and the tip is withdrawn.
         """
+
+    def film_port(self, least_counts: float, most_counts: float) -> FilmPort:
+        """Return the port of the film that the drive's board reads, which a `Sensor` opens.
+
+        least_counts, most_counts: hard limits, beyond which the board takes the tip off the finger
+        by itself from the next `start` on. Raises SceneError for a drive without one.
+        """
+        raise SceneError('[display.feedback] kind = "drive": this kind of drive reads no film')
 
     def add_force_reading(self, force_n: float, taken_ns: int) -> None:
         """Take a force of film or load cell in N, which shows whether a withdrawal succeeds."""

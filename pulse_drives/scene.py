@@ -63,6 +63,8 @@ class DriveScene(KindTable):
 
     # Its class, a `Drive`, as "module:class"; it is made of this table and an `Axis`.
     driver: ClassVar[str]
+    # Whether [display.feedback] can be of kind "drive".
+    reads_film: ClassVar[bool] = False
     interface: str | None = None
     channel: str | None = None
     bitrate_bit_per_s: Annotated[BitsPerSecond, Field(ge=10_000, le=8_000_000)] = 1e6
@@ -89,6 +91,11 @@ class DriveScene(KindTable):
     def units_per_step(self) -> float:
         """The drive's position units in one microstep."""
         return 1.0
+
+    @property
+    def direction(self) -> int:
+        """1 where the drive's positive direction leads into the finger, −1 where it leads away."""
+        return -1 if self.inverted else 1
 
     @property
     def exchange_s(self) -> float | None:
@@ -161,7 +168,11 @@ DRIVES = KindGroup(
     "telepulse.drives",
     "drive",
     DriveScene,
-    {"tmcl": "pulse_drives.scene:TmclScene", "cia402": "pulse_drives.scene:Cia402Scene"},
+    {
+        "tmcl": "pulse_drives.scene:TmclScene",
+        "cia402": "pulse_drives.scene:Cia402Scene",
+        "stepdir": "pulse_drives.stepdir.scene:StepdirScene",
+    },
 )
 DriveTable = Annotated[DriveScene, OfKind(DRIVES)]
 

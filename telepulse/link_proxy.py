@@ -13,7 +13,7 @@ from protocol import sockets
 from protocol.errors import WireError
 from protocol.security.authenticator import Authenticator
 from protocol.security.budgets import SubscriptionBudget
-from protocol.security.keys import ClientKeys, ServerKeys
+from protocol.security.link_keys import ClientKeys, ServerKeys
 from protocol.wire.messages import ProbeReport, SetPoint, decode_control
 from telepulse.simulation.link_model import MessageLink
 from telepulse.simulation.link_scene import LinkScene
@@ -43,7 +43,7 @@ class LinkProxy:
     client_keys: keys towards the sensing node. server_keys: keys towards displays, with the
     allow-list.
 
-    Raises AddressError or KeyFileError.
+    Raises AddressError.
     """
 
     def __init__(

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from protocol.config.quantities import count_text
-from protocol.security.keys import ClientKeys
+from protocol.security.link_keys import ClientKeys
 from protocol.summary.tables import contactors_of
 from protocol.wire.description import StreamDescription
 from protocol.wire.messages import Frame

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from display_node.scoring.tracking_error import interpolate
+from display_node.scoring.alignment import Floats, compared_forces_n, interpolate, rms
 from protocol.config.quantities import count_text
 from protocol.errors import OutputError
 from protocol.summary.tables import AlignedErrors, Summary
@@ -16,7 +16,6 @@ from telepulse.columns import SessionColumns, join_ticks
 if TYPE_CHECKING:
     import pandas as pd
 
-Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 # Characters of a mark's text that a plot shows.
 MARK_SHOWN = 30
@@ -151,9 +150,10 @@ class Run:
         As `summary.force_rmse_n`, but from the ticks of the arrays alone: those at full strength
         for which the force at the wrist is known. None where there is no such tick.
         """
-        wrist_n, felt_s = self.first.force_ratio * self.wrist_n, self.t_s - self.first.film_age_s
-        due_n = (np.interp(at_s, self.t_s, wrist_n) for at_s in (felt_s - self.delay_s, felt_s))
-        return AlignedErrors(*(_rms((self.felt_n - n)[self.played]) for n in due_n))
+        now_ns, instant_ns = 1e9 * self.t_s, 1e9 * (self.t_s - self.delay_s)
+        age_ns, target_n = 1e9 * self.first.film_age_s, self.first.force_ratio * self.wrist_n
+        compared_n = compared_forces_n(now_ns, instant_ns, age_ns, now_ns, target_n)
+        return AlignedErrors(*(rms((self.felt_n - n)[self.played]) for n in compared_n))
 
     def columns(self) -> dict[str, NDArray[Any]]:
         """Return all arrays by name; those of further contactors begin with their names."""
@@ -245,11 +245,6 @@ class Run:
         lines, labels = forces[0].get_legend_handles_labels()
         figure.legend(lines, labels, loc="outside upper center", ncols=3, fontsize="small")
         return grid
-
-
-def _rms(error_n: Floats) -> float | None:
-    known_n = error_n[~np.isnan(error_n)]
-    return float(np.sqrt(np.mean(known_n**2))) if len(known_n) else None
 
 
 def build_run(name: str, sessions: Sequence[SessionColumns], summary: Summary) -> Run:

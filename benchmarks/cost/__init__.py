@@ -11,6 +11,8 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from benchmarks.benchmark import Benchmark
 from benchmarks.cost import cpu_quota
 from benchmarks.nodes import NodesOutcome, run_nodes
@@ -139,23 +141,15 @@ def late_figures(summary: Summary) -> tuple[float, float, float]:
 
     From `JUDGED_FROM_S` on, weighted by the lengths of the windows.
     """
-    windows = [window for window in summary.windows if window.from_s >= JUDGED_FROM_S]
-
-    def mean(values: Sequence[float | None]) -> float:
-        known = [
-            (value, window.to_s - window.from_s)
-            for window, value in zip(windows, values, strict=True)
-            if value is not None
-        ]
-        total_s = sum(length_s for _, length_s in known)
-        return sum(value * length_s for value, length_s in known) / total_s if known else math.nan
-
-    def squares(name: str) -> list[float | None]:
-        errors_n = [getattr(window, name) for window in windows]
-        return [None if error_n is None else error_n**2 for error_n in errors_n]
-
-    in_phase, aligned = (math.sqrt(mean(squares(name))) for name in ("in_phase_n", "aligned_n"))
-    return in_phase, aligned, mean([window.playout_delay_ms for window in windows])
+    rows = [
+        (each.in_phase_n, each.aligned_n, each.playout_delay_ms, each.to_s - each.from_s)
+        for each in summary.windows
+        if each.from_s >= JUDGED_FROM_S
+    ]
+    late = np.ma.masked_invalid(np.array(rows, np.float64).reshape(-1, 4))
+    means = np.ma.average(late[:, :3] ** (2, 2, 1), axis=0, weights=late[:, 3])
+    means = np.ma.filled(means, math.nan)
+    return math.sqrt(means[0]), math.sqrt(means[1]), float(means[2])
 
 
 def _row(one: Settings, run: NodesOutcome, seconds: float) -> tuple[str, ...]:

@@ -12,7 +12,7 @@ from multiprocessing.connection import Connection
 import zmq
 
 from protocol import sockets
-from protocol.security.keys import ClientKeys
+from protocol.security.link_keys import ClientKeys
 from protocol.wire.messages import (
     ClockRequest,
     DisplayReport,

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from protocol.host.process import stop_on_signals
-from protocol.security.keys import ServerKeys
+from protocol.security.link_keys import ServerKeys
 from protocol.tactile import ElasticLayer
 from protocol.wire.description import Channel, StreamDescription
 from sensing_node.node import SensingNode

@@ -1,13 +1,17 @@
 """`telepulse bench`, `calibrate` and `tune`: putting a bench into service."""
 
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Literal
 
 import tomlkit
 import typer
 
-from display_node.scene import DisplayScene
+from display_node.benches import open_film
+from display_node.hardware import build_display_drive
+from display_node.scene import DisplayScene, FilmSensor
 from protocol.cli_options import BENCH_IS_CLEAR, LogLevelOption, one_line_errors, plain_console
 from protocol.config.quantities import parse_quantity
 from protocol.config.scene import Section, load_section
@@ -15,7 +19,7 @@ from protocol.config.scene_file import find_scene, scene_names
 from protocol.errors import SceneError
 from protocol.host.output import check_writable, configure_logging, write_whole
 from protocol.provenance import collect
-from pulse_sensors.sensor import SensorScene
+from pulse_sensors.sensor import Sensor, open_sensor
 from sensing_node.scene import SensingScene
 from telepulse.cli.options import (
     PROGRAM,
@@ -27,6 +31,7 @@ from telepulse.cli.options import (
     publish,
 )
 from telepulse.commissioning.calibration import (
+    LoadReadings,
     LoadUnit,
     ReadingUnit,
     calibration_keys,
@@ -187,8 +192,7 @@ def calibrate(
     def fit() -> Report:
         if scene is not None:
             path, loads_n = find_scene(scene), parse_loads(loads)
-            sensor = _sensor(path, at, contactor)
-            name, taken = scene, measure_loads(sensor, path.parent, loads_n, ask_for, channel)
+            name, taken = scene, _measure(path, at, contactor, loads_n, ask_for, channel)
         elif table is not None:
             name, taken = table.stem, read_loads(table, load_unit, reading_unit)
         else:
@@ -201,19 +205,34 @@ def calibrate(
     plain_console(json=json).print("\nfor the sensor's table in a scene:\n\n" + found[0])
 
 
-def _sensor(path: Path, at: str, contactor: str | None) -> SensorScene:
-    if at == "finger":
-        film = load_section(path, "display", DisplayScene).choose(contactor).feedback
-        if film is None:
-            raise SceneError(
-                f"{path}: [display.feedback] is missing: describe the film's sensor there"
-            )
-        return film
-    sensing = load_section(path, "sensing", SensingScene)
-    if sensing.sensor is None:
-        kind = sensing.source.kind
-        raise SceneError(f'{path}: [sensing] source: kind "{kind}" is not a live sensor')
-    return sensing.sensor
+def _measure(
+    path: Path,
+    at: str,
+    contactor: str | None,
+    loads_n: list[float],
+    ask: Callable[[float], None],
+    channel: str | None,
+) -> LoadReadings:
+    """Return the readings of a scene's sensor at the wrist or under the finger."""
+    if at == "wrist":
+        sensing = load_section(path, "sensing", SensingScene)
+        if sensing.sensor is None:
+            kind = sensing.source.kind
+            raise SceneError(f'{path}: [sensing] source: kind "{kind}" is not a live sensor')
+        opened = partial(open_sensor, folder=path.parent)
+        return measure_loads(sensing.sensor, opened, loads_n, ask, channel)
+    display = load_section(path, "display", DisplayScene).choose(contactor)
+    film, table = display.feedback, display.drive
+    if film is None or table is None:
+        raise SceneError(f"{path}: [display.feedback] is missing: describe the film's sensor there")
+    # It is not started: only its board's film is read.
+    force_limit_n = display.safety.force_limit_n
+    drive = build_display_drive(table, display.actuator, display.layer.layer(), force_limit_n)
+
+    def open_raw(raw: FilmSensor) -> Sensor:
+        return open_film(raw, drive, display.overforce_n, path.parent)
+
+    return measure_loads(film, open_raw, loads_n, ask, channel)
 
 
 def tune(

@@ -11,6 +11,7 @@ from collections import Counter
 from collections.abc import Mapping
 from contextlib import ExitStack
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from subprocess import PIPE
 from typing import Annotated, Any
@@ -20,7 +21,6 @@ import zmq
 from rich.console import Console
 
 from display_node.fault_advice import SENSING_NOTE
-from display_node.scoring.tracking_error import TrackingError, scored
 from display_node.telemetry.terminal import watch
 from display_node.verdict import conclude
 from protocol import sockets
@@ -45,17 +45,17 @@ from protocol.host.child_process import ChildProcess
 from protocol.host.output import check_writable, configure_logging
 from protocol.host.process import lower_priority, stop_on_signals
 from protocol.summary.tables import PressFigures, Summary
-from protocol.tactile import matching_force_ratio
 from protocol.wire.messages import decode_frame
 from protocol.wire.telemetry import Trace
 from sensing_node.scene import describe_stream, load_sensing, log_repetition, open_source
-from telepulse.cli.options import PROGRAM, LinkOption, SceneArgument, SeedOption
+from telepulse.cli.options import PROGRAM, LinkOption, SceneArgument, SeedOption, YesOption
 from telepulse.cli.progress import SimulationProgress
 from telepulse.cli.view import open_page
 from telepulse.processes import NodeProcess, free_addresses, log_warnings
 from telepulse.scene import DEFAULT_SCENE, Scene, load_scene, scene_provenance
 from telepulse.simulation.link_scene import LinkScene, parse_link
-from telepulse.simulation.virtual_time import ReferenceForce, Simulation
+from telepulse.simulation.true_errors import TrueErrors
+from telepulse.simulation.virtual_time import Simulation
 
 logger = logging.getLogger(__name__)
 
@@ -128,6 +128,14 @@ def demo(
             show_default=False,
         ),
     ] = None,
+    emulated: Annotated[
+        bool, typer.Option("--emulated", help="Emulate the boards of a scene such as class_bench.")
+    ] = False,
+    ports: Annotated[
+        tuple[str, str] | None,
+        typer.Option(metavar="WRIST FINGER", help="Serial ports of its boards, else found."),
+    ] = None,
+    yes: YesOption = False,
     log_level: LogLevelOption = None,
 ) -> None:
     """Run both nodes on this machine over TCP, watch them live, and sum up.
@@ -136,17 +144,27 @@ def demo(
     the scene's), a third process between them delays and drops frames. At the end, every sample
     sent is accounted for: it was in time, felt ahead by a trusted prediction, late, or lost.
 
-    Exit status: 0 at the end of the pulse, 2 when an argument cannot be used, 3 when the display
-    latched a fault, with the reason on stderr, 4 when the run is not valid: nothing was felt, or
-    more than half of the ticks were missed.
+    The boards of a scene such as class_bench are found by their USB ids and by what they send, and
+    checked once as by `telepulse bench` before the pulse is played.
+
+    Exit status: 0 at the end of the pulse, 1 when a check of the boards failed, 2 when an argument
+    cannot be used, 3 when the display latched a fault, with the reason on stderr, 4 when the run is
+    not valid: nothing was felt, or more than half of the ticks were missed.
     """
     console = plain_console(json=json)
-    with one_line_errors(PROGRAM):
+    with one_line_errors(PROGRAM), ExitStack() as stack:
         configure_logging(log_level)
         check_writable(json)
         choice = {"predictor": predictor, "compensation": compensation}
         record = _record(source, channel, rate, preload)
         loaded = _load(scene, link, choice, record)
+        drive = loaded.display.drive
+        if emulated or ports or (drive is not None and drive.kind == "stepdir"):
+            # Imported here: other scenes do without serial ports.
+            from telepulse.cli.boards import prepare_boards
+
+            load = partial(_load, link=link, choice=choice, record=record)
+            loaded = prepare_boards(stack, loaded, ports, emulated, yes, console, load)
         provenance = scene_provenance(loaded)
         summary = run_demo(loaded, choice, record, seconds, ui, page, console)
     title = f"demo of {source or loaded.path.stem}, {seconds:g} s"
@@ -190,12 +208,11 @@ def run_demo(
     cannot be served.
     """
     path = scene.path
-    truth = ReferenceForce(scene.sensing, path.parent)
     # The source is checked before the display starts, since a display may move a drive.
     with open_source(scene.sensing, path.parent) as source:
         log_repetition(source, seconds)
         stream = describe_stream(scene.sensing, source)
-        channels = [stream.find_force(contactor.channel) for contactor in scene.display.contactors]
+    errors = TrueErrors(scene, stream, real_benches=True)
     # At the first start on a machine this compiles for seconds: before a process waits for another.
     scene.display.predictor.build(scene.display.tick_ns, 1)
     sensing_address, telemetry_address, link_address = free_addresses(3)
@@ -239,16 +256,19 @@ def run_demo(
         context: sockets.Context = zmq.Context()
         stack.callback(context.destroy, linger=0)
         sent = sockets.connect(context, zmq.SUB, sensing_address)
-        scorer = _Scorer(scene, channels, truth, sent)
+        sent.subscribe(b"")
 
         def keep_watching() -> bool:
-            scorer.add_sent()
+            for (message,) in sockets.receive_multipart(sent):
+                errors.add_sent(decode_frame(message))
             return display.poll() is None and not sensing.poll()
 
-        watch(telemetry_address, console, scorer.add_felt, draw, keep_watching)
-        scorer.add_sent()
-        for error in scorer.errors:
-            error.finish()
+        def add_felt(traces: list[Trace]) -> None:
+            now_ns, instant_ns, felt = traces[0].now_ns, traces[0].instant_ns, traces[0].scored
+            errors.add_felt(now_ns[felt], instant_ns[felt], [each.felt_n[felt] for each in traces])
+
+        watch(telemetry_address, console, add_felt, draw, keep_watching)
+        keep_watching()
         if live_page is not None and live_page.poll() is not None:
             logger.warning("the live page ended before the demo did")
         if link_process is not None:
@@ -257,53 +277,15 @@ def run_demo(
             log_warnings(link_process.name, link_process.await_end(ENDS_WITHIN_S))
         sensed = sensing.await_summary(ENDS_WITHIN_S)
         played = display.await_summary(ENDS_WITHIN_S, may_end_with=[FAULT_STATUS])
-        return _compose(sensed, played, scorer.errors, link_process is not None)
+        return errors.finish(_compose(sensed, played, link_process is not None))
 
 
 def _given(options: Mapping[str, str | None]) -> list[str]:
     return [f"--{name}={value}" for name, value in options.items() if value is not None]
 
 
-class _Scorer:
-    """Comparison of the pulse that is sent with the force that the display reports."""
-
-    def __init__(
-        self, scene: Scene, channels: list[int], truth: ReferenceForce, data: sockets.Socket
-    ) -> None:
-        data.subscribe(b"")
-        # Where the finger presses, the felt pulse depends on its press, not on the sent one alone.
-        scored = () if scene.display.press is not None else scene.display.contactors
-        self._channels, self._truth, self._data = channels[: len(scored)], truth, data
-        wrist = scene.sensing.layer.layer()
-        layers = [contactor.layer.layer() for contactor in scored]
-        self._ratios = [matching_force_ratio(wrist, layer) for layer in layers]
-        self.errors = [TrackingError(layer.strain_per_newton) for layer in layers]
-        # Age of a felt force at its tick, as `Contactor.film_age_ns`.
-        self._ages_ns = [0 if each.drive is None else each.film.latency_ns for each in scored]
-
-    def add_sent(self) -> None:
-        """Add the frames that have arrived from the sensing node."""
-        for (message,) in sockets.receive_multipart(self._data):
-            true_frame = self._truth.of(decode_frame(message))
-            for channel, ratio, error in zip(
-                self._channels, self._ratios, self.errors, strict=True
-            ):
-                error.add_reference(true_frame.samples_of(channel), ratio)
-
-    def add_felt(self, traces: list[Trace]) -> None:
-        """Add the felt forces of a trace of the display."""
-        several = bool(self.errors)
-        for trace, error, age_ns in zip(traces, self.errors, self._ages_ns, strict=several):
-            times_ns = trace.now_ns - age_ns, trace.instant_ns - age_ns
-            columns = (column[trace.scored] for column in (*times_ns, trace.felt_n))
-            for tick in zip(*(column.tolist() for column in columns), strict=True):
-                error.add_output(*tick)
-
-
-def _compose(
-    sensing: Summary, display: Summary, errors: list[TrackingError], over_a_link: bool
-) -> Summary:
-    """Return the display's summary with the errors against the true force.
+def _compose(sensing: Summary, display: Summary, over_a_link: bool) -> Summary:
+    """Return the display's summary with what the sensing node counts.
 
     over_a_link: whether a link is between the nodes. It may lose the last answers to set-points,
     or deliver them after the display has ended.
@@ -320,7 +302,7 @@ def _compose(
     if (lacking := _unaccounted(sensing.press, display.press, over_a_link)) is not None:
         raise ProcessError(lacking)
     return replace(
-        scored(display, errors, windows=True),
+        display,
         press=_account(sensing.press, display.press),
         rejected=dict(Counter(display.rejected) + Counter(sensing.rejected)),
         limited=replace(display.limited, adc=sensing.limited.adc),

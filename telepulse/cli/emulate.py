@@ -19,7 +19,9 @@ from protocol.errors import SceneError
 from protocol.host.output import configure_logging
 from protocol.host.process import freeze_objects, stop_on_signals
 from pulse_drives.scene import Cia402Scene, DriveScene, TmclScene, open_bus
+from pulse_drives.stepdir.scene import StepdirScene
 from pulse_sensors.binary_frames import MAX_SAMPLES, SampleFormat
+from pulse_sensors.drive_film import DriveFilmScene
 from sensing_node.scene import SensingScene, build_source
 from sensing_node.sources.wrist import WristScene, WristSensors
 from telepulse.cli.options import PROGRAM, ContactorOption
@@ -46,6 +48,7 @@ from telepulse.scene import DEFAULT_SCENE
 FOREVER_S = 1e9
 POLL_S = 0.001
 TMCL_FAULTS = (*MOTOR_FAULTS, FILM_SILENT, *ANSWER_FAULTS, "unplugged")
+STEPDIR_FAULTS = (*MOTOR_FAULTS, FILM_SILENT, "silent", "garbled", "reset", "unplugged")
 CIA402_FAULTS = (*MOTOR_FAULTS, FILM_SILENT, "silent", "unplugged")
 SceneT = TypeVar("SceneT", bound=DriveScene)
 
@@ -295,6 +298,65 @@ def cia402(
         _say(f"CiA 402 node {drive.node} on CAN {drive.interface} {drive.channel}", film_link)
         after_s = None if fault_from_start else fault_after
         run.run(poll, begin_fault, fault, after_s, seconds)
+
+
+@app.command()
+def stepdir(
+    scene: DriveArgument,
+    contactor: ContactorOption = None,
+    wrist: WristOption = None,
+    link: LinkOption = None,
+    film_link: FilmLink = None,
+    fault: Annotated[str | None, _fault_option(STEPDIR_FAULTS)] = None,
+    fault_after: AfterOption = 0.0,
+    fault_from_start: FromStartOption = False,
+    trace: TraceOption = None,
+    seconds: StopAfterOption = None,
+    log_level: LogLevelOption = None,
+) -> None:
+    """Emulate telepulse's own display board on a serial port, with its motor and its film.
+
+    A physical model of the scene's [display.actuator] turns under a finger, with a home switch and
+    the board's own limits, watchdog and withdrawal. The film that the scene's [display.feedback] of
+    kind "drive" describes comes on the same port.
+    """
+    # Imported here: it needs a library that the other emulators do without.
+    from telepulse.emulators.stepdir import EmulatedBoard, serve_board
+
+    with one_line_errors(PROGRAM), ExitStack() as open_things:
+        configure_logging(log_level)
+        _check_fault(fault, STEPDIR_FAULTS)
+        _, motor, sensors = _load(scene, contactor, wrist, StepdirScene)
+        film = None if wrist else _load_film(scene, contactor)
+        board = EmulatedBoard(motor, film, time.perf_counter_ns())
+        cable = open_things.enter_context(ExitStack())
+        port = cable.enter_context(closing(PtyPort(link)))
+        serve = serve_board(board, port)
+
+        def begin_fault(name: str) -> None:
+            nonlocal serve
+            if name == "reset":
+                board.reset()
+            elif name == "unplugged":
+                serve = time.sleep
+                cable.close()
+            else:
+                board.trouble = name
+
+        def poll() -> None:
+            serve(POLL_S)
+            board.advance(time.perf_counter_ns())
+
+        run = DriveRun(motor, film_link, trace, open_things, sensors)
+        _say(f"display board on {port.path}", film_link)
+        after_s = None if fault_from_start else fault_after
+        run.run(poll, begin_fault, fault, after_s, seconds)
+
+
+def _load_film(name: str, contactor: str | None) -> DriveFilmScene | None:
+    """Return the table of the film that the drive of a scene's contactor reads, if it reads one."""
+    display = load_section(find_scene(name), "display", DisplayScene).choose(contactor)
+    return display.feedback if isinstance(display.feedback, DriveFilmScene) else None
 
 
 def _check_fault(fault: str | None, names: tuple[str, ...]) -> None:

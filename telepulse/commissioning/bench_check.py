@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from display_node.benches import open_film
 from display_node.hardware import build_display_drive
 from display_node.scene import DisplayScene
 from protocol.config.scene import validate
@@ -180,7 +181,10 @@ def _check_drive(
         )
     findings.add("drive", check_line(table, tick_s))
     line_s = table.exchange_s or 0.0
-    with findings.part("film"), closing(open_sensor(film, folder)) as sensor:
+    with (
+        findings.part("film"),
+        closing(open_film(film, drive, scene.overforce_n, folder)) as sensor,
+    ):
         with findings.part("drive"), closing(drive):
             with advised():
                 # The newest reading since the last call, if any.

@@ -10,14 +10,15 @@ from collections.abc import Callable
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from protocol.errors import BenchError, SceneError, SourceError
 from protocol.tactile import FIG_4_VOLTS_PER_NEWTON, Film
-from pulse_sensors.sensor import Sensor, SensorScene, open_sensor
+from pulse_sensors.force_scale import SensorTable
+from pulse_sensors.sensor import Sensor
 from telepulse.commissioning.rig import listen
 from telepulse.document import Chapter, Plot, Report, Table
 
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 Array = NDArray[np.float64]
+TableT = TypeVar("TableT", bound=SensorTable)
 LoadUnit = Literal["N", "mN", "g", "kg"]
 ReadingUnit = Literal["V", "mV", "counts"]
 
@@ -134,17 +136,17 @@ def parse_loads(text: str) -> list[float]:
 
 
 def measure_loads(
-    scene: SensorScene,
-    folder: Path,
+    scene: TableT,
+    opened: Callable[[TableT], Sensor],
     loads_n: list[float],
     ask: Callable[[float], None],
     channel: str | None = None,
 ) -> LoadReadings:
     """Average a channel's reading under each load; `ask` returns once that load is on.
 
-    channel: its name; None for the only channel of force.
-    Raises SourceError when the sensor is not there, and BenchError when it sends nothing or its
-    reading does not settle.
+    opened: opens the sensor of a table, for this function to close. channel: its name; None for the
+    only channel of force. Raises SourceError when the sensor is not there, and BenchError when it
+    sends nothing or its reading does not settle.
     """
     if scene.unit not in READINGS:
         raise SceneError(f'the sensor\'s unit is "{scene.unit}": it is calibrated already')
@@ -155,7 +157,7 @@ def measure_loads(
     # With the unit N, the sensor's own numbers come through unscaled.
     raw = scene.model_copy(update={"unit": "N", "preload_n": 0.0})
     readings = []
-    with closing(open_sensor(raw, folder)) as sensor:
+    with closing(opened(raw)) as sensor:
         for load_n in loads_n:
             ask(load_n)
             readings.append(_settled_reading(sensor, channel or forces[0], load_n))

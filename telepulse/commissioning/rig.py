@@ -156,6 +156,8 @@ LINE_ERRORS = {
     "no answer": ("request", "without an answer"),
     "garbled": ("answer", "with a wrong checksum"),
     "wrong": ("answer", "to another request"),
+    "missed": ("state", "of the board that did not come"),
+    "unread": ("command", "that the board could not read"),
     "malformed": ("message", "of process data with a wrong length"),
     "implausible": ("message", "of process data with values that no drive has"),
 }

@@ -138,7 +138,7 @@ class IntervalPlayback:
         self._close_ns = self._open_ns + interval.felt_ns
         self._rest_ns = scene.safety.fade_ns + REST_NS
         self._simulation.begin((self._close_ns + self._rest_ns - begin_ns) * 1e-9)
-        self._all_ticks, self._longest_ticks, self._scored_ticks = 0, 1, 0
+        self._all_ticks, self._longest_ticks, self._felt_ticks = 0, 1, 0
         self._stale_ticks = 0
         self._least_n, self._most_n = math.inf, -math.inf
         self.deadline_misses = 0
@@ -158,7 +158,7 @@ class IntervalPlayback:
         state = self._simulation.tick(now_ns, elapsed_ticks)
         self._stale_ticks += is_open and not self._safety.alive
         if state.scored:
-            self._scored_ticks += elapsed_ticks
+            self._felt_ticks += elapsed_ticks
             self._least_n = min(self._least_n, state.target_n)
             self._most_n = max(self._most_n, state.target_n)
         return now_ns < self._close_ns + self._rest_ns
@@ -176,7 +176,7 @@ class IntervalPlayback:
             on_link=interval.on_link,
             link_seed=interval.link_seed,
             foreperiod_s=interval.foreperiod_ns * 1e-9,
-            felt_s=self._scored_ticks * self._tick_ns * 1e-9,
+            felt_s=self._felt_ticks * self._tick_ns * 1e-9,
             aligned_n=force.aligned,
             in_phase_n=force.in_phase,
             roughness_felt_n=rough.felt_n,

@@ -114,7 +114,7 @@ class RecordingContents:
             ready=ready,
             playing=ready and target_n != 0,
             scored=fields["scored"],
-            predicted=target_n != 0 and not receiver.buffer.known(1, 1, 0, sampled_ns),
+            predicted=target_n != 0 and not any(receiver.buffer.known_each(1, 1, sampled_ns, [0])),
             unix_ns=unix_ns,
             press_n=fields.get("press_n", math.nan),
         )

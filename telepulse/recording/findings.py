@@ -8,14 +8,14 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from display_node.scoring.tracking_error import scored
+from display_node.scoring.alignment import Floats
 from protocol.errors import SourceError
 from protocol.histogram import Histogram
 from protocol.summary.tables import Availability, Loop, PlayoutDelay, Summary, with_contactors
 from protocol.wire.description import HOLD_DOWN
 from telepulse.columns import SessionColumns, join_ticks
 from telepulse.recording.contents import COUNTS, PLAYOUT, RecordingContents, read_contents
-from telepulse.recording.forces import NARROWEST_S, ContactorFindings, Floats, find_trend
+from telepulse.recording.forces import NARROWEST_S, ContactorFindings, find_trend
 from telepulse.recording.pressed_beats import SteadyBeat, find_steady_beats
 from telepulse.recording.reader import RecordingReader, reading
 
@@ -101,15 +101,18 @@ class RunFindings:
             seconds = ticks * self._tick_ns * 1e-9
             # Only the display counts the other shares.
             availability = Availability(seconds, felt, missed=missed, played=played)
+        loop = Loop(self.ticks, self.misses)
         summary = replace(
             self.contents.receiver.summary(self._last_now_ns),
             playout_delay_ms=PlayoutDelay(delay.mean, **delay.quantiles(p99=0.99)),
             availability=availability,
-            loop=Loop(self.ticks, self.misses),
+            loop=loop,
         )
-        figures = {each.name: Summary(beats=each.beats.figures()) for each in self.contactors}
-        whole = with_contactors(summary, figures)
-        return whole if self.pressed else scored(whole, [each.errors for each in self.contactors])
+        figures = dict[str, Summary]()
+        for each in self.contactors:
+            own = Summary(beats=each.beats.figures())
+            figures[each.name] = own if self.pressed else each.errors.add_to(own, loop)
+        return with_contactors(summary, figures)
 
     def times_s(self, unix_ns: NDArray[np.int64] | Sequence[int]) -> Floats:
         """Return Unix times as times in s since the recording's start."""

@@ -5,11 +5,11 @@ from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from display_node.scoring.alignment import Floats, compared_forces_n
 from display_node.scoring.beat_statistics import BeatStatistics
 from display_node.scoring.heart_rate import heart_rate_per_min
-from display_node.scoring.tracking_error import JND, TrackingError, interpolate
+from display_node.scoring.tracking_error import JND, TrackingError
 from protocol.wire.telemetry import PlaybackStatus
 from telepulse.columns import SessionColumns
 
@@ -25,7 +25,6 @@ FIRST_BLOCKS = 3
 # Most bins of a trend, and their least width.
 BINS = 1_000
 NARROWEST_S = 0.1
-Floats = NDArray[np.float64]
 
 
 class Trend(NamedTuple):
@@ -104,6 +103,7 @@ class ContactorFindings:
         blocks: list[AlignedBlock] = []
         for session, playing in known:
             self.errors.strain_per_newton = playing.strain_per_newton
+            self.errors.film_age_ns = playing.film_age_ns
             _add_errors(self.errors, session, playing)
             blocks += _aligned_blocks(session, playing, begin_ns)
         self.heart = list(_heart_rates(blocks))
@@ -137,11 +137,9 @@ def _add_errors(errors: TrackingError, session: SessionColumns, playing: Playbac
     Each frame is added after the ticks before its arrival, as in the display: the reference is
     bounded, and has to hold what is still to be scored.
     """
-    scored, age_ns = session.ticks["scored"] & session.ticks["ready"], playing.film_age_ns
+    scored = session.ticks["scored"] & session.ticks["ready"]
+    now_ns, instant_ns = session.ticks["sensing_ns"][scored], session.ticks["instant_ns"][scored]
     felt_n = session.forces_n(playing.contactor)[1][scored]
-    now_ns, instant_ns = (
-        session.ticks[column][scored] - age_ns for column in ("sensing_ns", "instant_ns")
-    )
     t_ns = session.pulse_ns()
     target_n = playing.force_ratio * session.values[:, playing.channel].astype(np.float64)
     ends = np.cumsum(session.frames["samples"])
@@ -150,10 +148,7 @@ def _add_errors(errors: TrackingError, session: SessionColumns, playing: Playbac
     for frame, (end, count) in enumerate(zip(ends, session.frames["samples"], strict=True)):
         samples, ticks = slice(end - count, end), slice(before[frame], before[frame + 1])
         errors.add_reference_force(t_ns[samples].tolist(), target_n[samples].tolist())
-        for tick in zip(
-            now_ns[ticks].tolist(), instant_ns[ticks].tolist(), felt_n[ticks].tolist(), strict=True
-        ):
-            errors.add_output(*tick)
+        errors.add_output(now_ns[ticks], instant_ns[ticks], felt_n[ticks])
     errors.finish()
 
 
@@ -161,15 +156,16 @@ def _aligned_blocks(
     session: SessionColumns, playing: PlaybackStatus, begin_ns: int
 ) -> Iterator[AlignedBlock]:
     """Yield the ticks at full strength in blocks, without those of which nothing is known."""
-    scored = np.flatnonzero(session.ticks["scored"] & session.ticks["ready"])
-    instant_ns = session.ticks["instant_ns"] - playing.film_age_ns
-    t_s = (session.ticks["unix_ns"] - begin_ns) * 1e-9
-    _, felt_n = session.forces_n(playing.contactor)
-    pulse = session.pulse(playing.channel)
-    for first in range(0, len(scored), BLOCK):
-        ticks = scored[first : first + BLOCK]
-        target_n = playing.force_ratio * interpolate(instant_ns[ticks], *pulse)
-        block = AlignedBlock(t_s[ticks], target_n, felt_n[ticks])
+    scored = session.ticks["scored"] & session.ticks["ready"]
+    now_ns, instant_ns = session.ticks["sensing_ns"][scored], session.ticks["instant_ns"][scored]
+    t_ns, wrist_n = session.pulse(playing.channel)
+    target_n = playing.force_ratio * wrist_n
+    played_n, _ = compared_forces_n(now_ns, instant_ns, playing.film_age_ns, t_ns, target_n)
+    t_s = (session.ticks["unix_ns"][scored] - begin_ns) * 1e-9
+    felt_n = session.forces_n(playing.contactor)[1][scored]
+    for first in range(0, len(t_s), BLOCK):
+        ticks = slice(first, first + BLOCK)
+        block = AlignedBlock(t_s[ticks], played_n[ticks], felt_n[ticks])
         if len(_known(block)):
             yield block
 

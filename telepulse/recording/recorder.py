@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from protocol.config.quantities import count_text
-from protocol.security.keys import ClientKeys
+from protocol.security.link_keys import ClientKeys
 from telepulse.recording.marks import MarkSource
 from telepulse.recording.mcap_writer import McapWriter
 from telepulse.telemetry.client import TelemetryClient

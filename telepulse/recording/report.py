@@ -7,7 +7,8 @@ from statistics import median
 
 from display_node.scoring.depth_curve import fit_depth_curve
 from protocol.config.quantities import count_text
-from protocol.errors import DepthError, explain_causes
+from protocol.errors import DepthError
+from protocol.refusals import explain_causes
 from protocol.summary.figures import Surface
 from protocol.summary.phrases import interruptions_text
 from protocol.summary.rows import cells

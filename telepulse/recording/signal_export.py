@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from display_node.scoring.tracking_error import MAX_GAP_NS, interpolate
+from display_node.scoring.alignment import MAX_GAP_NS, interpolate
 from protocol.config.quantities import count_text
 from protocol.errors import OutputError, SourceError
 from protocol.wire.marks import printable
@@ -81,13 +81,13 @@ def recording_signals(path: Path) -> tuple[SignalTable, str]:
         (
             f"{'Force' if channel.unit == 'N' else 'ECG'} {channel.name}",
             "mN" if channel.unit == "N" else "uV",
-            _resampled(grid_ns, t_ns, values[:, index]),
+            interpolate(grid_ns, t_ns, values[:, index]),
         )
         for index, channel in enumerate(description.channels)
     ]
     order = np.flatnonzero(known)[np.argsort(sensing_ns[known], kind="stable")]
     for name, felt_n in _felt_forces(parts):
-        signals.append((name, "mN", _resampled(grid_ns, sensing_ns[order], felt_n[order])))
+        signals.append((name, "mN", interpolate(grid_ns, sensing_ns[order], felt_n[order])))
     losses = _losses(t_ns, numbers, period_ns)
     events = [event for event in contents.events if event.session == session.number]
     # The clock at an event is that of the last tick before it.
@@ -171,11 +171,3 @@ def _losses(t_ns: Ints, numbers: Ints, period_ns: int) -> list[Annotation]:
         for at, missing in enumerate((np.diff(numbers) - 1).tolist())
         if missing > 0
     ]
-
-
-def _resampled(grid_ns: Ints, t_ns: Ints, force_n: Floats) -> Floats:
-    """Interpolate linearly; NaN outside, and between values that are too far apart."""
-    on_grid_n = interpolate(grid_ns, t_ns, force_n)
-    # At a sample before a gap `interpolate` returns NaN; the sample's own value is used.
-    at = np.minimum(np.searchsorted(t_ns, grid_ns), len(t_ns) - 1)
-    return np.where(t_ns[at] == grid_ns, force_n[at], on_grid_n)

@@ -75,19 +75,16 @@ def simulate(
         scene = load_scene(scene, sensing=sensing, display=display, link=link)
     session = SessionColumns()
     simulation = Simulation(scene, seed, take_frame=session.add_frame)
-    node, tick_ns = simulation.display, scene.display.tick_ns
+    node = simulation.display
     for state in simulation.ticks(seconds):
-        alive = node.state in ("starting", "playing")
-        lead_ns = max(contactor.lead_ns for contactor in node.contactors)
-        known = node.receiver.buffer.known(tick_ns, 1, 0, state.instant_ns + lead_ns)
         tick = TickRow(
             state.now_ns,
             state.now_ns + SENSING_CLOCK_AHEAD_NS,
             state.instant_ns,
             ready=True,
-            playing=node.receiver.ready and alive,
+            playing=state.predicted_ns >= 0,
             scored=state.scored,
-            predicted=alive and not known,
+            predicted=state.predicted_ns > 0,
         )
         session.add_tick(tick, [(each.target_n, each.felt_n) for each in node.states])
     session.playing = {

@@ -9,15 +9,13 @@ import itertools
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from pathlib import Path
 from typing import Final
 
 from display_node.display import Display
 from display_node.fault_advice import SENSING_NOTE
 from display_node.hardware import Hardware
-from display_node.scoring.tracking_error import TrackingError, scored
 from protocol.summary.tables import DataConnections, Summary
-from protocol.ticks import TickState
+from protocol.ticks import TickBlock, TickState
 from protocol.wire.messages import (
     Bye,
     ControlMessage,
@@ -30,15 +28,10 @@ from protocol.wire.messages import (
 from pulse_sensors.sample_check import SampleCheck
 from sensing_node.control_server import ControlServer
 from sensing_node.feeds import Framer, PacedSource
-from sensing_node.scene import (
-    SensingScene,
-    build_source,
-    describe_stream,
-    serve_set_points,
-)
-from sensing_node.sources.source import SampleSource
+from sensing_node.scene import build_source, describe_stream, serve_set_points
 from telepulse.scene import Scene
 from telepulse.simulation.link_model import MessageLink
+from telepulse.simulation.true_errors import TrueErrors
 
 # The sensing clock is ahead by this, so that a confusion of the two clocks shows at once.
 SENSING_CLOCK_AHEAD_NS: Final = 3_600_000_000_000
@@ -48,43 +41,6 @@ DRAIN_LIMIT_NS: Final = 15_000_000_000
 
 # Takes a message's bytes, and the time in ns.
 Handler = Callable[[bytes, int], None]
-
-
-class ReferenceForce:
-    """The true values of the frames of one session, from a second copy of their source.
-
-    The truth is the output of an ideal film at the samples' own times: without mains hum, notch,
-    anti-alias filter and ADC. No film measures a static force. So the charge amplifier, and the
-    constant preload that stands in for the static force, are part of the truth.
-    """
-
-    def __init__(self, scene: SensingScene, folder: Path) -> None:
-        """`folder` is the scene file's. Raises SourceError or SceneError."""
-        self._source: SampleSource | None = None
-        self._taken = 0
-        # What a live sensor sends is the truth that there is.
-        if scene.sensor is not None:
-            return
-        source, conditioning = scene.modelled.ideal(), scene.conditioning
-        if conditioning is not None:
-            conditioning = conditioning.ideal_film()
-        true_scene = scene.model_copy(update={"source": source, "conditioning": conditioning})
-        if true_scene != scene:
-            self._source = build_source(true_scene, folder)
-
-    def of(self, frame: Frame) -> Frame:
-        """Return the frame with the true values; the frame itself where the chain is ideal.
-
-        Frames come in order; some may be missing. Raises ValueError for one that comes late.
-        """
-        if self._source is None:
-            return frame
-        missed = frame.first_sample - self._taken
-        if missed < 0:
-            raise ValueError(f"sample {frame.first_sample} comes after {self._taken - 1}")
-        values = self._source.take(missed + len(frame.values))[missed:]
-        self._taken += missed + len(values)
-        return frame._replace(values=values)
 
 
 class Simulation:
@@ -109,11 +65,11 @@ class Simulation:
     ) -> None:
         self._scene, self._take_frame = scene, take_frame
         self.source = build_source(scene.sensing, scene.path.parent)
-        self._reference = ReferenceForce(scene.sensing, scene.path.parent)
         self._description = describe_stream(scene.sensing, self.source)
+        self._errors = TrueErrors(scene, self._description, real_benches=hardware is not None)
         self._now_ns = begin_ns
         self._stream_ns = begin_ns + STREAM_BEGINS_NS
-        self._scored_from_ns = self._last_ns = self._stream_ns
+        self._judged_from_ns = self._last_ns = self._stream_ns
         self._paced = PacedSource(self.source, self._stream_ns + SENSING_CLOCK_AHEAD_NS)
         self._session = seed + 1
         self._framer = Framer(self._description, self._session)
@@ -121,17 +77,9 @@ class Simulation:
         self.set_points = serve_set_points(self.source, self._session)
         self._control_server = ControlServer(self._description, self._session, self.set_points)
         self.display = Display(scene.display, "simulated display", score=False)
+        self.display.take_ticks = self._judge
         if hardware is not None:
             self.display.use(hardware)
-        self._scored = [
-            (
-                self._description.find_force(contactor.scene.channel),
-                contactor,
-                TrackingError(contactor.layer.strain_per_newton),
-            )
-            for contactor in self.display.contactors
-            if scene.display.press is None
-        ]
         self._down = MessageLink(scene.link, seed, begin_ns)
         self._up = MessageLink(scene.link, seed + 1, begin_ns)
         self._batch = self._description.batch
@@ -151,12 +99,12 @@ class Simulation:
     ) -> Summary:
         """Simulate `seconds` of stream, until its last sample is played.
 
-        Ticks before the stream is `settle_seconds` old are not scored. `watch` receives every
-        scored tick until the stream ends. `progress` receives the simulated time in s at each tick.
+        Ticks before the stream is `settle_seconds` old are not judged. `watch` receives every
+        judged tick until the stream ends. `progress` receives the simulated time in s at each tick.
         """
         began_s, begin_ns = time.perf_counter(), self._now_ns
         for state in self.ticks(seconds, settle_seconds):
-            if watch and state.scored and self._scored_from_ns <= self._now_ns <= self._last_ns:
+            if watch and state.scored and self._judged_from_ns <= self._now_ns <= self._last_ns:
                 watch(state)
             if progress is not None:
                 progress((self._now_ns - begin_ns) * 1e-9)
@@ -172,9 +120,9 @@ class Simulation:
     def begin(self, seconds: float, settle_seconds: float = 0.0) -> int:
         """Begin `seconds` of stream; return the time in ns at which its last sample is due.
 
-        The stream is scored once it is `settle_seconds` old.
+        The felt force is judged once the stream is `settle_seconds` old.
         """
-        self._scored_from_ns = self._stream_ns + round(settle_seconds * 1e9)
+        self._judged_from_ns = self._stream_ns + round(settle_seconds * 1e9)
         self._last_ns = self._stream_ns + round(seconds * 1e9) - 1
         self._schedule_batch()
         return self._last_ns
@@ -189,21 +137,14 @@ class Simulation:
         while self.display.work():
             pass
         state = self.display.tick(now_ns, elapsed_ticks)
-        if state.scored and now_ns >= self._scored_from_ns:
-            true_now_ns = now_ns + SENSING_CLOCK_AHEAD_NS
-            for _, contactor, error in self._scored:
-                age_ns, felt_n = contactor.film_age_ns, contactor.state.felt_n
-                error.add_output(true_now_ns - age_ns, state.instant_ns - age_ns, felt_n)
         for message in self.display.requests(now_ns):
             self._send(self._up, now_ns, self._answer, message)
         return state
 
     def end(self) -> Summary:
         """Score the remaining ticks, and return the summary."""
-        errors = [error for _, _, error in self._scored]
-        for error in errors:
-            error.finish()
-        display = self.display.summary()
+        self.display.finish_scores()
+        display = self._errors.finish(self.display.summary())
         notes = self.source.faults() + self._check.faults()
         faults = display.faults + [f"{SENSING_NOTE}{note}" for note in notes]
         limited = replace(display.limited, adc=self.source.limits().adc)
@@ -211,19 +152,13 @@ class Simulation:
         if clock.offset_ms is not None:
             # The true offset is known: report the error of the estimate.
             clock = replace(clock, offset_ms=clock.offset_ms - SENSING_CLOCK_AHEAD_NS * 1e-6)
-        summary = replace(
+        return replace(
             display,
             clock=clock,
             limited=limited,
             faults=faults,
             data_connections=DataConnections(self._paths),
         )
-        return scored(summary, errors, windows=True)
-
-    @property
-    def newest_ns(self) -> int | None:
-        """Time of the display's newest sample; None before any."""
-        return self.display.receiver.buffer.newest_ns
 
     @property
     def lost_frames(self) -> int:
@@ -245,21 +180,23 @@ class Simulation:
         if block is not None:
             self._check.add(block.values)
             for frame in self._framer.frames(block):
-                true_frame = self._reference.of(frame)
+                true_frame = self._errors.add_sent(frame)
                 if self._take_frame is not None:
                     self._take_frame(true_frame)
-                for channel, contactor, error in self._scored:
-                    samples = true_frame.samples_of(channel)
-                    error.add_reference(samples, contactor.force_ratio)
                 data = encode_frame(frame)
                 for path in range(self._paths):
                     arrival_ns = self._down.data_arrival_ns(now_ns, len(data), path)
                     if arrival_ns is not None:
-                        self._schedule(arrival_ns, self._receive, data)
+                        self._schedule(arrival_ns, self.display.on_frame, data)
         self._schedule_batch()
 
-    def _receive(self, data: bytes, now_ns: int) -> None:
-        self.display.on_frame(data, now_ns)
+    def _judge(self, block: TickBlock) -> None:
+        """Compare the felt forces of a block of ticks with the true pulse."""
+        now_ns, instant_ns, full, *_ = block.columns
+        judged = (full != 0) & (now_ns >= self._judged_from_ns)
+        forces_n = [block.felt_n(place)[judged] for place in range(len(self.display.contactors))]
+        true_now_ns = now_ns[judged] + SENSING_CLOCK_AHEAD_NS
+        self._errors.add_felt(true_now_ns, instant_ns[judged], forces_n)
 
     def _answer(self, data: bytes, now_ns: int) -> None:
         sensing_now_ns = now_ns + SENSING_CLOCK_AHEAD_NS

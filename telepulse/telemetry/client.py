@@ -11,7 +11,7 @@ import zmq
 
 from protocol import sockets
 from protocol.provenance import PROVENANCE
-from protocol.security.keys import ClientKeys
+from protocol.security.link_keys import ClientKeys
 from protocol.security.socket_monitor import HandshakeMonitor
 from protocol.wire.marks import MARK, Mark, MarkRequest, pack_request
 from protocol.wire.telemetry import CAPTURE, STATUS, TRACE

@@ -4,8 +4,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple
 
 from display_node.telemetry.alerts import NOT_CONNECTED, Alert, alerts
-from protocol.errors import explain_causes
-from protocol.security.socket_monitor import REVOKED
+from protocol.refusals import REVOKED, explain_causes
 from protocol.summary.phrases import LIMIT_NAMES
 from protocol.summary.tables import contactors_of
 

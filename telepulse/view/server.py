@@ -26,7 +26,7 @@ from tornado.web import Application, RequestHandler
 from display_node.telemetry.alerts import StatusAge
 from protocol.errors import AddressError
 from protocol.security.budgets import TokenBucket
-from protocol.security.keys import ClientKeys
+from protocol.security.link_keys import ClientKeys
 from protocol.sockets import beyond_loopback
 from telepulse.http_site import Site, in_url
 from telepulse.processes import free_addresses

@@ -9,7 +9,7 @@ from display_node.scoring.beat_quality import GOOD
 from display_node.scoring.tracking_error import JND
 from display_node.telemetry.alerts import SILENT_AFTER_NS, Alert, alerts, delay_note, finger_note
 from protocol.config.quantities import count_text
-from protocol.errors import explain_causes
+from protocol.refusals import explain_causes
 from protocol.summary.figures import Surface, figures_on
 from protocol.summary.phrases import SHARE, limit_texts
 from protocol.summary.rows import summary_rows

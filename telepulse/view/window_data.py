@@ -6,9 +6,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from display_node.scoring.alignment import MAX_GAP_NS, compared_forces_n, rms
 from display_node.scoring.beat_quality import GOOD
 from display_node.scoring.heart_rate import heart_rate_per_min
-from display_node.scoring.tracking_error import JND, MAX_GAP_NS, SPAN_NS, interpolate
+from display_node.scoring.tracking_error import JND, SPAN_NS
 from telepulse.view.depth import depth_columns
 from telepulse.view.live import DELAY_NS, FELT_N, TARGET_N, ContactorState, LiveState
 from telepulse.view.plots import FINGERS, PLOTS, PRESSED, UNPRESSED, PagePlot
@@ -202,16 +203,13 @@ def _errors(
         nothing = np.full(len(ticks.t_ns), math.nan)
         return nothing, nothing, None
     right_n = contactor.playing["force_ratio"] * wrist.values[:, 0]
-    felt_ns = ticks.t_ns - contactor.playing.get("film_age_ns", 0)
     felt_n, delay_ns = ticks.values[:, [FELT_N, DELAY_NS]].T
-    scored = ~np.isnan(delay_ns)
-    played_ns: Times = felt_ns - np.where(scored, delay_ns, 0).astype(np.int64)
-    in_phase_n, aligned_n = (
-        np.where(scored, felt_n - interpolate(at_ns, wrist.t_ns, right_n), math.nan)
-        for at_ns in (felt_ns, played_ns)
-    )
+    felt_n = np.where(np.isnan(delay_ns), math.nan, felt_n)
+    instant_ns: Times = ticks.t_ns - np.nan_to_num(delay_ns).astype(np.int64)
+    age_ns = contactor.playing.get("film_age_ns", 0)
+    played_n, present_n = compared_forces_n(ticks.t_ns, instant_ns, age_ns, wrist.t_ns, right_n)
     lately = right_n[wrist.t_ns > wrist.t_ns[-1] - SPAN_NS]
-    return in_phase_n, aligned_n, JND * float(np.ptp(lately))
+    return felt_n - present_n, felt_n - played_n, JND * float(np.ptp(lately))
 
 
 def _scores(live: LiveState, contactor: ContactorState, window_ns: int) -> Scores:
@@ -221,12 +219,7 @@ def _scores(live: LiveState, contactor: ContactorState, window_ns: int) -> Score
     within = float(np.mean(np.abs(known_n) < jnd_n)) if jnd_n and len(known_n) else None
     begin_ns = live.now_ns - window_ns
     judged = _judged(contactor.ticks.since(begin_ns), len(known_n), begin_ns, live.now_ns)
-    return Scores(_rms(in_phase_n), _rms(aligned_n), within, jnd_n, judged)
-
-
-def _rms(error_n: Floats) -> float | None:
-    known_n = error_n[~np.isnan(error_n)]
-    return math.sqrt(float(np.mean(known_n**2))) if len(known_n) else None
+    return Scores(rms(in_phase_n), rms(aligned_n), within, jnd_n, judged)
 
 
 def _judged(ticks: TableSlice, known: int, begin_ns: int, now_ns: int) -> float | None:

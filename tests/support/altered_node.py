@@ -3,8 +3,6 @@
 `step=SECONDS`: its monotonic clock steps by so much at each SIGUSR1. To simulate a suspended host,
 stop the process, and step its clock back by the time for which it was stopped. `flood=data` or
 `flood=control`: a sensing node that sends each frame, or each control answer, hundreds of times.
-`lie=press`: a sensing node whose probe reports what cannot be, also without a set-point, and whose
-load cell measures a meganewton at times.
 """
 
 import runpy
@@ -50,50 +48,8 @@ def send_copies(port: str) -> None:
     node.queue_limits = lambda description: {**limits(description), zmq.SNDHWM: 100_000}
 
 
-def lie(_: str) -> None:
-    """Report false set-points, forces and depths, and send false hold-downs."""
-    import itertools
-
-    from protocol.wire.messages import (
-        ClockReply,
-        ControlMessage,
-        Frame,
-        ProbeReport,
-        encode_control,
-        encode_frame,
-    )
-    from sensing_node import node
-
-    last: list[ProbeReport] = []
-    lies = itertools.cycle(
-        (
-            {},
-            {"hold_down_n": 1e6},
-            {},
-            {"depth_m": -1e6},
-            {"received": 1 << 50},
-            {"applied": 1 << 50},
-        )
-    )
-
-    def encode_lie(message: ControlMessage) -> bytes:
-        if isinstance(message, ClockReply) and last and message.t1_ns % 4 == 0:
-            message = last[0]
-        if isinstance(message, ProbeReport):
-            last[:] = [message]
-            message = message._replace(**next(lies))  # type: ignore[arg-type]
-        return encode_control(message)
-
-    def encode_false(frame: Frame) -> bytes:
-        if frame.first_sample // len(frame.values) % 7 == 0:
-            frame.values[:, 1] = 1e6
-        return encode_frame(frame)
-
-    vars(node).update(encode_control=encode_lie, encode_frame=encode_false)
-
-
 if __name__ == "__main__":
     alteration, _, value = sys.argv[1].partition("=")
-    {"step": make_clock_step, "flood": send_copies, "lie": lie}[alteration](value)
+    {"step": make_clock_step, "flood": send_copies}[alteration](value)
     del sys.argv[:2]
     runpy.run_module(sys.argv[0], run_name="__main__", alter_sys=True)

@@ -18,9 +18,12 @@ from display_node.plant.scene import StepperScene
 from protocol.wire.description import LayerTable
 from pulse_drives.drive import Drive
 from pulse_drives.scene import Cia402Scene, TmclScene
+from pulse_drives.stepdir.scene import StepdirScene
+from pulse_sensors.drive_film import DriveFilmScene
 from telepulse.emulators import PtyPort
 from telepulse.emulators.cia402 import ALL_MODES, EmulatedCia402Node
 from telepulse.emulators.motor import TICK_NS
+from telepulse.emulators.stepdir import EmulatedBoard, serve_board
 from telepulse.emulators.tmcl import EmulatedCanLine, EmulatedSerialLine, EmulatedTmclModule
 from tests.support.fault_injection import FaultyMotor
 from tests.support.slcan import SlcanBus
@@ -35,8 +38,19 @@ PATIENT = {"watchdog": "800 ms", "homing_speed": "20 mm/s", "touch": "0.6 mm"}
 LONGEST_WAIT_S = 20.0
 
 
+AnyScene = TmclScene | Cia402Scene | StepdirScene
+ON_SERIAL = ("tmcl", "stepdir")
+# The highest step rate of a display board, at 16 microsteps.
+BOARD_SPEED = "20 mm/s"
+
+
 def stepper(**keys: Any) -> StepperScene:
     return StepperScene.model_validate({"kind": "stepper", **keys})
+
+
+def actuator_of(kind: str) -> StepperScene:
+    """Return an actuator as fast as a kind of drive can turn it."""
+    return stepper(max_speed=BOARD_SPEED) if kind == "stepdir" else stepper()
 
 
 def tmcl_scene(**keys: Any) -> TmclScene:
@@ -48,15 +62,20 @@ def cia402_scene(**keys: Any) -> Cia402Scene:
     return Cia402Scene.model_validate(table)
 
 
+def stepdir_scene(**keys: Any) -> StepdirScene:
+    table = {"kind": "stepdir", "fault_pin": "low", **keys}
+    return StepdirScene.model_validate(table)
+
+
 @dataclass
 class Bench:
     """A drive, and the emulator at the other end of its line.
 
-    line: in virtual time the port of a TMCL module, or our end of a CiA 402 drive's bus; otherwise
-    the pseudo-terminal. bus: the bus that python-can opens in virtual time.
+    line: in virtual time the port of a TMCL module or a display board, or our end of a CiA 402
+    drive's bus; otherwise the pseudo-terminal. bus: the bus that python-can opens in virtual time.
     """
 
-    scene: TmclScene | Cia402Scene
+    scene: AnyScene
     actuator: StepperScene
     motor: FaultyMotor
     emulator: Any = None
@@ -95,8 +114,10 @@ class Bench:
         return self.motor.rate_hz == 0.0
 
 
-def drive_scene(kind: str, place: str, **keys: Any) -> TmclScene | Cia402Scene:
-    """Return the scene of a drive on a serial port ("tmcl") or a CAN channel (any other kind)."""
+def drive_scene(kind: str, place: str, **keys: Any) -> AnyScene:
+    """Return the scene of a drive on a serial port (`ON_SERIAL`) or a CAN channel (other kinds)."""
+    if kind == "stepdir":
+        return stepdir_scene(port=place, **keys)
     if kind.startswith("cia402"):
         return cia402_scene(**{"channel": place, **keys})
     if kind == "tmcl":
@@ -104,9 +125,7 @@ def drive_scene(kind: str, place: str, **keys: Any) -> TmclScene | Cia402Scene:
     return tmcl_scene(**{"interface": "virtual", "channel": place, **keys})
 
 
-def emulated_motor(
-    scene: TmclScene | Cia402Scene, actuator: StepperScene, now_ns: int
-) -> FaultyMotor:
+def emulated_motor(scene: AnyScene, actuator: StepperScene, now_ns: int) -> FaultyMotor:
     return FaultyMotor(actuator, actuator.contact(LAYER), scene.touch_m, now_ns)
 
 
@@ -116,17 +135,19 @@ def virtual_bench(
     actuator: StepperScene | None = None,
     modes: Any = ALL_MODES,
     also: tuple[str, ...] = (),
+    film: DriveFilmScene | None = None,
     **keys: Any,
 ) -> Iterator[Bench]:
     """Provide a bench in virtual time.
 
-    kind: "tmcl", "tmcl-can" or "cia402". also: further modules that run in virtual time.
+    kind: "tmcl", "tmcl-can", "cia402" or "stepdir". also: further modules that run in virtual time.
+    film: on the line of a display board.
     """
     keys = {"homing_speed": "20 mm/s", "touch": "0.6 mm", **keys}
-    scene = drive_scene(kind, "virtual" if kind == "tmcl" else "c", **keys)
-    world, actuator = VirtualTime(), actuator or stepper()
+    scene = drive_scene(kind, "virtual" if kind in ON_SERIAL else "c", **keys)
+    world, actuator = VirtualTime(), actuator or actuator_of(kind)
     motor = emulated_motor(scene, actuator, world.now_ns)
-    with virtual_line(world, scene, motor, also, modes) as ends:
+    with virtual_line(world, scene, motor, also, modes, film) as ends:
         bench = Bench(scene, actuator, motor, *ends, clock=world)
         world.every(TICK_NS, lambda: motor.advance(world.now_ns))
         yield bench
@@ -137,26 +158,32 @@ def virtual_bench(
 def real_bench(kind: str, **keys: Any) -> Iterator[Bench]:
     """Provide a bench on a real line.
 
-    kind: "tmcl", "tmcl-can", "cia402", or one of the last two with "-slcan".
+    kind: "tmcl", "stepdir", "tmcl-can", "cia402", or one of the last two with "-slcan".
     """
     port, channel = PtyPort(None), uuid.uuid4().hex
     bus: Any = None
     if "slcan" in kind:
         channel, bus = str(port.path), SlcanBus(port)
         keys |= {"interface": "slcan", "options": {"sleep_after_open": 0.0}}
-    elif kind != "tmcl":
+    elif kind not in ON_SERIAL:
         bus = can.Bus(interface="virtual", channel=channel)
     if kind.startswith("tmcl"):
         keys["reply_timeout"] = "100 ms"
-    place = str(port.path) if kind == "tmcl" else channel
+    if kind == "stepdir":
+        keys = {"watchdog": "500 ms", **keys}
+    place = str(port.path) if kind in ON_SERIAL else channel
     scene = drive_scene(kind, place, **(PATIENT | keys))
-    actuator = stepper()
+    actuator = actuator_of(kind)
     motor = emulated_motor(scene, actuator, time.perf_counter_ns())
     bench = Bench(scene, actuator, motor, line=port)
     if isinstance(scene, Cia402Scene):
         node = bench.emulator = EmulatedCia402Node(scene, motor, bus)
         parts: list[Callable[[], object]] = [partial(time.sleep, 0.001), node.poll]
         close = node.close
+    elif isinstance(scene, StepdirScene):
+        board = bench.emulator = EmulatedBoard(motor, None, time.perf_counter_ns())
+        parts = [partial(serve_board(board, port), 0.001)]
+        close = port.close
     else:
         module = bench.emulator = EmulatedTmclModule(scene, motor)
         line = (

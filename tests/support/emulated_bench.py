@@ -28,6 +28,8 @@ from tests.support.nodes import process
 from tests.support.waiting import until
 
 KINDS = ("tmcl", "cia402")
+# Shipped scenes that are not named after their kind of drive.
+SCENES = {"stepdir": "class_bench"}
 PORTS = "/tmp/telepulse-"
 CHANNEL = "239.74.163.2"
 STATE_WITHIN_S = 40.0
@@ -61,9 +63,9 @@ def bench_scene_text(folder: Path, kind: str, watchdog_ms: int, name: str = "") 
     name: of the shipped scene; by default, that of the kind of drive. watchdog_ms: of the drive,
     for a busy machine; 0: the scene's.
     """
-    text = tomlkit.dumps(load_document(find_scene(name or f"{kind}_bench"))).replace(
-        PORTS, f"{folder}/"
-    )
+    text = tomlkit.dumps(
+        load_document(find_scene(name or SCENES.get(kind, f"{kind}_bench")))
+    ).replace(PORTS, f"{folder}/")
     if watchdog_ms:
         keys = f'watchdog = "{watchdog_ms} ms"\n'
         if kind == "tmcl":
@@ -102,17 +104,24 @@ class EmulatedBench:
 
     def start_board(self) -> None:
         words = ("emulate", "sensor", self.source, "--link", self.folder / "board")
-        self.start("board", "telepulse", *words, "--delivery-ms", "4")
+        counts = ("--samples", "int16") if self.kind == "stepdir" else ()
+        self.start("board", "telepulse", *words, "--delivery-ms", "4", *counts)
 
     def start_drive(self, contactor: str = "") -> None:
         """Start the drive's emulator; contactor: of which, its name ends those of the files."""
         end = f"-{contactor}" if contactor else ""
-        serial = ("--link", self.folder / f"drive{end}") if self.kind == "tmcl" else ()
+        serial = ("--link", self.folder / f"drive{end}") if self.kind != "cia402" else ()
+        film = ("--film-link", self.folder / f"film{end}") if self.kind != "stepdir" else ()
         trace = ("--trace", self.folder / f"motor{end}.csv")
-        film = ("--film-link", self.folder / f"film{end}", *trace)
         which = ("--contactor", contactor) if contactor else ()
-        words = ("emulate", self.kind, self.scene, *which, *serial, *film, *self.drive_options)
+        lines = (*serial, *film, *trace)
+        words = ("emulate", self.kind, self.scene, *which, *lines, *self.drive_options)
         self.start(f"drive{end}", "telepulse", *words)
+
+    @property
+    def film(self) -> Path:
+        """The port on which the film comes."""
+        return self.folder / ("drive" if self.kind == "stepdir" else "film")
 
     def start_sensing(self) -> None:
         self.start("sensing", "sensing_node.cli", self.scene, "--bind", self.address)
@@ -246,7 +255,7 @@ def playing(
         bench.start_board()
         bench.start_drive()
         deadline_s = time.monotonic() + STATE_WITHIN_S
-        while not all((folder / name).exists() for name in ("board", "film")):
+        while not ((folder / "board").exists() and bench.film.exists()):
             if time.monotonic() > deadline_s:
                 raise BenchFailedError(f"board and drive do not start\n{bench.log()}")
             time.sleep(0.05)

@@ -19,6 +19,7 @@ from display_node.plant.scene import StepperScene
 from protocol.config.quantities import parse_quantity, parse_ratio
 from telepulse.emulators.cia402 import EmulatedCia402Node
 from telepulse.emulators.motor import TICK_NS, EmulatedMotor
+from telepulse.emulators.stepdir import EmulatedBoard
 from telepulse.emulators.tmcl import EmulatedTmclModule
 
 _RATIO = "ratio"
@@ -213,6 +214,18 @@ class FaultyTmclModule(EmulatedTmclModule):
 
     def due_answers(self, now_ns: int) -> list[bytes]:
         return self._motor.injector.due_answers(now_ns)
+
+
+class FaultyBoard(EmulatedBoard):
+    """A display board whose frames the injector of its motor spoils."""
+
+    _motor: FaultyMotor
+
+    def due_frames(self) -> list[bytes]:
+        injector = self._motor.injector
+        for frame in super().due_frames():
+            injector.queue_answer(frame, self._now_ns)
+        return injector.due_answers(self._now_ns)
 
 
 class _FaultyNetwork(canopen.Network):

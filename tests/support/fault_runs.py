@@ -12,7 +12,9 @@ from tests.support.sender import MS, display_scene
 from tests.support.streams import synthetic
 from tests.support.threaded_bench import ThreadedBench
 
-KINDS = ("tmcl", "cia402")
+KINDS = ("tmcl", "cia402", "stepdir")
+# Shipped scenes that are not named after their kind of drive.
+BENCHES = {"stepdir": "class_bench"}
 LIMIT_N = 2.5
 BAR_FORCE_N = 1.25 * LIMIT_N
 # A microstep at the limit is 6 mN, which counts as the limit.
@@ -100,7 +102,7 @@ def hostile_stream(ms: int) -> float:
 
 def bench_scene(kind: str) -> DisplayScene:
     """Return the scene of the emulated bench with a kind of drive."""
-    return display_scene(f"{kind}_bench")
+    return display_scene(BENCHES.get(kind, f"{kind}_bench"))
 
 
 def run_fault(

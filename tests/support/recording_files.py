@@ -1,6 +1,5 @@
 """Recorded sources, opened as by a scene."""
 
-import importlib.util
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -40,12 +39,3 @@ def csv_file(folder: Path, columns: Mapping[str, Any]) -> Path:
     text = "\n".join(",".join(map(str, row)) for row in rows) + "\n"
     path.write_text(text, encoding="utf-8")
     return path
-
-
-def heartpy_recording() -> Path:
-    """Return the file of a photoplethysmogram in heartpy's package, 24.83 s at 100 Hz."""
-    found = importlib.util.find_spec("heartpy")
-    if found is None:
-        pytest.skip("the package heartpy is not installed")
-    assert found.origin is not None
-    return Path(found.origin).parent / "data" / "data.csv"

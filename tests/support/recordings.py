@@ -17,9 +17,9 @@ from telepulse.telemetry.decoder import Entry
 from telepulse.telemetry.schema import EVENT, TICK
 from tests.support.streams import synthetic
 from tests.support.telemetry_publisher import WALL_NS, HandmadeTelemetry
+from tests.support.tick_blocks import TRACE_TICKS
 
 TICK_NS = 1_000_000
-TRACE_TICKS = 20
 BATCH, CLOCK_TICKS, STATUS_TICKS, DELAY_TICKS, RAMP_TICKS = 5, 50, 200, 40, 1_000
 GAIN = 1.001
 TICKS_A_CHUNK = 500

@@ -32,7 +32,8 @@ def felt_under(
     felt_n = []
     for force_n in requested_n:
         target_n = bounds.bound([force_n] * (loop.horizon + 1), safety.advance(alive=True))
-        felt_n.append(loop.tick(target_n, loop.read_film()))
+        loop.tick(target_n, loop.read_film())
+        felt_n.append(loop.felt_n)
     return np.array(felt_n)
 
 
@@ -97,7 +98,8 @@ def press(scene: DisplayScene, host: Host, seconds: float) -> tuple[float, float
             squares, ticks = squares + (loop.felt_n - beat_n(now_s)) ** 2, ticks + 1
         reading_n = loop.read_film()
         bounded_n = bounds.bound(wanted_n, safety.advance(alive=True))
-        most_n = max(most_n, loop.tick(bounded_n, reading_n))
+        loop.tick(bounded_n, reading_n)
+        most_n = max(most_n, loop.felt_n)
         now_s += tick_s
     return most_n, math.sqrt(squares / ticks)
 

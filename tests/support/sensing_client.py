@@ -3,7 +3,7 @@
 import zmq
 
 from protocol import sockets
-from protocol.security.keys import ClientKeys
+from protocol.security.link_keys import ClientKeys
 from protocol.wire import messages as wire
 
 PATIENCE_MS = 20_000

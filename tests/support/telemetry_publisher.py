@@ -12,9 +12,9 @@ import zmq
 from display_node.telemetry.publisher import Publisher
 from protocol import sockets
 from protocol.security.authenticator import Authenticator
-from protocol.security.keys import ServerKeys
+from protocol.security.link_keys import ServerKeys
 from protocol.summary.tables import Summary
-from protocol.ticks import TickState
+from protocol.ticks import TickBlock, TickState
 from protocol.wire.messages import Bye, ClockReply, Frame, Welcome, encode_control, encode_frame
 from protocol.wire.telemetry import (
     CAPTURE,
@@ -24,11 +24,11 @@ from protocol.wire.telemetry import (
     TRACE,
     CaptureWriter,
     PlaybackStatus,
-    TraceWriter,
     pack_status,
 )
 from telepulse.telemetry.decoder import Entry, TelemetryDecoder
 from tests.support.streams import description
+from tests.support.tick_blocks import TRACE_TICKS, packed_trace
 
 SESSION = 7
 MS = 1_000_000
@@ -57,6 +57,7 @@ class TelemetryPublisher:
         socket.bind(address)
         self.publisher = Publisher(socket, run=1, authenticator=self.authenticator)
         self.frames = self.ticks = 0
+        self.block = TickBlock(1, TRACE_TICKS)
         self.sent_ns: list[int] = []
 
     def begin(self) -> None:
@@ -86,13 +87,22 @@ class TelemetryPublisher:
             self.receive(0, encode_frame(numbered_frame(self.frames, session)))
             self.frames += 1
             self.sent_ns.append(now_ns)
-        felt = TickState(now_ns, now_ns, self.ticks * MS, 0.5, self.ticks * 1e-3, True)
+        self.block.add([TickState(now_ns, now_ns, self.ticks * MS, 0.5, self.ticks * 1e-3, True)])
         self.ticks += 1
-        return self.publisher.add(felt) and self.publisher.publish()
+        if self.block.count < self.block.most:
+            return False
+        self._add_block()
+        return self.publisher.publish()
+
+    def _add_block(self) -> None:
+        if self.block.count:
+            self.publisher.trace.add(self.block)
+            self.block.count = 0
 
     def status(self, state: str, summary: Summary | None = None, final: bool = False) -> None:
         data = pack_status(state, "test pulse", summary or Summary(), final)
         if final:
+            self._add_block()
             self.publisher.finish(data)
         else:
             self.publisher.status(data)
@@ -115,10 +125,7 @@ def bye(samples_sent: int) -> bytes:
 
 def trace_message(*felt: TickState, others: Sequence[TickState] = ()) -> Message:
     """Return ticks as a trace message; others: states of further contactors, at each tick."""
-    writer = TraceWriter()
-    for tick in felt:
-        writer.add(tick, *others)
-    return TRACE, writer.rest() or b""
+    return TRACE, packed_trace(*felt, others=others)
 
 
 def heard_message(

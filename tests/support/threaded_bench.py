@@ -17,6 +17,7 @@ from display_node.scene import DisplayScene
 from protocol.host.realtime import Pacer
 from pulse_drives import Drive
 from pulse_drives.scene import DriveScene
+from pulse_sensors.drive_film import DriveFilmDecoder, DriveFilmScene
 from pulse_sensors.sensor import Sensor
 from pulse_sensors.serial_port import SerialScene
 from telepulse.emulators.drive_run import EmulatedFilm
@@ -106,7 +107,9 @@ class ThreadedBench:
 
     def __enter__(self) -> "ThreadedBench":
         world = self.world
-        self._patches.enter_context(virtual_line(world, self.drive_scene, self.motor, VIRTUAL))
+        film = self.drive_film
+        line = virtual_line(world, self.drive_scene, self.motor, VIRTUAL, film=film)
+        self._patches.enter_context(line)
         world.every(MS, self._poll_motor)
         world.every(BATCH * MS, self._send_frame)
         return self
@@ -137,6 +140,12 @@ class ThreadedBench:
         self.run(ms)
 
     @property
+    def drive_film(self) -> DriveFilmScene | None:
+        """The film that the drive's board reads, if it reads one."""
+        film = self.scene.feedback
+        return film if isinstance(film, DriveFilmScene) else None
+
+    @property
     def faults(self) -> list[str]:
         return self.display.safety.faults
 
@@ -165,10 +174,12 @@ class ThreadedBench:
         self.drive: Drive = build_display_drive(
             scene.drive, actuator, scene.layer.layer(), force_limit_n
         )
-        sensor = None
-        if isinstance(scene.feedback, SerialScene):
-            clock = self.world.perf_counter_ns
-            sensor = Sensor(self.film, scene.feedback.decoder(), scene.feedback, clock=clock)
+        sensor, film, clock = None, scene.feedback, self.world.perf_counter_ns
+        if isinstance(film, SerialScene):
+            sensor = Sensor(self.film, film.decoder(), film, clock=clock)
+        elif isinstance(film, DriveFilmScene):
+            port = self.drive.film_port(*film.counts_within(scene.overforce_n))
+            sensor = Sensor(port, DriveFilmDecoder(film.period_ns), film, clock=clock)
         self.hardware = scene.hardware(self.drive, sensor)
         try:
             self.hardware.start()
@@ -180,9 +191,9 @@ class ThreadedBench:
 
     def _poll_motor(self) -> None:
         self.motor.advance(self.world.now_ns)
-        if self.with_film:
+        if self.with_film and self.drive_film is None:
             self._board.deliver()
-        else:
+        elif self.drive_film is None:
             self.motor.forces_n.clear()
 
     def _send_frame(self) -> None:

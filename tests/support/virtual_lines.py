@@ -12,10 +12,18 @@ import can
 
 from protocol.config.kinds import load_object
 from pulse_drives.scene import Cia402Scene, DriveScene, TmclScene
+from pulse_drives.stepdir.scene import StepdirScene
+from pulse_sensors.drive_film import DriveFilmScene
 from telepulse.emulators.cia402 import ALL_MODES, EmulatedCia402Node
 from telepulse.emulators.motor import TICK_NS
+from telepulse.emulators.stepdir import EmulatedBoard
 from telepulse.emulators.tmcl import DatagramSplitter, EmulatedTmclModule, checksum
-from tests.support.fault_injection import FaultyCia402Node, FaultyMotor, FaultyTmclModule
+from tests.support.fault_injection import (
+    FaultyBoard,
+    FaultyCia402Node,
+    FaultyMotor,
+    FaultyTmclModule,
+)
 from tests.support.virtual_time import VirtualEvent, VirtualTime
 
 # Modules that wait or read the clock.
@@ -96,6 +104,55 @@ class ModulePort:
             for request in self._datagrams.feed(data, self._world.now_ns):
                 self._module.receive(request, self._world.now_ns)
             self.poll()
+
+
+class BoardPort:
+    """The serial port to an emulated display board, in place of pyserial's.
+
+    full: it takes no bytes, as one whose buffer is full.
+    """
+
+    def __init__(self, world: VirtualTime, board: EmulatedBoard) -> None:
+        self._world, self._board = world, board
+        self.frames = Pipe(world)
+        self.unplugged = self.full = False
+
+    def open(self, *_: object, **__: object) -> "BoardPort":
+        if self.unplugged:
+            raise OSError(2, "unplugged")
+        return self
+
+    def write(self, data: bytes) -> int:
+        """Send bytes, which arrive a little later."""
+        if self.unplugged:
+            raise OSError(5, "unplugged")
+        if self.full:
+            return 0
+        self._world.at(self._world.now_ns + LINE_NS, lambda: self._receive(data))
+        return len(data)
+
+    def read(self, size: int) -> bytes:
+        data = self.frames.read(size, 0.1) if size and not self.unplugged else b""
+        if self.unplugged:
+            raise OSError(5, "unplugged")
+        return data
+
+    @property
+    def in_waiting(self) -> int:
+        return self.frames.waiting
+
+    def close(self) -> None:
+        pass
+
+    def poll(self) -> None:
+        """Let the board go on, and send its frames."""
+        self._receive(b"")
+
+    def _receive(self, data: bytes) -> None:
+        self._board.receive(b"" if self.unplugged else data, self._world.now_ns)
+        for frame in self._board.due_frames():
+            if not self.unplugged:
+                self._world.at(self._world.now_ns + LINE_NS, partial(self.frames.write, frame))
 
 
 class ModuleBus:
@@ -207,17 +264,24 @@ def virtual_line(
     motor: FaultyMotor,
     also: Sequence[str] = (),
     modes: Any = ALL_MODES,
+    film: DriveFilmScene | None = None,
 ) -> Iterator[tuple[Any, ...]]:
     """Run a drive's emulator in virtual time, on a line that its driver opens for a real one.
 
-    also: further modules that run in virtual time. Yields the emulator; its port, or our end of the
-    CAN bus of two; and a module's bus.
+    also: further modules that run in virtual time. film: on the line of a display board. Yields the
+    emulator; its port, or our end of the CAN bus of two; and a module's bus.
     """
     load_object(scene.driver)  # so that its clock is replaced too
     with world.substituted((*VIRTUAL, *also)):
         if isinstance(scene, Cia402Scene):
             with _cia402_line(world, scene, motor, modes) as ends:
                 yield ends
+        elif isinstance(scene, StepdirScene):
+            board = FaultyBoard(motor, film, world.now_ns)
+            line = BoardPort(world, board)
+            world.every(TICK_NS, line.poll)
+            with patch("serial.serial_for_url", line.open):
+                yield board, line
         else:
             assert isinstance(scene, TmclScene)
             module = FaultyTmclModule(scene, motor)

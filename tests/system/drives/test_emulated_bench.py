@@ -84,7 +84,7 @@ def test_a_terminated_display_withdraws_the_tip(tmp_path: Path) -> None:
     assert motor.force_n[~before].max() > 0.1
 
 
-@pytest.mark.parametrize("kind", ["tmcl", "cia402"])
+@pytest.mark.parametrize("kind", ["tmcl", "cia402", "stepdir"])
 def test_a_display_that_was_stopped_withdraws_the_tip(kind: str, tmp_path: Path) -> None:
     """SIGSTOP lasts longer than the drive's watchdog; after SIGCONT the display withdraws."""
     withdrawn_ns: list[int] = []
@@ -115,22 +115,39 @@ def test_a_killed_display_leaves_the_motor_to_its_watchdog(tmp_path: Path) -> No
     assert_at_rest(on_a_bench(tmp_path, "tmcl", happens))
 
 
+def test_a_board_whose_display_is_killed_takes_the_tip_off_the_finger(tmp_path: Path) -> None:
+    def happens(bench: EmulatedBench) -> None:
+        bench.processes["display"].kill()
+        bench.await_rest(withdrawn=True)
+
+    motor = on_a_bench(tmp_path, "stepdir", happens)
+    assert_at_rest(motor)
+    assert motor.force_n[-1] == 0
+
+
 @pytest.mark.parametrize(
-    ("word", "finger"),
-    [("film-silent", "force unknown since "), ("unplugged", "the drive does not answer")],
+    ("kind", "word", "finger"),
+    [
+        ("tmcl", "film-silent", "force unknown since "),
+        ("tmcl", "unplugged", "the drive does not answer"),
+        ("stepdir", "unplugged", "the drive does not answer"),
+        ("stepdir", "reset", "withdrawn"),
+    ],
 )
-def test_a_bench_with_a_fault_rests_and_reports_it(word: str, finger: str, tmp_path: Path) -> None:
+def test_a_bench_with_a_fault_rests_and_reports_it(
+    kind: str, word: str, finger: str, tmp_path: Path
+) -> None:
 
     def happens(bench: EmulatedBench) -> None:
         bench.await_state("fault")
-        bench.await_rest()
+        bench.await_rest(withdrawn=kind == "stepdir")
         summary = bench.end()
         assert summary["faults"]
         assert finger in summary["finger"]
         assert bench.processes["display"].returncode == FAULT_STATUS
 
     options = ("--fault", word, "--fault-after", TROUBLE_AFTER_S)
-    assert_at_rest(on_a_bench(tmp_path, "tmcl", happens, *options))
+    assert_at_rest(on_a_bench(tmp_path, kind, happens, *options))
 
 
 def test_a_display_that_is_terminated_while_homing_leaves_the_drive_at_rest(tmp_path: Path) -> None:

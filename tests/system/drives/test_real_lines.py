@@ -26,7 +26,9 @@ RATE_HZ = 400.0
 PATIENT = {"watchdog": "1 s", "reply_timeout": "200 ms"}
 
 
-@pytest.mark.parametrize("kind", ["tmcl", "tmcl-can", "tmcl-slcan", "cia402", "cia402-slcan"])
+@pytest.mark.parametrize(
+    "kind", ["tmcl", "tmcl-can", "tmcl-slcan", "cia402", "cia402-slcan", "stepdir"]
+)
 def test_a_drive_follows_commands_and_withdraws_without_them(kind: str) -> None:
     with started(kind) as bench:
         for rate_hz in (RATE_HZ, -RATE_HZ):

@@ -19,7 +19,7 @@ from tests.support.drive_benches import (
 )
 from tests.support.fault_injection import FaultKind, InjectedFault
 
-KINDS = ("tmcl", "tmcl-can", "cia402")
+KINDS = ("tmcl", "tmcl-can", "cia402", "stepdir")
 RATE_HZ = 400.0
 
 
@@ -49,6 +49,9 @@ def bench(kind: str) -> Iterator[Bench]:
 def test_a_drive_homes_and_runs_at_the_commanded_rate(kind: str, keys: dict[str, object]) -> None:
     if "tmcl" in kind and keys.keys() & {"mode", "homing_method"}:
         keys = {"homing_method": 1} if "homing_method" in keys else {}
+    if kind == "stepdir":
+        others = ("mode", "homing_method", "velocity_scale")
+        keys = {key: value for key, value in keys.items() if key not in others}
     with virtual_bench(kind, **keys) as bench:
         bench.start()
         status, step_m = bench.drive.status(), bench.actuator.step_m

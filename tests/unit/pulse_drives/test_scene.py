@@ -9,6 +9,7 @@ from protocol.errors import SceneError
 from tests.support.drive_benches import FORCE_LIMIT_N, LAYER
 
 STEPPER = {"kind": "stepper"}
+BOARD = {"kind": "stepdir", "port": "/dev/ttyACM0"}
 SERIAL = {"kind": "tmcl", "port": "/dev/ttyACM0"}
 
 
@@ -29,6 +30,11 @@ def display(drive: dict[str, Any], actuator: dict[str, Any] = STEPPER) -> Displa
         ({**SERIAL, "motor": 9}, "motor"),
         ({"kind": "cia402", "interface": "virtual"}, "channel: missing"),
         ({"kind": "cia402", "interface": "v", "channel": "c", "node": 127}, "node"),
+        ({"kind": "stepdir"}, "port: missing"),
+        ({**BOARD, "velocity_scale": 2.0}, 'velocity_scale is not for kind = "stepdir"'),
+        ({**BOARD, "bitrate": "1 Mbit/s"}, 'bitrate is not for kind = "stepdir"'),
+        ({**BOARD, "watchdog": "600 ms"}, "watchdog"),
+        ({**BOARD, "baud": 115_200}, "baud"),
     ],
 )
 def test_an_invalid_table_is_refused_in_one_line(drive: dict[str, Any], words: str) -> None:
@@ -36,6 +42,19 @@ def test_an_invalid_table_is_refused_in_one_line(drive: dict[str, Any], words: s
         display(drive)
     assert words in str(error.value)
     assert "\n" not in str(error.value)
+
+
+def test_only_a_drive_that_reads_a_film_can_be_its_sensor() -> None:
+    film = {"kind": "drive", "newtons_per_count": 1e-3}
+    table = {"controller": {"kp": 1}, "actuator": STEPPER, "feedback": film}
+    scene = validate({**table, "drive": BOARD}, DisplayScene, where="[display]")
+    assert scene.feedback is not None
+    assert scene.feedback.rate_hz == 1000.0
+    with pytest.raises(SceneError, match='a drive of kind "tmcl" reads no film'):
+        validate({**table, "drive": SERIAL}, DisplayScene, where="[display]")
+    film.pop("newtons_per_count")
+    with pytest.raises(SceneError, match="newtons_per_count"):
+        validate({**table, "drive": BOARD}, DisplayScene, where="[display]")
 
 
 @pytest.mark.parametrize(

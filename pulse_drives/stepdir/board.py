@@ -1,0 +1,259 @@
+"""A display board: its version, its limits, homing, velocities and reports; see `DriveDevice`."""
+
+import math
+import time
+from collections.abc import Callable
+
+from protocol.errors import DriveError
+from pulse_drives.axis import Axis
+from pulse_drives.drive import ADVICE, OPENED_M, WRONG_WAY, bound_search
+from pulse_drives.stepdir.frames import (
+    BoardGreeting,
+    BoardLimits,
+    BoardMode,
+    BoardState,
+    CommandResult,
+    Format,
+    HomeSearch,
+    LimitOption,
+    StateFlag,
+    TripCause,
+)
+from pulse_drives.stepdir.line import BoardLine
+from pulse_drives.stepdir.scene import StepdirScene
+from pulse_drives.withdrawal import FAST_M_PER_S
+
+PROTOCOL = 1
+LEAST_FIRMWARE = 1 << 8
+UPDATE = (
+    "arduino-cli compile --upload --fqbn arduino:avr:uno --port {port} firmware/telepulse_display"
+)
+# Opening the port resets many boards, and a bootloader waits up to 2 s before it starts them.
+GREETED_WITHIN_S = 4.0
+REPORTED_WITHIN_S = 0.5
+# A withdrawal of the board itself over the whole travel, at its slowest.
+WITHDRAWN_WITHIN_S = 5.0
+POLL_S = 0.002
+# The board gives up a search somewhat later than the host.
+SEARCH_SHARE = 1.2
+LONGEST_SEARCH_MS = 60_000
+# A velocity is valid for this share of the watchdog's time; then the board brakes.
+VALID_SHARE = 0.5
+
+TROUBLES = {
+    TripCause.NONE: "it has started anew",
+    TripCause.SILENCE: "no velocity came in time",
+    TripCause.FILM: "the film is beyond its hard limits",
+    TripCause.FAULT_PIN: "overtemperature, short circuit or stall, by the carrier's fault pin",
+    TripCause.HOST: "it was withdrawn",
+    TripCause.RESET: "it was reset",
+    TripCause.HOME_SWITCH: "the home switch closed away from home: steps are lost, or it is stuck",
+    TripCause.NO_HOME: "no home switch",
+    TripCause.STUCK_SWITCH: "the home switch stays closed",
+    TripCause.HOMING_TIMEOUT: "the search takes too long",
+}
+
+
+class DisplayBoard:
+    """A board on its line; see `DriveDevice`.
+
+    Attributes
+    ----------
+    state, received_ns
+        The state that was last read from the line, and its time of arrival.
+    """
+
+    def __init__(
+        self,
+        line: BoardLine,
+        scene: StepdirScene,
+        axis: Axis,
+        film_counts: tuple[float, float] | None,
+    ) -> None:
+        """Open the line; film_counts: hard limits of the film, if any. Raises DriveError."""
+        self._line, self._scene, self._axis = line, scene, axis
+        self._film_counts = film_counts
+        self._validity_ms = max(1, round(VALID_SHARE * scene.watchdog_ns * 1e-6))
+        self.position_m, self.speed_m_per_s = axis.lowest_m, 0.0
+        self.state: BoardState | None = None
+        self.received_ns = 0
+        line.attach()
+
+    @property
+    def trouble(self) -> str:
+        """Reason for which the board takes no velocities; empty where it takes them."""
+        if self.state is None or self.state.mode.follows:
+            return ""
+        return f"fault: {TROUBLES[self.state.cause]}"
+
+    @property
+    def silence(self) -> str:
+        """Fault to report when no state has arrived for too long."""
+        return "garbled" if self._line.garbled_ns > self.received_ns else "no answer"
+
+    @property
+    def lost(self) -> str:
+        """Fault to report when the port is gone; empty while it is there."""
+        return f"unplugged: {self._line.name}: {self._line.lost}" if self._line.lost else ""
+
+    def refresh(self) -> None:
+        """Take the newest state from the line."""
+        received_ns, state = self._line.state_ns, self._line.state
+        if state is None or received_ns <= self.received_ns:
+            return
+        units = self._axis.units
+        self.state, self.received_ns = state, received_ns
+        self.position_m = units.position_m(state.position)
+        self.speed_m_per_s = units.speed_m_per_s(state.velocity)
+
+    def configure(self) -> None:
+        """See `DriveDevice.configure`: check the version, set the limits, switch the motor on."""
+        greeting = self._line.greet(GREETED_WITHIN_S)
+        self._check(greeting)
+        # A board that was reset takes the tip off the finger first.
+        self._await_rest()
+        self._ask(Format.DISARM)
+        self._ask(Format.LIMITS, *self._limits(greeting.film_full_scale))
+        self._ask(Format.ARM)
+        self._await_report()
+
+    def home(self, guard: Callable[[], None]) -> None:
+        """See `DriveDevice.home`."""
+        axis, began_m = self._axis, self.position_m
+        self._ask(Format.HOME, *self._search())
+        state = self._await_report()
+        while not (state.mode.follows and state.flags & StateFlag.HOMED):
+            guard()
+            if state.mode is not BoardMode.HOMING:
+                raise self._unhomed(state)
+            bound_search(axis, began_m, self.position_m)
+            time.sleep(POLL_S)
+            state = self._await_report()
+
+    def end_search(self) -> None:
+        """Go back to where the search for home began. The board then takes no velocities."""
+        if self.state is not None and self.state.mode is BoardMode.HOMING:
+            self._ask(Format.WITHDRAW)
+        self._await_rest()
+
+    def arm_watchdog(self) -> None:
+        """Do nothing: the watchdog is among the limits, and counts from the first velocity on."""
+
+    def run(self, velocity: int) -> bool:
+        """Send a velocity in 1/256 step/s; return False where it was superseded.
+
+        Raises DriveError of kind "unplugged".
+        """
+        return self._line.send(Format.VELOCITY, velocity, self._validity_ms) is not None
+
+    def closed_switch(self) -> bool:
+        """Return whether the home switch is closed, by the last state."""
+        return self.state is not None and StateFlag.HOME_CLOSED in self.state.flags
+
+    def close(self) -> None:
+        """See `DriveDevice.close`. A board that cannot be reached withdraws the tip by itself."""
+        try:
+            self._await_rest()
+            self._ask(Format.DISARM)
+        except DriveError as error:
+            self._line.counts[f"not disarmed: {error.kind}"] += 1
+        self._line.detach()
+
+    def _check(self, greeting: BoardGreeting) -> None:
+        """Check the version of the board's program and its step rate. Raises DriveError."""
+        name, version = self._line.name, f"{greeting.firmware >> 8}.{greeting.firmware & 0xFF}"
+        if greeting.protocol != PROTOCOL or greeting.firmware < LEAST_FIRMWARE:
+            old = greeting.protocol < PROTOCOL or greeting.firmware < LEAST_FIRMWARE
+            advice = (
+                f"update it: {UPDATE.format(port=name)}"
+                if old
+                else "update telepulse, or load the board's program that comes with this one"
+            )
+            raise DriveError(
+                "refused",
+                f"{name}: the firmware {version} has protocol {greeting.protocol}, and protocol"
+                f" {PROTOCOL} of firmware {LEAST_FIRMWARE >> 8}.{LEAST_FIRMWARE & 0xFF} is needed;"
+                f" {advice}",
+            )
+        most_m_per_s = greeting.tick_hz * self._axis.units.step_m
+        if self._rate(self._axis.max_speed_m_per_s) > greeting.tick_hz:
+            raise DriveError(
+                "refused",
+                f"{name}: its highest step rate is {greeting.tick_hz} /s: set max_speed to at most"
+                f" {most_m_per_s * 1e3:.4g} mm/s in the actuator's table, or use fewer microsteps",
+            )
+
+    def _limits(self, film_full_scale: int) -> BoardLimits:
+        axis, scene = self._axis, self._scene
+        step_m = axis.units.step_m
+        options = LimitOption(0)
+        if scene.inverted:
+            options |= LimitOption.INVERTED
+        if scene.home_switch == "normally_closed":
+            options |= LimitOption.NORMALLY_CLOSED
+        if scene.fault_pin != "none":
+            options |= LimitOption.HAS_FAULT_PIN
+        if scene.fault_pin == "high":
+            options |= LimitOption.FAULT_IS_HIGH
+        least, most = self._film_counts or (0.0, math.inf)
+        # A film at the end of its range has no known force above that.
+        most = film_full_scale + 1 if math.isinf(most) else min(most, film_full_scale)
+        speed_m_per_s = min(FAST_M_PER_S, axis.max_speed_m_per_s)
+        return BoardLimits(
+            lowest=axis.units.position(axis.lowest_m),
+            highest=axis.units.position(axis.furthest_m),
+            acceleration=round(axis.max_acceleration_m_per_s2 / step_m),
+            highest_rate=self._rate(axis.max_speed_m_per_s),
+            film_least=max(0, math.ceil(least)),
+            film_most=max(1, math.floor(most)),
+            withdrawal=math.ceil((axis.furthest_m - axis.clear_m) / step_m),
+            withdrawal_rate=self._rate(speed_m_per_s),
+            watchdog_ms=round(scene.watchdog_ns * 1e-6),
+            options=options,
+        )
+
+    def _search(self) -> HomeSearch:
+        axis, scene = self._axis, self._scene
+        travel_m = SEARCH_SHARE * (axis.furthest_m - axis.lowest_m) + OPENED_M
+        return HomeSearch(
+            rate=0 if scene.homing == "none" else self._rate(scene.homing_speed_m_per_s),
+            distance=round(travel_m / axis.units.step_m),
+            opening=max(1, round(OPENED_M / axis.units.step_m)),
+            timeout_ms=min(round(axis.search_s * 1e3), LONGEST_SEARCH_MS),
+        )
+
+    def _rate(self, speed_m_per_s: float) -> int:
+        return round(speed_m_per_s / self._axis.units.step_m)
+
+    def _unhomed(self, state: BoardState) -> DriveError:
+        """Return the error of a search that the board has ended."""
+        text = f"{self._line.name}: {TROUBLES[state.cause]}"
+        if state.cause in (TripCause.FILM, TripCause.NO_HOME):
+            return DriveError(WRONG_WAY, f"{text} on the way home; {ADVICE}")
+        return DriveError("not homed", text)
+
+    def _ask(self, command: Format, *fields: int) -> None:
+        """Send a command other than a velocity. Raises DriveError where the board refuses it."""
+        answer = self._line.request(command, *fields)
+        if answer is None or answer.result is CommandResult.DONE:
+            return
+        what, field = command.name.lower(), f", field {answer.field}" if answer.field else ""
+        result = answer.result.name.lower().replace("_", " ")
+        raise DriveError("refused", f"{self._line.name} refuses {what}: {result}{field}")
+
+    def _await_report(self) -> BoardState:
+        """Wait for a state that is newer than now, and take it. Raises DriveError."""
+        asked_ns, until_s = time.perf_counter_ns(), time.monotonic() + REPORTED_WITHIN_S
+        while self.received_ns <= asked_ns or self.state is None:
+            if self._line.lost or time.monotonic() > until_s:
+                kind = "unplugged" if self._line.lost else "no answer"
+                raise DriveError(kind, f"{self._line.name}: {self._line.lost or 'no state comes'}")
+            time.sleep(POLL_S)
+            self.refresh()
+        return self.state
+
+    def _await_rest(self) -> None:
+        """Wait until the board's own withdrawal has ended. Raises DriveError."""
+        until_s = time.monotonic() + WITHDRAWN_WITHIN_S
+        while self._await_report().mode is BoardMode.WITHDRAWING and time.monotonic() < until_s:
+            time.sleep(POLL_S)

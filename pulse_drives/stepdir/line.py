@@ -1,0 +1,303 @@
+"""The serial line to a display board, which its drive and its film share.
+
+A thread reads the board's states. Commands are written by whoever sends them, and never waited for:
+one that the port does not take at once is superseded by the next.
+"""
+
+import os
+import select
+import threading
+import time
+from collections import Counter, deque
+from contextlib import suppress
+from itertools import count
+from typing import Any, TypeVar
+
+import serial
+
+from protocol.errors import DriveError, SourceError
+from pulse_drives.start_advice import start_advice
+from pulse_drives.stepdir.frames import (
+    COUNTER_TURN,
+    SENSOR_FORMATS,
+    SEQUENCE_TURN,
+    BoardGreeting,
+    BoardState,
+    CommandAnswer,
+    Format,
+    FrameReader,
+    decode_report,
+    encode_command,
+)
+from pulse_drives.stepdir.scene import StepdirScene
+
+READ_BYTES = 4096
+WAIT_S = 0.1
+POLL_S = 0.002
+# A board answers within a few ms; USB may deliver every 16 ms.
+ANSWER_WITHIN_S = 0.15
+TRIES = 3
+# A larger gap in the count of the states is a board that has started anew.
+MOST_MISSED = 10_000
+MOST_FILM = 10_000
+SENSORS_BOARD = "this is a sensor's board, not the display's"
+AnswerT = TypeVar("AnswerT", BoardGreeting, CommandAnswer)
+
+FilmReading = tuple[int, int, int]
+"""Number and time in µs of a board's millisecond, and the film's counts in it."""
+
+
+class BoardLine:
+    """The port to one board, open while it has users.
+
+    Attributes
+    ----------
+    state, state_ns
+        The board's last state, None before any, and its time of arrival.
+    lost
+        Reason for which the port cannot be used any more; empty while it can.
+    counts
+        Frames of the board that noise has altered ("garbled"), that were left out ("missed") or
+        that came twice ("repeated"),
+        frames of ours that the board could not read ("unread"), and commands that the port did not
+        take ("superseded").
+    """
+
+    def __init__(self, scene: StepdirScene, counts: Counter[str]) -> None:
+        self.name, self._baud = scene.port, scene.baud
+        self.counts = counts
+        self.state: BoardState | None = None
+        self.state_ns = self.garbled_ns = 0
+        self.lost = "not open"
+        self.film: deque[FilmReading] = deque(maxlen=MOST_FILM)
+        self.film_come = threading.Event()
+        self._users = 0
+        self._using = threading.Lock()
+        self._sequence = count(1)
+        self._answers: dict[int, BoardGreeting | CommandAnswer] = {}
+        self._answered = threading.Event()
+        self._unsent = b""
+        self._port: Any = None
+        # Of a device or a socket on Linux or macOS; -1 where only pyserial can read and write.
+        self._descriptor = -1
+        self._thread: threading.Thread | None = None
+
+    def attach(self) -> None:
+        """Open the port, unless another user has opened it. Raises DriveError.
+
+        A port that was lost is opened again.
+        """
+        with self._using:
+            if self.lost:
+                self._shut()
+                self._open()
+            self._users += 1
+
+    def detach(self) -> None:
+        """Close the port with its last user. Never raises."""
+        with self._using:
+            self._users -= 1
+            if not self._users:
+                self._shut()
+
+    def send(self, command: Format, *fields: int) -> int | None:
+        """Write a command without waiting; return its sequence, None where it was superseded.
+
+        Raises DriveError of kind "unplugged", or "wrong" where another board is there.
+        """
+        if self.lost:
+            kind = "wrong" if self.lost == SENSORS_BOARD else "unplugged"
+            raise DriveError(kind, f"{self.name}: {self.lost}")
+        sequence = next(self._sequence) % SEQUENCE_TURN
+        # The rest of a frame of which the port has taken a part goes first.
+        data = self._unsent + encode_command(command, sequence, fields)
+        rest = len(self._unsent)
+        try:
+            written = self._write(data)
+        except OSError as error:
+            raise DriveError("unplugged", f"{self.name}: {error}") from None
+        if written > rest:
+            self._unsent = data[written:]
+            return sequence
+        self._unsent = self._unsent[written:]
+        self.counts["superseded"] += 1
+        return None
+
+    def greet(self, within_s: float) -> BoardGreeting:
+        """Return the board's greeting, which a bootloader may delay. Raises DriveError."""
+        until_s = time.monotonic() + within_s
+        while self.state is None and not self.lost and time.monotonic() < until_s:
+            time.sleep(POLL_S)
+        if self.state is not None:
+            # The board may have taken our first numbers from another host.
+            self._sequence = count(self.state.sequence + 1)
+        while time.monotonic() < until_s:
+            sequence = self.send(Format.GREET)
+            if (greeting := self._await(sequence, BoardGreeting)) is not None:
+                return greeting
+        raise DriveError("no answer", f"{self.name}: no greeting within {within_s:g} s")
+
+    def request(self, command: Format, *fields: int) -> CommandAnswer | None:
+        """Send a command and return its answer; None where its answer is lost, but it was taken.
+
+        Raises DriveError of kind "no answer" where it stays unanswered, or "unplugged".
+        """
+        for _ in range(TRIES):
+            sequence = self.send(command, *fields)
+            if (answer := self._await(sequence, CommandAnswer)) is not None:
+                return answer
+            if self.state is not None and self.state.sequence == sequence:
+                return None
+        raise DriveError("no answer", f"{self.name}: no answer to {command.name.lower()}")
+
+    def _await(self, sequence: int | None, kind: type[AnswerT]) -> AnswerT | None:
+        """Return the answer to a command of a sequence; None where none comes in time."""
+        until_s = time.monotonic() + ANSWER_WITHIN_S
+        while (left_s := until_s - time.monotonic()) > 0:
+            answer = self._answers.get(-1 if sequence is None else sequence)
+            if isinstance(answer, kind):
+                return answer
+            self._answered.wait(left_s)
+            self._answered.clear()
+        return None
+
+    def _open(self) -> None:
+        try:
+            self._port = serial.serial_for_url(
+                self.name, self._baud, timeout=WAIT_S, write_timeout=WAIT_S, exclusive=True
+            )
+        except (OSError, ValueError) as error:
+            number = getattr(error, "errno", None)
+            reason = os.strerror(number) if number else error
+            raise DriveError("unplugged", f"{self.name} cannot be opened: {reason}") from None
+        self._descriptor = _descriptor(self._port)
+        self.state, self._unsent, self.lost = None, b"", ""
+        self._answers.clear()
+        self._thread = threading.Thread(target=self._listen, name=self.name, daemon=True)
+        self._thread.start()
+
+    def _shut(self) -> None:
+        """Close the port, where it is open."""
+        self.lost = self.lost or "closed"
+        if self._thread is not None:
+            self._thread.join()
+            self._thread = None
+            # Closing a port that is gone may fail.
+            with suppress(Exception):
+                self._port.close()
+
+    def _listen(self) -> None:
+        """Read the board's frames until the port is closed or gone; runs in the thread."""
+        reader = FrameReader()
+        while not self.lost:
+            try:
+                data = self._read()
+            except Exception as error:  # pyserial passes on errors of many kinds
+                self.lost = str(error) or type(error).__name__
+                break
+            now_ns, rejected = time.perf_counter_ns(), reader.rejected
+            for body in reader.feed(data):
+                self._take(body, now_ns)
+            self._count_garbled(reader.rejected - rejected, now_ns)
+        self.film_come.set()
+
+    def _read(self) -> bytes:
+        if self._descriptor < 0:
+            first: bytes = self._port.read(1)
+            return first + bytes(self._port.read(self._port.in_waiting))
+        if not select.select([self._descriptor], [], [], WAIT_S)[0]:
+            return b""
+        if data := os.read(self._descriptor, READ_BYTES):
+            return data
+        raise OSError("the device is gone")
+
+    def _write(self, data: bytes) -> int:
+        """Return the number of bytes that the port has taken."""
+        if self._descriptor < 0:
+            return int(self._port.write(data))
+        try:
+            return os.write(self._descriptor, data)
+        except BlockingIOError:
+            return 0
+
+    def _take(self, body: bytes, now_ns: int) -> None:
+        report = decode_report(body)
+        match report:
+            case BoardState():
+                self._take_state(report, now_ns)
+            case None if body[0] >= SENSOR_FORMATS:
+                self.lost = SENSORS_BOARD
+            case None:
+                self._count_garbled(1, now_ns)
+            case _:
+                self._answers[report.sequence] = report
+                self._answered.set()
+
+    def _take_state(self, state: BoardState, now_ns: int) -> None:
+        if (before := self.state) is not None:
+            if state.counter == before.counter:
+                self.counts["repeated"] += 1
+                return
+            missed = (state.counter - before.counter - 1) % COUNTER_TURN
+            if missed <= MOST_MISSED:
+                self.counts["missed"] += missed
+                self.counts["unread"] += (state.rejected - before.rejected) % 256
+        # The time last: who reads it sees at least this state.
+        self.state = state
+        self.state_ns = now_ns
+        self.film.append((state.counter, state.time_us, state.film))
+        self.film_come.set()
+
+    def _count_garbled(self, frames: int, now_ns: int) -> None:
+        if frames:
+            self.counts["garbled"] += frames
+            self.garbled_ns = now_ns
+
+
+class BoardFilm:
+    """The film on a board's line, as a port of a `pulse_sensors.sensor.Sensor`."""
+
+    def __init__(self, line: BoardLine) -> None:
+        self._line = line
+        self._attached = False
+        self.name = f"the film of {line.name}"
+
+    def open(self) -> None:
+        """Use the line from now on. Raises SourceError."""
+        try:
+            self._line.attach()
+        except DriveError as error:
+            raise SourceError(f"{error}; {start_advice(error)}") from None
+        self._attached = True
+        self._line.film.clear()
+
+    def read(self) -> list[FilmReading]:
+        """Return the readings that have come; none after 0.1 s without any.
+
+        Raises DriveError if the port is gone.
+        """
+        line = self._line
+        line.film_come.clear()
+        if not line.film:
+            if line.lost:
+                raise DriveError("unplugged", line.lost)
+            line.film_come.wait(WAIT_S)
+        return [line.film.popleft() for _ in range(len(line.film))]
+
+    def close(self) -> None:
+        """Release the line. Never raises."""
+        if self._attached:
+            self._attached = False
+            self._line.detach()
+
+
+def _descriptor(port: Any) -> int:
+    """Return the descriptor of a port that can be read and written without pyserial, else -1."""
+    if os.name != "posix":
+        return -1
+    try:
+        number = int(port.fileno())
+    except (AttributeError, OSError):  # io.UnsupportedOperation is an OSError
+        return -1
+    os.set_blocking(number, False)
+    return number

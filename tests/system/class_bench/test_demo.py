@@ -1,0 +1,68 @@
+"""`telepulse demo` on the emulated boards of a bench for a class, which it starts itself."""
+
+import os
+import signal
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+import pytest
+
+from protocol.cli_options import FAULT_STATUS
+from protocol.host.child_process import ChildProcess
+from tests.support.emulated_bench import NICE, bench_scene_text
+from tests.support.nodes import assert_accounted, process, read_json
+from tests.system.drives.attempts import PATIENCE_MS, TRIES
+
+WITHIN_S = 120.0
+# A busy machine has held up a check, or the play.
+BUSY = (1, FAULT_STATUS)
+
+
+@contextmanager
+def playing(folder: Path, *options: str) -> Iterator[ChildProcess]:
+    """Run a demo whose temporary files are in a folder; check that it leaves none behind."""
+    text = bench_scene_text(folder, "stepdir", PATIENCE_MS)
+    (scene := folder / "class_bench.toml").write_text(text, encoding="utf-8")
+    (temporary := folder / "temporary").mkdir(exist_ok=True)
+    words = ("demo", str(scene), "--emulated", "--seconds", "5", "--no-ui", *options)
+    with process("telepulse", *words, env={**os.environ, "TMPDIR": str(temporary)}) as demo:
+        # Other load on this machine must not look like a fault, where the priority is permitted.
+        with suppress(PermissionError):
+            os.setpriority(os.PRIO_PROCESS, demo.pid, NICE)
+        yield demo
+        assert list(temporary.iterdir()) == []
+
+
+def test_one_command_checks_the_emulated_bench_and_plays(tmp_path: Path) -> None:
+    out = tmp_path / "out.json"
+    for _ in range(TRIES):
+        with playing(tmp_path, "--json", str(out)) as demo:
+            output, errors = demo.communicate(timeout=WITHIN_S)
+        if demo.returncode not in BUSY:
+            break
+    assert demo.returncode == 0, errors
+    first, checks, *told = output.splitlines()
+    assert (first, checks[:8]) == ("checking the bench", "checks: ")
+    assert "fail" not in checks
+    assert any(line.startswith("  The pulse was felt for ") for line in told)
+    summary = read_json(out)
+    assert_accounted(summary["samples"])
+    assert summary["samples"]["sent"] > 2_000
+    assert summary["beats"]["height_n"] == pytest.approx(0.3, rel=0.1)
+    assert summary["force_rmse_n"]["aligned"] < 50e-3
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_demo_that_is_ended_in_its_check_takes_the_boards_with_it(
+    number: signal.Signals, tmp_path: Path
+) -> None:
+    with playing(tmp_path) as demo:
+        assert demo.read_line(WITHIN_S) == "checking the bench"
+        (folder,) = (tmp_path / "temporary").iterdir()
+        terminals = [(folder / end).resolve() for end in ("finger", "wrist")]
+        assert all(terminal.exists() for terminal in terminals)
+        demo.send_signal(number)
+        demo.communicate(timeout=WITHIN_S)
+        assert demo.returncode > 0
+        assert not any(terminal.exists() for terminal in terminals)
