@@ -5,7 +5,6 @@ from typing import Any
 
 import pytest
 
-from display_node.contactor import Contactor
 from telepulse.scene import Scene, load_scene
 from telepulse.simulation.link_scene import parse_link
 from tests.support.contactor_lags import lags_ms
@@ -49,14 +48,3 @@ def test_a_slow_actuator_among_others_is_not_felt_later() -> None:
     # Between two ticks, the reference is interpolated: that may differ by some of a tick.
     most_ms = MOST_SKEW_MS * scene.display.tick_ns * 1e-6
     assert skew_ms(scene) < most_ms
-
-
-def test_a_lag_that_is_not_compensated_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
-    begin = Contactor.begin
-
-    def without_lead(contactor: Contactor, *arguments: Any) -> None:
-        begin(contactor, *arguments)
-        contactor.lead_ns -= 1_000_000 * (contactor.name == "chi")
-
-    monkeypatch.setattr(Contactor, "begin", without_lead)
-    assert skew_ms(three_fingers("linear")) == pytest.approx(1.0, abs=0.05)

@@ -26,6 +26,12 @@ REVERSED = FaultCase(FaultKind.REVERSED, from_start=True)
         ("cia402", FaultCase(FaultKind.GARBAGE, "1"), False, False, "feedback lost"),
         ("tmcl", FaultCase(FaultKind.FILM_ZERO), True, True, "the film reads"),
         ("cia402", FaultCase(FaultKind.NO_RETRACTION), True, False, "following error"),
+        ("stepdir", REVERSED, True, False, "not started: the force"),
+        ("stepdir", FaultCase(FaultKind.POSITION_JUMP, "-0.5 mm"), False, False, "following error"),
+        ("stepdir", FaultCase(FaultKind.DELAYED, "45 ms"), True, False, "feedback l"),
+        ("stepdir", FaultCase(FaultKind.LOST, "1"), True, False, "feedback lost"),
+        ("stepdir", FaultCase(FaultKind.GARBAGE, "1"), False, False, "feedback lost"),
+        ("stepdir", FaultCase(FaultKind.FILM_ZERO), True, True, "the film reads"),
     ],
     ids=lambda value: value.kind.value if isinstance(value, FaultCase) else "",
 )

@@ -6,24 +6,15 @@ from dataclasses import asdict, replace
 import numpy as np
 import pytest
 
-from display_node.display import Display
 from display_node.prediction import PredictorName
 from display_node.telemetry.alerts import alerts
-from protocol.wire.telemetry import TRACE_TICKS, TraceWriter, read_trace
+from protocol.wire.telemetry import read_trace
 from telepulse.scene import load_scene
 from telepulse.simulation.link_scene import parse_link
 from telepulse.simulation.virtual_time import summarise
 from tests.support.nodes import RADIAL, assert_accounted, known
 from tests.support.sender import MS, Sender, display, run
-
-
-def pulse_n(ms: int) -> float:
-    return 0.3 + 0.05 * math.sin(2 * math.pi * 1.25e-3 * ms) + 0.03 * math.sin(5e-3 * math.pi * ms)
-
-
-def play(under_test: Display, sender: Sender, from_ms: int, to_ms: int) -> None:
-    for ms in range(from_ms, to_ms, 5):
-        run(under_test, sender, ms, ms + 5, pulse_n(ms))
+from tests.support.tick_blocks import packed_trace
 
 
 def test_samples_whose_instant_was_predicted_well_are_not_late_and_their_error_is_small() -> None:
@@ -66,32 +57,6 @@ def test_a_bad_prediction_is_late_samples_felt_corrections_and_an_alert() -> Non
     assert alert.name == "prediction"
 
 
-@pytest.mark.parametrize("predictor", ["hold", "stack"])
-def test_telemetry_has_the_expected_error_of_the_predictor(predictor: PredictorName) -> None:
-    under_test, writer = display(predictor=predictor, compensation_ns=0), TraceWriter()
-    play(under_test, Sender(), 0, 4_000)
-    for _ in range(TRACE_TICKS):
-        writer.add(under_test.states[0])
-    (trace,) = read_trace(writer.rest() or b"")
-    expected_n = trace.predictor_error_n
-    if predictor == "hold":
-        assert all(map(math.isnan, expected_n))
-    else:
-        assert all(0 < each_n < 0.05 for each_n in expected_n)
-
-
-def test_received_samples_and_a_new_session_have_no_expected_error() -> None:
-    buffered = display(predictor="stack", compensation_ns=40_000_000)
-    play(buffered, Sender(), 0, 4_000)
-    assert math.isnan(buffered.states[0].predictor_error_n)
-    under_test = display(predictor="stack", compensation_ns=0)
-    play(under_test, Sender(session=7), 0, 4_000)
-    assert under_test.states[0].predictor_error_n > 0
-    play(under_test, Sender(session=8), 4_000, 6_000)
-    assert under_test.receiver.sessions == 2
-    assert math.isnan(under_test.states[0].predictor_error_n)
-
-
 def test_samples_of_a_stale_stream_are_late_however_far_prediction_was_trusted_before() -> None:
     cut = parse_link("delay=20ms,transport=tcp,cut.from=15s,cut.for=400ms")
     samples = summarise(replace(load_scene(RADIAL), link=cut), 18, seed=1).samples
@@ -100,3 +65,13 @@ def test_samples_of_a_stale_stream_are_late_however_far_prediction_was_trusted_b
     # The force fades once the newest sample is 60 ms older than usual.
     assert known(samples.late) > 400 - 60
     assert samples.lost == 0
+
+
+@pytest.mark.parametrize("predictor", ["hold", "stack"])
+def test_telemetry_has_the_expected_error_of_the_predictor(predictor: PredictorName) -> None:
+    under_test, sender = display(predictor=predictor, compensation_ns=0), Sender()
+    for ms in range(0, 4_000, 5):
+        run(under_test, sender, ms, ms + 5, 0.3 + 0.05 * math.sin(2 * math.pi * 1.25e-3 * ms))
+    (trace,) = read_trace(packed_trace(under_test.states[0]))
+    (expected_n,) = trace.predictor_error_n
+    assert math.isnan(expected_n) if predictor == "hold" else 0 < expected_n < 0.05

@@ -8,7 +8,6 @@ from protocol.config.scene_file import find_scene
 from telepulse.commissioning.actuator_check import (
     ActuatorFindings,
     check_actuator,
-    check_contact,
     check_latency,
 )
 from telepulse.commissioning.identification import IdentifiedModel, SecondOrderModel
@@ -102,20 +101,3 @@ def test_a_latency_that_no_drive_can_have_or_of_a_bad_fit_is_not_ok(
     )
     assert (check.verdict, plausible) == (verdict, verdict == "ok")
     assert (check.reason == "") is plausible
-
-
-@pytest.mark.parametrize(
-    ("contact", "verdicts"),
-    [
-        (FITTED, ["ok", "ok"]),
-        (replace(FITTED, finger_half_width=700.0), ["warn", "ok"]),
-        (replace(FITTED, backlash_m=-60e-6), ["ok", "warn"]),
-        (replace(FITTED, unexplained=0.5), ["fail", "fail"]),
-    ],
-    ids=["plausible", "not determined", "backlash below 0", "not explained"],
-)
-def test_a_contact_that_the_ramp_does_not_determine_is_not_ok(
-    contact: ContactFit, verdicts: list[str]
-) -> None:
-    _, actuator = bench()
-    assert [check.verdict for check in check_contact(actuator, contact)] == verdicts

@@ -73,22 +73,6 @@ def test_a_loop_that_would_be_unstable_fails_and_gains_are_proposed(tmp_path: Pa
     assert "gains for it" in out
 
 
-@pytest.mark.parametrize(
-    ("options", "reason"),
-    [
-        (("--force", "3 N"), "above the scene's force_limit, 2.5 N"),
-        (("--force", "3"), "is no force"),
-        (("--force", "0 N"), "must be above 0 N"),
-        (("--write", "/no/such/folder/found.toml"), "/no/such/folder"),
-    ],
-)
-def test_bad_options_are_one_line(options: tuple[str, ...], reason: str) -> None:
-    status, _, error = bench("bench", *options)
-    assert status == 2
-    assert error.count("\n") == 1
-    assert reason in error
-
-
 DRIVE = """
 [display.drive]
 kind = "tmcl"

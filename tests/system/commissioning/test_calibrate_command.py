@@ -9,7 +9,6 @@ from typer.testing import CliRunner
 
 from pulse_sensors.serial_port import SerialScene
 from telepulse.cli.main import app
-from telepulse.commissioning.calibration import is_moving
 
 FIG_4 = "load,reading\n0,0\n0.5,22\n1,44\n2,88\n2.5,110\n"
 
@@ -75,14 +74,6 @@ def test_a_bad_file_is_one_line_with_its_place(text: str, reason: str, tmp_path:
     assert status == 2
     assert error.count("\n") == 1
     assert reason in error
-
-
-def test_a_reading_that_drifts_is_moving_and_noise_is_not() -> None:
-    rng = np.random.default_rng(1)
-    noise = rng.standard_normal(2000)
-    assert not is_moving(noise)
-    assert is_moving(noise + np.linspace(0, 5, 2000))
-    assert not is_moving(np.ones(2000))
 
 
 def test_a_live_sensor_is_calibrated_load_by_load(

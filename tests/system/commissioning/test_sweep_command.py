@@ -31,22 +31,6 @@ def test_a_modelled_wrist_is_swept_and_reported(tmp_path: Path) -> None:
     assert forces_n[1] == pytest.approx(1.2, rel=0.05)
 
 
-@pytest.mark.parametrize(
-    ("arguments", "reason"),
-    [
-        (("radial",), 'its source is of kind "synthetic", which only a sensing node can press'),
-        (("press", "--low", "2 N"), "--high 2.5 N: give at least twice --low, 2 N"),
-        (("press", "--low", "1 mm"), "--low: "),
-        (("press", "--record", "a.mcap"), "--record needs --connect"),
-    ],
-)
-def test_what_cannot_be_swept_is_one_line(arguments: tuple[str, ...], reason: str) -> None:
-    done = run(MODULE, "sweep", *arguments)
-    assert done.returncode == 2
-    assert reason in done.stderr
-    assert done.stderr.count("\n") == 1
-
-
 def test_a_stopped_live_sweep_eases_off_and_names_what_is_missing(
     address: str, tmp_path: Path
 ) -> None:

@@ -45,7 +45,7 @@ def test_the_demo_carries_the_pulse_and_accounts_for_every_sample(tmp_path: Path
 def test_a_demo_of_three_fingers_has_the_figures_of_each(tmp_path: Path) -> None:
     out = tmp_path / "out.json"
     link = "delay=40ms,jitter=10ms,loss=1%"
-    arguments = ("--seconds", "4", "--json", str(out), "--link", link, "--no-ui", "--details")
+    arguments = ("--seconds", "8", "--json", str(out), "--link", link, "--no-ui", "--details")
     result = run(MODULE, "demo", "three_fingers", *arguments)
     assert result.returncode == 0, result.stderr
     summary = read_json(out)
@@ -78,14 +78,6 @@ def test_a_record_is_felt_by_one_command(tmp_path: Path) -> None:
     assert_felt(summary)
 
 
-def test_a_demo_whose_display_cannot_play_a_channel_is_one_line(tmp_path: Path) -> None:
-    scene = tmp_path / "wrong.toml"
-    scene.write_text('extends = "radial"\n[display]\nchannel = "guan"\n', encoding="utf-8")
-    result = run(MODULE, "demo", str(scene), "--seconds", "1", "--no-ui")
-    assert (result.returncode, result.stderr.count("\n")) == (2, 1)
-    assert "the stream has no channel 'guan'; it has ['pulse']" in result.stderr
-
-
 def test_a_demo_whose_display_latches_a_fault_names_it_and_ends_with_status_3(
     tmp_path: Path,
 ) -> None:
@@ -96,7 +88,7 @@ def test_a_demo_whose_display_latches_a_fault_names_it_and_ends_with_status_3(
     )
     noise = '\n[display.film]\nnoise = "5 mN"\n'
     scene.write_text(text + noise, encoding="utf-8")
-    result = run(MODULE, "demo", str(scene), "--seconds", "3", "--json", str(out), "--no-page")
+    result = run(MODULE, "demo", str(scene), "--seconds", "6", "--json", str(out), "--no-page")
     fault, advice = "felt force above 0.1 N", "check the film (telepulse calibrate)"
     assert result.returncode == 3
     assert result.stderr.startswith(f"telepulse: ended at the fault '{fault}': {advice}")
@@ -140,7 +132,7 @@ def test_the_first_line_says_where_the_page_is_and_ctrl_c_ends_the_pulse_and_sum
 def test_without_bokeh_the_demo_names_the_extra_and_continues_unless_a_page_is_required() -> None:
     code = "import sys; sys.modules['bokeh'] = None; import telepulse.cli.main as c; c.main()"
     for page, status in ((), 0), (("--page",), 2):
-        result = run_python("-c", code, "demo", "--seconds", "1", *page)
+        result = run_python("-c", code, "demo", "--seconds", "4", *page)
         assert result.returncode == status
         first = result.stderr.splitlines()[0]
         assert first.endswith("Bokeh is missing; pip install 'telepulse[view]'")

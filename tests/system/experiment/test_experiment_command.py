@@ -185,11 +185,6 @@ def test_a_log_continues_only_with_its_own_session(tmp_path: Path) -> None:
     assert "session, scene or observer differ from those in the log's first line" in result.stderr
 
 
-def test_the_example_is_written(tmp_path: Path) -> None:
-    assert experiment("new", tmp_path / "mine.toml").exit_code == 0
-    assert "[[conditions]]" in (tmp_path / "mine.toml").read_text(encoding="utf-8")
-
-
 def test_a_session_ends_safely_on_sigterm(tmp_path: Path) -> None:
     session = write(tmp_path / "s.toml", interval="30 s")
     with terminal(session, "--log", "log.jsonl") as (child, keys):

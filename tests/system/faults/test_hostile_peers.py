@@ -5,11 +5,9 @@ import time
 from pathlib import Path
 
 import pytest
-import zmq
 
-from protocol import sockets
-from protocol.security.budgets import FOREIGN_BYTES, SUBSCRIPTION, SubscriptionBudget
-from protocol.sockets import Context, control_address
+from protocol.security.budgets import SUBSCRIPTION
+from protocol.sockets import control_address
 from sensing_node.control_server import REQUESTS_AT_ONCE
 from telepulse.processes import free_addresses
 from tests.support.felt_force import assert_limits_kept
@@ -20,7 +18,6 @@ from tests.support.hostile_peers import (
     subscribe_endlessly,
 )
 from tests.support.node_rig import node_rig, unaccounted
-from tests.support.nodes import free_address
 from tests.support.waiting import until
 
 CONNECTIONS, MESSAGES, SILENT = 60, 400, 500
@@ -90,39 +87,3 @@ def test_of_endless_clock_requests_few_are_read(tmp_path: Path) -> None:
     assert sent.rejected["flood"] < REQUESTS_AT_ONCE + 2 * FLOODED_S * 1_200
     assert summary.samples.lost == 0
     assert summary.faults == []
-
-
-@pytest.mark.parametrize("ipc", [False, True])
-def test_a_few_foreign_topics_are_allowed_and_a_peer_that_continues_is_cut_off_and_counted(
-    context: Context, tmp_path: Path, ipc: bool, logged: list[str]
-) -> None:
-    address = f"ipc://{tmp_path}/data" if ipc else free_address()
-    data = sockets.bind(context, zmq.XPUB, address)
-    subscribers, forwarded = SubscriptionBudget(data, (b"trace", b"status")), list[bytes]()
-    modest, greedy = (context.socket(zmq.SUB) for _ in range(2))
-    for socket in (modest, greedy):
-        socket.connect(address)
-
-    def receives(socket: sockets.Socket) -> int:
-        forwarded.extend(subscribers.receive())
-        sockets.send(data, b"trace")
-        return socket.poll(5) and len(socket.recv())
-
-    for topic in (b"tra", b"something of a later version"):
-        modest.subscribe(topic)
-    until(lambda: receives(modest))
-    greedy.subscribe(b"trace")
-    until(lambda: receives(greedy))
-    assert not logged
-    topics = 0
-    while not logged and topics < 1_000:
-        greedy.subscribe(b"%d" % topics + bytes(100))
-        receives(modest)
-        topics += 1
-    assert topics * 101 > FOREIGN_BYTES / 2
-    end_s = time.monotonic() + 0.3
-    while time.monotonic() < end_s:
-        until(lambda: receives(modest))
-    assert len(logged) == 1
-    assert subscribers.rejected[SUBSCRIPTION] >= 1
-    assert {b"\1tra", b"\1trace"} <= set(forwarded) <= {b"\1tra", b"\1trace", b"\0trace"}

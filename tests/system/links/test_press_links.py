@@ -74,5 +74,5 @@ def test_with_keys_over_a_lossy_link_a_cut_eases_off_and_a_revoked_key_releases(
         _, log = wrist.communicate(timeout=30)
     press = read_json(json)["press"]
     assert press["sent"] == press["applied"] + press["superseded"] + press["lost"]
-    assert press["applied"] > 50
+    assert press["applied"] > 20
     assert log.count("finger is no longer allowed") == 1

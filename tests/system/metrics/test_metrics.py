@@ -141,12 +141,6 @@ def test_telemetry_with_keys_is_read_by_the_own_server(tmp_path: Path) -> None:
         until(lambda: finger.figure("up") == 1)
 
 
-def test_beyond_this_machine_the_node_warns_who_may_read() -> None:
-    with process(SENSING, str(RADIAL), "--metrics", "0.0.0.0:0", "--bind", free_address()) as node:
-        assert "metrics on http://0.0.0.0:" in node.read_line(3 * PATIENCE_S, from_stderr=True)
-        assert "neither keys nor encryption" in node.read_line(3 * PATIENCE_S, from_stderr=True)
-
-
 @contextmanager
 def serving() -> Iterator[MetricsHTTPServer]:
     server = MetricsHTTPServer("127.0.0.1", 0, make_wsgi_app(CollectorRegistry()))

@@ -77,20 +77,6 @@ def answer_clock(server: Socket, peer: bytes, connection: Connection) -> None:
     assert list(connection.control.messages()) == [b"clock"]
 
 
-@pytest.mark.parametrize("host", ["localhost", "127.0.0.1"])
-def test_host_names_and_ip_addresses_are_connected(
-    host: str, context: Context, address: str
-) -> None:
-    server = context.socket(zmq.ROUTER)
-    server.bind(control_address(address))
-    connection = Connection(context, [address.replace("127.0.0.1", host)], 1)
-    control = control_of(connection)
-    poll_until_connected(connection, control.get_monitor_socket(zmq.EVENT_HANDSHAKE_SUCCEEDED))
-    control.send(b"hello")
-    assert server.poll(PATIENCE_S * 1000)
-    assert server.recv_multipart()[1] == b"hello"
-
-
 def test_a_slow_name_server_does_not_block_the_loop(
     context: Context, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -41,7 +41,7 @@ def test_telemetry_has_every_tick_and_ends_with_a_final_status(
     end_s = time.monotonic() + PATIENCE_S
     with (
         process(MODULE, *arguments(address, telemetry, "--once")) as display,
-        process(SENSING, *sensing_arguments(address, 3)),
+        process(SENSING, *sensing_arguments(address, 6)),
     ):
         while final is None and time.monotonic() < end_s:
             try:

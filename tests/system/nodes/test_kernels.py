@@ -3,10 +3,8 @@
 import os
 from pathlib import Path
 
-import numpy as np
 import pytest
 
-from display_node.prediction import kernels
 from tests.support.nodes import ROOT, run_python
 
 LOGGED = "import logging; logging.basicConfig(level=logging.INFO, format='%(message)s')"
@@ -76,25 +74,3 @@ telepulse.simulate("radial", seconds=1, display={{"predictor": "{predictor}"}})
 print("numba" in sys.modules)
 """
     assert python(script)[0].strip() == "False"
-
-
-def test_without_a_folder_for_the_cache_kernels_are_compiled_at_each_start(
-    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
-    plain = kernels.njit
-
-    def without_a_folder(signature: str, cache: bool, **options: object) -> object:
-        if cache:
-            raise RuntimeError("cannot cache function: no locator available")
-        return plain(signature, cache=cache, **options)
-
-    monkeypatch.setattr(kernels, "njit", without_a_folder)
-    kernels._announce.cache_clear()
-    caplog.set_level("INFO")
-
-    @kernels.kernel(f"float64({kernels.FLOATS})")
-    def total(values: np.ndarray) -> float:
-        return values.sum()
-
-    assert total(np.arange(4.0)) == 6.0
-    assert "at each start: no folder is free for a cache" in caplog.text

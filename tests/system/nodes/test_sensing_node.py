@@ -13,7 +13,6 @@ from protocol.wire.messages import (
     Bye,
     ClockReply,
     ClockRequest,
-    DisplayReport,
     decode_control,
     decode_frame,
     encode_control,
@@ -111,52 +110,6 @@ def test_a_signal_ends_the_stream_after_all_due_samples(
         assert bye.samples_sent >= due
         last = client.frames_until(bye.samples_sent)[-1]
     assert last.first_sample + len(last.values) == bye.samples_sent
-
-
-def test_displays_of_any_name_may_leave_and_return(address: str, client: Client) -> None:
-    with process(MODULE, str(RADIAL), "--bind", address) as node:
-        session = client.join("anna's").session
-        with closing(Client(address)) as other:
-            assert other.join("[/] ☠").session == session
-            first = decode_frame(other.data.recv())
-        with closing(Client(address)) as again:
-            welcome = again.join("[bold] :smile:")
-            frame = decode_frame(again.data.recv())
-            assert {first.session, welcome.session, frame.session} == {session}
-            assert frame.first_sample > first.first_sample
-            assert welcome.samples_sent > first.first_sample
-            report = DisplayReport(session, "anna's", 900, 70, 20, 3, 1.0, 2.0, 40.0, 0.001)
-            client.control.send(encode_control(report))
-            client.ask(ClockRequest(0))
-            log = end(node)
-            assert client.bye() == again.bye()
-    # The log escapes names of other characters.
-    for name in ("anna's", r"[/] \u2620", "[bold] :smile:"):
-        assert f"{name} joined\n" in log
-    assert "anna's last reported 900 played, 70 predicted, 20 late, 3 lost" in log
-
-
-def interrupt(node: "subprocess.Popen[str]") -> str:
-    """Send Ctrl-C to a node; return its next line of the log that names a wait or a report."""
-    assert node.stderr is not None
-    node.send_signal(signal.SIGINT)
-    return next(line for line in node.stderr if "ending: " in line or "last reported" in line)
-
-
-def test_a_display_that_does_not_confirm_the_end_is_waited_for_until_a_second_signal(
-    address: str, client: Client
-) -> None:
-    with process(MODULE, str(RADIAL), "--bind", address, "--quiet", "--log-level", "info") as node:
-        client.join()
-        begin_s = time.monotonic()
-        assert interrupt(node).endswith(
-            "INFO ending: waiting up to 3 s for 1 display to confirm the end of the stream (raw);"
-            " Ctrl-C again ends at once\n"
-        )
-        node.send_signal(signal.SIGINT)
-        assert node.wait(PATIENCE_MS / 1000) == 0
-        # A wait to its end takes 3 s.
-        assert time.monotonic() - begin_s < 2.5
 
 
 def test_the_node_waits_until_each_display_has_the_whole_stream(

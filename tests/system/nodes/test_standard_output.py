@@ -3,14 +3,12 @@
 import io
 import os
 import sys
-import time
 from contextlib import closing
 
 import pytest
 
-from protocol.host import output
 from protocol.host.output import MAX_QUEUED, QueuedStream
-from tests.support.unread import KINDS, fill, unread
+from tests.support.unread import fill
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="not used on Windows")
 
@@ -19,23 +17,6 @@ LINE = "x" * 99 + "\n"
 
 def queued(number: int) -> QueuedStream:
     return QueuedStream(io.TextIOWrapper(io.FileIO(number, "w", closefd=False), "utf-8"))
-
-
-@pytest.mark.parametrize("kind", KINDS)
-def test_unread_output_does_not_block_its_writer(
-    kind: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(output, "STUCK_S", 0.1)
-    # Far longer, so that a busy machine does not make up the difference.
-    monkeypatch.setattr(output, "CLOSE_WITHIN_S", 60.0)
-    with unread(kind) as number:
-        stream = queued(number)
-        for _ in range(2 * MAX_QUEUED // len(LINE)):
-            print(LINE, end="", file=stream, flush=True)
-        begin_s = time.monotonic()
-        stream.finish()
-        assert time.monotonic() - begin_s < output.CLOSE_WITHIN_S
-        assert stream.dropped > 0
 
 
 def test_dropped_lines_are_counted_and_reported_once_output_is_possible_again() -> None:

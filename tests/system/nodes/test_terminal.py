@@ -12,8 +12,9 @@ from protocol.sockets import Context
 from protocol.summary.tables import Summary
 from protocol.ticks import TickState
 from protocol.wire.marks import MARK, Mark, pack_mark
-from protocol.wire.telemetry import STATUS, TRACE, TraceWriter, pack_status
+from protocol.wire.telemetry import STATUS, TRACE, pack_status
 from tests.support.nodes import free_address
+from tests.support.tick_blocks import packed_trace
 
 SECOND_NS = 1_000_000_000
 PLAYING = pack_status("playing", "my pulse", Summary(finger="pressed with 356 mN"), final=False)
@@ -21,11 +22,7 @@ PLAYING = pack_status("playing", "my pulse", Summary(finger="pressed with 356 mN
 
 def message_at(now_ns: int) -> bytes:
     """A trace message of one tick at full strength."""
-    writer = TraceWriter()
-    writer.add(TickState(now_ns=now_ns, felt_n=0.356, scored=True))
-    message = writer.rest()
-    assert message is not None
-    return message
+    return packed_trace(TickState(now_ns=now_ns, felt_n=0.356, scored=True))
 
 
 def shown(context: Context, send: Callable[[zmq.Socket[bytes]], None]) -> str:

@@ -6,7 +6,6 @@ from typing import Any
 import pytest
 
 from tests.golden.__main__ import paper_numbers, read
-from tests.support.browser import Visit
 from tests.support.nodes import read_json, run
 
 PLOTS = {
@@ -62,20 +61,3 @@ def test_the_page_shows_every_plot_and_no_figure_is_missing(written: Written) ->
     for name in PLOTS:
         assert (written.folder / f"{name}.svg").stat().st_size > 5_000
     assert not re.search(r"\b(nan|inf|None)\b|\{[\{%]", page[page.index("<body>") :])
-
-
-@pytest.mark.parametrize("scheme", ["light", "dark"])
-@pytest.mark.parametrize("width", [390, 1280])
-def test_a_browser_shows_the_page_without_errors(
-    written: Written, visit: Visit, width: int, scheme: str
-) -> None:
-    reader = {"viewport": {"width": width, "height": 900}, "color_scheme": scheme}
-    with visit((written.folder / "index.html").as_uri(), **reader) as page:
-        assert page.evaluate("document.documentElement.scrollWidth") <= width
-        pictures = page.evaluate("[...document.images].map((it) => it.naturalWidth)")
-        assert len(pictures) == len(PLOTS)
-        assert min(pictures) > 0
-        if width > 390:
-            # Table and findings are in one screen.
-            findings = page.locator(".findings").bounding_box()
-            assert findings["y"] + findings["height"] < 900

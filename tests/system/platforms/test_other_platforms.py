@@ -45,7 +45,7 @@ def test_every_module_is_imported(platform: str) -> None:
 
 @pytest.mark.parametrize("platform", PLATFORMS)
 def test_both_nodes_run_over_a_link_and_account_for_each_sample(platform: str) -> None:
-    command = ("demo", "--seconds", "2", "--no-ui", "--link", "delay=5ms", "--json", "-")
+    command = ("demo", "--seconds", "4", "--no-ui", "--link", "delay=5ms", "--json", "-")
     done = run_on(platform, "-c", MAIN, *command)
     assert done.returncode == 0, done.stderr
     assert_accounted(json.loads(done.stdout)["samples"])

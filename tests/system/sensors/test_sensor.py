@@ -92,9 +92,3 @@ def test_data_that_are_not_polled_are_dropped_and_counted(monkeypatch: pytest.Mo
         assert len(sensor.poll()) == 10
         assert sensor.rejected == {"backlog": 15}
         assert sensor.poll() == []
-
-
-def test_a_device_that_cannot_be_opened_is_refused_at_once() -> None:
-    port = GivenPort(opens=0)
-    with pytest.raises(SourceError, match="not now"):
-        Sensor(port, AsIs(), TABLE)

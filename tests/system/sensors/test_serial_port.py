@@ -16,7 +16,7 @@ from pulse_sensors.sensor import open_sensor
 from pulse_sensors.serial_port import SerialPort, SerialScene
 from telepulse.emulators import PtyPort
 from tests.support.nodes import free_address, read_json, run
-from tests.support.sample_blocks import await_log, forces, received
+from tests.support.sample_blocks import forces, received
 from tests.support.waiting import PATIENCE_S
 
 
@@ -60,20 +60,6 @@ def test_a_pseudo_terminal_is_read_by_one_sensor_only_and_garbage_is_counted() -
         assert forces(received(sensor, 2)) == [0.1, 0.2]
         assert sensor.rejected == {"not_a_number": 2}
         assert sensor.faults() == [f"2 samples missing from {board.path}"]
-
-
-def test_a_socket_is_read_and_its_end_is_logged(logged: list[str]) -> None:
-    enough = threading.Event()
-
-    def serve(connection: socket.socket, over: threading.Event) -> None:
-        while not enough.wait(0.01) and not over.is_set():
-            connection.sendall(b"0.25\n" * 10)
-
-    with server(serve) as address, opened(scene(f"socket://{address}")) as sensor:
-        assert set(forces(received(sensor, 100))) == {0.25}
-        enough.set()
-        await_log(sensor, logged)
-        assert logged[0].startswith(f"socket://{address} has gone: ")
 
 
 def test_a_sensing_node_reports_the_wrong_unit_once(tmp_path: Path) -> None:

@@ -3,14 +3,11 @@
 import asyncio
 import json
 import os
-from collections.abc import Iterator
 from pathlib import Path
-from subprocess import PIPE
 
 import pytest
 
 import soak.run
-from protocol.host.child_process import ChildProcess
 from soak.evidence import verdict
 from soak.leftovers import MARK, left_behind
 from soak.network import loopback
@@ -83,24 +80,6 @@ def test_a_soak_finds_every_sample_and_leaves_nothing_behind(tmp_path: Path) -> 
     assert table["passed"] is False
     assert table["episodes"][0]["longest_gap_s"]["restarted"] > 0.2
     assert len(table["processes"]) == 6
-
-
-@pytest.fixture
-def child() -> Iterator[ChildProcess]:
-    marked = os.environ | {MARK: str(os.getpid())}
-    with ChildProcess("child", "-c", "input()", stdin=PIPE, env=marked) as child:
-        yield child
-
-
-def test_leftover_processes_are_found(child: ChildProcess, tmp_path: Path) -> None:
-    (process,) = left_behind(set(), [], str(tmp_path / "none"))
-    assert process.startswith("a process, ")
-    child.kill()
-    os.waitid(os.P_PID, child.pid, os.WEXITED | os.WNOWAIT)
-    (zombie,) = left_behind(set(), [], str(tmp_path / "none"))
-    assert zombie.startswith("a zombie, ")
-    child.wait()
-    assert left_behind(set(), [], str(tmp_path / "none")) == []
 
 
 def test_a_result_that_cannot_be_written_is_one_line_before_the_run(tmp_path: Path) -> None:

@@ -60,6 +60,23 @@ def test_no_wrong_model_of_the_real_bench_misses_the_bar(
     assert times[0] <= found_n / as_modelled_n <= times[1]
 
 
+@pytest.mark.parametrize(("name", "bar_n"), [("bench", CLEAN_BAR_N), ("paper", 2e-3)])
+def test_the_benches_without_imperfections_hold_their_bars(name: str, bar_n: float) -> None:
+    assert run_scene(load_bench(name)).force_rmse_n <= bar_n
+
+
+@pytest.mark.parametrize(
+    ("drive_ns", "film_ns"), [(4_000_000, 0), (0, 5_000_000), (2_000_000, 3_000_000)]
+)
+def test_latencies_of_drive_and_film_are_compensated(
+    as_modelled_n: float, drive_ns: int, film_ns: int
+) -> None:
+    real = load_bench()
+    film = real.display.film.model_copy(update={"latency_ns": film_ns})
+    late = with_display(real, actuator=stepper_of(real, latency_ns=drive_ns), film=film)
+    assert run_scene(late).force_rmse_n <= 1.2 * as_modelled_n
+
+
 @pytest.mark.parametrize("rate_hz", [500, 200])
 def test_a_slower_loop_holds_the_bar(rate_hz: int) -> None:
     assert run_scene(at_rate(load_bench(), rate_hz)).force_rmse_n <= REAL_BAR_N

@@ -17,6 +17,7 @@ from protocol.config.scene import validate
 from protocol.errors import SceneError
 from protocol.pieces import complete
 from protocol.summary.tables import contactors_of
+from protocol.ticks import InterruptionCounter
 from protocol.wire.description import Channel
 from protocol.wire.messages import Bye, Frame, encode_control, encode_frame
 from tests.support.sender import AHEAD_NS, MS, Sender, display_scene
@@ -288,17 +289,37 @@ def test_every_actuator_is_commanded_before_anything_is_scored_or_learnt(
 
     noted("command", ForceLoop, "tick")
     noted("score", TrackingError, "add_output")
-    noted("score", PredictionScore, "add_output")
+    noted("score", PredictionScore, "add_reference")
+    noted("count", InterruptionCounter, "add")
     noted("learn", Ensemble, "work")
     noted("beats", BeatStatistics, "observe")
     under_test, sender = Display(scene(predictor="stack"), "test"), Sender(stream=STREAM)
-    # A frame has just arrived.
     play(under_test, sender, 0, 3001)
+    # Without slack for 0.1 s, a block of ticks waits, and many frames.
+    with monkeypatch.context() as busy:
+        busy.setattr(under_test, "work", lambda: False)
+        play(under_test, sender, 3001, 3101)
     order.clear()
-    under_test.command(3001 * MS)
-    assert order == ["command"] * 3
+    under_test.command(3101 * MS)
     under_test.account()
-    assert set(order[3:]) == {"score"}
+    assert order == ["command"] * 3
     while under_test.work():
         pass
-    assert {"learn", "beats"} <= set(order)
+    assert {"learn", "beats", "score", "count"} == set(order[3:])
+
+
+def test_a_summary_has_all_ticks_and_frames_so_far_also_on_a_host_without_slack(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    found = []
+    for slack in (True, False):
+        under_test, sender = Display(scene(), "test"), Sender(stream=STREAM)
+        if not slack:
+            monkeypatch.setattr(under_test, "work", lambda: False)
+        play(under_test, sender, 0, 5_077)
+        partial = under_test.summary()
+        assert partial.availability.seconds == pytest.approx(5.077)
+        assert partial.playout_delay_ms.mean == pytest.approx(27)
+        under_test.finish_scores()
+        found.append((partial.availability.felt, partial.interruptions, under_test.summary()))
+    assert found[0] == found[1]

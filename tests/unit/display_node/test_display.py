@@ -138,6 +138,7 @@ def test_any_numbers_of_a_peer_leave_loop_and_telemetry_working(
     good_ms: int, messages: list[tuple[bool, bytes, bytes]]
 ) -> None:
     under_test, writer = display(), TraceWriter()
+    under_test.take_ticks = writer.add
     run(under_test, Sender(), 0, good_ms)
     for number, (is_frame, message, frame) in enumerate(messages):
         now_ns = (good_ms + 20 * number) * MS
@@ -149,9 +150,8 @@ def test_any_numbers_of_a_peer_leave_loop_and_telemetry_working(
             felt = under_test.tick(now_ns + tick * MS)
             assert 0 <= felt.felt_n <= LIMIT_N
             under_test.requests(now_ns + tick * MS)
-            trace = writer.rest() if writer.add(felt) else None
-            if trace is not None:
-                read_trace(trace)
+        under_test.close_block()
+        read_trace(writer.rest() or b"")
         read_status(under_test.pack_status(under_test.summary(), final=False))
 
 
@@ -159,6 +159,7 @@ def test_any_numbers_of_a_peer_leave_loop_and_telemetry_working(
 @pytest.mark.parametrize("drift", [0, 1000])
 def test_any_clock_of_a_peer_leaves_loop_and_telemetry_working(claimed_ns: int, drift: int) -> None:
     under_test, writer = display(), TraceWriter()
+    under_test.take_ticks = writer.add
     under_test.on_control(encode_control(Welcome(7, 0, description())), 0)
     for ms in range(1000):
         now_ns = ms * MS
@@ -170,7 +171,7 @@ def test_any_clock_of_a_peer_leaves_loop_and_telemetry_working(claimed_ns: int, 
         if ms % 5 == 0:
             frame = Frame(7, ms, t_ns, MS, np.full((5, 1), 0.3, "<f4"))
             under_test.on_frame(encode_frame(frame), now_ns)
-        trace = writer.rest() if writer.add(under_test.tick(now_ns)) else None
-        if trace is not None:
+        under_test.tick(now_ns)
+        if (trace := writer.rest()) is not None:
             read_trace(trace)
     read_status(under_test.pack_status(under_test.summary(), final=False))

@@ -3,16 +3,7 @@
 import re
 from pathlib import Path
 
-import pytest
-
-from display_node.fault_advice import (
-    FILM_NOTE,
-    OTHERWISE,
-    SENSING_NOTE,
-    advise,
-    latched,
-    name_faults,
-)
+from display_node.fault_advice import FILM_NOTE, OTHERWISE, SENSING_NOTE, advise, latched
 from display_node.plant.feedback import FilmFault
 
 ROOT = Path(__file__).parents[3]
@@ -39,16 +30,6 @@ def test_every_fault_in_the_code_has_advice() -> None:
     }
 
 
-def test_latched_faults_are_a_line_each_and_notes_of_sensors_are_none(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_notes_of_sensors_are_no_latched_faults() -> None:
     notes = [f"{FILM_NOTE}3 samples missing", f"{SENSING_NOTE}2 samples beyond the ADC's range"]
-    assert latched(notes) == []
-    assert not name_faults("display-node", notes)
-    assert capsys.readouterr().err == ""
-    assert name_faults("display-node", ["feedback lost", *notes])
-    (line,) = capsys.readouterr().err.splitlines()
-    assert line == (
-        "display-node: ended at the fault 'feedback lost': check the film's sensor and its cable;"
-        " then start the display again"
-    )
+    assert latched(["feedback lost", *notes]) == ["feedback lost"]

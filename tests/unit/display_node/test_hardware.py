@@ -2,14 +2,12 @@
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from unittest.mock import Mock
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from display_node.scene import DisplayScene
-from protocol.errors import SceneError, SourceError
+from protocol.errors import SourceError
 from pulse_drives.withdrawal import TOUCH_N
 from tests.support.sender import MS, Sender, display_scene
 from tests.support.streams import synthetic
@@ -100,8 +98,8 @@ def test_ticks_in_which_the_drive_is_slowed_at_its_end_are_counted(pulse_n: Puls
         limited = hard.display.summary().limited
         assert hard.hardware.at_end.times > 0
     assert limited.force.share == pytest.approx(0.7, abs=0.3)
-    # On a real bench, the models of actuator and film bound nothing.
-    assert (limited.travel.times, limited.film.times) == (None, None)
+    # On a real bench, the drive bounds the travel, and the model of the film nothing.
+    assert (limited.travel.times, limited.film.times) == (hard.hardware.at_end.times, None)
 
 
 def lose_the_film(bench: ThreadedBench) -> None:
@@ -230,9 +228,3 @@ def test_without_a_sensor_the_drives_position_gives_the_force() -> None:
         assert read_n == pytest.approx(bench.motor.force_n, abs=5e-3)
         finger = bench.hardware.finger(now_ns)
         assert (finger.force_n, finger.measured_by) == (read_n, "by the drive's position")
-
-
-def test_a_scene_without_a_drive_is_refused() -> None:
-    scene: DisplayScene = display_scene("tmcl_bench")
-    with pytest.raises(SceneError, match="drive"):
-        scene.model_copy(update={"drive": None}).hardware(Mock(), None)

@@ -1,4 +1,4 @@
-"""The compose file as text; it runs in tests/system/containers where an engine is installed."""
+"""The compose file as text: its ports, its network, and commands that the programs have."""
 
 import shlex
 from collections.abc import Mapping

@@ -1,4 +1,3 @@
-import datetime
 import itertools
 import math
 from collections.abc import Mapping
@@ -6,7 +5,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from protocol.wire.description import Channel
 from pulse_sensors.sample_check import SampleCheck
@@ -114,50 +112,6 @@ def test_a_doubtful_recording_has_a_warning(
     tmp_path: Path, columns: Keys, keys: Keys, text: str
 ) -> None:
     assert warnings(csv_file(tmp_path, columns), **keys) == [text]
-
-
-UNUSED = 'column "time" has the name of times, and falls or is no number: not used'
-
-
-BEGIN = datetime.datetime(2016, 11, 24, 13, 58, 58, tzinfo=datetime.UTC)
-DATES = [(BEGIN + datetime.timedelta(seconds=float(t))).isoformat() for t in TIMES_S]
-
-
-@pytest.mark.parametrize(
-    ("name", "times"),
-    [
-        ("time", TIMES_S), ("t (ms)", TIMES_S * 1e3), ("timestamp_us", TIMES_S * 1e6 + 1.7e15),
-        ("elapsed", TIMES_S + 5), ("time", np.floor(TIMES_S)), ("datetime", DATES),
-    ],
-)  # fmt: skip
-def test_the_scenes_rate_is_compared_with_the_files_own_times(
-    tmp_path: Path, name: str, times: object
-) -> None:
-    path = csv_file(tmp_path, {name: times, "force": PULSE_N})
-    assert warnings(path, column="force") == []
-    text = refusal(path, column="force", rate="500 Hz")
-    assert text.startswith(f'column "{name}')
-    assert "the scene's rate is 500 Hz; set rate = \"" in text
-
-
-@pytest.mark.parametrize(
-    "times",
-    [
-        np.append(TIMES_S[:-1], math.inf),
-        np.arange(1000) * 5e-324,
-        np.arange(1000) * 1e305,
-        np.full(1000, math.nan),
-    ],
-)
-def test_impossible_times_are_ignored(tmp_path: Path, times: NDArray[np.float64]) -> None:
-    one = np.sum(~np.isfinite(times)) == 1
-    row = 'column "time": 1 time is not used, that in row 1000'
-    expected = [] if np.all(np.isfinite(times)) else [row if one else UNUSED]
-    np.savez(tmp_path / "pulse.npz", time=times, force=PULSE_N)
-    assert warnings(tmp_path / "pulse.npz", column="force") == expected
-    path = csv_file(tmp_path, {"time": times, "force": PULSE_N})
-    in_text = [line.replace(row, f"{row} (line 1001)") for line in expected]
-    assert warnings(path, column="force") == in_text
 
 
 MS = 1_000_000

@@ -1,5 +1,4 @@
 import math
-import tracemalloc
 
 import msgpack
 import pytest
@@ -39,7 +38,6 @@ MS, SECOND_NS = 1_000_000, 1_000_000_000
 NOW_NS = 8 * SECOND_NS
 ANNA, BERT = (b"anna",), (b"bert",)
 HELLO = Hello("anna's")
-MOST_BYTES = 3_000_000
 
 
 class StillProbe:
@@ -214,19 +212,13 @@ def test_further_connections_count_among_the_bounded_clients() -> None:
     assert server.rejected == {"too_many_displays": 2}
 
 
-def test_clients_and_their_memory_are_bounded(server: ControlServer) -> None:
-    tracemalloc.start()
-    try:
-        for number in range(2 * MAX_CLIENTS):
-            greeting = encode_control(Hello(f"display {number}"))
-            for address in (bytes(200_000), bytes(ADDRESS_BYTES)):
-                server.answer((str(number).encode(), address), greeting, number, 0)
-        held_bytes, _ = tracemalloc.get_traced_memory()
-    finally:
-        tracemalloc.stop()
+def test_clients_and_their_addresses_are_bounded(server: ControlServer) -> None:
+    for number in range(2 * MAX_CLIENTS):
+        greeting = encode_control(Hello(f"display {number}"))
+        for address in (bytes(200_000), bytes(ADDRESS_BYTES)):
+            server.answer((str(number).encode(), address), greeting, number, 0)
     assert len(server.clients) == MAX_CLIENTS
     assert server.rejected == {"malformed": 2 * MAX_CLIENTS, "too_many_displays": MAX_CLIENTS}
-    assert held_bytes < MOST_BYTES
     for message in (HELLO, ClockRequest(1), report()):
         assert ask(server, ANNA, message) is None
     assert isinstance(ask(server, (b"0", bytes(ADDRESS_BYTES)), Hello("display 0")), Welcome)

@@ -49,21 +49,6 @@ def test_stalled_threads_wake_together_in_the_order_that_is_chosen(
     assert {ms for ms, _ in seen} == {10, 55}
 
 
-def test_a_stall_may_begin_between_a_reading_of_the_clock_and_its_use(world: VirtualTime) -> None:
-    seen: list[tuple[int, int]] = []
-
-    def reader() -> None:
-        while True:
-            world.sleep(1e-3)
-            read_ns = world.perf_counter_ns()
-            seen.append((read_ns // MS, world.now_ns // MS))
-
-    thread = world.thread(reader)
-    world.interrupt(3, lambda: world.stall([thread], 500 * MS))
-    world.run(501 * MS)
-    assert seen == [(1, 1), (2, 2), (3, 500), (501, 501)]
-
-
 def test_a_lock_is_waited_for_while_its_holder_is_stalled(world: VirtualTime, here: Any) -> None:
     lock = here.threading.Lock()
     seen: list[tuple[str, int]] = []

@@ -44,7 +44,8 @@ def force_loop(
 
 
 def tick(loop: ForceLoop, *reference_n: float) -> float:
-    return loop.tick(list(reference_n), loop.read_film())
+    loop.tick(list(reference_n), loop.read_film())
+    return loop.felt_n
 
 
 def rmse_n(loop: ForceLoop) -> float:

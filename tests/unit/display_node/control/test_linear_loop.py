@@ -85,7 +85,8 @@ class Shipped:
     def tick(self, reference_n: float = DESIGN_FORCE_N, noise_n: float = 0.0) -> float:
         """Return the felt force after a tick whose reading is wrong by `noise_n`."""
         reading_n = self._film.read(self.loop.felt_n) + noise_n
-        return self.loop.tick([reference_n] * (self.loop.horizon + 1), reading_n)
+        self.loop.tick([reference_n] * (self.loop.horizon + 1), reading_n)
+        return self.loop.felt_n
 
     def settled(self, ticks: int = 1000) -> "Shipped":
         for _ in range(ticks):

@@ -12,8 +12,8 @@ MS = 1_000_000
 HEIGHT_N = 0.3
 
 
-def scored(score: PredictionScore, played_s: float = 60.0) -> Compensation:
-    return score.scored(Compensation(predicted=0.5), played_s)
+def added(score: PredictionScore, played_s: float = 60.0) -> Compensation:
+    return score.add_to(Compensation(predicted=0.5), played_s)
 
 
 def predict(score: PredictionScore, from_ms: int, to_ms: int, force_n: float = 0.0) -> None:
@@ -36,18 +36,18 @@ def test_the_error_is_that_of_the_played_force_at_each_sample_that_came_later() 
         # A straight line, interpolated between the ticks.
         score.add_output(ms * MS + MS // 2, 0.01 * (ms + 0.5), 0.0, HEIGHT_N, full=True)
     arrive(score, 1, 0.01 + 0.003, 0.02 - 0.004)
-    found = scored(score)
+    found = added(score)
     assert found.error_n == pytest.approx(math.sqrt((0.003**2 + 0.004**2) / 2))
     assert found.error_share == pytest.approx(found.error_n / HEIGHT_N)
     assert found.predicted == 0.5
     # Samples at instants that were not predicted, or are still to be played, are not scored.
     arrive(score, -3, 9.0, 9.0, 9.0, 9.0)
     arrive(score, 10, 9.0, 9.0)
-    assert scored(score) == found
+    assert added(score) == found
     # At the finger.
     arrive(score, 3, 0.03 + 0.005, 0.04 + 0.005, ratio=2.0)
     squares = 0.003**2 + 0.004**2 + 2 * (2 * 0.005) ** 2
-    assert scored(score).error_n == pytest.approx(math.sqrt(squares / 4))
+    assert added(score).error_n == pytest.approx(math.sqrt(squares / 4))
 
 
 def test_nothing_is_scored_across_missed_ticks_a_jump_back_or_a_new_clock() -> None:
@@ -59,17 +59,17 @@ def test_nothing_is_scored_across_missed_ticks_a_jump_back_or_a_new_clock() -> N
     arrive(score, 11, *[9.0] * 3)
     score.restart()
     arrive(score, 3, 9.0)
-    assert scored(score) == Compensation(predicted=0.5)
-    assert scored(PredictionScore(MS), played_s=0.0) == Compensation(predicted=0.5)
+    assert added(score) == Compensation(predicted=0.5)
+    assert added(PredictionScore(MS), played_s=0.0) == Compensation(predicted=0.5)
 
 
 def test_only_the_newest_ticks_wait_for_their_samples() -> None:
     score = PredictionScore(MS)
     predict(score, 0, 2 * KEEP_TICKS + 1)
     arrive(score, KEEP_TICKS - 10, *[9.0] * 9)
-    assert scored(score).error_n is None
+    assert added(score).error_n is None
     arrive(score, KEEP_TICKS + 1, *[0.1] * 9)
-    assert scored(score).error_n == pytest.approx(0.1)
+    assert added(score).error_n == pytest.approx(0.1)
 
 
 @pytest.mark.parametrize(("jump", "felt"), [(0.11, 3), (0.09, 0)])
@@ -83,7 +83,7 @@ def test_each_noticeable_correction_is_counted_once(jump: float, felt: int) -> N
             newest_ns, force_n = (ms - 60) * MS, offset_n - force_n
         path_n = blend.apply([force_n] * 3, ms * MS, newest_ns)
         score.add_output(ms * MS, path_n[0], blend.offset_n, HEIGHT_N, full=True)
-    found = scored(score, played_s=30.0)
+    found = added(score, played_s=30.0)
     assert found.corrections == (felt or None)
     assert found.corrections_per_min == (2.0 * felt or None)
 
@@ -115,7 +115,7 @@ def test_the_alarm_is_on_while_more_than_5_percent_of_the_last_5_s_were_wrong() 
     begun = 5 + 5 * alarms.index(True)
     assert begun == 1_250
     assert all(alarms[alarms.index(True) :])
-    assert scored(score).noticed_5s == pytest.approx(0.051)
+    assert added(score).noticed_5s == pytest.approx(0.051)
     predict(score, 4_000, 6_500)
     for first_ms in range(5_500, 6_495, 5):
         arrive(score, first_ms, *[0.0] * 5)
@@ -123,5 +123,5 @@ def test_the_alarm_is_on_while_more_than_5_percent_of_the_last_5_s_were_wrong() 
     # Less than half of it is left 5 s after its middle.
     ended = 5_500 + 5 * alarms[len(range(5, 3_990, 5)) :].index(False)
     assert ended == pytest.approx(6_130, abs=5)
-    assert scored(score).alarm is False
-    assert scored(score).noticed_5s == pytest.approx(0.0, abs=0.004)
+    assert added(score).alarm is False
+    assert added(score).noticed_5s == pytest.approx(0.0, abs=0.004)

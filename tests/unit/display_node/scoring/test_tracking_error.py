@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from display_node.scoring.tracking_error import RoughnessMeter, TrackingError
+from display_node.scoring.tracking_error import BLOCK, RoughnessMeter, TrackingError
 from protocol.summary.phrases import windows_text
 from protocol.summary.tables import Roughness
 from protocol.tactile import ElasticLayer
@@ -48,8 +48,9 @@ def add_reference(error: TrackingError, pieces: Iterable[Times]) -> None:
 def add_output(
     error: TrackingError, ticks_ns: Times, forces_n: Forces, delay_ns: int = DELAY_NS
 ) -> None:
-    for now_ns, force_n in zip(ticks_ns.tolist(), forces_n.tolist(), strict=True):
-        error.add_output(now_ns, now_ns - delay_ns, force_n)
+    for first in range(0, len(ticks_ns), BLOCK):
+        now_ns = ticks_ns[first : first + BLOCK]
+        error.add_output(now_ns, now_ns - delay_ns, forces_n[first : first + BLOCK])
 
 
 def scored(
@@ -103,10 +104,10 @@ def test_a_reference_may_be_added_after_the_felt_force() -> None:
     felt_n = pulse_n(ticks_ns)
     error, late_ns = TrackingError(STRAIN_PER_NEWTON), 1900 * MS
     pending = frames(sample_times_ns(16.0))
-    for now_ns, force_n in zip(ticks_ns.tolist(), felt_n.tolist(), strict=True):
+    for tick, now_ns in enumerate(ticks_ns):
         while pending and pending[0][-1] + late_ns <= now_ns:
             add_reference(error, [pending.pop(0)])
-        error.add_output(now_ns, now_ns - DELAY_NS, force_n)
+        add_output(error, ticks_ns[tick : tick + 1], felt_n[tick : tick + 1])
     add_reference(error, pending)
     error.finish()
     assert error.force_rmse_n.in_phase == pytest.approx(0, abs=2e-6)
@@ -159,7 +160,7 @@ def test_memory_does_not_grow_in_ten_minutes(felt_share: float) -> None:
             t_ns = list(range(now_ns, now_ns + 25 * MS, MS))
             error.add_reference_force(t_ns, force_n)
             if felt_share == 1.0 or frame < 2400 * felt_share:
-                error.add_output(now_ns, now_ns - DELAY_NS, 0.3)
+                add_output(error, np.array([now_ns]), np.array([0.3]))
 
     # The reference of ten minutes has 9.6 MB.
     assert grown_bytes(one_minute) < 500_000

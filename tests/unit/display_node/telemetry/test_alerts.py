@@ -7,7 +7,7 @@ import pytest
 
 from display_node.fault_advice import FILM_NOTE
 from display_node.telemetry.alerts import WINDOW_NS, StatusAge, alerts
-from protocol.errors import CAUSE_MEANINGS
+from protocol.refusals import CAUSE_MEANINGS
 from protocol.summary.tables import BeatFigures, Compensation, Deadlines, Loop, Summary
 
 MS, SECOND_NS = 1_000_000, 1_000_000_000

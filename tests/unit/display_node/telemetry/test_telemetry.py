@@ -16,8 +16,9 @@ from protocol.errors import WireError
 from protocol.summary.tables import SampleCounts, Summary
 from protocol.ticks import TickState
 from protocol.wire.messages import LARGEST_N, TIME_RANGE
-from protocol.wire.telemetry import TRACE_TICKS, Trace, TraceWriter, read_status, read_trace
+from protocol.wire.telemetry import Trace, TraceWriter, read_status, read_trace
 from tests.support.sender import MS, Sender, run
+from tests.support.tick_blocks import TRACE_TICKS, packed_trace, tick_block
 
 RADIAL = Path(__file__).parents[4] / "scenes" / "radial.toml"
 times_ns = st.integers(TIME_RANGE.start, TIME_RANGE.stop - 1)
@@ -36,22 +37,21 @@ ticks = st.builds(
 )
 
 
-def traces(felt: list[TickState]) -> list[bytes]:
-    writer = TraceWriter()
-    return [writer.rest() or b"" for tick in felt if writer.add(tick)]
-
-
 @settings(max_examples=20)
-@given(st.lists(ticks, min_size=TRACE_TICKS, max_size=2 * TRACE_TICKS))
-def test_every_tick_is_in_a_trace(felt: list[TickState]) -> None:
+@given(st.lists(ticks, min_size=2, max_size=2 * TRACE_TICKS), st.data())
+def test_a_trace_has_every_tick_of_each_contactor_since_the_last_one(
+    felt: list[TickState], data: st.DataObject
+) -> None:
     felt.sort(key=lambda tick: tick.now_ns)
-    read = [read_trace(message)[0] for message in traces(felt)]
-    assert len(read) == len(felt) // TRACE_TICKS
-    sent = felt[: len(read) * TRACE_TICKS]
+    other, writer = data.draw(ticks), TraceWriter()
+    cut = data.draw(st.integers(1, len(felt) - 1))
+    for block in (felt[:cut], felt[cut:]):
+        writer.add(tick_block(*block, others=[other]))
+    trace, others = read_trace(writer.rest() or b"")
     for name in Trace._fields:
-        together = np.concatenate([getattr(trace, name) for trace in read])
-        np.testing.assert_array_equal(together, [getattr(tick, name) for tick in sent])
-        assert all(len(getattr(trace, name)) == TRACE_TICKS for trace in read)
+        np.testing.assert_array_equal(getattr(trace, name), [getattr(tick, name) for tick in felt])
+    np.testing.assert_array_equal(others.felt_n, [other.felt_n] * len(felt))
+    assert writer.rest() is None
 
 
 def trace_of(**changes: object) -> Trace:
@@ -59,8 +59,7 @@ def trace_of(**changes: object) -> Trace:
     felt = [TickState(tick, tick, tick, 0.5, 0.4, True, 0.01) for tick in range(TRACE_TICKS)]
     for name, value in changes.items():
         setattr(felt[-1], name, value)
-    (message,) = traces(felt)
-    return read_trace(message)[0]
+    return read_trace(packed_trace(*felt))[0]
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, 1e300, -1e300])
@@ -133,12 +132,14 @@ def test_a_status_has_every_key_of_a_summary_and_no_impossible_figure(figure: fl
 def test_a_silent_film_is_a_fault_and_its_force_unknown() -> None:
     display = Display(load_section(RADIAL, "display", DisplayScene), "test")
     feedback = display.contactors[0].feedback = Feedback(0, 40 * MS)
-    sender, writer, messages = Sender(), TraceWriter(), []
+    sender, writer = Sender(), TraceWriter()
+    display.take_ticks = writer.add
     for ms in range(3_000):
         if ms < 2_000:
             feedback.add(ms * MS, 0.3)
         run(display, sender, ms, ms + 1)
-        messages.append(writer.rest() if writer.add(display.states[0]) else None)
+    display.close_block()
+    messages = [writer.rest()]
     felt_n = np.concatenate([read_trace(message)[0].felt_n for message in messages if message])
     assert np.isfinite(felt_n[:2_000]).all()
     assert np.isnan(felt_n[2_100:]).all()

@@ -88,7 +88,8 @@ def _edf(path: Path) -> None:
 
 def _hea(path: Path) -> None:
     wfdb_record(path.parent, {"ABP": np.arange(100.0)}, name="part")
-    path.write_text(f"{path.stem}/3 1 250 {MANY + 200}\npart 100\n~ {MANY}\npart 100\n")
+    lines = f"{path.stem}/3 1 250 {MANY + 200}\npart 100\n~ {MANY}\npart 100\n"
+    path.write_text(lines, encoding="utf-8")
 
 
 def _mat(path: Path) -> None:

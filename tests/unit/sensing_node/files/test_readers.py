@@ -1,7 +1,6 @@
 """Readers of files of signals, against files that other libraries wrote, and damaged ones."""
 
 import random
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -152,22 +151,14 @@ def _edf(folder: Path) -> Path:
     return folder / "a.edf"
 
 
-def _parquet(folder: Path) -> Path:
-    parquet.write_table(pyarrow.table(SIGNALS), folder / "a.parquet")
-    return folder / "a.parquet"
-
-
 # The other formats are damaged in tests/system/hostile.
-MAKE: dict[str, Callable[[Path], Path]] = {
-    "hea": lambda folder: wfdb_record(folder, SIGNALS).with_suffix(".hea"),
-    "edf": _edf,
-    "parquet": _parquet,
-}
-
-
-@pytest.mark.parametrize("kind", MAKE)
+@pytest.mark.parametrize("kind", ["wfdb", "parquet"])
 def test_a_damaged_file_is_read_or_refused_in_one_line(tmp_path: Path, kind: str) -> None:
-    path = MAKE[kind](tmp_path)
+    path = tmp_path / "a.parquet"
+    if kind == "wfdb":
+        path = wfdb_record(tmp_path, SIGNALS).with_suffix(".hea")
+    else:
+        parquet.write_table(pyarrow.table(SIGNALS), path)
     data = path.read_bytes()
     rng = random.Random(1)
     head = min(len(data), 600)

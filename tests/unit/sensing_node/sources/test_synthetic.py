@@ -145,22 +145,6 @@ def test_hum_is_an_added_sine_of_the_scenes_rate_and_size(rate_hz: int) -> None:
 NOISELESS = RESTLESS | {"noise": "0 N", "hum": "0 N"}
 
 
-def test_each_position_is_a_channel_with_its_own_height_shape_and_preload() -> None:
-    source = synthetic(position=THREE)
-    assert [channel.name for channel in source.channels] == ["cun", "guan", "chi"]
-    assert {channel.unit for channel in source.channels} == {"N"}
-    assert source.delays_s == pytest.approx((6.25e-3, 3.125e-3, 0))
-    force_n = source.take(60_000)
-    assert np.ptp(force_n, axis=0) == pytest.approx([0.2, 0.3, 0.3], rel=1e-3)
-    assert force_n.mean(axis=0) == pytest.approx([0.3, 0.5, 0.3], abs=1e-4)
-    for column, preset in enumerate(("paper", "wide", "wide")):
-        alone_n = pulse(60, preset=preset) - 0.3
-        shifted_n = np.interp(np.arange(60_000) + 1e3 * source.delays_s[column],
-                              np.arange(60_000), force_n[:, column])  # fmt: skip
-        cut = slice(1000, -1000)
-        assert np.corrcoef(shifted_n[cut], alone_n[cut])[0, 1] > 0.9999
-
-
 @pytest.mark.parametrize(("distance", "fraction"), [("8 mm", 10), ("4 mm", 5), ("0.8 mm", 1)])
 def test_a_position_has_the_pulse_of_an_earlier_time_exactly(distance: str, fraction: int) -> None:
     # At 8 m/s, 0.8 mm are a tenth of a sample.
@@ -218,21 +202,3 @@ def test_positions_that_cannot_be_are_refused(keys: dict[str, Any], reason: str)
         validate({"kind": "synthetic"} | keys, SyntheticScene, "[sensing.source]")
     assert reason in str(refused.value)
     assert "\n" not in str(refused.value)
-
-
-def test_energy_shares_are_those_of_the_paper() -> None:
-    deviation_n = float(pulse(8, preset="paper").std())
-    force_n = pulse(
-        15,
-        preset="paper",
-        heart_rate="75 /min",
-        preload=f"{0.034 * deviation_n} N",
-        respiration=0.256,
-        respiration_rate="0.25 Hz",
-    )
-    frequency_hz, power = signal.welch(
-        force_n, fs=1000, window="hamming", nperseg=3333, nfft=4096, detrend=False
-    )
-    below = [20, 10, 5, 1, 0.4]
-    shares = [100 * power[frequency_hz < limit].sum() / power.sum() for limit in below]
-    assert shares == pytest.approx([99.7, 89.4, 57.4, 12.4, 4.8], abs=0.2)

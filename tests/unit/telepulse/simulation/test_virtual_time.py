@@ -13,7 +13,8 @@ from protocol.wire.messages import Frame
 from sensing_node.feeds import Framer, PacedSource
 from sensing_node.scene import SensingScene, build_source, describe_stream
 from telepulse.scene import Scene, load_scene
-from telepulse.simulation.virtual_time import ReferenceForce, summarise
+from telepulse.simulation.true_errors import ReferenceForce
+from telepulse.simulation.virtual_time import summarise
 from tests.support.nodes import RADIAL
 
 RESTLESS = {"kind": "synthetic", "heart_rate_variability": "5 %", "noise": "1 mN"}

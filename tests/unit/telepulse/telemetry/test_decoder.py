@@ -9,7 +9,7 @@ import pytest
 
 from display_node.fault_advice import FILM_NOTE, advise
 from display_node.scoring.beat_statistics import pulse_alarm
-from protocol.errors import CAUSE_MEANINGS
+from protocol.refusals import CAUSE_MEANINGS
 from protocol.summary.tables import (
     BeatFigures,
     Clock,

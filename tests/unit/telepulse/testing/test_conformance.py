@@ -169,14 +169,14 @@ class Aliased(Damped):
     def observe(self, times_ns: list[int], values: list[float]) -> None:
         self._lists = (times_ns, values)
 
-    def predict(self, instant_ns: int) -> float:
+    def predict(self, sampled_ns: int) -> float:
         return self._lists[1][-1] if hasattr(self, "_lists") else 0.0
 
 
 class Drifting(Damped):
     """Each prediction changes the next."""
 
-    def predict(self, instant_ns: int) -> float:
+    def predict(self, sampled_ns: int) -> float:
         self._calls = getattr(self, "_calls", -1) + 1
         return 0.1 * self._calls
 

@@ -1,0 +1,154 @@
+"""The emulated display board: answers, bounds and states, as `firmware/PROTOCOL.md` has them."""
+
+import pytest
+
+from pulse_drives.stepdir.frames import (
+    BoardLimits,
+    BoardMode,
+    BoardState,
+    CommandAnswer,
+    CommandResult,
+    Format,
+    FrameReader,
+    HomeSearch,
+    StateFlag,
+    TripCause,
+    decode_report,
+    encode_command,
+)
+from telepulse.emulators.stepdir import EmulatedBoard
+from tests.support.drive_benches import actuator_of, emulated_motor, stepdir_scene
+
+MS = 1_000_000
+LIMITS = BoardLimits(0, 6_000, 32_000_000, 32_000, 0, 16_369, 5_000, 32_000, 50, 0)
+SEARCH = HomeSearch(8_000, 9_000, 480, 10_000)
+DONE, REFUSED = CommandResult.DONE, CommandResult.OUT_OF_BOUNDS
+
+
+class Host:
+    """The other end of a board's line; time passes only in `run`."""
+
+    def __init__(self) -> None:
+        scene = stepdir_scene(port="x", touch="2 mm")
+        motor = emulated_motor(scene, actuator_of("stepdir"), 0)
+        self.board, self.motor = EmulatedBoard(motor, None, 0), motor
+        self.state: BoardState | None = None
+        self.now_ns = self.sequence = 0
+        self._reader = FrameReader()
+        self._reader.feed(b"\0")
+
+    def run(self, ms: int) -> BoardState:
+        """Return the last state after some time."""
+        self.now_ns += ms * MS
+        self.board.receive(b"", self.now_ns)
+        self._take()
+        assert self.state is not None
+        return self.state
+
+    def ask(self, command: Format, *fields: int) -> CommandAnswer | None:
+        """Send a command; return its answer, None without one."""
+        self.sequence += 1
+        self.board.receive(encode_command(command, self.sequence, fields), self.now_ns)
+        self.now_ns += MS
+        self.board.receive(b"", self.now_ns)
+        answers = [each for each in self._take() if isinstance(each, CommandAnswer)]
+        return answers[-1] if answers else None
+
+    def result(self, command: Format, *fields: int) -> CommandResult:
+        answer = self.ask(command, *fields)
+        assert answer is not None
+        return answer.result
+
+    def make_ready(self) -> None:
+        assert self.result(Format.LIMITS, *LIMITS) is DONE
+        assert self.result(Format.ARM) is DONE
+        assert self.result(Format.HOME, *SEARCH) is DONE
+        while self.run(1).mode is BoardMode.HOMING:
+            assert self.now_ns < 5_000 * MS
+        assert self.state is not None
+        assert self.state.mode is BoardMode.READY
+
+    def _take(self) -> list[object]:
+        bodies = self._reader.feed(b"".join(self.board.due_frames()))
+        reports = [decode_report(body) for body in bodies]
+        for report in reports:
+            if isinstance(report, BoardState):
+                self.state = report
+        return list(reports)
+
+
+def test_a_board_is_armed_homed_and_run() -> None:
+    host = Host()
+    assert host.result(Format.ARM) is CommandResult.NO_LIMITS
+    assert host.result(Format.HOME, *SEARCH) is CommandResult.WRONG_STATE
+    assert not StateFlag.ON & host.run(2).flags
+    host.make_ready()
+    assert host.result(Format.LIMITS, *LIMITS) is CommandResult.WRONG_STATE
+    state = host.run(100)
+    assert StateFlag.HOMED in state.flags
+    assert abs(state.position) < 50
+    assert host.ask(Format.VELOCITY, 4_000 * 256, 20) is None
+    assert host.run(10).velocity == pytest.approx(4_000 * 256)
+    # Valid for 20 ms, then at rest; withdrawn after 50 ms.
+    assert host.run(20).velocity == 0
+    assert StateFlag.EXPIRED in host.run(1).flags
+    state = host.run(100)
+    assert (state.mode, state.cause) == (BoardMode.WITHDRAWN, TripCause.SILENCE)
+    assert host.ask(Format.VELOCITY, 4_000 * 256, 20) is None
+    assert host.run(5).velocity == 0
+    assert host.result(Format.CLEAR) is DONE
+    assert host.run(1).mode is BoardMode.DISARMED
+
+
+@pytest.mark.parametrize(
+    ("field", "change"),
+    [
+        (1, {"lowest": -(1 << 30) - 1}), (2, {"highest": 0}), (3, {"acceleration": 999}),
+        (4, {"highest_rate": 32_001}), (5, {"film_least": 16_369}), (6, {"film_most": 16_370}),
+        (7, {"withdrawal": 0}), (8, {"withdrawal_rate": 9}), (9, {"watchdog_ms": 501}),
+        (10, {"options": 16}),
+    ],
+)  # fmt: skip
+def test_limits_out_of_bounds_are_refused_by_their_field(
+    field: int, change: dict[str, int]
+) -> None:
+    answer = Host().ask(Format.LIMITS, *LIMITS._replace(**change))
+    assert answer is not None
+    assert (answer.result, answer.field) == (REFUSED, field)
+
+
+def test_a_search_ends_where_home_cannot_be() -> None:
+    host = Host()
+    host.ask(Format.LIMITS, *LIMITS)
+    host.ask(Format.ARM)
+    assert host.result(Format.HOME, *SEARCH._replace(opening=0)) is REFUSED
+    host.ask(Format.HOME, *SEARCH._replace(distance=100))
+    state = host.run(100)
+    assert (state.mode, state.cause) == (BoardMode.FAULT, TripCause.NO_HOME)
+    assert not StateFlag.ON & state.flags
+
+
+def test_a_search_that_the_host_ends_leads_back_to_where_it_began() -> None:
+    host = Host()
+    host.ask(Format.LIMITS, *LIMITS)
+    host.ask(Format.ARM)
+    began = host.run(1).position
+    host.ask(Format.HOME, *SEARCH)
+    assert host.run(50).position < began - 200
+    assert host.result(Format.WITHDRAW) is DONE
+    state = host.run(100)
+    assert (state.mode, state.position) == (BoardMode.WITHDRAWN, began)
+
+
+def test_only_a_homed_board_withdraws_after_a_reset() -> None:
+    host = Host()
+    host.ask(Format.LIMITS, *LIMITS)
+    host.ask(Format.ARM)
+    host.board.reset()
+    assert host.run(1).mode is BoardMode.DISARMED
+    host.make_ready()
+    host.board.reset()
+    assert host.run(2).mode is BoardMode.WITHDRAWING
+    state = host.run(500)
+    assert (state.mode, state.cause) == (BoardMode.WITHDRAWN, TripCause.RESET)
+    assert StateFlag.HOMED not in state.flags
