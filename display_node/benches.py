@@ -6,10 +6,12 @@ from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
 
 from display_node.hardware import Hardware, build_display_drive
-from display_node.scene import DisplayScene
+from display_node.scene import DisplayScene, FilmSensor
 from protocol.errors import SceneError
+from pulse_drives import Drive
 from pulse_drives.scene import DriveScene
 from pulse_drives.start_advice import advised
+from pulse_sensors.drive_film import DriveFilmDecoder, DriveFilmScene
 from pulse_sensors.sensor import Sensor, open_sensor
 
 logger = logging.getLogger(__name__)
@@ -53,6 +55,18 @@ def open_press(scene: DisplayScene, folder: Path) -> Iterator[Sensor | None]:
         yield sensor
 
 
+def open_film(table: FilmSensor, drive: Drive, overforce_n: float, folder: Path) -> Sensor:
+    """Open the sensor of a film, for the caller to close, before its drive is started.
+
+    overforce_n: felt force that is a fault, the hard limit of a drive that reads the film. folder:
+    of the scene's file. Raises SourceError.
+    """
+    if not isinstance(table, DriveFilmScene):
+        return open_sensor(table, folder)
+    port = drive.film_port(*table.counts_within(overforce_n))
+    return Sensor(port, DriveFilmDecoder(table.period_ns), table)
+
+
 @contextmanager
 def _start_bench(
     scene: DisplayScene, table: DriveScene, folder: Path, without_film: bool
@@ -65,7 +79,8 @@ def _start_bench(
         )
     layer, force_limit_n = scene.layer.layer(), scene.safety.force_limit_n
     drive = build_display_drive(table, scene.actuator, layer, force_limit_n)
-    sensor = open_sensor(scene.feedback, folder) if scene.feedback is not None else None
+    film = scene.feedback
+    sensor = None if film is None else open_film(film, drive, scene.overforce_n, folder)
     with closing(scene.hardware(drive, sensor)) as hardware:
         logger.warning("the drive looks for its home: keep the finger away")
         with advised():

@@ -8,6 +8,7 @@ import math
 from collections import deque
 
 from display_node.control.safety import ForceBounds, Safety
+from display_node.fault_advice import FILM_NOTE
 from display_node.hardware import Hardware
 from display_node.plant.feedback import Feedback
 from display_node.plant.filters import delay_line
@@ -19,7 +20,7 @@ from display_node.scene import DisplayScene
 from display_node.scoring.beat_statistics import BeatStatistics
 from display_node.scoring.prediction_score import PredictionScore
 from display_node.scoring.tracking_error import TrackingError
-from protocol.summary.tables import Compensation, Limits, Summary
+from protocol.summary.tables import Compensation, Limits, Loop, SampleCounts, Summary
 from protocol.tactile import matching_force_ratio
 from protocol.ticks import LimitCounter, TickState
 from protocol.wire.description import StreamDescription
@@ -78,7 +79,7 @@ class Contactor:
         self.press: LocalPress | None = None
         self._hardware: Hardware | None = None
         self._tip: YieldingTip | None = None
-        self._gain = self._added_m_per_s = self._rendered_n = 0.0
+        self._gain = self._speed_m_per_s = self._added_m_per_s = self._rendered_n = 0.0
         # Copies: attributes of a scene take longer to read.
         self._tick_ns = scene.tick_ns
         self.count = self.loop.horizon + 1
@@ -97,6 +98,8 @@ class Contactor:
     def use(self, hardware: Hardware) -> None:
         """Play on a started real bench instead of the models. Call before the first tick."""
         self._hardware, self.feedback = hardware, hardware.feedback
+        if self.tracking_error is not None:
+            self.tracking_error.film_age_ns = self.film_age_ns
         stepper, drive = self.scene.actuator.stepper, self.scene.drive
         if self.press is not None and drive is not None and stepper is not None:
             law = stepper.contact(self.layer)
@@ -168,8 +171,7 @@ class Contactor:
         fault = hardware.read() or hardware.overrun(elapsed_ticks)
         if fault is not None and not safety.faults:
             safety.fault(self._prefix + fault)
-        speed_m_per_s = loop.output + self._added_m_per_s
-        loop.shift(hardware.deviation_m(now_ns, speed_m_per_s, elapsed_ticks))
+        loop.shift(hardware.deviation_m(now_ns, self._speed_m_per_s, elapsed_ticks))
 
     def rest(self, now_ns: int) -> None:
         """Request no force in this tick, since no stream is played."""
@@ -250,31 +252,25 @@ class Contactor:
         On a real bench, the drive receives the controller's output, or after a fault the command to
         withdraw.
         """
-        loop, hardware = self.loop, self._hardware
-        reference_n = self.bounds.bound(self._reference_n, gain)
-        loop.tick(reference_n, self._reading_n)
+        hardware, reference_n = self._hardware, self.bounds.bound(self._reference_n, gain)
+        output = self.loop.tick(reference_n, self._reading_n)
         self._gain, target_n = gain, reference_n[0]
         fault = None
         if hardware is not None:
             if self._tip is not None and self.press is not None:
                 self._yield(self._tip, self.press, hardware, target_n)
-            fault = hardware.command(loop.output + self._added_m_per_s, faults)
+            self._speed_m_per_s = output + self._added_m_per_s
+            fault = hardware.command(self._speed_m_per_s, faults)
         state = self.state
         state.target_n = target_n if self._target is None else self._target.step(target_n)
         state.scored = alive and gain == 1.0
         return None if fault is None else self._prefix + fault
 
-    def score(self) -> None:
-        """Keep the forces of this tick for their scores, after all contactors are commanded."""
-        state = self.state
+    def note_prediction(self) -> None:
+        """Keep the prediction of this tick for its score, after all contactors are commanded."""
         if self._predicted is not None:
             self._prediction.add_output(*self._predicted)
             self._predicted = None
-        if state.scored and self.tracking_error is not None:
-            age_ns = self.film_age_ns
-            self.tracking_error.add_output(
-                state.sensing_now_ns - age_ns, state.instant_ns - age_ns, state.felt_n
-            )
 
     def rendered_n(self, press: LocalPress) -> float:
         """Return the pulse under the finger that presses."""
@@ -318,32 +314,39 @@ class Contactor:
             self.film_age_ns,
         )
 
-    def summary(self, ticks: int, played_s: float, felt_n: float) -> Summary:
+    def summary(
+        self, samples: SampleCounts, loop: Loop, played_s: float, felt_n: float, now_ns: int
+    ) -> Summary:
         """Return this contactor's figures.
 
-        Parameters
-        ----------
-        ticks
-            Number of ticks that were run.
-        played_s
-            Time for which a pulse was played, in s.
-        felt_n
-            Force under the finger after the last of these ticks, in N.
+        samples: account of the channel. loop: numbers of the display's ticks. played_s: time for
+        which a pulse was played. felt_n: force under the finger after the last of these ticks, by
+        the model. now_ns: time at which a real bench measures it.
         """
+        hardware, error = self._hardware, self.tracking_error
         finger = FingerState(felt_n, measured_by="model, no drive")
-        return Summary(
-            compensation=self._prediction.scored(Compensation(), played_s),
+        known = hardware is None or hardware.measures_force
+        figures = Summary(
+            samples=samples,
+            compensation=self._prediction.add_to(Compensation(), played_s),
             beats=self._beats.figures(),
-            limited=self._limits(ticks),
-            # On a real bench, `DisplayNode` adds the measured state.
-            finger=describe_finger(finger) if self.feedback is None else None,
-            finger_stiffness=self.loop.finger_stiffness,
+            limited=self._limits(loop.ticks or 0),
+            hardware={} if hardware is None else dict(hardware.counts),
+            finger=describe_finger(finger if hardware is None else hardware.finger(now_ns)),
+            finger_stiffness=self.loop.finger_stiffness if known else None,
         )
+        return figures if error is None else error.add_to(figures, loop)
+
+    @property
+    def notes(self) -> list[str]:
+        """Errors of the real film's sensor, which are no faults."""
+        notes = [] if self._hardware is None else self._hardware.faults()
+        return [f"{FILM_NOTE}{self._prefix}{note}" for note in notes]
 
     def _limits(self, ticks: int) -> Limits:
         """Return how often and how long each limit has held, in ticks that were run.
 
-        With a real film, limits of the modelled actuator and film do not apply.
+        On a real bench the modelled film's range does not apply, and the drive counts the travel.
         """
         bounds, loop, tick_s = self.bounds, self.loop, self._tick_ns * 1e-9
         counters: dict[str, LimitCounter | None] = {
@@ -351,7 +354,9 @@ class Contactor:
             "negative": bounds.below_zero,
             "slew": bounds.at_slew_limit,
         }
-        if self.feedback is None:
+        if self._hardware is None:
             counters |= {"film": loop.at_film_range, "travel": loop.at_end}
+        else:
+            counters["travel"] = self._hardware.at_end
         held = {name: counter for name, counter in counters.items() if counter is not None}
         return Limits(**{name: counter.limited(tick_s, ticks) for name, counter in held.items()})

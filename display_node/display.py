@@ -4,7 +4,7 @@ The live node and the virtual-time simulation drive this same class; time is an 
 """
 
 import math
-from collections.abc import Generator
+from collections.abc import Callable, Generator
 from dataclasses import replace
 from typing import Final
 
@@ -14,25 +14,29 @@ from display_node.hardware import Hardware
 from display_node.prediction.announcement import BeatAnnouncement
 from display_node.prediction.trust import Trust
 from display_node.press.local_press import LocalPress
-from display_node.reception.playout import PlayedDelays, PlayoutClock
+from display_node.reception.playout import PlayoutClock
 from display_node.reception.receiver import Receiver
 from display_node.scene import DisplayScene
-from display_node.scoring.tracking_error import scored
+from display_node.scoring.played_delays import PlayedDelays
 from protocol.pieces import complete
 from protocol.summary.tables import (
     AnnounceFigures,
     Loop,
     PressFigures,
+    SampleCounts,
     Summary,
     with_contactors,
 )
-from protocol.ticks import AvailabilityCounter, InterruptionCounter, TickState
+from protocol.ticks import AvailabilityCounter, InterruptionCounter, TickBlock, TickState
 from protocol.wire.messages import ControlMessage, DisplayReport, SetPoint
 from protocol.wire.telemetry import pack_status
 
 REPORT_EVERY_NS: Final = 1_000_000_000
 # The press in the state of the ticks is renewed after so many: a set-point is sent every 20 ms.
 PRESS_TICKS: Final = 10
+# Ticks are counted and scored in blocks of this time, but of not more ticks: a trace of two blocks
+# has to fit into a message. This is done in the slack, or with the last tick of the second block.
+BLOCK_NS, MOST_BLOCK_TICKS = 100_000_000, 250
 # Contactors that play the same samples, which are read once: their lead in ns, the number of
 # values, and their places in the buffer.
 Group = tuple[int, int, list[int], list[Contactor]]
@@ -47,7 +51,8 @@ class Display:
     score: whether to compute the running errors of the felt force against the received one; there
     is none where the finger presses back. press: random number of the run, for its set-points.
     contactors: one or several. states: of the contactors at the last tick. tracking_errors: of the
-    contactors, if they are computed. ticks: number of ticks that were run.
+    contactors, if they are computed. ticks: number of ticks that were run. take_ticks: function
+    that receives each block of ticks, whose arrays are valid until it returns.
     """
 
     def __init__(self, scene: DisplayScene, name: str, score: bool = True, press: int = 0) -> None:
@@ -92,10 +97,11 @@ class Display:
             self.receiver.take_probe = self.press.take
         self.safety = Safety(scene.safety, scene.tick_ns)
         self.ticks = 0
-        # Of the tick that was commanded: faults of the withdrawals, and where a pulse was played,
-        # the playout delay, the longest prediction in ns, and whether it was trusted.
-        self._late_faults: list[str | None] = []
-        self._delayed: tuple[int, int, bool] | None = None
+        self._block_ticks = max(1, min(BLOCK_NS // scene.tick_ns, MOST_BLOCK_TICKS))
+        self._block = TickBlock(len(self.contactors), 2 * self._block_ticks)
+        self.take_ticks: Callable[[TickBlock], None] | None = None
+        # Faults of the withdrawals in the tick that was commanded.
+        self._late_faults: list[str] = []
 
     def use(self, *benches: Hardware | None) -> None:
         """Play on started real benches instead of the models. Call before the first tick.
@@ -177,10 +183,18 @@ class Display:
         Such work is what the predictors learn and predict from new samples, beats, and the scores.
         Do it between two ticks; where there is no time for it, some pieces a tick nevertheless.
         """
-        return any(contactor.work() for contactor in self.contactors)
+        if self._block.count >= self._block_ticks:
+            self.close_block()
+            return True
+        # Without `any` and its generator: this runs several times a tick.
+        for contactor in self.contactors:  # noqa: SIM110
+            if contactor.work():
+                return True
+        return False
 
     def finish_scores(self) -> None:
         """Score all that waits, at the end of the run."""
+        self.close_block()
         for contactor in self.contactors:
             contactor.finish_scores()
 
@@ -226,22 +240,41 @@ class Display:
         if elapsed_ticks > 1:
             safety.skip(elapsed_ticks)
         gain = safety.advance(alive)
-        self._late_faults = [contactor.tick(gain, alive, safety.faults) for contactor in contactors]
+        self._late_faults = [
+            fault
+            for contactor in contactors
+            if (fault := contactor.tick(gain, alive, safety.faults)) is not None
+        ]
 
     def account(self, elapsed_ticks: int = 1) -> TickState:
-        """Score and count the commanded tick, for which no actuator waits."""
+        """Note the commanded tick, for which no actuator waits."""
         for contactor in self.contactors:
-            contactor.score()
-        self.ticks += 1
+            contactor.note_prediction()
         state = self.states[0]
-        if self._delayed is not None:
-            self._delays.add(*self._delayed)
-        self._availability.add(self.state, elapsed_ticks)
-        self._interruptions.add(state.scored, elapsed_ticks)
+        state.display_state, state.elapsed_ticks = self.state, elapsed_ticks
+        self._block.add(self.states)
+        self.ticks += 1
+        if self._block.count == self._block.most:
+            self.close_block()
         for fault in self._late_faults:
-            if fault is not None:
-                self.safety.fault(fault)
+            self.safety.fault(fault)
         return state
+
+    def close_block(self) -> None:
+        """Count and score the ticks since the last block."""
+        block = self._block
+        if not block.count:
+            return
+        _, instant_ns, full, _, sensing_ns, _, states, elapsed_ticks = block.columns
+        self._delays.add(block)
+        self._availability.add(states, elapsed_ticks)
+        self._interruptions.add(full, elapsed_ticks)
+        felt = full != 0
+        for place, error in enumerate(self.tracking_errors):
+            error.add_output(sensing_ns[felt], instant_ns[felt], block.felt_n(place)[felt])
+        if self.take_ticks is not None:
+            self.take_ticks(block)
+        block.count = 0
 
     def _show_press(self, press: LocalPress) -> None:
         """Put the finger's press and the last reported hold-down into the state of the tick."""
@@ -252,7 +285,7 @@ class Display:
     def _play(self, now_ns: int) -> bool:
         """Choose the instant of the pulse that is played; return whether the stream is alive."""
         receiver, contactors = self.receiver, self.contactors
-        self._delayed = None
+        contactors[0].state.predicted_ns = -1
         buffer, delay_ns = receiver.buffer, receiver.delay.delay_ns
         newest_ns = buffer.newest_ns
         if not receiver.ready or delay_ns is None or newest_ns is None:
@@ -288,7 +321,7 @@ class Display:
                 elif predicted_ns > longest_ns:
                     longest_ns = predicted_ns
         if alive:
-            self._delayed = sensing_now_ns - instant_ns, longest_ns, trusted
+            contactors[0].state.predicted_ns = longest_ns
         return alive
 
     def _group(self) -> list[Group]:
@@ -315,6 +348,7 @@ class Display:
         return list(map(max, first, *others)) if others else first
 
     def _report(self, session: int) -> DisplayReport:
+        self.close_block()
         counts, delay_ms = self.receiver.account(), self.receiver.one_way_delay_ms
         errors_n = (errors.force_rmse_n.aligned for errors in self.tracking_errors)
         figures = (
@@ -331,35 +365,38 @@ class Display:
         """Return the summary so far; deadline_misses: of the caller's loop."""
         return complete(self.summary_pieces(deadline_misses))
 
-    def summary_pieces(self, deadline_misses: int | None = None) -> Generator[None, None, Summary]:
+    def summary_pieces(
+        self, deadline_misses: int | None = None, now_ns: int | None = None
+    ) -> Generator[None, None, Summary]:
         """Build the summary piece by piece.
 
         The first piece takes what must agree with the state of one tick: accounts, faults, and the
-        felt forces. Beats, scores and limits may be of later ticks.
+        felt forces. Beats, scores and limits may be of later ticks. now_ns: time at which the
+        fingers on real benches are measured; None for that of the last tick.
         """
-        delays, contactors, ticks = self._delays, self.contactors, self.ticks
+        self.close_block()
+        delays, contactors, loop = self._delays, self.contactors, Loop(self.ticks, deadline_misses)
+        tick_ns = self.states[0].now_ns
         forces_n = [state.felt_n for state in self.states]
-        accounts = self.receiver.accounts()
+        samples = [account.counts() for account in self.receiver.accounts()]
+        samples = samples or [SampleCounts()] * len(contactors)
         summary = replace(
-            self.receiver.summary(self.states[0].now_ns),
+            self.receiver.summary(tick_ns),
             playout_delay_ms=delays.playout_delay_ms,
             covered_delay_ms=delays.covered_delay_ms,
             availability=self._availability.availability(delays.ticks),
             interruptions=self._interruptions.interruptions(),
             compensation=delays.compensation(may_trust=self._trust is not None),
             announce=self._announcement.figures() if self._announcement else AnnounceFigures(),
-            loop=Loop(ticks, deadline_misses),
+            loop=loop,
             press=PressFigures() if self.press is None else self.press.figures(),
             rejected=dict(self.receiver.rejected),
-            faults=list(self.safety.faults),
+            faults=[*self.safety.faults, *(note for each in contactors for note in each.notes)],
         )
         played_s = delays.ticks * self._tick_ns * 1e-9
         figures = dict[str, Summary]()
-        for each, felt_n in zip(contactors, forces_n, strict=True):
+        for each, counts, felt_n in zip(contactors, samples, forces_n, strict=True):
             yield
-            figures[each.name] = each.summary(ticks, played_s, felt_n)
+            figures[each.name] = each.summary(counts, loop, played_s, felt_n, now_ns or tick_ns)
         yield
-        for name, account in zip(figures, accounts, strict=False):
-            figures[name] = replace(figures[name], samples=account.counts())
-        summary = with_contactors(summary, figures)
-        return scored(summary, self.tracking_errors) if self.tracking_errors else summary
+        return with_contactors(summary, figures)

@@ -11,24 +11,22 @@ from dataclasses import replace
 import zmq
 
 from display_node.display import Display
-from display_node.fault_advice import FILM_NOTE, advise
+from display_node.fault_advice import advise
 from display_node.hardware import Hardware
 from display_node.press.sweep import DepthSweep
 from display_node.reception.connection import Connection
 from display_node.scene import DisplayScene
 from display_node.scoring.deadlines import GAP_NS, DeadlineWatch
-from display_node.scoring.tracking_error import scored
 from display_node.telemetry.publisher import Publisher
 from protocol import sockets
 from protocol.histogram import Histogram
 from protocol.host.realtime import Pacer
 from protocol.pieces import Pieces, complete
 from protocol.security.authenticator import Authenticator
-from protocol.security.keys import ClientKeys, ServerKeys
+from protocol.security.link_keys import ClientKeys, ServerKeys
 from protocol.summary.tables import Lateness, Summary, TickTime
 from protocol.wire.messages import encode_control
 from protocol.wire.telemetry import CONTROL
-from pulse_drives.withdrawal import describe_finger
 from pulse_sensors.sensor import Sensor
 
 logger = logging.getLogger(__name__)
@@ -50,8 +48,8 @@ class DisplayNode:
     addresses: of the one sensing node, one for each network path. keys: the sensing node's public
     key and this node's pair. telemetry_keys: this node's pair and the allow-list of the telemetry's
     readers; None admits every peer that can reach the socket. provenance: of this run, for
-    recorders. Raises SceneError for a force loop that is not stable, AddressError for an address
-    that cannot be used, and KeyFileError for a key that cannot be read.
+    recorders. Raises SceneError for a force loop that is not stable, and AddressError for an
+    address that cannot be used.
     """
 
     def __init__(
@@ -90,6 +88,7 @@ class DisplayNode:
         except BaseException:
             self.close()
             raise
+        self._display.take_ticks = self._telemetry.trace.add
         self.telemetry_address = self._telemetry.address
 
     def use(self, *benches: Hardware | None) -> None:
@@ -133,18 +132,21 @@ class DisplayNode:
         start_ns = time.perf_counter_ns()
         end_ns = None if seconds is None else start_ns + round(seconds * 1e9)
         pacer = self._pacer = Pacer(self._scene.tick_ns, start_ns)
-        reserve_ns, rested = self._scene.tick_ns // RESERVE_PARTS, True
+        reserve_ns, rested, arrived = self._scene.tick_ns // RESERVE_PARTS, True, True
+        descriptors = self._connection.descriptors
         try:
             while not self._stopping:
                 woke_ns = time.perf_counter_ns()
-                self._receive(pacer.due_ns)
-                now_ns = time.perf_counter_ns()
+                # After a wait in which nothing has arrived, to read would only delay the command.
+                if arrived:
+                    self._receive(pacer.due_ns)
+                now_ns, arrived = time.perf_counter_ns(), True
                 tick = pacer.begin(now_ns)
                 if tick is None:
                     spare_ns = pacer.due_ns - now_ns
                     rested = rested or spare_ns > reserve_ns
                     if spare_ns <= reserve_ns or not self._work():
-                        sockets.wait_on_descriptors(self._connection.descriptors, spare_ns)
+                        arrived = sockets.wait_on_descriptors(descriptors, spare_ns)
                     continue
                 self._late_us.add(tick.late_ns * 1e-3)
                 # Ticks that are late while nothing is felt alarm nobody.
@@ -211,7 +213,7 @@ class DisplayNode:
         for message in self._display.requests(requested_ns):
             control = self._connection.control_for(message, requested_ns)
             sockets.send(control, encode_control(message))
-        if self._telemetry.add(*self._display.states) and not self._publishing.waiting:
+        if self._telemetry.trace.waiting and not self._publishing.waiting:
             self._publishing.begin(self._publish())
 
     def _work(self) -> bool:
@@ -227,20 +229,18 @@ class DisplayNode:
     def _publish(self) -> Iterator[None]:
         """Publish the last ticks, and a status where it is due, piece by piece."""
         # State and first figures are those of the last published tick, whose time a status has.
+        self._display.close_block()
         state = self._display.state
         if self._telemetry.publish():
             summary = yield from self._summary_pieces()
             yield
             self._telemetry.status(self._display.pack_status(summary, False, state))
 
-    def _summary(self) -> Summary:
-        return complete(self._summary_pieces())
-
     def _summary_pieces(self) -> Generator[None, None, Summary]:
         """Build the display's summary with the figures of this shell, piece by piece."""
-        display, connection = self._display, self._connection
-        deadlines, late_us = self._deadlines, self._late_us
-        summary = yield from display.summary_pieces(self._pacer.missed)
+        connection, deadlines, late_us = self._connection, self._deadlines, self._late_us
+        now_ns = time.perf_counter_ns()
+        summary = yield from self._display.summary_pieces(self._pacer.missed, now_ns)
         yield
         lateness = late_us.quantiles(p50=0.5, p99=0.99, p999=0.999)
         commands, ticks = (
@@ -250,8 +250,11 @@ class DisplayNode:
         yield
         rejected = Counter(summary.rejected) + connection.rejected + self._telemetry.rejected
         rejected += self._readers.rejected
-        summary = replace(
+        routes = connection.routes if len(connection.routes) > 1 else ()
+        first = {route.address: route.frames_first for route in routes}
+        return replace(
             summary,
+            frames=replace(summary.frames, first=first),
             loop=replace(
                 summary.loop,
                 command_us=commands,
@@ -266,11 +269,6 @@ class DisplayNode:
             data_connections=connection.data_connections,
             waiting_for=self._waiting_for(),
         )
-        summary = self._with_benches(summary)
-        if len(connection.routes) > 1:
-            first = {route.address: route.frames_first for route in connection.routes}
-            summary = replace(summary, frames=replace(summary.frames, first=first))
-        return summary
 
     def _waiting_for(self) -> str | None:
         """Return what the display waits for while it has no stream to play."""
@@ -280,27 +278,6 @@ class DisplayNode:
         if state not in ("waiting", "stale"):
             return None
         return self._connection.waiting_for(time.perf_counter_ns())
-
-    def _with_benches(self, summary: Summary) -> Summary:
-        """Return the summary with what the real benches measure."""
-        found, notes = dict[str, Summary](), list[str]()
-        pairs = zip(summary.of_each_contactor().items(), self._benches, strict=True)
-        for (name, figures), hardware in pairs:
-            found[name] = figures
-            if hardware is None:
-                continue
-            travel = hardware.at_end.limited(self._scene.tick_ns * 1e-9, self._display.ticks)
-            found[name] = replace(
-                figures,
-                limited=replace(figures.limited, travel=travel),
-                hardware=dict(hardware.counts),
-                finger_stiffness=figures.finger_stiffness if hardware.measures_force else None,
-                finger=describe_finger(hardware.finger(time.perf_counter_ns())),
-            )
-            of = f"{name}: " if name else ""
-            notes += [f"{FILM_NOTE}{of}{note}" for note in hardware.faults()]
-        whole = replace(summary, contactors=found) if summary.contactors else found[""]
-        return replace(whole, faults=whole.faults + notes)
 
     def _finish(self) -> Summary:
         if (leaving := self._display.receiver.leave()) is not None:
@@ -313,7 +290,6 @@ class DisplayNode:
         for hardware in benches:
             hardware.withdraw()
         self._display.finish_scores()
-        errors = self._display.tracking_errors
-        summary = self._summary()
+        summary = complete(self._summary_pieces())
         self._telemetry.finish(self._display.pack_status(summary, final=True))
-        return scored(summary, errors, windows=True)
+        return summary

@@ -2,7 +2,7 @@
 
 from typing import Annotated, Literal, Self
 
-from pydantic import BeforeValidator, Field, model_validator
+from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
 from display_node.control.force_loop import ForceLoop, build_force_loop
 from display_node.control.scene import ControllerScene, SafetyScene
@@ -20,10 +20,18 @@ from protocol.wire.description import HOLD_DOWN, LayerTable, first_repeated
 from protocol.wire.messages import MAX_CHANNELS
 from pulse_drives import Drive
 from pulse_drives.scene import DriveTable
-from pulse_sensors.sensor import OneForceSensor, Sensor
+from pulse_sensors.drive_film import DriveFilmScene
+from pulse_sensors.sensor import SENSORS, Sensor, SensorScene, one_force
 
 MAX_COMPENSATION_NS = 10_000_000_000
 MAX_CONTACTORS = 8
+
+
+FilmSensor = Annotated[
+    SensorScene | DriveFilmScene,
+    OfKind(SENSORS, also={"drive": DriveFilmScene}),
+    AfterValidator(one_force),
+]
 
 
 def _time_or_auto(value: object) -> int | None:
@@ -54,14 +62,19 @@ class ContactorScene(Section):
     controller: ControllerScene
     actuator: Annotated[ActuatorScene, OfKind(ACTUATORS)]
     drive: DriveTable | None = None
-    feedback: OneForceSensor | None = None
+    feedback: FilmSensor | None = None
     layer: LayerTable = LayerTable()
     film: FilmTable = FilmTable()
 
     @model_validator(mode="after")
     def _film_has_a_drive(self) -> Self:
-        if self.feedback is not None and self.drive is None:
+        if self.feedback is None:
+            return self
+        if self.drive is None:
             raise ValueError("feedback requires a real drive: add [display.drive]")
+        if isinstance(self.feedback, DriveFilmScene) and not self.drive.reads_film:
+            kind = self.drive.kind
+            raise ValueError(f'feedback of kind "drive": a drive of kind "{kind}" reads no film')
         return self
 
     @property
@@ -145,6 +158,11 @@ class DisplayScene(ContactorScene):
             )
         return found[name]
 
+    @property
+    def overforce_n(self) -> float:
+        """Felt force that is a fault."""
+        return self.safety.force_limit_n * self.safety.overforce
+
     def force_loop(self, actual: ActuatorScene | None = None) -> ForceLoop:
         """Build the force loop; it drives the actuator `actual`, or the scene's where None."""
         return build_force_loop(
@@ -168,14 +186,13 @@ class DisplayScene(ContactorScene):
         if self.drive is None or stepper is None:
             raise SceneError('[display] drive: it needs an actuator of kind "stepper"')
         safety, latency_ns = self.safety, self.film.latency_ns
-        overforce_n = safety.force_limit_n * safety.overforce
         return Hardware(
             drive,
             sensor,
             stepper,
             self.layer.layer(),
             Feedback(latency_ns, safety.feedback_within_ns),
-            RisingForce(overforce_n, safety.slew_limit_n_per_s, latency_ns),
+            RisingForce(self.overforce_n, safety.slew_limit_n_per_s, latency_ns),
             self.tick_ns,
             self.drive.watchdog_ns,
         )

@@ -13,8 +13,8 @@ from rich.console import Console
 from display_node.fault_advice import FILM_NOTE, SENSING_NOTE, latched, name_faults
 from display_node.scoring.tracking_error import JND
 from protocol.cli_options import FAULT_STATUS, sum_up
-from protocol.errors import CAUSE_MEANINGS
 from protocol.provenance import Provenance
+from protocol.refusals import CAUSE_MEANINGS
 from protocol.summary.tables import Limits, Summary
 
 MOST_LINES = 6

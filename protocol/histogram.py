@@ -5,6 +5,7 @@ from collections.abc import Collection
 from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 # Values that are counted at once.
 BLOCK: Final = 512
@@ -31,6 +32,12 @@ class Histogram:
     def add(self, value: float) -> None:
         """Count a value; below 0 it falls into the first bin."""
         self._waiting.append(value)
+        if len(self._waiting) >= BLOCK:
+            self._count_waiting()
+
+    def add_all(self, values: NDArray[np.float64]) -> None:
+        """Count values, shape (n,)."""
+        self._waiting += values.tolist()
         if len(self._waiting) >= BLOCK:
             self._count_waiting()
 

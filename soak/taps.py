@@ -15,7 +15,7 @@ import zmq.asyncio
 
 from protocol.errors import WireError
 from protocol.host.child_process import python_command
-from protocol.security.keys import ClientKeys
+from protocol.security.link_keys import ClientKeys
 from protocol.wire.messages import decode_frame
 from protocol.wire.telemetry import STATUS, TRACE, read_status, read_trace, unpack
 from soak.accounts import Mark

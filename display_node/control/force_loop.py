@@ -41,8 +41,6 @@ class ForceLoop:
     ----------
     horizon
         Number of ticks after the present one that the reference must cover.
-    output
-        The controller's output at the last tick: m/s of a stepper, V of eq 22.
     felt_n
         Felt force at the last tick's end, in N.
     at_film_range
@@ -69,7 +67,7 @@ class ForceLoop:
         self._input_per_output = input_per_output
         self._film = film
         self._watchdog_ticks = round(WATCHDOG_S / tick_s)
-        self.output = 0.0
+        self._output = 0.0
         self.horizon = controller.horizon
         self.felt_n = 0.0
 
@@ -83,17 +81,17 @@ class ForceLoop:
         # After as many ticks again without a command, the loop is at rest.
         for missed in range(min(ticks, 2 * self._watchdog_ticks)):
             if missed == self._watchdog_ticks:
-                self.output = 0.0
+                self._output = 0.0
             self.read_film()
-            self._controller.skip(self.output)
-            self.felt_n = self._actuator(self._input_per_output * self.output)
+            self._controller.skip(self._output)
+            self.felt_n = self._actuator(self._input_per_output * self._output)
 
     def read_film(self) -> float:
         """Return the film's reading of the felt force, in N. Call it once before each tick."""
         return self._film.read(self.felt_n)
 
     def tick(self, reference_n: list[float], reading_n: float) -> float:
-        """Advance one tick and return the felt force at its end, in N.
+        """Advance one tick and return the controller's output: m/s of a stepper, V of eq 22.
 
         Parameters
         ----------
@@ -104,9 +102,9 @@ class ForceLoop:
         """
         if not -self._overforce_n <= reading_n <= self._overforce_n:
             reading_n = math.nan
-        self.output = output = self._controller.output(reference_n, reading_n)
+        self._output = output = self._controller.output(reference_n, reading_n)
         self.felt_n = self._actuator(self._input_per_output * output)
-        return self.felt_n
+        return output
 
     def shift(self, travel_m: float) -> None:
         """Add a travel of the screw in m that the outputs until this tick did not include."""

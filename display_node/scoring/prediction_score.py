@@ -133,7 +133,7 @@ class PredictionScore:
         """Share of the last 5 s for which the prediction was noticeably wrong."""
         return min(1.0, self._noticed_ns / WINDOW_NS)
 
-    def scored(self, compensation: Compensation, played_s: float) -> Compensation:
+    def add_to(self, compensation: Compensation, played_s: float) -> Compensation:
         """Return the table with these scores; played_s: time for which a pulse was played.
 
         Without anything to score, the scores stay null.

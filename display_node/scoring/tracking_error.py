@@ -14,18 +14,16 @@ from dataclasses import replace
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from display_node.scoring.alignment import Floats, Times, compared_forces_n
 from display_node.scoring.error_windows import ErrorWindowCounter
 from protocol.pieces import Pieces
-from protocol.summary.tables import AlignedErrors, ErrorWindow, Roughness, Summary
+from protocol.summary.tables import AlignedErrors, ErrorWindow, Loop, Roughness, Summary
 from protocol.wire.messages import ChannelSamples
 
 ABOVE_HZ: Final = 25.0
 # Half the filter's length. Its edge is ±14 Hz wide, and it attenuates slow parts by 70 dB.
 REACH_S: Final = 0.1
-Floats = NDArray[np.float64]
-Times = NDArray[np.int64]
 
 
 class RoughnessMeter:
@@ -102,8 +100,6 @@ MOST_WAITING: Final = PATIENCE + 4 * BLOCK
 KEEP_NS: Final = 30_000_000_000
 # Samples that are added one by one before they join the reference.
 MAX_ADDED: Final = 8_192
-# Largest gap of the reference that is interpolated; a larger one (a cut link) is not scored.
-MAX_GAP_NS: Final = 60_000_000
 JND: Final = 0.10
 SPAN_NS: Final = 2_000_000_000
 
@@ -112,24 +108,27 @@ class TrackingError:
     """Accumulator of both errors and of the roughness.
 
     strain_per_newton: strain of the layer under the finger per force, in 1/N; None while it is
-    unknown, and with it the errors of strain.
+    unknown, and with it the errors of strain. film_age_ns: age of a felt force at its tick; 0
+    without a real film. windows: errors and perceived delay by windows of time; empty before
+    `finish`.
     """
 
-    def __init__(self, strain_per_newton: float | None = None) -> None:
-        self.strain_per_newton = strain_per_newton
+    def __init__(self, strain_per_newton: float | None = None, film_age_ns: int = 0) -> None:
+        self.strain_per_newton, self.film_age_ns = strain_per_newton, film_age_ns
+        self.windows: list[ErrorWindow] = []
         # The reference in order of time, and the samples that were added since.
         self._t_ns, self._target_n = np.empty(0, np.int64), np.empty(0)
         self._added_ns: list[int] = []
         self._added_n: list[float] = []
-        # Felt forces that wait for the reference.
-        self._now_ns: list[int] = []
-        self._instant_ns: list[int] = []
-        self._felt_n: list[float] = []
+        # Felt forces that wait for the reference, with time and played instant; their number.
+        self._times_ns = np.empty((2, MOST_WAITING + BLOCK), np.int64)
+        self._felt_n = np.empty(MOST_WAITING + BLOCK)
+        self._waiting = 0
         self._aligned = self._in_phase = 0.0
         self._aligned_count = self._in_phase_count = 0
         self._within = 0
         self._roughness = RoughnessMeter()
-        self._windows = ErrorWindowCounter()
+        self._by_time = ErrorWindowCounter()
         # What is left of the scoring of the oldest block.
         self._pieces = Pieces()
 
@@ -138,7 +137,7 @@ class TrackingError:
 
         Without calls of it, `add_output` scores in bursts.
         """
-        if not self._pieces.waiting and len(self._felt_n) >= PATIENCE + BLOCK:
+        if not self._pieces.waiting and self._waiting >= PATIENCE + BLOCK:
             self._pieces.begin(self._score_oldest())
         return self._pieces.do_one()
 
@@ -163,18 +162,25 @@ class TrackingError:
             times_ns = [t_ns - group_delay_ns for t_ns in times_ns]
         self.add_reference_force(times_ns, [force_ratio * force_n for force_n in samples.forces_n])
 
-    def add_output(self, now_ns: int, instant_ns: int, force_n: float) -> None:
-        """Add the felt force at `now_ns`, when `instant_ns` is played; NaN where it is unknown."""
-        self._now_ns.append(now_ns)
-        self._instant_ns.append(instant_ns)
-        self._felt_n.append(force_n)
-        if len(self._felt_n) >= MOST_WAITING:
-            while self.work():
-                pass
+    def add_output(self, now_ns: Times, instant_ns: Times, felt_n: Floats) -> None:
+        """Add felt forces in the order of time, shape (n,); NaN where one is unknown.
+
+        now_ns, instant_ns: time of each, and instant of the pulse that is played then.
+        """
+        for first in range(0, len(felt_n), BLOCK):
+            block, begin = slice(first, first + BLOCK), self._waiting
+            self._waiting = end = begin + len(felt_n[block])
+            self._times_ns[0, begin:end] = now_ns[block]
+            self._times_ns[1, begin:end] = instant_ns[block]
+            self._felt_n[begin:end] = felt_n[block]
+            if end >= MOST_WAITING:
+                while self.work():
+                    pass
 
     def finish(self) -> None:
         """Score the remaining felt forces."""
         self._score_until(None)
+        self.windows = self._by_time.windows()
 
     @property
     def force_rmse_n(self) -> AlignedErrors:
@@ -197,19 +203,16 @@ class TrackingError:
         """Share of the judged time with an error below 10 % of the pulse's peak to peak."""
         return self._within / self._aligned_count if self._aligned_count else None
 
-    @property
-    def windows(self) -> list[ErrorWindow]:
-        """Errors and perceived delay by windows of time."""
-        return self._windows.windows()
-
-    def scored(self, figures: Summary, ticks: int) -> Summary:
-        """Return a contactor's figures with errors, roughness and the share of `ticks` judged."""
+    def add_to(self, figures: Summary, loop: Loop) -> Summary:
+        """Return a contactor's figures with these; loop: of the display."""
+        ticks = (loop.ticks or 0) + (loop.deadline_misses or 0)
         judged = min(1.0, self._aligned_count / ticks) if ticks else None
         return replace(
             figures,
             force_rmse_n=self.force_rmse_n,
             strain_rmse=self.strain_rmse,
             within_jnd=self.within_jnd,
+            windows=self.windows,
             availability=replace(figures.availability, judged=judged),
             roughness=self._roughness.roughness,
         )
@@ -217,27 +220,29 @@ class TrackingError:
     def _score_until(self, until_ns: int | None) -> None:
         """Score at once what was felt of instants before a time; None is the end of time."""
         self._pieces.finish()
-        while self._felt_n and (until_ns is None or self._instant_ns[0] < until_ns):
+        while self._waiting and (until_ns is None or self._times_ns[1, 0] < until_ns):
             self._pieces.begin(self._score_oldest())
             self._pieces.finish()
 
     def _score_oldest(self) -> Iterator[None]:
         """Score the oldest block, piece by piece."""
-        now_ns = np.array(self._now_ns[:BLOCK])
-        instant_ns = np.array(self._instant_ns[:BLOCK])
-        felt_n = np.array(self._felt_n[:BLOCK])
-        del self._now_ns[:BLOCK], self._instant_ns[:BLOCK], self._felt_n[:BLOCK]
-        t_ns, target_n = self._gathered(until_ns=int(instant_ns[0]) - SPAN_NS)
+        count = min(self._waiting, BLOCK)
+        (now_ns, instant_ns), felt_n = self._times_ns[:, :count].copy(), self._felt_n[:count].copy()
+        self._times_ns[:, : self._waiting - count] = self._times_ns[:, count : self._waiting]
+        self._felt_n[: self._waiting - count] = self._felt_n[count : self._waiting]
+        self._waiting -= count
+        t_ns, target_n = self._gathered(until_ns=int(instant_ns[0]) - self.film_age_ns - SPAN_NS)
         if not len(t_ns):
             return
         yield
-        at_ns = np.concatenate([instant_ns, now_ns])
-        sensed_n, present_n = interpolate(at_ns, t_ns, target_n).reshape(2, -1)
+        played_n, present_n = compared_forces_n(
+            now_ns, instant_ns, self.film_age_ns, t_ns, target_n
+        )
         yield
-        self._roughness.add(now_ns, felt_n, sensed_n)
+        self._roughness.add(now_ns, felt_n, played_n)
         yield
-        aligned, in_phase = felt_n - sensed_n, felt_n - present_n
-        self._windows.add(now_ns, now_ns - instant_ns, aligned, in_phase)
+        aligned, in_phase = felt_n - played_n, felt_n - present_n
+        self._by_time.add(now_ns, now_ns - instant_ns, aligned, in_phase)
         yield
         aligned, in_phase = aligned[~np.isnan(aligned)], in_phase[~np.isnan(in_phase)]
         self._aligned += float(aligned @ aligned)
@@ -259,39 +264,5 @@ class TrackingError:
         return self._t_ns, self._target_n
 
 
-def interpolate(at_ns: Times, t_ns: Times, values: Floats) -> Floats:
-    """Interpolate linearly; NaN outside of t_ns and inside of gaps."""
-    if len(t_ns) < 2:
-        return np.full(len(at_ns), np.nan)
-    right = np.searchsorted(t_ns, at_ns, side="right")
-    inside = (right > 0) & (right < len(t_ns))
-    right = np.clip(right, 1, len(t_ns) - 1)
-    gap_ns = t_ns[right] - t_ns[right - 1]
-    share = (at_ns - t_ns[right - 1]) / np.maximum(gap_ns, 1)
-    result: Floats = values[right - 1] + share * (values[right] - values[right - 1])
-    result[~inside | (gap_ns > MAX_GAP_NS)] = np.nan
-    return result
-
-
 def _root(total: float, count: int) -> float | None:
     return math.sqrt(total / count) if count else None
-
-
-def scored(summary: Summary, errors: Sequence[TrackingError], windows: bool = False) -> Summary:
-    """Return a display's summary with the errors of its contactors, in their order.
-
-    errors: none where the finger presses back. windows: whether to add the errors by time.
-    """
-    if not errors:
-        return summary
-    ticks = (summary.loop.ticks or 0) + (summary.loop.deadline_misses or 0)
-    found = {
-        name: error.scored(figures, ticks)
-        for (name, figures), error in zip(summary.of_each_contactor().items(), errors, strict=True)
-    }
-    if windows:
-        found = {
-            name: replace(figures, windows=error.windows)
-            for (name, figures), error in zip(found.items(), errors, strict=True)
-        }
-    return replace(summary, contactors=found) if summary.contactors else found[""]

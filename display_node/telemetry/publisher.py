@@ -10,7 +10,6 @@ from protocol.errors import WireError
 from protocol.provenance import PROVENANCE
 from protocol.security.authenticator import Authenticator
 from protocol.security.budgets import SubscriptionBudget
-from protocol.ticks import TickState
 from protocol.wire.marks import MARK, REQUEST, Mark, pack_mark, read_request
 from protocol.wire.telemetry import (
     CAPTURE,
@@ -59,7 +58,7 @@ class Publisher:
     """Publisher of a display's telemetry over one bound XPUB socket.
 
     run: random number of this run of the display. authenticator: of the readers. provenance: sent
-    to readers that request it.
+    to readers that request it. trace: of the ticks that are not published yet.
     """
 
     def __init__(
@@ -74,7 +73,7 @@ class Publisher:
         self._subscriptions = SubscriptionBudget(socket, topics, REQUEST)
         self._provenance = provenance
         self._marks = MarkCounter()
-        self._trace = TraceWriter()
+        self.trace = TraceWriter()
         self.captured = CaptureWriter(run)
         self.address = socket.getsockopt_string(zmq.LAST_ENDPOINT)
 
@@ -83,14 +82,10 @@ class Publisher:
         """Numbers of refused subscriptions and marks by cause."""
         return self._subscriptions.rejected + self._marks.rejected
 
-    def add(self, *states: TickState) -> bool:
-        """Add a tick, of which each contactor has a state; return whether a trace is due."""
-        return self._trace.add(*states)
-
     def publish(self) -> bool:
         """Publish the ticks since the last trace; return whether a status is due."""
         self._publish_captured()
-        trace = self._trace.rest()
+        trace = self.trace.rest()
         if trace is None:
             return False
         sockets.send(self._socket, TRACE, trace)

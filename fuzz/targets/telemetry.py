@@ -7,13 +7,12 @@ from display_node.telemetry.publisher import MarkCounter
 from fuzz.refusals import refusals
 from fuzz.telemetry_readers import TelemetryReaders, preamble
 from protocol.summary.tables import Summary
-from protocol.ticks import TickState
+from protocol.ticks import TickBlock, TickState
 from protocol.wire.marks import MARK, Mark, MarkRequest, pack_mark, pack_request
 from protocol.wire.telemetry import (
     CAPTURE,
     STATUS,
     TRACE,
-    TRACE_TICKS,
     CaptureWriter,
     TraceWriter,
     read_capture,
@@ -22,13 +21,15 @@ from protocol.wire.telemetry import (
 )
 
 MSGPACK = True
+TICKS = 20
 
 
 def seeds() -> list[bytes]:
     """Return a trace, two statuses, captured messages, a mark and a request for one."""
-    writer = TraceWriter()
-    for tick in range(TRACE_TICKS):
-        writer.add(TickState(tick, tick, tick, 0.5, 0.4, True))
+    block, writer = TickBlock(1, TICKS), TraceWriter()
+    for tick in range(TICKS):
+        block.add([TickState(tick, tick, tick, 0.5, 0.4, True)])
+    writer.add(block)
     statuses = [["playing", "pulse", Summary().to_dict(), final] for final in (False, True)]
     heard = CaptureWriter(run=7)
     heard.wanted = True

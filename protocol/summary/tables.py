@@ -371,6 +371,7 @@ def with_contactors(summary: Summary, contactors: Mapping[str, Summary]) -> Summ
         horizon_ms=of_display.horizon_ms,
         trusted=of_display.trusted,
     )
-    keys = (key for key in OF_A_CONTACTOR if key not in ("samples", "availability"))
-    changes = {key: getattr(figures, key) for key in keys}
-    return replace(summary, **changes | {"compensation": compensation})
+    availability = replace(summary.availability, judged=figures.availability.judged)
+    changes = {key: getattr(figures, key) for key in OF_A_CONTACTOR if key != "samples"}
+    changes |= {"compensation": compensation, "availability": availability}
+    return replace(summary, **changes)

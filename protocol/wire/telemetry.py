@@ -10,7 +10,6 @@ Topics, each a multipart message [topic, msgpack]:
 - "provenance": versions, host and command of the node, on request (`protocol/provenance.py`).
 """
 
-import math
 from collections.abc import Iterator, Sequence
 from itertools import accumulate, takewhile
 from typing import Annotated, Any, NamedTuple
@@ -23,7 +22,7 @@ from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
 from protocol.config.quantities import Name
 from protocol.errors import WireError
 from protocol.summary.tables import LARGEST, Summary
-from protocol.ticks import TickState
+from protocol.ticks import TickBlock
 from protocol.wire.messages import COUNT_RANGE, LARGEST_N, MAX_CHANNELS, MAX_FRAME_BYTES, TIME_RANGE
 
 STATUS = b"status"
@@ -125,9 +124,8 @@ def unpack(data: bytes, max_items: int = MAX_ITEMS) -> Any:
 
 
 TRACE = b"trace"
-TRACE_TICKS = 20
 # Number of traces between two statuses.
-STATUS_TRACES = 10
+STATUS_TRACES = 4
 
 
 class Trace(NamedTuple):
@@ -154,31 +152,35 @@ class Trace(NamedTuple):
 
 
 class TraceWriter:
-    """Collector of ticks into trace messages."""
+    """Collector of blocks of ticks into trace messages."""
 
     def __init__(self) -> None:
-        self._ints: list[int] = []
-        self._forces: list[float] = []
+        self._integers: list[bytes] = []
+        self._forces: list[bytes] = []
         # Where the finger presses: its press and the hold-down.
-        self._press: list[float] = []
+        self._press: list[bytes] = []
+        self._pressed = False
 
-    def add(self, *states: TickState) -> bool:
-        """Add a tick, of which each contactor has a state; return whether a message is full."""
-        ints, state = self._ints, states[0]
-        ints += (state.now_ns, state.instant_ns, state.scored, state.trusted)
-        self._press += (state.press_n, state.hold_down_n)
-        for state in states:
-            self._forces += (state.target_n, state.felt_n, state.predictor_error_n)
-        return len(ints) >= 4 * TRACE_TICKS
+    @property
+    def waiting(self) -> bool:
+        """True while there are ticks since the last message."""
+        return bool(self._integers)
+
+    def add(self, block: TickBlock) -> None:
+        """Add the ticks of a block."""
+        self._integers.append(block.columns[:4].T.tobytes())
+        press_n = block.forces_n[:, :2]
+        self._forces.append(block.forces_n[:, 2:].tobytes())
+        self._press.append(press_n.tobytes())
+        self._pressed = self._pressed or not np.isnan(press_n).all()
 
     def rest(self) -> bytes | None:
         """Return a message of the ticks since the last one, if there are any."""
-        if not self._ints:
+        if not self._integers:
             return None
-        message = [np.array(self._ints, "<i8").tobytes(), np.array(self._forces, "<f8").tobytes()]
-        if not all(map(math.isnan, self._press)):
-            message.append(np.array(self._press, "<f8").tobytes())
-        self._ints, self._forces, self._press = [], [], []
+        columns = [self._integers, self._forces] + [self._press] * self._pressed
+        message = [b"".join(parts) for parts in columns]
+        self._integers, self._forces, self._press, self._pressed = [], [], [], False
         return bytes(msgpack.packb(message))
 
 

@@ -42,8 +42,8 @@ PRESETS: dict[str, tuple[Wave, ...]] = {
 }
 # A wave is drawn this many widths to either side; beyond, it is below 1e-9 of its amplitude.
 REACH = 6.5
-# Beats whose times are kept, which takes an hour.
-KEPT_BEATS = 5_000
+# Beats whose times are kept, for whoever compares them with what was found.
+KEPT_BEATS = 100
 Preset = Literal["paper", "wide"]
 PeakToPeak = Annotated[Newtons, Field(gt=0, le=10)]
 Preload = Annotated[Newtons, Field(ge=0, le=10)]
@@ -136,7 +136,7 @@ class SyntheticScene(SourceScene):
 class SyntheticSource(SampleSource):
     """A synthetic pulse in N, one channel for each position of one heart's artery.
 
-    beats: the beats drawn so far, at most the last 5 000; the pulse of one begins at each channel
+    beats: the last 100 beats that were drawn; the pulse of one begins at each channel
     `delays_s` after its onset.
     """
 
