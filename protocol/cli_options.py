@@ -16,7 +16,7 @@ from protocol.errors import ProtectionError, TelepulseError
 from protocol.host.child_process import Sidecar, sidecar_module
 from protocol.host.output import STDOUT
 from protocol.host.realtime import RealtimeGrant, RealtimeRequest, apply_realtime
-from protocol.provenance import BUILD, Provenance
+from protocol.provenance import Provenance
 from protocol.security.allow_list import read_allowed
 from protocol.security.keys import ClientKeys, ServerKeys, read_pair, read_public
 from protocol.sockets import beyond_loopback, control_address
@@ -89,7 +89,7 @@ DetailsOption = Annotated[
 
 def _print_version(wanted: bool) -> None:
     if wanted:
-        print(f"telepulse {version('telepulse')}, {BUILD}")
+        print(f"telepulse {version('telepulse')}")
         raise typer.Exit
 
 
