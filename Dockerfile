@@ -1,13 +1,9 @@
 FROM python:3.11-slim-bookworm AS build
 
-RUN apt-get update \
-    && apt-get install -y --no-install-recommends gcc libc6-dev python3-dev \
-    && rm -rf /var/lib/apt/lists/*
 WORKDIR /src
 COPY . .
-# The core compiled, into an environment of its own: the compiler stays in this stage.
 RUN python -m venv /opt/telepulse \
-    && TELEPULSE_COMPILED=1 /opt/telepulse/bin/pip install --no-cache-dir -c constraints.txt '.[view]'
+    && /opt/telepulse/bin/pip install --no-cache-dir -c constraints.txt '.[view]'
 
 FROM python:3.11-slim-bookworm
 

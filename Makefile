@@ -2,23 +2,17 @@
 PYTHON ?= python3
 BIN := .venv/bin
 ARGS ?=
-# COMPILED=1 installs and runs the compiled core; it needs a C compiler and Python's headers.
-COMPILED ?=
-INSTALLED := .venv/installed$(if $(COMPILED),-compiled)
-PACKAGES := protocol pulse_sensors pulse_drives sensing_node display_node telepulse
 PIP := $(BIN)/python -m pip --quiet --disable-pip-version-check
 
-.PHONY: install demo wheels test test-all machines check size report bench soak fuzz docs clean
+.PHONY: install demo wheel test test-all machines check size report bench soak fuzz docs clean
 
-install: $(INSTALLED)
+install: .venv/installed
 
-demo: $(INSTALLED)
+demo: .venv/installed
 	$(BIN)/telepulse demo $(ARGS)
 
-# Two wheels: pure Python, and compiled for this machine.
-wheels: .venv/bin/python
+wheel: .venv/bin/python
 	$(PIP) wheel --no-deps --wheel-dir out/wheels .
-	TELEPULSE_COMPILED=1 $(PIP) wheel --no-deps --wheel-dir out/wheels .
 
 # The tests start a thousand processes. Where this is set, as in many containers, each would compile the
 # packages anew.
@@ -72,15 +66,6 @@ clean:
 
 .venv/installed: pyproject.toml constraints.txt | .venv/bin/python
 	$(PIP) install -c constraints.txt -e '.[view]'
-	rm -f .venv/installed-compiled
-	touch $@
-
-# Not editable: a compiled module in the checkout would hide later changes of its source. Either
-# installation replaces the other, and this one is repeated where a source has changed.
-.venv/installed-compiled: pyproject.toml constraints.txt compile_core.py hatch_build.py \
-  $(shell find $(PACKAGES) scenes -type f -not -path '*/__pycache__/*') | .venv/bin/python
-	TELEPULSE_COMPILED=1 $(PIP) install -c constraints.txt '.[view]'
-	rm -f .venv/installed .venv/installed-*
 	touch $@
 
 .venv/installed-report: .venv/installed

@@ -1,8 +1,7 @@
-"""The pure and the compiled core in turns: prediction, simulation, live tick, frame, latency.
+"""What the core costs: prediction, simulation, live tick, frame, latency.
 
-`python -m benchmarks.core work|simulate|tick|frame|latency|sweep|memory` runs one part with the
-modules that it finds, and prints its figures as JSON; the benchmark runs it for either build, and
-the last two for the pure one alone.
+`python -m benchmarks.core work|simulate|tick|frame|latency|sweep|memory` runs one part, and prints
+its figures as JSON; the last two take minutes, and run once.
 """
 
 import json
@@ -31,7 +30,6 @@ from protocol.config.scene_file import find_scene
 from protocol.wire import messages
 from telepulse.scene import load_scene
 from telepulse.simulation.virtual_time import Simulation
-from tests.support.compiled_core import build, run_in
 from tests.support.node_rig import rss_bytes
 from tests.support.nodes import ROOT, run_python
 from tests.support.sender import MS, Sender
@@ -173,38 +171,23 @@ PARTS = {part.__name__: part for part in (*IN_TURNS, *ONCE)}
 
 
 def main(benchmark: Benchmark) -> None:
-    """Build the compiled core, run the parts of both builds in turns, and print the table."""
-    with tempfile.TemporaryDirectory() as temporary:
-        began_s = time.monotonic()
-        build(Path(temporary), opt="2")
-        print(f"compiled in {time.monotonic() - began_s:.0f} s")
-        folders = {"pure": ROOT, "compiled": Path(temporary)}
-        found: dict[str, dict[str, list[float]]] = {name: {} for name in folders}
-        for _ in range(ROUNDS):
-            for name, folder in folders.items():
-                for part in IN_TURNS:
-                    printed = run_in(folder, "-m", "benchmarks.core", part.__name__)
-                    for key, value in json.loads(printed).items():
-                        found[name].setdefault(key, []).append(value)
-    rows = []
-    for key, pure in found["pure"].items():
-        compiled = found["compiled"][key]
-        ratios = [after / before for before, after in zip(pure, compiled, strict=True)]
-        middle = [statistics.median(values) for values in (pure, compiled, ratios)]
-        rows.append((key, *(f"{value:.3g}" for value in middle)))
+    """Run each part in processes of its own, in turns, and print the medians."""
+    found: dict[str, list[float]] = {}
+    for turn in range(1 if benchmark.quick else ROUNDS):
+        for part in PARTS.values() if turn == 0 and not benchmark.quick else IN_TURNS:
+            ended = run_python("-m", "benchmarks.core", part.__name__, cwd=ROOT, timeout=1_200)
+            assert ended.returncode == 0, ended.stderr
+            for key, value in json.loads(ended.stdout).items():
+                found.setdefault(key, []).append(value)
+    medians = {key: statistics.median(values) for key, values in found.items()}
     benchmark.table(
-        f"Pure and compiled core in turns, medians of {ROUNDS} rounds; ratios of a round",
-        ("figure", "pure", "compiled", "compiled / pure"),
-        rows,
+        f"The core, medians of {ROUNDS} rounds",
+        ("figure", "median"),
+        [(key, f"{value:.3g}") for key, value in medians.items()],
     )
-    figures = {key: statistics.median(values) for key, values in found["pure"].items()}
-    once: dict[str, float] = {}
-    for part in ONCE:
-        once |= json.loads(run_in(ROOT, "-m", "benchmarks.core", part.__name__, timeout=1_200))
-    title = "The pure core: a sweep of 16 seeds, and 20 minutes at 5 kHz in virtual time"
-    benchmark.table(title, list(once), [[f"{value:.3g}" for value in once.values()]])
     for criterion in CRITERIA[benchmark.name]:
-        benchmark.judge(criterion.name, (figures | once)[criterion.name])
+        if criterion.name in medians:
+            benchmark.judge(criterion.name, medians[criterion.name])
 
 
 if __name__ == "__main__":

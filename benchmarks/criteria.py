@@ -88,7 +88,7 @@ CRITERIA: Final[dict[str, tuple[Criterion, ...]]] = {
         Criterion("TCP stalls / best moving, 5 %", most=1.7),
     ),
     "wire": (Criterion("a frame of 5 samples, encoded and decoded", 15e-6, scale=1e6, unit="µs"),),
-    # Of the pure core; its figures are in the units of their names.
+    # In the units of their names.
     "core": (
         Criterion("work of the stack in µs a tick", most=15),
         Criterion("simulate radial, linear", least=30),

@@ -16,7 +16,7 @@ from protocol.errors import TelepulseError
 from protocol.host.child_process import Sidecar, sidecar_module
 from protocol.host.output import STDOUT
 from protocol.host.realtime import RealtimeGrant, RealtimeRequest, apply_realtime
-from protocol.provenance import BUILD, Provenance
+from protocol.provenance import Provenance
 from protocol.sockets import beyond_loopback
 from protocol.summary.rows import print_summary, write_json
 from protocol.summary.tables import Summary
@@ -87,7 +87,7 @@ DetailsOption = Annotated[
 
 def _print_version(wanted: bool) -> None:
     if wanted:
-        print(f"telepulse {version('telepulse')}, {BUILD}")
+        print(f"telepulse {version('telepulse')}")
         raise typer.Exit
 
 

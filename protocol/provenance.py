@@ -20,12 +20,9 @@ from typing import Any
 
 from pydantic import BaseModel, TypeAdapter, ValidationError
 
-from protocol import histogram
 from protocol.config.scene_file import load_document, read_chain
 from protocol.errors import WireError
 
-# The modules of `compiled` in pyproject.toml are compiled together, or none is.
-BUILD = "pure Python" if histogram.__file__.endswith(".py") else "compiled"
 REDACTED = "(redacted)"
 ABOUT = "--about"
 _SECRET = (
@@ -90,15 +87,13 @@ _GIT_WITHIN_S = 2.0
 class Provenance:
     """The origin of a run's results.
 
-    build: "compiled" or "pure Python". command: the command line, redacted. commit: commit of the
-    running checkout, with "-dirty" after changes; None outside a checkout. start_utc: start of the
-    command, ISO 8601. scene: its path, the files that it extends, and their merged tables as
-    written. effective: the sections in use, with all defaults. seeds: random seeds by their
-    subject.
+    commit: commit of the running checkout, with "-dirty" after changes; None outside a checkout.
+    start_utc: start of the command, ISO 8601. command: the command line, redacted. scene: its path,
+    the files that it extends, and their merged tables as written. effective: the sections in use,
+    with all defaults. seeds: random seeds by their subject.
     """
 
     version: str
-    build: str
     commit: str | None
     start_utc: str
     host: str
@@ -146,7 +141,6 @@ def collect(
     name = program.parent.name if program.name == "__main__.py" else program.name
     return Provenance(
         version=version("telepulse"),
-        build=BUILD,
         commit=_commit(),
         start_utc=datetime.now(UTC).isoformat(timespec="milliseconds"),
         host=platform.node(),

@@ -1,6 +1,6 @@
 """The state of a display's last tick, blocks of ticks, and counters of them. Pure.
 
-The counters give the figures of `protocol.summary.tables`, which are not compiled.
+The counters give the figures of `protocol.summary.tables`.
 """
 
 import math

@@ -184,7 +184,6 @@ def read_chapters(text: str, named: "Mapping[str, Table | Plot]") -> list[Chapte
 # part of the settings in effect.
 ENTRIES = {
     "version": "version of telepulse",
-    "build": "build",
     "commit": "commit",
     "start_utc": "start (UTC)",
     "host": "host",

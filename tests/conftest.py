@@ -24,7 +24,7 @@ TESTS = Path(__file__).parent
 # Minutes of computing, which a tracer would triple. Other tests cover what they run.
 NOT_TRACED = (
     *("golden", "unit/telepulse", "unit/soak", "unit/documentation"),
-    *("system/accuracy", "system/commissioning", "system/compiled", "system/documentation"),
+    *("system/accuracy", "system/commissioning", "system/documentation"),
     *("system/experiment", "system/faults", "system/recording", "system/relay"),
     *("system/paper", "system/stability"),
     *("system/soak", "system/view", "unit/display_node/test_hardware.py"),

@@ -14,7 +14,7 @@ TESTS = Path(__file__).parent
 CORE = ("protocol", "pulse_sensors", "pulse_drives", "sensing_node", "display_node")
 COVERED = [f"--cov={package}" for package in CORE] if os.environ.get("COVERAGE") else []
 COMPUTING = (
-    *("compiled", "accuracy", "documentation", "benchmarks", "commissioning", "paper", "plugins"),
+    *("accuracy", "documentation", "benchmarks", "commissioning", "paper", "plugins"),
     *("python_api", "stability"),
 )
 SYSTEM = sorted({path.parent for path in TESTS.glob("system/*/test_*.py")})

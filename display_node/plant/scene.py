@@ -1,7 +1,4 @@
-"""The tables of the actuator and of the film under the finger.
-
-The classes that they describe are compiled where a compiler is there; pydantic's models are not.
-"""
+"""The tables of the actuator and of the film under the finger."""
 
 import math
 from abc import abstractmethod

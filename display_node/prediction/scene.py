@@ -52,10 +52,7 @@ class OwnPredictorScene(PredictorScene):
 
 
 class BasePredictor:
-    """Base of predictors without an estimate of their error, to be completed by two methods.
-
-    It is not derived from `Predictor`, which may be compiled: then no other class can be.
-    """
+    """Base of predictors without an estimate of their error, to be completed by two methods."""
 
     squares_n2: Sequence[float] = ()
     transit: "TransitTime | None" = None

@@ -18,7 +18,7 @@ PROGRAMS = (telepulse.cli.main.app, sensing_node.cli.app, display_node.cli.app)
 @pytest.mark.parametrize("app", PROGRAMS)
 def test_every_program_prints_its_version_and_can_be_completed_by_a_shell(app: typer.Typer) -> None:
     result = CliRunner().invoke(app, ["--version"])
-    printed = f"telepulse {version('telepulse')}, pure Python\n"
+    printed = f"telepulse {version('telepulse')}\n"
     assert (result.stdout, result.exit_code) == (printed, 0)
     options = [name for part in typer.main.get_command(app).params for name in part.opts]
     assert "--install-completion" in options
