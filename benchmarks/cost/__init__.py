@@ -67,7 +67,7 @@ VARIED: dict[str, Sequence[Any]] = {
 }
 ON_SLOW_HOST = (
     *((1.0, "stack", 5.0), (1.0, "linear", 5.0), (2.0, "stack", 5.0), (2.0, "linear", 5.0)),
-    *((4.0, "stack", 20.0), (4.0, "linear", 20.0), (4.0, "hold", 20.0)),
+    *((4.0, "stack", 5.0), (4.0, "stack", 20.0), (4.0, "linear", 20.0), (4.0, "hold", 20.0)),
 )
 
 
