@@ -11,7 +11,7 @@ import typer
 
 from display_node.benches import open_film
 from display_node.hardware import build_display_drive
-from display_node.scene import DisplayScene, FilmSensor
+from display_node.scene import DisplayScene
 from protocol.cli_options import BENCH_IS_CLEAR, LogLevelOption, one_line_errors, plain_console
 from protocol.config.quantities import parse_quantity
 from protocol.config.scene import Section, load_section
@@ -19,6 +19,7 @@ from protocol.config.scene_file import find_scene, scene_names
 from protocol.errors import SceneError
 from protocol.host.output import check_writable, configure_logging, write_whole
 from protocol.provenance import collect
+from pulse_sensors.drive_film import DriveFilmScene
 from pulse_sensors.sensor import Sensor, open_sensor
 from sensing_node.scene import SensingScene
 from telepulse.cli.options import (
@@ -214,22 +215,24 @@ def _measure(
     channel: str | None,
 ) -> LoadReadings:
     """Return the readings of a scene's sensor at the wrist or under the finger."""
+    opened = partial(open_sensor, folder=path.parent)
     if at == "wrist":
         sensing = load_section(path, "sensing", SensingScene)
         if sensing.sensor is None:
             kind = sensing.source.kind
             raise SceneError(f'{path}: [sensing] source: kind "{kind}" is not a live sensor')
-        opened = partial(open_sensor, folder=path.parent)
         return measure_loads(sensing.sensor, opened, loads_n, ask, channel)
     display = load_section(path, "display", DisplayScene).choose(contactor)
     film, table = display.feedback, display.drive
     if film is None or table is None:
         raise SceneError(f"{path}: [display.feedback] is missing: describe the film's sensor there")
+    if not isinstance(film, DriveFilmScene):
+        return measure_loads(film, opened, loads_n, ask, channel)
     # It is not started: only its board's film is read.
     force_limit_n = display.safety.force_limit_n
     drive = build_display_drive(table, display.actuator, display.layer.layer(), force_limit_n)
 
-    def open_raw(raw: FilmSensor) -> Sensor:
+    def open_raw(raw: DriveFilmScene) -> Sensor:
         return open_film(raw, drive, display.overforce_n, path.parent)
 
     return measure_loads(film, open_raw, loads_n, ask, channel)
