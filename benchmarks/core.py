@@ -1,4 +1,4 @@
-"""What the core costs: prediction, simulation, live tick, frame, latency.
+"""Cost of the core: prediction, simulation, live tick, frame, latency, sweep and memory.
 
 `python -m benchmarks.core work|simulate|tick|frame|latency|sweep|memory` runs one part, and prints
 its figures as JSON; the last two take minutes, and run once.

@@ -193,7 +193,6 @@ class Drive(ABC):
             raise
         self._supervisor.verified = True
 
-    @abstractmethod
     def command(self, speed_m_per_s: float) -> None:
         """Run at a speed within the soft limits, positive into the finger, until the next command.
 
@@ -201,6 +200,13 @@ class Drive(ABC):
         fault are ignored. After the first one, the scene's `watchdog` time without a command is a
         fault, and the tip is withdrawn.
         """
+        if self._supervisor.fault is not None:
+            return
+        with self._lock:
+            now_ns = time.perf_counter_ns()
+            self._read_reports(now_ns)
+            self._supervisor.command(speed_m_per_s, now_ns)
+            self._send(now_ns)
 
     def film_port(self, least_counts: float, most_counts: float) -> FilmPort:
         """Return the port of the film that the drive's board reads, which a `Sensor` opens.
@@ -269,6 +275,10 @@ class Drive(ABC):
     @abstractmethod
     def _connect(self) -> DriveDevice:
         """Open the drive's line. Raises DriveError."""
+
+    @abstractmethod
+    def _send(self, now_ns: int) -> None:
+        """Send the velocity that the supervisor allows. Never waits for the drive in `command`."""
 
     @abstractmethod
     def _step(self) -> None:

@@ -1,6 +1,7 @@
 """The tables of a real drive: its motor and screw, and its bus, units and homing."""
 
 import math
+import os
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 from pydantic import Field, model_validator
@@ -19,6 +20,7 @@ from protocol.errors import DriveError
 
 if TYPE_CHECKING:
     import can
+    import serial
 
 # A TMCL datagram has 9 bytes, each with a start and a stop bit; every request has its reply.
 TMCL_BITS = 9 * 10
@@ -181,6 +183,24 @@ def can_frame_bits(data_bytes: int) -> int:
     """Return the most bits of a CAN frame with an 11-bit identifier (ISO 11898-1)."""
     # Frame and pause, the data, and a stuffed bit after every 4 bits of the stuffed part.
     return 47 + 8 * data_bytes + (34 + 8 * data_bytes - 1) // 4
+
+
+def open_port(
+    name: str, baud: int, read_within_s: float, write_within_s: float
+) -> "serial.SerialBase":
+    """Open a serial port, or any URL that pyserial opens. Raises DriveError."""
+    import serial
+
+    try:
+        # No second program may command the same drive.
+        port: serial.SerialBase = serial.serial_for_url(
+            name, baud, timeout=read_within_s, write_timeout=write_within_s, exclusive=True
+        )
+    except (OSError, ValueError) as error:
+        number = getattr(error, "errno", None)
+        reason = os.strerror(number) if number else error
+        raise DriveError("unplugged", f"{name} cannot be opened: {reason}") from None
+    return port
 
 
 def open_bus(scene: DriveScene) -> "can.BusABC":

@@ -33,16 +33,6 @@ class Cia402Drive(Drive):
         self._control = Controlword.ENABLE
         self._beat_ns = 0
 
-    def command(self, speed_m_per_s: float) -> None:
-        """See `Drive.command`."""
-        if self._supervisor.fault is not None:
-            return
-        with self._lock:
-            now_ns = time.perf_counter_ns()
-            self._read_reports(now_ns)
-            self._supervisor.command(speed_m_per_s, now_ns)
-            self._send(now_ns)
-
     def _connect(self) -> DriveDevice:
         self._node = Cia402Node(self._scene, self._axis, self.counts)
         self._control = Controlword.ENABLE

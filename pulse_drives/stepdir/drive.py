@@ -33,16 +33,6 @@ class StepdirDrive(Drive):
         self._film_counts = least_counts, most_counts
         return BoardFilm(self._line)
 
-    def command(self, speed_m_per_s: float) -> None:
-        """See `Drive.command`."""
-        if self._supervisor.fault is not None:
-            return
-        with self._lock:
-            now_ns = time.perf_counter_ns()
-            self._read_reports(now_ns)
-            self._supervisor.command(speed_m_per_s, now_ns)
-            self._send(now_ns)
-
     def _connect(self) -> DriveDevice:
         self._board = DisplayBoard(self._line, self._scene, self._axis, self._film_counts)
         return self._board

@@ -11,8 +11,6 @@ from typing import NamedTuple
 
 from cobs import cobs
 
-# Velocities have this many units in a step a second.
-PER_STEP_RATE = 256
 COUNTER_TURN = 1 << 32
 SEQUENCE_TURN = 1 << 16
 # A longer body is not the display board's.
@@ -237,7 +235,7 @@ def decode_report(body: bytes) -> BoardReport | None:
 
 
 def decode_command(body: bytes) -> BoardCommand | None:
-    """Return the command of a body from the host; None for one that no board knows."""
+    """Return the command of a body from the host; None for an unknown one."""
     try:
         code, sequence = _HEAD.unpack_from(body)
         command, packed = Format(code), body[_HEAD.size :]

@@ -13,9 +13,8 @@ from contextlib import suppress
 from itertools import count
 from typing import Any, TypeVar
 
-import serial
-
 from protocol.errors import DriveError, SourceError
+from pulse_drives.scene import open_port
 from pulse_drives.start_advice import start_advice
 from pulse_drives.stepdir.frames import (
     COUNTER_TURN,
@@ -58,9 +57,8 @@ class BoardLine:
         Reason for which the port cannot be used any more; empty while it can.
     counts
         Frames of the board that noise has altered ("garbled"), that were left out ("missed") or
-        that came twice ("repeated"),
-        frames of ours that the board could not read ("unread"), and commands that the port did not
-        take ("superseded").
+        that came twice ("repeated"), frames of ours that the board could not read ("unread"), and
+        commands that the port did not take ("superseded").
     """
 
     def __init__(self, scene: StepdirScene, counts: Counter[str]) -> None:
@@ -162,14 +160,7 @@ class BoardLine:
         return None
 
     def _open(self) -> None:
-        try:
-            self._port = serial.serial_for_url(
-                self.name, self._baud, timeout=WAIT_S, write_timeout=WAIT_S, exclusive=True
-            )
-        except (OSError, ValueError) as error:
-            number = getattr(error, "errno", None)
-            reason = os.strerror(number) if number else error
-            raise DriveError("unplugged", f"{self.name} cannot be opened: {reason}") from None
+        self._port = open_port(self.name, self._baud, WAIT_S, WAIT_S)
         self._descriptor = _descriptor(self._port)
         self.state, self._unsent, self.lost = None, b"", ""
         self._answers.clear()

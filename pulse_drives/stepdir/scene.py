@@ -9,6 +9,7 @@ from pulse_drives.scene import DriveScene, Scale
 
 # A velocity's frame, and the bits of a byte on the line.
 VELOCITY_BITS = 13 * 10
+# Velocities have this many units in a step a second.
 PER_STEP_RATE = 256.0
 # Keys of other kinds of drive.
 OTHERS = frozenset(

@@ -6,7 +6,6 @@ for a log that may not exist, which is most of the cost of an exchange (decision
 """
 
 import math
-import os
 import time
 from collections import Counter
 
@@ -15,7 +14,7 @@ import serial
 from pytrinamic.tmcl import TMCLReply, TMCLRequest, TMCLStatus
 
 from protocol.errors import DriveError
-from pulse_drives.scene import TmclScene, discard_spoilt_line, is_noise, open_bus
+from pulse_drives.scene import TmclScene, discard_spoilt_line, is_noise, open_bus, open_port
 
 DATAGRAM_BYTES = 9
 # More than can wait after two failed requests: bytes on a serial line, frames on CAN.
@@ -30,19 +29,9 @@ class SerialLine:
     """Datagrams of 9 bytes on a serial line, the last of them a checksum."""
 
     def __init__(self, scene: TmclScene) -> None:
-        try:
-            self._port = serial.serial_for_url(
-                scene.port,
-                scene.baud,
-                timeout=scene.reply_timeout_ns * 1e-9,
-                write_timeout=scene.watchdog_ns * 1e-9,
-                # No second program may command the same drive.
-                exclusive=True,
-            )
-        except (OSError, ValueError) as error:
-            number = getattr(error, "errno", None)
-            reason = os.strerror(number) if number else error
-            raise DriveError("unplugged", f"{scene.port} cannot be opened: {reason}") from None
+        assert scene.port is not None
+        reply_s, watchdog_s = scene.reply_timeout_ns * 1e-9, scene.watchdog_ns * 1e-9
+        self._port = open_port(scene.port, scene.baud, reply_s, watchdog_s)
 
     def send(self, data: bytes) -> None:
         """Send a request. Raises TimeoutError where it was not sent in time."""

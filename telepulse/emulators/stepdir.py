@@ -13,7 +13,6 @@ from collections.abc import Callable
 
 from pulse_drives.stepdir.frames import (
     COUNTER_TURN,
-    PER_STEP_RATE,
     BoardCommand,
     BoardGreeting,
     BoardLimits,
@@ -30,6 +29,7 @@ from pulse_drives.stepdir.frames import (
     decode_command,
     encode_report,
 )
+from pulse_drives.stepdir.scene import PER_STEP_RATE
 from pulse_sensors.drive_film import DriveFilmScene
 from telepulse.emulators import PtyPort
 from telepulse.emulators.motor import TICK_NS, EmulatedMotor

@@ -68,22 +68,12 @@ class StageDrive(Drive):
         self._stage = STAGES.setdefault(scene.name, Stage())
         self._stage.home_m = axis.lowest_m
 
-    def command(self, speed_m_per_s: float) -> None:
-        """See `Drive.command`."""
-        if self._supervisor.fault is not None:
-            return
-        with self._lock:
-            now_ns = time.monotonic_ns()
-            self._read_reports(now_ns)
-            self._supervisor.command(speed_m_per_s, now_ns)
-            self._send(now_ns)
-
     def _connect(self) -> DriveDevice:
         return self._stage
 
     def _step(self) -> None:
         with self._lock.acquire_or_proceed():
-            now_ns = time.monotonic_ns()
+            now_ns = time.perf_counter_ns()
             self._read_reports(now_ns)
             if self._supervisor.fault is not None:
                 self._send(now_ns)
