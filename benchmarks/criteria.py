@@ -121,6 +121,15 @@ CRITERIA: Final[dict[str, tuple[Criterion, ...]]] = {
         Criterion("force after a restart", most=2.5, unit="N"),
         Criterion("slew after a restart", most=50.0, unit="N/s"),
     ),
+    "class_bench": (
+        Criterion("aligned RMSE of a pulse of 300 mN", 3e-3, scale=1e3, unit="mN"),
+        Criterion("the same, by the display", 3e-3, scale=1e3, unit="mN"),
+        Criterion("steps lost while played", most=0),
+        Criterion("step jitter", 45e-6, scale=1e6, unit="µs"),
+        Criterion("highest step rate without a lost step", least=20e3, scale=1e-3, unit="kHz"),
+        Criterion("time to withdraw after kill -9", 0.3, scale=1e3, unit="ms"),
+        Criterion("time to withdraw after any fault", 0.3, scale=1e3, unit="ms"),
+    ),
     "stalls": (Criterion("stalls that leave the tip pressed", most=0),),
     "faults": (
         Criterion("time until the pulse is felt again after a fault", most=1.0, unit="s"),

@@ -108,9 +108,10 @@ void chip_on_conversion(avr_t *chip, avr_irq_notify_t notify) {
       avr_io_getirq(chip, AVR_IOCTL_ADC_GETIRQ, ADC_IRQ_OUT_TRIGGER), notify, chip);
 }
 
-void chip_set_millivolts(double millivolts) {
-  double within = fmin(fmax(millivolts, 0), 5000);
-  avr_raise_irq(analogue_input, (uint32_t)lround(within));
+/* simavr divides the range into 1023 parts, the chip into 1024: give what reads as the chip does. */
+void chip_set_volts(double volts) {
+  double reading = fmin(fmax(floor(volts / 5 * 1024), 0), 1023);
+  avr_raise_irq(analogue_input, (uint32_t)ceil(reading * 5000 / 1023));
 }
 
 double now_s(void) {

@@ -21,8 +21,8 @@ void chip_run(avr_t *chip, avr_cycle_count_t until);
 /* Close the line, as an unplugged cable does. The chip runs on, and nothing is connected. */
 void chip_unplug(void);
 
-/* Call `notify` at each conversion's start; it then sets input A0 by `chip_set_millivolts`. */
+/* Call `notify` at each conversion's start; it then sets input A0 by `chip_set_volts`. */
 void chip_on_conversion(avr_t *chip, avr_irq_notify_t notify);
-void chip_set_millivolts(double millivolts);
+void chip_set_volts(double volts);
 
 double now_s(void);

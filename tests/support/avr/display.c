@@ -12,10 +12,11 @@
  *   film VOLTS      the film's amplifier has this output, whatever the force; "film ok" ends it
  *   switch 0 | 1    the home switch is stuck open or closed; "switch ok" ends it
  *   fault 0 | 1     level of the carrier's fault pin
- *   reset           reset pin, as DTR pulls it; the bootloader then waits for bootloader_ms
+ *   reset [MS]      reset pin, as DTR pulls it; a bootloader then waits for a time
  *   hang ADDRESS    the program goes on at this address, such as that of an endless loop
  *   unplug          the cable is gone
- *   report          prints a line of JSON
+ *   report          prints a line of JSON; late_ms: the longest that this machine kept the chip
+ *                   waiting since the last report
  *
  * The motor is a two-phase stepper: its force is a sine of the lag, so that it loses four steps
  * where it lags by more than two. The screw does not turn under load while the motor is off.
@@ -44,8 +45,7 @@ static double thrust_n = 1200, mass_kg = 53, damping = 0.2;
 static double touch_mm = 2, start_mm = -1;
 /* The rubber's force in N is hertz times depth^1.5 in m. */
 static double hertz = 6.285e6, finger_n_per_m = 1000;
-static double film_zero_v = 0.5, film_v_per_n = 1.8, film_noise_v = 0.003;
-static double bootloader_ms = 0;
+static double film_zero_v = 2.5, film_v_per_n = 0.51, film_noise_v = 0.003;
 
 static const struct {
   const char *name;
@@ -65,7 +65,6 @@ static const struct {
     {"film_zero_v", &film_zero_v},
     {"film_v_per_n", &film_v_per_n},
     {"film_noise_v", &film_noise_v},
-    {"bootloader_ms", &bootloader_ms},
 };
 static const double TICK_S = 500.0 / FREQUENCY;
 
@@ -76,9 +75,8 @@ static double step_m, turn_m, tip_m, speed_m_per_s, force_n;
 static double film_v = NAN;
 static int switch_stuck = -1, fault_level = 1;
 static long lost_steps;
-/* The longest time for which this machine kept the chip waiting. */
 static double latest_s;
-static const double LOST_S = 5e-3;
+static const double LOST_S = 25e-3;
 static avr_cycle_count_t held_until, entered, in_tick, longest_tick, ticks;
 
 static void change_setting(const char *argument) {
@@ -154,7 +152,7 @@ static void on_conversion(struct avr_irq_t *irq, uint32_t value, void *param) {
   for (int i = 0; i < 12; i++) noise += rand() / (double)RAND_MAX - 0.5;
   double volts = film_zero_v + film_v_per_n * force_n;
   if (!isnan(film_v)) volts = film_v;
-  chip_set_millivolts(1e3 * (volts + film_noise_v * noise));
+  chip_set_volts(volts + film_noise_v * noise);
 }
 
 static void on_interrupt(struct avr_irq_t *irq, uint32_t value, void *param) {
@@ -186,7 +184,7 @@ static void run(avr_cycle_count_t until) {
   }
 }
 
-static void reset(void) {
+static void reset(double bootloader_ms) {
   avr_reset(chip);
   chip->data[MCUSR] = EXTRF;
   held_until = chip->cycle + (avr_cycle_count_t)(bootloader_ms * FREQUENCY / 1000);
@@ -199,6 +197,7 @@ static void report(void) {
          ticks ? in_tick / (ticks * 500.0) : 0, (unsigned long long)longest_tick,
          1e3 * latest_s);
   fflush(stdout);
+  latest_s = 0;
 }
 
 static void obey(const char *line) {
@@ -217,7 +216,7 @@ static void obey(const char *line) {
   } else if (!strcmp(word, "fault")) {
     fault_level = (int)number;
   } else if (!strcmp(word, "reset")) {
-    reset();
+    reset(isnan(number) ? 0 : number);
   } else if (!strcmp(word, "hang")) {
     chip->pc = (avr_flashaddr_t)number;
   } else if (!strcmp(word, "unplug")) {

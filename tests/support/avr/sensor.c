@@ -13,7 +13,7 @@
 static void on_conversion(struct avr_irq_t *irq, uint32_t value, void *param) {
   (void)irq, (void)value;
   avr_t *chip = param;
-  chip_set_millivolts(2500 + 1000 * sin(2 * M_PI * chip->cycle / FREQUENCY));
+  chip_set_volts(2.5 + sin(2 * M_PI * chip->cycle / FREQUENCY));
 }
 
 int main(int argc, char **argv) {

@@ -334,9 +334,9 @@ def test_garbage_is_counted_and_harmless(board: Open) -> None:
 
 
 def test_a_reset_of_a_pressing_board_withdraws_without_a_host(board: Open) -> None:
-    with board("bootloader_ms=50") as display:
+    with board() as display:
         press(display)
-        display.harness("reset")
+        display.harness("reset 50")
         assert left_the_finger(display, within_ms=200)
         state = display.run_until(WITHDRAWN)
         assert state.cause == RESET
