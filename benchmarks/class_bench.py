@@ -18,18 +18,21 @@ import numpy as np
 from benchmarks.bench_faults import tried
 from benchmarks.benchmark import Benchmark
 from benchmarks.emulated_bench import LEAVING_MS, SETTLED_MS, pulse, settled_rmse_n
-from display_node.plant.scene import StepperScene
-from protocol.config.scene_file import find_scene
-from telepulse.scene import load_scene
 from tests.support import avr_boards
-from tests.support.avr_boards import ARM, HOME, LIMITS, running
-from tests.support.class_bench import FAULTS, ChipTrace, Fault, Programs, left_after_s, playing
+from tests.support.class_bench import (
+    FAULTS,
+    TICK_HZ,
+    ChipTrace,
+    Fault,
+    Programs,
+    given_steps,
+    left_after_s,
+    playing,
+)
 
 SECONDS = 30.0
-TICK_HZ = 32_000
 # The last is the highest; those between fall beside the ticks of the step timer.
-RATES_HZ = (100.5, 3_217.0, 9_999.0, 23_333.0, TICK_HZ)
-CONSTANT_MS, STARTING_MS = 600, 50
+RATES_HZ = (100.5, 3_217.0, 9_999.0, 23_333.0, float(TICK_HZ))
 FELT = ("aligned RMSE of a pulse of 300 mN", "the same, by the display", "steps lost while played")
 # Shown and not judged: a bootloader keeps the motor off, and a reading of 0 N is a plausible one,
 # of which only the display knows that it is wrong.
@@ -76,7 +79,7 @@ def play(programs: Programs, seconds: float, folder: Path) -> tuple[ChipTrace, d
 def steps(programs: Programs, benchmark: Benchmark) -> None:
     """Judge jitter and highest rate of the steps, there and back at several rates."""
     with TemporaryDirectory(prefix="telepulse-") as folder:
-        found = {rate: step(programs, rate, Path(folder)) for rate in RATES_HZ}
+        found = {rate: given_steps(programs, rate, Path(folder)) for rate in RATES_HZ}
     benchmark.table(
         "Steps at a constant rate, there and back",
         ("commanded /s", "given /s", "jitter, most µs", "lost steps"),
@@ -88,30 +91,6 @@ def steps(programs: Programs, benchmark: Benchmark) -> None:
     kept = [given for given, _, lost in found.values() if not lost]
     benchmark.judge("step jitter", max(jitter_s for _, jitter_s, _ in found.values()))
     benchmark.judge("highest step rate without a lost step", max(kept, default=0.0))
-
-
-def step(programs: Programs, rate_hz: float, folder: Path) -> tuple[float, float, int]:
-    """Return a rate as given, the greatest deviation of a step from it in s, and steps lost."""
-    actuator = load_scene(find_scene("class_bench")).display.actuator
-    assert isinstance(actuator, StepperScene)
-    acceleration = round(actuator.max_acceleration_m_per_s2 / actuator.step_m)
-    limits = (-(10**6), 10**6, acceleration, TICK_HZ, 0, 16_369, 3_000, 16_000, 50, 0)
-    trace = folder / "steps.csv"
-    with running(*programs, f"trace={trace}", "finger_n_per_m=0.001") as display:
-        display.run(10)
-        for command in ((LIMITS, *limits), (ARM,), (HOME, 0, 0, 1, 1)):
-            assert display.ask(*command) == (0, 0)
-        display.drive(rate_hz, STARTING_MS)
-        began_s = display.report()["time_s"]
-        display.drive(rate_hz, CONSTANT_MS)
-        ended_s = display.report()["time_s"]
-        display.drive(-rate_hz, CONSTANT_MS)
-        lost: int = display.report()["lost_steps"]
-    times_s = ChipTrace.read(trace).step_cycles / 16e6
-    times_s = times_s[(times_s > began_s) & (times_s < ended_s)]
-    numbers = np.arange(len(times_s))
-    line = np.polyfit(numbers, times_s, 1)
-    return 1 / line[0], float(np.abs(times_s - np.polyval(line, numbers)).max()), lost
 
 
 def faults(programs: Programs, benchmark: Benchmark) -> None:

@@ -17,7 +17,7 @@ import numpy as np
 from benchmarks.benchmark import Benchmark
 from display_node.prediction import PredictorName
 from protocol.config.scene_file import find_scene
-from protocol.summary.tables import ErrorWindow
+from protocol.summary.fields import ErrorWindow
 from protocol.ticks import TickState
 from sensing_node.sources.heart import NOMINAL_BEAT_S
 from sensing_node.sources.recorded import RecordingScene

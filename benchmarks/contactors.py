@@ -43,8 +43,16 @@ POSITIONS = [
 
 
 def fingers(count: int, predictor: str, link: str = LINK) -> Scene:
-    """Return the scene of three fingers with its first contactors, over a link."""
-    scene = load_scene(find_scene("three_fingers"), {"predictor": predictor})
+    """Return the scene of three fingers with its first contactors, or more, over a link.
+
+    More than three are at places of their own, 5 mm apart.
+    """
+    changes: dict[str, Any] = {"display": {"predictor": predictor}}
+    if count > 3:
+        places = [{"name": f"place {at}", "distance": f"{5 * at} mm"} for at in range(count)]
+        changes["sensing"] = {"source": {"position": places}}
+        changes["display"]["contactor"] = [{"channel": place["name"]} for place in places]
+    scene = load_scene(find_scene("three_fingers"), **changes)
     several = scene.display.model_copy(update={"contactor": scene.display.contactor[:count]})
     display = several if count > 1 else several.contactors[0]
     return replace(scene, display=display, link=parse_link(link))
@@ -73,14 +81,14 @@ def tick_costs_us(scene: Scene) -> np.ndarray:
 
 
 def cost_row(benchmark: Benchmark, predictor: str) -> tuple[str, ...]:
-    """Return the cost of the first contactor, of the second and third over it, and their mean."""
-    found: dict[int, list[np.ndarray]] = {count: [] for count in (1, 2, 3)}
+    """Return the cost of the first contactor, and over it that of further ones: 2, 3, 4 to 8."""
+    found: dict[int, list[np.ndarray]] = {count: [] for count in (1, 2, 3, 8)}
     for _ in range(1 if benchmark.quick else ROUNDS):
         for count, costs in found.items():
             costs.append(tick_costs_us(fingers(count, predictor)))
     # Of each slice, the least of the rounds, which compute the same: other load only adds.
-    one, two, three = (float(np.min(costs, axis=0).mean()) for costs in found.values())
-    shares = (two - one) / one, (three - two) / one, (three - one) / (2 * one)
+    one, two, three, eight = (float(np.min(costs, axis=0).mean()) for costs in found.values())
+    shares = (two - one) / one, (three - two) / one, (eight - three) / (5 * one)
     benchmark.judge(f"a further contactor's tick over the first one's, {predictor}", max(shares))
     return predictor, f"{one:.0f} µs", *(f"{share:.2f}" for share in shares)
 
@@ -138,7 +146,7 @@ def prediction_rows(name: str) -> list[tuple[str, ...]]:
 
 def main(benchmark: Benchmark) -> None:
     """Print the three tables."""
-    columns = ("predictor", "first contactor", "second", "third", "mean of both")
+    columns = ("predictor", "first contactor", "second", "third", "fourth to eighth, each")
     rows = [cost_row(benchmark, predictor) for predictor in ("stack", "linear")]
     benchmark.table(
         f"Processor time of a tick over {LINK}, of further contactors over the first", columns, rows

@@ -24,7 +24,7 @@ from benchmarks.peers import BARE, BARE_CURVE, OURS, OURS_CURVE
 from display_node.display import Display
 from display_node.prediction.ensemble import Ensemble
 from display_node.prediction.scene import own_predictor
-from display_node.reception.playout import LATE_TARGET
+from display_node.reception.link_delay import LATE_TARGET
 from display_node.reception.receiver import Receiver
 from protocol.config.scene_file import find_scene
 from protocol.wire import messages
@@ -114,7 +114,7 @@ def frame() -> dict[str, float]:
         "nothing": lambda data, now_ns: None,
         "encode_frame": lambda data, now_ns: messages.encode_frame(frame_at(now_ns)),
         "msgpack alone": lambda data, now_ns: msgpack.unpackb(data),
-        "unpack_frame": lambda data, now_ns: messages.unpack_frame(data),
+        "decode_flat_frame": lambda data, now_ns: messages.decode_flat_frame(data),
         "Receiver.on_frame": receiver.on_frame,
     }
     spent_ns: dict[str, list[int]] = {name: [] for name in steps}

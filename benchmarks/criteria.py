@@ -87,7 +87,6 @@ CRITERIA: Final[dict[str, tuple[Criterion, ...]]] = {
         Criterion("random spikes / best moving, 5 %", most=1.6),
         Criterion("TCP stalls / best moving, 5 %", most=1.7),
     ),
-    "wire": (Criterion("a frame of 5 samples, encoded and decoded", 15e-6, scale=1e6, unit="µs"),),
     # In the units of their names.
     "core": (
         Criterion("work of the stack in µs a tick", most=15),

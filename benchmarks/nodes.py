@@ -1,5 +1,6 @@
 """A run of both real nodes over emulated links, with the processor time of each."""
 
+import os
 import time
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, nullcontext
@@ -7,8 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from protocol.summary.tables import Summary
-from telepulse.processes import cpu_time_s
+from protocol.summary.fields import Summary
 from telepulse.simulation.link_scene import LinkScene
 from tests.support.netem import emulate
 from tests.support.netem.forwarder import ForwarderCounts
@@ -63,3 +63,11 @@ def run_nodes(
     assert emulated.carried is not None
     shares = [(after - before) / passed_s for before, after in zip(before_s, after_s, strict=True)]
     return NodesOutcome(played, emulated.carried, *shares)
+
+
+def cpu_time_s(pid: int) -> float:
+    """Return the processor time that all threads of a process have used. Linux."""
+    # The name, in parentheses, may contain spaces; times in user and system mode are 11 and 12
+    # fields after it.
+    fields = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8").rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")

@@ -15,10 +15,10 @@ from benchmarks.nodes import NodesOutcome, run_nodes
 from benchmarks.timing import median_quantile
 from protocol.config.scene_file import find_scene
 from protocol.histogram import bound
-from protocol.summary.tables import Summary
+from protocol.summary.fields import Summary
 from telepulse.scene import load_scene
 from telepulse.simulation.link_scene import parse_link
-from telepulse.simulation.virtual_time import summarise
+from telepulse.simulation.virtual_time import Simulation
 from tests.support.netem import unavailable
 
 SECONDS, QUICK_S = 30.0, 8.0
@@ -57,7 +57,7 @@ def main(benchmark: Benchmark) -> None:
             for paths in (1, 3, *((2,) if loss != "0 %" else ()))
         ]
         simulated = replace(load_scene(scenes[1]), link=parse_link(LOSSY + ",transport=tcp"))
-        model = summarise(simulated, seconds, seed=1)
+        model = Simulation(simulated, 1).run(seconds)
         cuts = [
             cut_row(name, cut_links[name], play(1, *cut_links[name]).display) for name in cut_names
         ]

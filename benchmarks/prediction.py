@@ -103,8 +103,8 @@ def main(benchmark: Benchmark) -> None:
         [(name, *_cells(each["stack"])) for name, each in all_errors.items()],
     )
     _compare_members(benchmark, all_errors)
-    _compare(benchmark, "Beside a prototype", errors, judge=not benchmark.quick)
-    _compare(benchmark, "The same where no shape predicts the next beat", cued_not, judge=False)
+    if not benchmark.quick:
+        _judge_references(benchmark, errors)
     # Measured after all other cases have ended, so that nothing else runs.
     cost_seconds = COSTLY_FROM_S + (1.0 if benchmark.quick else 15.0)
     costs = in_one_thread(all_costs, sets[1].sensed[: round(cost_seconds * RATE_HZ)])
@@ -146,28 +146,28 @@ def _compare_members(benchmark: Benchmark, errors: Mapping[str, Errors]) -> None
         ratios[name] = tuple(
             stack / min(found) for stack, found in zip(each["stack"], members, strict=True)
         )
+    by_horizon = list(zip(*ratios.values(), strict=True))
+    names = list(ratios)
+    worst = [names[each.index(max(each))] for each in by_horizon]
     benchmark.table(
         "The stack's NRMSE over that of its best member",
-        ("pulse", *HORIZONS),
-        [(name, *_cells(each)) for name, each in ratios.items()],
+        ("of the pulses", *HORIZONS),
+        [
+            ("median", *_cells(tuple(map(statistics.median, by_horizon)))),
+            ("worst", *_cells(tuple(map(max, by_horizon)))),
+            ("which is", *worst),
+        ],
     )
     benchmark.judge("stack over its best member, worst", max(map(max, ratios.values())))
 
 
-def _compare(benchmark: Benchmark, title: str, errors: Mapping[str, Errors], judge: bool) -> None:
-    """Print ours / the reference's errors; with `judge`, judge the greatest ratio of each."""
-    rows = []
+def _judge_references(benchmark: Benchmark, errors: Mapping[str, Errors]) -> None:
+    """Judge the greatest ratio of our errors over those of each reference."""
     for reference in REFERENCES:
-        if reference.pulse not in errors:
-            continue
-        ours_ahead = dict(zip(AHEAD_MS, errors[reference.pulse][reference.predictor], strict=True))
-        ours_at = [ours_ahead[horizon_ms] for horizon_ms in HORIZONS_MS]
-        pairs = list(zip(ours_at, reference.errors, strict=True))
-        cells = [f"{ours:.3f} / {theirs or '–'}" for ours, theirs in pairs]
-        rows.append((reference.pulse, reference.predictor, reference.source, *cells))
-        if judge:
-            benchmark.judge(str(reference), max(o / t for o, t in pairs if t is not None))
-    benchmark.table(title, ("pulse", "predictor", "beside", *HORIZONS[1:]), rows)
+        ours = dict(zip(AHEAD_MS, errors[reference.pulse][reference.predictor], strict=True))
+        pairs = zip(HORIZONS_MS, reference.errors, strict=True)
+        ratios = [ours[ahead_ms] / theirs for ahead_ms, theirs in pairs if theirs is not None]
+        benchmark.judge(str(reference), max(ratios))
 
 
 def score(pulse: Pulse) -> Errors:

@@ -17,7 +17,7 @@ from benchmarks.timing import median_quantile
 from display_node.doctor.jitter import busy_processes
 from protocol.config.scene_file import find_scene
 from protocol.host.realtime import GIVEN_UP
-from protocol.summary.tables import Loop
+from protocol.summary.fields import Loop
 from telepulse.processes import NodeProcess, free_addresses
 
 SECONDS = 6.0

@@ -21,7 +21,7 @@ from benchmarks.timing import paced
 from display_node.telemetry.publisher import Publisher
 from protocol import sockets
 from protocol.host.child_process import ChildProcess
-from protocol.summary.tables import Summary
+from protocol.summary.fields import Summary
 from protocol.ticks import TickBlock, TickState
 from protocol.wire.messages import Frame, encode_frame
 from protocol.wire.telemetry import pack_status

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from protocol.histogram import bound
-from protocol.summary.tables import Lateness, OneWayDelay, TickTime
+from protocol.summary.fields import Lateness, OneWayDelay, TickTime
 
 REPEATS = 15
 BATCH_S = 0.02

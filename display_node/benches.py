@@ -80,7 +80,7 @@ def _start_bench(
     layer, force_limit_n = scene.layer.layer(), scene.safety.force_limit_n
     drive = build_display_drive(table, scene.actuator, layer, force_limit_n)
     film = scene.feedback
-    sensor = None if film is None else open_film(film, drive, scene.overforce_n, folder)
+    sensor = None if film is None else open_film(film, drive, scene.safety.overforce_n, folder)
     with closing(scene.hardware(drive, sensor)) as hardware:
         logger.warning("the drive looks for its home: keep the finger away")
         with advised():

@@ -31,7 +31,7 @@ from protocol.host.process import (
 from protocol.host.realtime import RealtimeRequest, check_strict, parse_realtime
 from protocol.provenance import collect
 from protocol.security.link_keys import KeyOptions
-from protocol.summary.tables import Summary
+from protocol.summary.fields import Summary
 
 logger = logging.getLogger(__name__)
 
@@ -162,12 +162,13 @@ def display(
                 raise DiscoveryError(
                     "--discover finds the address, and --connect is given: choose one"
                 )
-            connect = discovered(named, links.peer_key if peer else None, seconds)
-        keys, readers = links.client(*connect), links.telemetry_server(telemetry)
+            connect = discovered(named, links.server_key if peer else None, seconds)
+        keys, telemetry_keys = links.client(*connect), links.telemetry_server(telemetry)
         path = find_scene(scene)
         choice = {"predictor": predictor, "compensation": compensation}
         section = load_section(path, "display", DisplayScene, choice)
-        own = key if readers else None
+        # Screen, recorder and metrics server read protected telemetry with the display's own key.
+        readers_key = key if telemetry_keys else None
         provenance = collect(path, {"display": section})
         # A signal raises KeyboardInterrupt, so that a drive on its way home is brought to rest.
         interrupt_on_signals()
@@ -179,10 +180,12 @@ def display(
         with (
             options.start_metrics(PROGRAM, metrics) as served,
             closing(
-                DisplayNode(section, connect, telemetry, keys, readers, provenance.to_bytes())
+                DisplayNode(
+                    section, connect, telemetry, keys, telemetry_keys, provenance.to_bytes()
+                )
             ) as node,
             start_recorder(
-                node.telemetry_address, node.await_recorder, record, own, recorder_options
+                node.telemetry_address, node.await_recorder, record, readers_key, recorder_options
             ) as recorder,
         ):
             freeze_objects()
@@ -194,10 +197,12 @@ def display(
                 if press is not None:
                     node.use_press(press)
                 if served is not None:
-                    served.send(address=node.telemetry_address, key=own and str(own))
+                    served.send(
+                        address=node.telemetry_address, key=readers_key and str(readers_key)
+                    )
                 node.use(*benches)
                 draw = screen and not quiet
-                summary = _run(node, connect, seconds, once, draw, own, request)
+                summary = _run(node, connect, seconds, once, draw, readers_key, request)
     status = conclude(PROGRAM, summary, "display node", console, json, provenance, details)
     if status == NOT_VALID_STATUS and node.stopped:
         status = 0

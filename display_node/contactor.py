@@ -20,7 +20,7 @@ from display_node.scene import DisplayScene
 from display_node.scoring.beat_statistics import BeatStatistics
 from display_node.scoring.prediction_score import PredictionScore
 from display_node.scoring.tracking_error import TrackingError
-from protocol.summary.tables import Compensation, Limits, Loop, SampleCounts, Summary
+from protocol.summary.fields import Compensation, Limits, Loop, SampleCounts, Summary
 from protocol.tactile import matching_force_ratio
 from protocol.ticks import LimitCounter, TickState
 from protocol.wire.description import StreamDescription
@@ -48,13 +48,13 @@ class Contactor:
     ----------
     feedback
         Readings of a real film, which replace those of the scene's models.
-    count
-        Number of values of the reference, one a tick: the present one and the loop's horizon.
+    reference_ticks
+        Number of ticks that the reference covers: the present one and the loop's horizon.
     force_ratio
         Force at the finger per force at the wrist that makes both strains equal.
-    lead_ns
+    sample_lead_ns
         Time by which the sample that is played is later than the played instant of the pulse: the
-        group delay of the sensing chain, and the lag of the actuator.
+        group delay of the sensing chain, and the delay of the loop's actuation.
     reach_ns
         Time by which the last sample that the loop requires is later: to the end of its horizon.
     reserve_ns
@@ -72,38 +72,40 @@ class Contactor:
         self.layer = scene.layer.layer()
         self.state = TickState()
         self.force_ratio = 1.0
-        self.lead_ns = self.reach_ns = self.reserve_ns = 0
+        self.sample_lead_ns = self.reach_ns = self.reserve_ns = 0
         self.bounds = ForceBounds(scene.safety, scene.tick_ns)
         self.loop = scene.force_loop()
         self.tracking_error = TrackingError(self.layer.strain_per_newton) if score else None
         self.press: LocalPress | None = None
         self._hardware: Hardware | None = None
         self._tip: YieldingTip | None = None
-        self._gain = self._speed_m_per_s = self._added_m_per_s = self._rendered_n = 0.0
+        self._gain = self._target_n = 0.0
         # Copies: attributes of a scene take longer to read.
         self._tick_ns = scene.tick_ns
-        self.count = self.loop.horizon + 1
-        self._target = delay_line(self.loop.lead_ns / scene.tick_ns)
+        self.reference_ticks = self.loop.horizon + 1
+        self._target_delay = delay_line(self.loop.actuation_delay_ns / scene.tick_ns)
         self._group_delay_ns = 0
         self._concealment = Concealment(Linear(0), scene.tick_ns)
-        self._prediction = PredictionScore(scene.tick_ns)
+        self._prediction_score = PredictionScore(scene.tick_ns)
         self._beats = BeatStatistics()
         # Samples that the scores and the beats have not seen, with the pulse's height; and the
         # prediction of this tick: its instant, force, offset, height, and whether it is felt.
         self._unscored: deque[tuple[ChannelSamples, float | None]] = deque()
         self._predicted: tuple[int, float, float, float | None, bool] | None = None
+        # Time over which this tick's force was predicted; None where its sample had arrived.
+        self._predicted_ns: int | None = None
+        # Reference now and in the next ticks, and the film's reading for the loop.
         self._reference_n: list[float] = []
         self._reading_n = 0.0
 
     def use(self, hardware: Hardware) -> None:
         """Play on a started real bench instead of the models. Call before the first tick."""
         self._hardware, self.feedback = hardware, hardware.feedback
-        if self.tracking_error is not None:
-            self.tracking_error.film_age_ns = self.film_age_ns
+        self.loop.leave_to_bench()
         stepper, drive = self.scene.actuator.stepper, self.scene.drive
         if self.press is not None and drive is not None and stepper is not None:
             law = stepper.contact(self.layer)
-            self._tip = YieldingTip(law, drive.touch_m, self._tick_ns * 1e-9)
+            self._tip = YieldingTip(self.press, law, drive.touch_m, self._tick_ns * 1e-9)
 
     def begin(self, description: StreamDescription, predictor: Predictor) -> None:
         """Begin a session, whose samples, times and clock are unrelated to those before.
@@ -112,12 +114,12 @@ class Contactor:
         """
         self.force_ratio = matching_force_ratio(description.layer, self.layer)
         self._group_delay_ns = description.group_delay_ns
-        self.lead_ns = description.group_delay_ns + self.loop.lead_ns
-        self.reach_ns = self.lead_ns + self.loop.horizon * self._tick_ns
+        self.sample_lead_ns = description.group_delay_ns + self.loop.actuation_delay_ns
+        self.reach_ns = self.sample_lead_ns + self.loop.horizon * self._tick_ns
         self.reserve_ns = self.reach_ns + description.period_ns
         self._concealment = Concealment(predictor, self._tick_ns)
         self._unscored.clear()
-        self._prediction.restart()
+        self._prediction_score.restart()
         self._beats.restart()
 
     def observe(self, samples: ChannelSamples, cell: ChannelSamples | None = None) -> None:
@@ -130,54 +132,21 @@ class Contactor:
         if len(self._unscored) > MOST_UNSCORED:
             self._score_samples()
 
-    def finish_scores(self) -> None:
-        """Score all that waits; no further tick follows."""
-        while self._score_samples():
-            pass
-        if self.tracking_error is not None:
-            self.tracking_error.finish()
-
-    def _score_samples(self) -> bool:
-        """Find the beats of the oldest frame, and score by it; return whether there was any."""
-        if not self._unscored:
-            return False
-        samples, height_n = self._unscored.popleft()
-        if self.press is None:
-            self._beats.observe(samples)
-        self._prediction.add_reference(samples, self.force_ratio, height_n)
-        if self.tracking_error is not None:
-            self.tracking_error.add_reference(samples, self.force_ratio, self._group_delay_ns)
-        return True
-
-    @property
-    def error_shares(self) -> list[float]:
-        """Expected squared errors of the prediction, as `Concealment` returns them."""
-        return self._concealment.error_shares
-
-    def work(self) -> bool:
-        """Do one piece of the work that no command waits for; return whether there was any."""
-        error = self.tracking_error
-        return (
-            self._concealment.work()
-            or self._score_samples()
-            or (error is not None and error.work())
-        )
-
-    def follow(self, now_ns: int, elapsed_ticks: int, safety: Safety) -> None:
-        """Follow the drive of a real bench since the last tick, and latch its fault."""
+    def read_drive(self, now_ns: int, elapsed_ticks: int, safety: Safety) -> None:
+        """Take the real drive's motion since the last tick, and latch its fault."""
         hardware, loop = self._hardware, self.loop
         if hardware is None:
             return
         fault = hardware.read() or hardware.overrun(elapsed_ticks)
         if fault is not None and not safety.faults:
             safety.fault(self._prefix + fault)
-        loop.shift(hardware.deviation_m(now_ns, self._speed_m_per_s, elapsed_ticks))
+        loop.shift(hardware.deviation_m(now_ns, elapsed_ticks))
 
     def rest(self, now_ns: int) -> None:
         """Request no force in this tick, since no stream is played."""
-        self._reference_n = [0.0] * self.count
-        state = self.state
-        state.now_ns, state.predictor_error_n, state.trusted = now_ns, math.nan, False
+        self._reference_n = [0.0] * self.reference_ticks
+        self._predicted_ns = None
+        self.state.now_ns, self.state.trusted = now_ns, False
 
     def play(
         self, wrist_n: list[float], sampled_ns: int, newest_ns: int, full: bool | None
@@ -187,13 +156,14 @@ class Contactor:
         Parameters
         ----------
         wrist_n
-            Received force at the wrist in N, one a tick: at most `count` values.
+            Received force at the wrist in N, one a tick: at most `reference_ticks` values.
         sampled_ns
             Time of the first of them: of the sample that shows the played instant.
         newest_ns
             Time of the newest sample.
         full
-            Whether the pulse is felt at full strength; None where the stream is stale.
+            Whether the pulse was felt at full strength in the last tick; None where the stream is
+            stale.
 
         Returns
         -------
@@ -201,17 +171,13 @@ class Contactor:
             The time in ns over which the force was predicted, 0 for a received one; None before
             the first sample, where no force is requested.
         """
-        concealment, count, ratio = self._concealment, self.count, self.force_ratio
-        predicted_ns, expected_n = 0, math.nan
+        concealment, count, ratio = self._concealment, self.reference_ticks, self.force_ratio
+        predicted_ns = self._predicted_ns = None
         if not wrist_n:
             if sampled_ns < newest_ns:
-                self._reference_n, self.state.predictor_error_n = [0.0] * count, math.nan
+                self._reference_n = [0.0] * count
                 return None
-            predicted_ns = sampled_ns - newest_ns
-            error_n = concealment.error_n(predicted_ns)
-            if error_n is not None:
-                expected_n = ratio * error_n
-        self.state.predictor_error_n = expected_n
+            predicted_ns = self._predicted_ns = sampled_ns - newest_ns
         if concealment.acts or len(wrist_n) < count:
             wrist_n = concealment.complete(wrist_n, count, sampled_ns, newest_ns)
             if full is not None and concealment.acts:
@@ -226,9 +192,9 @@ class Contactor:
             self._reference_n = [ratio * force_n for force_n in wrist_n]
         else:
             self._reference_n = self.press.scale(wrist_n, sampled_ns, self._tick_ns, ratio)
-        return predicted_ns
+        return predicted_ns or 0
 
-    def read(self, now_ns: int, elapsed_ticks: int, safety: Safety) -> None:
+    def read_film(self, now_ns: int, elapsed_ticks: int, safety: Safety) -> None:
         """Read the film under the finger, and latch a fault of it."""
         loop, feedback, state = self.loop, self.feedback, self.state
         if elapsed_ticks > 1:
@@ -238,63 +204,85 @@ class Contactor:
             fault = self.bounds.reading_fault(self._reading_n)
         else:
             state.felt_n = self._reading_n = feedback.read(now_ns)
-            if self._tip is not None and self.press is not None:
-                self._read_around_press(self._tip, self.press)
+            if self._tip is not None:
+                state.felt_n = self._tip.felt_n(self._reading_n)
+                self._reading_n = self._tip.reading_n(state.felt_n)
             fault = feedback.silent_fault(now_ns) or self.bounds.reading_fault(state.felt_n)
             if fault is None and not safety.faults:
                 fault = feedback.late_fault
         if fault is not None:
             safety.fault(self._prefix + fault)
 
-    def tick(self, gain: float, alive: bool, faults: list[str]) -> str | None:
-        """Advance the force loop by one tick; return the fault of the withdrawal, or None.
+    def rendered_n(self, press: LocalPress) -> float:
+        """Return the pulse under the finger that presses."""
+        if self._tip is None:
+            return self.state.felt_n - press.target_static_n
+        return self._tip.rendered_n
+
+    def command(self, gain: float, safety: Safety) -> None:
+        """Compute a tick's output and command it, and latch the fault of a withdrawal.
 
         On a real bench, the drive receives the controller's output, or after a fault the command to
         withdraw.
         """
         hardware, reference_n = self._hardware, self.bounds.bound(self._reference_n, gain)
-        output = self.loop.tick(reference_n, self._reading_n)
-        self._gain, target_n = gain, reference_n[0]
-        fault = None
-        if hardware is not None:
-            if self._tip is not None and self.press is not None:
-                self._yield(self._tip, self.press, hardware, target_n)
-            self._speed_m_per_s = output + self._added_m_per_s
-            fault = hardware.command(self._speed_m_per_s, faults)
-        state = self.state
-        state.target_n = target_n if self._target is None else self._target.step(target_n)
-        state.scored = alive and gain == 1.0
-        return None if fault is None else self._prefix + fault
+        output = self.loop.command(reference_n, self._reading_n)
+        self._gain, self._target_n = gain, reference_n[0]
+        if hardware is None:
+            return
+        if self._tip is not None:
+            output += self._tip.follow(self._target_n, gain, hardware)
+        fault = hardware.command(output, safety.faults)
+        if fault is not None:
+            safety.fault(self._prefix + fault)
 
-    def note_prediction(self) -> None:
-        """Keep the prediction of this tick for its score, after all contactors are commanded."""
+    def account(self, alive: bool) -> None:
+        """Move the modelled actuator, and note the tick, after all contactors are commanded."""
+        self.loop.move()
+        state, target_n = self.state, self._target_n
+        state.target_n = (
+            target_n if self._target_delay is None else self._target_delay.step(target_n)
+        )
+        state.scored = alive and self._gain == 1.0
+        predicted_ns = self._predicted_ns
+        error_n = None if predicted_ns is None else self._concealment.error_n(predicted_ns)
+        state.predictor_error_n = math.nan if error_n is None else self.force_ratio * error_n
         if self._predicted is not None:
-            self._prediction.add_output(*self._predicted)
+            self._prediction_score.add_output(*self._predicted)
             self._predicted = None
 
-    def rendered_n(self, press: LocalPress) -> float:
-        """Return the pulse under the finger that presses."""
-        if self._tip is None:
-            return self.state.felt_n - press.target_static_n
-        return self._rendered_n
+    def work(self) -> bool:
+        """Do one piece of the work that no command waits for; return whether there was any."""
+        error = self.tracking_error
+        return (
+            self._concealment.work()
+            or self._score_samples()
+            or (error is not None and error.work())
+        )
 
-    def _read_around_press(self, tip: YieldingTip, press: LocalPress) -> None:
-        """Complete the film's reading by the press, and give the loop the pulse around it."""
-        static_n, state = press.static_n, self.state
-        state.felt_n = self._reading_n + press.unseen_n
-        wanted_n, rendered_n = self._gain * static_n, self._rendered_n
-        self._reading_n = tip.reading_n(state.felt_n, static_n, wanted_n, rendered_n, press.still)
+    def _score_samples(self) -> bool:
+        """Find the beats of the oldest frame, and score by it; return whether there was any."""
+        if not self._unscored:
+            return False
+        samples, height_n = self._unscored.popleft()
+        if self.press is None:
+            self._beats.observe(samples)
+        self._prediction_score.add_reference(samples, self.force_ratio, height_n)
+        if self.tracking_error is not None:
+            self.tracking_error.add_reference(samples, self.force_ratio, self._group_delay_ns)
+        return True
 
-    def _yield(
-        self, tip: YieldingTip, press: LocalPress, hardware: Hardware, target_n: float
-    ) -> None:
-        """Let the tip yield to the finger by the model of the tissue."""
-        static_n = press.static_n
-        wanted_n = self._gain * static_n
-        self._rendered_n = target_n - wanted_n
-        tip.follow(static_n, wanted_n, target_n, press.yielded_m, hardware.position_m)
-        hardware.place_finger(tip.origin_m, press.unseen_n)
-        self._added_m_per_s = tip.speed_m_per_s
+    def finish_scores(self) -> None:
+        """Score all that waits; no further tick follows."""
+        while self._score_samples():
+            pass
+        if self.tracking_error is not None:
+            self.tracking_error.finish()
+
+    @property
+    def error_shares(self) -> list[float]:
+        """Expected squared errors of the prediction, as `Concealment` returns them."""
+        return self._concealment.error_shares
 
     @property
     def film_age_ns(self) -> int:
@@ -328,8 +316,8 @@ class Contactor:
         known = hardware is None or hardware.measures_force
         figures = Summary(
             samples=samples,
-            compensation=self._prediction.add_to(Compensation(), played_s),
-            beats=self._beats.figures(),
+            compensation=self._prediction_score.add_to(Compensation(), played_s),
+            beats=self._beats.figures(self.force_ratio if self.press is None else None),
             limited=self._limits(loop.ticks or 0),
             hardware={} if hardware is None else dict(hardware.counts),
             finger=describe_finger(finger if hardware is None else hardware.finger(now_ns)),

@@ -11,15 +11,15 @@ from typing import Final
 from display_node.contactor import Contactor
 from display_node.control.safety import Safety
 from display_node.hardware import Hardware
+from display_node.playout import Playout
 from display_node.prediction.announcement import BeatAnnouncement
-from display_node.prediction.trust import Trust
 from display_node.press.local_press import LocalPress
-from display_node.reception.playout import PlayoutClock
 from display_node.reception.receiver import Receiver
 from display_node.scene import DisplayScene
+from display_node.scoring.availability import AvailabilityCounter, InterruptionCounter
 from display_node.scoring.played_delays import PlayedDelays
 from protocol.pieces import complete
-from protocol.summary.tables import (
+from protocol.summary.fields import (
     AnnounceFigures,
     Loop,
     PressFigures,
@@ -27,7 +27,7 @@ from protocol.summary.tables import (
     Summary,
     with_contactors,
 )
-from protocol.ticks import AvailabilityCounter, InterruptionCounter, TickBlock, TickState
+from protocol.ticks import TickBlock, TickState
 from protocol.wire.messages import ControlMessage, DisplayReport, SetPoint
 from protocol.wire.telemetry import pack_status
 
@@ -37,9 +37,6 @@ PRESS_TICKS: Final = 10
 # Ticks are counted and scored in blocks of this time, but of not more ticks: a trace of two blocks
 # has to fit into a message. This is done in the slack, or with the last tick of the second block.
 BLOCK_NS, MOST_BLOCK_TICKS = 100_000_000, 250
-# Contactors that play the same samples, which are read once: their lead in ns, the number of
-# values, and their places in the buffer.
-Group = tuple[int, int, list[int], list[Contactor]]
 
 
 class Display:
@@ -50,19 +47,15 @@ class Display:
 
     score: whether to compute the running errors of the felt force against the received one; there
     is none where the finger presses back. press: random number of the run, for its set-points.
-    contactors: one or several. states: of the contactors at the last tick. tracking_errors: of the
-    contactors, if they are computed. ticks: number of ticks that were run. take_ticks: function
-    that receives each block of ticks, whose arrays are valid until it returns.
+    contactors: one or several. states: of the contactors at the last tick. ticks: number of ticks
+    that were run. take_ticks: function that receives each block of ticks, whose arrays are valid
+    until it returns: the node's writer of traces, or a simulation's comparison with the truth.
     """
 
     def __init__(self, scene: DisplayScene, name: str, score: bool = True, press: int = 0) -> None:
         self._scene, self._name = scene, name
         # Copies: attributes of a scene take longer to read.
         self._tick_ns = scene.tick_ns
-        self._compensation_ns, self._stale_after_ns = (
-            scene.compensation_ns,
-            scene.safety.stale_after_ns,
-        )
         several = len(scene.contactors) > 1
         score = score and scene.press is None
         self.contactors = [
@@ -74,13 +67,7 @@ class Display:
         scene.predictor.build(scene.tick_ns, 1)
         self.states = [contactor.state for contactor in self.contactors]
         self._driven: list[Contactor] = []
-        self._groups: list[Group] = []
-        errors = (contactor.tracking_error for contactor in self.contactors)
-        self.tracking_errors = [error for error in errors if error is not None]
-        self._playout = PlayoutClock()
         self._resets = 0
-        self._lead_ns = self._reach_ns = self._reserve_ns = 0
-        self._trust = self._build_trust()
         self._announcement: BeatAnnouncement | None = None
         self._next_report_ns = 0
         self._delays = PlayedDelays()
@@ -95,13 +82,12 @@ class Display:
         self.receiver = Receiver(name, channels, scene.late_target, scene.paths)
         if self.press is not None:
             self.receiver.take_probe = self.press.take
+        self._playout = Playout(scene, self.receiver, self.contactors)
         self.safety = Safety(scene.safety, scene.tick_ns)
         self.ticks = 0
         self._block_ticks = max(1, min(BLOCK_NS // scene.tick_ns, MOST_BLOCK_TICKS))
         self._block = TickBlock(len(self.contactors), 2 * self._block_ticks)
         self.take_ticks: Callable[[TickBlock], None] | None = None
-        # Faults of the withdrawals in the tick that was commanded.
-        self._late_faults: list[str] = []
 
     def use(self, *benches: Hardware | None) -> None:
         """Play on started real benches instead of the models. Call before the first tick.
@@ -140,7 +126,7 @@ class Display:
     def over(self) -> bool:
         """True when the session has ended and all of it was played."""
         receiver, state = self.receiver, self.states[0]
-        return receiver.buffer.ended and receiver.over(state.now_ns, state.playout_delay_ns)
+        return receiver.over(state.now_ns, state.playout_delay_ns)
 
     def on_frame(self, data: bytes, now_ns: int) -> None:
         """Take a data message."""
@@ -159,21 +145,12 @@ class Display:
         resets, description = self.receiver.resets, self.receiver.description
         if resets != self._resets and description is not None:
             self._resets = resets
-            self._playout = PlayoutClock()
-            count = len(self.contactors)
-            predictors = self._scene.predictor.build(self._tick_ns, count)
+            predictors = self._scene.predictor.build(self._tick_ns, len(self.contactors))
             for contactor, predictor in zip(self.contactors, predictors, strict=True):
                 contactor.begin(description, predictor)
             announced = self._scene.announce == "auto" and description.announcing is not None
             self._announcement = BeatAnnouncement(predictors[0]) if announced else None
-            self._groups = self._group()
-            self._lead_ns = max(contactor.lead_ns for contactor in self.contactors)
-            self._reach_ns = max(contactor.reach_ns for contactor in self.contactors)
-            self._reserve_ns = max(contactor.reserve_ns for contactor in self.contactors)
-            if count > 1:
-                leads_ns = (contactor.lead_ns for contactor in self.contactors)
-                self.receiver.buffer.follow([self._lead_ns - lead_ns for lead_ns in leads_ns])
-            self._trust = self._build_trust()
+            self._playout.begin()
             if self.press is not None:
                 self.press.begin()
 
@@ -229,49 +206,51 @@ class Display:
         """Advance the force loops to `now_ns`, `elapsed_ticks` ticks after the last one."""
         contactors, safety = self.contactors, self.safety
         for contactor in self._driven:
-            contactor.follow(now_ns, elapsed_ticks, safety)
-        alive = self._play(now_ns)
+            contactor.read_drive(now_ns, elapsed_ticks, safety)
+        alive = self._playout.play(now_ns, safety.gain == 1.0)
         for contactor in contactors:
-            contactor.read(now_ns, elapsed_ticks, safety)
+            contactor.read_film(now_ns, elapsed_ticks, safety)
         if self.press is not None:
             self.press.tick(now_ns, contactors[0].rendered_n(self.press))
-            if self.ticks % PRESS_TICKS == 0:
-                self._show_press(self.press)
         if elapsed_ticks > 1:
             safety.skip(elapsed_ticks)
         gain = safety.advance(alive)
-        self._late_faults = [
-            fault
-            for contactor in contactors
-            if (fault := contactor.tick(gain, alive, safety.faults)) is not None
-        ]
+        for contactor in contactors:
+            contactor.command(gain, safety)
 
     def account(self, elapsed_ticks: int = 1) -> TickState:
         """Note the commanded tick, for which no actuator waits."""
         for contactor in self.contactors:
-            contactor.note_prediction()
+            contactor.account(self.safety.alive)
+        if self.press is not None and self.ticks % PRESS_TICKS == 0:
+            self._show_press(self.press)
         state = self.states[0]
         state.display_state, state.elapsed_ticks = self.state, elapsed_ticks
         self._block.add(self.states)
         self.ticks += 1
         if self._block.count == self._block.most:
             self.close_block()
-        for fault in self._late_faults:
-            self.safety.fault(fault)
         return state
 
     def close_block(self) -> None:
-        """Count and score the ticks since the last block."""
+        """Count, score and pass on the ticks since the last block.
+
+        A block is closed by `work` once it is due, without slack by `account` at twice that; and
+        early where figures must include the last tick: for a trace, a summary and the end.
+        """
         block = self._block
         if not block.count:
             return
-        _, instant_ns, full, _, sensing_ns, _, states, elapsed_ticks = block.columns
+        ticks = block.columns
         self._delays.add(block)
-        self._availability.add(states, elapsed_ticks)
-        self._interruptions.add(full, elapsed_ticks)
-        felt = full != 0
-        for place, error in enumerate(self.tracking_errors):
-            error.add_output(sensing_ns[felt], instant_ns[felt], block.felt_n(place)[felt])
+        self._availability.add(ticks.display_state, ticks.elapsed_ticks)
+        self._interruptions.add(ticks.scored, ticks.elapsed_ticks)
+        scored = ticks.scored != 0
+        sensing_ns, instant_ns = ticks.sensing_now_ns[scored], ticks.instant_ns[scored]
+        for place, contactor in enumerate(self.contactors):
+            if (error := contactor.tracking_error) is not None:
+                felt_n = block.felt_n(place)[scored]
+                error.add_output(sensing_ns, instant_ns, felt_n, contactor.film_age_ns)
         if self.take_ticks is not None:
             self.take_ticks(block)
         block.count = 0
@@ -282,75 +261,11 @@ class Display:
         state.press_n = press.press_n
         state.hold_down_n = math.nan if hold_down_n is None else hold_down_n
 
-    def _play(self, now_ns: int) -> bool:
-        """Choose the instant of the pulse that is played; return whether the stream is alive."""
-        receiver, contactors = self.receiver, self.contactors
-        contactors[0].state.predicted_ns = -1
-        buffer, delay_ns = receiver.buffer, receiver.delay.delay_ns
-        newest_ns = buffer.newest_ns
-        if not receiver.ready or delay_ns is None or newest_ns is None:
-            for contactor in contactors:
-                contactor.rest(now_ns)
-            return False
-        sensing_now_ns, trusted = receiver.clock.remote_ns(now_ns), False
-        wanted_delay_ns = self._compensation_ns
-        if wanted_delay_ns is None:
-            wanted_delay_ns, trust = delay_ns + self._reserve_ns, self._trust
-            if trust is not None:
-                if trust.observe(now_ns, sensing_now_ns + self._reach_ns - newest_ns):
-                    trust.evaluate(now_ns, wanted_delay_ns, self._error_shares())
-                wanted_delay_ns, trusted = trust.delay_ns(wanted_delay_ns), trust.given
-        instant_ns = self._playout.instant(now_ns, sensing_now_ns - wanted_delay_ns)
-        # The sensing chain delays the pulse by its group delay: the pulse of `instant_ns` is in the
-        # sample taken that much later. The actuators' lags are compensated in the same way.
-        sampled_ns = instant_ns + self._lead_ns
-        alive = receiver.live(sampled_ns, sensing_now_ns, self._stale_after_ns)
-        buffer.advance(sampled_ns, alive and trusted)
-        full = self.safety.gain == 1.0 if alive else None
-        longest_ns = 0
-        for lead_ns, count, places, group in self._groups:
-            sampled_ns = instant_ns + lead_ns
-            received = buffer.known_each(self._tick_ns, count, sampled_ns, places)
-            for contactor, wrist_n in zip(group, received, strict=True):
-                state = contactor.state
-                state.now_ns, state.sensing_now_ns = now_ns, sensing_now_ns
-                state.instant_ns, state.trusted = instant_ns, trusted
-                predicted_ns = contactor.play(wrist_n, sampled_ns, newest_ns, full)
-                if predicted_ns is None:
-                    alive = False
-                elif predicted_ns > longest_ns:
-                    longest_ns = predicted_ns
-        if alive:
-            contactors[0].state.predicted_ns = longest_ns
-        return alive
-
-    def _group(self) -> list[Group]:
-        """Return the contactors by the samples that they play, the first one first."""
-        groups: dict[tuple[int, int], tuple[list[int], list[Contactor]]] = {}
-        for place, contactor in enumerate(self.contactors):
-            key = contactor.lead_ns, contactor.count
-            places, group = groups.setdefault(key, ([], []))
-            places.append(place)
-            group.append(contactor)
-        return [(*key, *members) for key, members in groups.items()]
-
-    def _build_trust(self) -> Trust | None:
-        """Return the trust in the predictor; None where E is fixed, or its errors are unknown."""
-        scene = self._scene
-        auto = scene.compensation_ns is None and scene.predictor.estimates_error
-        return Trust() if auto else None
-
-    def _error_shares(self) -> list[float]:
-        """Return the prediction's expected errors, of each horizon the largest of any contactor."""
-        first, *others = (contactor.error_shares for contactor in self.contactors)
-        if not all(others):
-            return []
-        return list(map(max, first, *others)) if others else first
-
     def _report(self, session: int) -> DisplayReport:
-        self.close_block()
+        # Delay and error are of the last closed block, which is at most 0.2 s old.
         counts, delay_ms = self.receiver.account(), self.receiver.one_way_delay_ms
-        errors_n = (errors.force_rmse_n.aligned for errors in self.tracking_errors)
+        errors = (each.tracking_error for each in self.contactors)
+        errors_n = (each.force_rmse_n.aligned for each in errors if each is not None)
         figures = (
             delay_ms.quantile(0.5),
             delay_ms.quantile(0.99),
@@ -386,7 +301,7 @@ class Display:
             covered_delay_ms=delays.covered_delay_ms,
             availability=self._availability.availability(delays.ticks),
             interruptions=self._interruptions.interruptions(),
-            compensation=delays.compensation(may_trust=self._trust is not None),
+            compensation=delays.compensation(may_trust=self._playout.trust is not None),
             announce=self._announcement.figures() if self._announcement else AnnounceFigures(),
             loop=loop,
             press=PressFigures() if self.press is None else self.press.figures(),

@@ -3,7 +3,8 @@
 import time
 from collections import Counter
 
-from display_node.plant.feedback import Feedback, FilmPlausibility, RisingForce
+from display_node.plant.feedback import Feedback
+from display_node.plant.film_plausibility import FilmPlausibility, RisingForce
 from display_node.plant.scene import ActuatorScene, StepperScene
 from protocol.errors import SceneError, SourceError
 from protocol.tactile import ElasticLayer
@@ -72,12 +73,14 @@ class Hardware:
         self._contact = actuator.contact(layer)
         self._plausibility = FilmPlausibility(actuator, layer)
         self._rising = rising
+        # Kept until the next tick reads it, since a sample is read between ticks as well.
         self._film_fault: str | None = None
         self._drive, self._sensor = drive, sensor
-        # The drive's last status, and the travel that was commanded until the last tick.
+        # The drive's last status; the loop's last speed, None before the first; and the travel that
+        # the drive was sent until the last tick.
         self._status = drive.status()
+        self._speed_m_per_s: float | None = None
         self._travel_m: float | None = None
-        self._commanded = False
         self._origin_m = self._unseen_n = 0.0
         self._received_ns = 0
         self.at_end = LimitCounter()
@@ -143,18 +146,19 @@ class Hardware:
         Before the first command it rests at first touch, and its watchdog does not run.
         """
         silent_ns = elapsed_ticks * self._tick_ns
-        if silent_ns <= self._watchdog_ns or not self._commanded:
+        if silent_ns <= self._watchdog_ns or self._speed_m_per_s is None:
             return None
         return f"loop overrun: no command for {silent_ns * 1e-6:.0f} ms"
 
-    def deviation_m(self, now_ns: int, speed_m_per_s: float, elapsed_ticks: int) -> float:
-        """Return the travel commanded since the last tick minus that at `speed_m_per_s`, in m.
+    def deviation_m(self, now_ns: int, elapsed_ticks: int) -> float:
+        """Return the travel sent to the drive since the last tick minus that of the loop, in m.
 
         It differs from 0 where a change of speed was sent late or not at all.
         """
         before_m, self._travel_m = self._travel_m, self._drive.travel_m(now_ns)
         if before_m is None:
             return 0.0
+        speed_m_per_s = self._speed_m_per_s or 0.0
         return self._travel_m - before_m - speed_m_per_s * (elapsed_ticks * self._tick_ns) * 1e-9
 
     def command(self, speed_m_per_s: float, faults: list[str]) -> str | None:
@@ -162,13 +166,14 @@ class Hardware:
 
         Returns the fault of a withdrawal that failed.
         """
-        # After a fault no command is sent; `held_back` still belongs to the last one: not counted.
-        self.at_end.add(self._status.held_back and not faults)
+        self._speed_m_per_s = speed_m_per_s
         if not faults:
-            self._commanded = True
             self._drive.command(speed_m_per_s)
+            self.at_end.add(self._status.held_back)
             return None
         self._drive.withdraw(faults[0])
+        # After a fault no command is sent; `held_back` still belongs to the last one: not counted.
+        self.at_end.add(limited=False)
         outcome = self._status.withdrawal
         return f"withdrawal: {outcome.value}" if outcome in _FAILED else None
 

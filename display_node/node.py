@@ -24,7 +24,7 @@ from protocol.host.realtime import Pacer
 from protocol.pieces import Pieces, complete
 from protocol.security.authenticator import Authenticator
 from protocol.security.link_keys import ClientKeys, ServerKeys
-from protocol.summary.tables import Lateness, Summary, TickTime
+from protocol.summary.fields import Lateness, Summary, TickTime
 from protocol.wire.messages import encode_control
 from protocol.wire.telemetry import CONTROL
 from pulse_sensors.sensor import Sensor
@@ -82,7 +82,7 @@ class DisplayNode:
             paths = self._display.receiver.paths = max(scene.paths, len(addresses))
             turns = 0 if scene.press is None else scene.press.connections
             self._connection = Connection(self._context, addresses, paths, keys, turns)
-            self._readers = readers = Authenticator(self._context, telemetry_keys)
+            readers = Authenticator(self._context, telemetry_keys)
             telemetry = sockets.bind(self._context, zmq.XPUB, telemetry_address, readers)
             self._telemetry = Publisher(telemetry, secrets.randbits(62), readers, provenance)
         except BaseException:
@@ -148,12 +148,12 @@ class DisplayNode:
                     if spare_ns <= reserve_ns or not self._work():
                         arrived = sockets.wait_on_descriptors(descriptors, spare_ns)
                     continue
-                self._late_us.add(tick.late_ns * 1e-3)
-                # Ticks that are late while nothing is felt alarm nobody.
                 felt = self._display.safety.gain > 0.0
-                self._deadlines.add(now_ns, tick.elapsed_ticks if felt else 1)
                 self._display.command(tick.due_ns, tick.elapsed_ticks)
                 self._command_us.add((time.perf_counter_ns() - woke_ns) * 1e-3)
+                self._late_us.add(tick.late_ns * 1e-3)
+                # Ticks that are late while nothing is felt alarm nobody.
+                self._deadlines.add(now_ns, tick.elapsed_ticks if felt else 1)
                 self._account(tick.due_ns, tick.elapsed_ticks)
                 self._tick_us.add((time.perf_counter_ns() - now_ns) * 1e-3)
                 if not rested:
@@ -248,8 +248,6 @@ class DisplayNode:
             for times_us in (self._command_us, self._tick_us)
         )
         yield
-        rejected = Counter(summary.rejected) + connection.rejected + self._telemetry.rejected
-        rejected += self._readers.rejected
         routes = connection.routes if len(connection.routes) > 1 else ()
         first = {route.address: route.frames_first for route in routes}
         return replace(
@@ -264,9 +262,11 @@ class DisplayNode:
                 last_5s=deadlines.last_5s,
                 worst_5s=deadlines.worst_5s,
             ),
-            rejected=dict(rejected),
+            rejected=dict(Counter(summary.rejected) + connection.rejected),
+            rejected_readers=dict(self._telemetry.rejected),
             reconnections=connection.reconnections,
             data_connections=connection.data_connections,
+            refused=connection.refused,
             waiting_for=self._waiting_for(),
         )
 

@@ -7,7 +7,8 @@ from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 from display_node.control.force_loop import ForceLoop, build_force_loop
 from display_node.control.scene import ControllerScene, SafetyScene
 from display_node.hardware import Hardware
-from display_node.plant.feedback import Feedback, RisingForce
+from display_node.plant.feedback import Feedback
+from display_node.plant.film_plausibility import RisingForce
 from display_node.plant.scene import ACTUATORS, ActuatorScene, FilmTable
 from display_node.prediction.scene import DEFAULT_PREDICTOR, PredictorTable
 from display_node.press.scene import PressScene
@@ -158,11 +159,6 @@ class DisplayScene(ContactorScene):
             )
         return found[name]
 
-    @property
-    def overforce_n(self) -> float:
-        """Felt force that is a fault."""
-        return self.safety.force_limit_n * self.safety.overforce
-
     def force_loop(self, actual: ActuatorScene | None = None) -> ForceLoop:
         """Build the force loop; it drives the actuator `actual`, or the scene's where None."""
         return build_force_loop(
@@ -192,7 +188,7 @@ class DisplayScene(ContactorScene):
             stepper,
             self.layer.layer(),
             Feedback(latency_ns, safety.feedback_within_ns),
-            RisingForce(self.overforce_n, safety.slew_limit_n_per_s, latency_ns),
+            RisingForce(safety.overforce_n, safety.slew_limit_n_per_s, latency_ns),
             self.tick_ns,
             self.drive.watchdog_ns,
         )

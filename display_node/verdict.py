@@ -4,7 +4,7 @@ Every other figure of the run is in the rows of `protocol.summary.rows`.
 """
 
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import NamedTuple
 
@@ -15,7 +15,7 @@ from display_node.scoring.tracking_error import JND
 from protocol.cli_options import FAULT_STATUS, sum_up
 from protocol.provenance import Provenance
 from protocol.refusals import CAUSE_MEANINGS
-from protocol.summary.tables import Limits, Summary
+from protocol.summary.fields import Limits, Summary
 
 MOST_LINES = 6
 # Exit status of a run that is not valid and latched no fault.
@@ -94,7 +94,7 @@ def _ruined(summary: Summary) -> str | None:
 
 def _why_nothing(summary: Summary) -> str:
     """Return why a display felt no pulse at all."""
-    refused = _refused(summary)
+    refused = _unusual(summary.rejected)
     if reason := summary.waiting_for:
         remedy = "; start the sensing node there, or check the address"
         return f"{reason}{remedy if reason.startswith('nobody') else ''}"
@@ -126,7 +126,7 @@ def _felt(summary: Summary) -> Iterator[str]:
 def _error(summary: Summary) -> Iterator[str]:
     """Yield how far the felt force was off; of several contactors that of the worst one."""
     errors = [
-        (rmse_n, name, figures.beats.height_n)
+        (rmse_n, name, figures.beats.height_at_finger_n)
         for name, figures in summary.of_each_contactor().items()
         if (rmse_n := figures.force_rmse_n.aligned) is not None
     ]
@@ -205,9 +205,13 @@ def _wrong(summary: Summary) -> Iterator[str]:
                 " of the time: --details shows prediction and limits."
             )
         yield from _limits(figures.limited, of)
-    if refused := _refused(summary):
-        others = refused.total() - max(refused.values())
-        yield f"Refused: {_most(refused)}{f', and {others} others' if others else ''}."
+    for who, rejected in (
+        ("Refused", summary.rejected),
+        ("Refused readers of the telemetry", summary.rejected_readers),
+    ):
+        if refused := _unusual(rejected):
+            others = refused.total() - max(refused.values())
+            yield f"{who}: {_most(refused)}{f', and {others} others' if others else ''}."
 
 
 def _limits(limits: Limits, of: str) -> Iterator[str]:
@@ -226,9 +230,9 @@ def _limits(limits: Limits, of: str) -> Iterator[str]:
             yield f"For {_percent(limited.share)} of the time {what}{of}: {remedy}."
 
 
-def _refused(summary: Summary) -> Counter[str]:
-    """Return the messages and peers that were refused and usually are not, by cause."""
-    return Counter({cause: n for cause, n in summary.rejected.items() if n and cause not in USUAL})
+def _unusual(rejected: Mapping[str, int]) -> Counter[str]:
+    """Return the refusals that do not belong to every run, by cause."""
+    return Counter({cause: n for cause, n in rejected.items() if n and cause not in USUAL})
 
 
 def _most(refused: Counter[str]) -> str:

@@ -9,8 +9,8 @@ import numpy as np
 from fuzz.refusals import check_causes
 from protocol.config.scene import validate
 from pulse_sensors.lsl_inlet import LslScene
-from pulse_sensors.plausibility import LARGEST
-from pulse_sensors.samples import SampleBlock, Timestamper
+from pulse_sensors.sample_plausibility import LARGEST
+from pulse_sensors.samples import DecodedBlock, Timestamper
 
 TABLE = validate(
     {"kind": "lsl", "stream": "x", "rate": "1 kHz", "unit": "N"}, LslScene, where="fuzz"
@@ -23,7 +23,7 @@ class Decoder(Protocol):
 
     rejected: Counter[str]
 
-    def feed(self, data: Any) -> list[SampleBlock]:
+    def feed(self, data: Any) -> list[DecodedBlock]:
         """Return the blocks that these bytes complete."""
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from rich.console import Console
 
 from display_node.telemetry.terminal_view import TerminalView
-from protocol.summary.tables import Clock, SampleCounts, Summary
+from protocol.summary.fields import Clock, SampleCounts, Summary
 from protocol.wire.description import StreamDescription
 from protocol.wire.telemetry import (
     CAPTURE,

@@ -18,8 +18,8 @@ from protocol.host.output import STDOUT
 from protocol.host.realtime import RealtimeGrant, RealtimeRequest, apply_realtime
 from protocol.provenance import Provenance
 from protocol.sockets import beyond_loopback
+from protocol.summary.fields import Summary
 from protocol.summary.rows import print_summary, write_json
-from protocol.summary.tables import Summary
 
 logger = logging.getLogger(__name__)
 

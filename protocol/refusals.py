@@ -3,21 +3,23 @@
 from collections.abc import Mapping
 from typing import NamedTuple
 
+# Of a connection, counted by either end.
 NO_KEY, NOT_AUTHENTIC, REPLAYED, HANDSHAKE = "no_key", "not_authentic", "replayed", "handshake"
-# Counted by the node that binds.
+# Counted by the server, the end that binds.
 UNKNOWN_KEY, REVOKED_KEY, LIST_UNREADABLE = "unknown_key", "revoked_key", "list_unreadable"
 TOO_MANY = "too_many_connections"
-# Counted by the node that connects.
-REFUSED_KEY, REVOKED = "refused_key", "revoked"
+# Counted by the client, the end that connects: the first three of these, as far as it knows them.
+OWN_KEY_UNKNOWN, OWN_KEY_REVOKED = "refused_key", "revoked"
+SERVER_LIST_UNREADABLE = "server_list_unreadable"
 
 
 class ConnectionWords(NamedTuple):
     """Words for a refused connection.
 
-    meaning: in a closing summary. at_server: in the log of the node that binds, after the peer's
-    address; {key} is the peer's key. at_client: in the log of the node that connects, after the
-    other's address; {own} and {peer} are the names of their keys. without_keys: the same of a node
-    that has no keys.
+    meaning: in a closing summary. at_server: in the server's log, after the client's address;
+    {client} is the client's key, by `AllowList.describe`. at_client: in the client's log, after
+    the server's address; {client} and {server} are the names of their keys. without_keys: the
+    same of a client that has no keys.
     """
 
     meaning: str
@@ -30,14 +32,14 @@ CONNECTIONS = {
     NO_KEY: ConnectionWords(
         "connections without a key to a node with one, or the reverse: give both --key and --peer",
         "it has no key",
-        "has no keys; start it with --key, or this node with --insecure",
+        "has no keys; start it with --key, or this node with --insecure in place of --key",
         "requires a key; give --key and --peer",
     ),
     NOT_AUTHENTIC: ConnectionWords(
         "bytes not encrypted for this node: the peer has a wrong public key of it (--peer), or"
         " they were altered on the way",
         "it has a wrong public key of this node, or its bytes were altered on the way",
-        "sends messages that {peer} has not encrypted, or that were altered",
+        "sends messages that {server} has not encrypted, or that were altered",
     ),
     REPLAYED: ConnectionWords(
         "encrypted messages that came twice or out of order: something repeats them",
@@ -48,35 +50,41 @@ CONNECTIONS = {
         "connections that ended before they were authenticated: no node, a wrong --peer, or a"
         " network that breaks off",
         "it made no ZeroMQ connection",
-        "breaks off: it is not {peer}, whose public key --peer gives",
+        "breaks off: it is not {server}, whose public key --peer gives",
     ),
     UNKNOWN_KEY: ConnectionWords(
         "peers whose key is not on this node's allow-list: telepulse keys allow adds it",
-        "key {key} is not allowed",
+        "{client} is not allowed",
     ),
     REVOKED_KEY: ConnectionWords(
         "connections with a key that was allowed before and has been revoked",
-        "key {key} is no longer allowed",
+        "{client} is no longer allowed",
     ),
     LIST_UNREADABLE: ConnectionWords(
         "connections refused while this node's changed allow-list cannot be read: its log names"
         " the reason",
-        "the allow-list cannot be read, so that no new peer may connect",
+        "the allow-list cannot be read, so that {client} may not connect now",
     ),
     TOO_MANY: ConnectionWords(
         "connections beyond this node's file descriptors, which were cut: a peer connects"
         " repeatedly, or the limit is too low (ulimit -n)",
         "more connections than this node has files for; it keeps the earlier ones",
     ),
-    REFUSED_KEY: ConnectionWords(
+    OWN_KEY_UNKNOWN: ConnectionWords(
         "connections refused because the other node's allow-list lacks this node's key",
-        at_client="does not allow the key of {own}; there: telepulse keys allow {own}.pub",
+        at_client="does not allow the key of {client}; there: telepulse keys allow {client}.pub",
     ),
-    REVOKED: ConnectionWords(
+    OWN_KEY_REVOKED: ConnectionWords(
         "the other node allowed this node's key before and has revoked it; to undo that, run"
         " telepulse keys allow there",
-        at_client="has revoked the key of {own}: this node was connected and is no longer allowed;"
-        " to undo that, there: telepulse keys allow {own}.pub",
+        at_client="has revoked the key of {client}: this node was connected and is no longer"
+        " allowed; to undo that, there: telepulse keys allow {client}.pub",
+    ),
+    SERVER_LIST_UNREADABLE: ConnectionWords(
+        "connections refused while the other node's allow-list cannot be read: its log names the"
+        " reason and the remedy",
+        at_client="cannot read its allow-list, and refuses every key until it can; its log names"
+        " the reason: correct the list there, no restart is needed",
     ),
 }
 # Cause → meaning, in one line.

@@ -6,6 +6,7 @@ keepalive closes the connection to a peer that is dead or unreachable.
 """
 
 import errno
+import ipaddress
 import os
 import re
 import select
@@ -97,6 +98,18 @@ def tcp_address(place: tuple[Any, ...], port: int | None = None) -> str:
     if more[1:] and more[1] and "%" not in host:
         host = f"{host}%{if_indextoname(more[1])}"
     return f"tcp://[{host}]:{port or own_port}"
+
+
+def network_address(address: str) -> str:
+    """Return an IP address without its interface, as `getpeername` gives it.
+
+    Returns "" for what ipc gives instead (user and process).
+    """
+    address, _, _ = address.partition("%")
+    with suppress(ValueError):
+        ipaddress.ip_address(address)
+        return address
+    return ""
 
 
 def beyond_loopback(address: str) -> bool:

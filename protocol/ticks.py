@@ -1,18 +1,15 @@
-"""The state of a display's last tick, blocks of ticks, and counters of them. Pure.
-
-The counters give the figures of `protocol.summary.tables`.
-"""
+"""The state of a display's last tick, blocks of ticks, and the counter of a limit. Pure."""
 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from struct import Struct
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from protocol.summary.tables import STATES, Availability, Interruptions, Limited
+from protocol.summary.fields import Limited
 
 Integers = NDArray[np.int64]
 Floats = NDArray[np.float64]
@@ -22,11 +19,19 @@ DISPLAY_STATES: Final = ("waiting", "starting", "playing", "stale", "ended", "fa
 
 @dataclass(slots=True)
 class TickState:
-    """State at the beginning of the last tick; `Trace` explains the fields that it shares.
+    """State of one contactor at the beginning of the last tick.
 
-    The first contactor's has the last three for the whole display. predicted_ns: time from the
-    newest sample to the played instant; 0 for a received one, negative where none is played.
-    elapsed_ticks: since the tick before.
+    now_ns, sensing_now_ns: time of the tick on the display's clock and on the sensing clock.
+    instant_ns: instant of the pulse that is played, on the sensing clock. target_n: force in N that
+    the finger is to feel now: the reference within its bounds, as late as the loop makes it.
+    felt_n: force in N that it feels, NaN where a real film gives none. scored: the pulse is felt at
+    full strength. predictor_error_n: expected RMSE of the prediction in N, NaN without a prediction
+    or an estimate. trusted: the predictor is trusted with all of the delay.
+
+    The first contactor's has the rest for the whole display. press_n, hold_down_n: static force in
+    N of the finger, and of the probe on the wrist as last reported; NaN without. predicted_ns: time
+    from the newest sample to the played instant; 0 for a received one, negative where none is
+    played. elapsed_ticks: since the tick before.
     """
 
     now_ns: int = 0
@@ -51,6 +56,19 @@ class TickState:
 
 # A tick's fields, and those of one contactor in it.
 _TICK, _FORCES = Struct("<8q2d"), Struct("<3d")
+
+
+class TickColumns(NamedTuple):
+    """Integers of consecutive ticks, one value a tick; display_state: place in `DISPLAY_STATES`."""
+
+    now_ns: Integers
+    instant_ns: Integers
+    scored: Integers
+    trusted: Integers
+    sensing_now_ns: Integers
+    predicted_ns: Integers
+    display_state: Integers
+    elapsed_ticks: Integers
 
 
 class TickBlock:
@@ -93,94 +111,23 @@ class TickBlock:
         self.count += 1
 
     @property
-    def columns(self) -> Integers:
-        """The fields of `TickState` that are integers, shape (8, ticks), in the order of `add`."""
-        return self._integers[: self.count, :8].T
+    def columns(self) -> TickColumns:
+        """The fields of `TickState` that are integers."""
+        return TickColumns(*self._integers[: self.count, :8].T)
+
+    @property
+    def press_n(self) -> Floats:
+        """Press and hold-down, shape (ticks, 2)."""
+        return self._floats[: self.count, 8:10]
 
     @property
     def forces_n(self) -> Floats:
-        """Press, hold-down, and of each contactor target, felt force and predictor's error."""
-        return self._floats[: self.count, 8:]
+        """Target, felt force and predictor's error of each contactor in turn, a row a tick."""
+        return self._floats[: self.count, 10:]
 
     def felt_n(self, contactor: int) -> Floats:
         """Return the felt force at a contactor, by its place."""
-        return self._floats[: self.count, 11 + 3 * contactor]
-
-
-# A display's state → the key that it is counted under, if that differs.
-_KEYS = {"playing": "felt", "fault": "faulted"}
-
-
-class AvailabilityCounter:
-    """Counter of a display's ticks by its state."""
-
-    def __init__(self, tick_s: float) -> None:
-        self._tick_s = tick_s
-        self._ticks = np.zeros(len(DISPLAY_STATES), np.int64)
-        self._all = 0
-
-    def add(self, states: Integers, elapsed_ticks: Integers) -> None:
-        """Count ticks by the numbers of their states, each some ticks after the one before."""
-        self._ticks += np.bincount(states, minlength=len(DISPLAY_STATES))
-        self._all += int(elapsed_ticks.sum())
-
-    def availability(self, played_ticks: int) -> Availability:
-        """Return the shares so far; played_ticks: number of ticks in which a pulse was played."""
-        if not self._all:
-            return Availability()
-        counts = self._ticks.tolist()
-        keys = (_KEYS.get(state, state) for state in DISPLAY_STATES)
-        ticks = dict(zip(keys, counts, strict=True))
-        ticks |= {"missed": self._all - sum(counts), "played": played_ticks}
-        shares = {key: ticks.get(key, 0) / self._all for key in (*STATES, "played")}
-        return Availability(self._all * self._tick_s, **shares)
-
-
-class InterruptionCounter:
-    """Counter of a run's interruptions."""
-
-    def __init__(self, tick_s: float) -> None:
-        self._tick_s = tick_s
-        self._ticks = self._count = self._interrupted_ticks = self._longest = 0
-        # The last tick at full strength, and whether a tick below full strength followed.
-        self._full: int | None = None
-        self._interrupted = False
-        self._last: tuple[int, int] | None = None
-
-    def add(self, full: Integers, elapsed_ticks: Integers) -> None:
-        """Count ticks, at full strength or not, each some ticks after the one before."""
-        numbers = self._ticks + elapsed_ticks.cumsum()
-        self._ticks = int(numbers[-1])
-        if full.all() and not self._interrupted:
-            self._full = self._ticks
-            return
-        # Stretches of ticks that are all at full strength, or are not.
-        ends = np.append(full[1:] != full[:-1], True).nonzero()[0]
-        firsts = numbers[np.append(0, ends[:-1] + 1)].tolist()
-        stretches = zip(full[ends].tolist(), firsts, numbers[ends].tolist(), strict=True)
-        for is_full, first, last in stretches:
-            if not is_full:
-                self._interrupted = self._full is not None
-                continue
-            if self._interrupted and self._full is not None:
-                self._interrupted = False
-                self._last = self._full, first
-                ticks = first - self._full
-                self._count += 1
-                self._interrupted_ticks += ticks
-                self._longest = max(self._longest, ticks)
-            self._full = last
-
-    def interruptions(self) -> Interruptions:
-        """Return the interruptions so far."""
-        if not self._ticks:
-            return Interruptions()
-        if self._last is None:
-            return Interruptions(0, 0.0)
-        seconds = (
-            ticks * self._tick_s for ticks in (self._interrupted_ticks, self._longest, *self._last)
-        )
-        return Interruptions(self._count, *seconds)
+        return self.forces_n[:, 3 * contactor + 1]
 
 
 class LimitCounter:

@@ -11,8 +11,8 @@ from protocol.errors import SourceError
 from protocol.wire.description import PULSE
 from pulse_sensors import library
 from pulse_sensors.force_scale import MAX_VALUES
-from pulse_sensors.plausibility import is_usable, unit_contradiction
-from pulse_sensors.samples import LONGEST_PAUSE_NS, SampleBlock, SampleCounter, decoded_block
+from pulse_sensors.sample_plausibility import is_usable, unit_contradiction
+from pulse_sensors.samples import LONGEST_PAUSE_NS, DecodedBlock, SampleCounter, decoded_block
 from pulse_sensors.sensor import SensorScene
 
 if TYPE_CHECKING:
@@ -146,7 +146,7 @@ class CanDecoder:
         self._last_ns: int | None = None
         self._counter = SampleCounter(self._modulus, self._period_ns, self.rejected)
 
-    def feed(self, message: "can.Message") -> list[SampleBlock]:
+    def feed(self, message: "can.Message") -> list[DecodedBlock]:
         """Return the block in a message; none if a multiplexed message has another signal."""
         if message.is_error_frame:
             return self._reject("bus_error")
@@ -169,7 +169,7 @@ class CanDecoder:
         missing = self._counter.missing(counted, 1, passed_ns) if self._counter_name else 0
         return [decoded_block([values], device_ns, missing, restarted=passed_ns is None)]
 
-    def _reject(self, cause: str) -> list[SampleBlock]:
+    def _reject(self, cause: str) -> list[DecodedBlock]:
         self.rejected[cause] += 1
         return []
 

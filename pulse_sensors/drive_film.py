@@ -9,7 +9,7 @@ from pydantic import Field
 from protocol.config.kinds import KindTable
 from protocol.config.quantities import Hertz
 from pulse_sensors.force_scale import SensorTable
-from pulse_sensors.samples import DeviceTime, SampleBlock, SampleCounter, join_samples
+from pulse_sensors.samples import DecodedBlock, DeviceTime, SampleCounter, join_samples
 
 RATE_HZ = 1000.0
 
@@ -45,7 +45,7 @@ class DriveFilmDecoder:
         self._time = DeviceTime()
         self._counter = SampleCounter(1 << 32, self._period_ns, self.rejected)
 
-    def feed(self, data: Sequence[tuple[int, int, int]]) -> list[SampleBlock]:
+    def feed(self, data: Sequence[tuple[int, int, int]]) -> list[DecodedBlock]:
         """Return the readings as blocks; each loss and each restart of the board begins one."""
         samples = []
         for number, time_us, counts in data:

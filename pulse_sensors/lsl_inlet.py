@@ -11,8 +11,8 @@ from protocol.errors import SourceError
 from protocol.wire.description import PULSE
 from pulse_sensors import library
 from pulse_sensors.force_scale import MAX_VALUES
-from pulse_sensors.plausibility import is_usable, rate_contradiction
-from pulse_sensors.samples import SampleBlock, join_samples
+from pulse_sensors.sample_plausibility import is_usable, rate_contradiction
+from pulse_sensors.samples import DecodedBlock, join_samples
 from pulse_sensors.sensor import SensorScene
 
 Number = Annotated[int, Field(ge=0)]
@@ -119,7 +119,7 @@ class LslDecoder:
         self._restarted = True
         self._unreadable = 0
 
-    def feed(self, chunk: Chunk) -> list[SampleBlock]:
+    def feed(self, chunk: Chunk) -> list[DecodedBlock]:
         """Return the chunk as one block, or as several if unusable samples interrupt it."""
         samples = []
         for sample, time_s in zip(chunk.samples, chunk.times_s, strict=True):

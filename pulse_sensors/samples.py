@@ -1,8 +1,9 @@
 """Samples of a live sensor: from decoded blocks to forces at times on the host's clock.
 
-A decoder makes `SampleBlock`s from a device's bytes. `DeviceTime` and `SampleCounter` follow the
-device's time and sample count, `Timeline` computes evenly spaced times, and `Timestamper` converts
-whole blocks.
+A decoder makes `DecodedBlock`s from a device's bytes, in the sensor's unit and at times on the
+device's clock, with the help of `DeviceTime` and `SampleCounter`. `Timestamper` converts each to a
+`SampleBlock`, in the channels' units and at even times on the host's clock, which `Timeline`
+computes.
 """
 
 import math
@@ -16,50 +17,28 @@ from numpy.typing import NDArray
 from protocol.clock.one_way import DeviceClock
 from protocol.config.quantities import count_text
 from pulse_sensors.force_scale import MILLIVOLTS, SensorTable
-from pulse_sensors.plausibility import RateCheck
+from pulse_sensors.sample_plausibility import RateCheck
 
 
-class SampleBlock(NamedTuple):
-    """Consecutive samples: the container between a decoder or a source and the frames.
+class DecodedBlock(NamedTuple):
+    """Consecutive samples as a device sent them.
 
     Attributes
     ----------
     values : ndarray, shape (samples, channels)
-        At least one sample, in the channels' units; before `Timestamper` in the sensor's own.
-    missing : int
-        Number of samples lost right before these, at least 0.
-    first_ns, end_ns : int
-        Time of the first sample, and time at which the sample after the last is due, on the host's
-        clock; 0 before `Timestamper`.
+        At least one sample, in the sensor's unit.
     device_ns : int, optional
         Time of the last sample on the device's clock; None if the device sends no time.
+    missing : int
+        Number of samples lost right before these, at least 0.
     restarted : bool
         True if the device's clock does not continue that of the previous block.
     """
 
     values: NDArray[np.float64]
-    missing: int = 0
-    first_ns: int = 0
-    end_ns: int = 0
     device_ns: int | None = None
+    missing: int = 0
     restarted: bool = False
-
-    @property
-    def period_ns(self) -> int:
-        """Mean time between the samples."""
-        return round((self.end_ns - self.first_ns) / len(self.values))
-
-    @property
-    def times_ns(self) -> list[int]:
-        """Times at which the samples were taken."""
-        count, span_ns = len(self.values), self.end_ns - self.first_ns
-        return [self.first_ns + number * span_ns // count for number in range(count)]
-
-    @property
-    def force_n(self) -> list[float]:
-        """Forces of the first channel in N."""
-        forces_n: list[float] = self.values[:, 0].tolist()
-        return forces_n
 
 
 Values = Sequence[float] | Sequence[Sequence[float]]
@@ -68,15 +47,15 @@ Values = Sequence[float] | Sequence[Sequence[float]]
 
 def decoded_block(
     values: Values, device_ns: int | None = None, missing: int = 0, restarted: bool = False
-) -> SampleBlock:
-    """Return a decoder's values as a block in the sensor's unit, without host timestamps."""
+) -> DecodedBlock:
+    """Return a decoder's values as a block."""
     table = np.array(values, np.float64).reshape(len(values), -1)
-    return SampleBlock(table, missing, device_ns=device_ns, restarted=restarted)
+    return DecodedBlock(table, device_ns, missing, restarted)
 
 
 def join_samples(
     samples: Iterable[tuple[Sequence[float], int | None, int, bool]],
-) -> list[SampleBlock]:
+) -> list[DecodedBlock]:
     """Return samples, each its values, `device_ns`, `missing` and `restarted`, as blocks.
 
     Each loss and each restart begins a block. A block has the time of its last sample, which has
@@ -157,6 +136,42 @@ class SampleCounter:
             return jump
         self._rejected["counter"] += 1
         return 0
+
+
+class SampleBlock(NamedTuple):
+    """Consecutive samples on the host's clock: what every source yields.
+
+    Attributes
+    ----------
+    values : ndarray, shape (samples, channels)
+        At least one sample, in the channels' units.
+    missing : int
+        Number of samples lost right before these, at least 0.
+    first_ns, end_ns : int
+        Time of the first sample, and time at which the sample after the last is due.
+    """
+
+    values: NDArray[np.float64]
+    missing: int
+    first_ns: int
+    end_ns: int
+
+    @property
+    def period_ns(self) -> int:
+        """Mean time between the samples."""
+        return round((self.end_ns - self.first_ns) / len(self.values))
+
+    @property
+    def times_ns(self) -> list[int]:
+        """Times at which the samples were taken."""
+        count, span_ns = len(self.values), self.end_ns - self.first_ns
+        return [self.first_ns + number * span_ns // count for number in range(count)]
+
+    @property
+    def force_n(self) -> list[float]:
+        """Forces of the first channel in N."""
+        forces_n: list[float] = self.values[:, 0].tolist()
+        return forces_n
 
 
 # Bandwidth of the settled loop. Until then it is SETTLING over the time since the first sample.
@@ -240,7 +255,7 @@ def _bounded(value: float, share: float, of: float) -> float:
 
 
 class Timestamper:
-    """Conversion of one sensor's blocks to its channels' units on the host's clock. Pure.
+    """Conversion of one sensor's decoded blocks to its channels' units on the host's clock. Pure.
 
     samples, missing: numbers of samples so far, and of those lost before them. restarts: of the
     device's clock, followed by `clock`. behind: blocks refused as earlier than the last. rate: the
@@ -256,7 +271,7 @@ class Timestamper:
         self.rate = RateCheck(table.rate_hz)
         self.samples = self.missing = self.restarts = self.behind = 0
 
-    def timestamp(self, block: SampleBlock, arrival_ns: int) -> SampleBlock | None:
+    def timestamp(self, block: DecodedBlock, arrival_ns: int) -> SampleBlock | None:
         """Return a decoder's block, scaled, with its times; None if it is earlier than the last."""
         last_ns = arrival_ns
         if block.device_ns is not None:
@@ -278,7 +293,7 @@ class Timestamper:
         values = self._table.newtons(block.values)
         if self._announcing:
             values[:, self._announcing] = self._millivolts * block.values[:, self._announcing]
-        return block._replace(values=values, missing=missing, first_ns=first_ns, end_ns=end_ns)
+        return SampleBlock(values, missing, first_ns, end_ns)
 
     def faults(self, name: str) -> list[str]:
         """Return the faults of a sensor, one line each, which names the sensor."""

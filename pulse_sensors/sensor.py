@@ -29,7 +29,7 @@ from protocol.config.quantities import count_text
 from protocol.config.scene import Section
 from protocol.errors import SourceError
 from pulse_sensors.force_scale import SensorTable
-from pulse_sensors.samples import SampleBlock, Timestamper
+from pulse_sensors.samples import DecodedBlock, SampleBlock, Timestamper
 
 logger = logging.getLogger(__name__)
 
@@ -64,8 +64,8 @@ class Decoder(Protocol):
     def rejected(self) -> Counter[str]:
         """Count of refusals by cause."""
 
-    def feed(self, data: Any) -> list[SampleBlock]:
-        """Return the blocks completed by this data, before timestamps and scale are applied."""
+    def feed(self, data: Any) -> list[DecodedBlock]:
+        """Return the blocks completed by this data."""
 
     def reset(self) -> None:
         """Start anew with the next data, for example after the cable was unplugged."""

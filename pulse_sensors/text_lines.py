@@ -11,8 +11,8 @@ from collections.abc import Sequence
 from typing import Literal
 
 from protocol.errors import WireError
-from pulse_sensors.plausibility import is_usable
-from pulse_sensors.samples import DeviceTime, SampleBlock, join_samples
+from pulse_sensors.sample_plausibility import is_usable
+from pulse_sensors.samples import DecodedBlock, DeviceTime, join_samples
 
 TimeUnit = Literal["us", "ms", "s"]
 
@@ -45,7 +45,7 @@ class LineTimes:
         self._suspect: DeviceTime | None = None
 
     def take(self, time: float, unreadable: int) -> tuple[int, int, bool]:
-        """Return a line's `device_ns`, `missing` and `restarted`, as in `SampleBlock`.
+        """Return a line's `device_ns`, `missing` and `restarted`, as in `DecodedBlock`.
 
         unreadable: count of rejected lines directly before it. Raises WireError for a time that is
         not accepted yet.
@@ -96,7 +96,7 @@ class TextDecoder:
         self._unreadable = 0
         self._times = LineTimes(self._period_ns, self._unit) if self._unit else None
 
-    def feed(self, data: bytes) -> list[SampleBlock]:
+    def feed(self, data: bytes) -> list[DecodedBlock]:
         """Return the blocks that these bytes complete; consecutive lines form one block."""
         *whole, rest = (self._buffer + data).replace(b"\r", b"\n").split(b"\n")
         samples = []

@@ -12,7 +12,7 @@ from pydantic import Field, model_validator
 
 from protocol.config.quantities import Hertz, Newtons, Volts, count_text
 from protocol.errors import SceneError
-from protocol.summary.tables import Limits
+from protocol.summary.fields import Limits
 from protocol.tactile import Adc
 from protocol.ticks import LimitCounter
 from pulse_sensors.force_scale import SensitivityTable

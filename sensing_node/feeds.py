@@ -1,7 +1,7 @@
 """From a source to frames: blocks of samples as they fall due, numbered and cut into batches.
 
-A source whose samples are known in advance has `take`; `PacedSource` releases them when due.
-`LiveSource` and `ReplaySource` yield blocks of a live sensor and of a recorded session.
+A source whose samples are known in advance has `take`; `PacedFeed` releases them when due.
+`LiveFeed` and `ReplayFeed` yield blocks of a live sensor and of a recorded session.
 """
 
 from collections import Counter, deque
@@ -9,7 +9,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from protocol.summary.tables import Limits
+from protocol.summary.fields import Limits
 from protocol.wire.description import StreamDescription
 from protocol.wire.messages import Frame
 from pulse_sensors.samples import SampleBlock
@@ -18,7 +18,7 @@ from sensing_node.press.set_points import PressedProbe
 from sensing_node.sources.source import SampleSource
 
 
-class PacedSource:
+class PacedFeed:
     """Feed of a source's samples: sample i is due at start_ns + i · period_ns."""
 
     def __init__(self, samples: SampleSource, start_ns: int) -> None:
@@ -42,10 +42,10 @@ class PacedSource:
             return None
         first_ns = self.due_ns(1)
         self._taken += len(values)
-        return SampleBlock(values, first_ns=first_ns, end_ns=self.due_ns(1))
+        return SampleBlock(values, 0, first_ns, self.due_ns(1))
 
 
-class LiveSource:
+class LiveFeed:
     """Feed of a live sensor's samples as they arrive; it never ends by itself.
 
     A gap begins a new block. The `missing` samples keep their sequence numbers, so that displays
@@ -94,7 +94,7 @@ class LiveSource:
         return Limits()
 
 
-class ReplaySource:
+class ReplayFeed:
     """Feed of an earlier session's frames: the same samples at the same intervals.
 
     Samples that the recording lacks between two frames keep their sequence numbers, so that
@@ -163,16 +163,16 @@ class ReplaySource:
         return None
 
 
-Source = SampleSource | LiveSource | ReplaySource
+Source = SampleSource | LiveFeed | ReplayFeed
 
 
-def feed_of(source: Source, start_ns: int) -> PacedSource | LiveSource | ReplaySource:
+def feed_of(source: Source, start_ns: int) -> PacedFeed | LiveFeed | ReplayFeed:
     """Return the feed of a source; unless it is live, its first sample is due at `start_ns`."""
-    if isinstance(source, ReplaySource):
+    if isinstance(source, ReplayFeed):
         source.begin(start_ns)
-    if isinstance(source, LiveSource | ReplaySource):
+    if isinstance(source, LiveFeed | ReplayFeed):
         return source
-    return PacedSource(source, start_ns)
+    return PacedFeed(source, start_ns)
 
 
 class Framer:

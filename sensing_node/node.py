@@ -13,11 +13,11 @@ from protocol.config.quantities import count_text
 from protocol.security.authenticator import Authenticator
 from protocol.security.budgets import SubscriptionBudget
 from protocol.security.link_keys import ServerKeys
-from protocol.summary.tables import PressFigures, SampleCounts, Summary
+from protocol.summary.fields import PressFigures, SampleCounts, Summary
 from protocol.wire.description import StreamDescription
 from protocol.wire.messages import HEADER_BYTES, Bye, encode_control, encode_frame
 from protocol.wire.telemetry import STATUS, pack_status
-from pulse_sensors.sample_check import SampleCheck
+from pulse_sensors.sample_plausibility import SampleCheck
 from sensing_node.control_server import ControlServer, RequestBudget, Sender
 from sensing_node.feeds import Framer, Source, feed_of
 from sensing_node.press.set_points import REASONS
@@ -301,8 +301,6 @@ class SensingNode:
         rejected += self._authenticator.rejected
         if self._requests.held:
             rejected["held_back"] = self._requests.held
-        if self._telemetry is not None:
-            rejected += self._telemetry.rejected
         rejected += self._source.rejected
         press = PressFigures()
         if (set_points := self._server.set_points) is not None:
@@ -313,5 +311,6 @@ class SensingNode:
             limited=self._source.limits(),
             press=press,
             rejected=dict(rejected),
+            rejected_readers={} if self._telemetry is None else dict(self._telemetry.rejected),
             faults=[*self._source.faults(), *self._check.faults()],
         )

@@ -19,7 +19,7 @@ from pulse_drives import build_drive
 from pulse_drives.scene import DriveScene
 from pulse_sensors.sensor import SENSORS, SensorScene, open_sensor
 from sensing_node.conditioning import Conditioned, ConditioningScene
-from sensing_node.feeds import LiveSource, Source
+from sensing_node.feeds import LiveFeed, Source
 from sensing_node.press.live_probe import JoinedSensors, LiveProbe, SampleSensor
 from sensing_node.press.scene import ProbeScene
 from sensing_node.press.set_points import SetPointServer
@@ -144,10 +144,10 @@ def open_source(scene: SensingScene, folder: Path) -> Iterator[Source]:
     if (table := scene.sensor) is not None:
         if scene.press is not None and scene.press.drive is not None:
             with _start_probe(table, scene.press, scene.press.drive, folder) as probe:
-                yield LiveSource(probe, probe)
+                yield LiveFeed(probe, probe)
             return
         with closing(open_sensor(table, folder)) as sensor:
-            yield LiveSource(sensor)
+            yield LiveFeed(sensor)
         return
     source = build_source(scene, folder)
     for warning in source.faults():

@@ -15,14 +15,13 @@ from soak.bench import play_rounds
 from soak.bench_truth import judge_bench
 from soak.evidence import heart_rate_per_min, verdict
 from soak.leftovers import left_behind, mark
-from soak.network import loopback, namespaces
+from soak.network import namespaces
 from soak.report import print_verdict, write_verdict
 from soak.run import Run
 from soak.scenario import Scenario
 from soak.verdict import judge_none
 from telepulse.scene import DEFAULT_SCENE, load_scene
 from tests.support.keyring import Keyring
-from tests.support.netem import unavailable
 
 PROGRAM = "soak"
 # Nodes end by themselves this long after the soak's time.
@@ -35,10 +34,6 @@ def soak(
     scene: Annotated[
         str, typer.Option(help="A scene file, or the name of one that comes with telepulse.")
     ] = DEFAULT_SCENE,
-    on_loopback: Annotated[
-        bool,
-        typer.Option("--loopback", help="Emulate links by a proxy on loopback, as without root."),
-    ] = False,
     keys: Annotated[
         bool,
         typer.Option("--keys", help="Protect the nodes by keys; floods and impostors have none."),
@@ -68,9 +63,6 @@ def soak(
     Exit status: 0 when every check is passed, 1 when one is not, 2 when it cannot run here.
     """
     console = plain_console()
-    reason = "as asked" if on_loopback else unavailable()
-    if reason is not None:
-        console.print(f"links by a proxy on loopback: {reason}")
     with one_line_errors(PROGRAM):
         check_writable(json)
         loaded = load_scene(find_scene(scene))
@@ -80,10 +72,10 @@ def soak(
         signal.signal(signal.SIGTERM, lambda *_: signal.raise_signal(signal.SIGINT))
         with (
             tempfile.TemporaryDirectory(prefix="telepulse-soak-") as folder,
-            (loopback if reason else namespaces)(seed) as network,
+            namespaces(seed) as network,
         ):
-            how = f"over {network.kind}, {'with' if keys else 'without'} keys"
-            console.print(f"{minutes:g} minutes of faults by seed {seed}, {how}")
+            how = "with" if keys else "without"
+            console.print(f"{minutes:g} minutes of faults by seed {seed}, {how} keys")
             ring = None
             if keys:
                 ring = Keyring(Path(folder, "keys"))
@@ -100,8 +92,8 @@ def soak(
             checks = verdict(run, loaded.display, heart_rate_per_min(loaded.sensing.source))
             if bench:
                 checks += judge_bench(*play_rounds(Path(folder), seed, bench, console.print))
-        addresses = [scenario.calm_address, *([] if network.sensing else network.addresses)]
-        checks.append(judge_none("left behind", left_behind(run.namespaces, addresses, folder)))
+        left = left_behind(run.namespaces, [scenario.calm_address], folder)
+        checks.append(judge_none("left behind", left))
     print_verdict(run, checks, console)
     if json is not None:
         with one_line_errors(PROGRAM):

@@ -129,7 +129,8 @@ def _judge_accounts(run: Run, nodes: dict[str, list[SoakProcess]]) -> Iterator[C
     yield judge_none("faults latched", [fault for x in last for fault in x["faults"]])
     yield judge_none("set-points unaccounted", unaccounted([x["press"] for x in last]))
     calm = next((node.summary for node in nodes[CALM_DISPLAY] if node.summary), None)
-    refused = [f"{count} {cause}" for cause, count in (calm["rejected"] if calm else {}).items()]
+    rejected = calm["rejected"] | calm["rejected_readers"] if calm else {}
+    refused = [f"{count} {cause}" for cause, count in rejected.items()]
     lost = [f"{calm['samples']['lost']} lost"] if calm and calm["samples"]["lost"] else []
     yield judge_none("refused by, or lost to the calm display", [*refused, *lost])
 

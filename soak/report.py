@@ -46,7 +46,6 @@ def write_verdict(run: Run, checks: Sequence[Check], minutes: float, path: Path)
     table = {
         "minutes": minutes,
         "seed": run.seed,
-        "link": run.scenario.network.kind,
         "passed": all(check.ok is not False for check in checks),
         "checks": [asdict(check) for check in checks],
         "felt_again_s": recoveries(run.played, run.taps.felt),

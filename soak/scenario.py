@@ -1,6 +1,5 @@
 """The nodes of a soak: a sensing node under faults with its displays, and a calm pair."""
 
-from contextlib import nullcontext
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -77,9 +76,9 @@ class Scenario:
 
     def start_intruder(self, kind: str, *arguments: str) -> ChildProcess:
         """Start a hostile process beside the sensing node."""
-        namespace, command = self.network.sensing, ("-m", "soak.intruder", kind, *arguments)
-        entered = nullcontext() if namespace is None else namespace.entered()
-        with (self.folder / f"{kind}.err").open("ab") as errors, entered:
+        command = ("-m", "soak.intruder", kind, *arguments)
+        errors_path = self.folder / f"{kind}.err"
+        with errors_path.open("ab") as errors, self.network.sensing.entered():
             self.intruders.append(ChildProcess(kind, *command, stdout=errors, stderr=errors))
         return self.intruders[-1]
 

@@ -108,8 +108,8 @@ class SessionColumns:
             gap = [np.nan] * len(self.ticks)
             self._forces.append((array("d", gap), array("d", gap)))
         for number, (target_n, felt_n) in enumerate(self._forces):
-            due, felt = forces_n[number] if number < len(forces_n) else (np.nan, np.nan)
-            target_n.append(due)
+            target, felt = forces_n[number] if number < len(forces_n) else (np.nan, np.nan)
+            target_n.append(target)
             felt_n.append(felt)
         self.ticks.add(tick)
 

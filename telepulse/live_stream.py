@@ -12,7 +12,7 @@ from typing import Final
 import zmq
 
 from display_node.reception.connection import Connection
-from display_node.reception.playout import LATE_TARGET
+from display_node.reception.link_delay import LATE_TARGET
 from display_node.reception.receiver import Receiver
 from protocol import sockets
 from protocol.config.arguments import file_path, number, whole_number
@@ -20,7 +20,7 @@ from protocol.config.quantities import shown
 from protocol.errors import AddressError, SourceError, WireError
 from protocol.security.link_keys import ClientKeys, KeyOptions
 from protocol.wire.description import StreamDescription
-from protocol.wire.messages import Welcome, decode_control, decode_frame, encode_control
+from protocol.wire.messages import Welcome, decode_control, encode_control, with_array
 from telepulse.sample_queue import SampleQueue, StreamBlock
 
 POLL_NS: Final = 5_000_000
@@ -170,7 +170,7 @@ class LiveStream(AbstractContextManager["LiveStream"]):
         if receiver.buffer.newest_ns is not None:
             # The arrays are the only consumer: the receiver's own buffer need keep nothing.
             receiver.buffer.advance(receiver.buffer.newest_ns)
-        if receiver.buffer.ended and receiver.over(now_ns, 0) and not self._ended:
+        if receiver.over(now_ns, 0) and not self._ended:
             self._queue.flush(self._ahead_ns(now_ns))
             self._ended = True
 
@@ -195,9 +195,9 @@ class LiveStream(AbstractContextManager["LiveStream"]):
             self._ended = False
 
     def _take_frame(self, data: bytes) -> None:
-        now_ns = time.perf_counter_ns()
-        if self._receiver.on_frame(data, now_ns) is not None:
-            self._queue.add(decode_frame(data), now_ns, self._ahead_ns(now_ns))
+        receiver, now_ns = self._receiver, time.perf_counter_ns()
+        if receiver.on_frame(data, now_ns) is not None and receiver.frame is not None:
+            self._queue.add(with_array(receiver.frame), now_ns, self._ahead_ns(now_ns))
 
     def _ahead_ns(self, now_ns: int) -> int:
         """Return the sensing clock minus Unix time."""

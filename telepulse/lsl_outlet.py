@@ -17,7 +17,7 @@ import numpy as np
 
 from protocol.config.quantities import count_text
 from protocol.security.link_keys import ClientKeys
-from protocol.summary.tables import contactors_of
+from protocol.summary.fields import contactors_of
 from protocol.wire.description import StreamDescription
 from protocol.wire.messages import Frame
 from pulse_sensors import library

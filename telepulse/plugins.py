@@ -15,7 +15,7 @@ from protocol.wire.description import Channel
 from pulse_drives.axis import Axis
 from pulse_drives.drive import Drive, DriveDevice
 from pulse_drives.scene import DRIVES, DriveScene
-from pulse_sensors.samples import SampleBlock, decoded_block
+from pulse_sensors.samples import DecodedBlock, decoded_block
 from pulse_sensors.sensor import SENSORS, Decoder, Port, SensorScene
 from sensing_node.sources.source import SOURCES, SampleSource, SourceContext, SourceScene
 
@@ -24,6 +24,7 @@ __all__ = [
     "Axis",
     "BasePredictor",
     "Channel",
+    "DecodedBlock",
     "Decoder",
     "Drive",
     "DriveDevice",
@@ -33,7 +34,6 @@ __all__ = [
     "Port",
     "Predictor",
     "PredictorScene",
-    "SampleBlock",
     "SampleSource",
     "SceneError",
     "Section",

@@ -6,20 +6,22 @@
 import itertools
 import json
 import logging
-import os
 import random
 import re
 from collections.abc import Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from socket import AF_INET, SOCK_STREAM, socket
+from subprocess import PIPE
+from threading import Thread
 from typing import Any
 
 from pydantic import TypeAdapter
 
 from display_node.verdict import NOT_VALID_STATUS
+from protocol.errors import ProcessError
 from protocol.host.child_process import ChildProcess
-from protocol.summary.tables import Summary
+from protocol.summary.fields import Summary
 
 logger = logging.getLogger(__name__)
 
@@ -60,14 +62,6 @@ def log_warnings(name: str, errors: str) -> None:
         logger.log(logging.getLevelNamesMapping()[level], f"{name}: {text}")
 
 
-def cpu_time_s(pid: int) -> float:
-    """Return the processor time that all threads of a process have used. Linux."""
-    # The name, in parentheses, may contain spaces; times in user and system mode are 11 and 12
-    # fields after it.
-    fields = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8").rpartition(")")[2].split()
-    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
-
-
 class NodeProcess(ChildProcess):
     """A node's process, which writes its closing summary to a file.
 
@@ -83,11 +77,41 @@ class NodeProcess(ChildProcess):
         self._summary = summary
 
     def await_summary(self, within_s: float, may_end_with: Sequence[int] = ()) -> Summary:
-        """Wait for the node to end, log its warnings and return its summary.
+        """Wait for the node to end and return its summary.
 
         A display whose run is not valid has a summary too, which shows that.
 
         Raises ProcessError when it does not end in time, or fails; see `await_end`.
         """
-        log_warnings(self.name, self.await_end(within_s, (NOT_VALID_STATUS, *may_end_with)))
+        self.await_end(within_s, (NOT_VALID_STATUS, *may_end_with))
         return _SUMMARY.validate_python(json.loads(self._summary.read_text(encoding="utf-8")))
+
+
+class LoggedNode(NodeProcess):
+    """A `NodeProcess` whose warnings are logged as they come: a drive's asks for a free bench."""
+
+    def __init__(self, name: str, module: str, *arguments: str, summary: Path) -> None:
+        super().__init__(name, module, *arguments, summary=summary, stdout=PIPE, stderr=PIPE)
+        # `communicate` reads only what is still there.
+        self._errors, self.stderr = self.stderr, None
+        self._printed: list[str] = []
+        self._reader = Thread(target=self._log, name=name, daemon=True)
+        self._reader.start()
+
+    def await_end(self, within_s: float, may_end_with: Sequence[int] = ()) -> str:
+        """See `ChildProcess.await_end`."""
+        super().await_end(within_s, may_end_with)
+        self._reader.join()
+        return "".join(self._printed)
+
+    def _log(self) -> None:
+        assert self._errors is not None
+        with self._errors as lines:
+            for line in lines:
+                self._printed.append(line)
+                log_warnings(self.name, line)
+
+    def _failure(self, what: str, errors: str | None = None) -> ProcessError:
+        self.kill()
+        self._reader.join()
+        return super()._failure(what, "".join(self._printed))

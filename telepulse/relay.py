@@ -27,7 +27,7 @@ from protocol.security.authenticator import Authenticator
 from protocol.security.budgets import SubscriptionBudget
 from protocol.security.link_keys import ClientKeys, ServerKeys
 from protocol.security.socket_monitor import HandshakeMonitor
-from protocol.summary.tables import FrameCounts, Reconnections, Summary
+from protocol.summary.fields import FrameCounts, Reconnections, Summary
 from protocol.wire.messages import decode_frame
 
 logger = logging.getLogger(__name__)

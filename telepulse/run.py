@@ -1,4 +1,4 @@
-"""A run as arrays: the force at the wrist, the force that was due, and the one that was felt."""
+"""A run as arrays: the force at the wrist, the target force at the finger, and the felt force."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from display_node.scoring.alignment import Floats, compared_forces_n, interpolate, rms
+from display_node.scoring.tracking_error import Floats, compared_forces_n, interpolate, rms
 from protocol.config.quantities import count_text
 from protocol.errors import OutputError
-from protocol.summary.tables import AlignedErrors, Summary
+from protocol.summary.fields import AlignedErrors, Summary
 from telepulse.columns import SessionColumns, join_ticks
 
 if TYPE_CHECKING:
@@ -32,7 +32,7 @@ class ContactorRun:
     wrist_n : ndarray of float
         Force at the wrist at the time of the tick, in N; NaN where no sample is known.
     target_n : ndarray of float
-        Force that was due at the finger, in N.
+        Target force at the finger, in N.
     felt_n : ndarray of float
         Force that was felt at the finger, in N; NaN where it is unknown.
     force_ratio : float
@@ -78,7 +78,8 @@ class Run:
         Perceived delay: how much earlier the played instant of the pulse was at the wrist, in s;
         NaN where none was played.
     played : ndarray of bool
-        True where a pulse was felt at full strength.
+        True where a pulse was felt at full strength: `scored` of a tick. The share
+        `summary.availability.played` has ramps and fades as well.
     predicted : ndarray of bool
         True where a prediction was felt, since the sample had not arrived.
     contactors : dict of str to ContactorRun
@@ -125,7 +126,7 @@ class Run:
 
     @property
     def target_n(self) -> Floats:
-        """Force that was due at the finger, in N."""
+        """Target force at the finger, in N."""
         return self.first.target_n
 
     @property
@@ -151,8 +152,8 @@ class Run:
         for which the force at the wrist is known. None where there is no such tick.
         """
         now_ns, instant_ns = 1e9 * self.t_s, 1e9 * (self.t_s - self.delay_s)
-        age_ns, target_n = 1e9 * self.first.film_age_s, self.first.force_ratio * self.wrist_n
-        compared_n = compared_forces_n(now_ns, instant_ns, age_ns, now_ns, target_n)
+        age_ns, reference_n = 1e9 * self.first.film_age_s, self.first.force_ratio * self.wrist_n
+        compared_n = compared_forces_n(now_ns, instant_ns, now_ns, reference_n, age_ns)
         return AlignedErrors(*(rms((self.felt_n - n)[self.played]) for n in compared_n))
 
     def columns(self) -> dict[str, NDArray[Any]]:

@@ -34,8 +34,8 @@ NOT_TRACED = (
 # Left to `make test-all`, with what is in tests/system without the marker "smoke".
 LATER = (
     # Tests of what tests, and of the code's form.
-    *("unit/soak", "unit/support", "unit/documentation", "unit/telepulse/testing"),
-    *("unit/test_class_names.py", "unit/test_clock_reads.py", "unit/test_import_cycles.py"),
+    *("unit/soak", "unit/documentation", "unit/telepulse/testing"),
+    *("unit/test_class_names.py", "unit/test_clock_reads.py"),
     # Studies, comparisons with other libraries, and words on pages.
     *("unit/telepulse/view", "unit/telepulse/experiment"),
     *("unit/telepulse/paper", "unit/telepulse/test_document.py"),

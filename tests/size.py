@@ -1,37 +1,76 @@
 """Print the size of the product and of what proves it; end with status 1 beyond a limit."""
 
 import sys
+from fnmatch import fnmatch
 from pathlib import Path
+from typing import NamedTuple
 
 ROOT = Path(__file__).parents[1]
-# Name: its folders, and the most lines and files of Python in them.
-LIMITS: dict[str, tuple[tuple[str, ...], int, int | None]] = {
-    "product": (
-        ("protocol", "pulse_sensors", "pulse_drives", "sensing_node", "display_node", "telepulse"),
+
+
+class Room(NamedTuple):
+    """A part of the tree with its own limits; files is None where only the lines count."""
+
+    name: str
+    patterns: tuple[str, ...]
+    most_lines: int
+    most_files: int | None = None
+
+
+# A file counts in the first room that one of its patterns matches; a * matches folders too.
+ROOMS = (
+    Room(
+        "class bench, with its tests",
+        ("*stepdir*", "*class_bench*", "*drive_film*", "*/cli/*boards.py", "tests/support/avr*"),
+        2_500,
+    ),
+    Room(
+        "product",
+        (
+            "protocol/*",
+            "pulse_sensors/*",
+            "pulse_drives/*",
+            "sensing_node/*",
+            "display_node/*",
+            "telepulse/*",
+        ),
         45_000,
         290,
     ),
-    "tests and their support": (("tests",), 40_000, None),
-    "benchmarks, soak and fuzz": (("benchmarks", "soak", "fuzz"), 11_000, None),
-}
+    Room("tests and their support", ("tests/*",), 40_000),
+    Room("benchmarks, soak and fuzz", ("benchmarks/*", "soak/*", "fuzz/*"), 11_000),
+)
 
 
-def measure(*folders: str) -> tuple[int, int]:
-    """Return lines and files of Python in the folders."""
-    files = [path for folder in folders for path in (ROOT / folder).rglob("*.py")]
-    return sum(len(path.read_text(encoding="utf-8").splitlines()) for path in files), len(files)
+def files_by_room() -> dict[Room, list[Path]]:
+    """Return the Python files of each room."""
+    files: dict[Room, list[Path]] = {room: [] for room in ROOMS}
+    for top in sorted(
+        {pattern.split("/")[0] for room in ROOMS for pattern in room.patterns if pattern[0] != "*"}
+    ):
+        for path in (ROOT / top).rglob("*.py"):
+            name = path.relative_to(ROOT).as_posix()
+            room = next(
+                room for room in ROOMS if any(fnmatch(name, pattern) for pattern in room.patterns)
+            )
+            files[room].append(path)
+    return files
 
 
 def main() -> int:
-    """Print a line for each limit; return the exit status."""
+    """Print a line for each room; return the exit status."""
     status = 0
-    for name, (folders, most_lines, most_files) in LIMITS.items():
-        lines, files = measure(*folders)
-        beyond = lines > most_lines or (most_files is not None and files > most_files)
+    for room, files in files_by_room().items():
+        lines = sum(len(path.read_text(encoding="utf-8").splitlines()) for path in files)
+        beyond = lines > room.most_lines or (
+            room.most_files is not None and len(files) > room.most_files
+        )
         status |= beyond
-        limit = f"{most_lines} lines" + (f" in {most_files} files" if most_files else "")
+        limit = f"{room.most_lines} lines" + (
+            f" in {room.most_files} files" if room.most_files else ""
+        )
         verdict = "beyond the limit" if beyond else "within the limit"
-        print(f"{name}: {lines} lines in {files} files; {verdict} of {limit}")
+        print(f"{room.name}: {lines} lines in {len(files)} files; {verdict} of {limit}")
     return status
 
 

@@ -17,7 +17,7 @@ from benchmarks.benchmark import Benchmark
 from benchmarks.cost import cpu_quota
 from benchmarks.nodes import NodesOutcome, run_nodes
 from protocol.config.scene_file import find_scene
-from protocol.summary.tables import Summary
+from protocol.summary.fields import Summary
 from telepulse.scene import load_scene
 from telepulse.simulation.link_scene import parse_link
 from tests.support.netem import unavailable

@@ -15,7 +15,7 @@ from tempfile import TemporaryDirectory
 from benchmarks.benchmark import Benchmark
 from benchmarks.faults.cases import WHOLE, repeat
 from protocol.config.scene_file import find_scene
-from protocol.summary.tables import Summary
+from protocol.summary.fields import Summary
 from telepulse.simulation.link_scene import parse_link
 from tests.support.netem import PacketFilter, emulate
 from tests.support.node_rig import PORT, node_rig

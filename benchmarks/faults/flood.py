@@ -14,7 +14,7 @@ from tempfile import TemporaryDirectory
 from benchmarks.benchmark import Benchmark
 from benchmarks.faults.own_time import own_time_of, pin
 from benchmarks.timing import median_quantile
-from protocol.summary.tables import Summary
+from protocol.summary.fields import Summary
 from telepulse.scene import load_scene
 from tests.support.hostile_peers import flood_with_requests
 from tests.support.node_rig import RigError, node_rig

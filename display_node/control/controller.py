@@ -105,8 +105,8 @@ class StepperController:
     ----------
     horizon
         Number of ticks after the present one that the reference must cover.
-    lead_s
-        Time in s by which the reference begins later than now, besides the actuator's latency.
+    shaper_delay_s
+        Delay in s of the path's shaper, besides the actuator's latency; 0 without one.
     """
 
     STATE: ClassVar = ("_pid", "_observer")
@@ -142,7 +142,8 @@ class StepperController:
         self._last_reading_n = self._wanted_n = self._stiffest_n = 0.0
         self._late = delay_line(lag_ticks)
         path = self._path
-        self.horizon, self.lead_s = (1, 0.0) if path is None else (path.horizon, path.lead_s)
+        self.horizon = 1 if path is None else path.horizon
+        self.shaper_delay_s = 0.0 if path is None else path.shaper_delay_s
         self._unit = None if scene.error == "position" else scene.error_per_newton(film)
 
     def output(self, reference_n: list[float], reading_n: float) -> float:

@@ -23,8 +23,8 @@ class ScrewPath:
     ----------
     horizon
         Number of ticks after the present one that the reference must cover.
-    lead_s
-        Delay in s of the shaper: the reference begins this much later than now.
+    shaper_delay_s
+        Delay in s of the shaper, 0 without one: the reference begins this much later than now.
     shaped
         True where the rotor rings, and the path is shaped.
     tip_m, screw_m
@@ -39,7 +39,7 @@ class ScrewPath:
         self._inverse: tuple[float, float] | None = None
         self._shaper: InputShaper | None = None
         self._gap: Gap | None = None
-        self.horizon, self.lead_s = 1, 0.0
+        self.horizon, self.shaper_delay_s = 1, 0.0
         if scene.rotor_resonance_hz is not None:
             hz, damping = scene.rotor_resonance_hz, scene.rotor_damping
             w = 2 * math.pi * hz
@@ -49,7 +49,7 @@ class ScrewPath:
                 self._shaper = shaper = InputShaper(weights, tick_s)
                 self._rotor = Rotor(hz, damping, tick_s)
                 self._backlash = Backlash(scene.backlash_m)
-                self.lead_s = shaper.delay_s
+                self.shaper_delay_s = shaper.delay_s
                 # The shaper smooths the path by half its variance times x''.
                 bend_s2 -= shaper.spread_s2 / 2
             self._inverse = damping / (w * tick_s), bend_s2 / tick_s**2

@@ -9,7 +9,7 @@ from collections.abc import Callable
 from display_node.control.controller import StepperController, VoltageController
 from display_node.control.linear_loop import refuse_unstable
 from display_node.control.scene import ControllerScene
-from display_node.plant.film import FeedbackFilm
+from display_node.plant.film import FilmModel
 from display_node.plant.scene import ActuatorScene, FilmTable
 from display_node.plant.stepper import Stepper
 from protocol.errors import SceneError
@@ -30,10 +30,10 @@ class ForceLoop:
     input_per_output
         The actuator's input for each unit of the controller's output.
     overforce_n
-        Readings beyond ±overforce_n are ignored.
-    lead_ns
-        Latency of the actuator and delay of its shaper in ns: the reference begins this much later
-        than now.
+        Readings beyond ±overforce_n are ignored. In a display they are faults (`ForceBounds`).
+    actuation_delay_ns
+        Latency of the actuator and delay of its shaper in ns: the reference must begin this much
+        later than now.
     at_end
         Counter of the ticks at the end of the travel; None for an actuator without an end.
 
@@ -42,7 +42,7 @@ class ForceLoop:
     horizon
         Number of ticks after the present one that the reference must cover.
     felt_n
-        Felt force at the last tick's end, in N.
+        Felt force at the last tick's end, in N, by the model of the actuator.
     at_film_range
         Counter of readings at the range of the film's ADC; None without an ADC.
     """
@@ -52,18 +52,18 @@ class ForceLoop:
         controller: StepperController | VoltageController,
         actuator: Callable[[float], float],
         input_per_output: float,
-        film: FeedbackFilm,
+        film: FilmModel,
         overforce_n: float,
         tick_s: float,
-        lead_ns: int = 0,
+        actuation_delay_ns: int = 0,
         at_end: LimitCounter | None = None,
     ) -> None:
-        self.lead_ns = lead_ns
+        self.actuation_delay_ns = actuation_delay_ns
         self.at_end = at_end
         self.at_film_range = film.at_range
         self._overforce_n = overforce_n
         self._controller = controller
-        self._actuator = actuator
+        self._actuator: Callable[[float], float] | None = actuator
         self._input_per_output = input_per_output
         self._film = film
         self._watchdog_ticks = round(WATCHDOG_S / tick_s)
@@ -82,16 +82,23 @@ class ForceLoop:
         for missed in range(min(ticks, 2 * self._watchdog_ticks)):
             if missed == self._watchdog_ticks:
                 self._output = 0.0
-            self.read_film()
             self._controller.skip(self._output)
-            self.felt_n = self._actuator(self._input_per_output * self._output)
+            if self._actuator is not None:
+                self.read_film()
+                self.move()
+
+    def leave_to_bench(self) -> None:
+        """Run no model of actuator and film any more: a real bench takes their place."""
+        self._actuator = None
 
     def read_film(self) -> float:
-        """Return the film's reading of the felt force, in N. Call it once before each tick."""
+        """Return the modelled film's reading in N. Call it once before each tick."""
         return self._film.read(self.felt_n)
 
-    def tick(self, reference_n: list[float], reading_n: float) -> float:
-        """Advance one tick and return the controller's output: m/s of a stepper, V of eq 22.
+    def command(self, reference_n: list[float], reading_n: float) -> float:
+        """Return the controller's output for a tick: m/s of a stepper, V of eq 22.
+
+        Call `move` after it, when the actuator has been commanded.
 
         Parameters
         ----------
@@ -103,7 +110,17 @@ class ForceLoop:
         if not -self._overforce_n <= reading_n <= self._overforce_n:
             reading_n = math.nan
         self._output = output = self._controller.output(reference_n, reading_n)
-        self.felt_n = self._actuator(self._input_per_output * output)
+        return output
+
+    def move(self) -> None:
+        """Run the model of the actuator for a tick under the last output."""
+        if self._actuator is not None:
+            self.felt_n = self._actuator(self._input_per_output * self._output)
+
+    def tick(self, reference_n: list[float], reading_n: float) -> float:
+        """Command and move a modelled actuator; return what `command` does."""
+        output = self.command(reference_n, reading_n)
+        self.move()
         return output
 
     def shift(self, travel_m: float) -> None:
@@ -151,7 +168,7 @@ def build_force_loop(
             f" law; this actuator is {actuator.kind}"
         )
     refuse_unstable(controller, actuator, layer, film, force_limit_n, tick_s)
-    reading, overforce_n = FeedbackFilm(film, tick_s), overforce * force_limit_n
+    reading, overforce_n = FilmModel(film, tick_s), overforce * force_limit_n
     if stepper_scene is None:
         plant = (actual or actuator).build(tick_s)
         voltage = VoltageController(
@@ -164,9 +181,9 @@ def build_force_loop(
     speed = StepperController(
         controller, stepper_scene, law, film, force_limit_n, tick_s, slew_limit_n_per_s
     )
-    # Not that of the actual actuator, which may move differently.
+    # The paper's VCO. Not that of the actual actuator, which may move differently.
     steps_per_m = stepper_scene.steps_per_m
-    lead_ns = stepper_scene.latency_ns + round(speed.lead_s * 1e9)
+    delay_ns = stepper_scene.latency_ns + round(speed.shaper_delay_s * 1e9)
     return ForceLoop(
-        speed, stepper.step, steps_per_m, reading, overforce_n, tick_s, lead_ns, stepper.at_end
+        speed, stepper.step, steps_per_m, reading, overforce_n, tick_s, delay_ns, stepper.at_end
     )

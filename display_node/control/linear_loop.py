@@ -17,7 +17,7 @@ from display_node.control.controller import StepperController, VoltageController
 from display_node.control.observer import DESIGN_FORCE_N, observer_gains
 from display_node.control.scene import ControllerScene
 from display_node.plant.contact import LinearContact
-from display_node.plant.film import FeedbackFilm
+from display_node.plant.film import FilmModel
 from display_node.plant.scene import ActuatorScene, FilmTable, ForceModel
 from display_node.plant.stepper import Stepper
 from protocol.errors import SceneError
@@ -87,7 +87,7 @@ def linear_loop(
     force_n: float,
 ) -> LinearLoop:
     """Return the loop that `build_force_loop` builds, linearised at a force in N."""
-    reading = FeedbackFilm(film.model_copy(update={"noise_n": 0.0, "adc_bits": None}), tick_s)
+    reading = FilmModel(film.model_copy(update={"noise_n": 0.0, "adc_bits": None}), tick_s)
     gains = controller.model_copy(update={"dead_band": 0.0})
     stepper = actuator.stepper
     if stepper is None:
@@ -113,7 +113,7 @@ def linear_loop(
 def _linear(
     controller: StepperController | VoltageController,
     plant: Stepper | ForceModel,
-    film: FeedbackFilm,
+    film: FilmModel,
     tick_s: float,
     stiffness_n: float = 1.0,
     hz_per_output: float = 1.0,

@@ -5,10 +5,11 @@ of any contactor, a latch holds all targets at 0 N; the drives then withdraw the
 (`pulse_drives/withdrawal.py`). Each contactor's target has a force limit and a slew limit.
 """
 
+import math
 from typing import Final
 
 from display_node.control.scene import SafetyScene
-from display_node.plant.feedback import refuse_reading
+from display_node.plant.film_plausibility import FilmFault
 from protocol.ticks import LimitCounter
 
 # A reference below 0 N by less than this is rounding and noise, not a part of the pulse.
@@ -27,7 +28,8 @@ class Safety:
     alive
         Whether the stream was not stale in the last tick.
     faults
-        Latched faults, the first one first.
+        Latched faults, the first one first. A drive latches its own as well (`Supervisor`), because
+        it withdraws the tip even if the loop hangs.
     """
 
     def __init__(self, scene: SafetyScene, tick_ns: int) -> None:
@@ -85,7 +87,7 @@ class ForceBounds:
     def __init__(self, scene: SafetyScene, tick_ns: int) -> None:
         self._limit_n = scene.force_limit_n
         self._slew_n = scene.slew_limit_n_per_s * tick_ns * 1e-9
-        self._overforce_n = scene.force_limit_n * scene.overforce
+        self._overforce_n = scene.overforce_n
         self._last_n = 0.0
         # Whether a bound was in effect in the last tick.
         self._bounds = False
@@ -96,7 +98,9 @@ class ForceBounds:
         """Return the fault of a reading of the felt force in N that is implausible, or None."""
         if -self._overforce_n <= feedback_n <= self._overforce_n:
             return None
-        return refuse_reading(feedback_n, self._overforce_n)
+        if not math.isfinite(feedback_n):
+            return FilmFault.NOT_A_NUMBER.value
+        return FilmFault.OVERFORCE.format(limit=self._overforce_n)
 
     def bound(self, reference_n: list[float], gain: float) -> list[float]:
         """Return the reference within force and slew limits, in N.

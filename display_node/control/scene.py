@@ -72,3 +72,8 @@ class SafetyScene(Section):
     ramp_ns: Annotated[Nanoseconds, Field(ge=1_000_000, le=10_000_000_000)] = 300_000_000
     overforce: Annotated[float, Field(ge=1, le=10)] = 1.08
     feedback_within_ns: Annotated[Nanoseconds, Field(ge=1_000_000, le=80_000_000)] = 40_000_000
+
+    @property
+    def overforce_n(self) -> float:
+        """Felt force that is a fault."""
+        return self.force_limit_n * self.overforce

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import zmq
 
-from protocol.host.process import spans
+from protocol.host.linux import spans
 
 CPU = Path("/sys/devices/system/cpu")
 CGROUP = Path("/sys/fs/cgroup")

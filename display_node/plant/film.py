@@ -17,8 +17,8 @@ from protocol.ticks import LimitCounter
 NOISE_BLOCK = 1024
 
 
-class FeedbackFilm:
-    """A film that reads the felt force. The same seed gives the same noise.
+class FilmModel:
+    """A modelled film that reads the felt force. The same seed gives the same noise.
 
     Attributes
     ----------

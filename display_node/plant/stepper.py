@@ -1,7 +1,7 @@
 """A physical stepper: microsteps on a lead screw, pressing through rubber on a fingertip.
 
 It models the path from the step rate to the tip: screw, rotor, backlash. The rate itself, the
-paper's VCO, is `StepperScene.steps_per_m` times the commanded speed (`control/force_loop.py`).
+paper's VCO, is computed from the commanded speed by `control/force_loop.py`.
 Defaults are those of Dargahi et al. (2008), Tables 2A and 2B: 1.8° motor, 0.1 m stroke, 0.4 m/s,
 100 N.
 """

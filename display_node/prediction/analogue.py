@@ -1,10 +1,6 @@
 """Continuation of the moments most similar to the present, and a regression among them.
 
-The present's distance from each lag l, with a memory λ, is updated by
-
-    D(l) ← λ D(l) + (x(t) − x(t−l))² + w (ẋ(t) − ẋ(t−l))²,
-
-and its lowest local minima are the analogues.
+The analogues are the lowest local minima of the present's distance from each lag (`distances.py`).
 
 References
 ----------
@@ -15,33 +11,27 @@ import math
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from display_node.prediction.distances import (
+    ANALOGUES,
+    FIRST_SLOPE,
+    FORGETS,
+    LAGS,
+    MEMORIES_S,
+    NEAREST,
+    SLOPE,
+    Places,
+    Row,
+    add_distances,
+    find_analogues,
+)
 from display_node.prediction.expert import HORIZONS, SPACING, Expert, Floats
-from display_node.prediction.grid import STEP_NS
 from display_node.prediction.history import History
 from display_node.prediction.kernels import CUBE, FLOATS, PLACES, ROW, ROWS, TABLE, bounded, kernel
 from display_node.prediction.ridge import solve_ridge
 
-Row = NDArray[np.float32]
-Places = NDArray[np.int64]
-
-LAGS: Final = 8_000
-# Smallest lag. At smaller ones, the next 250 ms are not known yet, or the beat is the present one.
-NEAREST: Final = 60
-MEMORIES_S = (0.05, 0.2, 0.6)
 NAMES = (*[f"analogue {memory_s:g} s" for memory_s in MEMORIES_S], "analogue regression")
-FORGETS = np.exp(-SPACING * STEP_NS * 1e-9 / np.array(MEMORIES_S)).astype(np.float32)
-# Weight of the slope (per SPACING steps): the ratio of a pulse's power to that of its slope, so
-# that both count about equally. In the shortest memory it is more, which finds the beginning of a
-# beat sooner; in the others, more is noise.
-SLOPE: Final = 12.5
-FIRST_SLOPE: Final = 150.0
-# Analogues of each memory, and the first one of each. Of the first memory's, a mean uses the
-# nearest AVERAGED, the regression all.
-COUNTS = (40, 15, 15)
-FIRSTS = (0, 40, 55)
-ANALOGUES: Final = 70
+# Of the shortest memory's analogues, a mean uses the nearest AVERAGED, the regression all.
 LOCALS: Final = 40
 AVERAGED: Final = 15
 # Of each trajectory: its first analogue and their number, and the width of the kernel over the
@@ -60,74 +50,8 @@ SETTLED: Final = 20
 LOCAL = np.array([2, 1, 3, 4, 6, 8, 11, 14, 18, 24, 32, 40, 50, 60, 80, 100, 130, 160, 200])
 INPUTS: Final = 19
 DEEPEST: Final = 200
-# Lags that are skipped together where none of their distances is short enough.
-BLOCK: Final = 64
 # The weights of the analogues add up to 1.
 LOCAL_RIDGE: Final = 0.00003
-
-
-@kernel(f"void({ROWS}, int64, {ROW}, {ROWS}, {ROW})")
-def add_distances(rows: Row, end: int, difference: Row, distances: Row, forgets: Row) -> None:
-    """Update the distances of all lags, oldest first, for the newest value of the first channel.
-
-    difference: of the newest value from each lag's; it is replaced.
-    """
-    # Rows as views: their places count from 0, and the loop becomes one of vector instructions.
-    past, newest = rows[0, end - 1 - LAGS : end - 1], rows[0, end - 1]
-    short, middle, long = distances[0], distances[1], distances[2]
-    keep_short, keep_middle, keep_long = forgets[0], forgets[1], forgets[2]
-    slope_weight, first_weight = np.float32(SLOPE), np.float32(FIRST_SLOPE)
-    for lag in range(LAGS):
-        apart = past[lag] - newest
-        # The slopes' difference is the change of the values' difference since the last time.
-        slope = difference[lag] - apart
-        difference[lag] = apart
-        square, slope_square = apart * apart, slope * slope
-        short[lag] = short[lag] * keep_short + (square + first_weight * slope_square)
-        square += slope_weight * slope_square
-        middle[lag] = middle[lag] * keep_middle + square
-        long[lag] = long[lag] * keep_long + square
-
-
-@kernel(f"boolean({ROWS}, int64, {ROW}, {PLACES}, {ROW})")
-def find_analogues(distances: Row, first: int, forgets: Row, places: Places, nearest: Row) -> bool:
-    """Write each memory's lowest local minima from a lag on, the nearest first.
-
-    A memory with fewer minima repeats them. nearest: where to write what the memories keep of their
-    distances. Returns False if a memory has none.
-    """
-    for memory in range(len(COUNTS)):
-        begin, most = FIRSTS[memory], COUNTS[memory]
-        row = distances[memory]
-        found, limit = 0, np.float32(np.inf)
-        for block in range(first + 1, LAGS - NEAREST, BLOCK):
-            end = min(block + BLOCK, LAGS - NEAREST)
-            # A count is a loop of vector instructions; distances from the limit on are too long.
-            below = 0
-            for distance in row[block:end]:
-                below += distance < limit
-            if not below:
-                continue
-            for place in range(block, end):
-                distance = row[place]
-                if distance >= limit or distance >= row[place - 1] or distance > row[place + 1]:
-                    continue
-                found = min(found + 1, most)
-                at = begin + found - 1
-                while at > begin and nearest[at - 1] > distance:
-                    nearest[at], places[at] = nearest[at - 1], places[at - 1]
-                    at -= 1
-                nearest[at], places[at] = distance, place
-                if found == most:
-                    limit = nearest[begin + most - 1]
-        if not found:
-            return False
-        for more in range(found, most):
-            places[begin + more] = places[begin + more - found]
-            nearest[begin + more] = nearest[begin + more - found]
-        for number in range(begin, begin + most):
-            nearest[number] *= forgets[memory]
-    return True
 
 
 @kernel(f"void({ROWS}, int64, {PLACES}, {ROW}, {TABLE})")
@@ -227,6 +151,31 @@ def add_regression(made: Floats, inputs: Floats, gains: Floats, low: Floats, hig
             path[horizon] = bounded(path[horizon], low[channel, horizon], high[channel, horizon])
 
 
+@kernel(f"void({ROWS}, int64, {PLACES}, {ROW}, {TABLE}, {CUBE}, boolean, {CUBE})")
+def follow_analogues(
+    rows: Row,
+    end: int,
+    places: Places,
+    nearest: Row,
+    weights: Floats,
+    gains: Floats,
+    regresses: bool,
+    made: Floats,
+) -> None:
+    """Write weights of the analogues, their mean continuations, and their regression if it is made.
+
+    One kernel for the three: each call from Python costs as much as some hundred of its additions.
+    """
+    inputs = np.empty(INPUTS)
+    low, high = np.empty((len(rows), HORIZONS)), np.empty((len(rows), HORIZONS))
+    weigh_analogues(rows, end, places, nearest, weights)
+    continue_analogues(rows, end, places, weights, made, inputs, low, high)
+    if regresses:
+        add_regression(made, inputs, gains, low, high)
+    else:
+        made[MEANS] = made[0]
+
+
 @kernel(f"boolean({ROWS}, int64, {PLACES}, {FLOATS}, {CUBE})")
 def regress(rows: Row, end: int, places: Places, weights: Floats, gains: Floats) -> bool:
     """Regress what followed the analogues on what preceded them; return whether it succeeded.
@@ -294,9 +243,7 @@ class Analogue(Expert):
         self._places = np.zeros(ANALOGUES, np.int64)
         self._nearest = np.zeros(ANALOGUES, np.float32)
         self._weights = np.zeros((len(TRAJECTORIES), LOCALS))
-        self._inputs = np.zeros(INPUTS)
         self._gains = np.zeros((channels, INPUTS, HORIZONS))
-        self._low, self._high = np.zeros((2, channels, HORIZONS))
 
     def predict(self, history: History, made: Floats) -> None:
         """Write the analogues' mean continuations, and their regression."""
@@ -304,21 +251,8 @@ class Analogue(Expert):
             made[:] = 0.0
             return
         rows, end = history.buffer, history.end
-        weigh_analogues(rows, end, self._places, self._nearest, self._weights)
-        continue_analogues(
-            rows,
-            end,
-            self._places,
-            self._weights,
-            made,
-            self._inputs,
-            self._low,
-            self._high,
-        )
-        if self._regresses:
-            add_regression(made, self._inputs, self._gains, self._low, self._high)
-        else:
-            made[-1] = made[0]
+        places, nearest, weights = self._places, self._nearest, self._weights
+        follow_analogues(rows, end, places, nearest, weights, self._gains, self._regresses, made)
 
     def prepare(self, history: History) -> None:
         """Find the analogues of the next two steps, or make the regression for them, in turn."""

@@ -144,6 +144,7 @@ class AnnouncedPath:
         self._path, self._difference = np.zeros(HORIZONS), np.zeros((channels, HORIZONS))
         self._announced = np.zeros((channels, HORIZONS))
 
+    @np.errstate(all="ignore")
     def correct(self, history: History, ahead: Floats) -> None:
         """Correct the stack's paths, shape (channels, 25), where R waves are reliable."""
         self._path[:] = ahead[0]
@@ -157,12 +158,14 @@ class AnnouncedPath:
         if transit.reliable:
             ahead += share * self._difference
 
+    @np.errstate(all="ignore")
     def learn(self, values: NDArray[np.floating], artefact: bool = False) -> None:
         """Learn the shares from the last 26 values of the steps of learning, the newest last."""
         self._share.learn(
             values, self._path, self._difference[0], self._regression.unprecedented, artefact
         )
 
+    @np.errstate(all="ignore")
     def prepare(self, history: History) -> None:
         """Prepare the announced path of the next steps; call it at every second step."""
         self._regression.prepare(history)

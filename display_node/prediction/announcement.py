@@ -5,7 +5,7 @@ from dataclasses import replace
 from display_node.prediction import Predictor
 from display_node.prediction.grid import STEP_NS
 from display_node.prediction.r_waves import RWaveDetector
-from protocol.summary.tables import AnnounceFigures
+from protocol.summary.fields import AnnounceFigures
 from protocol.wire.messages import ChannelSamples
 
 STEP_MS = STEP_NS * 1e-6

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from display_node.prediction.expert import HORIZONS, SPACING, Floats
 from display_node.prediction.grid import STEP_NS, Grid
-from display_node.prediction.kernels import FLOATS, ROWS, TABLE, bounded, kernel
+from display_node.prediction.kernels import ROWS, TABLE, bounded, kernel
 from display_node.prediction.r_waves import RWaveTime
 from display_node.prediction.transit import TransitTime
 
@@ -19,22 +19,34 @@ SPACING_NS = SPACING * STEP_NS
 POINTS: Final = HORIZONS + 2
 
 
-@kernel(f"void({ROWS}, int64, {TABLE}, {FLOATS}, {FLOATS}, {TABLE})")
+@kernel(f"boolean({ROWS}, int64, {TABLE}, {TABLE}, {TABLE}, {TABLE})")
 def bound_paths(
-    rows: NDArray[np.float32], end: int, ahead: Floats, low: Floats, high: Floats, points: Floats
-) -> None:
-    """Write the points of each channel's path, of which those ahead are kept within bounds.
+    rows: NDArray[np.float32],
+    end: int,
+    ahead: Floats,
+    ranges: Floats,
+    scales: Floats,
+    points: Floats,
+) -> bool:
+    """Write the points of each channel's path in N; return whether all of them are finite.
 
-    The bounds are low and high, or twice the last change from the newest value.
+    Those ahead are kept within bounds: the range of recent values, or twice the last change from
+    the newest one. ranges: low and high of each channel. scales: level and scale of each.
     """
+    finite = True
     for channel in range(len(rows)):
         row = points[channel]
         row[0], row[1] = rows[channel, end - 1 - SPACING], rows[channel, end - 1]
         change = 2.0 * abs(row[1] - row[0])
-        least, most = min(low[channel], row[1] - change), max(high[channel], row[1] + change)
+        least = min(ranges[0, channel], row[1] - change)
+        most = max(ranges[1, channel], row[1] + change)
         for horizon in range(HORIZONS):
-            # A value that is no number is refused when the path is published.
             row[horizon + 2] = bounded(ahead[channel, horizon], least, most)
+        level, scale = scales[0, channel], scales[1, channel]
+        for point in range(POINTS):
+            row[point] = level + scale * row[point]
+            finite &= math.isfinite(row[point])
+    return finite
 
 
 class ChannelPath:
@@ -99,13 +111,9 @@ class ChannelPath:
         # A value that is no number becomes the limit, too.
         return max(-LARGEST, min(LARGEST, (value - self.level) / self.scale))
 
-    def publish(self, points: Floats, middle_ns: int) -> bool:
-        """Store a path from its normalised points; return whether all of it is finite."""
-        path = (self.level + self.scale * points).tolist()
-        if not all(map(math.isfinite, path)):
-            return False
+    def publish(self, path: list[float], middle_ns: int) -> None:
+        """Store the points of a path in N; middle_ns: middle of the newest cell."""
         self._path, self._middle_ns = path, middle_ns
-        return True
 
 
 def between(path: list[float], position: float) -> float:
@@ -113,11 +121,17 @@ def between(path: list[float], position: float) -> float:
 
     path: points a step apart, the second at position 0. Beyond the path, its end values are held.
     """
+    # Comparisons, and no calls of `min` and `max`: this runs each tick, before its command.
     last = len(path) - 2
-    position = min(max(position, 0.0), last)
-    whole = min(int(position), last - 1)
+    if position < 0.0:
+        position = 0.0
+    elif position > last:
+        position = last
+    whole = int(position)
+    if whole == last:
+        whole -= 1
     u = position - whole
     before, start, end = path[whole], path[whole + 1], path[whole + 2]
-    after = path[min(whole + 3, last + 1)]
+    after = path[whole + 3] if whole < last - 1 else end
     bend = 2 * before - 5 * start + 4 * end - after
     return start + 0.5 * u * (end - before + u * (bend + u * (3 * (start - end) + after - before)))

@@ -49,6 +49,7 @@ class Ensemble(ChannelPath):
     def __init__(self, kind: str, channels: int = 1) -> None:
         self._kind = kind
         self.others = [ChannelPath() for _ in range(channels - 1)]
+        self._paths = (self, *self.others)
         self._r_waves: list[RWaveTime] = []
         super().__init__()
         self.names = (*(name for expert in self._experts for name in expert.names), "stack")
@@ -82,7 +83,8 @@ class Ensemble(ChannelPath):
         self._parts = np.split(self._trajectories, ends[:-1])
         self._ahead = np.zeros((channels, HORIZONS))
         self._points = np.zeros((channels, POINTS))
-        self._low, self._high = np.zeros((2, channels))
+        # Of each channel: low and high of its recent values; its level and scale.
+        self._ranges, self._scales = np.zeros((2, channels)), np.zeros((2, channels))
 
     @property
     def transit(self) -> TransitTime | None:
@@ -96,12 +98,9 @@ class Ensemble(ChannelPath):
     def work(self) -> bool:
         """Do one piece of the waiting work; return whether there was any."""
         pieces, fresh = self._pieces, self.grid.new_cells
-        if not pieces.waiting:
-            if not fresh:
-                return False
+        if fresh and not pieces.waiting:
             pieces.begin(self._step(fresh.popleft()))
-        with np.errstate(all="ignore"):
-            return pieces.do_one()
+        return pieces.do_one()
 
     def predict_each(self, sampled_ns: int) -> list[float]:
         """Return the prediction of each of `names`, for studies."""
@@ -120,12 +119,13 @@ class Ensemble(ChannelPath):
             self._settle(cell, beside)
             return
         history = self._history
-        self._push(cell.value, beside)
-        history.ahead[:] = self.normalised(cell.ends), self.normalised(cell.continues)
+        self._push(cell.value, beside, self.normalised(cell.ends), self.normalised(cell.continues))
         self._artefacts.observe(history)
         self._number = cell.number
         # Cells that late samples corrected replace the interpolated ones.
-        for channel, path in enumerate((self, *self.others)):
+        for channel, path in enumerate(self._paths):
+            if not path.grid.corrections:
+                continue
             for late in path.grid.corrections:
                 age = self._number - late.number
                 history.rewrite(age, path.normalised(late.value), channel)
@@ -136,12 +136,12 @@ class Ensemble(ChannelPath):
         yield
         artefact = self._artefacts.present
         if history.count % SPACING == 0:
-            self._errors.add(history.newest_of_each(), self._ahead)
+            self._errors.add(history.newest_of_each, self._ahead)
             if self._announced:
                 values = history.last(FURTHEST + 1)[::SPACING].astype(np.float64)
                 self._announced.learn(values, artefact)
             self._judge()
-            history.ranges(self._low, self._high)
+            history.ranges(self._ranges)
             yield
         elif self._announced:
             self._announced.prepare(history)
@@ -186,19 +186,20 @@ class Ensemble(ChannelPath):
             steps = round(JUDGED_BEATS / SPACING * interval)
             steps = min(max(steps, FEWEST_JUDGED), MOST_JUDGED)
         means = self._errors.mean_squares(steps)
-        for path, squares in zip((self, *self.others), means, strict=True):
+        for path, squares in zip(self._paths, means, strict=True):
             path.squares_n2 = (path.scale**2 * squares).tolist()
 
+    @np.errstate(all="ignore")
     def _settle(self, cell: GridCell, beside: list[float]) -> None:
         """Collect the warm-up; at its end, compute level and size and fill the history."""
-        for path, value in zip((self, *self.others), (cell.value, *beside), strict=True):
+        for path, value in zip(self._paths, (cell.value, *beside), strict=True):
             path.warm_up.append(value)
         seen = self.warm_up
         if len(seen) < WARM_UP:
             return
         level, scale = float(np.mean(seen)), float(np.std(seen))
         if not 0 < scale < np.inf:
-            for path in (self, *self.others):
+            for path in self._paths:
                 del path.warm_up[0]
             return
         self.level, self.scale = level, scale
@@ -209,24 +210,29 @@ class Ensemble(ChannelPath):
         for value, *rest in zip(seen, *(other.warm_up for other in self.others), strict=True):
             self._push(value, rest)
         self._number = cell.number
-        self._history.ranges(self._low, self._high)
+        self._scales[:] = [path.level for path in self._paths], [path.scale for path in self._paths]
+        self._history.ranges(self._ranges)
 
-    def _push(self, value: float, beside: list[float]) -> None:
-        others = (path.normalised(x) for path, x in zip(self.others, beside, strict=True))
-        self._history.push(self.normalised(value), *others)
-        before, _, newest = self._history.last(3).tolist()
-        self._rhythm.push(newest - before)
+    def _push(
+        self, value: float, beside: list[float], ends: float | None = None, continues: float = 0.0
+    ) -> None:
+        others = [path.normalised(x) for path, x in zip(self.others, beside, strict=True)]
+        history = self._history
+        history.push(self.normalised(value), *others, ends=ends, continues=continues)
+        self._rhythm.push(history.change(SPACING))
 
     def _publish(self, cell: GridCell) -> None:
         """Store the stack's path in N, within bounds; start again if it is not finite."""
         history, ahead, points = self._history, self._ahead, self._points
         for expert, made in zip(self._experts, self._parts, strict=True):
             expert.predict(history, made)
-        self._stack.predict(history.newest_of_each(), self._trajectories, ahead)
+        self._stack.predict(history.newest_of_each, self._trajectories, ahead)
         if self._announced:
             self._announced.correct(history, ahead)
-        bound_paths(history.buffer, history.end, ahead, self._low, self._high, points)
-        middle_ns = cell.end_ns - STEP_NS // 2
-        channels = zip((self, *self.others), points, strict=True)
-        if not all(path.publish(row, middle_ns) for path, row in channels):
+        ranges, scales = self._ranges, self._scales
+        if not bound_paths(history.buffer, history.end, ahead, ranges, scales, points):
             self.begin()
+            return
+        middle_ns = cell.end_ns - STEP_NS // 2
+        for path, row in zip(self._paths, points.tolist(), strict=True):
+            path.publish(row, middle_ns)

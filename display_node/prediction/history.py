@@ -5,7 +5,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from display_node.prediction.kernels import FLOATS, ROWS, kernel
+from display_node.prediction.kernels import ROWS, TABLE, kernel
 
 Floats = NDArray[np.float64]
 # Recent values are those of the last 5 s; their range is widened on both sides by this share of it.
@@ -15,9 +15,9 @@ MARGIN: Final = 0.25
 NEVER: Final = -(1 << 62)
 
 
-@kernel(f"void({ROWS}, int64, int64, {FLOATS}, {FLOATS})")
-def find_ranges(rows: NDArray[np.float32], end: int, count: int, low: Floats, high: Floats) -> None:
-    """Write the widened range of the newest `count` values of each channel."""
+@kernel(f"void({ROWS}, int64, int64, {TABLE})")
+def find_ranges(rows: NDArray[np.float32], end: int, count: int, ranges: Floats) -> None:
+    """Write the widened range of the newest `count` values of each channel, shape (2, channels)."""
     for channel in range(len(rows)):
         least = most = rows[channel, end - 1]
         for at in range(end - count, end):
@@ -25,21 +25,16 @@ def find_ranges(rows: NDArray[np.float32], end: int, count: int, low: Floats, hi
             least = min(value, least)
             most = max(value, most)
         margin = MARGIN * (float(most) - float(least))
-        low[channel], high[channel] = least - margin, most + margin
-
-
-@kernel(f"void({ROWS}, int64, {FLOATS})")
-def copy_newest(rows: NDArray[np.float32], end: int, newest: Floats) -> None:
-    """Write the newest value of each channel."""
-    for channel in range(len(rows)):
-        newest[channel] = rows[channel, end - 1]
+        ranges[0, channel], ranges[1, channel] = least - margin, most + margin
 
 
 class History:
     """The last `capacity` values of a channel, and of others beside it, in single precision.
 
     They are filled with zeros at the start. buffer, end: for the kernels, a row for each channel
-    whose newest value is before `end`.
+    whose newest value is before `end`. newest_of_each: newest value of each channel, in single
+    precision. ahead: the signal of the first channel at the end of the newest cell, and a cell
+    later.
     """
 
     def __init__(self, capacity: int, channels: int = 1) -> None:
@@ -49,39 +44,47 @@ class History:
         self._values = self.buffer[0]
         self.end = capacity
         self.channels = channels
-        # The signal of the first channel at the end of the newest cell, and a cell later.
         self.ahead = np.zeros(2)
         self.count = 0
-        # Newest value of each channel.
-        self._newest = np.zeros(channels)
+        self.newest_of_each = np.zeros(channels)
 
     @property
     def newest(self) -> float:
         """The newest value."""
-        return float(self._values[self.end - 1])
+        return self.newest_of_each.item(0)
 
-    def push(self, value: float, *others: float) -> None:
-        """Append a value of each channel."""
-        values, capacity = self._values, self._capacity
-        if self.end == len(values):
+    def push(
+        self, value: float, *others: float, ends: float | None = None, continues: float = 0.0
+    ) -> None:
+        """Append a value of each channel.
+
+        ends, continues: new values of `ahead`; None holds the first channel's value.
+        """
+        values, end, capacity = self._values, self.end, self._capacity
+        if end == len(values):
             self.buffer[:, :capacity] = self.buffer[:, -capacity:]
-            self.end = capacity
-        values[self.end] = value
+            end = capacity
+        values[end] = value
+        self.newest_of_each[0] = values[end]
         for channel, other in enumerate(others, start=1):
-            self.buffer[channel, self.end] = other
-        self.end += 1
+            self.buffer[channel, end] = other
+            self.newest_of_each[channel] = self.buffer[channel, end]
+        self.end = end + 1
         self.count += 1
-        self.ahead[:] = value
+        ahead = self.ahead
+        ahead[0], ahead[1] = (value, value) if ends is None else (ends, continues)
 
-    def newest_of_each(self) -> Floats:
-        """Return the newest value of each channel, shape (channels,), valid until the next call."""
-        copy_newest(self.buffer, self.end, self._newest)
-        return self._newest
+    def change(self, steps: int) -> float:
+        """Return the first channel's change over the last steps."""
+        values, newest = self._values, self.end - 1
+        change: float = values.item(newest) - values.item(newest - steps)
+        return change
 
     def rewrite(self, age: int, value: float, channel: int = 0) -> None:
         """Replace the value `age` steps before the newest; do nothing where it is too old."""
         if age < min(self.count, self._capacity):
             self.buffer[channel, self.end - 1 - age] = value
+            self.newest_of_each[channel] = self.buffer[channel, self.end - 1]
 
     def place_of(self, count: int) -> int:
         """Return the place in `buffer` of the value that was the newest at a count.
@@ -91,6 +94,7 @@ class History:
         age = self.count - count
         return self.end - 1 - age if age < self._capacity else -1
 
+    @np.errstate(all="ignore")
     def bounds(self, count: int, skipped: int) -> tuple[float, float]:
         """Return the widened range of the newest `count` values without the last `skipped` ones."""
         recent = self.last(min(count, self.count))[:-skipped]
@@ -98,9 +102,9 @@ class History:
         margin = MARGIN * (high - low)
         return low - margin, high + margin
 
-    def ranges(self, low: Floats, high: Floats) -> None:
-        """Write the widened range of each channel's recent values, both of shape (channels,)."""
-        find_ranges(self.buffer, self.end, min(RECENT, self.count), low, high)
+    def ranges(self, ranges: Floats) -> None:
+        """Write the widened range of each channel's recent values, low and high."""
+        find_ranges(self.buffer, self.end, min(RECENT, self.count), ranges)
 
     def last(self, count: int) -> NDArray[np.float32]:
         """Return a view of the newest `count` values (at most `capacity`), valid until a push."""

@@ -1,5 +1,6 @@
 """Combination of trajectories by least squares, and the errors of the paths that it makes."""
 
+import math
 from typing import Final
 
 import numpy as np
@@ -171,6 +172,18 @@ def add_errors(paths: Floats, sums: Floats, steps: int, newest: Floats, made: Fl
         paths[channel, steps % HORIZONS] = made[channel]
 
 
+@kernel(f"void({CUBE}, int64, int64, {TABLE})")
+def average_errors(sums: Floats, count: int, steps: int, means: Floats) -> None:
+    """Write the mean squared errors of the last steps, of `count` so far, as `mean_squares`."""
+    newest, before = count % ERRORS, (count - steps) % ERRORS
+    for channel in range(len(sums)):
+        for horizon in range(HORIZONS):
+            total = sums[channel, newest, horizon] - sums[channel, before, horizon]
+            # The nearest horizons were the first to be predicted.
+            known = horizon < count - steps
+            means[channel, horizon] = max(total, 0.0) / steps if known else math.inf
+
+
 class PathErrors:
     """Squared errors of the last paths of each channel, once their values have come."""
 
@@ -192,9 +205,6 @@ class PathErrors:
         It has the shape (channels, horizons), and is infinite at horizons at which fewer values
         have been predicted.
         """
-        newest, before = self._steps % ERRORS, (self._steps - steps) % ERRORS
-        means: Floats = np.maximum(self._sums[:, newest] - self._sums[:, before], 0.0)
-        means /= steps
-        # The nearest horizons were the first to be predicted.
-        means[:, max(self._steps - steps, 0) :] = np.inf
+        means = np.empty((len(self._sums), HORIZONS))
+        average_errors(self._sums, self._steps, steps, means)
         return means

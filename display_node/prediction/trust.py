@@ -108,7 +108,8 @@ class Trust:
         if not error_shares:
             self._rise_to = self._fall_to = most
         else:
-            squares = [min(share, WORST**2) for share in error_shares]
+            worst = WORST**2
+            squares = [worst if share > worst else share for share in error_shares]
             self._rise_to = self._least(self._rise_to, most, squares, RISE_ABOVE)
             self._fall_to = self._least(self._fall_to, most, squares, FALL_BELOW)
         self._ages = [age * KEPT for age in self._ages]

@@ -12,7 +12,7 @@ from display_node.press.finger_press import FingerPress
 from display_node.press.scene import PressScene, SyntheticFingerScene
 from display_node.press.sweep import DepthSweep
 from display_node.scoring.beats import Beat
-from protocol.summary.tables import PressFigures
+from protocol.summary.fields import PressFigures
 from protocol.wire.messages import ChannelSamples, ProbeReport, SetPoint
 from pulse_sensors.sensor import Sensor
 

@@ -3,7 +3,7 @@
 from typing import Final
 
 from protocol.errors import WireError
-from protocol.summary.tables import SetPointCounts
+from protocol.summary.fields import SetPointCounts
 from protocol.wire.messages import ProbeReport, SetPoint
 
 PERIOD_NS: Final = 20_000_000

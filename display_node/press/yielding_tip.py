@@ -8,7 +8,9 @@ hand. Here the loop renders the pulse around the press, and the drive's position
 import math
 from typing import Final
 
+from display_node.hardware import Hardware
 from display_node.plant.contact import ContactLaw
+from display_node.press.local_press import LocalPress
 
 # Film and press sensor differ in zero and gain: their difference is forgotten over this time.
 FORGET_S: Final = 0.5
@@ -27,6 +29,8 @@ class YieldingTip:
 
     Parameters
     ----------
+    press
+        The finger's press, with the model of the tissue.
     law
         Contact of tip and finger.
     room_m
@@ -36,77 +40,52 @@ class YieldingTip:
 
     Attributes
     ----------
-    origin_m
-        Position at which the tip would touch the finger now, at most 0.
-    speed_m_per_s
-        Speed to add to that of the force loop.
+    rendered_n
+        The pulse: the loop's target without the part that belongs to the press.
     """
 
-    def __init__(self, law: ContactLaw, room_m: float, tick_s: float) -> None:
-        self._law, self._tick_s = law, tick_s
+    def __init__(self, press: LocalPress, law: ContactLaw, room_m: float, tick_s: float) -> None:
+        self._press, self._law, self._tick_s = press, law, tick_s
         self._room_m = max(0.0, room_m - SPARE_M)
         self._difference_n = math.nan
         # Place of the contact as the force loop has it.
         self._place_m = 0.0
-        self.origin_m = self.speed_m_per_s = 0.0
+        self._gain = self.rendered_n = 0.0
 
-    def reading_n(
-        self,
-        felt_n: float,
-        static_n: float,
-        wanted_static_n: float,
-        rendered_n: float,
-        still: bool,
-    ) -> float:
-        """Return the reading for the force loop: the pulse at the film on the wanted press.
+    def felt_n(self, film_n: float) -> float:
+        """Return the felt force for the film's reading, which may lack the press."""
+        return film_n + self._press.unseen_n
 
-        Parameters
-        ----------
-        felt_n
-            Felt force.
-        static_n, wanted_static_n
-            The finger's press, and the part of the loop's target that belongs to it.
-        rendered_n
-            The rest of the target.
-        still
-            Whether the press is constant.
-        """
+    def reading_n(self, felt_n: float) -> float:
+        """Return the reading for the force loop: the pulse at the film on the wanted press."""
+        static_n = self._press.static_n
         apart_n = felt_n - static_n
         if not math.isfinite(apart_n):
             return felt_n
-        difference_n = apart_n - rendered_n
+        difference_n = apart_n - self.rendered_n
         if math.isnan(self._difference_n):
             self._difference_n = difference_n
-        part = -math.expm1(-self._tick_s / (FORGET_S if still else MOVING_S))
+        part = -math.expm1(-self._tick_s / (FORGET_S if self._press.still else MOVING_S))
         self._difference_n += (difference_n - self._difference_n) * part
-        return wanted_static_n + apart_n - self._difference_n
+        return self._gain * static_n + apart_n - self._difference_n
 
-    def follow(
-        self,
-        static_n: float,
-        wanted_static_n: float,
-        wanted_n: float,
-        yielded_m: float,
-        position_m: float,
-    ) -> None:
-        """Advance by a tick, and compute place and speed.
+    def follow(self, target_n: float, gain: float, hardware: Hardware) -> float:
+        """Advance by a tick, and move the contact's origin in the bench with the finger.
 
-        Parameters
-        ----------
-        static_n, wanted_static_n, wanted_n
-            The finger's press, its part of the loop's target, and the target.
-        yielded_m
-            Depth by which the model of the tissue yields.
-        position_m
-            Position of the drive from first touch.
+        target_n: target of the force loop. gain: factor of the press in it. Returns the speed in
+        m/s to add to that of the force loop.
         """
-        law, dented_m = self._law, self._law.position(static_n)
-        yielded_m = min(yielded_m, max(0.0, self._room_m - dented_m))
-        self.origin_m = -dented_m - yielded_m
+        law, press, static_n = self._law, self._press, self._press.static_n
+        wanted_static_n = gain * static_n
+        self._gain, self.rendered_n = gain, target_n - wanted_static_n
+        dented_m = law.position(static_n)
+        yielded_m = min(press.yielded_m, max(0.0, self._room_m - dented_m))
         most_m = MOST_M_PER_S * self._tick_s
         step_m = -law.position(wanted_static_n) - yielded_m - self._place_m
         step_m = min(max(step_m, -most_m), most_m)
         self._place_m += step_m
-        off_m = law.position(wanted_n) + self._place_m - position_m
+        off_m = law.position(target_n) + self._place_m - hardware.position_m
+        # The position at which the tip would touch the finger now.
+        hardware.place_finger(-dented_m - yielded_m, press.unseen_n)
         speed_m_per_s = step_m / self._tick_s + RETURN_PER_S * off_m
-        self.speed_m_per_s = min(max(speed_m_per_s, -MOST_M_PER_S), MOST_M_PER_S)
+        return min(max(speed_m_per_s, -MOST_M_PER_S), MOST_M_PER_S)

@@ -15,7 +15,7 @@ from display_node.reception.turns import ControlTurns
 from protocol import sockets
 from protocol.security.link_keys import ClientKeys
 from protocol.security.socket_monitor import HandshakeMonitor
-from protocol.summary.tables import DataConnections, Reconnections
+from protocol.summary.fields import DataConnections, Reconnections
 from protocol.wire.messages import ClockRequest, ControlMessage, SetPoint
 
 logger = logging.getLogger(__name__)
@@ -171,6 +171,11 @@ class Connection:
             )
             for route in self.routes
         )
+
+    @property
+    def refused(self) -> str | None:
+        """Cause for which the last connection was refused; None after one that was not."""
+        return self._handshakes.refused
 
     def close(self) -> None:
         """Withdraw what was requested beside ZeroMQ's sockets."""

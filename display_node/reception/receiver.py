@@ -10,11 +10,11 @@ from dataclasses import replace
 from typing import Final
 
 from display_node.reception.jitter_buffer import JitterBuffer, SampleAccount
-from display_node.reception.playout import JUMP_NS, DelayEstimator
+from display_node.reception.link_delay import JUMP_NS, DelayEstimator
 from protocol.clock.estimator import READY_AFTER, ClockEstimator, ClockExchange
 from protocol.errors import VersionError, WireError
 from protocol.histogram import Histogram
-from protocol.summary.tables import Clock, FrameCounts, OneWayDelay, Summary
+from protocol.summary.fields import Clock, FrameCounts, OneWayDelay, Summary
 from protocol.wire import messages as wire
 from protocol.wire.description import StreamDescription
 
@@ -48,8 +48,13 @@ class Receiver:
 
     Attributes
     ----------
+    session, description
+        Those of the present session; None before its welcome.
     channels
-        Their numbers in the present stream; empty before its description is known.
+        The numbers of the buffered channels in its stream; empty before.
+    clock, buffer, link_delay
+        Its sensing clock, its samples, and the delay that its link requires. Each session begins
+        them anew, a jump of the clock the last two: read them here, and keep none of them.
     paths
         Greatest number of connections so far that deliver frames. With more than one, a repeated
         frame counts as a copy and not as refused.
@@ -66,6 +71,8 @@ class Receiver:
         Description of the first refused message of another version, or "".
     ready
         True when playing can start: the stream, its clock and its usual delay are known.
+    frame
+        The newest frame that was accepted; None before any.
     announcement
         Samples of the newest frame's channel that announces the beats; None without such a channel.
     one_way_delay_ms
@@ -79,6 +86,7 @@ class Receiver:
         self._wanted, self._late_target = channels, late_target
         self.channels: list[int] = []
         self._announcing: int | None = None
+        self.frame: wire.FlatFrame | None = None
         self.announcement: wire.ChannelSamples | None = None
         self._closed = SampleAccount()
         self._closed_accounts: list[SampleAccount] = []
@@ -100,14 +108,14 @@ class Receiver:
         self.ready = False
         self.description: StreamDescription | None = None
         self.clock = ClockEstimator()
-        self.delay = DelayEstimator(late_target)
+        self.link_delay = DelayEstimator(late_target)
         self.buffer = JitterBuffer()
         self._last_bye: wire.Bye | None = None
 
     def on_frame(self, data: bytes, now_ns: int) -> list[wire.ChannelSamples] | None:
         """Take a data message; return the samples of each channel if it is new and valid."""
         try:
-            return self._accept(wire.unpack_frame(data), now_ns)
+            return self._accept(wire.decode_flat_frame(data), now_ns)
         except WireError as error:
             self._quiet_until_ns = 0
             if error.cause == "duplicate" and self.paths > 1:
@@ -147,7 +155,7 @@ class Receiver:
         With a small perceived delay the newest sample is older than `sampled_ns` even when it is on
         time. So the age of the newest sample counts only from the link's delay on.
         """
-        newest_ns, delay_ns = self.buffer.newest_ns, self.delay.delay_ns
+        newest_ns, delay_ns = self.buffer.newest_ns, self.link_delay.delay_ns
         if newest_ns is None or delay_ns is None:
             return False
         return min(sampled_ns, sensing_now_ns - delay_ns) <= newest_ns + stale_after_ns
@@ -224,52 +232,56 @@ class Receiver:
         )
 
     def over(self, now_ns: int, playout_delay_ns: int) -> bool:
-        """Return whether no more samples of a session that has ended are awaited."""
+        """Return whether the session has ended, and no more samples of it are awaited."""
+        if not self.buffer.ended:
+            return False
         end_ns = self.buffer.end_ns
         if end_ns is None:
             return True
         grace_ns = GRACE_NS if self.buffer.complete else LAST_GRACE_NS
         return self.clock.remote_ns(now_ns) > end_ns + playout_delay_ns + grace_ns
 
-    def _accept(self, frame: wire.PackedFrame, now_ns: int) -> list[wire.ChannelSamples]:
+    def _accept(self, frame: wire.FlatFrame, now_ns: int) -> list[wire.ChannelSamples]:
         """Check a frame against its session and put it into the buffer. Raises WireError."""
         description = self.description
         if description is None:
             raise WireError("before_welcome", "a frame before the stream's description")
-        session, first_sample, t_first_ns, period_ns, channels, width, _, numbers = frame
+        session, first_sample, times_ns, period_ns, channel_count, width, _, forces_n = frame
         if session != self.session:
             self._hello_due = True
             raise WireError("session", "a frame of another session")
         if (
-            channels != len(description.channels)
-            or len(numbers) > description.batch * channels
+            channel_count != len(description.channels)
+            or len(forces_n) > description.batch * channel_count
             or width != description.bytes_per_sample
             or not description.period_ns <= 2 * period_ns <= 4 * description.period_ns
         ):
             raise WireError("mismatch", "a frame does not match the stream's description")
-        last_ns = t_first_ns + (len(numbers) // channels - 1) * period_ns
         if not self.clock.ready:
             raise WireError("before_clock", "a frame before the sensing clock is known")
+        last_ns = times_ns[-1]
         sensing_now_ns = self.clock.remote_ns(now_ns)
         if not -OLDEST_NS < last_ns - sensing_now_ns < FUTURE_NS:
             raise WireError("timestamp", "a frame's time is not near the present")
-        times_ns = list(range(t_first_ns, last_ns + 1, period_ns))
-        self.buffer.put(first_sample, period_ns, times_ns, numbers)
+        columns = []
+        for channel in self.channels:
+            columns.append(list(forces_n[channel::channel_count]))
+        self.buffer.put(first_sample, period_ns, times_ns, columns)
         # What follows does not delay the samples.
+        self.frame = frame
         samples = [
-            wire.ChannelSamples(first_sample, period_ns, times_ns, list(numbers[number::channels]))
-            for number in self.channels
+            wire.ChannelSamples(first_sample, period_ns, times_ns, column) for column in columns
         ]
         if self._announcing is not None:
-            announced = list(numbers[self._announcing :: channels])
+            announced = list(forces_n[self._announcing :: channel_count])
             self.announcement = samples[0]._replace(forces_n=announced)
         if self._last_bye is not None:
             # The answer to it may have waited for this frame.
             self._quiet_until_ns = 0
         self._received_ns = now_ns
         self.clock.add_one_way(last_ns, now_ns)
-        self.delay.observe(sensing_now_ns - t_first_ns, now_ns)
-        self.ready = self.ready or self.delay.settled
+        self.link_delay.observe(sensing_now_ns - times_ns[0], now_ns)
+        self.ready = self.ready or self.link_delay.settled
         self.one_way_delay_ms.add((sensing_now_ns - last_ns) * 1e-6)
         return samples
 
@@ -282,7 +294,7 @@ class Receiver:
                     self.channels = [description.find_force(name) for name in wanted]
                     self._announcing, self.announcement = description.announcing, None
                     # Samples, times and clock of two sessions are unrelated.
-                    self._restart(JitterBuffer(self.channels, len(description.channels)))
+                    self._restart(JitterBuffer(len(self.channels)))
                     self.session, self.description = session, description
                     self.sessions += 1
                     self._clock_requests = self._next_clock_ns = 0
@@ -328,6 +340,6 @@ class Receiver:
     def _restart(self, buffer: JitterBuffer) -> None:
         self._closed, self._closed_accounts = self.account(), self.accounts()
         buffer.frames, buffer.reordered = self.frames
-        self.buffer, self.delay = buffer, DelayEstimator(self._late_target)
+        self.buffer, self.link_delay = buffer, DelayEstimator(self._late_target)
         self.resets += 1
         self.ready = False

@@ -12,7 +12,7 @@ from display_node.scoring.beat_quality import GOOD
 from display_node.scoring.beats import Beat, BeatAnalysis
 from display_node.scoring.rises import LONGEST
 from display_node.scoring.step_means import STEP_S
-from protocol.summary.tables import BeatFigures
+from protocol.summary.fields import BeatFigures
 from protocol.wire.messages import ChannelSamples
 
 # Medians are over the good beats of this time.
@@ -84,8 +84,11 @@ class BeatStatistics:
         while good[0].onset_ns < beat.onset_ns - MINUTE_NS:
             good.popleft()
 
-    def figures(self) -> BeatFigures:
-        """Return the figures so far."""
+    def figures(self, force_ratio: float | None = None) -> BeatFigures:
+        """Return the figures so far.
+
+        force_ratio: force at the finger per force at the wrist; None where it is not constant.
+        """
         if self._ended_ns is None:
             return BeatFigures()
         without = self._newest_ns - self._ended_ns > WITHOUT_NS
@@ -106,11 +109,13 @@ class BeatStatistics:
         rate_per_min = 60 / float(np.median(intervals_s))
         notches_ns = [b.notch_ns - b.onset_ns for b in good if b.notch_ns is not None]
         has_notch = 2 * len(notches_ns) > len(good)
+        height_n = statistics.median(beat.height_n for beat in good)
         return replace(
             found,
             rate_per_min=rate_per_min,
             variability_ms=float(intervals_s.std()) * 1e3,
-            height_n=statistics.median(beat.height_n for beat in good),
+            height_n=height_n,
+            height_at_finger_n=None if force_ratio is None else force_ratio * height_n,
             upstroke_ms=statistics.median(beat.upstroke_s for beat in good) * 1e3,
             notch_ms=statistics.median(notches_ns) * 1e-6 if has_notch else None,
             alarm=found.alarm or rate_per_min > TOLERATED_PER_MIN,

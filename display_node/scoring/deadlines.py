@@ -4,7 +4,7 @@ from collections import deque
 from collections.abc import Mapping
 from typing import Any
 
-from protocol.summary.tables import Deadlines
+from protocol.summary.fields import Deadlines
 
 WINDOW_NS = 5_000_000_000
 # Above this share of the window's ticks the alarm begins; it ends below half of it.

@@ -5,7 +5,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from protocol.summary.tables import ErrorWindow
+from protocol.summary.fields import AlignedErrors, ErrorWindow
 
 # The first windows are of a second, while clock, buffer and predictor settle. Each further one is
 # as long as all before it.
@@ -50,6 +50,22 @@ class ErrorWindowCounter:
         self._sums[window][:, 0] += np.where(known, values, 0.0).cumsum(axis=1)[:, -1]
         self._sums[window][:, 1] += known.sum(axis=1)
 
+    @property
+    def judged_ticks(self) -> int:
+        """Number of ticks whose aligned error is known."""
+        return int(self._total[1, 1])
+
+    @property
+    def force_rmse_n(self) -> AlignedErrors:
+        """RMSE over all windows, in N."""
+        _, *errors = self._total.tolist()
+        return AlignedErrors(*(_root(total, count) for total, count in errors))
+
+    @property
+    def _total(self) -> NDArray[np.float64]:
+        """Sums and numbers of ticks, over all windows."""
+        return np.asarray(np.sum([np.zeros((3, 2)), *self._sums], axis=0))
+
     def windows(self) -> list[ErrorWindow]:
         """Return the windows in which ticks were added."""
         found = []
@@ -58,9 +74,13 @@ class ErrorWindowCounter:
             if ticks:
                 to_s = min(_window_begins_s(number + 1), self._last_s)
                 delay_ms = delay_ns / ticks * 1e-6
-                rms_n = (math.sqrt(total / count) if count else None for total, count in errors)
-                found.append(ErrorWindow(_window_begins_s(number), to_s, delay_ms, *rms_n))
+                rmse_n = (_root(total, count) for total, count in errors)
+                found.append(ErrorWindow(_window_begins_s(number), to_s, delay_ms, *rmse_n))
         return found
+
+
+def _root(total: float, count: float) -> float | None:
+    return math.sqrt(total / count) if count else None
 
 
 def _window_at(since_s: float) -> int:

@@ -3,7 +3,7 @@
 import numpy as np
 
 from protocol.histogram import Histogram
-from protocol.summary.tables import Compensation, PlayoutDelay
+from protocol.summary.fields import Compensation, PlayoutDelay
 from protocol.ticks import TickBlock
 
 
@@ -18,16 +18,17 @@ class PlayedDelays:
 
     def add(self, block: TickBlock) -> None:
         """Add the ticks of a block."""
-        _, instant_ns, _, trusted, sensing_ns, predicted_ns, *_ = block.columns
-        played = predicted_ns >= 0
-        delay_ns, predicted_ns = (sensing_ns - instant_ns)[played], predicted_ns[played]
+        ticks = block.columns
+        played = ticks.predicted_ns >= 0
+        delay_ns = (ticks.sensing_now_ns - ticks.instant_ns)[played]
+        predicted_ns = ticks.predicted_ns[played]
         self.ticks += len(delay_ns)
-        self._playout_delay_ms.add_all(delay_ns * 1e-6)
+        self._playout_delay_ms.add_all(np.multiply(delay_ns, 1e-6))
         ahead_ns = int(predicted_ns.sum())
         self._covered_ns += int(delay_ns.sum()) + ahead_ns
         self._predicted += int(np.count_nonzero(predicted_ns))
         self._predicted_ns += ahead_ns
-        self._trusted += int(np.count_nonzero(trusted[played]))
+        self._trusted += int(np.count_nonzero(ticks.trusted[played]))
 
     @property
     def playout_delay_ms(self) -> PlayoutDelay:

@@ -13,7 +13,7 @@ from dataclasses import replace
 from typing import Any, Final
 
 from display_node.scoring.tracking_error import JND
-from protocol.summary.tables import Compensation
+from protocol.summary.fields import Compensation
 from protocol.wire.messages import ChannelSamples
 
 # Predicted ticks that wait for their samples: 4 s at 1 kHz. Later samples are not scored.

@@ -1,6 +1,6 @@
-"""Alerts for the person at a display, computed from one status message, and the age of a status.
+"""Alerts for the person at a display, computed from one status message.
 
-Terminal, live page and metrics share them. Pure.
+Terminal, live page and recordings share them. Pure.
 """
 
 from collections.abc import Iterator, Mapping
@@ -10,18 +10,8 @@ from display_node.fault_advice import FILM_NOTE, SENSING_NOTE, advise, latched
 from display_node.scoring.beat_statistics import pulse_alarm
 from display_node.scoring.deadlines import deadline_alarm
 from display_node.scoring.prediction_score import prediction_alarm
-from protocol.refusals import (
-    CAUSE_MEANINGS,
-    HANDSHAKE,
-    NO_KEY,
-    NOT_AUTHENTIC,
-    REFUSED_KEY,
-    REPLAYED,
-    REVOKED,
-    explain_causes,
-)
-from protocol.security.socket_monitor import REPEATED_BREAKS
-from protocol.summary.tables import contactors_of
+from protocol.refusals import CAUSE_MEANINGS, OWN_KEY_REVOKED, explain_causes
+from protocol.summary.fields import contactors_of
 
 # A display without telemetry for this long counts as silent.
 SILENT_AFTER_NS = 2_000_000_000
@@ -29,10 +19,6 @@ NOT_CONNECTED, STIFFNESS = "not connected", "finger's stiffness"
 # Ratios to the scene's fingertip stiffness. Those of human fingers are 0.3 to 3, and the estimate
 # is within 10 %, so a ratio beyond these bounds is not a finger's.
 LEAST_STIFFNESS, MOST_STIFFNESS = 0.25, 4.0
-# Counts from which a link counts as refused; HANDSHAKE needs several, since a node that shuts down
-# also breaks the handshake.
-CONNECTION_CAUSES = dict.fromkeys((REFUSED_KEY, NO_KEY, NOT_AUTHENTIC, REPLAYED), 1)
-CONNECTION_CAUSES[HANDSHAKE] = REPEATED_BREAKS
 
 
 class Alert(NamedTuple):
@@ -51,7 +37,7 @@ def alerts(
     time without telemetry from the display. After 2 s of it, only latched faults and the silence
     are reported; for the last status of a display, only latched faults.
     """
-    faults, rejected = summary.get("faults", []), summary.get("rejected", {})
+    faults = summary.get("faults", [])
     silent = silent_ns > SILENT_AFTER_NS and not is_last_status
     finger = "" if silent else finger_note(summary)
     found = [Alert(f"fault: {fault}", f"{advise(fault)}{finger}") for fault in latched(faults)]
@@ -66,15 +52,12 @@ def alerts(
         notes = [fault.removeprefix(prefix) for fault in faults if fault.startswith(prefix)]
         if notes:
             found.append(Alert(prefix.removesuffix(": "), "; ".join(notes)))
-    if rejected.get(REVOKED) and state != "playing":
-        found.append(Alert("revoked", CAUSE_MEANINGS[REVOKED]))
-    refused = {
-        cause: rejected[cause]
-        for cause, least in CONNECTION_CAUSES.items()
-        if rejected.get(cause, 0) >= least
-    }
-    if refused and state in ("waiting", "stale"):
-        found.append(Alert(NOT_CONNECTED, "; ".join(explain_causes(refused))))
+    refused = summary.get("refused")
+    if refused == OWN_KEY_REVOKED and state != "playing":
+        found.append(Alert("revoked", CAUSE_MEANINGS[OWN_KEY_REVOKED]))
+    elif refused and state in ("waiting", "stale"):
+        count = summary.get("rejected", {}).get(refused, 1)
+        found.append(Alert(NOT_CONNECTED, *explain_causes({refused: count})))
     if state == "stale":
         found.append(Alert("stale", f"no samples to play{finger}"))
     for name, figures in contactors_of(summary).items():
@@ -123,71 +106,3 @@ def delay_note(delay_ms: float, trusted: bool, summary: Mapping[str, Any]) -> st
     trust_is_used = summary.get("compensation", {}).get("trusted") is not None
     # An E of 0 is known to the clock's error only.
     return f"{max(delay_ms, 0.0):.1f} ms{trust if trust_is_used else ''}"
-
-
-# The shortest transit is searched in windows of this length. Longer ones would add the clocks'
-# drift against each other, some 50 µs/s.
-WINDOW_NS = 60_000_000_000
-# A display on this machine stamps with this machine's clock, unless the address is that of a tunnel
-# to another machine. Telemetry that seems older than this, or newer than now, has another clock.
-LONGEST_QUEUED_NS = 10_000_000_000
-# A larger gap between two traces is a stall, or the start of another process.
-BREAK_NS = 500_000_000
-
-
-class StatusAge:
-    """Age of the newest status of one display: the time since it was last known to be valid.
-
-    Telemetry may queue while its reader or its display stalls. So the age counts from the display's
-    time stamp, not from the receipt. A status has no stamp: it takes that of the trace before it.
-    Each later trace extends its validity, up to the first gap between traces. The clock of another
-    machine has an unknown offset, estimated by the shortest transit of the last one to two minutes.
-
-    local: whether the display's address is on this machine.
-    """
-
-    def __init__(self, local: bool = False) -> None:
-        self._local = local
-        # Stamps of the newest trace, and of the last one at which the newest status was valid.
-        self._stamped_ns: int | None = None
-        self._status_ns: int | None = None
-        # Smallest receipt minus stamp, in the present window and in the one before.
-        self._least_ns: int | None = None
-        self._before_ns: int | None = None
-        self._window_ends_ns = 0
-        self._received_ns: int | None = None
-
-    def take_trace(self, stamped_ns: int, received_ns: int) -> None:
-        """Take a trace whose newest tick is stamped `stamped_ns`."""
-        if self._stamped_ns is not None and stamped_ns < self._stamped_ns:
-            # The clock went back: the display's machine was restarted.
-            self._least_ns = self._before_ns = self._status_ns = None
-        elif (
-            self._status_ns == self._stamped_ns is not None
-            and stamped_ns - self._stamped_ns <= BREAK_NS
-        ):
-            self._status_ns = stamped_ns
-        self._stamped_ns = stamped_ns
-        difference_ns = received_ns - stamped_ns
-        if received_ns >= self._window_ends_ns:
-            self._window_ends_ns = received_ns + WINDOW_NS
-            self._before_ns, self._least_ns = self._least_ns, difference_ns
-        elif self._least_ns is None or difference_ns < self._least_ns:
-            self._least_ns = difference_ns
-
-    def take_status(self, received_ns: int) -> None:
-        """Take a status."""
-        self._status_ns, self._received_ns = self._stamped_ns, received_ns
-
-    def age_ns(self, now_ns: int) -> int | None:
-        """Return the age of the newest status at `now_ns` in ns; None before the first one."""
-        if self._received_ns is None:
-            return None
-        if self._status_ns is None:
-            return max(0, now_ns - self._received_ns)
-        # This clock minus the display's, plus the shortest transit; 0 where they share one clock.
-        known_ns = [ns for ns in (self._least_ns, self._before_ns) if ns is not None]
-        offset_ns = min(known_ns, default=0)
-        if self._local and 0 <= offset_ns <= LONGEST_QUEUED_NS:
-            offset_ns = 0
-        return max(0, now_ns - self._status_ns - offset_ns)

@@ -79,8 +79,9 @@ class Publisher:
 
     @property
     def rejected(self) -> Counter[str]:
-        """Numbers of refused subscriptions and marks by cause."""
-        return self._subscriptions.rejected + self._marks.rejected
+        """Numbers of refused readers, and of their subscriptions and marks, by cause."""
+        rejected = self._subscriptions.rejected + self._marks.rejected
+        return rejected if self._authenticator is None else rejected + self._authenticator.rejected
 
     def publish(self) -> bool:
         """Publish the ticks since the last trace; return whether a status is due."""

@@ -23,7 +23,7 @@ from display_node.telemetry.terminal_view import TerminalView
 from protocol import sockets
 from protocol.host.output import unblocked_output
 from protocol.host.process import lower_priority
-from protocol.security.link_keys import ClientKeys
+from protocol.security.link_keys import ClientKeys, KeyOptions
 from protocol.wire.marks import MARK
 from protocol.wire.telemetry import STATUS, TRACE, Status, Trace
 
@@ -115,8 +115,8 @@ if __name__ == "__main__":
     # Ctrl-C ends the display, and this process ends at the display's last status.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     address, *key = sys.argv[1:]
-    own = ClientKeys.of_own_node(Path(key[0])) if key else None
+    keys = KeyOptions(Path(key[0])).telemetry_client(address) if key else None
     parent = os.getppid()
     console = Console(markup=False, emoji=False)
     with unblocked_output():
-        watch(address, console, keep_watching=lambda: os.getppid() == parent, keys=own)
+        watch(address, console, keep_watching=lambda: os.getppid() == parent, keys=keys)

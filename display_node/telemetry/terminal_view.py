@@ -12,13 +12,8 @@ import numpy as np
 from rich.text import Text
 
 from display_node.scoring.heart_rate import heart_rate_per_min
-from display_node.telemetry.alerts import (
-    NOT_CONNECTED,
-    Alert,
-    StatusAge,
-    alerts,
-    finger_text,
-)
+from display_node.telemetry.alerts import NOT_CONNECTED, Alert, alerts, finger_text
+from display_node.telemetry.status_age import StatusAge
 from protocol.errors import WireError
 from protocol.wire.marks import MARK, Mark, read_mark
 from protocol.wire.telemetry import STATUS, TRACE, Status, Trace, read_status, read_trace
@@ -65,13 +60,13 @@ CURRENT_NS = 1_000_000_000
 
 
 class TerminalTick(NamedTuple):
-    """A kept tick; felt_n is NaN where it is unknown."""
+    """A kept tick, with fields of `TickState`."""
 
     now_ns: int
     instant_ns: int
     target_n: float
     felt_n: float
-    at_full_strength: bool
+    scored: bool
 
 
 def _no_ticks() -> deque[TerminalTick]:
@@ -80,7 +75,7 @@ def _no_ticks() -> deque[TerminalTick]:
 
 def _heart_rate_per_min(ticks: Sequence[TerminalTick]) -> float | None:
     t_s = np.array([tick.now_ns * 1e-9 for tick in ticks])
-    felt_n = [tick.felt_n if tick.at_full_strength else math.nan for tick in ticks]
+    felt_n = [tick.felt_n if tick.scored else math.nan for tick in ticks]
     return heart_rate_per_min(t_s, np.array(felt_n))
 
 
@@ -183,9 +178,9 @@ class TerminalView:
         ]
 
     def _force_text(self) -> str:
-        """Return the felt force against the wanted one, of each contactor."""
+        """Return the felt force against the target, of each contactor."""
         newest = [(ticks[-1].felt_n, ticks[-1].target_n) for ticks in self._ticks if ticks]
-        felt, wanted = (
+        felt, target = (
             (
                 ", ".join("unknown" if math.isnan(n) else f"{1e3 * n:.0f}" for n in forces)
                 for forces in zip(*newest, strict=True)
@@ -193,7 +188,7 @@ class TerminalView:
             if newest
             else ("", "")
         )
-        return f"felt {felt} of {wanted} mN" if newest else ""
+        return f"felt {felt} of {target} mN" if newest else ""
 
     def new_alerts(self, now_ns: int = 0) -> list[str]:
         """Return in full the alerts that were not active at the last call."""
@@ -244,7 +239,7 @@ class TerminalView:
         summary = {} if self.status is None else self.status.summary
         offset_ms = summary.get("clock", {}).get("offset_ms")
         last = self._ticks[0][-1] if self._ticks[0] else None
-        if offset_ms is None or last is None or not last.at_full_strength:
+        if offset_ms is None or last is None or not last.scored:
             return None
         # An E of 0 is known to the clock's error only.
         return max(0.0, (last.now_ns - last.instant_ns) * 1e-6 + float(offset_ms))

@@ -12,7 +12,7 @@ const uint32_t BAUD = 500000;
 const uint8_t PROTOCOL = 1;
 const uint16_t FIRMWARE = 1 * 256 + 0;
 const uint8_t DEBOUNCE_MS = 3;
-const uint8_t STATE_BYTES = 30 + 2;
+const uint8_t STATE_BYTES = 28 + 2;
 
 // Numbers of PROTOCOL.md.
 enum Format : uint8_t { STATE = 1, GREETING, ANSWER };

@@ -1,8 +1,8 @@
 // The wrist's board: amplifiers of PVDF films on analogue inputs, in telepulse's binary framing.
 //
 // Any Arduino; no library. 1000 samples a second of one to three films and, optionally, an ECG:
-// name the inputs in PINS, the ECG last. The scene that reads one film (a 10-bit converter; yours
-// may have more):
+// name the inputs in PINS, the ECG last. Scene class_wrist reads one film (a 10-bit converter; yours
+// may have more); its source is
 //
 //   [sensing.source]
 //   kind = "serial"
@@ -11,7 +11,8 @@
 //   rate = "1 kHz"
 //   unit = "counts"
 //   zero = 512
-//   newtons_per_count = 0.001
+//   newtons_per_count = 2.9e-3
+//   preload = "0.3 N"
 //
 // With more inputs it names them, the ECG as "announce":
 //

@@ -7,10 +7,9 @@ and COBS encoding.
 import math
 import struct
 
-from cobs import cobs
-
 from fuzz.packets import check_decoder
-from pulse_sensors.binary_frames import FrameDecoder, FrameEncoder, SampleFormat, crc
+from protocol.serial_frames import decode_frame, encode_frame
+from pulse_sensors.binary_frames import FrameDecoder, FrameEncoder, SampleFormat
 
 PERIOD_NS = 1_000_000
 FORMATS: tuple[SampleFormat, ...] = ("int16", "int32", "float32")
@@ -24,7 +23,7 @@ def seeds() -> list[bytes]:
         encoder = FrameEncoder(sample_format)
         frames = [encoder.frame([0, 1, -2, 3], 4000 * (n + 1)) for n in range(3)]
         lines.append(b"\x00\x00" + b"".join(frames))
-        bodies = [cobs.decode(frame[:-1])[:-2] for frame in frames]
+        bodies = [decode_frame(frame[:-1]) for frame in frames]
         contents.append(b"\x01" + b"".join(bytes([len(body)]) + body for body in bodies))
     spoilt = FrameEncoder("float32").frame([math.nan, math.inf, 1e31], 1)
     signalling = _HEAD.pack(0x13, 0, 1) + bytes.fromhex("010080ff")
@@ -43,5 +42,5 @@ def _framed(data: bytes) -> bytes:
     line = b"\0"
     while data:
         body, data = data[1 : 1 + data[0]], data[1 + data[0] :]
-        line += cobs.encode(body + struct.pack("<H", crc(body))) + b"\0"
+        line += encode_frame(body)
     return line

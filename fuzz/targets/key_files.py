@@ -3,13 +3,8 @@
 from fuzz.refusals import check_line
 from fuzz.targets import scratch_folder
 from protocol.errors import KeyFileError
-from protocol.security.allow_list import read_allowed
-from protocol.security.authenticator import (
-    ZAP_DOMAIN,
-    ZAP_VERSION,
-    decode_zap_request,
-    encode_zap_reply,
-)
+from protocol.security import zap
+from protocol.security.allow_list import read_allow_list
 from protocol.security.keys import KEY_BYTES, PUBLIC, SECRET, read_pair, read_public
 
 _FILE = scratch_folder() / "wrist.key"
@@ -20,14 +15,14 @@ def seeds() -> list[bytes]:
     """Return a secret key, a public one, a list of two, and a request in lines."""
     lines = [f"{kind} wrist {'1' * 64}\n".encode() for kind in (SECRET, PUBLIC)]
     other = f"# them\n\n{PUBLIC} finger {'a' * 64}\n".encode()
-    request = [ZAP_VERSION, b"1", ZAP_DOMAIN, b"127.0.0.1", b"", b"CURVE", b"k" * KEY_BYTES]
+    request = [zap.VERSION, b"1", zap.DOMAIN, b"127.0.0.1", b"", b"CURVE", b"k" * KEY_BYTES]
     return [*lines, lines[1] + other, b"\n".join(request)]
 
 
 def try_one(data: bytes) -> None:
     """Read keys: 32 bytes, or a KeyFileError of one line; a request is judged and answered."""
     _FILE.write_bytes(data)
-    for read in (_read_pair, _read_public, _read_allowed):
+    for read in (_read_pair, _read_public, _read_list):
         try:
             keys = read()
         except KeyFileError as error:
@@ -35,10 +30,11 @@ def try_one(data: bytes) -> None:
         else:
             assert all(len(key) == KEY_BYTES for key in keys)
     request = data.split(b"\n")
-    peer = decode_zap_request(request)
+    peer = zap.decode_request(request)
     if peer is not None:
         peer.address.encode()
-    assert len(encode_zap_reply(request, None)) == len(encode_zap_reply(request, "wrist")) == 6
+    for cause in (None, "unknown_key", "list_unreadable"):
+        assert len(zap.encode_reply(request, cause)) == 6
 
 
 def _read_pair() -> list[bytes]:
@@ -50,5 +46,5 @@ def _read_public() -> list[bytes]:
     return [read_public(_FILE).key]
 
 
-def _read_allowed() -> list[bytes]:
-    return list(read_allowed(_FILE))
+def _read_list() -> list[bytes]:
+    return list(read_allow_list(_FILE))

@@ -6,7 +6,7 @@ import numpy as np
 from display_node.telemetry.publisher import MarkCounter
 from fuzz.refusals import refusals
 from fuzz.telemetry_readers import TelemetryReaders, preamble
-from protocol.summary.tables import Summary
+from protocol.summary.fields import Summary
 from protocol.ticks import TickBlock, TickState
 from protocol.wire.marks import MARK, Mark, MarkRequest, pack_mark, pack_request
 from protocol.wire.telemetry import (

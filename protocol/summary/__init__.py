@@ -1,1 +1,1 @@
-"""Summary of a run: figures in `tables.py`, and in `figures.toml` what they mean and look like."""
+"""Summary of a run: figures in `fields.py`, and in `figures.toml` what they mean and look like."""

@@ -1,7 +1,7 @@
 """Meaning and presentation of the summary's figures: the table `figures.toml`, read once.
 
 Terminal, live page, Prometheus, the report of a recording and the reference read the same table. A
-new figure is a field in `tables.py` and an entry there.
+new figure is a field in `fields.py` and an entry there.
 """
 
 import dataclasses
@@ -14,8 +14,8 @@ from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple, get_type_hints
 
+from protocol.summary.fields import Summary
 from protocol.summary.phrases import COUNT, HEADLINES, PHRASES, UNITS, Unit
-from protocol.summary.tables import Summary
 
 TABLE = Path(__file__).with_name("figures.toml")
 _METRIC = re.compile(r"(?P<name>\w*?)(?P<counter>_total)?(?:\{(?P<labels>.*)\})?")

@@ -5,7 +5,7 @@ from typing import Any, Final, NamedTuple
 
 from protocol.config.quantities import count_text
 from protocol.refusals import explain_causes
-from protocol.summary.tables import STATES
+from protocol.summary.fields import STATES
 
 
 class Unit(NamedTuple):
@@ -138,6 +138,7 @@ def _joined(values: Iterable[str], between: str = ", ") -> str | None:
 PHRASES: Final[Mapping[str, Callable[[Any], str | None]]] = {
     "availability": availability_text,
     "causes": lambda rejected: "\n".join(explain_causes(rejected)) or "nothing",
+    "causes_if_any": lambda rejected: _joined(explain_causes(rejected), "\n"),
     "counts": lambda counts: _joined(f"{n} {name}" for name, n in sorted(counts.items())),
     "faults": lambda faults: "; ".join(faults) or "none",
     "first_copies": lambda first: _joined(f"{n} first over {name}" for name, n in first.items()),

@@ -13,9 +13,9 @@ from protocol.config.quantities import count_text
 from protocol.histogram import bound
 from protocol.host.output import write_whole
 from protocol.provenance import Provenance
+from protocol.summary.fields import Summary
 from protocol.summary.figures import Figure, Surface, figures_on, value_at
 from protocol.summary.phrases import COUNT, windows_text
-from protocol.summary.tables import Summary
 
 Json = Mapping[str, Any]
 # Names for people of the times that shares refer to; others are their keys.

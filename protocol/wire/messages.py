@@ -77,8 +77,9 @@ class Frame(NamedTuple):
         return channel_samples(self.first_sample, self.t_first_ns, self.period_ns, forces_n)
 
 
-# The fields of a frame after the version, and its samples in N, sample by sample.
-PackedFrame = tuple[int, int, int, int, int, int, bytes, tuple[float, ...]]
+# A frame without arrays: its fields after the version, with the times of all samples in place of
+# the first one's; then the payload's forces in N, sample by sample.
+FlatFrame = tuple[int, int, list[int], int, int, int, bytes, tuple[float, ...]]
 
 
 class ChannelSamples(NamedTuple):
@@ -110,18 +111,22 @@ def encode_frame(frame: Frame) -> bytes:
 
 
 def decode_frame(data: bytes) -> Frame:
-    """Decode a frame of at most `MAX_FRAME_BYTES`. Raises WireError as `unpack_frame` does."""
-    packed = unpack_frame(data)
-    session, first_sample, t_first_ns, period_ns, channels, width, payload, _ = packed
+    """Decode a frame, its samples as an array. Raises WireError as `decode_flat_frame` does."""
+    return with_array(decode_flat_frame(data))
+
+
+def with_array(flat: FlatFrame) -> Frame:
+    """Return a frame that was decoded flat with its samples as an array."""
+    session, first_sample, times_ns, period_ns, channels, width, payload, _ = flat
     values = np.frombuffer(payload, _FORMATS[width]).reshape(-1, channels)
-    return Frame(session, first_sample, t_first_ns, period_ns, values)
+    return Frame(session, first_sample, times_ns[0], period_ns, values)
 
 
-def unpack_frame(data: bytes) -> PackedFrame:
-    """Decode a frame without arrays, which take longer for a few samples.
+def decode_flat_frame(data: bytes) -> FlatFrame:
+    """Decode a frame of at most `MAX_FRAME_BYTES`, its samples as one flat tuple.
 
-    Raises WireError with the cause "oversized", "truncated", "not_msgpack", "version", "malformed"
-    or "not_finite".
+    A display does so, because for a few samples an array takes longer. Raises WireError with the
+    cause "oversized", "truncated", "not_msgpack", "version", "malformed" or "not_finite".
     """
     fields = _unpack(data)
     if len(fields) != 8:
@@ -149,7 +154,9 @@ def unpack_frame(data: bytes) -> PackedFrame:
     # The norm is one call for all; it may be too large although no sample is.
     if not math.hypot(*numbers) <= LARGEST_N and not all(abs(x) <= LARGEST_N for x in numbers):
         raise WireError("not_finite", f"a sample is NaN, infinite or beyond {LARGEST_N:.0e} N")
-    return session, first_sample, t_first_ns, period_ns, channels, width, payload, numbers
+    end_ns = t_first_ns + len(numbers) // channels * period_ns
+    times_ns = list(range(t_first_ns, end_ns, period_ns))
+    return session, first_sample, times_ns, period_ns, channels, width, payload, numbers
 
 
 class Hello(NamedTuple):
@@ -189,7 +196,10 @@ class ClockReply(NamedTuple):
 
 
 class DisplayReport(NamedTuple):
-    """Report of a display on the received stream; unknown figures are NaN."""
+    """Report of a display on the received stream; unknown figures are NaN.
+
+    The sensing node prints the account and the playout delay; it shows no other figure.
+    """
 
     session: int
     display: str

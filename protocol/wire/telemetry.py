@@ -21,7 +21,7 @@ from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
 
 from protocol.config.quantities import Name
 from protocol.errors import WireError
-from protocol.summary.tables import LARGEST, Summary
+from protocol.summary.fields import LARGEST, Summary
 from protocol.ticks import TickBlock
 from protocol.wire.messages import COUNT_RANGE, LARGEST_N, MAX_CHANNELS, MAX_FRAME_BYTES, TIME_RANGE
 
@@ -131,13 +131,8 @@ STATUS_TRACES = 4
 class Trace(NamedTuple):
     """Consecutive ticks of one contactor: arrays of equal length, one value a tick.
 
-    now_ns: time on the display's clock, never falling. instant_ns: played instant on the sensing
-    clock. target_n: target force in N. felt_n: felt force in N, NaN where it is unknown (no reading
-    of the film). scored: the pulse was felt at full strength. predictor_error_n: expected RMSE of
-    the prediction in N, NaN without a prediction or an estimate. trusted: the predictor was trusted
-    with all of the delay. press_n, hold_down_n: static force in N of the finger, and of the probe
-    on the wrist as last reported; NaN without, and for any contactor but the first one. No number
-    is infinite or beyond `LARGEST_N`.
+    The fields are those of `TickState`. now_ns never falls. press_n and hold_down_n are NaN for any
+    contactor but the first one. No number is infinite or beyond `LARGEST_N`.
     """
 
     now_ns: NDArray[np.int64]
@@ -168,11 +163,12 @@ class TraceWriter:
 
     def add(self, block: TickBlock) -> None:
         """Add the ticks of a block."""
-        self._integers.append(block.columns[:4].T.tobytes())
-        press_n = block.forces_n[:, :2]
-        self._forces.append(block.forces_n[:, 2:].tobytes())
-        self._press.append(press_n.tobytes())
-        self._pressed = self._pressed or not np.isnan(press_n).all()
+        ticks = block.columns
+        integers = ticks.now_ns, ticks.instant_ns, ticks.scored, ticks.trusted
+        self._integers.append(np.column_stack(integers).tobytes())
+        self._forces.append(block.forces_n.tobytes())
+        self._press.append(block.press_n.tobytes())
+        self._pressed = self._pressed or not np.isnan(block.press_n).all()
 
     def rest(self) -> bytes | None:
         """Return a message of the ticks since the last one, if there are any."""

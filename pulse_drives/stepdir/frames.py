@@ -1,23 +1,20 @@
 """Frames of the display board, both ways, as `firmware/PROTOCOL.md` states them. Pure.
 
-A frame is COBS-encoded and ended by a zero byte. Its body is, in little-endian order, a format, the
-fields and a CRC-16/CCITT-FALSE of all bytes before it.
+Frames are those of `protocol.serial_frames`. A body is a format and the fields, in little-endian
+order.
 """
 
-import binascii
 import struct
+from collections import Counter
 from enum import IntEnum, IntFlag
 from typing import NamedTuple
 
-from cobs import cobs
+from protocol.serial_frames import FrameReader, encode_frame
 
 COUNTER_TURN = 1 << 32
 SEQUENCE_TURN = 1 << 16
 # A longer body is not the display board's.
-MOST_BYTES = 60
-# COBS adds a byte.
-_MOST_ENCODED = MOST_BYTES + 1
-_CRC_BYTES = 2
+MOST_BYTES = 58
 # A sensor board's formats are 16 times the number of a sample's values, and more.
 SENSOR_FORMATS = 16
 _STATE = struct.Struct("<BIIhiiBBHHB")
@@ -192,19 +189,19 @@ _FIELDS = {Format.VELOCITY: _VELOCITY, Format.HOME: _HOME, Format.LIMITS: _LIMIT
 def encode_command(command: Format, sequence: int, fields: tuple[int, ...] = ()) -> bytes:
     """Return the frame of a command. Raises struct.error for fields that do not fit."""
     packed = _FIELDS[command].pack(*fields) if fields else b""
-    return _encode(_HEAD.pack(command, sequence) + packed)
+    return encode_frame(_HEAD.pack(command, sequence) + packed)
 
 
 def encode_report(report: BoardReport) -> bytes:
     """Return the frame of a board's state, greeting or answer."""
     match report:
         case BoardState():
-            return _encode(_STATE.pack(Format.STATE, *report))
+            return encode_frame(_STATE.pack(Format.STATE, *report))
         case BoardGreeting():
             *numbers, name = report
-            return _encode(_GREETING.pack(Format.GREETING, *numbers) + name.encode("ascii"))
+            return encode_frame(_GREETING.pack(Format.GREETING, *numbers) + name.encode("ascii"))
         case _:
-            return _encode(_ANSWER.pack(Format.ANSWER, *report))
+            return encode_frame(_ANSWER.pack(Format.ANSWER, *report))
 
 
 def decode_report(body: bytes) -> BoardReport | None:
@@ -247,50 +244,6 @@ def decode_command(body: bytes) -> BoardCommand | None:
     return BoardCommand(command, sequence, fields)
 
 
-class FrameReader:
-    """Bodies of frames, without their CRC, from chunks of bytes of any size. Pure.
-
-    Bytes before the first zero byte may be the end of a frame, so they are not counted.
-
-    Attributes
-    ----------
-    rejected
-        Number of frames with wrong COBS, length or CRC.
-    """
-
-    def __init__(self) -> None:
-        self._rest = b""
-        self._begun = self._skipping = False
-        self.rejected = 0
-
-    def feed(self, data: bytes) -> list[bytes]:
-        """Return the bodies that these bytes complete."""
-        *whole, rest = (self._rest + data).split(b"\0")
-        bodies = []
-        for encoded in whole:
-            body = b"" if self._skipping else _decode(encoded)
-            if body:
-                bodies.append(body)
-            elif encoded or self._skipping:
-                self.rejected += self._begun
-            self._begun, self._skipping = True, False
-        self._skipping |= len(rest) > _MOST_ENCODED
-        self._rest = b"" if self._skipping else rest
-        return bodies
-
-
-def _encode(body: bytes) -> bytes:
-    encoded: bytes = cobs.encode(body + struct.pack("<H", binascii.crc_hqx(body, 0xFFFF)))
-    return encoded + b"\0"
-
-
-def _decode(encoded: bytes) -> bytes:
-    """Return a frame's body without its CRC; empty where it is wrong."""
-    if len(encoded) > _MOST_ENCODED:
-        return b""
-    try:
-        body: bytes = cobs.decode(encoded)
-    except cobs.DecodeError:
-        return b""
-    head, crc = body[:-_CRC_BYTES], body[-_CRC_BYTES:]
-    return head if int.from_bytes(crc, "little") == binascii.crc_hqx(head, 0xFFFF) else b""
+def board_reader() -> FrameReader:
+    """Return a reader of frames of a display board, or of commands to one."""
+    return FrameReader(MOST_BYTES, Counter())

@@ -24,7 +24,7 @@ from pulse_drives.stepdir.frames import (
     BoardState,
     CommandAnswer,
     Format,
-    FrameReader,
+    board_reader,
     decode_report,
     encode_command,
 )
@@ -179,17 +179,17 @@ class BoardLine:
 
     def _listen(self) -> None:
         """Read the board's frames until the port is closed or gone; runs in the thread."""
-        reader = FrameReader()
+        reader = board_reader()
         while not self.lost:
             try:
                 data = self._read()
             except Exception as error:  # pyserial passes on errors of many kinds
                 self.lost = str(error) or type(error).__name__
                 break
-            now_ns, rejected = time.perf_counter_ns(), reader.rejected
+            now_ns, altered = time.perf_counter_ns(), reader.altered
             for body in reader.feed(data):
                 self._take(body, now_ns)
-            self._count_garbled(reader.rejected - rejected, now_ns)
+            self._count_garbled(reader.altered - altered, now_ns)
         self.film_come.set()
 
     def _read(self) -> bytes:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from protocol.config.quantities import count_text
-from pulse_sensors.plausibility import GAP_STEPS, SECONDS, is_time_name
+from sensing_node.files.recording_plausibility import GAP_STEPS, SECONDS, is_time_name
 from sensing_node.files.signals import Floats
 
 # Greatest share of wrong time stamps, and most steps back, of a column of times.

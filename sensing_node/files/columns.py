@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pulse_sensors.plausibility import never_falls
 from sensing_node.files.clock import are_times, repaired
+from sensing_node.files.recording_plausibility import never_falls
 from sensing_node.files.signals import SignalFile, SignalInfo, clean, split_unit
 
 # Most columns that are kept as times.

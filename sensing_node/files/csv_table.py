@@ -18,10 +18,10 @@ from typing import NamedTuple
 import numpy as np
 
 from protocol.errors import SourceError
-from pulse_sensors.plausibility import stated_rate_hz
 from sensing_node.files.bounds import check_regular, check_samples
 from sensing_node.files.clock import time_of
 from sensing_node.files.columns import column_file
+from sensing_node.files.recording_plausibility import stated_rate_hz
 from sensing_node.files.signals import Floats, SignalFile, rate_fault, text_encoding
 from sensing_node.files.text_head import read_titles, stated_rate
 from sensing_node.files.text_layout import (

@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 
 from protocol.config.quantities import count_text
 from protocol.errors import SourceError
-from pulse_sensors.plausibility import GAP_STEPS, blocks
 from sensing_node.files.bounds import check_samples
+from sensing_node.files.recording_plausibility import GAP_STEPS, blocks
 from sensing_node.files.signals import Floats
 
 # Largest share of a signal that gaps may be: times beyond it are damaged.

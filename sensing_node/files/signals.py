@@ -15,7 +15,7 @@ from pydantic import Field
 from protocol.errors import SourceError
 from protocol.wire.description import first_repeated
 from protocol.wire.marks import printable
-from pulse_sensors.plausibility import RecordedColumn, blocks, stated_rate_hz
+from sensing_node.files.recording_plausibility import RecordedColumn, blocks, stated_rate_hz
 
 ColumnKey = Annotated[int, Field(ge=0)] | str
 """Number of a signal from 0, or its name."""

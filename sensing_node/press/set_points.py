@@ -5,7 +5,7 @@ from collections import Counter
 from dataclasses import dataclass
 from typing import Final
 
-from protocol.summary.tables import PressFigures
+from protocol.summary.fields import PressFigures
 from protocol.wire.messages import ProbeReport, SetPoint
 from sensing_node.press.probe import Probe
 

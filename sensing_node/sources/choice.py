@@ -14,8 +14,14 @@ import numpy as np
 from protocol.config.quantities import parse_quantity
 from protocol.errors import SourceError
 from pulse_sensors.force_scale import FORCES, MILLIVOLTS
-from pulse_sensors.plausibility import SECONDS, blocks, extremes, is_time_name, never_falls
 from sensing_node.files.formats import open_signals
+from sensing_node.files.recording_plausibility import (
+    SECONDS,
+    blocks,
+    extremes,
+    is_time_name,
+    never_falls,
+)
 from sensing_node.files.signals import ColumnKey, SignalFile, SignalInfo
 
 # Units of pressure, in Pa.

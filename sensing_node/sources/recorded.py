@@ -14,19 +14,18 @@ from protocol.errors import SourceError
 from protocol.wire.description import ANNOUNCE, PULSE, Channel, first_repeated
 from protocol.wire.messages import LARGEST_N
 from pulse_sensors.force_scale import FORCES, MILLIVOLTS, VOLTAGES, SensitivityTable
-from pulse_sensors.plausibility import (
+from pulse_sensors.sample_plausibility import RATE_TOLERANCE, unit_contradiction
+from sensing_node.files.formats import open_signals
+from sensing_node.files.grids import fill_gaps, find_gaps
+from sensing_node.files.recording_plausibility import (
     BLOCK,
-    RATE_TOLERANCE,
     RecordedColumn,
     blocks,
     constant_column,
     examine,
     extremes,
-    unit_contradiction,
     unusable_values,
 )
-from sensing_node.files.formats import open_signals
-from sensing_node.files.grids import fill_gaps, find_gaps
 from sensing_node.files.signals import ColumnKey, SignalFile, SignalInfo, aligned
 from sensing_node.sources.choice import BEAT_N, NEWTONS_PER_MMHG, PRESSURES, choose_pulse
 from sensing_node.sources.source import SampleSource, SourceContext, SourceScene

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from protocol.config.kinds import KindGroup, KindTable
-from protocol.summary.tables import Limits
+from protocol.summary.fields import Limits
 from protocol.wire.description import Channel
 from sensing_node.press.probe import ProbeLimits
 from sensing_node.press.set_points import PressedProbe

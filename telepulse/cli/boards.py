@@ -25,6 +25,7 @@ from pulse_drives.stepdir.scene import StepdirScene
 from pulse_sensors import library
 from pulse_sensors.serial_port import SerialScene
 from telepulse.cli.options import PROGRAM
+from telepulse.emulators.sensor_board import COUNTS
 from telepulse.scene import Scene
 
 End = Literal["wrist", "finger"]
@@ -44,9 +45,8 @@ PRESSED_WITH_N = 0.3
 STARTS_WITHIN_S = 30.0
 # The first samples of an emulated board come late, since its program still starts.
 SETTLED_S = 1.0
-# The scene whose source the emulated board senses, and its counts; see `telepulse emulate sensor`.
+# The scene whose source the emulated board senses; see `telepulse emulate sensor`.
 EMULATED_SENSOR = ("sensor", "bench", "--samples", "int16", "--delivery-ms", "4")
-EMULATED_COUNTS = {"zero": 0, "newtons_per_count": 1e-4}
 NAME_THEM = (
     "--ports WRIST FINGER names them, or `port` of [sensing.source] and [display.drive] in a copy"
     " of the scene; --emulated plays emulated boards"
@@ -93,9 +93,9 @@ def identify(port: str, bauds: Sequence[int]) -> SeenPort:
 def _sender(line: serial.Serial) -> End | None:
     """Return the end whose board sends on a line: a finger's states, or a wrist's samples."""
     # Imported here: it needs a library, which is checked for first.
-    from pulse_drives.stepdir.frames import SENSOR_FORMATS, Format, FrameReader
+    from pulse_drives.stepdir.frames import SENSOR_FORMATS, Format, board_reader
 
-    reader, frames = FrameReader(), Counter[End]()
+    reader, frames = board_reader(), Counter[End]()
     until_s = time.monotonic() + LISTENED_S
     while time.monotonic() < until_s:
         for body in reader.feed(line.read(READ_BYTES)):
@@ -210,7 +210,7 @@ def _with_ports(path: Path, ports: dict[End, str], emulated: bool) -> str:
     """Return the text of a scene that extends another by the ports of its boards."""
     lines = [f"extends = {json.dumps(str(path.absolute()))}"]
     if "wrist" in ports:
-        keys = {"port": ports["wrist"]} | (EMULATED_COUNTS if emulated else {})
+        keys = {"port": ports["wrist"]} | (COUNTS if emulated else {})
         lines.append("[sensing.source]")
         lines += [f"{key} = {json.dumps(value)}" for key, value in keys.items()]
     lines += ["[display.drive]", f"port = {json.dumps(ports['finger'])}"]

@@ -233,7 +233,7 @@ def _measure(
     drive = build_display_drive(table, display.actuator, display.layer.layer(), force_limit_n)
 
     def open_raw(raw: DriveFilmScene) -> Sensor:
-        return open_film(raw, drive, display.overforce_n, path.parent)
+        return open_film(raw, drive, display.safety.overforce_n, path.parent)
 
     return measure_loads(film, open_raw, loads_n, ask, channel)
 

@@ -14,7 +14,7 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from subprocess import PIPE
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 import zmq
@@ -44,14 +44,14 @@ from protocol.errors import ProcessError
 from protocol.host.child_process import ChildProcess
 from protocol.host.output import check_writable, configure_logging
 from protocol.host.process import lower_priority, stop_on_signals
-from protocol.summary.tables import PressFigures, Summary
+from protocol.summary.fields import PressFigures, Summary
 from protocol.wire.messages import decode_frame
 from protocol.wire.telemetry import Trace
 from sensing_node.scene import describe_stream, load_sensing, log_repetition, open_source
 from telepulse.cli.options import PROGRAM, LinkOption, SceneArgument, SeedOption, YesOption
 from telepulse.cli.progress import SimulationProgress
 from telepulse.cli.view import open_page
-from telepulse.processes import NodeProcess, free_addresses, log_warnings
+from telepulse.processes import LoggedNode, free_addresses, log_warnings
 from telepulse.scene import DEFAULT_SCENE, Scene, load_scene, scene_provenance
 from telepulse.simulation.link_scene import LinkScene, parse_link
 from telepulse.simulation.true_errors import TrueErrors
@@ -60,7 +60,6 @@ from telepulse.simulation.virtual_time import Simulation
 logger = logging.getLogger(__name__)
 
 ENDS_WITHIN_S = 10.0
-PIPES: dict[str, Any] = {"stdout": PIPE, "stderr": PIPE}
 # Time for the display to start before the sensing node does.
 HEAD_START_S = 0.7
 
@@ -224,12 +223,11 @@ def run_demo(
         if page or (page is None and draw):
             # Started first, so that it shows the beginning.
             live_page = open_page(stack, telemetry_address, bool(page), console)
-        display = NodeProcess(
+        display = LoggedNode(
             *("display node", "display_node.cli", str(path), "--connect", display_address),
             *("--telemetry", telemetry_address, "--once", "--quiet", *time_limit),
             *_given(choice),
             summary=Path(folder, "display.json"),
-            **PIPES,
         )
         stack.callback(display.stop)
         link_process = None
@@ -238,15 +236,15 @@ def run_demo(
                 *("link between the nodes", "-m", "telepulse", "link", *time_limit),
                 *("--connect", sensing_address, "--bind", display_address),
                 *("--link", scene.link.text()),
-                **PIPES,
+                stdout=PIPE,
+                stderr=PIPE,
             )
             stack.callback(link_process.stop)
         time.sleep(HEAD_START_S)
-        sensing = NodeProcess(
+        sensing = LoggedNode(
             *("sensing node", "sensing_node.cli", str(path), "--bind", sensing_address),
             *("--seconds", str(seconds), "--quiet", *_given(record)),
             summary=Path(folder, "sensing.json"),
-            **PIPES,
         )
         stack.callback(sensing.stop)
         # The nodes run: what follows only compares and shows them.
@@ -305,6 +303,9 @@ def _compose(sensing: Summary, display: Summary, over_a_link: bool) -> Summary:
         display,
         press=_account(sensing.press, display.press),
         rejected=dict(Counter(display.rejected) + Counter(sensing.rejected)),
+        rejected_readers=dict(
+            Counter(display.rejected_readers) + Counter(sensing.rejected_readers)
+        ),
         limited=replace(display.limited, adc=sensing.limited.adc),
         faults=display.faults + [f"{SENSING_NOTE}{note}" for note in sensing.faults],
     )

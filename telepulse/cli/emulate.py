@@ -327,8 +327,8 @@ def stepdir(
         configure_logging(log_level)
         _check_fault(fault, STEPDIR_FAULTS)
         _, motor, sensors = _load(scene, contactor, wrist, StepdirScene)
-        film = None if wrist else _load_film(scene, contactor)
-        board = EmulatedBoard(motor, film, time.perf_counter_ns())
+        film, noise_n = (None, 0.0) if wrist else _load_film(scene, contactor)
+        board = EmulatedBoard(motor, film, time.perf_counter_ns(), noise_n)
         cable = open_things.enter_context(ExitStack())
         port = cable.enter_context(closing(PtyPort(link)))
         serve = serve_board(board, port)
@@ -353,10 +353,14 @@ def stepdir(
         run.run(poll, begin_fault, fault, after_s, seconds)
 
 
-def _load_film(name: str, contactor: str | None) -> DriveFilmScene | None:
-    """Return the table of the film that the drive of a scene's contactor reads, if it reads one."""
+def _load_film(name: str, contactor: str | None) -> tuple[DriveFilmScene | None, float]:
+    """Return the film that the drive of a scene's contactor reads, if it reads one, and its noise.
+
+    The noise is that of `[display.film]`, in N RMS.
+    """
     display = load_section(find_scene(name), "display", DisplayScene).choose(contactor)
-    return display.feedback if isinstance(display.feedback, DriveFilmScene) else None
+    film = display.feedback if isinstance(display.feedback, DriveFilmScene) else None
+    return film, display.film.noise_n
 
 
 def _check_fault(fault: str | None, names: tuple[str, ...]) -> None:

@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from protocol.cli_options import one_line_errors, plain_console
-from protocol.security.allow_list import FILE_NAME, allow, read_allowed, revoke
+from protocol.security.allow_list import FILE_NAME, allow, read_allow_list, revoke
 from protocol.security.keys import new_pair, read_public
 from telepulse.cli.options import PROGRAM
 
@@ -46,10 +46,10 @@ def new(name: NameArgument, folder: FolderOption = FOLDER) -> None:
 def allow_command(
     public: Annotated[Path, typer.Argument(metavar="FILE.pub", help="The node that may connect.")],
     folder: FolderOption = FOLDER,
-    allowed: ListOption = None,
+    allow_list: ListOption = None,
 ) -> None:
     """Allow a node: add its public key to the allow-list; running nodes follow within 1 s."""
-    path = allowed or folder / FILE_NAME
+    path = allow_list or folder / FILE_NAME
     with one_line_errors(PROGRAM):
         peer = read_public(public)
         allow(path, peer)
@@ -58,19 +58,19 @@ def allow_command(
 
 @app.command(name="revoke")
 def revoke_command(
-    name: NameArgument, folder: FolderOption = FOLDER, allowed: ListOption = None
+    name: NameArgument, folder: FolderOption = FOLDER, allow_list: ListOption = None
 ) -> None:
     """Revoke a node's permission; running nodes cut its connections within 2 s."""
-    path = allowed or folder / FILE_NAME
+    path = allow_list or folder / FILE_NAME
     with one_line_errors(PROGRAM):
         revoke(path, name)
     plain_console().print(f"{path} no longer allows {name}")
 
 
 @app.command(name="list")
-def list_command(folder: FolderOption = FOLDER, allowed: ListOption = None) -> None:
+def list_command(folder: FolderOption = FOLDER, allow_list: ListOption = None) -> None:
     """Print the name and public key of each node that may connect."""
-    path = allowed or folder / FILE_NAME
+    path = allow_list or folder / FILE_NAME
     with one_line_errors(PROGRAM):
-        lines = [f"{peer.key.hex()}  {peer.name}" for peer in read_allowed(path).values()]
+        lines = [f"{peer.key.hex()}  {peer.name}" for peer in read_allow_list(path).values()]
     plain_console().print("\n".join(lines or [f"{path} allows nobody"]))

@@ -99,7 +99,7 @@ def record(
     cannot begin.
     """
     from telepulse.recording.marks import LineMarks, LslMarks, MarkSource, read_about
-    from telepulse.recording.recorder import McapRecorder
+    from telepulse.recording.recorder import TelemetryRecorder
 
     with one_line_errors(PROGRAM):
         configure_logging(log_level, quiet)
@@ -115,7 +115,7 @@ def record(
         sources: list[MarkSource] = [LineMarks()] if marks else []
         if marks_from is not None:
             sources.append(LslMarks(marks_from))
-        recorder = McapRecorder(address, file, keys, stated, sources)
+        recorder = TelemetryRecorder(address, file, keys, stated, sources)
     stop_on_signals(recorder.stop)
     if not recorder.run(seconds, until_silent, display_pid):
         raise SystemExit(NOT_WHOLE)
@@ -194,7 +194,7 @@ def replay(
     Exit status: 0 at the end of the recording, 2 when the recording cannot be read or the
     address cannot be used; the reason is one line on stderr.
     """
-    from sensing_node.feeds import ReplaySource, Source
+    from sensing_node.feeds import ReplayFeed, Source
     from sensing_node.node import SensingNode
     from telepulse.recording.recorded_wrist import RecordedWrist, exported_session
     from telepulse.recording.session import longest_session
@@ -208,7 +208,7 @@ def replay(
         exported = press and file.suffix in (".csv", ".parquet")
         session = exported_session(file) if exported else longest_session(file)
         description = session.description
-        source: Source = ReplaySource(description, session.frames())
+        source: Source = ReplayFeed(description, session.frames())
         if press:
             source = RecordedWrist(session)
             description = replace(description, channels=source.channels)

@@ -128,8 +128,8 @@ def _tables(study: RecordStudy) -> Iterator[Table]:
     for each in study.ahead:
         ahead.add_row(f"{each.ahead_ms} ms", error(each.predicted_n), error(each.held_n))
     yield ahead
-    title = "Felt at the finger; samples that came late, and that were lost"
-    played = _table(title, "", "delay", "error in phase", "aligned", "late", "lost")
+    title = "Felt at the finger: force RMSE; samples that came late, and that were lost"
+    played = _table(title, "", "delay", "in phase", "aligned", "late", "lost")
     for playout in study.playouts:
         delay = "–" if playout.delay_ms is None else f"{playout.delay_ms:z.1f} ms"
         errors = error(playout.in_phase_n), error(playout.aligned_n)

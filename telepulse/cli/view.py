@@ -74,8 +74,10 @@ def view(
     with one_line_errors(PROGRAM):
         configure_logging(log_level, quiet)
         check_bokeh()
-        _check_host(host, insecure)
-        keys = KeyOptions(key, peer, None, insecure).telemetry_client(address)
+        # Beyond loopback, --insecure is about the page; its link may have keys all the same.
+        for_the_page = _beyond_this_machine(host, insecure) and key is not None
+        options = KeyOptions(key, peer, None, insecure and not for_the_page)
+        keys = options.telemetry_client(address)
         # The first import takes a second, during which an open page would not be updated.
         import scipy.signal  # noqa: F401
 
@@ -112,8 +114,11 @@ def open_page(
     return page
 
 
-def _check_host(host: str, insecure: bool) -> None:
-    """Raise AddressError for an invalid address, ProtectionError for one beyond loopback."""
+def _beyond_this_machine(host: str, insecure: bool) -> bool:
+    """Return whether a page at `host` is open to other machines, which `insecure` permits.
+
+    Raises AddressError for an invalid address, ProtectionError without the permission.
+    """
     try:
         address = ipaddress.ip_address("127.0.0.1" if host == "localhost" else host)
     except ValueError:
@@ -122,3 +127,4 @@ def _check_host(host: str, insecure: bool) -> None:
         raise ProtectionError(
             f"--host {host} shows the page to all who reach this machine; --insecure allows it"
         )
+    return not address.is_loopback

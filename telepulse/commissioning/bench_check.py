@@ -1,6 +1,7 @@
 """`telepulse bench`: the checks of a scene on its models or on the real bench, and their report."""
 
 import math
+import time
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from dataclasses import dataclass, field
@@ -51,6 +52,8 @@ EXCHANGES_PER_TICK = 2.5
 # Age of the film's readings. The loop compensates a known age, but a scene's `latency` is at most
 # the second value.
 FILM_AGE_WARN_S, FILM_AGE_FAIL_S = 0.02, 0.05
+# Of a sensor that was opened just now: until then its times follow the estimate of its clock.
+SETTLED_S = 1.0
 
 
 @dataclass(slots=True)
@@ -116,6 +119,7 @@ def check_wrist(findings: BenchFindings, scene: SensingScene, folder: Path, seco
             unloaded = scene.sensor.model_copy(update={"preload_n": 0.0})
             rate_hz = unloaded.rate_hz
             with closing(open_sensor(unloaded, folder)) as sensor:
+                time.sleep(SETTLED_S)
                 records = listen(sensor, seconds)
         else:
             rate_hz, records = _still_source(scene, folder, seconds)
@@ -183,7 +187,7 @@ def _check_drive(
     line_s = table.exchange_s or 0.0
     with (
         findings.part("film"),
-        closing(open_film(film, drive, scene.overforce_n, folder)) as sensor,
+        closing(open_film(film, drive, scene.safety.overforce_n, folder)) as sensor,
     ):
         with findings.part("drive"), closing(drive):
             with advised():

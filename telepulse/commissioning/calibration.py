@@ -42,6 +42,8 @@ _HEADER = re.compile(r"\s*([A-Za-z]+)(?:[\s_]*[\[(]?([A-Za-z]+)[\])]?)?\s*")
 # A larger number could become infinite when multiplied by its unit's factor.
 LARGEST = 1e30
 LEAST_LOADS = 3
+# Slope over its standard error; noise alone gives less.
+LEAST_SIGNIFICANCE = 3.0
 AVERAGE_S = 2.0
 SETTLE_S = 0.5
 TRIES = 3
@@ -223,8 +225,11 @@ def fit_line(load_n: Array, reading: Array) -> CalibrationLine:
     if not np.ptp(load_n):
         raise BenchError(f"all loads are {load_n[0]:g} N; different ones are needed for a line")
     line = linregress(load_n, reading)
-    if not np.ptp(reading) or not line.slope:
-        raise BenchError("the readings do not change with the loads")
+    if not abs(line.slope) > LEAST_SIGNIFICANCE * line.stderr:
+        raise BenchError(
+            "the readings do not change with the loads: check that they press the sensor, and its"
+            " cable"
+        )
     off_n = (reading - line.slope * load_n - line.intercept) / line.slope
     hysteresis_n, repeatability_n = _spreads_n(load_n, off_n)
     return CalibrationLine(

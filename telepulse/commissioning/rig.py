@@ -10,7 +10,7 @@ from collections import Counter
 import numpy as np
 
 from display_node.hardware import WITHDRAWN_WITHIN_S
-from display_node.plant.film import FeedbackFilm
+from display_node.plant.film import FilmModel
 from display_node.plant.scene import ForceModel
 from display_node.plant.stepper import Stepper
 from display_node.scene import DisplayScene
@@ -41,7 +41,7 @@ class ModelRig:
 
     def __init__(self, scene: DisplayScene) -> None:
         self.tick_s = scene.tick_ns * 1e-9
-        self._film = FeedbackFilm(scene.film, self.tick_s)
+        self._film = FilmModel(scene.film, self.tick_s)
         self._actuator: Stepper | ForceModel
         # Input of the model for each unit of the output.
         self._scale = 1.0
@@ -192,10 +192,15 @@ def check_answers(drive: Drive) -> Check:
 
 
 def _answer_s(drive: Drive, speed_m_per_s: float) -> float:
-    """Return the time in s until the drive reports the commanded speed, at most the limit."""
-    began_s = time.monotonic()
+    """Return the time in s until the drive reports the commanded speed, at most the limit.
+
+    Commands are sent at a bench's interval: more of them than its line takes would be lost.
+    """
+    began_s = due_s = time.monotonic()
     while (waited_s := time.monotonic() - began_s) < ANSWER_WITHIN_S:
-        drive.command(speed_m_per_s)
+        if time.monotonic() >= due_s:
+            drive.command(speed_m_per_s)
+            due_s += PERIOD_S
         time.sleep(POLL_S)
         status = drive.status()
         if status.fault is not None:

@@ -100,7 +100,9 @@ def judge_sensor(record: SensorRecord, nominal_hz: float, live: bool = False) ->
         # Shares of a period. No filter can be designed for samples that are a whole period off.
         ("jitter of sample times",
          f"{jitter_s * 1e6:.0f} µs RMS (arrival: {arrival_jitter_s * 1e6:.0f} µs)",
-         jitter_s / nominal_s, 0.25, 1.0, "let the device send its own time with the samples"),
+         jitter_s / nominal_s, 0.25, 1.0,
+         "let the device send its own time with the samples; where it does, check this machine's"
+         " load and the adapter's latency timer"),
         ("missing samples", f"{lost * 100:.2f} %", lost, 0.0, 0.01,
          "check cable, baud rate and load"),
         ("noise",

@@ -19,7 +19,9 @@ from telepulse.emulators import PtyPort
 
 # Force of one count of an integer sample; the range of an int16 is then ±3.2 N.
 NEWTONS_PER_COUNT = 1e-4
-# The same of a channel that announces: 1 µV.
+# Keys of the table that reads such samples.
+COUNTS = {"zero": 0, "newtons_per_count": NEWTONS_PER_COUNT, "preload": "0 N"}
+# Millivolts in a count of a channel that announces: 1 µV.
 MILLIVOLTS_PER_COUNT = 1e-3
 
 Samples = Sequence[Sequence[float]]
@@ -134,7 +136,8 @@ def source_table(
     if len(channels) > 1:
         source["names"] = [channel.name for channel in channels]
     if framing == "binary" and samples != "float32":
-        source |= {"unit": "counts", "newtons_per_count": NEWTONS_PER_COUNT}
+        # Zero and preload too: the scene may inherit those of an amplifier.
+        source |= {"unit": "counts", **COUNTS}
         if any(channel.announces for channel in channels):
             source["announce_unit"] = "uV"
     else:

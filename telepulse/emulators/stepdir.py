@@ -2,14 +2,15 @@
 
 The board itself is pure: time is an argument, and it returns the frames that the firmware would
 send. Its states, bounds, trips and withdrawals are those of `firmware/PROTOCOL.md`. Not modelled:
-the microcontroller's timing, its analogue noise, and a stall that no fault pin reports: the count
-of steps then stops as well.
+the microcontroller's timing, and a stall that no fault pin reports: the count of steps then stops
+as well.
 """
 
 import math
 import select
 import time
 from collections.abc import Callable
+from random import Random
 
 from pulse_drives.stepdir.frames import (
     COUNTER_TURN,
@@ -21,11 +22,11 @@ from pulse_drives.stepdir.frames import (
     CommandAnswer,
     CommandResult,
     Format,
-    FrameReader,
     HomeSearch,
     LimitOption,
     StateFlag,
     TripCause,
+    board_reader,
     decode_command,
     encode_report,
 )
@@ -45,12 +46,15 @@ POWER_UP, RESET_PIN = 1, 2
 LEAVE_SHARE = 1 / 8
 # The film of a board whose scene describes none.
 NO_FILM = 8184
+NOISE_SEED = 1
 MOTIONS = (BoardMode.READY, BoardMode.RUNNING)
 TRIPS = (BoardMode.HOMING, *MOTIONS)
 
 
 class EmulatedBoard:
-    """A board with its motor; film: the scene's table, which gives the counts of a force.
+    """A board with its motor.
+
+    film: the scene's table, which gives the counts of a force; noise_n: RMS of its noise.
 
     Attributes
     ----------
@@ -65,14 +69,20 @@ class EmulatedBoard:
     _mode: BoardMode
     _homed: bool
 
-    def __init__(self, motor: EmulatedMotor, film: DriveFilmScene | None, now_ns: int) -> None:
+    def __init__(
+        self,
+        motor: EmulatedMotor,
+        film: DriveFilmScene | None,
+        now_ns: int,
+        noise_n: float = 0.0,
+    ) -> None:
         self._motor, self._film = motor, film
+        self._noise_n, self._noise = noise_n, Random(NOISE_SEED)
         self._now_ns = now_ns
         self._frames: list[bytes] = []
         self._on_line: list[bytes] = []
-        # Forces at the last two milliseconds: a reading is their mean.
-        self._forces_n = (motor.force_n, motor.force_n)
-        self._reader = FrameReader()
+        self._force_n, self._read_n = motor.force_n, motor.force_n
+        self._reader = board_reader()
         self.protocol, self.firmware, self.tick_hz = PROTOCOL, FIRMWARE, TICK_HZ
         self.trouble = ""
         self.limits: BoardLimits | None = None
@@ -128,8 +138,7 @@ class EmulatedBoard:
     def _film_counts(self) -> int:
         if self._film is None:
             return NO_FILM
-        force_n = sum(self._forces_n) / 2
-        counts = self._film.zero + (force_n - self._film.preload_n) / self._per_count
+        counts = self._film.zero + (self._read_n - self._film.preload_n) / self._per_count
         return min(max(round(counts), 0), FULL_SCALE)
 
     @property
@@ -265,7 +274,9 @@ class EmulatedBoard:
         self._counter = (self._counter + 1) % COUNTER_TURN
         forces_n = self._motor.forces_n
         force_n = forces_n[-1] if forces_n else self._motor.force_n
-        self._forces_n = (self._forces_n[1], force_n)
+        # A reading is the mean over the millisecond.
+        self._read_n = (self._force_n + force_n) / 2 + self._noise.gauss(0.0, self._noise_n)
+        self._force_n = force_n
         self._supervise()
         match self._mode:
             case BoardMode.RUNNING:
@@ -354,7 +365,7 @@ class EmulatedBoard:
             cause=self._cause,
             flags=StateFlag(sum(flag for flag, is_set in flags.items() if is_set)),
             sequence=self._sequence,
-            rejected=self._reader.rejected % 256,
+            rejected=self._reader.altered % 256,
         )
 
     def _send(self, report: BoardState | BoardGreeting | CommandAnswer) -> None:

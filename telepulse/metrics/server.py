@@ -18,14 +18,14 @@ from wsgiref.types import StartResponse, WSGIApplication, WSGIEnvironment
 
 import zmq
 
-from display_node.telemetry.alerts import StatusAge
+from display_node.telemetry.status_age import StatusAge
 from display_node.telemetry.terminal_view import TerminalView
 from protocol import sockets
 from protocol.errors import AddressError, SidecarError, WireError
-from protocol.security.link_keys import ClientKeys
+from protocol.security.link_keys import KeyOptions
+from protocol.summary.fields import contactors_of
 from protocol.summary.figures import Figure, Surface, figures_on
 from protocol.summary.phrases import COUNT
-from protocol.summary.tables import contactors_of
 from protocol.wire.telemetry import STATUS, TRACE, Status, read_status, read_trace
 from telepulse.http_site import Site, in_url
 
@@ -243,7 +243,7 @@ class MetricsServer(Collector):
 
     def follow(self, address: str, key: str | None) -> None:
         """Read a node's telemetry, without end."""
-        keys = ClientKeys.of_own_node(Path(key)) if key else None
+        keys = KeyOptions(Path(key)).telemetry_client(address) if key else None
         context: sockets.Context = zmq.Context()
         socket = sockets.connect(context, zmq.SUB, address, keys)
         for topic in (STATUS, TRACE):

@@ -6,8 +6,6 @@ discretised by backward Euler; the actuator holds the voltage over the tick.
 
 import math
 from collections.abc import Callable, Sequence
-from decimal import Decimal
-from typing import TypeVar
 
 import numpy as np
 from scipy import signal
@@ -18,8 +16,6 @@ from telepulse.paper.published import FILM_MV, Gains
 # Between these, every loop here changes from unstable to stable once, as the rate grows.
 SLOWEST_HZ, FASTEST_HZ = 100.0, 20_000.0
 TOLERANCE_HZ = 0.01
-Number = TypeVar("Number", float, Decimal)
-Step = Callable[[Number], Number]
 
 
 def spectral_radius(
@@ -69,37 +65,28 @@ def least_rate_hz(
 
 
 def close_loop(
-    step: Step[Number],
+    step: Callable[[float], float],
     tick_s: float,
-    reference_n: Sequence[Number],
-    gains: Gains = published.EXPERIMENT,
-    filter_hz: float = 200.0,
-) -> tuple[list[Number], list[Number]]:
-    """Follow a reference from rest, in the numbers of the reference.
+    reference_n: Sequence[float],
+    gains: Gains,
+    filter_hz: float,
+) -> list[float]:
+    """Follow a reference from rest; return the force in N after each tick.
 
     step: the actuator, from a voltage in V to the force in N at the tick's end. filter_hz: corner
-    of the derivative's filter; the default is that of scenes/paper.toml. Returns the force in N
-    after, and the voltage in each tick.
+    of the derivative's filter.
     """
     filter_s, per_newton = 1 / (2 * math.pi * filter_hz), FILM_MV.per_newton
-    kp, ki, kd, kept = map(
-        type(reference_n[0]),
-        (
-            gains.kp * per_newton,
-            gains.ki * per_newton * tick_s,
-            gains.kd * per_newton / (filter_s + tick_s),
-            filter_s / (filter_s + tick_s),
-        ),
-    )
-    force_n = integral = derivative = last_n = reference_n[0] * 0
-    forces_n, voltages = [], []
+    kp, ki = gains.kp * per_newton, gains.ki * per_newton * tick_s
+    kd = gains.kd * per_newton / (filter_s + tick_s)
+    kept = filter_s / (filter_s + tick_s)
+    force_n = integral = derivative = last_n = 0.0
+    forces_n = []
     for wanted_n in reference_n:
         error_n = wanted_n - force_n
-        integral = integral + ki * error_n
+        integral += ki * error_n
         derivative = kept * derivative + kd * (error_n - last_n)
         last_n = error_n
-        volts = kp * error_n + integral + derivative
-        force_n = step(volts)
+        force_n = step(kp * error_n + integral + derivative)
         forces_n.append(force_n)
-        voltages.append(volts)
-    return forces_n, voltages
+    return forces_n

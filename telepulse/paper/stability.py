@@ -36,7 +36,7 @@ FREQUENCIES = 400
 # The shortest ramp, so that it does not hide what the loop itself does.
 SAFETY = SafetyScene.model_validate({"ramp": "1 ms"})
 # Felt force beyond this, pressing or pulling, is out of bounds: the fault level of Safety.
-BOUND_N = SAFETY.force_limit_n * SAFETY.overforce
+BOUND_N = SAFETY.overforce_n
 
 
 def paper_setup(gains: Gains, filter_hz: float = 200.0, tick_s: float = 1e-3) -> DisplayScene:
@@ -122,7 +122,7 @@ def _shipped_rmse_n(setup: DisplayScene, wanted_n: Array, late: bool) -> float:
 
 def _explicit_rmse_n(gains: Gains, filter_hz: float, wanted_n: Array, tick_s: float) -> float:
     step, reference_n = SecondOrder(published.ACTUATOR, tick_s).step, wanted_n.tolist()[:-1]
-    felt_n, _ = close_loop(step, tick_s, reference_n, gains, filter_hz)
+    felt_n = close_loop(step, tick_s, reference_n, gains, filter_hz)
     return _rmse_n(felt_n, wanted_n, tick_s)
 
 

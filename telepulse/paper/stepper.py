@@ -55,7 +55,7 @@ def run_scene(scene: Scene, actual: StepperScene | None = None) -> TrackingRun:
     safety = display.safety.model_copy(update={"slew_limit_n_per_s": math.inf})
     loop = display.model_copy(update={"safety": safety}).force_loop(actual)
     ticks, reach = round(published.FIRST_S / tick_s), loop.horizon + 1
-    lead_ticks = loop.lead_ns / display.tick_ns
+    lead_ticks = loop.actuation_delay_ns / display.tick_ns
     samples = ticks + reach + math.ceil(lead_ticks)
     wanted_n = build_source(scene.sensing, scene.path.parent).take(samples)[:, 0]
     at = np.arange(samples)

@@ -8,10 +8,10 @@ from typing import NamedTuple
 from pydantic import TypeAdapter
 
 from display_node.control.scene import SafetyScene
-from protocol.summary.tables import Summary
+from protocol.summary.fields import Summary
 from protocol.wire.telemetry import PlaybackStatus
 from telepulse.columns import UNKNOWN_NS, Rows, SessionColumns, TickRow
-from telepulse.recording.reader import RecordingReader, in_tick_order, reading
+from telepulse.recording.mcap_reader import RecordingReader, in_tick_order, reading
 from telepulse.telemetry.decoder import Entry, Fields, PassiveReceiver
 from telepulse.telemetry.schema import EVENT, STATUS, TICK
 
@@ -114,7 +114,7 @@ class RecordingContents:
             ready=ready,
             playing=ready and target_n != 0,
             scored=fields["scored"],
-            predicted=target_n != 0 and not any(receiver.buffer.known_each(1, 1, sampled_ns, [0])),
+            predicted=target_n != 0 and not any(receiver.buffer.known(1, 1, sampled_ns, [0])),
             unix_ns=unix_ns,
             press_n=fields.get("press_n", math.nan),
         )

@@ -16,8 +16,8 @@ from protocol.config.quantities import count_text
 from protocol.errors import OutputError, SourceError
 from protocol.host.output import write_whole
 from telepulse.recording.export_tables import TABLES, RecordedBeats, Row, TableColumn, columns, rows
+from telepulse.recording.mcap_reader import RecordingReader, reading
 from telepulse.recording.mcap_writer import McapWriter
-from telepulse.recording.reader import RecordingReader, reading
 from telepulse.telemetry.decoder import Entry
 from telepulse.telemetry.schema import SCHEMAS
 

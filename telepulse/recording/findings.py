@@ -8,16 +8,16 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from display_node.scoring.alignment import Floats
+from display_node.scoring.tracking_error import Floats
 from protocol.errors import SourceError
 from protocol.histogram import Histogram
-from protocol.summary.tables import Availability, Loop, PlayoutDelay, Summary, with_contactors
+from protocol.summary.fields import Availability, Loop, PlayoutDelay, Summary, with_contactors
 from protocol.wire.description import HOLD_DOWN
 from telepulse.columns import SessionColumns, join_ticks
 from telepulse.recording.contents import COUNTS, PLAYOUT, RecordingContents, read_contents
 from telepulse.recording.forces import NARROWEST_S, ContactorFindings, find_trend
+from telepulse.recording.mcap_reader import RecordingReader, reading
 from telepulse.recording.pressed_beats import SteadyBeat, find_steady_beats
-from telepulse.recording.reader import RecordingReader, reading
 
 MAX_EVENTS = 500
 COUNT_WIDTH_S = 1.0
@@ -110,7 +110,7 @@ class RunFindings:
         )
         figures = dict[str, Summary]()
         for each in self.contactors:
-            own = Summary(beats=each.beats.figures())
+            own = Summary(beats=each.beats.figures(None if self.pressed else each.ratio))
             figures[each.name] = own if self.pressed else each.errors.add_to(own, loop)
         return with_contactors(summary, figures)
 

@@ -5,14 +5,15 @@ from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from display_node.scoring.alignment import Floats, compared_forces_n
 from display_node.scoring.beat_statistics import BeatStatistics
 from display_node.scoring.heart_rate import heart_rate_per_min
-from display_node.scoring.tracking_error import JND, TrackingError
+from display_node.scoring.tracking_error import JND, Floats, TrackingError
 from protocol.wire.telemetry import PlaybackStatus
 from telepulse.columns import SessionColumns
 
+Mask = NDArray[np.bool_]
 # Ticks of which the JND is computed at once, and that are plotted together.
 BLOCK = 2_048
 # Heart rates use every tenth tick, which gives enough points in a beat.
@@ -62,10 +63,10 @@ def find_trend(t_s: Floats, values: Floats, width_s: float = NARROWEST_S) -> Tre
 
 
 class AlignedBlock(NamedTuple):
-    """Consecutive ticks; target_n: target force at the finger, NaN where nothing was sensed."""
+    """Consecutive ticks; reference_n: pulse of the played instant, NaN where nothing was sensed."""
 
     t_s: Floats
-    target_n: Floats
+    reference_n: Floats
     felt_n: Floats
 
 
@@ -77,11 +78,11 @@ class ContactorFindings:
     name, channel
         Its name, and the channel that it played first.
     ratio : float or None
-        Target force at the finger per force at the wrist; None where no status states it.
+        Force at the finger per force at the wrist; None where no status states it.
     errors : TrackingError
         Errors as the display computes them.
     error_n, jnd_n : Trend
-        Felt minus target force, and the just noticeable difference, at full strength.
+        Felt force minus reference, and the just noticeable difference, at full strength.
     first, worst : list of AlignedBlock
         The first blocks at full strength, and those around the largest error.
     heart : list of (float, float or None, float or None)
@@ -99,15 +100,18 @@ class ContactorFindings:
         known = [(session, playing) for session, playing in played if playing is not None]
         self.channel = known[0][1].channel if known else 0
         self.ratio = known[0][1].force_ratio if known else None
-        self.errors = TrackingError()
+        compared: list[tuple[Floats, Floats]] = []
+        self.errors = TrackingError(take_scored=lambda *forces_n: compared.append(forces_n))
         blocks: list[AlignedBlock] = []
         for session, playing in known:
             self.errors.strain_per_newton = playing.strain_per_newton
-            self.errors.film_age_ns = playing.film_age_ns
-            _add_errors(self.errors, session, playing)
-            blocks += _aligned_blocks(session, playing, begin_ns)
+            scored = session.ticks["scored"] & session.ticks["ready"]
+            _score(self.errors, session, playing, scored)
+            t_s = (session.ticks["unix_ns"][scored] - begin_ns) * 1e-9
+            blocks += _split(t_s, *np.concatenate([np.empty((2, 0)), *compared], axis=1))
+            compared.clear()
         self.heart = list(_heart_rates(blocks))
-        errors_n = [block.felt_n - block.target_n for block in blocks]
+        errors_n = [block.felt_n - block.reference_n for block in blocks]
         t_s = np.concatenate([[], *(block.t_s for block in blocks)])
         jnds_n = [np.full(len(b.t_s), JND * float(np.ptp(_known(b)))) for b in blocks]
         self.error_n = find_trend(t_s, np.concatenate([[], *errors_n]))
@@ -131,48 +135,40 @@ class ContactorFindings:
         }
 
 
-def _add_errors(errors: TrackingError, session: SessionColumns, playing: PlaybackStatus) -> None:
-    """Add what a contactor felt at full strength, and its target, in the order of arrival.
+def _score(
+    errors: TrackingError, session: SessionColumns, playing: PlaybackStatus, scored: Mask
+) -> None:
+    """Score what a contactor felt in some ticks, in the order of arrival.
 
     Each frame is added after the ticks before its arrival, as in the display: the reference is
     bounded, and has to hold what is still to be scored.
     """
-    scored = session.ticks["scored"] & session.ticks["ready"]
     now_ns, instant_ns = session.ticks["sensing_ns"][scored], session.ticks["instant_ns"][scored]
     felt_n = session.forces_n(playing.contactor)[1][scored]
     t_ns = session.pulse_ns()
-    target_n = playing.force_ratio * session.values[:, playing.channel].astype(np.float64)
+    reference_n = playing.force_ratio * session.values[:, playing.channel].astype(np.float64)
     ends = np.cumsum(session.frames["samples"])
-    # Number of the ticks at full strength before each frame, and after the last one.
+    # Number of the scored ticks before each frame, and after the last one.
     before = np.append(0, np.cumsum(scored))[[*session.frames["ticks"], len(scored)]]
     for frame, (end, count) in enumerate(zip(ends, session.frames["samples"], strict=True)):
         samples, ticks = slice(end - count, end), slice(before[frame], before[frame + 1])
-        errors.add_reference_force(t_ns[samples].tolist(), target_n[samples].tolist())
-        errors.add_output(now_ns[ticks], instant_ns[ticks], felt_n[ticks])
+        errors.add_reference_force(t_ns[samples].tolist(), reference_n[samples].tolist())
+        errors.add_output(now_ns[ticks], instant_ns[ticks], felt_n[ticks], playing.film_age_ns)
     errors.finish()
 
 
-def _aligned_blocks(
-    session: SessionColumns, playing: PlaybackStatus, begin_ns: int
-) -> Iterator[AlignedBlock]:
-    """Yield the ticks at full strength in blocks, without those of which nothing is known."""
-    scored = session.ticks["scored"] & session.ticks["ready"]
-    now_ns, instant_ns = session.ticks["sensing_ns"][scored], session.ticks["instant_ns"][scored]
-    t_ns, wrist_n = session.pulse(playing.channel)
-    target_n = playing.force_ratio * wrist_n
-    played_n, _ = compared_forces_n(now_ns, instant_ns, playing.film_age_ns, t_ns, target_n)
-    t_s = (session.ticks["unix_ns"][scored] - begin_ns) * 1e-9
-    felt_n = session.forces_n(playing.contactor)[1][scored]
+def _split(t_s: Floats, reference_n: Floats, felt_n: Floats) -> Iterator[AlignedBlock]:
+    """Yield ticks in blocks, without those of which nothing is known."""
     for first in range(0, len(t_s), BLOCK):
         ticks = slice(first, first + BLOCK)
-        block = AlignedBlock(t_s[ticks], played_n[ticks], felt_n[ticks])
+        block = AlignedBlock(t_s[ticks], reference_n[ticks], felt_n[ticks])
         if len(_known(block)):
             yield block
 
 
 def _known(block: AlignedBlock) -> Floats:
-    """Return the target force where the felt force is known as well."""
-    return block.target_n[~np.isnan(block.felt_n - block.target_n)]
+    """Return the reference where the felt force is known as well."""
+    return block.reference_n[~np.isnan(block.felt_n - block.reference_n)]
 
 
 def _heart_rates(
@@ -182,10 +178,10 @@ def _heart_rates(
     window: list[AlignedBlock] = []
     for block in blocks:
         window.append(AlignedBlock(*(values[::THIN] for values in block)))
-        t_s, target_n, felt_n = map(np.concatenate, zip(*window, strict=True))
+        t_s, reference_n, felt_n = map(np.concatenate, zip(*window, strict=True))
         if t_s[-1] - t_s[0] >= HEART_WINDOW_S:
             window.clear()
-            wrist, felt = (_heart_rate_per_min(t_s, force_n) for force_n in (target_n, felt_n))
+            wrist, felt = (_heart_rate_per_min(t_s, force_n) for force_n in (reference_n, felt_n))
             yield float(t_s.mean()), wrist, felt
 
 

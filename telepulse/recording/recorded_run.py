@@ -8,10 +8,10 @@ import numpy as np
 
 from protocol.config.arguments import file_path
 from protocol.errors import SourceError
-from protocol.summary.tables import Summary
+from protocol.summary.fields import Summary
 from telepulse.columns import join_ticks
 from telepulse.recording.contents import RecordingContents, read_contents
-from telepulse.recording.reader import RecordingReader, reading
+from telepulse.recording.mcap_reader import RecordingReader, reading
 from telepulse.run import Run, build_run
 from telepulse.telemetry.decoder import MARK_EVENT
 

@@ -20,7 +20,7 @@ logger = logging.getLogger(__name__)
 FLUSH_EVERY_NS = 500_000_000
 
 
-class McapRecorder:
+class TelemetryRecorder:
     """Recorder that runs until the display ends, falls silent or `stop` is called."""
 
     def __init__(

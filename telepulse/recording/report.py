@@ -9,10 +9,10 @@ from display_node.scoring.depth_curve import fit_depth_curve
 from protocol.config.quantities import count_text
 from protocol.errors import DepthError
 from protocol.refusals import explain_causes
+from protocol.summary.fields import Summary
 from protocol.summary.figures import Surface
 from protocol.summary.phrases import interruptions_text
 from protocol.summary.rows import cells
-from protocol.summary.tables import Summary
 from telepulse.document import Chapter, Plot, Report, Table, percent, provenance_table
 from telepulse.recording.depth_report import height_plot
 from telepulse.recording.findings import HELD, RunFindings, read_findings
@@ -104,9 +104,9 @@ def _in_short(findings: RunFindings) -> Iterable[str]:
     aged = "" if delay_ms is None else f", which was {delay_ms:z.1f} ms old on average"
     if errors.aligned is not None and errors.in_phase is not None:
         yield (
-            f"The felt force differs by {1e3 * errors.aligned:.2f} mN RMS from the pulse of the"
-            f" played instant{aged}, and by {1e3 * errors.in_phase:.2f} mN RMS from the pulse of"
-            " the same moment."
+            f"The force RMSE is {1e3 * errors.aligned:.2f} mN aligned, against the pulse of the"
+            f" played instant{aged}, and {1e3 * errors.in_phase:.2f} mN in phase, against the"
+            " pulse of the same moment."
         )
     elif aged:
         yield f"The played instant was {delay_ms:z.1f} ms old on average."
@@ -220,13 +220,13 @@ def _contactor_chapters(
     if any(rate is not None for _, *rates in contactor.heart for rate in rates):
         plots.append(heart_plot(f"heart-rate{ending}", contactor))
     channel, ratio = f"channel {contactor.channel}", contactor.ratio
-    target = (
-        f"The target force at the finger is that of {channel} at the wrist"
+    reference = (
+        f"The felt force is compared with the force of {channel} at the wrist"
         if ratio == 1
-        else f"The target force at the finger is {ratio:.4g} times that of {channel} at"
+        else f"The felt force is compared with {ratio:.4g} times the force of {channel} at"
         " the wrist, so that both strains are equal"
     )
-    words = [f"{target}. It is shown at the instants that were played, as “at the wrist”."]
+    words = [f"{reference}. It is shown at the instants that were played, as “at the wrist”."]
     if findings.pressed:
         words.append(PRESSED)
     timed = [with_events(findings, plot) for plot in plots]

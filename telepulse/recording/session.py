@@ -10,7 +10,7 @@ from protocol.config.quantities import count_text
 from protocol.errors import SourceError, WireError
 from protocol.wire.description import StreamDescription
 from protocol.wire.messages import Frame, Welcome, decode_control, decode_frame
-from telepulse.recording.reader import RecordedMessage, RecordingReader
+from telepulse.recording.mcap_reader import RecordedMessage, RecordingReader
 from telepulse.telemetry.schema import FRAME, STREAM
 
 logger = logging.getLogger(__name__)

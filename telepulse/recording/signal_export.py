@@ -11,14 +11,14 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from display_node.scoring.alignment import MAX_GAP_NS, interpolate
+from display_node.scoring.tracking_error import MAX_GAP_NS, interpolate
 from protocol.config.quantities import count_text
 from protocol.errors import OutputError, SourceError
 from protocol.wire.marks import printable
 from telepulse.columns import UNKNOWN_NS, SessionColumns, join_ticks
 from telepulse.recording import edf_writer, wfdb_writer, xdf_writer
 from telepulse.recording.contents import read_contents
-from telepulse.recording.reader import RecordingReader
+from telepulse.recording.mcap_reader import RecordingReader
 from telepulse.recording.session import RecordedSession, longest_session
 from telepulse.recording.signal_table import Annotation, Floats, SignalTable, SignalWriter
 

@@ -43,7 +43,7 @@ class ErrorAhead(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class Playout:
+class FeltPlayout:
     """What a finger would feel of a playout; None where nothing was felt.
 
     delay_ms: mean perceived delay. in_phase_n, aligned_n: RMS errors of the felt force, against the
@@ -70,7 +70,7 @@ class RecordStudy:
     seconds: float
     height_n: float
     ahead: tuple[ErrorAhead, ...]
-    playouts: tuple[Playout, ...]
+    playouts: tuple[FeltPlayout, ...]
 
     @property
     def advice(self) -> str:
@@ -194,7 +194,7 @@ def errors_ahead(
 
 def _play(
     scene: Scene, number: int, seconds: float, seed: int, progress: Callable[[float], None]
-) -> Playout:
+) -> FeltPlayout:
     """Simulate one of `PLAYOUTS`."""
     name, predictor, compensation_ns = PLAYOUTS[number]
     changes = {"predictor": own_predictor(predictor), "compensation_ns": compensation_ns}
@@ -209,7 +209,7 @@ def _play(
     )
     samples, errors = summary.samples, summary.force_rmse_n
     sent = samples.sent or 1
-    return Playout(
+    return FeltPlayout(
         name,
         float(np.mean(delays_ns)) * 1e-6 if delays_ns else None,
         errors.in_phase,

@@ -3,9 +3,8 @@
 from collections.abc import Iterable
 from pathlib import Path
 
-from display_node.scoring.alignment import Floats, Times
-from display_node.scoring.tracking_error import TrackingError
-from protocol.summary.tables import Summary, with_contactors
+from display_node.scoring.tracking_error import Floats, Times, TrackingError
+from protocol.summary.fields import Summary, with_contactors
 from protocol.tactile import matching_force_ratio
 from protocol.wire.description import StreamDescription
 from protocol.wire.messages import Frame
@@ -63,32 +62,36 @@ class TrueErrors:
         Raises SourceError, SceneError or WireError.
         """
         self._reference = ReferenceForce(scene.sensing, scene.path.parent)
-        # Of each contactor: number of its channel, force at the finger per force at the wrist.
-        self._compared: list[tuple[int, float, TrackingError]] = []
+        # Of each contactor: number of its channel, force at the finger per force at the wrist,
+        # age of its film's readings.
+        self._compared: list[tuple[int, float, int, TrackingError]] = []
         for each in scene.display.contactors:
             channel, layer = stream.find_force(each.channel), each.layer.layer()
             film_age_ns = each.film.latency_ns if real_benches and each.drive is not None else 0
-            error = TrackingError(layer.strain_per_newton, film_age_ns)
+            error = TrackingError(layer.strain_per_newton)
             if scene.display.press is None:
-                self._compared.append((channel, matching_force_ratio(stream.layer, layer), error))
+                ratio = matching_force_ratio(stream.layer, layer)
+                self._compared.append((channel, ratio, film_age_ns, error))
 
     def add_sent(self, frame: Frame) -> Frame:
         """Add a frame as it was sent; return it with the true values."""
         true_frame = self._reference.of(frame)
-        for channel, force_ratio, error in self._compared:
+        for channel, force_ratio, _, error in self._compared:
             error.add_reference(true_frame.samples_of(channel), force_ratio)
         return true_frame
 
     def add_felt(self, now_ns: Times, instant_ns: Times, forces_n: Iterable[Floats]) -> None:
         """Add ticks at full strength; forces_n: what each contactor felt."""
-        for (_, _, error), felt_n in zip(self._compared, forces_n, strict=bool(self._compared)):
-            error.add_output(now_ns, instant_ns, felt_n)
+        for (*_, age_ns, error), felt_n in zip(
+            self._compared, forces_n, strict=bool(self._compared)
+        ):
+            error.add_output(now_ns, instant_ns, felt_n, age_ns)
 
     def finish(self, display: Summary) -> Summary:
         """Return a display's summary with these errors instead of its own."""
         figures = dict[str, Summary]()
         own = display.of_each_contactor().items()
-        for (_, _, error), (name, each) in zip(self._compared, own, strict=bool(self._compared)):
+        for (*_, error), (name, each) in zip(self._compared, own, strict=bool(self._compared)):
             error.finish()
             figures[name] = error.add_to(each, display.loop)
         return with_contactors(display, figures) if figures else display

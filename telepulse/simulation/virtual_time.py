@@ -14,7 +14,7 @@ from typing import Final
 from display_node.display import Display
 from display_node.fault_advice import SENSING_NOTE
 from display_node.hardware import Hardware
-from protocol.summary.tables import DataConnections, Summary
+from protocol.summary.fields import DataConnections, Summary
 from protocol.ticks import TickBlock, TickState
 from protocol.wire.messages import (
     Bye,
@@ -25,9 +25,9 @@ from protocol.wire.messages import (
     encode_control,
     encode_frame,
 )
-from pulse_sensors.sample_check import SampleCheck
+from pulse_sensors.sample_plausibility import SampleCheck
 from sensing_node.control_server import ControlServer
-from sensing_node.feeds import Framer, PacedSource
+from sensing_node.feeds import Framer, PacedFeed
 from sensing_node.scene import build_source, describe_stream, serve_set_points
 from telepulse.scene import Scene
 from telepulse.simulation.link_model import MessageLink
@@ -70,7 +70,7 @@ class Simulation:
         self._now_ns = begin_ns
         self._stream_ns = begin_ns + STREAM_BEGINS_NS
         self._judged_from_ns = self._last_ns = self._stream_ns
-        self._paced = PacedSource(self.source, self._stream_ns + SENSING_CLOCK_AHEAD_NS)
+        self._paced = PacedFeed(self.source, self._stream_ns + SENSING_CLOCK_AHEAD_NS)
         self._session = seed + 1
         self._framer = Framer(self._description, self._session)
         self._check = SampleCheck(self._description.period_ns, self._description.channels)
@@ -192,11 +192,11 @@ class Simulation:
 
     def _judge(self, block: TickBlock) -> None:
         """Compare the felt forces of a block of ticks with the true pulse."""
-        now_ns, instant_ns, full, *_ = block.columns
-        judged = (full != 0) & (now_ns >= self._judged_from_ns)
+        ticks = block.columns
+        judged = (ticks.scored != 0) & (ticks.now_ns >= self._judged_from_ns)
         forces_n = [block.felt_n(place)[judged] for place in range(len(self.display.contactors))]
-        true_now_ns = now_ns[judged] + SENSING_CLOCK_AHEAD_NS
-        self._errors.add_felt(true_now_ns, instant_ns[judged], forces_n)
+        true_now_ns = ticks.now_ns[judged] + SENSING_CLOCK_AHEAD_NS
+        self._errors.add_felt(true_now_ns, ticks.instant_ns[judged], forces_n)
 
     def _answer(self, data: bytes, now_ns: int) -> None:
         sensing_now_ns = now_ns + SENSING_CLOCK_AHEAD_NS
@@ -216,8 +216,3 @@ class Simulation:
 
     def _schedule(self, at_ns: int, event: Handler, data: bytes) -> None:
         heapq.heappush(self._events, (at_ns, next(self._order), event, data))
-
-
-def summarise(scene: Scene, seconds: float, seed: int) -> Summary:
-    """Return the summary of a scene in virtual time. Raises SceneError or SourceError."""
-    return Simulation(scene, seed).run(seconds)

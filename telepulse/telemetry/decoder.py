@@ -10,7 +10,7 @@ from collections import Counter, deque
 from collections.abc import Iterable, Iterator
 from typing import Any, NamedTuple
 
-from display_node.reception.playout import LATE_TARGET
+from display_node.reception.link_delay import LATE_TARGET
 from display_node.reception.receiver import MAX_OPEN_REQUESTS, Receiver
 from protocol.config.quantities import count_text
 from protocol.errors import WireError
@@ -227,9 +227,10 @@ class PassiveReceiver:
         Raises KeyError, ValueError or TypeError for fields that are not those of an entry.
         """
         if topic == FRAME or (topic == REFUSED and fields["path"] != telemetry.CONTROL):
-            data = b64decode(fields["data"])
-            accepted = self.receiver.on_frame(data, fields["arrived_ns"]) is not None
-            return wire.decode_frame(data) if accepted else None
+            receiver, data = self.receiver, b64decode(fields["data"])
+            if receiver.on_frame(data, fields["arrived_ns"]) is None or receiver.frame is None:
+                return None
+            return wire.with_array(receiver.frame)
         if topic in (STREAM, REFUSED):
             self.receiver.on_control(b64decode(fields["data"]), fields["arrived_ns"])
         elif topic == CLOCK:

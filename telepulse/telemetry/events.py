@@ -4,9 +4,9 @@ from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple
 
 from display_node.telemetry.alerts import NOT_CONNECTED, Alert, alerts
-from protocol.refusals import REVOKED, explain_causes
+from protocol.refusals import OWN_KEY_REVOKED, explain_causes
+from protocol.summary.fields import contactors_of
 from protocol.summary.phrases import LIMIT_NAMES
-from protocol.summary.tables import contactors_of
 
 # A cut is reported after the time that a display waits for a sensing node.
 CUT_AFTER_NS = 1_000_000_000
@@ -14,6 +14,8 @@ CUT, FAULT, INTERRUPTED = "link cut", "fault", "felt again"
 # Counts of the bench are an event when they grow by more than this within one status; superseded
 # commands are usual.
 MANY, USUAL = 20, "drive superseded"
+# Key of a summary → name of the event of each cause in it.
+REFUSALS = {"rejected": "refused", "rejected_readers": "reader refused"}
 # Alerts that other events report already: those of the state and of each cause of refusal.
 OTHER_EVENTS = {"stale", NOT_CONNECTED}
 
@@ -46,7 +48,7 @@ class EventDetector:
         # Number and length in s of the reported interruptions; None before the first status.
         self._interruptions: tuple[int, float] | None = None
         self._limited: set[str] = set()
-        self._refused: set[str] = set()
+        self._refused: set[tuple[str, str]] = set()
         # Counts of the bench at the last status, and the names of those that were reported.
         self._hardware: dict[str, int] = {}
         self._frequent: set[str] = set()
@@ -114,9 +116,12 @@ class EventDetector:
                 if figures["limited"][limit].get("times") and reached not in self._limited:
                     self._limited.add(reached)
                     yield Event("WARNING", "limited", reached)
-        for cause in sorted(summary["rejected"].keys() - self._refused - {REVOKED}):
-            self._refused.add(cause)
-            yield Event("WARNING", "refused", *explain_causes({cause: summary["rejected"][cause]}))
+        for key, name in REFUSALS.items():
+            refused = summary.get(key, {})
+            for cause in sorted(refused.keys() - {OWN_KEY_REVOKED}):
+                if (name, cause) not in self._refused:
+                    self._refused.add((name, cause))
+                    yield Event("WARNING", name, *explain_causes({cause: refused[cause]}))
         hardware = {
             f"{contactor}: {name}" if contactor else name: count
             for contactor, figures in contactors_of(summary).items()

@@ -9,7 +9,7 @@ import types
 import typing
 from typing import Any
 
-from protocol.summary.tables import Summary
+from protocol.summary.fields import Summary
 from protocol.wire.description import StreamDescription
 from protocol.wire.telemetry import PlaybackStatus
 

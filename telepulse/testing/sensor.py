@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from pulse_sensors.samples import SampleBlock
+from pulse_sensors.samples import DecodedBlock
 from pulse_sensors.sensor import Decoder, Port, Sensor, SensorScene
 from telepulse.testing.conformance import call_within, check_release, read_table, require
 
@@ -61,7 +61,7 @@ def _check_port(port: Port, decoder: Decoder, table: SensorScene) -> None:
     """Check a port that is opened, read, closed, and opened again."""
     for _ in range(2):
         call_within(OPEN_WITHIN_S, "open", port.open)
-        blocks: list[SampleBlock] = []
+        blocks: list[DecodedBlock] = []
         until_s = time.monotonic() + READ_WITHIN_S
         while len(blocks) < BLOCKS and time.monotonic() < until_s:
             data = call_within(READ_WITHIN_S, "read", port.read)
@@ -77,8 +77,10 @@ def _check_port(port: Port, decoder: Decoder, table: SensorScene) -> None:
 
 
 def _check_block(block: object, channels: int) -> None:
-    require(isinstance(block, SampleBlock), f"feed returns {type(block).__name__}, no SampleBlock")
-    assert isinstance(block, SampleBlock)
+    require(
+        isinstance(block, DecodedBlock), f"feed returns {type(block).__name__}, no DecodedBlock"
+    )
+    assert isinstance(block, DecodedBlock)
     shape = np.shape(block.values)
     require(
         len(shape) == 2 and shape[1] == channels,
@@ -90,7 +92,7 @@ def _check_block(block: object, channels: int) -> None:
     require(block.missing >= 0, "missing is negative")
 
 
-def _check_device_times(blocks: list[SampleBlock]) -> None:
+def _check_device_times(blocks: list[DecodedBlock]) -> None:
     for before, block in itertools.pairwise(blocks):
         then_ns, now_ns = before.device_ns, block.device_ns
         if then_ns is not None and now_ns is not None and not block.restarted:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from protocol.summary.tables import Limits
+from protocol.summary.fields import Limits
 from protocol.wire.description import Channel, first_repeated
 from protocol.wire.messages import LARGEST_N
 from sensing_node.sources.source import SampleSource, SourceContext, SourceScene

@@ -12,7 +12,7 @@ import numpy as np
 from display_node.reception.receiver import FUTURE_NS, OLDEST_NS
 from display_node.scoring.beats import BeatAnalysis
 from display_node.scoring.pressed_beats import SteadyAnalysis
-from protocol.summary.tables import contactors_of
+from protocol.summary.fields import contactors_of
 from protocol.wire.description import HOLD_DOWN
 from protocol.wire.messages import channel_samples
 from telepulse.telemetry.decoder import MARK_EVENT, Entry, Fields
@@ -78,8 +78,8 @@ class LiveState:
     contactors: of the display, at least one and at most `MAX_CONTACTORS`. beyond: number of further
     ones. channels: names of the stream's channels. delays: one-way delay in ms of frames. statuses:
     clock offset and its uncertainty in ms, samples lost and late in %; then, since the
-    run's start: refused messages, seconds at any limit; the finger's press in N. depth: the beats
-    by hold-down, of a wrist that is pressed.
+    run's start: refused messages, seconds at any limit, refused telemetry readers; the finger's
+    press in N. depth: the beats by hold-down, of a wrist that is pressed.
 
     trusted: whether the predictor was trusted at the last tick. stream_ended: the sensing node has
     ended the stream. display_ended: the display has sent its final status. stepped_ns,
@@ -98,7 +98,7 @@ class LiveState:
         self.contactors = [ContactorState()]
         self.beyond = 0
         self.delays = RollingTable(1, FAST_ROWS)
-        self.statuses = RollingTable(7, SLOW_ROWS)
+        self.statuses = RollingTable(8, SLOW_ROWS)
         self.depth = DepthState()
         self._samples: deque[Fields] = deque(maxlen=LOSS_STATUSES)
         self._offset_ns: int | None = None
@@ -190,6 +190,7 @@ class LiveState:
                 for figures in contactors_of(self.summary).values()
                 for limit in figures["limited"].values()
             ),
+            sum(self.summary.get("rejected_readers", {}).values()),
             self.summary.get("press", {}).get("press_n", math.nan),
         )
 

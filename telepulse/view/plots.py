@@ -79,7 +79,7 @@ PLOTS = (
         (
             Curve("wrist", "at the wrist", SENSED),
             Curve("finger", "felt at the finger", FELT),
-            Curve("wanted", "wanted there", GREEN, "dashed"),
+            Curve("target", "target there", GREEN, "dashed"),
             Curve("onset", "onset of a beat", SENSED, marker="circle"),
             Curve("doubtful", "onset of a doubtful beat", WRONG, marker="x"),
         ),

@@ -23,7 +23,7 @@ from tornado.ioloop import IOLoop, PeriodicCallback
 from tornado.routing import Router
 from tornado.web import Application, RequestHandler
 
-from display_node.telemetry.alerts import StatusAge
+from display_node.telemetry.status_age import StatusAge
 from protocol.errors import AddressError
 from protocol.security.budgets import TokenBucket
 from protocol.security.link_keys import ClientKeys

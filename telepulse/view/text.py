@@ -10,12 +10,13 @@ from display_node.scoring.tracking_error import JND
 from display_node.telemetry.alerts import SILENT_AFTER_NS, Alert, alerts, delay_note, finger_note
 from protocol.config.quantities import count_text
 from protocol.refusals import explain_causes
+from protocol.summary.fields import contactors_of
 from protocol.summary.figures import Surface, figures_on
+from protocol.summary.figures import figures as summary_figures
 from protocol.summary.phrases import SHARE, limit_texts
 from protocol.summary.rows import summary_rows
-from protocol.summary.tables import contactors_of
 from telepulse.telemetry.decoder import Fields
-from telepulse.telemetry.events import CUT, CUT_AFTER_NS
+from telepulse.telemetry.events import CUT, CUT_AFTER_NS, REFUSALS
 from telepulse.view.depth import DepthState, levels
 from telepulse.view.live import DELAY_NS, FELT_N, MAX_CONTACTORS, LiveState
 from telepulse.view.window_data import SECOND_NS, Scores, WindowScores
@@ -24,7 +25,7 @@ from telepulse.view.window_data import SECOND_NS, Scores, WindowScores
 SHOWN_NS = 5 * SECOND_NS
 MUCH_LOSS = 5.0
 # Indices of columns in `LiveState.statuses`.
-LOST, LATE, REFUSED, LIMITED = 2, 3, 4, 5
+LOST, LATE, REFUSED, LIMITED, READERS_REFUSED = 2, 3, 4, 5, 6
 NOTHING = "–"
 DELAY = "of the finger behind the wrist"
 # Statuses come five times a second; an older one is not current.
@@ -40,18 +41,21 @@ STATES = {
     "fault": "latched until the display is started again",
     "final": "the display has ended; this is its last state",
 }
+# Figures of the summary that the page computes over its window → their names in every other place.
+_NAMES = {figure.key: figure.name for figure in summary_figures()}
+ALIGNED, IN_PHASE = _NAMES["force_rmse_n.aligned"], _NAMES["force_rmse_n.in_phase"]
 # Names of the figures by their ids: those that are always seen, those of the folded groups, and the
 # rows of the summary.
 ALWAYS_SEEN = {
     "force": "force felt",
     "heart": "heart rate",
     "delay": "delay",
-    "aligned": "how far off",
+    "aligned": ALIGNED,
 }
 FIGURES = {
     **ALWAYS_SEEN,
-    "in_phase": "in-phase error",
-    "within": "within JND",
+    "in_phase": IN_PHASE,
+    "within": _NAMES["within_jnd"],
     "loss": "loss",
     "predictor": "predictor",
     "press": "press",
@@ -77,7 +81,10 @@ _GROUPS = (
     Group("pulse", "Pulse at the wrist", ("pulse", "ECG")),
     Group(
         *("link", "Link"),
-        ("loss", "one-way-delay", "playout-delay", "data-connections", "rejected"),
+        (
+            *("loss", "one-way-delay", "playout-delay", "data-connections"),
+            *("rejected", "rejected-readers"),
+        ),
     ),
     Group("clock", "Clock", ("clock",)),
 )
@@ -123,7 +130,7 @@ def figures(live: LiveState, data: WindowScores, silent_ns: int = 0) -> dict[str
     old = bool(age(live, silent_ns))
     heart_rate = None if old else data.heart_rate_per_min
     shown = dict.fromkeys(FIGURES, PageFigure(NOTHING)) | {
-        "force": _force(math.nan if old else data.felt_n, data.wanted_n),
+        "force": _force(math.nan if old else data.felt_n, data.target_n),
         "heart": PageFigure(
             NOTHING if heart_rate is None else f"{heart_rate:.0f} /min",
             "of the force felt, last 6 s",
@@ -170,7 +177,7 @@ def _own(live: LiveState, name: str) -> Fields:
 
 # Columns of the table of several contactors.
 CONTACTOR_COLUMNS = (
-    *("contactor", "channel", "force now", "aligned error", "in-phase error"),
+    *("contactor", "channel", "force now", ALIGNED, IN_PHASE),
     *("height", "rate", "quality", "finger"),
 )
 
@@ -241,11 +248,11 @@ def _loss(samples: Fields) -> PageFigure:
     return PageFigure(f"{100 * share:.2f} %", note)
 
 
-def _force(felt_n: float, wanted_n: float) -> PageFigure:
-    note = "of the force wanted, peaks of the last 2 s"
-    if math.isnan(felt_n) or math.isnan(wanted_n):
+def _force(felt_n: float, target_n: float) -> PageFigure:
+    note = "of the target force, peaks of the last 2 s"
+    if math.isnan(felt_n) or math.isnan(target_n):
         return PageFigure(NOTHING, note)
-    return PageFigure(f"{felt_n * 1e3:.0f} of {wanted_n * 1e3:.0f} mN", note)
+    return PageFigure(f"{felt_n * 1e3:.0f} of {target_n * 1e3:.0f} mN", note)
 
 
 def _delay(live: LiveState) -> PageFigure:
@@ -301,10 +308,10 @@ def _counted(live: LiveState) -> list[Alert]:
     found = []
     recent = live.statuses.since(live.now_ns - SHOWN_NS).values
     if len(recent):
-        refused = int(np.ptp(recent[:, REFUSED]))
-        if refused:
-            causes = "; ".join(explain_causes(live.summary["rejected"]))
-            found.append(Alert("refused", f"{refused} in the last 5 s; of the whole run {causes}"))
+        for (key, name), column in zip(REFUSALS.items(), (REFUSED, READERS_REFUSED), strict=True):
+            if refused := int(np.ptp(recent[:, column])):
+                causes = "; ".join(explain_causes(live.summary[key]))
+                found.append(Alert(name, f"{refused} in the last 5 s; of the whole run {causes}"))
         if np.ptp(recent[:, LIMITED]) > 0:
             limits = [
                 f"{name}: {text}" if name else text

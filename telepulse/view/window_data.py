@@ -6,10 +6,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from display_node.scoring.alignment import MAX_GAP_NS, compared_forces_n, rms
 from display_node.scoring.beat_quality import GOOD
 from display_node.scoring.heart_rate import heart_rate_per_min
-from display_node.scoring.tracking_error import JND, SPAN_NS
+from display_node.scoring.tracking_error import JND, MAX_GAP_NS, SPAN_NS, compared_forces_n, rms
 from telepulse.view.depth import depth_columns
 from telepulse.view.live import DELAY_NS, FELT_N, TARGET_N, ContactorState, LiveState
 from telepulse.view.plots import FINGERS, PLOTS, PRESSED, UNPRESSED, PagePlot
@@ -36,12 +35,12 @@ Columns = dict[str, Floats]
 class Scores(NamedTuple):
     """Scores of a contactor over the window; None if there is none yet.
 
-    in_phase_n, aligned_n: RMS errors. within_jnd: share of the time judged with an error below the
+    aligned_n, in_phase_n: RMS errors. within_jnd: share of the time judged with an error below the
     just noticeable difference jnd_n. judged: share of the window that could be judged.
     """
 
-    in_phase_n: float | None
     aligned_n: float | None
+    in_phase_n: float | None
     within_jnd: float | None
     jnd_n: float | None
     judged: float | None
@@ -50,7 +49,7 @@ class Scores(NamedTuple):
 class WindowScores(NamedTuple):
     """Scores over a window: of the contactor of the number `chosen`, and of each in `all_scores`.
 
-    felt_n, wanted_n: greatest force in the last `PEAK_NS`; NaN while the pulse is not felt.
+    felt_n, target_n: greatest force in the last `PEAK_NS`; NaN while the pulse is not felt.
     """
 
     window_s: float
@@ -59,7 +58,7 @@ class WindowScores(NamedTuple):
     all_scores: tuple[Scores, ...]
     heart_rate_per_min: float | None
     felt_n: float
-    wanted_n: float
+    target_n: float
 
 
 class WindowData(NamedTuple):
@@ -92,14 +91,14 @@ def window_scores(live: LiveState, window_ns: int, chosen: int = 0) -> WindowSco
     contactor = live.contactor(chosen)
     all_scores = tuple(_scores(live, each, window_ns) for each in live.contactors)
     newest = contactor.ticks.since(live.now_ns - PEAK_NS).values
-    felt_n = wanted_n = math.nan
+    felt_n = target_n = math.nan
     if len(newest) and not math.isnan(newest[-1, DELAY_NS]):
         # NaN counts as no force.
-        felt_n, wanted_n = np.fmax.reduce(newest[:, [FELT_N, TARGET_N]])
+        felt_n, target_n = np.fmax.reduce(newest[:, [FELT_N, TARGET_N]])
     chosen = live.contactors.index(contactor)
     return WindowScores(
         *(window_ns / SECOND_NS, chosen, all_scores[chosen], all_scores),
-        *(_heart_rate(live, contactor), float(felt_n), float(wanted_n)),
+        *(_heart_rate(live, contactor), float(felt_n), float(target_n)),
     )
 
 
@@ -126,16 +125,16 @@ def window_data(
     offset_ms, uncertainty_ms, lost, late, *_, press_n = statuses.values.T
     # Two hosts' clocks may be days apart: the change of their offset matters.
     moved_ms = offset_ms - offset_ms[-1] if len(offset_ms) else offset_ms
-    in_phase_n, aligned_n, jnd_n = felt_n, felt_n, None
+    aligned_n, in_phase_n, jnd_n = felt_n, felt_n, None
     if "aligned" in wanted:
-        in_phase_n, aligned_n, jnd_n = _errors(live, contactor, window_ns)
+        aligned_n, in_phase_n, jnd_n = _errors(live, contactor, window_ns)
     curves: dict[str, tuple[TableSlice, Floats]] = {
         "wrist": (wrist, wrist.values[:, 0] * 1e3),
         "onset": (beats, np.where(quality < GOOD, math.nan, foot_n) * 1e3),
         "doubtful": (beats, np.where(quality < GOOD, foot_n, math.nan) * 1e3),
         "height": (beats, height_n * 1e3),
         "finger": (ticks, felt_n * 1e3),
-        "wanted": (ticks, target_n * 1e3),
+        "target": (ticks, target_n * 1e3),
         "one_way": (delays, delays.values[:, 0]),
         # The status' clock offset may put an E of 0 a little below 0.
         "playout": (ticks, np.maximum(delay_ns, 0) * 1e-6),
@@ -191,7 +190,7 @@ def _thinned(live: LiveState, rows: TableSlice, values: Floats, gap_ns: int) -> 
 def _errors(
     live: LiveState, contactor: ContactorState, window_ns: int
 ) -> tuple[Floats, Floats, float | None]:
-    """Return a contactor's errors at each tick, in phase and aligned, and the JND, all in N.
+    """Return a contactor's errors at each tick, aligned and in phase, and the JND, all in N.
 
     NaN where the pulse of that instant has not arrived, or is not felt at full strength; None where
     the just noticeable difference is unknown.
@@ -202,24 +201,24 @@ def _errors(
     if live.pressing or not contactor.playing or not len(wrist.t_ns):
         nothing = np.full(len(ticks.t_ns), math.nan)
         return nothing, nothing, None
-    right_n = contactor.playing["force_ratio"] * wrist.values[:, 0]
+    reference_n = contactor.playing["force_ratio"] * wrist.values[:, 0]
     felt_n, delay_ns = ticks.values[:, [FELT_N, DELAY_NS]].T
     felt_n = np.where(np.isnan(delay_ns), math.nan, felt_n)
     instant_ns: Times = ticks.t_ns - np.nan_to_num(delay_ns).astype(np.int64)
     age_ns = contactor.playing.get("film_age_ns", 0)
-    played_n, present_n = compared_forces_n(ticks.t_ns, instant_ns, age_ns, wrist.t_ns, right_n)
-    lately = right_n[wrist.t_ns > wrist.t_ns[-1] - SPAN_NS]
-    return felt_n - present_n, felt_n - played_n, JND * float(np.ptp(lately))
+    played_n, present_n = compared_forces_n(ticks.t_ns, instant_ns, wrist.t_ns, reference_n, age_ns)
+    lately = reference_n[wrist.t_ns > wrist.t_ns[-1] - SPAN_NS]
+    return felt_n - played_n, felt_n - present_n, JND * float(np.ptp(lately))
 
 
 def _scores(live: LiveState, contactor: ContactorState, window_ns: int) -> Scores:
     """Return the scores of a contactor's errors in the window."""
-    in_phase_n, aligned_n, jnd_n = _errors(live, contactor, window_ns)
+    aligned_n, in_phase_n, jnd_n = _errors(live, contactor, window_ns)
     known_n = aligned_n[~np.isnan(aligned_n)]
     within = float(np.mean(np.abs(known_n) < jnd_n)) if jnd_n and len(known_n) else None
     begin_ns = live.now_ns - window_ns
     judged = _judged(contactor.ticks.since(begin_ns), len(known_n), begin_ns, live.now_ns)
-    return Scores(rms(in_phase_n), rms(aligned_n), within, jnd_n, judged)
+    return Scores(rms(aligned_n), rms(in_phase_n), within, jnd_n, judged)
 
 
 def _judged(ticks: TableSlice, known: int, begin_ns: int, now_ns: int) -> float | None:

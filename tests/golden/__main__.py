@@ -1,14 +1,12 @@
 """Golden figures: simulated runs over a bad link, the paper's numbers, keys, metrics and schemas.
 
 `python -m tests.golden` writes them again. Do that only after a deliberate change, and name the
-change in the commit; `python -m tests.golden sensitivity` then measures the tolerances again.
-`test_golden.py` compares the summaries of runs, and the keys, metrics and schemas;
-`tests/system/paper/test_paper_command.py` compares the paper's tables.
+change in the commit. `test_golden.py` compares the summaries of runs, and the keys, metrics and
+schemas; `tests/system/paper/test_paper_command.py` compares the paper's tables.
 """
 
 import json
 import re
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +14,6 @@ from protocol.wire.telemetry import Status
 from telepulse.metrics.server import NodeState, families
 from telepulse.paper.report import build_paper
 from telepulse.telemetry.schema import SCHEMAS
-from tests.golden.comparison import measure
 from tests.golden.runs import runs
 from tests.support.full_summary import full_summary
 
@@ -27,8 +24,7 @@ ROUNDING = 1e-10
 
 
 def read(name: str) -> dict[str, Any]:
-    """Return the stored "summaries" (by scene and seed), "sensitivity" (of these, by scene),
-    "paper" (by chapter and table) or "figures"."""
+    """Return the stored "summaries" (by scene and seed), "paper" (by table) or "figures"."""
     stored: dict[str, Any] = json.loads((FOLDER / f"{name}.json").read_text(encoding="utf-8"))
     return stored
 
@@ -43,7 +39,7 @@ def paper_numbers(report: dict[str, Any]) -> dict[str, list[str]]:
     """Return the numbers in each paragraph and row of a table of `telepulse paper --json`.
 
     The numbers are as printed, without the words around them, so that words may change. They are
-    printed to few digits: no digit has changed in any variant of `tests.golden.comparison`.
+    printed to few digits, which no processor changes.
     """
     numbers = {"findings": [" ".join(_numbers([each])) for each in report["findings"]]}
     for number, chapter in enumerate(report["chapters"], 1):
@@ -76,9 +72,6 @@ def figures() -> dict[str, Any]:
 
 
 if __name__ == "__main__":
-    if sys.argv[1:] == ["sensitivity"]:
-        write("sensitivity", measure(read("summaries")))
-    else:
-        write("paper", paper_numbers(build_paper().to_dict()))
-        write("summaries", runs(), sort=True)
-        write("figures", figures())
+    write("paper", paper_numbers(build_paper().to_dict()))
+    write("summaries", runs(), sort=True)
+    write("figures", figures())

@@ -8,7 +8,7 @@ from typing import Any
 from protocol.config.scene_file import find_scene
 from telepulse.scene import load_scene
 from telepulse.simulation.link_scene import parse_link
-from telepulse.simulation.virtual_time import summarise
+from telepulse.simulation.virtual_time import Simulation
 
 SCENES = ("radial", "wan", "conditioned")
 SEEDS = (1, 2)
@@ -27,7 +27,9 @@ def run(
     changed = {"predictor": "linear", **display}
     loaded = load_scene(find_scene(scene), sensing=sensing, display=changed)
     loaded = replace(loaded, link=parse_link(LINK))
-    summary: dict[str, Any] = json.loads(json.dumps(summarise(loaded, SECONDS, seed).to_dict()))
+    summary: dict[str, Any] = json.loads(
+        json.dumps(Simulation(loaded, seed).run(SECONDS).to_dict())
+    )
     del summary["speed"], summary["windows"]
     return summary
 

@@ -3,16 +3,24 @@
 import json
 import shutil
 import socket
-import struct
 import subprocess
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
-from cobs import cobs
-
-from pulse_sensors.binary_frames import crc
+from pulse_drives.stepdir.frames import (
+    SEQUENCE_TURN,
+    BoardGreeting,
+    BoardMode,
+    BoardState,
+    CommandAnswer,
+    CommandResult,
+    Format,
+    board_reader,
+    decode_report,
+    encode_command,
+)
 from tests.support.nodes import ROOT
 
 FIRMWARE = ROOT / "firmware"
@@ -74,56 +82,24 @@ def compile_harness(name: str, folder: Path) -> Path:
     return program
 
 
-# Formats of firmware/PROTOCOL.md.
-STATE, GREETING, ANSWER = 1, 2, 3
-GREET, VELOCITY, HOME, LIMITS, ARM, DISARM, CLEAR, WITHDRAW = range(8, 16)
-_FIELDS = {VELOCITY: "<iH", HOME: "<IIIH", LIMITS: "<iiIIHHIIHB"}
-_ANSWERED = "<BHBBB"
-
-
-class State(NamedTuple):
-    """The body of a state frame."""
-
-    format: int
-    counter: int
-    time_us: int
-    film: int
-    position: int
-    velocity: int
-    state: int
-    cause: int
-    flags: int
-    sequence: int
-    rejected: int
-
-
-def decoded(frame: bytes) -> bytes | None:
-    """Return a frame's body; None if the frame is spoilt."""
-    try:
-        body: bytes = cobs.decode(frame)
-    except cobs.DecodeError:
-        return None
-    return body[:-2] if crc(body[:-2]) == int.from_bytes(body[-2:], "little") else None
-
-
 class Display:
     """The display's board at a finger, and its host; time passes only in `run`.
 
     Attributes
     ----------
     states, others
-        State frames, and bodies of all other frames, in the order of their arrival.
+        States, and answers and greetings, in the order of their arrival.
     spoilt
-        Number of spoilt frames.
+        Number of frames that the host cannot read.
     """
 
     def __init__(self, process: "subprocess.Popen[str]", line: socket.socket) -> None:
         self._process = process
         self._line = line
-        self._rest = b""
+        self._reader = board_reader()
         self._sequence = 0
-        self.states: list[State] = []
-        self.others: list[bytes] = []
+        self.states: list[BoardState] = []
+        self.others: list[CommandAnswer | BoardGreeting] = []
         self.spoilt = 0
 
     def harness(self, command: str) -> None:
@@ -145,7 +121,7 @@ class Display:
         self.harness(f"run {ms}")
         assert self._process.stdout.readline() == "ran\n"
 
-    def run(self, ms: float) -> State:
+    def run(self, ms: float) -> BoardState:
         """Let time pass; return the last state."""
         while ms > 0:
             # A socket holds some 200 frames.
@@ -154,55 +130,63 @@ class Display:
             self._receive()
         return self.states[-1]
 
-    def run_until(self, state: int, most_ms: int = 5_000) -> State:
+    def run_until(self, mode: BoardMode, most_ms: int = 5_000) -> BoardState:
         """Let time pass until the board is in a state."""
         for _ in range(most_ms):
-            if self.run(1).state == state:
+            if self.run(1).mode is mode:
                 return self.states[-1]
-        raise AssertionError(f"not in state {state} but {self.states[-1]}")
+        raise AssertionError(f"not in state {mode.name} but {self.states[-1]}")
 
-    def send(self, command: int, *fields: int) -> int:
+    def send(self, command: Format, *fields: int) -> int:
         """Send a command; return its sequence number."""
-        self._sequence = self._sequence + 1 & 0xFFFF
-        body = struct.pack("<BH", command, self._sequence)
-        body += struct.pack(_FIELDS.get(command, "<"), *fields)
-        self.write(cobs.encode(body + struct.pack("<H", crc(body))) + b"\0")
+        self._sequence = (self._sequence + 1) % SEQUENCE_TURN
+        self.write(encode_command(command, self._sequence, fields))
         return self._sequence
 
     def write(self, data: bytes) -> None:
         """Send bytes."""
         self._line.sendall(data)
 
-    def ask(self, command: int, *fields: int) -> tuple[int, int]:
+    def ask(self, command: Format, *fields: int) -> tuple[CommandResult, int]:
         """Send a command, and return the answer's result and field."""
         sequence, known = self.send(command, *fields), len(self.others)
         self.run(5)
-        (body,) = self.others[known:]
-        kind, answered, to, result, field = struct.unpack(_ANSWERED, body)
-        assert (kind, answered, to) == (ANSWER, sequence, command)
-        return result, field
+        (answer,) = self.others[known:]
+        assert isinstance(answer, CommandAnswer)
+        assert answer[:2] == (sequence, command)
+        return answer.result, answer.field
 
-    def drive(self, steps_per_s: float, ms: int, validity_ms: int = 20) -> State:
+    def greet(self) -> BoardGreeting:
+        """Return the answer to a greeting."""
+        sequence = self.send(Format.GREET)
+        self.run(5)
+        greeting = self.others[-1]
+        assert isinstance(greeting, BoardGreeting)
+        assert greeting.sequence == sequence
+        return greeting
+
+    def drive(self, steps_per_s: float, ms: int, validity_ms: int = 20) -> BoardState:
         """Send a velocity each 2 ms for a time."""
         for _ in range(0, ms, 2):
-            self.send(VELOCITY, round(steps_per_s * 256), validity_ms)
+            self.send(Format.VELOCITY, round(steps_per_s * 256), validity_ms)
             self.run(2)
         return self.states[-1]
 
     def _receive(self) -> None:
         try:
-            self._rest += self._line.recv(1 << 20)
+            data = self._line.recv(1 << 20)
         except BlockingIOError:
             return
-        *frames, self._rest = self._rest.split(b"\0")
-        for frame in frames:
-            body = decoded(frame)
-            if body is None:
-                self.spoilt += 1
-            elif body[0] == STATE:
-                self.states.append(State(*struct.unpack("<BIIhiiBBHHB", body)))
-            else:
-                self.others.append(body)
+        altered = self._reader.altered
+        for report in map(decode_report, self._reader.feed(data)):
+            match report:
+                case BoardState():
+                    self.states.append(report)
+                case None:
+                    self.spoilt += 1
+                case _:
+                    self.others.append(report)
+        self.spoilt += self._reader.altered - altered
 
 
 @contextmanager

@@ -19,6 +19,7 @@ import tomlkit
 from numpy.typing import NDArray
 
 from protocol.config.scene_file import find_scene, load_document
+from pulse_drives.stepdir.frames import BoardLimits, CommandResult, Format
 from tests.support import avr_boards
 from tests.support.emulated_bench import BenchFailedError, EmulatedBench
 from tests.support.waiting import until
@@ -33,6 +34,10 @@ PRESSED_N = 0.05
 PRESSED_S = 0.1
 # Samples that are played until a fault: by then the pulse is felt.
 PLAYED = 500
+TICK_HZ = 32_000
+CONSTANT_MS, STARTING_MS = 600, 50
+# 9 600 000 steps/s² are the 6 m/s² of the scene.
+STEPPED = BoardLimits(-(10**6), 10**6, 9_600_000, TICK_HZ, 0, 16_369, 3_000, 16_000, 50, 0)
 # From a fault to the end of the chip.
 AFTER_S = 1.5
 GARBAGE_S = 0.3
@@ -89,6 +94,29 @@ class Programs(NamedTuple):
         """Compile both in a folder."""
         sketch = avr_boards.compile_sketch("telepulse_display", folder)
         return cls(avr_boards.compile_harness("display", folder), sketch)
+
+
+def given_steps(programs: Programs, rate_hz: float, folder: Path) -> tuple[float, float, int]:
+    """Return a rate as given there, the greatest deviation of a step from it in s, and lost steps.
+
+    The motor goes there and back, without nodes and without a finger; time passes on command.
+    """
+    trace = folder / "steps.csv"
+    with avr_boards.running(*programs, f"trace={trace}", "finger_n_per_m=0.001") as display:
+        display.run(10)
+        for command in ((Format.LIMITS, *STEPPED), (Format.ARM,), (Format.HOME, 0, 0, 1, 1)):
+            assert display.ask(*command) == (CommandResult.DONE, 0)
+        display.drive(rate_hz, STARTING_MS)
+        began_s = display.report()["time_s"]
+        display.drive(rate_hz, CONSTANT_MS)
+        ended_s = display.report()["time_s"]
+        display.drive(-rate_hz, CONSTANT_MS)
+        lost: int = display.report()["lost_steps"]
+    times_s = ChipTrace.read(trace).step_cycles / 16e6
+    times_s = times_s[(times_s > began_s) & (times_s < ended_s)]
+    numbers = np.arange(len(times_s))
+    line = np.polyfit(numbers, times_s, 1)
+    return 1 / line[0], float(np.abs(times_s - np.polyval(line, numbers)).max()), lost
 
 
 class ClassBench(EmulatedBench):

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from protocol.config.scene_file import find_scene, load_document
 from protocol.host.child_process import ChildProcess
 from protocol.wire.telemetry import Status
+from telepulse.emulators.sensor_board import COUNTS
 from telepulse.processes import free_addresses
 from tests.support.live_display import await_status, subscribe
 from tests.support.nodes import process
@@ -63,9 +64,10 @@ def bench_scene_text(folder: Path, kind: str, watchdog_ms: int, name: str = "") 
     name: of the shipped scene; by default, that of the kind of drive. watchdog_ms: of the drive,
     for a busy machine; 0: the scene's.
     """
-    text = tomlkit.dumps(
-        load_document(find_scene(name or SCENES.get(kind, f"{kind}_bench")))
-    ).replace(PORTS, f"{folder}/")
+    tables = load_document(find_scene(name or SCENES.get(kind, f"{kind}_bench")))
+    if kind == "stepdir":
+        tables["sensing"]["source"].update(COUNTS)
+    text = tomlkit.dumps(tables).replace(PORTS, f"{folder}/")
     if watchdog_ms:
         keys = f'watchdog = "{watchdog_ms} ms"\n'
         if kind == "tmcl":

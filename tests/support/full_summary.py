@@ -6,7 +6,7 @@ from typing import Any, get_type_hints
 
 from pydantic import TypeAdapter
 
-from protocol.summary.tables import ErrorWindow, Summary
+from protocol.summary.fields import ErrorWindow, Summary
 
 
 def full_summary() -> Summary:

@@ -13,7 +13,7 @@ import zmq
 
 from protocol.config.scene_file import find_scene
 from protocol.errors import ProcessError
-from protocol.summary.tables import Summary
+from protocol.summary.fields import Summary
 from protocol.wire.messages import decode_frame
 from telepulse.processes import NodeProcess, free_addresses
 from tests.support.altered_node import STEP

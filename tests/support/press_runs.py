@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from display_node.press.sweep import CLOSED
-from protocol.summary.tables import SetPointCounts
+from protocol.summary.fields import SetPointCounts
 from protocol.wire.messages import SetPoint
 from sensing_node.press.probe import ProbeLimits
 from sensing_node.press.set_points import SetPointServer

@@ -7,7 +7,7 @@ from subprocess import CompletedProcess
 
 import pytest
 
-from protocol.host.process import CAP_IPC_LOCK, CAP_SYS_NICE
+from protocol.host.linux import CAP_IPC_LOCK, CAP_SYS_NICE
 from tests.support.nodes import run_python
 
 # From <linux/prctl.h>.

@@ -3,7 +3,7 @@
 from collections.abc import Iterable
 from typing import NamedTuple
 
-from pulse_sensors.samples import SampleBlock
+from pulse_sensors.samples import DecodedBlock, SampleBlock
 from pulse_sensors.sensor import Sensor
 from tests.support.waiting import until
 
@@ -17,12 +17,12 @@ class Decoded(NamedTuple):
     restarted: bool = False
 
 
-def plain(blocks: Iterable[SampleBlock]) -> list[Decoded]:
-    return [Decoded(tuple(b.force_n), b.device_ns, b.missing, b.restarted) for b in blocks]
+def plain(blocks: Iterable[DecodedBlock]) -> list[Decoded]:
+    return [Decoded(tuple(block.values[:, 0].tolist()), *block[1:]) for block in blocks]
 
 
-def forces(blocks: Iterable[SampleBlock]) -> list[float]:
-    return [force_n for block in blocks for force_n in block.force_n]
+def forces(blocks: Iterable[DecodedBlock | SampleBlock]) -> list[float]:
+    return [force_n for block in blocks for force_n in block.values[:, 0].tolist()]
 
 
 def received(sensor: Sensor, count: int) -> list[SampleBlock]:

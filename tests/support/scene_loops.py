@@ -91,7 +91,7 @@ def press(scene: DisplayScene, host: Host, seconds: float) -> tuple[float, float
         missed = host(rng, now_s)
         loop.coast(missed)
         now_s += missed * tick_s
-        begin_s = now_s + loop.lead_ns * 1e-9
+        begin_s = now_s + loop.actuation_delay_ns * 1e-9
         wanted_n = [beat_n(begin_s + ahead * tick_s) for ahead in range(loop.horizon + 1)]
         most_n = max(most_n, loop.felt_n)
         if safety.gain == 1.0:

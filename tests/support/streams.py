@@ -44,14 +44,19 @@ def samples(first: int, count: int = 5, shift_ns: int = 0) -> ChannelSamples:
     return frame(first, count, shift_ns).samples_of(0)
 
 
+def put(buffer: JitterBuffer, frame: ChannelSamples) -> None:
+    """Put a frame of one channel into a buffer."""
+    buffer.put(frame.first_sample, frame.period_ns, frame.times_ns, [frame.forces_n])
+
+
 def filled(*frames: ChannelSamples) -> JitterBuffer:
     buffer = JitterBuffer()
     for each in frames:
-        buffer.put(*each)
+        put(buffer, each)
     return buffer
 
 
 def refusal(buffer: JitterBuffer, refused: ChannelSamples) -> str:
     with pytest.raises(WireError) as caught:
-        buffer.put(*refused)
+        put(buffer, refused)
     return caught.value.cause

@@ -13,7 +13,7 @@ from display_node.telemetry.publisher import Publisher
 from protocol import sockets
 from protocol.security.authenticator import Authenticator
 from protocol.security.link_keys import ServerKeys
-from protocol.summary.tables import Summary
+from protocol.summary.fields import Summary
 from protocol.ticks import TickBlock, TickState
 from protocol.wire.messages import Bye, ClockReply, Frame, Welcome, encode_control, encode_frame
 from protocol.wire.telemetry import (
@@ -126,17 +126,6 @@ def bye(samples_sent: int) -> bytes:
 def trace_message(*felt: TickState, others: Sequence[TickState] = ()) -> Message:
     """Return ticks as a trace message; others: states of further contactors, at each tick."""
     return TRACE, packed_trace(*felt, others=others)
-
-
-def heard_message(
-    frame: Frame, arrived_ns: int, now_ns: int, wall_ns: int, run: int = 1
-) -> Message:
-    """Return a frame as a captured message."""
-    heard = CaptureWriter(run)
-    heard.follow(SUBSCRIBED)
-    heard.add(arrived_ns, 0, encode_frame(frame))
-    (part,) = heard.take(now_ns, wall_ns)
-    return CAPTURE, part
 
 
 Kind = TypeVar("Kind", bound=TelemetryPublisher)

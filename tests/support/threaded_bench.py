@@ -178,7 +178,7 @@ class ThreadedBench:
         if isinstance(film, SerialScene):
             sensor = Sensor(self.film, film.decoder(), film, clock=clock)
         elif isinstance(film, DriveFilmScene):
-            port = self.drive.film_port(*film.counts_within(scene.overforce_n))
+            port = self.drive.film_port(*film.counts_within(scene.safety.overforce_n))
             sensor = Sensor(port, DriveFilmDecoder(film.period_ns), film, clock=clock)
         self.hardware = scene.hardware(self.drive, sensor)
         try:

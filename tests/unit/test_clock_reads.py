@@ -2,7 +2,7 @@
 
 import ast
 
-from tests.unit.test_import_cycles import product_modules
+from tests.unit.test_class_names import product_modules
 
 
 def test_times_in_nanoseconds_are_read_by_the_fine_clock() -> None:

@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from protocol.config.quantities import Hertz
-from telepulse.plugins import SampleBlock, SensorScene, SourceError, decoded_block
+from telepulse.plugins import DecodedBlock, SensorScene, SourceError, decoded_block
 
 PACKET_S = 0.005
 
@@ -65,7 +65,7 @@ class BoardDecoder:
         """Expect a clock that begins anew."""
         self._restarted = True
 
-    def feed(self, packet: tuple[int, int]) -> list[SampleBlock]:
+    def feed(self, packet: tuple[int, int]) -> list[DecodedBlock]:
         """Return the packet as one block."""
         scene, (first, count) = self._scene, packet
         step = 2 * math.pi * scene.frequency_hz * scene.period_ns * 1e-9

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from display_node.display import Display
-from protocol.summary.tables import SampleCounts
+from protocol.summary.fields import SampleCounts
 from protocol.wire.description import StreamDescription
 from protocol.wire.messages import (
     Bye,

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from display_node.prediction import PredictorName
 from display_node.prediction.scene import own_predictor
-from protocol.summary.tables import Summary
+from protocol.summary.fields import Summary
 from protocol.ticks import TickState
 from sensing_node.sources.recorded import RecordingScene
 from telepulse.scene import Scene, load_scene

@@ -11,14 +11,14 @@ from display_node.telemetry.alerts import alerts
 from protocol.wire.telemetry import read_trace
 from telepulse.scene import load_scene
 from telepulse.simulation.link_scene import parse_link
-from telepulse.simulation.virtual_time import summarise
+from telepulse.simulation.virtual_time import Simulation
 from tests.support.nodes import RADIAL, assert_accounted, known
 from tests.support.sender import MS, Sender, display, run
 from tests.support.tick_blocks import packed_trace
 
 
 def test_samples_whose_instant_was_predicted_well_are_not_late_and_their_error_is_small() -> None:
-    summary = summarise(replace(load_scene(RADIAL), link=parse_link("delay=20ms")), 25, seed=1)
+    summary = Simulation(replace(load_scene(RADIAL), link=parse_link("delay=20ms")), 1).run(25)
     samples, used = summary.samples, summary.compensation
     assert_accounted(asdict(samples))
     assert known(samples.predicted) > 10_000
@@ -59,7 +59,7 @@ def test_a_bad_prediction_is_late_samples_felt_corrections_and_an_alert() -> Non
 
 def test_samples_of_a_stale_stream_are_late_however_far_prediction_was_trusted_before() -> None:
     cut = parse_link("delay=20ms,transport=tcp,cut.from=15s,cut.for=400ms")
-    samples = summarise(replace(load_scene(RADIAL), link=cut), 18, seed=1).samples
+    samples = Simulation(replace(load_scene(RADIAL), link=cut), 1).run(18).samples
     assert_accounted(asdict(samples))
     assert known(samples.predicted) > 5_000
     # The force fades once the newest sample is 60 ms older than usual.

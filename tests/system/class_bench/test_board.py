@@ -4,7 +4,6 @@ Time passes on command, so nothing here depends on this machine's speed.
 """
 
 import random
-import struct
 import subprocess
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
@@ -12,63 +11,45 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
-from tests.support import avr_boards as boards
-from tests.support.avr_boards import (
-    ARM,
-    CLEAR,
-    DISARM,
-    GREET,
-    HOME,
-    LIMITS,
-    STATE,
-    VELOCITY,
-    WITHDRAW,
-    Display,
+from pulse_drives.stepdir.frames import (
+    BoardLimits,
+    BoardMode,
+    CommandResult,
+    Format,
+    HomeSearch,
+    StateFlag,
+    TripCause,
 )
+from tests.support import avr_boards as boards
+from tests.support.avr_boards import Display
+from tests.support.class_bench import TICK_HZ, Programs, given_steps
 
 pytestmark = pytest.mark.skipif(boards.missing() is not None, reason=str(boards.missing()))
 
-DISARMED, ARMED, HOMING, READY, RUNNING, WITHDRAWING, WITHDRAWN, FAULT = range(8)
-DONE, WRONG_STATE, OUT_OF_BOUNDS, UNKNOWN, NO_LIMITS, FILM_OUTSIDE = range(6)
-SILENCE, FILM, FAULT_PIN, HOST, RESET, SWITCH, NO_HOME, STUCK, TIMEOUT = range(1, 10)
-HOMED, AT_HOME, AT_LOWEST, AT_HIGHEST, FAULTY, OUTSIDE, HAS_LIMITS, ON, EXPIRED = (
-    1 << bit for bit in range(9)
-)
-TICK_HZ, FULL_SCALE = 32_000, 16_368
+DISARMED, ARMED, HOMING, READY, RUNNING, WITHDRAWING, WITHDRAWN, FAULT = BoardMode
+DONE, WRONG_STATE, OUT_OF_BOUNDS, UNKNOWN, NO_LIMITS, FILM_OUTSIDE = CommandResult
+NONE, SILENCE, FILM, FAULT_PIN, HOST, RESET, SWITCH, NO_HOME, STUCK, TIMEOUT = TripCause
+HOMED, AT_HOME, AT_LOWEST, AT_HIGHEST, FAULTY, OUTSIDE, HAS_LIMITS, ON, EXPIRED = StateFlag
+STATE, VELOCITY, HOME, LIMITS = Format.STATE, Format.VELOCITY, Format.HOME, Format.LIMITS
+ARM, DISARM, CLEAR, WITHDRAW = Format.ARM, Format.DISARM, Format.CLEAR, Format.WITHDRAW
+FULL_SCALE = 16_368
 STEP_M = 2e-3 / 200 / 16
-# In the order of the command: the fields of `limits`, and of `home`.
-USUAL = {
-    "lowest": 0,
-    "highest": 4_000,
-    "acceleration": 10_000_000,
-    "highest_rate": TICK_HZ,
-    "film_least": 500,
-    "film_most": 13_000,
-    "withdrawal": 3_000,
-    "withdrawal_rate": 16_000,
-    "watchdog": 50,
-    "options": 0,
-}
-SEARCH = (8_000, 6_000, 500, 3_000)
+USUAL = BoardLimits(0, 4_000, 10_000_000, TICK_HZ, 500, 13_000, 3_000, 16_000, 50, 0)
+SEARCH = HomeSearch(8_000, 6_000, 500, 3_000)
 # First touch is at this position, as home is 2 mm before it and the switch opens a little later.
 TOUCH = 3_200
 Open = Callable[..., AbstractContextManager[Display]]
 
 
 @pytest.fixture(scope="module")
-def programs(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+def programs(tmp_path_factory: pytest.TempPathFactory) -> Programs:
     """Compile harness and sketch."""
-    folder = tmp_path_factory.mktemp("board")
-    return (
-        boards.compile_harness("display", folder),
-        boards.compile_sketch("telepulse_display", folder),
-    )
+    return Programs.compile(tmp_path_factory.mktemp("board"))
 
 
 @pytest.fixture
-def board(programs: tuple[Path, Path]) -> Open:
+def board(programs: Programs) -> Open:
     """Return a function that starts a board, after power-up."""
 
     @contextmanager
@@ -81,7 +62,7 @@ def board(programs: tuple[Path, Path]) -> Open:
 
 
 def arm(display: Display, **limits: int) -> None:
-    assert display.ask(LIMITS, *(USUAL | limits).values()) == (DONE, 0)
+    assert display.ask(LIMITS, *USUAL._replace(**limits)) == (DONE, 0)
     assert display.ask(ARM) == (DONE, 0)
 
 
@@ -104,12 +85,6 @@ def left_the_finger(display: Display, within_ms: int) -> bool:
     return bool(display.report()["force_mn"] == 0)
 
 
-def step_times_s(trace: Path, after_s: float) -> NDArray[np.float64]:
-    rows = (row.split(",") for row in trace.read_text().splitlines() if row.startswith("step"))
-    times_s = np.array([int(cycle) for _, cycle, _ in rows]) / 16e6
-    return times_s[times_s > after_s]
-
-
 def test_power_up_leaves_the_motor_off_and_sends_a_state_each_millisecond(board: Open) -> None:
     with board() as display:
         last = display.run(500)
@@ -117,7 +92,7 @@ def test_power_up_leaves_the_motor_off_and_sends_a_state_each_millisecond(board:
         assert counters == list(range(counters[0], counters[0] + len(counters)))
         times_us = np.diff([state.time_us for state in display.states])
         assert times_us == pytest.approx(1_000, abs=50)
-        assert (last.state, last.cause, last.flags, last.position) == (DISARMED, 0, 0, 0)
+        assert (last.mode, last.cause, last.flags, last.position) == (DISARMED, 0, 0, 0)
         assert not display.report()["motor_on"]
         display.send(VELOCITY, 256_000, 20)
         display.run(50)
@@ -127,13 +102,7 @@ def test_power_up_leaves_the_motor_off_and_sends_a_state_each_millisecond(board:
 
 def test_the_greeting_names_protocol_firmware_tick_film_reset_and_board(board: Open) -> None:
     with board() as display:
-        sequence = display.send(GREET)
-        display.run(5)
-        (body,) = display.others
-        head, name = struct.unpack_from("<BHBHIHB", body), body[13:]
-        assert head[:3] == (boards.GREETING, sequence, 1)
-        assert head[3:] == (256, TICK_HZ, FULL_SCALE, 1)
-        assert name == b"ATmega328P"
+        assert display.greet()[1:] == (1, 256, TICK_HZ, FULL_SCALE, 1, "ATmega328P")
 
 
 def test_commands_out_of_order_or_bounds_are_refused_with_the_reason(board: Open) -> None:
@@ -146,18 +115,18 @@ def test_commands_out_of_order_or_bounds_are_refused_with_the_reason(board: Open
         "film_most": FULL_SCALE + 2,
         "withdrawal": 0,
         "withdrawal_rate": TICK_HZ + 1,
-        "watchdog": 501,
+        "watchdog_ms": 501,
         "options": 16,
     }
     with board() as display:
         assert display.ask(ARM) == (NO_LIMITS, 0)
         for number, (name, value) in enumerate(wrong.items(), 1):
-            fields = (USUAL | {name: value}).values()
+            fields = USUAL._replace(**{name: value})
             assert display.ask(LIMITS, *fields) == (OUT_OF_BOUNDS, number)
         assert display.ask(HOME, *SEARCH) == (WRONG_STATE, 0)
         assert display.ask(CLEAR) == display.ask(WITHDRAW) == (WRONG_STATE, 0)
         arm(display)
-        assert display.ask(LIMITS, *USUAL.values()) == display.ask(ARM) == (WRONG_STATE, 0)
+        assert display.ask(LIMITS, *USUAL) == display.ask(ARM) == (WRONG_STATE, 0)
         for number, field in enumerate((TICK_HZ + 1, 2**30 + 1, 0, 60_001)):
             search = [*SEARCH[:number], field, *SEARCH[number + 1 :]]
             assert display.ask(HOME, *search) == (OUT_OF_BOUNDS, number + 1)
@@ -167,7 +136,7 @@ def test_commands_out_of_order_or_bounds_are_refused_with_the_reason(board: Open
         display.run(3)
         assert display.ask(HOME, *SEARCH) == (FILM_OUTSIDE, 0)
         display.harness("reset")
-        assert display.run(20).state == DISARMED
+        assert display.run(20).mode == DISARMED
         assert display.report()["tip_um"] == pytest.approx(-1_000, abs=1)
 
 
@@ -181,29 +150,18 @@ def test_home_is_where_the_switch_opens(board: Open) -> None:
         # Without a switch, home is where it is.
         display.drive(4_000, 100)
         assert display.ask(HOME, 0, 0, 1, 1) == (DONE, 0)
-        assert (display.states[-1].state, display.states[-1].position) == (READY, 0)
+        assert (display.states[-1].mode, display.states[-1].position) == (READY, 0)
 
 
-@pytest.mark.parametrize("rate", [100.5, 3_217.0, -9_999.0, 31_990.0])
+@pytest.mark.parametrize("rate_hz", [100.5, 3_217.0, -9_999.0, 31_990.0])
 def test_steps_come_at_the_commanded_rate_within_a_tick(
-    board: Open, tmp_path: Path, rate: float
+    programs: Programs, tmp_path: Path, rate_hz: float
 ) -> None:
-    trace = tmp_path / "trace.csv"
-    with board(f"trace={trace}", "finger_n_per_m=0.001") as display:
-        arm(display, lowest=-(10**6), highest=10**6, acceleration=5_000_000)
-        display.ask(HOME, 0, 0, 1, 1)
-        display.drive(rate, 50)
-        began_s = display.report()["time_s"]
-        display.drive(rate, 600)
-        assert display.report()["lost_steps"] == 0
-        assert display.states[-1].velocity == pytest.approx(rate * 256, rel=1e-3)
-    times_s = step_times_s(trace, began_s)
-    numbers = np.arange(len(times_s))
-    slope_s, first_s = np.polyfit(numbers, times_s, 1)
-    assert 1 / slope_s == pytest.approx(abs(rate), rel=1e-3)
+    given_hz, jitter_s, lost_steps = given_steps(programs, rate_hz, tmp_path)
+    assert given_hz == pytest.approx(abs(rate_hz), rel=1e-3)
     # Other interrupts delay the timer's by some 5 us.
-    jitter_s = times_s - first_s - slope_s * numbers
-    assert np.abs(jitter_s).max() < 1 / TICK_HZ + 10e-6
+    assert jitter_s < 1 / TICK_HZ + 10e-6
+    assert lost_steps == 0
 
 
 def test_the_highest_rate_loses_no_step_where_the_acceleration_is_the_motors(board: Open) -> None:
@@ -250,14 +208,14 @@ def test_a_velocity_ends_with_its_validity_and_silence_withdraws(board: Open) ->
         silent = display.states[known:]
         rested = next(state for state in silent if state.velocity == 0)
         assert rested.flags & EXPIRED
-        assert rested.state == RUNNING
-        withdrawing = next(state for state in silent if state.state == WITHDRAWING)
+        assert rested.mode == RUNNING
+        withdrawing = next(state for state in silent if state.mode == WITHDRAWING)
         assert withdrawing.cause == SILENCE
         assert 8 <= rested.counter - silent[0].counter <= 12
         assert 45 <= withdrawing.counter - silent[0].counter <= 52
         assert left_the_finger(display, within_ms=100)
         state = display.run_until(WITHDRAWN)
-        assert silent[0].position - state.position == pytest.approx(USUAL["withdrawal"], abs=20)
+        assert silent[0].position - state.position == pytest.approx(USUAL.withdrawal, abs=20)
         # It stays there whatever the host sends, until `clear`.
         display.drive(5_000, 50)
         assert display.states[-1].position == state.position
@@ -279,7 +237,7 @@ def test_a_film_outside_its_limits_withdraws_within_2_ms(
         display.run(2)
         # The state of the second millisecond is still on the line.
         state = display.run(1)
-        assert (state.state, state.cause) == (WITHDRAWING, FILM)
+        assert (state.mode, state.cause) == (WITHDRAWING, FILM)
         assert state.velocity < 0
         assert state.flags & OUTSIDE
         assert display.report()["tip_um"] < began_um
@@ -291,7 +249,7 @@ def test_a_fault_of_the_carrier_and_the_hosts_command_withdraw(board: Open) -> N
         press(display, options=4)
         display.harness("fault 0")
         display.drive(0, 6)
-        assert (display.states[-1].state, display.states[-1].cause) == (WITHDRAWING, FAULT_PIN)
+        assert (display.states[-1].mode, display.states[-1].cause) == (WITHDRAWING, FAULT_PIN)
         display.ask(DISARM)
         display.harness("fault 1")
         # Never homed, it withdraws from where it is.
@@ -300,7 +258,7 @@ def test_a_fault_of_the_carrier_and_the_hosts_command_withdraw(board: Open) -> N
         began = display.states[-1].position
         state = display.run_until(WITHDRAWN)
         assert state.cause == HOST
-        assert began - state.position == pytest.approx(USUAL["withdrawal"], abs=100)
+        assert began - state.position == pytest.approx(USUAL.withdrawal, abs=100)
         # With a home, it ends at the soft limit.
         assert display.ask(CLEAR) == (DONE, 0)
         arm(display, lowest=-200)
@@ -320,7 +278,7 @@ def test_garbage_is_counted_and_harmless(board: Open) -> None:
         for _ in range(50):
             display.drive(0, 4)
         state = display.states[-1]
-        assert (state.state, state.cause) == (RUNNING, 0)
+        assert (state.mode, state.cause) == (RUNNING, 0)
         assert state.rejected > 50
         assert abs(state.position) < 100
         assert display.spoilt == 0
@@ -341,14 +299,12 @@ def test_a_reset_of_a_pressing_board_withdraws_without_a_host(board: Open) -> No
         state = display.run_until(WITHDRAWN)
         assert state.cause == RESET
         assert not state.flags & (HOMED | HAS_LIMITS)
-        sequence = display.send(GREET)
-        display.run(5)
-        assert struct.unpack_from("<BHBHIHB", display.others[-1])[1::5] == (sequence, 2)
+        assert display.greet().reset_cause == 2
         assert display.ask(ARM) == (NO_LIMITS, 0)
         # Withdrawn or never armed, it stays where it is.
         display.harness("reset")
         state = display.run(100)
-        assert (state.state, state.cause, state.position) == (DISARMED, 0, 0)
+        assert (state.mode, state.cause, state.position) == (DISARMED, 0, 0)
 
 
 def test_an_unplugged_cable_withdraws(board: Open) -> None:
@@ -360,9 +316,9 @@ def test_an_unplugged_cable_withdraws(board: Open) -> None:
 
 
 def test_a_program_that_hangs_is_reset_by_the_processors_watchdog(
-    board: Open, programs: tuple[Path, Path], tmp_path: Path
+    board: Open, programs: Programs, tmp_path: Path
 ) -> None:
-    command = ["avr-nm", str(programs[1])]
+    command = ["avr-nm", str(programs.firmware)]
     symbols = subprocess.run(command, capture_output=True, encoding="utf-8", check=True).stdout
     (endless,) = (line.split()[0] for line in symbols.splitlines() if "__stop_program" in line)
     trace = tmp_path / "trace.csv"
@@ -373,9 +329,7 @@ def test_a_program_that_hangs_is_reset_by_the_processors_watchdog(
         display.harness(f"hang {int(endless, 16)}")
         assert left_the_finger(display, within_ms=200)
         assert display.run_until(WITHDRAWN).cause == RESET
-        display.send(GREET)
-        display.run(5)
-        assert struct.unpack_from("<BHBHIHB", display.others[-1])[-1] == 4
+        assert display.greet().reset_cause == 4
     # Without the loop, the interrupt gives no step beyond the soft limit.
     rows = [row.split(",") for row in trace.read_text().splitlines() if row.startswith("ms")]
     assert max(float(row[2]) for row in rows) < 4_000 * STEP_M * 1e6 - 2_000 + 15
@@ -400,7 +354,7 @@ def test_a_home_switch_that_is_stuck_fails_the_search_or_withdraws(board: Open) 
         press(display)
         display.harness("switch 1")
         display.drive(0, 10)
-        assert (display.states[-1].state, display.states[-1].cause) == (WITHDRAWING, SWITCH)
+        assert (display.states[-1].mode, display.states[-1].cause) == (WITHDRAWING, SWITCH)
         assert left_the_finger(display, within_ms=100)
 
 

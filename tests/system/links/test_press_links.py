@@ -75,4 +75,4 @@ def test_with_keys_over_a_lossy_link_a_cut_eases_off_and_a_revoked_key_releases(
     press = read_json(json)["press"]
     assert press["sent"] == press["applied"] + press["superseded"] + press["lost"]
     assert press["applied"] > 20
-    assert log.count("finger is no longer allowed") == 1
+    assert log.count(f"WARNING {keyring.pair('finger').public} is no longer allowed") == 1

@@ -69,6 +69,12 @@ def refusal(app: Any, *arguments: str) -> str:
         (telepulse, f"view {HERE} --host 0.0.0.0", ("shows the page to all who reach",)),
         (telepulse, f"view {HERE} --host 192.0.2.7", ("--insecure",)),
         (telepulse, f"view {ELSEWHERE}", ("without keys",)),
+        *(
+            (telepulse, f"{command} --key no.key --insecure", ("choose one",))
+            for command in (f"view {HERE}", f"record {HERE} a.mcap", f"mark {HERE}")
+        ),
+        # Here --insecure permits the page to be open, and its link has a key.
+        (telepulse, f"view {HERE} --host 0.0.0.0 --insecure --key no.key", ("there is no such",)),
         (telepulse, "demo nowhere.toml", ("no such scene file",)),
         (telepulse, "demo --json nowhere/out.json", ("nowhere/out.json",)),
         (telepulse, "sweep radial", ("which only a sensing node can press",)),

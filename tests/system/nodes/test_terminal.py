@@ -9,7 +9,7 @@ from rich.console import Console
 
 from display_node.telemetry.terminal import watch
 from protocol.sockets import Context
-from protocol.summary.tables import Summary
+from protocol.summary.fields import Summary
 from protocol.ticks import TickState
 from protocol.wire.marks import MARK, Mark, pack_mark
 from protocol.wire.telemetry import STATUS, TRACE, pack_status

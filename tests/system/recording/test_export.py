@@ -16,8 +16,8 @@ from pyarrow import parquet
 
 from protocol.provenance import PROVENANCE, collect
 from telepulse.recording.export import export_csv, export_mcap, export_parquet
+from telepulse.recording.mcap_reader import RecordingReader
 from telepulse.recording.mcap_writer import McapWriter
-from telepulse.recording.reader import RecordingReader
 from telepulse.recording.report import build_recording_report
 from telepulse.recording.signal_export import export_signals
 from telepulse.telemetry.decoder import TelemetryDecoder

@@ -10,7 +10,7 @@ from protocol import sockets
 from protocol.sockets import Context
 from protocol.wire.marks import MARK, MarkRequest, pack_request
 from telepulse.processes import free_addresses
-from telepulse.recording.reader import RecordingReader
+from telepulse.recording.mcap_reader import RecordingReader
 from telepulse.telemetry.schema import EVENT
 from tests.support.live_display import await_state, subscribe
 from tests.support.log_lines import refused

@@ -15,7 +15,7 @@ import pytest
 from protocol.errors import SourceError
 from protocol.host.child_process import ChildProcess
 from protocol.wire.messages import decode_frame, encode_frame
-from telepulse.recording.reader import RecordedMessage, RecordingReader
+from telepulse.recording.mcap_reader import RecordedMessage, RecordingReader
 from telepulse.telemetry.schema import EVENT, FRAME, STATUS, STREAM, TICK
 from tests.support.keyring import Keyring
 from tests.support.log_lines import refused, unusual

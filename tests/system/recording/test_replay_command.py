@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from telepulse.recording.reader import RecordingReader
+from telepulse.recording.mcap_reader import RecordingReader
 from telepulse.telemetry.schema import FRAME, STATUS, TICK
 from tests.support.log_lines import refused, unusual
 from tests.support.nodes import RADIAL, assert_accounted, free_address, process, read_json, run

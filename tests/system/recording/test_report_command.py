@@ -5,7 +5,7 @@ import pytest
 
 from telepulse.recording.contents import RecordingContents
 from telepulse.recording.findings import RunFindings, read_findings
-from telepulse.recording.reader import RecordingReader, in_tick_order
+from telepulse.recording.mcap_reader import RecordingReader, in_tick_order
 from telepulse.telemetry.schema import TICK
 from tests.support.nodes import RADIAL, free_address, process, read_json, run
 from tests.support.recordings import DELAY_TICKS, GAIN, record

@@ -13,8 +13,12 @@ from protocol import sockets
 from protocol.refusals import TOO_MANY
 from protocol.security.allow_list import UNREADABLE_AT_MOST_NS, revoke
 from protocol.security.authenticator import Authenticator
-from protocol.security.budgets import BEHIND_NS, ConnectionBudget
-from protocol.security.connection_table import MAX_EVENTS, ConnectionTable
+from protocol.security.connection_table import (
+    BEHIND_NS,
+    MAX_EVENTS,
+    ConnectionBudget,
+    ConnectionTable,
+)
 from protocol.security.link_keys import ClientKeys, ServerKeys
 from protocol.sockets import Context, Socket
 from tests.support.keyring import Keyring
@@ -178,8 +182,11 @@ def test_allowed_keys_receive_until_revoked_and_the_others_continue(
     publisher.poll_until(lambda: stays.received[-1] > back)
     publisher.poll_for(QUIET_S)
     assert len(goes.received) == before
-    assert logged[0] == "thumb is no longer allowed"
-    assert len([line for line in logged if line.endswith(" is no longer allowed")]) == 2
+    # Both lines name the peer and the beginning of its key.
+    thumb = f"thumb (key {keyring.pair('thumb').public.key.hex()[:16]}...) is no longer allowed"
+    assert logged[0] == thumb
+    refused = [line for line in logged[1:] if line.startswith("refused ") and thumb in line]
+    assert len(refused) == 1
     # A cut may hit a connection that is being made again.
     assert set(publisher.rejected) <= {"revoked_key", "handshake"}
 

@@ -1,26 +1,35 @@
+import socket as plain
 import time
 from collections.abc import Callable
 
 import pytest
 import zmq
 
+from display_node.telemetry.alerts import NOT_CONNECTED, alerts
 from protocol import sockets
+from protocol.security.allow_list import UNREADABLE_AT_MOST_NS
 from protocol.security.authenticator import Authenticator
 from protocol.security.link_keys import ClientKeys
 from protocol.security.socket_monitor import HandshakeMonitor
 from protocol.sockets import Context
+from protocol.summary.fields import Summary
 from tests.support.keyring import Keyring
 from tests.support.nodes import free_address
 from tests.support.waiting import PATIENCE_S
 
 
 class Connecting:
-    """Two sockets that connect to an address, with a monitor."""
+    """Sockets that connect to an address, with a monitor."""
 
-    def __init__(self, context: Context, address: str, keys: ClientKeys | None) -> None:
+    def __init__(
+        self, context: Context, address: str, keys: ClientKeys | None, count: int = 2
+    ) -> None:
         self.monitor = HandshakeMonitor(context, keys)
-        self.sockets = [sockets.unconnected(context, zmq.SUB, keys) for _ in range(2)]
+        self.sockets = [sockets.unconnected(context, zmq.SUB, keys) for _ in range(count)]
+        self._address = address
         self._now_ns = 0
+        # Time that the authenticator's clock is ahead.
+        self.skipped_ns = 0
         for socket in self.sockets:
             self.monitor.watch(socket)
             socket.subscribe(b"")
@@ -33,10 +42,20 @@ class Connecting:
         while not done():
             assert time.monotonic() < end_s, self.monitor.rejected
             if authenticator is not None:
-                authenticator.poll(time.perf_counter_ns())
+                authenticator.poll(time.perf_counter_ns() + self.skipped_ns)
             self._now_ns += 1_000_000_000
             self.monitor.poll(self._now_ns)
             time.sleep(0.002)
+
+    def reconnect_until(self, done: Callable[[], object], authenticator: Authenticator) -> None:
+        """Connect again until `done`, since ZeroMQ does not after a refusal; a display does."""
+        end_s = time.monotonic() + PATIENCE_S
+        while not done():
+            assert time.monotonic() < end_s, self.monitor.rejected
+            again_s = time.monotonic() + 1.0
+            for socket in self.sockets:
+                sockets.reconnect(socket, self._address, self._address)
+            self.poll_until(lambda end=again_s: done() or time.monotonic() > end, authenticator)
 
 
 @pytest.mark.parametrize(
@@ -78,3 +97,65 @@ def test_a_node_without_keys_is_reported_to_a_display_with_keys(
     display.poll_until(lambda: display.monitor.rejected["no_key"] >= 2)
     (line,) = logged
     assert line.startswith(f"{address} has no keys; start it with --key")
+
+
+def test_an_unreadable_allow_list_is_not_reported_as_a_revocation(
+    context: Context, keyring: Keyring, address: str, logged: list[str]
+) -> None:
+    authenticator = Authenticator(context, keyring.server())
+    sockets.bind(context, zmq.PUB, address, authenticator)
+    display = Connecting(context, address, keyring.client("finger"))
+    monitor = display.monitor
+    display.poll_until(lambda: len(monitor.established) == 2, authenticator)
+    keyring.allowed.write_text("nonsense\n", encoding="utf-8")
+    display.poll_until(lambda: logged, authenticator)
+    display.skipped_ns = UNREADABLE_AT_MOST_NS
+    display.poll_until(lambda: set(monitor.rejected) - {"handshake"}, authenticator)
+    assert "revoked" not in monitor.rejected
+    assert monitor.refused == "server_list_unreadable"
+    assert monitor.refusal.startswith(f"{address} cannot read its allow-list")
+    assert "keys allow" not in monitor.refusal
+    # The remedy works, and after it a revocation is one again.
+    keyring.allowed.unlink()
+    keyring.allow("finger")
+    display.reconnect_until(lambda: len(monitor.established) == 2, authenticator)
+    assert (monitor.refused, monitor.refusal) == (None, "")
+    keyring.allowed.unlink()
+    display.poll_until(lambda: monitor.rejected["revoked"], authenticator)
+
+
+def test_broken_handshakes_with_successes_between_them_are_no_refusal(
+    context: Context, keyring: Keyring, address: str, logged: list[str]
+) -> None:
+    """As a sensing node breaks a handshake of each socket when it shuts down, and starts again."""
+    display = Connecting(context, address, keyring.client("finger"), count=3)
+    monitor = display.monitor
+    for starts in range(1, 5):
+        place = ("127.0.0.1", int(address.rpartition(":")[2]))
+        with plain.create_server(place) as ending:
+            for connection in [ending.accept()[0] for _ in display.sockets]:
+                connection.close()
+        node = zmq.Context()
+        try:
+            authenticator = Authenticator(node, keyring.server())
+            data = sockets.bind(node, zmq.PUB, address, authenticator)
+            display.poll_until(lambda: len(monitor.established) == 3, authenticator)
+            data.close(0)
+        finally:
+            node.destroy(linger=0)
+        assert (monitor.refusal, logged) == ("", [])
+        display.poll_until(lambda: not monitor.established)
+        found = alerts("stale", Summary(refused=monitor.refused).to_dict())
+        assert NOT_CONNECTED not in [alert.name for alert in found], starts
+
+
+def test_broken_handshakes_in_a_row_are_refusals_all_of_which_count(
+    context: Context, keyring: Keyring, address: str, logged: list[str]
+) -> None:
+    display = Connecting(context, address, keyring.client("finger"), count=1)
+    with plain.create_server(("127.0.0.1", int(address.rpartition(":")[2]))) as ending:
+        for _ in range(3):
+            ending.accept()[0].close()
+        display.poll_until(lambda: display.monitor.refusal)
+        assert display.monitor.rejected == {"handshake": 3}
+        assert logged == [display.monitor.refusal]

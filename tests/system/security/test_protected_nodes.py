@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 import zmq
 
+from display_node.telemetry.alerts import alerts
 from protocol import sockets
 from protocol.security.allow_list import revoke
 from protocol.sockets import Context
@@ -85,8 +86,9 @@ def test_a_revoked_display_is_cut_off_and_reports_it_while_the_other_continues(
     assert read_json(jsons["thumb"])["frames"]["received"] == received
     assert display_log.count(" has revoked the key of thumb: ") == 1
     assert "Refused: the other node allowed this node's key before and has revoked it" in output
-    assert sensing_log.count("thumb is no longer allowed") == 1
-    assert sensing_log.count("refused 127.0.0.1: key ") == 1
+    revoked = f"thumb (key {keyring.pair('thumb').public.key.hex()[:16]}...) is no longer allowed"
+    assert sensing_log.count(revoked) == 2
+    assert sensing_log.count(f"refused 127.0.0.1: {revoked}") == 1
     rejected = read_json(sensed)["rejected"]
     assert "revoked_key" in rejected
     assert set(rejected) <= {"revoked_key", "handshake"}
@@ -114,16 +116,22 @@ def test_telemetry_beyond_this_machine_is_for_allowed_readers_and_the_own_screen
     readers["allowed"].setsockopt(zmq.RCVTIMEO, 200)
     with process(DISPLAY, *arguments, "--details", "--seconds", "60") as node:
         refused = {"unknown_key"}, {"no_key", "handshake"}
-        await_status(
+        status = await_status(
             readers["allowed"],
-            lambda status: all(kinds & set(status.summary["rejected"]) for kinds in refused),
+            lambda status: all(
+                kinds & set(status.summary["rejected_readers"]) for kinds in refused
+            ),
         )
+        # None of them is the reason why this display has no stream.
+        assert status.state == "waiting"
+        assert alerts(status.state, status.summary) == []
+        assert status.summary["rejected"] == {}
         node.terminate()
         output, errors = node.communicate(timeout=PATIENCE_S)
     assert not readers["stranger"].poll(0)
     assert not readers["no key"].poll(0)
     # Each cause with its meaning takes a line or two of its own.
-    rejections = output[output.rindex("rejected ") :]
+    rejections = output[output.rindex("rejected readers ") :]
     assert re.search(r"\d no_key|\d handshake", rejections)
     assert re.search(r"\d unknown_key", rejections)
     assert strays(errors) == ""

@@ -80,7 +80,8 @@ def test_strangers_do_not_end_a_node_that_has_a_priority(
         with strangers(port_of(here[0])), strangers(port_of(here[1])):
             # While the strangers are connected, and for 2 000 samples more.
             await_status(
-                reader, lambda status: status.summary["rejected"].get("too_many_connections")
+                reader,
+                lambda status: status.summary["rejected_readers"].get("too_many_connections"),
             )
             await_status(reader, lambda status: status.summary["samples"]["played"] > count + 2_000)
             asking = sockets.connect(

@@ -8,7 +8,7 @@ from protocol.config.scene import validate
 from protocol.errors import SourceError
 from pulse_sensors import sensor as module
 from pulse_sensors.force_scale import SensorTable
-from pulse_sensors.samples import SampleBlock, decoded_block
+from pulse_sensors.samples import DecodedBlock, decoded_block
 from pulse_sensors.sensor import Sensor
 from tests.support.sample_blocks import forces, received
 from tests.support.waiting import until
@@ -53,7 +53,7 @@ class AsIs:
         self.rejected: Counter[str] = Counter()
         self.resets = 0
 
-    def feed(self, data: float) -> list[SampleBlock]:
+    def feed(self, data: float) -> list[DecodedBlock]:
         return [decoded_block([data])]
 
     def reset(self) -> None:

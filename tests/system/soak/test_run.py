@@ -1,4 +1,4 @@
-"""Real nodes, one short episode, over the proxy on loopback."""
+"""Real nodes, one short episode, over links between namespaces; needs root."""
 
 import asyncio
 import json
@@ -10,7 +10,7 @@ import pytest
 import soak.run
 from soak.evidence import verdict
 from soak.leftovers import MARK, left_behind
-from soak.network import loopback
+from soak.network import namespaces
 from soak.report import write_verdict
 from soak.run import Run
 from soak.scenario import Scenario
@@ -20,6 +20,7 @@ from telepulse.scene import load_scene
 from tests.support.keyring import Keyring
 from tests.support.log_lines import refused
 from tests.support.nodes import RADIAL
+from tests.support.tcp import needs_emulator
 
 EPISODE = Episode(
     (Fault("kill sensing", SENSING, 0.0, 0.2), Fault("freeze display", RESTARTED, 0.1, 0.3)), 2.0
@@ -36,12 +37,13 @@ def short(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv(MARK, str(os.getpid()))
 
 
+@needs_emulator
 @pytest.mark.usefixtures("short")
 def test_a_soak_finds_every_sample_and_leaves_nothing_behind(tmp_path: Path) -> None:
     folder = tmp_path / "soak"
     folder.mkdir()
     scene = load_scene(RADIAL)
-    with loopback(seed=1) as network:
+    with namespaces(seed=1) as network:
         keys = Keyring(tmp_path / "keys")
         keys.allow("finger", "monitor")
         scenario = Scenario(network, RADIAL, folder, longest_s=60.0, keys=keys, options=OPTIONS)
@@ -51,8 +53,8 @@ def test_a_soak_finds_every_sample_and_leaves_nothing_behind(tmp_path: Path) -> 
         finally:
             scenario.clear()
         checks = {check.name: check for check in verdict(under_test, scene.display, 75.0)}
-    addresses = [scenario.calm_address, *network.addresses]
-    assert left_behind(under_test.namespaces, addresses, str(folder)) == [f"the folder {folder}"]
+    left = left_behind(under_test.namespaces, [scenario.calm_address], str(folder))
+    assert left == [f"the folder {folder}"]
 
     # What a busy machine cannot change.
     for name in ("bad ends", "clock steps", "faults latched", "account of calm display"):

@@ -3,9 +3,9 @@
 import pytest
 
 from protocol.config.scene_file import find_scene
-from protocol.summary.tables import AnnounceFigures
+from protocol.summary.fields import AnnounceFigures
 from telepulse.scene import load_scene
-from telepulse.simulation.virtual_time import summarise
+from telepulse.simulation.virtual_time import Simulation
 
 SECONDS = 16.0
 # `make test` has the predictor's own test, and that of the scene.
@@ -13,7 +13,7 @@ pytestmark = pytest.mark.system
 
 
 def test_r_waves_of_the_stream_are_used_and_counted() -> None:
-    figures = summarise(load_scene(find_scene("announce")), SECONDS, seed=1).announce
+    figures = Simulation(load_scene(find_scene("announce")), 1).run(SECONDS).announce
     assert figures.r_waves == pytest.approx(SECONDS * 75 / 60, abs=4)
     assert figures.used is not None
     assert figures.used > 0.3
@@ -25,4 +25,4 @@ def test_r_waves_of_the_stream_are_used_and_counted() -> None:
 
 def test_a_scene_can_leave_the_ecg_unused() -> None:
     scene = load_scene(find_scene("announce"), {"announce": "off"})
-    assert summarise(scene, SECONDS, seed=1).announce == AnnounceFigures()
+    assert Simulation(scene, 1).run(SECONDS).announce == AnnounceFigures()

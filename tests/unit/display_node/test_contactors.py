@@ -10,14 +10,14 @@ from display_node.control.force_loop import ForceLoop
 from display_node.display import Display
 from display_node.prediction.ensemble import Ensemble
 from display_node.scene import DisplayScene
+from display_node.scoring.availability import InterruptionCounter
 from display_node.scoring.beat_statistics import BeatStatistics
 from display_node.scoring.prediction_score import PredictionScore
 from display_node.scoring.tracking_error import TrackingError
 from protocol.config.scene import validate
 from protocol.errors import SceneError
 from protocol.pieces import complete
-from protocol.summary.tables import contactors_of
-from protocol.ticks import InterruptionCounter
+from protocol.summary.fields import contactors_of
 from protocol.wire.description import Channel
 from protocol.wire.messages import Bye, Frame, encode_control, encode_frame
 from tests.support.sender import AHEAD_NS, MS, Sender, display_scene
@@ -287,7 +287,8 @@ def test_every_actuator_is_commanded_before_anything_is_scored_or_learnt(
 
         monkeypatch.setattr(owner, method, note)
 
-    noted("command", ForceLoop, "tick")
+    noted("command", ForceLoop, "command")
+    noted("move", ForceLoop, "move")
     noted("score", TrackingError, "add_output")
     noted("score", PredictionScore, "add_reference")
     noted("count", InterruptionCounter, "add")
@@ -301,11 +302,12 @@ def test_every_actuator_is_commanded_before_anything_is_scored_or_learnt(
         play(under_test, sender, 3001, 3101)
     order.clear()
     under_test.command(3101 * MS)
-    under_test.account()
     assert order == ["command"] * 3
+    under_test.account()
+    assert order[3:] == ["move"] * 3
     while under_test.work():
         pass
-    assert {"learn", "beats", "score", "count"} == set(order[3:])
+    assert {"learn", "beats", "score", "count"} == set(order[6:])
 
 
 def test_a_summary_has_all_ticks_and_frames_so_far_also_on_a_host_without_slack(

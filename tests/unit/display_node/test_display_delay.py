@@ -48,7 +48,7 @@ def test_the_felt_pulse_is_e_old_whatever_the_group_delay(
     if compensation_ns is not None:
         assert felt[-1][1] == pytest.approx(40, abs=0.01)
     # The display's own errors include the chain's delay.
-    under_test.tracking_errors[0].finish()
+    under_test.finish_scores()
     summary = under_test.summary()
     assert summary.force_rmse_n.aligned == pytest.approx(0.2e-3, abs=0.2e-3)
     assert summary.clock.offset_ms == pytest.approx(5000)
@@ -81,7 +81,7 @@ def test_auto_covers_the_chains_delay_and_reserves_the_loops_reach(
     delay_ms = playing(under_test, group_delay_ms)[-1][1]
     # Frames of 5 ms are the link's delay. One sample after the horizon's end is needed to
     # interpolate the last tick.
-    assert under_test.receiver.delay.delay_ns == 5 * MS
+    assert under_test.receiver.link_delay.delay_ns == 5 * MS
     assert delay_ms == pytest.approx(5 + group_delay_ms + reach_ms + 1, abs=0.01)
     # Nothing is predicted, so the covered delay is E.
     summary = under_test.summary()

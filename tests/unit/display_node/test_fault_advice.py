@@ -4,7 +4,7 @@ import re
 from pathlib import Path
 
 from display_node.fault_advice import FILM_NOTE, OTHERWISE, SENSING_NOTE, advise, latched
-from display_node.plant.feedback import FilmFault
+from display_node.plant.film_plausibility import FilmFault
 
 ROOT = Path(__file__).parents[3]
 PACKAGES = ("display_node", "pulse_drives")

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from protocol.errors import SourceError
 from pulse_drives.withdrawal import TOUCH_N
+from tests.support.fault_injection import FaultKind, parse_fault
 from tests.support.sender import MS, Sender, display_scene
 from tests.support.streams import synthetic
 from tests.support.threaded_bench import ThreadedBench
@@ -63,7 +64,7 @@ def ended_after_ms(bench: ThreadedBench, from_ms: int, pressing: bool = False) -
 
 def rmse_n(bench: ThreadedBench) -> float:
     """Return the display's own aligned force error."""
-    bench.display.tracking_errors[0].finish()
+    bench.display.finish_scores()
     summary = bench.display.summary()
     assert summary.faults == []
     assert summary.force_rmse_n.aligned is not None
@@ -141,6 +142,16 @@ def test_within_100_ms_of_a_fault_the_tip_rests_or_is_off_the_finger(
     assert bench.faults == ([fault] if fault else [])
     # A drive that is held by its own fault does not withdraw.
     assert (bench.motor.force_n > 0.1) == pressing
+
+
+def test_a_withdrawal_that_fails_is_a_fault_as_well(pulse_n: Pulse) -> None:
+    with playing(pulse_n, 1_200) as bench:
+        stuck = parse_fault(FaultKind.NO_RETRACTION, None)
+        bench.motor.injector.begin(stuck, bench.world.now_ns)
+        lose_the_film(bench)
+        bench.run(1_000)
+    assert len(bench.faults) == 2
+    assert bench.faults[-1] == "withdrawal: unconfirmed"
 
 
 def test_a_slow_first_tick_is_no_fault_since_the_drive_rests_at_first_touch(pulse_n: Pulse) -> None:

@@ -5,7 +5,8 @@ from dataclasses import replace
 import pytest
 
 from display_node.verdict import MOST_LINES, verdict
-from protocol.summary.tables import (
+from protocol.refusals import CAUSE_MEANINGS
+from protocol.summary.fields import (
     AlignedErrors,
     Availability,
     BeatFigures,
@@ -23,7 +24,7 @@ FINE = Summary(
     samples=SampleCounts(sent=15_000, played=9_000, predicted=6_000, late=0, lost=0),
     one_way_delay_ms=OneWayDelay(p50=0.85, p99=3.25),
     playout_delay_ms=PlayoutDelay(mean=6.82),
-    beats=BeatFigures(count=17, rate_per_min=75.6, height_n=0.3),
+    beats=BeatFigures(count=17, rate_per_min=75.6, height_n=0.6, height_at_finger_n=0.3),
     clock=Clock(offset_ms=0.01),
     force_rmse_n=AlignedErrors(aligned=0.0009),
     within_jnd=1.0,
@@ -78,6 +79,11 @@ NOT_FELT = {"availability": Availability(9.0, felt=0.0, waiting=0.99)}
             " lacks this node's key (7 times).",
         ),
         (
+            NOT_FELT | {"clock": Clock(), "rejected_readers": {"no_key": 7}},
+            "no pulse was felt; the sensing node did not answer: check its address, and"
+            " that it runs.",
+        ),
+        (
             NOT_FELT | {"waiting_for": "nobody listens at tcp://wrist:5555, refused 12 times"},
             "no pulse was felt; nobody listens at tcp://wrist:5555, refused 12 times;"
             " start the sensing node there, or check the address.",
@@ -91,7 +97,10 @@ NOT_FELT = {"availability": Availability(9.0, felt=0.0, waiting=0.99)}
             "no pulse was felt; the stream ended, or",
         ),
     ],
-    ids=["fault", "missed ticks", "no answer", "refused", "nobody", "no samples", "too short"],
+    ids=[
+        *("fault", "missed ticks", "no answer", "refused", "refused reader", "nobody"),
+        *("no samples", "too short"),
+    ],
 )
 def test_a_ruined_run_says_so_in_its_first_line(change: dict[str, object], first: str) -> None:
     lines, valid = verdict(replace(FINE, **change))
@@ -101,10 +110,19 @@ def test_a_ruined_run_says_so_in_its_first_line(change: dict[str, object], first
     assert len(lines) <= MOST_LINES
 
 
+def test_refused_readers_are_told_apart_from_the_link() -> None:
+    refused = {"rejected": {"malformed": 2}, "rejected_readers": {"no_key": 5, "mark": 1}}
+    *_, of_link, of_readers = verdict(replace(FINE, **refused)).lines
+    assert of_link == f"Refused: {CAUSE_MEANINGS['malformed']} (2 times)."
+    assert of_readers == (
+        f"Refused readers of the telemetry: {CAUSE_MEANINGS['no_key']} (5 times), and 1 others."
+    )
+
+
 def test_of_several_contactors_the_worst_is_named() -> None:
     contactors = {
         name: Summary(
-            beats=BeatFigures(rate_per_min=75.6, height_n=0.3),
+            beats=BeatFigures(rate_per_min=75.6, height_n=0.6, height_at_finger_n=0.3),
             force_rmse_n=AlignedErrors(aligned=error_n),
             within_jnd=share,
         )

@@ -28,7 +28,7 @@ PINNED = re.findall(
 )
 
 
-def test_every_cause_of_refusal_is_documented_and_no_other() -> None:
+def test_every_cause_of_refusal_has_a_meaning_and_no_other() -> None:
     sources = [
         path.read_text(encoding="utf-8") for p in PACKAGES for path in (ROOT / p).rglob("*.py")
     ]
@@ -36,10 +36,7 @@ def test_every_cause_of_refusal_is_documented_and_no_other() -> None:
     raised = set(counted.findall("\n".join(sources)))
     raised |= {"truncated", "not_msgpack", "version", "duplicate", "overlap"}
     raised |= {SUBSCRIPTION, *CONNECTIONS}
-    table = (ROOT / "docs" / "wire.md").read_text(encoding="utf-8").split("counted as")[1]
-    documented = set(re.findall(r"`(\w+)`", table))
-    assert raised == documented
-    assert documented == CAUSE_MEANINGS.keys()
+    assert raised == CAUSE_MEANINGS.keys()
 
 
 def test_the_safety_case_names_existing_tests() -> None:

@@ -1,10 +1,9 @@
 """Frames of the display board, as `firmware/PROTOCOL.md` states them."""
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from pulse_drives.stepdir.frames import (
+    MOST_BYTES,
     BoardCommand,
     BoardGreeting,
     BoardLimits,
@@ -14,10 +13,10 @@ from pulse_drives.stepdir.frames import (
     CommandAnswer,
     CommandResult,
     Format,
-    FrameReader,
     HomeSearch,
     StateFlag,
     TripCause,
+    board_reader,
     decode_command,
     decode_report,
     encode_command,
@@ -32,7 +31,7 @@ LIMITS = BoardLimits(0, 8_000, 32_000_000, 32_000, 1434, 14_934, 4_700, 32_000, 
 
 
 def body_of(frame: bytes) -> bytes:
-    (body,) = FrameReader().feed(frame)
+    (body,) = board_reader().feed(frame)
     return body
 
 
@@ -97,37 +96,9 @@ def test_a_greeting_of_a_later_protocol_tells_its_version() -> None:
     assert decoded.protocol == 7
 
 
-@given(st.binary(max_size=40), st.integers(0, 39), st.integers(1, 255))
-def test_noise_in_a_frame_costs_that_frame_alone(noise: bytes, at: int, change: int) -> None:
-    frames = [encode_report(STATE._replace(counter=number)) for number in range(1, 4)]
-    spoilt = bytearray(frames[1])
-    spoilt[at % (len(spoilt) - 1)] ^= change
-    reader = FrameReader()
-    # What comes before the first zero byte may be the end of a frame.
-    reader.feed(noise.replace(b"\0", b"\1") + b"\0")
-    assert reader.rejected == 0
-    bodies = reader.feed(b"".join([frames[0], bytes(spoilt), frames[2]]))
-    counters = [report.counter for report in map(decode_report, bodies) if report]
-    assert counters == [1, 3]
-    # A byte that becomes zero makes two frames of one, or an empty one.
-    assert reader.rejected in (1, 2)
-
-
-@given(st.lists(st.integers(1, 30), max_size=12))
-def test_chunks_of_any_size_give_the_same_bodies(sizes: list[int]) -> None:
-    data = b"\0" + b"".join(encode_report(report) for report in (STATE, GREETING, ANSWER))
-    reader, bodies, begin = FrameReader(), [], 0
-    for size in (*sizes, len(data)):
-        bodies += reader.feed(data[begin : begin + size])
-        begin += size
-    assert list(map(decode_report, bodies)) == [STATE, GREETING, ANSWER]
-    assert reader.rejected == 0
-
-
-def test_a_frame_that_is_too_long_is_counted_once() -> None:
-    reader = FrameReader()
-    assert reader.feed(b"\0") == []
-    for _ in range(50):
-        assert reader.feed(b"\x55" * 20) == []
-    assert len(reader.feed(b"\0" + encode_report(STATE))) == 1
-    assert reader.rejected == 1
+def test_frames_come_whole_from_a_line_of_both_boards() -> None:
+    reader = board_reader()
+    too_long = b"\x55" * (2 * MOST_BYTES)
+    frames = [encode_report(STATE), too_long, b"\0", encode_report(ANSWER)]
+    assert list(map(decode_report, reader.feed(b"\0" + b"".join(frames)))) == [STATE, ANSWER]
+    assert reader.altered == 1

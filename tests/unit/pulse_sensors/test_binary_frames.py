@@ -3,11 +3,11 @@ import struct
 
 import numpy as np
 import pytest
-from cobs import cobs
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pulse_sensors.binary_frames import MAX_SAMPLES, FrameDecoder, FrameEncoder, SampleFormat, crc
+from protocol.serial_frames import crc, encode_frame
+from pulse_sensors.binary_frames import MAX_SAMPLES, FrameDecoder, FrameEncoder, SampleFormat
 from tests.support.sample_blocks import Decoded, plain
 
 MS = 1_000_000
@@ -41,8 +41,7 @@ def account(blocks: list[Decoded]) -> float:
 
 def raw(code: int, payload: bytes, counter: int = 0, micros: int = 0) -> bytes:
     """Return a frame with any content and a right CRC."""
-    body = struct.pack("<BII", code, counter, micros) + payload
-    return b"\0" + cobs.encode(body + struct.pack("<H", crc(body))) + b"\0"
+    return b"\0" + encode_frame(struct.pack("<BII", code, counter, micros) + payload)
 
 
 def test_a_frame_has_known_bytes() -> None:

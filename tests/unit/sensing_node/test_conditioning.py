@@ -11,7 +11,7 @@ from scipy.interpolate import CubicSpline
 
 from protocol.config.scene import validate
 from protocol.errors import SceneError
-from protocol.summary.tables import Limited, Limits
+from protocol.summary.fields import Limited, Limits
 from protocol.tactile import Film
 from protocol.wire.description import Channel
 from sensing_node.conditioning import Conditioned, ConditioningScene

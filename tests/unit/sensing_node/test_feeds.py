@@ -8,7 +8,7 @@ from protocol.wire.description import Channel
 from protocol.wire.messages import Frame
 from pulse_sensors.samples import SampleBlock
 from pulse_sensors.sensor import Sensor
-from sensing_node.feeds import Framer, LiveSource, PacedSource, ReplaySource, feed_of
+from sensing_node.feeds import Framer, LiveFeed, PacedFeed, ReplayFeed, feed_of
 from sensing_node.node import MOST_BYTES, queue_limits
 from tests.support.streams import MS, description
 
@@ -44,8 +44,8 @@ class CountingSource:
         return taken
 
 
-def paced(length: int = 1000) -> PacedSource:
-    return PacedSource(CountingSource(length), START_NS)
+def paced(length: int = 1000) -> PacedFeed:
+    return PacedFeed(CountingSource(length), START_NS)
 
 
 def numbers(found: SampleBlock | None) -> list[float]:
@@ -77,8 +77,8 @@ class GivenSensor(Sensor):
         return self._polls.pop(0) if self._polls else []
 
 
-def live(*blocks: SampleBlock) -> LiveSource:
-    return LiveSource(GivenSensor(list(blocks)))
+def live(*blocks: SampleBlock) -> LiveFeed:
+    return LiveFeed(GivenSensor(list(blocks)))
 
 
 def test_contiguous_blocks_of_a_sensor_are_joined() -> None:
@@ -112,7 +112,7 @@ def frame(first: int, count: int = 5, late_ns: int = 0, period_ns: int = MS) -> 
 
 def replayed(*frames: Frame) -> list[SampleBlock]:
     """Return all blocks, each read when it is due."""
-    replay = ReplaySource(description(), frames)
+    replay = ReplayFeed(description(), frames)
     assert feed_of(replay, START_NS) is replay
     blocks = []
     while not replay.exhausted:

@@ -26,7 +26,14 @@ def source(**keys: Any) -> dict[str, Any]:
 
 # Scenes with a live sensor, which `build_source` refuses.
 PROBE = {"kind": "tmcl", "port": "x"}
-LIVE = ("tmcl_bench", "cia402_bench", "class_bench", "three_fingers_bench", "real_press")
+LIVE = (
+    "tmcl_bench",
+    "cia402_bench",
+    "class_bench",
+    "class_wrist",
+    "three_fingers_bench",
+    "real_press",
+)
 SENSED = [path for path in sorted((ROOT / "scenes").glob("*.toml")) if path.stem not in LIVE]
 
 

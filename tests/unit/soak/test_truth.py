@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from protocol.summary.tables import Availability, Loop, SampleCounts, Summary
-from protocol.ticks import InterruptionCounter
+from display_node.scoring.availability import InterruptionCounter
+from protocol.summary.fields import Availability, Loop, SampleCounts, Summary
 from protocol.wire.telemetry import Trace
 from soak.claims import StatusClaim, no_figures
 from soak.felt import FeltLog, felt_again_ns, longest_gap_ns

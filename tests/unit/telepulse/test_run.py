@@ -8,7 +8,7 @@ import pytest
 from matplotlib import pyplot as plt
 
 import telepulse
-from protocol.summary.tables import AlignedErrors, Availability
+from protocol.summary.fields import AlignedErrors, Availability
 from tests.support.recordings import GAIN, record
 
 LINK = "delay=40ms,jitter=10ms,loss=1%"

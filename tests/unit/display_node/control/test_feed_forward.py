@@ -36,7 +36,7 @@ class Bench:
     def leading(self, tip_m: Positions) -> Positions:
         """Return the path earlier by the lead."""
         at = np.arange(len(tip_m))
-        return np.interp(at + self.path.lead_s / self.tick_s, at, tip_m)
+        return np.interp(at + self.path.shaper_delay_s / self.tick_s, at, tip_m)
 
     def run(self, tip_m: Positions) -> tuple[Positions, Positions, Positions]:
         """Return screw, wanted tip and moved tip at each tick's end."""
@@ -92,7 +92,7 @@ def test_the_rotors_inverse_is_undone_by_the_rotor(damping: float) -> None:
     errors_m = []
     for tick_s in (1e-3, 0.5e-3):
         bench = Bench(tick_s, rotor_damping=damping, **ROTOR)
-        assert bench.path.shaped == (bench.path.lead_s > 0) == (damping < 1)
+        assert bench.path.shaped == (bench.path.shaper_delay_s > 0) == (damping < 1)
         # Squared, since the path of a rotor at rest must begin without acceleration.
         tip_m = swell_m(tick_s, rate_hz=5.0) ** 2 / 0.3e-3
         screw_m, wanted_m, moved_m = bench.run(tip_m)

@@ -18,7 +18,7 @@ from display_node.control.linear_loop import (
 )
 from display_node.control.observer import DESIGN_FORCE_N
 from display_node.control.scene import ControllerScene
-from display_node.plant.film import FeedbackFilm
+from display_node.plant.film import FilmModel
 from display_node.plant.scene import FilmTable, SecondOrderScene, StepperScene
 from display_node.scene import DisplayScene
 from protocol.config.scene import load_section
@@ -80,7 +80,7 @@ class Shipped:
             controller, actuator, LAYER, film, LIMIT_N, TICK_S, actual
         )
         quiet = film.model_copy(update={"noise_n": 0.0, "adc_bits": None})
-        self._film = FeedbackFilm(quiet, TICK_S)
+        self._film = FilmModel(quiet, TICK_S)
 
     def tick(self, reference_n: float = DESIGN_FORCE_N, noise_n: float = 0.0) -> float:
         """Return the felt force after a tick whose reading is wrong by `noise_n`."""

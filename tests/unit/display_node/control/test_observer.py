@@ -14,7 +14,7 @@ from display_node.control.observer import (
 )
 from display_node.control.scene import ObserverScene
 from display_node.plant.contact import ContactLaw
-from display_node.plant.film import FeedbackFilm
+from display_node.plant.film import FilmModel
 from display_node.plant.scene import FilmTable, StepperScene
 from display_node.plant.stepper import Stepper
 from protocol.tactile import ElasticLayer
@@ -52,7 +52,7 @@ class Bench:
         self.observer = Observer(scene, stepper(), self.learnt, film, SCENE.step_m, TICK_S)
         self.law = contact(fingertip_n_per_m)
         self.displaced_m = 0.0
-        self._film = FeedbackFilm(quiet, TICK_S)
+        self._film = FilmModel(quiet, TICK_S)
         self._stepper = stepper()
         self.felt_n = self.reading_n = 0.0
 

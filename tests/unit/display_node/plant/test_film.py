@@ -3,7 +3,7 @@ import math
 import numpy as np
 import pytest
 
-from display_node.plant.film import FeedbackFilm
+from display_node.plant.film import FilmModel
 from display_node.plant.scene import FilmTable
 
 TICK_S = 1e-3
@@ -13,11 +13,11 @@ def table(**keys: object) -> FilmTable:
     return FilmTable.model_validate(keys)
 
 
-def film(**keys: object) -> FeedbackFilm:
-    return FeedbackFilm(table(**keys), TICK_S)
+def film(**keys: object) -> FilmModel:
+    return FilmModel(table(**keys), TICK_S)
 
 
-def readings(under_test: FeedbackFilm, force_n: float, ticks: int) -> list[float]:
+def readings(under_test: FilmModel, force_n: float, ticks: int) -> list[float]:
     return [under_test.read(force_n) for _ in range(ticks)]
 
 

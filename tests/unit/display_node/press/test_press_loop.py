@@ -3,14 +3,10 @@
 import numpy as np
 import pytest
 
-from protocol.wire.messages import SetPoint
 from sensing_node.press.probe import ProbeLimits
 from telepulse.simulation.link_model import MessageLink
 from telepulse.simulation.link_scene import LinkScene
 from tests.support.press_loop import (
-    AHEAD_NS,
-    PRESS,
-    SESSION,
     PressLoop,
     PressSetting,
     link_of,
@@ -57,16 +53,3 @@ def test_a_cut_of_one_direction_eases_off_as_well(way: str) -> None:
     assert trace.hold_down_n[-1] == pytest.approx(1.2, rel=0.05)
     counts = loop.press.sender.counts()
     assert counts.sent == (counts.applied or 0) + (counts.superseded or 0) + (counts.lost or 0)
-
-
-def test_hostile_set_points_of_others_do_not_move_the_probe() -> None:
-    def intrude(now_ns: int) -> list[SetPoint]:
-        own = SetPoint(SESSION, PRESS, 3, now_ns + AHEAD_NS, 10**10, 1e6)
-        other = own._replace(press=PRESS + 1, number=now_ns // 1_000_000)
-        return [own, other] * 5 if now_ns > 3_000_000_000 else []
-
-    plain = PressLoop(PressSetting(link_of(0.0)), steps).run(8.0)
-    loop = PressLoop(PressSetting(link_of(0.0)), steps, intrude)
-    trace = loop.run(8.0)
-    np.testing.assert_array_equal(trace.hold_down_n, plain.hold_down_n)
-    assert set(loop.server.rejected) == {"press_held", "duplicate"}

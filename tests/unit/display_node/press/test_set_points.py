@@ -4,7 +4,7 @@ from hypothesis import strategies as st
 
 from display_node.press.set_points import PERIOD_NS, VALID_NS, SetPointSender
 from protocol.errors import WireError
-from protocol.summary.tables import SetPointCounts
+from protocol.summary.fields import SetPointCounts
 from protocol.wire.messages import ProbeReport, SetPoint
 
 SESSION, PRESS = 7, 11

@@ -2,7 +2,6 @@ import tracemalloc
 from itertools import accumulate
 from random import Random
 
-import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -15,8 +14,13 @@ from display_node.reception.jitter_buffer import (
     SampleAccount,
 )
 from protocol.errors import WireError
-from protocol.wire.messages import ChannelSamples, Frame, channel_samples
-from tests.support.streams import MS, T0_NS, at_ns, filled, refusal, samples
+from protocol.wire.messages import ChannelSamples, channel_samples
+from tests.support.streams import MS, T0_NS, at_ns, filled, put, refusal, samples
+
+
+def known(buffer: JitterBuffer, step_ns: int, count: int, begin_ns: int) -> list[float]:
+    """Return values of the only channel."""
+    return buffer.known(step_ns, count, begin_ns, [0])[0]
 
 
 class Ledger:
@@ -89,7 +93,7 @@ def test_every_sample_is_played_predicted_late_or_lost(
             buffer.advance(sampled_ns, event == "trusted")
             ledger.advance(sampled_ns, event == "trusted")
         elif ledger.put(firsts[value], sizes[value]):
-            buffer.put(*samples(firsts[value], sizes[value]))
+            put(buffer, samples(firsts[value], sizes[value]))
         else:
             assert refusal(buffer, samples(firsts[value], sizes[value])) == "duplicate"
         assert counts(buffer.account()) == ledger.counts(sent=None)
@@ -108,14 +112,14 @@ def test_how_an_instant_was_felt_is_known_as_long_as_its_sample_may_come() -> No
     try:
         for number in range(400):
             if number != 398:
-                buffer.put(*samples(500 * number, 500))
+                put(buffer, samples(500 * number, 500))
             for sample in range(500 * number, 500 * number + 500):
                 buffer.advance(at_ns(sample), trusted=sample % 2 == 1)
         _, peak = tracemalloc.get_traced_memory()
     finally:
         tracemalloc.stop()
     assert peak < 200 * 2 * KEEP_SAMPLES
-    buffer.put(*samples(199_000, 500))
+    put(buffer, samples(199_000, 500))
     assert counts(buffer.account()) == (200_000, 199_500, 250, 250, 0)
 
 
@@ -123,7 +127,7 @@ def test_removed_samples_stay_in_the_account() -> None:
     buffer = JitterBuffer()
     dropped, sent = {3, 150, 190}, 200 * 500
     for number in set(range(200)) - dropped:
-        buffer.put(*samples(500 * number, 500))
+        put(buffer, samples(500 * number, 500))
         buffer.advance(at_ns(500 * number + 499))
     assert counts(buffer.account()) == (sent, sent - 1500, 0, 0, 1500)
     assert [refusal(buffer, samples(first, 500)) for first in (1500, 0)] == ["too_old"] * 2
@@ -134,7 +138,7 @@ def test_removed_samples_stay_in_the_account() -> None:
     assert set(causes) == {"too_old", "duplicate"}
     assert counts(buffer.account()) == (sent, sent - 1500, 0, 0, 1500)
     # A missing frame within reach is taken.
-    buffer.put(*samples(95_000, 500))
+    put(buffer, samples(95_000, 500))
     assert counts(buffer.account()) == (sent, sent - 1500, 0, 500, 1000)
 
 
@@ -146,13 +150,13 @@ def test_samples_played_again_after_a_jump_back_are_counted_once() -> None:
     buffer.advance(at_ns(900))
     buffer.advance(at_ns(100.5))
     between = [(low**2 + (low + 0.5) ** 2) / 2 for low in (50.0, 50.5, 51.0)]
-    assert buffer.known(MS, 3) == between
-    buffer.put(*missing)
-    assert buffer.known(MS, 3) == between
+    assert known(buffer, MS, 3, at_ns(100.5)) == between
+    put(buffer, missing)
+    assert known(buffer, MS, 3, at_ns(100.5)) == between
     buffer.advance(at_ns(999))
     assert counts(buffer.account()) == (1000, 995, 0, 5, 0)
     buffer.advance(at_ns(-1))
-    assert buffer.known(MS, 3) == []
+    assert known(buffer, MS, 3, at_ns(-1)) == []
 
 
 @pytest.mark.parametrize(
@@ -173,13 +177,15 @@ def test_an_implausible_end_is_refused(samples_sent: int, now_ns: int | None) ->
 def test_duplicates_and_overlaps_are_refused_and_change_nothing() -> None:
     buffer = filled(samples(0), samples(10), samples(20))
     buffer.advance(at_ns(2))
-    before = (buffer.account(), buffer.waiting, buffer.frames, buffer.known(MS, 20))
+    values = known(buffer, MS, 20, at_ns(2))
+    before = (buffer.account(), buffer.waiting, buffer.frames, values)
     for first, count in ((3, 4), (5, 6), (9, 2), (10, 30), (22, 5)):
         assert refusal(buffer, samples(first, count)) == "overlap", first
     altered = samples(10)._replace(forces_n=[99.0] * 5)
     for again in (samples(0), altered, samples(11, 3), samples(24, 1)):
         assert refusal(buffer, again) == "duplicate"
-    assert (buffer.account(), buffer.waiting, buffer.frames, buffer.known(MS, 20)) == before
+    values = known(buffer, MS, 20, at_ns(2))
+    assert (buffer.account(), buffer.waiting, buffer.frames, values) == before
 
 
 def test_a_time_that_does_not_fit_the_neighbours_is_refused() -> None:
@@ -202,7 +208,7 @@ def test_waiting_samples_and_their_memory_are_limited(order: int) -> None:
     tracemalloc.start()
     try:
         for first in firsts[:most]:
-            buffer.put(*samples(first, size))
+            put(buffer, samples(first, size))
         assert {refusal(buffer, samples(first, size)) for first in firsts[most:]} == {"overflow"}
         _, peak = tracemalloc.get_traced_memory()
     finally:
@@ -215,7 +221,7 @@ def test_played_samples_do_not_count_as_waiting() -> None:
     buffer = filled(*(samples(first, 4000) for first in range(0, 32_000, 4000)))
     buffer.advance(at_ns(31_999))
     for first in range(32_000, 32_000 + MAX_AHEAD_SAMPLES - 4000, 4000):
-        buffer.put(*samples(first, 4000))
+        put(buffer, samples(first, 4000))
     assert buffer.waiting == 64_000
 
 
@@ -223,8 +229,8 @@ def test_values_are_returned_while_many_samples_wait() -> None:
     buffer = filled(*(samples(first, 1000) for first in range(0, 2 * KEEP_SAMPLES - 1000, 1000)))
     for first in range(32_000, 36_000, 1000):
         buffer.advance(at_ns(10_000.5))
-        buffer.put(*samples(first, 1000))
-        assert buffer.known(MS, 2) == [5000.25, 5000.75]
+        put(buffer, samples(first, 1000))
+        assert known(buffer, MS, 2, at_ns(10_000.5)) == [5000.25, 5000.75]
 
 
 @given(
@@ -242,45 +248,43 @@ def test_a_straight_line_is_exact_even_across_missing_frames(
     buffer.advance(sampled_ns)
     instants = [sampled_ns + i * step_ns for i in range(count)]
     expected = [0.5 * (t_ns - T0_NS) / MS for t_ns in instants if t_ns <= newest_ns]
-    assert buffer.known(step_ns, count) == pytest.approx(expected, abs=1e-12)
+    assert known(buffer, step_ns, count, sampled_ns) == pytest.approx(expected, abs=1e-12)
     assert buffer.newest_ns == newest_ns
 
 
 def test_no_value_is_returned_before_the_first_sample() -> None:
     buffer = JitterBuffer()
-    assert (buffer.known(MS, 2), buffer.newest_ns) == ([], None)
-    buffer.put(*samples(10))
-    assert buffer.known(MS, 2) == []
+    assert (known(buffer, MS, 2, at_ns(10)), buffer.newest_ns) == ([], None)
+    put(buffer, samples(10))
     buffer.advance(at_ns(9.9))
-    assert buffer.known(MS, 2) == []
+    assert known(buffer, MS, 2, at_ns(9.9)) == []
     buffer.advance(at_ns(10))
-    assert buffer.known(MS, 2) == [5.0, 5.5]
+    assert known(buffer, MS, 2, at_ns(10)) == [5.0, 5.5]
 
 
 @pytest.mark.parametrize("order", [1, -1], ids=["in order", "out of order"])
 @pytest.mark.parametrize("channel", [0, 1, 2])
-def test_one_channel_is_played(channel: int, order: int) -> None:
-    values = np.array([[1, 10, 100], [2, 20, 200], [3, 30, 300], [4, 40, 400]], dtype="<f4")
-    frames = [Frame(1, n, at_ns(n), MS, values[n : n + 2]) for n in (0, 2)]
-    original = JitterBuffer([channel], of=3)
+def test_each_channel_is_kept(channel: int, order: int) -> None:
+    forces_n = [[1.0, 2.0, 3.0, 4.0], [10.0, 20.0, 30.0, 40.0], [100.0, 200.0, 300.0, 400.0]]
+    original = JitterBuffer(3)
     for buffer in (original, original.successor()):
-        for each in frames[::order]:
-            times_ns = each.samples_of(0).times_ns
-            buffer.put(each.first_sample, MS, times_ns, each.values.flatten().tolist())
+        for first in (0, 2)[::order]:
+            times_ns = [at_ns(first), at_ns(first + 1)]
+            buffer.put(first, MS, times_ns, [each[first : first + 2] for each in forces_n])
         buffer.advance(at_ns(0))
-        assert buffer.known(MS, 4) == [n * 10.0**channel for n in (1, 2, 3, 4)]
+        assert buffer.known(MS, 4, at_ns(0), [channel]) == [forces_n[channel]]
 
 
 @pytest.mark.parametrize("instant_ms", [-1.0, 0.0, 1.25, 3.0])
 @pytest.mark.parametrize("step_ns", [MS // 2, MS])
 def test_channels_read_together_are_those_read_alone(instant_ms: float, step_ns: int) -> None:
-    forces_n = [[1.0, 4.0, 9.0, 16.0], [0.1, 0.7, 0.3, 0.9], [0.0] * 4]
-    buffer = JitterBuffer([0, 1, 0], of=3)
-    buffer.put(0, MS, [0, MS, 2 * MS, 3 * MS], np.array(forces_n).T.flatten().tolist())
+    forces_n = [[1.0, 4.0, 9.0, 16.0], [0.1, 0.7, 0.3, 0.9], [1.0, 4.0, 9.0, 16.0]]
+    buffer = JitterBuffer(3)
+    buffer.put(0, MS, [0, MS, 2 * MS, 3 * MS], forces_n)
     buffer.advance(4 * MS)
     begin_ns = round(instant_ms * MS)
-    together = buffer.known_each(step_ns, 4, begin_ns, [1, 2, 0])
-    assert together == [buffer.known_each(step_ns, 4, begin_ns, [each])[0] for each in (1, 2, 0)]
+    together = buffer.known(step_ns, 4, begin_ns, [1, 2, 0])
+    assert together == [buffer.known(step_ns, 4, begin_ns, [each])[0] for each in (1, 2, 0)]
     assert together[1] == together[2] != together[0] or not together[0]
 
 
@@ -289,7 +293,7 @@ def test_each_contactors_account_is_that_of_a_buffer_of_its_own(seed: int) -> No
     """The account of a contactor that plays later is that of a buffer that plays later."""
     random, lags_ns = Random(seed), (0, 3 * MS, 8 * MS)
     shared, own = JitterBuffer(), [JitterBuffer() for _ in lags_ns]
-    shared.follow(lags_ns)
+    shared.keep_accounts(lags_ns)
     arrivals: dict[int, list[ChannelSamples]] = {}
     for first in range(0, 1_000, 5):
         if random.random() < 0.05:
@@ -300,7 +304,7 @@ def test_each_contactors_account_is_that_of_a_buffer_of_its_own(seed: int) -> No
     for ms in range(1_100):
         for frame in arrivals.get(ms, []):
             for buffer in (shared, *own):
-                buffer.put(*frame)
+                put(buffer, frame)
         trusted ^= random.random() < 0.02
         # The playout pauses, and is faster, at times.
         sampled_ns = ms * MS - 25 * MS + random.randrange(3) * MS

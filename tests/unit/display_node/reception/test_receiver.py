@@ -62,7 +62,7 @@ def test_a_stream_is_live_until_its_newest_sample_is_too_old() -> None:
     assert not receiver.live(0, 0, stale_ns)
     for ms in range(100, 400, 5):
         receiver.on_frame(sender.frame(ms * MS, 0.3), ms * MS)
-    newest_ns, delay_ns = receiver.buffer.newest_ns, receiver.delay.delay_ns
+    newest_ns, delay_ns = receiver.buffer.newest_ns, receiver.link_delay.delay_ns
     assert newest_ns is not None
     assert delay_ns is not None
     last_ns = newest_ns + stale_ns

@@ -1,11 +1,13 @@
 """Statistics of beats, and the pulse alarm."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
 from display_node.scoring.beat_statistics import BeatStatistics, pulse_alarm
-from protocol.summary.tables import BeatFigures
+from protocol.summary.fields import BeatFigures
 from sensing_node.sources.synthetic import SyntheticScene, SyntheticSource
 from tests.support.drawn_beats import PERIOD_NS, samples
 
@@ -30,7 +32,10 @@ def test_figures_are_those_of_the_pulse() -> None:
     statistics = BeatStatistics()
     assert statistics.figures() == BeatFigures()
     feed(statistics, pulse(30, heart_rate="75 /min", heart_rate_variability="4 %", noise="0.5 mN"))
-    found = statistics.figures()
+    # At the finger of another layer the pulse has a quarter of its height.
+    found = statistics.figures(force_ratio=0.25)
+    assert found.height_at_finger_n == pytest.approx(0.075, rel=0.03)
+    assert statistics.figures() == replace(found, height_at_finger_n=None)
     assert found.count == pytest.approx(30 * 1.25, abs=4)
     assert found.rate_per_min == pytest.approx(75, rel=0.03)
     assert found.variability_ms == pytest.approx(0.04 * 800, rel=0.3)

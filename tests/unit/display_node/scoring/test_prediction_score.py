@@ -5,7 +5,7 @@ import pytest
 
 from display_node.prediction.concealment import Blend
 from display_node.scoring.prediction_score import KEEP_TICKS, PredictionScore
-from protocol.summary.tables import Compensation
+from protocol.summary.fields import Compensation
 from protocol.wire.messages import Frame
 
 MS = 1_000_000

@@ -7,9 +7,14 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from display_node.scoring.tracking_error import BLOCK, RoughnessMeter, TrackingError
+from display_node.scoring.tracking_error import (
+    BLOCK,
+    MAX_GAP_NS,
+    TrackingError,
+    compared_forces_n,
+    interpolate,
+)
 from protocol.summary.phrases import windows_text
-from protocol.summary.tables import Roughness
 from protocol.tactile import ElasticLayer
 
 MS = 1_000_000
@@ -19,6 +24,9 @@ DELAY_NS = 43 * MS
 STRAIN_PER_NEWTON = ElasticLayer().strain_per_newton
 Times = NDArray[np.int64]
 Forces = NDArray[np.float64]
+# A pulse that rises by 1 N/s, on a clock far from 0.
+T_NS = 10**18 + np.arange(1000, dtype=np.int64) * MS
+RAMP_N = np.arange(1000) * 1e-3
 
 
 def pulse_n(t_ns: Times) -> Forces:
@@ -69,6 +77,44 @@ def scored(
 
 def rms(values: Forces) -> float:
     return float(np.sqrt(np.mean(values**2)))
+
+
+@pytest.mark.parametrize("kind", [np.asarray, int], ids=["array", "number"])
+def test_a_films_reading_is_compared_with_its_own_time_and_the_instant_played_then(
+    kind: type,
+) -> None:
+    now_ns, delay_ns, film_age_ns = kind(T_NS[500]), 40 * MS, 3 * MS
+    aligned_n, in_phase_n = compared_forces_n(now_ns, now_ns - delay_ns, T_NS, RAMP_N, film_age_ns)
+    assert (float(aligned_n), float(in_phase_n)) == pytest.approx((0.457, 0.497))
+
+
+def test_at_its_own_time_each_sample_has_its_value_also_before_a_gap_and_at_the_end() -> None:
+    t_ns = T_NS + (np.arange(1000) > 500) * MAX_GAP_NS
+    unknown_n = np.where(np.arange(1000) == 700, np.nan, RAMP_N)
+    np.testing.assert_array_equal(interpolate(t_ns, t_ns, unknown_n), unknown_n)
+
+
+def test_outside_of_the_pulse_and_inside_of_a_gap_nothing_is_known() -> None:
+    t_ns = T_NS + (np.arange(1000) > 500) * MAX_GAP_NS
+    at_ns = [t_ns[0] - 1, t_ns[500] + 1, t_ns[501] - 1, t_ns[-1] + 1]
+    assert np.isnan(interpolate(np.array(at_ns), t_ns, RAMP_N)).all()
+    assert np.isnan(interpolate(T_NS, T_NS[:0], RAMP_N[:0])).all()
+    assert np.isnan(compared_forces_n(np.array([np.nan]), T_NS[:1], T_NS, RAMP_N)[1]).all()
+
+
+def test_a_films_readings_are_scored_by_the_time_at_which_they_were_taken() -> None:
+    given: list[tuple[Forces, Forces]] = []
+    error, age_ns = TrackingError(take_scored=lambda *forces_n: given.append(forces_n)), 7 * MS
+    ticks_ns = tick_times_ns(0.5, 3)
+    add_reference(error, frames(sample_times_ns(2)))
+    felt_n = pulse_n(ticks_ns - DELAY_NS - age_ns)
+    error.add_output(ticks_ns, ticks_ns - DELAY_NS, felt_n, age_ns)
+    error.finish()
+    assert error.force_rmse_n.aligned == pytest.approx(0, abs=1e-5)
+    played_n, scored_n = np.concatenate(given, axis=1)
+    np.testing.assert_array_equal(scored_n, felt_n)
+    assert np.isnan(played_n[-900:]).all()
+    np.testing.assert_allclose(played_n[:1000], felt_n[:1000], atol=1e-5)
 
 
 def test_errors_on_noise_agree_with_numpy_also_with_a_reference_out_of_order() -> None:
@@ -181,72 +227,6 @@ def test_a_force_before_a_fault_is_scored_and_an_unknown_one_is_not() -> None:
     felt_n[::7] = math.nan
     for found in (error, scored(ticks_ns, felt_n, pieces[:400])):
         assert found.force_rmse_n.aligned == pytest.approx(0.01, rel=1e-3)
-
-
-def metered(
-    felt_n: Forces,
-    sensed_n: Forces,
-    block: int = 256,
-    tick_ns: int = MS,
-    shift_ns: Times | int = 0,
-) -> RoughnessMeter:
-    meter = RoughnessMeter()
-    now_ns = T0_NS + np.arange(len(felt_n), dtype=np.int64) * tick_ns + shift_ns
-    for start in range(0, len(felt_n), block):
-        part = slice(start, start + block)
-        meter.add(now_ns[part], felt_n[part], sensed_n[part])
-    return meter
-
-
-def wave_n(hz: float, amplitude_n: float = 0.001, count: int = 10_000) -> Forces:
-    return np.asarray(amplitude_n * np.sin(2 * math.pi * hz * np.arange(count) * 1e-3))
-
-
-@pytest.mark.parametrize(("hz", "share"), [(0.0, 0.0), (1.2, 0.0), (8, 0.0), (42, 1.0), (200, 1.0)])
-def test_only_force_above_25_hz_is_roughness(hz: float, share: float) -> None:
-    noise_n = wave_n(100)
-    roughness = metered(0.3 + wave_n(hz, 0.1), noise_n).roughness
-    assert roughness.sensed_n == pytest.approx(1e-3 / math.sqrt(2), rel=1e-3)
-    assert roughness.felt_n == pytest.approx(share * 0.1 / math.sqrt(2), rel=0.01, abs=3e-5)
-
-
-@pytest.mark.parametrize("block", [7, 100, 256, 10_000])
-def test_the_ratio_is_of_energies_and_independent_of_the_size_of_blocks(block: int) -> None:
-    pulse_n = wave_n(1.2, 0.1)
-    roughness = metered(pulse_n + 3 * wave_n(60), pulse_n + wave_n(60), block).roughness
-    assert roughness.energy_ratio == pytest.approx(9, rel=1e-3)
-    felt_n, sensed_n = np.random.default_rng(1).standard_normal((2, 10_000))
-    whole, parts = (metered(felt_n, sensed_n, size).roughness for size in (10_000, block))
-    assert parts.energy_ratio == pytest.approx(whole.energy_ratio)
-
-
-def test_a_gap_is_no_roughness() -> None:
-    meter, ticks = RoughnessMeter(), np.arange(256, dtype=np.int64) * MS
-    for part in range(20):
-        # Each piece begins 0.1 s late, at another force.
-        now_ns = T0_NS + part * 356 * MS + ticks
-        level_n = np.full(256, 0.2 + 0.1 * (part % 2))
-        meter.add(now_ns, level_n, level_n)
-    assert meter.roughness.felt_n == pytest.approx(0, abs=1e-12)
-
-
-def test_ticks_around_an_unknown_force_are_not_counted() -> None:
-    felt_n, sensed_n = wave_n(60), wave_n(60)
-    felt_n[4000:5000] += np.random.default_rng(1).standard_normal(1000)
-    sensed_n[4000:5000] = np.nan
-    felt_n[6_000:6_100] = math.nan
-    assert metered(felt_n, sensed_n).roughness.energy_ratio == pytest.approx(1)
-
-
-def test_a_clock_correction_is_no_gap() -> None:
-    ticks, wave = np.arange(10_000, dtype=np.int64), wave_n(60)
-    meter = metered(2 * wave, wave, shift_ns=ticks % 3 * 200 + ticks // 256 * 2_000)
-    assert meter.roughness.energy_ratio == pytest.approx(4, rel=1e-3)
-
-
-def test_the_first_ticks_and_slow_ticks_have_no_roughness() -> None:
-    assert metered(wave_n(60)[:150], wave_n(60)[:150]).roughness == Roughness()
-    assert metered(wave_n(3), wave_n(3), tick_ns=20 * MS).roughness == Roughness()
 
 
 def test_windows_have_the_course_of_delay_and_errors_and_add_up_to_the_whole_run() -> None:

@@ -13,7 +13,7 @@ from display_node.plant.feedback import Feedback
 from display_node.scene import DisplayScene
 from protocol.config.scene import load_section
 from protocol.errors import WireError
-from protocol.summary.tables import SampleCounts, Summary
+from protocol.summary.fields import SampleCounts, Summary
 from protocol.ticks import TickState
 from protocol.wire.messages import LARGEST_N, TIME_RANGE
 from protocol.wire.telemetry import Trace, TraceWriter, read_status, read_trace
@@ -143,7 +143,7 @@ def test_a_silent_film_is_a_fault_and_its_force_unknown() -> None:
     felt_n = np.concatenate([read_trace(message)[0].felt_n for message in messages if message])
     assert np.isfinite(felt_n[:2_000]).all()
     assert np.isnan(felt_n[2_100:]).all()
-    display.tracking_errors[0].finish()
+    display.finish_scores()
     status = read_status(display.pack_status(display.summary(), final=False))
     assert (status.state, status.summary["faults"]) == ("fault", ["feedback lost"])
     assert status.summary["force_rmse_n"]["aligned"] is not None

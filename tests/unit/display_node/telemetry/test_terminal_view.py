@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from rich.console import Console
 
 from display_node.telemetry.terminal_view import TerminalView
-from protocol.summary.tables import (
+from protocol.summary.fields import (
     AlignedErrors,
     Compensation,
     Loop,

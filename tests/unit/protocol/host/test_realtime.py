@@ -37,7 +37,6 @@ def test_a_realtime_option_is_parsed(text: str | None, expected: RealtimeRequest
         ("fifo=99", "fifo=99: a priority is 1 to 98"),
         ("fifo=²", "fifo=²: a priority"),
         ("fifo,fifo=3", "fifo is there twice"),
-        ("gc", "gc is now always applied: leave it out"),
         ("lock=yes", "lock takes no value, got 'yes'"),
         ("cpu", "cpu=: write one as cpu=1"),
         ("cpu=3-1", "cpu=3-1: write one"),

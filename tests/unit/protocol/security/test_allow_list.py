@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from protocol.errors import KeyFileError
-from protocol.security.allow_list import AllowList, allow, read_allowed, revoke
+from protocol.security.allow_list import AllowList, allow, read_allow_list, revoke
 from protocol.security.keys import PublicKey
 
 WRIST, FINGER = PublicKey("wrist", b"\x01" * 32), PublicKey("finger", b"\x02" * 32)
@@ -20,22 +20,22 @@ def path(tmp_path: Path) -> Path:
 
 
 def test_keys_are_added_and_removed(path: Path) -> None:
-    assert read_allowed(path) == {}
+    assert read_allow_list(path) == {}
     path.write_text("", encoding="utf-8")
-    assert read_allowed(path) == {}
+    assert read_allow_list(path) == {}
     allow(path, WRIST)
     allow(path, FINGER)
-    assert read_allowed(path) == {WRIST.key: WRIST, FINGER.key: FINGER}
+    assert read_allow_list(path) == {WRIST.key: WRIST, FINGER.key: FINGER}
     revoke(path, "wrist")
-    assert read_allowed(path) == {FINGER.key: FINGER}
+    assert read_allow_list(path) == {FINGER.key: FINGER}
     revoke(path, "finger")
-    assert read_allowed(path) == {}
+    assert read_allow_list(path) == {}
 
 
 def test_every_key_of_a_name_is_removed_and_all_other_lines_stay(path: Path) -> None:
     second = PublicKey("wrist", b"\x03" * 32)
     path.write_text(f"# the ward\n\n{WRIST.line}\n  # spare\n{second.line}\n", encoding="utf-8")
-    assert list(read_allowed(path).values()) == [WRIST, second]
+    assert list(read_allow_list(path).values()) == [WRIST, second]
     allow(path, FINGER)
     revoke(path, "wrist")
     assert path.read_text(encoding="utf-8") == f"# the ward\n\n  # spare\n{FINGER.line}\n"
@@ -53,7 +53,7 @@ def test_a_name_has_one_key_and_a_key_one_name(path: Path, public: PublicKey, re
     allow(path, WRIST)
     with pytest.raises(KeyFileError, match=reason):
         allow(path, public)
-    assert read_allowed(path) == {WRIST.key: WRIST}
+    assert read_allow_list(path) == {WRIST.key: WRIST}
 
 
 def test_a_name_that_is_not_listed_cannot_be_revoked(path: Path) -> None:
@@ -79,7 +79,7 @@ def test_a_name_that_is_not_listed_cannot_be_revoked(path: Path) -> None:
 )
 def test_an_invalid_list_is_one_line_without_a_key(path: Path, line: str, reason: str) -> None:
     path.write_text(f"{FINGER.line}\n{line}\n", encoding="utf-8")
-    for read in (read_allowed, AllowList):
+    for read in (read_allow_list, AllowList):
         with pytest.raises(KeyFileError) as caught:
             read(path)
         assert reason in str(caught.value)
@@ -93,7 +93,7 @@ def test_a_list_that_others_may_write_is_refused_with_a_remedy(path: Path, mode:
     allow(path, WRIST)
     path.chmod(mode)
     with pytest.raises(KeyFileError, match=f"run: chmod go-w {path}"):
-        read_allowed(path)
+        read_allow_list(path)
 
 
 def test_two_commands_do_not_undo_each_other(path: Path) -> None:
@@ -102,7 +102,7 @@ def test_two_commands_do_not_undo_each_other(path: Path) -> None:
     lock.write_text("", encoding="utf-8")
     with pytest.raises(KeyFileError, match="another command is changing the list"):
         revoke(path, "wrist")
-    assert read_allowed(path) == {WRIST.key: WRIST}
+    assert read_allow_list(path) == {WRIST.key: WRIST}
     lock.unlink()
     revoke(path, "wrist")
     assert list(path.parent.iterdir()) == [path]
@@ -124,11 +124,17 @@ def test_a_change_is_read_once(path: Path, polled: AllowList, logged: list[str])
     assert run(polled, 3) == []
     revoke(path, "wrist")
     assert run(polled, 3) == [WRIST.key]
-    assert list(polled.allowed) == [FINGER.key]
+    assert list(polled.listed) == [FINGER.key]
     path.unlink()
     assert run(polled, 3) == [FINGER.key]
-    assert logged[:2] == ["wrist is no longer allowed", f"{path} allows nobody; {ADD_A_KEY}"]
-    assert logged[2:] == ["finger is no longer allowed"]
+    wrist, finger = f"wrist (key {'01' * 8}...)", f"finger (key {'02' * 8}...)"
+    assert logged == [
+        f"{wrist} is no longer allowed",
+        f"{path} allows nobody; {ADD_A_KEY}",
+        f"{finger} is no longer allowed",
+    ]
+    assert [polled.describe(key) for key in (WRIST.key, FINGER.key)] == [wrist, finger]
+    assert polled.describe(bytes(32)) == f"key {'00' * 32}"
 
 
 def test_a_list_is_read_until_readable(path: Path, polled: AllowList, logged: list[str]) -> None:
@@ -138,14 +144,14 @@ def test_a_list_is_read_until_readable(path: Path, polled: AllowList, logged: li
     assert polled.cause_to_refuse(WRIST.key) == "list_unreadable"
     path.write_text(f"{FINGER.line}\n", encoding="utf-8")
     assert run(polled, 5) == []
-    assert len(polled.allowed) == 2
+    assert len(polled.listed) == 2
     path.chmod(0o644)
     assert run(polled, 1) == [WRIST.key]
     causes = [polled.cause_to_refuse(key) for key in (FINGER.key, WRIST.key, bytes(32))]
     assert causes == [None, "revoked_key", "unknown_key"]
     assert len(logged) == 3
     assert "until it can be read no new peer may connect" in logged[0]
-    assert logged[1:] == [f"{path} is read again", "wrist is no longer allowed"]
+    assert logged[1:] == [f"{path} is read again", f"{WRIST} is no longer allowed"]
 
 
 def test_a_list_that_cannot_be_opened_is_read_later(
@@ -170,8 +176,8 @@ def test_after_10_s_without_a_list_no_key_is_allowed(
     assert run(polled, 10) == []
     assert set(run(polled, 1)) == {WRIST.key, FINGER.key}
     assert run(polled, 20) == []
-    assert polled.allowed == {}
+    assert polled.listed == {}
     assert logged[1:] == [f"{path} could not be read for 10 s: all peers are cut off"]
     path.write_text(text, encoding="utf-8")
     assert run(polled, 1) == []
-    assert len(polled.allowed) == 2
+    assert len(polled.listed) == 2

@@ -47,17 +47,19 @@ def test_on_this_machine_keys_are_optional(
     keyring.allow("finger")
     served = KeyOptions(own).server(address)
     assert served is not None
-    allowed = [public.name for public in served.allow_list.allowed.values()]
-    assert (served.own.name, allowed) == ("wrist", ["finger"])
+    allowed = [public.name for public in served.allow_list.listed.values()]
+    assert (served.pair.name, allowed) == ("wrist", ["finger"])
     client = KeyOptions(own, peer).client(address)
     assert client is not None
-    assert (client.own.name, client.peer.name) == ("wrist", "finger")
+    assert (client.pair.name, client.server_key.name) == ("wrist", "finger")
 
 
 def test_conflicting_options_of_keys_are_refused(own: Path, peer: Path, tmp_path: Path) -> None:
     for call, reason in (
         (lambda: KeyOptions(own, insecure=True).server(FAR), "--insecure does without keys"),
         (lambda: KeyOptions(own, peer, insecure=True).client(FAR), "--insecure does without keys"),
+        (lambda: KeyOptions(own, insecure=True).telemetry_client(FAR), "--insecure does without"),
+        (lambda: KeyOptions(peer=peer, insecure=True).client(FAR), "--peer is given: choose one"),
         (lambda: KeyOptions(own).client(FAR), "needs the other node's public"),
         (lambda: KeyOptions(peer=peer).client(FAR), "needs this node's own key"),
         (lambda: KeyOptions(allow=peer).server(NEAR), "needs this node's own key"),
@@ -89,17 +91,17 @@ def test_the_links_of_a_command_share_files_that_are_read_once(own: Path, peer: 
     served = links.server(FAR)
     assert towards is not None
     assert served is not None
-    assert served.own is towards.own
-    assert links.forwarder(FAR) == towards
+    assert served.pair is towards.pair
+    assert links.forwarding_client(FAR) == towards
 
 
 def test_a_key_without_a_peer_is_that_of_the_displays_or_of_the_read_display(own: Path) -> None:
     links = KeyOptions(own)
-    assert links.forwarder(NEAR) is None
+    assert links.forwarding_client(NEAR) is None
     with pytest.raises(errors.ProtectionError, match="reaches beyond this machine"):
-        links.forwarder(FAR)
+        links.forwarding_client(FAR)
     read = links.telemetry_client(FAR)
     assert read is not None
-    assert read.peer == read.own.public
+    assert read.server_key == read.pair.public
     assert links.telemetry_server(NEAR) is None
     assert links.telemetry_server(FAR) is not None

@@ -12,10 +12,10 @@ import pytest
 from pydantic import TypeAdapter
 from rich.console import Console
 
-from protocol.summary import tables
+from protocol.summary import fields
+from protocol.summary.fields import Summary
 from protocol.summary.figures import Figure, Surface, figures
 from protocol.summary.rows import cells, print_summary, write_json
-from protocol.summary.tables import Summary
 from protocol.wire.telemetry import Status
 from telepulse.metrics.server import NodeState, families
 from telepulse.view import text as page
@@ -103,7 +103,7 @@ def leaves(value: Any) -> list[Any]:
 
 def test_figures_that_do_not_apply_are_null() -> None:
     table = Summary().to_dict()
-    assert table.pop("rejected") == table.pop("hardware") == {}
+    assert table.pop("rejected") == table.pop("rejected_readers") == table.pop("hardware") == {}
     assert table.pop("faults") == table.pop("windows") == table["loop"].pop("realtime") == []
     delays, loop = (table["one_way_delay_ms"], table["playout_delay_ms"]), table["loop"]
     for quantiles in (*delays, loop["command_us"], loop["tick_us"], loop["late_us"]):
@@ -117,7 +117,7 @@ def test_figures_that_do_not_apply_are_null() -> None:
         Summary(),
         full_summary(),
         Summary(speed=math.nan),
-        Summary(loop=tables.Loop(tick_us=tables.TickTime(p50=math.inf))),
+        Summary(loop=fields.Loop(tick_us=fields.TickTime(p50=math.inf))),
         Summary(faults=["zu spät"]),
     ],
 )

@@ -5,7 +5,7 @@ import msgpack
 import pytest
 
 from protocol.errors import WireError
-from protocol.summary.tables import SampleCounts, Summary
+from protocol.summary.fields import SampleCounts, Summary
 from protocol.wire.messages import MAX_FRAME_BYTES
 from protocol.wire.telemetry import (
     CONTROL,

@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from protocol.summary.tables import SetPointCounts
+from protocol.summary.fields import SetPointCounts
 from protocol.wire.messages import ProbeReport, SetPoint
 from sensing_node.press.set_points import (
     EARLIEST_NS,

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from protocol.security.allow_list import read_allowed
+from protocol.security.allow_list import read_allow_list
 from telepulse.cli.main import app
 
 
@@ -29,7 +29,7 @@ def test_a_node_gets_keys_is_allowed_listed_and_revoked() -> None:
     assert keys("allow", "keys/finger.pub") == "keys/allowed allows finger\n"
     public = Path("keys/finger.pub").read_text(encoding="utf-8").split()[2]
     assert keys("list") == f"{public}  finger\n"
-    assert [peer.name for peer in read_allowed(Path("keys/allowed")).values()] == ["finger"]
+    assert [peer.name for peer in read_allow_list(Path("keys/allowed")).values()] == ["finger"]
     assert keys("revoke", "finger") == "keys/allowed no longer allows finger\n"
     assert keys("list") == "keys/allowed allows nobody\n"
 

@@ -40,6 +40,8 @@ def test_repeatability_is_the_spread_at_the_same_load_reached_the_same_way() -> 
         ([0, 1], [0, 44], "2 loads; at least 3"),
         ([1, 1, 1], [44, 45, 46], "all loads are 1 N"),
         ([0, 1, 2], [5, 5, 5], "do not change"),
+        # Noise alone.
+        ([0, 1, 2, 1, 0], [8184, 8185, 8184, 8183, 8184], "do not change"),
     ],
 )
 def test_loads_without_a_line_are_refused(

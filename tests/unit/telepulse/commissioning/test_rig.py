@@ -7,11 +7,13 @@ import pytest
 
 from protocol.errors import BenchError, DriveError
 from protocol.wire.description import Channel
+from pulse_drives.drive import PERIOD_S
 from pulse_drives.scene import Cia402Scene, TmclScene, can_frame_bits
 from pulse_sensors.samples import SampleBlock
 from telepulse.commissioning.actuator_check import check_actuator
 from telepulse.commissioning.press import PressRecorder, press_stepper
 from telepulse.commissioning.rig import (
+    ANSWERS,
     HardwareRig,
     check_answers,
     check_line,
@@ -114,6 +116,23 @@ def test_the_drives_answer_is_timed(late_ms: int, verdict: str) -> None:
         bench.line.far.send = send
     assert check.verdict == verdict
     assert "p99" in check.text
+
+
+def test_an_answer_is_awaited_with_no_more_commands_than_a_line_takes() -> None:
+    with virtual_bench("stepdir", also=("telepulse.commissioning",)) as bench:
+        bench.start()
+        commanded_ns = []
+        command = bench.drive.command
+
+        def note(speed_m_per_s: float) -> None:
+            commanded_ns.append(bench.clock.now_ns)
+            command(speed_m_per_s)
+
+        bench.drive.command = note
+        check_answers(bench.drive)
+        seconds = (commanded_ns[-1] - commanded_ns[0]) * 1e-9
+        # The first command of each answer may come early.
+        assert len(commanded_ns) <= seconds / PERIOD_S + ANSWERS + 1
 
 
 def test_a_record_has_every_samples_time(rig: HardwareRig, film: Film) -> None:

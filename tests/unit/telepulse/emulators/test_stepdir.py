@@ -1,5 +1,6 @@
 """The emulated display board: answers, bounds and states, as `firmware/PROTOCOL.md` has them."""
 
+import numpy as np
 import pytest
 
 from pulse_drives.stepdir.frames import (
@@ -9,13 +10,14 @@ from pulse_drives.stepdir.frames import (
     CommandAnswer,
     CommandResult,
     Format,
-    FrameReader,
     HomeSearch,
     StateFlag,
     TripCause,
+    board_reader,
     decode_report,
     encode_command,
 )
+from pulse_sensors.drive_film import DriveFilmScene
 from telepulse.emulators.stepdir import EmulatedBoard
 from tests.support.drive_benches import actuator_of, emulated_motor, stepdir_scene
 
@@ -28,13 +30,13 @@ DONE, REFUSED = CommandResult.DONE, CommandResult.OUT_OF_BOUNDS
 class Host:
     """The other end of a board's line; time passes only in `run`."""
 
-    def __init__(self) -> None:
+    def __init__(self, film: DriveFilmScene | None = None, noise_n: float = 0.0) -> None:
         scene = stepdir_scene(port="x", touch="2 mm")
         motor = emulated_motor(scene, actuator_of("stepdir"), 0)
-        self.board, self.motor = EmulatedBoard(motor, None, 0), motor
+        self.board, self.motor = EmulatedBoard(motor, film, 0, noise_n), motor
         self.state: BoardState | None = None
         self.now_ns = self.sequence = 0
-        self._reader = FrameReader()
+        self._reader = board_reader()
         self._reader.feed(b"\0")
 
     def run(self, ms: int) -> BoardState:
@@ -152,3 +154,12 @@ def test_only_a_homed_board_withdraws_after_a_reset() -> None:
     state = host.run(500)
     assert (state.mode, state.cause) == (BoardMode.WITHDRAWN, TripCause.RESET)
     assert StateFlag.HOMED not in state.flags
+
+
+def test_the_film_reads_counts_with_the_noise_of_its_scene() -> None:
+    film = DriveFilmScene.model_validate({"kind": "drive", "zero": 8184, "newtons_per_count": 5e-4})
+    host = Host(film, noise_n=5e-3)
+    host.run(2)
+    counts = [host.run(1).film for _ in range(1000)]
+    assert np.mean(counts) == pytest.approx(8184, abs=1)
+    assert np.std(counts) == pytest.approx(10, rel=0.1)

@@ -11,7 +11,7 @@ from prometheus_client.parser import text_string_to_metric_families
 from prometheus_client.registry import Collector
 
 from protocol.errors import AddressError
-from protocol.summary.tables import (
+from protocol.summary.fields import (
     BeatFigures,
     Clock,
     Compensation,

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from fuzz.telemetry_readers import preamble, status_message
-from protocol.summary.tables import PressFigures, Summary
+from protocol.summary.fields import PressFigures, Summary
 from protocol.tactile import ElasticLayer
 from protocol.wire.description import Channel, StreamDescription
 from protocol.wire.messages import ClockReply, Frame, Welcome, encode_control, encode_frame

@@ -47,7 +47,7 @@ def findings(*sessions: SessionColumns) -> ContactorFindings:
     assert found.errors.force_rmse_n.aligned == pytest.approx(1e-3)
     np.testing.assert_allclose(found.error_n.mean, 1e-3)
     for block in found.first:
-        np.testing.assert_allclose(block.felt_n - block.target_n, 1e-3)
+        np.testing.assert_allclose(block.felt_n - block.reference_n, 1e-3)
     return found
 
 

@@ -15,8 +15,8 @@ from mcap.reader import SeekingReader
 
 from protocol.errors import OutputError
 from telepulse.recording import mcap_writer
+from telepulse.recording.mcap_reader import RecordingReader
 from telepulse.recording.mcap_writer import MAX_RUNS, McapWriter, RetryingFile
-from telepulse.recording.reader import RecordingReader
 from telepulse.telemetry.decoder import Entry
 from telepulse.telemetry.schema import FRAME, SCHEMAS, TICK
 from tests.support.recordings import record

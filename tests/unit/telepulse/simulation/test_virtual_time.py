@@ -8,13 +8,13 @@ import pytest
 
 from display_node.prediction.scene import own_predictor
 from protocol.config.scene import validate
-from protocol.summary.tables import Limited
+from protocol.summary.fields import Limited
 from protocol.wire.messages import Frame
-from sensing_node.feeds import Framer, PacedSource
+from sensing_node.feeds import Framer, PacedFeed
 from sensing_node.scene import SensingScene, build_source, describe_stream
 from telepulse.scene import Scene, load_scene
 from telepulse.simulation.true_errors import ReferenceForce
-from telepulse.simulation.virtual_time import summarise
+from telepulse.simulation.virtual_time import Simulation
 from tests.support.nodes import RADIAL
 
 RESTLESS = {"kind": "synthetic", "heart_rate_variability": "5 %", "noise": "1 mN"}
@@ -32,7 +32,7 @@ def frames(scene: SensingScene) -> list[Frame]:
     """Return two seconds of the stream."""
     source = build_source(scene, Path())
     framer = Framer(describe_stream(scene, source), session=1)
-    block = PacedSource(source, 0).read(1_999_999_999)
+    block = PacedFeed(source, 0).read(1_999_999_999)
     assert block is not None
     return framer.frames(block)
 
@@ -95,7 +95,7 @@ def conditioned(keys: dict[str, Any], **source: object) -> Scene:
 
 def rmse_mn(scene: Scene) -> float:
     """Return the aligned force RMSE of four simulated seconds."""
-    aligned_n = summarise(scene, seconds=4, seed=1).force_rmse_n.aligned
+    aligned_n = Simulation(scene, 1).run(4).force_rmse_n.aligned
     assert aligned_n is not None
     return aligned_n * 1e3
 
@@ -117,18 +117,18 @@ def test_a_simulation_shifts_by_the_chains_delay() -> None:
 
 
 def test_a_simulation_reports_samples_beyond_the_adcs_range() -> None:
-    summary = summarise(conditioned({"adc_bits": 16, "adc_range": "5 mV"}), seconds=2, seed=1)
+    summary = Simulation(conditioned({"adc_bits": 16, "adc_range": "5 mV"}), 1).run(2)
     assert summary.faults == ["sensing node: 2000 samples beyond the ADC's range"]
     assert summary.limited.adc == Limited(1, 2.0, 1.0)
 
 
 def test_a_simulation_reports_the_beats_and_a_signal_that_is_no_pulse() -> None:
     scene = conditioned({})
-    pulse = summarise(scene, seconds=12, seed=1).beats
+    pulse = Simulation(scene, 1).run(12).beats
     assert pulse.rate_per_min == pytest.approx(75, rel=0.05)
     assert pulse.height_n == pytest.approx(0.3, rel=0.05)
     assert (pulse.quality, pulse.alarm) == (pytest.approx(1.0, abs=0.02), False)
-    noise = summarise(conditioned({}, peak_to_peak_n=1e-3, noise_n=0.05), seconds=12, seed=1).beats
+    noise = Simulation(conditioned({}, peak_to_peak_n=1e-3, noise_n=0.05), 1).run(12).beats
     assert noise.alarm
     assert noise.quality is not None
     assert noise.quality < 0.5

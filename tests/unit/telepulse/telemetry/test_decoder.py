@@ -10,7 +10,7 @@ import pytest
 from display_node.fault_advice import FILM_NOTE, advise
 from display_node.scoring.beat_statistics import pulse_alarm
 from protocol.refusals import CAUSE_MEANINGS
-from protocol.summary.tables import (
+from protocol.summary.fields import (
     BeatFigures,
     Clock,
     Compensation,

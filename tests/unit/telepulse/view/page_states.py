@@ -4,7 +4,7 @@ import math
 from dataclasses import asdict
 from typing import Any
 
-from protocol.summary.tables import AlignedErrors, Clock, Loop, PressFigures, SampleCounts, Summary
+from protocol.summary.fields import AlignedErrors, Clock, Loop, PressFigures, SampleCounts, Summary
 from protocol.tactile import ElasticLayer
 from telepulse.telemetry.decoder import Entry, without_none
 from telepulse.telemetry.schema import EVENT, FRAME, LEVELS, STATUS, STREAM, TICK

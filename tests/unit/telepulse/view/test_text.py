@@ -3,7 +3,8 @@ from typing import Any
 
 import pytest
 
-from protocol.summary.tables import Deadlines, Limited, Limits, Loop, SampleCounts
+from protocol.summary.fields import Deadlines, Limited, Limits, Loop, SampleCounts
+from telepulse.telemetry.events import REFUSALS
 from telepulse.view.live import LiveState
 from telepulse.view.text import FIGURES, age, alarms, figures, state
 from telepulse.view.window_data import window_scores
@@ -66,7 +67,7 @@ def test_each_alert_is_an_alarm_and_a_good_state_has_none(
     display: SimulatedDisplay, state: str, changes: dict[str, Any], expected: dict[str, str]
 ) -> None:
     display.status(state, **changes)
-    found = [alarm for alarm in alarms(display.live, 0) if alarm.name != "refused"]
+    found = [alarm for alarm in alarms(display.live, 0) if alarm.name not in REFUSALS.values()]
     assert found == list(expected.items())
 
 
@@ -98,6 +99,7 @@ def test_silence_is_an_alarm_until_the_stream_or_the_display_has_ended(
     [
         ("deadline misses", {"loop": asdict(LATE)}),
         ("refused", {"rejected": {"malformed": 3}}),
+        ("reader refused", {"rejected_readers": {"no_key": 3}}),
         ("limited", {"limited": asdict(Limits(force=Limited(3, 1.5, 0.1)))}),
         ("loss", {"samples": asdict(SampleCounts(7000, 2000, 4000, 300, 700, 0))}),
     ],
@@ -107,7 +109,8 @@ def test_a_count_that_rises_is_an_alarm_for_a_while(
 ) -> None:
     display.status("playing", **changes)
     assert names(display) == [name]
-    display.go(6, rejected=changes.get("rejected", {}))
+    kept = {key: changes[key] for key in ("rejected", "rejected_readers") if key in changes}
+    display.go(6, **kept)
     assert names(display) == []
 
 

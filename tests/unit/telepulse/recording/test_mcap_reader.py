@@ -13,8 +13,13 @@ from mcap.writer import Writer
 from protocol.errors import OutputError, SourceError
 from telepulse.recording.export import export_csv, export_mcap, export_parquet
 from telepulse.recording.findings import read_findings
+from telepulse.recording.mcap_reader import (
+    MAX_WAITING,
+    RecordedMessage,
+    RecordingReader,
+    in_tick_order,
+)
 from telepulse.recording.mcap_writer import McapWriter
-from telepulse.recording.reader import MAX_WAITING, RecordedMessage, RecordingReader, in_tick_order
 from telepulse.recording.session import longest_session
 from telepulse.recording.signal_export import export_signals
 from telepulse.telemetry.decoder import Entry

@@ -1,13 +1,9 @@
-import itertools
-import math
 from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from protocol.wire.description import Channel
-from pulse_sensors.sample_check import SampleCheck
 from tests.support.recording_files import csv_file, recording, refusal
 from tests.support.streams import synthetic
 
@@ -112,46 +108,3 @@ def test_a_doubtful_recording_has_a_warning(
     tmp_path: Path, columns: Keys, keys: Keys, text: str
 ) -> None:
     assert warnings(csv_file(tmp_path, columns), **keys) == [text]
-
-
-MS = 1_000_000
-PULSE = (Channel("pulse"),)
-
-
-def test_implausible_live_samples_are_counted_and_reported_once(logged: list[str]) -> None:
-    check = SampleCheck(MS, PULSE)
-    check.add(np.full((5, 1), 0.3) + np.arange(5)[:, np.newaxis] * 1e-3)
-    assert (check.faults(), logged) == ([], [])
-    for number in range(600):
-        check.add(np.array([[300.0 + number], [301.0], [math.nan], [0.3], [-0.2]]))
-    assert logged == [
-        "3 samples beyond 20 N, which no pulse reaches: check unit and scale in [sensing.source]",
-        "399 samples (20 %) below 0 N, which no display can play: set a higher preload in"
-        " [sensing.source], or check the sign",
-    ]
-    assert [fault.split(",")[0] for fault in check.faults()] == [
-        "1800 samples beyond 20 N",
-        "600 samples (20 %) below 0 N",
-    ]
-
-
-def test_a_constant_force_is_reported_once(logged: list[str]) -> None:
-    check = SampleCheck(MS, PULSE)
-    for force_n in itertools.chain([0.1, 0.2], itertools.repeat(0.3, 1600), [0.4]):
-        check.add(np.full((5, 1), force_n))
-    assert logged == ["the force did not change for 5.0 s: check the sensor"]
-    assert check.faults() == ["the force did not change for 8.0 s: check the sensor"]
-
-
-def test_each_channel_is_checked_by_itself_and_named(logged: list[str]) -> None:
-    check = SampleCheck(MS, (Channel("cun"), Channel("guan"), Channel("announce", "mV")))
-    for number in range(1200):
-        moving = np.arange(5) * 1e-3 + number * 1e-6
-        # An ECG may have any sign and size; the force of guan is stuck below 0 N.
-        check.add(np.stack([moving + 0.3, np.full(5, -0.2), -300 - moving], axis=1))
-    assert logged == [
-        "guan: 2000 samples (100 %) below 0 N, which no display can play: set a higher preload in"
-        " [sensing.source], or check the sign",
-        "guan: the force did not change for 5.0 s: check the sensor",
-    ]
-    assert [fault.partition(":")[0] for fault in check.faults()] == ["guan", "guan"]

@@ -1,9 +1,8 @@
-"""Playout: the delay that the link requires, and the instant of the pulse that is played. Pure.
+"""The delay that the link requires: the smallest one that keeps late samples below a target share.
 
-At time t the finger feels the pulse of t − E; E is the perceived delay, which the summary calls
-the playout delay. The delay of a frame is the time from its first sample to its arrival.
-`DelayEstimator` finds the smallest E that keeps late samples below a target share; `PlayoutClock`
-follows it without a jump.
+The delay of a frame is the time from its first sample to its arrival. `DelayEstimator` follows the
+delays of all frames; `display_node/playout.py` plays the samples that much later, or less where a
+trusted predictor replaces a part of the delay. Pure.
 """
 
 import math
@@ -274,32 +273,3 @@ class DelayEstimator:
             self._covering.set_base(base_ns)
             self._following.set_base(base_ns)
         return outage.since_ns is not None
-
-
-class PlayoutClock:
-    """The played instant, which advances at most 5 % faster or slower than real time.
-
-    Changes of E and corrections of the clock offset are slewed, so the finger feels no jump. It
-    jumps over a difference above 0.5 s (after a clock step, in a new session).
-    """
-
-    def __init__(self) -> None:
-        self._now_ns: int | None = None
-        self._instant_ns = 0
-
-    def instant(self, now_ns: int, wanted_ns: int) -> int:
-        """Return the instant to play at `now_ns`; `wanted_ns` is the instant that E requires.
-
-        The result goes back only in a jump.
-        """
-        if self._now_ns is None:
-            self._now_ns, self._instant_ns = now_ns, wanted_ns
-            return wanted_ns
-        elapsed_ns = now_ns - self._now_ns
-        error_ns = wanted_ns - self._instant_ns - elapsed_ns
-        if error_ns and -JUMP_NS <= error_ns <= JUMP_NS:
-            most_ns = elapsed_ns // WARP_PARTS
-            error_ns = max(-most_ns, min(error_ns, most_ns))
-        self._instant_ns += elapsed_ns + error_ns
-        self._now_ns = now_ns
-        return self._instant_ns

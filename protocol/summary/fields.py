@@ -1,4 +1,4 @@
-"""Tables of a run's summary: the same keys from every command and node, null where none applies.
+"""Fields of a run's summary: the same keys from every command and node, null where none applies.
 
 Each field has an entry in `figures.toml`, which says what it means.
 """
@@ -99,6 +99,7 @@ class BeatFigures:
     rate_per_min: float | None = None
     variability_ms: float | None = None
     height_n: float | None = None
+    height_at_finger_n: float | None = None
     upstroke_ms: float | None = None
     notch_ms: float | None = None
     quality: float | None = None
@@ -307,8 +308,10 @@ class Summary:
     loop: Loop = field(default_factory=Loop)
     speed: float | None = None
     rejected: dict[str, int] = field(default_factory=dict)
+    rejected_readers: dict[str, int] = field(default_factory=dict)
     hardware: dict[str, int] = field(default_factory=dict)
     faults: list[str] = field(default_factory=list)
+    refused: str | None = None
     waiting_for: str | None = None
     finger: str | None = None
     finger_stiffness: float | None = None

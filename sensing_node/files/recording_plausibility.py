@@ -1,13 +1,7 @@
-"""Plausibility of readings.
+"""Plausibility of a recording's column: whether it can be a pulse with the scene's keys.
 
-- A decoder's number: `is_usable`.
-- Unit and rate that a device states: `unit_contradiction`, `rate_contradiction`.
-- The rate of a live sensor: `RateCheck`.
-- A recording, which is completely known when it is opened: `constant_column`, `examine`.
-
-Samples of a running source are checked by `sample_check.py`.
-
-All forces are in N. Pure.
+A recording is completely known when it is opened. The samples of a running source are checked by
+`pulse_sensors/sample_plausibility.py`. All forces are in N. Pure.
 """
 
 import math
@@ -20,27 +14,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from protocol.config.quantities import count_text
-from pulse_sensors.force_scale import FORCES, VOLTAGES
+from pulse_sensors.sample_plausibility import (
+    LARGEST,
+    MOST_BELOW,
+    MOST_N,
+    NEGLIGIBLE_N,
+    RATE_TOLERANCE,
+)
 
-# Largest value in any unit of a sensor; larger ones are forces that no frame can hold.
-LARGEST: Final = 1e30
-# Greatest force of a pulse, at a wrist or a finger: twice the highest `preload` or `peak_to_peak`.
-MOST_N: Final = 20.0
 # Smallest peak-to-peak force of a pulse, far below what a finger feels.
 LEAST_PULSE_N: Final = 1e-3
-# Forces less than this below 0 N are rounding and noise.
-NEGLIGIBLE_N: Final = 1e-3
-# Greatest share of samples below 0 N that may be intended: noise, a drifting base line.
-MOST_BELOW: Final = 0.1
 # Greatest share of samples at the very highest value, unless the pulse was clipped.
 MOST_TOPMOST: Final = 0.02
 # Values that differ by less are equal, and cannot be scaled.
 SMALLEST: Final = 1e-100
 # Least number of samples for a check: fewer may rise by chance, and are too few for a rate.
 FEW_SAMPLES: Final = 16
-RATE_TOLERANCE: Final = 0.02
-# Tolerance of a rate that a stream declares, which is often rounded.
-DECLARED_RATE_TOLERANCE: Final = 0.1
 # Range of the time between two samples.
 SHORTEST_S, LONGEST_S = 1e-7, 1e3
 # A longer step between two times than this multiple of the usual one is a gap.
@@ -50,7 +39,6 @@ USUAL_HZ = (10.0, 20_000.0)
 SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 _UNIT = re.compile(r"(?:^|[\s_(\[,])(s|sec|seconds|min|ms|us|µs|ns)[)\]]?$", re.IGNORECASE)
 _TIME_NAME = re.compile(r"time|zeit|stamp|^t$|^t[_\s(\[]", re.IGNORECASE)
-SETTLED_S = 2.0
 # Values that are examined at once.
 BLOCK: Final = 1 << 16
 
@@ -82,74 +70,6 @@ def never_falls(values: NDArray[Any]) -> bool:
             return False
         last = float(block[-1])
     return True
-
-
-def is_usable(value: float) -> bool:
-    """Return whether a value, in any unit, is a number whose force a frame can hold."""
-    return abs(value) <= LARGEST
-
-
-def unit_contradiction(stated: str | None, unit: str) -> str | None:
-    """Return the contradiction of a device's stated unit to the scene's, and advice; or None.
-
-    Counts are not compared, since the scene has their scale.
-    """
-    known = FORCES | VOLTAGES
-    if stated not in known or unit not in known or stated == unit:
-        return None
-    return f'is in {stated}, the scene says unit = "{unit}"; set unit = "{stated}"'
-
-
-def rate_contradiction(stated_hz: float, rate_hz: float) -> str | None:
-    """Return the contradiction of a stream's stated rate (0 Hz: none) to the scene's, or None."""
-    if not stated_hz or abs(rate_hz / stated_hz - 1) <= DECLARED_RATE_TOLERANCE:
-        return None
-    return f"its rate is {stated_hz:g} Hz, the scene says {rate_hz:g}"
-
-
-class RateCheck:
-    """Comparison of a live sensor's measured rate with the nominal one, in Hz."""
-
-    def __init__(self, nominal_hz: float) -> None:
-        self._nominal_hz = self._measured_hz = nominal_hz
-        self._samples = self._arrived_ns = 0
-        # Samples and time since which the measured rate differs from the nominal one.
-        self._off_since: tuple[int, int] | None = None
-
-    def add(self, samples: int, arrival_ns: int, measured_hz: float, whole: bool) -> None:
-        """Take the number of all samples so far, and their measured rate.
-
-        whole: no sample is missing right before the newest ones.
-        """
-        self._samples, self._arrived_ns, self._measured_hz = samples, arrival_ns, measured_hz
-        if not self._is_off:
-            self._off_since = None
-        elif self._off_since is None or not whole:
-            self._off_since = (samples, arrival_ns)
-
-    def fault(self, name: str) -> str | None:
-        """Return the fault of a wrong measured rate, once that has settled; or None."""
-        settled = self._samples > SETTLED_S * self._nominal_hz
-        return self._text(name, self._measured_hz) if settled and self._is_off else None
-
-    def lasting_fault(self, name: str) -> str | None:
-        """Return the fault of a rate that has been wrong for 2 s, or None."""
-        if self._off_since is None:
-            return None
-        first, since_ns = self._off_since
-        count, span_ns = self._samples - first, self._arrived_ns - since_ns
-        if count <= SETTLED_S * self._nominal_hz or span_ns <= 0:
-            return None
-        # The rate is counted, because a measured one that is far off takes longer to settle.
-        return self._text(name, count * 1e9 / span_ns)
-
-    @property
-    def _is_off(self) -> bool:
-        return abs(self._measured_hz / self._nominal_hz - 1) > RATE_TOLERANCE
-
-    def _text(self, name: str, rate_hz: float) -> str:
-        scene = f"the scene says {self._nominal_hz:g} Hz"
-        return f"{name} sends {rate_hz:.0f} Hz, {scene}: check its rate"
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,0 +1,147 @@
+"""The instant of the pulse that is played, and the samples that show it. Pure.
+
+At time t the finger feels the pulse of t − E. E is the perceived delay, which the summary calls the
+playout delay: a fixed one, or the delay that the link requires, of which a trusted predictor
+replaces a part. `Playout` chooses E and reads the buffer each tick; `PlayoutClock` follows E
+without a jump.
+"""
+
+from display_node.contactor import Contactor
+from display_node.prediction.trust import Trust
+from display_node.reception.link_delay import JUMP_NS, WARP_PARTS
+from display_node.reception.receiver import Receiver
+from display_node.scene import DisplayScene
+
+# Contactors that play the same samples, which are read once: their `sample_lead_ns`, the number of
+# values, and their places in the buffer.
+Group = tuple[int, int, list[int], list[Contactor]]
+
+
+class PlayoutClock:
+    """The played instant, which advances at most 5 % faster or slower than real time.
+
+    Changes of E and corrections of the clock offset are slewed, so the finger feels no jump. It
+    jumps over a difference above 0.5 s (after a clock step, in a new session).
+    """
+
+    def __init__(self) -> None:
+        self._now_ns: int | None = None
+        self._instant_ns = 0
+
+    def instant(self, now_ns: int, wanted_ns: int) -> int:
+        """Return the instant to play at `now_ns`; `wanted_ns` is the instant that E requires.
+
+        The result goes back only in a jump.
+        """
+        if self._now_ns is None:
+            self._now_ns, self._instant_ns = now_ns, wanted_ns
+            return wanted_ns
+        elapsed_ns = now_ns - self._now_ns
+        error_ns = wanted_ns - self._instant_ns - elapsed_ns
+        if error_ns and -JUMP_NS <= error_ns <= JUMP_NS:
+            most_ns = elapsed_ns // WARP_PARTS
+            error_ns = max(-most_ns, min(error_ns, most_ns))
+        self._instant_ns += elapsed_ns + error_ns
+        self._now_ns = now_ns
+        return self._instant_ns
+
+
+class Playout:
+    """Choice of the played instant, which is the same for all contactors of a display.
+
+    The receiver owns samples, sensing clock and link delay, and replaces them in a new session:
+    they are read from it each tick. The playout owns the played instant, and E with its reasons.
+
+    Attributes
+    ----------
+    trust
+        Trust in the predictor; None where E is fixed, or the predictor's errors are unknown.
+    """
+
+    def __init__(
+        self, scene: DisplayScene, receiver: Receiver, contactors: list[Contactor]
+    ) -> None:
+        self._receiver, self._contactors = receiver, contactors
+        # Copies: attributes of a scene take longer to read.
+        self._tick_ns, self._compensation_ns = scene.tick_ns, scene.compensation_ns
+        self._stale_after_ns = scene.safety.stale_after_ns
+        self._may_trust = scene.compensation_ns is None and scene.predictor.estimates_error
+        self._clock = PlayoutClock()
+        self.trust = Trust() if self._may_trust else None
+        self._groups: list[Group] = []
+        # The largest of any contactor.
+        self._sample_lead_ns = self._reach_ns = self._reserve_ns = 0
+
+    def begin(self) -> None:
+        """Begin a session, after the contactors have begun it."""
+        contactors = self._contactors
+        self._clock = PlayoutClock()
+        self.trust = Trust() if self._may_trust else None
+        self._groups = self._group()
+        self._sample_lead_ns = max(contactor.sample_lead_ns for contactor in contactors)
+        self._reach_ns = max(contactor.reach_ns for contactor in contactors)
+        self._reserve_ns = max(contactor.reserve_ns for contactor in contactors)
+        if len(contactors) > 1:
+            leads_ns = (contactor.sample_lead_ns for contactor in contactors)
+            self._receiver.buffer.keep_accounts([self._sample_lead_ns - each for each in leads_ns])
+
+    def play(self, now_ns: int, full: bool) -> bool:
+        """Play the instant that is due on all contactors; return whether the stream is alive.
+
+        full: whether the pulse was felt at full strength in the last tick.
+        """
+        receiver, contactors = self._receiver, self._contactors
+        contactors[0].state.predicted_ns = -1
+        buffer, delay_ns = receiver.buffer, receiver.link_delay.delay_ns
+        newest_ns = buffer.newest_ns
+        if not receiver.ready or delay_ns is None or newest_ns is None:
+            for contactor in contactors:
+                contactor.rest(now_ns)
+            return False
+        sensing_now_ns, trusted = receiver.clock.remote_ns(now_ns), False
+        wanted_delay_ns = self._compensation_ns
+        if wanted_delay_ns is None:
+            wanted_delay_ns, trust = delay_ns + self._reserve_ns, self.trust
+            if trust is not None:
+                if trust.observe(now_ns, sensing_now_ns + self._reach_ns - newest_ns):
+                    trust.evaluate(now_ns, wanted_delay_ns, self._error_shares())
+                wanted_delay_ns, trusted = trust.delay_ns(wanted_delay_ns), trust.given
+        instant_ns = self._clock.instant(now_ns, sensing_now_ns - wanted_delay_ns)
+        # The sensing chain delays the pulse by its group delay: the pulse of `instant_ns` is in the
+        # sample taken that much later. The actuators' lags are compensated in the same way.
+        sampled_ns = instant_ns + self._sample_lead_ns
+        alive = receiver.live(sampled_ns, sensing_now_ns, self._stale_after_ns)
+        buffer.advance(sampled_ns, alive and trusted)
+        full_if_alive, longest_ns = (full if alive else None), 0
+        for sample_lead_ns, count, places, group in self._groups:
+            sampled_ns = instant_ns + sample_lead_ns
+            received = buffer.known(self._tick_ns, count, sampled_ns, places)
+            for contactor, wrist_n in zip(group, received, strict=True):
+                state = contactor.state
+                state.now_ns, state.sensing_now_ns = now_ns, sensing_now_ns
+                state.instant_ns, state.trusted = instant_ns, trusted
+                predicted_ns = contactor.play(wrist_n, sampled_ns, newest_ns, full_if_alive)
+                if predicted_ns is None:
+                    alive = False
+                elif predicted_ns > longest_ns:
+                    longest_ns = predicted_ns
+        if alive:
+            contactors[0].state.predicted_ns = longest_ns
+        return alive
+
+    def _group(self) -> list[Group]:
+        """Return the contactors by the samples that they play, the first one first."""
+        groups: dict[tuple[int, int], tuple[list[int], list[Contactor]]] = {}
+        for place, contactor in enumerate(self._contactors):
+            key = contactor.sample_lead_ns, contactor.reference_ticks
+            places, group = groups.setdefault(key, ([], []))
+            places.append(place)
+            group.append(contactor)
+        return [(*key, *members) for key, members in groups.items()]
+
+    def _error_shares(self) -> list[float]:
+        """Return the prediction's expected errors, of each horizon the largest of any contactor."""
+        first, *others = (contactor.error_shares for contactor in self._contactors)
+        if not all(others):
+            return []
+        return list(map(max, first, *others)) if others else first
