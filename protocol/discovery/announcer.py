@@ -36,7 +36,7 @@ def start_announcer(
     bound_to, _, port = address.removeprefix("tcp://").rpartition(":")
     bound_to = "127.0.0.1" if bound_to == "localhost" else bound_to
     host = socket.gethostname().partition(".")[0]
-    key = None if keys is None else keys.own.public.key
+    key = None if keys is None else keys.pair.public.key
     node = json.dumps(asdict(Announcement.of_node(stream, host, int(port), key)))
     with Sidecar("announcer", "protocol.discovery.announcer", bound_to, node) as sidecar:
         yield lambda: sidecar.send(begin=True)

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from protocol.errors import RealtimeError, suggest
-from protocol.host.process import (
+from protocol.host.linux import (
     LONGEST_RUN_US,
     NotGrantedError,
     lock_memory,
@@ -110,8 +110,6 @@ def parse_realtime(text: str | None) -> RealtimeRequest:
                     f"--realtime: cpu={value:.80}: write one as cpu=1, several as cpu=2-3"
                 )
             cpus.update(numbers)
-        elif name == "gc":
-            raise RealtimeError("--realtime: gc is now always applied: leave it out")
         elif name not in MEASURES:
             raise RealtimeError(
                 f"--realtime: unknown measure {name!r:.80}{suggest(name, MEASURES)}"

@@ -27,15 +27,15 @@ class AllowList:
     """Allow-list of a running node, which is read again after each change.
 
     While a changed list cannot be read, no new peer may connect; after 10 s, all are cut off. The
-    caller cuts the connections of the keys that `poll` returns. allowed: keys that may connect,
-    with their names. Raises KeyFileError if the list cannot be used at the start.
+    caller cuts the connections of the keys that `poll` returns. listed: keys on the list as it was
+    read last, with their names. Raises KeyFileError if the list cannot be used at the start.
     """
 
     def __init__(self, path: Path) -> None:
         self._path = path
         self._stamp = _stamp(path)
-        self.allowed: Mapping[bytes, PublicKey] = self._read()
-        self._ever_allowed = set(self.allowed)
+        self.listed: Mapping[bytes, PublicKey] = self._read()
+        self._once_listed = dict(self.listed)
         self._poll_ns = 0
         self._unreadable_since_ns: int | None = None
         self._reason = ""
@@ -44,9 +44,14 @@ class AllowList:
         """Return the cause for which a key may not connect now; None where it may."""
         if self._unreadable_since_ns is not None:
             return LIST_UNREADABLE
-        if key in self.allowed:
+        if key in self.listed:
             return None
-        return REVOKED_KEY if key in self._ever_allowed else UNKNOWN_KEY
+        return REVOKED_KEY if key in self._once_listed else UNKNOWN_KEY
+
+    def describe(self, key: bytes) -> str:
+        """Return a key as the log names it: in full where no name of it is known."""
+        public = self._once_listed.get(key)
+        return f"key {key.hex()}" if public is None else str(public)
 
     def poll(self, now_ns: int) -> list[bytes]:
         """Read the list if it has changed, and return the keys that were revoked.
@@ -61,7 +66,7 @@ class AllowList:
         if self._unreadable_since_ns is None and stamp == self._stamp:
             return []
         try:
-            allowed = self._read()
+            listed = self._read()
         except KeyFileError as error:
             return self._fail(str(error), now_ns)
         # The stamp is older than the reading, so a list that was written meanwhile is read again.
@@ -69,12 +74,12 @@ class AllowList:
         if self._unreadable_since_ns is not None:
             self._unreadable_since_ns, self._reason = None, ""
             logger.info(f"{self._path} is read again")
-        gone = [public for key, public in self.allowed.items() if key not in allowed]
-        for public in gone:
-            logger.warning(f"{public.name} is no longer allowed")
-        self.allowed = allowed
-        self._ever_allowed |= allowed.keys()
-        return [public.key for public in gone]
+        revoked = [public for key, public in self.listed.items() if key not in listed]
+        for public in revoked:
+            logger.warning(f"{public} is no longer allowed")
+        self.listed = listed
+        self._once_listed.update(listed)
+        return [public.key for public in revoked]
 
     def _fail(self, reason: str, now_ns: int) -> list[bytes]:
         limit_s = UNREADABLE_AT_MOST_NS // 1_000_000_000
@@ -86,21 +91,21 @@ class AllowList:
                 f"{reason}; until it can be read no new peer may connect, and after {limit_s} s"
                 " none may stay"
             )
-        if now_ns - self._unreadable_since_ns < UNREADABLE_AT_MOST_NS or not self.allowed:
+        if now_ns - self._unreadable_since_ns < UNREADABLE_AT_MOST_NS or not self.listed:
             return []
         logger.warning(f"{self._path} could not be read for {limit_s} s: all peers are cut off")
-        gone, self.allowed = list(self.allowed), {}
-        return gone
+        keys, self.listed = list(self.listed), {}
+        return keys
 
     def _read(self) -> dict[bytes, PublicKey]:
-        allowed = read_allowed(self._path)
-        if not allowed:
+        listed = read_allow_list(self._path)
+        if not listed:
             logger.warning(f"{self._path} allows nobody; telepulse keys allow FILE.pub adds a key")
-        return allowed
+        return listed
 
 
-def read_allowed(path: Path) -> dict[bytes, PublicKey]:
-    """Read the allowed keys and their names; none without a file.
+def read_allow_list(path: Path) -> dict[bytes, PublicKey]:
+    """Read the keys on a list and their names; none without a file.
 
     Empty lines and lines that begin with # are skipped. Raises KeyFileError.
     """

@@ -1,21 +1,17 @@
-"""Budgets that bound what peers can use: events per second, connections, subscriptions."""
+"""Budgets that bound what a peer can use: events per second, subscriptions, requests."""
 
 import logging
 import time
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from statistics import mode
 
 import zmq
 
 from protocol import sockets
-from protocol.security.connection_table import ConnectionTable, cut, network_address
+from protocol.security.connection_table import shut_down
 
 logger = logging.getLogger(__name__)
 
-# A socket whose events could not all be read for this time stops accepting connections.
-BEHIND_NS = 100_000_000
-MAX_CUTS = 32
 SUBSCRIPTION = "subscription"
 # Bytes for subscriptions to topics of other versions.
 FOREIGN_BYTES = 1_000
@@ -45,62 +41,6 @@ class TokenBucket:
             return False
         self._tokens -= count
         return True
-
-
-class ConnectionBudget:
-    """Bound on the open connections of several sockets together.
-
-    A peer that connects repeatedly must not exhaust the process's file descriptors, its memory or
-    its loop's time, and earlier connections must stay. Too many pending connections: the oldest
-    ones from the address with most of them are cut. Too many established ones: the newest from the
-    address with most of them are cut. So a single address never blocks the others.
-
-    most: greatest number of open connections. Half of them may be pending (no ZeroMQ handshake
-    yet), three quarters may come from one address.
-    """
-
-    def __init__(self, most: int) -> None:
-        self.most = most
-        self._most_pending = most // 2
-        self._most_from_one = most * 3 // 4
-        self._behind_since_ns: dict[ConnectionTable, int] = {}
-
-    def enforce(self, tables: Sequence[ConnectionTable], now_ns: int) -> list[str]:
-        """Cut the connections above the budget; return the address of each."""
-        for table in tables:
-            if not table.behind:
-                self._behind_since_ns.pop(table, None)
-                table.pause(False)
-            elif now_ns - self._behind_since_ns.setdefault(table, now_ns) >= BEHIND_NS:
-                table.pause(True)
-        return [*self._cut_pending(tables), *self._cut_established(tables)]
-
-    def _cut_pending(self, tables: Sequence[ConnectionTable]) -> list[str]:
-        if sum(table.most_pending for table in tables) <= self._most_pending:
-            return []
-        pending = [(*one, table) for table in tables for one in table.pending()]
-        beyond = min(len(pending) - self._most_pending, MAX_CUTS)
-        if beyond <= 0:
-            return []
-        most_of = mode(address for _, _, address, _ in pending)
-        oldest = sorted(one for one in pending if one[2] == most_of)[:beyond]
-        for _, descriptor, _, table in oldest:
-            table.cut_one(descriptor)
-        return [most_of] * len(oldest)
-
-    def _cut_established(self, tables: Sequence[ConnectionTable]) -> list[str]:
-        total = sum(table.connections for table in tables)
-        if total <= self._most_from_one:
-            return []
-        by_address = sum((table.by_address for table in tables), Counter[str]())
-        (most_of, count), *_ = by_address.most_common(1)
-        beyond = min(max(total - self.most, count - self._most_from_one), MAX_CUTS)
-        addresses: list[str] = []
-        for table in sorted(tables, key=lambda table: -table.by_address[most_of]):
-            for descriptor in table.newest_from(most_of, beyond - len(addresses)):
-                table.cut_one(descriptor)
-                addresses.append(most_of)
-        return addresses
 
 
 class SubscriptionBudget:
@@ -171,9 +111,9 @@ class SubscriptionBudget:
         self._spent[descriptor] = (address, spent_bytes)
         if spent_bytes <= FOREIGN_BYTES:
             return
-        address = network_address(address)
+        address = sockets.network_address(address)
         self.rejected[SUBSCRIPTION] += 1
-        cut(descriptor, address)
+        shut_down(descriptor, address)
         if address not in self._named and len(self._named) < MAX_NAMED:
             self._named.add(address)
             logger.warning(

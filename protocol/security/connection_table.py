@@ -1,4 +1,4 @@
-"""Connections of peers to a bound socket: the open ones, the failed ones, and how to cut one.
+"""Connections of peers to bound sockets: the open ones, the failed ones, their greatest number.
 
 ZeroMQ reports connections by file descriptor. It has no call that ends one, so its descriptor is
 shut down. It has no call that pauses accepting either, so a packet filter is attached to the
@@ -6,15 +6,15 @@ listening socket (docs/decisions/0031-zmq-auth-is-not-enough.md).
 """
 
 import ctypes
-import ipaddress
 import itertools
 import os
 import socket as plain
 import struct
 import sys
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
+from statistics import mode
 
 import zmq
 
@@ -32,6 +32,9 @@ _EVENTS = (
 )
 # Number of events read in a call, which takes some 0.2 ms of a loop.
 MAX_EVENTS = 16
+# A socket whose events could not all be read for this time stops accepting connections.
+BEHIND_NS = 100_000_000
+MAX_CUTS = 32
 _REFUSED_BY_KEY = "refused by key"
 _order = itertools.count()
 # With this, closing discards queued data, so that the peer cannot read it.
@@ -124,16 +127,16 @@ class ConnectionTable:
         of_it = (n for n in reversed(self._open) if self._open[n] == address and n not in self._cut)
         return list(itertools.islice(of_it, most))
 
-    def cut(self, addresses: set[str] | None) -> None:
+    def cut_from(self, addresses: set[str] | None) -> None:
         """Cut the connections from `addresses`; None: all connections."""
         for descriptor, address in self._open.items():
             if descriptor not in self._cut and (addresses is None or address in addresses):
-                self.cut_one(descriptor)
+                self.cut(descriptor)
 
-    def cut_one(self, descriptor: int) -> None:
+    def cut(self, descriptor: int) -> None:
         """Cut one connection. It is not counted any more, although ZeroMQ closes it later."""
         address = self._open[descriptor]
-        cut(descriptor, address)
+        shut_down(descriptor, address)
         self._cut.add(descriptor)
         self.by_address[address] -= 1
 
@@ -189,19 +192,63 @@ class ConnectionTable:
             del self._pending[descriptor]
 
 
-def network_address(address: str) -> str:
-    """Return an IP address without its interface, as `getpeername` gives it.
+class ConnectionBudget:
+    """Bound on the open connections of several sockets together.
 
-    Returns "" for what ipc gives instead (user and process).
+    A peer that connects repeatedly must not exhaust the process's file descriptors, its memory or
+    its loop's time, and earlier connections must stay. Too many pending connections: the oldest
+    ones from the address with most of them are cut. Too many established ones: the newest from the
+    address with most of them are cut. So a single address never blocks the others.
+
+    most: greatest number of open connections. Half of them may be pending (no ZeroMQ handshake
+    yet), three quarters may come from one address.
     """
-    address, _, _ = address.partition("%")
-    with suppress(ValueError):
-        ipaddress.ip_address(address)
-        return address
-    return ""
+
+    def __init__(self, most: int) -> None:
+        self.most = most
+        self._most_pending = most // 2
+        self._most_from_one = most * 3 // 4
+        self._behind_since_ns: dict[ConnectionTable, int] = {}
+
+    def enforce(self, tables: Sequence[ConnectionTable], now_ns: int) -> list[str]:
+        """Cut the connections above the budget; return the address of each."""
+        for table in tables:
+            if not table.behind:
+                self._behind_since_ns.pop(table, None)
+                table.pause(False)
+            elif now_ns - self._behind_since_ns.setdefault(table, now_ns) >= BEHIND_NS:
+                table.pause(True)
+        return [*self._cut_pending(tables), *self._cut_established(tables)]
+
+    def _cut_pending(self, tables: Sequence[ConnectionTable]) -> list[str]:
+        if sum(table.most_pending for table in tables) <= self._most_pending:
+            return []
+        pending = [(*one, table) for table in tables for one in table.pending()]
+        beyond = min(len(pending) - self._most_pending, MAX_CUTS)
+        if beyond <= 0:
+            return []
+        most_of = mode(address for _, _, address, _ in pending)
+        oldest = sorted(one for one in pending if one[2] == most_of)[:beyond]
+        for _, descriptor, _, table in oldest:
+            table.cut(descriptor)
+        return [most_of] * len(oldest)
+
+    def _cut_established(self, tables: Sequence[ConnectionTable]) -> list[str]:
+        total = sum(table.connections for table in tables)
+        if total <= self._most_from_one:
+            return []
+        by_address = sum((table.by_address for table in tables), Counter[str]())
+        (most_of, count), *_ = by_address.most_common(1)
+        beyond = min(max(total - self.most, count - self._most_from_one), MAX_CUTS)
+        addresses: list[str] = []
+        for table in sorted(tables, key=lambda table: -table.by_address[most_of]):
+            for descriptor in table.newest_from(most_of, beyond - len(addresses)):
+                table.cut(descriptor)
+                addresses.append(most_of)
+        return addresses
 
 
-def cut(descriptor: int, address: str) -> None:
+def shut_down(descriptor: int, address: str) -> None:
     """Shut down the connection of a descriptor that ZeroMQ owns; ZeroMQ then closes it.
 
     It does nothing unless the peer's address is still `address` ("" over ipc), since the number may

@@ -20,6 +20,8 @@ from protocol.host.output import create_file
 
 SECRET, PUBLIC = "telepulse-secret-key", "telepulse-public-key"
 KEY_BYTES = 32
+# Hexadecimal digits of a key that the log gives beside its name.
+NAMED_DIGITS = 16
 OWNER_ONLY, READ_BY_ALL, FOLDER = 0o600, 0o644, 0o700
 # Longest file that is read; a key's line is far shorter.
 MAX_KEY_FILE_BYTES = 4096
@@ -33,6 +35,10 @@ class PublicKey:
 
     name: str
     key: bytes
+
+    def __str__(self) -> str:
+        """Return the name and the beginning of the key, as the log names a peer."""
+        return f"{self.name} (key {self.key.hex()[:NAMED_DIGITS]}...)"
 
     @property
     def line(self) -> str:

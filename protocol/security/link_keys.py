@@ -1,18 +1,19 @@
 """The keys of one link: from the options of a command to the sockets of either end.
 
-A node that binds has its own pair and an allow-list, which `Authenticator` applies. A node that
-connects has its own pair and the public key of the other node.
+As in CURVE, the end that binds is the server, the end that connects the client. The server has its
+pair and an allow-list, which `Authenticator` applies; the client has its pair and the server's
+public key.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Self
 
 import zmq
 
 from protocol.errors import ProtectionError
+from protocol.security import zap
 from protocol.security.allow_list import FILE_NAME, AllowList
 from protocol.security.keys import KeyPair, PublicKey, read_pair, read_public
 from protocol.sockets import Socket, beyond_loopback, control_address
@@ -20,39 +21,45 @@ from protocol.sockets import Socket, beyond_loopback, control_address
 
 @dataclass(frozen=True, slots=True)
 class ServerKeys:
-    """Keys of a node that binds: its own pair, and the keys that may connect."""
+    """Keys of a server: its pair, and the list of the keys that may connect."""
 
-    own: KeyPair
+    pair: KeyPair
     allow_list: AllowList
+
+    def protect(self, socket: Socket) -> None:
+        """Make `socket` accept keys alone, encrypted; call this before it is bound.
+
+        Without an `Authenticator`, it refuses every client.
+        """
+        socket.setsockopt(zmq.CURVE_SERVER, 1)
+        socket.setsockopt(zmq.CURVE_SECRETKEY, self.pair.secret)
+        socket.setsockopt(zmq.ZAP_DOMAIN, zap.DOMAIN)
+        socket.setsockopt(zmq.ZAP_ENFORCE_DOMAIN, 1)
 
 
 @dataclass(frozen=True, slots=True)
 class ClientKeys:
-    """Keys of a node that connects: its own pair, and the public key of the other node."""
+    """Keys of a client: its pair, and the public key of the server."""
 
-    own: KeyPair
-    peer: PublicKey
-
-    @classmethod
-    def of_own_node(cls, key: Path) -> Self:
-        """Return the keys for connecting to the node that has this key itself."""
-        pair = read_pair(key)
-        return cls(pair, pair.public)
+    pair: KeyPair
+    server_key: PublicKey
 
     def protect(self, socket: Socket) -> None:
-        """Make `socket` connect only to the peer, encrypted; call this before it connects."""
-        socket.setsockopt(zmq.CURVE_SECRETKEY, self.own.secret)
-        socket.setsockopt(zmq.CURVE_PUBLICKEY, self.own.public.key)
-        socket.setsockopt(zmq.CURVE_SERVERKEY, self.peer.key)
+        """Make `socket` connect only to the server, encrypted; call this before it connects."""
+        socket.setsockopt(zmq.CURVE_SECRETKEY, self.pair.secret)
+        socket.setsockopt(zmq.CURVE_PUBLICKEY, self.pair.public.key)
+        socket.setsockopt(zmq.CURVE_SERVERKEY, self.server_key.key)
 
 
 @dataclass(frozen=True)
 class KeyOptions:
     """The options of a command that protect its links: --key, --peer, --allow, --insecure.
 
-    Its methods return the keys of one link, or None for a link without keys. Each key file is read
-    once, however many links there are. They raise ProtectionError where keys are required or the
-    options do not fit, AddressError, and KeyFileError.
+    Its methods return the keys of one link, or None for a link without keys. They raise
+    ProtectionError where keys are required or the options do not fit, AddressError, and
+    KeyFileError. A command reads each key file once, however many links it has. The processes that
+    a display starts (screen, recorder, metrics server) are commands of their own: each is given the
+    path of the display's key, and reads the file again.
     """
 
     key: Path | None = None
@@ -60,19 +67,27 @@ class KeyOptions:
     allow: Path | None = None
     insecure: bool = False
 
+    def __post_init__(self) -> None:
+        """Raise ProtectionError where keys are given and renounced."""
+        if self.insecure and (self.key is not None or self.peer is not None):
+            given = "--peer" if self.key is None else "--key"
+            raise ProtectionError(f"--insecure does without keys, and {given} is given: choose one")
+
     def server(self, address: str) -> ServerKeys | None:
-        """Return the keys for sockets bound to `address`."""
-        if self.key is None and self.allow is not None:
-            raise ProtectionError(f"--allow {self.allow} needs this node's own key: --key FILE.key")
-        self._check_insecure(self.key is not None, [address], "--key keys/NAME.key")
+        """Return the keys of sockets bound to `address`."""
         if self.key is None:
+            if self.allow is not None:
+                raise ProtectionError(
+                    f"--allow {self.allow} needs this node's own key: --key FILE.key"
+                )
+            self._check_without_keys([address], "--key keys/NAME.key")
             return None
         if self.allow is not None and not self.allow.exists():
             raise ProtectionError(f"--allow {self.allow}: there is no such file")
-        return ServerKeys(self.own, AllowList(self.allow or self.key.with_name(FILE_NAME)))
+        return ServerKeys(self.pair, AllowList(self.allow or self.key.with_name(FILE_NAME)))
 
     def telemetry_server(self, address: str) -> ServerKeys | None:
-        """Return the keys for publishing telemetry; on this machine it needs none."""
+        """Return a display's keys for publishing telemetry; on this machine it needs none."""
         if beyond_loopback(address):
             return self.server(address)
         if self.allow is not None:
@@ -82,12 +97,11 @@ class KeyOptions:
         return None
 
     def client(self, *addresses: str) -> ClientKeys | None:
-        """Return the keys for sockets that connect to `addresses`."""
+        """Return the keys of sockets that connect to `addresses`."""
         for address in addresses:
             control_address(address)
-        keyed = self.key is not None or self.peer is not None
-        self._check_insecure(keyed, addresses, "--key keys/NAME.key --peer keys/PEER.pub")
-        if not keyed:
+        if self.key is None and self.peer is None:
+            self._check_without_keys(addresses, "--key keys/NAME.key --peer keys/PEER.pub")
             return None
         if self.key is None:
             raise ProtectionError(f"--peer {self.peer} needs this node's own key: --key FILE.key")
@@ -95,9 +109,9 @@ class KeyOptions:
             raise ProtectionError(
                 f"--key {self.key} needs the other node's public key: --peer FILE.pub"
             )
-        return ClientKeys(self.own, self.peer_key)
+        return ClientKeys(self.pair, self.server_key)
 
-    def forwarder(self, address: str) -> ClientKeys | None:
+    def forwarding_client(self, address: str) -> ClientKeys | None:
         """Return a forwarder's keys for connecting to the sensing node at `address`.
 
         Without a peer, that node is on this machine and has no keys; a key is for the displays.
@@ -105,29 +119,30 @@ class KeyOptions:
         return (self if self.peer else replace(self, key=None)).client(address)
 
     def telemetry_client(self, address: str) -> ClientKeys | None:
-        """Return the keys for reading a display's telemetry; without a peer, the key is its own."""
-        if self.key is not None and self.peer is None:
-            return ClientKeys.of_own_node(self.key)
-        return self.client(address)
+        """Return the keys for reading a display's telemetry.
+
+        Without a peer, the key is the display's, which is then client and server in one.
+        """
+        if self.key is None or self.peer is not None:
+            return self.client(address)
+        return ClientKeys(self.pair, self.pair.public)
 
     @cached_property
-    def peer_key(self) -> PublicKey:
-        """Public key of --peer, which must be given."""
+    def server_key(self) -> PublicKey:
+        """Public key in the file of --peer, which must be given."""
         assert self.peer is not None
         return read_public(self.peer)
 
     @cached_property
-    def own(self) -> KeyPair:
-        """Key pair of --key, which must be given."""
+    def pair(self) -> KeyPair:
+        """Key pair in the file of --key, which must be given."""
         assert self.key is not None
         return read_pair(self.key)
 
-    def _check_insecure(self, keyed: bool, addresses: Sequence[str], options: str) -> None:
-        """Check that a link has keys, stays on this machine, or is explicitly insecure."""
-        if keyed and self.insecure:
-            raise ProtectionError("--insecure does without keys, and --key is given: choose one")
+    def _check_without_keys(self, addresses: Sequence[str], options: str) -> None:
+        """Check that a link without keys stays on this machine, or is explicitly insecure."""
         for address in addresses:
-            if beyond_loopback(address) and not keyed and not self.insecure:
+            if beyond_loopback(address) and not self.insecure:
                 raise ProtectionError(
                     f"{address} reaches beyond this machine without keys; make them by"
                     f" 'telepulse keys new NAME' and give {options}, or give --insecure"

@@ -13,10 +13,12 @@ from protocol.refusals import (
     HANDSHAKE,
     NO_KEY,
     NOT_AUTHENTIC,
-    REFUSED_KEY,
+    OWN_KEY_REVOKED,
+    OWN_KEY_UNKNOWN,
     REPLAYED,
-    REVOKED,
+    SERVER_LIST_UNREADABLE,
 )
+from protocol.security import zap
 from protocol.security.link_keys import ClientKeys
 from protocol.sockets import Context, Socket, receive_multipart
 
@@ -34,7 +36,8 @@ _EVENT = struct.Struct("=HI")
 MAX_EVENTS = 200
 _numbers = itertools.count()
 POLL_EVERY_NS = 10_000_000
-# Number of broken handshakes that is reported; a node that shuts down breaks one or two.
+# Handshakes of a socket that break in a row before this counts as a refusal: a node that shuts down
+# breaks one or two.
 REPEATED_BREAKS = 3
 _HANDSHAKE_EVENTS = (
     zmq.EVENT_CONNECTED
@@ -81,27 +84,31 @@ def cause_of(value: int) -> str:
 
 
 class HandshakeMonitor:
-    """Monitor of connecting sockets: counts failed handshakes and reports each reason once.
+    """Monitor of a client's sockets: counts failed handshakes and reports each reason once.
 
-    ZeroMQ itself retries without end and reports nothing. rejected: failed handshakes by cause.
-    connected: sockets whose TCP connection is open; its handshake may still fail. established:
-    those whose handshake has succeeded. retried: attempts to connect that failed, by socket.
-    refusal: the last failed handshake, with what to do about it; empty after one that succeeded.
+    ZeroMQ itself retries without end and reports nothing. rejected: failed handshakes by cause;
+    those that break by chance, fewer than `REPEATED_BREAKS` in a row, are left out. connected:
+    sockets whose TCP connection is open; its handshake may still fail. established: those whose
+    handshake has succeeded. retried: attempts to connect that failed, by socket. refused: cause of
+    the last refusal, None after a handshake that succeeded; refusal: its text, with what to do
+    about it.
     """
 
     def __init__(self, context: Context, keys: ClientKeys | None) -> None:
         self._context = context
         self._keys = keys
         self._monitors: list[tuple[Socket, SocketMonitor]] = []
-        self._breaks: Counter[str] = Counter()
-        # Hosts that have allowed this node's key; a later refusal is a revocation.
-        self._allowed_by: set[str] = set()
+        # Broken handshakes of each socket since its last one that did not break.
+        self._breaks: Counter[Socket] = Counter()
+        # Hosts that have accepted this node's key; a later refusal is a revocation.
+        self._accepted_by: set[str] = set()
         self._reported: set[tuple[str, str]] = set()
         self._poll_ns = 0
         self.rejected: Counter[str] = Counter()
         self.connected: set[Socket] = set()
         self.established: set[Socket] = set()
         self.retried: Counter[Socket] = Counter()
+        self.refused: str | None = None
         self.refusal = ""
 
     def watch(self, socket: Socket) -> None:
@@ -119,10 +126,7 @@ class HandshakeMonitor:
         answered = []
         for socket, monitor in self._monitors:
             for event, value, endpoint in monitor.events():
-                if event == zmq.EVENT_HANDSHAKE_SUCCEEDED:
-                    self.established.add(socket)
-                else:
-                    self.established.discard(socket)
+                self.established.discard(socket)
                 if event == zmq.EVENT_CONNECTED:
                     self.connected.add(socket)
                     answered.append(socket)
@@ -131,33 +135,47 @@ class HandshakeMonitor:
                     self.retried[socket] += 1
                 elif event == zmq.EVENT_DISCONNECTED:
                     self.connected.discard(socket)
+                elif event == zmq.EVENT_HANDSHAKE_SUCCEEDED:
+                    self.established.add(socket)
+                    self._accept(socket, endpoint)
                 else:
-                    self._count(event, value, endpoint)
+                    self._refuse(socket, event, value, endpoint)
         return answered
 
-    def _count(self, event: int, value: int, endpoint: str) -> None:
-        # Without the port, since data and control of a node fail for the same reason.
-        host = endpoint.rpartition(":")[0]
-        if event == zmq.EVENT_HANDSHAKE_SUCCEEDED:
-            self._breaks[host], self.refusal = 0, ""
-            self._allowed_by.add(host)
-            # A second revocation is reported again.
-            self._reported.discard((REVOKED, host))
-            return
-        if event != zmq.EVENT_HANDSHAKE_FAILED_AUTH:
-            cause = cause_of(value)
-        else:
-            cause = REVOKED if host in self._allowed_by else REFUSED_KEY
-        self.rejected[cause] += 1
+    def _accept(self, socket: Socket, endpoint: str) -> None:
+        host = _host_of(endpoint)
+        self._breaks[socket], self.refused, self.refusal = 0, None, ""
+        self._accepted_by.add(host)
+        # What can happen to a working link at any time is reported again.
+        self._reported -= {(OWN_KEY_REVOKED, host), (SERVER_LIST_UNREADABLE, host)}
+
+    def _refuse(self, socket: Socket, event: int, value: int, endpoint: str) -> None:
+        host = _host_of(endpoint)
+        cause = self._cause_of_refusal(event, value, host)
         if cause == HANDSHAKE:
-            self._breaks[host] += 1
-            if self._breaks[host] < REPEATED_BREAKS:
+            self._breaks[socket] += 1
+            if self._breaks[socket] < REPEATED_BREAKS:
                 return
+            if self._breaks[socket] == REPEATED_BREAKS:
+                self.rejected[cause] += REPEATED_BREAKS - 1
+        self.rejected[cause] += 1
         words, keys = CONNECTIONS[cause], self._keys
         reason = words.without_keys
         if keys is not None:
-            reason = words.at_client.format(own=keys.own.name, peer=keys.peer.name)
-        self.refusal = f"{endpoint} {reason}"
+            reason = words.at_client.format(client=keys.pair.name, server=keys.server_key.name)
+        self.refused, self.refusal = cause, f"{endpoint} {reason}"
         if (cause, host) not in self._reported:
             self._reported.add((cause, host))
             logger.warning(self.refusal)
+
+    def _cause_of_refusal(self, event: int, value: int, host: str) -> str:
+        if event != zmq.EVENT_HANDSHAKE_FAILED_AUTH:
+            return cause_of(value)
+        if value == zap.CANNOT_DECIDE:
+            return SERVER_LIST_UNREADABLE
+        return OWN_KEY_REVOKED if host in self._accepted_by else OWN_KEY_UNKNOWN
+
+
+def _host_of(endpoint: str) -> str:
+    """Return an endpoint without its port: a node's data and control fail for the same reason."""
+    return endpoint.rpartition(":")[0]
