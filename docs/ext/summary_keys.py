@@ -2,8 +2,8 @@
 
 from typing import Any
 
+from protocol.summary.fields import OF_A_CONTACTOR, ErrorWindow, Summary
 from protocol.summary.figures import Surface, figures
-from protocol.summary.tables import OF_A_CONTACTOR, ErrorWindow, Summary
 
 _KINDS = {
     int | None: "whole number",
