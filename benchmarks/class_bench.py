@@ -18,13 +18,13 @@ import numpy as np
 from benchmarks.bench_faults import tried
 from benchmarks.benchmark import Benchmark
 from benchmarks.emulated_bench import LEAVING_MS, SETTLED_MS, pulse, settled_rmse_n
-from tests.support import avr_boards
+from telepulse.emulators import simavr
+from telepulse.emulators.simavr import Programs
 from tests.support.class_bench import (
     FAULTS,
     TICK_HZ,
     ChipTrace,
     Fault,
-    Programs,
     given_steps,
     left_after_s,
     playing,
@@ -37,14 +37,14 @@ FELT = ("aligned RMSE of a pulse of 300 mN", "the same, by the display", "steps 
 # Shown and not judged: a bootloader keeps the motor off, and a reading of 0 N is a plausible one,
 # of which only the display knows that it is wrong.
 BEYOND_THE_BOARD: dict[str, Fault] = {
-    "reset by DTR, a bootloader waits 1 s": lambda bench: bench.tell("reset 1000"),
-    "film reads 0 N, found by the display": lambda bench: bench.tell("film 2.5"),
+    "reset by DTR, a bootloader waits 1 s": lambda bench: bench.chip.tell("reset 1000"),
+    "film reads 0 N, found by the display": lambda bench: bench.chip.tell("film 2.5"),
 }
 
 
 def main(benchmark: Benchmark) -> None:
     """Print the tables of the chosen parts. Raises ValueError without compiler or simulator."""
-    if (reason := avr_boards.missing()) is not None:
+    if (reason := simavr.missing()) is not None:
         raise ValueError(reason)
     with TemporaryDirectory(prefix="telepulse-") as folder:
         programs = Programs.compile(Path(folder))

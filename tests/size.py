@@ -21,7 +21,14 @@ class Room(NamedTuple):
 ROOMS = (
     Room(
         "class bench, with its tests",
-        ("*stepdir*", "*class_bench*", "*drive_film*", "*/cli/*boards.py", "tests/support/avr*"),
+        (
+            "*stepdir*",
+            "*class_bench*",
+            "*drive_film*",
+            "*/cli/*boards.py",
+            "*/emulators/simavr.py",
+            "tests/support/avr*",
+        ),
         2_500,
     ),
     Room(

@@ -5,7 +5,7 @@ import sys
 import time
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from itertools import cycle
 from pathlib import Path
 from subprocess import PIPE
@@ -18,13 +18,14 @@ from rich.console import Console
 from serial.tools import list_ports
 
 from protocol.cli_options import BENCH_IS_CLEAR
-from protocol.errors import SceneError, SourceError
+from protocol.errors import ProcessError, SceneError, SourceError
 from protocol.host.child_process import ChildProcess
 from protocol.host.process import interrupt_on_signals
 from pulse_drives.stepdir.scene import StepdirScene
 from pulse_sensors import library
 from pulse_sensors.serial_port import SerialScene
 from telepulse.cli.options import PROGRAM
+from telepulse.emulators import simavr
 from telepulse.emulators.sensor_board import COUNTS
 from telepulse.scene import Scene
 
@@ -55,6 +56,15 @@ WHAT_HAPPENS = (
     "The finger's board is on {finger}, the wrist's on {wrist}.\n"
     "First the bench is checked, with nothing on the wrist's film: the drive seeks home and presses"
     " with up to {force:g} N. Keep fingers away: put a dummy of rubber in the finger's place."
+)
+BYTE_LEVEL = (
+    "the boards are emulated byte for byte, since the finger's sketch cannot run on simavr:"
+    " {reason}"
+)
+SIMULATED = "the finger's board is its sketch on simavr; the wrist's is emulated byte for byte"
+KEPT_WAITING = (
+    "this machine kept the simulated board waiting for {late_ms:.0f} ms: a check that failed, or a"
+    " fault, may come from that and not from the board; end other programs"
 )
 READY = (
     "Put the film on the wrist. The drive seeks home once more: keep fingers away until the pulse"
@@ -160,7 +170,7 @@ def prepare_boards(
     path.write_text(_with_ports(scene.path, found, emulated), encoding="utf-8")
     scene = reload(str(path))
     if emulated:
-        _emulate(stack, "finger", "stepdir", str(path), "--link", found["finger"])
+        _emulate_finger(stack, scene, folder / "finger", console)
         sensor = *EMULATED_SENSOR, "--link", str(folder / "wrist")
         still = _emulate(stack, "wrist", *sensor, "--still")
         _check(scene, console)
@@ -213,8 +223,32 @@ def _with_ports(path: Path, ports: dict[End, str], emulated: bool) -> str:
         keys = {"port": ports["wrist"]} | (COUNTS if emulated else {})
         lines.append("[sensing.source]")
         lines += [f"{key} = {json.dumps(value)}" for key, value in keys.items()]
-    lines += ["[display.drive]", f"port = {json.dumps(ports['finger'])}"]
+    keys = {"port": ports["finger"]} | (simavr.WIRED if emulated else {})
+    lines.append("[display.drive]")
+    lines += [f"{key} = {json.dumps(value)}" for key, value in keys.items()]
     return "\n".join(lines) + "\n"
+
+
+def _emulate_finger(stack: ExitStack, scene: Scene, link: Path, console: Console) -> None:
+    """Start the finger's board: its sketch on a simulated chip, otherwise its emulator."""
+    try:
+        programs = simavr.Programs.compile(link.parent)
+    except ProcessError as error:
+        console.print(BYTE_LEVEL.format(reason=error))
+        _emulate(stack, "finger", "stepdir", str(scene.path), "--link", str(link))
+        return
+    console.print(SIMULATED)
+    chip = simavr.Harness(programs, *simavr.settings_of(scene.display.choose(None)))
+    stack.callback(chip.close)
+    chip.open_line(link)
+    stack.callback(_report_lateness, chip, console)
+
+
+def _report_lateness(chip: simavr.Harness, console: Console) -> None:
+    # A chip that has crashed has no report; the display names the fault.
+    with suppress(OSError, ProcessError):
+        if (late_ms := chip.report()["late_ms"]) > simavr.LATE_MS:
+            console.print(KEPT_WAITING.format(late_ms=late_ms))
 
 
 def _emulate(stack: ExitStack, end: End, *words: str) -> ChildProcess:

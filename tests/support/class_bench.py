@@ -4,14 +4,12 @@ The chip runs in real time, with the drive's line on a pseudo-terminal. It recor
 feels by its own time, so that a slow host does not make a withdrawal look slow.
 """
 
-import json
 import os
 import signal
 import time
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack, closing, contextmanager, suppress
 from pathlib import Path
-from subprocess import PIPE, Popen
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -20,16 +18,13 @@ from numpy.typing import NDArray
 
 from protocol.config.scene_file import find_scene, load_document
 from pulse_drives.stepdir.frames import BoardLimits, CommandResult, Format
-from tests.support import avr_boards
+from telepulse.emulators.simavr import LATE_MS, Harness, Programs
+from tests.support.avr_boards import Display
 from tests.support.emulated_bench import BenchFailedError, EmulatedBench
 from tests.support.waiting import until
 
 # The pulse, made by the sensing node or by the emulator of the wrist's board.
 SOURCE = "bench"
-# Above the nodes, since the chip's time counts.
-NICEST = -20
-# A chip that was kept waiting for longer belongs to a machine that is too busy.
-LATE_MS = 15.0
 PRESSED_N = 0.05
 PRESSED_S = 0.1
 # Samples that are played until a fault: by then the pulse is felt.
@@ -83,26 +78,13 @@ class ChipTrace(NamedTuple):
         return max(0.0, float(self.time_s[self.force_n > 0][-1]) - began_s)
 
 
-class Programs(NamedTuple):
-    """The harness, and the display's sketch."""
-
-    harness: Path
-    firmware: Path
-
-    @classmethod
-    def compile(cls, folder: Path) -> "Programs":
-        """Compile both in a folder."""
-        sketch = avr_boards.compile_sketch("telepulse_display", folder)
-        return cls(avr_boards.compile_harness("display", folder), sketch)
-
-
 def given_steps(programs: Programs, rate_hz: float, folder: Path) -> tuple[float, float, int]:
     """Return a rate as given there, the greatest deviation of a step from it in s, and lost steps.
 
     The motor goes there and back, without nodes and without a finger; time passes on command.
     """
     trace = folder / "steps.csv"
-    with avr_boards.running(*programs, f"trace={trace}", "finger_n_per_m=0.001") as display:
+    with closing(Display(programs, f"trace={trace}", "finger_n_per_m=0.001")) as display:
         display.run(10)
         for command in ((Format.LIMITS, *STEPPED), (Format.ARM,), (Format.HOME, 0, 0, 1, 1)):
             assert display.ask(*command) == (CommandResult.DONE, 0)
@@ -129,34 +111,17 @@ class ClassBench(EmulatedBench):
     def __init__(self, folder: Path, programs: Programs, with_board: bool) -> None:
         super().__init__(folder, "stepdir", SOURCE)
         self._trace_file = folder / "chip.csv"
-        words = (*programs, f"trace={self._trace_file}")
         with (folder / "log").open("ab") as log:
-            self._chip = Popen(
-                list(map(str, words)), stdin=PIPE, stdout=PIPE, stderr=log, encoding="utf-8"
-            )
-        with suppress(PermissionError):
-            os.setpriority(os.PRIO_PROCESS, self._chip.pid, NICEST)
-        self.film.symlink_to(self._answer())
+            self.chip = Harness(programs, f"trace={self._trace_file}", stderr=log)
+        self.chip.open_line(self.film)
         if not with_board:
             tables = load_document(self.scene)
             tables["sensing"]["source"] = load_document(find_scene(SOURCE))["sensing"]["source"]
             self.scene.write_text(tomlkit.dumps(tables), encoding="utf-8")
 
-    def tell(self, command: str) -> None:
-        """Give the harness a line, such as "film 5"."""
-        assert self._chip.stdin is not None
-        self._chip.stdin.write(command + "\n")
-        self._chip.stdin.flush()
-
-    def report(self) -> dict[str, Any]:
-        """Return the harness's report."""
-        self.tell("report")
-        report: dict[str, Any] = json.loads(self._answer())
-        return report
-
     def timely_report(self) -> dict[str, Any]:
         """Return a report. Raises BusyMachineError if the chip was kept waiting since the last."""
-        report = self.report()
+        report = self.chip.report()
         if (late_ms := report["late_ms"]) > LATE_MS:
             raise BusyMachineError(f"this machine kept the chip waiting for {late_ms:.0f} ms")
         return report
@@ -174,17 +139,8 @@ class ClassBench(EmulatedBench):
     def end_chip(self) -> ChipTrace:
         """End the chip; return its record. Raises BusyMachineError."""
         self.timely_report()
-        self.stop_chip()
+        self.chip.close()
         return ChipTrace.read(self._trace_file)
-
-    def stop_chip(self) -> None:
-        """End the chip, by the end of its input, if it runs."""
-        if self._chip.returncode is None:
-            self._chip.communicate()
-
-    def _answer(self) -> str:
-        assert self._chip.stdout is not None
-        return self._chip.stdout.readline().strip()
 
 
 @contextmanager
@@ -192,7 +148,7 @@ def playing(folder: Path, programs: Programs, with_board: bool = False) -> Itera
     """Provide a bench on which the pulse is felt. Raises BenchFailedError."""
     with ExitStack() as leaving:
         bench = ClassBench(folder, programs, with_board)
-        leaving.callback(bench.stop_chip)
+        leaving.callback(bench.chip.close)
         leaving.callback(bench.kill)
         if with_board:
             bench.start_board()
@@ -205,7 +161,7 @@ def playing(folder: Path, programs: Programs, with_board: bool = False) -> Itera
             bench.timely_report()
             raise
         # What delayed the chip while the nodes started does not count.
-        bench.report()
+        bench.chip.report()
         yield bench
 
 
@@ -217,7 +173,7 @@ def alone(command: str) -> Fault:
 
     def happens(bench: ClassBench) -> None:
         bench.processes["display"].send_signal(signal.SIGSTOP)
-        bench.tell(command)
+        bench.chip.tell(command)
 
     return happens
 
@@ -232,7 +188,7 @@ FOUND_AT_ONCE: Final[dict[str, Fault]] = {
 FAULTS: Final[dict[str, Fault]] = {
     "kill -9 of the display": lambda bench: bench.processes["display"].kill(),
     "SIGSTOP of the display": lambda bench: bench.processes["display"].send_signal(signal.SIGSTOP),
-    "cable unplugged": lambda bench: bench.tell("unplug"),
+    "cable unplugged": lambda bench: bench.chip.tell("unplug"),
     "garbage on the line": ClassBench.spoil_line,
     **FOUND_AT_ONCE,
 }
@@ -244,7 +200,7 @@ def left_after_s(programs: Programs, fault: Fault, folder: Path) -> float:
     Raises BenchFailedError where the pulse was not felt before.
     """
     with playing(folder, programs) as bench:
-        began_s = bench.report()["time_s"]
+        began_s = bench.chip.report()["time_s"]
         fault(bench)
         time.sleep(AFTER_S)
         return bench.end_chip().left_after_s(began_s)

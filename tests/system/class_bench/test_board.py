@@ -6,7 +6,7 @@ Time passes on command, so nothing here depends on this machine's speed.
 import random
 import subprocess
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import AbstractContextManager, closing, contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -21,11 +21,12 @@ from pulse_drives.stepdir.frames import (
     StateFlag,
     TripCause,
 )
-from tests.support import avr_boards as boards
+from telepulse.emulators import simavr
+from telepulse.emulators.simavr import Programs
 from tests.support.avr_boards import Display
-from tests.support.class_bench import TICK_HZ, Programs, given_steps
+from tests.support.class_bench import TICK_HZ, given_steps
 
-pytestmark = pytest.mark.skipif(boards.missing() is not None, reason=str(boards.missing()))
+pytestmark = pytest.mark.skipif(simavr.missing() is not None, reason=str(simavr.missing()))
 
 DISARMED, ARMED, HOMING, READY, RUNNING, WITHDRAWING, WITHDRAWN, FAULT = BoardMode
 DONE, WRONG_STATE, OUT_OF_BOUNDS, UNKNOWN, NO_LIMITS, FILM_OUTSIDE = CommandResult
@@ -54,7 +55,7 @@ def board(programs: Programs) -> Open:
 
     @contextmanager
     def start(*settings: str) -> Iterator[Display]:
-        with boards.running(*programs, *settings) as display:
+        with closing(Display(programs, *settings)) as display:
             display.run(10)
             yield display
 
@@ -132,10 +133,10 @@ def test_commands_out_of_order_or_bounds_are_refused_with_the_reason(board: Open
             assert display.ask(HOME, *search) == (OUT_OF_BOUNDS, number + 1)
         assert display.ask(STATE) == (UNKNOWN, 0)
         # No search has shown the direction yet: the board does not move by itself.
-        display.harness("film 5")
+        display.tell("film 5")
         display.run(3)
         assert display.ask(HOME, *SEARCH) == (FILM_OUTSIDE, 0)
-        display.harness("reset")
+        display.tell("reset")
         assert display.run(20).mode == DISARMED
         assert display.report()["tip_um"] == pytest.approx(-1_000, abs=1)
 
@@ -233,7 +234,7 @@ def test_a_film_outside_its_limits_withdraws_within_2_ms(
         display.send(VELOCITY, 0, 500)
         display.run(2 + after_ms)
         began_um = display.report()["tip_um"]
-        display.harness(f"film {volts}")
+        display.tell(f"film {volts}")
         display.run(2)
         # The state of the second millisecond is still on the line.
         state = display.run(1)
@@ -247,11 +248,11 @@ def test_a_film_outside_its_limits_withdraws_within_2_ms(
 def test_a_fault_of_the_carrier_and_the_hosts_command_withdraw(board: Open) -> None:
     with board() as display:
         press(display, options=4)
-        display.harness("fault 0")
+        display.tell("fault 0")
         display.drive(0, 6)
         assert (display.states[-1].mode, display.states[-1].cause) == (WITHDRAWING, FAULT_PIN)
         display.ask(DISARM)
-        display.harness("fault 1")
+        display.tell("fault 1")
         # Never homed, it withdraws from where it is.
         arm(display)
         assert display.ask(WITHDRAW) == (DONE, 0)
@@ -294,7 +295,7 @@ def test_garbage_is_counted_and_harmless(board: Open) -> None:
 def test_a_reset_of_a_pressing_board_withdraws_without_a_host(board: Open) -> None:
     with board() as display:
         press(display)
-        display.harness("reset 50")
+        display.tell("reset 50")
         assert left_the_finger(display, within_ms=200)
         state = display.run_until(WITHDRAWN)
         assert state.cause == RESET
@@ -302,7 +303,7 @@ def test_a_reset_of_a_pressing_board_withdraws_without_a_host(board: Open) -> No
         assert display.greet().reset_cause == 2
         assert display.ask(ARM) == (NO_LIMITS, 0)
         # Withdrawn or never armed, it stays where it is.
-        display.harness("reset")
+        display.tell("reset")
         state = display.run(100)
         assert (state.mode, state.cause, state.position) == (DISARMED, 0, 0)
 
@@ -310,7 +311,7 @@ def test_a_reset_of_a_pressing_board_withdraws_without_a_host(board: Open) -> No
 def test_an_unplugged_cable_withdraws(board: Open) -> None:
     with board() as display:
         press(display)
-        display.harness("unplug")
+        display.tell("unplug")
         display.pass_time(150)
         assert display.report()["force_mn"] == 0
 
@@ -326,7 +327,7 @@ def test_a_program_that_hangs_is_reset_by_the_processors_watchdog(
         make_ready(display)
         display.drive(16_000, 240)
         assert display.states[-1].position > 3_600
-        display.harness(f"hang {int(endless, 16)}")
+        display.tell(f"hang {int(endless, 16)}")
         assert left_the_finger(display, within_ms=200)
         assert display.run_until(WITHDRAWN).cause == RESET
         assert display.greet().reset_cause == 4
@@ -339,7 +340,7 @@ def test_a_home_switch_that_is_stuck_fails_the_search_or_withdraws(board: Open) 
     for level, cause, most_steps in ((0, NO_HOME, 6_000), (1, STUCK, 500)):
         with board() as display:
             arm(display)
-            display.harness(f"switch {level}")
+            display.tell(f"switch {level}")
             display.run(5)
             began_um = display.report()["tip_um"]
             display.ask(HOME, *SEARCH)
@@ -352,7 +353,7 @@ def test_a_home_switch_that_is_stuck_fails_the_search_or_withdraws(board: Open) 
         assert display.run_until(FAULT).cause == TIMEOUT
     with board() as display:
         press(display)
-        display.harness("switch 1")
+        display.tell("switch 1")
         display.drive(0, 10)
         assert (display.states[-1].mode, display.states[-1].cause) == (WITHDRAWING, SWITCH)
         assert left_the_finger(display, within_ms=100)

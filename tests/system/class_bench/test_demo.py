@@ -2,6 +2,7 @@
 
 import os
 import signal
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -12,6 +13,7 @@ import pytest
 from display_node.verdict import NOT_VALID_STATUS
 from protocol.cli_options import FAULT_STATUS
 from protocol.host.child_process import ChildProcess
+from telepulse.emulators import simavr
 from tests.support.emulated_bench import NICE, bench_scene_text
 from tests.support.nodes import assert_accounted, process, read_json
 from tests.system.drives.attempts import PATIENCE_MS, TRIES
@@ -19,16 +21,23 @@ from tests.system.drives.attempts import PATIENCE_MS, TRIES
 WITHIN_S = 120.0
 # A busy machine has held up a check, or the play.
 BUSY = (1, FAULT_STATUS, NOT_VALID_STATUS)
+WAITING = "this machine kept the simulated board waiting for "
+# Without its tools, simavr is not there; with them, the finger's sketch runs.
+EMULATED, ON_SIMAVR = "", os.environ["PATH"]
+needs_simavr = pytest.mark.skipif(simavr.missing() is not None, reason=str(simavr.missing()))
 
 
 @contextmanager
-def playing(folder: Path, *options: str, **streams: int) -> Iterator[ChildProcess]:
-    """Run a demo whose temporary files are in a folder; check that it leaves none behind."""
+def playing(folder: Path, path: str, *options: str, **streams: int) -> Iterator[ChildProcess]:
+    """Run a demo whose temporary files are in a folder; check that it leaves none behind.
+
+    path: that of the tools.
+    """
     text = bench_scene_text(folder, "stepdir", PATIENCE_MS)
     (scene := folder / "class_bench.toml").write_text(text, encoding="utf-8")
     (temporary := folder / "temporary").mkdir(exist_ok=True)
     words = ("demo", str(scene), "--emulated", "--seconds", "5", *options)
-    environment = {**os.environ, "TMPDIR": str(temporary)}
+    environment = {**os.environ, "TMPDIR": str(temporary), "PATH": path}
     with process("telepulse", *words, env=environment, **streams) as demo:
         # Other load on this machine must not look like a fault, where the priority is permitted.
         with suppress(PermissionError):
@@ -37,15 +46,30 @@ def playing(folder: Path, *options: str, **streams: int) -> Iterator[ChildProces
         assert list(temporary.iterdir()) == []
 
 
-def test_one_command_checks_the_emulated_bench_and_plays(tmp_path: Path) -> None:
+@pytest.mark.timeout(TRIES * WITHIN_S)
+@pytest.mark.parametrize(
+    ("path", "boards"),
+    [
+        (EMULATED, "the boards are emulated byte for byte, since the finger's sketch cannot"),
+        pytest.param(ON_SIMAVR, "the finger's board is its sketch on simavr", marks=needs_simavr),
+    ],
+)
+def test_one_command_checks_the_emulated_bench_and_plays(
+    path: str, boards: str, tmp_path: Path
+) -> None:
     out = tmp_path / "out.json"
+    options = ("--json", str(out), "--ui", "--no-page")
     for _ in range(TRIES):
-        with playing(tmp_path, "--json", str(out), "--ui", "--no-page", stderr=STDOUT) as demo:
+        with playing(tmp_path, path, *options, stderr=STDOUT) as demo:
             output, _ = demo.communicate(timeout=WITHIN_S)
         if demo.returncode not in BUSY:
             break
+    else:
+        if WAITING in output:
+            pytest.skip(output.splitlines()[-1])
     assert demo.returncode == 0, output
-    lines = output.splitlines()
+    said, *lines = output.splitlines()
+    assert said.startswith(boards)
     assert lines[0] == "checking the bench"
     assert lines[1].startswith("checks: ")
     assert "fail" not in lines[1]
@@ -64,7 +88,8 @@ def test_one_command_checks_the_emulated_bench_and_plays(tmp_path: Path) -> None
 def test_a_demo_that_is_ended_in_its_check_takes_the_boards_with_it(
     number: signal.Signals, tmp_path: Path
 ) -> None:
-    with playing(tmp_path, "--no-ui") as demo:
+    with playing(tmp_path, EMULATED, "--no-ui") as demo:
+        assert "avr-gcc" in demo.read_line(WITHIN_S)
         assert demo.read_line(WITHIN_S) == "checking the bench"
         (folder,) = (tmp_path / "temporary").iterdir()
         terminals = [(folder / end).resolve() for end in ("finger", "wrist")]
@@ -73,3 +98,19 @@ def test_a_demo_that_is_ended_in_its_check_takes_the_boards_with_it(
         demo.communicate(timeout=WITHIN_S)
         assert demo.returncode > 0
         assert not any(terminal.exists() for terminal in terminals)
+
+
+@needs_simavr
+def test_a_chip_that_is_kept_waiting_is_reported(tmp_path: Path) -> None:
+    with playing(tmp_path, ON_SIMAVR, "--no-ui") as demo:
+        assert "simavr" in demo.read_line(WITHIN_S)
+        assert demo.read_line(WITHIN_S) == "checking the bench"
+        children = Path(f"/proc/{demo.pid}/task/{demo.pid}/children").read_text().split()
+        names = {Path(f"/proc/{pid}/comm").read_text().strip(): int(pid) for pid in children}
+        os.kill(names["display"], signal.SIGSTOP)
+        time.sleep(0.1)
+        os.kill(names["display"], signal.SIGCONT)
+        demo.send_signal(signal.SIGINT)
+        output, _ = demo.communicate(timeout=WITHIN_S)
+        assert WAITING in output
+        assert not Path(f"/proc/{names['display']}").exists()

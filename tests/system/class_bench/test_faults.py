@@ -13,19 +13,19 @@ from typing import TypeVar
 import numpy as np
 import pytest
 
-from tests.support import avr_boards
+from telepulse.emulators import simavr
+from telepulse.emulators.simavr import Programs
 from tests.support.class_bench import (
     FAULTS,
     FOUND_AT_ONCE,
     BusyMachineError,
     ChipTrace,
-    Programs,
     left_after_s,
     playing,
 )
 from tests.support.emulated_bench import BenchFailedError
 
-pytestmark = pytest.mark.skipif(avr_boards.missing() is not None, reason=str(avr_boards.missing()))
+pytestmark = pytest.mark.skipif(simavr.missing() is not None, reason=str(simavr.missing()))
 
 LEFT_WITHIN_S = 0.3
 TRIES = 4

@@ -14,10 +14,10 @@ from pulse_sensors.binary_frames import FrameDecoder
 from pulse_sensors.samples import SampleBlock
 from pulse_sensors.sensor import open_sensor
 from pulse_sensors.serial_port import SerialScene
-from tests.support import avr_boards as boards
+from telepulse.emulators import simavr
 from tests.support.sample_blocks import forces, received
 
-SKETCH = boards.FIRMWARE / "telepulse_sensor" / "telepulse_sensor.ino"
+SKETCH = simavr.FIRMWARE / "telepulse_sensor" / "telepulse_sensor.ino"
 BOARD = """
 #pragma once
 #include <cstdint>
@@ -43,13 +43,16 @@ def frames_of_sketch(folder: Path, source: str) -> bytes:
     sketch.write_text(source, encoding="utf-8")
     main.write_text(MAIN.format(sketch=sketch), encoding="utf-8")
     paths = [f"-I{folder}", f"-I{SKETCH.parent}"]
-    boards.compile_or_fail(folder, "g++", *boards.WARNINGS, *paths, str(main), "-o", str(program))
+    simavr.run_compiler(folder, "g++", *simavr.WARNINGS, *paths, str(main), "-o", str(program))
     return subprocess.run([str(program)], capture_output=True, check=True, timeout=20).stdout
 
 
 def test_both_sketches_have_the_same_framing() -> None:
     # Each folder opens in Arduino's editor as it is, without a library to install.
-    files = [boards.FIRMWARE / name / "telepulse_frames.h" for name in boards.SKETCHES]
+    files = [
+        simavr.FIRMWARE / name / "telepulse_frames.h"
+        for name in ("telepulse_display", "telepulse_sensor")
+    ]
     assert len({file.read_bytes() for file in files}) == 1
 
 
@@ -98,10 +101,10 @@ def read_board(command: list[str]) -> tuple[list[SampleBlock], float, Counter[st
             running.kill()
 
 
-@pytest.mark.skipif(boards.missing() is not None, reason=str(boards.missing()))
+@pytest.mark.skipif(simavr.missing() is not None, reason=str(simavr.missing()))
 def test_the_sketch_on_an_atmega_streams_by_the_chips_own_clock(tmp_path: Path) -> None:
-    firmware = boards.compile_sketch("telepulse_sensor", tmp_path)
-    board = boards.compile_harness("sensor", tmp_path)
+    firmware = simavr.compile_sketch("telepulse_sensor", tmp_path)
+    board = simavr.compile_harness("sensor", tmp_path)
     command = [str(board), str(firmware), str(DRIFT_PPM)]
     # Where the machine keeps the reader from its processor, the port overflows; a board that loses
     # samples does so each time.
