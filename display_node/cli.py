@@ -156,19 +156,20 @@ def display(
             raise SceneError("no scene: display-node SCENE plays one")
         request = parse_realtime(realtime)
         check_strict(request)
-        links = KeyOptions(key, peer, allow, insecure)
+        key_options = KeyOptions(key, peer, allow, insecure)
         if discover or named is not None:
             if connect != [HERE]:
                 raise DiscoveryError(
                     "--discover finds the address, and --connect is given: choose one"
                 )
-            connect = discovered(named, links.server_key if peer else None, seconds)
-        keys, telemetry_keys = links.client(*connect), links.telemetry_server(telemetry)
+            connect = discovered(named, key_options.server_key if peer else None, seconds)
+        client_keys = key_options.client(*connect)
+        telemetry_keys = key_options.telemetry_server(telemetry)
         path = find_scene(scene)
         choice = {"predictor": predictor, "compensation": compensation}
         section = load_section(path, "display", DisplayScene, choice)
         # Screen, recorder and metrics server read protected telemetry with the display's own key.
-        readers_key = key if telemetry_keys else None
+        reader_key_path = key if telemetry_keys else None
         provenance = collect(path, {"display": section})
         # A signal raises KeyboardInterrupt, so that a drive on its way home is brought to rest.
         interrupt_on_signals()
@@ -181,11 +182,20 @@ def display(
             options.start_metrics(PROGRAM, metrics) as served,
             closing(
                 DisplayNode(
-                    section, connect, telemetry, keys, telemetry_keys, provenance.to_bytes()
+                    section,
+                    connect,
+                    telemetry,
+                    client_keys,
+                    telemetry_keys,
+                    provenance.to_bytes(),
                 )
             ) as node,
             start_recorder(
-                node.telemetry_address, node.await_recorder, record, readers_key, recorder_options
+                node.telemetry_address,
+                node.await_recorder,
+                record,
+                reader_key_path,
+                recorder_options,
             ) as recorder,
         ):
             freeze_objects()
@@ -198,11 +208,11 @@ def display(
                     node.use_press(press)
                 if served is not None:
                     served.send(
-                        address=node.telemetry_address, key=readers_key and str(readers_key)
+                        address=node.telemetry_address, key=reader_key_path and str(reader_key_path)
                     )
                 node.use(*benches)
                 draw = screen and not quiet
-                summary = _run(node, connect, seconds, once, draw, readers_key, request)
+                summary = _run(node, connect, seconds, once, draw, reader_key_path, request)
     status = conclude(PROGRAM, summary, "display node", console, json, provenance, details)
     if status == NOT_VALID_STATUS and node.stopped:
         status = 0
@@ -217,15 +227,18 @@ def _run(
     seconds: float | None,
     once: bool,
     screen: bool,
-    key: Path | None,
+    reader_key_path: Path | None,
     request: RealtimeRequest,
 ) -> Summary:
-    """Run the node, and a process that draws its state and reads the telemetry with `key`."""
+    """Run the node, and a process that draws its state.
+
+    reader_key_path: key with which that process reads the telemetry; None where it needs none.
+    """
     stop_on_signals(node.stop)
     logger.info(f"waiting for {', '.join(connect)}; telemetry on {node.telemetry_address}")
     watcher = None
     if screen:
-        arguments = [node.telemetry_address, *([str(key)] if key else [])]
+        arguments = [node.telemetry_address, *([str(reader_key_path)] if reader_key_path else [])]
         watcher = ChildProcess(
             "screen", "-m", "display_node.telemetry.terminal", *arguments, own_session=False
         )

@@ -22,7 +22,7 @@ from display_node.scoring.prediction_score import PredictionScore
 from display_node.scoring.tracking_error import TrackingError
 from protocol.summary.fields import Compensation, Limits, Loop, SampleCounts, Summary
 from protocol.tactile import matching_force_ratio
-from protocol.ticks import LimitCounter, TickState
+from protocol.ticks import NOT_PLAYED, LimitCounter, TickState
 from protocol.wire.description import StreamDescription
 from protocol.wire.messages import ChannelSamples
 from protocol.wire.telemetry import PlaybackStatus
@@ -92,9 +92,9 @@ class Contactor:
         # prediction of this tick: its instant, force, offset, height, and whether it is felt.
         self._unscored: deque[tuple[ChannelSamples, float | None]] = deque()
         self._predicted: tuple[int, float, float, float | None, bool] | None = None
-        # Time over which this tick's force was predicted; None where its sample had arrived.
-        self._predicted_ns: int | None = None
-        # Reference now and in the next ticks, and the film's reading for the loop.
+        # As in `TickState`, of this contactor.
+        self._predicted_ns = NOT_PLAYED
+        # Reference now and in the next ticks, before its bounds, and the loop's film reading.
         self._reference_n: list[float] = []
         self._reading_n = 0.0
 
@@ -121,6 +121,8 @@ class Contactor:
         self._unscored.clear()
         self._prediction_score.restart()
         self._beats.restart()
+        if self.tracking_error is not None:
+            self.tracking_error.begin_session(self.film_age_ns)
 
     def observe(self, samples: ChannelSamples, cell: ChannelSamples | None = None) -> None:
         """Take new samples of the channel; cell: of the load cell, where the finger presses."""
@@ -132,25 +134,26 @@ class Contactor:
         if len(self._unscored) > MOST_UNSCORED:
             self._score_samples()
 
-    def read_drive(self, now_ns: int, elapsed_ticks: int, safety: Safety) -> None:
-        """Take the real drive's motion since the last tick, and latch its fault."""
+    def read_hardware(self, now_ns: int, elapsed_ticks: int, safety: Safety) -> None:
+        """Take the drive's motion and the film's samples since the last tick, and a fault."""
         hardware, loop = self._hardware, self.loop
         if hardware is None:
             return
         fault = hardware.read() or hardware.overrun(elapsed_ticks)
         if fault is not None and not safety.faults:
             safety.fault(self._prefix + fault)
-        loop.shift(hardware.deviation_m(now_ns, elapsed_ticks))
+        held_ticks = elapsed_ticks if elapsed_ticks < loop.held_ticks else loop.held_ticks
+        loop.shift(hardware.deviation_m(now_ns, held_ticks))
 
     def rest(self, now_ns: int) -> None:
         """Request no force in this tick, since no stream is played."""
         self._reference_n = [0.0] * self.reference_ticks
-        self._predicted_ns = None
+        self._predicted_ns = NOT_PLAYED
         self.state.now_ns, self.state.trusted = now_ns, False
 
     def play(
-        self, wrist_n: list[float], sampled_ns: int, newest_ns: int, full: bool | None
-    ) -> int | None:
+        self, wrist_n: list[float], sampled_ns: int, newest_ns: int, alive: bool, full: bool
+    ) -> int:
         """Compute the reference of this tick.
 
         Parameters
@@ -161,26 +164,29 @@ class Contactor:
             Time of the first of them: of the sample that shows the played instant.
         newest_ns
             Time of the newest sample.
+        alive
+            Whether the stream is not stale.
         full
-            Whether the pulse was felt at full strength in the last tick; None where the stream is
-            stale.
+            Whether the pulse was felt at full strength in the last tick.
 
         Returns
         -------
-        int or None
-            The time in ns over which the force was predicted, 0 for a received one; None before
-            the first sample, where no force is requested.
+        int
+            The time in ns over which the force was predicted, 0 for a received one; `NOT_PLAYED`
+            before the first sample, where no force is requested.
         """
         concealment, count, ratio = self._concealment, self.reference_ticks, self.force_ratio
-        predicted_ns = self._predicted_ns = None
+        predicted_ns = 0
         if not wrist_n:
             if sampled_ns < newest_ns:
                 self._reference_n = [0.0] * count
-                return None
-            predicted_ns = self._predicted_ns = sampled_ns - newest_ns
+                self._predicted_ns = NOT_PLAYED
+                return NOT_PLAYED
+            predicted_ns = sampled_ns - newest_ns
+        self._predicted_ns = predicted_ns
         if concealment.acts or len(wrist_n) < count:
             wrist_n = concealment.complete(wrist_n, count, sampled_ns, newest_ns)
-            if full is not None and concealment.acts:
+            if alive and concealment.acts:
                 self._predicted = (
                     sampled_ns,
                     wrist_n[0],
@@ -192,13 +198,11 @@ class Contactor:
             self._reference_n = [ratio * force_n for force_n in wrist_n]
         else:
             self._reference_n = self.press.scale(wrist_n, sampled_ns, self._tick_ns, ratio)
-        return predicted_ns or 0
+        return predicted_ns
 
-    def read_film(self, now_ns: int, elapsed_ticks: int, safety: Safety) -> None:
-        """Read the film under the finger, and latch a fault of it."""
+    def read_force(self, now_ns: int, safety: Safety) -> None:
+        """Determine the felt force and the film's reading of this tick, and latch a fault of it."""
         loop, feedback, state = self.loop, self.feedback, self.state
-        if elapsed_ticks > 1:
-            loop.coast(elapsed_ticks - 1)
         if feedback is None:
             state.felt_n, self._reading_n = loop.felt_n, loop.read_film()
             fault = self.bounds.reading_fault(self._reading_n)
@@ -225,9 +229,9 @@ class Contactor:
         On a real bench, the drive receives the controller's output, or after a fault the command to
         withdraw.
         """
-        hardware, reference_n = self._hardware, self.bounds.bound(self._reference_n, gain)
-        output = self.loop.command(reference_n, self._reading_n)
-        self._gain, self._target_n = gain, reference_n[0]
+        hardware, bounded_n = self._hardware, self.bounds.bound(self._reference_n, gain)
+        output = self.loop.output(bounded_n, self._reading_n)
+        self._gain, self._target_n = gain, bounded_n[0]
         if hardware is None:
             return
         if self._tip is not None:
@@ -243,9 +247,9 @@ class Contactor:
         state.target_n = (
             target_n if self._target_delay is None else self._target_delay.step(target_n)
         )
-        state.scored = alive and self._gain == 1.0
+        state.full = alive and self._gain == 1.0
         predicted_ns = self._predicted_ns
-        error_n = None if predicted_ns is None else self._concealment.error_n(predicted_ns)
+        error_n = self._concealment.error_n(predicted_ns) if predicted_ns > 0 else None
         state.predictor_error_n = math.nan if error_n is None else self.force_ratio * error_n
         if self._predicted is not None:
             self._prediction_score.add_output(*self._predicted)
@@ -267,9 +271,9 @@ class Contactor:
         samples, height_n = self._unscored.popleft()
         if self.press is None:
             self._beats.observe(samples)
-        self._prediction_score.add_reference(samples, self.force_ratio, height_n)
+        self._prediction_score.add_samples(samples, self.force_ratio, height_n)
         if self.tracking_error is not None:
-            self.tracking_error.add_reference(samples, self.force_ratio, self._group_delay_ns)
+            self.tracking_error.add_samples(samples, self.force_ratio, self._group_delay_ns)
         return True
 
     def finish_scores(self) -> None:

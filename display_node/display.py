@@ -73,13 +73,13 @@ class Display:
         self._delays = PlayedDelays()
         self._availability = AvailabilityCounter(scene.tick_ns * 1e-9)
         self._interruptions = InterruptionCounter(scene.tick_ns * 1e-9)
-        channels = [each.channel for each in scene.contactors]
+        selected = [each.channel for each in scene.contactors]
         self.press: LocalPress | None = None
         if scene.press is not None:
             # The load cell's channel comes after those that are played.
-            channels.append(scene.press.channel)
+            selected.append(scene.press.channel)
             self.press = self.contactors[0].press = LocalPress(scene.press, press)
-        self.receiver = Receiver(name, channels, scene.late_target, scene.paths)
+        self.receiver = Receiver(name, selected, scene.late_target, scene.paths)
         if self.press is not None:
             self.receiver.take_probe = self.press.take
         self._playout = Playout(scene, self.receiver, self.contactors)
@@ -106,7 +106,7 @@ class Display:
             return "fault"
         if not self.receiver.ready:
             return "waiting"
-        if self.states[0].scored:
+        if self.states[0].full:
             return "playing"
         if self.receiver.buffer.ended:
             return "ended"
@@ -117,7 +117,7 @@ class Display:
         receiver, state = self.receiver, state or self.state
         if receiver.description is None:
             return pack_status(state, "", summary, final, receiver.session)
-        pairs = zip(self.contactors, receiver.channels, strict=self.press is None)
+        pairs = zip(self.contactors, receiver.channel_numbers, strict=self.press is None)
         playing = [contactor.playback(channel) for contactor, channel in pairs]
         name = receiver.description.name
         return pack_status(state, name, summary, final, receiver.session, playing=playing)
@@ -130,11 +130,12 @@ class Display:
 
     def on_frame(self, data: bytes, now_ns: int) -> None:
         """Take a data message."""
-        channels = self.receiver.on_frame(data, now_ns)
-        if channels is None:
+        received = self.receiver.on_frame(data, now_ns)
+        if received is None:
             return
-        cell = None if self.press is None else channels.pop()
-        for contactor, samples in zip(self.contactors, channels, strict=True):
+        # The load cell's channel is the last one of those that the receiver selects.
+        cell = None if self.press is None else received.pop()
+        for contactor, samples in zip(self.contactors, received, strict=True):
             contactor.observe(samples, cell)
         if self._announcement is not None and self.receiver.announcement is not None:
             self._announcement.observe(self.receiver.announcement)
@@ -145,6 +146,8 @@ class Display:
         resets, description = self.receiver.resets, self.receiver.description
         if resets != self._resets and description is not None:
             self._resets = resets
+            # Its ticks are of the clock and the session before.
+            self.close_block()
             predictors = self._scene.predictor.build(self._tick_ns, len(self.contactors))
             for contactor, predictor in zip(self.contactors, predictors, strict=True):
                 contactor.begin(description, predictor)
@@ -192,7 +195,7 @@ class Display:
             return None
         if receiver.buffer.ended:
             return None
-        clock, alive = receiver.clock, self.states[0].scored and not self.safety.faults
+        clock, alive = receiver.clock, self.states[0].full and not self.safety.faults
         round_trip_ns = 2 * clock.asymmetry_bound_ns
         sensing_ns = clock.remote_ns(now_ns)
         return press.request(receiver.session, sensing_ns, round_trip_ns, now_ns, alive)
@@ -206,10 +209,13 @@ class Display:
         """Advance the force loops to `now_ns`, `elapsed_ticks` ticks after the last one."""
         contactors, safety = self.contactors, self.safety
         for contactor in self._driven:
-            contactor.read_drive(now_ns, elapsed_ticks, safety)
+            contactor.read_hardware(now_ns, elapsed_ticks, safety)
+        if elapsed_ticks > 1:
+            for contactor in contactors:
+                contactor.loop.coast(elapsed_ticks - 1)
         alive = self._playout.play(now_ns, safety.gain == 1.0)
         for contactor in contactors:
-            contactor.read_film(now_ns, elapsed_ticks, safety)
+            contactor.read_force(now_ns, safety)
         if self.press is not None:
             self.press.tick(now_ns, contactors[0].rendered_n(self.press))
         if elapsed_ticks > 1:
@@ -244,13 +250,13 @@ class Display:
         ticks = block.columns
         self._delays.add(block)
         self._availability.add(ticks.display_state, ticks.elapsed_ticks)
-        self._interruptions.add(ticks.scored, ticks.elapsed_ticks)
-        scored = ticks.scored != 0
-        sensing_ns, instant_ns = ticks.sensing_now_ns[scored], ticks.instant_ns[scored]
+        self._interruptions.add(ticks.full, ticks.elapsed_ticks)
+        full = ticks.full != 0
+        now_ns, instant_ns = ticks.now_ns[full], ticks.instant_ns[full]
+        sensing_ns = ticks.sensing_now_ns[full]
         for place, contactor in enumerate(self.contactors):
             if (error := contactor.tracking_error) is not None:
-                felt_n = block.felt_n(place)[scored]
-                error.add_output(sensing_ns, instant_ns, felt_n, contactor.film_age_ns)
+                error.add_output(now_ns, sensing_ns, instant_ns, block.felt_n(place)[full])
         if self.take_ticks is not None:
             self.take_ticks(block)
         block.count = 0
@@ -262,7 +268,8 @@ class Display:
         state.hold_down_n = math.nan if hold_down_n is None else hold_down_n
 
     def _report(self, session: int) -> DisplayReport:
-        # Delay and error are of the last closed block, which is at most 0.2 s old.
+        # The delay is of the last closed block, at most 0.2 s old; the error of ticks that are
+        # judged already, which wait `PATIENCE` ticks for the pulse of their instants.
         counts, delay_ms = self.receiver.account(), self.receiver.one_way_delay_ms
         errors = (each.tracking_error for each in self.contactors)
         errors_n = (each.force_rmse_n.aligned for each in errors if each is not None)
@@ -286,7 +293,8 @@ class Display:
         """Build the summary piece by piece.
 
         The first piece takes what must agree with the state of one tick: accounts, faults, and the
-        felt forces. Beats, scores and limits may be of later ticks. now_ns: time at which the
+        felt forces. Beats and limits may be of later ticks. Errors are of the ticks judged so far:
+        each waits for the pulse of its instant, some `PATIENCE` ticks. now_ns: time at which the
         fingers on real benches are measured; None for that of the last tick.
         """
         self.close_block()

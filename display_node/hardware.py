@@ -150,16 +150,17 @@ class Hardware:
             return None
         return f"loop overrun: no command for {silent_ns * 1e-6:.0f} ms"
 
-    def deviation_m(self, now_ns: int, elapsed_ticks: int) -> float:
+    def deviation_m(self, now_ns: int, held_ticks: int) -> float:
         """Return the travel sent to the drive since the last tick minus that of the loop, in m.
 
-        It differs from 0 where a change of speed was sent late or not at all.
+        It differs from 0 where a change of speed was sent late or not at all. held_ticks: number of
+        ticks since then in which the loop has assumed its last speed.
         """
         before_m, self._travel_m = self._travel_m, self._drive.travel_m(now_ns)
         if before_m is None:
             return 0.0
         speed_m_per_s = self._speed_m_per_s or 0.0
-        return self._travel_m - before_m - speed_m_per_s * (elapsed_ticks * self._tick_ns) * 1e-9
+        return self._travel_m - before_m - speed_m_per_s * (held_ticks * self._tick_ns) * 1e-9
 
     def command(self, speed_m_per_s: float, faults: list[str]) -> str | None:
         """Command a speed until the next tick, or after a fault the withdrawal.

@@ -17,6 +17,7 @@ from display_node.press.sweep import DepthSweep
 from display_node.reception.connection import Connection
 from display_node.scene import DisplayScene
 from display_node.scoring.deadlines import GAP_NS, DeadlineWatch
+from display_node.telemetry.alerts import WITHOUT_SAMPLES
 from display_node.telemetry.publisher import Publisher
 from protocol import sockets
 from protocol.histogram import Histogram
@@ -76,7 +77,7 @@ class DisplayNode:
         self._command_us, self._tick_us = Histogram(1.0, 5_000), Histogram(1.0, 5_000)
         self._late_us = Histogram(2.0, 2_500)
         self._named_faults = 0
-        self._refused: set[str] = set()
+        self._warned: set[str] = set()
         self._context: sockets.Context = zmq.Context()
         try:
             paths = self._display.receiver.paths = max(scene.paths, len(addresses))
@@ -204,8 +205,8 @@ class DisplayNode:
             logger.error(f"fault: {fault}: {advise(fault)}")
         self._named_faults = len(faults)
         for reason in (self._display.receiver.other_version, self._display.receiver.false_report):
-            if reason and reason not in self._refused:
-                self._refused.add(reason)
+            if reason and reason not in self._warned:
+                self._warned.add(reason)
                 logger.warning(f"refused: {reason}")
         if self._connection.poll(now_ns):
             self._display.receiver.introduce()
@@ -273,10 +274,10 @@ class DisplayNode:
     def _waiting_for(self) -> str | None:
         """Return what the display waits for while it has no stream to play."""
         state, description = self._display.state, self._display.receiver.description
-        if state == "waiting" and description is not None:
-            return f"the first samples of {description.name!r}"
-        if state not in ("waiting", "stale"):
+        if state not in WITHOUT_SAMPLES:
             return None
+        if state == "waiting" and description is not None and self._connection.refused is None:
+            return f"the first samples of {description.name!r}"
         return self._connection.waiting_for(time.perf_counter_ns())
 
     def _finish(self) -> Summary:

@@ -8,42 +8,14 @@ without a jump.
 
 from display_node.contactor import Contactor
 from display_node.prediction.trust import Trust
-from display_node.reception.link_delay import JUMP_NS, WARP_PARTS
+from display_node.reception.playout_clock import PlayoutClock
 from display_node.reception.receiver import Receiver
 from display_node.scene import DisplayScene
+from protocol.ticks import NOT_PLAYED
 
 # Contactors that play the same samples, which are read once: their `sample_lead_ns`, the number of
 # values, and their places in the buffer.
 Group = tuple[int, int, list[int], list[Contactor]]
-
-
-class PlayoutClock:
-    """The played instant, which advances at most 5 % faster or slower than real time.
-
-    Changes of E and corrections of the clock offset are slewed, so the finger feels no jump. It
-    jumps over a difference above 0.5 s (after a clock step, in a new session).
-    """
-
-    def __init__(self) -> None:
-        self._now_ns: int | None = None
-        self._instant_ns = 0
-
-    def instant(self, now_ns: int, wanted_ns: int) -> int:
-        """Return the instant to play at `now_ns`; `wanted_ns` is the instant that E requires.
-
-        The result goes back only in a jump.
-        """
-        if self._now_ns is None:
-            self._now_ns, self._instant_ns = now_ns, wanted_ns
-            return wanted_ns
-        elapsed_ns = now_ns - self._now_ns
-        error_ns = wanted_ns - self._instant_ns - elapsed_ns
-        if error_ns and -JUMP_NS <= error_ns <= JUMP_NS:
-            most_ns = elapsed_ns // WARP_PARTS
-            error_ns = max(-most_ns, min(error_ns, most_ns))
-        self._instant_ns += elapsed_ns + error_ns
-        self._now_ns = now_ns
-        return self._instant_ns
 
 
 class Playout:
@@ -91,7 +63,7 @@ class Playout:
         full: whether the pulse was felt at full strength in the last tick.
         """
         receiver, contactors = self._receiver, self._contactors
-        contactors[0].state.predicted_ns = -1
+        contactors[0].state.predicted_ns = NOT_PLAYED
         buffer, delay_ns = receiver.buffer, receiver.link_delay.delay_ns
         newest_ns = buffer.newest_ns
         if not receiver.ready or delay_ns is None or newest_ns is None:
@@ -109,10 +81,10 @@ class Playout:
         instant_ns = self._clock.instant(now_ns, sensing_now_ns - wanted_delay_ns)
         # The sensing chain delays the pulse by its group delay: the pulse of `instant_ns` is in the
         # sample taken that much later. The actuators' lags are compensated in the same way.
-        sampled_ns = instant_ns + self._sample_lead_ns
-        alive = receiver.live(sampled_ns, sensing_now_ns, self._stale_after_ns)
-        buffer.advance(sampled_ns, alive and trusted)
-        full_if_alive, longest_ns = (full if alive else None), 0
+        latest_ns = instant_ns + self._sample_lead_ns
+        live = receiver.live(latest_ns, sensing_now_ns, self._stale_after_ns)
+        buffer.advance(latest_ns, live and trusted)
+        alive, longest_ns = live, 0
         for sample_lead_ns, count, places, group in self._groups:
             sampled_ns = instant_ns + sample_lead_ns
             received = buffer.known(self._tick_ns, count, sampled_ns, places)
@@ -120,8 +92,8 @@ class Playout:
                 state = contactor.state
                 state.now_ns, state.sensing_now_ns = now_ns, sensing_now_ns
                 state.instant_ns, state.trusted = instant_ns, trusted
-                predicted_ns = contactor.play(wrist_n, sampled_ns, newest_ns, full_if_alive)
-                if predicted_ns is None:
+                predicted_ns = contactor.play(wrist_n, sampled_ns, newest_ns, live, full)
+                if predicted_ns == NOT_PLAYED:
                     alive = False
                 elif predicted_ns > longest_ns:
                     longest_ns = predicted_ns

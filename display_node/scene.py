@@ -4,7 +4,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
-from display_node.control.force_loop import ForceLoop, build_force_loop
+from display_node.control.force_loop import HELD_S, ForceLoop, build_force_loop
 from display_node.control.scene import ControllerScene, SafetyScene
 from display_node.hardware import Hardware
 from display_node.plant.feedback import Feedback
@@ -171,6 +171,7 @@ class DisplayScene(ContactorScene):
             actual,
             slew_limit_n_per_s=self.safety.slew_limit_n_per_s,
             overforce=self.safety.overforce,
+            held_s=HELD_S if self.drive is None else self.drive.held_ns * 1e-9,
         )
 
     def hardware(self, drive: Drive, sensor: Sensor | None) -> Hardware:

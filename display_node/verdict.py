@@ -1,6 +1,6 @@
-"""Verdict on a display's run: its closing summary in at most six lines, for the person at it.
+"""Verdict on a display's run, in at most six lines, for the person at it.
 
-Every other figure of the run is in the rows of `protocol.summary.rows`.
+Every other figure of the run is in the rows of `protocol.summary.rows`, which --details prints.
 """
 
 from collections import Counter
@@ -125,17 +125,14 @@ def _felt(summary: Summary) -> Iterator[str]:
 
 def _error(summary: Summary) -> Iterator[str]:
     """Yield how far the felt force was off; of several contactors that of the worst one."""
-    errors = [
-        (rmse_n, name, figures.beats.height_at_finger_n)
-        for name, figures in summary.of_each_contactor().items()
-        if (rmse_n := figures.force_rmse_n.aligned) is not None
-    ]
-    if not errors:
+    worst = summary.worst_contactor()
+    if worst is None:
         return
-    rmse_n, name, height_n = max(errors, key=lambda error: error[0])
+    name, rmse_n, figures = worst
     of = f" at {name}, the worst contactor," if name else ""
-    text = f"The force{of} was off by {1e3 * rmse_n:.1f} mN RMS"
-    if height_n:
+    # One digit, where the figures have more: a finger notices none of them.
+    text = f"The force{of} was off by {1e3 * rmse_n:.1f} mN (force RMSE, aligned)"
+    if height_n := figures.beats.height_at_finger_n:
         share = _percent(rmse_n / height_n)
         text += f", {share} of the pulse's height; a finger notices {100 * JND:.0f} % or more"
     yield f"{text}."

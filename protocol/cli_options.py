@@ -1,4 +1,4 @@
-"""Command lines of the nodes: options, metrics, closing summary."""
+"""Command lines of the nodes: options, metrics, verdict and figures of a run."""
 
 import logging
 import sys
@@ -17,6 +17,7 @@ from protocol.host.child_process import Sidecar, sidecar_module
 from protocol.host.output import STDOUT
 from protocol.host.realtime import RealtimeGrant, RealtimeRequest, apply_realtime
 from protocol.provenance import Provenance
+from protocol.security.allow_list import FILE_NAME
 from protocol.sockets import beyond_loopback
 from protocol.summary.fields import Summary
 from protocol.summary.rows import print_summary, write_json
@@ -76,7 +77,9 @@ AboutOption = Annotated[
 ]
 JsonOption = Annotated[
     Path | None,
-    typer.Option(metavar="FILE", help="Write the closing summary here as JSON; -: print it alone."),
+    typer.Option(
+        metavar="FILE", help="Write the figures of the run here as JSON; -: print them alone."
+    ),
 ]
 
 
@@ -164,8 +167,8 @@ AllowOption = Annotated[
     Path | None,
     typer.Option(
         metavar="FILE",
-        help="Allow-list: a file of the public keys that may connect. Default: the file 'allowed'"
-        " beside the key.",
+        help="Allow-list: a file of the public keys that may connect. Default: the file"
+        f" '{FILE_NAME}' beside the key.",
     ),
 ]
 InsecureOption = Annotated[
@@ -216,9 +219,10 @@ def sum_up(
     verdict: Sequence[str] = (),
     details: bool = True,
 ) -> None:
-    """Print the closing summary; write it to the file `json`, if any, with its provenance.
+    """Print the verdict on a run and its figures; write these to the file `json`, if any.
 
-    verdict: lines that come before the figures, which are printed with `details` only.
+    provenance: of the run, for the file. verdict: lines that come first. The figures are printed
+    with `details` only.
     """
     hint = "" if details else " (every figure: --details)"
     console.print(f"{title}{hint}", *(f"  {line}" for line in verdict), sep="\n")

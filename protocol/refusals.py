@@ -1,4 +1,13 @@
-"""Causes for which connections, messages and samples are refused, and the words for each."""
+"""Causes for which connections, messages and samples are refused, and the words for each.
+
+Every count of refusals has the cause's meaning: the printed summary and its verdict, the report and
+the events of a recording, the live page's alarm "refused", and docs/reference/wire.md.
+
+A present refusal of a client's connection has one text: the server's address, then `at_client`.
+The client's log, the summary's `waiting_for`, the alert of terminal and live page, the event
+"revoked" and the verdict on a run in which nothing was felt show that one. A server only logs a
+refusal: its client's address, then `at_server`.
+"""
 
 from collections.abc import Mapping
 from typing import NamedTuple
@@ -9,17 +18,17 @@ NO_KEY, NOT_AUTHENTIC, REPLAYED, HANDSHAKE = "no_key", "not_authentic", "replaye
 UNKNOWN_KEY, REVOKED_KEY, LIST_UNREADABLE = "unknown_key", "revoked_key", "list_unreadable"
 TOO_MANY = "too_many_connections"
 # Counted by the client, the end that connects: the first three of these, as far as it knows them.
-OWN_KEY_UNKNOWN, OWN_KEY_REVOKED = "refused_key", "revoked"
+REFUSED_KEY, REVOKED = "refused_key", "revoked"
 SERVER_LIST_UNREADABLE = "server_list_unreadable"
 
 
 class ConnectionWords(NamedTuple):
-    """Words for a refused connection.
+    """Words for a refused connection; a text without words belongs to the other end.
 
-    meaning: in a closing summary. at_server: in the server's log, after the client's address;
-    {client} is the client's key, by `AllowList.describe`. at_client: in the client's log, after
-    the server's address; {client} and {server} are the names of their keys. without_keys: the
-    same of a client that has no keys.
+    meaning: of a count. at_server: after the client's address; {client} is the client's key, by
+    `AllowList.describe`. at_client: after the server's address; {own} and {peer} are the public
+    keys of client and server. What a person can do comes after the first semicolon, so that a line
+    without room for it has the reason. without_keys: the same of a client that has no keys.
     """
 
     meaning: str
@@ -39,7 +48,7 @@ CONNECTIONS = {
         "bytes not encrypted for this node: the peer has a wrong public key of it (--peer), or"
         " they were altered on the way",
         "it has a wrong public key of this node, or its bytes were altered on the way",
-        "sends messages that {server} has not encrypted, or that were altered",
+        "sends messages that {peer.name} has not encrypted; they are forged, or altered on the way",
     ),
     REPLAYED: ConnectionWords(
         "encrypted messages that came twice or out of order: something repeats them",
@@ -50,7 +59,7 @@ CONNECTIONS = {
         "connections that ended before they were authenticated: no node, a wrong --peer, or a"
         " network that breaks off",
         "it made no ZeroMQ connection",
-        "breaks off: it is not {server}, whose public key --peer gives",
+        "breaks off; it is not {peer.name}, whose public key --peer gives",
     ),
     UNKNOWN_KEY: ConnectionWords(
         "peers whose key is not on this node's allow-list: telepulse keys allow adds it",
@@ -70,20 +79,21 @@ CONNECTIONS = {
         " repeatedly, or the limit is too low (ulimit -n)",
         "more connections than this node has files for; it keeps the earlier ones",
     ),
-    OWN_KEY_UNKNOWN: ConnectionWords(
+    REFUSED_KEY: ConnectionWords(
         "connections refused because the other node's allow-list lacks this node's key",
-        at_client="does not allow the key of {client}; there: telepulse keys allow {client}.pub",
+        at_client="does not allow the key of {own.name}; there: telepulse keys allow"
+        " {own.file_name}",
     ),
-    OWN_KEY_REVOKED: ConnectionWords(
+    REVOKED: ConnectionWords(
         "the other node allowed this node's key before and has revoked it; to undo that, run"
         " telepulse keys allow there",
-        at_client="has revoked the key of {client}: this node was connected and is no longer"
-        " allowed; to undo that, there: telepulse keys allow {client}.pub",
+        at_client="has revoked the key of {own.name}: this node was connected and is no longer"
+        " allowed; to undo that, there: telepulse keys allow {own.file_name}",
     ),
     SERVER_LIST_UNREADABLE: ConnectionWords(
         "connections refused while the other node's allow-list cannot be read: its log names the"
         " reason and the remedy",
-        at_client="cannot read its allow-list, and refuses every key until it can; its log names"
+        at_client="cannot read its allow-list; it refuses every key until it can, and its log names"
         " the reason: correct the list there, no restart is needed",
     ),
 }
@@ -95,7 +105,7 @@ CAUSE_MEANINGS = {
     "not_msgpack": "bytes that are no message; the peer is no node, or bytes were altered",
     "version": "messages of another protocol version: run the same version on both nodes",
     "malformed": "messages with fields that do not fit; the peer is no node, or of another version",
-    "not_finite": "samples that are NaN or infinite: check the sensor",
+    "not_finite": "samples that are NaN, infinite or beyond 1e6 N: check the sensor and its scale",
     "description": "an invalid stream description: check the sensing node's scene",
     "channel": "streams without a channel that the scene plays: compare `channel` in its [display]"
     " with the sensing node's source",

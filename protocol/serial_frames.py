@@ -1,7 +1,7 @@
 """Frames on a board's serial line, as both of our boards send them. Pure.
 
 A frame is a body and its CRC-16/CCITT-FALSE, in little-endian order, encoded by COBS and ended by a
-zero byte, which occurs nowhere else. Needs the package cobs.
+zero byte, which occurs nowhere else.
 """
 
 import binascii

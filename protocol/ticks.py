@@ -13,6 +13,8 @@ from protocol.summary.fields import Limited
 
 Integers = NDArray[np.int64]
 Floats = NDArray[np.float64]
+# `TickState.predicted_ns` of a tick in which no instant of the pulse is played.
+NOT_PLAYED: Final = -1
 # A tick in an array has the number of the display's state.
 DISPLAY_STATES: Final = ("waiting", "starting", "playing", "stale", "ended", "fault")
 
@@ -21,17 +23,20 @@ DISPLAY_STATES: Final = ("waiting", "starting", "playing", "stale", "ended", "fa
 class TickState:
     """State of one contactor at the beginning of the last tick.
 
+    `Playout` sets the times and trusted, the contactor the forces and full, `Display` the rest.
+
     now_ns, sensing_now_ns: time of the tick on the display's clock and on the sensing clock.
-    instant_ns: instant of the pulse that is played, on the sensing clock. target_n: force in N that
-    the finger is to feel now: the reference within its bounds, as late as the loop makes it.
-    felt_n: force in N that it feels, NaN where a real film gives none. scored: the pulse is felt at
+    instant_ns: instant of the pulse that is played, on the sensing clock. Where none is played,
+    only now_ns is of this tick. target_n: force in N that the finger is to feel now: the reference
+    within its bounds, as late as the loop makes it.
+    felt_n: force in N that it feels, NaN where a real film gives none. full: the pulse is felt at
     full strength. predictor_error_n: expected RMSE of the prediction in N, NaN without a prediction
     or an estimate. trusted: the predictor is trusted with all of the delay.
 
     The first contactor's has the rest for the whole display. press_n, hold_down_n: static force in
     N of the finger, and of the probe on the wrist as last reported; NaN without. predicted_ns: time
-    from the newest sample to the played instant; 0 for a received one, negative where none is
-    played. elapsed_ticks: since the tick before.
+    from the newest sample to the played instant; 0 for a received one, `NOT_PLAYED` where none is
+    played (the playout sets it as well). elapsed_ticks: since the tick before.
     """
 
     now_ns: int = 0
@@ -39,12 +44,12 @@ class TickState:
     instant_ns: int = 0
     target_n: float = 0.0
     felt_n: float = 0.0
-    scored: bool = False
+    full: bool = False
     predictor_error_n: float = math.nan
     trusted: bool = False
     press_n: float = math.nan
     hold_down_n: float = math.nan
-    predicted_ns: int = -1
+    predicted_ns: int = NOT_PLAYED
     display_state: str = "waiting"
     elapsed_ticks: int = 1
 
@@ -63,7 +68,7 @@ class TickColumns(NamedTuple):
 
     now_ns: Integers
     instant_ns: Integers
-    scored: Integers
+    full: Integers
     trusted: Integers
     sensing_now_ns: Integers
     predicted_ns: Integers
@@ -95,7 +100,7 @@ class TickBlock:
             at,
             state.now_ns,
             state.instant_ns,
-            state.scored,
+            state.full,
             state.trusted,
             state.sensing_now_ns,
             state.predicted_ns,

@@ -1,4 +1,11 @@
-"""Real drives of display and probe: TMCL modules and CiA 402 drives, behind one `Drive`."""
+"""Real drives of display and probe, behind one `Drive`.
+
+- tmcl/: TMCL modules, `TmclDrive`.
+- cia402/: CiA 402 drives on CANopen, `Cia402Drive`.
+- stepdir/: telepulse's own board for a step and direction carrier, `StepdirDrive`.
+
+A scene's `drive` table names its class in `DriveScene.driver`, by which `build_drive` loads it.
+"""
 
 from protocol.config.kinds import load_object
 from pulse_drives.axis import build_axis

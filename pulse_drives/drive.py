@@ -6,7 +6,7 @@ withdraws the tip after a fault, even if the loop hangs.
 To add a drive:
 
 1. Write a package like `tmcl/`, with a `DriveDevice` (the drive at its bus) and a `Drive`.
-2. Write its settings, a `DriveScene` that names the `Drive`, and name them in `DRIVES`
+2. Write its settings, a `DriveScene` whose `driver` names the `Drive`, and name them in `DRIVES`
    (`scene.py`), or in an entry point of another distribution (`docs/howto/plugins.md`).
 3. Describe its keys in `docs/scenes.md`.
 """
@@ -141,7 +141,7 @@ class Drive(ABC):
         self._thread: threading.Thread | None = None
         self._woken = threading.Event()
         self._closing = False
-        self._supervisor = Supervisor(axis, scene.watchdog_ns)
+        self._supervisor = Supervisor(axis, scene.watchdog_ns, scene.held_ns)
         # Protects supervisor and commands, which the loop's and the drive's threads use.
         self._lock = TimeoutLock()
         self.counts: Counter[str] = Counter()
@@ -205,7 +205,7 @@ class Drive(ABC):
         with self._lock:
             now_ns = time.perf_counter_ns()
             self._read_reports(now_ns)
-            self._supervisor.command(speed_m_per_s, now_ns)
+            self._supervisor.set_target(speed_m_per_s, now_ns)
             self._send(now_ns)
 
     def film_port(self, least_counts: float, most_counts: float) -> FilmPort:

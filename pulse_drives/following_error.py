@@ -42,23 +42,42 @@ class _Leg(NamedTuple):
 
 
 class CommandedPosition:
-    """Integral of the speeds sent to a drive, each reached by a ramp; its origin is arbitrary."""
+    """Integral of the speeds sent to a drive, each reached by a ramp; its origin is arbitrary.
 
-    def __init__(self, acceleration_m_per_s2: float = math.inf) -> None:
-        self._acceleration = acceleration_m_per_s2
+    held_ns: time in ns for which the drive keeps a speed that is not sent again; then it brakes.
+    """
+
+    def __init__(self, acceleration_m_per_s2: float = math.inf, held_ns: float = math.inf) -> None:
+        self._acceleration, self._held_ns = acceleration_m_per_s2, held_ns
         self._legs: deque[_Leg] = deque([_Leg(0, 0.0, 0.0, 0.0)], maxlen=LEGS)
+        # Time at which a speed was last sent, be it the same as before.
+        self._renewed_ns = 0
 
     def record(self, speed_m_per_s: float, now_ns: int) -> None:
         """Record a speed that was sent at a time; it may be the same as the last one."""
         last = self._legs[-1]
         # A thread that stalled may record its command after another thread's newer one.
         now_ns = max(now_ns, last.sent_ns)
+        if now_ns - self._renewed_ns > self._held_ns and last.sent:
+            last = self._braked(last)
+            self._legs.append(last)
+        self._renewed_ns = now_ns
         if speed_m_per_s != last.sent:
             travel_m, speed = last.after((now_ns - last.sent_ns) * 1e-9, self._acceleration)
             self._legs.append(_Leg(now_ns, travel_m, speed, speed_m_per_s))
 
+    def _braked(self, last: _Leg) -> _Leg:
+        """Return the leg that begins when the last speed is no longer kept."""
+        held_ns = self._renewed_ns + int(self._held_ns) - last.sent_ns
+        travel_m, speed = last.after(held_ns * 1e-9, self._acceleration)
+        return _Leg(last.sent_ns + held_ns, travel_m, speed, 0.0)
+
     def travel_m(self, now_ns: int) -> float:
         """Return the travel in m until a time; before all kept speeds, that at the earliest."""
+        if now_ns - self._renewed_ns > self._held_ns:
+            leg = self._legs[-1]
+            leg = self._braked(leg) if leg.sent else leg
+            return leg.after((now_ns - leg.sent_ns) * 1e-9, self._acceleration)[0]
         # By index, as another thread may record meanwhile (`TimeoutLock`).
         for back in range(1, len(self._legs) + 1):
             leg = self._legs[-back]
@@ -76,7 +95,7 @@ class CommandedPosition:
 class FollowingError:
     """Comparison of reported positions with the commanded one.
 
-    The first report after `begin` fixes the origin of the travel.
+    The first report after `begin` fixes the origin of the travel. held_ns: see `CommandedPosition`.
 
     Attributes
     ----------
@@ -86,8 +105,8 @@ class FollowingError:
         True once the error has exceeded TOLERANCE_M for WITHIN_NS.
     """
 
-    def __init__(self, acceleration_m_per_s2: float) -> None:
-        self._commanded = CommandedPosition(acceleration_m_per_s2)
+    def __init__(self, acceleration_m_per_s2: float, held_ns: float = math.inf) -> None:
+        self._commanded = CommandedPosition(acceleration_m_per_s2, held_ns)
         self.begin()
 
     def begin(self) -> None:

@@ -100,6 +100,11 @@ class DriveScene(KindTable):
         return -1 if self.inverted else 1
 
     @property
+    def held_ns(self) -> int:
+        """Time for which the drive keeps a velocity that is not sent again; then it brakes."""
+        return self.watchdog_ns
+
+    @property
     def exchange_s(self) -> float | None:
         """Time in s for which one command and its answer occupy the line; None if unknown."""
         return None

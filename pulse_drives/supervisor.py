@@ -6,6 +6,7 @@ for all kinds of drive, so that it depends neither on the kind nor on the order 
 calls by a `TimeoutLock`.
 """
 
+import math
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -98,6 +99,8 @@ class DriveStatus:
 class Supervisor:
     """Supervision of one drive: bounds its speed, latches its first fault and withdraws its tip.
 
+    watchdog_ns, held_ns: as in `DriveScene`.
+
     Attributes
     ----------
     fault
@@ -115,13 +118,16 @@ class Supervisor:
         Time of the drive's last answer of any kind.
     """
 
-    def __init__(self, axis: Axis, watchdog_ns: int) -> None:
+    def __init__(self, axis: Axis, watchdog_ns: int, held_ns: int) -> None:
         self._axis = axis
         self._watchdog_ns = watchdog_ns
-        self._commanded = CommandedPosition()
-        self._following = FollowingError(axis.max_acceleration_m_per_s2)
+        # Only a drive that brakes before its watchdog's time is assumed to have braked: a watchdog
+        # may act late, and a withdrawal must then not begin too near.
+        held = held_ns if held_ns < watchdog_ns else math.inf
+        self._commanded = CommandedPosition(held_ns=held)
+        self._following = FollowingError(axis.max_acceleration_m_per_s2, held)
         # The loop's last speed, and its time; 0 before the first.
-        self._command = (0.0, 0)
+        self._target = (0.0, 0)
         self._stepped_ns = 0
         self._held_back = False
         self.fault: str | None = "not started"
@@ -134,7 +140,7 @@ class Supervisor:
     @property
     def commanded_ns(self) -> int:
         """Time of the loop's last command; 0 before the first."""
-        return self._command[1]
+        return self._target[1]
 
     def arm(self, now_ns: int) -> None:
         """Follow the loop's commands from now on, and forget an earlier fault."""
@@ -147,11 +153,11 @@ class Supervisor:
 
     def pause(self) -> None:
         """Rest; the watchdog starts with the loop's first command."""
-        self._command = (0.0, 0)
+        self._target = (0.0, 0)
 
-    def command(self, speed_m_per_s: float, now_ns: int) -> None:
-        """Take the loop's speed, positive into the finger; the latest one counts."""
-        self._command = (speed_m_per_s, now_ns)
+    def set_target(self, speed_m_per_s: float, now_ns: int) -> None:
+        """Store the loop's speed, positive into the finger; the latest one counts."""
+        self._target = (speed_m_per_s, now_ns)
 
     def add_position(self, position_m: float, now_ns: int) -> None:
         """Take a position that the drive reported, in m from first touch."""
@@ -219,17 +225,17 @@ class Supervisor:
         elif now_ns - self.position_ns > max(POSITION_WITHIN_NS, self._watchdog_ns):
             self.fail(f"no position for {(now_ns - self.position_ns) * 1e-6:.0f} ms", now_ns)
 
-    def velocity(self, now_ns: int) -> int:
-        """Return the velocity to send now, in the drive's units; then call `sent`."""
+    def velocity_to_send(self, now_ns: int) -> int:
+        """Return the velocity to send now, in the drive's units; then call `mark_sent`."""
         if self.withdrawal is not None:
             speed = self.withdrawal.speed_m_per_s(now_ns, self.travel_m(now_ns))
         elif self.fault is not None:
             speed = 0.0
         else:
-            speed = self._within_limits(self._command[0], now_ns)
+            speed = self._within_limits(self._target[0], now_ns)
         return self._axis.units.velocity(speed)
 
-    def sent(self, velocity: int, now_ns: int) -> None:
+    def mark_sent(self, velocity: int, now_ns: int) -> None:
         """Record a velocity in the drive's units that was sent at a time."""
         speed_m_per_s = self._axis.units.speed_m_per_s(velocity)
         self._commanded.record(speed_m_per_s, now_ns)

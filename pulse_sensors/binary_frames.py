@@ -12,13 +12,12 @@ Counter and time wrap to 0 after 2^32. A frame has at most `MAX_SAMPLES` samples
 
 import struct
 from collections import Counter
-from types import ModuleType
 from typing import Literal
 
 import numpy as np
 
 from protocol.errors import WireError
-from pulse_sensors import library
+from protocol.serial_frames import FrameReader, encode_frame
 from pulse_sensors.sample_plausibility import is_usable
 from pulse_sensors.samples import DecodedBlock, DeviceTime, SampleCounter, Values, decoded_block
 
@@ -32,10 +31,9 @@ _HEAD = struct.Struct("<BII")
 
 
 class FrameEncoder:
-    """Encoder of a board's samples, numbered from 0. Raises SourceError without cobs."""
+    """Encoder of a board's samples, numbered from 0."""
 
     def __init__(self, sample_format: SampleFormat, channels: int = 1) -> None:
-        self._encode = _codec().encode_frame
         self._dtype = _DTYPES[_CODES[sample_format]]
         self._code = channels << _CHANNELS_SHIFT | _CODES[sample_format]
         self._counter = 0
@@ -53,29 +51,26 @@ class FrameEncoder:
             samples = np.clip(np.rint(samples), limits.min, limits.max)
         head = _HEAD.pack(self._code, self._counter, last_us & 0xFFFF_FFFF)
         self._counter = self._counter + len(samples) & 0xFFFF_FFFF
-        frame: bytes = self._encode(head + samples.astype(dtype).tobytes())
-        return frame
+        return encode_frame(head + samples.astype(dtype).tobytes())
 
 
 class FrameDecoder:
     """Decoder of a board's frames, from chunks of any size. Pure.
 
     rejected: counts of `serial_frames.FrameReader`, and of bodies that are no samples. Frames with
-    another number of values in a sample than `channels` are rejected. Raises SourceError without
-    cobs.
+    another number of values in a sample than `channels` are rejected.
     """
 
     def __init__(self, period_ns: int, channels: int = 1) -> None:
         self._channels = channels
         self._most_bytes = _HEAD.size + 4 * MAX_SAMPLES * channels
-        self._codec = _codec()
         self._period_ns = period_ns
         self.rejected: Counter[str] = Counter()
         self.reset()
 
     def reset(self) -> None:
         """Start anew with the next bytes, for example after the cable was unplugged."""
-        self._reader = self._codec.FrameReader(self._most_bytes, self.rejected)
+        self._reader = FrameReader(self._most_bytes, self.rejected)
         self._time = DeviceTime()
         self._counter = SampleCounter(1 << 32, self._period_ns, self.rejected)
 
@@ -112,11 +107,3 @@ class FrameDecoder:
         missing = self._counter.missing(counter, count, passed_ns)
         rows = values.reshape(count, channels).tolist()
         return decoded_block(rows, self._time.take(last_us), missing, restarted=passed_ns is None)
-
-
-def _codec() -> ModuleType:
-    """Return `protocol.serial_frames`, which needs a library. Raises SourceError without it."""
-    library("cobs.cobs", 'framing = "binary"')
-    from protocol import serial_frames
-
-    return serial_frames

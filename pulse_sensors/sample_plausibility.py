@@ -24,7 +24,7 @@ from pulse_sensors.force_scale import FORCES, VOLTAGES
 
 logger = logging.getLogger(__name__)
 
-# Largest value in any unit of a sensor; larger ones are forces that no frame can hold.
+# Largest value in any unit of a sensor: scaled to newtons, it is still a finite number.
 LARGEST: Final = 1e30
 # Greatest force of a pulse, at a wrist or a finger: twice the highest `preload` or `peak_to_peak`.
 MOST_N: Final = 20.0
@@ -40,7 +40,7 @@ STILL_S: Final = 5.0
 
 
 def is_usable(value: float) -> bool:
-    """Return whether a value, in any unit, is a number whose force a frame can hold."""
+    """Return whether a value, in any unit, is a number that can be scaled."""
     return abs(value) <= LARGEST
 
 

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from protocol.clock.one_way import DeviceClock
 from protocol.config.quantities import count_text
+from protocol.wire.messages import LARGEST_N
 from pulse_sensors.force_scale import MILLIVOLTS, SensorTable
 from pulse_sensors.sample_plausibility import RateCheck
 
@@ -81,11 +82,13 @@ class DeviceTime:
     """Continuous time from the low 32 bits of a device's count of µs. Pure.
 
     An Arduino's millis() times 1000 works too: it wraps after 1000 wraps of 2^32 µs.
+
+    last_us, last_ns: the last count, None before any, and its continuous time.
     """
 
     def __init__(self) -> None:
         self.last_us: int | None = None
-        self._last_ns = 0
+        self.last_ns = 0
 
     def since_last_ns(self, now_us: int) -> int | None:
         """Return the time since the last count; None after a restart or a step."""
@@ -101,9 +104,9 @@ class DeviceTime:
         """
         passed_ns = self.since_last_ns(now_us)
         restart_ns = now_us % _TURN_US * 1_000
-        self._last_ns = restart_ns if passed_ns is None else self._last_ns + passed_ns
+        self.last_ns = restart_ns if passed_ns is None else self.last_ns + passed_ns
         self.last_us = now_us
-        return self._last_ns
+        return self.last_ns
 
 
 # The time passed may differ from the counted time by half of the latter plus this.
@@ -210,7 +213,7 @@ class Timeline:
         """Measured samples per second."""
         return 1e9 / self._period_ns
 
-    def timestamp(self, count: int, missing: int, last_ns: int) -> tuple[int, int, int] | None:
+    def place(self, count: int, missing: int, last_ns: int) -> tuple[int, int, int] | None:
         """Return the times of `count` samples, the last of which was measured at `last_ns`.
 
         missing: samples known to be lost before them; a jump of the time may show more. Returns
@@ -218,19 +221,15 @@ class Timeline:
         """
         if self._origin_ns is None:
             self._origin_ns = last_ns - (count - 1) * self._nominal_ns
-        origin_ns = self._origin_ns
-
-        def late_ns() -> float:
-            predicted_ns = self._next_ns + (missing + count - 1) * self._period_ns
-            return last_ns - origin_ns - predicted_ns
-
-        error_ns = late_ns()
+        origin_ns, period_ns = self._origin_ns, self._period_ns
+        passed_ns = last_ns - origin_ns
+        error_ns = passed_ns - (self._next_ns + (missing + count - 1) * period_ns)
         if error_ns > JUMP_NS:
-            missing += round(error_ns / self._period_ns)
-            error_ns = late_ns()
+            missing += round(error_ns / period_ns)
+            error_ns = passed_ns - (self._next_ns + (missing + count - 1) * period_ns)
         elif error_ns < -JUMP_NS:
             return None
-        first_ns = self._next_ns + missing * self._period_ns
+        first_ns = self._next_ns + missing * period_ns
         self._next_ns = first_ns + count * self._correct(first_ns, count, error_ns)
         return origin_ns + round(first_ns), origin_ns + round(self._next_ns), missing
 
@@ -258,8 +257,9 @@ class Timestamper:
     """Conversion of one sensor's decoded blocks to its channels' units on the host's clock. Pure.
 
     samples, missing: numbers of samples so far, and of those lost before them. restarts: of the
-    device's clock, followed by `clock`. behind: blocks refused as earlier than the last. rate: the
-    check of the measured rate.
+    device's clock, followed by `clock`. behind: blocks refused as earlier than the last. too_large:
+    samples refused, since one of them is too large for a frame. rate: the check of the measured
+    rate.
     """
 
     def __init__(self, table: SensorTable) -> None:
@@ -269,10 +269,30 @@ class Timestamper:
         self._timeline = Timeline(table.period_ns)
         self.clock = DeviceClock()
         self.rate = RateCheck(table.rate_hz)
-        self.samples = self.missing = self.restarts = self.behind = 0
+        self.samples = self.missing = self.restarts = self.behind = self.too_large = 0
+        # Samples refused since the last block, and whether the device's clock restarted with them.
+        self._refused, self._restarted = 0, False
 
     def timestamp(self, block: DecodedBlock, arrival_ns: int) -> SampleBlock | None:
-        """Return a decoder's block, scaled, with its times; None if it is earlier than the last."""
+        """Return a decoder's block, scaled, with its times; None if it is refused.
+
+        It is refused if it is earlier than the last. If a value is too large for a frame, which the
+        displays would refuse with all its samples, the block's samples are lost.
+        """
+        count, values = len(block.values), self._table.newtons(block.values)
+        if self._announcing:
+            values[:, self._announcing] = self._millivolts * block.values[:, self._announcing]
+        # The square of the norm is one call for all; it may be too large although no value is.
+        flat = values.ravel()
+        if not flat.dot(flat) <= LARGEST_N**2 and not np.abs(flat).max() <= LARGEST_N:
+            self.too_large += count
+            self._refused += block.missing + count
+            self._restarted |= block.restarted
+            return None
+        if self._refused:
+            missing, restarted = block.missing + self._refused, block.restarted or self._restarted
+            block = block._replace(missing=missing, restarted=restarted)
+            self._refused, self._restarted = 0, False
         last_ns = arrival_ns
         if block.device_ns is not None:
             if block.restarted:
@@ -281,8 +301,7 @@ class Timestamper:
             self.clock.observe(block.device_ns, arrival_ns)
             # No sample arrives before it is taken, so the arrival bounds the device's time.
             last_ns = min(self.clock.host_ns(block.device_ns), arrival_ns)
-        count = len(block.values)
-        times_ns = self._timeline.timestamp(count, block.missing, last_ns)
+        times_ns = self._timeline.place(count, block.missing, last_ns)
         if times_ns is None:
             self.behind += 1
             return None
@@ -290,9 +309,6 @@ class Timestamper:
         self.samples += count
         self.missing += missing
         self.rate.add(self.samples, arrival_ns, self._timeline.rate_hz, whole=not missing)
-        values = self._table.newtons(block.values)
-        if self._announcing:
-            values[:, self._announcing] = self._millivolts * block.values[:, self._announcing]
         return SampleBlock(values, missing, first_ns, end_ns)
 
     def faults(self, name: str) -> list[str]:

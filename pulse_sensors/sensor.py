@@ -158,6 +158,7 @@ class Sensor:
     def rejected(self) -> Counter[str]:
         """Count of data that could not be used, by cause."""
         rejected = Counter(self._decoder.rejected)
+        rejected["not_finite"] += self.timestamper.too_large
         rejected["behind"] += self.timestamper.behind
         rejected["backlog"] += self._dropped
         return +rejected

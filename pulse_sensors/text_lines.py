@@ -18,7 +18,8 @@ TimeUnit = Literal["us", "ms", "s"]
 
 MAX_LINE_BYTES = 256
 # Each unit's length in µs, and the resolution of times in it, in ns. The micros() of slow boards
-# counts in 10 µs, times in ms are whole, times in s have three decimals.
+# counts in 10 µs, times in ms are whole, times in s have three decimals. millis() counts in 1.024
+# ms on many boards, and steps by 2 at times.
 _UNITS: dict[TimeUnit, tuple[float, int]] = {
     "us": (1.0, 10_000),
     "ms": (1e3, 1_000_000),
@@ -34,8 +35,8 @@ class LineTimes:
     """Check of the times of lines sent once a period, for lost lines and wrong digits.
 
     A time shortly after the last one is accepted. Any other time is rejected; if the next line's
-    time follows it, that line is accepted: lines were lost, or the device has restarted. The true
-    period is estimated.
+    time follows it, that line is accepted: lines were lost, or the device has restarted. As many
+    lines may have the same time as fall into its resolution. The true period is estimated.
     """
 
     def __init__(self, period_ns: int, unit: TimeUnit) -> None:
@@ -43,6 +44,8 @@ class LineTimes:
         self._unit_us, self._quantum_ns = _UNITS[unit]
         self._time = DeviceTime()
         self._suspect: DeviceTime | None = None
+        # Lines with the last time, also lost ones.
+        self._lines = 1
 
     def take(self, time: float, unreadable: int) -> tuple[int, int, bool]:
         """Return a line's `device_ns`, `missing` and `restarted`, as in `DecodedBlock`.
@@ -51,25 +54,32 @@ class LineTimes:
         not accepted yet.
         """
         now_us = round(time * self._unit_us)
+        lines = self._lines + unreadable
+        # Lines come somewhat early or late: half of the resolution is allowed for that.
+        if now_us == self._time.last_us and lines * self._period_ns < 1.5 * self._quantum_ns:
+            self._suspect, self._lines = None, lines + 1
+            return self._time.last_ns, unreadable, False
         passed_ns = self._time.since_last_ns(now_us)
-        if self._time.last_us is not None and not self._follows(passed_ns, unreadable):
+        if self._time.last_us is not None and not self._follows(passed_ns, lines):
             suspect, self._suspect = self._suspect, DeviceTime()
             self._suspect.take(now_us)
-            if suspect is None or not self._follows(suspect.since_last_ns(now_us), 0):
+            if suspect is None or not self._follows(suspect.since_last_ns(now_us), 1):
                 raise WireError("device_time", "a time that does not follow the last ones")
-        self._suspect = None
+        self._suspect, self._lines = None, 1
         device_ns = self._time.take(now_us)
         if passed_ns is None:
             return device_ns, 0, True
-        lost = passed_ns / self._period_ns - 1
-        fits = abs(lost - unreadable) <= 0.5 + self._quantum_ns / self._period_ns
-        missing = unreadable if fits else max(0, round(lost))
+        lost = passed_ns / self._period_ns - lines
+        fits = abs(lost) <= 0.5 + self._quantum_ns / self._period_ns
+        missing = unreadable if fits else max(0, unreadable + round(lost))
         if missing <= PLAUSIBLE_MISSING + unreadable:
-            self._period_ns += LEARNING * (passed_ns / (1 + missing) - self._period_ns)
+            lines += missing - unreadable
+            self._period_ns += LEARNING * (passed_ns / lines - self._period_ns)
         return device_ns, missing, False
 
-    def _follows(self, passed_ns: int | None, unreadable: int) -> bool:
-        most_ns = (1 + PLAUSIBLE_MISSING + unreadable) * self._period_ns + self._quantum_ns
+    def _follows(self, passed_ns: int | None, lines: int) -> bool:
+        """Return whether so many lines, or not many more, can have come in that time."""
+        most_ns = (lines + PLAUSIBLE_MISSING) * self._period_ns + self._quantum_ns
         return passed_ns is not None and passed_ns <= most_ns
 
 

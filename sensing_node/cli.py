@@ -94,7 +94,7 @@ def sense(
             request = parse_realtime(realtime)
             check_strict(request)
             control = control_address(bind)
-            keys = KeyOptions(key, None, allow, insecure).server(bind)
+            keys = KeyOptions(key, allow=allow, insecure=insecure).server(bind)
             path = find_scene(scene)
             record = {"source": None if source is None else str(source), "channel": channel}
             section = load_sensing(path, record | {"rate": rate, "preload": preload})
@@ -103,10 +103,10 @@ def sense(
             announce_node = until_the_end.enter_context(
                 start_announcer(announce, bind, section.stream, keys)
             )
-            samples = until_the_end.enter_context(open_source(section, path.parent))
-            description = describe_stream(section, samples)
+            opened = until_the_end.enter_context(open_source(section, path.parent))
+            description = describe_stream(section, opened)
             node = SensingNode(
-                *(samples, description, bind),
+                *(opened, description, bind),
                 keys=keys,
                 telemetry_address=TELEMETRY if served else None,
             )
@@ -118,7 +118,7 @@ def sense(
             f"streaming {description.name!r}: {description.rate_hz:g} Hz in frames of"
             f" {description.batch} on {bind} (control {control})"
         )
-        log_repetition(samples, seconds)
+        log_repetition(opened, seconds)
         if description.group_delay_ns:
             delay_ms = description.group_delay_ns * 1e-6
             logger.info(f"the conditioning chain delays the pulse by {delay_ms:.1f} ms")

@@ -178,23 +178,23 @@ def feed_of(source: Source, start_ns: int) -> PacedFeed | LiveFeed | ReplayFeed:
 class Framer:
     """Numbering of one session's samples, and division into frames of at most `batch` samples.
 
-    samples_sent: number of the session's samples so far, including missing ones.
+    next_sample: sequence number of the next sample: that of all samples so far, lost ones included.
     """
 
     def __init__(self, description: StreamDescription, session: int) -> None:
         self._session = session
         self._batch = description.batch
         self._dtype = np.dtype(f"<f{description.bytes_per_sample}")
-        self.samples_sent = 0
+        self.next_sample = 0
 
     def frames(self, block: SampleBlock) -> list[Frame]:
         """Return the block's samples as frames, in order."""
-        self.samples_sent += block.missing
+        self.next_sample += block.missing
         values, period_ns = block.values.astype(self._dtype), block.period_ns
         frames = []
         for start in range(0, len(values), self._batch):
             part = values[start : start + self._batch]
             first_ns = block.first_ns + start * period_ns
-            frames.append(Frame(self._session, self.samples_sent, first_ns, period_ns, part))
-            self.samples_sent += len(part)
+            frames.append(Frame(self._session, self.next_sample, first_ns, period_ns, part))
+            self.next_sample += len(part)
         return frames

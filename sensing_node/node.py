@@ -131,9 +131,10 @@ class SensingNode:
         self._requests = RequestBudget()
         self._context: sockets.Context = zmq.Context()
         self._authenticator = Authenticator(self._context, keys)
-        bind, allowed = sockets.bind, self._authenticator
-        self._control = bind(self._context, zmq.ROUTER, sockets.control_address(address), allowed)
-        self._data = bind(self._context, zmq.XPUB, address, allowed, queue_limits(description))
+        context, authenticator = self._context, self._authenticator
+        control_address, limits = sockets.control_address(address), queue_limits(description)
+        self._control = sockets.bind(context, zmq.ROUTER, control_address, authenticator)
+        self._data = sockets.bind(context, zmq.XPUB, address, authenticator, limits)
         self._subscriptions = SubscriptionBudget(self._data, (b"",))
         self._telemetry = None
         if telemetry_address is not None:
@@ -192,7 +193,7 @@ class SensingNode:
 
     def _wait(self, timeout_ns: int) -> None:
         """Sleep until a message may be read, at most `timeout_ns`."""
-        waited_for = self._authenticator.sockets
+        waited_for = self._authenticator.own_sockets
         longest_ns = self._requests.held_for_ns(self._clock())
         if not longest_ns:
             waited_for, longest_ns = [self._control, *waited_for], MAX_WAIT_NS
@@ -219,7 +220,7 @@ class SensingNode:
     def _answer(self, sender: Sender, data: bytes) -> None:
         clients = self._server.clients
         known = len(clients)
-        reply = self._server.answer(sender, data, self._clock(), self._framer.samples_sent)
+        reply = self._server.answer(sender, data, self._clock(), self._framer.next_sample)
         if reply is not None:
             sockets.send(self._control, *sender, encode_control(reply))
         if self._server.set_points is not None:
@@ -246,7 +247,7 @@ class SensingNode:
 
         If a socket is closed too early, any message of its peer makes TCP drop the unsent rest.
         """
-        bye = encode_control(Bye(self._session, self._framer.samples_sent))
+        bye = encode_control(Bye(self._session, self._framer.next_sample))
         informed, closed = set[Sender](), set[Sender]()
         begin_ns = self._clock()
         while not self._hurried:
@@ -307,7 +308,7 @@ class SensingNode:
             rejected += set_points.rejected
             press = set_points.figures()
         return Summary(
-            samples=SampleCounts(sent=self._framer.samples_sent),
+            samples=SampleCounts(sent=self._framer.next_sample),
             limited=self._source.limits(),
             press=press,
             rejected=dict(rejected),

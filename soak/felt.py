@@ -61,7 +61,7 @@ class _Ticks:
     """All ticks so far. within: of each pair of neighbours, whether one process made them."""
 
     def __init__(self, trace: Trace, process: NDArray[np.int64]) -> None:
-        self.trace, self.now_ns, self.full = trace, trace.now_ns, trace.scored
+        self.trace, self.now_ns, self.full = trace, trace.now_ns, trace.full
         self.within = process[1:] == process[:-1]
         self.apart_ns = np.diff(trace.now_ns)
 
@@ -95,7 +95,7 @@ class FeltLog(FeltForce):
 
     def add_trace(self, trace: Trace) -> None:
         """Add the ticks of a trace. Copies: a trace is a view of a longer message."""
-        now_ns, full = trace.now_ns.copy(), trace.scored.copy()
+        now_ns, full = trace.now_ns.copy(), trace.full.copy()
         felt_n = trace.felt_n.copy()
         self.add([Trace(now_ns, now_ns, trace.target_n.copy(), felt_n, full)])
         self._processes.append(self._process)

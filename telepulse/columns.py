@@ -38,7 +38,7 @@ class TickRow(NamedTuple):
     """A tick without the forces of its contactors. Times in ns.
 
     sensing_ns: `UNKNOWN_NS` where the sensing clock is unknown. ready: the stream's usual delay is
-    known as well. playing: the pulse of `instant_ns` was played. scored: at full strength.
+    known as well. playing: the pulse of `instant_ns` was played. full: at full strength.
     predicted: before its sample had arrived. press_n: of the finger that presses back, NaN without
     one.
     """
@@ -48,7 +48,7 @@ class TickRow(NamedTuple):
     instant_ns: int
     ready: bool
     playing: bool
-    scored: bool
+    full: bool
     predicted: bool
     unix_ns: int = 0
     press_n: float = np.nan

@@ -84,7 +84,7 @@ class LinkProxy:
     def run(self, seconds: float | None = None) -> None:
         """Pass messages on until stopped, or for `seconds`."""
         end_ns = math.inf if seconds is None else time.perf_counter_ns() + seconds * 1e9
-        readable = [*self._paths, *self._authenticator.sockets]
+        readable = [*self._paths, *self._authenticator.own_sockets]
         try:
             while not self._stopping and (now_ns := time.perf_counter_ns()) < end_ns:
                 self._authenticator.poll(now_ns)

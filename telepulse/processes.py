@@ -63,7 +63,7 @@ def log_warnings(name: str, errors: str) -> None:
 
 
 class NodeProcess(ChildProcess):
-    """A node's process, which writes its closing summary to a file.
+    """A node's process, which writes the figures of its run to a file.
 
     name: its name in errors. module: the node's command line, "sensing_node.cli" or
     "display_node.cli". arguments: those of that command. summary: file for its summary (`--json`).

@@ -245,8 +245,8 @@ class Relay:
         self._handshakes = HandshakeMonitor(context, client_keys)
         self._path = DataPath(context, client_keys)
         control_in = sockets.unconnected(context, zmq.DEALER, client_keys)
-        for socket in (control_in, *(endpoint.socket for endpoint in self._path.endpoints)):
-            self._handshakes.watch(socket)
+        data_in = [endpoint.socket for endpoint in self._path.endpoints]
+        self._handshakes.watch([control_in, *data_in], lambda: connect)
         data_out = sockets.bind(context, zmq.XPUB, bind, self._authenticator)
         budget = SubscriptionBudget(data_out, (b"",))
         self._frames = FrameForwarder(data_out, self._path, budget)
@@ -270,7 +270,7 @@ class Relay:
         """Pass messages on until stopped, or for `seconds`."""
         end_ns = math.inf if seconds is None else time.perf_counter_ns() + seconds * 1e9
         self._lookup.start()
-        readable = [*self._frames.sockets, *self._authenticator.sockets]
+        readable = [*self._frames.sockets, *self._authenticator.own_sockets]
         try:
             self._control.start()
             while not self._stopping and (now_ns := time.perf_counter_ns()) < end_ns:

@@ -7,10 +7,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from display_node.scoring.tracking_error import Floats, compared_forces_n, interpolate, rms
+from display_node.scoring.error_sums import rms
+from display_node.scoring.tracking_error import Floats, compared_forces_n, interpolate
 from protocol.config.quantities import count_text
 from protocol.errors import OutputError
-from protocol.summary.fields import AlignedErrors, Summary
+from protocol.summary.fields import RmsErrors, Summary
 from telepulse.columns import SessionColumns, join_ticks
 
 if TYPE_CHECKING:
@@ -78,7 +79,7 @@ class Run:
         Perceived delay: how much earlier the played instant of the pulse was at the wrist, in s;
         NaN where none was played.
     played : ndarray of bool
-        True where a pulse was felt at full strength: `scored` of a tick. The share
+        True where a pulse was felt at full strength: `full` of a tick. The share
         `summary.availability.played` has ramps and fades as well.
     predicted : ndarray of bool
         True where a prediction was felt, since the sample had not arrived.
@@ -145,16 +146,16 @@ class Run:
         return self.first.wrist_strain
 
     @property
-    def force_rmse_n(self) -> AlignedErrors:
+    def force_rmse_n(self) -> RmsErrors:
         """RMSE of the felt force over the arrays, in N: `aligned` and `in_phase`.
 
         As `summary.force_rmse_n`, but from the ticks of the arrays alone: those at full strength
         for which the force at the wrist is known. None where there is no such tick.
         """
         now_ns, instant_ns = 1e9 * self.t_s, 1e9 * (self.t_s - self.delay_s)
-        age_ns, reference_n = 1e9 * self.first.film_age_s, self.first.force_ratio * self.wrist_n
-        compared_n = compared_forces_n(now_ns, instant_ns, now_ns, reference_n, age_ns)
-        return AlignedErrors(*(rms((self.felt_n - n)[self.played]) for n in compared_n))
+        age_ns, pulse_n = 1e9 * self.first.film_age_s, self.first.force_ratio * self.wrist_n
+        compared_n = compared_forces_n(now_ns, instant_ns, now_ns, pulse_n, age_ns)
+        return RmsErrors(*(rms((self.felt_n - n)[self.played]) for n in compared_n))
 
     def columns(self) -> dict[str, NDArray[Any]]:
         """Return all arrays by name; those of further contactors begin with their names."""
@@ -251,15 +252,15 @@ class Run:
 def build_run(name: str, sessions: Sequence[SessionColumns], summary: Summary) -> Run:
     """Return the run of some sessions, with the contactors that play the last one."""
     names = list(sessions[-1].playing)
-    now_ns, sensing_ns, instant_ns, playing, scored, predicted = (
+    now_ns, sensing_ns, instant_ns, playing, full, predicted = (
         join_ticks(sessions, column)
-        for column in ("now_ns", "sensing_ns", "instant_ns", "playing", "scored", "predicted")
+        for column in ("now_ns", "sensing_ns", "instant_ns", "playing", "full", "predicted")
     )
     return Run(
         name,
         (now_ns - now_ns[:1]) * 1e-9,
         np.where(playing, (sensing_ns - instant_ns) * 1e-9, np.nan),
-        scored,
+        full,
         predicted,
         {contactor: _contactor_run(contactor, sessions) for contactor in names},
         summary,

@@ -52,9 +52,9 @@ def stamped_buffer() -> tuple[JitterBuffer, list[int]]:
         first_sample: int,
         period_ns: int,
         times_ns: list[int],
-        channels: Sequence[Sequence[float]],
+        forces_n: Sequence[Sequence[float]],
     ) -> None:
-        put(first_sample, period_ns, times_ns, channels)
+        put(first_sample, period_ns, times_ns, forces_n)
         put_ns[:] = [time.perf_counter_ns()]
 
     buffer.put = stamped  # type: ignore[method-assign]

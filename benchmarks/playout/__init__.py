@@ -15,8 +15,8 @@ from benchmarks.benchmark import Benchmark
 from benchmarks.criteria import CRITERIA
 from benchmarks.playout import links
 from benchmarks.playout.links import DelayTrace, Nanoseconds
-from display_node.playout import PlayoutClock
 from display_node.reception.link_delay import LATE_TARGET, DelayEstimator
+from display_node.reception.playout_clock import PlayoutClock
 
 MS = 1e6
 # Late targets, from that with fewest late frames to that with most.

@@ -198,7 +198,7 @@ class StepperController:
         fastest = pressing = self._slew_limit_n_per_s / (law.stiffness(stiffest_n) or 1e-9)
         if limits:
             pressing = min(fastest, guard.fastest(screw_m))
-        speed_m_per_s = self._pid.step(error, response, feed, -fastest, pressing)
+        speed_m_per_s = self._pid.step(error, response, feed, lower=-fastest, upper=pressing)
         if observer is not None:
             observer.move(speed_m_per_s * self._steps_per_m)
         return speed_m_per_s

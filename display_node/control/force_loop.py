@@ -16,8 +16,10 @@ from protocol.errors import SceneError
 from protocol.tactile import ElasticLayer
 from protocol.ticks import LimitCounter
 
-# Default watchdog of a drive; the modelled actuator stops after the same time without a command.
-WATCHDOG_S = 0.05
+# Time for which a modelled actuator without a drive keeps its last output: a drive's by default.
+HELD_S = 0.05
+# After this time without a command after that, the loop is at rest.
+SETTLED_S = 0.05
 
 
 class ForceLoop:
@@ -31,6 +33,8 @@ class ForceLoop:
         The actuator's input for each unit of the controller's output.
     overforce_n
         Readings beyond ±overforce_n are ignored. In a display they are faults (`ForceBounds`).
+    held_s
+        Time in s for which the actuator keeps an output without a command; then it stops.
     actuation_delay_ns
         Latency of the actuator and delay of its shaper in ns: the reference must begin this much
         later than now.
@@ -41,6 +45,8 @@ class ForceLoop:
     ----------
     horizon
         Number of ticks after the present one that the reference must cover.
+    held_ticks
+        Number of ticks for which the actuator keeps an output, that of the command included.
     felt_n
         Felt force at the last tick's end, in N, by the model of the actuator.
     at_film_range
@@ -55,6 +61,7 @@ class ForceLoop:
         film: FilmModel,
         overforce_n: float,
         tick_s: float,
+        held_s: float = HELD_S,
         actuation_delay_ns: int = 0,
         at_end: LimitCounter | None = None,
     ) -> None:
@@ -66,7 +73,8 @@ class ForceLoop:
         self._actuator: Callable[[float], float] | None = actuator
         self._input_per_output = input_per_output
         self._film = film
-        self._watchdog_ticks = round(WATCHDOG_S / tick_s)
+        self.held_ticks = max(1, round(held_s / tick_s))
+        self._settled_ticks = self.held_ticks + round(SETTLED_S / tick_s)
         self._output = 0.0
         self.horizon = controller.horizon
         self.felt_n = 0.0
@@ -77,10 +85,9 @@ class ForceLoop:
         return self._controller.finger_stiffness
 
     def coast(self, ticks: int) -> None:
-        """Run missed ticks: the actuator keeps its last output until its watchdog stops it."""
-        # After as many ticks again without a command, the loop is at rest.
-        for missed in range(min(ticks, 2 * self._watchdog_ticks)):
-            if missed == self._watchdog_ticks:
+        """Run missed ticks: the actuator keeps its last output for `held_s`, then it stops."""
+        for missed in range(min(ticks, self._settled_ticks)):
+            if missed + 1 == self.held_ticks:
                 self._output = 0.0
             self._controller.skip(self._output)
             if self._actuator is not None:
@@ -95,7 +102,7 @@ class ForceLoop:
         """Return the modelled film's reading in N. Call it once before each tick."""
         return self._film.read(self.felt_n)
 
-    def command(self, reference_n: list[float], reading_n: float) -> float:
+    def output(self, reference_n: list[float], reading_n: float) -> float:
         """Return the controller's output for a tick: m/s of a stepper, V of eq 22.
 
         Call `move` after it, when the actuator has been commanded.
@@ -118,8 +125,8 @@ class ForceLoop:
             self.felt_n = self._actuator(self._input_per_output * self._output)
 
     def tick(self, reference_n: list[float], reading_n: float) -> float:
-        """Command and move a modelled actuator; return what `command` does."""
-        output = self.command(reference_n, reading_n)
+        """Move a modelled actuator by the controller's output, and return that."""
+        output = self.output(reference_n, reading_n)
         self.move()
         return output
 
@@ -139,6 +146,7 @@ def build_force_loop(
     actual: ActuatorScene | None = None,
     slew_limit_n_per_s: float = math.inf,
     overforce: float = 1.08,
+    held_s: float = HELD_S,
 ) -> ForceLoop:
     """Build a force loop from the tables of a scene.
 
@@ -154,6 +162,8 @@ def build_force_loop(
         Greatest slope of the commanded force.
     overforce
         Readings beyond this multiple of the force limit are ignored.
+    held_s
+        Time in s for which the actuator keeps an output without a command.
 
     Raises
     ------
@@ -174,7 +184,7 @@ def build_force_loop(
         voltage = VoltageController(
             controller, actuator.build(tick_s), actuator.output_limit, film, tick_s
         )
-        return ForceLoop(voltage, plant.step, 1.0, reading, overforce_n, tick_s)
+        return ForceLoop(voltage, plant.step, 1.0, reading, overforce_n, tick_s, held_s)
     truth = stepper_scene if actual is None or actual.stepper is None else actual.stepper
     stepper = Stepper(truth, truth.contact(layer), force_limit_n, tick_s)
     law = stepper_scene.contact(layer)
@@ -185,5 +195,13 @@ def build_force_loop(
     steps_per_m = stepper_scene.steps_per_m
     delay_ns = stepper_scene.latency_ns + round(speed.shaper_delay_s * 1e9)
     return ForceLoop(
-        speed, stepper.step, steps_per_m, reading, overforce_n, tick_s, delay_ns, stepper.at_end
+        speed,
+        stepper.step,
+        steps_per_m,
+        reading,
+        overforce_n,
+        tick_s,
+        held_s,
+        delay_ns,
+        stepper.at_end,
     )

@@ -3,6 +3,7 @@
 import itertools
 import logging
 from collections.abc import Iterator, Sequence
+from functools import partial
 
 import zmq
 
@@ -14,7 +15,7 @@ from display_node.reception.timeouts import Timeouts, answer_timeout_ns
 from display_node.reception.turns import ControlTurns
 from protocol import sockets
 from protocol.security.link_keys import ClientKeys
-from protocol.security.socket_monitor import HandshakeMonitor
+from protocol.security.socket_monitor import HandshakeMonitor, Refusal
 from protocol.summary.fields import DataConnections, Reconnections
 from protocol.wire.messages import ClockRequest, ControlMessage, SetPoint
 
@@ -24,15 +25,23 @@ logger = logging.getLogger(__name__)
 class Route:
     """One address of the sensing node and the data paths that are connected to it.
 
-    frames_first: number of frames whose first copy came over this address.
+    link: the present refusal of these. frames_first: number of frames whose first copy came over
+    this address.
     """
 
     def __init__(
-        self, context: sockets.Context, address: str, paths: int, keys: ClientKeys | None
+        self,
+        context: sockets.Context,
+        address: str,
+        paths: int,
+        keys: ClientKeys | None,
+        handshakes: HandshakeMonitor,
     ) -> None:
         sockets.control_address(address)  # Raises AddressError.
         self.address = address
         self.paths = [DataPath(context, keys) for _ in range(paths)]
+        endpoints = [endpoint for path in self.paths for endpoint in path.endpoints]
+        self.link = handshakes.watch([each.socket for each in endpoints], lambda: address)
         self.lookup = Lookup(address)
         self.reachability = Reachability(address)
         self.frames_first = 0
@@ -74,8 +83,10 @@ class Connection:
         keys: ClientKeys | None = None,
         turns: int = 0,
     ) -> None:
+        self._handshakes = HandshakeMonitor(context, keys)
+        handshakes, count = self._handshakes, len(addresses)
         self.routes = [
-            Route(context, address, len(range(number, paths, len(addresses))), keys)
+            Route(context, address, len(range(number, paths, count)), keys, handshakes)
             for number, address in enumerate(addresses)
         ]
         self._turns = itertools.cycle(self.routes)
@@ -89,7 +100,6 @@ class Connection:
         self._controls = self._clock_requests = 0
         self.control = Endpoint(sockets.unconnected(context, zmq.DEALER, keys))
         self._further = ControlTurns(context, turns, keys)
-        self._handshakes = HandshakeMonitor(context, keys)
         self._paths = [path for route in self.routes for path in route.paths]
         self._endpoints = [
             self.control,
@@ -97,8 +107,10 @@ class Connection:
         ]
         self.descriptors = sockets.descriptors([endpoint.socket for endpoint in self._endpoints])
         self.descriptors += self._further.descriptors
-        for endpoint in (*self._endpoints, *self._further.endpoints):
-            self._handshakes.watch(endpoint.socket)
+        watch, given = self._handshakes.watch, self._given_address
+        self._control_link = watch([self.control.socket], partial(given, self.control))
+        for endpoint in self._further.endpoints:
+            watch([endpoint.socket], partial(given, endpoint))
         self.rejected = self._handshakes.rejected
         self.established = self._handshakes.established
         self._named: list[tuple[DataPath | Endpoint, str]] = [(self.control, "control")]
@@ -162,25 +174,39 @@ class Connection:
 
     def waiting_for(self, now_ns: int) -> str:
         """Return what is waited for at each address, or why it does not come, in one phrase."""
-        if self._handshakes.refusal:
-            return self._handshakes.refusal
-        established = self._handshakes.established
-        return "; ".join(
-            route.reachability.reason(
-                now_ns, route.paths[0].first.socket in established, route.lookup.failure
-            )
-            for route in self.routes
-        )
+        return "; ".join(self._reason(route, now_ns) for route in self.routes)
 
     @property
     def refused(self) -> str | None:
-        """Cause for which the last connection was refused; None after one that was not."""
-        return self._handshakes.refused
+        """Cause of the present refusal, of several addresses the first one's; None without any."""
+        refusals = (self._refusal(route) for route in self.routes)
+        return next((refusal.cause for refusal in refusals if refusal is not None), None)
 
     def close(self) -> None:
         """Withdraw what was requested beside ZeroMQ's sockets."""
         for route in self.routes:
             route.reachability.close()
+
+    def _reason(self, route: Route, now_ns: int) -> str:
+        if (refusal := self._refusal(route)) is not None:
+            return refusal.text
+        established = route.paths[0].first.socket in self.established
+        return route.reachability.reason(now_ns, established, route.lookup.failure)
+
+    def _refusal(self, route: Route) -> Refusal | None:
+        """Return the present refusal of an address, by its data port or by its control port."""
+        of_control = self._control_link.refusal
+        if of_control is not None and of_control.address != route.address:
+            of_control = None
+        return route.link.refusal or of_control
+
+    def _given_address(self, control: Endpoint) -> str:
+        """Return the address, as the user gave it, to which a control endpoint is connected."""
+        for route in self.routes:
+            data = route.paths[0].first.address
+            if data is not None and sockets.control_address(data) == control.address:
+                return route.address
+        return control.address or ""
 
     def _watch(self, route: Route, now_ns: int) -> None:
         first, handshakes = route.paths[0].first, self._handshakes

@@ -63,7 +63,7 @@ class JitterBuffer:
 
     Parameters
     ----------
-    channels
+    channel_count
         Number of channels that are kept.
     begin_index
         Number of the first sample that counts, if another buffer has counted those before it.
@@ -79,12 +79,12 @@ class JitterBuffer:
         Whether the session's end is known.
     """
 
-    def __init__(self, channels: int = 1, begin_index: int | None = None) -> None:
+    def __init__(self, channel_count: int = 1, begin_index: int | None = None) -> None:
         self._joining = begin_index is None
         self._indices: list[int] = []
         self._times: list[int] = []
-        # The forces on each channel.
-        self._channels: list[list[float]] = [[] for _ in range(channels)]
+        # Of each channel.
+        self._forces_n: list[list[float]] = [[] for _ in range(channel_count)]
         # The time of the samples before this list position has passed.
         self._settled = 0
         # The latest time ever played; it stays when the playout jumps back.
@@ -116,7 +116,7 @@ class JitterBuffer:
         first_sample: int,
         period_ns: int,
         times_ns: list[int],
-        channels: Sequence[Sequence[float]],
+        forces_n: Sequence[Sequence[float]],
     ) -> None:
         """Take a frame: the times of its samples, and their forces in N on each channel.
 
@@ -140,8 +140,8 @@ class JitterBuffer:
             raise WireError("overflow", f"more than {MAX_AHEAD_SAMPLES} samples wait already")
         indices[place:place] = range(first_sample, first_sample + count)
         times[place:place] = times_ns
-        for number, forces_n in enumerate(channels):
-            self._channels[number][place:place] = forces_n
+        for kept_n, new_n in zip(self._forces_n, forces_n, strict=True):
+            kept_n[place:place] = new_n
         self.newest_ns = times[-1]
         self._period_ns = period_ns
         self.frames += 1
@@ -201,7 +201,7 @@ class JitterBuffer:
         surplus = self._settled - KEEP_SAMPLES
         self._floor_index = self._indices[surplus - 1] + 1
         del self._indices[:surplus], self._times[:surplus]
-        for values in self._channels:
+        for values in self._forces_n:
             del values[:surplus]
         self._settled = KEEP_SAMPLES
         # Removal in pairs keeps the first change one to True.
@@ -226,24 +226,24 @@ class JitterBuffer:
         self._settled = settled
 
     def known(
-        self, step_ns: int, count: int, begin_ns: int, channels: Sequence[int]
+        self, step_ns: int, count: int, begin_ns: int, places: Sequence[int]
     ) -> list[list[float]]:
         """Return `count` values of each of some channels, `step_ns` apart.
 
         They are interpolated linearly. The lists end at the newest sample, and are empty before the
-        first one. begin_ns: time of the first value, not after the played one. channels: places
-        of the channels among those that are kept.
+        first one. begin_ns: time of the first value, not after the played one. places: of the
+        channels among those that are kept, from 0.
         """
         times, position, t_ns = self._times, self._settled, begin_ns
         length = len(times)
         if t_ns < self._passed_ns:
             position = bisect_right(times, t_ns)
         if not position:
-            return [[] for _ in channels]
-        values, several, at_newest = self._channels[channels[0]], len(channels) > 1, False
+            return [[] for _ in places]
+        values, several, at_newest = self._forces_n[places[0]], len(places) > 1, False
         result: list[float] = []
         # Positions and shares, which are the same for all channels.
-        places: list[tuple[int, float]] = []
+        between: list[tuple[int, float]] = []
         for _ in range(count):
             while position < length and times[position] <= t_ns:
                 position += 1
@@ -257,13 +257,13 @@ class JitterBuffer:
             before = values[position - 1]
             result.append(before + share * (values[position] - before))
             if several:
-                places.append((position, share))
+                between.append((position, share))
             t_ns += step_ns
         results = [result]
-        for channel in channels[1:] if several else ():
-            values = self._channels[channel]
+        for place in places[1:] if several else ():
+            values = self._forces_n[place]
             result = []
-            for position, share in places:
+            for position, share in between:
                 before = values[position - 1]
                 result.append(before + share * (values[position] - before))
             if at_newest:
@@ -335,7 +335,7 @@ class JitterBuffer:
         """
         first = self._first_index
         begin_index = None if first is None else first + self.account().sent
-        following = JitterBuffer(len(self._channels), begin_index)
+        following = JitterBuffer(len(self._forces_n), begin_index)
         following.keep_accounts(self._lags_ns)
         return following
 

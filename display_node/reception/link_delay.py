@@ -9,6 +9,8 @@ import math
 from collections import deque
 from typing import Final
 
+from display_node.reception.playout_clock import JUMP_NS, WARP_PARTS
+
 BIN_NS: Final = 1_000_000
 BINS: Final = 11_000
 
@@ -63,15 +65,8 @@ class ExponentialQuantile:
 BASE_NS: Final = 2_000_000_000
 # A silence gives no evidence about the path, so it ages the base by no more than this.
 SILENCE_NS: Final = 200_000_000
-# The playout is at most one part in 20, 5 %, faster or slower than real time. This changes the
-# interval of a resting heart's beats by less than it changes by itself (standard deviation 50 of
-# 926 ms: Nunan et al. 2010), and is a third of the least change of a vibrotactile interval of 1 s
-# that people notice (160 ms: Jones et al. 2009).
-WARP_PARTS: Final = 20
 # The delay falls no faster, since the playout could not follow.
 RELEASE_PER_NS: Final = 1 / WARP_PARTS
-# The playout jumps over larger differences, so the delay does too.
-JUMP_NS: Final = 500_000_000
 # Delays that are far above the base for this time, and do not fall, are those of a longer path.
 LONGER_AFTER_NS: Final = 50_000_000
 FALLING_NS: Final = 10_000_000

@@ -1,7 +1,7 @@
 """Why a sensing node is not reached: nobody listens, no route, no answer, or no node.
 
-ZeroMQ tries to connect without end and reports no reason. So a display that waits requests a plain
-TCP connection now and then, and reads the result later: no call blocks.
+While no host accepts, ZeroMQ tries to connect without end and reports no reason. So a display that
+waits requests a plain TCP connection now and then, and reads the result later: no call blocks.
 """
 
 import errno
@@ -103,9 +103,9 @@ class Reachability:
             return f"{self._address} answers, but is no node"
         if unknown_host:
             return unknown_host
-        refused = self._attempts - self._attempts_before
-        if self._found == _NOBODY and refused > 1:
-            return f"nobody listens at {self._address}, refused {refused} times"
+        attempts = self._attempts - self._attempts_before
+        if self._found == _NOBODY and attempts > 1:
+            return f"nobody listens at {self._address}, refused {attempts} times"
         return f"{self._found} {self._address}" if self._found else f"connecting to {self._address}"
 
     def close(self) -> None:

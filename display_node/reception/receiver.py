@@ -10,7 +10,8 @@ from dataclasses import replace
 from typing import Final
 
 from display_node.reception.jitter_buffer import JitterBuffer, SampleAccount
-from display_node.reception.link_delay import JUMP_NS, DelayEstimator
+from display_node.reception.link_delay import DelayEstimator
+from display_node.reception.playout_clock import JUMP_NS
 from protocol.clock.estimator import READY_AFTER, ClockEstimator, ClockExchange
 from protocol.errors import VersionError, WireError
 from protocol.histogram import Histogram
@@ -50,7 +51,7 @@ class Receiver:
     ----------
     session, description
         Those of the present session; None before its welcome.
-    channels
+    channel_numbers
         The numbers of the buffered channels in its stream; empty before.
     clock, buffer, link_delay
         Its sensing clock, its samples, and the delay that its link requires. Each session begins
@@ -83,8 +84,8 @@ class Receiver:
         self, name: str, channels: Sequence[int | str], late_target: float, paths: int = 1
     ) -> None:
         self._name, self.paths = name, paths
-        self._wanted, self._late_target = channels, late_target
-        self.channels: list[int] = []
+        self._selected, self._late_target = channels, late_target
+        self.channel_numbers: list[int] = []
         self._announcing: int | None = None
         self.frame: wire.FlatFrame | None = None
         self.announcement: wire.ChannelSamples | None = None
@@ -264,8 +265,8 @@ class Receiver:
         if not -OLDEST_NS < last_ns - sensing_now_ns < FUTURE_NS:
             raise WireError("timestamp", "a frame's time is not near the present")
         columns = []
-        for channel in self.channels:
-            columns.append(list(forces_n[channel::channel_count]))
+        for number in self.channel_numbers:
+            columns.append(list(forces_n[number::channel_count]))
         self.buffer.put(first_sample, period_ns, times_ns, columns)
         # What follows does not delay the samples.
         self.frame = frame
@@ -290,11 +291,11 @@ class Receiver:
             case wire.Welcome(session=session, description=description):
                 self._received_ns = now_ns
                 if session != self.session:
-                    wanted = self._wanted or [description.first_force]
-                    self.channels = [description.find_force(name) for name in wanted]
+                    selected = self._selected or [description.first_force]
+                    self.channel_numbers = [description.find_force(each) for each in selected]
                     self._announcing, self.announcement = description.announcing, None
                     # Samples, times and clock of two sessions are unrelated.
-                    self._restart(JitterBuffer(len(self.channels)))
+                    self._restart(JitterBuffer(len(self.channel_numbers)))
                     self.session, self.description = session, description
                     self.sessions += 1
                     self._clock_requests = self._next_clock_ns = 0

@@ -45,17 +45,17 @@ class InterruptionCounter:
         self._interrupted = False
         self._last: tuple[int, int] | None = None
 
-    def add(self, scored: Integers, elapsed_ticks: Integers) -> None:
-        """Count ticks, at full strength (`scored`) or not, each some ticks after the one before."""
+    def add(self, full: Integers, elapsed_ticks: Integers) -> None:
+        """Count ticks, at full strength or not, each some ticks after the one before."""
         numbers = self._ticks + elapsed_ticks.cumsum()
         self._ticks = int(numbers[-1])
-        if scored.all() and not self._interrupted:
+        if full.all() and not self._interrupted:
             self._full = self._ticks
             return
         # Stretches of ticks that are all at full strength, or are not.
-        ends = np.append(scored[1:] != scored[:-1], True).nonzero()[0]
+        ends = np.append(full[1:] != full[:-1], True).nonzero()[0]
         firsts = numbers[np.append(0, ends[:-1] + 1)].tolist()
-        stretches = zip(scored[ends].tolist(), firsts, numbers[ends].tolist(), strict=True)
+        stretches = zip(full[ends].tolist(), firsts, numbers[ends].tolist(), strict=True)
         for full, first, last in stretches:
             if not full:
                 self._interrupted = self._full is not None

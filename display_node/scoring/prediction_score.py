@@ -98,7 +98,7 @@ class PredictionScore:
         self.corrections += corrected and full and not self._corrected
         self._corrected = corrected
 
-    def add_reference(
+    def add_samples(
         self, samples: ChannelSamples, force_ratio: float, height_n: float | None
     ) -> None:
         """Add received samples: the true force at those of their instants that were predicted.

@@ -1,9 +1,12 @@
 """Errors of the felt force against the pulse, aligned and in phase (eqs 23-25). Pure.
 
-Reference and felt force are added as they become known, both on the sensing clock. A felt force is
-scored once the reference around its instant is known. The reference is the force of the pulse at
-the finger: the received one in a display, the sensed one in a demo or simulation, times the ratio
-of the layers. Equations are those of Dargahi et al. (2008).
+The pulse is the force at the finger that equals the one at the wrist: the received force in a
+display, the sensed one in a demo or simulation, times the ratio of the layers. Pulse and felt force
+are added as they become known. A tick is judged once the pulse around its instant is known.
+Equations are those of Dargahi et al. (2008).
+
+Of a tick, `now_ns` is the time on the display's clock, `sensing_ns` the same time on the sensing
+clock, and `instant_ns` the instant of the pulse that it plays, on the sensing clock.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -13,49 +16,51 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from display_node.scoring.error_windows import ErrorWindowCounter
+from display_node.scoring.error_sums import ErrorSums
 from display_node.scoring.roughness import RoughnessMeter
 from protocol.pieces import Pieces
-from protocol.summary.fields import AlignedErrors, ErrorWindow, Loop, Summary
+from protocol.summary.fields import ErrorWindow, Loop, RmsErrors, Summary
 from protocol.wire.messages import ChannelSamples
 
 Floats = NDArray[np.float64]
 Times = NDArray[np.int64]
 # Largest gap of a pulse that is interpolated; within a larger one (a cut link) no error is known.
 MAX_GAP_NS: Final = 60_000_000
+# Just noticeable difference, as a share of the pulse's peak to peak in this time or more.
+JND: Final = 0.10
+SPAN_NS: Final = 2_000_000_000
+
+
+def jnd_n(pulse_n: Floats) -> float:
+    """Return the just noticeable difference of some seconds of the pulse, which has no NaN."""
+    return JND * float(np.ptp(pulse_n))
 
 
 def compared_forces_n(
-    now_ns: NDArray[Any],
+    sensing_ns: NDArray[Any],
     instant_ns: NDArray[Any],
     t_ns: NDArray[Any],
-    reference_n: Floats,
+    pulse_n: Floats,
     film_age_ns: float = 0,
 ) -> tuple[Floats, Floats]:
     """Return the forces with which the felt force of ticks is compared: aligned, and in phase.
 
     The felt force F of a tick is the film's reading, which is older than the tick by A. With the
-    reference f and the playout delay E, the errors (eqs 23-25) are::
+    pulse f, the sensing clock s and the playout delay E, the errors (eqs 23-25) are::
 
-        aligned:  F − f(instant − A) = F − f(now − E − A)
-        in phase: F − f(now − A)
+        aligned:  F − f(instant − A) = F − f(s − E − A)
+        in phase: F − f(s − A)
 
     The aligned error is that of prediction and force loop; the one in phase has E in it as well.
 
-    now_ns, instant_ns: time of each tick, and instant that it plays, in any shape. t_ns,
-    reference_n: f in N at rising times. film_age_ns: A, 0 where the film is modelled. Forces are
-    NaN where an instant is, outside of t_ns, and inside of gaps.
+    sensing_ns, instant_ns: time of each tick, and instant that it plays, in any shape. t_ns,
+    pulse_n: f in N at rising times. film_age_ns: A, 0 where the film is modelled. Forces are NaN
+    where an instant is, outside of t_ns, and inside of gaps.
     """
     aligned_n, in_phase_n = interpolate(
-        np.stack([instant_ns, now_ns]) - film_age_ns, t_ns, reference_n
+        np.stack([instant_ns, sensing_ns]) - film_age_ns, t_ns, pulse_n
     )
     return aligned_n, in_phase_n
-
-
-def rms(errors: Floats) -> float | None:
-    """Return the root mean square of the errors that are known; None without any."""
-    known = errors[~np.isnan(errors)]
-    return float(np.sqrt(np.mean(known**2))) if len(known) else None
 
 
 def interpolate(at_ns: NDArray[Any], t_ns: NDArray[Any], values: Floats) -> Floats:
@@ -75,67 +80,84 @@ def interpolate(at_ns: NDArray[Any], t_ns: NDArray[Any], values: Floats) -> Floa
 
 
 BLOCK: Final = 256
-# A felt force waits this many ticks for the reference of its instant to arrive.
+# A felt force waits this many ticks for the pulse of its instant to arrive.
 PATIENCE: Final = 2_048
-# Ticks that wait at most: beyond, `add_output` scores without `work` being called.
+# Ticks that wait at most: beyond, `add_output` judges them without `work` being called.
 MOST_WAITING: Final = PATIENCE + 4 * BLOCK
-# Time after which a reference without a felt force (of a display at fault) is removed.
+# Time after which a pulse without a felt force (of a display at fault) is removed. Times of a
+# session begin so long after those of the one before.
 KEEP_NS: Final = 30_000_000_000
-# Samples that are added one by one before they join the reference.
+# Samples that are added one by one before they join the pulse.
 MAX_ADDED: Final = 8_192
-JND: Final = 0.10
-SPAN_NS: Final = 2_000_000_000
 
 
 class TrackingError:
     """Accumulator of both errors and of the roughness.
 
     strain_per_newton: strain of the layer under the finger per force, in 1/N; None while it is
-    unknown, and with it the errors of strain. take_scored: function that receives, of each tick
-    once it is scored, the reference of the played instant (NaN where unknown) and the felt force.
-    windows: errors and perceived delay by windows of time; empty before `finish`.
+    unknown, and with it the errors of strain. take_compared: function that receives, of ticks in
+    their order, the pulse of the played instant (NaN where unknown) and the felt force. windows:
+    errors and perceived delay by windows of time; empty before `finish`.
     """
 
     def __init__(
         self,
         strain_per_newton: float | None = None,
-        take_scored: Callable[[Floats, Floats], None] | None = None,
+        take_compared: Callable[[Floats, Floats], None] | None = None,
     ) -> None:
-        self.strain_per_newton, self._take_scored = strain_per_newton, take_scored
+        self.strain_per_newton, self._take_compared = strain_per_newton, take_compared
         self.windows: list[ErrorWindow] = []
-        # The reference in order of time, and the samples that were added since.
-        self._t_ns, self._reference_n = np.empty(0, np.int64), np.empty(0)
+        self._film_age_ns = 0
+        # What is added to the times of the session, None before its first; the latest time of all.
+        self._ahead_ns: int | None = 0
+        self._latest_ns: int | None = None
+        # The pulse in order of time, and the samples that were added since.
+        self._t_ns, self._pulse_n = np.empty(0, np.int64), np.empty(0)
         self._added_ns: list[int] = []
         self._added_n: list[float] = []
-        # Felt forces that wait for the reference, with time and played instant; their number.
-        self._times_ns = np.empty((2, MOST_WAITING + BLOCK), np.int64)
+        # Felt forces that wait for the pulse, with `now_ns`, `sensing_ns` and `instant_ns`; their
+        # number.
+        self._times_ns = np.empty((3, MOST_WAITING + BLOCK), np.int64)
         self._felt_n = np.empty(MOST_WAITING + BLOCK)
         self._waiting = 0
         self._within = 0
         self._roughness = RoughnessMeter()
-        self._by_time = ErrorWindowCounter()
-        # What is left of the scoring of the oldest block.
+        self._sums = ErrorSums()
+        # What is left of the judging of the oldest block.
         self._pieces = Pieces()
 
-    def work(self) -> bool:
-        """Do one piece of the scoring that is due; return whether any was.
+    def begin_session(self, film_age_ns: int = 0) -> None:
+        """Begin a session, whose sensing clock is unrelated to the one before.
 
-        Without calls of it, `add_output` scores in bursts.
+        Ticks of the session before that still wait are judged by its pulse. film_age_ns: age of
+        the felt forces at their ticks; 0 without a real film.
+        """
+        self._film_age_ns, self._ahead_ns = film_age_ns, None
+
+    def work(self) -> bool:
+        """Do one piece of the judging that is due; return whether any was.
+
+        Without calls of it, `add_output` judges in bursts.
         """
         if not self._pieces.waiting and self._waiting >= PATIENCE + BLOCK:
-            self._pieces.begin(self._score_oldest())
+            self._pieces.begin(self._judge_oldest())
         return self._pieces.do_one()
 
-    def add_reference_force(self, t_ns: Sequence[int], reference_n: Sequence[float]) -> None:
-        """Add the reference of consecutive samples, late ones too."""
+    def add_pulse(self, t_ns: Sequence[int], pulse_n: Sequence[float]) -> None:
+        """Add the pulse at the finger at consecutive times of the sensing clock, late ones too."""
+        if not t_ns:
+            return
+        if ahead_ns := self._session_ahead_ns(t_ns[0]):
+            t_ns = [each_ns + ahead_ns for each_ns in t_ns]
+        self._latest_ns = max(self._latest_ns or t_ns[-1], t_ns[-1])
         self._added_ns += t_ns
-        self._added_n += reference_n
+        self._added_n += pulse_n
         if len(self._added_ns) > MAX_ADDED:
             until_ns = t_ns[-1] - KEEP_NS
-            self._score_until(until_ns)
+            self._judge_until(until_ns)
             self._gathered(until_ns)
 
-    def add_reference(
+    def add_samples(
         self, samples: ChannelSamples, force_ratio: float, group_delay_ns: int = 0
     ) -> None:
         """Add samples of the pulse, which are `group_delay_ns` behind it.
@@ -145,56 +167,61 @@ class TrackingError:
         times_ns = samples.times_ns
         if group_delay_ns:
             times_ns = [t_ns - group_delay_ns for t_ns in times_ns]
-        self.add_reference_force(times_ns, [force_ratio * force_n for force_n in samples.forces_n])
+        self.add_pulse(times_ns, [force_ratio * force_n for force_n in samples.forces_n])
 
     def add_output(
-        self, now_ns: Times, instant_ns: Times, felt_n: Floats, film_age_ns: int = 0
+        self, now_ns: Times, sensing_ns: Times, instant_ns: Times, felt_n: Floats
     ) -> None:
         """Add felt forces in the order of time, shape (n,); NaN where one is unknown.
 
-        now_ns, instant_ns: time of each tick, and instant of the pulse that it plays. film_age_ns:
-        age of the felt forces at their ticks; 0 without a real film.
+        now_ns, sensing_ns: time of each tick on the display's clock, and on the sensing clock.
+        instant_ns: instant of the pulse that it plays.
         """
+        if not len(felt_n):
+            return
+        ahead_ns = self._session_ahead_ns(int(sensing_ns[0]))
+        latest_ns = int(sensing_ns[-1]) + ahead_ns
+        self._latest_ns = max(self._latest_ns or latest_ns, latest_ns)
         for first in range(0, len(felt_n), BLOCK):
             block, begin = slice(first, first + BLOCK), self._waiting
             self._waiting = end = begin + len(felt_n[block])
-            # From here on both are of the time at which the film was read.
-            self._times_ns[0, begin:end] = now_ns[block] - film_age_ns
-            self._times_ns[1, begin:end] = instant_ns[block] - film_age_ns
+            self._times_ns[0, begin:end] = now_ns[block]
+            self._times_ns[1, begin:end] = sensing_ns[block] + ahead_ns
+            self._times_ns[2, begin:end] = instant_ns[block] + ahead_ns
             self._felt_n[begin:end] = felt_n[block]
             if end >= MOST_WAITING:
                 while self.work():
                     pass
 
     def finish(self) -> None:
-        """Score the remaining felt forces."""
-        self._score_until(None)
-        self.windows = self._by_time.windows()
+        """Judge the remaining felt forces."""
+        self._judge_until(None)
+        self.windows = self._sums.windows()
 
     @property
-    def force_rmse_n(self) -> AlignedErrors:
+    def force_rmse_n(self) -> RmsErrors:
         """RMSE of the force, in N."""
-        return self._by_time.force_rmse_n
+        return self._sums.force_rmse_n
 
     @property
-    def strain_rmse(self) -> AlignedErrors:
+    def strain_rmse(self) -> RmsErrors:
         """RMSE of the strain: that of the force, converted by the local layer."""
         force, factor = self.force_rmse_n, self.strain_per_newton
         if factor is None:
-            return AlignedErrors()
+            return RmsErrors()
         errors = (force.aligned, force.in_phase)
-        return AlignedErrors(*(None if error is None else error * abs(factor) for error in errors))
+        return RmsErrors(*(None if error is None else error * abs(factor) for error in errors))
 
     @property
     def within_jnd(self) -> float | None:
         """Share of the judged time with an error below 10 % of the pulse's peak to peak."""
-        judged = self._by_time.judged_ticks
+        judged = self._sums.judged_ticks
         return self._within / judged if judged else None
 
     def add_to(self, figures: Summary, loop: Loop) -> Summary:
         """Return a contactor's figures with these; loop: of the display."""
         ticks = (loop.ticks or 0) + (loop.deadline_misses or 0)
-        judged = min(1.0, self._by_time.judged_ticks / ticks) if ticks else None
+        judged = min(1.0, self._sums.judged_ticks / ticks) if ticks else None
         return replace(
             figures,
             force_rmse_n=self.force_rmse_n,
@@ -205,42 +232,55 @@ class TrackingError:
             roughness=self._roughness.roughness,
         )
 
-    def _score_until(self, until_ns: int | None) -> None:
-        """Score at once what was felt of instants before a time; None is the end of time."""
+    def _session_ahead_ns(self, first_ns: int) -> int:
+        """Return what is added to the times of this session, of which `first_ns` may be the first.
+
+        It puts them after all of the sessions before.
+        """
+        if self._ahead_ns is None:
+            latest_ns = self._latest_ns
+            self._ahead_ns = 0 if latest_ns is None else latest_ns + KEEP_NS - first_ns
+        return self._ahead_ns
+
+    def _judge_until(self, until_ns: int | None) -> None:
+        """Judge at once what was felt of instants before a time; None is the end of time."""
         self._pieces.finish()
-        while self._waiting and (until_ns is None or self._times_ns[1, 0] < until_ns):
-            self._pieces.begin(self._score_oldest())
+        while self._waiting and (until_ns is None or self._times_ns[2, 0] < until_ns):
+            self._pieces.begin(self._judge_oldest())
             self._pieces.finish()
 
-    def _score_oldest(self) -> Iterator[None]:
-        """Score the oldest block, piece by piece."""
-        count = min(self._waiting, BLOCK)
-        (now_ns, instant_ns), felt_n = self._times_ns[:, :count].copy(), self._felt_n[:count].copy()
+    def _judge_oldest(self) -> Iterator[None]:
+        """Judge the oldest block, piece by piece."""
+        count, age_ns = min(self._waiting, BLOCK), self._film_age_ns
+        times_ns, felt_n = self._times_ns[:, :count].copy(), self._felt_n[:count].copy()
+        now_ns, sensing_ns, instant_ns = times_ns
         self._times_ns[:, : self._waiting - count] = self._times_ns[:, count : self._waiting]
         self._felt_n[: self._waiting - count] = self._felt_n[count : self._waiting]
         self._waiting -= count
-        t_ns, reference_n = self._gathered(until_ns=int(instant_ns[0]) - SPAN_NS)
+        t_ns, pulse_n = self._gathered(until_ns=int(instant_ns[0]) - age_ns - SPAN_NS)
         yield
-        played_n, present_n = compared_forces_n(now_ns, instant_ns, t_ns, reference_n)
-        if self._take_scored is not None:
-            self._take_scored(played_n, felt_n)
+        played_n, present_n = compared_forces_n(sensing_ns, instant_ns, t_ns, pulse_n, age_ns)
+        if self._take_compared is not None:
+            self._take_compared(played_n, felt_n)
         if not len(t_ns):
             return
         yield
         self._roughness.add(now_ns, felt_n, played_n)
         yield
-        aligned, in_phase = felt_n - played_n, felt_n - present_n
-        self._by_time.add(now_ns, now_ns - instant_ns, aligned, in_phase)
-        self._within += int(np.count_nonzero(np.abs(aligned) < JND * np.ptp(reference_n)))
+        aligned_n, in_phase_n = felt_n - played_n, felt_n - present_n
+        self._sums.add(now_ns, sensing_ns - instant_ns, aligned_n, in_phase_n)
+        # Without what the next session may have begun with.
+        near_n = pulse_n[: np.searchsorted(t_ns, sensing_ns[-1] + KEEP_NS // 2)]
+        self._within += int(np.count_nonzero(np.abs(aligned_n) < jnd_n(near_n)))
 
     def _gathered(self, until_ns: int) -> tuple[Times, Floats]:
-        """Return the reference in order of time, after removing what is older than `until_ns`."""
+        """Return the pulse in order of time, after removing what is older than `until_ns`."""
         t_ns = np.concatenate([self._t_ns, np.array(self._added_ns, np.int64)])
-        reference_n = np.concatenate([self._reference_n, np.array(self._added_n)])
+        pulse_n = np.concatenate([self._pulse_n, np.array(self._added_n)])
         self._added_ns, self._added_n = [], []
         if (t_ns[1:] < t_ns[:-1]).any():
             order = np.argsort(t_ns, kind="stable")
-            t_ns, reference_n = t_ns[order], reference_n[order]
+            t_ns, pulse_n = t_ns[order], pulse_n[order]
         keep = max(0, int(np.searchsorted(t_ns, until_ns)) - 1)
-        self._t_ns, self._reference_n = t_ns[keep:], reference_n[keep:]
-        return self._t_ns, self._reference_n
+        self._t_ns, self._pulse_n = t_ns[keep:], pulse_n[keep:]
+        return self._t_ns, self._pulse_n

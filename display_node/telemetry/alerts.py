@@ -10,12 +10,14 @@ from display_node.fault_advice import FILM_NOTE, SENSING_NOTE, advise, latched
 from display_node.scoring.beat_statistics import pulse_alarm
 from display_node.scoring.deadlines import deadline_alarm
 from display_node.scoring.prediction_score import prediction_alarm
-from protocol.refusals import CAUSE_MEANINGS, OWN_KEY_REVOKED, explain_causes
+from protocol.refusals import REVOKED
 from protocol.summary.fields import contactors_of
 
 # A display without telemetry for this long counts as silent.
 SILENT_AFTER_NS = 2_000_000_000
 NOT_CONNECTED, STIFFNESS = "not connected", "finger's stiffness"
+# States in which `waiting_for` has a text.
+WITHOUT_SAMPLES = ("waiting", "stale")
 # Ratios to the scene's fingertip stiffness. Those of human fingers are 0.3 to 3, and the estimate
 # is within 10 %, so a ratio beyond these bounds is not a finger's.
 LEAST_STIFFNESS, MOST_STIFFNESS = 0.25, 4.0
@@ -52,12 +54,9 @@ def alerts(
         notes = [fault.removeprefix(prefix) for fault in faults if fault.startswith(prefix)]
         if notes:
             found.append(Alert(prefix.removesuffix(": "), "; ".join(notes)))
-    refused = summary.get("refused")
-    if refused == OWN_KEY_REVOKED and state != "playing":
-        found.append(Alert("revoked", CAUSE_MEANINGS[OWN_KEY_REVOKED]))
-    elif refused and state in ("waiting", "stale"):
-        count = summary.get("rejected", {}).get(refused, 1)
-        found.append(Alert(NOT_CONNECTED, *explain_causes({refused: count})))
+    if state in WITHOUT_SAMPLES and (refused := summary.get("refused")):
+        name = "revoked" if refused == REVOKED else NOT_CONNECTED
+        found.append(Alert(name, summary.get("waiting_for") or ""))
     if state == "stale":
         found.append(Alert("stale", f"no samples to play{finger}"))
     for name, figures in contactors_of(summary).items():
@@ -85,6 +84,17 @@ def _of_contactor(state: str, figures: Mapping[str, Any]) -> Iterator[Alert]:
         "prediction": prediction_alarm(figures.get("compensation", {})),
     }
     yield from (Alert(name, text) for name, text in alarms.items() if text is not None)
+
+
+def waiting_text(state: str, summary: Mapping[str, Any]) -> str:
+    """Return the text that belongs beside the state of a display that waits; empty without one.
+
+    Beside the state it is what the display waits for. A refusal is an alert instead, which shows
+    its reason and its remedy in full.
+    """
+    if state not in WITHOUT_SAMPLES or summary.get("refused"):
+        return ""
+    return summary.get("waiting_for") or ""
 
 
 def finger_text(summary: Mapping[str, Any]) -> str:

@@ -12,7 +12,13 @@ import numpy as np
 from rich.text import Text
 
 from display_node.scoring.heart_rate import heart_rate_per_min
-from display_node.telemetry.alerts import NOT_CONNECTED, Alert, alerts, finger_text
+from display_node.telemetry.alerts import (
+    WITHOUT_SAMPLES,
+    Alert,
+    alerts,
+    finger_text,
+    waiting_text,
+)
 from display_node.telemetry.status_age import StatusAge
 from protocol.errors import WireError
 from protocol.wire.marks import MARK, Mark, read_mark
@@ -25,14 +31,16 @@ LINE_WIDTH = 100
 def compose(state: str, items: Sequence[str], alerts: Sequence[Alert]) -> str:
     """Return state, items and alerts in one line of at most `LINE_WIDTH` characters.
 
-    Nothing is cut: an item that has no room is left out, the last ones first. Alerts come last,
-    with their texts if there is room, else by their names, else as a number; each was printed in
-    full when it began.
+    Nothing is cut: an item that has no room is left out, the last ones first. Alerts come last: as
+    the first that has room of their texts, the texts to the first semicolon, where the remedy
+    begins, their names, and their number. Each is printed in full elsewhere: below the line in a
+    terminal, else once when it begins.
     """
     state = state if len(state) <= LINE_WIDTH // 2 else "unknown state"
     # An alert need not repeat the state.
     names = [alert.name.removeprefix(f"{state}: ") for alert in alerts]
     texts = [f"{name}: {alert.text}" for name, alert in zip(names, alerts, strict=True)]
+    reasons = [text.partition("; ")[0] for text in texts]
     last = _first_that_fits(
         ["; ".join(names), f"{len(alerts)} alerts"], LINE_WIDTH - len(f"{state}: ")
     )
@@ -40,8 +48,8 @@ def compose(state: str, items: Sequence[str], alerts: Sequence[Alert]) -> str:
     for item in items:
         if item and len(_line(state, [*shown, item], last)) <= LINE_WIDTH:
             shown.append(item)
-    whole = _line(state, shown, "; ".join(texts))
-    return whole if len(whole) <= LINE_WIDTH else _line(state, shown, last)
+    longer = (_line(state, shown, "; ".join(each)) for each in (texts, reasons))
+    return _first_that_fits([*longer, _line(state, shown, last)], LINE_WIDTH)
 
 
 def _first_that_fits(texts: Sequence[str], width: int) -> str:
@@ -55,7 +63,7 @@ def _line(state: str, items: Sequence[str], last: str) -> str:
 
 # One tick in 10 ms is kept, for 6 s.
 KEEP_NS, APART_NS = 6_000_000_000, 10_000_000
-# Statuses come five times a second; an older one is not shown as current.
+# Statuses come each 0.4 s; one that is older than this is not shown as current.
 CURRENT_NS = 1_000_000_000
 
 
@@ -66,7 +74,7 @@ class TerminalTick(NamedTuple):
     instant_ns: int
     target_n: float
     felt_n: float
-    scored: bool
+    full: bool
 
 
 def _no_ticks() -> deque[TerminalTick]:
@@ -75,7 +83,7 @@ def _no_ticks() -> deque[TerminalTick]:
 
 def _heart_rate_per_min(ticks: Sequence[TerminalTick]) -> float | None:
     t_s = np.array([tick.now_ns * 1e-9 for tick in ticks])
-    felt_n = [tick.felt_n if tick.scored else math.nan for tick in ticks]
+    felt_n = [tick.felt_n if tick.full else math.nan for tick in ticks]
     return heart_rate_per_min(t_s, np.array(felt_n))
 
 
@@ -124,7 +132,7 @@ class TerminalView:
         if len(traces[0].trusted):
             self._trusted = bool(traces[0].trusted[-1])
         for ticks, trace in zip(self._ticks, traces, strict=True):
-            columns = (trace.now_ns, trace.instant_ns, trace.target_n, trace.felt_n, trace.scored)
+            columns = (trace.now_ns, trace.instant_ns, trace.target_n, trace.felt_n, trace.full)
             for tick in map(TerminalTick, *(column.tolist() for column in columns)):
                 if ticks and tick.now_ns < ticks[-1].now_ns:
                     ticks.clear()
@@ -144,9 +152,6 @@ class TerminalView:
             return "waiting for the display"
         state = self.status.state
         found = [alert for alert in self._alerts(now_ns) if alert.name != state]
-        if state == "waiting":
-            # What it waits for has the reason.
-            found = [alert for alert in found if alert.name != NOT_CONNECTED]
         items = self._line_items(state) if self._age_ns(now_ns) < CURRENT_NS else []
         return compose(self._state(now_ns), items, found)
 
@@ -158,11 +163,16 @@ class TerminalView:
         resting = [f"finger {finger}"] if finger else []
         if state == "fault":
             return resting
-        if state in ("waiting", "stale"):
-            reason = _printable(summary.get("waiting_for") or "")
-            return (
-                ["no samples to play", reason, *resting] if state == "stale" else [reason, *resting]
-            )
+        if state in WITHOUT_SAMPLES:
+            if state == "waiting" and summary.get("refused"):
+                # No force is played yet: the room is for the reason, which is an alert.
+                return []
+            first = ["no samples to play"] if state == "stale" else []
+            reason = _printable(waiting_text(state, summary))
+            if len(_line(state, [*first, reason], "")) > LINE_WIDTH:
+                # Of several addresses, the first one's.
+                reason, _, _ = reason.partition("; ")
+            return [*first, reason, *resting]
         if state == "ended" or self.status.final:
             return [_account_text(summary)]
         rates = [f"{rate:.0f}" for rate in self.heart_rates_per_min if rate is not None]
@@ -239,7 +249,7 @@ class TerminalView:
         summary = {} if self.status is None else self.status.summary
         offset_ms = summary.get("clock", {}).get("offset_ms")
         last = self._ticks[0][-1] if self._ticks[0] else None
-        if offset_ms is None or last is None or not last.scored:
+        if offset_ms is None or last is None or not last.full:
             return None
         # An E of 0 is known to the clock's error only.
         return max(0.0, (last.now_ns - last.instant_ns) * 1e-6 + float(offset_ms))

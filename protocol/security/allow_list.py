@@ -14,7 +14,7 @@ from protocol.security.keys import READ_BY_ALL, PublicKey, parse_public, read_te
 
 logger = logging.getLogger(__name__)
 
-# Its name where no option gives another, beside the node's own key.
+# Its name where no option gives another, beside the node's own key (`default_path`).
 FILE_NAME = "allowed"
 MAX_ALLOWED = 10_000
 _MAX_BYTES = 200 * MAX_ALLOWED
@@ -104,6 +104,11 @@ class AllowList:
         return listed
 
 
+def default_path(folder: Path) -> Path:
+    """Return the path of the allow-list in a folder of keys."""
+    return folder / FILE_NAME
+
+
 def read_allow_list(path: Path) -> dict[bytes, PublicKey]:
     """Read the keys on a list and their names; none without a file.
 
@@ -144,7 +149,7 @@ def _read_lines(path: Path) -> list[tuple[str, PublicKey | None]]:
             return []
     except OSError as error:
         raise KeyFileError(f"{path}: cannot read: {error.strerror}") from None
-    text, mode = read_text(path, _MAX_BYTES)
+    text, mode = read_text(path, _MAX_BYTES, "give the file of an allow-list")
     if os.name == "posix" and mode & (stat.S_IWGRP | stat.S_IWOTH):
         raise KeyFileError(f"{path}: others may write this allow-list; run: chmod go-w {path}")
     lines: list[tuple[str, PublicKey | None]] = []

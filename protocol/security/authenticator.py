@@ -38,8 +38,9 @@ class Authenticator:
 
     Attributes
     ----------
-    sockets : list of zmq.Socket
-        Sockets to wait for, besides the protected ones.
+    own_sockets : list of zmq.Socket
+        Sockets to wait for, besides the protected ones: the authentication requests, and the events
+        of each protected socket.
     rejected : Counter
         Refusals by cause.
     """
@@ -48,7 +49,7 @@ class Authenticator:
         self, context: sockets.Context, keys: ServerKeys | None, most: int | None = None
     ) -> None:
         self._context = context
-        self.sockets: list[sockets.Socket] = []
+        self.own_sockets: list[sockets.Socket] = []
         self.rejected: Counter[str] = Counter()
         self._tables: list[ConnectionTable] = []
         self._budget = ConnectionBudget(connections_that_fit() if most is None else most)
@@ -62,18 +63,22 @@ class Authenticator:
             self._node_key, self._list = keys.pair.public.key, keys.allow_list
             self._zap = context.socket(zmq.ROUTER)
             self._zap.bind(zap.ENDPOINT)
-            self.sockets.append(self._zap)
+            self.own_sockets.append(self._zap)
 
     def protect(self, socket: sockets.Socket) -> None:
         """Require a key of the allow-list, if there are keys, and count the socket's connections.
 
-        Call this before the socket is bound.
+        Call this before the socket is bound. libzmq encrypts, and refuses every client for which
+        no reply of `poll` comes.
         """
         if self._keys is not None:
-            self._keys.protect(socket)
+            socket.setsockopt(zmq.CURVE_SERVER, 1)
+            socket.setsockopt(zmq.CURVE_SECRETKEY, self._keys.pair.secret)
+            socket.setsockopt(zmq.ZAP_DOMAIN, zap.DOMAIN)
+            socket.setsockopt(zmq.ZAP_ENFORCE_DOMAIN, 1)
         table = ConnectionTable(self._context, socket)
         self._tables.append(table)
-        self.sockets.append(table.socket)
+        self.own_sockets.append(table.socket)
 
     def poll(self, now_ns: int) -> None:
         """Answer requests, count refusals, read a changed list, cut connections; call it often.

@@ -19,6 +19,7 @@ from protocol.errors import KeyFileError, OutputError
 from protocol.host.output import create_file
 
 SECRET, PUBLIC = "telepulse-secret-key", "telepulse-public-key"
+SECRET_ENDING, PUBLIC_ENDING = ".key", ".pub"
 KEY_BYTES = 32
 # Hexadecimal digits of a key that the log gives beside its name.
 NAMED_DIGITS = 16
@@ -41,6 +42,11 @@ class PublicKey:
         return f"{self.name} (key {self.key.hex()[:NAMED_DIGITS]}...)"
 
     @property
+    def file_name(self) -> str:
+        """Name of the file in which it was made."""
+        return self.name + PUBLIC_ENDING
+
+    @property
     def line(self) -> str:
         """The key as a line of a file, without the line's end."""
         return f"{PUBLIC} {self.name} {self.key.hex()}"
@@ -60,7 +66,7 @@ class KeyPair:
 
 
 def new_pair(folder: Path, name: str) -> tuple[Path, Path]:
-    """Create `folder`/`name`.key and .pub.
+    """Create a pair in files of the folder; return the paths of the secret and the public one.
 
     Raises KeyFileError for an invalid name or folder; OutputError where a file exists already or
     cannot be written.
@@ -72,7 +78,7 @@ def new_pair(folder: Path, name: str) -> tuple[Path, Path]:
         )
     _, secret = zmq.curve_keypair()
     pair = KeyPair(name, z85.decode(secret))
-    secret_path, public_path = folder / f"{name}.key", folder / f"{name}.pub"
+    secret_path, public_path = (folder / (name + end) for end in (SECRET_ENDING, PUBLIC_ENDING))
     try:
         folder.mkdir(mode=FOLDER, parents=True, exist_ok=True)
     except OSError as error:
@@ -88,9 +94,9 @@ def new_pair(folder: Path, name: str) -> tuple[Path, Path]:
 
 def read_pair(path: Path) -> KeyPair:
     """Read a secret key file. Raises KeyFileError, also when others may read it."""
-    kind, name, key, mode = _read(path)
+    kind, name, key, mode = _read(path, SECRET)
     if kind == PUBLIC:
-        raise KeyFileError(f"{path} is a public key; give the secret one, {name}.key")
+        raise KeyFileError(f"{path} is a public key; give the secret one, {name}{SECRET_ENDING}")
     if os.name == "posix" and mode & (stat.S_IRWXG | stat.S_IRWXO):
         raise KeyFileError(f"{path}: others may read this secret key; run: chmod 600 {path}")
     return KeyPair(name, key)
@@ -98,21 +104,24 @@ def read_pair(path: Path) -> KeyPair:
 
 def read_public(path: Path) -> PublicKey:
     """Read a public key file. Raises KeyFileError."""
-    kind, name, key, _ = _read(path)
+    kind, name, key, _ = _read(path, PUBLIC)
     if kind == SECRET:
         raise KeyFileError(
             f"{path} is a secret key, which never leaves its machine; give the public one,"
-            f" {name}.pub"
+            f" {name}{PUBLIC_ENDING}"
         )
     return PublicKey(name, key)
 
 
-def read_text(path: Path, limit_bytes: int = MAX_KEY_FILE_BYTES) -> tuple[str, int]:
-    """Return the text and mode of an ASCII file of limited size. Raises KeyFileError."""
+def read_text(path: Path, limit_bytes: int, remedy: str) -> tuple[str, int]:
+    """Return the text and mode of an ASCII file of limited size.
+
+    Raises KeyFileError; remedy: what a person can do where there is no file.
+    """
     try:
         if not path.is_file():
             reason = "it is not a file" if path.exists() else "there is no such file"
-            raise KeyFileError(f"{path}: {reason}; make keys by: telepulse keys new NAME")
+            raise KeyFileError(f"{path}: {reason}; {remedy}")
         with path.open("rb") as file:
             mode = os.fstat(file.fileno()).st_mode
             data = file.read(limit_bytes + 1)
@@ -128,27 +137,29 @@ def parse_public(line: str) -> PublicKey:
 
     Raises ValueError, whose text does not quote the line: it may be a secret key.
     """
-    kind, name, key = _words(line)
+    kind, name, key = _words(line, PUBLIC)
     if kind != PUBLIC:
         raise ValueError("a secret key, which never leaves its machine")
     return PublicKey(name, key)
 
 
-def _read(path: Path) -> tuple[str, str, bytes, int]:
-    text, mode = read_text(path)
+def _read(path: Path, wanted: str) -> tuple[str, str, bytes, int]:
+    remedy = "make keys by: telepulse keys new NAME"
+    text, mode = read_text(path, MAX_KEY_FILE_BYTES, remedy)
     lines = text.splitlines()
     try:
         if len(lines) != 1:
             raise ValueError("it is not one line")
-        return *_words(lines[0]), mode
+        return *_words(lines[0], wanted), mode
     except ValueError as error:
         raise KeyFileError(f"{path} holds no key: {error}") from None
 
 
-def _words(line: str) -> tuple[str, str, bytes]:
+def _words(line: str, wanted: str) -> tuple[str, str, bytes]:
+    """Return kind, name and key of a line; wanted: the kind that a refusal gives as an example."""
     words = line.split()
     if len(words) != 3 or words[0] not in (SECRET, PUBLIC):
-        raise ValueError(f"it is not '{PUBLIC} NAME KEY'")
+        raise ValueError(f"it is not '{wanted} NAME KEY'")
     kind, name, key = words
     if not _NAME.fullmatch(name):
         raise ValueError("its second word is no name of a key")

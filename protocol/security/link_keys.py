@@ -13,28 +13,20 @@ from pathlib import Path
 import zmq
 
 from protocol.errors import ProtectionError
-from protocol.security import zap
-from protocol.security.allow_list import FILE_NAME, AllowList
+from protocol.security.allow_list import AllowList, default_path
 from protocol.security.keys import KeyPair, PublicKey, read_pair, read_public
 from protocol.sockets import Socket, beyond_loopback, control_address
 
 
 @dataclass(frozen=True, slots=True)
 class ServerKeys:
-    """Keys of a server: its pair, and the list of the keys that may connect."""
+    """Keys of a server: its pair, and the list of the keys that may connect.
+
+    `Authenticator.protect` applies both to a socket.
+    """
 
     pair: KeyPair
     allow_list: AllowList
-
-    def protect(self, socket: Socket) -> None:
-        """Make `socket` accept keys alone, encrypted; call this before it is bound.
-
-        Without an `Authenticator`, it refuses every client.
-        """
-        socket.setsockopt(zmq.CURVE_SERVER, 1)
-        socket.setsockopt(zmq.CURVE_SECRETKEY, self.pair.secret)
-        socket.setsockopt(zmq.ZAP_DOMAIN, zap.DOMAIN)
-        socket.setsockopt(zmq.ZAP_ENFORCE_DOMAIN, 1)
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,6 +65,18 @@ class KeyOptions:
             given = "--peer" if self.key is None else "--key"
             raise ProtectionError(f"--insecure does without keys, and {given} is given: choose one")
 
+    @cached_property
+    def pair(self) -> KeyPair:
+        """Key pair, read from the file of --key at the first use; the option must be given."""
+        assert self.key is not None
+        return read_pair(self.key)
+
+    @cached_property
+    def server_key(self) -> PublicKey:
+        """Public key, read from the file of --peer at the first use; it must be given."""
+        assert self.peer is not None
+        return read_public(self.peer)
+
     def server(self, address: str) -> ServerKeys | None:
         """Return the keys of sockets bound to `address`."""
         if self.key is None:
@@ -84,7 +88,8 @@ class KeyOptions:
             return None
         if self.allow is not None and not self.allow.exists():
             raise ProtectionError(f"--allow {self.allow}: there is no such file")
-        return ServerKeys(self.pair, AllowList(self.allow or self.key.with_name(FILE_NAME)))
+        path = self.allow or default_path(self.key.parent)
+        return ServerKeys(self.pair, AllowList(path))
 
     def telemetry_server(self, address: str) -> ServerKeys | None:
         """Return a display's keys for publishing telemetry; on this machine it needs none."""
@@ -126,18 +131,6 @@ class KeyOptions:
         if self.key is None or self.peer is not None:
             return self.client(address)
         return ClientKeys(self.pair, self.pair.public)
-
-    @cached_property
-    def server_key(self) -> PublicKey:
-        """Public key in the file of --peer, which must be given."""
-        assert self.peer is not None
-        return read_public(self.peer)
-
-    @cached_property
-    def pair(self) -> KeyPair:
-        """Key pair in the file of --key, which must be given."""
-        assert self.key is not None
-        return read_pair(self.key)
 
     def _check_without_keys(self, addresses: Sequence[str], options: str) -> None:
         """Check that a link without keys stays on this machine, or is explicitly insecure."""

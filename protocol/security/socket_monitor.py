@@ -4,7 +4,9 @@ import itertools
 import logging
 import struct
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import zmq
 
@@ -13,9 +15,9 @@ from protocol.refusals import (
     HANDSHAKE,
     NO_KEY,
     NOT_AUTHENTIC,
-    OWN_KEY_REVOKED,
-    OWN_KEY_UNKNOWN,
+    REFUSED_KEY,
     REPLAYED,
+    REVOKED,
     SERVER_LIST_UNREADABLE,
 )
 from protocol.security import zap
@@ -42,6 +44,7 @@ REPEATED_BREAKS = 3
 _HANDSHAKE_EVENTS = (
     zmq.EVENT_CONNECTED
     | zmq.EVENT_CONNECT_RETRIED
+    | zmq.EVENT_CLOSED
     | zmq.EVENT_HANDSHAKE_SUCCEEDED
     | zmq.EVENT_HANDSHAKE_FAILED_AUTH
     | zmq.EVENT_DISCONNECTED
@@ -83,24 +86,53 @@ def cause_of(value: int) -> str:
     return _CAUSES.get(value, HANDSHAKE)
 
 
+class Refusal(NamedTuple):
+    """Refusal of a client's connection.
+
+    cause: of `CONNECTIONS`. address: of the server, as the user gave it. endpoint: the IP address
+    and port that were connected. text: the address, the reason, and what to do about it.
+    """
+
+    cause: str
+    address: str
+    endpoint: str
+    text: str
+
+
+@dataclass(eq=False)
+class ClientLink:
+    """Sockets that connect to one port of a server, and the present refusal of them.
+
+    address: returns the server's address as the user gave it. refusal: the last one; None once a
+    handshake has succeeded, or where it came from accepts no connection any more.
+    """
+
+    address: Callable[[], str]
+    refusal: Refusal | None = None
+
+
 class HandshakeMonitor:
     """Monitor of a client's sockets: counts failed handshakes and reports each reason once.
 
-    ZeroMQ itself retries without end and reports nothing. rejected: failed handshakes by cause;
-    those that break by chance, fewer than `REPEATED_BREAKS` in a row, are left out. connected:
-    sockets whose TCP connection is open; its handshake may still fail. established: those whose
-    handshake has succeeded. retried: attempts to connect that failed, by socket. refused: cause of
-    the last refusal, None after a handshake that succeeded; refusal: its text, with what to do
-    about it.
+    ZeroMQ repeats a connection that breaks, without end, but not one that the server refused. So
+    the callers connect again: `Connection.poll` of a display, `TelemetryClient.poll`, and `Relay`.
+
+    rejected: failed handshakes by cause; those that break by chance, fewer than `REPEATED_BREAKS`
+    in a row, are left out. connected: sockets whose TCP connection is open; its handshake may still
+    fail. established: those whose handshake has succeeded. retried: attempts to connect that
+    failed, by socket.
     """
 
     def __init__(self, context: Context, keys: ClientKeys | None) -> None:
         self._context = context
         self._keys = keys
-        self._monitors: list[tuple[Socket, SocketMonitor]] = []
+        self._monitors: list[tuple[ClientLink, Socket, SocketMonitor]] = []
         # Broken handshakes of each socket since its last one that did not break.
         self._breaks: Counter[Socket] = Counter()
-        # Hosts that have accepted this node's key; a later refusal is a revocation.
+        # Addresses whose server has accepted this node's key; a later refusal is a revocation. Of
+        # the server's answer a client receives the status alone (`zap`), which is the same for an
+        # unknown and for a revoked key. The server decides that from its own memory, which ends
+        # with its process: after its restart the two may differ.
         self._accepted_by: set[str] = set()
         self._reported: set[tuple[str, str]] = set()
         self._poll_ns = 0
@@ -108,12 +140,17 @@ class HandshakeMonitor:
         self.connected: set[Socket] = set()
         self.established: set[Socket] = set()
         self.retried: Counter[Socket] = Counter()
-        self.refused: str | None = None
-        self.refusal = ""
 
-    def watch(self, socket: Socket) -> None:
-        """Monitor a socket; call this before it connects."""
-        self._monitors.append((socket, SocketMonitor(self._context, socket, _HANDSHAKE_EVENTS)))
+    def watch(self, sockets: Sequence[Socket], address: Callable[[], str]) -> ClientLink:
+        """Monitor the sockets of one link; call this before they connect.
+
+        address: returns the server's address as the user gave it, at the time of a refusal.
+        """
+        link = ClientLink(address)
+        for socket in sockets:
+            monitor = SocketMonitor(self._context, socket, _HANDSHAKE_EVENTS)
+            self._monitors.append((link, socket, monitor))
+        return link
 
     def poll(self, now_ns: int) -> list[Socket]:
         """Read the waiting events; call it often.
@@ -124,8 +161,15 @@ class HandshakeMonitor:
             return []
         self._poll_ns = now_ns + POLL_EVERY_NS
         answered = []
-        for socket, monitor in self._monitors:
+        for link, socket, monitor in self._monitors:
             for event, value, endpoint in monitor.events():
+                if event == zmq.EVENT_CLOSED:
+                    # An attempt has ended without a TCP connection. The attempt may be older than
+                    # the socket's present connection, so only the refusal ends. Of a name with
+                    # several IP addresses, one may refuse the key and another not be reached.
+                    if link.refusal is not None and link.refusal.endpoint == endpoint:
+                        link.refusal = None
+                    continue
                 self.established.discard(socket)
                 if event == zmq.EVENT_CONNECTED:
                     self.connected.add(socket)
@@ -137,21 +181,23 @@ class HandshakeMonitor:
                     self.connected.discard(socket)
                 elif event == zmq.EVENT_HANDSHAKE_SUCCEEDED:
                     self.established.add(socket)
-                    self._accept(socket, endpoint)
+                    self._accept(link, socket)
                 else:
-                    self._refuse(socket, event, value, endpoint)
+                    self._refuse(link, socket, event, value, endpoint)
         return answered
 
-    def _accept(self, socket: Socket, endpoint: str) -> None:
-        host = _host_of(endpoint)
-        self._breaks[socket], self.refused, self.refusal = 0, None, ""
-        self._accepted_by.add(host)
+    def _accept(self, link: ClientLink, socket: Socket) -> None:
+        address = link.address()
+        self._breaks[socket], link.refusal = 0, None
+        self._accepted_by.add(address)
         # What can happen to a working link at any time is reported again.
-        self._reported -= {(OWN_KEY_REVOKED, host), (SERVER_LIST_UNREADABLE, host)}
+        self._reported -= {(REVOKED, address), (SERVER_LIST_UNREADABLE, address)}
 
-    def _refuse(self, socket: Socket, event: int, value: int, endpoint: str) -> None:
-        host = _host_of(endpoint)
-        cause = self._cause_of_refusal(event, value, host)
+    def _refuse(
+        self, link: ClientLink, socket: Socket, event: int, value: int, endpoint: str
+    ) -> None:
+        address = link.address()
+        cause = self._cause_of_refusal(event, value, address)
         if cause == HANDSHAKE:
             self._breaks[socket] += 1
             if self._breaks[socket] < REPEATED_BREAKS:
@@ -159,23 +205,21 @@ class HandshakeMonitor:
             if self._breaks[socket] == REPEATED_BREAKS:
                 self.rejected[cause] += REPEATED_BREAKS - 1
         self.rejected[cause] += 1
-        words, keys = CONNECTIONS[cause], self._keys
-        reason = words.without_keys
-        if keys is not None:
-            reason = words.at_client.format(client=keys.pair.name, server=keys.server_key.name)
-        self.refused, self.refusal = cause, f"{endpoint} {reason}"
-        if (cause, host) not in self._reported:
-            self._reported.add((cause, host))
-            logger.warning(self.refusal)
+        link.refusal = Refusal(cause, address, endpoint, f"{address} {self._words(cause)}")
+        # Data and control of a node fail for the same reason.
+        if (cause, address) not in self._reported:
+            self._reported.add((cause, address))
+            logger.warning(link.refusal.text)
 
-    def _cause_of_refusal(self, event: int, value: int, host: str) -> str:
+    def _cause_of_refusal(self, event: int, value: int, address: str) -> str:
         if event != zmq.EVENT_HANDSHAKE_FAILED_AUTH:
             return cause_of(value)
         if value == zap.CANNOT_DECIDE:
             return SERVER_LIST_UNREADABLE
-        return OWN_KEY_REVOKED if host in self._accepted_by else OWN_KEY_UNKNOWN
+        return REVOKED if address in self._accepted_by else REFUSED_KEY
 
-
-def _host_of(endpoint: str) -> str:
-    """Return an endpoint without its port: a node's data and control fail for the same reason."""
-    return endpoint.rpartition(":")[0]
+    def _words(self, cause: str) -> str:
+        words = CONNECTIONS[cause]
+        if self._keys is None:
+            return words.without_keys
+        return words.at_client.format(own=self._keys.pair.public, peer=self._keys.server_key)

@@ -130,8 +130,8 @@ class Clock:
 
 
 @dataclass(frozen=True, slots=True)
-class AlignedErrors:
-    """RMSE of the felt force against the pulse."""
+class RmsErrors:
+    """RMSE of the felt force, or of its strain, against the pulse."""
 
     aligned: float | None = None
     in_phase: float | None = None
@@ -139,7 +139,7 @@ class AlignedErrors:
 
 @dataclass(frozen=True, slots=True)
 class ErrorWindow:
-    """Errors in a part of the run, and its times in s after the first judged tick.
+    """Errors in a part of the run, and its times in s after the first tick at full strength.
 
     playout_delay_ms: mean perceived delay E. aligned_n, in_phase_n: RMS error in N.
     """
@@ -296,8 +296,8 @@ class Summary:
     beats: BeatFigures = field(default_factory=BeatFigures)
     announce: AnnounceFigures = field(default_factory=AnnounceFigures)
     clock: Clock = field(default_factory=Clock)
-    force_rmse_n: AlignedErrors = field(default_factory=AlignedErrors)
-    strain_rmse: AlignedErrors = field(default_factory=AlignedErrors)
+    force_rmse_n: RmsErrors = field(default_factory=RmsErrors)
+    strain_rmse: RmsErrors = field(default_factory=RmsErrors)
     within_jnd: float | None = None
     windows: list[ErrorWindow] = field(default_factory=list)
     availability: Availability = field(default_factory=Availability)
@@ -320,6 +320,20 @@ class Summary:
     def of_each_contactor(self) -> dict[str, "Summary"]:
         """Return the figures of each contactor by its name; "" is the name of an only one."""
         return self.contactors or {"": self}
+
+    def worst_contactor(self) -> "tuple[str, float, Summary] | None":
+        """Return name, aligned force RMSE in N and figures of the contactor with the largest one.
+
+        Where one of several contactors stands for all: verdict, and a report's first sentences. A
+        display reports the largest error alone to its sensing node. The page shows the contactor
+        that a person chooses, `Run` the first one; all else has each by its name.
+        """
+        errors = [
+            (name, error_n, figures)
+            for name, figures in self.of_each_contactor().items()
+            if (error_n := figures.force_rmse_n.aligned) is not None
+        ]
+        return max(errors, key=lambda each: each[1], default=None)
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain types for JSON and msgpack; NaN and numbers beyond `LARGEST` are None."""

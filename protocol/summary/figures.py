@@ -1,7 +1,7 @@
 """Meaning and presentation of the summary's figures: the table `figures.toml`, read once.
 
-Terminal, live page, Prometheus, the report of a recording and the reference read the same table. A
-new figure is a field in `fields.py` and an entry there.
+The table that `--details` prints, live page, Prometheus, the report of a recording and the
+reference read the same entries. A new figure is a field in `fields.py` and an entry there.
 """
 
 import dataclasses
@@ -27,7 +27,7 @@ READ = {"row", "noun", "unit", "form", "show", "headline", "metric", "left_out",
 class Surface(StrEnum):
     """A place where people or programs read the figures, besides the JSON."""
 
-    SUMMARY = "summary printed at the end"
+    SUMMARY = "table of --details"
     PAGE = "live page"
     REPORT = "report of a recording"
     METRICS = "metrics"

@@ -3,7 +3,7 @@
 Topics, each a multipart message [topic, msgpack]:
 
 - "trace": every tick since the last trace;
-- "status": the running summary, several times a second; the last status has final = true;
+- "status": the running summary, each 0.4 s; the last status has final = true;
 - "heard": every message that the display receives, with its time of arrival, published only while
   a recorder subscribes. Each states how much was published before, so that gaps show;
 - "mark": a text at a time (`marks`);
@@ -124,7 +124,8 @@ def unpack(data: bytes, max_items: int = MAX_ITEMS) -> Any:
 
 
 TRACE = b"trace"
-# Number of traces between two statuses.
+# A status follows each fourth trace. A trace has the ticks of 0.1 s, up to 250 of them, so that
+# statuses are 0.4 s apart at ticks of 0.4 ms or more.
 STATUS_TRACES = 4
 
 
@@ -139,7 +140,7 @@ class Trace(NamedTuple):
     instant_ns: NDArray[np.int64]
     target_n: NDArray[np.float64]
     felt_n: NDArray[np.float64]
-    scored: NDArray[np.bool_]
+    full: NDArray[np.bool_]
     predictor_error_n: NDArray[np.float64] = np.empty(0)
     trusted: NDArray[np.bool_] = np.empty(0, bool)
     press_n: NDArray[np.float64] = np.empty(0)
@@ -164,7 +165,7 @@ class TraceWriter:
     def add(self, block: TickBlock) -> None:
         """Add the ticks of a block."""
         ticks = block.columns
-        integers = ticks.now_ns, ticks.instant_ns, ticks.scored, ticks.trusted
+        integers = ticks.now_ns, ticks.instant_ns, ticks.full, ticks.trusted
         self._integers.append(np.column_stack(integers).tobytes())
         self._forces.append(block.forces_n.tobytes())
         self._press.append(block.press_n.tobytes())
@@ -188,7 +189,7 @@ def read_trace(data: bytes) -> list[Trace]:
     """
     try:
         ints, forces, *rest = unpack(data)
-        now_ns, instant_ns, scored, trusted = np.frombuffer(ints, "<i8").reshape(-1, 4).T
+        now_ns, instant_ns, full, trusted = np.frombuffer(ints, "<i8").reshape(-1, 4).T
         values = np.frombuffer(forces, "<f8").reshape(len(now_ns), -1, 3)
         pressed = np.full((len(now_ns), 2), np.nan)
         if rest:
@@ -206,7 +207,7 @@ def read_trace(data: bytes) -> list[Trace]:
     if not np.all(np.abs(values[..., 0]) <= LARGEST_N):
         raise WireError("malformed", f"a trace's target is not within {LARGEST_N:.0e} N")
     known = np.where(np.abs(values) <= LARGEST_N, values, np.nan)
-    flags = scored.astype(bool), trusted.astype(bool)
+    flags = full.astype(bool), trusted.astype(bool)
     unpressed = np.full(len(now_ns), np.nan)
     traces = [
         Trace(

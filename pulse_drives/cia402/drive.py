@@ -60,12 +60,12 @@ class Cia402Drive(Drive):
         """Send the present velocity, or the next step to enable a drive that is not enabled."""
         node, supervisor = self._node, self._supervisor
         enabled = node.state is State.ENABLED
-        velocity = supervisor.velocity(now_ns) if enabled else 0
+        velocity = supervisor.velocity_to_send(now_ns) if enabled else 0
         self._control = (
             Controlword.ENABLE if enabled else towards_enabled(node.state, self._control)
         )
         try:
-            supervisor.sent(velocity, node.command(self._control, velocity))
+            supervisor.mark_sent(velocity, node.command(self._control, velocity))
             if now_ns - self._beat_ns >= self._scene.watchdog_ns // BEATS:
                 self._beat_ns = now_ns
                 node.send_heartbeat()

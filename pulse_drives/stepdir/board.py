@@ -37,8 +37,6 @@ POLL_S = 0.002
 # The board gives up a search somewhat later than the host.
 SEARCH_SHARE = 1.2
 LONGEST_SEARCH_MS = 60_000
-# A velocity is valid for this share of the watchdog's time; then the board brakes.
-VALID_SHARE = 0.5
 
 TROUBLES = {
     TripCause.NONE: "it has started anew",
@@ -73,7 +71,8 @@ class DisplayBoard:
         """Open the line; film_counts: hard limits of the film, if any. Raises DriveError."""
         self._line, self._scene, self._axis = line, scene, axis
         self._film_counts = film_counts
-        self._validity_ms = max(1, round(VALID_SHARE * scene.watchdog_ns * 1e-6))
+        # A copy: attributes of a scene take longer to read.
+        self._validity_ms = scene.validity_ms
         self.position_m, self.speed_m_per_s = axis.lowest_m, 0.0
         self.state: BoardState | None = None
         self.received_ns = 0
@@ -139,7 +138,7 @@ class DisplayBoard:
     def arm_watchdog(self) -> None:
         """Do nothing: the watchdog is among the limits, and counts from the first velocity on."""
 
-    def run(self, velocity: int) -> bool:
+    def send_velocity(self, velocity: int) -> bool:
         """Send a velocity in 1/256 step/s; return False where it was superseded.
 
         Raises DriveError of kind "unplugged".

@@ -56,10 +56,10 @@ class StepdirDrive(Drive):
 
     def _send(self, now_ns: int) -> None:
         supervisor = self._supervisor
-        velocity = supervisor.velocity(now_ns)
+        velocity = supervisor.velocity_to_send(now_ns)
         try:
-            if self._board.run(velocity):
-                supervisor.sent(velocity, now_ns)
+            if self._board.send_velocity(velocity):
+                supervisor.mark_sent(velocity, now_ns)
             else:
                 supervisor.mark_unsent(now_ns)
         except DriveError as error:

@@ -9,6 +9,8 @@ from pulse_drives.scene import DriveScene, Scale
 
 # A velocity's frame, and the bits of a byte on the line.
 VELOCITY_BITS = 13 * 10
+# A velocity is valid for this share of the watchdog's time; then the board brakes.
+VALID_SHARE = 0.5
 # Velocities have this many units in a step a second.
 PER_STEP_RATE = 256.0
 # Keys of other kinds of drive.
@@ -47,6 +49,16 @@ class StepdirScene(DriveScene):
     def direction(self) -> int:
         """See `DriveScene.direction`: the board inverts its direction pin by itself."""
         return 1
+
+    @property
+    def validity_ms(self) -> int:
+        """Validity of each velocity that is sent to the board."""
+        return max(1, round(VALID_SHARE * self.watchdog_ns * 1e-6))
+
+    @property
+    def held_ns(self) -> int:
+        """See `DriveScene.held_ns`."""
+        return self.validity_ms * 1_000_000
 
     @property
     def exchange_s(self) -> float:

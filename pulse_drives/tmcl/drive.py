@@ -54,7 +54,7 @@ class TmclDrive(Drive):
         with self._lock:
             if supervisor.commanded_ns > self._taken_ns:
                 self.counts["superseded"] += 1
-            supervisor.command(speed_m_per_s, time.perf_counter_ns())
+            supervisor.set_target(speed_m_per_s, time.perf_counter_ns())
         self._woken.set()
 
     def _connect(self) -> DriveDevice:
@@ -103,8 +103,8 @@ class TmclDrive(Drive):
             supervisor = self._supervisor
             supervisor.check_silence(now_ns)
             self._taken_ns = supervisor.commanded_ns
-            velocity = supervisor.velocity(now_ns)
-            supervisor.sent(velocity, now_ns)
+            velocity = supervisor.velocity_to_send(now_ns)
+            supervisor.mark_sent(velocity, now_ns)
         self._module.rotate(velocity)
 
     def _fail(self, error: DriveError) -> None:

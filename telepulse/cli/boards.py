@@ -21,8 +21,8 @@ from protocol.cli_options import BENCH_IS_CLEAR
 from protocol.errors import ProcessError, SceneError, SourceError
 from protocol.host.child_process import ChildProcess
 from protocol.host.process import interrupt_on_signals
+from pulse_drives.stepdir.frames import SENSOR_FORMATS, Format, board_reader
 from pulse_drives.stepdir.scene import StepdirScene
-from pulse_sensors import library
 from pulse_sensors.serial_port import SerialScene
 from telepulse.cli.options import PROGRAM
 from telepulse.emulators import simavr
@@ -102,9 +102,6 @@ def identify(port: str, bauds: Sequence[int]) -> SeenPort:
 
 def _sender(line: serial.Serial) -> End | None:
     """Return the end whose board sends on a line: a finger's states, or a wrist's samples."""
-    # Imported here: it needs a library, which is checked for first.
-    from pulse_drives.stepdir.frames import SENSOR_FORMATS, Format, board_reader
-
     reader, frames = board_reader(), Counter[End]()
     until_s = time.monotonic() + LISTENED_S
     while time.monotonic() < until_s:
@@ -160,7 +157,6 @@ def prepare_boards(
     if emulated and ports is not None:
         raise SceneError("--ports: not with --emulated")
     tables = _tables(scene)
-    library("cobs.cobs", "a board")
     found = {} if emulated else _ports_of(tables, ports)
     interrupt_on_signals()
     folder = Path(stack.enter_context(TemporaryDirectory(prefix="telepulse-")))

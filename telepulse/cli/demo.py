@@ -262,8 +262,10 @@ def run_demo(
             return display.poll() is None and not sensing.poll()
 
         def add_felt(traces: list[Trace]) -> None:
-            now_ns, instant_ns, felt = traces[0].now_ns, traces[0].instant_ns, traces[0].scored
-            errors.add_felt(now_ns[felt], instant_ns[felt], [each.felt_n[felt] for each in traces])
+            felt = traces[0].full
+            now_ns, instant_ns = traces[0].now_ns[felt], traces[0].instant_ns[felt]
+            # Both nodes are on this host, whose clock is the sensing clock as well.
+            errors.add_felt(now_ns, now_ns, instant_ns, [each.felt_n[felt] for each in traces])
 
         watch(telemetry_address, console, add_felt, draw, keep_watching)
         keep_watching()

@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from protocol.cli_options import one_line_errors, plain_console
-from protocol.security.allow_list import FILE_NAME, allow, read_allow_list, revoke
+from protocol.security.allow_list import FILE_NAME, allow, default_path, read_allow_list, revoke
 from protocol.security.keys import new_pair, read_public
 from telepulse.cli.options import PROGRAM
 
@@ -23,7 +23,9 @@ FolderOption = Annotated[Path, typer.Option(help="Folder of the keys.")]
 ListOption = Annotated[
     Path | None,
     typer.Option(
-        "--list", metavar="FILE", help="Path of the allow-list; default: 'allowed' in the folder."
+        "--list",
+        metavar="FILE",
+        help=f"Path of the allow-list; default: '{FILE_NAME}' in the folder.",
     ),
 ]
 FOLDER = Path("keys")
@@ -33,25 +35,27 @@ FOLDER = Path("keys")
 def new(name: NameArgument, folder: FolderOption = FOLDER) -> None:
     """Make a key pair: NAME.key, which only you may read, and NAME.pub, for other machines."""
     with one_line_errors(PROGRAM):
-        secret, public = new_pair(folder, name)
+        secret_path, public_path = new_pair(folder, name)
     plain_console().print(
-        f"{secret}: secret, stays on this machine: --key {secret}\n"
-        f"{public}: public, one line; copy it to the other machine. There\n"
-        f"  a sensing node allows {name} by: telepulse keys allow {public.name}\n"
-        f"  a display connects to {name} with: --peer {public.name}"
+        f"{secret_path}: secret, stays on this machine: --key {secret_path}\n"
+        f"{public_path}: public, one line; copy it to the other machine. There\n"
+        f"  a sensing node allows {name} by: telepulse keys allow {public_path.name}\n"
+        f"  a display connects to {name} with: --peer {public_path.name}"
     )
 
 
 @app.command(name="allow")
 def allow_command(
-    public: Annotated[Path, typer.Argument(metavar="FILE.pub", help="The node that may connect.")],
+    public_path: Annotated[
+        Path, typer.Argument(metavar="FILE.pub", help="The node that may connect.")
+    ],
     folder: FolderOption = FOLDER,
     allow_list: ListOption = None,
 ) -> None:
     """Allow a node: add its public key to the allow-list; running nodes follow within 1 s."""
-    path = allow_list or folder / FILE_NAME
+    path = allow_list or default_path(folder)
     with one_line_errors(PROGRAM):
-        peer = read_public(public)
+        peer = read_public(public_path)
         allow(path, peer)
     plain_console().print(f"{path} allows {peer.name}")
 
@@ -61,7 +65,7 @@ def revoke_command(
     name: NameArgument, folder: FolderOption = FOLDER, allow_list: ListOption = None
 ) -> None:
     """Revoke a node's permission; running nodes cut its connections within 2 s."""
-    path = allow_list or folder / FILE_NAME
+    path = allow_list or default_path(folder)
     with one_line_errors(PROGRAM):
         revoke(path, name)
     plain_console().print(f"{path} no longer allows {name}")
@@ -70,7 +74,7 @@ def revoke_command(
 @app.command(name="list")
 def list_command(folder: FolderOption = FOLDER, allow_list: ListOption = None) -> None:
     """Print the name and public key of each node that may connect."""
-    path = allow_list or folder / FILE_NAME
+    path = allow_list or default_path(folder)
     with one_line_errors(PROGRAM):
         lines = [f"{peer.key.hex()}  {peer.name}" for peer in read_allow_list(path).values()]
     plain_console().print("\n".join(lines or [f"{path} allows nobody"]))

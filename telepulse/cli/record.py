@@ -103,7 +103,7 @@ def record(
 
     with one_line_errors(PROGRAM):
         configure_logging(log_level, quiet)
-        keys = KeyOptions(key, peer, None, insecure).telemetry_client(address)
+        keys = KeyOptions(key, peer, insecure=insecure).telemetry_client(address)
         if lsl == (file is not None) or (lsl and (about or marks or marks_from)):
             raise OutputError(
                 "give FILE.mcap, or --lsl; marks and --about are kept in a recording alone"
@@ -153,7 +153,7 @@ def mark(
 
     with one_line_errors(PROGRAM):
         configure_logging()
-        keys = KeyOptions(key, peer, None, insecure).telemetry_client(address)
+        keys = KeyOptions(key, peer, insecure=insecure).telemetry_client(address)
         published = await_mark(address, keys, text, MARKED_WITHIN_S)
     if published is None:
         logger.error(f"{address}: no mark, the display did not answer within {MARKED_WITHIN_S:g} s")
@@ -204,7 +204,7 @@ def replay(
         configure_logging(log_level, quiet)
         raise_file_limit()
         check_writable(json)
-        keys = KeyOptions(key, None, allow, insecure).server(bind)
+        keys = KeyOptions(key, allow=allow, insecure=insecure).server(bind)
         exported = press and file.suffix in (".csv", ".parquet")
         session = exported_session(file) if exported else longest_session(file)
         description = session.description

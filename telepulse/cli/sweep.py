@@ -117,7 +117,7 @@ def sweep(
             wrist = build_source(sensing, path.parent)
         else:
             display = load_section(path, "display", DisplayScene)
-            keys = KeyOptions(key, peer, None, insecure).client(connect)
+            keys = KeyOptions(key, peer, insecure=insecure).client(connect)
 
     def build() -> Report:
         causes: list[str] = []

@@ -76,7 +76,7 @@ def view(
         check_bokeh()
         # Beyond loopback, --insecure is about the page; its link may have keys all the same.
         for_the_page = _beyond_this_machine(host, insecure) and key is not None
-        options = KeyOptions(key, peer, None, insecure and not for_the_page)
+        options = KeyOptions(key, peer, insecure=insecure and not for_the_page)
         keys = options.telemetry_client(address)
         # The first import takes a second, during which an open page would not be updated.
         import scipy.signal  # noqa: F401

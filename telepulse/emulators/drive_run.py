@@ -30,7 +30,6 @@ class EmulatedFilm:
     """Film that sends the finger's force in float32 newtons at 1 kHz, four samples in a frame.
 
     wrist: film and load cell of a wrist under a probe, in place of the one force of a finger.
-    Raises SourceError without the cobs package.
     """
 
     def __init__(

@@ -31,7 +31,7 @@ PULSES = (Channel(PULSE),)
 
 
 def binary(sample_format: SampleFormat, channels: Sequence[Channel] = PULSES) -> Encode:
-    """Return the encoder of binary frames. Raises SourceError without the cobs package."""
+    """Return the encoder of binary frames."""
     encoder = FrameEncoder(sample_format, len(channels))
     scales = np.ones(len(channels))
     if sample_format != "float32":

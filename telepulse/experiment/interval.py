@@ -157,7 +157,7 @@ class IntervalPlayback:
         self._safety.held = not is_open
         state = self._simulation.tick(now_ns, elapsed_ticks)
         self._stale_ticks += is_open and not self._safety.alive
-        if state.scored:
+        if state.full:
             self._felt_ticks += elapsed_ticks
             self._least_n = min(self._least_n, state.target_n)
             self._most_n = max(self._most_n, state.target_n)

@@ -113,7 +113,7 @@ class RecordingContents:
             instant_ns,
             ready=ready,
             playing=ready and target_n != 0,
-            scored=fields["scored"],
+            full=fields["scored"],
             predicted=target_n != 0 and not any(receiver.buffer.known(1, 1, sampled_ns, [0])),
             unix_ns=unix_ns,
             press_n=fields.get("press_n", math.nan),

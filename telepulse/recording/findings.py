@@ -95,7 +95,7 @@ class RunFindings:
         delay, ticks, sessions = self.playout_ms, self.ticks + self.misses, self.contents.sessions
         availability = Availability()
         if ticks:
-            full, ready = (join_ticks(sessions, column) for column in ("scored", "ready"))
+            full, ready = (join_ticks(sessions, column) for column in ("full", "ready"))
             counts = (int((full & ready).sum()), self.misses, delay.count)
             felt, missed, played = (count / ticks for count in counts)
             seconds = ticks * self._tick_ns * 1e-9

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from display_node.scoring.beat_statistics import BeatStatistics
 from display_node.scoring.heart_rate import heart_rate_per_min
-from display_node.scoring.tracking_error import JND, Floats, TrackingError
+from display_node.scoring.tracking_error import Floats, TrackingError, jnd_n
 from protocol.wire.telemetry import PlaybackStatus
 from telepulse.columns import SessionColumns
 
@@ -63,10 +63,10 @@ def find_trend(t_s: Floats, values: Floats, width_s: float = NARROWEST_S) -> Tre
 
 
 class AlignedBlock(NamedTuple):
-    """Consecutive ticks; reference_n: pulse of the played instant, NaN where nothing was sensed."""
+    """Consecutive ticks; pulse_n: of the played instant, NaN where nothing was sensed."""
 
     t_s: Floats
-    reference_n: Floats
+    pulse_n: Floats
     felt_n: Floats
 
 
@@ -82,7 +82,7 @@ class ContactorFindings:
     errors : TrackingError
         Errors as the display computes them.
     error_n, jnd_n : Trend
-        Felt force minus reference, and the just noticeable difference, at full strength.
+        Felt force minus pulse, and the just noticeable difference, at full strength.
     first, worst : list of AlignedBlock
         The first blocks at full strength, and those around the largest error.
     heart : list of (float, float or None, float or None)
@@ -101,19 +101,19 @@ class ContactorFindings:
         self.channel = known[0][1].channel if known else 0
         self.ratio = known[0][1].force_ratio if known else None
         compared: list[tuple[Floats, Floats]] = []
-        self.errors = TrackingError(take_scored=lambda *forces_n: compared.append(forces_n))
+        self.errors = TrackingError(take_compared=lambda *forces_n: compared.append(forces_n))
         blocks: list[AlignedBlock] = []
         for session, playing in known:
             self.errors.strain_per_newton = playing.strain_per_newton
-            scored = session.ticks["scored"] & session.ticks["ready"]
-            _score(self.errors, session, playing, scored)
-            t_s = (session.ticks["unix_ns"][scored] - begin_ns) * 1e-9
+            full = session.ticks["full"] & session.ticks["ready"]
+            _judge(self.errors, session, playing, full)
+            t_s = (session.ticks["unix_ns"][full] - begin_ns) * 1e-9
             blocks += _split(t_s, *np.concatenate([np.empty((2, 0)), *compared], axis=1))
             compared.clear()
         self.heart = list(_heart_rates(blocks))
-        errors_n = [block.felt_n - block.reference_n for block in blocks]
+        errors_n = [block.felt_n - block.pulse_n for block in blocks]
         t_s = np.concatenate([[], *(block.t_s for block in blocks)])
-        jnds_n = [np.full(len(b.t_s), JND * float(np.ptp(_known(b)))) for b in blocks]
+        jnds_n = [np.full(len(b.t_s), jnd_n(_known(b))) for b in blocks]
         self.error_n = find_trend(t_s, np.concatenate([[], *errors_n]))
         self.jnd_n = find_trend(t_s, np.concatenate([[], *jnds_n]))
         largest_n = [float(np.nanmax(np.abs(error_n))) for error_n in errors_n]
@@ -135,40 +135,44 @@ class ContactorFindings:
         }
 
 
-def _score(
-    errors: TrackingError, session: SessionColumns, playing: PlaybackStatus, scored: Mask
+def _judge(
+    errors: TrackingError, session: SessionColumns, playing: PlaybackStatus, full: Mask
 ) -> None:
-    """Score what a contactor felt in some ticks, in the order of arrival.
+    """Judge what a contactor felt in the ticks at full strength, in the order of arrival.
 
-    Each frame is added after the ticks before its arrival, as in the display: the reference is
-    bounded, and has to hold what is still to be scored.
+    Each frame is added after the ticks before its arrival, as in the display: the pulse is bounded,
+    and has to hold what is still to be judged.
     """
-    now_ns, instant_ns = session.ticks["sensing_ns"][scored], session.ticks["instant_ns"][scored]
-    felt_n = session.forces_n(playing.contactor)[1][scored]
+    errors.begin_session(playing.film_age_ns)
+    now_ns, sensing_ns, instant_ns = (
+        session.ticks[name][full] for name in ("now_ns", "sensing_ns", "instant_ns")
+    )
+    felt_n = session.forces_n(playing.contactor)[1][full]
     t_ns = session.pulse_ns()
-    reference_n = playing.force_ratio * session.values[:, playing.channel].astype(np.float64)
+    pulse_n = playing.force_ratio * session.values[:, playing.channel].astype(np.float64)
     ends = np.cumsum(session.frames["samples"])
-    # Number of the scored ticks before each frame, and after the last one.
-    before = np.append(0, np.cumsum(scored))[[*session.frames["ticks"], len(scored)]]
+    # Number of these ticks before each frame, and after the last one. Those before the first frame
+    # are added after it.
+    before = np.append(0, np.cumsum(full))[[0, *session.frames["ticks"][1:], len(full)]]
     for frame, (end, count) in enumerate(zip(ends, session.frames["samples"], strict=True)):
         samples, ticks = slice(end - count, end), slice(before[frame], before[frame + 1])
-        errors.add_reference_force(t_ns[samples].tolist(), reference_n[samples].tolist())
-        errors.add_output(now_ns[ticks], instant_ns[ticks], felt_n[ticks], playing.film_age_ns)
+        errors.add_pulse(t_ns[samples].tolist(), pulse_n[samples].tolist())
+        errors.add_output(now_ns[ticks], sensing_ns[ticks], instant_ns[ticks], felt_n[ticks])
     errors.finish()
 
 
-def _split(t_s: Floats, reference_n: Floats, felt_n: Floats) -> Iterator[AlignedBlock]:
+def _split(t_s: Floats, pulse_n: Floats, felt_n: Floats) -> Iterator[AlignedBlock]:
     """Yield ticks in blocks, without those of which nothing is known."""
     for first in range(0, len(t_s), BLOCK):
         ticks = slice(first, first + BLOCK)
-        block = AlignedBlock(t_s[ticks], reference_n[ticks], felt_n[ticks])
+        block = AlignedBlock(t_s[ticks], pulse_n[ticks], felt_n[ticks])
         if len(_known(block)):
             yield block
 
 
 def _known(block: AlignedBlock) -> Floats:
-    """Return the reference where the felt force is known as well."""
-    return block.reference_n[~np.isnan(block.felt_n - block.reference_n)]
+    """Return the pulse where the felt force is known as well."""
+    return block.pulse_n[~np.isnan(block.felt_n - block.pulse_n)]
 
 
 def _heart_rates(
@@ -178,10 +182,10 @@ def _heart_rates(
     window: list[AlignedBlock] = []
     for block in blocks:
         window.append(AlignedBlock(*(values[::THIN] for values in block)))
-        t_s, reference_n, felt_n = map(np.concatenate, zip(*window, strict=True))
+        t_s, pulse_n, felt_n = map(np.concatenate, zip(*window, strict=True))
         if t_s[-1] - t_s[0] >= HEART_WINDOW_S:
             window.clear()
-            wrist, felt = (_heart_rate_per_min(t_s, force_n) for force_n in (reference_n, felt_n))
+            wrist, felt = (_heart_rate_per_min(t_s, force_n) for force_n in (pulse_n, felt_n))
             yield float(t_s.mean()), wrist, felt
 
 

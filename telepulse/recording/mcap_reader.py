@@ -148,7 +148,8 @@ MAX_WAITING = 10_000
 def in_tick_order(messages: Iterable[RecordedMessage]) -> Iterator[Entry]:
     """Yield each received message before the first tick that was due after it arrived.
 
-    A recording has ticks in groups of 20, after the messages that were received during them.
+    A recording has ticks in the blocks of the traces, each after the messages that were received
+    during it.
     Raises KeyError or ValueError for a message that is not one of a telepulse recording.
     """
     waiting: deque[tuple[int, Entry]] = deque()

@@ -11,7 +11,7 @@ from protocol.errors import DepthError
 from protocol.refusals import explain_causes
 from protocol.summary.fields import Summary
 from protocol.summary.figures import Surface
-from protocol.summary.phrases import interruptions_text
+from protocol.summary.phrases import NEWTONS, interruptions_text
 from protocol.summary.rows import cells
 from telepulse.document import Chapter, Plot, Report, Table, percent, provenance_table
 from telepulse.recording.depth_report import height_plot
@@ -68,7 +68,7 @@ def build_recording_report(path: Path) -> Report:
             "In short",
             tuple(_paragraphs(findings)),
             (_summary(findings),),
-            findings=tuple(_in_short(findings)),
+            findings=tuple(in_short(findings)),
         ),
         *(
             chapter
@@ -94,19 +94,22 @@ def build_recording_report(path: Path) -> Report:
     return Report(f"Recording {path.name}", tuple(chapters))
 
 
-def _in_short(findings: RunFindings) -> Iterable[str]:
+def in_short(findings: RunFindings) -> Iterable[str]:
     """Yield at most five sentences: on the recorded span, and the last one on the whole run."""
     summary, own = findings.summary(), findings.contents.summary or Summary()
-    samples, errors, felt = summary.samples, summary.force_rmse_n, summary.availability.felt
+    samples, felt = summary.samples, summary.availability.felt
     shared = "A pulse was not felt" if felt is None else f"A pulse was felt for {percent(felt)}"
     yield f"{shared} of the {findings.seconds:.1f} s that were recorded."
     delay_ms = summary.playout_delay_ms.mean
     aged = "" if delay_ms is None else f", which was {delay_ms:z.1f} ms old on average"
-    if errors.aligned is not None and errors.in_phase is not None:
+    if worst := summary.worst_contactor():
+        name, aligned_n, figures = worst
+        in_phase = NEWTONS.text(figures.force_rmse_n.in_phase)
+        of = f" at {name}, the worst contactor," if name else ""
+        present = f", and {in_phase} in phase, against the pulse of the same moment"
         yield (
-            f"The force RMSE is {1e3 * errors.aligned:.2f} mN aligned, against the pulse of the"
-            f" played instant{aged}, and {1e3 * errors.in_phase:.2f} mN in phase, against the"
-            " pulse of the same moment."
+            f"The force RMSE{of} is {NEWTONS.text(aligned_n)} aligned, against the pulse of the"
+            f" played instant{aged}{present if in_phase else ''}."
         )
     elif aged:
         yield f"The played instant was {delay_ms:z.1f} ms old on average."

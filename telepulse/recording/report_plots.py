@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from display_node.scoring.beat_quality import GOOD
-from display_node.scoring.tracking_error import JND
+from display_node.scoring.tracking_error import jnd_n
 from telepulse.document import Plot, text_colour
 from telepulse.recording.findings import HELD, RunFindings
 from telepulse.recording.forces import AlignedBlock, ContactorFindings, Trend
@@ -56,7 +56,7 @@ def force_plot(name: str, caption: str, blocks: Sequence[AlignedBlock]) -> Plot:
     gaps = np.flatnonzero(np.diff(t_s) > GAP_S) + 1
     t_s = np.insert(t_s, gaps, t_s[gaps])
     wrist_mn, felt_mn = (1e3 * np.insert(force_n, gaps, np.nan) for force_n in forces_n)
-    jnd_mn = JND * float(np.nanmax(wrist_mn) - np.nanmin(wrist_mn))
+    jnd_mn = jnd_n(wrist_mn[~np.isnan(wrist_mn)])
 
     def draw(figure: "Figure") -> None:
         force, error = figure.subplots(2, 1, sharex=True, height_ratios=(3, 2))

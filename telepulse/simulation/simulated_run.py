@@ -83,13 +83,13 @@ def simulate(
             state.instant_ns,
             ready=True,
             playing=state.predicted_ns >= 0,
-            scored=state.scored,
+            full=state.full,
             predicted=state.predicted_ns > 0,
         )
         session.add_tick(tick, [(each.target_n, each.felt_n) for each in node.states])
     session.playing = {
         contactor.name: contactor.playback(channel)
-        for contactor, channel in zip(node.contactors, node.receiver.channels, strict=False)
+        for contactor, channel in zip(node.contactors, node.receiver.channel_numbers, strict=False)
     }
     return build_run(scene.path.stem, [session], simulation.end())
 

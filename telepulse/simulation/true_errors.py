@@ -13,7 +13,7 @@ from sensing_node.sources.source import SampleSource
 from telepulse.scene import Scene
 
 
-class ReferenceForce:
+class TrueForce:
     """The true values of the frames of one session, from a second copy of their source.
 
     The truth is the output of an ideal film at the samples' own times: without mains hum, notch,
@@ -53,6 +53,8 @@ class ReferenceForce:
 class TrueErrors:
     """Errors of each contactor against the true pulse of one session.
 
+    They have the keys and labels of the display's own, against the received pulse, and replace
+    them in the summary of a demo or a simulation: the finger is to feel the wrist, not the link.
     Where a finger presses back there are none: the felt pulse depends on its press as well.
     """
 
@@ -61,31 +63,31 @@ class TrueErrors:
 
         Raises SourceError, SceneError or WireError.
         """
-        self._reference = ReferenceForce(scene.sensing, scene.path.parent)
-        # Of each contactor: number of its channel, force at the finger per force at the wrist,
-        # age of its film's readings.
-        self._compared: list[tuple[int, float, int, TrackingError]] = []
+        self._true_force = TrueForce(scene.sensing, scene.path.parent)
+        # Of each contactor: number of its channel, force at the finger per force at the wrist.
+        self._compared: list[tuple[int, float, TrackingError]] = []
         for each in scene.display.contactors:
             channel, layer = stream.find_force(each.channel), each.layer.layer()
             film_age_ns = each.film.latency_ns if real_benches and each.drive is not None else 0
             error = TrackingError(layer.strain_per_newton)
+            error.begin_session(film_age_ns)
             if scene.display.press is None:
                 ratio = matching_force_ratio(stream.layer, layer)
-                self._compared.append((channel, ratio, film_age_ns, error))
+                self._compared.append((channel, ratio, error))
 
     def add_sent(self, frame: Frame) -> Frame:
         """Add a frame as it was sent; return it with the true values."""
-        true_frame = self._reference.of(frame)
-        for channel, force_ratio, _, error in self._compared:
-            error.add_reference(true_frame.samples_of(channel), force_ratio)
+        true_frame = self._true_force.of(frame)
+        for channel, force_ratio, error in self._compared:
+            error.add_samples(true_frame.samples_of(channel), force_ratio)
         return true_frame
 
-    def add_felt(self, now_ns: Times, instant_ns: Times, forces_n: Iterable[Floats]) -> None:
-        """Add ticks at full strength; forces_n: what each contactor felt."""
-        for (*_, age_ns, error), felt_n in zip(
-            self._compared, forces_n, strict=bool(self._compared)
-        ):
-            error.add_output(now_ns, instant_ns, felt_n, age_ns)
+    def add_felt(
+        self, now_ns: Times, sensing_ns: Times, instant_ns: Times, forces_n: Iterable[Floats]
+    ) -> None:
+        """Add ticks at full strength, as `TrackingError` does; forces_n: felt by each contactor."""
+        for (*_, error), felt_n in zip(self._compared, forces_n, strict=bool(self._compared)):
+            error.add_output(now_ns, sensing_ns, instant_ns, felt_n)
 
     def finish(self, display: Summary) -> Summary:
         """Return a display's summary with these errors instead of its own."""

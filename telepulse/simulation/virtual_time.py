@@ -104,7 +104,7 @@ class Simulation:
         """
         began_s, begin_ns = time.perf_counter(), self._now_ns
         for state in self.ticks(seconds, settle_seconds):
-            if watch and state.scored and self._judged_from_ns <= self._now_ns <= self._last_ns:
+            if watch and state.full and self._judged_from_ns <= self._now_ns <= self._last_ns:
                 watch(state)
             if progress is not None:
                 progress((self._now_ns - begin_ns) * 1e-9)
@@ -169,7 +169,7 @@ class Simulation:
         """Schedule the next batch, which may be short at the end; after the last, a bye."""
         paced, last_ns = self._paced, self._last_ns
         if paced.exhausted or paced.due_ns(1) - SENSING_CLOCK_AHEAD_NS > last_ns:
-            bye = Bye(self._session, self._framer.samples_sent)
+            bye = Bye(self._session, self._framer.next_sample)
             self._send(self._down, last_ns, self.display.on_control, bye)
         else:
             due_ns = paced.due_ns(self._batch) - SENSING_CLOCK_AHEAD_NS
@@ -193,14 +193,15 @@ class Simulation:
     def _judge(self, block: TickBlock) -> None:
         """Compare the felt forces of a block of ticks with the true pulse."""
         ticks = block.columns
-        judged = (ticks.scored != 0) & (ticks.now_ns >= self._judged_from_ns)
+        judged = (ticks.full != 0) & (ticks.now_ns >= self._judged_from_ns)
         forces_n = [block.felt_n(place)[judged] for place in range(len(self.display.contactors))]
-        true_now_ns = ticks.now_ns[judged] + SENSING_CLOCK_AHEAD_NS
-        self._errors.add_felt(true_now_ns, ticks.instant_ns[judged], forces_n)
+        now_ns, instant_ns = ticks.now_ns[judged], ticks.instant_ns[judged]
+        true_now_ns = now_ns + SENSING_CLOCK_AHEAD_NS
+        self._errors.add_felt(now_ns, true_now_ns, instant_ns, forces_n)
 
     def _answer(self, data: bytes, now_ns: int) -> None:
         sensing_now_ns = now_ns + SENSING_CLOCK_AHEAD_NS
-        reply = self._control_server.answer(SENDER, data, sensing_now_ns, self._framer.samples_sent)
+        reply = self._control_server.answer(SENDER, data, sensing_now_ns, self._framer.next_sample)
         if reply is not None:
             self._send(self._down, now_ns, self.display.on_control, reply)
 

@@ -35,8 +35,10 @@ class TelemetryClient:
         self._context: sockets.Context = zmq.Context()
         self._handshakes = HandshakeMonitor(self._context, keys)
         try:
-            watch = self._handshakes.watch
-            self._socket = sockets.connect(self._context, zmq.XSUB, address, keys, watch)
+            self._socket = sockets.connect(
+                *(self._context, zmq.XSUB, address, keys),
+                watch=lambda socket: self._handshakes.watch([socket], lambda: address),
+            )
         except BaseException:
             self._context.destroy(linger=0)
             raise

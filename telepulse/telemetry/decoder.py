@@ -152,7 +152,7 @@ class TelemetryDecoder:
         for states in zip(
             *(zip(*(c.tolist() for c in t), strict=True) for t in traces), strict=True
         ):
-            fields, *others = (_known(telemetry.Trace._fields, state) for state in states)
+            fields, *others = (_known(_TICK_KEYS, state) for state in states)
             if others:
                 keys = ("target_n", "felt_n", "predictor_error_n")
                 fields["others"] = [{k: f[k] for k in keys if k in f} for f in others]
@@ -173,6 +173,10 @@ class TelemetryDecoder:
         if status.final:
             self.ended = True
             yield self.event(Event("INFO", "end", "the display has ended"))
+
+
+# A recording names `full` as its first readers did.
+_TICK_KEYS = tuple("scored" if name == "full" else name for name in telemetry.Trace._fields)
 
 
 def _known(names: Iterable[str], values: Iterable[float]) -> Fields:

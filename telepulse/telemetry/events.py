@@ -4,7 +4,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple
 
 from display_node.telemetry.alerts import NOT_CONNECTED, Alert, alerts
-from protocol.refusals import OWN_KEY_REVOKED, explain_causes
+from protocol.refusals import REVOKED, explain_causes
 from protocol.summary.fields import contactors_of
 from protocol.summary.phrases import LIMIT_NAMES
 
@@ -32,7 +32,7 @@ _LEVELS = {"stale": "WARNING", "fault": "ERROR"}
 
 
 class EventDetector:
-    """Detector of changes between a display's statuses, which come five times a second.
+    """Detector of changes between a display's statuses, which come each 0.4 s.
 
     A condition that lasts gives two events: one when it begins, one with its length when it ends.
     """
@@ -118,7 +118,7 @@ class EventDetector:
                     yield Event("WARNING", "limited", reached)
         for key, name in REFUSALS.items():
             refused = summary.get(key, {})
-            for cause in sorted(refused.keys() - {OWN_KEY_REVOKED}):
+            for cause in sorted(refused.keys() - {REVOKED}):
                 if (name, cause) not in self._refused:
                     self._refused.add((name, cause))
                     yield Event("WARNING", name, *explain_causes({cause: refused[cause]}))

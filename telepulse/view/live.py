@@ -30,8 +30,8 @@ MAX_CONTACTORS = 8
 # Columns of the ticks of a contactor.
 FELT_N, DELAY_NS, PREDICTOR_ERROR_N, TARGET_N = range(4)
 TICK_FIELDS = "felt_n", "predictor_error_n", "target_n"
-# Shares of lost and late samples are taken over this many statuses: one second.
-LOSS_STATUSES = 5
+# Time over which the shares of lost and late samples are taken; most statuses within it.
+LOSS_NS, LOSS_STATUSES = 1_000_000_000, 64
 
 
 class ContactorState:
@@ -79,7 +79,9 @@ class LiveState:
     ones. channels: names of the stream's channels. delays: one-way delay in ms of frames. statuses:
     clock offset and its uncertainty in ms, samples lost and late in %; then, since the
     run's start: refused messages, seconds at any limit, refused telemetry readers; the finger's
-    press in N. depth: the beats by hold-down, of a wrist that is pressed.
+    press in N. summary: the figures of the last status, which are of the whole run; the page
+    computes the errors that it shows over its window instead. depth: the beats by hold-down, of a
+    wrist that is pressed.
 
     trusted: whether the predictor was trusted at the last tick. stream_ended: the sensing node has
     ended the stream. display_ended: the display has sent its final status. stepped_ns,
@@ -100,7 +102,8 @@ class LiveState:
         self.delays = RollingTable(1, FAST_ROWS)
         self.statuses = RollingTable(8, SLOW_ROWS)
         self.depth = DepthState()
-        self._samples: deque[Fields] = deque(maxlen=LOSS_STATUSES)
+        # Times of the last second's statuses and of the one before, with their samples.
+        self._samples: deque[tuple[int, Fields]] = deque(maxlen=LOSS_STATUSES)
         self._offset_ns: int | None = None
         self._group_delay_ns = 0
         self.trusted = False
@@ -179,9 +182,12 @@ class LiveState:
         if "offset_ms" in clock:
             self._offset_ns = round(clock["offset_ms"] * MS)
         self._follow(fields.get("playing", []))
-        self._samples.append(self.summary["samples"])
+        at_ns = max(self.now_ns, entry.t_ns)
+        self._samples.append((at_ns, self.summary["samples"]))
+        while len(self._samples) > 1 and self._samples[1][0] <= at_ns - LOSS_NS:
+            self._samples.popleft()
         self.statuses.add(
-            max(self.now_ns, entry.t_ns),
+            at_ns,
             *(clock.get(name, math.nan) for name in ("offset_ms", "uncertainty_ms")),
             *self._shares(),
             sum(self.summary["rejected"].values()),
@@ -207,7 +213,7 @@ class LiveState:
 
     def _shares(self) -> tuple[float, float]:
         """Return the percentages lost and late of the samples due in the last second."""
-        old, new = self._samples[0], self._samples[-1]
+        (_, old), (_, new) = self._samples[0], self._samples[-1]
         names = ("played", "predicted", "lost", "late")
         grown = {name: new.get(name, 0) - old.get(name, 0) for name in names}
         due = sum(grown.values())

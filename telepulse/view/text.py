@@ -7,13 +7,20 @@ import numpy as np
 
 from display_node.scoring.beat_quality import GOOD
 from display_node.scoring.tracking_error import JND
-from display_node.telemetry.alerts import SILENT_AFTER_NS, Alert, alerts, delay_note, finger_note
+from display_node.telemetry.alerts import (
+    SILENT_AFTER_NS,
+    Alert,
+    alerts,
+    delay_note,
+    finger_note,
+    waiting_text,
+)
 from protocol.config.quantities import count_text
 from protocol.refusals import explain_causes
 from protocol.summary.fields import contactors_of
 from protocol.summary.figures import Surface, figures_on
 from protocol.summary.figures import figures as summary_figures
-from protocol.summary.phrases import SHARE, limit_texts
+from protocol.summary.phrases import NEWTONS, SHARE, limit_texts
 from protocol.summary.rows import summary_rows
 from telepulse.telemetry.decoder import Fields
 from telepulse.telemetry.events import CUT, CUT_AFTER_NS, REFUSALS
@@ -28,7 +35,7 @@ MUCH_LOSS = 5.0
 LOST, LATE, REFUSED, LIMITED, READERS_REFUSED = 2, 3, 4, 5, 6
 NOTHING = "–"
 DELAY = "of the finger behind the wrist"
-# Statuses come five times a second; an older one is not current.
+# Statuses come each 0.4 s; one that is older than this is not current.
 CURRENT_NS = 1_000_000_000
 # Meaning of each state.
 STATES = {
@@ -41,9 +48,13 @@ STATES = {
     "fault": "latched until the display is started again",
     "final": "the display has ended; this is its last state",
 }
-# Figures of the summary that the page computes over its window → their names in every other place.
-_NAMES = {figure.key: figure.name for figure in summary_figures()}
-ALIGNED, IN_PHASE = _NAMES["force_rmse_n.aligned"], _NAMES["force_rmse_n.in_phase"]
+# The page computes these figures of the summary over its window, not since the start of the run.
+ALIGNED, IN_PHASE, WITHIN = (
+    f"{figure.name}, in the window"
+    for key in ("force_rmse_n.aligned", "force_rmse_n.in_phase", "within_jnd")
+    for figure in summary_figures()
+    if figure.key == key
+)
 # Names of the figures by their ids: those that are always seen, those of the folded groups, and the
 # rows of the summary.
 ALWAYS_SEEN = {
@@ -55,7 +66,7 @@ ALWAYS_SEEN = {
 FIGURES = {
     **ALWAYS_SEEN,
     "in_phase": IN_PHASE,
-    "within": _NAMES["within_jnd"],
+    "within": WITHIN,
     "loss": "loss",
     "predictor": "predictor",
     "press": "press",
@@ -113,7 +124,7 @@ def state(live: LiveState, silent_ns: int = 0) -> tuple[str, str]:
     word = live.state or "waiting"
     old = age(live, silent_ns)
     note = old or STATES.get("final" if live.display_ended else live.state, "")
-    if not old and word in ("waiting", "stale") and (reason := live.summary.get("waiting_for")):
+    if not old and (reason := waiting_text(word, live.summary)):
         note = f"{note}: {reason}" if word == "stale" else reason
     if not old and (word not in ("playing", "starting") or live.display_ended):
         note += finger_note(live.summary)
@@ -197,10 +208,10 @@ def contactor_rows(live: LiveState, data: WindowScores) -> list[list[str]]:
             [
                 name,
                 live.channels[channel] if channel < len(live.channels) else str(channel),
-                _millinewtons(None if math.isnan(force_n) else force_n, 0),
-                _millinewtons(scores.aligned_n, 2),
-                _millinewtons(scores.in_phase_n, 2),
-                _millinewtons(beats.get("height_n"), 0),
+                _whole_mn(None if math.isnan(force_n) else force_n),
+                NEWTONS.text(scores.aligned_n) or NOTHING,
+                NEWTONS.text(scores.in_phase_n) or NOTHING,
+                _whole_mn(beats.get("height_n")),
                 NOTHING if rate_per_min is None else f"{rate_per_min:.0f} /min",
                 NOTHING if quality is None else f"{quality:.2f}",
                 own.get("finger") or NOTHING,
@@ -217,16 +228,16 @@ def beyond(live: LiveState) -> str:
     return f"{count} of the display not shown: the page has room for {MAX_CONTACTORS}."
 
 
-def _millinewtons(force_n: float | None, digits: int) -> str:
-    return NOTHING if force_n is None else f"{force_n * 1e3:.{digits}f} mN"
+def _whole_mn(force_n: float | None) -> str:
+    return NOTHING if force_n is None else f"{force_n * 1e3:.0f} mN"
 
 
 def _error(error_n: float | None, scores: Scores, window: str) -> PageFigure:
-    note = f"RMS of {window}"
-    if error_n is None or not scores.jnd_n:
-        return PageFigure(NOTHING, note)
-    share = SHARE.text(JND * error_n / scores.jnd_n)
-    return PageFigure(f"{error_n * 1e3:.2f} mN", f"{note}, {share} of the pulse's height")
+    note = f"of {window}"
+    # A constant pulse has no height.
+    if error_n is not None and scores.jnd_n:
+        note += f", {SHARE.text(JND * error_n / scores.jnd_n)} of the pulse's height"
+    return PageFigure(NEWTONS.text(error_n) or NOTHING, note)
 
 
 def _within(scores: Scores, window: str) -> PageFigure:

@@ -7,8 +7,9 @@ from typing import NamedTuple
 import numpy as np
 
 from display_node.scoring.beat_quality import GOOD
+from display_node.scoring.error_sums import rms
 from display_node.scoring.heart_rate import heart_rate_per_min
-from display_node.scoring.tracking_error import JND, MAX_GAP_NS, SPAN_NS, compared_forces_n, rms
+from display_node.scoring.tracking_error import MAX_GAP_NS, SPAN_NS, compared_forces_n, jnd_n
 from telepulse.view.depth import depth_columns
 from telepulse.view.live import DELAY_NS, FELT_N, TARGET_N, ContactorState, LiveState
 from telepulse.view.plots import FINGERS, PLOTS, PRESSED, UNPRESSED, PagePlot
@@ -18,7 +19,7 @@ SECOND_NS = 1_000_000_000
 # Points of a curve: for ten seconds at 1 kHz the least and the greatest value of each 16 ms.
 POINTS = 1_280
 HEART_NS, HEART_APART_NS = 6 * SECOND_NS, SECOND_NS // 100
-# A longer gap interrupts a curve. Statuses come five times a second; beats are at most 2.5 s apart.
+# A longer gap interrupts a curve. Statuses come each 0.4 s; beats are at most 2.5 s apart.
 STATUS_GAP_NS, BEAT_GAP_NS = SECOND_NS, 3 * SECOND_NS
 # Approximate number of steps of a plot's axis.
 STEPS = 4
@@ -201,14 +202,14 @@ def _errors(
     if live.pressing or not contactor.playing or not len(wrist.t_ns):
         nothing = np.full(len(ticks.t_ns), math.nan)
         return nothing, nothing, None
-    reference_n = contactor.playing["force_ratio"] * wrist.values[:, 0]
+    pulse_n = contactor.playing["force_ratio"] * wrist.values[:, 0]
     felt_n, delay_ns = ticks.values[:, [FELT_N, DELAY_NS]].T
     felt_n = np.where(np.isnan(delay_ns), math.nan, felt_n)
     instant_ns: Times = ticks.t_ns - np.nan_to_num(delay_ns).astype(np.int64)
     age_ns = contactor.playing.get("film_age_ns", 0)
-    played_n, present_n = compared_forces_n(ticks.t_ns, instant_ns, wrist.t_ns, reference_n, age_ns)
-    lately = reference_n[wrist.t_ns > wrist.t_ns[-1] - SPAN_NS]
-    return felt_n - played_n, felt_n - present_n, JND * float(np.ptp(lately))
+    played_n, present_n = compared_forces_n(ticks.t_ns, instant_ns, wrist.t_ns, pulse_n, age_ns)
+    lately_n = pulse_n[wrist.t_ns > wrist.t_ns[-1] - SPAN_NS]
+    return felt_n - played_n, felt_n - present_n, jnd_n(lately_n)
 
 
 def _scores(live: LiveState, contactor: ContactorState, window_ns: int) -> Scores:

@@ -65,7 +65,7 @@ class FeltForce:
             late = time.monotonic() > until_s
             while number < len(self.traces):
                 trace = self.traces[number][0]
-                wanted = np.flatnonzero((trace.now_ns >= since_ns) & (trace.scored == felt))
+                wanted = np.flatnonzero((trace.now_ns >= since_ns) & (trace.full == felt))
                 if len(wanted):
                     return int(trace.now_ns[wanted[0]])
                 number += 1
@@ -90,7 +90,7 @@ class FeltForce:
         """Return the share of ticks between two times at which the pulse was fully felt."""
         trace = self.trace()
         ticks = (from_ns <= trace.now_ns) & (trace.now_ns <= to_ns)
-        return float(trace.scored[ticks].mean())
+        return float(trace.full[ticks].mean())
 
     def peaks(self) -> tuple[float, float, float]:
         """Return the greatest felt force in N, and the greatest slew of target and felt in N/s.

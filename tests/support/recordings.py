@@ -91,5 +91,5 @@ def _felt(tick: int, force_n: Samples) -> TickState:
     now_ns, played = BEGIN_NS + tick * TICK_NS, tick - DELAY_TICKS
     target_n = float(force_n[played]) if played >= 0 else 0.0
     instant_ns = now_ns + AHEAD_NS - DELAY_TICKS * TICK_NS
-    felt_n, scored = GAIN * target_n, played >= RAMP_TICKS
-    return TickState(now_ns, now_ns + AHEAD_NS, instant_ns, target_n, felt_n, scored)
+    felt_n, full = GAIN * target_n, played >= RAMP_TICKS
+    return TickState(now_ns, now_ns + AHEAD_NS, instant_ns, target_n, felt_n, full)

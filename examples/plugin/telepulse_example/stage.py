@@ -84,9 +84,9 @@ class StageDrive(Drive):
 
     def _send(self, now_ns: int) -> None:
         """Send the speed that the supervisor allows: within the soft limits, or withdrawing."""
-        velocity = self._supervisor.velocity(now_ns)
+        velocity = self._supervisor.velocity_to_send(now_ns)
         self._stage.run(self._axis.units.speed_m_per_s(velocity))
-        self._supervisor.sent(velocity, now_ns)
+        self._supervisor.mark_sent(velocity, now_ns)
 
     def _home_switch(self) -> bool | None:
         return None

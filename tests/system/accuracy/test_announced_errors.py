@@ -28,8 +28,6 @@ SECONDS, MINUTE_S, FROM_S = 34.0, 60.0, 20.0
 # A wrong ECG is to be unused so long after it; a relative rise that counts as none; and the share
 # of the time in which a wrong ECG may be used.
 FOUND_OUT_S, EQUAL, UNUSED = 3.0, 0.005, 0.05
-# A relative rise of the whole error that no finger notices: its threshold is 10 % of a pulse.
-HARMLESS = 0.02
 AT_100_MS = HORIZONS_MS.index(100)
 
 
@@ -74,7 +72,7 @@ def test_an_ecg_lowers_the_error_where_only_it_predicts_the_next_beat(
 @pytest.mark.parametrize("name", ["variability", "ectopic", "fibrillation"])
 def test_a_transit_time_that_varies_by_20_ms_does_no_harm(name: str) -> None:
     without, announced = errors(name, 0.02, 1)
-    assert (announced <= (1 + HARMLESS) * without).all()
+    assert (announced <= (1 + EQUAL) * without).all()
 
 
 @pytest.mark.parametrize("fault", FAULTS, ids=[fault.name for fault in FAULTS])

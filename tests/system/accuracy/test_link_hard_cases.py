@@ -74,7 +74,7 @@ class VirtualLink:
             while self.display.work():
                 pass
             felt = self.display.tick(now_ns)
-            self.played.append((true_ns, felt.target_n, felt.playout_delay_ns, felt.scored))
+            self.played.append((true_ns, felt.target_n, felt.playout_delay_ns, felt.full))
             for request in self.display.requests(now_ns):
                 self._answer(true_ns, self.control_delay_ns(true_ns), request)
 

@@ -152,7 +152,7 @@ def test_an_announced_node_without_the_right_key_is_refused(place: Place, tmp_pa
             # A display without keys does not connect to a node with keys.
             status, _, errors = place.run(DISPLAY, *display("--discover"))
             await_line(finger, "found 'pulse on spoofed'")
-            await_line(finger, "breaks off: it is not wrist, whose public key --peer gives")
+            await_line(finger, "breaks off; it is not wrist, whose public key --peer gives")
             finger.terminate()
             assert finger.wait(PATIENCE_S) == 0
         assert status == 2

@@ -22,7 +22,7 @@ PLAYING = pack_status("playing", "my pulse", Summary(finger="pressed with 356 mN
 
 def message_at(now_ns: int) -> bytes:
     """A trace message of one tick at full strength."""
-    return packed_trace(TickState(now_ns=now_ns, felt_n=0.356, scored=True))
+    return packed_trace(TickState(now_ns=now_ns, felt_n=0.356, full=True))
 
 
 def shown(context: Context, send: Callable[[zmq.Socket[bytes]], None]) -> str:

@@ -73,13 +73,13 @@ def test_live_nodes_use_its_sensor_drive_and_predictor(
 
 def ignore_limits(drive: Any, now_ns: int) -> None:
     supervisor, units = drive._supervisor, drive._axis.units
-    speed_m_per_s = supervisor._command[0]
+    speed_m_per_s = supervisor._target[0]
     if supervisor.fault is not None or not math.isfinite(speed_m_per_s):
         StageDrive._send(drive, now_ns)
         return
     velocity = units.velocity(speed_m_per_s)
     drive._stage.run(units.speed_m_per_s(velocity))
-    supervisor.sent(velocity, now_ns)
+    supervisor.mark_sent(velocity, now_ns)
 
 
 def wait(drive: Any, speed_m_per_s: float) -> None:

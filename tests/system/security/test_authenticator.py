@@ -237,7 +237,7 @@ def test_all_but_the_node_itself_are_cut_while_the_list_cannot_be_read(
 def test_no_peer_connects_without_an_answer_of_the_authenticator(
     publisher: Publisher, keyring: Keyring
 ) -> None:
-    publisher.authenticator.sockets[0].close(0)
+    publisher.authenticator.own_sockets[0].close(0)
     subscriber = publisher.subscribe(keyring.client("finger"))
     end_s = time.monotonic() + QUIET_S
     while time.monotonic() < end_s:

@@ -5,14 +5,12 @@ from collections.abc import Callable
 import pytest
 import zmq
 
-from display_node.telemetry.alerts import NOT_CONNECTED, alerts
 from protocol import sockets
 from protocol.security.allow_list import UNREADABLE_AT_MOST_NS
 from protocol.security.authenticator import Authenticator
 from protocol.security.link_keys import ClientKeys
 from protocol.security.socket_monitor import HandshakeMonitor
 from protocol.sockets import Context
-from protocol.summary.fields import Summary
 from tests.support.keyring import Keyring
 from tests.support.nodes import free_address
 from tests.support.waiting import PATIENCE_S
@@ -26,12 +24,12 @@ class Connecting:
     ) -> None:
         self.monitor = HandshakeMonitor(context, keys)
         self.sockets = [sockets.unconnected(context, zmq.SUB, keys) for _ in range(count)]
+        self.link = self.monitor.watch(self.sockets, lambda: address)
         self._address = address
         self._now_ns = 0
         # Time that the authenticator's clock is ahead.
         self.skipped_ns = 0
         for socket in self.sockets:
-            self.monitor.watch(socket)
             socket.subscribe(b"")
             socket.connect(address)
 
@@ -62,7 +60,7 @@ class Connecting:
     ("own", "peer", "cause", "reason"),
     [
         ("thumb", "wrist", "refused_key", "does not allow the key of thumb; there: telepulse"),
-        ("finger", "other", "handshake", "breaks off: it is not other, whose public key"),
+        ("finger", "other", "handshake", "breaks off; it is not other, whose public key"),
         ("", "", "no_key", "requires a key; give --key and --peer"),
     ],
 )
@@ -105,21 +103,22 @@ def test_an_unreadable_allow_list_is_not_reported_as_a_revocation(
     authenticator = Authenticator(context, keyring.server())
     sockets.bind(context, zmq.PUB, address, authenticator)
     display = Connecting(context, address, keyring.client("finger"))
-    monitor = display.monitor
+    monitor, link = display.monitor, display.link
     display.poll_until(lambda: len(monitor.established) == 2, authenticator)
     keyring.allowed.write_text("nonsense\n", encoding="utf-8")
     display.poll_until(lambda: logged, authenticator)
     display.skipped_ns = UNREADABLE_AT_MOST_NS
     display.poll_until(lambda: set(monitor.rejected) - {"handshake"}, authenticator)
     assert "revoked" not in monitor.rejected
-    assert monitor.refused == "server_list_unreadable"
-    assert monitor.refusal.startswith(f"{address} cannot read its allow-list")
-    assert "keys allow" not in monitor.refusal
+    assert link.refusal is not None
+    assert link.refusal.cause == "server_list_unreadable"
+    assert link.refusal.text.startswith(f"{address} cannot read its allow-list")
+    assert "keys allow" not in link.refusal.text
     # The remedy works, and after it a revocation is one again.
     keyring.allowed.unlink()
     keyring.allow("finger")
     display.reconnect_until(lambda: len(monitor.established) == 2, authenticator)
-    assert (monitor.refused, monitor.refusal) == (None, "")
+    assert link.refusal is None
     keyring.allowed.unlink()
     display.poll_until(lambda: monitor.rejected["revoked"], authenticator)
 
@@ -143,10 +142,29 @@ def test_broken_handshakes_with_successes_between_them_are_no_refusal(
             data.close(0)
         finally:
             node.destroy(linger=0)
-        assert (monitor.refusal, logged) == ("", [])
+        assert (display.link.refusal, logged) == (None, [])
         display.poll_until(lambda: not monitor.established)
-        found = alerts("stale", Summary(refused=monitor.refused).to_dict())
-        assert NOT_CONNECTED not in [alert.name for alert in found], starts
+        assert display.link.refusal is None, starts
+
+
+def test_a_refusal_ends_where_it_came_from_and_not_at_another_address_of_the_same_name(
+    context: Context, keyring: Keyring, address: str
+) -> None:
+    display = Connecting(context, address, keyring.client("thumb"), count=1)
+    (socket,), nobody = display.sockets, free_address()
+    node = zmq.Context()
+    try:
+        authenticator = Authenticator(node, keyring.server())
+        data = sockets.bind(node, zmq.PUB, address, authenticator)
+        display.poll_until(lambda: display.link.refusal, authenticator)
+        sockets.reconnect(socket, address, nobody)
+        display.poll_until(lambda: display.monitor.retried[socket] > 3, authenticator)
+        assert display.link.refusal is not None
+        data.close(0)
+    finally:
+        node.destroy(linger=0)
+    sockets.reconnect(socket, nobody, address)
+    display.poll_until(lambda: display.link.refusal is None)
 
 
 def test_broken_handshakes_in_a_row_are_refusals_all_of_which_count(
@@ -156,6 +174,7 @@ def test_broken_handshakes_in_a_row_are_refusals_all_of_which_count(
     with plain.create_server(("127.0.0.1", int(address.rpartition(":")[2]))) as ending:
         for _ in range(3):
             ending.accept()[0].close()
-        display.poll_until(lambda: display.monitor.refusal)
+        display.poll_until(lambda: display.link.refusal)
         assert display.monitor.rejected == {"handshake": 3}
-        assert logged == [display.monitor.refusal]
+        assert display.link.refusal is not None
+        assert logged == [display.link.refusal.text]

@@ -99,7 +99,7 @@ def test_the_page_moves_and_shows_what_is_felt(bench: Bench, visit: Visit) -> No
         until(lambda: plot.screenshot() != before)
         assert text_of(page, "stream") == "radial pulse"
         assert text_of(page, "predictor") == "stack"
-        # Empty while the newest tick is not scored.
+        # Empty while the newest tick is not at full strength.
         await_figure(page, "delay")
         # On a busy machine a tick or two may be limited.
         assert re.fullmatch(r"never|0\.\d s", text_of(page, "at-a-limit"))
@@ -107,7 +107,8 @@ def test_the_page_moves_and_shows_what_is_felt(bench: Bench, visit: Visit) -> No
         rate = page.wait_for_function("parseFloat(document.getElementById('heart').textContent)")
         assert 40 < rate.json_value() < 150
         if PICTURES:
-            page.wait_for_timeout(10_000)
+            # Until the window holds nothing from before the prediction is trusted.
+            page.wait_for_timeout(16_000)
         keep(page, "view.png")
 
 

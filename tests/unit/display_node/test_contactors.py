@@ -287,21 +287,21 @@ def test_every_actuator_is_commanded_before_anything_is_scored_or_learnt(
 
         monkeypatch.setattr(owner, method, note)
 
-    noted("command", ForceLoop, "command")
+    noted("command", ForceLoop, "output")
     noted("move", ForceLoop, "move")
     noted("score", TrackingError, "add_output")
-    noted("score", PredictionScore, "add_reference")
+    noted("score", PredictionScore, "add_samples")
     noted("count", InterruptionCounter, "add")
     noted("learn", Ensemble, "work")
     noted("beats", BeatStatistics, "observe")
     under_test, sender = Display(scene(predictor="stack"), "test"), Sender(stream=STREAM)
-    play(under_test, sender, 0, 3001)
+    play(under_test, sender, 0, 3002)
     # Without slack for 0.1 s, a block of ticks waits, and many frames.
     with monkeypatch.context() as busy:
         busy.setattr(under_test, "work", lambda: False)
-        play(under_test, sender, 3001, 3101)
+        play(under_test, sender, 3002, 3102)
     order.clear()
-    under_test.command(3101 * MS)
+    under_test.command(3102 * MS)
     assert order == ["command"] * 3
     under_test.account()
     assert order[3:] == ["move"] * 3

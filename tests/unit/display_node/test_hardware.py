@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from display_node.control.controller import StepperController
 from protocol.errors import SourceError
 from pulse_drives.withdrawal import TOUCH_N
 from tests.support.fault_injection import FaultKind, parse_fault
@@ -90,6 +91,49 @@ def test_missed_ticks_cost_little(pulse_n: Pulse) -> None:
             bench.stall(4 * TICK_MS)
             bench.run(100)
         assert rmse_n(bench) < 1.5e-3
+
+
+@pytest.mark.parametrize("name", ["tmcl_bench", "class_bench"])
+@pytest.mark.parametrize("stalled_ms", [40, 150])
+def test_after_a_stall_the_loop_has_counted_the_travel_that_the_drive_was_sent(
+    monkeypatch: pytest.MonkeyPatch, name: str, stalled_ms: int
+) -> None:
+    """A drive keeps its speed for its watchdog's time; a display board brakes after half of it."""
+    scene = display_scene(name)
+    assert scene.drive is not None
+    patient = scene.drive.model_copy(update={"watchdog_ns": 200 * MS})
+    scene = scene.model_copy(update={"drive": patient})
+    counted_m, tick_s = [0.0], TICK_MS * 1e-3
+    output, skip, shift = (getattr(StepperController, name) for name in ("output", "skip", "shift"))
+
+    def take_output(loop: StepperController, reference_n: list[float], reading_n: float) -> float:
+        speed: float = output(loop, reference_n, reading_n)
+        counted_m.append(speed * tick_s)
+        return speed
+
+    def take_skip(loop: StepperController, speed_m_per_s: float) -> None:
+        counted_m.append(speed_m_per_s * tick_s)
+        skip(loop, speed_m_per_s)
+
+    def take_shift(loop: StepperController, travel_m: float) -> None:
+        counted_m.append(travel_m)
+        shift(loop, travel_m)
+
+    monkeypatch.setattr(StepperController, "output", take_output)
+    monkeypatch.setattr(StepperController, "skip", take_skip)
+    monkeypatch.setattr(StepperController, "shift", take_shift)
+    with ThreadedBench(scene, lambda ms: 0.2 + 0.5 * abs(ms % 2_000 / 1_000 - 1)) as bench:
+        gaps_m = list[float]()
+        bench.on_tick = lambda _, __: gaps_m.append(
+            bench.drive.travel_m(bench.world.now_ns) + counted_m[-1] - sum(counted_m)
+        )
+        bench.start()
+        bench.run(2_300)
+        before_m = gaps_m[-1]
+        bench.stall(stalled_ms)
+        bench.run(2 * TICK_MS)
+        assert bench.faults == []
+        assert gaps_m[-1] - before_m == pytest.approx(0.0, abs=0.2e-6)
 
 
 def test_ticks_in_which_the_drive_is_slowed_at_its_end_are_counted(pulse_n: Pulse) -> None:

@@ -1,4 +1,4 @@
-"""The closing verdict: what a person reads of a run, and whether the run is valid."""
+"""The verdict: what a person reads of a run, and whether the run is valid."""
 
 from dataclasses import replace
 
@@ -7,7 +7,6 @@ import pytest
 from display_node.verdict import MOST_LINES, verdict
 from protocol.refusals import CAUSE_MEANINGS
 from protocol.summary.fields import (
-    AlignedErrors,
     Availability,
     BeatFigures,
     Clock,
@@ -16,6 +15,7 @@ from protocol.summary.fields import (
     Loop,
     OneWayDelay,
     PlayoutDelay,
+    RmsErrors,
     SampleCounts,
     Summary,
 )
@@ -26,7 +26,7 @@ FINE = Summary(
     playout_delay_ms=PlayoutDelay(mean=6.82),
     beats=BeatFigures(count=17, rate_per_min=75.6, height_n=0.6, height_at_finger_n=0.3),
     clock=Clock(offset_ms=0.01),
-    force_rmse_n=AlignedErrors(aligned=0.0009),
+    force_rmse_n=RmsErrors(aligned=0.0009),
     within_jnd=1.0,
     availability=Availability(
         16.0, felt=0.9, starting=0.02, waiting=0.05, ended=0.03, missed=0.001, played=0.92
@@ -42,8 +42,8 @@ def test_a_good_run_is_told_in_five_lines() -> None:
         (
             "The pulse was felt for 14.4 of 16.0 s, at 76 beats a minute; start and end took 1.6"
             " s.",
-            "The force was off by 0.9 mN RMS, 0.3 % of the pulse's height; a finger notices 10 % or"
-            " more.",
+            "The force was off by 0.9 mN (force RMSE, aligned), 0.3 % of the pulse's height; a"
+            " finger notices 10 % or more.",
             "The finger felt the pulse 6.8 ms after the wrist on average; the network took 0.8 ms"
             " (99 % within 3.2 ms).",
             "None of the 15000 samples was lost or came too late.",
@@ -53,6 +53,9 @@ def test_a_good_run_is_told_in_five_lines() -> None:
     )
 
 
+REFUSAL = (
+    "tcp://wrist:5555 does not allow the key of finger; there: telepulse keys allow finger.pub"
+)
 NOT_FELT = {"availability": Availability(9.0, felt=0.0, waiting=0.99)}
 
 
@@ -89,6 +92,11 @@ NOT_FELT = {"availability": Availability(9.0, felt=0.0, waiting=0.99)}
             " start the sensing node there, or check the address.",
         ),
         (
+            NOT_FELT
+            | {"rejected": {"refused_key": 7}, "refused": "refused_key", "waiting_for": REFUSAL},
+            f"no pulse was felt; {REFUSAL}.",
+        ),
+        (
             NOT_FELT | {"samples": SampleCounts(sent=0)},
             "no pulse was felt; the sensing node sent no samples: check its source.",
         ),
@@ -99,6 +107,7 @@ NOT_FELT = {"availability": Availability(9.0, felt=0.0, waiting=0.99)}
     ],
     ids=[
         *("fault", "missed ticks", "no answer", "refused", "refused reader", "nobody"),
+        "refused at the end",
         *("no samples", "too short"),
     ],
 )
@@ -123,13 +132,13 @@ def test_of_several_contactors_the_worst_is_named() -> None:
     contactors = {
         name: Summary(
             beats=BeatFigures(rate_per_min=75.6, height_n=0.6, height_at_finger_n=0.3),
-            force_rmse_n=AlignedErrors(aligned=error_n),
+            force_rmse_n=RmsErrors(aligned=error_n),
             within_jnd=share,
         )
         for name, error_n, share in (("cun", 0.001, 1.0), ("guan", 0.02, 0.8))
     }
     lines, _ = verdict(replace(FINE, contactors=contactors))
     assert lines[1].startswith(
-        "The force at guan, the worst contactor, was off by 20.0 mN RMS, 6.7"
+        "The force at guan, the worst contactor, was off by 20.0 mN (force RMSE, aligned), 6.7"
     )
     assert "The error at guan was large enough to notice for 20 % of the time" in lines[4]

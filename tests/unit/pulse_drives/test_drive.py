@@ -202,7 +202,7 @@ def test_a_drive_that_fails_on_its_way_to_first_touch_is_closed(bench: Bench) ->
 def test_a_tip_that_does_not_move_ends_the_start(
     bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(Supervisor, "velocity", lambda supervisor, now_ns: 0)
+    monkeypatch.setattr(Supervisor, "velocity_to_send", lambda supervisor, now_ns: 0)
     with pytest.raises(DriveError, match=r"the tip stays 0\.2.. mm before first touch") as error:
         bench.drive.start()
     assert error.value.kind == "not there"

@@ -285,3 +285,20 @@ def test_a_film_without_its_board_names_the_port_and_advice() -> None:
 def test_another_kind_of_drive_reads_no_film() -> None:
     with virtual_bench("tmcl") as bench, pytest.raises(SceneError, match="reads no film"):
         bench.drive.film_port(0, 1)
+
+
+@pytest.mark.parametrize("stalled_ms", [10, 30, 45])
+def test_a_stall_shorter_than_the_watchdog_is_no_fault_at_any_speed(
+    bench: Bench, stalled_ms: int
+) -> None:
+    """The board brakes once a velocity's validity has passed, and the host accounts for it."""
+    rate_hz = 24_000.0
+    bench.start(rate_hz, 0.05e-3)
+    origin_m = bench.drive.travel_m(bench.clock.now_ns) - bench.motor.tip_m
+    stall(bench, stalled_ms)
+    travel_m = bench.drive.travel_m(bench.clock.now_ns) - origin_m
+    # Beyond: a millisecond on the line and one to brake, at 15 mm/s.
+    assert travel_m == pytest.approx(bench.motor.tip_m, abs=20e-6)
+    until_ns = bench.clock.now_ns + 100 * MS
+    bench.keep(rate_hz / 100, lambda: bench.clock.now_ns > until_ns)
+    assert bench.fault == ""

@@ -24,7 +24,7 @@ class Bench:
 
     def __init__(self, verified: bool = True) -> None:
         self.axis = axis()
-        self.supervisor = Supervisor(self.axis, WATCHDOG_NS)
+        self.supervisor = Supervisor(self.axis, WATCHDOG_NS, WATCHDOG_NS)
         self.supervisor.arm(0)
         self.supervisor.verified = verified
         self.tip_m = self.speed = 0.0
@@ -45,10 +45,10 @@ class Bench:
                 place_m = self.tip_m if self.frozen_m is None else self.frozen_m
                 supervisor.add_position(place_m, now_ns)
             if speed_m_per_s is not None:
-                supervisor.command(speed_m_per_s, now_ns)
+                supervisor.set_target(speed_m_per_s, now_ns)
             supervisor.check_silence(now_ns)
-            velocity = supervisor.velocity(now_ns)
-            supervisor.sent(velocity, now_ns)
+            velocity = supervisor.velocity_to_send(now_ns)
+            supervisor.mark_sent(velocity, now_ns)
             self.speed = units.speed_m_per_s(velocity)
             self.speeds.append(self.speed)
         return supervisor
@@ -84,10 +84,10 @@ def test_a_loop_without_commands_is_a_fault_but_not_in_a_pause() -> None:
 def test_a_drive_without_answers_or_positions_is_a_fault(
     answers: bool, fault: str, after_ms: int
 ) -> None:
-    supervisor = Supervisor(axis(), WATCHDOG_NS)
+    supervisor = Supervisor(axis(), WATCHDOG_NS, WATCHDOG_NS)
     supervisor.arm(0)
     for ms in range(1, 250):
-        supervisor.command(0.0, ms * MS)
+        supervisor.set_target(0.0, ms * MS)
         if answers:
             supervisor.answered_ns = ms * MS
         supervisor.check_silence(ms * MS)

@@ -105,9 +105,9 @@ def test_forces_are_scaled_and_an_ecg_has_a_unit_of_its_own(
     scale = {"unit": "counts", "newtons_per_count": 1e-4, "zero": 100, "preload": "0.5 N"}
     scene = validate(BINARY | NAMES | scale | unit, SerialScene, "scene")
     assert scene.wire_channels == CHANNELS
-    block = Timestamper(scene).timestamp(decoded_block([[1100, 2100, 3000]]), 10**15)
+    block = Timestamper(scene).timestamp(decoded_block([[1100, 2100, 300]]), 10**15)
     assert block is not None
-    np.testing.assert_allclose(block.values, [[0.6, 0.7, 3000 * factor]])
+    np.testing.assert_allclose(block.values, [[0.6, 0.7, 300 * factor]])
 
 
 @pytest.mark.parametrize(

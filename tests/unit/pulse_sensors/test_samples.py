@@ -8,11 +8,13 @@ import pytest
 from numpy.typing import NDArray
 
 from protocol.config.scene import validate
+from protocol.wire.messages import Frame, decode_frame, encode_frame
 from pulse_sensors.samples import JUMP_NS, SampleBlock, Timeline, Timestamper, decoded_block
 from pulse_sensors.serial_port import SerialScene
+from sensing_node.feeds import Framer
 from telepulse.emulators.sensor_board import BoardBehaviour, SensorBoard, binary, line, timed_line
 from tests.support.sample_blocks import forces
-from tests.support.streams import synthetic
+from tests.support.streams import description, synthetic
 
 START_NS = 10**15
 MS, SECOND_NS = 1_000_000, 1_000_000_000
@@ -137,7 +139,7 @@ def times_of(
         START_NS + round((first + 3) * period_ns + rng.uniform(0, jitter_ns))
         for first in range(0, count, 4)
     ]
-    times_ns = [timeline.timestamp(4, 0, last) for last in last_ns]
+    times_ns = [timeline.place(4, 0, last) for last in last_ns]
     return [each for each in times_ns if each is not None]
 
 
@@ -160,7 +162,7 @@ def test_the_true_rate_is_found_and_the_jitter_removed(rate_hz: float) -> None:
 def test_blocks_are_contiguous_and_never_step_back_with_any_jitter() -> None:
     timeline, rng, end_before_ns = Timeline(MS), np.random.default_rng(2), None
     for number in range(2000):
-        place = timeline.timestamp(1, 0, START_NS + number * MS + int(rng.normal(0, 60 * MS)))
+        place = timeline.place(1, 0, START_NS + number * MS + int(rng.normal(0, 60 * MS)))
         if place is None:
             continue
         first_ns, end_ns, missing = place
@@ -176,7 +178,24 @@ def test_gaps_keep_their_time_and_past_times_are_refused() -> None:
     known, jump, behind = Timeline(MS), Timeline(MS), Timeline(MS)
     for timeline in (known, jump, behind):
         times_of(timeline, 1000, MS)
-    assert known.timestamp(1, 7, START_NS + 1007 * MS) == at_ms(1007, 1008, 7)
-    assert jump.timestamp(1, 0, START_NS + 6000 * MS) == at_ms(6000, 6001, 5000)
-    assert behind.timestamp(1, 0, START_NS + 999 * MS - JUMP_NS) is None
-    assert behind.timestamp(1, 0, START_NS + 1000 * MS) == at_ms(1000, 1001, 0)
+    assert known.place(1, 7, START_NS + 1007 * MS) == at_ms(1007, 1008, 7)
+    assert jump.place(1, 0, START_NS + 6000 * MS) == at_ms(6000, 6001, 5000)
+    assert behind.place(1, 0, START_NS + 999 * MS - JUMP_NS) is None
+    assert behind.place(1, 0, START_NS + 1000 * MS) == at_ms(1000, 1001, 0)
+
+
+def test_a_value_too_large_for_a_frame_is_a_lost_sample_and_no_lost_frame() -> None:
+    """Displays refuse a frame with such a value, and with it the samples of all its channels."""
+    under_test, framer = timestamper("binary"), Framer(description(batch=5), session=1)
+    sent, frames = list[SampleBlock](), list[Frame]()
+    for number, force_n in enumerate([-1.01e6, 0.5, 0.5, 1e30, 0.5, 0.5]):
+        block = decoded_block([force_n], number * MS, restarted=not number)
+        timestamped = under_test.timestamp(block, START_NS + number * MS)
+        if timestamped is not None:
+            sent.append(timestamped)
+            frames += framer.frames(timestamped)
+    assert [block.missing for block in sent] == [1, 0, 1, 0]
+    assert (under_test.samples, under_test.missing, under_test.too_large) == (4, 2, 2)
+    assert under_test.restarts == 0
+    decoded = [decode_frame(encode_frame(frame)) for frame in frames]
+    assert [frame.first_sample for frame in decoded] == [1, 2, 4, 5]

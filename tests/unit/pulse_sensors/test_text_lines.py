@@ -111,6 +111,8 @@ def test_a_time_that_does_not_follow_must_be_confirmed(
         ([i * 1_400 for i in range(2_000) if i != 1_500], "us", 1),
         # Rounding to milliseconds loses nothing.
         ([i * 1_003 // 1_000 for i in range(5_000)], "ms", 0),
+        # Two lines in one millisecond.
+        ([i * 990 // 1_000 for i in range(5_000)], "ms", 0),
         # micros() wraps to 0.
         ([us % TURN for us in range(TURN - 3_000, TURN + 3_000, 1_000)], "us", 0),
     ],
@@ -124,6 +126,25 @@ def test_losses_follow_from_the_times(times: list[int], unit: TimeUnit, missing:
     passed_ns = np.diff(times) % TURN * (MS if unit == "ms" else 1_000)
     np.testing.assert_array_equal(np.diff(device_ns), passed_ns)
     assert rejected == {}
+
+
+@pytest.mark.parametrize("unit_us", [1_000, 1_024])
+@pytest.mark.parametrize("period_us", [100, 250, 500, 1_000, 1_010])
+def test_no_line_is_lost_where_a_board_counts_in_milliseconds(unit_us: int, period_us: int) -> None:
+    """millis() of an Arduino Uno counts in 1.024 ms."""
+    decoder, times_us = TextDecoder(period_us * 1_000, (0,), "ms"), range(0, 2_000_000, period_us)
+    decoder.feed(b"\n")
+    sent = [(us // unit_us * unit_us // 1_000, number) for number, us in enumerate(times_us)]
+    blocks = [block for line in sent for block in plain(decoder.feed(b"%d,%d\n" % line))]
+    assert values(blocks) == list(range(len(times_us)))
+    assert decoder.rejected == {}
+    assert sum(block.missing for block in blocks) == 0
+
+
+@pytest.mark.parametrize(("unit", "lines"), [("us", 1), ("ms", 2)])
+def test_a_clock_that_stands_still_is_refused(unit: TimeUnit, lines: int) -> None:
+    _, rejected = timed(b"7,1\n" * 20, unit)
+    assert rejected == {"device_time": 20 - lines}
 
 
 def test_noise_gives_no_sample_and_uses_bounded_memory() -> None:

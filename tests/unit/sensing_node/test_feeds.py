@@ -102,7 +102,7 @@ def test_a_gap_of_a_sensor_ends_a_block_and_keeps_its_sequence_numbers() -> None
         (0, 5 * MS, 2),
         (12, 17 * MS, 2),
     ]
-    assert framer.samples_sent == 14
+    assert framer.next_sample == 14
 
 
 def frame(first: int, count: int = 5, late_ns: int = 0, period_ns: int = MS) -> Frame:
@@ -159,7 +159,7 @@ def test_samples_are_numbered_and_timed_without_gaps(sizes: list[int], batch: in
         # Only the last frame of a block may be shorter than a batch.
         assert [len(made.values) for made in frames[:-1]] == [batch] * (len(frames) - 1)
         assert all(1 <= len(made.values) <= batch for made in frames)
-    assert sent == sum(sizes) == framer.samples_sent
+    assert sent == sum(sizes) == framer.next_sample
 
 
 def limits(period_ns: int, batch: int, channels: int = 1) -> dict[int, int]:

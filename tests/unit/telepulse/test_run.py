@@ -8,7 +8,7 @@ import pytest
 from matplotlib import pyplot as plt
 
 import telepulse
-from protocol.summary.fields import AlignedErrors, Availability
+from protocol.summary.fields import Availability, RmsErrors
 from tests.support.recordings import GAIN, record
 
 LINK = "delay=40ms,jitter=10ms,loss=1%"
@@ -70,7 +70,7 @@ def test_the_errors_of_a_recording_are_of_its_ticks_and_its_summary_of_the_whole
 ) -> None:
     whole_run = {
         "availability": Availability(9.0, 1.0),
-        "force_rmse_n": AlignedErrors(0.05, 0.06),
+        "force_rmse_n": RmsErrors(0.05, 0.06),
     }
     record(tmp_path / "run.mcap", 3, whole_run=whole_run)
     run = telepulse.read_recording(tmp_path / "run.mcap")
@@ -81,7 +81,7 @@ def test_the_errors_of_a_recording_are_of_its_ticks_and_its_summary_of_the_whole
     assert run.force_rmse_n.aligned == pytest.approx((GAIN - 1) * 0.3, rel=0.3)
     assert 0.02 < run.force_rmse_n.in_phase < 0.05
     never = replace(run, played=np.zeros_like(run.played))
-    assert never.force_rmse_n == AlignedErrors(None, None)
+    assert never.force_rmse_n == RmsErrors(None, None)
 
 
 def test_a_recording_has_its_marks_and_what_was_stated(tmp_path: Path) -> None:

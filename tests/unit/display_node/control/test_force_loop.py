@@ -4,7 +4,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from display_node.control.force_loop import WATCHDOG_S, ForceLoop, build_force_loop
+from display_node.control.force_loop import HELD_S, ForceLoop, build_force_loop
 from display_node.control.scene import ControllerScene
 from display_node.plant.scene import FilmTable, SecondOrderScene, StepperScene
 from protocol.errors import SceneError
@@ -12,7 +12,7 @@ from protocol.tactile import ElasticLayer
 from sensing_node.sources.synthetic import SyntheticScene, SyntheticSource
 
 TICK_S = 1e-3
-WATCHDOG_TICKS = round(WATCHDOG_S / TICK_S)
+HELD_TICKS = round(HELD_S / TICK_S)
 LIMIT_N = 2.5
 STEPPER = StepperScene.model_validate({"kind": "stepper"})
 SECOND_ORDER = SecondOrderScene.model_validate({"kind": "second_order"})
@@ -128,7 +128,7 @@ def rising(loop: ForceLoop) -> ForceLoop:
     return loop
 
 
-@pytest.mark.parametrize("ticks", [0, 1, 10, WATCHDOG_TICKS])
+@pytest.mark.parametrize("ticks", [0, 1, 10, HELD_TICKS])
 def test_the_last_command_holds_during_missed_ticks(ticks: int) -> None:
     loop = rising(force_loop(FOLLOWING))
     before_n = loop.felt_n
@@ -143,7 +143,7 @@ def test_a_long_stall_is_stopped_by_the_watchdog(ticks: int) -> None:
     before_n = loop.felt_n
     loop.coast(ticks)
     stopped_n = loop.felt_n
-    assert stopped_n - before_n == pytest.approx(WATCHDOG_S * 1.0, rel=0.05)
+    assert stopped_n - before_n == pytest.approx(HELD_S * 1.0, rel=0.05)
     loop.coast(50)
     assert loop.felt_n == stopped_n
     for _ in range(300):  # the loop follows the reference again
@@ -151,9 +151,17 @@ def test_a_long_stall_is_stopped_by_the_watchdog(ticks: int) -> None:
     assert felt_n == pytest.approx(0.5, abs=0.7e-3)
 
 
-@pytest.mark.parametrize(
-    ("ticks", "least_n", "most_n"), [(200, 0, 0), (WATCHDOG_TICKS + 1, 0.3, math.inf)]
-)
+@pytest.mark.parametrize(("ticks", "moving_s"), [(150, 0.15), (350, 0.2)])
+def test_an_actuator_that_keeps_its_speed_longer_moves_on_for_longer(
+    ticks: int, moving_s: float
+) -> None:
+    loop = rising(force_loop(FOLLOWING, held_s=0.2))
+    before_n = loop.felt_n
+    loop.coast(ticks)
+    assert loop.felt_n - before_n == pytest.approx(moving_s * 1.0, rel=0.05)
+
+
+@pytest.mark.parametrize(("ticks", "least_n", "most_n"), [(200, 0, 0), (HELD_TICKS, 0.3, math.inf)])
 def test_a_fast_drive_brakes_in_a_stall_beyond_the_watchdog(
     ticks: int, least_n: float, most_n: float
 ) -> None:

@@ -27,7 +27,7 @@ def frame(first_ms: int, *values: float) -> Frame:
 
 
 def arrive(score: PredictionScore, first_ms: int, *values: float, ratio: float = 1.0) -> None:
-    score.add_reference(frame(first_ms, *values).samples_of(0), ratio, HEIGHT_N)
+    score.add_samples(frame(first_ms, *values).samples_of(0), ratio, HEIGHT_N)
 
 
 def test_the_error_is_that_of_the_played_force_at_each_sample_that_came_later() -> None:

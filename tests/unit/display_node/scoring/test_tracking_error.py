@@ -16,6 +16,7 @@ from display_node.scoring.tracking_error import (
 )
 from protocol.summary.phrases import windows_text
 from protocol.tactile import ElasticLayer
+from tests.support.sender import Sender, display, run
 
 MS = 1_000_000
 T0_NS = 1_700_000_000_000_000_000
@@ -50,7 +51,7 @@ def frames(t_ns: Times, size: int = 5) -> list[Times]:
 
 def add_reference(error: TrackingError, pieces: Iterable[Times]) -> None:
     for t_ns in pieces:
-        error.add_reference_force(t_ns.tolist(), pulse_n(t_ns).tolist())
+        error.add_pulse(t_ns.tolist(), pulse_n(t_ns).tolist())
 
 
 def add_output(
@@ -58,7 +59,7 @@ def add_output(
 ) -> None:
     for first in range(0, len(ticks_ns), BLOCK):
         now_ns = ticks_ns[first : first + BLOCK]
-        error.add_output(now_ns, now_ns - delay_ns, forces_n[first : first + BLOCK])
+        error.add_output(now_ns, now_ns, now_ns - delay_ns, forces_n[first : first + BLOCK])
 
 
 def scored(
@@ -104,11 +105,12 @@ def test_outside_of_the_pulse_and_inside_of_a_gap_nothing_is_known() -> None:
 
 def test_a_films_readings_are_scored_by_the_time_at_which_they_were_taken() -> None:
     given: list[tuple[Forces, Forces]] = []
-    error, age_ns = TrackingError(take_scored=lambda *forces_n: given.append(forces_n)), 7 * MS
+    error, age_ns = TrackingError(take_compared=lambda *forces_n: given.append(forces_n)), 7 * MS
     ticks_ns = tick_times_ns(0.5, 3)
+    error.begin_session(age_ns)
     add_reference(error, frames(sample_times_ns(2)))
     felt_n = pulse_n(ticks_ns - DELAY_NS - age_ns)
-    error.add_output(ticks_ns, ticks_ns - DELAY_NS, felt_n, age_ns)
+    error.add_output(ticks_ns, ticks_ns, ticks_ns - DELAY_NS, felt_n)
     error.finish()
     assert error.force_rmse_n.aligned == pytest.approx(0, abs=1e-5)
     played_n, scored_n = np.concatenate(given, axis=1)
@@ -204,7 +206,7 @@ def test_memory_does_not_grow_in_ten_minutes(felt_share: float) -> None:
         for frame in range(minute * 2400, (minute + 1) * 2400):
             now_ns = T0_NS + frame * 25 * MS
             t_ns = list(range(now_ns, now_ns + 25 * MS, MS))
-            error.add_reference_force(t_ns, force_n)
+            error.add_pulse(t_ns, force_n)
             if felt_share == 1.0 or frame < 2400 * felt_share:
                 add_output(error, np.array([now_ns]), np.array([0.3]))
 
@@ -271,3 +273,45 @@ def test_a_window_without_a_known_error_reports_its_delay() -> None:
     text = windows_text([[asdict(each) for each in error.windows]])
     assert text is not None
     assert text.splitlines()[1] == "15 to 21 s: E 43.0 ms, aligned unknown, in phase unknown"
+
+
+@pytest.mark.parametrize("stepped_s", [-3600, -4, 0, 3600, 72 * 3600])
+def test_ticks_of_two_sessions_are_all_judged_however_far_apart_their_clocks_are(
+    stepped_s: int,
+) -> None:
+    under_test, step_ns = display(), stepped_s * 1000 * MS
+    run(under_test, Sender(), 0, 5000)
+    # The sensing host boots again: another session, by another clock.
+    under_test.receiver.introduce()
+    restarted = Sender(session=8)
+    for ms in range(5000, 9000):
+        while under_test.work():
+            pass
+        under_test.tick(ms * MS)
+        restarted.serve(under_test, ms * MS, step_ns=step_ns)
+        if ms % 5 == 0:
+            under_test.on_frame(restarted.frame(ms * MS + step_ns, 0.3), ms * MS)
+    under_test.finish_scores()
+    summary = under_test.summary(0)
+    assert under_test.receiver.sessions == 2
+    assert summary.availability.judged == summary.availability.felt
+    assert summary.availability.judged == pytest.approx(0.877, abs=0.01)
+    # By the display's clock, which did not step.
+    assert [each.from_s for each in summary.windows] == list(range(9))
+
+
+def test_a_session_is_judged_by_its_own_pulse_where_clocks_overlap() -> None:
+    ticks_ns = tick_times_ns(1.0, 5.5)
+    felt_n = pulse_n(ticks_ns - DELAY_NS)
+    error = TrackingError(STRAIN_PER_NEWTON)
+    for number in range(2):
+        error.begin_session()
+        for t_ns in frames(sample_times_ns(6.0)):
+            error.add_pulse(t_ns.tolist(), (pulse_n(t_ns) + number).tolist())
+        now_ns = ticks_ns + 10_000 * MS * number
+        error.add_output(now_ns, ticks_ns, ticks_ns - DELAY_NS, felt_n + number + 0.02)
+    error.finish()
+    assert error.force_rmse_n.aligned == pytest.approx(0.02, rel=1e-3)
+    # The JND is of 0.3 N, not of the step from one session's pulse to the other's.
+    assert error.within_jnd == 1.0
+    assert [each.to_s - each.from_s for each in error.windows[:4]] == [1.0] * 4

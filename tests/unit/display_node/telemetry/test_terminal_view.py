@@ -8,17 +8,17 @@ from rich.console import Console
 
 from display_node.telemetry.terminal_view import TerminalView
 from protocol.summary.fields import (
-    AlignedErrors,
     Compensation,
     Loop,
     OneWayDelay,
     PlayoutDelay,
+    RmsErrors,
     Roughness,
     SampleCounts,
     Summary,
 )
 from protocol.wire.telemetry import STATUS, TRACE, Status, Trace, pack_status
-from tests.unit.display_node.telemetry.test_alerts import ALERTS
+from tests.unit.display_node.telemetry.test_alerts import ALERTS, REFUSAL
 
 BEAT_S = 0.8
 SUMMARY = Summary(
@@ -27,7 +27,7 @@ SUMMARY = Summary(
     playout_delay_ms=PlayoutDelay(12.5, 14.0),
     compensation=Compensation(0.375),
     roughness=Roughness(6e-4, 5e-4, 1.44),
-    force_rmse_n=AlignedErrors(1.5e-3, 2e-2),
+    force_rmse_n=RmsErrors(1.5e-3, 2e-2),
     loop=Loop(1000, 42),
 ).to_dict()
 FINAL = pack_status("ended", "my pulse", Summary(), final=True)
@@ -50,8 +50,10 @@ def view(state: str = "playing", seconds: float = 6, **changes: object) -> Termi
     return under_test
 
 
-def printed(under_test: TerminalView, now_ns: int = 0, styles: bool = False) -> str:
-    console = Console(width=100, record=True, file=io.StringIO(), force_terminal=styles or None)
+def printed(
+    under_test: TerminalView, now_ns: int = 0, styles: bool = False, width: int = 100
+) -> str:
+    console = Console(width=width, record=True, file=io.StringIO(), force_terminal=styles or None)
     console.print(under_test.live(now_ns))
     return console.export_text(styles=styles)
 
@@ -68,6 +70,41 @@ def test_each_alert_is_printed_once_in_full_and_shown_while_it_lasts(
     assert all(text in shown for text in texts)
 
 
+@pytest.mark.parametrize(
+    ("state", "cause", "line"),
+    [
+        (
+            "waiting",
+            "refused_key",
+            "waiting: not connected: tcp://127.0.0.1:5556 does not allow the key of finger",
+        ),
+        (
+            "stale",
+            "revoked",
+            "stale: no samples to play; revoked: tcp://127.0.0.1:5556 does not allow the key of"
+            " finger",
+        ),
+    ],
+)
+def test_a_refusal_is_in_the_line_and_in_full_below_it_also_in_a_narrow_terminal(
+    state: str, cause: str, line: str
+) -> None:
+    finger = "not pressed (model, no drive)" if state == "waiting" else None
+    under_test = view(state, 0, refused=cause, waiting_for=REFUSAL, finger=finger)
+    assert under_test.line() == line
+    assert REFUSAL in " ".join(printed(under_test, width=80).split())
+    # Without a terminal: once.
+    assert sum(REFUSAL in text for text in under_test.new_alerts()) == 1
+
+
+def test_of_two_addresses_without_a_node_the_line_has_the_first_one_s_reason() -> None:
+    first, second = (f"nobody listens at tcp://10.0.{n}.17:5555, refused 12 times" for n in (0, 1))
+    under_test = view("waiting", 0, waiting_for=f"{first}; {second}")
+    assert under_test.line() == f"waiting: {first}"
+    under_test = view("waiting", 0, waiting_for="connecting to tcp://a:1; connecting to tcp://b:1")
+    assert under_test.line() == "waiting: connecting to tcp://a:1; connecting to tcp://b:1"
+
+
 def test_the_heart_rate_is_of_the_last_seconds_at_full_strength() -> None:
     under_test = TerminalView()
     for start_s in range(0, 120, 2):
@@ -77,7 +114,7 @@ def test_the_heart_rate_is_of_the_last_seconds_at_full_strength() -> None:
     under_test.add_trace(pulse(3))
     assert under_test.heart_rates_per_min == pytest.approx([60 / BEAT_S], rel=0.02)
     trace = pulse(6)
-    under_test.add_trace(trace._replace(scored=trace.now_ns < 5_900_000_000))
+    under_test.add_trace(trace._replace(full=trace.now_ns < 5_900_000_000))
     assert under_test.heart_rates_per_min == [None]
     # Of each contactor.
     still = pulse(6)._replace(felt_n=np.zeros(6_000))

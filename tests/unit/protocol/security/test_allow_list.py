@@ -87,6 +87,12 @@ def test_an_invalid_list_is_one_line_without_a_key(path: Path, line: str, reason
         assert WRIST.key.hex()[:16] not in str(caught.value)
 
 
+def test_a_folder_is_no_list_and_has_the_remedy_for_a_list(tmp_path: Path) -> None:
+    with pytest.raises(KeyFileError) as caught:
+        AllowList(tmp_path)
+    assert str(caught.value) == f"{tmp_path}: it is not a file; give the file of an allow-list"
+
+
 @pytest.mark.skipif(os.name != "posix", reason="modes are POSIX")
 @pytest.mark.parametrize("mode", [0o664, 0o646, 0o666])
 def test_a_list_that_others_may_write_is_refused_with_a_remedy(path: Path, mode: int) -> None:

@@ -133,6 +133,13 @@ def test_a_file_without_a_key_is_refused(tmp_path: Path, text: str, reason: str)
     assert "\n" not in str(caught.value)
 
 
+def test_a_broken_secret_key_file_is_told_the_form_of_a_secret_key(tmp_path: Path) -> None:
+    secret, _ = new_pair(tmp_path, "wrist")
+    secret.write_text("nonsense\n", encoding="utf-8")
+    with pytest.raises(KeyFileError, match="it is not 'telepulse-secret-key NAME KEY'"):
+        read_pair(secret)
+
+
 @pytest.mark.parametrize("end", ["", "\r\n", "  \n"])
 def test_a_key_may_have_other_white_space_and_case(tmp_path: Path, end: str) -> None:
     path = tmp_path / "wrist.pub"

@@ -122,14 +122,18 @@ def test_each_board_is_found_and_an_end_with_none_or_two_is_asked_for(
 @pytest.mark.parametrize(
     ("arguments", "line"),
     [
-        ("class_bench", "no board was found at a USB port; "),
+        ("unplugged.toml", "no board was found at a USB port; "),
         ("radial --emulated", 'its drive is not of kind "stepdir"'),
         ("class_bench --emulated --ports a b", "--ports: not with --emulated"),
     ],
 )
 def test_one_line_says_why_there_is_no_board(
-    arguments: str, line: str, monkeypatch: pytest.MonkeyPatch
+    arguments: str, line: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
+    monkeypatch.chdir(tmp_path)
+    ports = ('[sensing.source]\nport = "none"', '[display.drive]\nport = "none"')
+    scene = "\n".join(('title = "Unplugged"', 'extends = "class_bench"', *ports))
+    Path("unplugged.toml").write_text(scene, encoding="utf-8")
     # A modem is no board.
     list_usb(monkeypatch, 0x12D1, "/dev/ttyACM0")
     result = CliRunner().invoke(app, ["demo", *arguments.split()])

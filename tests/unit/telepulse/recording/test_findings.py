@@ -13,6 +13,7 @@ from telepulse.columns import SessionColumns
 from telepulse.recording.contents import RecordingContents
 from telepulse.recording.findings import RunFindings
 from telepulse.recording.mcap_writer import as_json
+from telepulse.recording.report import in_short
 from telepulse.telemetry.decoder import Entry, TelemetryDecoder
 from tests.support.streams import synthetic
 from tests.support.telemetry_publisher import MS, HandmadeTelemetry
@@ -80,3 +81,19 @@ def test_a_pressing_fingers_force_is_not_compared_with_the_wrists() -> None:
     assert findings.summary().strain_rmse.aligned == pytest.approx(1e-3 * 4.8e-6)
     contents.summary = Summary(press=PressFigures(press_n=1.0))
     assert findings.summary().force_rmse_n.aligned is None
+
+
+@pytest.mark.parametrize(
+    ("names", "expected"),
+    [
+        (["cun"], "The force RMSE is 1.000 mN aligned"),
+        (["cun", "chi"], "The force RMSE at chi, the worst contactor, is 2.000 mN aligned"),
+    ],
+)
+def test_in_short_has_the_force_rmse_of_the_worst_contactor(
+    names: list[str], expected: str
+) -> None:
+    contents = RecordingContents()
+    contents.sessions = [pulse_session(3, names=names)]
+    (sentence,) = (text for text in in_short(RunFindings(contents)) if "RMSE" in text)
+    assert sentence.startswith(expected)

@@ -1,3 +1,5 @@
+from collections.abc import Sequence
+
 import numpy as np
 import pytest
 
@@ -18,19 +20,29 @@ def pulse_session(
     channel: int = 0,
     group_delay_ns: int = 0,
     film_age_ns: int = 0,
+    early_ticks: int = 0,
+    names: Sequence[str] = ("cun",),
 ) -> SessionColumns:
-    """Return a pulse on one of two channels, felt 1 mN too strong and 40 ms late."""
+    """Return a pulse on one of two channels, felt 1 mN too strong and 40 ms late.
+
+    early_ticks: number of ticks at full strength before the first frame. names: of the contactors,
+    of which each feels a further mN too much.
+    """
     chance = np.random.default_rng(1)
     stream = description(
         channels=(Channel("a"), Channel("b")), bytes_per_sample=8, group_delay_ns=group_delay_ns
     )
     session = SessionColumns(1, stream)
-    played = PlaybackStatus("cun", channel, ratio, -4.8e-6, "linear", 60 * MS, film_age_ns)
-    session.playing = {"cun": played}
+    for name in names:
+        played = PlaybackStatus(name, channel, ratio, -4.8e-6, "linear", 60 * MS, film_age_ns)
+        session.playing[name] = played
     t_s = np.arange(seconds * 1000) * 1e-3
     force_n = np.empty((len(t_s), 2))
     force_n[:, 1 - channel] = 0.4 + 0.01 * chance.standard_normal(len(t_s))
     force_n[:, channel] = 0.4 + 0.1 * np.sin(8 * t_s)
+    for at_ns in range(-early_ticks * MS, 0, MS):
+        tick = TickRow(at_ns, at_ns, at_ns - LATE * MS, True, True, True, False, at_ns)
+        session.add_tick(tick, [(0.4, 0.4)])
     for first in range(0, len(t_s), BATCH):
         values = force_n[first : first + BATCH]
         session.add_frame(Frame(1, first, first * MS + group_delay_ns, MS, values))
@@ -38,7 +50,8 @@ def pulse_session(
             now_ns = at * MS + film_age_ns
             tick = TickRow(now_ns, now_ns, now_ns - LATE * MS, True, True, at >= LATE, False)
             target_n = ratio * force_n[max(0, at - LATE), channel]
-            session.add_tick(tick._replace(unix_ns=now_ns), [(target_n, target_n + 1e-3)])
+            forces_n = [(target_n, target_n + 1e-3 * (1 + n)) for n in range(len(names))]
+            session.add_tick(tick._replace(unix_ns=now_ns), forces_n)
     return session
 
 
@@ -47,7 +60,8 @@ def findings(*sessions: SessionColumns) -> ContactorFindings:
     assert found.errors.force_rmse_n.aligned == pytest.approx(1e-3)
     np.testing.assert_allclose(found.error_n.mean, 1e-3)
     for block in found.first:
-        np.testing.assert_allclose(block.felt_n - block.reference_n, 1e-3)
+        known = ~np.isnan(block.pulse_n)
+        np.testing.assert_allclose((block.felt_n - block.pulse_n)[known], 1e-3)
     return found
 
 
@@ -72,6 +86,13 @@ def test_a_films_reading_is_compared_with_the_time_at_which_it_was_felt() -> Non
 
 def test_sessions_are_aligned_each_with_its_own_samples_and_channel() -> None:
     findings(pulse_session(3), SessionColumns(2), pulse_session(4, 0.5, 1, 3 * MS))
+
+
+def test_ticks_before_a_sessions_first_frame_have_an_unknown_pulse() -> None:
+    # As where the display was started again, and the recording missed the begin of its session.
+    found = findings(pulse_session(3, early_ticks=700))
+    assert found.first[0].t_s[0] == pytest.approx(-0.7)
+    assert np.isnan(found.first[0].pulse_n[:700]).all()
 
 
 @pytest.mark.parametrize("hours", [0.01, 1, 30])

@@ -13,7 +13,7 @@ from protocol.wire.messages import Frame
 from sensing_node.feeds import Framer, PacedFeed
 from sensing_node.scene import SensingScene, build_source, describe_stream
 from telepulse.scene import Scene, load_scene
-from telepulse.simulation.true_errors import ReferenceForce
+from telepulse.simulation.true_errors import TrueForce
 from telepulse.simulation.virtual_time import Simulation
 from tests.support.nodes import RADIAL
 
@@ -38,7 +38,7 @@ def frames(scene: SensingScene) -> list[Frame]:
 
 
 def truth(scene: SensingScene, of: list[Frame]) -> np.ndarray[Any, Any]:
-    under_test = ReferenceForce(scene, Path())
+    under_test = TrueForce(scene, Path())
     return np.concatenate([under_test.of(frame).values for frame in of])
 
 
@@ -49,7 +49,7 @@ def samples(scene: SensingScene) -> np.ndarray[Any, Any]:
 @pytest.mark.parametrize("conditioning", [None, {}, CHARGE])
 def test_frames_of_an_ideal_chain_are_the_reference(conditioning: dict[str, Any] | None) -> None:
     scene = sensing(conditioning)
-    under_test = ReferenceForce(scene, Path())
+    under_test = TrueForce(scene, Path())
     assert all(under_test.of(frame) is frame for frame in frames(scene))
 
 
@@ -70,7 +70,7 @@ def test_the_reference_loses_the_static_force_too() -> None:
 
 def test_missing_frames_do_not_shift_the_reference_which_differs_in_its_values_alone() -> None:
     scene = sensing(FILTERS)
-    under_test, sent = ReferenceForce(scene, Path()), frames(scene)
+    under_test, sent = TrueForce(scene, Path()), frames(scene)
     received = [*sent[30:50], *sent[51:]]
     reference = [under_test.of(frame) for frame in received]
     assert [frame[:4] for frame in reference] == [frame[:4] for frame in received]

@@ -4,7 +4,7 @@ import math
 from dataclasses import asdict
 from typing import Any
 
-from protocol.summary.fields import AlignedErrors, Clock, Loop, PressFigures, SampleCounts, Summary
+from protocol.summary.fields import Clock, Loop, PressFigures, RmsErrors, SampleCounts, Summary
 from protocol.tactile import ElasticLayer
 from telepulse.telemetry.decoder import Entry, without_none
 from telepulse.telemetry.schema import EVENT, FRAME, LEVELS, STATUS, STREAM, TICK
@@ -60,8 +60,8 @@ class SimulatedDisplay:
         whole = Summary(
             samples=SampleCounts(self.played, self.played, 0, 0, 0, 0),
             clock=Clock(AHEAD_NS / MS, 3.0, 0.05, 0.1, 0),
-            force_rmse_n=AlignedErrors(2e-3, 3e-3),
-            strain_rmse=AlignedErrors(*(abs(FINGER.strain(e)) for e in (2e-3, 3e-3))),
+            force_rmse_n=RmsErrors(2e-3, 3e-3),
+            strain_rmse=RmsErrors(*(abs(FINGER.strain(e)) for e in (2e-3, 3e-3))),
             loop=Loop(1000, 0),
         )
         fields = without_none(whole.to_dict() | changes)

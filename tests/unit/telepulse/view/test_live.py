@@ -1,8 +1,15 @@
+from dataclasses import asdict
+
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from protocol.summary.fields import SampleCounts
+from telepulse.view.live import LiveState
 from telepulse.view.tables import RollingTable, thin
+from telepulse.view.text import LOST
+from tests.unit.telepulse.view.page_states import MS, SimulatedDisplay
 
 CAPACITY = 100
 
@@ -41,3 +48,18 @@ def test_nan_values_leave_a_gap() -> None:
     values[500:1_000] = np.nan
     _, thinned = thin(0, np.arange(2_000, dtype=np.int64), values, 200, 10)
     assert 25 < np.isnan(thinned).sum() < 35
+
+
+def test_losses_are_of_the_last_second_at_the_rate_at_which_statuses_come() -> None:
+    display = SimulatedDisplay(LiveState())
+    shares = []
+    for number in range(8):
+        # A display with blocks of 0.1 s sends a status each 0.4 s. At 0.8 s samples are lost.
+        display.at_ns += 400 * MS
+        lost = 100 if number >= 2 else 0
+        counts = SampleCounts(400 * number, 400 * number - lost, 0, 0, lost, 0)
+        display.status("playing", samples=asdict(counts))
+        shares.append(float(display.live.statuses.since(0).values[-1, LOST]))
+    assert shares[1:3] == [0, pytest.approx(100 / 8)]
+    # Within 1 to 1.4 s the loss is over.
+    assert [share > 0 for share in shares[2:]] == [True, True, True, False, False, False]

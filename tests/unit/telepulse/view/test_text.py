@@ -4,11 +4,12 @@ from typing import Any
 import pytest
 
 from protocol.summary.fields import Deadlines, Limited, Limits, Loop, SampleCounts
+from protocol.summary.figures import figures as summary_figures
 from telepulse.telemetry.events import REFUSALS
 from telepulse.view.live import LiveState
 from telepulse.view.text import FIGURES, age, alarms, figures, state
-from telepulse.view.window_data import window_scores
-from tests.unit.display_node.telemetry.test_alerts import ALERTS
+from telepulse.view.window_data import Scores, window_scores
+from tests.unit.display_node.telemetry.test_alerts import ALERTS, REFUSAL
 from tests.unit.telepulse.view.page_states import SECOND_NS, SimulatedDisplay
 
 LATE = Loop(3000, 411, late=True, last_5s=Deadlines(0.0822, 412.0))
@@ -50,6 +51,16 @@ def test_old_figures_have_their_age_and_no_heart_rate(display: SimulatedDisplay)
     assert figures(display.live, shown, late)["heart"].value == "–"
     display.status("ended", final=True)
     assert age(display.live, late) == ""
+
+
+def test_a_refusal_is_an_alarm_and_another_reason_is_beside_the_state(
+    display: SimulatedDisplay,
+) -> None:
+    display.status("waiting", waiting_for="connecting to tcp://wrist:5555")
+    assert state(display.live) == ("waiting", "connecting to tcp://wrist:5555")
+    display.status("waiting", waiting_for=REFUSAL, refused="refused_key")
+    assert state(display.live) == ("waiting", "for the sensing node")
+    assert ("not connected", REFUSAL) in alarms(display.live, 0)
 
 
 def test_the_last_state_is_marked_as_the_last(display: SimulatedDisplay) -> None:
@@ -128,3 +139,20 @@ def test_a_single_occurrence_is_shown_for_5_seconds(display: SimulatedDisplay, n
     for seconds, shown in ((0, [name]), (4.9, [name]), (0.2, [])):
         display.go(seconds)
         assert names(display) == shown
+
+
+def test_an_error_is_shown_without_a_share_where_the_pulse_has_no_height() -> None:
+    # A constant force has no peak to peak.
+    scores = Scores(1.25e-3, 2e-3, None, 0.0, 1.0)
+    live = LiveState()
+    empty = window_scores(live, SECOND_NS)
+    shown = figures(live, empty._replace(scores=scores, all_scores=(scores,)))
+    assert shown["aligned"] == ("1.250 mN", "of the last 1 s")
+    assert shown["in_phase"].value == "2.000 mN"
+    assert shown["within"].value == "–"
+
+
+def test_errors_of_the_window_are_not_named_like_those_of_the_whole_run() -> None:
+    names = {figure.name for figure in summary_figures()}
+    assert names >= {"force RMSE, aligned", "force RMSE, in phase", "within JND"}
+    assert not names & {FIGURES[id] for id in ("aligned", "in_phase", "within")}

@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from display_node.playout import PlayoutClock
+from display_node.reception.playout_clock import PlayoutClock
 
 MS = 1_000_000
 T0_NS = 1_700_000_000_123_456_789
