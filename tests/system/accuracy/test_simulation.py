@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from display_node.verdict import verdict
-from protocol.errors import SceneError
 from protocol.summary.fields import Summary
 from protocol.summary.phrases import limit_texts
 from telepulse.scene import Scene, load_scene
@@ -51,12 +50,6 @@ def test_the_pulse_of_every_modelled_scene_is_felt_within_the_jnd_and_its_limits
     assert summary.rejected == {}
 
 
-@pytest.mark.parametrize("path", LIVE, ids=lambda path: path.stem)
-def test_a_scene_of_a_live_bench_is_not_simulated(path: Path) -> None:
-    with pytest.raises(SceneError, match='kind "serial" is a live sensor'):
-        Simulation(load_scene(path), 1).run(1)
-
-
 def test_over_a_perfect_link_every_sample_is_played() -> None:
     summary = Simulation(load_scene(RADIAL, BUFFERED), 1).run(10)
     assert accounted(summary) == summary.samples.played == 10_000
@@ -81,15 +74,6 @@ def test_jitter_makes_disorder_and_at_most_the_target_share_of_late_samples() ->
     assert summary.frames.reordered
     assert 0 < known(summary.samples.late) / 60_000 < 0.02
     assert summary.within_jnd == 1.0
-
-
-def test_the_offset_of_a_sensing_clock_an_hour_ahead_is_found() -> None:
-    simulation = Simulation(with_link("delay=25ms"), seed=1)
-    summary = simulation.run(5)
-    clock = simulation.display.summary().clock
-    assert clock.offset_ms == pytest.approx(3_600_000, abs=1e-3)
-    assert summary.one_way_delay_ms.p50 == pytest.approx(25, abs=0.1)
-    assert summary.clock.offset_ms == pytest.approx(0.0, abs=1e-3)
 
 
 def test_a_total_loss_ends_with_nothing_played() -> None:

@@ -18,7 +18,7 @@ from protocol.wire.messages import (
     encode_frame,
 )
 from protocol.wire.telemetry import TraceWriter, read_status, read_trace
-from tests.support.sender import AHEAD_NS, MS, Sender, display, display_scene, run
+from tests.support.sender import MS, Sender, display, display_scene, run
 from tests.support.streams import description
 
 LIMIT_N = 2.5
@@ -82,24 +82,6 @@ def test_the_end_of_the_stream_is_played_out_and_accounted_for() -> None:
     run(under_test, None, 1500, 2100)
     assert under_test.over
     assert under_test.summary().samples.lost == 0
-
-
-@pytest.mark.parametrize(
-    ("shift_ms", "skipped"),
-    [(900, 0), (10_000, 0), (-900, 0), (-100_000, 0), (0, 1000), (-3, 0)],
-    ids=["future", "far future", "past", "far past", "skipped numbers", "overlapping times"],
-)
-def test_the_pulse_returns_after_one_frame_of_a_false_time(shift_ms: int, skipped: int) -> None:
-    under_test, sender = display(), Sender()
-    run(under_test, sender, 0, 3000)
-    t_ns = (3000 + shift_ms) * MS + AHEAD_NS
-    false = Frame(7, sender.sent + skipped, t_ns, MS, np.full((5, 1), 2.0, "<f4"))
-    under_test.on_frame(encode_frame(false), 3000 * MS)
-    sender.sent += 5
-    felt = run(under_test, sender, 3000, 8000)
-    assert max(felt) <= LIMIT_N
-    assert felt[-1000:] == pytest.approx([0.3] * 1000, abs=1e-3)
-    assert under_test.receiver.sessions == 1
 
 
 SOFT = ElasticLayer(young_modulus_pa=1e-3, thickness_m=1e-9)

@@ -1,7 +1,6 @@
 """Each check passes what is right, and fails what is fabricated."""
 
 from dataclasses import replace
-from itertools import islice
 
 import numpy as np
 import pytest
@@ -9,15 +8,6 @@ import pytest
 from soak.accounts import Mark, Session, reckon
 from soak.bench_truth import FingerClaim, Round, judge_bench
 from soak.felt import Bounds
-from soak.schedule import (
-    BENCH_KINDS,
-    ENDING_DECKS,
-    KINDS,
-    RESTARTED,
-    SENSING_ENDS,
-    episodes,
-    troubles,
-)
 from soak.verdict import (
     AGAIN_BAR_S,
     judge_recovery,
@@ -25,24 +15,6 @@ from soak.verdict import (
 )
 
 MS, S = 1_000_000, 1_000_000_000
-
-
-@pytest.mark.parametrize("seed", range(5))
-def test_the_schedule_has_every_kind_in_turn_and_ends_no_sensing_node_at_last(seed: int) -> None:
-    found = list(islice(episodes(seed), 400))
-    assert found == list(islice(episodes(seed), 400))
-    faults = [fault for episode in found for fault in episode.faults]
-    kinds = [fault.kind for fault in faults]
-    # A fault that was postponed for its partner is one place late.
-    assert set(kinds[: len(KINDS) + 1]) == set(KINDS)
-    assert sum(kind in SENSING_ENDS for kind in kinds) == ENDING_DECKS * len(SENSING_ENDS)
-    assert {x.target for x in faults if x.kind.endswith(("kill display", "restart display"))} == {
-        RESTARTED
-    }
-    for first, *more in (episode.faults for episode in found):
-        assert all(x.target != first.target and 0 <= x.after_s <= first.for_s for x in more)
-    bench = [trouble.kind for trouble in islice(troubles(seed), len(BENCH_KINDS))]
-    assert (bench[0], set(bench)) == ("long stall", set(BENCH_KINDS))
 
 
 @pytest.mark.parametrize(

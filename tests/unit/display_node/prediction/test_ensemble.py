@@ -325,12 +325,6 @@ def test_a_path_is_smooth_and_a_new_cell_changes_it_at_the_first_tick() -> None:
     assert found[1:] == found[1:2] * 5
 
 
-def test_each_name_of_a_scene_builds_an_ensemble() -> None:
-    for predictor in (build_predictors(name)[0] for name in LEARNT):
-        assert isinstance(predictor, Ensemble)
-        assert predictor.names[-1] == "stack"
-
-
 def test_other_channels_are_predicted_by_the_first_ones_analogues() -> None:
     # The same beats 3 ms later, another size and an offset; and another shape.
     forces_n = np.stack([FORCE_N, 1.0 + 0.05 * beats(T_S - 0.003), 0.2 + 0.1 * beats(T_S) ** 2])

@@ -49,11 +49,6 @@ def test_e_falls_to_0_where_the_error_at_the_whole_age_is_small() -> None:
     assert trust.given
 
 
-def test_e_falls_to_0_over_a_local_network() -> None:
-    found = chosen_ms(Trust(), 0, 3000, errors(0.005), 4, required_ns=7 * MS)
-    assert (found[0], found[-1]) == (7, 0)
-
-
 def test_e_leaves_the_horizon_to_the_predictor_at_which_its_error_is_small() -> None:
     # 1.1 % of the height 30 ms ahead, 1.3 % at 40 ms. Samples are 57 ms old: 27 ms are predicted.
     assert chosen_ms(Trust(), 0, 3000, errors(0.002, 0.006, 0.011, 0.013, 0.2), 57)[-1] == 30

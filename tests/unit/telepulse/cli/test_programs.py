@@ -24,13 +24,6 @@ def test_every_program_prints_its_version_and_can_be_completed_by_a_shell(app: t
     assert "--install-completion" in options
 
 
-@pytest.mark.parametrize("app", [sensing_node.cli.app, display_node.cli.app])
-def test_a_node_refuses_a_scene_that_has_no_such_name(app: typer.Typer) -> None:
-    result = CliRunner().invoke(app, ["radail"])
-    assert result.exit_code == 2
-    assert ": radail: no such scene; known by name: " in result.stderr
-
-
 def test_a_dash_writes_json_alone_to_stdout(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

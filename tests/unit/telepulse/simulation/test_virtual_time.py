@@ -120,15 +120,3 @@ def test_a_simulation_reports_samples_beyond_the_adcs_range() -> None:
     summary = Simulation(conditioned({"adc_bits": 16, "adc_range": "5 mV"}), 1).run(2)
     assert summary.faults == ["sensing node: 2000 samples beyond the ADC's range"]
     assert summary.limited.adc == Limited(1, 2.0, 1.0)
-
-
-def test_a_simulation_reports_the_beats_and_a_signal_that_is_no_pulse() -> None:
-    scene = conditioned({})
-    pulse = Simulation(scene, 1).run(12).beats
-    assert pulse.rate_per_min == pytest.approx(75, rel=0.05)
-    assert pulse.height_n == pytest.approx(0.3, rel=0.05)
-    assert (pulse.quality, pulse.alarm) == (pytest.approx(1.0, abs=0.02), False)
-    noise = Simulation(conditioned({}, peak_to_peak_n=1e-3, noise_n=0.05), 1).run(12).beats
-    assert noise.alarm
-    assert noise.quality is not None
-    assert noise.quality < 0.5
