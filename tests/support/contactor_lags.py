@@ -38,7 +38,7 @@ def lags_ms(scene: Scene, seconds: float, settle_seconds: float) -> list[float]:
     felt = np.array(felt_n)[inside]
     found = []
     for place, contactor in enumerate(simulation.display.contactors):
-        channel = simulation.display.receiver.channels[place]
+        channel = simulation.display.receiver.channel_numbers[place]
         force_n = contactor.force_ratio * pulse_n[:, channel]
         whole = np.arange(len(force_n))
         wanted_n: Floats = np.interp(at[inside], whole, force_n)
