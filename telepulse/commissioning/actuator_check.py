@@ -95,10 +95,11 @@ def check_actuator(
             keys = {key: float(f"{value:.4g}") for key, value in values}
         return ActuatorFindings(pressed, command, identified, None, (_check_fit(identified),), keys)
     press_stepper(pressed, stepper, force_n)
-    # Filtered from the beginning of the press, so that the filter has settled by the staircase.
-    begin_s = pressed.commanded_s[0]
-    travel = pressed.command(PressPhase(begin_s, pressed.stairs.end_s))
-    first = round((pressed.stairs.begin_s - begin_s) / travel.tick_s)
+    # Filtered from the beginning of the press, so that the filter has settled by the staircase. A
+    # real rig's ticks are late: the grid is that of the staircase, or its latency would be off.
+    stairs, tick_s = pressed.stairs, rig.tick_s
+    first = round((stairs.begin_s - pressed.commanded_s[0]) / tick_s)
+    travel = pressed.command(PressPhase(stairs.begin_s - first * tick_s, stairs.end_s))
     contact_law, lag_s = stepper.contact(scene.layer.layer()), 0.0
     for _ in range(ROUNDS):
         contact = fit_contact(pressed, contact_law, film, lag_s)

@@ -44,6 +44,23 @@ def test_the_films_share_of_the_latency_is_not_the_drives() -> None:
     assert number(checked(scene), "latency") == pytest.approx(4.0, abs=0.2)
 
 
+def test_a_tick_that_was_late_does_not_change_the_latency() -> None:
+    class Late(ModelRig):
+        """A rig whose tick, while nothing moves, takes almost half a tick longer, once."""
+
+        ticks = 0
+
+        def tick(self, output: float) -> tuple[float, list[FilmSample]]:
+            commanded_s, samples = super().tick(output)
+            self.ticks += 1
+            late_s = 0.45 * self.tick_s if self.ticks > 100 else 0.0
+            return commanded_s + late_s, [(at_s + late_s, force_n) for at_s, force_n in samples]
+
+    scene, _ = bench(latency_ns=4_000_000)
+    found = check_actuator(Late(scene), scene, 0.3, scene.film.latency_ns * 1e-9)
+    assert number(found, "latency") == pytest.approx(number(checked(scene), "latency"), abs=0.1)
+
+
 def test_a_ringing_rotor_is_found_through_a_slow_noisy_film() -> None:
     found = checked(bench("real_bench", backlash_m=0.0, latency_ns=4_200_000)[0])
     assert number(found, "rotor_resonance") == pytest.approx(100.0, abs=5.0)
