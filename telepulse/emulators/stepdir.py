@@ -334,8 +334,8 @@ class EmulatedBoard:
         assert self.limits is not None
         left = self._target_steps - self._motor.position_steps
         rate_hz = self.limits.withdrawal_rate
-        # A step rate held for a millisecond must not lead beyond the target.
-        bounded_hz = min(rate_hz, abs(left) * 1e9 / TICK_NS)
+        # A rate that a ramp reaches late must not lead beyond the target, and back, without end.
+        bounded_hz = min(rate_hz, abs(left) * 0.5e9 / TICK_NS)
         arrived = not left or (left < 0 and self._motor.at_switch)
         self._motor.run(0.0 if arrived else math.copysign(bounded_hz, left))
         if arrived and not self._motor.rate_hz:

@@ -79,7 +79,7 @@ def test_one_command_checks_the_emulated_bench_and_plays(
     assert first == sorted(first)
     summary = read_json(out)
     assert_accounted(summary["samples"])
-    assert summary["samples"]["sent"] > 2_000
+    assert summary["samples"]["sent"] > 500
     assert summary["beats"]["height_n"] == pytest.approx(0.3, rel=0.1)
     assert summary["force_rmse_n"]["aligned"] < 50e-3
 
