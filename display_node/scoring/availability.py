@@ -56,8 +56,8 @@ class InterruptionCounter:
         ends = np.append(full[1:] != full[:-1], True).nonzero()[0]
         firsts = numbers[np.append(0, ends[:-1] + 1)].tolist()
         stretches = zip(full[ends].tolist(), firsts, numbers[ends].tolist(), strict=True)
-        for full, first, last in stretches:
-            if not full:
+        for is_full, first, last in stretches:
+            if not is_full:
                 self._interrupted = self._full is not None
                 continue
             if self._interrupted and self._full is not None:

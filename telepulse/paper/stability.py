@@ -72,7 +72,7 @@ class RateResult(NamedTuple):
 
     @property
     def is_worse_late(self) -> bool:
-        """Whether the loop with its film read a tick late is worse than doing nothing."""
+        """True where the loop errs more than no force at all, with its film read a tick late."""
         return self.late_n > PEAK_TO_PEAK_N * deviation_n("paper")
 
 

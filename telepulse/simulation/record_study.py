@@ -44,7 +44,7 @@ class ErrorAhead(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class FeltPlayout:
-    """What a finger would feel of a playout; None where nothing was felt.
+    """Figures of the force felt with a playout; None where nothing was felt.
 
     delay_ms: mean perceived delay. in_phase_n, aligned_n: RMS errors of the felt force, against the
     present pulse and against the one that long ago. late: share of the samples that arrived after
@@ -74,7 +74,7 @@ class RecordStudy:
 
     @property
     def advice(self) -> str:
-        """What to buffer, and what would be felt."""
+        """Advice on `compensation`, with the error that would be felt."""
         buffered, auto, at_once = self.playouts
         if auto.in_phase_n is None or auto.aligned_n is None or auto.delay_ms is None:
             return "Nothing would be felt over this link."

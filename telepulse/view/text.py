@@ -49,11 +49,10 @@ STATES = {
     "final": "the display has ended; this is its last state",
 }
 # The page computes these figures of the summary over its window, not since the start of the run.
+_NAMES = {figure.key: figure.name for figure in summary_figures()}
 ALIGNED, IN_PHASE, WITHIN = (
-    f"{figure.name}, in the window"
+    f"{_NAMES[key]}, in the window"
     for key in ("force_rmse_n.aligned", "force_rmse_n.in_phase", "within_jnd")
-    for figure in summary_figures()
-    if figure.key == key
 )
 # Names of the figures by their ids: those that are always seen, those of the folded groups, and the
 # rows of the summary.

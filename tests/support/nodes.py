@@ -12,6 +12,15 @@ from telepulse.processes import free_addresses
 
 ROOT = Path(__file__).parents[2]
 RADIAL = ROOT / "scenes" / "radial.toml"
+# The product, as it is installed.
+PACKAGES = (
+    "protocol",
+    "pulse_sensors",
+    "pulse_drives",
+    "sensing_node",
+    "display_node",
+    "telepulse",
+)
 Figure = TypeVar("Figure")
 
 

@@ -2,17 +2,9 @@
 
 import ast
 from collections import Counter
-from pathlib import Path
 
-ROOT = Path(__file__).parents[2]
-PACKAGES = (
-    "protocol",
-    "pulse_sensors",
-    "pulse_drives",
-    "sensing_node",
-    "display_node",
-    "telepulse",
-)
+from tests.support.nodes import PACKAGES, ROOT
+
 # Names that several classes may have: the same kind of thing behind one protocol.
 SHARED: frozenset[str] = frozenset()
 

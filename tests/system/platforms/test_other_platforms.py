@@ -6,7 +6,7 @@ from subprocess import CompletedProcess
 
 import pytest
 
-from tests.support.nodes import ROOT, assert_accounted, run_python
+from tests.support.nodes import PACKAGES, ROOT, assert_accounted, run_python
 
 FOLDER = ROOT / "tests/support/platforms"
 PLATFORMS = ("win32", "darwin")
@@ -20,14 +20,6 @@ for name in sys.argv[1:]:
             importlib.import_module(module.name)
 print("imported")
 """
-PACKAGES = (
-    "protocol",
-    "pulse_sensors",
-    "pulse_drives",
-    "sensing_node",
-    "display_node",
-    "telepulse",
-)
 
 
 def run_on(platform: str, *arguments: str) -> "CompletedProcess[str]":

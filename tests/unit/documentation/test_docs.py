@@ -7,16 +7,8 @@ import pytest
 from docs.ext.pages import FOLDER, generated
 from protocol.refusals import CAUSE_MEANINGS, CONNECTIONS
 from protocol.security.budgets import SUBSCRIPTION
-from tests.support.nodes import ROOT
+from tests.support.nodes import PACKAGES, ROOT
 
-PACKAGES = (
-    "protocol",
-    "pulse_sensors",
-    "pulse_drives",
-    "sensing_node",
-    "display_node",
-    "telepulse",
-)
 PAGES = [
     path for path in sorted(FOLDER.glob("*.md")) if "<!-- from code" in path.read_text("utf-8")
 ]
