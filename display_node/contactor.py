@@ -7,7 +7,8 @@ not arrived of its channel, scales it to its finger and runs its own force loop.
 import math
 from collections import deque
 
-from display_node.control.safety import ForceBounds, Safety
+from display_node.control.force_bounds import ForceBounds
+from display_node.control.link_loss import Fade
 from display_node.fault_advice import FILM_NOTE
 from display_node.hardware import Hardware
 from display_node.plant.feedback import Feedback
@@ -134,14 +135,14 @@ class Contactor:
         if len(self._unscored) > MOST_UNSCORED:
             self._score_samples()
 
-    def read_hardware(self, now_ns: int, elapsed_ticks: int, safety: Safety) -> None:
+    def read_hardware(self, now_ns: int, elapsed_ticks: int, fade: Fade) -> None:
         """Take the drive's motion and the film's samples since the last tick, and a fault."""
         hardware, loop = self._hardware, self.loop
         if hardware is None:
             return
         fault = hardware.read() or hardware.overrun(elapsed_ticks)
-        if fault is not None and not safety.faults:
-            safety.fault(self._prefix + fault)
+        if fault is not None and not fade.faults:
+            fade.fault(self._prefix + fault)
         held_ticks = elapsed_ticks if elapsed_ticks < loop.held_ticks else loop.held_ticks
         loop.shift(hardware.deviation_m(now_ns, held_ticks))
 
@@ -200,7 +201,7 @@ class Contactor:
             self._reference_n = self.press.scale(wrist_n, sampled_ns, self._tick_ns, ratio)
         return predicted_ns
 
-    def read_force(self, now_ns: int, safety: Safety) -> None:
+    def read_force(self, now_ns: int, fade: Fade) -> None:
         """Determine the felt force and the film's reading of this tick, and latch a fault of it."""
         loop, feedback, state = self.loop, self.feedback, self.state
         if feedback is None:
@@ -212,10 +213,10 @@ class Contactor:
                 state.felt_n = self._tip.felt_n(self._reading_n)
                 self._reading_n = self._tip.reading_n(state.felt_n)
             fault = feedback.silent_fault(now_ns) or self.bounds.reading_fault(state.felt_n)
-            if fault is None and not safety.faults:
+            if fault is None and not fade.faults:
                 fault = feedback.late_fault
         if fault is not None:
-            safety.fault(self._prefix + fault)
+            fade.fault(self._prefix + fault)
 
     def rendered_n(self, press: LocalPress) -> float:
         """Return the pulse under the finger that presses."""
@@ -223,7 +224,7 @@ class Contactor:
             return self.state.felt_n - press.target_static_n
         return self._tip.rendered_n
 
-    def command(self, gain: float, safety: Safety) -> None:
+    def command(self, gain: float, fade: Fade) -> None:
         """Compute a tick's output and command it, and latch the fault of a withdrawal.
 
         On a real bench, the drive receives the controller's output, or after a fault the command to
@@ -236,9 +237,9 @@ class Contactor:
             return
         if self._tip is not None:
             output += self._tip.follow(self._target_n, gain, hardware)
-        fault = hardware.command(output, safety.faults)
+        fault = hardware.command(output, fade.faults)
         if fault is not None:
-            safety.fault(self._prefix + fault)
+            fade.fault(self._prefix + fault)
 
     def account(self, alive: bool) -> None:
         """Move the modelled actuator, and note the tick, after all contactors are commanded."""

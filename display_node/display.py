@@ -9,7 +9,7 @@ from dataclasses import replace
 from typing import Final
 
 from display_node.contactor import Contactor
-from display_node.control.safety import Safety
+from display_node.control.link_loss import Fade
 from display_node.hardware import Hardware
 from display_node.playout import Playout
 from display_node.prediction.announcement import BeatAnnouncement
@@ -83,7 +83,7 @@ class Display:
         if self.press is not None:
             self.receiver.take_probe = self.press.take
         self._playout = Playout(scene, self.receiver, self.contactors)
-        self.safety = Safety(scene.safety, scene.tick_ns)
+        self.fade = Fade(scene.safety, scene.tick_ns)
         self.ticks = 0
         self._block_ticks = max(1, min(BLOCK_NS // scene.tick_ns, MOST_BLOCK_TICKS))
         self._block = TickBlock(len(self.contactors), 2 * self._block_ticks)
@@ -102,7 +102,7 @@ class Display:
     @property
     def state(self) -> str:
         """The display's state: waiting, starting, playing, stale, ended or fault."""
-        if self.safety.faults:
+        if self.fade.faults:
             return "fault"
         if not self.receiver.ready:
             return "waiting"
@@ -110,7 +110,7 @@ class Display:
             return "playing"
         if self.receiver.buffer.ended:
             return "ended"
-        return "starting" if self.safety.gain else "stale"
+        return "starting" if self.fade.gain else "stale"
 
     def pack_status(self, summary: Summary, final: bool, state: str | None = None) -> bytes:
         """Encode this display's status with a summary; state: None for the present one."""
@@ -195,7 +195,7 @@ class Display:
             return None
         if receiver.buffer.ended:
             return None
-        clock, alive = receiver.clock, self.states[0].full and not self.safety.faults
+        clock, alive = receiver.clock, self.states[0].full and not self.fade.faults
         round_trip_ns = 2 * clock.asymmetry_bound_ns
         sensing_ns = clock.remote_ns(now_ns)
         return press.request(receiver.session, sensing_ns, round_trip_ns, now_ns, alive)
@@ -207,27 +207,27 @@ class Display:
 
     def command(self, now_ns: int, elapsed_ticks: int = 1) -> None:
         """Advance the force loops to `now_ns`, `elapsed_ticks` ticks after the last one."""
-        contactors, safety = self.contactors, self.safety
+        contactors, fade = self.contactors, self.fade
         for contactor in self._driven:
-            contactor.read_hardware(now_ns, elapsed_ticks, safety)
+            contactor.read_hardware(now_ns, elapsed_ticks, fade)
         if elapsed_ticks > 1:
             for contactor in contactors:
                 contactor.loop.coast(elapsed_ticks - 1)
-        alive = self._playout.play(now_ns, safety.gain == 1.0)
+        alive = self._playout.play(now_ns, fade.gain == 1.0)
         for contactor in contactors:
-            contactor.read_force(now_ns, safety)
+            contactor.read_force(now_ns, fade)
         if self.press is not None:
             self.press.tick(now_ns, contactors[0].rendered_n(self.press))
         if elapsed_ticks > 1:
-            safety.skip(elapsed_ticks)
-        gain = safety.advance(alive)
+            fade.skip(elapsed_ticks)
+        gain = fade.advance(alive)
         for contactor in contactors:
-            contactor.command(gain, safety)
+            contactor.command(gain, fade)
 
     def account(self, elapsed_ticks: int = 1) -> TickState:
         """Note the commanded tick, for which no actuator waits."""
         for contactor in self.contactors:
-            contactor.account(self.safety.alive)
+            contactor.account(self.fade.alive)
         if self.press is not None and self.ticks % PRESS_TICKS == 0:
             self._show_press(self.press)
         state = self.states[0]
@@ -314,7 +314,7 @@ class Display:
             loop=loop,
             press=PressFigures() if self.press is None else self.press.figures(),
             rejected=dict(self.receiver.rejected),
-            faults=[*self.safety.faults, *(note for each in contactors for note in each.notes)],
+            faults=[*self.fade.faults, *(note for each in contactors for note in each.notes)],
         )
         played_s = delays.ticks * self._tick_ns * 1e-9
         figures = dict[str, Summary]()

@@ -149,7 +149,7 @@ class DisplayNode:
                     if spare_ns <= reserve_ns or not self._work():
                         arrived = sockets.wait_on_descriptors(descriptors, spare_ns)
                     continue
-                felt = self._display.safety.gain > 0.0
+                felt = self._display.fade.gain > 0.0
                 self._display.command(tick.due_ns, tick.elapsed_ticks)
                 self._command_us.add((time.perf_counter_ns() - woke_ns) * 1e-3)
                 self._late_us.add(tick.late_ns * 1e-3)
@@ -200,7 +200,7 @@ class DisplayNode:
         self._display.account(elapsed_ticks)
         if self._sweep is not None and self._sweep.over:
             self.stop()
-        faults = self._display.safety.faults
+        faults = self._display.fade.faults
         for fault in faults[self._named_faults :]:
             logger.error(f"fault: {fault}: {advise(fault)}")
         self._named_faults = len(faults)

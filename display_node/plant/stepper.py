@@ -87,7 +87,7 @@ class Stepper:
 
     A soft stop holds the screw where the tip would press with the force limit. A rotor that
     oscillates moves the tip beyond it, and backlash may keep the tip there; the overforce fault
-    of `Safety` bounds the force. Lost steps and the screw's elasticity are not modelled.
+    of `ForceBounds` bounds the force. Lost steps and the screw's elasticity are not modelled.
 
     Parameters
     ----------

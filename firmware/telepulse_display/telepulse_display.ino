@@ -7,6 +7,7 @@
 #include "board.h"
 #include "frame_reader.h"
 #include "stepper.h"
+#include "watchdog.h"
 
 const uint32_t BAUD = 500000;
 const uint8_t PROTOCOL = 1;
@@ -49,18 +50,19 @@ struct {
 FrameReader reader;
 FrameWriter writer;
 Stepper stepper;
+Watchdog watchdog;
 Limits limits;
 Search search;
 bool has_limits = false;
 State state = DISARMED;
 Cause cause = NONE;
-bool homed = false, seeking, returning, expired = false;
+bool homed = false, seeking, returning;
 bool home_closed = false, faulty = false, film_outside = false;
 uint8_t home_changing = 0;
 int32_t began_at;
 uint32_t began_ms;
-uint32_t present_ms = 0, commanded_ms;
-uint16_t film = 0, sequence = 0, validity_ms;
+uint32_t present_ms = 0;
+uint16_t film = 0, sequence = 0;
 
 bool is_on() { return state != DISARMED && state != FAULT; }
 
@@ -165,16 +167,14 @@ void read_inputs() {
 
 void supervise() {
   if (state < HOMING || state > RUNNING) return;
-  uint32_t silent_ms = present_ms - commanded_ms;
   if (film_outside) withdraw(FILM);
   else if (faulty) withdraw(FAULT_PIN);
   if (state != RUNNING) return;
-  if (silent_ms > limits.watchdog_ms) {
+  if (watchdog.timed_out(present_ms, limits.watchdog_ms)) {
     withdraw(SILENCE);
   } else if (home_closed && stepper.position > (int32_t)search.opening) {
     withdraw(HOME_SWITCH);
-  } else if (silent_ms > validity_ms) {
-    expired = true;
+  } else if (watchdog.expires(present_ms)) {
     stepper.wanted = 0;
   }
 }
@@ -279,9 +279,7 @@ void take_velocity(uint16_t number, uint8_t at) {
   stepper.wanted = constrain(velocity / 256.0f, -most, most);
   state = RUNNING;
   sequence = number;
-  commanded_ms = present_ms;
-  validity_ms = valid_ms;
-  expired = false;
+  watchdog.restart(present_ms, valid_ms);
 }
 
 void greet(uint16_t number) {
@@ -324,7 +322,7 @@ void send_state(uint32_t now_us) {
   bool low = homed && stepper.position <= limits.lowest;
   bool high = homed && stepper.position >= limits.highest;
   bool bits[] = {homed,        home_closed, low,     high,   faulty,
-                 film_outside, has_limits,  is_on(), expired};
+                 film_outside, has_limits,  is_on(), watchdog.expired};
   uint16_t flags = 0;
   for (uint8_t bit = 0; bit < sizeof bits; bit++) flags |= (uint16_t)bits[bit] << bit;
   writer.add(STATE);

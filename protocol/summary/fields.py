@@ -200,7 +200,7 @@ class Limited:
 class Limits:
     """Figures of each limit.
 
-    `Safety` applies the first three to the target force. force: the force limit. negative: the
+    `ForceBounds` applies the first three to the target force. force: the force limit. negative: the
     bound at 0 N, counted where the target is more than 1 mN below it. slew: the slew limit at full
     strength, without ramps and fades. travel: the end of the actuator's travel towards the finger,
     on a real bench with the braking before it. film: the ADC range of the modelled film. adc: that

@@ -1,9 +1,9 @@
 """An interval of a trial: the pulse is felt while a gate in the display's safety is open.
 
 The stream runs to the display over a link, or directly. The actuator rests while the gate is
-closed. Safety ramps up when the gate opens, and fades when it closes, as for a stream that begins
-and ends. Only the display's clock moves the gate, so the beginning of the pulse reveals neither the
-link's delay nor the time to join.
+closed. The force ramps up when the gate opens, and fades when it closes, as for a stream that
+begins and ends. Only the display's clock moves the gate, so the beginning of the pulse reveals
+neither the link's delay nor the time to join.
 """
 
 import math
@@ -132,7 +132,7 @@ class IntervalPlayback:
         scene = interval.scene.display
         self._interval = interval
         self._simulation = Simulation(interval.scene, interval.link_seed, begin_ns, hardware)
-        self._safety = self._simulation.display.safety
+        self._fade = self._simulation.display.fade
         self._tick_ns = scene.tick_ns
         self._open_ns = begin_ns + interval.foreperiod_ns
         self._close_ns = self._open_ns + interval.felt_ns
@@ -154,9 +154,9 @@ class IntervalPlayback:
         self._all_ticks += elapsed_ticks
         self._longest_ticks = max(self._longest_ticks, elapsed_ticks)
         is_open = self._open_ns <= now_ns < self._close_ns
-        self._safety.held = not is_open
+        self._fade.held = not is_open
         state = self._simulation.tick(now_ns, elapsed_ticks)
-        self._stale_ticks += is_open and not self._safety.alive
+        self._stale_ticks += is_open and not self._fade.alive
         if state.full:
             self._felt_ticks += elapsed_ticks
             self._least_n = min(self._least_n, state.target_n)

@@ -252,7 +252,7 @@ class Person:
         return None if self._stopping else playing.played()
 
     def _check(self) -> None:
-        if faults := self._display.safety.faults:
+        if faults := self._display.fade.faults:
             raise BenchError(
                 f"the session stops: {'; '.join(faults)} ({advise(faults[0])}); the log has the"
                 " answered trials, and --resume continues it"

@@ -35,7 +35,7 @@ HELD_N = 0.3
 FREQUENCIES = 400
 # The shortest ramp, so that it does not hide what the loop itself does.
 SAFETY = SafetyScene.model_validate({"ramp": "1 ms"})
-# Felt force beyond this, pressing or pulling, is out of bounds: the fault level of Safety.
+# Felt force beyond this, pressing or pulling, is out of bounds: the fault level of `ForceBounds`.
 BOUND_N = SAFETY.overforce_n
 
 

@@ -8,7 +8,8 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from display_node.control.safety import ForceBounds, Safety
+from display_node.control.force_bounds import ForceBounds
+from display_node.control.link_loss import Fade
 from display_node.plant.scene import StepperScene
 from display_node.scene import DisplayScene
 
@@ -28,10 +29,10 @@ def felt_under(
     actual: the simulated stepper, if it differs from the scene's.
     """
     loop = scene.force_loop(actual)
-    safety, bounds = Safety(scene.safety, scene.tick_ns), ForceBounds(scene.safety, scene.tick_ns)
+    fade, bounds = Fade(scene.safety, scene.tick_ns), ForceBounds(scene.safety, scene.tick_ns)
     felt_n = []
     for force_n in requested_n:
-        target_n = bounds.bound([force_n] * (loop.horizon + 1), safety.advance(alive=True))
+        target_n = bounds.bound([force_n] * (loop.horizon + 1), fade.advance(alive=True))
         loop.tick(target_n, loop.read_film())
         felt_n.append(loop.felt_n)
     return np.array(felt_n)
@@ -84,7 +85,7 @@ def press(scene: DisplayScene, host: Host, seconds: float) -> tuple[float, float
     """
     tick_s = scene.tick_ns * 1e-9
     loop = scene.force_loop()
-    safety, bounds = Safety(scene.safety, scene.tick_ns), ForceBounds(scene.safety, scene.tick_ns)
+    fade, bounds = Fade(scene.safety, scene.tick_ns), ForceBounds(scene.safety, scene.tick_ns)
     rng = random.Random(7)
     now_s, most_n, squares, ticks = 0.0, 0.0, 0.0, 0
     while now_s < seconds:
@@ -94,10 +95,10 @@ def press(scene: DisplayScene, host: Host, seconds: float) -> tuple[float, float
         begin_s = now_s + loop.actuation_delay_ns * 1e-9
         wanted_n = [beat_n(begin_s + ahead * tick_s) for ahead in range(loop.horizon + 1)]
         most_n = max(most_n, loop.felt_n)
-        if safety.gain == 1.0:
+        if fade.gain == 1.0:
             squares, ticks = squares + (loop.felt_n - beat_n(now_s)) ** 2, ticks + 1
         reading_n = loop.read_film()
-        bounded_n = bounds.bound(wanted_n, safety.advance(alive=True))
+        bounded_n = bounds.bound(wanted_n, fade.advance(alive=True))
         loop.tick(bounded_n, reading_n)
         most_n = max(most_n, loop.felt_n)
         now_s += tick_s

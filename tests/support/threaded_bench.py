@@ -147,7 +147,7 @@ class ThreadedBench:
 
     @property
     def faults(self) -> list[str]:
-        return self.display.safety.faults
+        return self.display.fade.faults
 
     @property
     def threads(self) -> list[VirtualThread]:

@@ -8,7 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from display_node.control import feed_forward
-from display_node.control.safety import ForceBounds, Safety
+from display_node.control.force_bounds import ForceBounds
+from display_node.control.link_loss import Fade
 from display_node.plant.scene import StepperScene
 from display_node.scene import DisplayScene
 from protocol.config.scene import load_section
@@ -89,10 +90,10 @@ def test_a_force_that_swings_at_the_resonance_is_felt_within_the_slew_limit(
 
 def test_a_stale_stream_leaves_no_force_of_a_shaped_path_after_100_ms() -> None:
     scene = display_scene("real_bench")
-    loop, safety = scene.force_loop(), Safety(scene.safety, scene.tick_ns)
+    loop, fade = scene.force_loop(), Fade(scene.safety, scene.tick_ns)
     bounds = ForceBounds(scene.safety, scene.tick_ns)
     for tick in range(1100):
-        bounded_n = bounds.bound([2.5] * (loop.horizon + 1), safety.advance(alive=tick < 1000))
+        bounded_n = bounds.bound([2.5] * (loop.horizon + 1), fade.advance(alive=tick < 1000))
         loop.tick(bounded_n, loop.read_film())
         if tick == 999:
             assert loop.felt_n > 2.4

@@ -4,7 +4,8 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
-from display_node.control.safety import ForceBounds, Safety
+from display_node.control.force_bounds import ForceBounds
+from display_node.control.link_loss import Fade
 from display_node.scene import DisplayScene
 from protocol.config.scene_file import find_scene
 from protocol.tactile import Adc
@@ -55,22 +56,22 @@ def run(
     """Run the loop from rest, tick by tick.
 
     reference: target force in N at a tick. reading: of the film for the controller in N, from the
-    tick and the film's own. with_safety: Safety bounds both. Returns the felt force in N at each
-    tick's end, and the faults that Safety reported. Raises SceneError.
+    tick and the film's own. with_safety: fade and force bounds apply to both. Returns
+    the felt force in N at each tick's end, and the latched faults. Raises SceneError.
     """
     loop, tick_ns = setup.force_loop(), setup.tick_ns
-    safety, bounds = Safety(SAFETY, tick_ns), ForceBounds(SAFETY, tick_ns)
+    fade, bounds = Fade(SAFETY, tick_ns), ForceBounds(SAFETY, tick_ns)
     reach, felt_n = range(loop.horizon + 1), []
     for tick in range(ticks):
         wanted_n = [reference(tick + ahead) for ahead in reach]
         reading_n = reading(tick, loop.read_film())
         if with_safety:
             if (fault := bounds.reading_fault(reading_n)) is not None:
-                safety.fault(fault)
-            wanted_n = bounds.bound(wanted_n, safety.advance(alive=True))
+                fade.fault(fault)
+            wanted_n = bounds.bound(wanted_n, fade.advance(alive=True))
         loop.tick(wanted_n, reading_n)
         felt_n.append(loop.felt_n)
-    return np.array(felt_n), safety.faults
+    return np.array(felt_n), fade.faults
 
 
 def settled_range_n(

@@ -143,7 +143,7 @@ def test_a_fault_of_one_contactor_brings_all_to_rest(monkeypatch: pytest.MonkeyP
         ForceLoop, "read_film", lambda loop: 9.0 if loop is guan else read_film(loop)
     )
     play(under_test, sender, 2000, 2100)
-    assert under_test.safety.faults == ["guan: felt force above 2.7 N"]
+    assert under_test.fade.faults == ["guan: felt force above 2.7 N"]
     assert under_test.state == "fault"
     assert all(state.target_n == 0.0 for state in under_test.states)
     assert max(state.felt_n for state in under_test.states) < 5e-3
@@ -175,7 +175,7 @@ def test_a_hostile_second_channel_passes_no_limit_of_any_contactor(
     assert forces_n.max() <= limits.force_limit_n
     assert np.abs(np.diff(forces_n, axis=0)).max() <= limits.slew_limit_n_per_s * 1e-3 + 1e-9
     assert under_test.state == state
-    assert under_test.safety.faults == []
+    assert under_test.fade.faults == []
     counts = under_test.receiver.account()
     assert counts.sent == counts.played + counts.predicted + counts.late + counts.lost
     if refused is None:
@@ -211,7 +211,7 @@ def test_a_description_that_changes_between_sessions_is_followed_by_name_or_refu
         return [values_n.get(name, 9.0) for name in channels]
 
     _, targets_n = play(under_test, other, 1500, 5000, named)
-    assert under_test.safety.faults == []
+    assert under_test.fade.faults == []
     if refused is None:
         sample = (under_test.states[0].instant_ns - AHEAD_NS) / MS + 4 - 1500 + ONE_WAY_MS
         assert targets_n[-1] == pytest.approx(pulse_n(sample), abs=2e-3)

@@ -37,7 +37,7 @@ def test_nothing_is_sent_before_the_pulse_is_felt_or_after_a_fault() -> None:
             sent_at_ns.append(state.now_ns)
         last = sent
         if number == 3_000:
-            display.safety.fault("a fault")
+            display.fade.fault("a fault")
     # The stream begins after 0.5 s, and is felt after a ramp.
     assert min(sent_at_ns) > 800_000_000
     # A finger that was blind for 0.3 s sends nothing.

@@ -39,7 +39,7 @@ def played_after(stall_ms: int, read_a_tick: int, cut_ms: int = 0) -> Iterator[t
             under_test.on_frame(frame, ms * MS)
         queue = queue[read_a_tick:]
         felt_n = under_test.tick(ms * MS, stall_ms if ms == over_ms else 1).felt_n
-        yield under_test.safety.gain, felt_n
+        yield under_test.fade.gain, felt_n
         sender.serve(under_test, ms * MS)
 
 

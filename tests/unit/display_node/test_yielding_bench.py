@@ -147,7 +147,7 @@ def test_the_tip_yields_to_a_hand_by_the_model_of_the_tissue(
         assert model_m > 0.5e-3
         # Over some beats; the tip moves by the pulse about this place.
         assert -bench.tip_m[-1_600:].mean() == pytest.approx(model_m, abs=0.25e-3)
-    assert not bench.display.safety.faults
+    assert not bench.display.fade.faults
     forces_n = [moment.force_n for moment in bench.moments]
     assert max(forces_n) < LIMIT_N
     # The pulse is felt around the press.
@@ -158,7 +158,7 @@ def test_the_tip_yields_no_further_than_its_travel(pressed: Callable[..., Presse
     bench = pressed(touch_mm=3)
     bench.hand.means_n = 1.0
     bench.run(4_000)
-    assert not bench.display.safety.faults
+    assert not bench.display.fade.faults
     assert bench.display.press is not None
     assert 0.3e-3 < -bench.tip_m[-1_600:].mean() < 0.7 * bench.display.press.yielded_m
     # The finger lies at least 1 mm before home, so that the tip can leave it.
@@ -175,7 +175,7 @@ def test_after_a_fault_the_tip_leaves_a_finger_that_has_followed_it(
     bench.hand.means_n = None
     bench.film.silent = True
     bench.run(1_000)
-    assert bench.display.safety.faults == ["feedback lost"]
+    assert bench.display.fade.faults == ["feedback lost"]
     assert bench.hand.force_n == 0
     assert bench.drive.status().withdrawal is not None
     assert bench.tip_m[-1] > -8e-3

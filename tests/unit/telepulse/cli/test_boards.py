@@ -112,7 +112,8 @@ def test_each_board_is_found_and_an_end_with_none_or_two_is_asked_for(
             find_ports(ENDS, BAUDS)
         text = str(raised.value)
         assert text.startswith("no port, or several, for the finger's board: /dev/none (cannot be")
-        assert f"{ports[1]} (the finger), {ports[2]} (the wrist), {ports[3]} (the finger); " in text
+        for port, end in zip(ports[1:], ("finger", "wrist", "finger"), strict=True):
+            assert f" {port} (the {end})" in text
         monkeypatch.setattr(terminal := io.StringIO(f"{ports[3]}\n"), "isatty", lambda: True)
         monkeypatch.setattr("sys.stdin", terminal)
         assert find_ports(ENDS, BAUDS) == {"finger": ports[3], "wrist": ports[2]}

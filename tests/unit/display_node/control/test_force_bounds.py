@@ -5,7 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from display_node.control.safety import ForceBounds, Safety
+from display_node.control.force_bounds import ForceBounds
+from display_node.control.link_loss import Fade
 from display_node.control.scene import SafetyScene
 
 TICK_NS = 1_000_000
@@ -14,8 +15,8 @@ SLEW_N = 0.05
 ROUNDING_N = 1e-12
 
 
-class OneContactor(Safety):
-    """The safety of a display with one contactor, whose bounds it applies."""
+class OneContactor(Fade):
+    """The fade of a display with one contactor, whose bounds it applies."""
 
     def __init__(self, scene: SafetyScene, tick_ns: int) -> None:
         super().__init__(scene, tick_ns)
@@ -30,13 +31,13 @@ class OneContactor(Safety):
             self.fault(fault)
 
 
-def safety(tick_ns: int = TICK_NS, **table: object) -> OneContactor:
+def one_contactor(tick_ns: int = TICK_NS, **table: object) -> OneContactor:
     return OneContactor(SafetyScene.model_validate(table), tick_ns)
 
 
 def at_full_strength() -> OneContactor:
-    """Return a safety at 0 N after its ramp."""
-    ready = safety()
+    """Return a contactor at 0 N after its ramp."""
+    ready = one_contactor()
     while ready.gain < 1.0:
         ready.bound([0.0, 0.0], alive=True)
     return ready
@@ -71,7 +72,7 @@ def test_no_sequence_exceeds_force_or_slew_limit(
 @settings(deadline=None)
 @given(st.lists(st.floats(0.5, 1.5), min_size=3, max_size=50))
 def test_a_reference_within_the_bounds_passes_unchanged(forces_n: list[float]) -> None:
-    under_test = safety(slew_limit="1000000 N/s")
+    under_test = one_contactor(slew_limit="1000000 N/s")
     ticked(under_test, forces_n[0], 600)
     for now_n, next_n in pairwise(forces_n):
         assert under_test.bound([now_n, next_n], alive=True) == [now_n, next_n]
@@ -90,7 +91,7 @@ def test_a_force_is_limited(force_n: float, expected_n: float) -> None:
 
 def test_the_slew_limit_does_not_depend_on_the_tick() -> None:
     for tick_ns in (100_000, 1_000_000, 10_000_000):
-        under_test = safety(tick_ns, ramp="1 ms")
+        under_test = one_contactor(tick_ns, ramp="1 ms")
         ticked(under_test, 0.0, 20)
         assert under_test.bound([2.0, 2.0], True)[0] == pytest.approx(50 * tick_ns * 1e-9)
 
@@ -109,7 +110,7 @@ def test_jumps_of_the_reference_are_followed_at_the_slew_limit() -> None:
 
 
 def test_the_force_starts_at_rest_and_ramps_up() -> None:
-    under_test = safety(ramp="500 ms")
+    under_test = one_contactor(ramp="500 ms")
     assert under_test.gain == 0.0
     felt_n = ticked(under_test, 1.0, 501)
     assert felt_n == pytest.approx([tick / 500 for tick in range(1, 501)] + [1.0])
@@ -185,7 +186,7 @@ def test_negative_forces_and_nan_are_counted(force_n: float, ticks: int) -> None
 
 
 def test_ramp_and_fade_do_not_count_as_limits() -> None:
-    under_test = safety()
+    under_test = one_contactor()
     for _ in range(5):
         ticked(under_test, 2.0, 400)
         # Without a stream there is no reference: the slew limit brings the tip to rest.
