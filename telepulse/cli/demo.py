@@ -6,7 +6,6 @@ the display's telemetry, and scores the felt force against the sensed one.
 
 import logging
 import tempfile
-import time
 from collections import Counter
 from collections.abc import Mapping
 from contextlib import ExitStack
@@ -60,8 +59,7 @@ from telepulse.simulation.virtual_time import Simulation
 logger = logging.getLogger(__name__)
 
 ENDS_WITHIN_S = 10.0
-# Time for the display to start before the sensing node does.
-HEAD_START_S = 0.7
+POLL_NS = 100_000_000
 
 
 def simulate(
@@ -240,7 +238,11 @@ def run_demo(
                 stderr=PIPE,
             )
             stack.callback(link_process.stop)
-        time.sleep(HEAD_START_S)
+        context: sockets.Context = zmq.Context()
+        stack.callback(context.destroy, linger=0)
+        if draw:
+            console.print("waiting for the display", soft_wrap=True)
+        _await_telemetry(display, sockets.connect(context, zmq.SUB, telemetry_address))
         sensing = LoggedNode(
             *("sensing node", "sensing_node.cli", str(path), "--bind", sensing_address),
             *("--seconds", str(seconds), "--quiet", *_given(record)),
@@ -251,8 +253,6 @@ def run_demo(
         lower_priority()
         # Ctrl-C ends the pulse; samples that were sent are still played and counted.
         stop_on_signals(sensing.terminate)
-        context: sockets.Context = zmq.Context()
-        stack.callback(context.destroy, linger=0)
         sent = sockets.connect(context, zmq.SUB, sensing_address)
         sent.subscribe(b"")
 
@@ -278,6 +278,20 @@ def run_demo(
         sensed = sensing.await_summary(ENDS_WITHIN_S)
         played = display.await_summary(ENDS_WITHIN_S, may_end_with=[FAULT_STATUS])
         return errors.finish(_compose(sensed, played, link_process is not None))
+
+
+def _await_telemetry(display: LoggedNode, telemetry: sockets.Socket) -> None:
+    """Wait until the display publishes: its drives have found their homes before.
+
+    Raises ProcessError where it ends before that.
+    """
+    telemetry.subscribe(b"")
+    while not sockets.has_message(telemetry):
+        if display.poll() is not None:
+            display.await_end(ENDS_WITHIN_S)
+            raise ProcessError("the display node has ended before it played")
+        sockets.wait_readable([telemetry], POLL_NS)
+    telemetry.close()
 
 
 def _given(options: Mapping[str, str | None]) -> list[str]:

@@ -22,6 +22,7 @@ WITHIN_S = 120.0
 # A busy machine has held up a check, or the play.
 BUSY = (1, FAULT_STATUS, NOT_VALID_STATUS)
 WAITING = "this machine kept the simulated board waiting for "
+TOO_BUSY = "This computer was too busy"
 # Without its tools, simavr is not there; with them, the finger's sketch runs.
 EMULATED, ON_SIMAVR = "", os.environ["PATH"]
 needs_simavr = pytest.mark.skipif(simavr.missing() is not None, reason=str(simavr.missing()))
@@ -62,11 +63,12 @@ def test_one_command_checks_the_emulated_bench_and_plays(
     for _ in range(TRIES):
         with playing(tmp_path, path, *options, stderr=STDOUT) as demo:
             output, _ = demo.communicate(timeout=WITHIN_S)
-        if demo.returncode not in BUSY:
+        if demo.returncode not in BUSY and TOO_BUSY not in output:
             break
     else:
-        if WAITING in output:
-            pytest.skip(output.splitlines()[-1])
+        waited = [line for line in output.splitlines() if WAITING in line or TOO_BUSY in line]
+        if waited:
+            pytest.skip(waited[-1])
     assert demo.returncode == 0, output
     said, *lines = output.splitlines()
     assert said.startswith(boards)
@@ -79,7 +81,7 @@ def test_one_command_checks_the_emulated_bench_and_plays(
     assert first == sorted(first)
     summary = read_json(out)
     assert_accounted(summary["samples"])
-    assert summary["samples"]["sent"] > 500
+    assert summary["samples"]["sent"] > 4500
     assert summary["beats"]["height_n"] == pytest.approx(0.3, rel=0.1)
     assert summary["force_rmse_n"]["aligned"] < 50e-3
 
