@@ -25,7 +25,7 @@ def write(
 
 
 def plan(folder: Path, *conditions: str, **keys: object) -> SessionPlan:
-    return load_plan(write(folder / "session.toml", *conditions, **keys))  # type: ignore[arg-type]
+    return load_plan(write(folder / "session.toml", *conditions, **keys))
 
 
 def played(letter: Letter, on_link: bool, error_n: float) -> PlayedInterval:

@@ -22,7 +22,7 @@ def description(**changes: object) -> StreamDescription:
         "channels": (Channel("pulse"),),
         "layer": ElasticLayer(),
     }
-    return StreamDescription(**(fields | changes))  # type: ignore[arg-type]
+    return StreamDescription(**(fields | changes))
 
 
 def synthetic(**keys: object) -> SyntheticSource:

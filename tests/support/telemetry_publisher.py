@@ -135,7 +135,7 @@ Kind = TypeVar("Kind", bound=TelemetryPublisher)
 def publishing(
     address: str,
     keys: ServerKeys | None = None,
-    kind: type[Kind] = TelemetryPublisher,  # type: ignore[assignment]
+    kind: type[Kind] = TelemetryPublisher,
 ) -> Iterator[Kind]:
     """Provide a publisher with a socket of its own."""
     context: sockets.Context = zmq.Context()
@@ -167,7 +167,7 @@ class HandmadeTelemetry:
         ]
 
     def status(self, state: str, final: bool = False, **changes: object) -> list[Entry]:
-        summary = Summary(**changes)  # type: ignore[arg-type]
+        summary = Summary(**changes)
         message = pack_status(state, "pulse", summary, final, playing=[PLAYING])
         self.capture.statuses_published += 1
         return self.decoder.decode(STATUS, message)

@@ -98,7 +98,7 @@ class ThreadedBench:
         self.moments: list[MotorState] = []
         self.motor.trace = self.watch or self.moments.append
         self.film = FilmPort(world)
-        self._board = EmulatedFilm(self.motor, self.film)  # type: ignore[arg-type]
+        self._board = EmulatedFilm(self.motor, self.film)
         self.sender, self._streamed_ms = Sender(), 0
         self._frames: deque[tuple[int, bytes]] = deque()
         self._answers: deque[tuple[int, bytes]] = deque()

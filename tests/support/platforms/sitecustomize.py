@@ -98,8 +98,8 @@ def become(name: str) -> None:
     sys.meta_path.insert(0, _Finder())
     sys.platform = name
     # Chosen when shutil is imported: Windows opens no folder.
-    tempfile._O_TMPFILE_WORKS = False
-    shutil._use_fd_functions = name != "win32"
+    vars(tempfile)["_O_TMPFILE_WORKS"] = False
+    vars(shutil)["_use_fd_functions"] = name != "win32"
     system = {"win32": "Windows", "darwin": "Darwin"}[name]
     platform.system = lambda: system
     for owner, function in (

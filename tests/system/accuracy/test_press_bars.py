@@ -40,7 +40,7 @@ def test_steps_are_followed_and_felt_with_their_height(setting: PressSetting) ->
     score = follow(setting, 40.0)
     check(score)
     account = score.account
-    assert account.sent == sum((account.applied, account.superseded, account.lost))  # type: ignore[arg-type]
+    assert account.sent == sum((account.applied, account.superseded, account.lost))
     assert (account.sent or 0) > 1900
 
 

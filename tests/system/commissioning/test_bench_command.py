@@ -4,6 +4,7 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
+from display_node.plant.scene import StepperScene
 from telepulse.cli.main import app
 from telepulse.scene import load_scene
 from tests.support.emulated_bench import emulated_tmcl
@@ -56,7 +57,7 @@ def test_identified_keys_are_written_into_a_scene_that_passes(tmp_path: Path) ->
     assert "# rubber" in written
     assert "# Eq 22 from commanded to felt force: m = " in written
     actuator = load_scene(found).display.actuator
-    assert actuator.kind == "stepper"
+    assert isinstance(actuator, StepperScene)
     assert actuator.fingertip_n_per_m == pytest.approx(2000.0, rel=0.01)
     assert actuator.latency_ns == pytest.approx(8e6, abs=2e5)
     assert bench(found, "--only", "display")[0] == 0

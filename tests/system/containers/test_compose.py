@@ -71,9 +71,9 @@ def test_both_displays_play_and_their_pages_are_published_here_alone(project: li
     started = subprocess.run(up, cwd=ROOT, capture_output=True, encoding="utf-8", check=False)
     assert started.returncode == 0, started.stderr
     for port in (5006, 5007):
-        until(lambda port=port: "telepulse" in page(port), BUILT_AND_STARTED_S)  # type: ignore[misc]
+        until(lambda port=port: "telepulse" in page(port), BUILT_AND_STARTED_S)
     for name in ("display", "display-wan"):
-        until(lambda name=name: "the network took" in logs(project, name), BUILT_AND_STARTED_S)  # type: ignore[misc]
+        until(lambda name=name: "the network took" in logs(project, name), BUILT_AND_STARTED_S)
     # A delay of 40 ms on the way, and none.
     medians_ms = [
         float(logs(project, name).split("the network took ")[1].split(" ms")[0])

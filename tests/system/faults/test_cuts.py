@@ -137,11 +137,11 @@ def test_of_two_networks_one_is_enough(tmp_path: Path) -> None:
             other = rig.connect[1 - number]
             before = first_copies(other)
             link.change(CUT, number)
-            until(lambda a=other, b=before: first_copies(a) >= b + 50)  # type: ignore[misc]
+            until(lambda a=other, b=before: first_copies(a) >= b + 50)
             link.change(WHOLE, number)
             # The other network is cut next: this one must carry frames again.
             before = first_copies(address)
-            until(lambda a=address, b=before: first_copies(a) >= b + 20)  # type: ignore[misc]
+            until(lambda a=address, b=before: first_copies(a) >= b + 20)
         sent, summary = sensing.end(), display.summary()
     assert unaccounted(sent, summary) == 0
     assert summary.samples.lost == 0

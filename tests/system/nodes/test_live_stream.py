@@ -51,7 +51,7 @@ def test_who_cannot_be_received_is_named_in_one_line(address: str) -> None:
         with pytest.raises(ArgumentError, match=r"^count: must be a whole number from 1 .*, got 0"):
             stream.read(0)
         with pytest.raises(ArgumentError, match=r"^timeout_s: must be a number .*, got '1'$"):
-            stream.read(1, timeout_s="1")  # type: ignore[arg-type]
+            stream.read(1, timeout_s="1")
     with pytest.raises(ProtectionError, match=r"192\.0\.2\.1"):
         telepulse.connect("tcp://192.0.2.1:5555")
 

@@ -3,8 +3,9 @@
 import re
 from pathlib import Path
 
-from display_node.fault_advice import FILM_NOTE, OTHERWISE, SENSING_NOTE, advise, latched
+from display_node.fault_advice import FILM_NOTE, SENSING_NOTE, advise, latched
 from display_node.plant.film_plausibility import FilmFault
+from pulse_drives.start_advice import OTHERWISE
 
 ROOT = Path(__file__).parents[3]
 PACKAGES = ("display_node", "pulse_drives")

@@ -93,7 +93,7 @@ class PressedBench(ThreadedBench):
         super().connect()
         press = self.display.press
         assert press is not None
-        press.use(PressSensor(self))  # type: ignore[arg-type]
+        press.use(PressSensor(self))
 
 
 @pytest.fixture
@@ -189,6 +189,6 @@ def test_a_press_sensor_that_reads_a_press_that_is_not_there_presses_nobody(
     assert press is not None
     sensor = PressSensor(bench)
     sensor.reads_n = 2.0
-    press.use(sensor)  # type: ignore[arg-type]
+    press.use(sensor)
     bench.run(3_000)
     assert max(moment.force_n for moment in bench.moments) < 0.5

@@ -94,7 +94,7 @@ def test_after_a_drive_fault_the_tip_withdraws_as_soon_as_the_drive_obeys(
     bench: Bench, fault: str
 ) -> None:
     bench.start(RATE_HZ, 0.05e-3)
-    bench.motor.fail(fault)  # type: ignore[arg-type]
+    bench.motor.fail(fault)
     bench.keep(RATE_HZ, lambda: bench.fault)
     words = {"following error": ("following error", "deviation"), "stall": ("stall", "blocked")}
     assert any(word in bench.fault for word in words.get(fault, (fault,)))

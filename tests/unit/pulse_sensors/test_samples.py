@@ -56,7 +56,7 @@ class Transmission(NamedTuple):
 def transmit(kind: str, seconds: float, lost: range = range(0), **behaviour: float) -> Transmission:
     """Run a board whose deliveries in `lost` do not arrive."""
     encode = {"binary": binary("float32"), "text": timed_line, "untimed": line}[kind]
-    given = BoardBehaviour(4 if kind == "binary" else 1, **behaviour)  # type: ignore[arg-type]
+    given = BoardBehaviour(4 if kind == "binary" else 1, **behaviour)
     board = SensorBoard(synthetic(), encode, given, START_NS)
     decoder = validate(SCENES[kind], SerialScene, "scene").decoder()
     decoder.feed(b"\0" if kind == "binary" else b"\n")

@@ -41,7 +41,7 @@ def test_a_recovery_that_takes_too_long_or_never_comes_fails(
 )
 def test_force_or_slew_beyond_a_limit_fails(wrong: dict[str, object], ok: list[bool]) -> None:
     right = Bounds(10, (0.0, 2.5), (0.0, 2.5), 50.0, 50.0)
-    bounds = replace(right, **wrong)  # type: ignore[arg-type]
+    bounds = replace(right, **wrong)
     assert [check.ok for check in judge_safety("restarted", bounds, 2.5, 50.0)] == ok
 
 

@@ -53,7 +53,7 @@ def test_a_wrong_argument_is_named_in_one_line(
 
 
 def test_numbers_of_numpy_are_numbers() -> None:
-    run = telepulse.simulate("radial", np.float32(1), np.int64(3))  # type: ignore[arg-type]
+    run = telepulse.simulate("radial", np.float32(1), np.int64(3))
     expected = telepulse.simulate("radial", 1.0, 3)
     np.testing.assert_array_equal(run.felt_n, expected.felt_n)
 

@@ -11,7 +11,7 @@ HELD = ROOT / "tests/golden/python_api.txt"
 
 def parameters(function: object) -> str:
     """Return a function's parameters with their defaults; their types belong to mypy."""
-    signature = inspect.signature(function)  # type: ignore[arg-type]
+    signature = inspect.signature(function)
     bare = [p.replace(annotation=inspect.Parameter.empty) for p in signature.parameters.values()]
     return str(inspect.Signature(bare))
 

@@ -96,7 +96,8 @@ def samples(first: int, values: list[float]) -> ChannelSamples:
 
 
 def test_received_values_stay_and_missing_ones_are_predicted_without_a_jump() -> None:
-    concealment = Concealment(*build_predictors("hold"), MS)
+    (predictor,) = build_predictors("hold")
+    concealment = Concealment(predictor, MS)
     concealment.observe(samples(0, [0.3, 0.3]))
     received_n = [0.3, 0.3]
     assert concealment.complete(received_n, 2, 0, 1 * MS) is received_n

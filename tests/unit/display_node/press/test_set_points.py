@@ -24,7 +24,7 @@ def sent(
 
 def report(received: int, applied: int, superseded: int, **changes: object) -> ProbeReport:
     plain = ProbeReport(SESSION, PRESS, received, applied, superseded, 0, "pressing", 1.0, 1e-3)
-    return plain._replace(**changes)  # type: ignore[arg-type]
+    return plain._replace(**changes)
 
 
 def answered() -> SetPointSender:

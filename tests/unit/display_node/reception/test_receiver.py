@@ -77,7 +77,7 @@ def bad_frames(sender: Sender) -> dict[str, tuple[bytes, str]]:
     def frame(**changes: object) -> bytes:
         values = np.full((5, 1), 0.3, "<f4")
         base = Frame(sender.session, 100, t_ns, MS, values)
-        return encode_frame(base._replace(**changes))  # type: ignore[arg-type]
+        return encode_frame(base._replace(**changes))
 
     return {
         "another session": (frame(session=8), "session"),

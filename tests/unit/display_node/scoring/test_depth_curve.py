@@ -15,7 +15,7 @@ def swept(height: "np.ufunc | object", error: float = 0.01, beats: int = 5) -> l
     """Return beats at forces of 0.2 to 2.2 N, with errors of their height."""
     rng = np.random.default_rng(3)
     forces = np.repeat(np.linspace(0.2, 2.2, 11), beats)
-    heights = np.array([height(force) for force in forces])  # type: ignore[operator]
+    heights = np.array([height(force) for force in forces])
     heights *= 1 + error * rng.standard_normal(len(forces))
     return [point(*each) for each in zip(forces.tolist(), heights.tolist(), strict=True)]
 

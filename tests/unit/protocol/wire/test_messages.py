@@ -50,7 +50,7 @@ def cause_of(decode: Decoder, data: bytes) -> str:
 
 
 def packed(value: object) -> bytes:
-    return msgpack.packb(value)  # type: ignore[no-any-return]
+    return msgpack.packb(value)
 
 
 def changed(**fields: object) -> bytes:

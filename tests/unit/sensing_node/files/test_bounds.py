@@ -140,7 +140,7 @@ def test_what_unpacks_to_too_much_is_refused(
             writer.start()
             channel = writer.register_channel("force", "json", 0)
             writer.add_message(channel, 0, b"[" + b" " * 200_000 + b"]", 0)
-            writer.finish()  # type: ignore[no-untyped-call]
+            writer.finish()
         assert refusal(path).endswith("unpacks to more than 100000 bytes")
 
 

@@ -94,7 +94,8 @@ def test_edf_and_bdf_of_another_library_are_read(tmp_path: Path, kind: str) -> N
         ("II", "mV", 250.0),
         ("ABP", "mmHg", 125.0),
     ]
-    reread = (edfio.read_bdf if kind == "bdf" else edfio.read_edf)(tmp_path / f"e.{kind}")
+    path = tmp_path / f"e.{kind}"
+    reread: Any = edfio.read_bdf(path) if kind == "bdf" else edfio.read_edf(path)
     for one, values in zip(reread.signals, samples(file).values(), strict=True):
         np.testing.assert_allclose(values, one.data, rtol=1e-9, atol=1e-9)
 

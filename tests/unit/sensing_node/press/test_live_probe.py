@@ -212,7 +212,7 @@ class Blocks:
 
 def test_each_sample_of_the_film_gets_the_load_cells_force_at_its_time() -> None:
     film, cell = Blocks("pulse"), Blocks("force")
-    joined = JoinedSensors(film, cell)  # type: ignore[arg-type]
+    joined = JoinedSensors(film, cell)
     assert [channel.name for channel in joined.channels] == ["pulse", "hold-down"]
     cell.add(0, [0.0, 1.0, 2.0], period_ms=10)
     film.add(3, [0.5, 0.6])

@@ -67,7 +67,7 @@ def film(bench: Bench) -> Film:
 @pytest.fixture
 def rig(bench: Bench, film: Film) -> HardwareRig:
     bench.start()
-    return HardwareRig(bench.drive, film, TICK_S)  # type: ignore[arg-type]
+    return HardwareRig(bench.drive, film, TICK_S)
 
 
 def test_a_bench_is_identified_over_its_line(rig: HardwareRig, bench: Bench) -> None:
@@ -136,13 +136,13 @@ def test_an_answer_is_awaited_with_no_more_commands_than_a_line_takes() -> None:
 
 
 def test_a_record_has_every_samples_time(rig: HardwareRig, film: Film) -> None:
-    (record,) = listen(film, 0.3).values()  # type: ignore[arg-type]
+    (record,) = listen(film, 0.3).values()
     rate = judge_sensor(record, 1000.0)[0]
     assert (rate.name, rate.text, rate.verdict) == ("rate", "1000.0 Hz", "ok")
     film.silent = True
     reason = r"no sample came from the sensor in 0\.1 s: it is unplugged"
     with pytest.raises(BenchError, match=reason):
-        listen(film, 0.1)  # type: ignore[arg-type]
+        listen(film, 0.1)
 
 
 def serial(baud: int, **keys: str) -> TmclScene:

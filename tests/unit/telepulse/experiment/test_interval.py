@@ -19,7 +19,7 @@ def intervals(folder: Path, *conditions: str, **keys: object) -> dict[str, Inter
     name = found.session.conditions[0].name
     trial = Trial(condition=name, direct="A", x="B", pulse_seed=5)
     letters = ("A", "B", "X")
-    return {x: draw_interval(found, 1, 0, trial, x, 1) for x in letters}  # type: ignore[arg-type]
+    return {x: draw_interval(found, 1, 0, trial, x, 1) for x in letters}
 
 
 def forces(

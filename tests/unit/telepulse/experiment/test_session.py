@@ -32,7 +32,7 @@ def test_a_condition_has_its_own_link_and_playout_and_direct_has_none(tmp_path: 
 def test_a_wrong_session_file_is_refused_in_one_line(
     tmp_path: Path, keys: dict[str, object], conditions: tuple[str, ...], reason: str
 ) -> None:
-    path = write(tmp_path / "s.toml", *conditions, **keys)  # type: ignore[arg-type]
+    path = write(tmp_path / "s.toml", *conditions, **keys)
     with pytest.raises(SceneError) as caught:
         load_plan(path)
     assert reason in str(caught.value)

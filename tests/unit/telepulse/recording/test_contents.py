@@ -46,7 +46,7 @@ def test_a_session_begins_with_one_of_the_sensing_node_and_with_a_run_of_the_dis
 
 def test_a_contactor_that_appears_later_has_gaps_before() -> None:
     session, other = SessionColumns(), SessionColumns()
-    session.playing = dict.fromkeys(("cun", "chi"))  # type: ignore[assignment]
+    session.playing = dict.fromkeys(("cun", "chi"))
     session.add_tick(TICK, [(0.1, 0.2)])
     session.add_tick(TICK._replace(now_ns=5), [(0.3, 0.4), (0.5, 0.6)])
     target_n, felt_n = session.forces_n("chi")
