@@ -74,7 +74,8 @@ def load_scene(
     scene
         File, or name of a scene that comes with telepulse.
     display_options
-        Values of the command line's options for [display]; None leaves the scene's.
+        Values of the command line's options for [display], which replace those of the scene and of
+        `display`; None leaves those.
     sensing, display, link
         Changes of the sections, key by key as in a scene that extends this one. A `link` that is a
         text, such as "delay=40ms,jitter=10ms", replaces the scene's link. Files in a change are
@@ -104,11 +105,12 @@ def load_scene(
     else:
         described = link or "link" in load_document(path)
         link_scene = section("link", LinkScene) if described else LinkScene()
-    display_scene = (
-        section("display", DisplayScene)
-        if display
-        else load_section(path, "display", DisplayScene, display_options)
-    )
+    if display:
+        given_options = {key: each for key, each in display_options.items() if each is not None}
+        changes["display"] |= given_options
+        display_scene = section("display", DisplayScene)
+    else:
+        display_scene = load_section(path, "display", DisplayScene, display_options)
     return Scene(path, section("sensing", SensingScene), display_scene, link_scene)
 
 

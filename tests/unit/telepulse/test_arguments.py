@@ -69,3 +69,9 @@ def test_a_file_of_a_change_is_found_from_the_working_directory(
     run = telepulse.simulate("radial", seconds=1, sensing=change)
     assert np.nanmax(run.wrist_n) - np.nanmin(run.wrist_n) == pytest.approx(0.3, rel=0.01)
     assert source["path"] == "pulse.csv"
+
+
+def test_options_and_changes_of_the_display_both_hold() -> None:
+    options = {"predictor": "linear", "announce": None}
+    display = telepulse.load_scene("radial", options, display={"announce": "off"}).display
+    assert (display.predictor.kind, display.announce) == ("linear", "off")
