@@ -101,6 +101,8 @@ void withdraw(Cause why) {
   if (homed && target < limits.lowest) target = min(limits.lowest, here);
   if (state == HOMING) target = began_at;
   returning = target > here;
+  // Without a ramp, which would press further.
+  if (returning ? stepper.velocity < 0 : stepper.velocity > 0) stepper.halt();
   stepper.bound(min(target, here), max(target, here));
   float rate = limits.withdrawal_rate;
   stepper.wanted = returning ? rate : -rate;

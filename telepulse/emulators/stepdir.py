@@ -2,8 +2,8 @@
 
 The board itself is pure: time is an argument, and it returns the frames that the firmware would
 send. Its states, bounds, trips and withdrawals are those of `firmware/PROTOCOL.md`. Not modelled:
-the microcontroller's timing, and a stall that no fault pin reports: the count of steps then stops
-as well.
+the microcontroller's timing; the end without a ramp of a motion towards the finger that a
+withdrawal interrupts; and a stall that no fault pin reports: the count of steps then stops as well.
 """
 
 import math

@@ -245,6 +245,24 @@ def test_a_film_outside_its_limits_withdraws_within_2_ms(
         assert left_the_finger(display, within_ms=100)
 
 
+@pytest.mark.parametrize("acceleration", [3_200_000, 10_000_000])
+def test_a_motion_towards_the_finger_turns_at_once_without_a_lost_step(
+    board: Open, acceleration: int
+) -> None:
+    with board("finger_n_per_m=0.001") as display:
+        make_ready(display, highest=60_000, acceleration=acceleration)
+        display.drive(TICK_HZ, 200)
+        display.tell("film 5")
+        state = display.run_until(WITHDRAWING)
+        stopped_um = display.report()["tip_um"]
+        assert state.velocity <= 0
+        display.run(5)
+        assert display.states[-1].velocity < 0
+        assert display.report()["tip_um"] < stopped_um
+        display.run_until(WITHDRAWN)
+        assert display.report()["lost_steps"] == 0
+
+
 def test_a_fault_of_the_carrier_and_the_hosts_command_withdraw(board: Open) -> None:
     with board() as display:
         press(display, options=4)
