@@ -162,7 +162,7 @@ def display(
                 raise DiscoveryError(
                     "--discover finds the address, and --connect is given: choose one"
                 )
-            connect = discovered(named, key_options.server_key if peer else None, seconds)
+            connect = discovered(named, key_options.peer_key if peer else None, seconds)
         client_keys = key_options.client(*connect)
         telemetry_keys = key_options.telemetry_server(telemetry)
         path = find_scene(scene)

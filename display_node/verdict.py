@@ -1,6 +1,8 @@
 """Verdict on a display's run, in at most six lines, for the person at it.
 
 Every other figure of the run is in the rows of `protocol.summary.rows`, which --details prints.
+The status line of a display that runs has no error of the felt force: the verdict is the first text
+in the terminal that has.
 """
 
 from collections import Counter
@@ -96,8 +98,10 @@ def _why_nothing(summary: Summary) -> str:
     """Return why a display felt no pulse at all."""
     refused = _unusual(summary.rejected)
     if reason := summary.waiting_for:
-        remedy = "; start the sensing node there, or check the address"
-        return f"{reason}{remedy if reason.startswith('nobody') else ''}"
+        # Of several addresses, each has a part.
+        nobody = all(part.startswith("nobody") for part in reason.split("; "))
+        remedy = "; start the sensing node there, or check the address" if nobody else ""
+        return f"{reason}{remedy}"
     if refused and summary.clock.offset_ms is None:
         return _most(refused)
     if summary.clock.offset_ms is None:

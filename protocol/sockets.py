@@ -69,7 +69,10 @@ _HINTS = {
 
 
 class LinkSecurity(Protocol):
-    """Security of a link, set on a socket before it binds or connects."""
+    """Security of one end of a link, set on its socket before that binds or connects.
+
+    It is an `Authenticator` of the end that binds, and the `ClientKeys` of the end that connects.
+    """
 
     def protect(self, socket: Socket, /) -> None:
         """Set the socket's options."""
@@ -124,21 +127,21 @@ def bind(
     context: Context,
     kind: int,
     address: str,
-    security: LinkSecurity | None = None,
+    authenticator: LinkSecurity | None = None,
     limits: Mapping[int, int] = MappingProxyType({}),
 ) -> Socket:
     """Return a socket of `kind` bound to a tcp:// or ipc:// `address`. Raises AddressError.
 
-    An XPUB socket gets options for `SubscriptionBudget`. security: authenticates the peers
-    (`Authenticator`). limits: options for the queue of each peer that replace the default ones.
+    An XPUB socket gets options for `SubscriptionBudget`. authenticator: the `Authenticator` of the
+    peers. limits: options for the queue of each peer that replace the default ones.
     """
     socket = _socket_for(context, kind, address)
     if kind == zmq.XPUB:
         limits = {**_FOR_SUBSCRIPTIONS, **limits}
     for option, value in limits.items():
         socket.setsockopt(option, value)
-    if security is not None:
-        security.protect(socket)
+    if authenticator is not None:
+        authenticator.protect(socket)
     # Only the same user may open the file of an ipc address. libzmq 4.3.5 aborts the process if it
     # has no descriptor for an ipc connection (ipc_listener.cpp), which other users could cause.
     mask = os.umask(0o077)
@@ -156,15 +159,15 @@ def connect(
     context: Context,
     kind: int,
     address: str,
-    security: LinkSecurity | None = None,
+    keys: LinkSecurity | None = None,
     watch: Callable[[Socket], object] | None = None,
 ) -> Socket:
     """Return a socket of `kind` that connects to `address`, now or when it appears.
 
-    With `security` (`ClientKeys`) the connection is encrypted, and only the holder of the peer's
-    key can answer. watch: called with the socket before it connects. Raises AddressError.
+    With `keys` (`ClientKeys`) the connection is encrypted, and only the holder of the peer's key
+    can answer. watch: called with the socket before it connects. Raises AddressError.
     """
-    socket = _socket_for(context, kind, address, security)
+    socket = _socket_for(context, kind, address, keys)
     if watch is not None:
         watch(socket)
     try:
@@ -175,11 +178,11 @@ def connect(
     return socket
 
 
-def unconnected(context: Context, kind: int, security: LinkSecurity | None = None) -> Socket:
-    """Return a socket of `kind` without an address, for `reconnect`."""
+def unconnected(context: Context, kind: int, keys: LinkSecurity | None = None) -> Socket:
+    """Return a socket of `kind` without an address, for `reconnect`; keys: as of `connect`."""
     socket = context.socket(kind)
-    if security is not None:
-        security.protect(socket)
+    if keys is not None:
+        keys.protect(socket)
     for option, value in _OPTIONS.items():
         socket.setsockopt(option, value)
     return socket
@@ -280,12 +283,12 @@ def _reason(error: zmq.ZMQError) -> str:
 
 
 def _socket_for(
-    context: Context, kind: int, address: str, security: LinkSecurity | None = None
+    context: Context, kind: int, address: str, keys: LinkSecurity | None = None
 ) -> Socket:
     match = _TCP.fullmatch(address)
     if match and int(match["port"]) > MAX_PORT:
         # ZeroMQ would take the port modulo 65536.
         raise AddressError(f"{address}: there is no such port; the highest is {MAX_PORT}")
-    socket = unconnected(context, kind, security)
+    socket = unconnected(context, kind, keys)
     socket.setsockopt(zmq.IPV6, "[" in address)
     return socket

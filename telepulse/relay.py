@@ -25,8 +25,8 @@ from protocol.config.quantities import count_text
 from protocol.errors import WireError
 from protocol.security.authenticator import Authenticator
 from protocol.security.budgets import SubscriptionBudget
+from protocol.security.handshakes import HandshakeMonitor
 from protocol.security.link_keys import ClientKeys, ServerKeys
-from protocol.security.socket_monitor import HandshakeMonitor
 from protocol.summary.fields import FrameCounts, Reconnections, Summary
 from protocol.wire.messages import decode_frame
 

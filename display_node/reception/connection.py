@@ -3,7 +3,6 @@
 import itertools
 import logging
 from collections.abc import Iterator, Sequence
-from functools import partial
 
 import zmq
 
@@ -14,8 +13,8 @@ from display_node.reception.reachability import Reachability
 from display_node.reception.timeouts import Timeouts, answer_timeout_ns
 from display_node.reception.turns import ControlTurns
 from protocol import sockets
+from protocol.security.handshakes import ClientLink, HandshakeMonitor, Refusal
 from protocol.security.link_keys import ClientKeys
-from protocol.security.socket_monitor import HandshakeMonitor, Refusal
 from protocol.summary.fields import DataConnections, Reconnections
 from protocol.wire.messages import ClockRequest, ControlMessage, SetPoint
 
@@ -45,6 +44,12 @@ class Route:
         self.lookup = Lookup(address)
         self.reachability = Reachability(address)
         self.frames_first = 0
+
+    @property
+    def control_address(self) -> str | None:
+        """The control address, with an IP address as its host; None while that is not known."""
+        data = self.paths[0].first.address
+        return None if data is None else sockets.control_address(data)
 
     def messages(self) -> Iterator[bytes]:
         """Yield the messages that wait."""
@@ -107,10 +112,9 @@ class Connection:
         ]
         self.descriptors = sockets.descriptors([endpoint.socket for endpoint in self._endpoints])
         self.descriptors += self._further.descriptors
-        watch, given = self._handshakes.watch, self._given_address
-        self._control_link = watch([self.control.socket], partial(given, self.control))
+        self._control_link = self._watch_control(self.control)
         for endpoint in self._further.endpoints:
-            watch([endpoint.socket], partial(given, endpoint))
+            self._watch_control(endpoint)
         self.rejected = self._handshakes.rejected
         self.established = self._handshakes.established
         self._named: list[tuple[DataPath | Endpoint, str]] = [(self.control, "control")]
@@ -162,10 +166,13 @@ class Connection:
             path.failover.give_up()
         for route in self.routes:
             route.poll(now_ns)
-            self._watch(route, now_ns)
+            self._probe(route, now_ns)
         if self._timeouts is not None:
-            addresses = [route.paths[0].first.address for route in self.routes]
-            known = [sockets.control_address(each) for each in addresses if each is not None]
+            known = [
+                (route.address, control_address)
+                for route in self.routes
+                if (control_address := route.control_address) is not None
+            ]
             self._further.poll(known, self._timeouts.answer_ns, now_ns)
         introduce = self._repeat_request(now_ns)
         if cut and control.address is not None:
@@ -173,8 +180,13 @@ class Connection:
         return introduce or (control.silent(now_ns) and self._move_control(now_ns))
 
     def waiting_for(self, now_ns: int) -> str:
-        """Return what is waited for at each address, or why it does not come, in one phrase."""
-        return "; ".join(self._reason(route, now_ns) for route in self.routes)
+        """Return what is waited for at each address, or why it does not come, in one phrase.
+
+        The addresses that refuse this display come first, as the first of them has the cause in
+        `refused`.
+        """
+        refusing_first = sorted(self.routes, key=lambda route: self._refusal(route) is None)
+        return "; ".join(self._reason(route, now_ns) for route in refusing_first)
 
     @property
     def refused(self) -> str | None:
@@ -200,18 +212,15 @@ class Connection:
             of_control = None
         return route.link.refusal or of_control
 
-    def _given_address(self, control: Endpoint) -> str:
-        """Return the address, as the user gave it, to which a control endpoint is connected."""
-        for route in self.routes:
-            data = route.paths[0].first.address
-            if data is not None and sockets.control_address(data) == control.address:
-                return route.address
-        return control.address or ""
+    def _watch_control(self, endpoint: Endpoint) -> ClientLink:
+        return self._handshakes.watch([endpoint.socket], lambda: endpoint.given)
 
-    def _watch(self, route: Route, now_ns: int) -> None:
+    def _probe(self, route: Route, now_ns: int) -> None:
         first, handshakes = route.paths[0].first, self._handshakes
         connected, attempts = first.socket in handshakes.connected, handshakes.retried[first.socket]
-        route.reachability.poll(now_ns, first.address, connected, attempts)
+        # A refusal is the reason: a probe would find none, and count as a broken handshake.
+        place = first.address if self._refusal(route) is None else None
+        route.reachability.poll(now_ns, place, connected, attempts)
 
     def control_for(self, message: ControlMessage, now_ns: int) -> sockets.Socket:
         """Return the control connection for a message, which is sent now.
@@ -293,9 +302,10 @@ class Connection:
 
     def _move_control(self, now_ns: int) -> bool:
         for route in itertools.islice(self._turns, len(self.routes)):
-            address = route.paths[0].first.address
+            address = route.control_address
             if address is not None:
-                return self._connect_control(sockets.control_address(address), now_ns)
+                self.control.given = route.address
+                return self._connect_control(address, now_ns)
         return False
 
     def _connect_control(self, address: str, now_ns: int, fast_retry: bool = True) -> bool:

@@ -23,13 +23,15 @@ class Endpoint:
     """A socket that is connected to one address at a time.
 
     budget: of the messages that it receives. address: the present one; None while it is not
-    connected. answer_ns: time after which an unanswered request to connect is repeated. asked_ns,
-    answered: time of the present request, and whether a host has answered it.
+    connected. given: of a control endpoint, the sensing node's address as the user gave it.
+    answer_ns: time after which an unanswered request to connect is repeated. asked_ns, answered:
+    time of the present request, and whether a host has answered it.
     """
 
     def __init__(self, socket: sockets.Socket, budget: TokenBucket | None = None) -> None:
         self.socket = socket
         self.address: str | None = None
+        self.given = ""
         self.answer_ns = ANSWER_NS
         self.asked_ns = 0
         self.answered = False

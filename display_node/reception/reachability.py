@@ -70,8 +70,9 @@ class Reachability:
     def poll(self, now_ns: int, place: str | None, answered: bool, attempts: int) -> None:
         """Note the state of ZeroMQ's connection, and probe while there is none; call it often.
 
-        place: the address with an IP address as its host; None while that is not known. answered:
-        whether a host has accepted the connection. attempts: failed ones of ZeroMQ so far.
+        place: the address with an IP address as its host; None while that is not known, or no probe
+        is wanted. answered: whether a host has accepted the connection. attempts: failed ones of
+        ZeroMQ so far.
         """
         self._attempts = attempts
         if answered:

@@ -63,11 +63,11 @@ class ControlTurns:
             if empty:
                 self._unread.discard(endpoint)
 
-    def poll(self, addresses: Sequence[str], answer_ns: int, now_ns: int) -> None:
+    def poll(self, addresses: Sequence[tuple[str, str]], answer_ns: int, now_ns: int) -> None:
         """Connect those that are not connected, or do not answer; call it each tick.
 
-        addresses: control addresses of the sensing node, used in turns. answer_ns: time allowed for
-        the answer to a request to connect.
+        addresses: of the sensing node, used in turns: each as the user gave it, and its control
+        address. answer_ns: time allowed for the answer to a request to connect.
         """
         for number, endpoint in enumerate(self.endpoints if addresses else ()):
             if endpoint.received(now_ns):
@@ -77,7 +77,8 @@ class ControlTurns:
                 self._asked_ns.pop(endpoint, None)
                 self._pressed_ns.pop(endpoint, None)
                 endpoint.answer_ns = answer_ns
-                endpoint.connect(addresses[number % len(addresses)], now_ns, fast_retry=False)
+                endpoint.given, control = addresses[number % len(addresses)]
+                endpoint.connect(control, now_ns, fast_retry=False)
 
     def next(
         self, established: set[sockets.Socket], now_ns: int, set_point: bool

@@ -263,6 +263,7 @@ def check_writable(path: Path | None) -> None:
 def write_whole(path: Path, text: str) -> None:
     """Write a text file in one step: readers see either the old file or the whole new one.
 
+    A link stays one, and an existing file keeps its mode, and its owner where this user may set it.
     A pipe or a device is written directly; text for `STDOUT` is printed. Raises OutputError.
     """
     if path == STDOUT:
@@ -323,10 +324,14 @@ def _is_special(path: Path) -> bool:
 
 
 def _draft(path: Path) -> Path:
-    """Return a new, empty file beside `path`, with the permissions of `path`."""
+    """Return a new, empty file beside `path`, with the owner and the permissions of `path`."""
     target = path.resolve()
     draft = target.with_name(f".{target.name}.{secrets.token_hex(4)}")
     draft.open("xb").close()
     if target.exists():
-        draft.chmod(stat.S_IMODE(target.stat().st_mode))
+        status = target.stat()
+        if sys.platform != "win32":
+            with suppress(PermissionError):
+                os.chown(draft, status.st_uid, status.st_gid)
+        draft.chmod(stat.S_IMODE(status.st_mode))
     return draft

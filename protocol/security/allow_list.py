@@ -3,14 +3,14 @@
 import logging
 import os
 import stat
-from collections.abc import Mapping
-from contextlib import suppress
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from protocol.errors import KeyFileError
-from protocol.host.output import create_file
+from protocol.host.output import create_file, write_whole
 from protocol.refusals import LIST_UNREADABLE, REVOKED_KEY, UNKNOWN_KEY
-from protocol.security.keys import READ_BY_ALL, PublicKey, parse_public, read_text
+from protocol.security.keys import READ_BY_ALL, PublicKey, is_missing, parse_public, read_lines
 
 logger = logging.getLogger(__name__)
 
@@ -118,43 +118,48 @@ def read_allow_list(path: Path) -> dict[bytes, PublicKey]:
 
 
 def allow(path: Path, public: PublicKey) -> None:
-    """Add a key. Raises KeyFileError, also when the key or its name is on the list already."""
-    lines, name = _read_lines(path), public.name
-    for _, known in lines:
-        if known == public:
-            raise KeyFileError(f"{name} is allowed already in {path}")
-        if known is not None and known.name == name:
-            raise KeyFileError(
-                f"{path} allows another key of the name {name}; remove that first:"
-                f" telepulse keys revoke {name}"
-            )
-        if known is not None and known.key == public.key:
-            raise KeyFileError(f"{path} allows this key already, by the name {known.name}")
-    _replace(path, [*(line for line, _ in lines), public.line])
+    """Add a key; a link stays one, and an existing list keeps its owner and mode.
+
+    Raises KeyFileError, also when the key or its name is on the list already; OutputError.
+    """
+    with _target(path) as target:
+        lines, name = _read_lines(path), public.name
+        for _, known in lines:
+            if known == public:
+                raise KeyFileError(f"{name} is allowed already in {path}")
+            if known is not None and known.name == name:
+                raise KeyFileError(
+                    f"{path} allows another key of the name {name}; remove that first:"
+                    f" telepulse keys revoke {name}"
+                )
+            if known is not None and known.key == public.key:
+                raise KeyFileError(f"{path} allows this key already, by the name {known.name}")
+        _write_lines(target, [*(line for line, _ in lines), public.line])
 
 
 def revoke(path: Path, name: str) -> None:
-    """Remove the key of a name. Raises KeyFileError when the name is not on the list."""
-    lines = _read_lines(path)
-    kept = [line for line, known in lines if known is None or known.name != name]
-    if len(kept) == len(lines):
-        names = ", ".join(sorted(known.name for _, known in lines if known)) or "nobody"
-        raise KeyFileError(f"{path} does not allow {name}; it allows {names}")
-    _replace(path, kept)
+    """Remove the key of a name, as `allow` adds one.
+
+    Raises KeyFileError, also when the name is not on the list; OutputError.
+    """
+    with _target(path) as target:
+        lines = _read_lines(path)
+        kept = [line for line, known in lines if known is None or known.name != name]
+        if len(kept) == len(lines):
+            names = ", ".join(sorted(known.name for _, known in lines if known)) or "nobody"
+            raise KeyFileError(f"{path} does not allow {name}; it allows {names}")
+        _write_lines(target, kept)
 
 
 def _read_lines(path: Path) -> list[tuple[str, PublicKey | None]]:
-    try:
-        if not path.exists():
-            return []
-    except OSError as error:
-        raise KeyFileError(f"{path}: cannot read: {error.strerror}") from None
-    text, mode = read_text(path, _MAX_BYTES, "give the file of an allow-list")
+    if is_missing(path):
+        return []
+    read, mode = read_lines(path, _MAX_BYTES, "give the file of an allow-list")
     if os.name == "posix" and mode & (stat.S_IWGRP | stat.S_IWOTH):
         raise KeyFileError(f"{path}: others may write this allow-list; run: chmod go-w {path}")
     lines: list[tuple[str, PublicKey | None]] = []
     keys: set[bytes] = set()
-    for number, line in enumerate(text.splitlines(), 1):
+    for number, line in enumerate(read, 1):
         public = None
         if line.strip() and not line.lstrip().startswith("#"):
             try:
@@ -169,19 +174,28 @@ def _read_lines(path: Path) -> list[tuple[str, PublicKey | None]]:
     return lines
 
 
-def _replace(path: Path, lines: list[str]) -> None:
-    """Replace the list in one step: a node reads either the old one or the whole new one."""
-    new = path.with_name(path.name + ".new")
-    if new.exists():
+@contextmanager
+def _target(path: Path) -> Iterator[Path]:
+    """Yield the path that a list has without links, and keep other commands from changing it."""
+    target = Path(os.path.realpath(path))
+    lock = target.with_name(target.name + ".lock")
+    if lock.exists():
         raise KeyFileError(
-            f"{new} exists: another command is changing the list; if none is, remove the file"
+            f"{lock} exists: another command is changing the list; if none is, remove the file"
         )
-    create_file(new, "".join(line + "\n" for line in lines), READ_BY_ALL)
+    create_file(lock, "")
     try:
-        os.replace(new, path)
-    except OSError as error:
-        new.unlink()
-        raise KeyFileError(f"{path}: cannot write: {error.strerror}") from None
+        yield target
+    finally:
+        lock.unlink()
+
+
+def _write_lines(target: Path, lines: list[str]) -> None:
+    text = "".join(line + "\n" for line in lines)
+    if is_missing(target):
+        create_file(target, text, READ_BY_ALL)
+    else:
+        write_whole(target, text)
 
 
 def _stamp(path: Path) -> tuple[int, ...]:

@@ -19,7 +19,7 @@ from statistics import mode
 import zmq
 
 from protocol.refusals import HANDSHAKE
-from protocol.security.socket_monitor import FAILURES, SocketMonitor, cause_of
+from protocol.security.handshakes import FAILURES, SocketMonitor, cause_of
 from protocol.sockets import Context, Socket
 
 _EVENTS = (
@@ -35,7 +35,8 @@ MAX_EVENTS = 16
 # A socket whose events could not all be read for this time stops accepting connections.
 BEHIND_NS = 100_000_000
 MAX_CUTS = 32
-_REFUSED_BY_KEY = "refused by key"
+# Stands for the events of a call in which there are none.
+_NO_EVENT = (0, -1, "")
 _order = itertools.count()
 # With this, closing discards queued data, so that the peer cannot read it.
 _NO_LINGER = struct.pack("hh" if os.name == "nt" else "ii", 1, 0)
@@ -47,8 +48,20 @@ _DROP_ALL = ctypes.create_string_buffer(struct.pack("HBBI", 0x06, 0, 0, 0))
 class ConnectionTable:
     """Open connections of one bound socket, by descriptor, with the address of each.
 
-    ZeroMQ does not report which pending connection has succeeded, and not always which has failed;
-    the oldest one is assumed. Counts may thus be wrong until the connections end.
+    The events of one connection, of which only the first and the last have its descriptor:
+
+    ================================== ==================================================
+    accepted, succeeded, disconnected  established
+    accepted, succeeded, failed        established; a message cannot be decrypted
+    accepted, failed, disconnected     failed for the event's cause
+    accepted, refused, disconnected    refused for its key; ends a round trip later
+    accepted, disconnected             failed for the cause `HANDSHAKE`
+    ================================== ==================================================
+
+    Nothing comes between a failed connection's last two events. Between the others there may be any
+    events of other connections. So the oldest pending connections are assumed to be those that were
+    refused, the next one that which has succeeded, and one that ends while refused ones are pending
+    to be one of these. Counts may be wrong until the connections end.
 
     socket: readable when events wait. behind: more events may wait than the last call has read.
     by_address: counts of open connections that were not cut.
@@ -66,7 +79,9 @@ class ConnectionTable:
         self._cut: set[int] = set()
         # Descriptor → number in the order of arrival, common to all tables.
         self._pending: dict[int, int] = {}
-        # Cause of a failure whose disconnection may be the next event.
+        # Number of pending connections that were refused for their key.
+        self._refused = 0
+        # Cause, where the last event was a failure: the next one may be its disconnection.
         self._failure: str | None = None
 
     def failures(self) -> list[tuple[str, str]]:
@@ -75,34 +90,26 @@ class ConnectionTable:
         Connections that were refused for their key are left out: the authenticator counts those.
         """
         failures: list[tuple[str, str]] = []
-        unresolved = self._failure is not None
-        read = 0
-        for event, value, _ in self._monitor.events(MAX_EVENTS):
-            read += 1
-            if event == zmq.EVENT_LISTENING:
-                self._listening.append(value)
-                continue
+        events = list(self._monitor.events(MAX_EVENTS))
+        self.behind = len(events) == MAX_EVENTS
+        for event, value, _ in events or [_NO_EVENT]:
+            cause, self._failure = self._failure, None
             if event == zmq.EVENT_DISCONNECTED:
-                failures += self._end(value)
-            else:
-                failures += self._report("")
+                failures += self._end(value, cause)
+                continue
+            if cause is not None:
+                failures.append((cause, ""))
             if event == zmq.EVENT_ACCEPTED:
-                self._forget(value)
-                self._open[value] = address = _address_of(value)
-                self.by_address[address] += 1
-                self._pending.pop(value, None)
-                self._pending[value] = next(_order)
+                self._begin(value)
             elif event == zmq.EVENT_HANDSHAKE_SUCCEEDED:
                 self._settle()
             elif event == zmq.EVENT_HANDSHAKE_FAILED_AUTH:
-                self._failure = _REFUSED_BY_KEY
-            elif event != zmq.EVENT_DISCONNECTED:
+                self._refused += 1
+            elif event == zmq.EVENT_LISTENING:
+                self._listening.append(value)
+            elif event & FAILURES:
                 self._failure = cause_of(value)
-            unresolved = False
-        self.behind = read == MAX_EVENTS
-        # ZeroMQ keeps a connection whose message it could not decrypt: no disconnection
-        # follows. So a failure that is still open since the last call has no address.
-        return failures + (self._report("") if unresolved else [])
+        return failures
 
     @property
     def connections(self) -> int:
@@ -157,15 +164,24 @@ class ConnectionTable:
             with suppress(OSError), _socket_of(descriptor) as listening:
                 listening.setsockopt(plain.SOL_SOCKET, option, value)
 
-    def _end(self, descriptor: int) -> list[tuple[str, str]]:
-        """Remove a connection that has ended; return its failure, if any."""
+    def _begin(self, descriptor: int) -> None:
+        """Add a connection that was accepted."""
+        self._forget(descriptor)
+        self._open[descriptor] = address = _address_of(descriptor)
+        self.by_address[address] += 1
+        self._pending.pop(descriptor, None)
+        self._pending[descriptor] = next(_order)
+
+    def _end(self, descriptor: int, cause: str | None) -> list[tuple[str, str]]:
+        """Remove a connection that has ended; return its failure, for `cause` if that is given."""
         address = self._forget(descriptor)
-        if self._failure is None:
-            if descriptor not in self._pending:
-                return []
-            self._failure = HANDSHAKE
+        if cause is None and descriptor not in self._pending:
+            return []
         self._settle(descriptor)
-        return self._report(address)
+        if cause is None and self._refused:
+            self._refused -= 1
+            return []
+        return [(cause or HANDSHAKE, address)]
 
     def _forget(self, descriptor: int) -> str:
         """Remove a connection from the table; return its address."""
@@ -179,15 +195,10 @@ class ConnectionTable:
             del self.by_address[address]
         return address
 
-    def _report(self, address: str) -> list[tuple[str, str]]:
-        """Return the last failure with the address of its connection, and clear it."""
-        cause, self._failure = self._failure, None
-        return [] if cause in (None, _REFUSED_BY_KEY) else [(cause, address)]
-
     def _settle(self, descriptor: int | None = None) -> None:
-        """End a connection's pending state, or the oldest one's where it is not pending."""
+        """End a connection's pending state, or that of the oldest one that was not refused."""
         if descriptor not in self._pending:
-            descriptor = next(iter(self._pending), None)
+            descriptor = next(itertools.islice(self._pending, self._refused, None), None)
         if descriptor is not None:
             del self._pending[descriptor]
 

@@ -113,23 +113,47 @@ def read_public(path: Path) -> PublicKey:
     return PublicKey(name, key)
 
 
-def read_text(path: Path, limit_bytes: int, remedy: str) -> tuple[str, int]:
-    """Return the text and mode of an ASCII file of limited size.
+def is_missing(path: Path) -> bool:
+    """Return whether there is no such file; False where this machine cannot find that out.
+
+    `Path.exists` does not tell the two apart from Python 3.14 on.
+    """
+    try:
+        path.stat()
+    except FileNotFoundError:
+        return True
+    except OSError:
+        return False
+    return False
+
+
+def read_lines(path: Path, limit_bytes: int, remedy: str) -> tuple[list[str], int]:
+    """Return the lines and mode of a text file (UTF-8) of limited size.
 
     Raises KeyFileError; remedy: what a person can do where there is no file.
     """
     try:
-        if not path.is_file():
-            reason = "it is not a file" if path.exists() else "there is no such file"
-            raise KeyFileError(f"{path}: {reason}; {remedy}")
+        # Opening a pipe would wait for its writer.
+        if not stat.S_ISREG(path.stat().st_mode):
+            raise KeyFileError(f"{path}: it is not a file; {remedy}")
         with path.open("rb") as file:
             mode = os.fstat(file.fileno()).st_mode
             data = file.read(limit_bytes + 1)
+    except FileNotFoundError:
+        raise KeyFileError(f"{path}: there is no such file; {remedy}") from None
     except OSError as error:
         raise KeyFileError(f"{path}: cannot read: {error.strerror}") from None
-    if len(data) > limit_bytes or not data.isascii():
-        raise KeyFileError(f"{path} is not a file of keys")
-    return data.decode("ascii"), mode
+    if len(data) > limit_bytes:
+        raise KeyFileError(f"{path} is not a file of keys: it is longer than {limit_bytes} bytes")
+    try:
+        text = data.decode("utf-8")
+    except UnicodeDecodeError as error:
+        line = data.count(b"\n", 0, error.start) + 1
+        reason = "it is not UTF-8; save the file in that encoding"
+        raise KeyFileError(f"{path}, line {line}: {reason}") from None
+    # Not `splitlines`, which ends a line at other characters too: a key that an editor shows within
+    # a comment would count.
+    return text.replace("\r\n", "\n").removesuffix("\n").split("\n") if text else [], mode
 
 
 def parse_public(line: str) -> PublicKey:
@@ -145,8 +169,7 @@ def parse_public(line: str) -> PublicKey:
 
 def _read(path: Path, wanted: str) -> tuple[str, str, bytes, int]:
     remedy = "make keys by: telepulse keys new NAME"
-    text, mode = read_text(path, MAX_KEY_FILE_BYTES, remedy)
-    lines = text.splitlines()
+    lines, mode = read_lines(path, MAX_KEY_FILE_BYTES, remedy)
     try:
         if len(lines) != 1:
             raise ValueError("it is not one line")

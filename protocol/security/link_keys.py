@@ -14,7 +14,7 @@ import zmq
 
 from protocol.errors import ProtectionError
 from protocol.security.allow_list import AllowList, default_path
-from protocol.security.keys import KeyPair, PublicKey, read_pair, read_public
+from protocol.security.keys import KeyPair, PublicKey, is_missing, read_pair, read_public
 from protocol.sockets import Socket, beyond_loopback, control_address
 
 
@@ -22,7 +22,8 @@ from protocol.sockets import Socket, beyond_loopback, control_address
 class ServerKeys:
     """Keys of a server: its pair, and the list of the keys that may connect.
 
-    `Authenticator.protect` applies both to a socket.
+    An `Authenticator` is made of them, which then protects the server's sockets: the list decides
+    during the whole run, and not only when a socket is bound.
     """
 
     pair: KeyPair
@@ -72,7 +73,7 @@ class KeyOptions:
         return read_pair(self.key)
 
     @cached_property
-    def server_key(self) -> PublicKey:
+    def peer_key(self) -> PublicKey:
         """Public key, read from the file of --peer at the first use; it must be given."""
         assert self.peer is not None
         return read_public(self.peer)
@@ -86,7 +87,7 @@ class KeyOptions:
                 )
             self._check_without_keys([address], "--key keys/NAME.key")
             return None
-        if self.allow is not None and not self.allow.exists():
+        if self.allow is not None and is_missing(self.allow):
             raise ProtectionError(f"--allow {self.allow}: there is no such file")
         path = self.allow or default_path(self.key.parent)
         return ServerKeys(self.pair, AllowList(path))
@@ -114,7 +115,7 @@ class KeyOptions:
             raise ProtectionError(
                 f"--key {self.key} needs the other node's public key: --peer FILE.pub"
             )
-        return ClientKeys(self.pair, self.server_key)
+        return ClientKeys(self.pair, self.peer_key)
 
     def forwarding_client(self, address: str) -> ClientKeys | None:
         """Return a forwarder's keys for connecting to the sensing node at `address`.

@@ -11,8 +11,8 @@ import zmq
 
 from protocol import sockets
 from protocol.provenance import PROVENANCE
+from protocol.security.handshakes import HandshakeMonitor
 from protocol.security.link_keys import ClientKeys
-from protocol.security.socket_monitor import HandshakeMonitor
 from protocol.wire.marks import MARK, Mark, MarkRequest, pack_request
 from protocol.wire.telemetry import CAPTURE, STATUS, TRACE
 from telepulse.telemetry.decoder import Entry, TelemetryDecoder

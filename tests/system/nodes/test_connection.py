@@ -7,7 +7,7 @@ import zmq
 
 from display_node.reception.addresses import Lookup
 from display_node.reception.connection import Connection
-from protocol.security.socket_monitor import HandshakeMonitor
+from protocol.security.handshakes import HandshakeMonitor
 from protocol.sockets import Context, Socket, control_address
 from protocol.wire.messages import ClockRequest, SetPoint
 from telepulse.processes import free_addresses

@@ -1,6 +1,9 @@
+import select
 import socket as plain
+import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
 
 import pytest
 import zmq
@@ -8,12 +11,14 @@ import zmq
 from protocol import sockets
 from protocol.security.allow_list import UNREADABLE_AT_MOST_NS
 from protocol.security.authenticator import Authenticator
+from protocol.security.handshakes import HandshakeMonitor
 from protocol.security.link_keys import ClientKeys
-from protocol.security.socket_monitor import HandshakeMonitor
 from protocol.sockets import Context
 from tests.support.keyring import Keyring
 from tests.support.nodes import free_address
 from tests.support.waiting import PATIENCE_S
+
+QUIET_S = 0.3
 
 
 class Connecting:
@@ -54,6 +59,50 @@ class Connecting:
             for socket in self.sockets:
                 sockets.reconnect(socket, self._address, self._address)
             self.poll_until(lambda end=again_s: done() or time.monotonic() > end, authenticator)
+
+
+@contextmanager
+def far_away(port: int, one_way_s: float) -> Iterator[int]:
+    """Yield a port of this machine whose first connection reaches `port` over a long way.
+
+    Each piece arrives `one_way_s` after it was sent, or later, and the connection's end too.
+    """
+    with plain.create_server(("127.0.0.1", 0)) as listening, ExitStack() as connections:
+
+        def carry() -> None:
+            near = connections.enter_context(listening.accept()[0])
+            far = connections.enter_context(plain.create_connection(("127.0.0.1", port)))
+            while True:
+                for source in select.select([near, far], (), ())[0]:
+                    data = source.recv(1 << 16)
+                    time.sleep(one_way_s)
+                    if not data:
+                        far.close()
+                        return
+                    (far if source is near else near).sendall(data)
+
+        carrier = threading.Thread(target=carry)
+        carrier.start()
+        yield listening.getsockname()[1]
+        carrier.join(PATIENCE_S)
+        assert not carrier.is_alive()
+
+
+def test_a_refusal_over_a_long_way_is_one_refusal_at_either_end(
+    context: Context, keyring: Keyring, address: str, logged: list[str]
+) -> None:
+    """As the client hangs up a round trip later, long after the node has refused its key."""
+    authenticator = Authenticator(context, keyring.server())
+    sockets.bind(context, zmq.PUB, address, authenticator)
+    with far_away(int(address.rpartition(":")[2]), 0.02) as port:
+        far = f"tcp://127.0.0.1:{port}"
+        display = Connecting(context, far, keyring.client("thumb"), count=1)
+        display.poll_until(lambda: display.monitor.rejected, authenticator)
+        end_s = time.monotonic() + QUIET_S
+        display.poll_until(lambda: time.monotonic() > end_s, authenticator)
+    assert authenticator.rejected == {"unknown_key": 1}
+    assert display.monitor.rejected == {"refused_key": 1}
+    assert len([line for line in logged if line.startswith("refused ")]) == 1
 
 
 @pytest.mark.parametrize(
@@ -145,6 +194,29 @@ def test_broken_handshakes_with_successes_between_them_are_no_refusal(
         assert (display.link.refusal, logged) == (None, [])
         display.poll_until(lambda: not monitor.established)
         assert display.link.refusal is None, starts
+
+
+def test_broken_handshakes_with_refusals_of_the_key_between_them_stay_refusals_of_the_key(
+    context: Context, keyring: Keyring, address: str, logged: list[str]
+) -> None:
+    """As when a sensing node that refuses this display's key is started again and again."""
+    display = Connecting(context, address, keyring.client("thumb"), count=1)
+    refused = display.monitor.rejected
+    for starts in range(1, 5):
+        with plain.create_server(("127.0.0.1", int(address.rpartition(":")[2]))) as ending:
+            if starts > 1:
+                sockets.reconnect(display.sockets[0], address, address)
+            ending.accept()[0].close()
+        node = zmq.Context()
+        try:
+            authenticator = Authenticator(node, keyring.server())
+            data = sockets.bind(node, zmq.PUB, address, authenticator)
+            display.poll_until(lambda n=starts: refused["refused_key"] >= n, authenticator)
+            data.close(0)
+        finally:
+            node.destroy(linger=0)
+        assert refused == {"refused_key": starts}
+    assert len([line for line in logged if line.startswith(address)]) == 1
 
 
 def test_a_refusal_ends_where_it_came_from_and_not_at_another_address_of_the_same_name(

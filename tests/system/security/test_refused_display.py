@@ -2,7 +2,7 @@
 
 import socket as plain
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
@@ -10,11 +10,15 @@ import pytest
 import zmq
 
 from display_node.reception.connection import Connection
+from display_node.telemetry.alerts import alerts
+from display_node.telemetry.terminal_view import compose
+from display_node.verdict import verdict
 from protocol import sockets
 from protocol.security.allow_list import AllowList
 from protocol.security.authenticator import Authenticator
 from protocol.security.link_keys import ServerKeys
 from protocol.sockets import Context, control_address
+from protocol.summary.fields import Summary
 from protocol.wire.messages import Welcome, encode_control
 from tests.support.keyring import Keyring
 from tests.support.live_display import await_status, subscribe
@@ -35,6 +39,10 @@ class Ports:
             sockets.bind(self._context, kind, address, self._authenticator)
             for kind, address in bound
         ]
+
+    @property
+    def rejected(self) -> Mapping[str, int]:
+        return self._authenticator.rejected
 
     def poll(self) -> None:
         self._authenticator.poll(time.perf_counter_ns())
@@ -90,6 +98,8 @@ def test_a_refusal_ends_when_the_sensing_node_is_switched_off(
         # ZeroMQ does not connect again: a display does, and is refused again.
         poll_until(connection, lambda: connection.rejected["refused_key"] > 4, node)
         assert reason(connection) == refusal
+        # No connection without a handshake: the reason is known.
+        assert node.rejected.keys() == {"unknown_key"}
     assert [line for line in logged if "thumb" in line] == [refusal]
     poll_until(connection, lambda: reason(connection).startswith("nobody listens at"))
     assert reason(connection).startswith(f"nobody listens at {given}")
@@ -114,6 +124,26 @@ def test_each_address_has_a_reason_of_its_own(
             sends_nothing = f"{refusal}; {given[1]} is connected, but sends nothing"
             poll_until(connection, lambda: reason(connection) == sends_nothing, first, second)
             assert connection.refused == "refused_key"
+    connection.close()
+
+
+def test_of_two_addresses_the_one_that_refuses_is_shown_first_and_alone_in_a_line(
+    context: Context, keyring: Keyring
+) -> None:
+    absent, refusing = free_address(), free_address()
+    connection = Connection(context, [absent, refusing], 2, keyring.client("thumb"))
+    refusal, nobody = f"{refusing} does not allow the key of thumb", f"nobody listens at {absent}"
+    with serving(keyring.server(), *both(refusing)) as node:
+        poll_until(
+            connection, lambda: all(each in reason(connection) for each in (refusal, nobody)), node
+        )
+    summary = Summary(refused=connection.refused, waiting_for=reason(connection))
+    found = alerts("waiting", summary.to_dict())
+    assert [alert.name for alert in found] == ["not connected"]
+    assert found[0].text.startswith(f"{refusal}{REMEDY}; {nobody}")
+    assert compose("waiting", [], found) == f"waiting: not connected: {refusal}"
+    # The remedy for the other address is not that for this one.
+    assert "start the sensing node" not in verdict(summary).lines[0]
     connection.close()
 
 

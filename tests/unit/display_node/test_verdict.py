@@ -92,6 +92,10 @@ NOT_FELT = {"availability": Availability(9.0, felt=0.0, waiting=0.99)}
             " start the sensing node there, or check the address.",
         ),
         (
+            NOT_FELT | {"waiting_for": "nobody listens at tcp://a:5555; no route to tcp://b:5555"},
+            "no pulse was felt; nobody listens at tcp://a:5555; no route to tcp://b:5555.",
+        ),
+        (
             NOT_FELT
             | {"rejected": {"refused_key": 7}, "refused": "refused_key", "waiting_for": REFUSAL},
             f"no pulse was felt; {REFUSAL}.",
@@ -106,7 +110,8 @@ NOT_FELT = {"availability": Availability(9.0, felt=0.0, waiting=0.99)}
         ),
     ],
     ids=[
-        *("fault", "missed ticks", "no answer", "refused", "refused reader", "nobody"),
+        *("fault", "missed ticks", "no answer", "refused", "refused reader"),
+        *("nobody", "nobody at one"),
         "refused at the end",
         *("no samples", "too short"),
     ],

@@ -73,8 +73,9 @@ def test_a_name_that_is_not_listed_cannot_be_revoked(path: Path) -> None:
         (WRIST.line.replace("public", "secret"), "line 2: a secret key, which never leaves"),
         ("\x00", "line 2: it is not"),
         (PublicKey("other", FINGER.key).line, "line 2: this key is on the list already"),
-        ("ö", "is not a file of keys"),
-        ("#" * 2_000_000, "is not a file of keys"),
+        ("ö", "line 2: it is not"),
+        (f"# a ward\u2028{WRIST.line}\n{WRIST.line} 2", "line 3: it is not"),
+        ("#" * 2_000_000, "is not a file of keys: it is longer than"),
     ],
 )
 def test_an_invalid_list_is_one_line_without_a_key(path: Path, line: str, reason: str) -> None:
@@ -85,6 +86,55 @@ def test_an_invalid_list_is_one_line_without_a_key(path: Path, line: str, reason
         assert reason in str(caught.value)
         assert "\n" not in str(caught.value)
         assert WRIST.key.hex()[:16] not in str(caught.value)
+
+
+def test_a_comment_may_have_any_characters_and_ends_with_its_line(path: Path) -> None:
+    comment = f"# Müller, 脉\u2028{WRIST.line}\x0b{WRIST.line}"
+    path.write_text(f"{comment}\n{FINGER.line}\n", encoding="utf-8")
+    assert read_allow_list(path) == {FINGER.key: FINGER}
+    allow(path, PublicKey("thumb", b"\x03" * 32))
+    revoke(path, "finger")
+    assert path.read_text(encoding="utf-8").split("\n")[0] == comment
+    assert [public.name for public in read_allow_list(path).values()] == ["thumb"]
+
+
+def test_a_list_in_another_encoding_is_refused_with_its_line_and_a_remedy(path: Path) -> None:
+    path.write_bytes(f"{FINGER.line}\n# Müller\n".encode("latin-1"))
+    with pytest.raises(KeyFileError) as caught:
+        read_allow_list(path)
+    assert str(caught.value) == f"{path}, line 2: it is not UTF-8; save the file in that encoding"
+
+
+@pytest.mark.skipif(os.name != "posix", reason="links and modes are POSIX")
+def test_a_change_keeps_a_link_and_the_owner_and_mode_of_the_list(path: Path) -> None:
+    """A node that reads the list by another path must not go on allowing a revoked key."""
+    allow(path, WRIST)
+    path.chmod(0o640)
+    if os.geteuid() == 0:
+        os.chown(path, 12_345, 54_321)
+    before, link = path.stat(), path.with_name("link")
+    link.symlink_to(path)
+    node = AllowList(path)
+    allow(link, FINGER)
+    revoke(link, "wrist")
+    assert link.is_symlink()
+    assert node.poll(0) == [WRIST.key]
+    after = path.stat()
+    assert (after.st_mode, after.st_uid, after.st_gid) == (
+        before.st_mode,
+        before.st_uid,
+        before.st_gid,
+    )
+
+
+@pytest.mark.skipif(os.name != "posix", reason="modes are POSIX")
+def test_a_new_list_is_readable_whatever_a_person_s_default_mode_is(path: Path) -> None:
+    mask = os.umask(0o002)
+    try:
+        allow(path, WRIST)
+    finally:
+        os.umask(mask)
+    assert read_allow_list(path) == {WRIST.key: WRIST}
 
 
 def test_a_folder_is_no_list_and_has_the_remedy_for_a_list(tmp_path: Path) -> None:
@@ -104,7 +154,7 @@ def test_a_list_that_others_may_write_is_refused_with_a_remedy(path: Path, mode:
 
 def test_two_commands_do_not_undo_each_other(path: Path) -> None:
     allow(path, WRIST)
-    lock = path.with_name("allowed.new")
+    lock = path.with_name("allowed.lock")
     lock.write_text("", encoding="utf-8")
     with pytest.raises(KeyFileError, match="another command is changing the list"):
         revoke(path, "wrist")
@@ -172,6 +222,18 @@ def test_a_list_that_cannot_be_opened_is_read_later(
         assert run(polled, 2) == []
     assert "Too many open files" in logged[0]
     assert run(polled, 1) == [WRIST.key]
+
+
+@pytest.mark.skipif(os.name != "posix", reason="links are POSIX")
+def test_a_list_that_cannot_be_reached_is_unreadable_and_not_deleted(
+    path: Path, polled: AllowList, logged: list[str]
+) -> None:
+    """`Path.exists` returns False here, and from Python 3.14 on for every other error too."""
+    path.unlink()
+    path.symlink_to(path)
+    assert run(polled, 3) == []
+    assert len(polled.listed) == 2
+    assert "Too many levels of symbolic links" in logged[0]
 
 
 def test_after_10_s_without_a_list_no_key_is_allowed(

@@ -1,3 +1,4 @@
+import os
 from pathlib import Path
 
 import pytest
@@ -93,6 +94,14 @@ def test_the_links_of_a_command_share_files_that_are_read_once(own: Path, peer: 
     assert served is not None
     assert served.pair is towards.pair
     assert links.forwarding_client(FAR) == towards
+
+
+@pytest.mark.skipif(os.name != "posix", reason="links are POSIX")
+def test_an_allow_list_that_cannot_be_reached_is_not_reported_as_missing(own: Path) -> None:
+    path = own.with_name("loop")
+    path.symlink_to(path)
+    with pytest.raises(errors.KeyFileError, match="cannot read: Too many levels"):
+        KeyOptions(own, allow=path).server(FAR)
 
 
 def test_a_key_without_a_peer_is_that_of_the_displays_or_of_the_read_display(own: Path) -> None:

@@ -1,4 +1,4 @@
-"""Connection events of a ZeroMQ socket, and failed connections to another node."""
+"""Handshakes of ZeroMQ connections: the events of a socket, and the refusals of a client."""
 
 import itertools
 import logging
@@ -198,7 +198,9 @@ class HandshakeMonitor:
     ) -> None:
         address = link.address()
         cause = self._cause_of_refusal(event, value, address)
-        if cause == HANDSHAKE:
+        if cause != HANDSHAKE:
+            self._breaks[socket] = 0
+        else:
             self._breaks[socket] += 1
             if self._breaks[socket] < REPEATED_BREAKS:
                 return
