@@ -195,8 +195,9 @@ class DisplayNode:
             round_trip_ns = 2 * receiver.clock.asymmetry_bound_ns
             connection.subscribe(frame_ns, round_trip_ns, time.perf_counter_ns())
 
-    def _account(self, now_ns: int, elapsed_ticks: int) -> None:
-        """Count a tick that was commanded; log, request and publish what is due."""
+    def _account(self, due_ns: int, elapsed_ticks: int) -> None:
+        """Count a tick that was commanded at `due_ns`; log, request and publish what is due."""
+        self._display.move()
         self._display.account(elapsed_ticks)
         if self._sweep is not None and self._sweep.over:
             self.stop()
@@ -208,7 +209,7 @@ class DisplayNode:
             if reason and reason not in self._warned:
                 self._warned.add(reason)
                 logger.warning(f"refused: {reason}")
-        if self._connection.poll(now_ns):
+        if self._connection.poll(due_ns):
             self._display.receiver.introduce()
         requested_ns = time.perf_counter_ns()
         for message in self._display.requests(requested_ns):

@@ -9,6 +9,7 @@ Of a tick, `now_ns` is the time on the display's clock, `sensing_ns` the same ti
 clock, and `instant_ns` the instant of the pulse that it plays, on the sensing clock.
 """
 
+import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from typing import Any, Final
@@ -18,6 +19,7 @@ from numpy.typing import NDArray
 
 from display_node.scoring.error_sums import ErrorSums
 from display_node.scoring.roughness import RoughnessMeter
+from display_node.scoring.waiting_ticks import BLOCK, BLOCK_NS, WaitingTicks
 from protocol.pieces import Pieces
 from protocol.summary.fields import ErrorWindow, Loop, RmsErrors, Summary
 from protocol.wire.messages import ChannelSamples
@@ -32,8 +34,11 @@ SPAN_NS: Final = 2_000_000_000
 
 
 def jnd_n(pulse_n: Floats) -> float:
-    """Return the just noticeable difference of some seconds of the pulse, which has no NaN."""
-    return JND * float(np.ptp(pulse_n))
+    """Return the just noticeable difference of some seconds of the pulse, which has no NaN.
+
+    It is NaN without any pulse.
+    """
+    return JND * float(np.ptp(pulse_n)) if len(pulse_n) else math.nan
 
 
 def compared_forces_n(
@@ -79,11 +84,12 @@ def interpolate(at_ns: NDArray[Any], t_ns: NDArray[Any], values: Floats) -> Floa
     return result
 
 
-BLOCK: Final = 256
-# A felt force waits this many ticks for the pulse of its instant to arrive.
-PATIENCE: Final = 2_048
-# Ticks that wait at most: beyond, `add_output` judges them without `work` being called.
-MOST_WAITING: Final = PATIENCE + 4 * BLOCK
+# A block of felt forces waits this long for the pulse of its instants, and over a slow link until
+# the pulse at its last tick has arrived, but no longer than `LONGEST_NS`.
+PATIENCE_NS: Final = 2_048_000_000
+LONGEST_NS: Final = 10_000_000_000
+# Beyond `PATIENCE_NS` by this, `add_output` judges a due block without `work` being called.
+OVERDUE_NS: Final = 3 * BLOCK_NS
 # Time after which a pulse without a felt force (of a display at fault) is removed. Times of a
 # session begin so long after those of the one before.
 KEEP_NS: Final = 30_000_000_000
@@ -95,15 +101,17 @@ class TrackingError:
     """Accumulator of both errors and of the roughness.
 
     strain_per_newton: strain of the layer under the finger per force, in 1/N; None while it is
-    unknown, and with it the errors of strain. take_compared: function that receives, of ticks in
-    their order, the pulse of the played instant (NaN where unknown) and the felt force. windows:
-    errors and perceived delay by windows of time; empty before `finish`.
+    unknown, and with it the errors of strain. take_compared: function that receives, of each block
+    of ticks in their order, the pulse of the played instant (NaN where unknown), the felt force,
+    and the just noticeable difference of the block, which is NaN without any pulse. windows:
+    errors and perceived delay by windows of time. `add_to` puts them into every summary; they are
+    empty in those before `finish`.
     """
 
     def __init__(
         self,
         strain_per_newton: float | None = None,
-        take_compared: Callable[[Floats, Floats], None] | None = None,
+        take_compared: Callable[[Floats, Floats, float], None] | None = None,
     ) -> None:
         self.strain_per_newton, self._take_compared = strain_per_newton, take_compared
         self.windows: list[ErrorWindow] = []
@@ -115,11 +123,9 @@ class TrackingError:
         self._t_ns, self._pulse_n = np.empty(0, np.int64), np.empty(0)
         self._added_ns: list[int] = []
         self._added_n: list[float] = []
-        # Felt forces that wait for the pulse, with `now_ns`, `sensing_ns` and `instant_ns`; their
-        # number.
-        self._times_ns = np.empty((3, MOST_WAITING + BLOCK), np.int64)
-        self._felt_n = np.empty(MOST_WAITING + BLOCK)
-        self._waiting = 0
+        # Time of the newest pulse.
+        self._pulse_until_ns: int | None = None
+        self._waiting = WaitingTicks()
         self._within = 0
         self._roughness = RoughnessMeter()
         self._sums = ErrorSums()
@@ -137,9 +143,9 @@ class TrackingError:
     def work(self) -> bool:
         """Do one piece of the judging that is due; return whether any was.
 
-        Without calls of it, `add_output` judges in bursts.
+        Without calls of it, `add_output` judges a block at once.
         """
-        if not self._pieces.waiting and self._waiting >= PATIENCE + BLOCK:
+        if not self._pieces.waiting and self._is_due(PATIENCE_NS):
             self._pieces.begin(self._judge_oldest())
         return self._pieces.do_one()
 
@@ -150,6 +156,7 @@ class TrackingError:
         if ahead_ns := self._session_ahead_ns(t_ns[0]):
             t_ns = [each_ns + ahead_ns for each_ns in t_ns]
         self._latest_ns = max(self._latest_ns or t_ns[-1], t_ns[-1])
+        self._pulse_until_ns = max(self._pulse_until_ns or t_ns[-1], t_ns[-1])
         self._added_ns += t_ns
         self._added_n += pulse_n
         if len(self._added_ns) > MAX_ADDED:
@@ -182,16 +189,13 @@ class TrackingError:
         ahead_ns = self._session_ahead_ns(int(sensing_ns[0]))
         latest_ns = int(sensing_ns[-1]) + ahead_ns
         self._latest_ns = max(self._latest_ns or latest_ns, latest_ns)
+        times_ns = np.stack([now_ns, sensing_ns + ahead_ns, instant_ns + ahead_ns])
         for first in range(0, len(felt_n), BLOCK):
-            block, begin = slice(first, first + BLOCK), self._waiting
-            self._waiting = end = begin + len(felt_n[block])
-            self._times_ns[0, begin:end] = now_ns[block]
-            self._times_ns[1, begin:end] = sensing_ns[block] + ahead_ns
-            self._times_ns[2, begin:end] = instant_ns[block] + ahead_ns
-            self._felt_n[begin:end] = felt_n[block]
-            if end >= MOST_WAITING:
-                while self.work():
-                    pass
+            ticks = slice(first, first + BLOCK)
+            self._waiting.add(times_ns[:, ticks], felt_n[ticks])
+            if self._is_due(PATIENCE_NS + OVERDUE_NS):
+                # One for each that is added: the queue does not grow, and no call takes long.
+                self._judge_now()
 
     def finish(self) -> None:
         """Judge the remaining felt forces."""
@@ -245,23 +249,40 @@ class TrackingError:
     def _judge_until(self, until_ns: int | None) -> None:
         """Judge at once what was felt of instants before a time; None is the end of time."""
         self._pieces.finish()
-        while self._waiting and (until_ns is None or self._times_ns[2, 0] < until_ns):
-            self._pieces.begin(self._judge_oldest())
-            self._pieces.finish()
+        while (first_ns := self._waiting.first_instant_ns) is not None:
+            if until_ns is not None and first_ns >= until_ns:
+                return
+            self._judge_now()
+
+    def _judge_now(self) -> None:
+        """Judge the oldest block at once, after what is left of the one before."""
+        self._pieces.finish()
+        self._pieces.begin(self._judge_oldest())
+        self._pieces.finish()
+
+    def _is_due(self, patience_ns: int) -> bool:
+        """Return whether the oldest block has waited for so long, and has no reason to wait on."""
+        oldest = self._waiting.oldest
+        if oldest is None:
+            return False
+        waited_ns = self._waiting.newest_ns - oldest.last_now_ns
+        if waited_ns < patience_ns:
+            return False
+        until_ns = self._pulse_until_ns
+        arrived = until_ns is not None and until_ns >= oldest.last_sensing_ns
+        return arrived or waited_ns >= LONGEST_NS
 
     def _judge_oldest(self) -> Iterator[None]:
         """Judge the oldest block, piece by piece."""
-        count, age_ns = min(self._waiting, BLOCK), self._film_age_ns
-        times_ns, felt_n = self._times_ns[:, :count].copy(), self._felt_n[:count].copy()
-        now_ns, sensing_ns, instant_ns = times_ns
-        self._times_ns[:, : self._waiting - count] = self._times_ns[:, count : self._waiting]
-        self._felt_n[: self._waiting - count] = self._felt_n[count : self._waiting]
-        self._waiting -= count
+        age_ns, block = self._film_age_ns, self._waiting.take()
+        (now_ns, sensing_ns, instant_ns), felt_n = block.times_ns, block.felt_n
         t_ns, pulse_n = self._gathered(until_ns=int(instant_ns[0]) - age_ns - SPAN_NS)
         yield
         played_n, present_n = compared_forces_n(sensing_ns, instant_ns, t_ns, pulse_n, age_ns)
+        # Without what the next session may have begun with.
+        noticeable_n = jnd_n(pulse_n[: np.searchsorted(t_ns, sensing_ns[-1] + KEEP_NS // 2)])
         if self._take_compared is not None:
-            self._take_compared(played_n, felt_n)
+            self._take_compared(played_n, felt_n, noticeable_n)
         if not len(t_ns):
             return
         yield
@@ -269,9 +290,7 @@ class TrackingError:
         yield
         aligned_n, in_phase_n = felt_n - played_n, felt_n - present_n
         self._sums.add(now_ns, sensing_ns - instant_ns, aligned_n, in_phase_n)
-        # Without what the next session may have begun with.
-        near_n = pulse_n[: np.searchsorted(t_ns, sensing_ns[-1] + KEEP_NS // 2)]
-        self._within += int(np.count_nonzero(np.abs(aligned_n) < jnd_n(near_n)))
+        self._within += int(np.count_nonzero(np.abs(aligned_n) < noticeable_n))
 
     def _gathered(self, until_ns: int) -> tuple[Times, Floats]:
         """Return the pulse in order of time, after removing what is older than `until_ns`."""

@@ -147,8 +147,8 @@ class ErrorWindow:
     from_s: float
     to_s: float
     playout_delay_ms: float
-    aligned_n: float | None
-    in_phase_n: float | None
+    aligned_n: float | None = None
+    in_phase_n: float | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -4,8 +4,9 @@ Topics, each a multipart message [topic, msgpack]:
 
 - "trace": every tick since the last trace;
 - "status": the running summary, each 0.4 s; the last status has final = true;
-- "heard": every message that the display receives, with its time of arrival, published only while
-  a recorder subscribes. Each states how much was published before, so that gaps show;
+- "heard": the captured messages, which are all that the display receives, with their times of
+  arrival; published only while a recorder subscribes. Each of this topic states how much was
+  published before, so that gaps show;
 - "mark": a text at a time (`marks`);
 - "provenance": versions, host and command of the node, on request (`protocol/provenance.py`).
 """
@@ -132,7 +133,9 @@ STATUS_TRACES = 4
 class Trace(NamedTuple):
     """Consecutive ticks of one contactor: arrays of equal length, one value a tick.
 
-    The fields are those of `TickState`. now_ns never falls. press_n and hold_down_n are NaN for any
+    The fields are those of `TickState`. `sensing_now_ns` and E are not sent, since both follow from
+    now_ns and the clock's offset: the live page takes the offset of the last status, a report that
+    of the captured clock replies. now_ns never falls. press_n and hold_down_n are NaN for any
     contactor but the first one. No number is infinite or beyond `LARGEST_N`.
     """
 

@@ -9,13 +9,13 @@ from numpy.typing import NDArray
 
 from display_node.scoring.beat_statistics import BeatStatistics
 from display_node.scoring.heart_rate import heart_rate_per_min
-from display_node.scoring.tracking_error import Floats, TrackingError, jnd_n
+from display_node.scoring.tracking_error import Floats, TrackingError
 from protocol.wire.telemetry import PlaybackStatus
 from telepulse.columns import SessionColumns
 
 Mask = NDArray[np.bool_]
-# Ticks of which the JND is computed at once, and that are plotted together.
-BLOCK = 2_048
+# Ticks of this time are plotted together. Three such blocks are longer than `HEART_WINDOW_S`.
+BLOCK_S = 2.048
 # Heart rates use every tenth tick, which gives enough points in a beat.
 THIN = 10
 HEART_WINDOW_S = 6.0
@@ -63,11 +63,16 @@ def find_trend(t_s: Floats, values: Floats, width_s: float = NARROWEST_S) -> Tre
 
 
 class AlignedBlock(NamedTuple):
-    """Consecutive ticks; pulse_n: of the played instant, NaN where nothing was sensed."""
+    """Consecutive ticks.
+
+    pulse_n: of the played instant, NaN where nothing was sensed. jnd_n: just noticeable difference,
+    by which each tick was judged.
+    """
 
     t_s: Floats
     pulse_n: Floats
     felt_n: Floats
+    jnd_n: Floats
 
 
 class ContactorFindings:
@@ -100,22 +105,25 @@ class ContactorFindings:
         known = [(session, playing) for session, playing in played if playing is not None]
         self.channel = known[0][1].channel if known else 0
         self.ratio = known[0][1].force_ratio if known else None
-        compared: list[tuple[Floats, Floats]] = []
-        self.errors = TrackingError(take_compared=lambda *forces_n: compared.append(forces_n))
+        compared: list[tuple[Floats, Floats, Floats]] = []
+        self.errors = TrackingError(
+            take_compared=lambda pulse_n, felt_n, jnd_n: compared.append(
+                (pulse_n, felt_n, np.full(len(felt_n), jnd_n))
+            )
+        )
         blocks: list[AlignedBlock] = []
         for session, playing in known:
             self.errors.strain_per_newton = playing.strain_per_newton
             full = session.ticks["full"] & session.ticks["ready"]
             _judge(self.errors, session, playing, full)
             t_s = (session.ticks["unix_ns"][full] - begin_ns) * 1e-9
-            blocks += _split(t_s, *np.concatenate([np.empty((2, 0)), *compared], axis=1))
+            blocks += _split(t_s, *np.concatenate([np.empty((3, 0)), *compared], axis=1))
             compared.clear()
         self.heart = list(_heart_rates(blocks))
         errors_n = [block.felt_n - block.pulse_n for block in blocks]
         t_s = np.concatenate([[], *(block.t_s for block in blocks)])
-        jnds_n = [np.full(len(b.t_s), jnd_n(_known(b))) for b in blocks]
         self.error_n = find_trend(t_s, np.concatenate([[], *errors_n]))
-        self.jnd_n = find_trend(t_s, np.concatenate([[], *jnds_n]))
+        self.jnd_n = find_trend(t_s, np.concatenate([[], *(block.jnd_n for block in blocks)]))
         largest_n = [float(np.nanmax(np.abs(error_n))) for error_n in errors_n]
         worst = int(np.argmax(largest_n)) if blocks else 0
         self.first, self.worst = blocks[:FIRST_BLOCKS], blocks[max(0, worst - 1) : worst + 2]
@@ -161,18 +169,13 @@ def _judge(
     errors.finish()
 
 
-def _split(t_s: Floats, pulse_n: Floats, felt_n: Floats) -> Iterator[AlignedBlock]:
+def _split(t_s: Floats, pulse_n: Floats, felt_n: Floats, jnd_n: Floats) -> Iterator[AlignedBlock]:
     """Yield ticks in blocks, without those of which nothing is known."""
-    for first in range(0, len(t_s), BLOCK):
-        ticks = slice(first, first + BLOCK)
-        block = AlignedBlock(t_s[ticks], pulse_n[ticks], felt_n[ticks])
-        if len(_known(block)):
+    ends = np.flatnonzero(np.diff((t_s - t_s[:1]) // BLOCK_S)) + 1
+    for ticks in np.split(np.arange(len(t_s)), ends):
+        block = AlignedBlock(t_s[ticks], pulse_n[ticks], felt_n[ticks], jnd_n[ticks])
+        if not np.isnan(block.felt_n - block.pulse_n).all():
             yield block
-
-
-def _known(block: AlignedBlock) -> Floats:
-    """Return the pulse where the felt force is known as well."""
-    return block.pulse_n[~np.isnan(block.felt_n - block.pulse_n)]
 
 
 def _heart_rates(
@@ -182,7 +185,7 @@ def _heart_rates(
     window: list[AlignedBlock] = []
     for block in blocks:
         window.append(AlignedBlock(*(values[::THIN] for values in block)))
-        t_s, pulse_n, felt_n = map(np.concatenate, zip(*window, strict=True))
+        t_s, pulse_n, felt_n, _ = map(np.concatenate, zip(*window, strict=True))
         if t_s[-1] - t_s[0] >= HEART_WINDOW_S:
             window.clear()
             wrist, felt = (_heart_rate_per_min(t_s, force_n) for force_n in (pulse_n, felt_n))

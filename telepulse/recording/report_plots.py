@@ -7,7 +7,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from display_node.scoring.beat_quality import GOOD
-from display_node.scoring.tracking_error import jnd_n
 from telepulse.document import Plot, text_colour
 from telepulse.recording.findings import HELD, RunFindings
 from telepulse.recording.forces import AlignedBlock, ContactorFindings, Trend
@@ -55,8 +54,7 @@ def force_plot(name: str, caption: str, blocks: Sequence[AlignedBlock]) -> Plot:
     # A NaN in every gap interrupts the line.
     gaps = np.flatnonzero(np.diff(t_s) > GAP_S) + 1
     t_s = np.insert(t_s, gaps, t_s[gaps])
-    wrist_mn, felt_mn = (1e3 * np.insert(force_n, gaps, np.nan) for force_n in forces_n)
-    jnd_mn = jnd_n(wrist_mn[~np.isnan(wrist_mn)])
+    wrist_mn, felt_mn, jnd_mn = (1e3 * np.insert(force_n, gaps, np.nan) for force_n in forces_n)
 
     def draw(figure: "Figure") -> None:
         force, error = figure.subplots(2, 1, sharex=True, height_ratios=(3, 2))
@@ -65,9 +63,10 @@ def force_plot(name: str, caption: str, blocks: Sequence[AlignedBlock]) -> Plot:
         force.set_ylabel("force in mN")
         _legend(force)
         difference_mn = felt_mn - wrist_mn
-        error.axhspan(-jnd_mn, jnd_mn, alpha=FAINT / 2, color="C2", lw=0, label="JND")
+        error.fill_between(t_s, -jnd_mn, jnd_mn, alpha=FAINT / 2, color="C2", lw=0, label="JND")
         error.plot(t_s, difference_mn, color="C1", lw=1, label="difference")
-        error.set(xlabel=TIME, ylabel="in mN", ylim=_limits(difference_mn, jnd_mn))
+        limits = _limits(difference_mn, float(np.nanmax(jnd_mn)))
+        error.set(xlabel=TIME, ylabel="in mN", ylim=limits)
         _legend(error)
 
     return Plot(name, caption, draw)

@@ -204,12 +204,14 @@ def _clock_fields(reply: wire.ClockReply, t4_ns: int) -> Fields:
 
 
 def without_none(fields: Fields) -> Fields:
-    """Return the fields of a status, and of its tables, that have a value."""
-    return {
-        name: without_none(value) if isinstance(value, dict) else value
-        for name, value in fields.items()
-        if value is not None
-    }
+    """Return the fields of a status, and of its tables and lists of tables, that have a value."""
+    return {name: _valued(value) for name, value in fields.items() if value is not None}
+
+
+def _valued(value: Any) -> Any:
+    if isinstance(value, dict):
+        return without_none(value)
+    return [_valued(each) for each in value] if isinstance(value, list) else value
 
 
 class PassiveReceiver:

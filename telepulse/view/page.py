@@ -273,7 +273,7 @@ class LivePage:
             scores = window_scores(live, window_ns, number)
             content |= {
                 "figures": [text.figures(live, scores, silent_ns), hidden_plots(live)],
-                "contactors": [scores.chosen, text.contactor_rows(live, scores)],
+                "contactors": [scores.chosen, text.contactor_rows(live, scores, silent_ns)],
                 "beyond": text.beyond(live),
             }
         drawn = live.now_ns, len(live.events), live.display_ended, *choice

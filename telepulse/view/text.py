@@ -135,9 +135,9 @@ def figures(live: LiveState, data: WindowScores, silent_ns: int = 0) -> dict[str
 
     silent_ns: time since the last message from the display.
     """
-    scores = data.scores
-    window = f"the last {data.window_s:g} s"
-    old = bool(age(live, silent_ns))
+    scores, old = data.scores, age(live, silent_ns)
+    # The window ends at the last tick that the display has published.
+    window = f"the {data.window_s:g} s until {old}" if old else f"the last {data.window_s:g} s"
     heart_rate = None if old else data.heart_rate_per_min
     shown = dict.fromkeys(FIGURES, PageFigure(NOTHING)) | {
         "force": _force(math.nan if old else data.felt_n, data.target_n),
@@ -192,16 +192,19 @@ CONTACTOR_COLUMNS = (
 )
 
 
-def contactor_rows(live: LiveState, data: WindowScores) -> list[list[str]]:
-    """Return the rows of the table of several contactors; none for an only one."""
-    rows = []
+def contactor_rows(live: LiveState, data: WindowScores, silent_ns: int = 0) -> list[list[str]]:
+    """Return the rows of the table of several contactors; none for an only one.
+
+    silent_ns: time since the last message from the display.
+    """
+    rows, old = [], age(live, silent_ns)
     for name, contactor, scores in zip(live.names, live.contactors, data.all_scores, strict=True):
         if not name:
             return []
         own, channel = _own(live, name), contactor.playing["channel"]
         beats = own.get("beats", {})
         newest_n = contactor.ticks.since(live.now_ns).values[:, FELT_N]
-        force_n = newest_n[-1] if len(newest_n) else math.nan
+        force_n = newest_n[-1] if len(newest_n) and not old else math.nan
         rate_per_min, quality = beats.get("rate_per_min"), beats.get("quality")
         rows.append(
             [
@@ -233,9 +236,9 @@ def _whole_mn(force_n: float | None) -> str:
 
 def _error(error_n: float | None, scores: Scores, window: str) -> PageFigure:
     note = f"of {window}"
-    # A constant pulse has no height.
+    # A constant pulse has no peak to peak.
     if error_n is not None and scores.jnd_n:
-        note += f", {SHARE.text(JND * error_n / scores.jnd_n)} of the pulse's height"
+        note += f", {SHARE.text(JND * error_n / scores.jnd_n)} of the pulse's peak to peak"
     return PageFigure(NEWTONS.text(error_n) or NOTHING, note)
 
 

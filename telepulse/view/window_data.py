@@ -196,17 +196,18 @@ def _errors(
     NaN where the pulse of that instant has not arrived, or is not felt at full strength; None where
     the just noticeable difference is unknown.
     """
-    ticks = contactor.ticks.since(live.now_ns - window_ns)
-    wrist = contactor.wrist.since(live.now_ns - window_ns - SPAN_NS)
+    begin_ns, age_ns = live.now_ns - window_ns, contactor.playing.get("film_age_ns", 0)
+    ticks = contactor.ticks.since(begin_ns)
+    felt_n, delay_ns = ticks.values[:, [FELT_N, DELAY_NS]].T
+    instant_ns: Times = ticks.t_ns - np.nan_to_num(delay_ns).astype(np.int64)
+    # The pulse of the ticks may be older than they are by a delay longer than the window.
+    wrist = contactor.wrist.since(int(instant_ns.min(initial=begin_ns)) - age_ns - SPAN_NS)
     # The felt force contains the finger's own press, which the wrist's does not.
     if live.pressing or not contactor.playing or not len(wrist.t_ns):
         nothing = np.full(len(ticks.t_ns), math.nan)
         return nothing, nothing, None
     pulse_n = contactor.playing["force_ratio"] * wrist.values[:, 0]
-    felt_n, delay_ns = ticks.values[:, [FELT_N, DELAY_NS]].T
     felt_n = np.where(np.isnan(delay_ns), math.nan, felt_n)
-    instant_ns: Times = ticks.t_ns - np.nan_to_num(delay_ns).astype(np.int64)
-    age_ns = contactor.playing.get("film_age_ns", 0)
     played_n, present_n = compared_forces_n(ticks.t_ns, instant_ns, wrist.t_ns, pulse_n, age_ns)
     lately_n = pulse_n[wrist.t_ns > wrist.t_ns[-1] - SPAN_NS]
     return felt_n - played_n, felt_n - present_n, jnd_n(lately_n)

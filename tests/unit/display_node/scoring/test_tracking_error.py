@@ -8,12 +8,12 @@ import pytest
 from numpy.typing import NDArray
 
 from display_node.scoring.tracking_error import (
-    BLOCK,
     MAX_GAP_NS,
     TrackingError,
     compared_forces_n,
     interpolate,
 )
+from display_node.scoring.waiting_ticks import BLOCK
 from protocol.summary.phrases import windows_text
 from protocol.tactile import ElasticLayer
 from tests.support.sender import Sender, display, run
@@ -105,7 +105,7 @@ def test_outside_of_the_pulse_and_inside_of_a_gap_nothing_is_known() -> None:
 
 def test_a_films_readings_are_scored_by_the_time_at_which_they_were_taken() -> None:
     given: list[tuple[Forces, Forces]] = []
-    error, age_ns = TrackingError(take_compared=lambda *forces_n: given.append(forces_n)), 7 * MS
+    error, age_ns = TrackingError(take_compared=lambda *each: given.append(each[:2])), 7 * MS
     ticks_ns = tick_times_ns(0.5, 3)
     error.begin_session(age_ns)
     add_reference(error, frames(sample_times_ns(2)))
@@ -163,6 +163,29 @@ def test_a_reference_may_be_added_after_the_felt_force() -> None:
     assert error.force_rmse_n.aligned == pytest.approx(expected_n, rel=1e-3)
 
 
+@pytest.mark.parametrize(
+    ("tick_ms", "late_ms"),
+    [(0.1, 250), (1, 250), (1, 4000), (100, 250)],
+    ids=["short ticks", "usual ticks", "a slow link", "long ticks"],
+)
+def test_both_errors_are_known_during_the_run_at_any_length_of_tick_and_delay_of_the_link(
+    tick_ms: float, late_ms: int
+) -> None:
+    tick_ns = round(tick_ms * MS)
+    ticks_ns = T0_NS + 1000 * MS + np.arange(10_000 * MS // tick_ns) * tick_ns
+    error, pending = TrackingError(STRAIN_PER_NEWTON), frames(sample_times_ns(12.0), 25)
+    felt_n = pulse_n(ticks_ns - DELAY_NS)
+    for block in np.array_split(np.arange(len(ticks_ns)), 100):
+        while pending and pending[0][-1] + late_ms * MS <= ticks_ns[block[-1]]:
+            add_reference(error, [pending.pop(0)])
+        add_output(error, ticks_ns[block], felt_n[block])
+        while error.work():
+            pass
+    assert error.force_rmse_n.aligned == pytest.approx(0, abs=1e-4)
+    expected_n = 0.15 * 2 * math.sin(math.pi * 1.25 * DELAY_NS * 1e-9) / math.sqrt(2)
+    assert error.force_rmse_n.in_phase == pytest.approx(expected_n, rel=0.05)
+
+
 @pytest.mark.parametrize(("gap_ms", "is_scored"), [(50, True), (70, False), (900, False)])
 def test_a_long_gap_of_the_reference_is_not_scored(gap_ms: int, is_scored: bool) -> None:
     t_ns = sample_times_ns(6.0)
@@ -214,6 +237,15 @@ def test_memory_does_not_grow_in_ten_minutes(felt_share: float) -> None:
     assert grown_bytes(one_minute) < 500_000
     error.finish()
     assert (error.within_jnd is None) == (felt_share == 0.0)
+
+
+def test_ticks_do_not_wait_for_a_pulse_that_never_comes() -> None:
+    judged: list[int] = []
+    error = TrackingError(take_compared=lambda _, felt_n, __: judged.append(len(felt_n)))
+    ticks_ns = tick_times_ns(0.0, 30.0)
+    add_output(error, ticks_ns, np.zeros(len(ticks_ns)))
+    assert 19_000 < sum(judged) <= 20_000
+    assert max(judged) == BLOCK
 
 
 def test_a_force_before_a_fault_is_scored_and_an_unknown_one_is_not() -> None:
@@ -315,3 +347,15 @@ def test_a_session_is_judged_by_its_own_pulse_where_clocks_overlap() -> None:
     # The JND is of 0.3 N, not of the step from one session's pulse to the other's.
     assert error.within_jnd == 1.0
     assert [each.to_s - each.from_s for each in error.windows[:4]] == [1.0] * 4
+
+
+def test_a_session_that_is_replaced_before_any_of_its_pulse_is_known_has_no_errors() -> None:
+    ticks_ns = tick_times_ns(1.0, 2.0)
+    error = TrackingError(STRAIN_PER_NEWTON)
+    error.begin_session()
+    add_output(error, ticks_ns, pulse_n(ticks_ns))
+    error.begin_session()
+    add_reference(error, frames(sample_times_ns(6.0)))
+    error.finish()
+    assert error.force_rmse_n.aligned is None
+    assert error.within_jnd is None

@@ -21,6 +21,7 @@ from protocol.summary.fields import (
     Limits,
     Loop,
     OneWayDelay,
+    RmsErrors,
     SampleCounts,
     Summary,
 )
@@ -91,6 +92,16 @@ def test_figures_come_in_base_units_and_counts_as_counters() -> None:
     (labels,) = (dict(labels) for name, labels in found if name == "telepulse_node_info")
     assert labels["program"] == "display-node"
     assert (labels["stream"], labels["session"]) == ("my pulse", "abc")
+
+
+def test_a_strain_is_not_explained_as_a_force() -> None:
+    errors = Summary(force_rmse_n=RmsErrors(2e-3, 3e-3), strain_rmse=RmsErrors(1e-8, 2e-8))
+    helps = {
+        family.name: family.documentation
+        for family in families("display-node", node_state(errors), SECOND_NS)
+    }
+    assert helps["telepulse_force_rmse_newtons"] == "RMSE of the felt force against the pulse."
+    assert helps["telepulse_strain_rmse_ratio"] == "RMSE of the felt strain against the pulse."
 
 
 def test_the_figures_of_several_contactors_have_their_names_as_labels() -> None:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from fuzz.telemetry_readers import preamble, status_message
-from protocol.summary.fields import PressFigures, Summary
+from protocol.summary.fields import ErrorWindow, PressFigures, Summary
 from protocol.tactile import ElasticLayer
 from protocol.wire.description import Channel, StreamDescription
 from protocol.wire.messages import ClockReply, Frame, Welcome, encode_control, encode_frame
@@ -42,6 +42,14 @@ def test_contactors_keep_their_findings_where_a_further_run_has_others() -> None
     )
     assert [each.name for each in findings.contactors] == ["cun", "chi", "guan"]
     assert list(findings.summary().contactors) == ["cun", "chi", "guan"]
+
+
+def test_a_window_without_a_known_error_is_read_as_it_was_recorded() -> None:
+    telemetry, window = HandmadeTelemetry(), ErrorWindow(0.0, 1.0, 43.0, 2e-3, None)
+    entries = [*telemetry.receive(), *telemetry.status("ended", windows=[window], final=True)]
+    summary = contents_of(entries).summary
+    assert summary is not None
+    assert summary.windows == [window]
 
 
 def test_frames_before_the_first_status_are_those_of_its_channels() -> None:

@@ -15,7 +15,7 @@ BATCH, LATE = 5, 40
 
 
 def pulse_session(
-    seconds: int,
+    seconds: float,
     ratio: float = 1.0,
     channel: int = 0,
     group_delay_ns: int = 0,
@@ -36,7 +36,7 @@ def pulse_session(
     for name in names:
         played = PlaybackStatus(name, channel, ratio, -4.8e-6, "linear", 60 * MS, film_age_ns)
         session.playing[name] = played
-    t_s = np.arange(seconds * 1000) * 1e-3
+    t_s = np.arange(round(seconds * 1000)) * 1e-3
     force_n = np.empty((len(t_s), 2))
     force_n[:, 1 - channel] = 0.4 + 0.01 * chance.standard_normal(len(t_s))
     force_n[:, channel] = 0.4 + 0.1 * np.sin(8 * t_s)
@@ -86,6 +86,14 @@ def test_a_films_reading_is_compared_with_the_time_at_which_it_was_felt() -> Non
 
 def test_sessions_are_aligned_each_with_its_own_samples_and_channel() -> None:
     findings(pulse_session(3), SessionColumns(2), pulse_session(4, 0.5, 1, 3 * MS))
+
+
+@pytest.mark.parametrize("seconds", [4.2, 9])
+def test_the_band_is_of_whole_beats_also_at_the_end(seconds: float) -> None:
+    found = findings(pulse_session(seconds))
+    # The pulse has 0.2 N from peak to peak.
+    assert len(found.jnd_n.t_s) > 10 * (seconds - 1)
+    np.testing.assert_allclose([found.jnd_n.low, found.jnd_n.high], 0.02, rtol=1e-3)
 
 
 def test_ticks_before_a_sessions_first_frame_have_an_unknown_pulse() -> None:

@@ -15,6 +15,7 @@ from protocol.summary.fields import (
     Clock,
     Compensation,
     Deadlines,
+    ErrorWindow,
     Limited,
     Limits,
     Loop,
@@ -239,6 +240,7 @@ def test_every_message_fits_its_schema() -> None:
             "playing", samples=SampleCounts(5, 3, 1, 1, 0, 2), rejected={"session": 1}, faults=["x"]
         ),
         *telemetry.status("stale", compensation=Compensation(0.5)),
+        *telemetry.status("ended", windows=[ErrorWindow(0.0, 1.0, 43.0, 2e-3, None)], final=True),
     ]
     seen = Counter(entry.topic for entry in entries)
     assert set(seen) == set(SCHEMAS)

@@ -43,7 +43,7 @@ class SimulatedDisplay:
         self.played = 0
         self.linked = True
         self.trusted = False
-        self.film_age_ns = 0
+        self.film_age_ns, self.playout_ns = 0, PLAYOUT_NS
         self.event("begin", "the recording")
         layer = {name: getattr(WRIST, name) for name in WRIST.__slots__}
         channels = {"channels": [{"name": f"of {name}", "unit": "N"} for name in names]}
@@ -104,7 +104,7 @@ class SimulatedDisplay:
             self.at_ns += MS
             if self.linked and self.at_ns // MS % BATCH == 0:
                 self.frame()
-            played_ns = self.at_ns - PLAYOUT_NS
+            played_ns = self.at_ns - self.playout_ns
             felt_n = pulse_n(played_ns - self.film_age_ns) * RATIO if playing else 0.0
             others = [{"felt_n": felt_n * (1 + n), "target_n": 0.0} for n in range(len(self.names))]
             self.played += playing

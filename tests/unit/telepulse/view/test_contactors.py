@@ -3,6 +3,7 @@
 import pytest
 
 from telepulse.view.live import LiveState
+from telepulse.view.text import CONTACTOR_COLUMNS, NOTHING, contactor_rows
 from telepulse.view.window_data import window_data, window_scores
 from tests.unit.telepulse.view.page_states import (
     BEATS_A_SECOND,
@@ -64,3 +65,11 @@ def test_a_channel_that_the_stream_does_not_have_is_left_out(display: SimulatedD
     assert (
         len(display.live.contactors[1].wrist.since(0).t_ns) > len(chi.wrist.since(0).t_ns) == count
     )
+
+
+def test_without_telemetry_no_contactor_has_a_force_now(display: SimulatedDisplay) -> None:
+    scores, column = window_scores(display.live, WINDOW_NS), CONTACTOR_COLUMNS.index("force now")
+    for silent_ns, known in ((0, True), (2 * SECOND_NS, False)):
+        forces = [row[column] for row in contactor_rows(display.live, scores, silent_ns)]
+        assert len(forces) == len(NAMES)
+        assert all((force != NOTHING) == known for force in forces)

@@ -53,6 +53,27 @@ def test_old_figures_have_their_age_and_no_heart_rate(display: SimulatedDisplay)
     assert age(display.live, late) == ""
 
 
+def test_an_error_is_also_shown_as_a_share_of_what_it_is_judged_by(
+    display: SimulatedDisplay,
+) -> None:
+    scores = Scores(2e-3, 9e-3, 1.0, jnd_n=6e-3, judged=1.0)
+    shown = window_scores(display.live, SECOND_NS)._replace(scores=scores, all_scores=(scores,))
+    note = "of the last 1 s, 3.3 % of the pulse's peak to peak"
+    assert figures(display.live, shown)["aligned"] == ("2.000 mN", note)
+
+
+def test_old_errors_have_the_time_at_which_their_window_ended(display: SimulatedDisplay) -> None:
+    shown = window_scores(display.live, SECOND_NS)
+    old = figures(display.live, shown, silent_ns=125 * SECOND_NS)
+    for id in ("aligned", "in_phase"):
+        assert old[id].note.startswith("of the 1 s until 125.0 s ago, ")
+    assert old["within"].note == "of the 100.0 % of the 1 s until 125.0 s ago that could be judged"
+    # The last figures of a display that has ended do not grow older.
+    display.status("ended", final=True)
+    ended = figures(display.live, shown, silent_ns=125 * SECOND_NS)
+    assert ended["aligned"].note.startswith("of the last 1 s, ")
+
+
 def test_a_refusal_is_an_alarm_and_another_reason_is_beside_the_state(
     display: SimulatedDisplay,
 ) -> None:
@@ -141,7 +162,7 @@ def test_a_single_occurrence_is_shown_for_5_seconds(display: SimulatedDisplay, n
         assert names(display) == shown
 
 
-def test_an_error_is_shown_without_a_share_where_the_pulse_has_no_height() -> None:
+def test_an_error_is_shown_without_a_share_where_the_pulse_is_constant() -> None:
     # A constant force has no peak to peak.
     scores = Scores(1.25e-3, 2e-3, None, 0.0, 1.0)
     live = LiveState()

@@ -54,6 +54,16 @@ def test_a_films_reading_is_compared_with_the_pulse_of_its_own_time() -> None:
     )
 
 
+def test_a_pulse_that_is_felt_later_than_the_window_is_long_has_an_aligned_error() -> None:
+    display = SimulatedDisplay(LiveState())
+    display.playout_ns, display.film_age_ns = 8 * SECOND_NS, 20 * MS
+    display.go(15)
+    scores = window_scores(display.live, WINDOW_NS).scores
+    assert scores.aligned_n is not None
+    assert scores.aligned_n < 1e-4
+    assert scores.judged == 1.0
+
+
 def test_each_beat_is_marked_at_its_onset_once_the_next_one_has_begun(
     display: SimulatedDisplay,
 ) -> None:
