@@ -67,8 +67,8 @@ KEPT_WAITING = (
     " fault, may come from that and not from the board; end other programs"
 )
 READY = (
-    "Put the film on the wrist. The drive seeks home once more: keep fingers away until the pulse"
-    " plays, with up to {force:g} N. Play?"
+    "Put the film on the wrist. The drive seeks home once more, and presses the dummy with up to"
+    " {force:g} N: keep fingers away. Play?"
 )
 
 
@@ -259,6 +259,7 @@ def _emulate(stack: ExitStack, end: End, *words: str) -> ChildProcess:
 
 def _confirm(question: str, yes: bool) -> None:
     if not yes and not typer.confirm(question, err=True):
+        typer.echo("not started: answer y to go on", err=True)
         raise SystemExit(CHECK_FAILED_STATUS)
 
 

@@ -1,5 +1,6 @@
 """The run of an emulated drive and of the film under its finger."""
 
+import logging
 import math
 import threading
 import time
@@ -15,9 +16,13 @@ from telepulse.emulators.motor import EmulatedMotor, MotorFault, MotorState
 from telepulse.emulators.sensor_board import PULSES, binary
 from telepulse.emulators.wrist import read_wrist
 
+logger = logging.getLogger(__name__)
+
 FRAME = 4
 TRACE_HEADER = "time_ns,tip_m,speed_m_per_s,force_n,trouble\n"
 FILM_SILENT = "film-silent"
+# A drive that is kept waiting for longer looks like one that fails.
+LATE_S = 0.015
 # The tip presses from this force on; at first touch the force is smaller.
 PRESSING_N = 0.01
 MOTOR_FAULTS: dict[str, MotorFault] = {
@@ -102,9 +107,17 @@ class DriveRun:
         first press to the fault; None: the fault begins at the start.
         """
         freeze_objects()
-        began_s, pressed_s = time.monotonic(), math.inf
+        began_s = last_s = time.monotonic()
+        pressed_s, longest_s = math.inf, LATE_S
         while not self._stopped.is_set():
             now_s = time.monotonic()
+            if now_s - last_s > longest_s:
+                longest_s = now_s - last_s
+                logger.warning(
+                    f"this machine kept the emulated drive waiting for {longest_s * 1e3:.0f} ms:"
+                    " a fault may come from that and not from a drive; end other programs"
+                )
+            last_s = now_s
             if self._motor.force_n > PRESSING_N:
                 pressed_s = min(pressed_s, now_s)
             due = after_s is None or now_s - pressed_s >= after_s

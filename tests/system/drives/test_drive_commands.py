@@ -1,12 +1,15 @@
 """`telepulse emulate tmcl` and `cia402` as processes; test_emulated_bench.py moves them."""
 
 import signal
+import time
 from pathlib import Path
+from subprocess import STDOUT
 
 import pytest
 
 from tests.support.emulated_bench import bench_scene_text, emulated_tmcl
 from tests.support.log_lines import refused
+from tests.support.nodes import process
 
 
 @pytest.fixture
@@ -33,3 +36,19 @@ def test_a_drive_and_its_film_run_until_they_are_stopped(scene: Path) -> None:
 def test_an_unfit_scene_is_refused_in_one_line(scene: Path, command: str, words: str) -> None:
     name = str(scene) if command == "cia402" else "no-such"
     assert words in refused("telepulse", "emulate", command, name)
+
+
+def test_a_drive_that_is_kept_waiting_reports_it(scene: Path) -> None:
+    link = str(scene.parent / "drive")
+    with process(
+        "telepulse", "emulate", "tmcl", str(scene), "--link", link, stderr=STDOUT
+    ) as child:
+        assert "TMCL module" in child.read_line(30)
+        time.sleep(0.3)
+        child.send_signal(signal.SIGSTOP)
+        time.sleep(0.2)
+        child.send_signal(signal.SIGCONT)
+        time.sleep(0.3)
+        child.terminate()
+        output, _ = child.communicate(timeout=30)
+    assert "this machine kept the emulated drive waiting for 2" in output
