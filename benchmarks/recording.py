@@ -139,7 +139,7 @@ PART = 800_000
 FIRST_SAMPLE = """
 import sys
 from pathlib import Path
-from sensing_node.sources.choice import record_table
+from sensing_node.files.signal_choice import record_table
 from sensing_node.sources.recorded import RecordedSource, RecordingScene
 table, _ = record_table(Path(sys.argv[1]))
 RecordedSource(RecordingScene.model_validate(table | {"rate": "1 kHz"}), Path()).take(1)

@@ -23,7 +23,7 @@ from display_node.scoring.prediction_score import PredictionScore
 from display_node.scoring.tracking_error import TrackingError
 from protocol.summary.fields import Compensation, Limits, Loop, SampleCounts, Summary
 from protocol.tactile import matching_force_ratio
-from protocol.ticks import NOT_PLAYED, LimitCounter, TickState
+from protocol.ticks import NOT_PLAYED, TickState
 from protocol.wire.description import StreamDescription
 from protocol.wire.messages import ChannelSamples
 from protocol.wire.telemetry import PlaybackStatus
@@ -126,7 +126,11 @@ class Contactor:
             self.tracking_error.begin_session(self.film_age_ns)
 
     def observe(self, samples: ChannelSamples, cell: ChannelSamples | None = None) -> None:
-        """Take new samples of the channel; cell: of the load cell, where the finger presses."""
+        """Take new samples of the channel for predictor, beats and scores.
+
+        Those that are played come by `play`, from the buffer. cell: samples of the load cell, where
+        the finger presses.
+        """
         self._concealment.observe(samples)
         if self.press is not None and cell is not None:
             pressed = self.press.observe(samples, cell)
@@ -242,8 +246,7 @@ class Contactor:
             fade.fault(self._prefix + fault)
 
     def account(self, alive: bool) -> None:
-        """Move the modelled actuator, and note the tick, after all contactors are commanded."""
-        self.loop.move()
+        """Note the commanded tick."""
         state, target_n = self.state, self._target_n
         state.target_n = (
             target_n if self._target_delay is None else self._target_delay.step(target_n)
@@ -314,7 +317,7 @@ class Contactor:
 
         samples: account of the channel. loop: numbers of the display's ticks. played_s: time for
         which a pulse was played. felt_n: force under the finger after the last of these ticks, by
-        the model. now_ns: time at which a real bench measures it.
+        the model; a real bench, where it is the film's reading, measures the finger anew at now_ns.
         """
         hardware, error = self._hardware, self.tracking_error
         finger = FingerState(felt_n, measured_by="model, no drive")
@@ -341,15 +344,7 @@ class Contactor:
 
         On a real bench the modelled film's range does not apply, and the drive counts the travel.
         """
-        bounds, loop, tick_s = self.bounds, self.loop, self._tick_ns * 1e-9
-        counters: dict[str, LimitCounter | None] = {
-            "force": bounds.at_force_limit,
-            "negative": bounds.below_zero,
-            "slew": bounds.at_slew_limit,
-        }
-        if self._hardware is None:
-            counters |= {"film": loop.at_film_range, "travel": loop.at_end}
-        else:
-            counters["travel"] = self._hardware.at_end
-        held = {name: counter for name, counter in counters.items() if counter is not None}
-        return Limits(**{name: counter.limited(tick_s, ticks) for name, counter in held.items()})
+        hardware, tick_s = self._hardware, self._tick_ns * 1e-9
+        own = self.loop.counters if hardware is None else {"travel": hardware.at_end}
+        counters = self.bounds.counters | own
+        return Limits(**{name: each.limited(tick_s, ticks) for name, each in counters.items()})

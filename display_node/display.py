@@ -201,12 +201,16 @@ class Display:
         return press.request(receiver.session, sensing_ns, round_trip_ns, now_ns, alive)
 
     def tick(self, now_ns: int, elapsed_ticks: int = 1) -> TickState:
-        """Command a tick and account for it; return the state of the first contactor."""
+        """Command a tick, move the models, and note it; return the first contactor's state."""
         self.command(now_ns, elapsed_ticks)
+        self.move()
         return self.account(elapsed_ticks)
 
     def command(self, now_ns: int, elapsed_ticks: int = 1) -> None:
-        """Advance the force loops to `now_ns`, `elapsed_ticks` ticks after the last one."""
+        """Command the outputs at `now_ns`, `elapsed_ticks` ticks after the last one.
+
+        Drives receive them at once. `move` and `account` follow, for which no drive waits.
+        """
         contactors, fade = self.contactors, self.fade
         for contactor in self._driven:
             contactor.read_hardware(now_ns, elapsed_ticks, fade)
@@ -224,8 +228,13 @@ class Display:
         for contactor in contactors:
             contactor.command(gain, fade)
 
+    def move(self) -> None:
+        """Move the modelled actuators under the commanded outputs; drives move by themselves."""
+        for contactor in self.contactors:
+            contactor.loop.move()
+
     def account(self, elapsed_ticks: int = 1) -> TickState:
-        """Note the commanded tick, for which no actuator waits."""
+        """Note the commanded tick; return the state of the first contactor."""
         for contactor in self.contactors:
             contactor.account(self.fade.alive)
         if self.press is not None and self.ticks % PRESS_TICKS == 0:
@@ -269,7 +278,7 @@ class Display:
 
     def _report(self, session: int) -> DisplayReport:
         # The delay is of the last closed block, at most 0.2 s old; the error of ticks that are
-        # judged already, which wait `PATIENCE` ticks for the pulse of their instants.
+        # judged already, which wait some 2 s for the pulse of their instants.
         counts, delay_ms = self.receiver.account(), self.receiver.one_way_delay_ms
         errors = (each.tracking_error for each in self.contactors)
         errors_n = (each.force_rmse_n.aligned for each in errors if each is not None)
@@ -294,7 +303,7 @@ class Display:
 
         The first piece takes what must agree with the state of one tick: accounts, faults, and the
         felt forces. Beats and limits may be of later ticks. Errors are of the ticks judged so far:
-        each waits for the pulse of its instant, some `PATIENCE` ticks. now_ns: time at which the
+        each waits for the pulse of its instant, some 2 s. now_ns: time at which the
         fingers on real benches are measured; None for that of the last tick.
         """
         self.close_block()

@@ -202,8 +202,8 @@ class Hardware:
     def _read_film(self) -> tuple[int, float] | None:
         """Pass on the film's new samples; return the newest one, None without any."""
         samples = self.feedback.samples
-        for reading in [] if self._sensor is None else self._sensor.poll():
-            for taken_ns, force_n in zip(reading.times_ns, reading.force_n, strict=True):
+        for block in [] if self._sensor is None else self._sensor.poll():
+            for taken_ns, force_n in zip(block.times_ns, block.force_n, strict=True):
                 self.feedback.add(taken_ns, force_n)
                 self._film_fault = self._film_fault or self._rising.check_reading(force_n, taken_ns)
         newest = self.feedback.newest

@@ -1,9 +1,9 @@
 """The instant of the pulse that is played, and the samples that show it. Pure.
 
 At time t the finger feels the pulse of t − E. E is the perceived delay, which the summary calls the
-playout delay: a fixed one, or the delay that the link requires, of which a trusted predictor
-replaces a part. `Playout` chooses E and reads the buffer each tick; `PlayoutClock` follows E
-without a jump.
+playout delay: a fixed one (the scene's `compensation`), or the delay that the link requires, of
+which a trusted predictor replaces a part. `Playout` chooses E and reads the buffer each tick;
+`PlayoutClock` follows E without a jump.
 """
 
 from display_node.contactor import Contactor
@@ -20,6 +20,9 @@ Group = tuple[int, int, list[int], list[Contactor]]
 
 class Playout:
     """Choice of the played instant, which is the same for all contactors of a display.
+
+    It ends at the reference that `Contactor.play` stores; `Display.command` then has it bounded and
+    commanded.
 
     The receiver owns samples, sensing clock and link delay, and replaces them in a new session:
     they are read from it each tick. The playout owns the played instant, and E with its reasons.
@@ -71,14 +74,14 @@ class Playout:
                 contactor.rest(now_ns)
             return False
         sensing_now_ns, trusted = receiver.clock.remote_ns(now_ns), False
-        wanted_delay_ns = self._compensation_ns
-        if wanted_delay_ns is None:
-            wanted_delay_ns, trust = delay_ns + self._reserve_ns, self.trust
+        playout_delay_ns = self._compensation_ns
+        if playout_delay_ns is None:
+            playout_delay_ns, trust = delay_ns + self._reserve_ns, self.trust
             if trust is not None:
                 if trust.observe(now_ns, sensing_now_ns + self._reach_ns - newest_ns):
-                    trust.evaluate(now_ns, wanted_delay_ns, self._error_shares())
-                wanted_delay_ns, trusted = trust.delay_ns(wanted_delay_ns), trust.given
-        instant_ns = self._clock.instant(now_ns, sensing_now_ns - wanted_delay_ns)
+                    trust.evaluate(now_ns, playout_delay_ns, self._error_shares())
+                playout_delay_ns, trusted = trust.delay_ns(playout_delay_ns), trust.given
+        instant_ns = self._clock.instant(now_ns, sensing_now_ns - playout_delay_ns)
         # The sensing chain delays the pulse by its group delay: the pulse of `instant_ns` is in the
         # sample taken that much later. The actuators' lags are compensated in the same way.
         latest_ns = instant_ns + self._sample_lead_ns

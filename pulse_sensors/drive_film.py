@@ -2,9 +2,9 @@
 
 from collections import Counter
 from collections.abc import Sequence
-from typing import Annotated, Literal
+from typing import Annotated, Literal, Self
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from protocol.config.kinds import KindTable
 from protocol.config.quantities import Hertz
@@ -12,6 +12,8 @@ from pulse_sensors.force_scale import SensorTable
 from pulse_sensors.samples import DecodedBlock, DeviceTime, SampleCounter, join_samples
 
 RATE_HZ = 1000.0
+# A board's readings are integers of 16 bits.
+LARGEST_COUNT = 2**15 - 1
 
 
 class DriveFilmScene(SensorTable, KindTable):
@@ -23,6 +25,15 @@ class DriveFilmScene(SensorTable, KindTable):
     kind: Literal["drive"]
     rate_hz: Annotated[Hertz, Field(ge=RATE_HZ, le=RATE_HZ)] = RATE_HZ
     unit: Literal["counts"] = "counts"
+
+    @model_validator(mode="after")
+    def _has_a_zero_that_is_counted(self) -> Self:
+        if self.zero > LARGEST_COUNT:
+            raise ValueError(
+                f"zero = {self.zero:g} is beyond the greatest count of a board, {LARGEST_COUNT}:"
+                " give the counts of a reading without a force"
+            )
+        return self
 
     def counts_within(self, limit_n: float) -> tuple[float, float]:
         """Return the least and the greatest count of the readings within ±limit_n."""

@@ -36,6 +36,10 @@ RATE_TOLERANCE: Final = 0.02
 # Tolerance of a rate that a stream declares, which is often rounded.
 DECLARED_RATE_TOLERANCE: Final = 0.1
 SETTLED_S: Final = 2.0
+# A longer time without samples than this, and than so many nominal periods of each of those that
+# end it, is a pause of the device and no slow rate.
+PAUSE_NS: Final = 250_000_000
+PAUSE_RATIO: Final = 10
 STILL_S: Final = 5.0
 
 
@@ -63,48 +67,42 @@ def rate_contradiction(stated_hz: float, rate_hz: float) -> str | None:
 
 
 class RateCheck:
-    """Comparison of a live sensor's measured rate with the nominal one, in Hz."""
+    """Comparison of a live sensor's rate with the nominal one, in Hz. Pure.
+
+    The rate of its timeline, which removes the jitter, shows whether it is wrong. That rate is
+    bounded, so the rate that a fault names is counted.
+    """
 
     def __init__(self, nominal_hz: float) -> None:
-        self._nominal_hz = self._measured_hz = nominal_hz
-        self._samples = self._arrived_ns = 0
-        # Samples and time since which the measured rate differs from the nominal one.
-        self._off_since: tuple[int, int] | None = None
+        self._nominal_hz = nominal_hz
+        self._arrived_ns: int | None = None
+        # Samples while the timeline's rate was wrong, and the time in which they came.
+        self._samples = self._span_ns = 0
 
-    def add(self, samples: int, arrival_ns: int, measured_hz: float, whole: bool) -> None:
-        """Take the number of all samples so far, and their measured rate.
-
-        whole: no sample is missing right before the newest ones.
-        """
-        self._samples, self._arrived_ns, self._measured_hz = samples, arrival_ns, measured_hz
-        if not self._is_off:
-            self._off_since = None
-        elif self._off_since is None or not whole:
-            self._off_since = (samples, arrival_ns)
+    def add(self, samples: int, arrival_ns: int, timeline_hz: float) -> None:
+        """Take the number of new samples, those counted as lost included, and their arrival."""
+        # The first samples may have waited for long, so their own time is unknown.
+        passed_ns = None if self._arrived_ns is None else arrival_ns - self._arrived_ns
+        self._arrived_ns = arrival_ns
+        longest_ns = PAUSE_NS + PAUSE_RATIO * samples * 1e9 / self._nominal_hz
+        if not self._is_wrong(timeline_hz):
+            self._samples = self._span_ns = 0
+        elif passed_ns is not None and passed_ns <= longest_ns:
+            self._samples += samples
+            self._span_ns += passed_ns
 
     def fault(self, name: str) -> str | None:
-        """Return the fault of a wrong measured rate, once that has settled; or None."""
-        settled = self._samples > SETTLED_S * self._nominal_hz
-        return self._text(name, self._measured_hz) if settled and self._is_off else None
-
-    def lasting_fault(self, name: str) -> str | None:
         """Return the fault of a rate that has been wrong for 2 s, or None."""
-        if self._off_since is None:
+        if self._span_ns < SETTLED_S * 1e9:
             return None
-        first, since_ns = self._off_since
-        count, span_ns = self._samples - first, self._arrived_ns - since_ns
-        if count <= SETTLED_S * self._nominal_hz or span_ns <= 0:
+        rate_hz = self._samples * 1e9 / self._span_ns
+        if not self._is_wrong(rate_hz):
             return None
-        # The rate is counted, because a measured one that is far off takes longer to settle.
-        return self._text(name, count * 1e9 / span_ns)
-
-    @property
-    def _is_off(self) -> bool:
-        return abs(self._measured_hz / self._nominal_hz - 1) > RATE_TOLERANCE
-
-    def _text(self, name: str, rate_hz: float) -> str:
         scene = f"the scene says {self._nominal_hz:g} Hz"
         return f"{name} sends {rate_hz:.0f} Hz, {scene}: check its rate"
+
+    def _is_wrong(self, rate_hz: float) -> bool:
+        return abs(rate_hz / self._nominal_hz - 1) > RATE_TOLERANCE
 
 
 class SampleCheck:

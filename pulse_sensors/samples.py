@@ -142,7 +142,7 @@ class SampleCounter:
 
 
 class SampleBlock(NamedTuple):
-    """Consecutive samples on the host's clock: what every source yields.
+    """Consecutive samples on the host's clock, as live sensors and all feeds yield them.
 
     Attributes
     ----------
@@ -257,8 +257,8 @@ class Timestamper:
     """Conversion of one sensor's decoded blocks to its channels' units on the host's clock. Pure.
 
     samples, missing: numbers of samples so far, and of those lost before them. restarts: of the
-    device's clock, followed by `clock`. behind: blocks refused as earlier than the last. too_large:
-    samples refused, since one of them is too large for a frame. rate: the check of the measured
+    device's clock, followed by `clock`. behind: samples refused as earlier than the last.
+    too_large: samples refused, since one of them is too large for a frame. rate: the check of the
     rate.
     """
 
@@ -270,8 +270,9 @@ class Timestamper:
         self.clock = DeviceClock()
         self.rate = RateCheck(table.rate_hz)
         self.samples = self.missing = self.restarts = self.behind = self.too_large = 0
-        # Samples refused since the last block, and whether the device's clock restarted with them.
-        self._refused, self._restarted = 0, False
+        # Samples lost or too large since the last block that was placed, and whether the device's
+        # clock restarted with them.
+        self._lost, self._restarted = 0, False
 
     def timestamp(self, block: DecodedBlock, arrival_ns: int) -> SampleBlock | None:
         """Return a decoder's block, scaled, with its times; None if it is refused.
@@ -286,29 +287,28 @@ class Timestamper:
         flat = values.ravel()
         if not flat.dot(flat) <= LARGEST_N**2 and not np.abs(flat).max() <= LARGEST_N:
             self.too_large += count
-            self._refused += block.missing + count
+            self._lost += block.missing + count
             self._restarted |= block.restarted
             return None
-        if self._refused:
-            missing, restarted = block.missing + self._refused, block.restarted or self._restarted
-            block = block._replace(missing=missing, restarted=restarted)
-            self._refused, self._restarted = 0, False
+        lost, restarted = self._lost + block.missing, self._restarted or block.restarted
+        self._lost, self._restarted = lost, False
         last_ns = arrival_ns
         if block.device_ns is not None:
-            if block.restarted:
+            if restarted:
                 self.restarts += self.samples > 0
                 self.clock = DeviceClock()
             self.clock.observe(block.device_ns, arrival_ns)
             # No sample arrives before it is taken, so the arrival bounds the device's time.
             last_ns = min(self.clock.host_ns(block.device_ns), arrival_ns)
-        times_ns = self._timeline.place(count, block.missing, last_ns)
+        times_ns = self._timeline.place(count, lost, last_ns)
+        self.rate.add(block.missing + count, arrival_ns, self._timeline.rate_hz)
         if times_ns is None:
-            self.behind += 1
+            self.behind += count
             return None
         first_ns, end_ns, missing = times_ns
+        self._lost = 0
         self.samples += count
         self.missing += missing
-        self.rate.add(self.samples, arrival_ns, self._timeline.rate_hz, whole=not missing)
         return SampleBlock(values, missing, first_ns, end_ns)
 
     def faults(self, name: str) -> list[str]:

@@ -148,7 +148,7 @@ class Sensor:
                 if (timestamped := self.timestamper.timestamp(block, at_ns)) is not None:
                     blocks.append(timestamped)
         if blocks and not self._rate_reported:
-            fault = self.timestamper.rate.lasting_fault(self._port.name)
+            fault = self.timestamper.rate.fault(self._port.name)
             if fault is not None:
                 self._rate_reported = True
                 logger.warning(fault)

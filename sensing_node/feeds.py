@@ -163,11 +163,15 @@ class ReplayFeed:
         return None
 
 
-Source = SampleSource | LiveFeed | ReplayFeed
+SourceOrFeed = SampleSource | LiveFeed | ReplayFeed
+"""Origin of a session's samples: a source whose samples are known in advance, or a feed already."""
 
 
-def feed_of(source: Source, start_ns: int) -> PacedFeed | LiveFeed | ReplayFeed:
-    """Return the feed of a source; unless it is live, its first sample is due at `start_ns`."""
+def feed_of(source: SourceOrFeed, start_ns: int) -> PacedFeed | LiveFeed | ReplayFeed:
+    """Return the feed itself, or that of a source; only a live feed does not begin at `start_ns`.
+
+    A session calls it, since the time of the first sample is known only then.
+    """
     if isinstance(source, ReplayFeed):
         source.begin(start_ns)
     if isinstance(source, LiveFeed | ReplayFeed):

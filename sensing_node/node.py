@@ -19,7 +19,7 @@ from protocol.wire.messages import HEADER_BYTES, Bye, encode_control, encode_fra
 from protocol.wire.telemetry import STATUS, pack_status
 from pulse_sensors.sample_plausibility import SampleCheck
 from sensing_node.control_server import ControlServer, RequestBudget, Sender
-from sensing_node.feeds import Framer, Source, feed_of
+from sensing_node.feeds import Framer, SourceOrFeed, feed_of
 from sensing_node.press.set_points import REASONS
 from sensing_node.scene import serve_set_points
 
@@ -108,7 +108,7 @@ class SensingNode:
 
     def __init__(
         self,
-        source: Source,
+        source: SourceOrFeed,
         description: StreamDescription,
         address: str,
         clock: Callable[[], int] = time.perf_counter_ns,

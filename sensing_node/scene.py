@@ -19,11 +19,11 @@ from pulse_drives import build_drive
 from pulse_drives.scene import DriveScene
 from pulse_sensors.sensor import SENSORS, SensorScene, open_sensor
 from sensing_node.conditioning import Conditioned, ConditioningScene
-from sensing_node.feeds import LiveFeed, Source
+from sensing_node.feeds import LiveFeed, SourceOrFeed
+from sensing_node.files.signal_choice import duration_text, record_table
 from sensing_node.press.live_probe import JoinedSensors, LiveProbe, SampleSensor
 from sensing_node.press.scene import ProbeScene
 from sensing_node.press.set_points import SetPointServer
-from sensing_node.sources.choice import duration_text, record_table
 from sensing_node.sources.source import SOURCES, SampleSource, SourceContext, SourceScene
 
 logger = logging.getLogger(__name__)
@@ -136,7 +136,7 @@ def load_sensing(path: Path, options: Mapping[str, str | None] = {}) -> SensingS
 
 
 @contextmanager
-def open_source(scene: SensingScene, folder: Path) -> Iterator[Source]:
+def open_source(scene: SensingScene, folder: Path) -> Iterator[SourceOrFeed]:
     """Open the source that the scene names; a live sensor is read until the `with` ends.
 
     folder: folder of the scene's file. Raises SourceError or SceneError.
@@ -155,7 +155,7 @@ def open_source(scene: SensingScene, folder: Path) -> Iterator[Source]:
     yield source
 
 
-def log_repetition(source: Source, seconds: float | None) -> None:
+def log_repetition(source: SourceOrFeed, seconds: float | None) -> None:
     """Log that a recording is shorter than the run, and how often it is played.
 
     seconds: length of the run; None for a run without an end. Silent where nothing is repeated.
@@ -205,13 +205,13 @@ def build_source(scene: SensingScene, folder: Path, plausible: bool = True) -> S
     return source if scene.conditioning is None else Conditioned(source, scene.conditioning)
 
 
-def serve_set_points(source: Source, session: int) -> SetPointServer | None:
+def serve_set_points(source: SourceOrFeed, session: int) -> SetPointServer | None:
     """Return a server of the set-points for the probe of a source; None without a probe."""
     probe = source.pressed
     return None if probe is None else SetPointServer(session, probe)
 
 
-def describe_stream(scene: SensingScene, source: Source) -> StreamDescription:
+def describe_stream(scene: SensingScene, source: SourceOrFeed) -> StreamDescription:
     """Return the description that is sent to the displays. Raises SceneError."""
     batch = max(1, round(scene.batch_ns / source.period_ns))
     if batch > 4096:

@@ -124,7 +124,6 @@ class StepperController:
     ) -> None:
         lag_ticks = (actuator.latency_ns + film.latency_ns) * 1e-9 / tick_s
         self._pid = scene.pid(tick_s, actuator.max_speed_m_per_s)
-        self._steps_per_m = actuator.steps_per_m
         self._max_speed_m_per_s = actuator.max_speed_m_per_s
         self._guard = StallGuard(law, tick_s, actuator.backlash_m / 2)
         self._missed_ticks = 0
@@ -200,7 +199,7 @@ class StepperController:
             pressing = min(fastest, guard.fastest(screw_m))
         speed_m_per_s = self._pid.step(error, response, feed, lower=-fastest, upper=pressing)
         if observer is not None:
-            observer.move(speed_m_per_s * self._steps_per_m)
+            observer.move(speed_m_per_s)
         return speed_m_per_s
 
     def _advance_shaped(self, path: ScrewPath, reference_n: list[float]) -> float:
@@ -224,7 +223,7 @@ class StepperController:
             self._path.shift(speed_m_per_s * self._tick_s)
         if self._observer is not None:
             self._observer.skip()
-            self._observer.move(speed_m_per_s * self._steps_per_m)
+            self._observer.move(speed_m_per_s)
         elif self._late is not None:
             self._late.step(self._wanted_n)
 

@@ -31,6 +31,15 @@ class ForceBounds:
         self.at_force_limit, self.below_zero = LimitCounter(), LimitCounter()
         self.at_slew_limit = LimitCounter()
 
+    @property
+    def counters(self) -> dict[str, LimitCounter]:
+        """Counters of the bounds, by their names in `Limits`."""
+        return {
+            "force": self.at_force_limit,
+            "negative": self.below_zero,
+            "slew": self.at_slew_limit,
+        }
+
     def reading_fault(self, feedback_n: float) -> str | None:
         """Return the fault of a reading of the felt force in N that is implausible, or None."""
         if -self._overforce_n <= feedback_n <= self._overforce_n:

@@ -28,9 +28,8 @@ class ForceLoop:
     Parameters
     ----------
     actuator
-        Function that runs the actuator for a tick under an input, and returns the felt force in N.
-    input_per_output
-        The actuator's input for each unit of the controller's output.
+        Function that runs the actuator's model for a tick under the controller's output, and
+        returns the felt force in N: `Stepper.step`, or `ForceModel.step`.
     overforce_n
         Readings beyond ±overforce_n are ignored. In a display they are faults (`ForceBounds`).
     held_s
@@ -57,7 +56,6 @@ class ForceLoop:
         self,
         controller: StepperController | VoltageController,
         actuator: Callable[[float], float],
-        input_per_output: float,
         film: FilmModel,
         overforce_n: float,
         tick_s: float,
@@ -71,13 +69,18 @@ class ForceLoop:
         self._overforce_n = overforce_n
         self._controller = controller
         self._actuator: Callable[[float], float] | None = actuator
-        self._input_per_output = input_per_output
         self._film = film
         self.held_ticks = max(1, round(held_s / tick_s))
         self._settled_ticks = self.held_ticks + round(SETTLED_S / tick_s)
         self._output = 0.0
         self.horizon = controller.horizon
         self.felt_n = 0.0
+
+    @property
+    def counters(self) -> dict[str, LimitCounter]:
+        """Counters of the limits that the models have, by their names in `Limits`."""
+        counters = {"film": self.at_film_range, "travel": self.at_end}
+        return {name: counter for name, counter in counters.items() if counter is not None}
 
     @property
     def finger_stiffness(self) -> float | None:
@@ -122,7 +125,7 @@ class ForceLoop:
     def move(self) -> None:
         """Run the model of the actuator for a tick under the last output."""
         if self._actuator is not None:
-            self.felt_n = self._actuator(self._input_per_output * self._output)
+            self.felt_n = self._actuator(self._output)
 
     def tick(self, reference_n: list[float], reading_n: float) -> float:
         """Move a modelled actuator by the controller's output, and return that."""
@@ -184,20 +187,25 @@ def build_force_loop(
         voltage = VoltageController(
             controller, actuator.build(tick_s), actuator.output_limit, film, tick_s
         )
-        return ForceLoop(voltage, plant.step, 1.0, reading, overforce_n, tick_s, held_s)
+        return ForceLoop(voltage, plant.step, reading, overforce_n, tick_s, held_s)
     truth = stepper_scene if actual is None or actual.stepper is None else actual.stepper
-    stepper = Stepper(truth, truth.contact(layer), force_limit_n, tick_s)
+    # The VCO is that of the controller's electronics, so of its model: where the actual screw has
+    # another pitch, it moves at another speed than the commanded one, as on a real bench.
+    stepper = Stepper(
+        truth,
+        truth.contact(layer),
+        force_limit_n,
+        tick_s,
+        steps_per_m=stepper_scene.steps_per_m,
+    )
     law = stepper_scene.contact(layer)
     speed = StepperController(
         controller, stepper_scene, law, film, force_limit_n, tick_s, slew_limit_n_per_s
     )
-    # The paper's VCO. Not that of the actual actuator, which may move differently.
-    steps_per_m = stepper_scene.steps_per_m
     delay_ns = stepper_scene.latency_ns + round(speed.shaper_delay_s * 1e9)
     return ForceLoop(
         speed,
         stepper.step,
-        steps_per_m,
         reading,
         overforce_n,
         tick_s,

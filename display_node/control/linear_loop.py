@@ -107,7 +107,7 @@ def linear_loop(
     speed = StepperController(gains, endless, law, film, np.inf, tick_s, observer_gains=fixed)
     plant = Stepper(endless, law, np.inf, tick_s, linear=True)
     counts = int(observer is not None)
-    return _linear(speed, plant, reading, tick_s, stiffness, endless.steps_per_m, counts)
+    return _linear(speed, plant, reading, tick_s, stiffness, counts)
 
 
 def _linear(
@@ -116,7 +116,6 @@ def _linear(
     film: FilmModel,
     tick_s: float,
     stiffness_n: float = 1.0,
-    hz_per_output: float = 1.0,
     counts: int = 0,
 ) -> LinearLoop:
     """Return the linear loop of these parts; their states are set one after the other."""
@@ -129,7 +128,7 @@ def _linear(
         """Run a tick with the loop cut and `push` as the plant's input; return the output."""
         reading_n = film.read(stiffness_n * tip()) + stiffness_n * noise
         output = controller.output(reference_n, reading_n)
-        plant.step(push * hz_per_output)
+        plant.step(push)
         return output
 
     def states() -> Array:

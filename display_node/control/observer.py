@@ -172,9 +172,9 @@ class Observer:
         if self._low_pass is not None:
             self._low_pass.advance(self._delayed_force_n)
 
-    def move(self, rate_hz: float) -> None:
-        """Run the twin for one tick at a signed step rate in Hz."""
-        tip_m = self._twin.move(rate_hz)
+    def move(self, speed_m_per_s: float) -> None:
+        """Run the twin for one tick at a commanded speed in m/s."""
+        tip_m = self._twin.move(speed_m_per_s)
         self._delayed_tip_m = tip_m if self._late is None else self._late.step(tip_m)
         self.force_n = self._law.force(tip_m + self._offset_m)
 

@@ -124,10 +124,7 @@ class StepperScene(MotorScene, ActuatorScene):
 
     @property
     def steps_per_m(self) -> float:
-        """Factor from a speed in m/s to a step rate in Hz: the paper's VCO.
-
-        The rate's sign is the direction line; it is positive into the finger.
-        """
+        """Microsteps for each metre of travel, so also a step rate in Hz for each m/s."""
         return 1 / self.step_m
 
     def contact(self, layer: ElasticLayer) -> ContactLaw:

@@ -1,7 +1,7 @@
 """A physical stepper: microsteps on a lead screw, pressing through rubber on a fingertip.
 
-It models the path from the step rate to the tip: screw, rotor, backlash. The rate itself, the
-paper's VCO, is computed from the commanded speed by `control/force_loop.py`.
+It models the path from the commanded speed to the tip: step rate (the paper's VCO), screw, rotor,
+backlash. On a real bench, `pulse_drives/axis.py` computes the rate, and the rest is the drive's.
 Defaults are those of Dargahi et al. (2008), Tables 2A and 2B: 1.8° motor, 0.1 m stroke, 0.4 m/s,
 100 N.
 """
@@ -95,6 +95,9 @@ class Stepper:
         Force in N at the soft stop.
     linear
         Leave out microsteps, soft stop and backlash, for a loop's linear model.
+    steps_per_m
+        Factor of the VCO, from a speed in m/s to a step rate in Hz; None for that of the scene. The
+        rate's sign is the direction line; it is positive into the finger.
 
     Attributes
     ----------
@@ -115,8 +118,10 @@ class Stepper:
         force_limit_n: float,
         tick_s: float,
         linear: bool = False,
+        steps_per_m: float | None = None,
     ) -> None:
         self._law = law
+        self._steps_per_m = scene.steps_per_m if steps_per_m is None else steps_per_m
         self._step_m = scene.step_m
         self._tick_s = tick_s
         self._max_rate_hz = scene.max_speed_m_per_s / scene.step_m
@@ -152,9 +157,9 @@ class Stepper:
         """Commanded travel in m from first touch, including fractions of a microstep."""
         return self._phase * self._step_m
 
-    def step(self, rate_hz: float) -> float:
-        """Run one tick at a signed step rate in Hz; return the force in N at its end."""
-        position_m, forces_n = self.move(rate_hz), self._forces_n
+    def step(self, speed_m_per_s: float) -> float:
+        """Run one tick at a commanded speed in m/s; return the force in N at its end."""
+        position_m, forces_n = self.move(speed_m_per_s), self._forces_n
         force_n = forces_n.get(position_m)
         if force_n is None:
             force_n = self._law.force(position_m)
@@ -163,8 +168,10 @@ class Stepper:
         self.force_n = force_n
         return force_n
 
-    def move(self, rate_hz: float) -> float:
+    def move(self, speed_m_per_s: float) -> float:
         """Run one tick without the contact; return the tip's position in m at its end."""
+        # The paper's VCO.
+        rate_hz = speed_m_per_s * self._steps_per_m
         # Comparisons, and no calls of `min` and `max`: this runs each tick.
         max_hz, last_hz, change_hz = self._max_rate_hz, self._rate_hz, self._max_change_hz
         if rate_hz > max_hz:

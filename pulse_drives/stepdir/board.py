@@ -194,22 +194,36 @@ class DisplayBoard:
             options |= LimitOption.HAS_FAULT_PIN
         if scene.fault_pin == "high":
             options |= LimitOption.FAULT_IS_HIGH
-        least, most = self._film_counts or (0.0, math.inf)
-        # A film at the end of its range has no known force above that.
-        most = film_full_scale + 1 if math.isinf(most) else min(most, film_full_scale)
+        film_least, film_most = self._film_limits(film_full_scale)
         speed_m_per_s = min(FAST_M_PER_S, axis.max_speed_m_per_s)
         return BoardLimits(
             lowest=axis.units.position(axis.lowest_m),
             highest=axis.units.position(axis.furthest_m),
             acceleration=round(axis.max_acceleration_m_per_s2 / step_m),
             highest_rate=self._rate(axis.max_speed_m_per_s),
-            film_least=max(0, math.ceil(least)),
-            film_most=max(1, math.floor(most)),
+            film_least=film_least,
+            film_most=film_most,
             withdrawal=math.ceil((axis.furthest_m - axis.clear_m) / step_m),
             withdrawal_rate=self._rate(speed_m_per_s),
             watchdog_ms=round(scene.watchdog_ns * 1e-6),
             options=options,
         )
+
+    def _film_limits(self, full_scale: int) -> tuple[int, int]:
+        """Return the hard limits of the film, as far as its converter counts. Raises DriveError."""
+        if self._film_counts is None:
+            return 0, full_scale + 1
+        # A film at the end of its range has no known force above that.
+        least, most = max(0.0, self._film_counts[0]), min(self._film_counts[1], full_scale)
+        if math.ceil(least) >= math.floor(most):
+            low, high = self._film_counts
+            raise DriveError(
+                "refused",
+                f"{self._line.name}: the film's hard limits are counts {low:.0f} to {high:.0f}, and"
+                f" its converter counts 0 to {full_scale}: correct zero and newtons_per_count in"
+                " the film's table",
+            )
+        return math.ceil(least), math.floor(most)
 
     def _search(self) -> HomeSearch:
         axis, scene = self._axis, self._scene

@@ -9,12 +9,12 @@ from collections import Counter
 from enum import IntEnum, IntFlag
 from typing import NamedTuple
 
-from protocol.serial_frames import FrameReader, encode_frame
+from protocol.serial_frames import CRC_BYTES, FrameReader, encode_frame
 
 COUNTER_TURN = 1 << 32
 SEQUENCE_TURN = 1 << 16
-# A longer body is not the display board's.
-MOST_BYTES = 58
+# A longer body is neither board's: with its CRC, one of the display board has at most 80 bytes.
+MOST_BYTES = 80 - CRC_BYTES
 # A sensor board's formats are 16 times the number of a sample's values, and more.
 SENSOR_FORMATS = 16
 _STATE = struct.Struct("<BIIhiiBBHHB")
@@ -43,7 +43,7 @@ class Format(IntEnum):
 
 
 class BoardMode(IntEnum):
-    """State of the board's state machine."""
+    """State of the board's state machine: the protocol's `state`, one field of a `BoardState`."""
 
     DISARMED = 0
     ARMED = 1

@@ -107,6 +107,8 @@ class BoardLine:
             kind = "wrong" if self.lost == SENSORS_BOARD else "unplugged"
             raise DriveError(kind, f"{self.name}: {self.lost}")
         sequence = next(self._sequence) % SEQUENCE_TURN
+        # An answer to a command of the same number, a turn ago.
+        self._answers.pop(sequence, None)
         # The rest of a frame of which the port has taken a part goes first.
         data = self._unsent + encode_command(command, sequence, fields)
         rest = len(self._unsent)

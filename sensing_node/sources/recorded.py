@@ -26,8 +26,8 @@ from sensing_node.files.recording_plausibility import (
     extremes,
     unusable_values,
 )
+from sensing_node.files.signal_choice import BEAT_N, NEWTONS_PER_MMHG, PRESSURES, choose_pulse
 from sensing_node.files.signals import ColumnKey, SignalFile, SignalInfo, aligned
-from sensing_node.sources.choice import BEAT_N, NEWTONS_PER_MMHG, PRESSURES, choose_pulse
 from sensing_node.sources.source import SampleSource, SourceContext, SourceScene
 from sensing_node.sources.synthetic import SyntheticScene
 

@@ -194,7 +194,7 @@ def replay(
     Exit status: 0 at the end of the recording, 2 when the recording cannot be read or the
     address cannot be used; the reason is one line on stderr.
     """
-    from sensing_node.feeds import ReplayFeed, Source
+    from sensing_node.feeds import ReplayFeed, SourceOrFeed
     from sensing_node.node import SensingNode
     from telepulse.recording.recorded_wrist import RecordedWrist, exported_session
     from telepulse.recording.session import longest_session
@@ -208,7 +208,7 @@ def replay(
         exported = press and file.suffix in (".csv", ".parquet")
         session = exported_session(file) if exported else longest_session(file)
         description = session.description
-        source: Source = ReplayFeed(description, session.frames())
+        source: SourceOrFeed = ReplayFeed(description, session.frames())
         if press:
             source = RecordedWrist(session)
             description = replace(description, channels=source.channels)

@@ -43,19 +43,16 @@ class ModelRig:
         self.tick_s = scene.tick_ns * 1e-9
         self._film = FilmModel(scene.film, self.tick_s)
         self._actuator: Stepper | ForceModel
-        # Input of the model for each unit of the output.
-        self._scale = 1.0
         if (stepper := scene.actuator.stepper) is None:
             self._actuator = scene.actuator.build(self.tick_s)
         else:
             law = stepper.contact(scene.layer.layer())
             self._actuator = Stepper(stepper, law, scene.safety.force_limit_n, self.tick_s)
-            self._scale = stepper.steps_per_m
         self._ticks = 0
 
     def tick(self, output: float) -> tuple[float, list[FilmSample]]:
         """Hold an output for one tick; return its time in s and the readings until its end."""
-        self._actuator.step(output * self._scale)
+        self._actuator.step(output)
         commanded_s = self._ticks * self.tick_s
         self._ticks += 1
         reading_n = self._film.read(self._actuator.force_n)

@@ -48,7 +48,9 @@ class EmulatedMotor:
         # The emulated drive limits its own travel, so the stepper has the whole stroke. Commands
         # take their own time to arrive, so the scene's latency is not added.
         free = scene.model_copy(update={"thrust_n": math.inf, "latency_ns": 0})
-        self._stepper, self._law = Stepper(free, law, math.inf, TICK_S), law
+        # A drive sends step rates, in place of speeds.
+        self._stepper = Stepper(free, law, math.inf, TICK_S, steps_per_m=1.0)
+        self._law = law
         self._thrust_n, self._step_m = scene.thrust_n, scene.step_m
         self._touch_m = SWITCH_M + touch_m
         self._target_hz = 0.0

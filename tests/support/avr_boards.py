@@ -14,6 +14,7 @@ from pulse_drives.stepdir.frames import (
     decode_report,
     encode_command,
 )
+from pulse_drives.stepdir.scene import PER_STEP_RATE
 from telepulse.emulators.simavr import Harness, Programs
 
 
@@ -98,7 +99,7 @@ class Display(Harness):
     def drive(self, steps_per_s: float, ms: int, validity_ms: int = 20) -> BoardState:
         """Send a velocity each 2 ms for a time."""
         for _ in range(0, ms, 2):
-            self.send(Format.VELOCITY, round(steps_per_s * 256), validity_ms)
+            self.send(Format.VELOCITY, round(steps_per_s * PER_STEP_RATE), validity_ms)
             self.run(2)
         return self.states[-1]
 

@@ -21,6 +21,7 @@ from pulse_drives.stepdir.frames import (
     StateFlag,
     TripCause,
 )
+from pulse_drives.stepdir.scene import PER_STEP_RATE
 from telepulse.emulators import simavr
 from telepulse.emulators.simavr import Programs
 from tests.support.avr_boards import Display
@@ -172,7 +173,7 @@ def test_the_highest_rate_loses_no_step_where_the_acceleration_is_the_motors(boa
             display.ask(HOME, 0, 0, 1, 1)
             for number in range(400):
                 rate = (TICK_HZ, -TICK_HZ, TICK_HZ, 0)[number // 100]
-                display.send(VELOCITY, rate * 256, 20)
+                display.send(VELOCITY, round(rate * PER_STEP_RATE), 20)
                 display.run(1)
             # The board's loop keeps up: one frame each millisecond.
             counters = [state.counter for state in display.states[20:]]
@@ -192,9 +193,9 @@ def test_velocity_changes_within_the_acceleration_and_ends_at_the_soft_limits(bo
         assert display.states[-1].position == 4_000
         assert display.drive(-20_000, 500).flags & AT_LOWEST
         states = display.states[known:]
-        changes = np.diff([state.velocity / 256 for state in states])
+        changes = np.diff([state.velocity / PER_STEP_RATE for state in states])
         assert np.abs(changes).max() <= 1_000
-        assert max(np.abs([state.velocity / 256 for state in states])) > 15_000
+        assert max(np.abs([state.velocity / PER_STEP_RATE for state in states])) > 15_000
         positions = [state.position for state in states]
         assert (min(positions), max(positions)) == (0, 4_000)
         assert display.report()["lost_steps"] == 0

@@ -1,3 +1,4 @@
+import itertools
 import threading
 from collections import Counter
 from contextlib import closing
@@ -92,3 +93,12 @@ def test_data_that_are_not_polled_are_dropped_and_counted(monkeypatch: pytest.Mo
         assert len(sensor.poll()) == 10
         assert sensor.rejected == {"backlog": 15}
         assert sensor.poll() == []
+
+
+def test_a_wrong_rate_is_logged_once_while_the_sensor_runs(logged: list[str]) -> None:
+    arrival_ns = itertools.count(0, 2_000_000)
+    with closing(Sensor(GivenPort(*range(1, 3001)), AsIs(), TABLE, arrival_ns.__next__)) as sensor:
+        received(sensor, 2000)
+        fault = "the port sends 500 Hz, the scene says 1000 Hz: check its rate"
+        assert logged == [fault]
+        assert sensor.faults()[-1] == fault

@@ -303,8 +303,10 @@ def test_every_actuator_is_commanded_before_anything_is_scored_or_learnt(
     order.clear()
     under_test.command(3102 * MS)
     assert order == ["command"] * 3
-    under_test.account()
+    under_test.move()
     assert order[3:] == ["move"] * 3
+    under_test.account()
+    assert len(order) == 6
     while under_test.work():
         pass
     assert {"learn", "beats", "score", "count"} == set(order[6:])

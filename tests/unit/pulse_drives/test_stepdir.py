@@ -1,14 +1,17 @@
 """A display board on its line, in virtual time: version, limits, faults, withdrawal, film."""
 
+from collections import Counter
 from collections.abc import Iterator
 from contextlib import closing
 
 import pytest
 
 from display_node.hardware import build_display_drive
+from protocol.config.scene import validate
 from protocol.errors import DriveError, SceneError, SourceError
 from pulse_drives.stepdir.drive import StepdirDrive
-from pulse_drives.stepdir.frames import BoardMode
+from pulse_drives.stepdir.frames import SEQUENCE_TURN, BoardMode, Format
+from pulse_drives.stepdir.line import BoardLine
 from pulse_drives.withdrawal import WithdrawalOutcome
 from pulse_sensors.binary_frames import FrameEncoder
 from pulse_sensors.drive_film import DriveFilmDecoder, DriveFilmScene
@@ -90,6 +93,41 @@ def test_a_hard_limit_beyond_the_films_range_is_the_end_of_the_range(bench: Benc
     bench.start()
     limits = bench.emulator.limits
     assert (limits.film_least, limits.film_most) == (0, 16_368)
+
+
+@pytest.mark.parametrize("zero", [81_840, 20_000, -9_000])
+def test_a_film_whose_hard_limits_the_converter_never_reaches_is_refused(
+    bench: Bench, zero: float
+) -> None:
+    assert isinstance(bench.drive, StepdirDrive)
+    bench.drive.film_port(zero - 3_600, zero + 3_600)
+    with pytest.raises(
+        DriveError, match=r"hard limits .* converter counts 0 to 16368: correct zero"
+    ) as error:
+        bench.drive.start()
+    assert error.value.kind == "refused"
+    assert bench.emulator.mode is BoardMode.DISARMED
+
+
+def test_a_zero_that_no_board_counts_to_is_refused_with_its_scene() -> None:
+    keys = {"kind": "drive", "zero": 81_840, "newtons_per_count": 5e-4}
+    with pytest.raises(SceneError, match=r"feedback zero = 81840 .* 32767: give the counts"):
+        validate(keys, DriveFilmScene, "[display] feedback")
+
+
+def test_an_old_answer_is_none_to_a_command_of_the_same_number(bench: Bench) -> None:
+    line = BoardLine(stepdir_scene(port="virtual"), Counter())
+    line.attach()
+    assert line.request(Format.CLEAR) is not None
+    # Commands are numbered in turn, whether the port takes them or not.
+    bench.line.full = True
+    for _ in range(SEQUENCE_TURN - 1):
+        line.send(Format.CLEAR)
+    bench.line.full = False
+    bench.emulator.trouble = "silent"
+    with pytest.raises(DriveError, match="no answer to clear"):
+        line.request(Format.CLEAR)
+    line.detach()
 
 
 def test_a_board_in_its_bootloader_is_waited_for(bench: Bench) -> None:

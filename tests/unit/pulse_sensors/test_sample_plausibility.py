@@ -2,9 +2,10 @@ import itertools
 import math
 
 import numpy as np
+import pytest
 
 from protocol.wire.description import Channel
-from pulse_sensors.sample_plausibility import SampleCheck
+from pulse_sensors.sample_plausibility import RateCheck, SampleCheck
 
 MS = 1_000_000
 PULSE = (Channel("pulse"),)
@@ -33,6 +34,29 @@ def test_a_constant_force_is_reported_once(logged: list[str]) -> None:
         check.add(np.full((5, 1), force_n))
     assert logged == ["the force did not change for 5.0 s: check the sensor"]
     assert check.faults() == ["the force did not change for 8.0 s: check the sensor"]
+
+
+@pytest.mark.parametrize(
+    ("sent_hz", "timeline_hz", "named_hz"),
+    [
+        ([800] * 3, 800, 800),
+        # The timeline has not settled yet.
+        ([1000] * 3, 900, None),
+        ([800, 1000, 800], None, None),
+        ([800] * 3 + [1000], None, None),
+    ],
+)
+def test_a_rate_is_a_fault_where_timeline_and_count_are_wrong_for_two_seconds(
+    sent_hz: list[int], timeline_hz: int | None, named_hz: int | None
+) -> None:
+    check, at_ns = RateCheck(1000), 0
+    for hz in sent_hz:
+        for _ in range(hz // 10):
+            at_ns += 10 * 1_000_000_000 // hz
+            check.add(10, at_ns, timeline_hz or hz)
+    fault = check.fault("the board")
+    named = f"the board sends {named_hz} Hz, the scene says 1000 Hz: check its rate"
+    assert fault == (named if named_hz else None)
 
 
 def test_each_channel_is_checked_by_itself_and_named(logged: list[str]) -> None:

@@ -1,5 +1,7 @@
 """Samples of an emulated board and their times on the host, in virtual time."""
 
+import math
+import re
 from collections import Counter
 from typing import NamedTuple
 
@@ -115,19 +117,52 @@ def test_a_restart_of_the_board_is_counted() -> None:
     ]
 
 
-@pytest.mark.parametrize("hz", [800, 1000])
-def test_a_lasting_wrong_rate_is_a_fault(hz: int) -> None:
-    under_test, name = timestamper(), "the board"
+@pytest.mark.parametrize("kind", ["binary", "untimed"])
+@pytest.mark.parametrize("hz", [100, 500, 800, 1300, 3000])
+def test_a_lasting_wrong_rate_is_named_while_the_sensor_runs(kind: str, hz: int) -> None:
+    """The timeline's own rate ends at 667 Hz and 2 kHz, and beyond, it loses or refuses samples."""
+    under_test, name, faults = timestamper(kind), "the board", list[str | None]()
     assert under_test.faults(name) == ["no sample came from the board"]
-    faults = []
-    for number in range(5000):
-        under_test.timestamp(decoded_block([0.5]), START_NS + number * SECOND_NS // hz)
-        faults.append(under_test.rate.lasting_fault(name))
-    fault = f"{name} sends 800 Hz, the scene says 1000 Hz: check its rate" if hz == 800 else None
-    assert (faults[-1], under_test.faults(name)) == (fault, [fault] if fault else [])
-    before = faults.count(None)
-    assert faults[:before] == [None] * before
-    assert before == 5000 if hz == 1000 else 2000 < before < 4000
+    for number in range(0, 6 * hz, 4):
+        at_ns = (number + 3) * SECOND_NS // hz
+        device_ns = at_ns if kind == "binary" else None
+        block = decoded_block([0.5] * 4, device_ns, restarted=not number)
+        # USB delivers every 16 ms.
+        under_test.timestamp(block, START_NS + math.ceil(at_ns / (16 * MS)) * 16 * MS)
+        faults.append(under_test.rate.fault(name))
+    named = [
+        re.fullmatch(rf"{name} sends (\d+) Hz, the scene says 1000 Hz: check its rate", fault)
+        for fault in faults
+        if fault is not None
+    ]
+    assert [float(each[1]) for each in named if each] == pytest.approx([hz] * len(named), rel=0.02)
+    assert 2 * hz // 4 <= faults.count(None) < 4 * hz // 4
+    assert None not in faults[faults.count(None) :]
+    assert under_test.faults(name)[-1] == faults[-1]
+
+
+def test_lost_samples_and_pauses_do_not_change_the_rate_that_is_named() -> None:
+    """A board loses each tenth block, which its counter shows, and once it is silent for 2 s."""
+    under_test = timestamper("binary")
+    for number in range(0, 4800, 4):
+        if number // 4 % 10 == 9:
+            continue
+        at_ns = number * SECOND_NS // 800 + (number > 2400) * 2 * SECOND_NS
+        missing = 4 if number // 4 % 10 == 0 and number else 0
+        under_test.timestamp(decoded_block([0.5] * 4, at_ns, missing), START_NS + at_ns)
+    fault = under_test.rate.fault("the board")
+    assert fault is not None
+    assert fault.startswith("the board sends 800 Hz")
+
+
+def test_a_right_rate_is_no_fault_however_the_samples_jitter_or_pause() -> None:
+    under_test = timestamper()
+    for number in range(20_000):
+        at_ns = number * MS + number // 7000 * SECOND_NS
+        under_test.timestamp(decoded_block([0.5]), START_NS + math.ceil(at_ns / 4e7) * 40 * MS)
+        assert under_test.rate.fault("the board") is None
+    (missing,) = under_test.faults("the board")
+    assert missing.endswith("samples missing from the board")
 
 
 def times_of(
@@ -199,3 +234,18 @@ def test_a_value_too_large_for_a_frame_is_a_lost_sample_and_no_lost_frame() -> N
     assert under_test.restarts == 0
     decoded = [decode_frame(encode_frame(frame)) for frame in frames]
     assert [frame.first_sample for frame in decoded] == [1, 2, 4, 5]
+
+
+def test_samples_whose_time_has_passed_are_counted_and_none_before_them_is_forgotten() -> None:
+    under_test = timestamper()
+
+    def timestamped(forces_n: list[float], at_ms: int, missing: int = 0) -> SampleBlock | None:
+        return under_test.timestamp(decoded_block(forces_n, None, missing), START_NS + at_ms * MS)
+
+    assert timestamped([0.5] * 4, 1000) is not None
+    assert timestamped([1e30] * 2, 1002) is None
+    assert timestamped([0.5] * 3, 500, missing=5) is None
+    assert (under_test.too_large, under_test.behind, under_test.missing) == (2, 3, 0)
+    block = timestamped([0.5] * 4, 1014, missing=1)
+    assert block is not None
+    assert (block.missing, under_test.missing, under_test.samples) == (8, 8, 8)

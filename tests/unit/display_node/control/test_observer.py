@@ -59,9 +59,8 @@ class Bench:
     def tick(self, speed_m_per_s: float, reading_n: float | None = None) -> None:
         self.reading_n = self._film.read(self.felt_n)
         self.observer.correct(self.reading_n if reading_n is None else reading_n)
-        rate_hz = speed_m_per_s * SCENE.steps_per_m
-        self.observer.move(rate_hz)
-        self.felt_n = self.law.force(self._stepper.move(rate_hz) + self.displaced_m)
+        self.observer.move(speed_m_per_s)
+        self.felt_n = self.law.force(self._stepper.move(speed_m_per_s) + self.displaced_m)
 
     def swing(self, ticks: int) -> None:
         """Press and release a little, five times a second."""

@@ -55,14 +55,16 @@ def scene(**table: object) -> StepperScene:
 
 
 def stepper(limit_n: float = LIMIT_N, tick_s: float = TICK_S, **table: object) -> Stepper:
+    """Return a stepper that takes step rates in Hz in place of speeds."""
     description = scene(**table)
-    return Stepper(description, description.contact(ElasticLayer()), limit_n, tick_s)
+    law = description.contact(ElasticLayer())
+    return Stepper(description, law, limit_n, tick_s, steps_per_m=1.0)
 
 
-def positions_m(under_test: Stepper, rate_hz: float, ticks: int) -> list[float]:
+def positions_m(under_test: Stepper, command: float, ticks: int) -> list[float]:
     positions = []
     for _ in range(ticks):
-        under_test.step(rate_hz)
+        under_test.step(command)
         positions.append(under_test.tip_m)
     return positions
 
@@ -129,6 +131,17 @@ def test_travel_is_rate_times_time_also_below_one_step_a_tick() -> None:
     positions = positions_m(stepper(), 50.0, 1000)
     assert positions[-1] == pytest.approx(50 * scene().step_m)
     assert len(set(positions)) == 51
+
+
+@pytest.mark.parametrize(("steps_per_m", "travel_m"), [(None, 1e-3), (160_000.0, 0.5e-3)])
+def test_the_step_rate_is_the_speed_times_the_factor_of_the_vco(
+    steps_per_m: float | None, travel_m: float
+) -> None:
+    named = scene(lead="10 mm")
+    assert named.steps_per_m == pytest.approx(320_000)
+    law = named.contact(ElasticLayer())
+    under_test = Stepper(named, law, 100.0, TICK_S, steps_per_m=steps_per_m)
+    assert positions_m(under_test, 0.5e-3, 2000)[-1] == pytest.approx(travel_m, abs=named.step_m)
 
 
 @pytest.mark.parametrize("tick_s", [1e-4, 1e-3, 5e-3])

@@ -20,7 +20,7 @@ from pyarrow import parquet
 from protocol.errors import SourceError
 from sensing_node.files import bounds, mcap_messages
 from sensing_node.files.formats import FORMATS
-from sensing_node.sources.choice import record_table
+from sensing_node.files.signal_choice import record_table
 from tests.support.signal_files import wfdb_record
 
 SUFFIXES = [suffix for known in FORMATS for suffix in known.suffixes]

@@ -12,7 +12,7 @@ from scipy.io import wavfile
 from protocol.errors import SourceError
 from sensing_node.files.formats import open_signals
 from sensing_node.files.grids import find_gaps
-from sensing_node.sources.choice import record_table
+from sensing_node.files.signal_choice import record_table
 from sensing_node.sources.recorded import RecordedSource, RecordingScene
 from telepulse.recording import xdf_writer
 from tests.support.signal_files import pulse_and_ecg

@@ -9,7 +9,7 @@ import pytest
 from protocol.errors import SourceError
 from sensing_node.files.formats import open_signals
 from sensing_node.files.grids import find_gaps
-from sensing_node.sources.choice import record_table
+from sensing_node.files.signal_choice import record_table
 from tests.support.signal_files import mcap
 
 FORCE_N = (0.3 + 0.1 * np.sin(np.arange(500) / 10)).tolist()

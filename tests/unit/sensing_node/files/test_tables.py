@@ -10,7 +10,7 @@ import pytest
 from pyarrow import parquet
 
 from sensing_node.files.formats import open_signals
-from sensing_node.sources.choice import record_table
+from sensing_node.files.signal_choice import record_table
 from sensing_node.sources.recorded import RecordedSource, RecordingScene
 from tests.support.signal_files import pulse_and_ecg
 

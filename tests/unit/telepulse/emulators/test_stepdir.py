@@ -17,6 +17,7 @@ from pulse_drives.stepdir.frames import (
     decode_report,
     encode_command,
 )
+from pulse_drives.stepdir.scene import PER_STEP_RATE
 from pulse_sensors.drive_film import DriveFilmScene
 from telepulse.emulators.stepdir import EmulatedBoard
 from tests.support.drive_benches import actuator_of, emulated_motor, stepdir_scene
@@ -24,6 +25,7 @@ from tests.support.drive_benches import actuator_of, emulated_motor, stepdir_sce
 MS = 1_000_000
 LIMITS = BoardLimits(0, 6_000, 32_000_000, 32_000, 0, 16_369, 5_000, 32_000, 50, 0)
 SEARCH = HomeSearch(8_000, 9_000, 480, 10_000)
+VELOCITY = round(4_000 * PER_STEP_RATE)
 DONE, REFUSED = CommandResult.DONE, CommandResult.OUT_OF_BOUNDS
 
 
@@ -89,14 +91,14 @@ def test_a_board_is_armed_homed_and_run() -> None:
     state = host.run(100)
     assert StateFlag.HOMED in state.flags
     assert abs(state.position) < 50
-    assert host.ask(Format.VELOCITY, 4_000 * 256, 20) is None
-    assert host.run(10).velocity == pytest.approx(4_000 * 256)
+    assert host.ask(Format.VELOCITY, VELOCITY, 20) is None
+    assert host.run(10).velocity == pytest.approx(VELOCITY)
     # Valid for 20 ms, then at rest; withdrawn after 50 ms.
     assert host.run(20).velocity == 0
     assert StateFlag.EXPIRED in host.run(1).flags
     state = host.run(100)
     assert (state.mode, state.cause) == (BoardMode.WITHDRAWN, TripCause.SILENCE)
-    assert host.ask(Format.VELOCITY, 4_000 * 256, 20) is None
+    assert host.ask(Format.VELOCITY, VELOCITY, 20) is None
     assert host.run(5).velocity == 0
     assert host.result(Format.CLEAR) is DONE
     assert host.run(1).mode is BoardMode.DISARMED
