@@ -2,6 +2,7 @@
 #define _GNU_SOURCE
 #include "chip.h"
 
+#include <ctype.h>
 #include <errno.h>
 #include <fcntl.h>
 #include <math.h>
@@ -32,9 +33,15 @@ static void on_byte(struct avr_irq_t *irq, uint32_t value, void *param) {
   count = 0;
 }
 
-static void silent(avr_t *avr, const int level, const char *format, va_list arguments) {
+/* The simulator's errors name a lost byte of the line as a character, whatever it is. */
+static void log_error(avr_t *avr, const int level, const char *format, va_list arguments) {
   (void)avr;
-  if (level <= LOG_ERROR) vfprintf(stderr, format, arguments);
+  char text[256];
+  if (level > LOG_ERROR) return;
+  vsnprintf(text, sizeof text, format, arguments);
+  for (char *letter = text; *letter; letter++)
+    if (*letter != '\n' && !isprint((unsigned char)*letter)) *letter = '?';
+  fputs(text, stderr);
 }
 
 static void open_terminal(void) {
@@ -50,7 +57,7 @@ static void open_terminal(void) {
 avr_t *chip_make(const char *firmware_path, int socket) {
   elf_firmware_t firmware;
   memset(&firmware, 0, sizeof firmware);
-  avr_global_logger_set(silent);
+  avr_global_logger_set(log_error);
   avr_t *chip = avr_make_mcu_by_name("atmega328p");
   if (!chip || elf_read_firmware(firmware_path, &firmware)) exit(2);
   if (socket < 0) open_terminal();

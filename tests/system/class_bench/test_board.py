@@ -3,10 +3,12 @@
 Time passes on command, so nothing here depends on this machine's speed.
 """
 
+import os
 import random
 import subprocess
+import time
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, closing, contextmanager
+from contextlib import AbstractContextManager, closing, contextmanager, suppress
 from pathlib import Path
 
 import numpy as np
@@ -23,7 +25,7 @@ from pulse_drives.stepdir.frames import (
 )
 from pulse_drives.stepdir.scene import PER_STEP_RATE
 from telepulse.emulators import simavr
-from telepulse.emulators.simavr import Programs
+from telepulse.emulators.simavr import Harness, Programs
 from tests.support.avr_boards import Display
 from tests.support.class_bench import TICK_HZ, given_steps
 
@@ -309,6 +311,22 @@ def test_garbage_is_counted_and_harmless(board: Open) -> None:
             display.write(noise.randbytes(20) + b"\0")
             display.run(2)
         assert display.states[-1].cause == SILENCE
+
+
+def test_a_byte_that_the_simulator_loses_is_reported_as_text(
+    programs: Programs, tmp_path: Path
+) -> None:
+    link, log = tmp_path / "line", tmp_path / "log"
+    with log.open("wb") as errors, closing(Harness(programs, stderr=errors)) as harness:
+        harness.open_line(link)
+        line = os.open(link, os.O_WRONLY | os.O_NONBLOCK | os.O_NOCTTY)
+        until_s = time.monotonic() + 20
+        while log.stat().st_size < 100 and time.monotonic() < until_s:
+            with suppress(BlockingIOError):
+                os.write(line, b"\xc8" * 64)
+            time.sleep(0.0005)
+        os.close(line)
+    assert "lost char=?=0xC8" in log.read_text("utf-8")
 
 
 def test_a_reset_of_a_pressing_board_withdraws_without_a_host(board: Open) -> None:
