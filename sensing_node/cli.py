@@ -71,7 +71,7 @@ def sense(
 
     On the machine at the wrist, once `telepulse keys` has made the keys:
 
-        sensing-node radial --bind tcp://*:5555 --key keys/wrist.key
+        sensing-node radial --bind "tcp://*:5555" --key keys/wrist.key
 
     On the machine at the finger:
 

@@ -85,7 +85,7 @@ def relay(
     status with the sensing node itself. A stream may pass up to three relays; any number of relays
     may run side by side.
 
-        telepulse relay --connect tcp://SENSING:5555 --bind tcp://*:5655 \
+        telepulse relay --connect tcp://SENSING:5555 --bind "tcp://*:5655" \
             --key keys/relay.key --peer keys/wrist.pub
 
     The sensing node allows the relay's key, the relay those of its displays: each display that the
