@@ -4,11 +4,10 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import pytest
-
 from protocol.config.scene import validate
 from protocol.errors import SourceError
 from sensing_node.sources.recorded import RecordedSource, RecordingScene
+from tests.support.refusals import refusal_of
 
 
 def table(path: Path, **keys: object) -> dict[str, object]:
@@ -24,11 +23,8 @@ def recording(path: Path, **keys: object) -> RecordedSource:
 
 def refusal(path: Path, **keys: object) -> str:
     """Return the one line that refuses a file, without the file's name."""
-    with pytest.raises(SourceError) as caught:
-        recording(path, **keys)
-    text = str(caught.value)
+    text = refusal_of(SourceError, recording, path, **keys)
     assert text.startswith(f"{path}: ")
-    assert "\n" not in text
     return text.removeprefix(f"{path}: ")
 
 

@@ -21,6 +21,10 @@ def plain(blocks: Iterable[DecodedBlock]) -> list[Decoded]:
     return [Decoded(tuple(block.values[:, 0].tolist()), *block[1:]) for block in blocks]
 
 
+def values(blocks: Iterable[Decoded]) -> list[float]:
+    return [value for block in blocks for value in block.values]
+
+
 def forces(blocks: Iterable[DecodedBlock | SampleBlock]) -> list[float]:
     return [force_n for block in blocks for force_n in block.values[:, 0].tolist()]
 

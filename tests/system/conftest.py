@@ -1,12 +1,14 @@
-"""A browser for the tests of pages."""
+"""A browser for the tests of pages, and a client of a sensing node."""
 
 import shutil
 from collections.abc import Callable, Iterator
+from contextlib import closing
 from typing import Any
 
 import pytest
 
 from tests.support.browser import Visit
+from tests.support.sensing_client import Client
 
 CHROMIUM = shutil.which("chromium")
 
@@ -29,3 +31,9 @@ def visit(browser: Any) -> Iterator[Callable[..., Any]]:
     visit = Visit(browser)
     yield visit
     assert visit.wrong == []
+
+
+@pytest.fixture
+def client(address: str) -> Iterator[Client]:
+    with closing(Client(address)) as client:
+        yield client

@@ -1,7 +1,6 @@
 """Slew and force of the scenes of a bench, with forces that jump, swing and end."""
 
 import math
-from pathlib import Path
 
 import pytest
 from hypothesis import given, settings
@@ -11,8 +10,6 @@ from display_node.control import feed_forward
 from display_node.control.force_bounds import ForceBounds
 from display_node.control.link_loss import Fade
 from display_node.plant.scene import StepperScene
-from display_node.scene import DisplayScene
-from protocol.config.scene import load_section
 from tests.support.scene_loops import (
     felt_under,
     jumping_n,
@@ -20,13 +17,7 @@ from tests.support.scene_loops import (
     slews_n_per_s,
     swinging_n,
 )
-
-SCENES = Path(__file__).parents[3] / "scenes"
-
-
-def display_scene(name: str) -> DisplayScene:
-    return load_section(SCENES / f"{name}.toml", "display", DisplayScene)
-
+from tests.support.sender import display_scene
 
 # For one microstep, and the loop's correction.
 MARGIN = 1.02

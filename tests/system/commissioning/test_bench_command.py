@@ -99,13 +99,6 @@ def drive_scene(folder: Path) -> Path:
     return changed(folder, limits, added=DRIVE.format(folder=folder))
 
 
-def test_nothing_moves_before_the_bench_is_confirmed_clear(tmp_path: Path) -> None:
-    status, out, _ = bench(drive_scene(tmp_path), "--only", "display", answers="n\n")
-    assert status == 1
-    assert "Keep fingers away" in out
-    assert "bench of" not in out
-
-
 @pytest.mark.usefixtures("goes_first")
 def test_an_emulated_drive_is_checked_over_its_real_bytes(tmp_path: Path) -> None:
     scene, path = drive_scene(tmp_path), tmp_path / "bench.json"

@@ -8,7 +8,6 @@ from subprocess import STDOUT
 import pytest
 
 from tests.support.emulated_bench import bench_scene_text, emulated_tmcl
-from tests.support.log_lines import refused
 from tests.support.nodes import process
 
 
@@ -27,15 +26,6 @@ def test_a_drive_and_its_film_run_until_they_are_stopped(scene: Path) -> None:
         child.send_signal(signal.SIGTERM)
         assert child.wait(30) == 0
     assert not any(line.is_symlink() for line in lines)
-
-
-@pytest.mark.parametrize(
-    ("command", "words"),
-    [("cia402", 'kind = "cia402" is needed'), ("tmcl", "no-such: no such scene")],
-)
-def test_an_unfit_scene_is_refused_in_one_line(scene: Path, command: str, words: str) -> None:
-    name = str(scene) if command == "cia402" else "no-such"
-    assert words in refused("telepulse", "emulate", command, name)
 
 
 def test_a_drive_that_is_kept_waiting_reports_it(scene: Path) -> None:

@@ -1,7 +1,6 @@
 """The press between real processes: kill, restart, and a hand on a press sensor."""
 
 import time
-from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
 
@@ -23,12 +22,6 @@ EASED_N = 0.26
 # Of the scene, at the wrist.
 SLEW_N_PER_S = 25.0
 PATIENCE_S = 20.0
-
-
-@pytest.fixture
-def client(address: str) -> Iterator[Client]:
-    with closing(Client(address)) as client:
-        yield client
 
 
 def display(address: str, telemetry: str = "tcp://127.0.0.1:*") -> tuple[str, ...]:

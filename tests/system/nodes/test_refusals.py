@@ -48,6 +48,7 @@ def refusal(app: Any, *arguments: str) -> str:
         (display, "radial --telemetry tcp://*:*", ("tcp://*:*", "beyond this mach", *NEEDS_KEYS)),
         (display, "radial --discover --connect tcp://h:1", ("choose one",)),
         (display, "--doctor radial --json .", ("is a folder",)),
+        (display, "radial --about subject=S01", ("add --record",)),
         *(
             (sensing, f"radial --bind {wrong}", (f"{wrong}: ",))
             for wrong in ("localhost:5555", "tcp://*:65535", "udp://h:1", "ipc://")
@@ -83,6 +84,14 @@ def refusal(app: Any, *arguments: str) -> str:
         (telepulse, "sweep press --record a.mcap", ("--record needs --connect",)),
         (telepulse, "simulate board.toml", ('source: kind "serial" is a live sensor',)),
         (telepulse, "emulate sensor radial --link taken", ("taken: cannot be made: ",)),
+        (telepulse, "emulate cia402 tmcl_bench", ('kind = "cia402" is needed',)),
+        (telepulse, "emulate tmcl no-such", ("no-such: no such scene",)),
+        (telepulse, f"record {HERE} taken", ("exists already",)),
+        *(
+            (telepulse, f"{command} taken", ("taken: is not an MCAP file",))
+            for command in ("replay", "report", "export --to csv")
+        ),
+        (telepulse, f"record {ELSEWHERE} a.mcap", ("--insecure",)),
     ],
 )
 def test_a_command_line_that_cannot_be_used_is_refused_in_one_line(

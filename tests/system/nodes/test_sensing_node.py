@@ -2,7 +2,6 @@ import itertools
 import signal
 import subprocess
 import time
-from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
 
@@ -22,12 +21,6 @@ from tests.support.nodes import RADIAL, process, read_json
 from tests.support.sensing_client import PATIENCE_MS, Client
 
 MODULE = "sensing_node.cli"
-
-
-@pytest.fixture
-def client(address: str) -> Iterator[Client]:
-    with closing(Client(address)) as client:
-        yield client
 
 
 def end(node: "subprocess.Popen[str]", number: int = signal.SIGTERM) -> str:

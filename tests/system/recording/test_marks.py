@@ -13,7 +13,6 @@ from telepulse.processes import free_addresses
 from telepulse.recording.mcap_reader import RecordingReader
 from telepulse.telemetry.schema import EVENT
 from tests.support.live_display import await_state, subscribe
-from tests.support.log_lines import refused
 from tests.support.nodes import RADIAL, process, run
 from tests.support.waiting import PATIENCE_S, until
 
@@ -51,11 +50,6 @@ def test_a_command_marks_the_recording(context: Context, tmp_path: Path) -> None
     # The command line is published to readers of the telemetry, the statements are not.
     assert b"S01" not in str(reader.provenance).encode()
     assert "after rest" not in str(reader.provenance)
-
-
-def test_statements_without_a_recording_are_refused() -> None:
-    line = refused("display_node.cli", str(RADIAL), "--about", "subject=S01")
-    assert "add --record" in line
 
 
 def test_a_mark_of_a_display_that_does_not_run_is_reported() -> None:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from telepulse.recording.mcap_reader import RecordingReader
 from telepulse.telemetry.schema import FRAME, STATUS, TICK
-from tests.support.log_lines import refused, unusual
+from tests.support.log_lines import unusual
 from tests.support.nodes import RADIAL, assert_accounted, free_address, process, read_json, run
 
 MODULE = "telepulse"
@@ -115,10 +115,3 @@ def test_a_full_disk_under_the_recorder_does_not_disturb_the_display(path: Path)
     assert result["samples"]["sent"] > 500
     assert result["faults"] == []
     assert path.stat().st_size <= room_bytes
-
-
-def test_a_display_does_not_begin_without_its_recorder(tmp_path: Path) -> None:
-    path = tmp_path / "there.mcap"
-    path.write_bytes(b"precious")
-    line = refused("display_node.cli", str(RADIAL), "--no-screen", "--record", str(path))
-    assert "exists already" in line

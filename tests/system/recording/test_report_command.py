@@ -94,15 +94,3 @@ def test_ticks_that_were_left_out_are_missed_ones(path: Path) -> None:
     findings = RunFindings(contents)
     assert findings.ticks + findings.summary().loop.deadline_misses == 2_000
     assert findings.ticks < 1_990
-
-
-@pytest.mark.parametrize("command", [("replay",), ("report",), ("export", "--to", "csv")])
-def test_a_file_that_is_no_recording_is_refused_in_one_line(
-    command: tuple[str, ...], tmp_path: Path
-) -> None:
-    path = tmp_path / "x.mcap"
-    path.write_text(json.dumps({"not": "mcap"}), encoding="utf-8")
-    result = run(MODULE, *command, str(path))
-    assert result.returncode == 2
-    assert result.stderr == f"telepulse: {path}: is not an MCAP file\n"
-    assert not list(tmp_path.glob("x*/*"))

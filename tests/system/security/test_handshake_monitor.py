@@ -88,6 +88,19 @@ def far_away(port: int, one_way_s: float) -> Iterator[int]:
         assert not carrier.is_alive()
 
 
+@contextmanager
+def started(keyring: Keyring, address: str) -> Iterator[Authenticator]:
+    """Yield the authenticator of a sensing node's port, which ends with the block."""
+    node = zmq.Context()
+    try:
+        authenticator = Authenticator(node, keyring.server())
+        data = sockets.bind(node, zmq.PUB, address, authenticator)
+        yield authenticator
+        data.close(0)
+    finally:
+        node.destroy(linger=0)
+
+
 def test_a_refusal_over_a_long_way_is_one_refusal_at_either_end(
     context: Context, keyring: Keyring, address: str, logged: list[str]
 ) -> None:
@@ -183,14 +196,8 @@ def test_broken_handshakes_with_successes_between_them_are_no_refusal(
         with plain.create_server(place) as ending:
             for connection in [ending.accept()[0] for _ in display.sockets]:
                 connection.close()
-        node = zmq.Context()
-        try:
-            authenticator = Authenticator(node, keyring.server())
-            data = sockets.bind(node, zmq.PUB, address, authenticator)
+        with started(keyring, address) as authenticator:
             display.poll_until(lambda: len(monitor.established) == 3, authenticator)
-            data.close(0)
-        finally:
-            node.destroy(linger=0)
         assert (display.link.refusal, logged) == (None, [])
         display.poll_until(lambda: not monitor.established)
         assert display.link.refusal is None, starts
@@ -207,14 +214,8 @@ def test_broken_handshakes_with_refusals_of_the_key_between_them_stay_refusals_o
             if starts > 1:
                 sockets.reconnect(display.sockets[0], address, address)
             ending.accept()[0].close()
-        node = zmq.Context()
-        try:
-            authenticator = Authenticator(node, keyring.server())
-            data = sockets.bind(node, zmq.PUB, address, authenticator)
+        with started(keyring, address) as authenticator:
             display.poll_until(lambda n=starts: refused["refused_key"] >= n, authenticator)
-            data.close(0)
-        finally:
-            node.destroy(linger=0)
         assert refused == {"refused_key": starts}
     assert len([line for line in logged if line.startswith(address)]) == 1
 
@@ -224,17 +225,11 @@ def test_a_refusal_ends_where_it_came_from_and_not_at_another_address_of_the_sam
 ) -> None:
     display = Connecting(context, address, keyring.client("thumb"), count=1)
     (socket,), nobody = display.sockets, free_address()
-    node = zmq.Context()
-    try:
-        authenticator = Authenticator(node, keyring.server())
-        data = sockets.bind(node, zmq.PUB, address, authenticator)
+    with started(keyring, address) as authenticator:
         display.poll_until(lambda: display.link.refusal, authenticator)
         sockets.reconnect(socket, address, nobody)
         display.poll_until(lambda: display.monitor.retried[socket] > 3, authenticator)
         assert display.link.refusal is not None
-        data.close(0)
-    finally:
-        node.destroy(linger=0)
     sockets.reconnect(socket, nobody, address)
     display.poll_until(lambda: display.link.refusal is None)
 

@@ -2,8 +2,8 @@
 
 import socket as plain
 import time
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Mapping
+from contextlib import closing, suppress
 from pathlib import Path
 
 import pytest
@@ -51,15 +51,6 @@ class Ports:
         self._context.destroy(linger=0)
 
 
-@contextmanager
-def serving(keys: ServerKeys | None, *bound: tuple[int, str]) -> Iterator[Ports]:
-    ports = Ports(keys, *bound)
-    try:
-        yield ports
-    finally:
-        ports.close()
-
-
 def both(address: str) -> tuple[tuple[int, str], tuple[int, str]]:
     """Return the data port and the control port of an address."""
     return (zmq.XPUB, address), (zmq.ROUTER, control_address(address))
@@ -92,7 +83,7 @@ def test_a_refusal_ends_when_the_sensing_node_is_switched_off(
     given = by_name(address)
     connection = Connection(context, [given], 1, keyring.client("thumb"))
     refusal = f"{given} does not allow the key of thumb{REMEDY}"
-    with serving(keyring.server(), *both(address)) as node:
+    with closing(Ports(keyring.server(), *both(address))) as node:
         poll_until(connection, lambda: reason(connection) == refusal, node)
         assert connection.refused == "refused_key"
         # ZeroMQ does not connect again: a display does, and is refused again.
@@ -116,11 +107,11 @@ def test_each_address_has_a_reason_of_its_own(
     given = [by_name(refusing), by_name(accepting)]
     connection = Connection(context, given, 2, keyring.client("finger"))
     refusal = f"{given[0]} does not allow the key of finger; there: telepulse keys allow finger.pub"
-    with serving(nobody, *both(refusing)) as first:
+    with closing(Ports(nobody, *both(refusing))) as first:
         absent = f"nobody listens at {given[1]}"
         poll_until(connection, lambda: absent in reason(connection), first)
         assert reason(connection).startswith(f"{refusal}; {absent}")
-        with serving(keyring.server(), *both(accepting)) as second:
+        with closing(Ports(keyring.server(), *both(accepting))) as second:
             sends_nothing = f"{refusal}; {given[1]} is connected, but sends nothing"
             poll_until(connection, lambda: reason(connection) == sends_nothing, first, second)
             assert connection.refused == "refused_key"
@@ -133,7 +124,7 @@ def test_of_two_addresses_the_one_that_refuses_is_shown_first_and_alone_in_a_lin
     absent, refusing = free_address(), free_address()
     connection = Connection(context, [absent, refusing], 2, keyring.client("thumb"))
     refusal, nobody = f"{refusing} does not allow the key of thumb", f"nobody listens at {absent}"
-    with serving(keyring.server(), *both(refusing)) as node:
+    with closing(Ports(keyring.server(), *both(refusing))) as node:
         poll_until(
             connection, lambda: all(each in reason(connection) for each in (refusal, nobody)), node
         )
@@ -155,7 +146,10 @@ def test_a_control_port_that_is_no_node_is_the_reason_although_data_is_connected
     connection = Connection(context, [given], 1, keyring.client("finger"))
     host, _, port = control_address(address).removeprefix("tcp://").rpartition(":")
     data, _ = both(address)
-    with plain.create_server((host, int(port))) as other, serving(keyring.server(), data) as node:
+    with (
+        plain.create_server((host, int(port))) as other,
+        closing(Ports(keyring.server(), data)) as node,
+    ):
 
         def break_off() -> None:
             with suppress(TimeoutError):
@@ -176,9 +170,9 @@ def test_of_two_ipc_addresses_one_that_accepted_revokes_nothing_at_the_other(
     accepting, refusing = f"ipc://{tmp_path}/a", f"ipc://{tmp_path}/b"
     nobody = ServerKeys(keyring.pair("wrist"), AllowList(tmp_path / "none"))
     connection = Connection(context, [accepting, refusing], 2, keyring.client("finger"))
-    with serving(keyring.server(), *both(accepting)) as first:
+    with closing(Ports(keyring.server(), *both(accepting))) as first:
         poll_until(connection, lambda: len(connection.established) > 0, first)
-        with serving(nobody, *both(refusing)) as second:
+        with closing(Ports(nobody, *both(refusing))) as second:
             poll_until(connection, lambda: connection.refused is not None, first, second)
             assert connection.refused == "refused_key"
     assert "revoked" not in connection.rejected
@@ -195,7 +189,10 @@ def test_a_display_that_was_welcomed_names_the_refusal_and_not_the_first_samples
     keys = ("--key", keyring.path("finger"), "--peer", keyring.path("wrist", "pub"))
     options = ("--connect", address, "--no-screen", "--telemetry", telemetry, *keys)
     data, control = both(address)
-    with serving(nobody, data) as refusing, serving(keyring.server(), control) as welcoming:
+    with (
+        closing(Ports(nobody, data)) as refusing,
+        closing(Ports(keyring.server(), control)) as welcoming,
+    ):
         (router,) = welcoming.sockets
         welcome = encode_control(Welcome(1, 0, description()))
 

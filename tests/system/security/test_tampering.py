@@ -5,8 +5,8 @@ import select
 import socket
 import threading
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
 
 import zmq
@@ -88,15 +88,6 @@ class Middleman:
                     sink.sendall(data if alter is None else alter(data))
 
 
-@contextmanager
-def middleman(listen: int, onto: int) -> Iterator[Middleman]:
-    between = Middleman(listen, onto)
-    try:
-        yield between
-    finally:
-        between.close()
-
-
 class Once:
     """Alteration of the first chunk that is long enough to hold a message."""
 
@@ -133,8 +124,8 @@ def test_altered_and_replayed_messages_are_refused_and_the_link_recovers(
     sensing = (str(RADIAL), "--bind", behind, "--key", keyring.path("wrist"), "--json", str(sensed))
     reader = subscribe(context, telemetry)
     with (
-        middleman(port_of(address), port_of(behind)) as data,
-        middleman(port_of(address) + 1, port_of(behind) + 1) as control,
+        closing(Middleman(port_of(address), port_of(behind))) as data,
+        closing(Middleman(port_of(address) + 1, port_of(behind) + 1)) as control,
         process("display_node.cli", *display) as finger,
         process("sensing_node.cli", *sensing) as wrist,
     ):

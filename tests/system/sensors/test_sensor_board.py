@@ -4,7 +4,7 @@ import itertools
 import signal
 import subprocess
 from collections.abc import Iterator
-from contextlib import closing, contextmanager
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -15,12 +15,6 @@ from tests.support.sensing_client import Client
 from tests.support.waiting import PATIENCE_S, until
 
 BOARD, SENSING, DISPLAY = "telepulse", "sensing_node.cli", "display_node.cli"
-
-
-@pytest.fixture
-def client(address: str) -> Iterator[Client]:
-    with closing(Client(address)) as client:
-        yield client
 
 
 def scene_file(folder: Path) -> Path:

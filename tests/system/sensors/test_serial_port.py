@@ -16,6 +16,7 @@ from pulse_sensors.sensor import open_sensor
 from pulse_sensors.serial_port import SerialPort, SerialScene
 from telepulse.emulators import PtyPort
 from tests.support.nodes import free_address, read_json, run
+from tests.support.refusals import refusal_of
 from tests.support.sample_blocks import forces, received
 from tests.support.waiting import PATIENCE_S
 
@@ -97,7 +98,5 @@ def test_a_port_that_cannot_be_opened_is_refused_in_one_line(
     tmp_path: Path, port: str, reason: str
 ) -> None:
     port = port.format(tmp_path)
-    with pytest.raises(SourceError) as caught:
-        SerialPort(scene(port)).open()
-    assert str(caught.value).startswith(f"{port}: cannot be opened: {reason}")
-    assert "\n" not in str(caught.value)
+    line = refusal_of(SourceError, lambda: SerialPort(scene(port)).open())
+    assert line.startswith(f"{port}: cannot be opened: {reason}")

@@ -6,7 +6,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from display_node.display import Display
 from protocol.tactile import ElasticLayer
 from protocol.wire.messages import (
     Bye,
@@ -18,7 +17,7 @@ from protocol.wire.messages import (
     encode_frame,
 )
 from protocol.wire.telemetry import TraceWriter, read_status, read_trace
-from tests.support.sender import MS, Sender, display, display_scene, run
+from tests.support.sender import MS, Sender, display, run
 from tests.support.streams import description
 
 LIMIT_N = 2.5
@@ -102,17 +101,6 @@ def test_no_force_or_layer_of_a_peer_passes_the_limit(force_n: float, layer: Ela
     assert 0 < under_test.contactors[0].force_ratio < math.inf
     # A frame with a sample that is not finite, or beyond 1 MN, is counted and not played.
     assert bool(under_test.receiver.rejected["not_finite"]) != (abs(force_n) < 1e6)
-
-
-def test_the_papers_actuator_faults_when_it_overshoots_its_limit() -> None:
-    scene = display_scene("paper")
-    ringing = scene.controller.model_copy(update={"kd": 0.0})
-    strict = scene.safety.model_copy(update={"force_limit_n": 0.3, "overforce": 1.0})
-    parts = {"controller": ringing, "safety": strict}
-    under_test = Display(scene.model_copy(update=parts), "test")
-    run(under_test, Sender(), 0, 2000)
-    assert under_test.state == "fault"
-    assert any("above" in fault for fault in under_test.summary().faults)
 
 
 EXTREMES = [0, 1, -1, 2**31, 2**40 - 1, 2**53, 2**62, -(2**62), 2**63 - 1, -(2**63)]

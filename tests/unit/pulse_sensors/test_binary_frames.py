@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from protocol.serial_frames import crc, encode_frame
 from pulse_sensors.binary_frames import MAX_SAMPLES, FrameDecoder, FrameEncoder, SampleFormat
-from tests.support.sample_blocks import Decoded, plain
+from tests.support.sample_blocks import Decoded, plain, values
 
 MS = 1_000_000
 FRAME = 4
@@ -28,10 +28,6 @@ def frames(count: int, first_ms: int = 0) -> list[bytes]:
 def decoded(data: bytes) -> tuple[list[Decoded], dict[str, int]]:
     decoder = FrameDecoder(MS)
     return plain(decoder.feed(data)), dict(decoder.rejected)
-
-
-def values(blocks: list[Decoded]) -> list[float]:
-    return [value for block in blocks for value in block.values]
 
 
 def account(blocks: list[Decoded]) -> float:

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pulse_sensors.text_lines import TextDecoder, TimeUnit
-from tests.support.sample_blocks import Decoded, plain
+from tests.support.sample_blocks import Decoded, plain, values
 
 MS = 1_000_000
 TURN = 1 << 32
@@ -28,10 +28,6 @@ def timed(data: bytes, unit: TimeUnit = "us") -> tuple[list[Decoded], dict[str, 
 def lines(*ranges: range) -> bytes:
     """Return lines of which line i has the time i ms and the value i."""
     return b"".join(b"%d,%d\r\n" % (i * 1_000, i) for i in itertools.chain(*ranges))
-
-
-def values(blocks: list[Decoded]) -> list[float]:
-    return [value for block in blocks for value in block.values]
 
 
 @pytest.mark.parametrize(

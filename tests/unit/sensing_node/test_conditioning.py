@@ -17,6 +17,7 @@ from protocol.wire.description import Channel
 from sensing_node.conditioning import Conditioned, ConditioningScene
 from sensing_node.scene import SensingScene, build_source, describe_stream
 from sensing_node.sources.source import SampleSource
+from tests.support.refusals import refusal_of
 from tests.support.streams import synthetic
 
 RATE_HZ = 1000
@@ -223,8 +224,6 @@ def test_a_corner_above_half_the_rate_is_refused(key: str) -> None:
     ],
 )
 def test_a_wrong_table_is_refused_in_one_line(keys: dict[str, Any], message: str) -> None:
-    with pytest.raises(SceneError) as caught:
-        sensing(keys)
-    assert str(caught.value).startswith("x: [sensing] conditioning")
-    assert message in str(caught.value)
-    assert "\n" not in str(caught.value)
+    line = refusal_of(SceneError, sensing, keys)
+    assert line.startswith("x: [sensing] conditioning")
+    assert message in line

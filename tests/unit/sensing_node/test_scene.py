@@ -11,6 +11,7 @@ from protocol.wire.description import StreamDescription
 from protocol.wire.messages import MAX_FRAME_BYTES, Frame, encode_frame
 from sensing_node.scene import SensingScene, build_source, describe_stream
 from tests.support.nodes import ROOT
+from tests.support.refusals import refusal_of
 
 RECORDING = {"kind": "recording", "path": "pulse.csv", "rate": "100 Hz", "unit": "N"}
 SERIAL = {"kind": "serial", "port": "none", "framing": "text", "rate": "1 kHz", "unit": "N"}
@@ -98,12 +99,9 @@ def test_the_largest_batch_of_several_channels_is_a_frame_and_one_sample_more_is
 def test_a_wrong_scene_is_refused_in_one_line_with_the_key(
     table: dict[str, Any], key: str, message: str
 ) -> None:
-    with pytest.raises(SceneError) as caught:
-        validate(table, SensingScene, "x.toml: [sensing]")
-    text = str(caught.value)
+    text = refusal_of(SceneError, validate, table, SensingScene, "x.toml: [sensing]")
     assert text.startswith(f"x.toml: [sensing] {key}: ")
     assert message in text
-    assert "\n" not in text
 
 
 BOARD = SERIAL | {"framing": "binary"}

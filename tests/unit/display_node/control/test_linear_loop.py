@@ -21,11 +21,10 @@ from display_node.control.scene import ControllerScene
 from display_node.plant.film import FilmModel
 from display_node.plant.scene import FilmTable, SecondOrderScene, StepperScene
 from display_node.scene import DisplayScene
-from protocol.config.scene import load_section
 from protocol.errors import SceneError
 from protocol.tactile import ElasticLayer
+from tests.support.sender import SCENES, display_scene
 
-SCENES = Path(__file__).parents[4] / "scenes"
 TICK_S = 1e-3
 LIMIT_N = 2.5
 LAYER = ElasticLayer()
@@ -253,10 +252,6 @@ def test_felt_noise_is_that_of_a_long_noisy_run(name: str, wander: float, noise:
         state = closed @ state + error * loop.closed_noise + moved * loop.displaced
         squares += float(loop.tip @ state) ** 2
     assert felt_noise(loop, wander, noise) == pytest.approx(math.sqrt(squares / ticks), rel=0.05)
-
-
-def display_scene(name: str) -> DisplayScene:
-    return load_section(SCENES / f"{name}.toml", "display", DisplayScene)
 
 
 def refuse(scene: DisplayScene) -> None:

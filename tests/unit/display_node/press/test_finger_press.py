@@ -37,15 +37,6 @@ def observe(
         press.observe([round(t_s * 1e9) for t_s in times_s], pulse, cell)
 
 
-def test_a_press_becomes_set_points_and_the_tip_yields() -> None:
-    press = pressed(1.2)
-    assert press.press_n == pytest.approx(1.2)
-    assert 1e-3 < press.yielded_m < 3e-3
-    message = request(press, 1000 * MS)
-    assert message is not None
-    assert message.force_n > 0
-
-
 def test_nothing_is_sent_while_sensor_or_stream_are_silent() -> None:
     press = pressed(1.0)
     assert request(press, 1000 * MS) is not None

@@ -16,10 +16,6 @@ LIMITS = ProbeLimits()
 EVERY = 5
 
 
-def steps(time_s: float) -> float:
-    return 1.2 if time_s % 4 < 2 else 0.6
-
-
 def test_a_cut_eases_off_within_half_a_second_and_the_press_returns_by_a_ramp() -> None:
     link = LinkScene.model_validate(
         {"delay": "10 ms", "cut": {"from": "4 s", "for": "3 s"}, "loss": "1 %"}

@@ -146,23 +146,6 @@ def test_without_a_reference_there_are_no_errors(samples: int) -> None:
     assert error.within_jnd is None
 
 
-def test_a_reference_may_be_added_after_the_felt_force() -> None:
-    # As in a display: the error in phase needs samples that have not arrived yet.
-    ticks_ns = tick_times_ns(2.0, 14.0)
-    felt_n = pulse_n(ticks_ns)
-    error, late_ns = TrackingError(STRAIN_PER_NEWTON), 1900 * MS
-    pending = frames(sample_times_ns(16.0))
-    for tick, now_ns in enumerate(ticks_ns):
-        while pending and pending[0][-1] + late_ns <= now_ns:
-            add_reference(error, [pending.pop(0)])
-        add_output(error, ticks_ns[tick : tick + 1], felt_n[tick : tick + 1])
-    add_reference(error, pending)
-    error.finish()
-    assert error.force_rmse_n.in_phase == pytest.approx(0, abs=2e-6)
-    expected_n = 0.15 * 2 * math.sin(math.pi * 1.25 * DELAY_NS * 1e-9) / math.sqrt(2)
-    assert error.force_rmse_n.aligned == pytest.approx(expected_n, rel=1e-3)
-
-
 @pytest.mark.parametrize(
     ("tick_ms", "late_ms"),
     [(0.1, 250), (1, 250), (1, 4000), (100, 250)],

@@ -9,6 +9,7 @@ from protocol.config.quantities import Metres, Nanoseconds, Newtons, Ratio
 from protocol.config.scene import Section, load_section, validate
 from protocol.config.scene_file import load_document
 from protocol.errors import SceneError
+from tests.support.refusals import refusal_of
 
 
 class Motor(Section):
@@ -47,10 +48,7 @@ def load(path: Path, text: str) -> Table:
 
 def line_of(path: Path, text: str) -> str:
     """The error's line, without the file's name that it begins with."""
-    with pytest.raises(SceneError) as caught:
-        load(path, text)
-    line = str(caught.value)
-    assert "\n" not in line
+    line = refusal_of(SceneError, load, path, text)
     assert line.startswith(f"{path}: ")
     return line.removeprefix(f"{path}: ")
 
@@ -145,10 +143,7 @@ def test_a_file_that_is_not_toml(path: Path, text: str) -> None:
 
 def test_a_file_that_cannot_be_read_is_refused_in_one_line(path: Path, tmp_path: Path) -> None:
     def refusal(path: Path) -> str:
-        with pytest.raises(SceneError) as caught:
-            load_document(path)
-        assert "\n" not in str(caught.value)
-        return str(caught.value)
+        return refusal_of(SceneError, load_document, path)
 
     assert refusal(path) == f"{path}: no such scene file"
     assert refusal(tmp_path).startswith(f"{tmp_path}: cannot be read: ")

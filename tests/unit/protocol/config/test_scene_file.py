@@ -11,6 +11,7 @@ from protocol.config.scene_file import (
 )
 from protocol.errors import SceneError
 from tests.support.nodes import RADIAL
+from tests.support.refusals import refusal_of
 
 
 class Actuator(Section):
@@ -29,10 +30,7 @@ def write(path: Path, text: str) -> Path:
 
 
 def refusal(path: Path) -> str:
-    with pytest.raises(SceneError) as caught:
-        load_document(path)
-    assert "\n" not in str(caught.value)
-    return str(caught.value)
+    return refusal_of(SceneError, load_document, path)
 
 
 def test_a_scene_is_found_by_name_and_by_path(
@@ -74,15 +72,13 @@ def test_a_table_of_another_kind_replaces_the_inherited_one_whole() -> None:
 def test_an_error_names_the_file_that_has_the_key(tmp_path: Path) -> None:
     parent = write(tmp_path / "parent.toml", '[display.actuator]\nkind = "a"\ngian = 2\n')
     child = write(tmp_path / "child.toml", 'extends = "parent.toml"\n[display]\nchannels = [1]\n')
-    with pytest.raises(SceneError) as caught:
-        load_section(child, "display", Display)
-    assert str(caught.value).startswith(f"{parent}: [display] actuator.gian: unknown key")
+    line = refusal_of(SceneError, load_section, child, "display", Display)
+    assert line.startswith(f"{parent}: [display] actuator.gian: unknown key")
     write(parent, '[display.actuator]\nkind = "a"\n[displya]\n')
     assert refusal(child).startswith(f"{parent}: displya: unknown key")
     write(parent, "[display]\n")
-    with pytest.raises(SceneError) as caught:
-        load_section(child, "display", Display)
-    assert str(caught.value) == f"{child}: [display] actuator: missing; it must be given"
+    text = refusal_of(SceneError, load_section, child, "display", Display)
+    assert text == f"{child}: [display] actuator: missing; it must be given"
 
 
 @pytest.mark.parametrize(

@@ -21,6 +21,7 @@ from protocol.errors import SourceError
 from sensing_node.files import bounds, mcap_messages
 from sensing_node.files.formats import FORMATS
 from sensing_node.files.signal_choice import record_table
+from tests.support.refusals import refusal_of
 from tests.support.signal_files import wfdb_record
 
 SUFFIXES = [suffix for known in FORMATS for suffix in known.suffixes]
@@ -29,10 +30,7 @@ MANY = 300_000_000
 
 def refusal(path: Path) -> str:
     """Return the line that refuses a file, without its name."""
-    with pytest.raises(SourceError) as caught:
-        record_table(path)
-    assert "\n" not in str(caught.value)
-    return str(caught.value).removeprefix(f"{path}: ")
+    return refusal_of(SourceError, record_table, path).removeprefix(f"{path}: ")
 
 
 @pytest.mark.parametrize("suffix", SUFFIXES)

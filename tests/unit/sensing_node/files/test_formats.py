@@ -15,6 +15,7 @@ from sensing_node.files.grids import find_gaps
 from sensing_node.files.signal_choice import record_table
 from sensing_node.sources.recorded import RecordedSource, RecordingScene
 from telepulse.recording import xdf_writer
+from tests.support.refusals import refusal_of
 from tests.support.signal_files import pulse_and_ecg
 
 PULSE = pulse_and_ecg()["ABP"]
@@ -96,9 +97,7 @@ def test_names_that_could_control_a_terminal_are_cleaned(tmp_path: Path) -> None
     _, text = record_table(tmp_path / "a.csv")
     lines = [text]
     (tmp_path / "b.csv").write_text(f"\x1b[31mno\n{rows}".replace(",", ";"), encoding="utf-8")
-    with pytest.raises(SourceError) as caught:
-        open_signals(tmp_path / "a.csv").load(("no",))
-    lines.append(str(caught.value))
+    lines.append(refusal_of(SourceError, lambda: open_signals(tmp_path / "a.csv").load(("no",))))
     assert all(line.isprintable() for line in lines)
 
 

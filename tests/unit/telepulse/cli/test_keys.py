@@ -1,5 +1,3 @@
-import os
-import stat
 from pathlib import Path
 
 import pytest
@@ -52,14 +50,3 @@ def test_a_refusal_is_one_line_and_changes_no_file(arguments: tuple[str, ...], r
     assert reason in line
     assert line.count("\n") == 1
     assert {path: path.read_bytes() for path in Path("keys").iterdir()} == before
-
-
-@pytest.mark.skipif(os.name != "posix", reason="modes are POSIX")
-def test_the_allow_list_can_be_read_by_another_user_and_written_by_none() -> None:
-    kept = os.umask(0)
-    try:
-        keys("new", "finger")
-        keys("allow", "keys/finger.pub")
-    finally:
-        os.umask(kept)
-    assert stat.S_IMODE(Path("keys/allowed").stat().st_mode) == 0o644

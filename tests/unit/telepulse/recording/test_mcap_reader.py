@@ -25,6 +25,7 @@ from telepulse.recording.signal_export import export_signals
 from telepulse.telemetry.decoder import Entry
 from telepulse.telemetry.schema import CLOCK, EVENT, FRAME, TICK
 from tests.support.recordings import record
+from tests.support.refusals import refusal_of
 
 TICKS_A_CHUNK = 4
 
@@ -125,10 +126,7 @@ def test_a_file_that_is_no_recording_is_refused_in_one_line(
 ) -> None:
     if data is not None:
         path.write_bytes(data)
-    with pytest.raises(SourceError) as caught:
-        longest_session(path)
-    assert str(caught.value).startswith(f"{path}: {words}")
-    assert "\n" not in str(caught.value)
+    assert refusal_of(SourceError, longest_session, path).startswith(f"{path}: {words}")
 
 
 def test_a_recording_without_a_stream_cannot_be_played(path: Path, logged: list[str]) -> None:
