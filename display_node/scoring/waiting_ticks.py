@@ -30,8 +30,7 @@ class WaitingBlock(NamedTuple):
 class WaitingTicks:
     """Queue of blocks of ticks.
 
-    oldest: the oldest whole block; None without one. newest_ns: time of the newest tick on the
-    display's clock.
+    newest_ns: time of the newest tick on the display's clock.
     """
 
     def __init__(self) -> None:
@@ -39,8 +38,12 @@ class WaitingTicks:
         # The newest block, of which `_count` ticks are taken.
         self._times_ns, self._felt_n = np.empty((3, BLOCK), np.int64), np.empty(BLOCK)
         self._count = 0
-        self.oldest: WaitingBlock | None = None
         self.newest_ns = 0
+
+    @property
+    def oldest(self) -> WaitingBlock | None:
+        """The oldest whole block; None without one."""
+        return self._whole[0] if self._whole else None
 
     @property
     def first_instant_ns(self) -> int | None:
@@ -68,13 +71,11 @@ class WaitingTicks:
         """Remove and return the oldest block, which may be the newest one; some tick must wait."""
         if not self._whole:
             self._close()
-        block = self._whole.popleft()
-        self.oldest = self._whole[0] if self._whole else None
-        return block
+        return self._whole.popleft()
 
     def _close(self) -> None:
         times_ns, felt_n = self._times_ns[:, : self._count], self._felt_n[: self._count]
         last_now_ns, last_sensing_ns, _ = times_ns[:, -1].tolist()
         block = WaitingBlock(times_ns.copy(), felt_n.copy(), last_now_ns, last_sensing_ns)
         self._whole.append(block)
-        self._count, self.oldest = 0, self._whole[0]
+        self._count = 0

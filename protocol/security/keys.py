@@ -120,10 +120,8 @@ def is_missing(path: Path) -> bool:
     """
     try:
         path.stat()
-    except FileNotFoundError:
-        return True
-    except OSError:
-        return False
+    except OSError as error:
+        return isinstance(error, FileNotFoundError)
     return False
 
 

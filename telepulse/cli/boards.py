@@ -25,7 +25,7 @@ from pulse_drives.stepdir.frames import SENSOR_FORMATS, Format, board_reader
 from pulse_drives.stepdir.scene import StepdirScene
 from pulse_sensors.serial_port import SerialScene
 from telepulse.cli.options import PROGRAM
-from telepulse.emulators import simavr
+from telepulse.emulators import LATE_MS, simavr
 from telepulse.emulators.sensor_board import COUNTS
 from telepulse.scene import Scene
 
@@ -243,7 +243,7 @@ def _emulate_finger(stack: ExitStack, scene: Scene, link: Path, console: Console
 def _report_lateness(chip: simavr.Harness, console: Console) -> None:
     # A chip that has crashed has no report; the display names the fault.
     with suppress(OSError, ProcessError):
-        if (late_ms := chip.report()["late_ms"]) > simavr.LATE_MS:
+        if (late_ms := chip.report()["late_ms"]) > LATE_MS:
             console.print(KEPT_WAITING.format(late_ms=late_ms))
 
 

@@ -7,6 +7,9 @@ from pathlib import Path
 
 from protocol.errors import OutputError
 
+# An emulated device that its machine keeps waiting for longer looks like one that fails.
+LATE_MS = 15.0
+
 
 class PtyPort:
     """One end of a pseudo-terminal in place of a serial port.

@@ -11,7 +11,7 @@ from pathlib import Path
 from protocol.errors import OutputError
 from protocol.host.process import freeze_objects, stop_on_signals
 from sensing_node.sources.wrist import WristSensors
-from telepulse.emulators import PtyPort
+from telepulse.emulators import LATE_MS, PtyPort
 from telepulse.emulators.motor import EmulatedMotor, MotorFault, MotorState
 from telepulse.emulators.sensor_board import PULSES, binary
 from telepulse.emulators.wrist import read_wrist
@@ -21,8 +21,6 @@ logger = logging.getLogger(__name__)
 FRAME = 4
 TRACE_HEADER = "time_ns,tip_m,speed_m_per_s,force_n,trouble\n"
 FILM_SILENT = "film-silent"
-# A drive that is kept waiting for longer looks like one that fails.
-LATE_S = 0.015
 # The tip presses from this force on; at first touch the force is smaller.
 PRESSING_N = 0.01
 MOTOR_FAULTS: dict[str, MotorFault] = {
@@ -108,7 +106,7 @@ class DriveRun:
         """
         freeze_objects()
         began_s = last_s = time.monotonic()
-        pressed_s, longest_s = math.inf, LATE_S
+        pressed_s, longest_s = math.inf, LATE_MS * 1e-3
         while not self._stopped.is_set():
             now_s = time.monotonic()
             if now_s - last_s > longest_s:

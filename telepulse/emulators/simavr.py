@@ -31,8 +31,6 @@ WARNINGS = ("-Wall", "-Wextra", "-Werror")
 LIBRARIES = ("-lsimavr", "-lelf", "-lm", "-lutil")
 # Above the nodes, since the chip's time counts.
 NICEST = -20
-# A chip that was kept waiting for longer belongs to a machine that is too busy.
-LATE_MS = 15.0
 # Of the harness's motor.
 STEPS_PER_TURN = 200 * 16
 # Of a reading, the sum of 16 conversions of 10 bits, each of which rounds down.

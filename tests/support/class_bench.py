@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 
 from protocol.config.scene_file import find_scene, load_document
 from pulse_drives.stepdir.frames import BoardLimits, CommandResult, Format
-from telepulse.emulators.simavr import LATE_MS, Harness, Programs
+from telepulse.emulators import LATE_MS
+from telepulse.emulators.simavr import Harness, Programs
 from tests.support.avr_boards import Display
 from tests.support.emulated_bench import BenchFailedError, EmulatedBench
 from tests.support.waiting import until

@@ -8,19 +8,13 @@ from subprocess import PIPE, CompletedProcess
 from typing import Any, TypeVar
 
 from protocol.host.child_process import ChildProcess
+from protocol.host.output import OUR_LOGGERS
 from telepulse.processes import free_addresses
 
 ROOT = Path(__file__).parents[2]
 RADIAL = ROOT / "scenes" / "radial.toml"
 # The product, as it is installed.
-PACKAGES = (
-    "protocol",
-    "pulse_sensors",
-    "pulse_drives",
-    "sensing_node",
-    "display_node",
-    "telepulse",
-)
+PACKAGES = tuple(name for name in OUR_LOGGERS if name != "__main__")
 Figure = TypeVar("Figure")
 
 
