@@ -11,7 +11,6 @@ from dataclasses import replace
 import zmq
 
 from display_node.display import Display
-from display_node.fault_advice import advise
 from display_node.hardware import Hardware
 from display_node.press.sweep import DepthSweep
 from display_node.reception.connection import Connection
@@ -203,7 +202,7 @@ class DisplayNode:
             self.stop()
         faults = self._display.fade.faults
         for fault in faults[self._named_faults :]:
-            logger.error(f"fault: {fault}: {advise(fault)}")
+            logger.error(f"fault: {fault}: {fault.remedy}")
         self._named_faults = len(faults)
         for reason in (self._display.receiver.other_version, self._display.receiver.false_report):
             if reason and reason not in self._warned:
@@ -289,8 +288,9 @@ class DisplayNode:
         # All at once: a drive that waits for the others would report a missing command.
         for hardware in benches:
             hardware.begin_withdrawal()
-        for hardware in benches:
-            hardware.withdraw()
+        for contactor, bench in zip(self._display.contactors, self._benches, strict=True):
+            if bench is not None and (fault := bench.withdraw()) is not None:
+                contactor.latch(fault, self._display.fade)
         self._display.finish_scores()
         summary = complete(self._summary_pieces())
         self._telemetry.finish(self._display.pack_status(summary, final=True))
