@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from display_node.plant.feedback import Feedback
 from display_node.plant.film_plausibility import FilmPlausibility, RisingForce
 from display_node.plant.scene import ActuatorScene, StepperScene
-from protocol.errors import SceneError, SourceError
-from protocol.faults import Fault, FaultKind, Part
+from protocol.errors import DriveError, SceneError, SourceError
+from protocol.faults import Fault, FaultKind, Part, internal_fault
 from protocol.tactile import ElasticLayer
 from protocol.ticks import LimitCounter
 from pulse_drives import Drive, build_drive
@@ -83,6 +83,8 @@ class Hardware:
         self._rising = rising
         # Kept until the next tick reads it, since a sample is read between ticks as well.
         self._film_fault: Fault | None = None
+        # The first exception of the film's sensor.
+        self._film_error: Fault | None = None
         # Since when the film's readings are known to be wrong.
         self._film_wrong_ns: int | None = None
         self._drive, self._sensor = drive, sensor
@@ -107,6 +109,8 @@ class Hardware:
         """
         deadline_s = time.monotonic() + FIRST_SAMPLE_WITHIN_S
         while self.measures_force and self._read_film() is None:
+            if self._film_error is not None:
+                raise DriveError(self._film_error.kind, str(self._film_error))
             if time.monotonic() > deadline_s:
                 raise SourceError(
                     f"[display.feedback] no sample within {FIRST_SAMPLE_WITHIN_S:g} s:"
@@ -126,6 +130,8 @@ class Hardware:
         newest = self._read_film()
         # Read after the film, because its readings decide about a withdrawal.
         self._status = status = self._drive.status()
+        if self._film_error is not None and status.fault is None:
+            return self._film_error
         if self._sensor is None:
             if status.received_ns != self._received_ns:
                 self._received_ns = status.received_ns
@@ -232,12 +238,23 @@ class Hardware:
         return None if newest is None else newest[1]
 
     def _read_film(self) -> tuple[int, float] | None:
-        """Pass on the film's new samples; return the newest one, None without any."""
+        """Pass on the film's new samples; return the newest one, None without any.
+
+        An exception of the sensor is a fault of the film: the drive goes on to be withdrawn.
+        """
         samples = self.feedback.samples
-        for block in [] if self._sensor is None else self._sensor.poll():
-            for taken_ns, force_n in zip(block.times_ns, block.force_n, strict=True):
-                self.feedback.add(taken_ns, force_n)
-                self._film_fault = self._film_fault or self._rising.check_reading(force_n, taken_ns)
+        try:
+            for block in [] if self._sensor is None else self._sensor.poll():
+                for taken_ns, force_n in zip(block.times_ns, block.force_n, strict=True):
+                    self.feedback.add(taken_ns, force_n)
+                    self._film_fault = self._film_fault or self._rising.check_reading(
+                        force_n, taken_ns
+                    )
+        except Exception as error:
+            now_ns = time.perf_counter_ns()
+            self._film_error = self._film_error or internal_fault(
+                Part.FILM, "loop, film", error, now_ns
+            )
         newest = self.feedback.newest
         if newest is None or self.feedback.samples == samples:
             return None
@@ -291,10 +308,12 @@ class Hardware:
 
     def close(self) -> None:
         """Withdraw the tip, bring the drive to rest and close drive and sensor."""
-        self.withdraw()
-        self._drive.close()
-        if self._sensor is not None:
-            self._sensor.close()
+        try:
+            self.withdraw()
+        finally:
+            self._drive.close()
+            if self._sensor is not None:
+                self._sensor.close()
 
 
 def _shows_wrong_film(fault: Fault) -> bool:

@@ -169,5 +169,7 @@ def internal_fault(part: Part, thread: str, error: BaseException, at_ns: int) ->
         code = trace.tb_frame.f_code
         place = f" in {code.co_filename.rpartition('/')[2]}:{trace.tb_lineno}, {code.co_name}"
     name = type(error).__qualname__
+    if type(error).__module__ != "builtins":
+        name = f"{type(error).__module__}.{name}"
     words = f"{name}: {error}" if str(error) else name
     return Fault(FaultKind.INTERNAL, part, f"{words}{place} (thread {thread})", at_ns)

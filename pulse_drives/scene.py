@@ -204,9 +204,16 @@ _KINDS = {
 }
 
 
+def _error_number(error: BaseException) -> int | None:
+    """Return the system's number of an error; None where it has none."""
+    # A termios.error has its number as an argument alone, one of python-can as error_code.
+    numbers = (getattr(error, "errno", None), getattr(error, "error_code", None), *error.args[:1])
+    return next((number for number in numbers if isinstance(number, int)), None)
+
+
 def line_fault(error: BaseException) -> FaultKind:
     """Return the kind of fault for which a line cannot be opened."""
-    number = getattr(error, "errno", None) or getattr(error, "error_code", None)
+    number = _error_number(error)
     cause = error.__cause__ or error.__context__
     if number is None and cause is not None:
         return line_fault(cause)
@@ -226,7 +233,7 @@ def open_port(
         )
     # pyserial passes on errors of many kinds, such as termios.error.
     except Exception as error:
-        number = getattr(error, "errno", None)
+        number = _error_number(error)
         reason = os.strerror(number) if number else error
         raise DriveError(line_fault(error), f"{name} cannot be opened: {reason}") from None
     return port

@@ -40,11 +40,15 @@ class GuardedThread:
         """True from `stop` on: a step that waits for long ends then."""
         return self._stopping.is_set()
 
+    def is_alive(self) -> bool:
+        """Return whether the thread runs: only `stop` ends it."""
+        return self._thread.is_alive()
+
     def stop(self, within_s: float) -> bool:
         """End the thread after its present step; return whether it has ended within a time."""
         self._stopping.set()
         self._thread.join(within_s)
-        return not self._thread.is_alive()
+        return not self.is_alive()
 
     def _run(self) -> None:
         while not self._stopping.is_set():

@@ -100,7 +100,7 @@ class Cia402Node:
         # Error after which the bus cannot be read any more.
         self._lost: Exception | None = None
         self._internal: Fault | None = None
-        self._nmt_state = OPERATIONAL
+        self._nmt_state = self._beat_state = OPERATIONAL
         # Created once, since creating a message costs a third of sending it.
         self._command, self._sync, self._heartbeat, self._start = (
             can.Message(arbitration_id=identifier, is_extended_id=False, data=data)
@@ -151,8 +151,7 @@ class Cia402Node:
         if self._internal is not None:
             return self._internal
         if self._nmt_state != OPERATIONAL:
-            name = NMT_STATES.get(self._nmt_state, f"0x{self._nmt_state:02X}")
-            cause = f"left its state: it is {name} (NMT)"
+            cause = f"left its state: it is {NMT_STATES[self._nmt_state]} (NMT)"
             return Fault(FaultKind.LEFT_STATE, Part.DRIVE, cause, now_ns)
         if self.state is State.ENABLED:
             return None
@@ -191,7 +190,7 @@ class Cia402Node:
         self.write_optional(0x60C2, 2, -4)
         self.write_optional(0x1017, 0, PRODUCER_MS)
         self._node.nmt.state = "OPERATIONAL"
-        self._nmt_state = OPERATIONAL
+        self._nmt_state = self._beat_state = OPERATIONAL
         self._select(self.mode)
         control = Controlword.DISABLE_VOLTAGE
         deadline_s = time.monotonic() + ENABLE_WITHIN_S
@@ -390,7 +389,14 @@ class Cia402Node:
         if len(data) != 1:
             self.counts["malformed"] += 1
             return
-        self._nmt_state = data[0] & 0x7F
+        state = data[0] & 0x7F
+        if state not in NMT_STATES:
+            self.counts["implausible"] += 1
+            return
+        # A single one that an adapter has altered must not end the pulse.
+        if state in (OPERATIONAL, self._beat_state):
+            self._nmt_state = state
+        self._beat_state = state
 
     def _on_nmt_command(self, _: int, data: bytearray, __: float) -> None:
         """Note the command of another master."""
