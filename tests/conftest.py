@@ -55,6 +55,7 @@ LATER = (
     "unit/telepulse/recording/test_recorded_beats.py",
     "unit/telepulse/recording/test_recorded_wrist.py",
     "unit/display_node/press/test_press_loop.py",
+    "unit/pulse_drives/test_guards.py",
 )
 SYSTEM = "system"
 

@@ -258,8 +258,14 @@ class Notifier:
                 self._pass_on(self._frames.popleft())
 
     def _pass_on(self, frame: can.Message) -> None:
-        for listener in self.listeners:
-            listener(frame)
+        """Pass a frame on; as in python-can's, the listeners get what one of them raises."""
+        try:
+            for listener in self.listeners:
+                listener(frame)
+        except Exception as error:
+            self.exception = error
+            for listener in self.listeners:
+                listener.on_error(error)
 
 
 @contextmanager
