@@ -107,9 +107,11 @@ OneForceSensor = Annotated[SensorScene, OfKind(SENSORS), AfterValidator(one_forc
 
 
 class PortFailure(NamedTuple):
-    """An exception of a device that gives no data."""
+    """Why a device gives no data: an exception that it has raised, without what that refers to."""
 
-    error: BaseException
+    text: str
+    #: The text names the device, and what failed.
+    is_whole: bool
     #: Raised where the device was to be opened again, not where it was read.
     opening: bool
 
@@ -133,7 +135,7 @@ class Sensor:
         self._decoder = decoder
         self.timestamper = Timestamper(settings)
         self._clock = clock
-        # (time in ns, data | PortFailure: no data any more, or for another reason | None: data again)
+        # (time in ns, data | PortFailure: no data, or for another reason now | None: data again)
         self._received: deque[tuple[int, Any]] = deque()
         self._dropped = 0
         self._rate_reported = False
@@ -144,10 +146,10 @@ class Sensor:
         # Why a device that has gone cannot be used again; empty before the first attempt.
         self._reason = ""
         self._closing = threading.Event()
-        # The thread's: its last exception, None while the device is open; whether opening raised
-        # it; the last failure that was stored since data came; and the attempts to open since then.
+        # The thread's: whether the device is open, or being opened; an exception that is not noted
+        # yet; the last failure that was noted since data came, and the attempts to open since then.
+        self._is_open, self._opening = True, False
         self._error: BaseException | None = None
-        self._opening = False
         self._noted: PortFailure | None = None
         self._attempts = 0
         port.open()
@@ -194,7 +196,7 @@ class Sensor:
             times = f"{count_text(self.losses, 'time')}, for {gone_ns * 1e-9:.1f} s in all"
             faults.append(f"{name} was gone {times}")
         if self._gone_since_ns is not None:
-            if self._error is None:
+            if self._is_open:
                 faults.append(f"{name} is open again, but sends nothing")
             elif self._reason:
                 faults.append(f"{self._reason} ({count_text(self._attempts, 'attempt')})")
@@ -211,13 +213,13 @@ class Sensor:
 
     def _note_failure(self, at_ns: int, failure: PortFailure) -> None:
         """Log why the device gives no data; count it where it has just gone."""
-        name, text = self._port.name, _text(failure.error)
+        name, text = self._port.name, failure.text
         if self._gone_since_ns is None:
             self.losses += 1
             self._gone_since_ns, self._reason = at_ns, ""
             logger.warning(f"{name} has gone: {text}")
             return
-        if isinstance(failure.error, SourceError):
+        if failure.is_whole:
             self._reason = text
         else:
             tried = "cannot be opened" if failure.opening else "opens, but cannot be read"
@@ -237,12 +239,12 @@ class Sensor:
         while not self._closing.is_set():
             # Exception types differ by driver, and a SystemExit would end the thread in silence.
             try:
-                if self._error is None:
+                if self._is_open:
                     self._read()
                 else:
-                    self._reopen(self._error)
+                    self._reopen()
             except BaseException as error:
-                self._error = error
+                self._error, self._is_open = error, False
 
     def _read(self) -> None:
         """Wait for data, and store them with the time of their arrival."""
@@ -257,15 +259,12 @@ class Sensor:
         else:
             self._dropped += 1
 
-    def _reopen(self, error: BaseException) -> None:
-        """Store why the device gives no data, where that is new, and open it again."""
+    def _reopen(self) -> None:
+        """Note why the device gives no data, where that is new, and open it again."""
         try:
-            failure = PortFailure(error, self._opening)
-            if self._noted is None:
-                self._attempts = 0
-            if self._noted is None or not _alike(failure, self._noted):
-                self._received.append((self._clock(), failure))
-                self._noted = failure
+            if self._error is not None:
+                self._note(self._error)
+                self._error = None
             # Closing a device that is gone may fail as well.
             with suppress(Exception):
                 self._port.close()
@@ -276,13 +275,16 @@ class Sensor:
             self._opening = True
             self._attempts += 1
             self._port.open()
-            self._error, self._opening = None, False
+            self._opening, self._is_open = False, True
 
-
-def _alike(failure: PortFailure, other: PortFailure) -> bool:
-    """Return whether two failures have one reason."""
-    one, two = failure.error, other.error
-    return failure.opening == other.opening and (type(one), one.args) == (type(two), two.args)
+    def _note(self, error: BaseException) -> None:
+        """Store an exception of the device, unless the last one was the same."""
+        failure = PortFailure(_text(error), isinstance(error, SourceError), self._opening)
+        if self._noted is None:
+            self._attempts = 0
+        if failure != self._noted:
+            self._received.append((self._clock(), failure))
+            self._noted = failure
 
 
 def _text(error: BaseException) -> str:

@@ -5,7 +5,6 @@ one that the port does not take at once is superseded by the next.
 """
 
 import os
-import select
 import threading
 import time
 from collections import Counter, deque
@@ -14,6 +13,7 @@ from itertools import count
 from typing import Any, TypeVar
 
 from protocol.errors import DriveError, SourceError
+from protocol.host.descriptors import await_readable
 from pulse_drives.scene import open_port
 from pulse_drives.start_advice import start_advice
 from pulse_drives.stepdir.frames import (
@@ -198,7 +198,7 @@ class BoardLine:
         if self._descriptor < 0:
             first: bytes = self._port.read(1)
             return first + bytes(self._port.read(self._port.in_waiting))
-        if not select.select([self._descriptor], [], [], WAIT_S)[0]:
+        if not await_readable(self._descriptor, WAIT_S):
             return b""
         if data := os.read(self._descriptor, READ_BYTES):
             return data
