@@ -6,10 +6,10 @@ not arrived of its channel, scales it to its finger and runs its own force loop.
 
 import math
 from collections import deque
+from dataclasses import replace
 
 from display_node.control.force_bounds import ForceBounds
 from display_node.control.link_loss import Fade
-from display_node.fault_advice import FILM_NOTE
 from display_node.hardware import Hardware
 from display_node.plant.feedback import Feedback
 from display_node.plant.filters import delay_line
@@ -21,6 +21,7 @@ from display_node.scene import DisplayScene
 from display_node.scoring.beat_statistics import BeatStatistics
 from display_node.scoring.prediction_score import PredictionScore
 from display_node.scoring.tracking_error import TrackingError
+from protocol.faults import Fault, Note, Part
 from protocol.summary.fields import Compensation, Limits, Loop, SampleCounts, Summary
 from protocol.tactile import matching_force_ratio
 from protocol.ticks import NOT_PLAYED, TickState
@@ -42,8 +43,8 @@ class Contactor:
         The display's settings with those of this contactor.
     score
         Whether to compute the running errors of the felt force against the received one.
-    prefix
-        Text before the names of this contactor's faults.
+    among_several
+        The display has further contactors, so that faults name this one.
 
     Attributes
     ----------
@@ -66,9 +67,9 @@ class Contactor:
         State of the last tick.
     """
 
-    def __init__(self, scene: DisplayScene, score: bool, prefix: str = "") -> None:
-        self._prefix = prefix
+    def __init__(self, scene: DisplayScene, score: bool, among_several: bool = False) -> None:
         self.scene, self.name = scene, scene.shown_name
+        self._fault_name = self.name if among_several else ""
         self.feedback: Feedback | None = None
         self.layer = scene.layer.layer()
         self.state = TickState()
@@ -144,9 +145,9 @@ class Contactor:
         hardware, loop = self._hardware, self.loop
         if hardware is None:
             return
-        fault = hardware.read() or hardware.overrun(elapsed_ticks)
+        fault = hardware.read(now_ns) or hardware.overrun(elapsed_ticks, now_ns)
         if fault is not None and not fade.faults:
-            fade.fault(self._prefix + fault)
+            self.latch(fault, fade)
         held_ticks = elapsed_ticks if elapsed_ticks < loop.held_ticks else loop.held_ticks
         loop.shift(hardware.deviation_m(now_ns, held_ticks))
 
@@ -210,17 +211,31 @@ class Contactor:
         loop, feedback, state = self.loop, self.feedback, self.state
         if feedback is None:
             state.felt_n, self._reading_n = loop.felt_n, loop.read_film()
-            fault = self.bounds.reading_fault(self._reading_n)
+            fault = self.bounds.reading_fault(self._reading_n, now_ns)
         else:
             state.felt_n = self._reading_n = feedback.read(now_ns)
             if self._tip is not None:
                 state.felt_n = self._tip.felt_n(self._reading_n)
                 self._reading_n = self._tip.reading_n(state.felt_n)
-            fault = feedback.silent_fault(now_ns) or self.bounds.reading_fault(state.felt_n)
-            if fault is None and not fade.faults:
-                fault = feedback.late_fault
+            fault = self._feedback_fault(feedback, now_ns, fade)
         if fault is not None:
-            fade.fault(self._prefix + fault)
+            self.latch(fault, fade)
+
+    def _feedback_fault(self, feedback: Feedback, now_ns: int, fade: Fade) -> Fault | None:
+        """Return the fault of a reading of the film, or of its absence."""
+        hardware = self._hardware
+        if not feedback.alive(now_ns) and hardware is not None and not hardware.measures_force:
+            # The drive's positions stand in for a film. What keeps them away is the drive's fault,
+            # which its supervisor names.
+            return None
+        fault = feedback.silent_fault(now_ns) or self.bounds.reading_fault(
+            self.state.felt_n, now_ns
+        )
+        return fault or (None if fade.faults else feedback.late_fault(now_ns))
+
+    def latch(self, fault: Fault, fade: Fade) -> None:
+        """Latch a fault of this contactor."""
+        fade.fault(replace(fault, contactor=self._fault_name))
 
     def rendered_n(self, press: LocalPress) -> float:
         """Return the pulse under the finger that presses."""
@@ -243,7 +258,7 @@ class Contactor:
             output += self._tip.follow(self._target_n, gain, hardware)
         fault = hardware.command(output, fade.faults)
         if fault is not None:
-            fade.fault(self._prefix + fault)
+            self.latch(fault, fade)
 
     def account(self, alive: bool) -> None:
         """Note the commanded tick."""
@@ -334,10 +349,10 @@ class Contactor:
         return figures if error is None else error.add_to(figures, loop)
 
     @property
-    def notes(self) -> list[str]:
+    def notes(self) -> list[Note]:
         """Errors of the real film's sensor, which are no faults."""
         notes = [] if self._hardware is None else self._hardware.faults()
-        return [f"{FILM_NOTE}{self._prefix}{note}" for note in notes]
+        return [Note(Part.FILM, note, self._fault_name) for note in notes]
 
     def _limits(self, ticks: int) -> Limits:
         """Return how often and how long each limit has held, in ticks that were run.

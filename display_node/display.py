@@ -59,8 +59,7 @@ class Display:
         several = len(scene.contactors) > 1
         score = score and scene.press is None
         self.contactors = [
-            Contactor(each, score, f"{each.shown_name}: " if several else "")
-            for each in scene.contactors
+            Contactor(each, score, among_several=several) for each in scene.contactors
         ]
         # The first building loads the predictor's kernels for half a second, or compiles them for
         # several. In the loop, this would spoil the first exchanges of the clock.
@@ -323,7 +322,10 @@ class Display:
             loop=loop,
             press=PressFigures() if self.press is None else self.press.figures(),
             rejected=dict(self.receiver.rejected),
-            faults=[*self.fade.faults, *(note for each in contactors for note in each.notes)],
+            faults=[
+                *map(str, self.fade.faults),
+                *(f"film's sensor: {note}" for each in contactors for note in each.notes),
+            ],
         )
         played_s = delays.ticks * self._tick_ns * 1e-9
         figures = dict[str, Summary]()

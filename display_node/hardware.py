@@ -2,23 +2,31 @@
 
 import time
 from collections import Counter
+from collections.abc import Sequence
 
 from display_node.plant.feedback import Feedback
 from display_node.plant.film_plausibility import FilmPlausibility, RisingForce
 from display_node.plant.scene import ActuatorScene, StepperScene
-from protocol.errors import SceneError, SourceError
+from protocol.errors import DriveError, SceneError, SourceError
+from protocol.faults import Fault, FaultKind, Part, internal_fault
 from protocol.tactile import ElasticLayer
 from protocol.ticks import LimitCounter
 from pulse_drives import Drive, build_drive
+from pulse_drives.drive import WITHDRAWN_WITHIN_S
 from pulse_drives.scene import DriveScene
-from pulse_drives.withdrawal import FingerState, WithdrawalOutcome
+from pulse_drives.supervisor import FILM_IS_WRONG, GIVEN_UP
+from pulse_drives.withdrawal import TOUCH_N, FingerState, WithdrawalOutcome
 from pulse_sensors.sensor import Sensor
 
 FIRST_SAMPLE_WITHIN_S = 5.0
 POLL_S = 0.01
-# Longest withdrawal: a whole stroke without confirmation, at the slow speed.
-WITHDRAWN_WITHIN_S = 1.5
-_FAILED = (WithdrawalOutcome.UNCONFIRMED, WithdrawalOutcome.WRONG_WAY)
+# Without a film, the drive's positions may be missing for its watchdog's time and this. Its own
+# supervision, which knows the cause, reports them before.
+POSITION_LATE_NS = 10_000_000
+_GIVEN_UP = {
+    WithdrawalOutcome.UNCONFIRMED: FaultKind.UNCONFIRMED,
+    WithdrawalOutcome.WRONG_WAY: FaultKind.TOWARDS_FINGER,
+}
 
 
 def build_display_drive(
@@ -74,7 +82,11 @@ class Hardware:
         self._plausibility = FilmPlausibility(actuator, layer)
         self._rising = rising
         # Kept until the next tick reads it, since a sample is read between ticks as well.
-        self._film_fault: str | None = None
+        self._film_fault: Fault | None = None
+        # The first exception of the film's sensor.
+        self._film_error: Fault | None = None
+        # Since when the film's readings are known to be wrong.
+        self._film_wrong_ns: int | None = None
         self._drive, self._sensor = drive, sensor
         # The drive's last status; the loop's last speed, None before the first; and the travel that
         # the drive was sent until the last tick.
@@ -97,6 +109,8 @@ class Hardware:
         """
         deadline_s = time.monotonic() + FIRST_SAMPLE_WITHIN_S
         while self.measures_force and self._read_film() is None:
+            if self._film_error is not None:
+                raise DriveError(self._film_error.kind, str(self._film_error))
             if time.monotonic() > deadline_s:
                 raise SourceError(
                     f"[display.feedback] no sample within {FIRST_SAMPLE_WITHIN_S:g} s:"
@@ -108,22 +122,36 @@ class Hardware:
         self._film_fault = None
         self.read()
 
-    def read(self) -> str | None:
-        """Take new samples and the drive's status; return the fault, if there is one."""
+    def read(self, now_ns: int | None = None) -> Fault | None:
+        """Take new samples and the drive's status; return the fault, if there is one.
+
+        now_ns: time of the tick, at which positions that stand in for a film must not be old.
+        """
         newest = self._read_film()
         # Read after the film, because its readings decide about a withdrawal.
         self._status = status = self._drive.status()
+        if self._film_error is not None and status.fault is None:
+            return self._film_error
         if self._sensor is None:
             if status.received_ns != self._received_ns:
                 self._received_ns = status.received_ns
                 self.feedback.add(status.received_ns, self._contact.force(self.depth_m))
+            if status.fault is None and now_ns is not None:
+                return self._late_position(now_ns)
         else:
             self._plausibility.add_position(self.depth_m, status.received_ns)
             if newest is not None and status.fault is None:
                 felt_n = newest[1] + self._unseen_n
                 contradiction = self._plausibility.check_reading(felt_n, newest[0])
                 return self._film_fault or contradiction
-        return None if status.fault is None else f"drive: {status.fault}"
+        return status.fault
+
+    def _late_position(self, now_ns: int) -> Fault | None:
+        late_ns = now_ns - self._status.received_ns
+        if late_ns <= self._watchdog_ns + POSITION_LATE_NS:
+            return None
+        cause = f"no position for {late_ns * 1e-6:.0f} ms"
+        return Fault(FaultKind.NO_POSITION, self._drive.part, cause, now_ns)
 
     @property
     def position_m(self) -> float:
@@ -140,7 +168,7 @@ class Hardware:
         self._origin_m, self._unseen_n = origin_m, unseen_n
         self._drive.place_finger(origin_m)
 
-    def overrun(self, elapsed_ticks: int) -> str | None:
+    def overrun(self, elapsed_ticks: int, now_ns: int) -> Fault | None:
         """Return the fault if the drive came to rest because a tick is too late.
 
         Before the first command it rests at first touch, and its watchdog does not run.
@@ -148,7 +176,8 @@ class Hardware:
         silent_ns = elapsed_ticks * self._tick_ns
         if silent_ns <= self._watchdog_ns or self._speed_m_per_s is None:
             return None
-        return f"loop overrun: no command for {silent_ns * 1e-6:.0f} ms"
+        cause = f"overrun: no command for {silent_ns * 1e-6:.0f} ms"
+        return Fault(FaultKind.OVERRUN, Part.LOOP, cause, now_ns)
 
     def deviation_m(self, now_ns: int, held_ticks: int) -> float:
         """Return the travel sent to the drive since the last tick minus that of the loop, in m.
@@ -162,7 +191,7 @@ class Hardware:
         speed_m_per_s = self._speed_m_per_s or 0.0
         return self._travel_m - before_m - speed_m_per_s * (held_ticks * self._tick_ns) * 1e-9
 
-    def command(self, speed_m_per_s: float, faults: list[str]) -> str | None:
+    def command(self, speed_m_per_s: float, faults: Sequence[Fault]) -> Fault | None:
         """Command a speed until the next tick, or after a fault the withdrawal.
 
         Returns the fault of a withdrawal that failed.
@@ -172,19 +201,28 @@ class Hardware:
             self._drive.command(speed_m_per_s)
             self.at_end.add(self._status.held_back)
             return None
+        if self._film_wrong_ns is None and any(map(_shows_wrong_film, faults)):
+            self._film_wrong_ns = faults[0].at_ns
         self._drive.withdraw(faults[0])
         # After a fault no command is sent; `held_back` still belongs to the last one: not counted.
         self.at_end.add(limited=False)
+        return self._failed_withdrawal()
+
+    def _failed_withdrawal(self) -> Fault | None:
         outcome = self._status.withdrawal
-        return f"withdrawal: {outcome.value}" if outcome in _FAILED else None
+        if outcome is None or outcome not in GIVEN_UP:
+            return None
+        cause = f"withdrawal: {outcome.value}"
+        return Fault(_GIVEN_UP[outcome], self._drive.part, cause, time.perf_counter_ns())
 
     def finger(self, now_ns: int) -> FingerState:
-        """Return the measured state of the finger now."""
-        self.read()
+        """Return the state of the finger as it was read last."""
         status, newest = self._status, self.feedback.newest
         since_ns = self._began_ns if newest is None else newest[0]
         known = newest is not None and self.feedback.alive(now_ns)
-        blind = not self.measures_force and status.withdrawal in _FAILED
+        blind = not self.measures_force and status.withdrawal in GIVEN_UP
+        if self._film_wrong_ns is not None and self.measures_force:
+            since_ns, blind = self._film_wrong_ns, True
         return FingerState(
             force_n=newest[1] if newest is not None and known and not blind else None,
             unknown_s=(now_ns - since_ns) * 1e-9,
@@ -200,12 +238,23 @@ class Hardware:
         return None if newest is None else newest[1]
 
     def _read_film(self) -> tuple[int, float] | None:
-        """Pass on the film's new samples; return the newest one, None without any."""
+        """Pass on the film's new samples; return the newest one, None without any.
+
+        An exception of the sensor is a fault of the film: the drive goes on to be withdrawn.
+        """
         samples = self.feedback.samples
-        for block in [] if self._sensor is None else self._sensor.poll():
-            for taken_ns, force_n in zip(block.times_ns, block.force_n, strict=True):
-                self.feedback.add(taken_ns, force_n)
-                self._film_fault = self._film_fault or self._rising.check_reading(force_n, taken_ns)
+        try:
+            for block in [] if self._sensor is None else self._sensor.poll():
+                for taken_ns, force_n in zip(block.times_ns, block.force_n, strict=True):
+                    self.feedback.add(taken_ns, force_n)
+                    self._film_fault = self._film_fault or self._rising.check_reading(
+                        force_n, taken_ns
+                    )
+        except Exception as error:
+            now_ns = time.perf_counter_ns()
+            self._film_error = self._film_error or internal_fault(
+                Part.FILM, "loop, film", error, now_ns
+            )
         newest = self.feedback.newest
         if newest is None or self.feedback.samples == samples:
             return None
@@ -231,22 +280,41 @@ class Hardware:
         Call it right after the last tick: if called later, the drive's watchdog would report a
         fault first.
         """
-        self._drive.withdraw("ended")
+        self._drive.withdraw()
 
-    def withdraw(self) -> None:
-        """Withdraw the tip from the finger, and wait until it is off, 1.5 s at most."""
+    def withdraw(self) -> Fault | None:
+        """Withdraw the tip from the finger, and wait until it is off, as long as that may take.
+
+        Returns the fault of a tip that may still press.
+        """
         self.begin_withdrawal()
         deadline_s = time.monotonic() + WITHDRAWN_WITHIN_S
         self._status = self._drive.status()
         while self._status.withdrawal is WithdrawalOutcome.UNDER_WAY:
             if time.monotonic() > deadline_s:
-                return
+                break
             time.sleep(POLL_S)
             self.read()
+        outcome = self._status.withdrawal
+        if outcome in (None, WithdrawalOutcome.WITHDRAWN, WithdrawalOutcome.RELIEVED):
+            return None
+        now_ns = time.perf_counter_ns()
+        force_n = self.finger(now_ns).force_n
+        if self.measures_force and force_n is not None and force_n < TOUCH_N:
+            return None
+        felt = "an unknown force" if force_n is None else f"{force_n * 1e3:.0f} mN"
+        cause = f"it may still press with {felt} at the end, its withdrawal is {outcome.value}"
+        return Fault(FaultKind.STILL_PRESSED, self._drive.part, cause, now_ns)
 
     def close(self) -> None:
         """Withdraw the tip, bring the drive to rest and close drive and sensor."""
-        self.withdraw()
-        self._drive.close()
-        if self._sensor is not None:
-            self._sensor.close()
+        try:
+            self.withdraw()
+        finally:
+            self._drive.close()
+            if self._sensor is not None:
+                self._sensor.close()
+
+
+def _shows_wrong_film(fault: Fault) -> bool:
+    return fault.part is Part.FILM and fault.kind in FILM_IS_WRONG

@@ -11,7 +11,6 @@ from dataclasses import replace
 import zmq
 
 from display_node.display import Display
-from display_node.fault_advice import advise
 from display_node.hardware import Hardware
 from display_node.press.sweep import DepthSweep
 from display_node.reception.connection import Connection
@@ -20,6 +19,7 @@ from display_node.scoring.deadlines import GAP_NS, DeadlineWatch
 from display_node.telemetry.alerts import WITHOUT_SAMPLES
 from display_node.telemetry.publisher import Publisher
 from protocol import sockets
+from protocol.faults import Part, internal_fault
 from protocol.histogram import Histogram
 from protocol.host.realtime import Pacer
 from protocol.pieces import Pieces, complete
@@ -129,43 +129,63 @@ class DisplayNode:
         return self._telemetry.await_recorder(seconds)
 
     def run(self, seconds: float | None = None, once: bool = False) -> Summary:
-        """Run the loop until `stop`, for `seconds`, or with `once` to the end of the stream."""
+        """Run the loop until `stop`, for `seconds`, or with `once` to the end of the stream.
+
+        An exception that no code expects ends the loop as a fault: the tips are withdrawn, and the
+        last status and the summary have it.
+        """
+        try:
+            try:
+                self._loop(seconds, once)
+            except Exception as error:
+                self._take_error(error)
+            return self._finish()
+        finally:
+            self._connection.close()
+            self._context.destroy(linger=sockets.LINGER_MS)
+
+    def _loop(self, seconds: float | None, once: bool) -> None:
         start_ns = time.perf_counter_ns()
         end_ns = None if seconds is None else start_ns + round(seconds * 1e9)
         pacer = self._pacer = Pacer(self._scene.tick_ns, start_ns)
         reserve_ns, rested, arrived = self._scene.tick_ns // RESERVE_PARTS, True, True
         descriptors = self._connection.descriptors
-        try:
-            while not self._stopping:
-                woke_ns = time.perf_counter_ns()
-                # After a wait in which nothing has arrived, to read would only delay the command.
-                if arrived:
-                    self._receive(pacer.due_ns)
-                now_ns, arrived = time.perf_counter_ns(), True
-                tick = pacer.begin(now_ns)
-                if tick is None:
-                    spare_ns = pacer.due_ns - now_ns
-                    rested = rested or spare_ns > reserve_ns
-                    if spare_ns <= reserve_ns or not self._work():
-                        arrived = sockets.wait_on_descriptors(descriptors, spare_ns)
-                    continue
-                felt = self._display.fade.gain > 0.0
-                self._display.command(tick.due_ns, tick.elapsed_ticks)
-                self._command_us.add((time.perf_counter_ns() - woke_ns) * 1e-3)
-                self._late_us.add(tick.late_ns * 1e-3)
-                # Ticks that are late while nothing is felt alarm nobody.
-                self._deadlines.add(now_ns, tick.elapsed_ticks if felt else 1)
-                self._account(tick.due_ns, tick.elapsed_ticks)
-                self._tick_us.add((time.perf_counter_ns() - now_ns) * 1e-3)
-                if not rested:
-                    self._work_anyway()
-                rested = False
-                if (end_ns is not None and now_ns >= end_ns) or (once and self._display.over):
-                    break
-            return self._finish()
-        finally:
-            self._connection.close()
-            self._context.destroy(linger=sockets.LINGER_MS)
+        while not self._stopping:
+            woke_ns = time.perf_counter_ns()
+            # After a wait in which nothing has arrived, to read would only delay the command.
+            if arrived:
+                self._receive(pacer.due_ns)
+            now_ns, arrived = time.perf_counter_ns(), True
+            tick = pacer.begin(now_ns)
+            if tick is None:
+                spare_ns = pacer.due_ns - now_ns
+                rested = rested or spare_ns > reserve_ns
+                if spare_ns <= reserve_ns or not self._work():
+                    arrived = sockets.wait_on_descriptors(descriptors, spare_ns)
+                continue
+            felt = self._display.fade.gain > 0.0
+            self._display.command(tick.due_ns, tick.elapsed_ticks)
+            self._command_us.add((time.perf_counter_ns() - woke_ns) * 1e-3)
+            self._late_us.add(tick.late_ns * 1e-3)
+            # Ticks that are late while nothing is felt alarm nobody.
+            self._deadlines.add(now_ns, tick.elapsed_ticks if felt else 1)
+            self._account(tick.due_ns, tick.elapsed_ticks)
+            self._tick_us.add((time.perf_counter_ns() - now_ns) * 1e-3)
+            if not rested:
+                self._work_anyway()
+            rested = False
+            if (end_ns is not None and now_ns >= end_ns) or (once and self._display.over):
+                break
+
+    def _take_error(self, error: Exception) -> None:
+        """Latch an exception of the loop, and begin to withdraw."""
+        fault = internal_fault(Part.LOOP, "loop", error, time.perf_counter_ns())
+        self._display.fade.fault(fault)
+        for hardware in self._benches:
+            if hardware is not None:
+                hardware.begin_withdrawal()
+        logger.error(f"fault: {fault}: {fault.remedy}")
+        logger.debug("the loop has ended", exc_info=error)
 
     def _receive(self, until_ns: int) -> None:
         """Take the waiting messages, at most until `until_ns`; the next call takes the rest."""
@@ -203,7 +223,7 @@ class DisplayNode:
             self.stop()
         faults = self._display.fade.faults
         for fault in faults[self._named_faults :]:
-            logger.error(f"fault: {fault}: {advise(fault)}")
+            logger.error(f"fault: {fault}: {fault.remedy}")
         self._named_faults = len(faults)
         for reason in (self._display.receiver.other_version, self._display.receiver.false_report):
             if reason and reason not in self._warned:
@@ -289,8 +309,9 @@ class DisplayNode:
         # All at once: a drive that waits for the others would report a missing command.
         for hardware in benches:
             hardware.begin_withdrawal()
-        for hardware in benches:
-            hardware.withdraw()
+        for contactor, bench in zip(self._display.contactors, self._benches, strict=True):
+            if bench is not None and (fault := bench.withdraw()) is not None:
+                contactor.latch(fault, self._display.fade)
         self._display.finish_scores()
         summary = complete(self._summary_pieces())
         self._telemetry.finish(self._display.pack_status(summary, final=True))

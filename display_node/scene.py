@@ -20,6 +20,7 @@ from protocol.errors import SceneError
 from protocol.wire.description import HOLD_DOWN, LayerTable, first_repeated
 from protocol.wire.messages import MAX_CHANNELS
 from pulse_drives import Drive
+from pulse_drives.axis import build_axis
 from pulse_drives.scene import DriveTable
 from pulse_sensors.drive_film import DriveFilmScene
 from pulse_sensors.sensor import SENSORS, Sensor, SensorScene, one_force
@@ -133,6 +134,15 @@ class DisplayScene(ContactorScene):
                 f'channel "{static}" holds the probe down and is no pulse; leave out'
                 " the contactor that plays it"
             )
+        return self
+
+    @model_validator(mode="after")
+    def _tips_leave_in_time(self) -> Self:
+        for each in self.contactors:
+            stepper = each.actuator.stepper
+            if each.drive is not None and stepper is not None:
+                limit_n = each.safety.force_limit_n
+                build_axis(each.drive, stepper, stepper.deepest_m(each.layer.layer(), limit_n))
         return self
 
     @property

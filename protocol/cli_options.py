@@ -12,7 +12,8 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
-from protocol.errors import TelepulseError
+from protocol.errors import DriveError, TelepulseError
+from protocol.faults import FaultKind
 from protocol.host.child_process import Sidecar, sidecar_module
 from protocol.host.output import STDOUT
 from protocol.host.realtime import RealtimeGrant, RealtimeRequest, apply_realtime
@@ -188,7 +189,8 @@ MetricsOption = Annotated[
 def one_line_errors(program: str) -> Iterator[None]:
     """Turn the project's own errors into one line on stderr and exit status 2.
 
-    A question that is not answered ends the program with exit status 1.
+    A drive that an unexpected exception keeps from starting is a fault, with exit status 3. A
+    question that is not answered ends the program with exit status 1.
     """
     try:
         yield
@@ -198,7 +200,8 @@ def one_line_errors(program: str) -> Iterator[None]:
         raise SystemExit(NO_ANSWER) from None
     except TelepulseError as error:
         print(f"{program}: {error}", file=sys.stderr)
-        raise SystemExit(USAGE_ERROR) from None
+        failed = isinstance(error, DriveError) and error.kind is FaultKind.INTERNAL
+        raise SystemExit(FAULT_STATUS if failed else USAGE_ERROR) from None
 
 
 def plain_console(quiet: bool = False, json: Path | None = None) -> Console:

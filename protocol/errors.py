@@ -6,6 +6,8 @@
 import difflib
 from collections.abc import Iterable
 
+from protocol.faults import FaultKind
+
 
 class TelepulseError(Exception):
     """Base of all errors that telepulse raises deliberately."""
@@ -65,12 +67,12 @@ class DriveError(TelepulseError, OSError):
     """A drive cannot be reached, refuses, or has failed.
 
     Examples: no such port, no answer, a wrong checksum, over-temperature, no home switch found.
-    kind: the fault's short name.
+    kind: that of the fault; its value, such as "refused", will do.
     """
 
-    def __init__(self, kind: str, message: str) -> None:
+    def __init__(self, kind: FaultKind | str, message: str) -> None:
         super().__init__(message)
-        self.kind = kind
+        self.kind = FaultKind(kind)
 
 
 class OutputError(TelepulseError, OSError):

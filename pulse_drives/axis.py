@@ -6,7 +6,9 @@
 import math
 from dataclasses import dataclass
 
+from protocol.errors import SceneError
 from pulse_drives.scene import DriveScene, MotorScene
+from pulse_drives.withdrawal import CONFIRMED_M, FAST_M_PER_S, SLOW_M_PER_S
 
 # Positions and velocities of a drive have 32 bits.
 LARGEST = 2**31 - 1
@@ -14,6 +16,8 @@ LARGEST = 2**31 - 1
 REACTION_S = 2e-3
 # At this distance from first touch (or half the distance to home, if less) the tip is not felt.
 CLEAR_M = 0.5e-3
+# An axis that takes longer to leave the finger is refused.
+OFF_WITHIN_S = 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,6 +90,16 @@ class Axis:
     search_s: float
     clear_m: float
 
+    @property
+    def off_s(self) -> float:
+        """Time in s in which a withdrawal takes the tip from its greatest depth off the finger."""
+        slow = min(SLOW_M_PER_S, self.max_speed_m_per_s)
+        fast = min(FAST_M_PER_S, self.max_speed_m_per_s)
+        # Turning round takes a ramp down and one up.
+        turn_s = 2 * self.max_speed_m_per_s / self.max_acceleration_m_per_s2
+        away_m = max(self.furthest_m - self.clear_m - CONFIRMED_M, 0.0)
+        return turn_s + CONFIRMED_M / slow + away_m / fast
+
     def clear_of(self, origin_m: float) -> float:
         """Return the position where the tip is off a finger that begins at `origin_m`."""
         return max(self.clear_m + origin_m, self.lowest_m - 0.5 * self.clear_m)
@@ -117,11 +131,18 @@ def build_axis(scene: DriveScene, motor: MotorScene, deepest_m: float) -> Axis:
     """Return the axis of a scene's drive and motor.
 
     Its travel begins at home. It ends at `deepest_m`, at the stroke's end, or at `furthest`,
-    whichever comes first.
+    whichever comes first. Raises SceneError for a motor that is slower than its search for home, or
+    that does not take the tip off the finger in time.
     """
     # Positions count whole microsteps, so the tip may be almost one microstep further.
     ends_m = [motor.stroke_m - scene.touch_m, deepest_m - motor.step_m]
-    return Axis(
+    if scene.homing_speed_m_per_s > motor.max_speed_m_per_s:
+        raise SceneError(
+            f"drive.homing_speed is {scene.homing_speed_m_per_s * 1e3:.4g} mm/s, and the actuator's"
+            f" max_speed {motor.max_speed_m_per_s * 1e3:.4g} mm/s: home more slowly, or correct"
+            " max_speed"
+        )
+    axis = Axis(
         units=Units(
             step_m=motor.step_m,
             per_step=scene.units_per_step,
@@ -139,3 +160,11 @@ def build_axis(scene: DriveScene, motor: MotorScene, deepest_m: float) -> Axis:
         search_s=5.0 + 2 * motor.stroke_m / scene.homing_speed_m_per_s,
         clear_m=-min(CLEAR_M, scene.touch_m / 2),
     )
+    if axis.off_s > OFF_WITHIN_S:
+        raise SceneError(
+            f"actuator.max_speed and max_acceleration take the tip off the finger within"
+            f" {axis.off_s:.2g} s from {axis.furthest_m * 1e3:.3g} mm, and after a fault it must be"
+            f" off within {OFF_WITHIN_S:g} s: allow more speed, or less depth (drive.furthest,"
+            " safety.force_limit)"
+        )
+    return axis

@@ -17,13 +17,16 @@ import time
 from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Callable
-from contextlib import suppress
-from typing import Protocol
+from dataclasses import replace
+from typing import ClassVar, Protocol
 
 from protocol.errors import DriveError, SceneError
+from protocol.faults import Fault, FaultKind, Part, internal_fault
+from protocol.host.guard import GuardedThread
 from pulse_drives.axis import Axis
 from pulse_drives.scene import DriveScene
 from pulse_drives.supervisor import DriveStatus, Supervisor, TimeoutLock
+from pulse_drives.withdrawal import OVERDUE_NS, WithdrawalOutcome
 
 # Time between two commands on the way to first touch or to rest.
 PERIOD_S = 2e-3
@@ -36,9 +39,12 @@ OPENED_M = 0.3e-3
 SEARCH_MARGIN_M = 1e-3
 # Before first touch the tip must not press: a rise of the film's reading by this much is a press.
 PRESSED_N = 0.1
-# Kind of DriveError, and advice. With a wrong `inverted` or two swapped wires, every withdrawal
-# would press. The drive's own count does not show this, so the home switch and the film must.
-WRONG_WAY = "wrong way"
+# A withdrawal that takes longer is unconfirmed; a board's own one begins when the host gives up.
+WITHDRAWN_WITHIN_S = 2 * OVERDUE_NS * 1e-9 + 0.5
+# A step of the drive's thread may wait for a line's time-out.
+THREAD_ENDS_WITHIN_S = 2.0
+# With a wrong `inverted` or two swapped wires, every withdrawal would press. The drive's own count
+# does not show this, so the home switch and the film must.
 ADVICE = "look at inverted in its table and at the motor's wiring"
 
 
@@ -60,7 +66,8 @@ class TouchGuard:
         elif force_n > self._least_n + PRESSED_N:
             rise_mn = (force_n - self._least_n) * 1e3
             raise DriveError(
-                WRONG_WAY, f"the force rises by {rise_mn:.0f} mN before first touch; {ADVICE}"
+                FaultKind.WRONG_WAY,
+                f"the force rises by {rise_mn:.0f} mN before first touch; {ADVICE}",
             )
 
 
@@ -69,7 +76,7 @@ def bound_search(axis: Axis, began_m: float, position_m: float) -> None:
     most_m = axis.furthest_m - axis.lowest_m + SEARCH_MARGIN_M
     if abs(position_m - began_m) > most_m:
         raise DriveError(
-            WRONG_WAY,
+            FaultKind.WRONG_WAY,
             f"no home switch found within {most_m * 1e3:.1f} mm;"
             f" {ADVICE}, and at touch and furthest",
         )
@@ -125,23 +132,27 @@ class FilmPort(Protocol):
 class Drive(ABC):
     """A stepper's drive that takes speeds.
 
+    No exception of its device ends its thread or leaves its methods: it is a fault, after which the
+    thread goes on to withdraw the tip.
+
     Attributes
     ----------
     counts
         Errors on the bus that the next message corrected, by name.
     """
 
-    # Greatest time between two steps of the drive's own thread.
+    #: Greatest time between two steps of the drive's own thread.
     step_s: float
+    #: What faults name.
+    part: ClassVar[Part] = Part.DRIVE
 
     def __init__(self, scene: DriveScene, axis: Axis) -> None:
         self._axis = axis
         self._homing_speed = scene.homing_speed_m_per_s
         self._device: DriveDevice | None = None
-        self._thread: threading.Thread | None = None
+        self._thread: GuardedThread | None = None
         self._woken = threading.Event()
-        self._closing = False
-        self._supervisor = Supervisor(axis, scene.watchdog_ns, scene.held_ns)
+        self._supervisor = Supervisor(axis, scene.watchdog_ns, scene.held_ns, self.part)
         # Protects supervisor and commands, which the loop's and the drive's threads use.
         self._lock = TimeoutLock()
         self.counts: Counter[str] = Counter()
@@ -157,11 +168,25 @@ class Drive(ABC):
         Raises
         ------
         DriveError
-            If any step fails. The drive is then closed; a tip that went the wrong way is moved back
-            first.
+            If any step fails; of kind `INTERNAL` for an exception that is none of the project's.
+            The drive is then closed; a tip that went the wrong way is moved back first.
         """
         self.close()
-        self._device = device = self._connect()
+        try:
+            self._device = device = self._connect()
+            try:
+                self._start(device, force_n)
+            except BaseException:  # Ctrl-C must not leave it moving either
+                self.close()
+                raise
+        except (DriveError, SceneError):
+            raise
+        except Exception as error:
+            fault = internal_fault(self.part, "start", error, time.perf_counter_ns())
+            raise DriveError(fault.kind, f"it does not start: {fault.cause}") from error
+        self._supervisor.verified = True
+
+    def _start(self, device: DriveDevice, force_n: Callable[[], float | None]) -> None:
         home_m = began_m = self._axis.lowest_m
         guard = TouchGuard(force_n)
         try:
@@ -176,22 +201,27 @@ class Drive(ABC):
             # Not every drive reports its home switch; then the search's success must suffice.
             if self._home_switch():
                 raise DriveError(
-                    WRONG_WAY,
+                    FaultKind.WRONG_WAY,
                     f"the home switch is closed {opened_m * 1e3:.2g} mm from home, towards the"
                     f" finger; {ADVICE}",
                 )
             self._move_to(0.0, guard)
             self._pause()
-        except BaseException as error:  # Ctrl-C must not leave it moving either
-            if isinstance(error, DriveError) and error.kind == WRONG_WAY:
-                with suppress(DriveError):  # the first error is raised anyway
-                    if self._thread is None:
-                        device.end_search()
-                        self._follow(device)
-                    self._move_to(began_m)
-            self.close()
+        except DriveError as error:
+            if error.kind is FaultKind.WRONG_WAY:
+                self._go_back(device, began_m)
             raise
-        self._supervisor.verified = True
+
+    def _go_back(self, device: DriveDevice, position_m: float) -> None:
+        """Move a tip that went the wrong way back to where that began, if it can be moved."""
+        try:
+            if self._thread is None:
+                device.end_search()
+                self._follow(device)
+            self._move_to(position_m)
+        except Exception as error:
+            # The first error is raised anyway.
+            self.counts[f"not moved back: {type(error).__name__}"] += 1
 
     def command(self, speed_m_per_s: float) -> None:
         """Run at a speed within the soft limits, positive into the finger, until the next command.
@@ -204,9 +234,9 @@ class Drive(ABC):
             return
         with self._lock:
             now_ns = time.perf_counter_ns()
-            self._read_reports(now_ns)
+            self._guarded(self._read_reports, now_ns)
             self._supervisor.set_target(speed_m_per_s, now_ns)
-            self._send(now_ns)
+            self._guarded(self._send, now_ns)
 
     def film_port(self, least_counts: float, most_counts: float) -> FilmPort:
         """Return the port of the film that the drive's board reads, which a `Sensor` opens.
@@ -224,10 +254,14 @@ class Drive(ABC):
     def status(self) -> DriveStatus:
         """Return the drive's last report, without a request."""
         with self._lock:
+            now_ns = time.perf_counter_ns()
             if self._device is None:
-                return self._supervisor.status(0.0)
-            self._read_reports(time.perf_counter_ns())
-            return self._supervisor.status(self._device.speed_m_per_s)
+                return self._supervisor.status(0.0, now_ns)
+            self._guarded(self._read_reports, now_ns)
+            if self._thread is not None and self._supervisor.hangs(now_ns):
+                # A thread that hangs does not find this by itself.
+                self._supervisor.check_silence(now_ns)
+            return self._supervisor.status(self._device.speed_m_per_s, now_ns)
 
     def travel_m(self, now_ns: int) -> float:
         """Return the commanded travel in m until a time, from an arbitrary origin."""
@@ -244,33 +278,79 @@ class Drive(ABC):
         with self._lock:
             self._supervisor.origin_m = min(origin_m, 0.0)
 
-    def withdraw(self, reason: str) -> None:
+    def withdraw(self, reason: Fault | None = None) -> None:
         """Take the tip off the finger from now on, and keep it there until `start`.
 
-        Never waits for the drive. The reason becomes the fault, unless there is one.
+        Never waits for the drive. The reason becomes the fault, unless there is one; None: the end
+        of a run, which is no fault.
         """
+        if reason is None:
+            reason = Fault(FaultKind.ENDED, self.part, "ended")
         with self._lock:
-            self._supervisor.fail(reason, time.perf_counter_ns())
+            self._supervisor.fail(replace(reason, at_ns=time.perf_counter_ns()))
         self._woken.set()
 
     def close(self) -> None:
-        """Bring the drive to rest, disable and disconnect it. Never raises."""
-        if self._device is None:
+        """Bring the drive to rest, disable and disconnect it. Never raises.
+
+        A withdrawal that is under way is waited for, as long as it may take.
+        """
+        device = self._device
+        if device is None:
             return
-        deadline_s = time.monotonic() + REST_WITHIN_S
-        while (status := self.status()).fault is None and time.monotonic() < deadline_s:
-            self.command(0.0)
-            if not status.moving:
-                break
-            time.sleep(PERIOD_S)
-        if self._thread is not None:
-            self._closing = True
+        self._await_rest()
+        thread, self._thread = self._thread, None
+        if thread is not None:
             self._woken.set()
-            self._thread.join()
-            self._thread = None
-        self._supervisor.fault = self._supervisor.fault or "closed"
-        self._device.close()
+            if not thread.stop(THREAD_ENDS_WITHIN_S):
+                self.counts["thread hangs"] += 1
+        supervisor = self._supervisor
+        supervisor.fault = supervisor.fault or Fault(FaultKind.CLOSED, self.part, "closed")
         self._device = None
+        try:
+            device.close()
+        except Exception as error:
+            self.counts[f"not closed: {type(error).__name__}"] += 1
+
+    def _await_rest(self) -> None:
+        """Wait until the drive rests, or its withdrawal has ended."""
+        began_s = time.monotonic()
+        while True:
+            status, waited_s = self.status(), time.monotonic() - began_s
+            if status.fault is None:
+                self.command(0.0)
+                if not status.moving or waited_s > REST_WITHIN_S:
+                    return
+            elif (
+                status.withdrawal is not WithdrawalOutcome.UNDER_WAY
+                or waited_s > WITHDRAWN_WITHIN_S
+            ):
+                return
+            time.sleep(PERIOD_S)
+
+    def _guarded(self, work: Callable[[int], None], now_ns: int) -> None:
+        """Do a part of the work at the device; any exception is a fault."""
+        try:
+            work(now_ns)
+        except DriveError as error:
+            self._supervisor.mark_unsent(now_ns)
+            self._supervisor.fail(self._fault_of(error, now_ns))
+        except Exception as error:
+            self._take_error(error, now_ns)
+
+    def _take_error(self, error: BaseException, now_ns: int) -> None:
+        self.counts[f"error: {type(error).__name__}"] += 1
+        self._supervisor.mark_unsent(now_ns)
+        self._supervisor.fail(internal_fault(self.part, self._thread_name, error, now_ns))
+
+    def _fault_of(self, error: DriveError, now_ns: int) -> Fault:
+        """Return the fault of a device's error."""
+        kind = "fault" if error.kind is FaultKind.DRIVE_FAULT else error.kind.value
+        return Fault(error.kind, self.part, f"{kind}: {error}", now_ns)
+
+    @property
+    def _thread_name(self) -> str:
+        return f"{self.part.value} {type(self).__name__}"
 
     @abstractmethod
     def _connect(self) -> DriveDevice:
@@ -296,15 +376,19 @@ class Drive(ABC):
         now_ns = time.perf_counter_ns()
         self._supervisor.arm(now_ns)
         self._supervisor.add_position(device.position_m, now_ns)
-        self._closing = False
-        self._thread = threading.Thread(target=self._run, daemon=True)
-        self._thread.start()
+        thread = GuardedThread(self._thread_name, self._run_once, self._on_error)
+        thread.start()
+        self._thread = thread
 
-    def _run(self) -> None:
-        while not self._closing:
-            self._woken.wait(self.step_s)
-            self._woken.clear()
-            self._step()
+    def _run_once(self) -> None:
+        self._woken.wait(self.step_s)
+        self._woken.clear()
+        self._step()
+
+    def _on_error(self, error: BaseException) -> None:
+        """Latch an exception of the drive's thread, which goes on to withdraw."""
+        with self._lock.acquire_or_proceed():
+            self._take_error(error, time.perf_counter_ns())
 
     def _pause(self) -> None:
         """Rest; the watchdog starts again with the next command."""
@@ -325,7 +409,8 @@ class Drive(ABC):
             guard()
             status = self.status()
             if status.fault is not None:
-                raise DriveError("fault", f"on its way to first touch: {status.fault}")
+                fault = status.fault
+                raise DriveError(fault.kind, f"on its way to first touch: {fault.cause}")
             # On a busy host or bus the report is old, and the tip has moved since.
             age_s = (time.perf_counter_ns() - status.received_ns) * 1e-9
             left_m = position_m - status.position_m - sent_m_per_s * age_s
@@ -339,5 +424,5 @@ class Drive(ABC):
                 return
             if time.monotonic() > deadline_s:
                 text = f"the tip stays {left_m * 1e3:.3f} mm before first touch"
-                raise DriveError("not there", text)
+                raise DriveError(FaultKind.NOT_THERE, text)
             time.sleep(PERIOD_S)

@@ -1,5 +1,6 @@
 """The tables of a real drive: its motor and screw, and its bus, units and homing."""
 
+import errno
 import math
 import os
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
@@ -17,6 +18,7 @@ from protocol.config.quantities import (
 )
 from protocol.config.scene import Section
 from protocol.errors import DriveError
+from protocol.faults import FaultKind
 
 if TYPE_CHECKING:
     import can
@@ -190,6 +192,34 @@ def can_frame_bits(data_bytes: int) -> int:
     return 47 + 8 * data_bytes + (34 + 8 * data_bytes - 1) // 4
 
 
+_KINDS = {
+    errno.ENOENT: FaultKind.NO_SUCH_PORT,
+    errno.EACCES: FaultKind.NOT_ALLOWED,
+    errno.EPERM: FaultKind.NOT_ALLOWED,
+    errno.EBUSY: FaultKind.BUSY,
+    # Of a port that another program has locked.
+    errno.EAGAIN: FaultKind.BUSY,
+    errno.ENODEV: FaultKind.NO_SUCH_BUS,
+    errno.ENETDOWN: FaultKind.BUS_DOWN,
+}
+
+
+def _error_number(error: BaseException) -> int | None:
+    """Return the system's number of an error; None where it has none."""
+    # A termios.error has its number as an argument alone, one of python-can as error_code.
+    numbers = (getattr(error, "errno", None), getattr(error, "error_code", None), *error.args[:1])
+    return next((number for number in numbers if isinstance(number, int)), None)
+
+
+def line_fault(error: BaseException) -> FaultKind:
+    """Return the kind of fault for which a line cannot be opened."""
+    number = _error_number(error)
+    cause = error.__cause__ or error.__context__
+    if number is None and cause is not None:
+        return line_fault(cause)
+    return _KINDS.get(number or 0, FaultKind.UNPLUGGED)
+
+
 def open_port(
     name: str, baud: int, read_within_s: float, write_within_s: float
 ) -> "serial.SerialBase":
@@ -201,10 +231,11 @@ def open_port(
         port: serial.SerialBase = serial.serial_for_url(
             name, baud, timeout=read_within_s, write_timeout=write_within_s, exclusive=True
         )
-    except (OSError, ValueError) as error:
-        number = getattr(error, "errno", None)
+    # pyserial passes on errors of many kinds, such as termios.error.
+    except Exception as error:
+        number = _error_number(error)
         reason = os.strerror(number) if number else error
-        raise DriveError("unplugged", f"{name} cannot be opened: {reason}") from None
+        raise DriveError(line_fault(error), f"{name} cannot be opened: {reason}") from None
     return port
 
 
@@ -221,8 +252,10 @@ def open_bus(scene: DriveScene) -> "can.BusABC":
         )
     # Interfaces come from many makers, and raise errors of many kinds.
     except Exception as error:
+        unknown = isinstance(error, can.CanInterfaceNotImplementedError)
+        kind = FaultKind.NO_SUCH_INTERFACE if unknown else line_fault(error)
         raise DriveError(
-            "unplugged", f"CAN bus {scene.interface} {scene.channel} cannot be opened: {error}"
+            kind, f"CAN bus {scene.interface} {scene.channel} cannot be opened: {error}"
         ) from None
 
 

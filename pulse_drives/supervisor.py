@@ -12,6 +12,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 
+from protocol.faults import Fault, FaultKind, Part
 from pulse_drives.axis import Axis
 from pulse_drives.following_error import CommandedPosition, FollowingError
 from pulse_drives.withdrawal import Withdrawal, WithdrawalOutcome
@@ -20,6 +21,26 @@ from pulse_drives.withdrawal import Withdrawal, WithdrawalOutcome
 PATIENCE_S = 0.05
 # A TMCL module's position is read every 40 ms where commands keep its line busy: five of these.
 POSITION_WITHIN_NS = 200_000_000
+# Faults that show that the film's readings are wrong. A force that is too large, or rises too fast,
+# may be there: the motor may turn the wrong way.
+FILM_IS_WRONG = frozenset(
+    (
+        FaultKind.NOT_A_NUMBER,
+        FaultKind.SILENT,
+        FaultKind.LATE,
+        FaultKind.TOO_LOW,
+        FaultKind.OFF_FINGER,
+        FaultKind.FROZEN,
+    )
+)
+# Without a command for this time, a withdrawal is unconfirmed: the drive's thread hangs. Counted in
+# steps of at most UNSENT_STEP_NS between two calls of `Supervisor.status`.
+UNSENT_NS = 400_000_000
+UNSENT_STEP_NS = 20_000_000
+GIVEN_UP = (WithdrawalOutcome.UNCONFIRMED, WithdrawalOutcome.WRONG_WAY)
+Silence = tuple[FaultKind, str]
+"""Kind of the fault of a drive that is not understood, and its words before the time."""
+NO_ANSWER: Silence = (FaultKind.NO_ANSWER, "no answer")
 
 
 class TimeoutLock:
@@ -88,7 +109,7 @@ class DriveStatus:
 
     position_m: float
     speed_m_per_s: float
-    fault: str | None
+    fault: Fault | None
     moving: bool
     received_ns: int
     withdrawal: WithdrawalOutcome | None = None
@@ -99,7 +120,7 @@ class DriveStatus:
 class Supervisor:
     """Supervision of one drive: bounds its speed, latches its first fault and withdraws its tip.
 
-    watchdog_ns, held_ns: as in `DriveScene`.
+    watchdog_ns, held_ns: as in `DriveScene`. part: the drive, as faults name it.
 
     Attributes
     ----------
@@ -118,8 +139,9 @@ class Supervisor:
         Time of the drive's last answer of any kind.
     """
 
-    def __init__(self, axis: Axis, watchdog_ns: int, held_ns: int) -> None:
+    def __init__(self, axis: Axis, watchdog_ns: int, held_ns: int, part: Part = Part.DRIVE) -> None:
         self._axis = axis
+        self._part = part
         self._watchdog_ns = watchdog_ns
         # Only a drive that brakes before its watchdog's time is assumed to have braked: a watchdog
         # may act late, and a withdrawal must then not begin too near.
@@ -129,13 +151,20 @@ class Supervisor:
         # The loop's last speed, and its time; 0 before the first.
         self._target = (0.0, 0)
         self._stepped_ns = 0
+        # Of `status`: its last call, the last command of the withdrawal that it has seen, and the
+        # time since.
+        self._asked_ns = self._seen_ns = self._unsent_ns = 0
         self._held_back = False
-        self.fault: str | None = "not started"
+        self.fault: Fault | None = Fault(FaultKind.NOT_STARTED, part, "not started")
         self.withdrawal: Withdrawal | None = None
         self.verified = False
         self.origin_m = 0.0
         self.position_m = axis.lowest_m
         self.position_ns = self.answered_ns = 0
+
+    def hangs(self, now_ns: int) -> bool:
+        """Return whether `check_silence` was not called for far longer than the drive waits."""
+        return now_ns - self._stepped_ns > self._watchdog_ns + UNSENT_NS
 
     @property
     def commanded_ns(self) -> int:
@@ -172,21 +201,22 @@ class Supervisor:
             self._following.add_position(position_m, now_ns)
             if self._following.failed:
                 error_um = self._following.error_m * 1e6
-                self.fail(
+                cause = (
                     f"following error: it reports {abs(error_um):.0f} µm"
-                    f" {'more' if error_um > 0 else 'less'} than was commanded",
-                    now_ns,
+                    f" {'more' if error_um > 0 else 'less'} than was commanded"
                 )
+                self.fail(Fault(FaultKind.FOLLOWING_ERROR, self._part, cause, now_ns))
 
     def add_force_reading(self, force_n: float, taken_ns: int) -> None:
         """Take a reading in N of the film under the finger, or of the probe's load cell."""
         if self.withdrawal is not None:
             self.withdrawal.add_force_reading(force_n, taken_ns)
 
-    def fail(self, fault: str, now_ns: int) -> None:
-        """Latch a fault and begin the withdrawal; a second one changes nothing."""
+    def fail(self, fault: Fault) -> None:
+        """Latch a fault and begin the withdrawal, at the fault's time; a second changes nothing."""
         if self.fault is not None:
             return
+        now_ns = fault.at_ns
         if self.verified:
             # NaN before the first report: then the reported position stands alone.
             furthest_m = max(self.position_m, self.commanded_m(now_ns))
@@ -196,6 +226,9 @@ class Supervisor:
                 self.travel_m(now_ns),
                 self._axis.clear_of(self.origin_m),
                 trusted=not self._following.failed,
+                film_trusted=not (
+                    fault.kind in FILM_IS_WRONG and fault.part in (Part.FILM, Part.LOAD_CELL)
+                ),
             )
         # Set last, so that no other thread sees a fault without its withdrawal.
         self.fault = fault
@@ -205,11 +238,11 @@ class Supervisor:
         if self.withdrawal is not None:
             self.withdrawal.restart(now_ns, self.travel_m(now_ns))
 
-    def check_silence(self, now_ns: int, silence: str = "no answer") -> None:
+    def check_silence(self, now_ns: int, silence: Silence = NO_ANSWER) -> None:
         """Latch a fault if no command, answer or position has come for too long.
 
         Call it often. A pause between calls is a stall of the host, in which no command was sent
-        and no answer received. silence: name of the fault without answers.
+        and no answer received. silence: kind and name of the fault without answers.
         """
         stalled_ns = now_ns - self._stepped_ns
         self._stepped_ns = max(now_ns, self._stepped_ns)
@@ -218,22 +251,38 @@ class Supervisor:
         commanded_ns = self.commanded_ns
         uncommanded_ns = max(stalled_ns, now_ns - commanded_ns if commanded_ns else 0)
         silent_ns = now_ns - self.answered_ns
+        part = self._part
         if uncommanded_ns > self._watchdog_ns:
-            self.fail(f"no command for {uncommanded_ns * 1e-6:.0f} ms", now_ns)
+            kind, part, words, for_ns = (
+                FaultKind.NO_COMMAND,
+                Part.LOOP,
+                "no command",
+                uncommanded_ns,
+            )
         elif silent_ns > self._watchdog_ns:
-            self.fail(f"{silence} for {silent_ns * 1e-6:.0f} ms", now_ns)
+            (kind, words), for_ns = silence, silent_ns
         elif now_ns - self.position_ns > max(POSITION_WITHIN_NS, self._watchdog_ns):
-            self.fail(f"no position for {(now_ns - self.position_ns) * 1e-6:.0f} ms", now_ns)
+            kind, words, for_ns = FaultKind.NO_POSITION, "no position", now_ns - self.position_ns
+        else:
+            return
+        self.fail(Fault(kind, part, f"{words} for {for_ns * 1e-6:.0f} ms", now_ns))
 
     def velocity_to_send(self, now_ns: int) -> int:
         """Return the velocity to send now, in the drive's units; then call `mark_sent`."""
         if self.withdrawal is not None:
             speed = self.withdrawal.speed_m_per_s(now_ns, self.travel_m(now_ns))
+            if self.withdrawal.outcome in GIVEN_UP and self._is_at_home:
+                speed = 0.0
+            speed = max(speed, -self._axis.max_speed_m_per_s)
         elif self.fault is not None:
             speed = 0.0
         else:
             speed = self._within_limits(self._target[0], now_ns)
         return self._axis.units.velocity(speed)
+
+    @property
+    def _is_at_home(self) -> bool:
+        return not self._following.failed and self.position_m <= self._axis.lowest_m
 
     def mark_sent(self, velocity: int, now_ns: int) -> None:
         """Record a velocity in the drive's units that was sent at a time."""
@@ -241,18 +290,35 @@ class Supervisor:
         self._commanded.record(speed_m_per_s, now_ns)
         self._following.record(speed_m_per_s, now_ns)
 
-    def status(self, speed_m_per_s: float) -> DriveStatus:
-        """Return the drive's status; the speed is what the drive reported last, in m/s."""
+    def status(self, speed_m_per_s: float, now_ns: int) -> DriveStatus:
+        """Return the drive's status; the speed is what the drive reported last, in m/s.
+
+        Call it often: a withdrawal for which nothing is sent meanwhile is unconfirmed.
+        """
         return DriveStatus(
             self.position_m,
             speed_m_per_s,
             self.fault,
             speed_m_per_s != 0,
             self.position_ns,
-            None if self.withdrawal is None else self.withdrawal.outcome,
+            self._withdrawal_outcome(now_ns),
             self.answered_ns,
             self._held_back,
         )
+
+    def _withdrawal_outcome(self, now_ns: int) -> WithdrawalOutcome | None:
+        withdrawal = self.withdrawal
+        passed_ns, self._asked_ns = now_ns - self._asked_ns, now_ns
+        if withdrawal is None:
+            return None
+        if withdrawal.sent_ns != self._seen_ns:
+            self._seen_ns, self._unsent_ns = withdrawal.sent_ns, 0
+        # A stall of the whole host is none of the drive's thread.
+        self._unsent_ns += min(passed_ns, UNSENT_STEP_NS)
+        outcome = withdrawal.outcome
+        if outcome is WithdrawalOutcome.UNDER_WAY and self._unsent_ns > UNSENT_NS:
+            return WithdrawalOutcome.UNCONFIRMED
+        return outcome
 
     def commanded_m(self, now_ns: int) -> float:
         """Return the commanded position in m from first touch; NaN before the first report."""

@@ -37,6 +37,11 @@ MARGIN_M = 0.5e-3
 SILENT_NS = 50_000_000
 # Above this reading after the commanded travel, the film is still pressed.
 PRESSED_N = 0.05
+# An older reading of the film shows nothing of the present.
+FILM_SILENT_NS = 100_000_000
+# One that lasts longer counts as unconfirmed, and goes on. An axis that needs more than a second is
+# refused.
+OVERDUE_NS = 1_500_000_000
 # A force below this is not felt and may be the film's noise: it does not count as a press.
 TOUCH_N = 0.01
 
@@ -44,12 +49,15 @@ TOUCH_N = 0.01
 class WithdrawalOutcome(Enum):
     """State of a withdrawal.
 
-    UNCONFIRMED: the whole travel was commanded, and the drive's position does not show it.
-    WRONG_WAY: the tip went towards the finger, and was stopped.
+    WITHDRAWN: the position shows the tip off the finger, and a film that can be trusted shows no
+    force. RELIEVED: the film alone shows that no force is left; the position is unknown.
+    UNCONFIRMED: the whole travel was commanded, and neither is shown. WRONG_WAY: the tip went
+    towards the finger, and was stopped.
     """
 
     UNDER_WAY = "under way"
     WITHDRAWN = "withdrawn"
+    RELIEVED = "relieved"
     UNCONFIRMED = "unconfirmed"
     WRONG_WAY = "wrong way"
 
@@ -61,10 +69,20 @@ class Withdrawal:
     ----------
     confirmed
         Position or film has shown that the tip leaves the finger.
+    handed_over
+        The drive's own board does the rest; the host sends it nothing more.
+    stopped_by_film
+        A film that can be trusted has shown the motion towards the finger.
     """
 
     def __init__(
-        self, now_ns: int, position_m: float, travel_m: float, clear_m: float, trusted: bool
+        self,
+        now_ns: int,
+        position_m: float,
+        travel_m: float,
+        clear_m: float,
+        trusted: bool,
+        film_trusted: bool = True,
     ) -> None:
         """Begin the withdrawal.
 
@@ -78,6 +96,8 @@ class Withdrawal:
             Position where the tip is off the finger; negative.
         trusted
             The drive's position can be used.
+        film_trusted
+            The film's readings can be used: they were not found at fault.
         """
         self._began_ns = self._counted_ns = self._turning_ns = self._sent_ns = now_ns
         self._peak_m = self._last_m = position_m
@@ -85,20 +105,36 @@ class Withdrawal:
         self._received_ns = now_ns
         self._clear_m = clear_m
         self._unconfirmed_m = position_m - clear_m + MARGIN_M
-        self._trusted = trusted
+        self._trusted, self._film_trusted = trusted, film_trusted
+        # Last reading, and its time; None before any.
+        self._film_ns: int | None = None
         self._peak_n = self._last_n = 0.0
         self._rising = self._wrong_way = 0
-        self._relieved = self.confirmed = False
-        self.outcome = WithdrawalOutcome.UNDER_WAY
+        self._relieved = self.confirmed = self.handed_over = self.stopped_by_film = False
+        # Time for which it is under way, without stalls of the host.
+        self._lasted_ns = 0
+        self._outcome = WithdrawalOutcome.UNDER_WAY
+
+    @property
+    def outcome(self) -> WithdrawalOutcome:
+        """Its state; one that takes too long is unconfirmed, and goes on all the same."""
+        if self._outcome is WithdrawalOutcome.UNDER_WAY and self._lasted_ns > OVERDUE_NS:
+            return WithdrawalOutcome.UNCONFIRMED
+        return self._outcome
+
+    @property
+    def sent_ns(self) -> int:
+        """Time of the last command, or of the beginning."""
+        return self._sent_ns
 
     def add_position(self, position_m: float, received_ns: int) -> None:
         """Take a position that the drive reported, in m from first touch."""
         silent_ns, self._received_ns = received_ns - self._received_ns, received_ns
         self._last_m = position_m
-        if self.outcome is WithdrawalOutcome.UNCONFIRMED and silent_ns > SILENT_NS:
+        if self._outcome is WithdrawalOutcome.UNCONFIRMED and silent_ns > SILENT_NS:
             # The drive answers again, and may have missed the commands of the silence.
             self.restart(received_ns, self._travel_m)
-        wrong_way = self.outcome is WithdrawalOutcome.WRONG_WAY
+        wrong_way = self._outcome is WithdrawalOutcome.WRONG_WAY
         if wrong_way or not self._trusted or received_ns <= self._began_ns:
             return
         if self._may_turn(received_ns, TURN_NS):
@@ -106,24 +142,30 @@ class Withdrawal:
         elif position_m > self._peak_m + WRONG_WAY_M:
             self._wrong_way += 1
             if self._wrong_way >= IN_A_ROW:
-                self.outcome = WithdrawalOutcome.WRONG_WAY
+                self._outcome = WithdrawalOutcome.WRONG_WAY
             return
         self._wrong_way = 0
         self.confirmed |= position_m < self._peak_m - CONFIRMED_M
-        if position_m <= self._clear_m:
-            self.outcome = WithdrawalOutcome.WITHDRAWN
+        if self._is_clear(received_ns):
+            self._outcome = WithdrawalOutcome.WITHDRAWN
 
     def add_force_reading(self, force_n: float, taken_ns: int) -> None:
-        """Take a reading in N of the film, or of the probe's load cell."""
-        self._last_n = force_n
-        if self.outcome is not WithdrawalOutcome.UNDER_WAY:
+        """Take a reading in N of the film, or of the probe's load cell.
+
+        One that was found at fault decides nothing.
+        """
+        if not self._film_trusted:
+            return
+        self._last_n, self._film_ns = force_n, taken_ns
+        if self._outcome is not WithdrawalOutcome.UNDER_WAY:
             return
         if self._may_turn(taken_ns, FILM_TURN_NS):
             self._peak_n = max(self._peak_n, force_n)
         elif force_n > (1 + SHARE) * self._peak_n + WRONG_WAY_N:
             self._rising += 1
             if self._rising >= IN_A_ROW:
-                self.outcome = WithdrawalOutcome.WRONG_WAY
+                self._outcome = WithdrawalOutcome.WRONG_WAY
+                self.stopped_by_film = True
             return
         self._rising = self._wrong_way = 0
         self._relieved |= force_n < (1 - SHARE) * self._peak_n - CONFIRMED_N
@@ -132,32 +174,60 @@ class Withdrawal:
     def restart(self, now_ns: int, travel_m: float) -> None:
         """Count time and travel from now on, as earlier commands may not have moved the motor."""
         self._counted_ns, self._counted_m = now_ns, travel_m
-        if self.outcome is WithdrawalOutcome.UNCONFIRMED:
-            self.outcome = WithdrawalOutcome.UNDER_WAY
+        if self._outcome is WithdrawalOutcome.UNCONFIRMED:
+            self._outcome = WithdrawalOutcome.UNDER_WAY
+
+    def hand_over(self, now_ns: int) -> None:
+        """Leave the rest to the drive's own board, whose positions alone show it from now on."""
+        self.handed_over = True
+        self._film_trusted = False
+        self._began_ns = self._counted_ns = self._turning_ns = now_ns
+        self._wrong_way = self._lasted_ns = 0
+        self._peak_m = self._last_m
+        self._outcome = WithdrawalOutcome.UNDER_WAY
 
     def speed_m_per_s(self, now_ns: int, travel_m: float) -> float:
         """Return the speed to command now, negative or 0, for the travel commanded until now."""
         self._travel_m = travel_m
+        self._lasted_ns += min(now_ns - self._sent_ns, PAUSE_NS)
+        if self.handed_over:
+            self._sent_ns = now_ns
+            return 0.0
         if now_ns - self._sent_ns > PAUSE_NS:
             # The drive's watchdog has ended the last command, so the counted travel is too large.
             self._turning_ns = now_ns
             self.restart(now_ns, travel_m)
         self._sent_ns = now_ns
         travelled = self._counted_m - travel_m >= self._unconfirmed_m
-        if self.outcome is WithdrawalOutcome.UNDER_WAY and travelled:
+        if self._outcome is WithdrawalOutcome.UNDER_WAY and travelled:
             # Wait `PATIENCE_NS` from the start, or after a confirmation from the newest position:
             # reports lag behind the commands.
             since_ns = max(self._counted_ns, self._received_ns if self.confirmed else 0)
             if not self._trusted or now_ns - since_ns >= PATIENCE_NS:
-                relieved = self._relieved and self._last_n <= PRESSED_N
-                clear = relieved or self._last_m <= self._clear_m
-                self.outcome = (
-                    WithdrawalOutcome.WITHDRAWN if clear else WithdrawalOutcome.UNCONFIRMED
-                )
-        if self.outcome is WithdrawalOutcome.UNDER_WAY:
+                self._outcome = self._shown(now_ns)
+        if self._outcome is WithdrawalOutcome.UNDER_WAY:
             return -FAST_M_PER_S if self.confirmed else -SLOW_M_PER_S
-        pressed = self.outcome is WithdrawalOutcome.UNCONFIRMED and self._last_n > PRESSED_N
+        pressed = self._outcome is WithdrawalOutcome.UNCONFIRMED and self._last_n > PRESSED_N
         return -SLOW_M_PER_S if pressed else 0.0
+
+    def _is_clear(self, now_ns: int) -> bool:
+        """Return whether the position, and a film that can be trusted, show the tip off."""
+        if not self._trusted or self._last_m > self._clear_m:
+            return False
+        return not self._film_is_known(now_ns) or self._last_n <= PRESSED_N
+
+    def _shown(self, now_ns: int) -> WithdrawalOutcome:
+        """Return what is shown once the whole travel was commanded."""
+        if self._is_clear(now_ns):
+            return WithdrawalOutcome.WITHDRAWN
+        relieved = self._relieved and self._last_n <= PRESSED_N and self._film_is_known(now_ns)
+        # A position that shows the tip on the finger contradicts the film.
+        if relieved and not (self._trusted and self._received_ns > self._counted_ns):
+            return WithdrawalOutcome.RELIEVED
+        return WithdrawalOutcome.UNCONFIRMED
+
+    def _film_is_known(self, now_ns: int) -> bool:
+        return self._film_ns is not None and now_ns - self._film_ns <= FILM_SILENT_NS
 
     def _may_turn(self, taken_ns: int, within_ns: int) -> bool:
         """Return whether an older command explains a motion towards the finger at a time."""
@@ -191,6 +261,7 @@ class FingerState:
 
 _DURING = {
     WithdrawalOutcome.UNDER_WAY: "withdrawing",
+    WithdrawalOutcome.RELIEVED: "the drive's position is unknown",
     WithdrawalOutcome.UNCONFIRMED: "the drive does not confirm its withdrawal",
     WithdrawalOutcome.WRONG_WAY: "withdrawal stopped as it went towards the finger",
 }

@@ -269,6 +269,8 @@ class SensingNode:
                     f" ({names:.80}); Ctrl-C again ends at once"
                 )
             self._wait(MAX_WAIT_NS)
+        if (probe := self._source.pressed) is not None:
+            probe.leave()
         for client in self._server.clients.values():
             if (report := client.report) is not None:
                 logger.info(

@@ -5,6 +5,7 @@ from typing import Final
 
 from display_node.control.scene import SafetyScene
 from display_node.plant.film_plausibility import FilmFault
+from protocol.faults import Fault
 from protocol.ticks import LimitCounter
 
 # A reference below 0 N by less than this is rounding and noise, not a part of the pulse.
@@ -40,13 +41,13 @@ class ForceBounds:
             "slew": self.at_slew_limit,
         }
 
-    def reading_fault(self, feedback_n: float) -> str | None:
+    def reading_fault(self, feedback_n: float, now_ns: int) -> Fault | None:
         """Return the fault of a reading of the felt force in N that is implausible, or None."""
         if -self._overforce_n <= feedback_n <= self._overforce_n:
             return None
         if not math.isfinite(feedback_n):
-            return FilmFault.NOT_A_NUMBER.value
-        return FilmFault.OVERFORCE.format(limit=self._overforce_n)
+            return FilmFault.NOT_A_NUMBER.at(now_ns)
+        return FilmFault.OVERFORCE.at(now_ns, limit=self._overforce_n)
 
     def bound(self, reference_n: list[float], gain: float) -> list[float]:
         """Return the reference within force and slew limits, in N.

@@ -5,6 +5,7 @@ the drives then withdraw their tips (`pulse_drives/withdrawal.py`).
 """
 
 from display_node.control.scene import SafetyScene
+from protocol.faults import Fault
 
 
 class Fade:
@@ -29,7 +30,7 @@ class Fade:
         self._stale_ticks = scene.stale_after_ns // tick_ns
         self.gain = 0.0
         self.held = self.alive = False
-        self.faults: list[str] = []
+        self.faults: list[Fault] = []
 
     def skip(self, elapsed_ticks: int) -> None:
         """Fade for missed ticks; call it before `advance` of the tick that ends a stall.
@@ -59,7 +60,11 @@ class Fade:
             self.gain = min(1.0, self.gain + self._ramp)
         return self.gain
 
-    def fault(self, name: str) -> None:
-        """Latch a fault: the target falls to 0 N until a new start."""
-        if name not in self.faults:
-            self.faults.append(name)
+    def fault(self, fault: Fault) -> None:
+        """Latch a fault: the target falls to 0 N until a new start.
+
+        One of the same kind, part and contactor as before, whose figures differ, is not repeated.
+        """
+        same = (fault.kind, fault.part, fault.contactor)
+        if all((known.kind, known.part, known.contactor) != same for known in self.faults):
+            self.faults.append(fault)

@@ -8,6 +8,7 @@ import math
 from collections import deque
 
 from display_node.plant.film_plausibility import FilmFault
+from protocol.faults import Fault
 
 # Samples that are kept: enough for an age of 50 ms at 10 kHz.
 KEEP = 1_000
@@ -67,17 +68,16 @@ class Feedback:
         samples = self._samples
         return bool(samples) and now_ns - samples[-1][0] <= self._stale_after_ns
 
-    def silent_fault(self, now_ns: int) -> str | None:
-        """Return the text of the fault if no sample has come for too long, else None."""
-        return None if self.alive(now_ns) else FilmFault.SILENT.value
+    def silent_fault(self, now_ns: int) -> Fault | None:
+        """Return the fault if no sample has come for too long, else None."""
+        return None if self.alive(now_ns) else FilmFault.SILENT.at(now_ns)
 
-    @property
-    def late_fault(self) -> str | None:
-        """Text of the fault if readings have been older than assumed for 100 ms, else None."""
+    def late_fault(self, now_ns: int) -> Fault | None:
+        """Return the fault if readings have been older than assumed for 100 ms, else None."""
         if self._late_reads < LATE_READS or self._late_for_ns < LATE_FOR_NS:
             return None
         least_ms, assumed_ms = self._least_age_ns * 1e-6, self._latency_ns * 1e-6
-        return FilmFault.LATE.format(least_ms=least_ms, assumed_ms=assumed_ms)
+        return FilmFault.LATE.at(now_ns, least_ms=least_ms, assumed_ms=assumed_ms)
 
     def read(self, now_ns: int) -> float:
         """Return the force in N of `latency_ns` ago; NaN where no sample is recent enough.

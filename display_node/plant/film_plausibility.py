@@ -6,23 +6,44 @@ ns on the monotonic clock.
 
 import math
 from collections import deque
-from enum import StrEnum
+from enum import Enum
 
 from display_node.plant.scene import StepperScene
+from protocol.faults import Fault, FaultKind, Part
 from protocol.tactile import ElasticLayer
 
 
-class FilmFault(StrEnum):
-    """Reasons to stop using the film. Each is a fault that ends the pulse."""
+class FilmFault(Enum):
+    """Reasons to stop using the film, with the words of each. Each ends the pulse."""
 
-    NOT_A_NUMBER = "feedback is not a number"
-    OVERFORCE = "felt force above {limit:.3g} N"
-    SILENT = "feedback lost"
-    LATE = "feedback late: readings are {least_ms:.0f} ms old or older, not {assumed_ms:.0f} ms"
-    RISING = "felt force rises by {slope:.0f} N/s at {force:.2f} N, faster than commanded"
-    TOO_LOW = "the film reads {mn:.0f} mN where the tip presses with {least_mn:.0f} mN at least"
-    OFF_FINGER = "the film reads {mn:.0f} mN where the tip is {off_mm:.1f} mm off the finger"
-    FROZEN = "the film reads {mn:.0f} mN unchanged over {travel_mm:.2f} mm of the tip's travel"
+    NOT_A_NUMBER = FaultKind.NOT_A_NUMBER, "feedback is not a number"
+    OVERFORCE = FaultKind.OVERFORCE, "felt force above {limit:.3g} N"
+    SILENT = FaultKind.SILENT, "feedback lost"
+    LATE = (
+        FaultKind.LATE,
+        "feedback late: readings are {least_ms:.0f} ms old or older, not {assumed_ms:.0f} ms",
+    )
+    RISING = (
+        FaultKind.RISING,
+        "felt force rises by {slope:.0f} N/s at {force:.2f} N, faster than commanded",
+    )
+    TOO_LOW = (
+        FaultKind.TOO_LOW,
+        "it reads {mn:.0f} mN where the tip presses with {least_mn:.0f} mN at least",
+    )
+    OFF_FINGER = (
+        FaultKind.OFF_FINGER,
+        "it reads {mn:.0f} mN where the tip is {off_mm:.1f} mm off the finger",
+    )
+    FROZEN = (
+        FaultKind.FROZEN,
+        "it reads {mn:.0f} mN unchanged over {travel_mm:.2f} mm of the tip's travel",
+    )
+
+    def at(self, now_ns: int, **figures: float) -> Fault:
+        """Return the fault, detected at a time, with its figures."""
+        kind, words = self.value
+        return Fault(kind, Part.FILM, words.format(**figures), now_ns)
 
 
 # Time over which a slope is computed.
@@ -44,7 +65,7 @@ class RisingForce:
         self._ahead_s = REACTION_S + latency_ns * 1e-9
         self._samples: deque[tuple[int, float]] = deque()
 
-    def check_reading(self, force_n: float, taken_ns: int) -> str | None:
+    def check_reading(self, force_n: float, taken_ns: int) -> Fault | None:
         """Take a reading in N; return the fault that it predicts, if any."""
         samples = self._samples
         samples.append((taken_ns, force_n))
@@ -57,7 +78,7 @@ class RisingForce:
         beyond = slope - self._slew_limit_n_per_s
         if beyond <= 0 or force_n + beyond * self._ahead_s <= self._overforce_n:
             return None
-        return FilmFault.RISING.format(slope=slope, force=force_n)
+        return FilmFault.RISING.at(taken_ns, slope=slope, force=force_n)
 
 
 # The softest finger, as a share of the scene's `fingertip`. Fingertips are 0.5 to 5 N/mm.
@@ -99,30 +120,33 @@ class FilmPlausibility:
         while received_ns - positions[0][0] > WITHIN_NS:
             positions.popleft()
 
-    def check_reading(self, force_n: float, taken_ns: int) -> str | None:
+    def check_reading(self, force_n: float, taken_ns: int) -> Fault | None:
         """Take a reading in N; return the fault once it has contradicted positions for 50 ms."""
         places = [position_m for _, position_m in self._positions]
         fault = None
         if places:
-            fault = self._contradiction(force_n, min(places), max(places))
-            fault = fault or self._frozen(force_n, max(places[-1], PLACE_M))
+            fault = self._contradiction(force_n, min(places), max(places), taken_ns)
+            fault = fault or self._frozen(force_n, max(places[-1], PLACE_M), taken_ns)
         if fault is None or not self._plausible_ns:
             self._plausible_ns = taken_ns
         return fault if taken_ns - self._plausible_ns > WITHIN_NS else None
 
-    def _contradiction(self, force_n: float, lowest_m: float, highest_m: float) -> str | None:
+    def _contradiction(
+        self, force_n: float, lowest_m: float, highest_m: float, taken_ns: int
+    ) -> Fault | None:
         if lowest_m > self._law.position(max(force_n, 0.0) + MARGIN_N) + PLACE_M:
             least_mn = self._law.force(lowest_m - PLACE_M) * 1e3
-            return FilmFault.TOO_LOW.format(mn=force_n * 1e3, least_mn=least_mn)
+            return FilmFault.TOO_LOW.at(taken_ns, mn=force_n * 1e3, least_mn=least_mn)
         if highest_m < -2 * PLACE_M and force_n > 2 * MARGIN_N:
-            return FilmFault.OFF_FINGER.format(mn=force_n * 1e3, off_mm=-highest_m * 1e3)
+            off_mm = -highest_m * 1e3
+            return FilmFault.OFF_FINGER.at(taken_ns, mn=force_n * 1e3, off_mm=off_mm)
         return None
 
-    def _frozen(self, force_n: float, pressing_m: float) -> str | None:
+    def _frozen(self, force_n: float, pressing_m: float, taken_ns: int) -> Fault | None:
         if force_n != self._same_n:
             self._same_n, self._low_m, self._high_m = force_n, pressing_m, pressing_m
         self._low_m, self._high_m = min(self._low_m, pressing_m), max(self._high_m, pressing_m)
         travel_m = self._high_m - self._low_m
         if travel_m <= MOVED_M:
             return None
-        return FilmFault.FROZEN.format(mn=force_n * 1e3, travel_mm=travel_m * 1e3)
+        return FilmFault.FROZEN.at(taken_ns, mn=force_n * 1e3, travel_mm=travel_m * 1e3)

@@ -9,6 +9,7 @@ stop, whether this process has ended or hangs. After a fault a thread withdraws 
 import time
 
 from protocol.errors import DriveError
+from protocol.faults import FaultKind
 from pulse_drives.axis import Axis
 from pulse_drives.cia402.node import Cia402Node
 from pulse_drives.cia402.state_machine import Controlword, State, towards_enabled
@@ -41,9 +42,9 @@ class Cia402Drive(Drive):
     def _step(self) -> None:
         with self._lock.acquire_or_proceed():
             now_ns = time.perf_counter_ns()
-            self._read_reports(now_ns)
+            self._guarded(self._read_reports, now_ns)
             if self._supervisor.withdrawal is not None:
-                self._send(now_ns)
+                self._guarded(self._send, now_ns)
 
     def _read_reports(self, now_ns: int) -> None:
         node, supervisor = self._node, self._supervisor
@@ -51,10 +52,8 @@ class Cia402Drive(Drive):
         # One TPDO has both position and state.
         if node.received_ns > supervisor.position_ns:
             supervisor.add_position(node.position_m, node.received_ns)
-        state = node.state
-        if state is not State.ENABLED:
-            known = "" if state in (State.FAULT, State.REACTING) else f"{state.text}, "
-            supervisor.fail(f"fault: {known}{node.error}", now_ns)
+        if (fault := node.fault(now_ns)) is not None:
+            supervisor.fail(fault)
 
     def _send(self, now_ns: int) -> None:
         """Send the present velocity, or the next step to enable a drive that is not enabled."""
@@ -64,13 +63,11 @@ class Cia402Drive(Drive):
         self._control = (
             Controlword.ENABLE if enabled else towards_enabled(node.state, self._control)
         )
-        try:
-            supervisor.mark_sent(velocity, node.command(self._control, velocity))
-            if now_ns - self._beat_ns >= self._scene.watchdog_ns // BEATS:
-                self._beat_ns = now_ns
-                node.send_heartbeat()
-        except DriveError as error:
-            supervisor.fail(f"{error.kind}: {error}", now_ns)
+        node.start_again()
+        supervisor.mark_sent(velocity, node.command(self._control, velocity))
+        if now_ns - self._beat_ns >= self._scene.watchdog_ns // BEATS:
+            self._beat_ns = now_ns
+            node.send_heartbeat()
 
     def _pause(self) -> None:
         super()._pause()
@@ -86,7 +83,7 @@ class Cia402Drive(Drive):
         try:
             inputs = self._node.read(DIGITAL_INPUTS)
         except DriveError as error:
-            if error.kind != "refused":
+            if error.kind is not FaultKind.REFUSED:
                 raise
             return None
         return bool(inputs & (POSITIVE_INPUT if self._scene.inverted else NEGATIVE_INPUT))

@@ -12,6 +12,7 @@ from importlib.resources import files
 from typing import Any
 
 from protocol.errors import DriveError
+from protocol.faults import Fault, FaultKind, Part, internal_fault
 from pulse_drives.axis import Axis
 from pulse_drives.cia402.state_machine import (
     ERRORS,
@@ -28,13 +29,21 @@ from pulse_drives.cia402.state_machine import (
 )
 from pulse_drives.drive import bound_search
 from pulse_drives.scene import Cia402Scene, discard_spoilt_line, is_noise, open_bus
-from pulse_drives.supervisor import TimeoutLock
+from pulse_drives.supervisor import NO_ANSWER, Silence, TimeoutLock
 
-SYNC = 0x80
+NMT, SYNC = 0x00, 0x80
 EMERGENCY, TPDO1, TPDO2, RPDO1, HEARTBEAT = 0x80, 0x180, 0x280, 0x200, 0x700
 BY_SYNC, BY_EVENT = 1, 255
 # Greatest time between two TPDOs, so that a silent drive differs from one at standstill.
 EVENT_MS = 10
+# Period of the drive's heartbeat, by which a drive that leaves its NMT state is told from one that
+# is silent, before any watchdog's time.
+PRODUCER_MS = 20
+OPERATIONAL = 5
+NMT_STATES = {0: "initialising", 4: "stopped", OPERATIONAL: "operational", 127: "pre-operational"}
+# State after an NMT command of a master.
+NMT_COMMANDS = {1: OPERATIONAL, 2: 4, 128: 127, 129: 0, 130: 0}
+GARBLED: Silence = (FaultKind.GARBLED, "garbled: no plausible TPDO")
 ENABLE_WITHIN_S = 2.0
 SDO_TIMEOUT_S = 0.5
 POLL_S = 0.002
@@ -62,9 +71,9 @@ class Cia402Node:
     received_ns
         Time of the last plausible state report (TPDO1) on the monotonic clock.
     counts
-        "malformed": TPDOs and emergencies of wrong length. "implausible": TPDOs whose values are
-        not used. "garbled": frames that a CAN adapter corrupted. "not disabled", with the kind of
-        error, and "not closed": a drive and a bus that could not be shut down.
+        "malformed": TPDOs, emergencies and heartbeats of wrong length. "implausible": TPDOs whose
+        values are not used. "garbled": frames that a CAN adapter corrupted. "not disabled", with
+        the kind of error, and "not closed": a drive and a bus that could not be shut down.
     """
 
     def __init__(self, scene: Cia402Scene, axis: Axis, counts: Counter[str]) -> None:
@@ -73,7 +82,8 @@ class Cia402Node:
             import canopen
         except ImportError as error:
             raise DriveError(
-                "unplugged", f"canopen is missing ({error}); pip install 'telepulse[drives]'"
+                FaultKind.LIBRARY_MISSING,
+                f"canopen is missing ({error}); pip install 'telepulse[drives]'",
             ) from None
         self._name = f"node {scene.node} on {scene.interface} {scene.channel}"
         self._scene = scene
@@ -89,13 +99,16 @@ class Cia402Node:
         self.mode = Mode.CYCLIC_VELOCITY
         # Error after which the bus cannot be read any more.
         self._lost: Exception | None = None
+        self._internal: Fault | None = None
+        self._nmt_state = self._beat_state = OPERATIONAL
         # Created once, since creating a message costs a third of sending it.
-        self._command, self._sync, self._heartbeat = (
+        self._command, self._sync, self._heartbeat, self._start = (
             can.Message(arbitration_id=identifier, is_extended_id=False, data=data)
             for identifier, data in (
                 (RPDO1 + scene.node, bytes(COMMAND.size)),
                 (SYNC, b""),
-                (HEARTBEAT + scene.host, b"\x05"),  # operational
+                (HEARTBEAT + scene.host, bytes([OPERATIONAL])),
+                (NMT, bytes([1, scene.node])),
             )
         )
         self._bus = open_bus(scene)
@@ -107,14 +120,18 @@ class Cia402Node:
         self._node = canopen.RemoteNode(scene.node, sheet)
         self._node.sdo.RESPONSE_TIMEOUT = SDO_TIMEOUT_S
         self._network.add_node(self._node)
-        # The library's own listener stores all emergencies, and fails at a truncated one.
+        # The library's own listeners fail at a truncated message, and store all emergencies.
         self._network.unsubscribe(EMERGENCY + scene.node, self._node.emcy.on_emcy)
+        self._network.unsubscribe(HEARTBEAT + scene.node, self._node.nmt.on_heartbeat)
+        self._network.unsubscribe(NMT, self._node.nmt.on_command)
         for identifier, take in (
-            (TPDO1, self._on_state),
-            (TPDO2, self._on_speed),
-            (EMERGENCY, self._on_emergency),
+            (TPDO1 + scene.node, self._on_state),
+            (TPDO2 + scene.node, self._on_speed),
+            (EMERGENCY + scene.node, self._on_emergency),
+            (HEARTBEAT + scene.node, self._on_heartbeat),
+            (NMT, self._on_nmt_command),
         ):
-            self._network.subscribe(identifier + scene.node, take)
+            self._network.subscribe(identifier, take)
         # Without this handler the network's thread would end with a traceback.
         self._network.listeners[0].on_error = self._on_bus_error  # type: ignore[method-assign]
         self._network.connect()
@@ -125,10 +142,28 @@ class Cia402Node:
         return ERRORS.get(self.error_code, f"error 0x{self.error_code:04X}")
 
     @property
-    def silence(self) -> str:
+    def silence(self) -> Silence:
         """Fault to report when no plausible TPDO has arrived for too long."""
-        implausible = self._implausible_ns > self.received_ns
-        return "garbled: no plausible TPDO" if implausible else "no answer"
+        return GARBLED if self._implausible_ns > self.received_ns else NO_ANSWER
+
+    def fault(self, now_ns: int) -> Fault | None:
+        """Return why the drive cannot be used; None while it reports that operation is enabled."""
+        if self._internal is not None:
+            return self._internal
+        if self._nmt_state != OPERATIONAL:
+            cause = f"left its state: it is {NMT_STATES[self._nmt_state]} (NMT)"
+            return Fault(FaultKind.LEFT_STATE, Part.DRIVE, cause, now_ns)
+        if self.state is State.ENABLED:
+            return None
+        if self.state in (State.FAULT, State.REACTING):
+            return Fault(FaultKind.DRIVE_FAULT, Part.DRIVE, f"fault: {self.error}", now_ns)
+        cause = f"left its state: it is {self.state.text}, {self.error}"
+        return Fault(FaultKind.LEFT_STATE, Part.DRIVE, cause, now_ns)
+
+    def start_again(self) -> None:
+        """Command the drive to be operational, if it is not, so that it takes speeds."""
+        if self._nmt_state != OPERATIONAL:
+            self._send(self._start)
 
     def configure(self) -> None:
         """See `DriveDevice.configure`: set profile, PDOs, limits and mode; enable operation."""
@@ -136,14 +171,14 @@ class Cia402Node:
         self._node.nmt.state = "PRE-OPERATIONAL"
         profile = self.read(0x1000) & 0xFFFF
         if profile != 402:
-            raise DriveError("refused", f"{self._name} has profile {profile}, not 402")
+            raise DriveError(FaultKind.NOT_CIA402, f"{self._name} has profile {profile}, not 402")
         supported = self.read(0x6502)
         modes = {"cyclic": Mode.CYCLIC_VELOCITY, "profile": Mode.PROFILE_VELOCITY}
         wanted = modes.values() if scene.mode == "auto" else [modes[scene.mode]]
         fitting = [mode for mode in wanted if supported & mode.supported_bit]
         if not fitting:
             text = f"{self._name} has no velocity mode that fits mode = {scene.mode!r}"
-            raise DriveError("refused", f"{text} (0x6502 is 0x{supported:X})")
+            raise DriveError(FaultKind.NO_SPEED_MODE, f"{text} (0x6502 is 0x{supported:X})")
         self.mode = fitting[0]
         by_sync = self.mode is Mode.CYCLIC_VELOCITY
         self._map(self._node.rpdo[1], (0x6040, 0x60FF), BY_SYNC if by_sync else BY_EVENT)
@@ -153,14 +188,16 @@ class Cia402Node:
             self.write_optional(index, 0, self._acceleration)
         self.write_optional(0x60C2, 1, min(round(scene.period_ns / 1e5), 255))
         self.write_optional(0x60C2, 2, -4)
+        self.write_optional(0x1017, 0, PRODUCER_MS)
         self._node.nmt.state = "OPERATIONAL"
+        self._nmt_state = self._beat_state = OPERATIONAL
         self._select(self.mode)
         control = Controlword.DISABLE_VOLTAGE
         deadline_s = time.monotonic() + ENABLE_WITHIN_S
         while not self.received_ns or self.state is not State.ENABLED:
             if time.monotonic() > deadline_s:
                 state_text = self.state.text if self.received_ns else "it sends no TPDO"
-                raise DriveError("not enabled", f"still {state_text}, {self.error}")
+                raise DriveError(FaultKind.NOT_ENABLED, f"still {state_text}, {self.error}")
             control = towards_enabled(self.state, control)
             self.command(control, 0)
             time.sleep(POLL_S)
@@ -186,11 +223,13 @@ class Cia402Node:
             guard()
             bound_search(axis, began_m, self.position_m)
             if self.state is not State.ENABLED:
-                raise DriveError("not homed", f"{self.state.text} on its way home, {self.error}")
+                raise DriveError(
+                    FaultKind.NOT_HOMED, f"{self.state.text} on its way home, {self.error}"
+                )
             if self.statusword & HOMING_ERROR:
-                raise DriveError("not homed", f"homing method {method} fails")
+                raise DriveError(FaultKind.NOT_HOMED, f"homing method {method} fails")
             if time.monotonic() > deadline_s:
-                raise DriveError("not homed", f"no home within {axis.search_s:.0f} s")
+                raise DriveError(FaultKind.NOT_HOMED, f"no home within {axis.search_s:.0f} s")
             time.sleep(POLL_S)
         self.end_search()
         ends = (axis.lowest_m, axis.furthest_m)
@@ -206,8 +245,13 @@ class Cia402Node:
     def arm_watchdog(self) -> None:
         """See `DriveDevice.arm_watchdog`: a watchdog on our heartbeats."""
         watchdog_ms = round(self._scene.watchdog_ns / 1e6)
-        self.write(0x1016, 1, 0)
-        self.write(0x1016, 1, self._scene.host << 16 | watchdog_ms)
+        try:
+            self.write(0x1016, 1, 0)
+            self.write(0x1016, 1, self._scene.host << 16 | watchdog_ms)
+        except DriveError as error:
+            if error.kind is FaultKind.REFUSED:
+                raise DriveError(FaultKind.NO_WATCHDOG, str(error)) from None
+            raise
         self.write_optional(0x6007, 0, QUICK_STOP_ON_ABORT)
 
     def command(self, control: Controlword, velocity: int) -> int:
@@ -254,7 +298,7 @@ class Cia402Node:
         try:
             self.write(index, subindex, value)
         except DriveError as error:
-            if error.kind != "refused":
+            if error.kind is not FaultKind.REFUSED:
                 raise
 
     def _variable(self, index: int, subindex: int) -> Any:
@@ -269,11 +313,13 @@ class Cia402Node:
         try:
             yield
         except SdoAbortedError as error:
-            raise DriveError("refused", f"{self._name} refuses {what}: {error}") from None
+            raise DriveError(FaultKind.REFUSED, f"{self._name} refuses {what}: {error}") from None
         except SdoCommunicationError:
-            raise DriveError("no answer", f"no answer from {self._name} about {what}") from None
+            raise DriveError(
+                FaultKind.NO_ANSWER, f"no answer from {self._name} about {what}"
+            ) from None
         except Exception as error:
-            raise DriveError("unplugged", f"{self._name}: {error}") from None
+            raise DriveError(FaultKind.UNPLUGGED, f"{self._name}: {error}") from None
 
     @property
     def _acceleration(self) -> int:
@@ -286,7 +332,7 @@ class Cia402Node:
         deadline_s = time.monotonic() + SDO_TIMEOUT_S
         while self.read(0x6061) != mode:
             if time.monotonic() > deadline_s:
-                raise DriveError("refused", f"{self._name} does not take mode {mode}")
+                raise DriveError(FaultKind.NO_SPEED_MODE, f"{self._name} does not take mode {mode}")
             time.sleep(POLL_S)
 
     def _send(self, message: Any) -> None:
@@ -297,7 +343,7 @@ class Cia402Node:
             with self._sending.acquire_or_proceed():
                 self._bus.send(message, self._scene.watchdog_ns * 1e-9)
         except Exception as error:
-            raise DriveError("unplugged", f"{self._name}: {error}") from None
+            raise DriveError(FaultKind.UNPLUGGED, f"{self._name}: {error}") from None
 
     def _map(self, pdo: Any, indices: tuple[int, ...], transmission: int) -> None:
         pdo.cob_id, pdo.enabled = pdo.predefined_cob_id, True
@@ -339,9 +385,37 @@ class Cia402Node:
         elif code := int.from_bytes(data[:2], "little"):
             self.error_code = code
 
+    def _on_heartbeat(self, _: int, data: bytearray, __: float) -> None:
+        if len(data) != 1:
+            self.counts["malformed"] += 1
+            return
+        state = data[0] & 0x7F
+        if state not in NMT_STATES:
+            self.counts["implausible"] += 1
+            return
+        # A single one that an adapter has altered must not end the pulse.
+        if state in (OPERATIONAL, self._beat_state):
+            self._nmt_state = state
+        self._beat_state = state
+
+    def _on_nmt_command(self, _: int, data: bytearray, __: float) -> None:
+        """Note the command of another master."""
+        if len(data) == 2 and data[1] in (0, self._scene.node):
+            self._nmt_state = NMT_COMMANDS.get(data[0], self._nmt_state)
+
     def _on_bus_error(self, exc: Exception) -> None:
-        """Count a frame that cannot be decoded; store the error of a bus that is gone."""
-        if is_noise(exc):
+        """Count a frame that cannot be decoded; store the error of a bus that is gone.
+
+        Any other exception of the bus's thread is an error in a program.
+        """
+        import can
+
+        if not isinstance(exc, OSError | can.CanError) and not is_noise(exc):
+            self._network.notifier.exception = None  # type: ignore[union-attr]
+            self.counts[f"error: {type(exc).__name__}"] += 1
+            now_ns = time.perf_counter_ns()
+            self._internal = self._internal or internal_fault(Part.DRIVE, "CAN bus", exc, now_ns)
+        elif is_noise(exc):
             discard_spoilt_line(self._bus)
             self._network.notifier.exception = None  # type: ignore[union-attr]
             self.counts["garbled"] += 1

@@ -5,8 +5,9 @@ import time
 from collections.abc import Callable
 
 from protocol.errors import DriveError
+from protocol.faults import Fault, FaultKind, Part
 from pulse_drives.axis import Axis
-from pulse_drives.drive import ADVICE, OPENED_M, WRONG_WAY, bound_search
+from pulse_drives.drive import ADVICE, OPENED_M, bound_search
 from pulse_drives.stepdir.frames import (
     BoardGreeting,
     BoardLimits,
@@ -21,6 +22,7 @@ from pulse_drives.stepdir.frames import (
 )
 from pulse_drives.stepdir.line import BoardLine
 from pulse_drives.stepdir.scene import StepdirScene
+from pulse_drives.supervisor import NO_ANSWER, Silence
 from pulse_drives.withdrawal import FAST_M_PER_S
 
 PROTOCOL = 1
@@ -50,6 +52,14 @@ TROUBLES = {
     TripCause.STUCK_SWITCH: "the home switch stays closed",
     TripCause.HOMING_TIMEOUT: "the search takes too long",
 }
+# Causes that are no fault of carrier or motor.
+KINDS = {
+    TripCause.NONE: FaultKind.LEFT_STATE,
+    TripCause.SILENCE: FaultKind.NO_COMMAND,
+    TripCause.FILM: FaultKind.OVERFORCE,
+    TripCause.HOST: FaultKind.LEFT_STATE,
+}
+GARBLED: Silence = (FaultKind.GARBLED, "garbled")
 
 
 class DisplayBoard:
@@ -78,22 +88,20 @@ class DisplayBoard:
         self.received_ns = 0
         line.attach()
 
-    @property
-    def trouble(self) -> str:
-        """Reason for which the board takes no velocities; empty where it takes them."""
-        if self.state is None or self.state.mode.follows:
-            return ""
-        return f"fault: {TROUBLES[self.state.cause]}"
+    def fault(self, now_ns: int) -> Fault | None:
+        """Return why the board cannot be used, or takes no velocities; None where it takes them."""
+        line, state = self._line, self.state
+        if line.lost:
+            return Fault(line.lost_kind, Part.BOARD, f"{line.name}: {line.lost}", now_ns)
+        if line.error is not None or state is None or state.mode.follows:
+            return line.error
+        kind = KINDS.get(state.cause, FaultKind.DRIVE_FAULT)
+        return Fault(kind, Part.BOARD, TROUBLES[state.cause], now_ns)
 
     @property
-    def silence(self) -> str:
+    def silence(self) -> Silence:
         """Fault to report when no state has arrived for too long."""
-        return "garbled" if self._line.garbled_ns > self.received_ns else "no answer"
-
-    @property
-    def lost(self) -> str:
-        """Fault to report when the port is gone; empty while it is there."""
-        return f"unplugged: {self._line.name}: {self._line.lost}" if self._line.lost else ""
+        return GARBLED if self._line.garbled_ns > self.received_ns else NO_ANSWER
 
     def refresh(self) -> None:
         """Take the newest state from the line."""
@@ -141,9 +149,21 @@ class DisplayBoard:
     def send_velocity(self, velocity: int) -> bool:
         """Send a velocity in 1/256 step/s; return False where it was superseded.
 
-        Raises DriveError of kind "unplugged".
+        Raises DriveError of kind `UNPLUGGED`.
         """
         return self._line.send(Format.VELOCITY, velocity, self._validity_ms) is not None
+
+    def ask_withdrawal(self) -> None:
+        """Send the command to withdraw without waiting; a board that misses it hears no velocity.
+
+        Raises DriveError of kind `UNPLUGGED`.
+        """
+        self._line.send(Format.WITHDRAW)
+
+    @property
+    def follows(self) -> bool:
+        """True where the board takes velocities, by its last state."""
+        return self.state is not None and self.state.mode.follows
 
     def closed_switch(self) -> bool:
         """Return whether the home switch is closed, by the last state."""
@@ -169,7 +189,7 @@ class DisplayBoard:
                 else "update telepulse, or load the board's program that comes with this one"
             )
             raise DriveError(
-                "refused",
+                FaultKind.REFUSED,
                 f"{name}: the firmware {version} has protocol {greeting.protocol}, and protocol"
                 f" {PROTOCOL} of firmware {LEAST_FIRMWARE >> 8}.{LEAST_FIRMWARE & 0xFF} is needed;"
                 f" {advice}",
@@ -177,7 +197,7 @@ class DisplayBoard:
         most_m_per_s = greeting.tick_hz * self._axis.units.step_m
         if self._rate(self._axis.max_speed_m_per_s) > greeting.tick_hz:
             raise DriveError(
-                "refused",
+                FaultKind.REFUSED,
                 f"{name}: its highest step rate is {greeting.tick_hz} /s: set max_speed to at most"
                 f" {most_m_per_s * 1e3:.4g} mm/s in the actuator's table, or use fewer microsteps",
             )
@@ -218,7 +238,7 @@ class DisplayBoard:
         if math.ceil(least) >= math.floor(most):
             low, high = self._film_counts
             raise DriveError(
-                "refused",
+                FaultKind.REFUSED,
                 f"{self._line.name}: the film's hard limits are counts {low:.0f} to {high:.0f}, and"
                 f" its converter counts 0 to {full_scale}: correct zero and newtons_per_count in"
                 " the film's table",
@@ -242,8 +262,8 @@ class DisplayBoard:
         """Return the error of a search that the board has ended."""
         text = f"{self._line.name}: {TROUBLES[state.cause]}"
         if state.cause in (TripCause.FILM, TripCause.NO_HOME):
-            return DriveError(WRONG_WAY, f"{text} on the way home; {ADVICE}")
-        return DriveError("not homed", text)
+            return DriveError(FaultKind.WRONG_WAY, f"{text} on the way home; {ADVICE}")
+        return DriveError(FaultKind.NOT_HOMED, text)
 
     def _ask(self, command: Format, *fields: int) -> None:
         """Send a command other than a velocity. Raises DriveError where the board refuses it."""
@@ -252,14 +272,14 @@ class DisplayBoard:
             return
         what, field = command.name.lower(), f", field {answer.field}" if answer.field else ""
         result = answer.result.name.lower().replace("_", " ")
-        raise DriveError("refused", f"{self._line.name} refuses {what}: {result}{field}")
+        raise DriveError(FaultKind.REFUSED, f"{self._line.name} refuses {what}: {result}{field}")
 
     def _await_report(self) -> BoardState:
         """Wait for a state that is newer than now, and take it. Raises DriveError."""
         asked_ns, until_s = time.perf_counter_ns(), time.monotonic() + REPORTED_WITHIN_S
         while self.received_ns <= asked_ns or self.state is None:
             if self._line.lost or time.monotonic() > until_s:
-                kind = "unplugged" if self._line.lost else "no answer"
+                kind = self._line.lost_kind if self._line.lost else FaultKind.NO_ANSWER
                 raise DriveError(kind, f"{self._line.name}: {self._line.lost or 'no state comes'}")
             time.sleep(POLL_S)
             self.refresh()

@@ -7,19 +7,22 @@ itself.
 """
 
 import time
+from typing import ClassVar
 
-from protocol.errors import DriveError
+from protocol.faults import Part
 from pulse_drives.axis import Axis
 from pulse_drives.drive import PERIOD_S, REST_WITHIN_S, Drive, DriveDevice
 from pulse_drives.stepdir.board import DisplayBoard
 from pulse_drives.stepdir.line import BoardFilm, BoardLine
 from pulse_drives.stepdir.scene import StepdirScene
+from pulse_drives.supervisor import GIVEN_UP
 
 
 class StepdirDrive(Drive):
     """A `Drive` over the frames of a display board. counts: those of `BoardLine`."""
 
     step_s = 5e-3
+    part: ClassVar[Part] = Part.BOARD
     _board: DisplayBoard
 
     def __init__(self, scene: StepdirScene, axis: Axis) -> None:
@@ -40,10 +43,10 @@ class StepdirDrive(Drive):
     def _step(self) -> None:
         with self._lock.acquire_or_proceed():
             now_ns = time.perf_counter_ns()
-            self._read_reports(now_ns)
+            self._guarded(self._read_reports, now_ns)
             supervisor = self._supervisor
             if supervisor.fault is not None or not supervisor.commanded_ns:
-                self._send(now_ns)
+                self._guarded(self._send, now_ns)
 
     def _read_reports(self, now_ns: int) -> None:
         board, supervisor = self._board, self._supervisor
@@ -51,20 +54,28 @@ class StepdirDrive(Drive):
         supervisor.check_silence(now_ns, board.silence)
         if board.received_ns > supervisor.position_ns:
             supervisor.add_position(board.position_m, board.received_ns)
-        if trouble := board.lost or board.trouble:
-            supervisor.fail(trouble, now_ns)
+        if (fault := board.fault(now_ns)) is not None:
+            supervisor.fail(fault)
 
     def _send(self, now_ns: int) -> None:
-        supervisor = self._supervisor
-        velocity = supervisor.velocity_to_send(now_ns)
-        try:
-            if self._board.send_velocity(velocity):
-                supervisor.mark_sent(velocity, now_ns)
-            else:
-                supervisor.mark_unsent(now_ns)
-        except DriveError as error:
+        supervisor, board = self._supervisor, self._board
+        velocity, withdrawal = supervisor.velocity_to_send(now_ns), supervisor.withdrawal
+        if withdrawal is not None and withdrawal.handed_over:
+            return
+        # A motor that presses while it steps away would press on under its board as well.
+        if (
+            withdrawal is not None
+            and withdrawal.outcome in GIVEN_UP
+            and not withdrawal.stopped_by_film
+            and board.follows
+        ):
+            # The board counts its steps by itself; without velocities it withdraws as well.
+            board.ask_withdrawal()
+            withdrawal.hand_over(now_ns)
+        elif board.send_velocity(velocity):
+            supervisor.mark_sent(velocity, now_ns)
+        else:
             supervisor.mark_unsent(now_ns)
-            supervisor.fail(f"{error.kind}: {error}", now_ns)
 
     def _home_switch(self) -> bool | None:
         if self._scene.homing != "switch":

@@ -13,7 +13,9 @@ from itertools import count
 from typing import Any, TypeVar
 
 from protocol.errors import DriveError, SourceError
-from protocol.host.descriptors import await_readable
+from protocol.faults import Fault, FaultKind, Part, internal_fault
+from protocol.host.descriptors import DescriptorSet
+from protocol.host.guard import GuardedThread
 from pulse_drives.scene import open_port
 from pulse_drives.start_advice import start_advice
 from pulse_drives.stepdir.frames import (
@@ -32,6 +34,9 @@ from pulse_drives.stepdir.scene import StepdirScene
 
 READ_BYTES = 4096
 WAIT_S = 0.1
+WAIT_NS = round(WAIT_S * 1e9)
+# The line's thread waits for bytes at most that long, or for pyserial's two reads.
+THREAD_ENDS_WITHIN_S = 1.0
 POLL_S = 0.002
 # A board answers within a few ms; USB may deliver every 16 ms.
 ANSWER_WITHIN_S = 0.15
@@ -53,8 +58,10 @@ class BoardLine:
     ----------
     state, state_ns
         The board's last state, None before any, and its time of arrival.
-    lost
-        Reason for which the port cannot be used any more; empty while it can.
+    lost, lost_kind
+        Reason for which the port cannot be used any more; empty while it can. Kind of its fault.
+    error
+        An exception of the line's thread that no code expects; None while there is none.
     counts
         Frames of the board that noise has altered ("garbled"), that were left out ("missed") or
         that came twice ("repeated"), frames of ours that the board could not read ("unread"), and
@@ -66,7 +73,9 @@ class BoardLine:
         self.counts = counts
         self.state: BoardState | None = None
         self.state_ns = self.garbled_ns = 0
-        self.lost = "not open"
+        self.lost, self.lost_kind = "not open", FaultKind.UNPLUGGED
+        self.error: Fault | None = None
+        self._reader = board_reader()
         self.film: deque[FilmReading] = deque(maxlen=MOST_FILM)
         self.film_come = threading.Event()
         self._users = 0
@@ -78,7 +87,8 @@ class BoardLine:
         self._port: Any = None
         # Of a device or a socket on Linux or macOS; -1 where only pyserial can read and write.
         self._descriptor = -1
-        self._thread: threading.Thread | None = None
+        self._readable: DescriptorSet | None = None
+        self._thread: GuardedThread | None = None
 
     def attach(self) -> None:
         """Open the port, unless another user has opened it. Raises DriveError.
@@ -104,8 +114,7 @@ class BoardLine:
         Raises DriveError of kind "unplugged", or "wrong" where another board is there.
         """
         if self.lost:
-            kind = "wrong" if self.lost == SENSORS_BOARD else "unplugged"
-            raise DriveError(kind, f"{self.name}: {self.lost}")
+            raise DriveError(self.lost_kind, f"{self.name}: {self.lost}")
         sequence = next(self._sequence) % SEQUENCE_TURN
         # An answer to a command of the same number, a turn ago.
         self._answers.pop(sequence, None)
@@ -115,7 +124,7 @@ class BoardLine:
         try:
             written = self._write(data)
         except OSError as error:
-            raise DriveError("unplugged", f"{self.name}: {error}") from None
+            raise DriveError(FaultKind.UNPLUGGED, f"{self.name}: {error}") from None
         if written > rest:
             self._unsent = data[written:]
             return sequence
@@ -135,7 +144,7 @@ class BoardLine:
             sequence = self.send(Format.GREET)
             if (greeting := self._await(sequence, BoardGreeting)) is not None:
                 return greeting
-        raise DriveError("no answer", f"{self.name}: no greeting within {within_s:g} s")
+        raise DriveError(FaultKind.NO_ANSWER, f"{self.name}: no greeting within {within_s:g} s")
 
     def request(self, command: Format, *fields: int) -> CommandAnswer | None:
         """Send a command and return its answer; None where its answer is lost, but it was taken.
@@ -148,7 +157,7 @@ class BoardLine:
                 return answer
             if self.state is not None and self.state.sequence == sequence:
                 return None
-        raise DriveError("no answer", f"{self.name}: no answer to {command.name.lower()}")
+        raise DriveError(FaultKind.NO_ANSWER, f"{self.name}: no answer to {command.name.lower()}")
 
     def _await(self, sequence: int | None, kind: type[AnswerT]) -> AnswerT | None:
         """Return the answer to a command of a sequence; None where none comes in time."""
@@ -164,41 +173,61 @@ class BoardLine:
     def _open(self) -> None:
         self._port = open_port(self.name, self._baud, WAIT_S, WAIT_S)
         self._descriptor = _descriptor(self._port)
-        self.state, self._unsent, self.lost = None, b"", ""
+        if self._descriptor >= 0:
+            self._readable = DescriptorSet([self._descriptor])
+        self.state, self._unsent, self.error = None, b"", None
         self._answers.clear()
-        self._thread = threading.Thread(target=self._listen, name=self.name, daemon=True)
-        self._thread.start()
+        self._reader = board_reader()
+        self.lost, self.lost_kind = "", FaultKind.UNPLUGGED
+        self._thread = GuardedThread(f"line {self.name}", self._listen, self._on_error)
+        try:
+            self._thread.start()
+        except BaseException:
+            self._thread = None
+            self._port.close()
+            self.lost = "not open"
+            raise
 
     def _shut(self) -> None:
         """Close the port, where it is open."""
         self.lost = self.lost or "closed"
-        if self._thread is not None:
-            self._thread.join()
-            self._thread = None
-            # Closing a port that is gone may fail.
-            with suppress(Exception):
-                self._port.close()
+        thread, self._thread = self._thread, None
+        if thread is None:
+            return
+        if not thread.stop(THREAD_ENDS_WITHIN_S):
+            self.counts["line hangs"] += 1
+        # Closing a port that is gone may fail.
+        with suppress(Exception):
+            self._port.close()
 
     def _listen(self) -> None:
-        """Read the board's frames until the port is closed or gone; runs in the thread."""
-        reader = board_reader()
-        while not self.lost:
-            try:
-                data = self._read()
-            except Exception as error:  # pyserial passes on errors of many kinds
-                self.lost = str(error) or type(error).__name__
-                break
-            now_ns, altered = time.perf_counter_ns(), reader.altered
-            for body in reader.feed(data):
-                self._take(body, now_ns)
-            self._count_garbled(reader.altered - altered, now_ns)
-        self.film_come.set()
+        """Read the board's frames that have come; a step of the thread."""
+        if self.lost:
+            self.film_come.set()
+            time.sleep(WAIT_S)
+            return
+        try:
+            data = self._read()
+        except Exception as error:  # pyserial passes on errors of many kinds
+            self.lost = str(error) or type(error).__name__
+            self.film_come.set()
+            return
+        now_ns, altered = time.perf_counter_ns(), self._reader.altered
+        for body in self._reader.feed(data):
+            self._take(body, now_ns)
+        self._count_garbled(self._reader.altered - altered, now_ns)
+
+    def _on_error(self, error: BaseException) -> None:
+        self.counts[f"error: {type(error).__name__}"] += 1
+        if self.error is None:
+            now_ns = time.perf_counter_ns()
+            self.error = internal_fault(Part.BOARD, f"line {self.name}", error, now_ns)
 
     def _read(self) -> bytes:
         if self._descriptor < 0:
             first: bytes = self._port.read(1)
             return first + bytes(self._port.read(self._port.in_waiting))
-        if not await_readable(self._descriptor, WAIT_S):
+        if self._readable is not None and not self._readable.wait(WAIT_NS):
             return b""
         if data := os.read(self._descriptor, READ_BYTES):
             return data
@@ -219,7 +248,7 @@ class BoardLine:
             case BoardState():
                 self._take_state(report, now_ns)
             case None if body[0] >= SENSOR_FORMATS:
-                self.lost = SENSORS_BOARD
+                self.lost, self.lost_kind = SENSORS_BOARD, FaultKind.WRONG_DEVICE
             case None:
                 self._count_garbled(1, now_ns)
             case _:
@@ -273,7 +302,7 @@ class BoardFilm:
         line.film_come.clear()
         if not line.film:
             if line.lost:
-                raise DriveError("unplugged", line.lost)
+                raise DriveError(FaultKind.UNPLUGGED, line.lost)
             line.film_come.wait(WAIT_S)
         return [line.film.popleft() for _ in range(len(line.film))]
 

@@ -8,6 +8,7 @@ import time
 from itertools import cycle
 
 from protocol.errors import DriveError, SceneError
+from protocol.faults import FaultKind
 from pulse_drives.axis import Axis
 from pulse_drives.drive import PERIOD_S, REST_WITHIN_S, Drive, DriveDevice
 from pulse_drives.scene import TmclScene
@@ -74,7 +75,7 @@ class TmclDrive(Drive):
             time.sleep(PERIOD_S)
         module.switch_requested = False
         if module.switch_ns < requested_ns:
-            raise DriveError("no answer", "the module does not report its home switch")
+            raise DriveError(FaultKind.NO_ANSWER, "the module does not report its home switch")
         return module.switch_closed
 
     def _step(self) -> None:
@@ -120,6 +121,6 @@ class TmclDrive(Drive):
                 self._missed_ns = now_ns
                 if now_ns - self._module.received_ns <= self._scene.watchdog_ns:
                     return
-            self._supervisor.fail(f"{error.kind}: {error}", now_ns)
-        if error.kind not in (*TRANSIENT, "fault"):
+            self._supervisor.fail(self._fault_of(error, now_ns))
+        if error.kind not in (*TRANSIENT, FaultKind.DRIVE_FAULT):
             time.sleep(RETRY_S)

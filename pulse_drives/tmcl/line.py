@@ -14,6 +14,7 @@ import serial
 from pytrinamic.tmcl import TMCLReply, TMCLRequest, TMCLStatus
 
 from protocol.errors import DriveError
+from protocol.faults import FaultKind
 from pulse_drives.scene import TmclScene, discard_spoilt_line, is_noise, open_bus, open_port
 
 DATAGRAM_BYTES = 9
@@ -141,19 +142,21 @@ class TmclLine:
             reply = None
         except (OSError, can.CanError, ValueError, IndexError) as error:
             if is_noise(error):
-                return self._miss("garbled", "an answer cannot be read")
-            raise DriveError("unplugged", f"{self._name}: {error}") from None
+                return self._miss(FaultKind.GARBLED, "an answer cannot be read")
+            raise DriveError(FaultKind.UNPLUGGED, f"{self._name}: {error}") from None
         if reply is None:
-            return self._miss("no answer", f"no answer to command {command}")
+            return self._miss(FaultKind.NO_ANSWER, f"no answer to command {command}")
         if not reply.is_checksum_correct():
-            return self._miss("garbled", "an answer's checksum is wrong")
+            return self._miss(FaultKind.GARBLED, "an answer's checksum is wrong")
         if not self._answers(reply, command):
             addresses = f"{reply.module_address} to {reply.reply_address}"
-            return self._miss("wrong", f"an answer by {addresses}, about command {reply.command}")
+            return self._miss(
+                FaultKind.WRONG_DEVICE, f"an answer by {addresses}, about command {reply.command}"
+            )
         if not reply.is_valid():
             status = TMCLStatus.get_name(reply.status).lower()
             text = f"{self._name}: command {command}, type {kind} is refused: {status}"
-            raise DriveError("refused", text)
+            raise DriveError(FaultKind.REFUSED, text)
         number: int = reply.value
         return number - (1 << 32) if number >= 1 << 31 else number
 
@@ -181,15 +184,15 @@ class TmclLine:
         theirs = (reply.reply_address, reply.module_address, reply.command)
         return bool(theirs == (self._host, self._module, command))
 
-    def _miss(self, kind: str, text: str) -> int:
+    def _miss(self, kind: FaultKind, text: str) -> int:
         """Count an error and wait until the line is silent. Raises DriveError."""
-        if kind != "wrong":  # the exchange has counted those
-            self.counts[kind] += 1
+        if kind is not FaultKind.WRONG_DEVICE:  # the exchange has counted those
+            self.counts[kind.value] += 1
         try:
             self.carrier.drain()
         except (OSError, can.CanError, ValueError, IndexError) as error:
             if not is_noise(error):
-                raise DriveError("unplugged", f"{self._name}: {error}") from None
+                raise DriveError(FaultKind.UNPLUGGED, f"{self._name}: {error}") from None
             self.counts["garbled"] += 1
         raise DriveError(kind, f"{self._name}: {text}")
 

@@ -10,15 +10,16 @@ from collections.abc import Callable
 from enum import IntEnum, IntFlag
 
 from protocol.errors import DriveError
+from protocol.faults import FaultKind
 from pulse_drives.axis import Axis
-from pulse_drives.drive import WRONG_WAY, bound_search
+from pulse_drives.drive import bound_search
 from pulse_drives.scene import TmclScene
 
 TRIES = 3
 # Time for repeating a request; a CANopen drive has the same time for an answer.
 RETRY_FOR_S = 0.5
 # Kinds of DriveError after which a repeated request may succeed.
-TRANSIENT = ("no answer", "garbled", "wrong")
+TRANSIENT = (FaultKind.NO_ANSWER, FaultKind.GARBLED, FaultKind.WRONG_DEVICE)
 SEARCH_POLL_S = 0.01
 # Polls of a motor that comes to rest, enough at any line's bit rate.
 REST_POLLS = 100
@@ -110,7 +111,8 @@ class TmclModule:
             from pulse_drives.tmcl.line import TmclLine
         except ImportError as error:
             raise DriveError(
-                "unplugged", f"PyTrinamic is missing ({error}); pip install 'telepulse[drives]'"
+                FaultKind.LIBRARY_MISSING,
+                f"PyTrinamic is missing ({error}); pip install 'telepulse[drives]'",
             ) from None
         self._scene = scene
         self._axis = axis
@@ -156,7 +158,7 @@ class TmclModule:
             try:
                 self._await_home(time.monotonic() + axis.search_s, guard)
             except DriveError as error:
-                if error.kind in ("not homed", WRONG_WAY):
+                if error.kind in (FaultKind.NOT_HOMED, FaultKind.WRONG_WAY):
                     self._retry(Command.REFERENCE_SEARCH, Search.STOP)
                 raise
         self.read(Parameter.ACTUAL_POSITION)
@@ -170,7 +172,7 @@ class TmclModule:
             self.read(Parameter.ERROR_FLAGS)
             if time.monotonic() > deadline_s:
                 text = f"no home switch within {self._axis.search_s:.0f} s"
-                raise DriveError("not homed", text)
+                raise DriveError(FaultKind.NOT_HOMED, text)
             time.sleep(SEARCH_POLL_S)
 
     def arm_watchdog(self) -> None:
@@ -182,7 +184,7 @@ class TmclModule:
         taken_ms = self._retry(Command.GET_GLOBAL, heartbeat, bank=0)
         if taken_ms != watchdog_ms:
             text = f"the module's heartbeat is {taken_ms} ms, not {watchdog_ms}"
-            raise DriveError("refused", text)
+            raise DriveError(FaultKind.NO_WATCHDOG, text)
 
     def rotate(self, velocity: int) -> None:
         """Run at a velocity in the module's units."""
@@ -205,7 +207,8 @@ class TmclModule:
                 kind = ErrorFlag if parameter is Parameter.ERROR_FLAGS else DriverFlag
                 names = [flag.name for flag in kind if flag.name and number & flag]
                 if names:
-                    raise DriveError("fault", ", ".join(names).lower().replace("_", " "))
+                    words = ", ".join(names).lower().replace("_", " ")
+                    raise DriveError(FaultKind.DRIVE_FAULT, words)
 
     def end_search(self) -> None:
         """Stop the motor as well as the line permits, and read its position. Never raises.

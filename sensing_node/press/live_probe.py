@@ -15,8 +15,10 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from protocol.errors import SourceError
+from protocol.faults import Fault, FaultKind, Part, internal_fault
+from protocol.host.guard import GuardedThread
 from protocol.wire.description import HOLD_DOWN, Channel
-from pulse_drives.drive import Drive
+from pulse_drives.drive import WITHDRAWN_WITHIN_S, Drive
 from pulse_drives.start_advice import advised
 from pulse_drives.withdrawal import WithdrawalOutcome
 from pulse_sensors.samples import SampleBlock
@@ -29,8 +31,8 @@ logger = logging.getLogger(__name__)
 DRIVE_TABLE: Final = "[sensing.press.drive]"
 PERIOD_S: Final = 2e-3
 FIRST_SAMPLE_WITHIN_S: Final = 5.0
-# Longest withdrawal: the whole travel at the slow speed.
-WITHDRAWN_WITHIN_S: Final = 3.0
+# A step of the loop waits for nothing.
+LOOP_ENDS_WITHIN_S: Final = 1.0
 # The load cell's zero is the mean over this time, off the wrist.
 ZERO_S: Final = 0.2
 # Blocks that wait for the node's thread: some seconds of any sensor.
@@ -121,7 +123,7 @@ class FrozenCell:
         # Where the wrist was pressed last.
         self._pressed_m = math.inf
 
-    def check(self, cell_n: float, position_m: float) -> str | None:
+    def check(self, cell_n: float, position_m: float, now_ns: int) -> Fault | None:
         """Take a reading and the position at its time; return the fault, if it is one."""
         if cell_n != self._cell_n:
             self._cell_n, self._low_m, self._high_m = cell_n, position_m, position_m
@@ -132,7 +134,8 @@ class FrozenCell:
         beyond = position_m >= self._pressed_m
         if travel_m <= (FROZEN_PRESSED_M if beyond else FROZEN_M):
             return None
-        return f"load cell: {cell_n * 1e3:.0f} mN unchanged over {travel_m * 1e3:.1f} mm of travel"
+        cause = f"{cell_n * 1e3:.0f} mN unchanged over {travel_m * 1e3:.1f} mm of travel"
+        return Fault(FaultKind.FROZEN, Part.LOAD_CELL, cause, now_ns)
 
 
 class LiveProbe(PressedProbe):
@@ -159,8 +162,8 @@ class LiveProbe(PressedProbe):
         self._newest: Reading | None = None
         self._position_m = self._touched_m = 0.0
         self._named = 0
-        self._closing = threading.Event()
-        self._thread = threading.Thread(target=self._run, name="probe", daemon=True)
+        self._started = False
+        self._thread = GuardedThread("probe", self._run_once, self._on_error)
         self.dropped = 0
 
     @property
@@ -194,6 +197,7 @@ class LiveProbe(PressedProbe):
         self._check_zero()
         self._blocks.clear()
         self._thread.start()
+        self._started = True
         logger.info("the probe is at rest, off the wrist")
 
     def poll(self) -> list[SampleBlock]:
@@ -213,14 +217,19 @@ class LiveProbe(PressedProbe):
 
     def faults(self) -> list[str]:
         """Return the faults of the sensors and of the probe, one line each."""
-        return [*self._sensor.faults(), *self.probe.faults]
+        return [*self._sensor.faults(), *map(str, self.probe.faults)]
 
-    def close(self) -> None:
-        """Take the probe off the wrist, bring the drive to rest, and close drive and sensors."""
-        self._closing.set()
-        if self._thread.is_alive():
-            self._thread.join()
-        self._drive.withdraw("ended")
+    def leave(self) -> None:
+        """Take the probe off the wrist; one that may still press it then has a fault.
+
+        Waits as long as the withdrawal may take.
+        """
+        if not self._started:
+            return
+        self._started = False
+        if not self._thread.stop(LOOP_ENDS_WITHIN_S):
+            logger.error("the probe's loop hangs")
+        self._drive.withdraw()
         deadline_s = time.monotonic() + WITHDRAWN_WITHIN_S
         while self._drive.status().withdrawal is WithdrawalOutcome.UNDER_WAY:
             if time.monotonic() > deadline_s:
@@ -228,21 +237,28 @@ class LiveProbe(PressedProbe):
             time.sleep(PERIOD_S)
             self._read()
         outcome = self._drive.status().withdrawal
-        if outcome not in (None, WithdrawalOutcome.WITHDRAWN):
-            logger.error(
-                f"the probe may still press, its withdrawal is {outcome.value}:"
-                " switch the drive's power off"
-            )
+        if outcome not in (None, WithdrawalOutcome.WITHDRAWN, WithdrawalOutcome.RELIEVED):
+            cause = f"it may still press at the end, its withdrawal is {outcome.value}"
+            fault = Fault(FaultKind.STILL_PRESSED, Part.PROBE, cause, self._clock())
+            self.probe.fault(fault)
+            logger.error(f"{fault}: {fault.remedy}")
+
+    def close(self) -> None:
+        """Take the probe off the wrist, bring the drive to rest, and close drive and sensors."""
+        self.leave()
         self._drive.close()
         self._sensor.close()
 
-    def _run(self) -> None:
-        try:
-            while not self._closing.wait(PERIOD_S):
-                self.step(self._clock())
-        finally:
-            if not self._closing.is_set():
-                self.probe.fault("probe: its loop has ended")
+    def _run_once(self) -> None:
+        time.sleep(PERIOD_S)
+        self.step(self._clock())
+
+    def _on_error(self, error: BaseException) -> None:
+        """Latch an exception of the loop, and withdraw: the loop goes on."""
+        fault = internal_fault(Part.PROBE, "probe", error, self._clock())
+        self.probe.fault(fault)
+        self._drive.withdraw(fault)
+        self._log_faults()
 
     def step(self, now_ns: int) -> None:
         """Read the sensors, and command the drive; the thread calls it every 2 ms."""
@@ -250,14 +266,16 @@ class LiveProbe(PressedProbe):
         status = drive.status()
         with self._lock:
             if status.fault is not None and not probe.faults:
-                probe.fault(f"drive: {status.fault}")
+                probe.fault(status.fault)
             position_m = self._position_m
             if reading is not None:
                 position_m = drive.commanded_m(reading.taken_ns)
                 if now_ns - reading.taken_ns > self._limits.cell_within_ns:
                     reading = None
-                elif not probe.faults and (fault := self._frozen.check(reading.cell_n, position_m)):
-                    probe.fault(fault)
+                elif not probe.faults:
+                    frozen = self._frozen.check(reading.cell_n, position_m, now_ns)
+                    if frozen is not None:
+                        probe.fault(frozen)
             if probe.hold_down_n < TOUCH_N:
                 self._touched_m = position_m
             self._position_m = position_m
@@ -268,9 +286,12 @@ class LiveProbe(PressedProbe):
             drive.withdraw(probe.faults[0])
         else:
             drive.command(speed_m_per_s)
-        for fault in probe.faults[self._named :]:
-            logger.error(f"the probe leaves the wrist: {fault}; then start the node again")
-        self._named = len(probe.faults)
+        self._log_faults()
+
+    def _log_faults(self) -> None:
+        for fault in self.probe.faults[self._named :]:
+            logger.error(f"the probe leaves the wrist: {fault}: {fault.remedy}")
+        self._named = len(self.probe.faults)
 
     def _read(self) -> Reading | None:
         """Take the new samples; return the newest one, None without any."""

@@ -19,6 +19,7 @@ from protocol.config.quantities import (
     NewtonsPerSecond,
 )
 from protocol.config.scene import Section
+from protocol.faults import Fault, FaultKind, Part
 from protocol.tissue import StiffeningLaw
 
 ProbeState = Literal["off", "pressing", "easing", "leaving", "fault"]
@@ -127,7 +128,7 @@ class Probe:
         self._age_s = 0.0
         self._references: deque[tuple[int, float]] = deque(maxlen=256)
         self.state: ProbeState = "off"
-        self.faults: list[str] = []
+        self.faults: list[Fault] = []
         self.reference_n = self.hold_down_n = 0.0
 
     def press(self, force_n: float, now_ns: int) -> None:
@@ -135,10 +136,14 @@ class Probe:
         self._set_point_n = force_n if force_n > 0 else 0.0
         self._set_point_ns = now_ns
 
-    def fault(self, name: str) -> None:
-        """Latch a fault: the probe leaves the wrist until a new start."""
-        if name not in self.faults:
-            self.faults.append(name)
+    def fault(self, fault: Fault) -> None:
+        """Latch a fault: the probe leaves the wrist until a new start.
+
+        One of the same kind and part as before is not repeated.
+        """
+        same = (fault.kind, fault.part)
+        if all((known.kind, known.part) != same for known in self.faults):
+            self.faults.append(fault)
 
     def step(
         self, cell_n: float | None, pulse_n: float, position_m: float, now_ns: int, age_ns: int = 0
@@ -176,13 +181,16 @@ class Probe:
             self._read_ns = now_ns
             most_n = limits.force_limit_n * limits.overforce
             if not math.isfinite(cell_n):
-                self.fault("load cell: a reading is no number")
+                words = "a reading is no number"
+                self.fault(Fault(FaultKind.NOT_A_NUMBER, Part.LOAD_CELL, words, now_ns))
             elif abs(cell_n) > most_n:
-                self.fault(f"load cell: more than {most_n:.2f} N")
+                words = f"more than {most_n:.2f} N"
+                self.fault(Fault(FaultKind.OVERFORCE, Part.LOAD_CELL, words, now_ns))
         elif now_ns - self._read_ns > limits.cell_within_ns:
-            self.fault("load cell: silent")
+            self.fault(Fault(FaultKind.SILENT, Part.LOAD_CELL, "silent", now_ns))
         if not math.isfinite(position_m) or position_m > limits.travel_m:
-            self.fault("probe: beyond its travel")
+            words = "beyond its travel"
+            self.fault(Fault(FaultKind.FOLLOWING_ERROR, Part.PROBE, words, now_ns))
 
     def _wanted_n(self, now_ns: int) -> float:
         """Return the force that is wanted now, and set the state."""

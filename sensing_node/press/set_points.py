@@ -38,7 +38,10 @@ class PressedProbe(ABC):
     @property
     def state(self) -> str:
         """State of the probe: off, pressing, easing, leaving or fault."""
-        return self.probe.state
+        return "fault" if self.probe.faults else self.probe.state
+
+    def leave(self) -> None:  # noqa: B027
+        """Take the probe off the wrist, at the end of the run."""
 
     @property
     def hold_down_n(self) -> float:

@@ -165,7 +165,7 @@ class ProbedTissue(SampleSource, PressedProbe):
 
     def faults(self) -> list[str]:
         """See `SampleSource.faults`."""
-        return list(self.probe.faults)
+        return list(map(str, self.probe.faults))
 
     @property
     def depth_m(self) -> float:

@@ -9,7 +9,6 @@ from collections import Counter
 
 import numpy as np
 
-from display_node.hardware import WITHDRAWN_WITHIN_S
 from display_node.plant.film import FilmModel
 from display_node.plant.scene import ForceModel
 from display_node.plant.stepper import Stepper
@@ -17,7 +16,7 @@ from display_node.scene import DisplayScene
 from protocol.config.quantities import count_text
 from protocol.errors import BenchError, DriveError
 from protocol.host.realtime import Pacer
-from pulse_drives.drive import PERIOD_S, Drive
+from pulse_drives.drive import PERIOD_S, WITHDRAWN_WITHIN_S, Drive
 from pulse_drives.scene import DriveScene
 from pulse_drives.withdrawal import WithdrawalOutcome
 from pulse_sensors.samples import SampleBlock
@@ -85,7 +84,7 @@ class HardwareRig:
             time.sleep((self._pacer.due_ns - now_ns) * 1e-9)
         fault = self._drive.status().fault
         if fault is not None:
-            raise DriveError("fault", f"the drive stopped: {fault}")
+            raise DriveError(fault.kind, f"the drive stopped: {fault}")
         samples = [
             ((taken_ns - self._began_ns) * 1e-9, force_n)
             for reading in self._film.poll()
@@ -96,7 +95,7 @@ class HardwareRig:
     def withdraw(self) -> None:
         """Go back off the finger and rest; afterwards the drive follows no further commands."""
         drive = self._drive
-        drive.withdraw("stopped")
+        drive.withdraw()
         end_s = time.monotonic() + WITHDRAWN_WITHIN_S
         while drive.status().withdrawal is WithdrawalOutcome.UNDER_WAY and time.monotonic() < end_s:
             time.sleep(PERIOD_S)
@@ -201,7 +200,7 @@ def _answer_s(drive: Drive, speed_m_per_s: float) -> float:
         time.sleep(POLL_S)
         status = drive.status()
         if status.fault is not None:
-            raise DriveError("fault", f"the drive stopped: {status.fault}")
+            raise DriveError(status.fault.kind, f"the drive stopped: {status.fault}")
         reported, half = status.speed_m_per_s, ANSWER_SPEED_M_PER_S / 2
         if abs(reported) < half if not speed_m_per_s else reported * speed_m_per_s > 2 * half**2:
             return waited_s

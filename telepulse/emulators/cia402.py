@@ -32,6 +32,8 @@ ALL_MODES = (Mode.PROFILE_VELOCITY, Mode.CYCLIC_VELOCITY)
 TPDO_S = 0.01
 NOTIFIER_CYCLE_S = 0.1
 LAST_SYNC_TYPE = 240
+# Numbers of NMT states in a heartbeat.
+STATE_NUMBERS = {"INITIALISING": 0, "STOPPED": 4, "OPERATIONAL": 5, "PRE-OPERATIONAL": 127}
 # Objects whose values change without a write, and the attributes of the drive that they show.
 _OBJECTS = {
     0x603F: "error_code",
@@ -204,6 +206,9 @@ class EmulatedCia402Node:
         self._network.NOTIFIER_CYCLE = NOTIFIER_CYCLE_S
         sheet = str(files("pulse_drives.cia402") / "cia402.eds")
         self._node = canopen.LocalNode(scene.node, sheet)
+        # `poll` sends the heartbeat: the library's own is sent by a thread.
+        self._node.nmt.start_heartbeat = lambda heartbeat_time_ms: None  # type: ignore[method-assign]
+        self._own_heartbeat_id, self._beat_s = HEARTBEAT + scene.node, 0.0
         self._node.add_read_callback(self._on_read)  # type: ignore[no-untyped-call]
         self._node.add_write_callback(self._on_write)  # type: ignore[no-untyped-call]
         self._network[scene.node] = self._node
@@ -223,6 +228,11 @@ class EmulatedCia402Node:
         with self._lock:
             drive, now_s = self.drive, time.monotonic()
             drive.advance(time.perf_counter_ns())
+            beat_s = self._stored(0x1017) * 1e-3
+            if beat_s and now_s - self._beat_s >= beat_s and not self.silent:
+                self._beat_s = now_s
+                nmt_state = STATE_NUMBERS[self._node.nmt.state]
+                self._network.send_message(self._own_heartbeat_id, bytes([nmt_state]))
             state = (drive.statusword, drive.error_code)
             due = now_s - self._sent_s >= TPDO_S or state != self._last_sent
             if due and self._operational and not self.silent:

@@ -13,7 +13,6 @@ from functools import partial
 from typing import Any, BinaryIO, NamedTuple
 
 from display_node.display import Display
-from display_node.fault_advice import advise
 from display_node.hardware import Hardware
 from protocol.config.quantities import count_text
 from protocol.errors import BenchError, SourceError
@@ -254,8 +253,8 @@ class Person:
     def _check(self) -> None:
         if faults := self._display.fade.faults:
             raise BenchError(
-                f"the session stops: {'; '.join(faults)} ({advise(faults[0])}); the log has the"
-                " answered trials, and --resume continues it"
+                f"the session stops: {'; '.join(map(str, faults))} ({faults[0].remedy}); the log"
+                " has the answered trials, and --resume continues it"
             )
 
 

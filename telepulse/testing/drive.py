@@ -62,7 +62,7 @@ def check_drive(
             _check_withdrawn(drive, position_m, "without commands")
             _start(drive, position_m)
             _keep(drive, SPEED_M_PER_S, FORWARD_S)
-            drive.withdraw("conformance test")
+            drive.withdraw()
             _check_withdrawn(drive, position_m, "after withdraw()", SPEED_M_PER_S)
         finally:
             call_within(CLOSED_WITHIN_S, "close", drive.close)

@@ -107,7 +107,8 @@ class Bench:
 
     @property
     def fault(self) -> str:
-        return self.drive.status().fault or ""
+        fault = self.drive.status().fault
+        return "" if fault is None else fault.cause
 
     @property
     def at_rest(self) -> bool:

@@ -147,7 +147,7 @@ class ThreadedBench:
 
     @property
     def faults(self) -> list[str]:
-        return self.display.fade.faults
+        return list(map(str, self.display.fade.faults))
 
     @property
     def threads(self) -> list[VirtualThread]:

@@ -27,7 +27,12 @@ from tests.support.fault_injection import (
 from tests.support.virtual_time import VirtualEvent, VirtualTime
 
 # Modules that wait or read the clock.
-VIRTUAL = ("pulse_drives", "telepulse.emulators", "tests.support.fault_injection")
+VIRTUAL = (
+    "protocol.host.guard",
+    "pulse_drives",
+    "telepulse.emulators",
+    "tests.support.fault_injection",
+)
 # A line to a module on USB, each way.
 LINE_NS = 200_000
 # Size of a kernel's buffer for a serial port.

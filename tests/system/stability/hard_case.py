@@ -66,7 +66,7 @@ def run(
         wanted_n = [reference(tick + ahead) for ahead in reach]
         reading_n = reading(tick, loop.read_film())
         if with_safety:
-            if (fault := bounds.reading_fault(reading_n)) is not None:
+            if (fault := bounds.reading_fault(reading_n, 1)) is not None:
                 fade.fault(fault)
             wanted_n = bounds.bound(wanted_n, fade.advance(alive=True))
         loop.tick(wanted_n, reading_n)

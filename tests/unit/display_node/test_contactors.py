@@ -144,7 +144,7 @@ def test_a_fault_of_one_contactor_brings_all_to_rest(monkeypatch: pytest.MonkeyP
         ForceLoop, "read_film", lambda loop: 9.0 if loop is guan else read_film(loop)
     )
     play(under_test, sender, 2000, 2100)
-    assert under_test.fade.faults == ["guan: felt force above 2.7 N"]
+    assert list(map(str, under_test.fade.faults)) == ["guan: film: felt force above 2.7 N"]
     assert under_test.state == "fault"
     assert all(state.target_n == 0.0 for state in under_test.states)
     assert max(state.felt_n for state in under_test.states) < 5e-3

@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 from protocol.config.scene_file import find_scene
+from protocol.faults import Fault, FaultKind, Part
 from protocol.wire.messages import ProbeReport, encode_control
 from telepulse.scene import Scene, load_scene
 from telepulse.simulation.link_scene import parse_link
@@ -37,7 +38,7 @@ def test_nothing_is_sent_before_the_pulse_is_felt_or_after_a_fault() -> None:
             sent_at_ns.append(state.now_ns)
         last = sent
         if number == 3_000:
-            display.fade.fault("a fault")
+            display.fade.fault(Fault(FaultKind.UNPLUGGED, Part.DRIVE, "any"))
     # The stream begins after 0.5 s, and is felt after a ramp.
     assert min(sent_at_ns) > 800_000_000
     # A finger that was blind for 0.3 s sends nothing.

@@ -166,7 +166,7 @@ def hang(bench: ThreadedBench) -> None:
 @pytest.mark.parametrize(
     ("happens", "pressing", "fault"),
     [
-        (lose_the_film, False, "feedback lost"),
+        (lose_the_film, False, "film: feedback lost"),
         (lose_the_stream, False, None),
         (overheat, True, "drive: fault: overtemperature"),
         (hang, True, None),
@@ -195,7 +195,7 @@ def test_a_withdrawal_that_fails_is_a_fault_as_well(pulse_n: Pulse) -> None:
         lose_the_film(bench)
         bench.run(1_000)
     assert len(bench.faults) == 2
-    assert bench.faults[-1] == "withdrawal: unconfirmed"
+    assert bench.faults[-1] == "drive: withdrawal: unconfirmed"
 
 
 def test_a_slow_first_tick_is_no_fault_since_the_drive_rests_at_first_touch(pulse_n: Pulse) -> None:

@@ -175,7 +175,7 @@ def test_after_a_fault_the_tip_leaves_a_finger_that_has_followed_it(
     bench.hand.means_n = None
     bench.film.silent = True
     bench.run(1_000)
-    assert bench.display.fade.faults == ["feedback lost"]
+    assert list(map(str, bench.display.fade.faults)) == ["film: feedback lost"]
     assert bench.hand.force_n == 0
     assert bench.drive.status().withdrawal is not None
     assert bench.tip_m[-1] > -8e-3

@@ -105,11 +105,11 @@ def test_after_a_drive_fault_the_tip_withdraws_as_soon_as_the_drive_obeys(
     bench.start(RATE_HZ)
 
 
-@pytest.mark.parametrize("reason", ["stopped", "no command for 5"])
+@pytest.mark.parametrize("reason", ["ended", "no command for 5"])
 def test_a_withdrawn_tip_stays_off_the_finger(bench: Bench, reason: str) -> None:
     bench.start(RATE_HZ, 0.05e-3)
-    if reason == "stopped":
-        bench.drive.withdraw(reason)
+    if reason == "ended":
+        bench.drive.withdraw()
     bench.wait(lambda: bench.drive.status().withdrawal is WithdrawalOutcome.WITHDRAWN)
     bench.wait(lambda: bench.at_rest)
     away_m = bench.motor.tip_m
@@ -123,7 +123,7 @@ def test_a_withdrawn_tip_stays_off_the_finger(bench: Bench, reason: str) -> None
 
 def test_the_film_confirms_a_withdrawal(bench: Bench) -> None:
     bench.start(RATE_HZ, 0.2e-3)
-    bench.drive.withdraw("stopped")
+    bench.drive.withdraw()
     film = lambda: bench.drive.add_force_reading(bench.motor.force_n, bench.clock.now_ns)  # noqa: E731
     bench.wait(lambda: bench.drive.status().withdrawal is WithdrawalOutcome.WITHDRAWN, film)
     assert bench.motor.force_n == 0.0
@@ -194,7 +194,7 @@ def test_a_drive_that_fails_on_its_way_to_first_touch_is_closed(bench: Bench) ->
             bench.motor.fail("overtemperature")
         return 0.0
 
-    with pytest.raises(DriveError, match="on its way to first touch: fault: overtemperature"):
+    with pytest.raises(DriveError, match=r"on its way to first touch: .*overtemperature"):
         bench.drive.start(force_n)
     assert bench.drive.status().withdrawal is None
 

@@ -244,7 +244,7 @@ def test_a_board_that_was_reset_is_a_fault_and_can_be_started_again(bench: Bench
     bench.start(RATE_HZ, 0.1e-3)
     bench.emulator.reset()
     bench.keep(RATE_HZ, lambda: bench.fault)
-    assert bench.fault == "fault: it was reset"
+    assert bench.fault == "it was reset"
     # Its withdrawal ends before the board is set up again.
     bench.start(RATE_HZ, 0.05e-3)
     assert bench.fault == ""
@@ -263,7 +263,7 @@ def test_the_boards_hard_limit_of_the_film_needs_no_host() -> None:
 
         bench.clock.every(MS, watch)
         bench.keep(8 * RATE_HZ, lambda: bench.fault)
-        assert bench.fault == "fault: the film is beyond its hard limits"
+        assert bench.fault == "the film is beyond its hard limits"
         # One millisecond at 2 mm/s, and the way to brake.
         assert most_n < 0.52
         bench.wait(lambda: bench.drive.status().withdrawal is WithdrawalOutcome.WITHDRAWN)

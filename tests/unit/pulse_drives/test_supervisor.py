@@ -4,6 +4,7 @@ import random
 
 import pytest
 
+from protocol.faults import Fault, FaultKind, Part
 from pulse_drives.axis import Axis, build_axis
 from pulse_drives.supervisor import PATIENCE_S, Supervisor, TimeoutLock
 from pulse_drives.withdrawal import WithdrawalOutcome
@@ -62,8 +63,8 @@ def test_after_a_stall_of_the_host_the_tip_withdraws(stalled_ms: int) -> None:
     bench.now_ms += stalled_ms
     bench.speed = 0.0
     supervisor = bench.run(200)
-    assert supervisor.fault == f"no command for {stalled_ms + 1} ms"
-    assert supervisor.status(0.0).withdrawal is WithdrawalOutcome.WITHDRAWN
+    assert str(supervisor.fault) == f"loop: no command for {stalled_ms + 1} ms"
+    assert supervisor.status(0.0, bench.now_ms * MS).withdrawal is WithdrawalOutcome.WITHDRAWN
     assert bench.tip_m < -0.4e-3
 
 
@@ -79,7 +80,7 @@ def test_a_loop_without_commands_is_a_fault_but_not_in_a_pause() -> None:
 
 @pytest.mark.parametrize(
     ("answers", "fault", "after_ms"),
-    [(False, "no answer for 51 ms", 50), (True, "no position for 201 ms", 200)],
+    [(False, "drive: no answer for 51 ms", 50), (True, "drive: no position for 201 ms", 200)],
 )
 def test_a_drive_without_answers_or_positions_is_a_fault(
     answers: bool, fault: str, after_ms: int
@@ -91,7 +92,8 @@ def test_a_drive_without_answers_or_positions_is_a_fault(
         if answers:
             supervisor.answered_ns = ms * MS
         supervisor.check_silence(ms * MS)
-        assert supervisor.fault == (None if ms <= after_ms else fault)
+        named = None if supervisor.fault is None else str(supervisor.fault)
+        assert named == (None if ms <= after_ms else fault)
 
 
 def test_a_constant_position_is_a_following_error_and_bounds_the_travel() -> None:
@@ -102,7 +104,8 @@ def test_a_constant_position_is_a_following_error_and_bounds_the_travel() -> Non
     assert "following error" in str(supervisor.fault)
     # 150 µm, the travel while positions may be late, and that until the error is a fault.
     assert bench.furthest_m < bench.frozen_m + 1.2e-3
-    assert supervisor.status(0.0).withdrawal is WithdrawalOutcome.UNCONFIRMED
+    outcome = supervisor.status(0.0, bench.now_ms * MS).withdrawal
+    assert outcome is WithdrawalOutcome.UNCONFIRMED
     assert bench.tip_m < -0.5e-3
 
 
@@ -125,7 +128,7 @@ def test_wrong_positions_do_not_lead_beyond_the_travel() -> None:
 def test_before_the_direction_is_verified_a_fault_leaves_the_drive_at_rest() -> None:
     bench = Bench(verified=False)
     bench.run(40, 10e-3)
-    bench.supervisor.fail("wrong way", bench.now_ms * MS)
+    bench.supervisor.fail(Fault(FaultKind.WRONG_WAY, Part.DRIVE, "wrong way", bench.now_ms * MS))
     bench.run(100)
     assert bench.speeds[-100:] == [0.0] * 100
     assert bench.supervisor.withdrawal is None
@@ -134,9 +137,10 @@ def test_before_the_direction_is_verified_a_fault_leaves_the_drive_at_rest() -> 
 def test_the_first_fault_stays() -> None:
     bench = Bench()
     bench.run(40, 10e-3)
-    bench.supervisor.fail("feedback lost", bench.now_ms * MS)
+    fault = Fault(FaultKind.SILENT, Part.FILM, "feedback lost", bench.now_ms * MS)
+    bench.supervisor.fail(fault)
     bench.now_ms += 500
-    assert bench.run(100).fault == "feedback lost"
+    assert bench.run(100).fault is fault
 
 
 def test_a_lock_times_out_while_its_holder_stalls_and_then_excludes_again() -> None:

@@ -196,4 +196,4 @@ def test_a_reply_to_another_request_is_ignored_unless_none_follows() -> None:
     assert line.request(Command.GET_AXIS, Parameter.ACTUAL_POSITION, 0) == -7
     with pytest.raises(DriveError, match="an answer by 1 to 2, about command 1") as error:
         line.request(Command.GET_AXIS, Parameter.ACTUAL_POSITION, 0)
-    assert (error.value.kind, line.counts) == ("wrong", {"wrong": 3})
+    assert (error.value.kind, line.counts) == ("wrong device", {"wrong": 3})

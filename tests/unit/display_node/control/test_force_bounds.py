@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 from display_node.control.force_bounds import ForceBounds
 from display_node.control.link_loss import Fade
 from display_node.control.scene import SafetyScene
+from protocol.faults import Fault, FaultKind, Part
 
 TICK_NS = 1_000_000
 LIMIT_N = 2.5
@@ -26,7 +27,7 @@ class OneContactor(Fade):
         return self.bounds.bound(reference_n, self.advance(alive))
 
     def watch(self, feedback_n: float) -> None:
-        fault = self.bounds.reading_fault(feedback_n)
+        fault = self.bounds.reading_fault(feedback_n, 1)
         if fault is not None:
             self.fault(fault)
 
@@ -135,7 +136,7 @@ def test_after_a_short_gap_the_ramp_starts_where_the_fade_ended() -> None:
     assert back_n[-1] == 1.0
 
 
-TOO_HIGH, NO_NUMBER = "felt force above 2.7 N", "feedback is not a number"
+TOO_HIGH, NO_NUMBER = FaultKind.OVERFORCE, FaultKind.NOT_A_NUMBER
 
 
 @pytest.mark.parametrize(
@@ -145,10 +146,10 @@ TOO_HIGH, NO_NUMBER = "felt force above 2.7 N", "feedback is not a number"
         (2.7, []), (2.71, [TOO_HIGH]), (-2.71, [TOO_HIGH]), (-0.5, []),
     ],
 )  # fmt: skip
-def test_an_implausible_reading_is_a_fault(feedback_n: float, faults: list[str]) -> None:
+def test_an_implausible_reading_is_a_fault(feedback_n: float, faults: list[FaultKind]) -> None:
     under_test = at_full_strength()
     under_test.watch(feedback_n)
-    assert under_test.faults == faults
+    assert [fault.kind for fault in under_test.faults] == faults
 
 
 def test_a_fault_keeps_the_target_at_zero() -> None:
@@ -156,7 +157,7 @@ def test_a_fault_keeps_the_target_at_zero() -> None:
     ticked(under_test, 1.0, 100)
     for feedback_n in (9.0, 9.0, math.nan, 1.0):
         under_test.watch(feedback_n)
-    assert under_test.faults == [TOO_HIGH, NO_NUMBER]
+    assert [fault.kind for fault in under_test.faults] == [TOO_HIGH, NO_NUMBER]
     assert ticked(under_test, 1.0, 45)[-1] == 0.0
     assert max(ticked(under_test, 1.0, 2000)) == 0.0
 
@@ -191,6 +192,6 @@ def test_ramp_and_fade_do_not_count_as_limits() -> None:
         ticked(under_test, 2.0, 400)
         # Without a stream there is no reference: the slew limit brings the tip to rest.
         ticked(under_test, 0.0, 60, alive=False)
-    under_test.fault("any")
+    under_test.fault(Fault(FaultKind.UNPLUGGED, Part.DRIVE, "any"))
     ticked(under_test, 0.0, 60)
     assert counted(under_test) == {}

@@ -40,7 +40,7 @@ def test_without_a_recent_sample_the_reading_is_nan() -> None:
     assert feedback.read(29 * MS) == 9.0
     assert math.isnan(feedback.read(29 * MS + 1))
     assert not feedback.alive(29 * MS + 1)
-    assert feedback.silent_fault(29 * MS + 1) == "feedback lost"
+    assert str(feedback.silent_fault(29 * MS + 1)) == "film: feedback lost"
     feedback.add(30 * MS, 3.0)
     assert feedback.read(35 * MS) == 3.0
 
@@ -65,8 +65,8 @@ def late_after_ms(ages_ms: list[float], latency_ms: int = 8, stall_ms: int = 0) 
         now_ms = 1_000 + 2 * tick + (stall_ms if tick else 0)
         feedback.add(round((now_ms - age_ms) * MS), 0.3)
         feedback.read(now_ms * MS)
-        if feedback.late_fault is not None:
-            assert feedback.late_fault == "feedback late: readings are 19 ms old or older, not 8 ms"
+        if (fault := feedback.late_fault(now_ms * MS)) is not None:
+            assert fault.cause == "feedback late: readings are 19 ms old or older, not 8 ms"
             return 2 * tick
     return None
 

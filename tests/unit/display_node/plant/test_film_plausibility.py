@@ -6,6 +6,7 @@ from collections.abc import Callable
 import pytest
 
 from display_node.plant.film_plausibility import SOFTEST, WITHIN_NS, FilmPlausibility, RisingForce
+from protocol.faults import Fault
 from tests.support.drive_benches import LAYER, stepper
 
 MS = 1_000_000
@@ -19,7 +20,7 @@ def swing_m(at_ms: int) -> float:
 
 def contradiction(
     position_m: float | Callable[[int], float], force_n: float | Callable[[int], float], ms: int
-) -> str | None:
+) -> Fault | None:
     """Return the first fault of a film within `ms`; positions and readings may depend on time."""
     film = FilmPlausibility(stepper(fingertip="1 N/mm"), LAYER)
     for at_ms in range(0, ms, 5):
@@ -41,10 +42,10 @@ def test_a_human_finger_is_no_contradiction(force_n: float, finger: float) -> No
 @pytest.mark.parametrize(
     ("position_m", "force_n", "fault"),
     [
-        (LAW.position(2.5), 0.0, "the film reads 0 mN where the tip presses with"),
-        (LAW.position(0.7), 0.0, "the film reads 0 mN where the tip presses with"),
-        (-2e-3, 0.3, "the film reads 300 mN where the tip is 2.0 mm off the finger"),
-        (swing_m, 0.55, "the film reads 550 mN unchanged"),
+        (LAW.position(2.5), 0.0, "it reads 0 mN where the tip presses with"),
+        (LAW.position(0.7), 0.0, "it reads 0 mN where the tip presses with"),
+        (-2e-3, 0.3, "it reads 300 mN where the tip is 2.0 mm off the finger"),
+        (swing_m, 0.55, "it reads 550 mN unchanged"),
     ],
 )
 def test_an_impossible_reading_is_a_fault(
@@ -73,7 +74,7 @@ def test_a_possible_or_short_reading_is_no_fault(
     assert contradiction(position_m, force_n, ms) is None
 
 
-def rise(n_per_s: float, end_n: float = 3.5) -> str | None:
+def rise(n_per_s: float, end_n: float = 3.5) -> Fault | None:
     """Return the fault of a ramp up to its end, if there is one."""
     rising, ms, found = RisingForce(2.7, 50.0, 8 * MS), 0, None
     while found is None and n_per_s * ms * 1e-3 <= end_n:
@@ -86,7 +87,7 @@ def rise(n_per_s: float, end_n: float = 3.5) -> str | None:
 def test_a_fast_rise_is_a_fault_early_enough_to_reverse(n_per_s: float) -> None:
     fault = rise(n_per_s)
     assert fault is not None
-    at_n = float(fault.split(" at ")[1].split(" N")[0])
+    at_n = float(fault.cause.split(" at ")[1].split(" N")[0])
     # The film is 8 ms late, and the motor reverses 3 ms after that.
     assert at_n + n_per_s * 11e-3 < 1.25 * 2.5
 

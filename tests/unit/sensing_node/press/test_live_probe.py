@@ -174,7 +174,7 @@ def test_a_loop_that_hangs_leaves_the_withdrawal_to_the_drives_thread() -> None:
         bench.hang(1_000)
         assert bench.force_n[-1] == 0
         bench.run(20)
-    assert "drive: no command" in bench.probe.faults()[0]
+    assert "loop: no command" in bench.probe.faults()[0]
 
 
 def test_a_load_cell_that_is_frozen_before_the_wrist_is_found_before_it_presses() -> None:

@@ -89,7 +89,7 @@ def test_a_press_that_is_given_up_goes_back_off_the_finger(
     with pytest.raises(BenchError, match="the press was stopped and the tip went back"):
         press_stepper(PressRecorder(rig, 0.1, 0.3), ACTUATOR, 0.3)
     assert film.peak_n > 0.05
-    assert bench.fault == "stopped"
+    assert bench.fault == "ended"
     assert bench.motor.force_n == pytest.approx(0.0, abs=5e-3)
 
 
@@ -97,7 +97,7 @@ def test_a_drive_that_fails_ends_the_press(rig: HardwareRig, bench: Bench) -> No
     rig.tick(0.0)
     bench.motor.fail("overtemperature")
     bench.clock.sleep(0.02)
-    with pytest.raises(DriveError, match="the drive stopped: fault: overtemperature"):
+    with pytest.raises(DriveError, match="the drive stopped: drive: fault: overtemperature"):
         rig.tick(0.0)
     with pytest.raises(DriveError, match="overtemperature"):
         check_answers(bench.drive)
