@@ -28,6 +28,7 @@ from protocol.config.kinds import KindGroup, KindTable, OfKind
 from protocol.config.quantities import count_text
 from protocol.config.scene import Section
 from protocol.errors import SourceError
+from protocol.host.guard import GuardedThread
 from pulse_sensors.force_scale import SensorTable
 from pulse_sensors.samples import DecodedBlock, SampleBlock, Timestamper
 
@@ -35,6 +36,8 @@ logger = logging.getLogger(__name__)
 
 MAX_WAITING = 10_000
 REOPEN_EVERY_S = 0.2
+# Longer than any driver waits for a device that is opened.
+CLOSES_WITHIN_S = 10.0
 
 
 class Port(Protocol):
@@ -152,8 +155,8 @@ class Sensor:
         self._error: BaseException | None = None
         self._noted: PortFailure | None = None
         self._attempts = 0
+        self._thread = GuardedThread(port.name, self._step, self._on_error)
         port.open()
-        self._thread = threading.Thread(target=self._listen, name=port.name, daemon=True)
         self._thread.start()
 
     def poll(self) -> list[SampleBlock]:
@@ -203,9 +206,11 @@ class Sensor:
         return [*faults, *self.timestamper.faults(name)]
 
     def close(self) -> None:
-        """Stop reading, and release the device."""
+        """Stop reading, and release the device, unless its driver does not return."""
         self._closing.set()
-        self._thread.join()
+        if not self._thread.stop(CLOSES_WITHIN_S):
+            logger.error(f"{self._port.name} cannot be closed: its driver hangs")
+            return
         try:
             self._port.close()
         except Exception as error:  # exception types differ by driver
@@ -234,17 +239,15 @@ class Sensor:
         self._decoder.reset()
         logger.info(f"{self._port.name} is back")
 
-    def _listen(self) -> None:
-        """Read the device until closed; runs in the thread."""
-        while not self._closing.is_set():
-            # Exception types differ by driver, and a SystemExit would end the thread in silence.
-            try:
-                if self._is_open:
-                    self._read()
-                else:
-                    self._reopen()
-            except BaseException as error:
-                self._error, self._is_open = error, False
+    def _step(self) -> None:
+        """Read the device, or open it again; runs in the thread."""
+        if self._is_open:
+            self._read()
+        else:
+            self._reopen()
+
+    def _on_error(self, error: BaseException) -> None:
+        self._error, self._is_open = error, False
 
     def _read(self) -> None:
         """Wait for data, and store them with the time of their arrival."""
@@ -269,7 +272,7 @@ class Sensor:
             with suppress(Exception):
                 self._port.close()
         finally:
-            # Also after an exception in here, which would else be raised without a pause.
+            # Also after an exception in here.
             closing = self._closing.wait(REOPEN_EVERY_S)
         if not closing:
             self._opening = True

@@ -14,7 +14,7 @@ from pulse_sensors.force_scale import SensorTable
 from pulse_sensors.samples import DecodedBlock, decoded_block
 from pulse_sensors.sensor import Sensor
 from tests.support.sample_blocks import forces, received
-from tests.support.waiting import until
+from tests.support.waiting import PATIENCE_S, until
 
 TABLE = validate({"rate": "1 kHz", "unit": "N"}, SensorTable, "scene")
 
@@ -177,6 +177,28 @@ def test_a_device_that_comes_back_with_another_rate_is_named(logged: list[str]) 
         fault = "the port sends 500 Hz, the scene says 1000 Hz: check its rate"
         assert logged == ["the port has gone: pulled", "the port is back", fault]
         assert sensor.faults()[-1] == fault
+
+
+def test_a_driver_that_hangs_is_not_waited_for_without_end(
+    monkeypatch: pytest.MonkeyPatch, logged: list[str]
+) -> None:
+    monkeypatch.setattr(module, "CLOSES_WITHIN_S", 0.01)
+    released = threading.Event()
+
+    class Hanging(GivenPort):
+        def read(self) -> None:
+            released.wait()
+
+    port = Hanging()
+    sensor = Sensor(port, AsIs(), TABLE)
+    sensor.close()
+    assert logged == ["the port cannot be closed: its driver hangs"]
+    # The driver is still in use.
+    assert port.closings == 0
+    monkeypatch.setattr(module, "CLOSES_WITHIN_S", PATIENCE_S)
+    released.set()
+    sensor.close()
+    assert port.closings == 1
 
 
 def test_a_device_that_cannot_be_closed_is_named(logged: list[str]) -> None:
