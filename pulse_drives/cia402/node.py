@@ -6,7 +6,7 @@ import struct
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from functools import partial
 from importlib.resources import files
 from typing import Any
@@ -113,7 +113,19 @@ class Cia402Node:
             )
         )
         self._bus = open_bus(scene)
-        self._network = canopen.Network(self._bus)
+        with ExitStack() as opened:
+            opened.callback(self._bus.shutdown)
+            self._network = canopen.Network(self._bus)
+            opened.pop_all()
+            opened.callback(self._leave)
+            self._join()
+            opened.pop_all()
+
+    def _join(self) -> None:
+        """Build the network's node, and read the bus from now on."""
+        import canopen
+
+        scene = self._scene
         self._network.NOTIFIER_CYCLE = 0.1
         # canopen's own threads send as well.
         self._sending = TimeoutLock(self._network.send_lock)
@@ -270,19 +282,32 @@ class Cia402Node:
 
     def close(self) -> None:
         """See `DriveDevice.close`. A drive that cannot be reached is stopped by its watchdog."""
-        try:
-            self.command(Controlword.SHUTDOWN, 0)
-            self.command(Controlword.DISABLE_VOLTAGE, 0)
-            self.write(0x1016, 1, 0)
-        except DriveError as error:
-            self.counts[f"not disabled: {error.kind}"] += 1
-        # Errors of a bus that is already gone are counted.
         rest = partial(setattr, self._node.nmt, "state", "PRE-OPERATIONAL")
-        for leave in (rest, self._network.disconnect):
+        # Errors of a bus that is already gone are counted.
+        for leave in (self._disable, rest, self._leave):
             try:
                 leave()
+            except DriveError as error:
+                self.counts[f"not disabled: {error.kind}"] += 1
             except Exception:
                 self.counts["not closed"] += 1
+
+    def _disable(self) -> None:
+        self.command(Controlword.SHUTDOWN, 0)
+        self.command(Controlword.DISABLE_VOLTAGE, 0)
+        self.write(0x1016, 1, 0)
+
+    def _leave(self) -> None:
+        """Close the bus, and end the thread that reads it."""
+        try:
+            self._network.disconnect()
+        finally:
+            # The library keeps both where one of its own steps fails.
+            if self._network.bus is not None:
+                with ExitStack() as stack:
+                    stack.callback(self._bus.shutdown)
+                    if self._network.notifier is not None:
+                        stack.callback(self._network.notifier.stop)
 
     def read(self, index: int, subindex: int = 0) -> int:
         """Read an object of the drive, by SDO."""

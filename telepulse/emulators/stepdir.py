@@ -7,11 +7,11 @@ withdrawal interrupts; and a stall that no fault pin reports: the count of steps
 """
 
 import math
-import select
 import time
 from collections.abc import Callable
 from random import Random
 
+from protocol.host.descriptors import DescriptorSet
 from pulse_drives.stepdir.frames import (
     COUNTER_TURN,
     BoardCommand,
@@ -380,10 +380,10 @@ def _wrong_field(values: tuple[int, ...], bounds: tuple[tuple[float, float], ...
 
 def serve_board(board: EmulatedBoard, port: PtyPort) -> Callable[[float], None]:
     """Return a function that takes what comes within a time in s, and sends what is due."""
+    waited_for = DescriptorSet([port.fileno()])
 
     def serve(wait_s: float) -> None:
-        readable, _, _ = select.select([port], [], [], wait_s)
-        data = port.read() if readable else b""
+        data = port.read() if waited_for.wait(round(wait_s * 1e9)) else b""
         board.receive(data, time.perf_counter_ns())
         for frame in board.due_frames():
             port.write(frame)
