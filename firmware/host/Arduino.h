@@ -18,8 +18,6 @@ inline float constrain(float value, float least, float most) {
   return value < least ? least : value > most ? most : value;
 }
 
-// A tick interrupts the loop nowhere: time passes between two passes of it.
-inline void noInterrupts() {}
-inline void interrupts() {}
-
+void noInterrupts();
+void interrupts();
 uint32_t micros();

@@ -18,6 +18,7 @@ namespace {
 const uint8_t HALF_MS_TICKS = 16, HALF_MS_BYTES = 25;
 const int64_t WATCHDOG_TICKS = 30 * 2 * HALF_MS_TICKS;
 const uint8_t VOID = 0x55;
+const double BUSY_TICKS = 8;
 
 // Bytes on their way.
 template <uint16_t ROOM> struct Queue {
@@ -43,8 +44,8 @@ template <uint16_t ROOM> struct Queue {
 // What surrounds the sketch.
 struct World {
   struct mechanics mechanics;
-  double inverted, normally_closed, fault_pin, fault, carrier_off, hung;
-  int64_t ticks, steps_in, steps_out, steps_off, hangs, dropped;
+  double inverted, normally_closed, fault_pin, fault, carrier_off, hung, busy_ticks;
+  int64_t ticks, passed_ms, steps_in, steps_out, steps_off, hangs, dropped;
   // Ticks: of the start, of the last board_alive(), and of the end of a bootloader's wait.
   int64_t started_at, alive_at, held_until;
   // The clock's micros() at the start.
@@ -53,6 +54,8 @@ struct World {
   uint16_t film_halves[2], film_sum, conversion;
   bool motor_on, step_pin, direction_pin;
   uint8_t reset_cause;
+  // In this pass of loop().
+  uint8_t guarded;
   // In the board, as large as those of board_avr.h; and in the host.
   Queue<127> received, sent;
   Queue<512> fed;
@@ -103,6 +106,14 @@ uint32_t micros() {
   return world.started_us + ((uint32_t)passed_us & ~3u);
 }
 
+// The AVR reads its position at once, and computes the rate, in floating point, meanwhile.
+void noInterrupts() {
+  if (!world.guarded++) return;
+  for (double passed = 0; passed < world.busy_ticks; passed++) tick();
+}
+
+void interrupts() {}
+
 void board_begin(uint32_t) { world.conversion = film_reading(); }
 
 void board_film(uint16_t *halves) { memcpy(halves, world.film_halves, sizeof world.film_halves); }
@@ -128,6 +139,7 @@ void half_has_passed(bool second) {
   int32_t given = world.given_film[second];
   world.film_halves[second] = given < 0 ? world.film_sum : given;
   world.film_sum = 0;
+  world.passed_ms += second;
   if (world.mechanics.rigid) mechanics_move(&world.mechanics, motor_turns(), 0);
   for (uint8_t i = 0; i < HALF_MS_BYTES && world.sent.count; i++) {
     world.dropped += !world.taken.put(world.sent.take());
@@ -153,8 +165,10 @@ void pass_half() {
   do tick();
   while (ticks_left % HALF_MS_TICKS);
   if (!world.hung) {
-    do loop();
-    while (world.received.count);
+    do {
+      world.guarded = 0;
+      loop();
+    } while (world.received.count);
   }
   if (world.ticks - world.alive_at > WATCHDOG_TICKS) {
     world.hangs++;
@@ -163,8 +177,18 @@ void pass_half() {
   }
 }
 
+void start_sketch();
+
+void wait_for_bootloader() {
+  world.ticks += TICKS_PER_MS;
+  world.passed_ms++;
+  mechanics_move(&world.mechanics, false, 1e-3);
+  if (world.ticks == world.held_until) start_sketch();
+}
+
 void start_sketch() {
   world.started_at = world.alive_at = world.ticks;
+  world.guarded = 0;
   setup();
 }
 
@@ -203,6 +227,7 @@ double *setting(const char *name) {
       {"inverted", &world.inverted},   {"normally_closed", &world.normally_closed},
       {"fault_pin", &world.fault_pin}, {"fault", &world.fault},
       {"hung", &world.hung},           {"carrier_off", &world.carrier_off},
+      {"busy_ticks", &world.busy_ticks},
   };
   for (const auto &each : settings)
     if (!strcmp(each.name, name)) return each.value;
@@ -220,6 +245,7 @@ bool host_new(void) {
     save_variables(loaded);
   }
   world.mechanics = USUAL_MECHANICS;
+  world.busy_ticks = BUSY_TICKS;
   world.given_film[0] = world.given_film[1] = -1;
   return true;
 }
@@ -256,14 +282,9 @@ void host_set_clock(uint32_t us, uint32_t ms) {
 }
 
 void host_run(uint32_t ms) {
-  for (int64_t until = world.ticks + (int64_t)ms * TICKS_PER_MS; world.ticks < until;) {
-    if (world.ticks >= world.held_until) {
-      pass_half();
-      continue;
-    }
-    world.ticks++;
-    mechanics_move(&world.mechanics, false, 0);
-    if (world.ticks == world.held_until) start_sketch();
+  for (int64_t until = world.passed_ms + ms; world.passed_ms < until;) {
+    if (world.ticks >= world.held_until) pass_half();
+    else wait_for_bootloader();
   }
 }
 

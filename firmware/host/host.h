@@ -10,7 +10,8 @@
  * A millisecond has 32 calls of stepper_tick(). After each 16 the line brings and takes up to 25
  * bytes, as at 500 kbaud, and loop() is called until it has read what has come. So bytes that are
  * fed before a millisecond are executed in it, as far as they are 50, and the state frame at its
- * end can be taken after the next one. Where the board waits for its line, ticks pass.
+ * end can be taken after the next one. While loop() waits for the line, and before it guards its
+ * second access to the interrupt's variables, ticks pass.
  */
 #pragma once
 
@@ -51,11 +52,13 @@ struct host_view {
  * the variables elsewhere than begin.cpp requires. */
 HOST_API bool host_new(void);
 
-/* Change a setting: those of mechanics.h, at any time but for the lengths before host_power_up;
- * and of the wiring: inverted 1 (the direction's low level leads into the finger), normally_closed
- * 1 (the switch opens at home), fault_pin 0 not connected, 1 low in a fault, 2 high; and
- * faults: fault 1 (the carrier's fault pin is active), carrier_off 1 (the carrier gives the motor
- * no current), hung 1 (loop() does not return). Returns false where there is none of that name. */
+/* Change a setting. Those of mechanics.h; lengths before host_power_up.
+ * Wiring: inverted 1 (the direction pin's low level leads into the finger), normally_closed 1 (the
+ * switch opens at home), fault_pin 0 (not connected), 1 (low in a fault) or 2 (high).
+ * Faults: fault 1 (the carrier's fault pin is active), carrier_off 1 (the carrier gives the motor
+ * no current), hung 1 (loop() does not return).
+ * busy_ticks: those that pass while loop() computes a rate, by default as on an ATmega328P.
+ * Returns false where there is none of that name. */
 HOST_API bool host_set(const char *name, double value);
 
 /* Power up: memory that a reset keeps is void. Or reset, with a cause of PROTOCOL.md's greeting; a
@@ -66,6 +69,7 @@ HOST_API void host_reset(uint8_t cause, uint32_t bootloader_ms);
 /* Set the counters of microseconds and milliseconds, to be near their end. */
 HOST_API void host_set_clock(uint32_t us, uint32_t ms);
 
+/* Let milliseconds pass, each with all that loop() does at its end. */
 HOST_API void host_run(uint32_t ms);
 
 /* Give bytes to the board; returns how many there was room for. Take bytes that it has sent. */

@@ -47,7 +47,7 @@ def reports(board: Sketch, ms: int) -> list[BoardReport]:
     return [report for report in map(decode_report, reader.feed(data)) if report is not None]
 
 
-def press(board: Sketch, for_ms: int = 800) -> None:
+def make_ready(board: Sketch) -> None:
     send(board, Format.LIMITS, *LIMITS)
     board.run(1)
     send(board, Format.ARM)
@@ -55,6 +55,11 @@ def press(board: Sketch, for_ms: int = 800) -> None:
     send(board, Format.HOME, *SEARCH)
     while board.look().state in (BoardMode.DISARMED, BoardMode.ARMED, BoardMode.HOMING):
         board.run(1)
+    board.run(20)
+
+
+def press(board: Sketch, for_ms: int = 800) -> None:
+    make_ready(board)
     for _ in range(for_ms):
         send(board, Format.VELOCITY, VELOCITY, 20)
         board.run(1)
@@ -63,14 +68,18 @@ def press(board: Sketch, for_ms: int = 800) -> None:
 
 def test_a_board_presses_and_withdraws_by_itself_when_it_hears_nothing() -> None:
     board = started()
-    press(board)
-    pressed = board.look()
+    make_ready(board)
+    ready = board.look()
+    for _ in range(400):
+        send(board, Format.VELOCITY, VELOCITY, 20)
+        board.run(2)
+    assert board.look().force_n > 0.1
     board.run(400)
     view = board.look()
     assert (view.state, view.cause) == (BoardMode.WITHDRAWN, TripCause.SILENCE)
     assert (view.force_n, view.lost_steps, view.steps_off) == (0.0, 0, 0)
-    given = view.steps_in - pressed.steps_in, pressed.steps_out - view.steps_out
-    assert view.position - pressed.position == sum(given)
+    given = view.steps_in - ready.steps_in, ready.steps_out - view.steps_out
+    assert view.position - ready.position == sum(given)
     # Nobody takes what it sends.
     assert view.dropped > 0
 
