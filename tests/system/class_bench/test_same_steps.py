@@ -21,10 +21,10 @@ from pulse_drives.stepdir.frames import (
     decode_report,
     encode_command,
 )
-from telepulse.emulators import simavr
-from telepulse.emulators.simavr import Programs
 from telepulse.emulators.sketch import Sketch
+from tests.support import simavr
 from tests.support.avr_boards import Display
+from tests.support.simavr import Programs
 
 pytestmark = pytest.mark.skipif(simavr.missing() is not None, reason=str(simavr.missing()))
 
