@@ -92,8 +92,10 @@ def test_the_soft_limit_stops_the_tip(kind: str) -> None:
 
 @pytest.mark.parametrize("fault", ["overtemperature", "following error", "stall"])
 def test_after_a_drive_fault_the_tip_withdraws_as_soon_as_the_drive_obeys(
-    bench: Bench, fault: str
+    kind: str, bench: Bench, fault: str
 ) -> None:
+    if (kind, fault) == ("stepdir", "following error"):
+        pytest.skip("the board counts the steps that it gives, and a film finds others")
     bench.start(RATE_HZ, 0.05e-3)
     bench.motor.fail(fault)
     bench.keep(RATE_HZ, lambda: bench.fault)
