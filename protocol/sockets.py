@@ -9,8 +9,7 @@ import errno
 import ipaddress
 import os
 import re
-import select
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from socket import if_indextoname
 from types import MappingProxyType
@@ -19,6 +18,7 @@ from typing import Any, Protocol, cast
 import zmq
 
 from protocol.errors import AddressError
+from protocol.host.descriptors import DescriptorSet
 from protocol.wire.messages import MAX_FRAME_BYTES
 
 RECONNECT_MS, LINGER_MS = 20, 500
@@ -263,18 +263,18 @@ def wait_readable(sockets: Sequence[Socket], timeout_ns: int) -> None:
         wait_on_descriptors(descriptors(sockets), timeout_ns)
 
 
-def wait_on_descriptors(numbers: Sequence[int], timeout_ns: int) -> bool:
+def wait_on_descriptors(waited_for: DescriptorSet, timeout_ns: int) -> bool:
     """Wait as `wait_readable` does, for `descriptors` of sockets that were read completely.
 
     All must have been read since the last send. A message that is left does not end the wait.
     Return False if nothing has arrived.
     """
-    return timeout_ns <= 0 or any(select.select(numbers, (), (), timeout_ns * 1e-9))
+    return timeout_ns <= 0 or waited_for.wait(timeout_ns)
 
 
-def descriptors(sockets: Sequence[Socket]) -> list[int]:
+def descriptors(sockets: Iterable[Socket]) -> DescriptorSet:
     """Return the descriptors to wait for, which do not change during a socket's life."""
-    return [cast(int, socket.getsockopt(zmq.FD)) for socket in sockets]
+    return DescriptorSet([cast(int, socket.getsockopt(zmq.FD)) for socket in sockets])
 
 
 def _reason(error: zmq.ZMQError) -> str:

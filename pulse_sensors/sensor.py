@@ -1,7 +1,7 @@
 """A live sensor: a thread that reads the device, and the conversion of the data.
 
-The thread waits for data, records the time of arrival, and reopens a device that was gone. The
-caller's thread does the rest in `Sensor.poll`.
+The thread waits for data, records the time of arrival, and opens a device again that was gone. No
+exception of a driver ends it. The caller's thread does the rest in `Sensor.poll`.
 
 To add a sensor type:
 
@@ -20,7 +20,7 @@ from collections import Counter, deque
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
-from typing import Annotated, Any, Protocol, TypeVar
+from typing import Annotated, Any, NamedTuple, Protocol, TypeVar
 
 from pydantic import AfterValidator
 
@@ -28,6 +28,7 @@ from protocol.config.kinds import KindGroup, KindTable, OfKind
 from protocol.config.quantities import count_text
 from protocol.config.scene import Section
 from protocol.errors import SourceError
+from protocol.host.guard import GuardedThread
 from pulse_sensors.force_scale import SensorTable
 from pulse_sensors.samples import DecodedBlock, SampleBlock, Timestamper
 
@@ -35,6 +36,8 @@ logger = logging.getLogger(__name__)
 
 MAX_WAITING = 10_000
 REOPEN_EVERY_S = 0.2
+# Longer than any driver waits for a device that is opened.
+CLOSES_WITHIN_S = 10.0
 
 
 class Port(Protocol):
@@ -106,6 +109,16 @@ def one_force(scene: TableT) -> TableT:
 OneForceSensor = Annotated[SensorScene, OfKind(SENSORS), AfterValidator(one_force)]
 
 
+class PortFailure(NamedTuple):
+    """Why a device gives no data: an exception that it has raised, without what that refers to."""
+
+    text: str
+    #: The text names the device, and what failed.
+    is_whole: bool
+    #: Raised where the device was to be opened again, not where it was read.
+    opening: bool
+
+
 class Sensor:
     """A live sensor. Reading starts on construction and ends with `close`.
 
@@ -125,15 +138,25 @@ class Sensor:
         self._decoder = decoder
         self.timestamper = Timestamper(settings)
         self._clock = clock
-        # (time in ns, data | exception: device gone | None: device back)
+        # (time in ns, data | PortFailure: no data, or for another reason now | None: data again)
         self._received: deque[tuple[int, Any]] = deque()
-        self._dropped = self._losses = 0
+        self._dropped = 0
         self._rate_reported = False
+        #: Number of times that the device was gone.
+        self.losses = 0
         self._gone_since_ns: int | None = None
         self._gone_for_ns = 0
+        # Why a device that has gone cannot be used again; empty before the first attempt.
+        self._reason = ""
         self._closing = threading.Event()
+        # The thread's: whether the device is open, or being opened; an exception that is not noted
+        # yet; the last failure that was noted since data came, and the attempts to open since then.
+        self._is_open, self._opening = True, False
+        self._error: BaseException | None = None
+        self._noted: PortFailure | None = None
+        self._attempts = 0
+        self._thread = GuardedThread(port.name, self._step, self._on_error)
         port.open()
-        self._thread = threading.Thread(target=self._listen, name=port.name, daemon=True)
         self._thread.start()
 
     def poll(self) -> list[SampleBlock]:
@@ -141,8 +164,11 @@ class Sensor:
         blocks = []
         while self._received:
             at_ns, data = self._received.popleft()
-            if data is None or isinstance(data, Exception):
-                self._note_connection(at_ns, gone=data)
+            if data is None:
+                self._note_return(at_ns)
+                continue
+            if isinstance(data, PortFailure):
+                self._note_failure(at_ns, data)
                 continue
             for block in self._decoder.feed(data):
                 if (timestamped := self.timestamper.timestamp(block, at_ns)) is not None:
@@ -165,58 +191,107 @@ class Sensor:
 
     def faults(self) -> list[str]:
         """Return the faults so far, one line each."""
-        faults = self.timestamper.faults(self._port.name)
-        if self._losses:
+        name, faults = self._port.name, []
+        if self.losses:
             gone_ns = self._gone_for_ns
             if self._gone_since_ns is not None:
                 gone_ns += self._clock() - self._gone_since_ns
-            times = f"{count_text(self._losses, 'time')}, for {gone_ns * 1e-9:.1f} s in all"
-            faults.insert(0, f"{self._port.name} was gone {times}")
-        return faults
+            times = f"{count_text(self.losses, 'time')}, for {gone_ns * 1e-9:.1f} s in all"
+            faults.append(f"{name} was gone {times}")
+        if self._gone_since_ns is not None:
+            if self._is_open:
+                faults.append(f"{name} is open again, but sends nothing")
+            elif self._reason:
+                faults.append(f"{self._reason} ({count_text(self._attempts, 'attempt')})")
+        return [*faults, *self.timestamper.faults(name)]
 
     def close(self) -> None:
-        """Stop reading, and release the device."""
+        """Stop reading, and release the device, unless its driver does not return."""
         self._closing.set()
-        self._thread.join()
-        self._port.close()
+        if not self._thread.stop(CLOSES_WITHIN_S):
+            logger.error(f"{self._port.name} cannot be closed: its driver hangs")
+            return
+        try:
+            self._port.close()
+        except Exception as error:  # exception types differ by driver
+            logger.warning(f"{self._port.name} cannot be closed: {_text(error)}")
 
-    def _note_connection(self, at_ns: int, gone: Exception | None) -> None:
-        """Log and count the loss or the return of the device."""
-        if gone is not None:
-            self._losses += 1
-            self._gone_since_ns = at_ns
-            logger.warning(f"{self._port.name} has gone: {gone}")
-        elif self._gone_since_ns is not None:
+    def _note_failure(self, at_ns: int, failure: PortFailure) -> None:
+        """Log why the device gives no data; count it where it has just gone."""
+        name, text = self._port.name, failure.text
+        if self._gone_since_ns is None:
+            self.losses += 1
+            self._gone_since_ns, self._reason = at_ns, ""
+            logger.warning(f"{name} has gone: {text}")
+            return
+        if failure.is_whole:
+            self._reason = text
+        else:
+            tried = "cannot be opened" if failure.opening else "opens, but cannot be read"
+            self._reason = f"{name}: {tried}: {text}"
+        logger.warning(self._reason)
+
+    def _note_return(self, at_ns: int) -> None:
+        """Log that a device that was gone sends again."""
+        if self._gone_since_ns is not None:
             self._gone_for_ns += at_ns - self._gone_since_ns
-            self._gone_since_ns = None
-            self._decoder.reset()
-            logger.info(f"{self._port.name} is back")
+        self._gone_since_ns = None
+        self._decoder.reset()
+        logger.info(f"{self._port.name} is back")
 
-    def _listen(self) -> None:
-        """Read the device until closed; runs in the thread."""
-        while not self._closing.is_set():
-            try:
-                data = self._port.read()
-            except Exception as error:  # exception types differ by driver
-                self._received.append((self._clock(), error))
-                # Closing a device that is gone may fail as well.
-                with suppress(Exception):
-                    self._port.close()
-                self._reopen()
-                continue
-            if not data:
-                continue
-            if len(self._received) < MAX_WAITING:
-                self._received.append((self._clock(), data))
-            else:
-                self._dropped += 1
+    def _step(self) -> None:
+        """Read the device, or open it again; runs in the thread."""
+        if self._is_open:
+            self._read()
+        else:
+            self._reopen()
+
+    def _on_error(self, error: BaseException) -> None:
+        self._error, self._is_open = error, False
+
+    def _read(self) -> None:
+        """Wait for data, and store them with the time of their arrival."""
+        if not (data := self._port.read()):
+            return
+        now_ns = self._clock()
+        if self._noted is not None:
+            self._received.append((now_ns, None))
+            self._noted = None
+        if len(self._received) < MAX_WAITING:
+            self._received.append((now_ns, data))
+        else:
+            self._dropped += 1
 
     def _reopen(self) -> None:
-        while not self._closing.wait(REOPEN_EVERY_S):
-            with suppress(SourceError):
-                self._port.open()
-                self._received.append((self._clock(), None))
-                return
+        """Note why the device gives no data, where that is new, and open it again."""
+        try:
+            if self._error is not None:
+                self._note(self._error)
+                self._error = None
+            # Closing a device that is gone may fail as well.
+            with suppress(Exception):
+                self._port.close()
+        finally:
+            # Also after an exception in here.
+            closing = self._closing.wait(REOPEN_EVERY_S)
+        if not closing:
+            self._opening = True
+            self._attempts += 1
+            self._port.open()
+            self._opening, self._is_open = False, True
+
+    def _note(self, error: BaseException) -> None:
+        """Store an exception of the device, unless the last one was the same."""
+        failure = PortFailure(_text(error), isinstance(error, SourceError), self._opening)
+        if self._noted is None:
+            self._attempts = 0
+        if failure != self._noted:
+            self._received.append((self._clock(), failure))
+            self._noted = failure
+
+
+def _text(error: BaseException) -> str:
+    return str(error) or type(error).__name__
 
 
 def open_sensor(scene: SensorScene, folder: Path) -> Sensor:

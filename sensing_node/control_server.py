@@ -26,6 +26,8 @@ REQUESTS_AT_ONCE = 4_000.0
 HELD_NS = 5_000_000
 FORGET_AFTER_NS = 5_000_000_000
 MAX_CLIENTS = 1_000
+# A display that has connected again speaks no more on its old connection, but for what is late.
+TWINS_AFTER_NS = 1_000_000_000
 # A display sends at most 50 clock requests a second, and after a cut all waiting ones at once.
 DISPLAY_ANSWERS_PER_S, ANSWERS_AT_ONCE = 200.0, 2_000.0
 # Hellos of other versions that are answered, of all peers together.
@@ -84,6 +86,10 @@ class Client:
     seen_ns: int
     report: DisplayReport | None = None
     confirmed: bool = False
+    #: Another display has the same name.
+    is_twin: bool = False
+    #: First message after another connection had come with the same name.
+    again_ns: int | None = None
     budget: TokenBucket = field(
         default_factory=lambda: TokenBucket(DISPLAY_ANSWERS_PER_S, ANSWERS_AT_ONCE), repr=False
     )
@@ -111,11 +117,16 @@ class ControlServer:
         self.set_points = set_points
         self._session = session
         self.clients: dict[Sender, Client] = {}
-        # Further connections of displays, which began with a set-point.
+        # Further connections of displays, which began with a set-point, and the old ones of those
+        # that have connected again.
         self._further: dict[Sender, Client] = {}
         self.rejected: Counter[str] = Counter()
         self.other_version = ""
         self._strangers = TokenBucket(STRANGERS_PER_S, STRANGERS_PER_S)
+
+    @property
+    def _size(self) -> int:
+        return len(self.clients) + len(self._further)
 
     @property
     def unconfirmed(self) -> dict[Sender, Client]:
@@ -189,20 +200,53 @@ class ControlServer:
             case _:
                 raise WireError("unexpected", "a message that only sensing nodes send")
         client = self.clients.get(sender)
+        replaced = None if client is not None else self._further.get(sender)
+        if replaced is not None and replaced.name and name in ("", replaced.name):
+            return self._replaced_connection(sender, replaced, name, now_ns)
         further = client is None and not name and not isinstance(message, Bye)
         if further and (sender in self._further or isinstance(message, SetPoint)):
             return self._further_connection(sender, now_ns)
+        has_twin = False
         # Most messages are clock requests without a name, for which nothing is searched.
         if name and (client is None or client.name != name):
-            # The display may have an entry under an old address, or from a request before its name.
-            for namesake in [k for k, other in self.clients.items() if other.name == name]:
-                del self.clients[namesake]
+            has_twin = self._replace_namesakes(name, now_ns)
         if client is None:
             self._further.pop(sender, None)
             self._check_room()
-            client = self.clients[sender] = Client(name, now_ns)
+            client = self.clients[sender] = Client(name, now_ns, is_twin=has_twin)
         client.name = name or client.name
         client.seen_ns = now_ns
+        return client
+
+    def _replace_namesakes(self, name: str, now_ns: int) -> bool:
+        """Take the displays of a name for old connections of the one that sends it now.
+
+        The display may have an entry under an old address, or from a request before its name.
+        Return whether there is another display of that name.
+        """
+        has_twin = False
+        for sender in [k for k, other in self.clients.items() if other.name == name]:
+            replaced = self.clients[sender]
+            if replaced.is_twin and now_ns - replaced.seen_ns < TWINS_AFTER_NS:
+                has_twin = True
+                continue
+            del self.clients[sender]
+            replaced.is_twin, replaced.again_ns = False, None
+            if self._size < MAX_CLIENTS - 1:
+                self._further[sender] = replaced
+        return has_twin
+
+    def _replaced_connection(
+        self, sender: Sender, client: Client, name: str, now_ns: int
+    ) -> Client:
+        """Return the display of an old connection, which is a client again if it goes on."""
+        client.seen_ns = now_ns
+        if client.again_ns is None:
+            client.again_ns = now_ns
+        elif name and now_ns - client.again_ns >= TWINS_AFTER_NS:
+            self.clients[sender] = self._further.pop(sender)
+            for other in self.clients.values():
+                other.is_twin |= other.name == name
         return client
 
     def _further_connection(self, sender: Sender, now_ns: int) -> Client:
@@ -216,5 +260,5 @@ class ControlServer:
 
     def _check_room(self) -> None:
         """Raise WireError where there are as many displays and further connections as may be."""
-        if len(self.clients) + len(self._further) >= MAX_CLIENTS:
+        if self._size >= MAX_CLIENTS:
             raise WireError("too_many_displays", f"there are {MAX_CLIENTS} already")

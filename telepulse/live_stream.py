@@ -150,6 +150,7 @@ class LiveStream(AbstractContextManager["LiveStream"]):
                 self._error = error
                 self._changed.notify_all()
         finally:
+            self._connection.close()
             self._context.destroy(linger=sockets.LINGER_MS)
 
     def _poll(self) -> None:

@@ -22,7 +22,7 @@ from display_node.reception.timeouts import (
 )
 from protocol import sockets
 from protocol.config.quantities import count_text
-from protocol.errors import WireError
+from protocol.errors import ProcessError, WireError
 from protocol.security.authenticator import Authenticator
 from protocol.security.budgets import SubscriptionBudget
 from protocol.security.handshakes import HandshakeMonitor
@@ -66,29 +66,39 @@ class Proxy:
         self._last_counts = (0, 0, 0)
         self._steering: sockets.Socket | None = None
         self._thread: threading.Thread | None = None
+        # Whether a question about the counts has no answer yet.
+        self._asked = False
 
     def start(self) -> None:
         """Start passing messages on."""
         address = f"inproc://proxy-{next(_numbers)}"
         self._steering = self._context.socket(zmq.PAIR)
-        self._steering.setsockopt(zmq.RCVTIMEO, ANSWER_MS)
+        for timeout in (zmq.RCVTIMEO, zmq.SNDTIMEO):
+            self._steering.setsockopt(timeout, ANSWER_MS)
         self._steering.bind(address)
         steered = self._context.socket(zmq.PAIR)
         steered.connect(address)
-        self._last_counts = (0, 0, 0)
+        self._last_counts, self._asked = (0, 0, 0), False
         # A daemon thread, so that the program can end even if the proxy hangs.
         self._thread = threading.Thread(target=self._run, args=(steered,), daemon=True)
         self._thread.start()
 
     def update_counts(self) -> None:
-        """Bring the counts up to date."""
+        """Bring the counts up to date; where the proxy's thread is late, at a later update."""
         if self._steering is None:
             return
-        self._steering.send(b"STATISTICS")
-        try:
-            answer = self._steering.recv_multipart()
-        except zmq.Again:  # counted at the next update
+        # An answer that came late is that of an earlier time, and not the next question's.
+        for _ in sockets.receive_multipart(self._steering):
+            self._asked = False
+        if self._asked:
             return
+        try:
+            self._steering.send(b"STATISTICS")
+            self._asked = True
+            answer = self._steering.recv_multipart()
+        except zmq.Again:
+            return
+        self._asked = False
         numbers = [number for part in answer for number in STATISTICS.unpack(part)]
         requests, received, received_bytes = numbers[0], numbers[4], numbers[5]
         # The proxy counts from zero after it had to start again.
@@ -99,15 +109,23 @@ class Proxy:
         self.received_bytes += received_bytes - before[2]
         self._last_counts = (requests, received, received_bytes)
 
-    def stop(self) -> None:
-        """Give the sockets back; messages queued on them stay queued."""
+    def stop(self) -> bool:
+        """Give the sockets back; messages queued on them stay queued.
+
+        Returns False, and keeps the sockets, where the proxy's thread does not end in time.
+        """
         if self._steering is None or self._thread is None:
-            return
+            return True
         self.update_counts()
-        self._steering.send(b"TERMINATE")
-        self._thread.join()
+        # A proxy that has ended by itself receives nothing.
+        with suppress(zmq.Again):
+            self._steering.send(b"TERMINATE")
+        self._thread.join(ANSWER_MS * 1e-3)
+        if self._thread.is_alive():
+            return False
         self._steering.close(0)
         self._steering = self._thread = None
+        return True
 
     def _run(self, steered: sockets.Socket) -> None:
         """Pass messages on until stopped; a message that finds the queue full is dropped."""
@@ -277,8 +295,9 @@ class Relay:
                 self._poll(now_ns)
                 sockets.wait_readable(readable, WAIT_NS)
         finally:
-            self._control.stop()
-            self._context.destroy(linger=sockets.LINGER_MS)
+            # The context waits for all sockets, also for those of a proxy that does not end.
+            if self._control.stop():
+                self._context.destroy(linger=sockets.LINGER_MS)
         return self._summary()
 
     def _poll(self, now_ns: int) -> None:
@@ -323,7 +342,8 @@ class Relay:
         # The kernel retries a connection only after 1 s, too late where a cut has ended, so a
         # short timeout is set. A slow path needs longer: every second attempt has no timeout.
         answer_ns = ANSWER_NS if self._reconnections % 2 else 0
-        self._control.stop()
+        if not self._control.stop():
+            raise ProcessError(f"the relay of {self._connect} hangs: start it again")
         before, control = self._address, sockets.control_address
         sockets.reconnect(
             self._control.sensing, before and control(before), control(address), answer_ns

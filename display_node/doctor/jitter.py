@@ -13,6 +13,7 @@ from display_node.scoring.deadlines import ALARM_SHARE, GAP_NS
 from protocol import sockets
 from protocol.histogram import Histogram
 from protocol.host.child_process import ChildProcess
+from protocol.host.descriptors import DescriptorSet
 from protocol.host.realtime import (
     Pacer,
     RealtimeGrant,
@@ -54,7 +55,7 @@ class Ticks:
 
 
 def run_ticks(
-    ticks: Ticks, tick_ns: int, seconds: float, descriptors: Sequence[int], work: Work
+    ticks: Ticks, tick_ns: int, seconds: float, descriptors: DescriptorSet, work: Work
 ) -> None:
     """Wait for ticks as a display does, and call `work` in each."""
     pacer = Pacer(tick_ns, time.perf_counter_ns())

@@ -111,8 +111,8 @@ class Connection:
             self.control,
             *(endpoint for path in self._paths for endpoint in path.endpoints),
         ]
-        self.descriptors = sockets.descriptors([endpoint.socket for endpoint in self._endpoints])
-        self.descriptors += self._further.descriptors
+        waited_for = [*self._endpoints, *self._further.endpoints]
+        self.descriptors = sockets.descriptors(endpoint.socket for endpoint in waited_for)
         self._control_link = self._watch_control(self.control)
         for endpoint in self._further.endpoints:
             self._watch_control(endpoint)

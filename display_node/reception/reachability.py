@@ -5,9 +5,9 @@ waits requests a plain TCP connection now and then, and reads the result later: 
 """
 
 import errno
-import select
 import socket
 
+from protocol.host.descriptors import await_writable
 from protocol.refusals import Reason
 
 # A probe that a sensing node accepts is a broken handshake in its account, so probes are rare.
@@ -46,8 +46,7 @@ class ConnectionRequest:
     def result(self) -> int | None:
         """Return the error's number, 0 for an accepted request; None while there is none."""
         if self._error in _PENDING:
-            _, writable, failed = select.select((), [self._socket], [self._socket], 0)
-            if not writable and not failed:
+            if not await_writable(self._socket.fileno(), 0.0):
                 return None
             self._error = self._socket.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR)
         return self._error

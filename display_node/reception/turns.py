@@ -5,7 +5,6 @@ TCP delivers in order, so after a lost packet everything on its connection waits
 next set-point is on another one. In turns, n connections send as many packets as one does.
 """
 
-import select
 from collections.abc import Iterator, Sequence
 
 import zmq
@@ -25,7 +24,7 @@ PRESSED_NS = 2_000_000_000
 class ControlTurns:
     """Connections that take turns.
 
-    count: number of connections. endpoints: their sockets. descriptors: to wait for.
+    count: number of connections. endpoints: their sockets.
     """
 
     def __init__(self, context: sockets.Context, count: int, keys: ClientKeys | None) -> None:
@@ -36,8 +35,8 @@ class ControlTurns:
             )
             for _ in range(count)
         ]
-        self.descriptors = sockets.descriptors([endpoint.socket for endpoint in self.endpoints])
-        self._by_descriptor = dict(zip(self.descriptors, self.endpoints, strict=True))
+        self._descriptors = sockets.descriptors(endpoint.socket for endpoint in self.endpoints)
+        self._by_descriptor = dict(zip(self._descriptors.numbers, self.endpoints, strict=True))
         self._unread: set[Endpoint] = set()
         # Of each connection: time of the first message that may still be answered, and of the
         # newest set-point.
@@ -53,8 +52,7 @@ class ControlTurns:
         """
         if not self.endpoints:
             return
-        readable, _, _ = select.select(self.descriptors, (), (), 0)
-        self._unread.update(self._by_descriptor[number] for number in readable)
+        self._unread.update(self._by_descriptor[number] for number in self._descriptors.ready())
         for endpoint in list(self._unread):
             empty = True
             for message in endpoint.messages():

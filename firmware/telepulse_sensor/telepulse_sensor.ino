@@ -52,6 +52,15 @@ void loop() {
   if ((int32_t)(now_us - next_us) < 0) {
     return;
   }
+  uint32_t late_us = now_us - next_us;
+  if (late_us >= PERIOD_US) {
+    // A write has waited for the host. The samples of the periods that have passed were not taken,
+    // and a frame holds consecutive ones: the host counts the gap in their numbers as missing.
+    uint32_t missed = late_us / PERIOD_US;
+    counter += filled + missed;
+    filled = 0;
+    next_us += missed * PERIOD_US;
+  }
   next_us += PERIOD_US;
   for (uint8_t channel = 0; channel < CHANNELS; channel++) {
     samples[filled][channel] = analogRead(PINS[channel]);

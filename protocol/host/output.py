@@ -12,7 +12,6 @@ import logging
 import os
 import queue
 import secrets
-import select
 import signal
 import stat
 import sys
@@ -25,6 +24,7 @@ from pathlib import Path
 from typing import NamedTuple, TextIO, cast
 
 from protocol.errors import OptionError, OutputError
+from protocol.host.descriptors import await_writable
 
 LEVELS = ("debug", "info", "warning", "error")
 # A module run by `python -m` logs as `__main__`.
@@ -231,7 +231,7 @@ class QueuedStream(io.TextIOBase):
                     data = data[os.write(self._number, data) :]
                 except BlockingIOError:
                     # Another process has made the shared descriptor non-blocking.
-                    select.select((), (self._number,), ())
+                    await_writable(self._number, None)
         except (OSError, ValueError):
             return False
         if text:

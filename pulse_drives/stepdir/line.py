@@ -5,7 +5,6 @@ one that the port does not take at once is superseded by the next.
 """
 
 import os
-import select
 import threading
 import time
 from collections import Counter, deque
@@ -15,6 +14,7 @@ from typing import Any, TypeVar
 
 from protocol.errors import DriveError, SourceError
 from protocol.faults import Fault, FaultKind, Part, internal_fault
+from protocol.host.descriptors import DescriptorSet
 from protocol.host.guard import GuardedThread
 from pulse_drives.scene import open_port
 from pulse_drives.start_advice import start_advice
@@ -34,6 +34,7 @@ from pulse_drives.stepdir.scene import StepdirScene
 
 READ_BYTES = 4096
 WAIT_S = 0.1
+WAIT_NS = round(WAIT_S * 1e9)
 # The line's thread waits for bytes at most that long, or for pyserial's two reads.
 THREAD_ENDS_WITHIN_S = 1.0
 POLL_S = 0.002
@@ -86,7 +87,7 @@ class BoardLine:
         self._port: Any = None
         # Of a device or a socket on Linux or macOS; -1 where only pyserial can read and write.
         self._descriptor = -1
-        self._readable: select.poll | None = None
+        self._readable: DescriptorSet | None = None
         self._thread: GuardedThread | None = None
 
     def attach(self) -> None:
@@ -173,8 +174,7 @@ class BoardLine:
         self._port = open_port(self.name, self._baud, WAIT_S, WAIT_S)
         self._descriptor = _descriptor(self._port)
         if self._descriptor >= 0:
-            self._readable = select.poll()
-            self._readable.register(self._descriptor, select.POLLIN)
+            self._readable = DescriptorSet([self._descriptor])
         self.state, self._unsent, self.error = None, b"", None
         self._answers.clear()
         self._reader = board_reader()
@@ -227,7 +227,7 @@ class BoardLine:
         if self._descriptor < 0:
             first: bytes = self._port.read(1)
             return first + bytes(self._port.read(self._port.in_waiting))
-        if self._readable is not None and not self._readable.poll(WAIT_S * 1e3):
+        if self._readable is not None and not self._readable.wait(WAIT_NS):
             return b""
         if data := os.read(self._descriptor, READ_BYTES):
             return data

@@ -13,6 +13,7 @@ from collections.abc import Callable
 from typing import Final, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from protocol.errors import SourceError
 from protocol.faults import Fault, FaultKind, Part, internal_fault
@@ -48,6 +49,46 @@ PATIENCE_NS: Final = 100_000_000
 KEPT: Final = 8_192
 
 
+class CellForces:
+    """A load cell's newest forces in N, for times that rise from call to call."""
+
+    def __init__(self) -> None:
+        # The samples from `_begin` to `_end` are kept. They move to the front once in `KEPT`.
+        self._times_ns = np.empty(2 * KEPT, np.int64)
+        self._forces_n = np.empty(2 * KEPT)
+        self._begin = self._end = 0
+
+    def add(self, block: SampleBlock) -> None:
+        """Add the newest samples; the oldest are dropped."""
+        times_ns, forces_n = block.times_ns[-KEPT:], block.values[-KEPT:, 0]
+        if self._end + len(times_ns) > len(self._times_ns):
+            kept = slice(max(self._begin, self._end - KEPT), self._end)
+            self._begin, self._end = 0, kept.stop - kept.start
+            for array in (self._times_ns, self._forces_n):
+                array[: self._end] = array[kept]
+        added = slice(self._end, self._end + len(times_ns))
+        self._times_ns[added], self._forces_n[added] = times_ns, forces_n
+        self._end = added.stop
+        self._begin = max(self._begin, self._end - KEPT)
+
+    def at(self, times_ns: list[int]) -> NDArray[np.float64] | None:
+        """Return the forces at rising times; None where no samples are around them."""
+        known_ns = self._times_ns[self._begin : self._end]
+        if not len(known_ns) or not known_ns[0] <= times_ns[0] <= times_ns[-1] <= known_ns[-1]:
+            return None
+        first = self._begin + int(known_ns.searchsorted(times_ns[0], "right")) - 1
+        last = self._begin + int(known_ns.searchsorted(times_ns[-1], "left")) + 1
+        # Later calls need none from before.
+        self._begin = first
+        origin_ns = self._times_ns[first]
+        forces_n: NDArray[np.float64] = np.interp(
+            np.array(times_ns) - origin_ns,
+            self._times_ns[first:last] - origin_ns,
+            self._forces_n[first:last],
+        )
+        return forces_n
+
+
 class JoinedSensors:
     """A film's samples, each with the load cell's force at its time.
 
@@ -60,22 +101,19 @@ class JoinedSensors:
         self.period_ns = film.period_ns
         self._film, self._cell = film, cell
         self._waiting: deque[SampleBlock] = deque()
-        self._times_ns: deque[int] = deque(maxlen=KEPT)
-        self._forces_n: deque[float] = deque(maxlen=KEPT)
+        self._cell_forces = CellForces()
         self._missing = self._alone = 0
 
     def poll(self) -> list[SampleBlock]:
         """Return the film's samples for which the load cell's force has arrived."""
         for block in self._cell.poll():
-            self._times_ns.extend(block.times_ns)
-            self._forces_n.extend(block.force_n)
+            self._cell_forces.add(block)
         self._waiting.extend(self._film.poll())
         joined = []
         while self._waiting:
             block = self._waiting[0]
-            covered = self._times_ns and self._times_ns[0] <= block.times_ns[0]
-            if covered and self._times_ns[-1] >= block.times_ns[-1]:
-                forces_n = np.interp(block.times_ns, self._times_ns, self._forces_n)
+            forces_n = self._cell_forces.at(block.times_ns)
+            if forces_n is not None:
                 values = np.column_stack([block.values, forces_n])
                 missing = block.missing + self._missing
                 joined.append(block._replace(values=values, missing=missing))

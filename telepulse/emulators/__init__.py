@@ -53,7 +53,7 @@ class PtyPort:
             return b""
 
     def fileno(self) -> int:
-        """Return the descriptor for `select`."""
+        """Return the descriptor to wait for."""
         return self._ours
 
     def close(self) -> None:

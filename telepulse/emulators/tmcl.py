@@ -5,12 +5,12 @@ commands, parameters and flags that our driver uses. Not modelled: TMCL programs
 currents, the other motors of a module, and the time that a real line takes for a datagram.
 """
 
-import select
 import struct
 import time
 from collections import deque
 from typing import TYPE_CHECKING
 
+from protocol.host.descriptors import DescriptorSet
 from pulse_drives.scene import TmclScene
 from pulse_drives.tmcl.module import (
     LEFT_SWITCH,
@@ -216,11 +216,11 @@ class EmulatedSerialLine:
 
     def __init__(self, module: EmulatedTmclModule, port: PtyPort) -> None:
         self._module, self._port, self._datagrams = module, port, DatagramSplitter()
+        self._waited_for = DescriptorSet([port.fileno()])
 
     def serve(self, wait_s: float) -> None:
         """Take the requests that come within `wait_s`, and send the answers that are due."""
-        readable, _, _ = select.select([self._port], [], [], wait_s)
-        if readable:
+        if self._waited_for.wait(round(wait_s * 1e9)):
             for request in self._datagrams.feed(self._port.read(), time.perf_counter_ns()):
                 self._module.receive(request, time.perf_counter_ns())
         for reply in self._module.due_answers(time.perf_counter_ns()):

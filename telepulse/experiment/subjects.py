@@ -5,7 +5,6 @@ A person feels intervals in real time, and answers by keys.
 
 import os
 import re
-import select
 import sys
 import time
 from collections import Counter, deque
@@ -17,6 +16,7 @@ from display_node.display import Display
 from display_node.hardware import Hardware
 from protocol.config.quantities import count_text
 from protocol.errors import BenchError, SourceError
+from protocol.host.descriptors import await_readable
 from protocol.host.realtime import Pacer
 from telepulse.experiment.interval import (
     Interval,
@@ -157,7 +157,7 @@ class Keyboard:
         return self._is_terminal and STOP_KEY in self._typed
 
     def _read(self, wait_s: float) -> None:
-        if not select.select([self._descriptor], [], [], wait_s)[0]:
+        if not await_readable(self._descriptor, wait_s):
             return
         # A pipe is read one byte at a time, so that later keys stay in it.
         data = os.read(self._descriptor, 64 if self._is_terminal else 1)

@@ -188,6 +188,14 @@ class MetricsHTTPServer(ThreadingMixIn, WSGIServer):
         """Return whether another request may be served."""
         return self._free.acquire(blocking=False)
 
+    def process_request(self, request: Any, client_address: Any) -> None:
+        """Start a thread for a request, and free its place where none can start."""
+        try:
+            super().process_request(request, client_address)
+        except BaseException:
+            self._free.release()
+            raise
+
     def process_request_thread(self, request: Any, client_address: Any) -> None:
         """Serve a request and free its place."""
         try:

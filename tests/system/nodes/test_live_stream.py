@@ -1,8 +1,10 @@
 """A live stream in Python has every sample, in order, of the sensing node's own pulse."""
 
 import ctypes
+import socket
 import threading
 import time
+from contextlib import ExitStack
 
 import numpy as np
 import pytest
@@ -11,8 +13,10 @@ import telepulse
 from protocol.errors import ArgumentError, ProtectionError, SourceError
 from sensing_node.scene import build_source
 from telepulse.scene import load_scene
+from telepulse.testing.conformance import check_release
 from tests.support.log_lines import strays
 from tests.support.nodes import RADIAL, process
+from tests.support.waiting import until
 
 MODULE = "sensing_node.cli"
 
@@ -54,6 +58,22 @@ def test_who_cannot_be_received_is_named_in_one_line(address: str) -> None:
             stream.read(1, timeout_s="1")
     with pytest.raises(ProtectionError, match=r"192\.0\.2\.1"):
         telepulse.connect("tcp://192.0.2.1:5555")
+
+
+def test_a_closed_stream_leaves_no_request_to_connect() -> None:
+    with socket.socket() as listening, ExitStack() as stack:
+        listening.bind(("127.0.0.1", 0))
+        listening.listen(0)
+        # Its queue is full, so that a request to connect has no answer.
+        for _ in range(3):
+            waiting = stack.enter_context(socket.socket())
+            waiting.setblocking(False)
+            waiting.connect_ex(listening.getsockname())
+        with check_release("close"):
+            stream = telepulse.connect(f"tcp://127.0.0.1:{listening.getsockname()[1]}")
+            (route,) = stream._connection.routes
+            until(lambda: route.reachability._probe)
+            stream.close()
 
 
 def test_a_closed_stream_is_named_as_closed(address: str) -> None:

@@ -41,6 +41,16 @@ def ends(context: Context) -> Iterator[Ends]:
     ends.proxy.stop()
 
 
+def recorded(send: Callable[..., object], sent: list[bytes]) -> Callable[..., object]:
+    """Return a function that sends, and keeps what it sends."""
+
+    def record(socket: Socket, data: bytes, *arguments: object, **options: object) -> object:
+        sent.append(data)
+        return send(socket, data, *arguments, **options)
+
+    return record
+
+
 def count_until(proxy: Proxy, met: Callable[[], bool]) -> None:
     until(lambda: proxy.update_counts() or met())
 
@@ -82,3 +92,64 @@ def test_a_flood_without_a_sensing_node_neither_blocks_it_nor_garbles_later_mess
     ends.display.send(b"last")
     assert answer(ends.sensing, b"answer") == b"last"
     assert ends.display.recv() == b"answer"
+
+
+def test_figures_are_right_again_after_an_answer_that_came_late(ends: Ends) -> None:
+    ends.begin()
+
+    def ask(count: int) -> None:
+        for _ in range(count):
+            ends.display.send(b"question")
+            answer(ends.sensing, b"answer")
+            ends.display.recv()
+
+    ask(3)
+    steering = ends.proxy._steering
+    assert steering is not None
+    # As if `update_counts` had not waited for its answer.
+    steering.send(b"STATISTICS")
+    until(lambda: sockets.has_message(steering))
+    ask(7)
+    ends.proxy.update_counts()
+    # Each has an address and a text.
+    assert ends.proxy.requests == ends.proxy.received == 2 * (3 + 7)
+
+
+def test_a_proxy_that_does_not_end_is_not_waited_for_without_end(
+    ends: Ends, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    released = threading.Event()
+    monkeypatch.setattr("telepulse.relay.ANSWER_MS", 50)
+    monkeypatch.setattr(zmq, "proxy_steerable", lambda *_: released.wait())
+    ends.proxy.start()
+    asked = []
+    monkeypatch.setattr(zmq.Socket, "send", recorded(zmq.Socket.send, asked))
+    for _ in range(5):
+        ends.proxy.update_counts()
+    # It is asked once, and not waited for at each update.
+    assert asked == [b"STATISTICS"]
+    stopped: list[bool] = []
+    stopping = threading.Thread(target=lambda: stopped.append(ends.proxy.stop()))
+    stopping.start()
+    stopping.join(PATIENCE_S)
+    still_waiting = stopping.is_alive()
+    released.set()
+    stopping.join()
+    assert not still_waiting
+    # Its sockets are not the caller's yet.
+    assert stopped == [False]
+    assert ends.proxy.stop()
+
+
+def test_a_proxy_that_has_ended_by_itself_is_stopped(
+    ends: Ends, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("telepulse.relay.ANSWER_MS", 50)
+    monkeypatch.setattr(zmq, "proxy_steerable", lambda *_: None)
+    ends.proxy.start()
+    ends.proxy._thread.join()
+    stopped: list[bool] = []
+    stopping = threading.Thread(target=lambda: stopped.append(ends.proxy.stop()), daemon=True)
+    stopping.start()
+    stopping.join(PATIENCE_S)
+    assert stopped == [True]

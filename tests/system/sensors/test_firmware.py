@@ -14,10 +14,11 @@ from pulse_sensors.binary_frames import FrameDecoder
 from pulse_sensors.samples import SampleBlock
 from pulse_sensors.sensor import open_sensor
 from pulse_sensors.serial_port import SerialScene
-from telepulse.emulators import simavr
+from telepulse.emulators import sketch
+from tests.support import simavr
 from tests.support.sample_blocks import forces, received
 
-SKETCH = simavr.FIRMWARE / "telepulse_sensor" / "telepulse_sensor.ino"
+SKETCH = sketch.FIRMWARE / "telepulse_sensor" / "telepulse_sensor.ino"
 BOARD = """
 #pragma once
 #include <cstdint>
@@ -33,24 +34,24 @@ struct {
   void write(const uint8_t *data, size_t n) { fwrite(data, 1, n, stdout); }
 } Serial;
 """
-MAIN = '#include "{sketch}"\nint main() {{ setup(); while (readings < 400) loop(); }}\n'
+MAIN = '#include "{sketch}"\nint main() {{ setup(); while (readings < {readings}) loop(); }}\n'
 
 
-def frames_of_sketch(folder: Path, source: str) -> bytes:
+def frames_of_sketch(folder: Path, source: str, board: str = BOARD, readings: int = 400) -> bytes:
     """Compile a sketch's text for this machine with an emulated board, and return its output."""
-    (folder / "Arduino.h").write_text(BOARD, encoding="utf-8")
-    sketch, main, program = folder / "sketch.ino", folder / "main.cpp", folder / "board"
-    sketch.write_text(source, encoding="utf-8")
-    main.write_text(MAIN.format(sketch=sketch), encoding="utf-8")
+    (folder / "Arduino.h").write_text(board, encoding="utf-8")
+    copy, main, program = folder / "sketch.ino", folder / "main.cpp", folder / "board"
+    copy.write_text(source, encoding="utf-8")
+    main.write_text(MAIN.format(sketch=copy, readings=readings), encoding="utf-8")
     paths = [f"-I{folder}", f"-I{SKETCH.parent}"]
-    simavr.run_compiler(folder, "g++", *simavr.WARNINGS, *paths, str(main), "-o", str(program))
+    sketch.run_compiler(folder, "g++", *simavr.WARNINGS, *paths, str(main), "-o", str(program))
     return subprocess.run([str(program)], capture_output=True, check=True, timeout=20).stdout
 
 
 def test_both_sketches_have_the_same_framing() -> None:
     # Each folder opens in Arduino's editor as it is, without a library to install.
     files = [
-        simavr.FIRMWARE / name / "telepulse_frames.h"
+        sketch.FIRMWARE / name / "telepulse_frames.h"
         for name in ("telepulse_display", "telepulse_sensor")
     ]
     assert len({file.read_bytes() for file in files}) == 1
@@ -75,6 +76,39 @@ def test_three_films_and_an_ecg_are_samples_of_four_values(tmp_path: Path) -> No
     blocks = decoder.feed(frames_of_sketch(tmp_path, source.replace("115200", "500000")))
     values = np.concatenate([block.values for block in blocks])
     assert values.tolist() == (np.arange(400).reshape(100, 4) * 8 % 1024).tolist()
+    assert not decoder.rejected
+
+
+# A read takes a tenth of a millisecond, and its value is the time in ms.
+CLOCK_READ = "present_us += 110; return (present_us + 50001) / 1000;"
+# The host has not read for 0.1 s, then for a fraction of a period; the write has waited for it.
+BLOCKED = "present_us += writes == 25 ? 100000 : writes == 60 ? 1700 : 0; writes++;"
+
+
+@pytest.mark.skipif(shutil.which("g++") is None, reason="needs g++")
+@pytest.mark.parametrize("inputs", ["{A0}", "{A0, A0, A0, A0}"])
+def test_samples_that_a_blocked_write_has_prevented_are_missing(
+    tmp_path: Path, inputs: str
+) -> None:
+    channels = inputs.count("A0")
+    source = SKETCH.read_text(encoding="utf-8").replace("{A0}", inputs).replace("115200", "500000")
+    board = (
+        BOARD.replace("return pin == A0 ?", f"readings++; {CLOCK_READ} return pin == A0 ?")
+        .replace("int readings = 0;", "int readings = 0, writes = 0;")
+        .replace("fwrite(data", f"{BLOCKED} fwrite(data")
+    )
+    decoder = FrameDecoder(1_000_000, channels=channels)
+    number, lateness_ms, missing = 0, [], []
+    for block in decoder.feed(frames_of_sketch(tmp_path, source, board, 400 * channels)):
+        number += block.missing
+        missing.append(block.missing)
+        for taken_ms, *_ in block.values.tolist():
+            lateness_ms.append(taken_ms - number)
+            number += 1
+    # Each sample has the number of the period in which it was taken.
+    assert max(lateness_ms) - min(lateness_ms) <= 1
+    assert 95 <= max(missing) <= 100
+    assert sum(missing) - max(missing) <= 2
     assert not decoder.rejected
 
 

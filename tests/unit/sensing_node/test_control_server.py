@@ -36,7 +36,7 @@ from tests.support.streams import description
 SESSION = 99
 MS, SECOND_NS = 1_000_000, 1_000_000_000
 NOW_NS = 8 * SECOND_NS
-ANNA, BERT = (b"anna",), (b"bert",)
+ANNA, BERT, CARL = (b"anna",), (b"bert",), (b"carl",)
 HELLO = Hello("anna's")
 
 
@@ -180,6 +180,57 @@ def test_a_display_that_connects_again_is_one_client(
         assert len(server.clients) == 2
     ask(server, BERT, message)
     assert list(server.clients) == [BERT]
+
+
+def test_two_displays_of_one_name_are_two_clients(server: ControlServer) -> None:
+    """They neither replace each other again and again, nor lose their reports."""
+    appeared, kept = 0, set[Sender]()
+    for now_ns in range(NOW_NS, NOW_NS + 20 * SECOND_NS, 50 * MS):
+        second = now_ns % SECOND_NS == 0
+        for sender in (ANNA, BERT):
+            if second:
+                ask(server, sender, HELLO if now_ns == NOW_NS else report(), now_ns)
+            assert isinstance(ask(server, sender, ClockRequest(now_ns), now_ns), ClockReply)
+            appeared += len(server.clients.keys() - kept)
+            kept = set(server.clients)
+        if second:
+            assert server.forget_silent(now_ns) == []
+    # The first of them was replaced by the second, until it went on.
+    assert appeared == 3
+    assert {sender: each.name for sender, each in server.clients.items()} == {
+        ANNA: "anna's",
+        BERT: "anna's",
+    }
+    assert all(client.report is not None for client in server.clients.values())
+    # Each that connects again replaces its own old entry, which is silent.
+    later_ns = NOW_NS + 22 * SECOND_NS
+    ask(server, BERT, ClockRequest(1), later_ns)
+    ask(server, CARL, HELLO, later_ns)
+    assert set(server.clients) == {BERT, CARL}
+
+
+def test_what_an_old_connection_delivers_late_makes_no_display(server: ControlServer) -> None:
+    ask(server, ANNA, HELLO)
+    ask(server, BERT, HELLO)
+    late_ns = NOW_NS + 3 * SECOND_NS
+    for message in (ClockRequest(1), report(), ClockRequest(2), report()):
+        ask(server, ANNA, message, late_ns)
+        late_ns += MS
+    ask(server, ANNA, Bye(SESSION, 1234), late_ns)
+    ask(server, BERT, HELLO, late_ns)
+    assert list(server.clients) == [BERT]
+    assert server.forget_silent(late_ns) == []
+
+
+def test_a_display_that_connects_again_has_room_where_there_is_no_other(
+    server: ControlServer,
+) -> None:
+    for number in range(MAX_CLIENTS):
+        ask(server, (b"%d" % number,), Hello(f"display {number}"))
+    assert isinstance(ask(server, ANNA, Hello("display 7")), Welcome)
+    assert (b"7",) not in server.clients
+    assert len(server.clients) == MAX_CLIENTS
+    assert not server.rejected
 
 
 def test_a_connection_that_began_with_a_set_point_is_no_display() -> None:

@@ -3,6 +3,7 @@
 from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,7 +16,13 @@ from protocol.wire.description import Channel
 from pulse_drives import build_drive
 from pulse_drives.scene import MotorScene, TmclScene
 from pulse_sensors.samples import SampleBlock
-from sensing_node.press.live_probe import PATIENCE_NS, JoinedSensors, LiveProbe, columns_of
+from sensing_node.press.live_probe import (
+    KEPT,
+    PATIENCE_NS,
+    JoinedSensors,
+    LiveProbe,
+    columns_of,
+)
 from sensing_node.press.probe import ProbeLimits
 from sensing_node.sources.wrist import WristScene, WristSensors
 from telepulse.emulators.motor import EmulatedMotor, MotorState
@@ -228,3 +235,45 @@ def test_each_sample_of_the_film_gets_the_load_cells_force_at_its_time() -> None
     cell.add(30, [3.0] * 20, period_ms=10)
     (block,) = joined.poll()
     assert block.missing == 3
+
+
+def test_a_block_is_joined_from_the_forces_around_it_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    interpolated: list[int] = []
+    interp = np.interp
+
+    def counted(times: Any, known: Any, forces: Any) -> Any:
+        interpolated.append(len(known))
+        return interp(times, known, forces)
+
+    monkeypatch.setattr("sensing_node.press.live_probe.np.interp", counted)
+    film, cell, joined_n = Blocks("pulse"), Blocks("force"), []
+    joined = JoinedSensors(film, cell)
+    # Times of a host that has run for months, at which a float counts in steps of 2 ns.
+    began_ms, forces_n = 12_000_000_000, np.sin(np.arange(20_000) / 100).tolist()
+    for first in range(0, len(forces_n), 5):
+        cell.add(began_ms + first, forces_n[first : first + 5])
+        # The film is silent for longer than the load cell's samples are kept.
+        if first % 10 == 0 and not 4_000 <= first < 4_000 + 9_000:
+            film.add(began_ms + first, [0.1, 0.2, 0.3, 0.4])
+        joined_n += [values for block in joined.poll() for values in block.values[:, 1].tolist()]
+    expected = [
+        force_n
+        for first in range(0, len(forces_n), 10)
+        if not 4_000 <= first < 4_000 + 9_000
+        for force_n in forces_n[first : first + 4]
+    ]
+    assert joined_n == pytest.approx(expected, abs=1e-9)
+    assert max(interpolated) <= 10
+    assert joined.rejected == {}
+
+
+def test_forces_that_are_older_than_what_is_kept_are_not_used() -> None:
+    film, cell = Blocks("pulse"), Blocks("force")
+    joined = JoinedSensors(film, cell)
+    cell.add(0, [1.0] * KEPT)
+    cell.add(KEPT, [2.0] * 10)
+    film.add(5, [0.5])
+    film.add(PATIENCE_NS // MS + 100, [0.6])
+    (block,) = joined.poll()
+    assert block.values.tolist() == [[0.6, 1.0]]
+    assert joined.rejected == {"without_load_cell": 1}

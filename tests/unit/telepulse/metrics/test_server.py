@@ -1,8 +1,13 @@
 """Metrics read back by Prometheus's own parser."""
 
+import threading
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import replace
+from http.client import HTTPConnection, HTTPException
+from urllib.parse import urlsplit
 
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from prometheus_client import CollectorRegistry, generate_latest
@@ -27,7 +32,14 @@ from protocol.summary.fields import (
     Summary,
 )
 from protocol.wire.telemetry import Status
-from telepulse.metrics.server import SILENT_AFTER_NS, NodeState, families, parse_address
+from telepulse.metrics.server import (
+    MAX_REQUESTS,
+    SILENT_AFTER_NS,
+    MetricsServer,
+    NodeState,
+    families,
+    parse_address,
+)
 
 SECOND_NS = 1_000_000_000
 Scraped = dict[tuple[str, tuple[tuple[str, str], ...]], float]
@@ -176,3 +188,28 @@ def test_an_address_is_one_or_refused(text: str) -> None:
         return
     assert host
     assert 0 <= port <= 65_535
+
+
+def test_after_a_shortage_of_threads_requests_are_served_again(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    place = urlsplit(MetricsServer("display-node", "127.0.0.1", 0).url)
+
+    def status() -> int:
+        connection = HTTPConnection(place.netloc, timeout=20)
+        try:
+            connection.request("GET", place.path)
+            return connection.getresponse().status
+        finally:
+            connection.close()
+
+    def fail(thread: threading.Thread) -> None:
+        raise RuntimeError("can't start new thread")
+
+    assert status() == 200
+    with monkeypatch.context() as patched:
+        patched.setattr(threading.Thread, "start", fail)
+        for _ in range(MAX_REQUESTS + 2):
+            with suppress(HTTPException, OSError):
+                status()
+    assert status() == 200
