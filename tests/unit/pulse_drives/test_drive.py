@@ -171,6 +171,22 @@ def test_a_reversed_motor_is_refused_before_it_presses(kind: str, film: bool) ->
             assert bench.motor.force_n < 0.1
 
 
+def test_a_search_for_home_does_not_outlast_its_host(kind: str) -> None:
+    """A motor whose wires are swapped seeks home into the finger, and only the host bounds that."""
+    with virtual_bench(kind, touch="2 mm", homing_speed="5 mm/s") as bench:
+        bench.motor.injector.begin(InjectedFault(FaultKind.REVERSED), bench.clock.now_ns)
+        start = bench.clock.thread(bench.drive.start)
+        bench.wait(lambda: bench.motor.homing and bench.motor.rate_hz)
+        bench.clock.sleep(0.05)
+        bench.clock.stall(list(bench.clock.threads), bench.clock.now_ns + 10**12)
+        bench.clock.sleep(0.1)
+        assert bench.at_rest
+        began_m = bench.motor.tip_m
+        bench.clock.sleep(2.0)
+        assert bench.motor.tip_m == began_m
+        assert start.is_alive()
+
+
 def test_a_home_switch_that_stays_closed_is_the_wrong_way(kind: str) -> None:
     """The motor turns the wrong way once the search for home has ended."""
     with virtual_bench(kind, touch="0.3 mm") as bench:
