@@ -10,7 +10,7 @@ from display_node.hardware import build_display_drive
 from protocol.config.scene import validate
 from protocol.errors import DriveError, SceneError, SourceError
 from pulse_drives.stepdir.drive import StepdirDrive
-from pulse_drives.stepdir.frames import SEQUENCE_TURN, BoardMode, Format
+from pulse_drives.stepdir.frames import SEQUENCE_TURN, BoardMode, Format, TripCause
 from pulse_drives.stepdir.line import BoardLine
 from pulse_drives.withdrawal import WithdrawalOutcome
 from pulse_sensors.binary_frames import FrameEncoder
@@ -25,6 +25,7 @@ from tests.support.drive_benches import (
     stepper,
     virtual_bench,
 )
+from tests.support.fault_injection import FaultKind, InjectedFault
 
 RATE_HZ = 400.0
 FILM = DriveFilmScene.model_validate({"kind": "drive", "zero": 8000, "newtons_per_count": 5e-4})
@@ -323,6 +324,27 @@ def test_a_film_without_its_board_names_the_port_and_advice() -> None:
 def test_another_kind_of_drive_reads_no_film() -> None:
     with virtual_bench("tmcl") as bench, pytest.raises(SceneError, match="reads no film"):
         bench.drive.film_port(0, 1)
+
+
+def test_a_withdrawal_that_the_host_gives_up_is_done_by_the_board(bench: Bench) -> None:
+    bench.start(RATE_HZ, 0.05e-3)
+    bench.drive.withdraw()
+    # From now on its positions show a motion towards the finger.
+    jump = InjectedFault(FaultKind.POSITION_JUMP, 0.4e-3)
+    bench.motor.injector.begin(jump, bench.clock.now_ns)
+    bench.wait(lambda: bench.emulator.mode is BoardMode.WITHDRAWN)
+    assert bench.motor.force_n == 0.0
+    assert bench.emulator.view.cause == TripCause.HOST
+
+
+def test_a_board_without_positions_is_withdrawn_and_nobody_claims_that_it_is(bench: Bench) -> None:
+    bench.start(RATE_HZ, 0.05e-3)
+    bench.emulator.trouble = "silent"
+    bench.keep(RATE_HZ, lambda: bench.fault)
+    bench.wait(lambda: bench.drive.status().withdrawal is WithdrawalOutcome.UNCONFIRMED)
+    assert bench.motor.force_n == 0.0
+    bench.emulator.trouble = ""
+    bench.wait(lambda: bench.drive.status().withdrawal is WithdrawalOutcome.WITHDRAWN)
 
 
 @pytest.mark.parametrize("stalled_ms", [10, 30, 45])
