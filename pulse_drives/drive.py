@@ -361,15 +361,27 @@ class Drive(ABC):
         """Send the velocity that the supervisor allows. Never waits for the drive in `command`."""
 
     @abstractmethod
-    def _step(self) -> None:
-        """Do the work of the drive's own thread: at least withdraw after a fault."""
-
-    @abstractmethod
     def _home_switch(self) -> bool | None:
         """Return whether the home switch is closed; None if it is not used or not reported."""
 
     def _read_reports(self, now_ns: int) -> None:  # noqa: B027
-        """Pass new reports of the device to the supervisor, where `_step` does not do it."""
+        """Check for silence, and pass the device's new reports to the supervisor."""
+
+    def _step(self) -> None:
+        """Do a step of the drive's own thread: read the reports, and send what the loop does not.
+
+        A device that cannot be read is withdrawn all the same.
+        """
+        with self._lock.acquire_or_proceed():
+            now_ns = time.perf_counter_ns()
+            self._guarded(self._read_reports, now_ns)
+            if self._sends_alone:
+                self._guarded(self._send, now_ns)
+
+    @property
+    def _sends_alone(self) -> bool:
+        """True while the drive's thread sends the velocity, in place of the loop: after a fault."""
+        return self._supervisor.fault is not None
 
     def _follow(self, device: DriveDevice) -> None:
         """Start to send commands, and to check that they come."""

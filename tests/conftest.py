@@ -11,8 +11,10 @@ import zmq
 from coverage import Coverage
 from hypothesis import settings
 
+from protocol.errors import ProcessError
 from protocol.host.output import OUR_LOGGERS, StderrHandler
 from protocol.sockets import Context, Socket
+from telepulse.emulators import sketch
 from tests.support.nodes import free_address
 
 # A busy machine must not fail a test.
@@ -55,6 +57,7 @@ LATER = (
     "unit/telepulse/recording/test_recorded_beats.py",
     "unit/telepulse/recording/test_recorded_wrist.py",
     "unit/display_node/press/test_press_loop.py",
+    "unit/pulse_drives/test_guards.py",
 )
 SYSTEM = "system"
 
@@ -68,9 +71,31 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Compile the kernels once, before workers and processes would each do so."""
+    """Compile kernels and sketch once, before workers and processes would each do so."""
     if not hasattr(config, "workerinput"):
         importlib.import_module("display_node.prediction.ensemble")
+        if sketch.missing() is None:
+            sketch.compiled()
+
+
+def _skip_without_compiler() -> Iterator[Any]:
+    """Skip a test of the emulated board where this machine cannot compile its sketch."""
+    try:
+        return (yield)
+    except ProcessError as error:
+        if str(error) == sketch.missing():
+            pytest.skip(str(error))
+        raise
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_pyfunc_call() -> Iterator[Any]:
+    return (yield from _skip_without_compiler())
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_fixture_setup() -> Iterator[Any]:
+    return (yield from _skip_without_compiler())
 
 
 def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:

@@ -6,8 +6,6 @@ stop, whether this process has ended or hangs. After a fault a thread withdraws 
 19, 29). Decision 32 explains why canopen's `BaseNode402` does not suffice.
 """
 
-import time
-
 from protocol.errors import DriveError
 from protocol.faults import FaultKind
 from pulse_drives.axis import Axis
@@ -39,12 +37,9 @@ class Cia402Drive(Drive):
         self._control = Controlword.ENABLE
         return self._node
 
-    def _step(self) -> None:
-        with self._lock.acquire_or_proceed():
-            now_ns = time.perf_counter_ns()
-            self._guarded(self._read_reports, now_ns)
-            if self._supervisor.withdrawal is not None:
-                self._guarded(self._send, now_ns)
+    @property
+    def _sends_alone(self) -> bool:
+        return self._supervisor.withdrawal is not None
 
     def _read_reports(self, now_ns: int) -> None:
         node, supervisor = self._node, self._supervisor
@@ -63,11 +58,11 @@ class Cia402Drive(Drive):
         self._control = (
             Controlword.ENABLE if enabled else towards_enabled(node.state, self._control)
         )
-        node.start_again()
         supervisor.mark_sent(velocity, node.command(self._control, velocity))
         if now_ns - self._beat_ns >= self._scene.watchdog_ns // BEATS:
             self._beat_ns = now_ns
             node.send_heartbeat()
+        node.start_again()
 
     def _pause(self) -> None:
         super()._pause()

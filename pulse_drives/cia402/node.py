@@ -43,6 +43,7 @@ OPERATIONAL = 5
 NMT_STATES = {0: "initialising", 4: "stopped", OPERATIONAL: "operational", 127: "pre-operational"}
 # State after an NMT command of a master.
 NMT_COMMANDS = {1: OPERATIONAL, 2: 4, 128: 127, 129: 0, 130: 0}
+Listener = Callable[[int, bytearray, float], None]
 GARBLED: Silence = (FaultKind.GARBLED, "garbled: no plausible TPDO")
 ENABLE_WITHIN_S = 2.0
 SDO_TIMEOUT_S = 0.5
@@ -143,7 +144,7 @@ class Cia402Node:
             (HEARTBEAT + scene.node, self._on_heartbeat),
             (NMT, self._on_nmt_command),
         ):
-            self._network.subscribe(identifier, take)
+            self._network.subscribe(identifier, partial(self._take, take))
         # Without this handler the network's thread would end with a traceback.
         self._network.listeners[0].on_error = self._on_bus_error  # type: ignore[method-assign]
         self._network.connect()
@@ -362,9 +363,9 @@ class Cia402Node:
 
     def _send(self, message: Any) -> None:
         # python-can interfaces raise errors of many kinds.
+        if self._lost is not None:
+            raise DriveError(FaultKind.UNPLUGGED, f"{self._name}: {self._lost}")
         try:
-            if self._lost is not None:
-                raise self._lost
             with self._sending.acquire_or_proceed():
                 self._bus.send(message, self._scene.watchdog_ns * 1e-9)
         except Exception as error:
@@ -379,6 +380,18 @@ class Cia402Node:
             pdo.add_variable(index)
         with self._answering("the PDOs"):
             pdo.save()
+
+    def _take(self, take: Listener, can_id: int, data: bytearray, timestamp: float) -> None:
+        """Pass a message on. An exception is a fault: the library would log it and go on."""
+        try:
+            take(can_id, data, timestamp)
+        except Exception as error:
+            self._take_error(error)
+
+    def _take_error(self, error: Exception) -> None:
+        self.counts[f"error: {type(error).__name__}"] += 1
+        now_ns = time.perf_counter_ns()
+        self._internal = self._internal or internal_fault(Part.DRIVE, "CAN bus", error, now_ns)
 
     def _on_state(self, _: int, data: bytearray, __: float) -> None:
         if len(data) != STATE_TPDO.size:
@@ -437,9 +450,7 @@ class Cia402Node:
 
         if not isinstance(exc, OSError | can.CanError) and not is_noise(exc):
             self._network.notifier.exception = None  # type: ignore[union-attr]
-            self.counts[f"error: {type(exc).__name__}"] += 1
-            now_ns = time.perf_counter_ns()
-            self._internal = self._internal or internal_fault(Part.DRIVE, "CAN bus", exc, now_ns)
+            self._take_error(exc)
         elif is_noise(exc):
             discard_spoilt_line(self._bus)
             self._network.notifier.exception = None  # type: ignore[union-attr]

@@ -40,13 +40,10 @@ class StepdirDrive(Drive):
         self._board = DisplayBoard(self._line, self._scene, self._axis, self._film_counts)
         return self._board
 
-    def _step(self) -> None:
-        with self._lock.acquire_or_proceed():
-            now_ns = time.perf_counter_ns()
-            self._guarded(self._read_reports, now_ns)
-            supervisor = self._supervisor
-            if supervisor.fault is not None or not supervisor.commanded_ns:
-                self._guarded(self._send, now_ns)
+    @property
+    def _sends_alone(self) -> bool:
+        # A board counts its watchdog from homing on, before the loop begins.
+        return super()._sends_alone or not self._supervisor.commanded_ns
 
     def _read_reports(self, now_ns: int) -> None:
         board, supervisor = self._board, self._supervisor

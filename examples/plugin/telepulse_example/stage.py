@@ -71,13 +71,6 @@ class StageDrive(Drive):
     def _connect(self) -> DriveDevice:
         return self._stage
 
-    def _step(self) -> None:
-        with self._lock.acquire_or_proceed():
-            now_ns = time.perf_counter_ns()
-            self._read_reports(now_ns)
-            if self._supervisor.fault is not None:
-                self._send(now_ns)
-
     def _read_reports(self, now_ns: int) -> None:
         self._supervisor.check_silence(now_ns)
         self._supervisor.add_position(self._stage.position_m, now_ns)
