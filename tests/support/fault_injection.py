@@ -244,8 +244,9 @@ class FaultyBoard(EmulatedBoard):
         law: ContactLaw,
         film: DriveFilmScene | None,
         now_ns: int,
+        noise_n: float = 0.0,
     ) -> None:
-        super().__init__(drive, stepper, law, film, now_ns, rigid=True)
+        super().__init__(drive, stepper, law, film, now_ns, noise_n, rigid=True)
         self.injector = FaultInjector(stepper.step_m)
         self.versions: dict[str, int] = {}
         self._amplifier = amplifier(film, 0.0)
