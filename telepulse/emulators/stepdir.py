@@ -36,7 +36,7 @@ from telepulse.emulators import PtyPort
 from telepulse.emulators.motor import TICK_NS, EmulatedMotor
 
 PROTOCOL = 1
-FIRMWARE = 1 << 8
+FIRMWARE = (1 << 8) + 1
 TICK_HZ = 32_000
 # 16 conversions of 10 bits in a millisecond.
 FULL_SCALE = 16 * 1023
@@ -220,7 +220,7 @@ class EmulatedBoard:
             (1, FURTHEST),
             (10, limits.highest_rate),
             (10, 500),
-            (0, 15),
+            (0, 31),
         )
         if wrong := _wrong_field(limits, bounds):
             return CommandResult.OUT_OF_BOUNDS, wrong
