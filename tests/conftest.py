@@ -11,8 +11,10 @@ import zmq
 from coverage import Coverage
 from hypothesis import settings
 
+from protocol.errors import ProcessError
 from protocol.host.output import OUR_LOGGERS, StderrHandler
 from protocol.sockets import Context, Socket
+from telepulse.emulators import sketch
 from tests.support.nodes import free_address
 
 # A busy machine must not fail a test.
@@ -68,9 +70,22 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Compile the kernels once, before workers and processes would each do so."""
+    """Compile kernels and sketch once, before workers and processes would each do so."""
     if not hasattr(config, "workerinput"):
         importlib.import_module("display_node.prediction.ensemble")
+        if sketch.missing() is None:
+            sketch.compiled()
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_pyfunc_call(pyfuncitem: pytest.Function) -> Iterator[None]:
+    """Skip a test of the emulated board where this machine cannot compile its sketch."""
+    try:
+        return (yield)
+    except ProcessError as error:
+        if str(error) == sketch.missing():
+            pytest.skip(str(error))
+        raise
 
 
 def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:

@@ -1,6 +1,7 @@
 /* See chip.h. */
 #define _GNU_SOURCE
 #include "chip.h"
+#include "../mechanics.h"
 
 #include <ctype.h>
 #include <errno.h>
@@ -117,8 +118,7 @@ void chip_on_conversion(avr_t *chip, avr_irq_notify_t notify) {
 
 /* simavr divides the range into 1023 parts, the chip into 1024: give what reads as the chip does. */
 void chip_set_volts(double volts) {
-  double reading = fmin(fmax(floor(volts / 5 * 1024), 0), 1023);
-  avr_raise_irq(analogue_input, (uint32_t)ceil(reading * 5000 / 1023));
+  avr_raise_irq(analogue_input, (uint32_t)ceil(mechanics_reading(volts) * 5000.0 / 1023));
 }
 
 double now_s(void) {

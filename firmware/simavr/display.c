@@ -2,7 +2,8 @@
  *
  * display FIRMWARE.elf [NAME=VALUE ...]: prints the pseudo-terminal's path, then obeys the lines of
  * its input. It runs in real time; with clock=0 only for the time that it is told, and then with
- * its line on the socket of socket=NUMBER, as a terminal delivers bytes in its own time.
+ * its line on the socket of socket=NUMBER, as a terminal delivers bytes in its own time. The other
+ * settings are those of mechanics.h.
  *
  * trace=PATH writes rows: "ms", time in s, tip in um, force in mN, motor on; and "step", cycle of
  * its edge, direction.
@@ -17,9 +18,6 @@
  *   unplug          the cable is gone
  *   report          prints a line of JSON; late_ms: the longest that this machine kept the chip
  *                   waiting since the last report
- *
- * The motor is a two-phase stepper: its force is a sine of the lag, so that it loses four steps
- * where it lags by more than two. The screw does not turn under load while the motor is off.
  */
 #define _GNU_SOURCE
 #include <errno.h>
@@ -30,6 +28,7 @@
 #include <string.h>
 #include <unistd.h>
 
+#include "../mechanics.h"
 #include "chip.h"
 
 /* Of the ATmega328P: timer 1's interrupt, and the registers of ports B and D and of the reset. */
@@ -38,79 +37,36 @@ enum { EXTRF = 2, STEP_BIT = 2, DIRECTION_BIT = 5, HOME_BIT = 1, FAULT_BIT = 2 }
 
 /* Speed against this machine's clock, or 0; open socket of the line, or -1 for a terminal. */
 static double clock_speed = 1, socket_number = -1;
-/* The motor: a NEMA 17 of 0.4 N m and 200 steps a turn, as thrust and mass at a lead of 2 mm. */
-static double microsteps = 16, lead_mm = 2;
-static double thrust_n = 1200, mass_kg = 53, damping = 0.2;
-/* From home to first touch; the tip at power-up, from first touch. */
-static double touch_mm = 2, start_mm = -1;
-/* The rubber's force in N is hertz times depth^1.5 in m. */
-static double hertz = 6.285e6, finger_n_per_m = 1000;
-static double film_zero_v = 2.5, film_v_per_n = 0.51, film_noise_v = 0.003;
-
-static const struct {
-  const char *name;
-  double *value;
-} settings[] = {
-    {"clock", &clock_speed},
-    {"socket", &socket_number},
-    {"microsteps", &microsteps},
-    {"lead_mm", &lead_mm},
-    {"thrust_n", &thrust_n},
-    {"mass_kg", &mass_kg},
-    {"damping", &damping},
-    {"touch_mm", &touch_mm},
-    {"start_mm", &start_mm},
-    {"hertz", &hertz},
-    {"finger_n_per_m", &finger_n_per_m},
-    {"film_zero_v", &film_zero_v},
-    {"film_v_per_n", &film_v_per_n},
-    {"film_noise_v", &film_noise_v},
-};
 static const double TICK_S = 500.0 / FREQUENCY;
 
 static avr_t *chip;
 static FILE *trace;
-static long steps;
-static double step_m, turn_m, tip_m, speed_m_per_s, force_n;
-static double film_v = NAN;
-static int switch_stuck = -1, fault_level = 1;
-static long lost_steps;
+static struct mechanics mechanics;
+static int fault_level = 1;
 static double latest_s;
 static const double LOST_S = 25e-3;
 static avr_cycle_count_t held_until, entered, in_tick, longest_tick, ticks;
 
 static void change_setting(const char *argument) {
   char name[32];
-  double value;
+  double value, *setting;
   if (!strncmp(argument, "trace=", 6)) {
     if (!(trace = fopen(argument + 6, "w"))) exit(2);
     return;
   }
   if (sscanf(argument, "%31[^=]=%lf", name, &value) != 2) exit(2);
-  for (size_t i = 0; i < sizeof settings / sizeof *settings; i++) {
-    if (!strcmp(settings[i].name, name)) {
-      *settings[i].value = value;
-      return;
-    }
-  }
-  exit(2);
+  if (!strcmp(name, "clock")) setting = &clock_speed;
+  else if (!strcmp(name, "socket")) setting = &socket_number;
+  else setting = mechanics_setting(&mechanics, name);
+  if (!setting) exit(2);
+  *setting = value;
 }
 
-/* ---- Mechanics ------------------------------------------------------------------------------- */
+/* ---- Pins ------------------------------------------------------------------------------------ */
 
 static bool motor_is_on(void) {
   bool driven = chip->data[DDRB] & 1;
   return driven && !(chip->data[PORTB] & 1) && chip->cycle >= held_until;
-}
-
-static double contact_force_n(double depth_m) {
-  if (depth_m <= 0) return 0;
-  double rubber = 1 / cbrt(hertz * hertz), finger = 1 / finger_n_per_m;
-  double root = fmin(sqrt(depth_m / rubber), cbrt(depth_m / finger));
-  for (int i = 0; i < 20; i++)
-    root -= (root * root * (finger * root + rubber) - depth_m) /
-            (root * (3 * finger * root + 2 * rubber));
-  return root * root * root;
 }
 
 /* In the register itself, as simavr's line to it keeps its level over a reset and the pin does not. */
@@ -119,22 +75,8 @@ static void set_input(int bit, bool level) {
 }
 
 static void move_for_a_tick(void) {
-  if (motor_is_on()) {
-    double lag_m = steps * step_m - tip_m;
-    double rate = sqrt(thrust_n * 2 * M_PI / turn_m / mass_kg);
-    double pull_n = thrust_n * sin(2 * M_PI * lag_m / turn_m) - force_n;
-    speed_m_per_s += (pull_n / mass_kg - 2 * damping * rate * speed_m_per_s) * TICK_S;
-    tip_m += speed_m_per_s * TICK_S;
-    /* The carrier's count follows a motor that has slipped by whole electrical turns. */
-    long slipped = lround(lag_m / turn_m) * 4 * (long)microsteps;
-    steps -= slipped;
-    lost_steps += labs(slipped);
-  } else {
-    speed_m_per_s = 0;
-  }
-  force_n = contact_force_n(tip_m);
-  bool closed = switch_stuck < 0 ? tip_m <= -1e-3 * touch_mm : switch_stuck;
-  set_input(HOME_BIT, !closed);
+  mechanics_move(&mechanics, motor_is_on(), TICK_S);
+  set_input(HOME_BIT, !mechanics_switch_closed(&mechanics));
   set_input(FAULT_BIT, fault_level);
 }
 
@@ -142,17 +84,13 @@ static void on_step(struct avr_irq_t *irq, uint32_t value, void *param) {
   (void)irq, (void)param;
   if (!value) return;
   int direction = chip->data[PORTD] >> DIRECTION_BIT & 1 ? 1 : -1;
-  if (motor_is_on()) steps += direction;
+  if (motor_is_on()) mechanics_step(&mechanics, direction);
   if (trace) fprintf(trace, "step,%llu,%d\n", (unsigned long long)chip->cycle, direction);
 }
 
 static void on_conversion(struct avr_irq_t *irq, uint32_t value, void *param) {
   (void)irq, (void)value, (void)param;
-  double noise = 0;
-  for (int i = 0; i < 12; i++) noise += rand() / (double)RAND_MAX - 0.5;
-  double volts = film_zero_v + film_v_per_n * force_n;
-  if (!isnan(film_v)) volts = film_v;
-  chip_set_volts(volts + film_noise_v * noise);
+  chip_set_volts(mechanics_film_v(&mechanics));
 }
 
 static void on_interrupt(struct avr_irq_t *irq, uint32_t value, void *param) {
@@ -178,8 +116,8 @@ static void run(avr_cycle_count_t until) {
     while (next_tick <= chip->cycle) next_tick += 500, move_for_a_tick();
     if (trace && next_row <= chip->cycle) {
       next_row += FREQUENCY / 1000;
-      fprintf(trace, "ms,%.4f,%.3f,%.3f,%d\n", (double)chip->cycle / FREQUENCY, 1e6 * tip_m,
-              1e3 * force_n, motor_is_on());
+      fprintf(trace, "ms,%.4f,%.3f,%.3f,%d\n", (double)chip->cycle / FREQUENCY,
+              1e6 * mechanics.tip_m, 1e3 * mechanics.force_n, motor_is_on());
     }
   }
 }
@@ -193,8 +131,8 @@ static void reset(double bootloader_ms) {
 static void report(void) {
   printf("{\"time_s\": %.6f, \"tip_um\": %.3f, \"force_mn\": %.3f, \"motor_on\": %d, "
          "\"lost_steps\": %ld, \"tick_share\": %.4f, \"tick_cycles\": %llu, \"late_ms\": %.1f}\n",
-         (double)chip->cycle / FREQUENCY, 1e6 * tip_m, 1e3 * force_n, motor_is_on(), lost_steps,
-         ticks ? in_tick / (ticks * 500.0) : 0, (unsigned long long)longest_tick,
+         (double)chip->cycle / FREQUENCY, 1e6 * mechanics.tip_m, 1e3 * mechanics.force_n,
+         motor_is_on(), (long)mechanics.lost_steps, ticks ? in_tick / (ticks * 500.0) : 0, (unsigned long long)longest_tick,
          1e3 * latest_s);
   fflush(stdout);
   latest_s = 0;
@@ -210,9 +148,9 @@ static void obey(const char *line) {
     printf("ran\n");
     fflush(stdout);
   } else if (!strcmp(word, "film")) {
-    film_v = number;
+    mechanics.film_v = number;
   } else if (!strcmp(word, "switch")) {
-    switch_stuck = isnan(number) ? -1 : (int)number;
+    mechanics.stuck_switch = isnan(number) ? -1 : number;
   } else if (!strcmp(word, "fault")) {
     fault_level = (int)number;
   } else if (!strcmp(word, "reset")) {
@@ -248,11 +186,9 @@ static void read_input(void) {
 
 int main(int argc, char **argv) {
   if (argc < 2) return 2;
+  mechanics = USUAL_MECHANICS;
   for (int i = 2; i < argc; i++) change_setting(argv[i]);
-  turn_m = 1e-3 * lead_mm / 50;
-  step_m = turn_m / 4 / microsteps;
-  steps = lround(1e-3 * start_mm / step_m);
-  tip_m = steps * step_m;
+  mechanics_begin(&mechanics);
   chip = chip_make(argv[1], (int)socket_number);
   chip_on_conversion(chip, on_conversion);
   avr_irq_register_notify(

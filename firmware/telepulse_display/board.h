@@ -12,8 +12,9 @@
 // Pins are stated in each board_*.h, which may write their ports directly.
 //
 // board_avr.h is compiled with avr-gcc and Arduino's core, and run on an emulated ATmega328P, by
-// telepulse's tests. board_rp2040.h has been compiled, not linked, with arm-none-eabi-gcc 12.2 and
-// the headers of its core, and NOT been run. An ESP32 needs a board_*.h of its own.
+// telepulse's tests. board_host.h is for emulators and tests on this machine: see firmware/host.
+// board_rp2040.h has been compiled, not linked, with arm-none-eabi-gcc 12.2 and the headers of its
+// core, and NOT been run. An ESP32 needs a board_*.h of its own.
 #pragma once
 
 #include <Arduino.h>
@@ -34,6 +35,8 @@ extern uint8_t ticks_left;
 #include "board_avr.h"
 #elif defined(ARDUINO_ARCH_RP2040)
 #include "board_rp2040.h"
+#elif defined(TELEPULSE_HOST)
+#include "board_host.h"
 #else
 #error "No board_*.h for this board yet: see board.h for what it contains."
 #endif
