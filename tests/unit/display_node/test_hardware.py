@@ -310,3 +310,13 @@ def test_an_end_that_leaves_the_finger_is_none(pulse_n: Pulse) -> None:
         bench.call(lambda: faults.append(bench.hardware.withdraw()))
         assert bench.motor.force_n == 0.0
     assert faults == [None]
+
+
+def test_without_a_film_a_silent_drive_is_named_as_such() -> None:
+    """The positions stand in for a film, whose time-out of 40 ms must not name the film."""
+    with playing(lambda ms: 0.5, with_film=False) as bench:
+        lost = parse_fault(FaultKind.LOST, "1")
+        bench.motor.injector.begin(lost, bench.world.now_ns)
+        bench.run(200)
+    (first, *_) = bench.faults
+    assert first.startswith("drive: no answer for ")
