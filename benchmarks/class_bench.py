@@ -18,8 +18,7 @@ import numpy as np
 from benchmarks.bench_faults import tried
 from benchmarks.benchmark import Benchmark
 from benchmarks.emulated_bench import LEAVING_MS, SETTLED_MS, pulse, settled_rmse_n
-from telepulse.emulators import simavr
-from telepulse.emulators.simavr import Programs
+from tests.support import simavr
 from tests.support.class_bench import (
     FAULTS,
     TICK_HZ,
@@ -29,6 +28,7 @@ from tests.support.class_bench import (
     left_after_s,
     playing,
 )
+from tests.support.simavr import Programs
 
 SECONDS = 30.0
 # The last is the highest; those between fall beside the ticks of the step timer.

@@ -12,6 +12,9 @@
 #include <stdlib.h>
 #include <string.h>
 
+/* e^20 times the knee is beyond what any motor gives. */
+#define MOST_STIFFENED 20
+
 struct mechanics {
   /* Settings. A NEMA 17 of 0.4 N m and 200 steps a turn, as thrust and mass at a lead of 2 mm. */
   double microsteps, lead_mm, thrust_n, mass_kg, damping;
@@ -19,6 +22,8 @@ struct mechanics {
   double touch_mm, start_mm;
   /* The rubber's force in N is hertz times depth^1.5 in m. */
   double hertz, finger_n_per_m;
+  /* Or, where knee_n is above 0, tissue from a clearance on: knee_n times exp(depth / length) - 1. */
+  double knee_n, length_mm, clearance_mm;
   double film_zero_v, film_v_per_n, film_noise_v;
   /* 1: the tip is where the count is, without a motor's dynamics, which takes far less time. */
   double rigid;
@@ -41,6 +46,9 @@ static const struct mechanics USUAL_MECHANICS = {
     .start_mm = -1,
     .hertz = 6.285e6,
     .finger_n_per_m = 1000,
+    .knee_n = 0,
+    .length_mm = 1,
+    .clearance_mm = 0,
     .film_zero_v = 2.5,
     .film_v_per_n = 0.51,
     .film_noise_v = 0.003,
@@ -75,6 +83,9 @@ static inline double *mechanics_setting(struct mechanics *m, const char *name) {
       {"start_mm", &m->start_mm},
       {"hertz", &m->hertz},
       {"finger_n_per_m", &m->finger_n_per_m},
+      {"knee_n", &m->knee_n},
+      {"length_mm", &m->length_mm},
+      {"clearance_mm", &m->clearance_mm},
       {"film_zero_v", &m->film_zero_v},
       {"film_v_per_n", &m->film_v_per_n},
       {"film_noise_v", &m->film_noise_v},
@@ -89,9 +100,14 @@ static inline double *mechanics_setting(struct mechanics *m, const char *name) {
   return NULL;
 }
 
-/* Return the force of rubber on a fingertip, whose indentations add up to a depth. */
+/* Return the force at a depth from first touch: that of tissue, or of rubber on a fingertip, whose
+ * indentations add up to the depth. */
 static inline double mechanics_contact_n(struct mechanics *m, double depth_m) {
   if (depth_m <= 0) return 0;
+  if (m->knee_n > 0) {
+    double depth_mm = 1e3 * depth_m - m->clearance_mm;
+    return depth_mm <= 0 ? 0 : m->knee_n * expm1(fmin(depth_mm / m->length_mm, MOST_STIFFENED));
+  }
   double rubber = 1 / cbrt(m->hertz * m->hertz), finger = 1 / m->finger_n_per_m;
   /* The cube root of the force, from where the last search for it has ended. */
   double root = m->root;

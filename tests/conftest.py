@@ -77,8 +77,7 @@ def pytest_configure(config: pytest.Config) -> None:
             sketch.compiled()
 
 
-@pytest.hookimpl(wrapper=True)
-def pytest_pyfunc_call(pyfuncitem: pytest.Function) -> Iterator[None]:
+def _skip_without_compiler() -> Iterator[Any]:
     """Skip a test of the emulated board where this machine cannot compile its sketch."""
     try:
         return (yield)
@@ -86,6 +85,16 @@ def pytest_pyfunc_call(pyfuncitem: pytest.Function) -> Iterator[None]:
         if str(error) == sketch.missing():
             pytest.skip(str(error))
         raise
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_pyfunc_call() -> Iterator[Any]:
+    return (yield from _skip_without_compiler())
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_fixture_setup() -> Iterator[Any]:
+    return (yield from _skip_without_compiler())
 
 
 def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:

@@ -25,8 +25,9 @@ from pulse_drives.stepdir.frames import SENSOR_FORMATS, Format, board_reader
 from pulse_drives.stepdir.scene import StepdirScene
 from pulse_sensors.serial_port import SerialScene
 from telepulse.cli.options import PROGRAM
-from telepulse.emulators import LATE_MS, simavr
+from telepulse.emulators import sketch
 from telepulse.emulators.sensor_board import COUNTS
+from telepulse.processes import prefer
 from telepulse.scene import Scene
 
 End = Literal["wrist", "finger"]
@@ -46,6 +47,7 @@ PRESSED_WITH_N = 0.3
 STARTS_WITHIN_S = 30.0
 # The first samples of an emulated board come late, since its program still starts.
 SETTLED_S = 1.0
+ENDS_WITHIN_S = 5.0
 # The scene whose source the emulated board senses; see `telepulse emulate sensor`.
 EMULATED_SENSOR = ("sensor", "bench", "--samples", "int16", "--delivery-ms", "4")
 NAME_THEM = (
@@ -57,14 +59,9 @@ WHAT_HAPPENS = (
     "First the bench is checked, with nothing on the wrist's film: the drive seeks home and presses"
     " with up to {force:g} N. Keep fingers away: put a dummy of rubber in the finger's place."
 )
-BYTE_LEVEL = (
-    "the boards are emulated byte for byte, since the finger's sketch cannot run on simavr:"
-    " {reason}"
-)
-SIMULATED = "the finger's board is its sketch on simavr; the wrist's is emulated byte for byte"
-KEPT_WAITING = (
-    "this machine kept the simulated board waiting for {late_ms:.0f} ms: a check that failed, or a"
-    " fault, may come from that and not from the board; end other programs"
+COMPILED = (
+    "the finger's board is its own sketch, compiled for this machine; the wrist's is emulated byte"
+    " for byte"
 )
 READY = (
     "Put the film on the wrist. The drive seeks home once more, and presses the dummy with up to"
@@ -166,7 +163,13 @@ def prepare_boards(
     path.write_text(_with_ports(scene.path, found, emulated), encoding="utf-8")
     scene = reload(str(path))
     if emulated:
-        _emulate_finger(stack, scene, folder / "finger", console)
+        # Before its emulator starts, which has to do so in time.
+        sketch.compiled()
+        console.print(COMPILED)
+        board = "stepdir", str(scene.path), "--link", str(folder / "finger")
+        finger = _emulate(stack, "finger", *board)
+        prefer(finger.pid)
+        stack.callback(_end, finger, console)
         sensor = *EMULATED_SENSOR, "--link", str(folder / "wrist")
         still = _emulate(stack, "wrist", *sensor, "--still")
         _check(scene, console)
@@ -219,32 +222,8 @@ def _with_ports(path: Path, ports: dict[End, str], emulated: bool) -> str:
         keys = {"port": ports["wrist"]} | (COUNTS if emulated else {})
         lines.append("[sensing.source]")
         lines += [f"{key} = {json.dumps(value)}" for key, value in keys.items()]
-    keys = {"port": ports["finger"]} | (simavr.WIRED if emulated else {})
-    lines.append("[display.drive]")
-    lines += [f"{key} = {json.dumps(value)}" for key, value in keys.items()]
+    lines += ["[display.drive]", f"port = {json.dumps(ports['finger'])}"]
     return "\n".join(lines) + "\n"
-
-
-def _emulate_finger(stack: ExitStack, scene: Scene, link: Path, console: Console) -> None:
-    """Start the finger's board: its sketch on a simulated chip, otherwise its emulator."""
-    try:
-        programs = simavr.Programs.compile(link.parent)
-    except ProcessError as error:
-        console.print(BYTE_LEVEL.format(reason=error))
-        _emulate(stack, "finger", "stepdir", str(scene.path), "--link", str(link))
-        return
-    console.print(SIMULATED)
-    chip = simavr.Harness(programs, *simavr.settings_of(scene.display.choose(None)))
-    stack.callback(chip.close)
-    chip.open_line(link)
-    stack.callback(_report_lateness, chip, console)
-
-
-def _report_lateness(chip: simavr.Harness, console: Console) -> None:
-    # A chip that has crashed has no report; the display names the fault.
-    with suppress(OSError, ProcessError):
-        if (late_ms := chip.report()["late_ms"]) > LATE_MS:
-            console.print(KEPT_WAITING.format(late_ms=late_ms))
 
 
 def _emulate(stack: ExitStack, end: End, *words: str) -> ChildProcess:
@@ -255,6 +234,14 @@ def _emulate(stack: ExitStack, end: End, *words: str) -> ChildProcess:
     emulator.read_line(STARTS_WITHIN_S)
     time.sleep(SETTLED_S)
     return emulator
+
+
+def _end(emulator: ChildProcess, console: Console) -> None:
+    """End an emulator, and show its warnings: that this machine kept it waiting."""
+    emulator.terminate()
+    # Of one that has failed, the display names the fault.
+    with suppress(ProcessError):
+        console.print(emulator.await_end(ENDS_WITHIN_S), markup=False, end="")
 
 
 def _confirm(question: str, yes: bool) -> None:

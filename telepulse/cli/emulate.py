@@ -9,6 +9,7 @@ from typing import Annotated, Any, Literal, TypeVar
 
 import typer
 
+from display_node.plant.contact import ContactLaw
 from display_node.plant.scene import StepperScene
 from display_node.scene import DisplayScene
 from protocol.cli_options import LogLevelOption, StopAfterOption, one_line_errors, plain_console
@@ -316,9 +317,9 @@ def stepdir(
 ) -> None:
     """Emulate telepulse's own display board on a serial port, with its motor and its film.
 
-    A physical model of the scene's [display.actuator] turns under a finger, with a home switch and
-    the board's own limits, watchdog and withdrawal. The film that the scene's [display.feedback] of
-    kind "drive" describes comes on the same port.
+    The board runs its own sketch, which a C++ compiler makes for this machine at the first time, at
+    a physical model of the scene's [display.actuator] under a finger, with a home switch. The film
+    that the scene's [display.feedback] of kind "drive" describes comes on the same port.
     """
     # Imported here: it needs a library that the other emulators do without.
     from telepulse.emulators.stepdir import EmulatedBoard, serve_board
@@ -326,9 +327,9 @@ def stepdir(
     with one_line_errors(PROGRAM), ExitStack() as open_things:
         configure_logging(log_level)
         _check_fault(fault, STEPDIR_FAULTS)
-        _, motor, sensors = _load(scene, contactor, wrist, StepdirScene)
+        drive, stepper, law, sensors = _load_plant(scene, contactor, wrist, StepdirScene)
         film, noise_n = (None, 0.0) if wrist else _load_film(scene, contactor)
-        board = EmulatedBoard(motor, film, time.perf_counter_ns(), noise_n)
+        board = EmulatedBoard(drive, stepper, law, film, time.perf_counter_ns(), noise_n)
         cable = open_things.enter_context(ExitStack())
         port = cable.enter_context(closing(PtyPort(link)))
         serve = serve_board(board, port)
@@ -336,7 +337,7 @@ def stepdir(
         def begin_fault(name: str) -> None:
             nonlocal serve
             if name == "reset":
-                board.reset()
+                board.restart()
             elif name == "unplugged":
                 serve = time.sleep
                 cable.close()
@@ -347,7 +348,7 @@ def stepdir(
             serve(POLL_S)
             board.advance(time.perf_counter_ns())
 
-        run = DriveRun(motor, film_link, trace, open_things, sensors)
+        run = DriveRun(board, film_link, trace, open_things, sensors)
         _say(f"display board on {port.path}", film_link)
         after_s = None if fault_from_start else fault_after
         run.run(poll, begin_fault, fault, after_s, seconds)
@@ -371,7 +372,15 @@ def _check_fault(fault: str | None, names: tuple[str, ...]) -> None:
 def _load(
     name: str, contactor: str | None, wrist: str | None, kind: type[SceneT]
 ) -> tuple[SceneT, EmulatedMotor, WristSensors | None]:
-    """Return the drive of a scene's contactor or probe, and its motor.
+    """Return the drive of a scene's contactor or probe, its motor, and the sensors at a wrist."""
+    drive, stepper, law, sensors = _load_plant(name, contactor, wrist, kind)
+    return drive, EmulatedMotor(stepper, law, drive.touch_m, time.perf_counter_ns()), sensors
+
+
+def _load_plant(
+    name: str, contactor: str | None, wrist: str | None, kind: type[SceneT]
+) -> tuple[SceneT, StepperScene, ContactLaw, WristSensors | None]:
+    """Return the drive of a scene's contactor or probe, its motor's table, and what it presses.
 
     wrist: name of the scene of the wrist under the probe, whose sensors are returned too.
     """
@@ -382,15 +391,13 @@ def _load(
     drive = kind.narrow(display.drive, f"{path}: [display.drive]")
     if (stepper := display.actuator.stepper) is None:
         raise SceneError(f'{path}: a drive needs [display.actuator] kind = "stepper"')
-    law = stepper.contact(display.layer.layer())
-    now_ns = time.perf_counter_ns()
-    return drive, EmulatedMotor(stepper, law, drive.touch_m, now_ns), None
+    return drive, stepper, stepper.contact(display.layer.layer()), None
 
 
 def _load_probe(
     path: Path, wrist: Path, kind: type[SceneT]
-) -> tuple[SceneT, EmulatedMotor, WristSensors]:
-    """Return the drive of a scene's probe, its motor, and the sensors at a wrist."""
+) -> tuple[SceneT, StepperScene, ContactLaw, WristSensors]:
+    """Return the drive of a scene's probe, its motor's table, and tissue and sensors of a wrist."""
     press = load_section(path, "sensing", SensingScene).press
     source = WristScene.narrow(
         load_section(wrist, "sensing", SensingScene).source, f"--wrist {wrist}: [sensing.source]"
@@ -399,9 +406,7 @@ def _load_probe(
     assert press is not None
     stepper = StepperScene.model_validate({"kind": "stepper"})
     stepper = stepper.model_copy(update=press.motor.model_dump())
-    now_ns = time.perf_counter_ns()
-    motor = EmulatedMotor(stepper, TissueContact(source), drive.touch_m, now_ns)
-    return drive, motor, WristSensors(source)
+    return drive, stepper, TissueContact(source), WristSensors(source)
 
 
 def _say(what: str, film_link: Path | None) -> None:

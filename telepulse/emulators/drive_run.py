@@ -4,15 +4,17 @@ import logging
 import math
 import threading
 import time
+from collections import deque
 from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
+from typing import Protocol
 
 from protocol.errors import OutputError
 from protocol.host.process import freeze_objects, stop_on_signals
 from sensing_node.sources.wrist import WristSensors
 from telepulse.emulators import LATE_MS, PtyPort
-from telepulse.emulators.motor import EmulatedMotor, MotorFault, MotorState
+from telepulse.emulators.motor import MotorFault, MotorState
 from telepulse.emulators.sensor_board import PULSES, binary
 from telepulse.emulators.wrist import read_wrist
 
@@ -29,15 +31,31 @@ MOTOR_FAULTS: dict[str, MotorFault] = {
 }
 
 
+class Motor(Protocol):
+    """An emulated motor, or a board with its motor.
+
+    forces_n: forces under the tip, one per millisecond, until a reader takes them. trace: called
+    with the state every millisecond.
+    """
+
+    forces_n: deque[float]
+    trace: Callable[[MotorState], None] | None
+
+    @property
+    def force_n(self) -> float:
+        """Force under the tip."""
+
+    def fail(self, fault: MotorFault) -> None:
+        """Begin a fault."""
+
+
 class EmulatedFilm:
     """Film that sends the finger's force in float32 newtons at 1 kHz, four samples in a frame.
 
     wrist: film and load cell of a wrist under a probe, in place of the one force of a finger.
     """
 
-    def __init__(
-        self, motor: EmulatedMotor, port: PtyPort, wrist: WristSensors | None = None
-    ) -> None:
+    def __init__(self, motor: Motor, port: PtyPort, wrist: WristSensors | None = None) -> None:
         self._motor, self._port, self._wrist = motor, port, wrist
         self._encode = binary("float32", PULSES if wrist is None else WristSensors.channels)
         self._sent = 0
@@ -61,7 +79,7 @@ class DriveRun:
 
     def __init__(
         self,
-        motor: EmulatedMotor,
+        motor: Motor,
         film_link: Path | None,
         trace: Path | None,
         resources: ExitStack,

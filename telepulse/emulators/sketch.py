@@ -92,7 +92,7 @@ class Sketch:
     Raises ProcessError where the sketch cannot be compiled.
     """
 
-    def __init__(self, library: Path | None = None, **settings: float) -> None:
+    def __init__(self, library: Path | None = None, /, **settings: float) -> None:
         self._library = _Library.load(library or compiled())
         self.state = ctypes.create_string_buffer(self._library.state_bytes)
         self._taken = ctypes.create_string_buffer(TAKEN_BYTES)

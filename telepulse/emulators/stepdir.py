@@ -1,128 +1,153 @@
-"""An emulated display board, byte for byte, on a pseudo-terminal.
+"""An emulated display board: its own sketch at an emulated motor, on a pseudo-terminal.
 
-The board itself is pure: time is an argument, and it returns the frames that the firmware would
-send. Its states, bounds, trips and withdrawals are those of `firmware/PROTOCOL.md`. Not modelled:
-the microcontroller's timing; the end without a ramp of a motion towards the finger that a
-withdrawal interrupts; and a stall that no fault pin reports: the count of steps then stops as well.
+The board itself is pure: time is an argument, and it returns the frames that the sketch sends. Its
+motor, screw, rubber, finger and film are those of `firmware/mechanics.h`, which has what they leave
+out.
 """
 
-import math
 import select
 import time
+from collections import deque
 from collections.abc import Callable
-from random import Random
+from typing import Any
 
-from pulse_drives.stepdir.frames import (
-    COUNTER_TURN,
-    BoardCommand,
-    BoardGreeting,
-    BoardLimits,
-    BoardMode,
-    BoardState,
-    CommandAnswer,
-    CommandResult,
-    Format,
-    HomeSearch,
-    LimitOption,
-    StateFlag,
-    TripCause,
-    board_reader,
-    decode_command,
-    encode_report,
-)
-from pulse_drives.stepdir.scene import PER_STEP_RATE
+from display_node.plant.contact import ContactLaw
+from display_node.plant.scene import StepperScene
+from pulse_drives.stepdir.frames import BoardLimits, BoardMode
+from pulse_drives.stepdir.scene import StepdirScene
 from pulse_sensors.drive_film import DriveFilmScene
+from sensing_node.press.probe import CLEARANCE_M
 from telepulse.emulators import PtyPort
-from telepulse.emulators.motor import TICK_NS, EmulatedMotor
+from telepulse.emulators.motor import TICK_NS, TICK_S, MotorFault, MotorState
+from telepulse.emulators.sketch import Sketch
+from telepulse.emulators.wrist import TissueContact
 
-PROTOCOL = 1
-FIRMWARE = (1 << 8) + 1
-TICK_HZ = 32_000
-# 16 conversions of 10 bits in a millisecond.
-FULL_SCALE = 16 * 1023
-FURTHEST = 1 << 30
-POWER_UP, RESET_PIN = 1, 2
-# The motor leaves the home switch at this share of the search's rate.
-LEAVE_SHARE = 1 / 8
-# The film of a board whose scene describes none.
-NO_FILM = 8184
-NOISE_SEED = 1
-MOTIONS = (BoardMode.READY, BoardMode.RUNNING)
-TRIPS = (BoardMode.HOMING, *MOTIONS)
+RESET_PIN = 2
+FAULT_PIN = {"none": 0, "low": 1, "high": 2}
+# Of the emulated motor: it gives its scene's acceleration with this share of its thrust.
+STEPS_PER_TURN, THRUST_N, THRUST_SHARE = 200 * 16, 1200.0, 0.25
+# Of a reading, the sum of 16 conversions of 10 bits, each of which rounds down.
+CONVERSIONS = 16
+COUNTS_PER_V = CONVERSIONS * 1024 / 5
+ROUNDED_COUNTS = CONVERSIONS / 2
+FAULTLESS = {"carrier_off": 0.0, "fault": 0.0, "turns_in": 1.0, "turns_out": 1.0}
+FAULTS: dict[MotorFault, dict[str, float]] = {
+    "overtemperature": {"carrier_off": 1, "fault": 1},
+    "stall": {"turns_in": 0, "turns_out": 0, "fault": 1},
+    "following error": {"turns_in": 0, "turns_out": 0},
+}
 
 
 class EmulatedBoard:
-    """A board with its motor.
+    """A board with its motor under a finger, from power-up on.
 
-    film: the scene's table, which gives the counts of a force; noise_n: RMS of its noise.
+    Parameters
+    ----------
+    drive, stepper, law
+        The scene's board and its wiring, its motor, and the contact of tip and finger.
+    film
+        The scene's table, which gives the counts of a force; None where none is connected.
+    noise_n
+        RMS of a reading of the film in N.
+    rigid
+        The tip is where the count is, at once.
 
     Attributes
     ----------
-    tick_hz, protocol, firmware
-        As the board states them in its greeting.
-    limits
-        The limits that it was given; None before any.
+    view
+        The board after the last millisecond: `host_view` of firmware/host/host.h.
+    forces_n
+        Forces under the tip, one per millisecond, until a reader takes them.
+    trace
+        Called with the motor's state every millisecond.
     trouble
         "silent" where it sends nothing, "garbled" where it sends wrong bytes, else "".
-    """
 
-    _mode: BoardMode
-    _homed: bool
+    Raises ProcessError where the sketch cannot be compiled.
+    """
 
     def __init__(
         self,
-        motor: EmulatedMotor,
+        drive: StepdirScene,
+        stepper: StepperScene,
+        law: ContactLaw,
         film: DriveFilmScene | None,
         now_ns: int,
         noise_n: float = 0.0,
+        rigid: bool = False,
     ) -> None:
-        self._motor, self._film = motor, film
-        self._noise_n, self._noise = noise_n, Random(NOISE_SEED)
+        settings = _wiring(drive) | _mechanics(drive, stepper, law) | amplifier(film, noise_n)
+        self._sketch = Sketch(rigid=rigid, **settings)
+        self._sketch.power_up()
+        self.view: Any = self._sketch.look()
         self._now_ns = now_ns
-        self._frames: list[bytes] = []
-        self._on_line: list[bytes] = []
-        self._force_n, self._read_n = motor.force_n, motor.force_n
-        self._reader = board_reader()
-        self.protocol, self.firmware, self.tick_hz = PROTOCOL, FIRMWARE, TICK_HZ
+        self._sent = bytearray()
+        self.forces_n: deque[float] = deque(maxlen=10_000)
+        self.trace: Callable[[MotorState], None] | None = None
         self.trouble = ""
-        self.limits: BoardLimits | None = None
-        self._start(POWER_UP)
 
     @property
     def mode(self) -> BoardMode:
-        """State of the board's state machine."""
-        return self._mode
+        """State of the sketch's state machine."""
+        return BoardMode(self.view.state)
+
+    @property
+    def limits(self) -> BoardLimits | None:
+        """The limits that it was given; None before any."""
+        if not self.view.has_limits:
+            return None
+        return BoardLimits(*(getattr(self.view, f"limits_{name}") for name in BoardLimits._fields))
+
+    @property
+    def homing(self) -> bool:
+        """True while a search for the home switch is under way."""
+        return self.mode is BoardMode.HOMING
+
+    @property
+    def rate_hz(self) -> float:
+        """Step rate, positive towards the finger."""
+        rate_hz: float = self.view.velocity
+        return rate_hz
+
+    @property
+    def tip_m(self) -> float:
+        """Position of the tip from first touch."""
+        tip_m: float = self.view.tip_m
+        return tip_m
+
+    @property
+    def force_n(self) -> float:
+        """Force under the tip."""
+        force_n: float = self.view.force_n
+        return force_n
+
+    def fail(self, fault: MotorFault) -> None:
+        """Begin a fault of the motor, until `reset`; the board goes on counting its steps."""
+        self._sketch.set(**FAULTS[fault])
 
     def reset(self) -> None:
-        """Restart, as by its reset pin: a tip that may press is taken off the finger."""
-        pressing = self._homed and self._mode is not BoardMode.WITHDRAWN
-        limits = self.limits
-        self._switch_off(BoardMode.DISARMED, TripCause.NONE)
-        self._start(RESET_PIN)
-        if pressing and limits is not None:
-            self.limits = limits
-            self._mode = BoardMode.ARMED
-            self._withdraw(TripCause.RESET)
+        """Clear the motor's fault."""
+        self._sketch.set(**FAULTLESS)
+
+    def restart(self) -> None:
+        """Restart the sketch, as by the reset pin."""
+        self._sketch.reset(RESET_PIN)
 
     def receive(self, data: bytes, now_ns: int) -> None:
-        """Take bytes from the host at a time, and execute the commands that they complete."""
+        """Take bytes from the host at a time."""
         self.advance(now_ns)
-        for body in self._reader.feed(data):
-            command = decode_command(body)
-            if command is not None:
-                self._execute(command)
+        self._sketch.feed(data)
 
     def advance(self, now_ns: int) -> None:
         """Advance to the present, a millisecond at a time."""
         while self._now_ns + TICK_NS <= now_ns:
             self._now_ns += TICK_NS
-            self._motor.advance(self._now_ns)
-            self._tick()
-        self._motor.advance(now_ns)
+            self._pass_ms()
 
     def due_frames(self) -> list[bytes]:
-        """Return the frames to send since the last call."""
-        frames, self._frames = self._frames, []
+        """Return the frames that it has sent since the last call."""
+        *bodies, self._sent = self._sent.split(b"\0")
+        frames = [bytes(body) + b"\0" for body in bodies]
         match self.trouble:
             case "silent":
                 return []
@@ -130,252 +155,60 @@ class EmulatedBoard:
                 return [bytes([frame[0] ^ 0x55, *frame[1:]]) for frame in frames]
         return frames
 
-    @property
-    def _is_on(self) -> bool:
-        return self._mode not in (BoardMode.DISARMED, BoardMode.FAULT)
+    def _pass_ms(self) -> None:
+        before_m = self.tip_m
+        self._sketch.run(1)
+        self._sent += self._sketch.take()
+        self.view = self._sketch.look()
+        self.forces_n.append(self.force_n)
+        if self.trace is not None:
+            speed_m_per_s = (self.tip_m - before_m) / TICK_S
+            self.trace(MotorState(self._now_ns, self.tip_m, speed_m_per_s, self.force_n))
 
-    @property
-    def _film_counts(self) -> int:
-        if self._film is None:
-            return NO_FILM
-        counts = self._film.zero + (self._read_n - self._film.preload_n) / self._per_count
-        return min(max(round(counts), 0), FULL_SCALE)
 
-    @property
-    def _per_count(self) -> float:
-        return 1.0 if self._film is None else self._film.newtons_per_count or 1.0
+def _wiring(drive: StepdirScene) -> dict[str, float]:
+    return {
+        "inverted": drive.inverted,
+        "normally_closed": drive.home_switch == "normally_closed",
+        "fault_pin": FAULT_PIN[drive.fault_pin],
+    }
 
-    def _start(self, reset_cause: int) -> None:
-        self._reset_cause = reset_cause
-        self._on_line.clear()
-        self._counter = self._sequence = self._rejected = 0
-        self._mode, self._cause = BoardMode.DISARMED, TripCause.NONE
-        self.limits = None
-        self._search = HomeSearch(0, 0, 1, 1)
-        self._began_steps = self._target_steps = 0
-        self._homed = self._expired = False
-        self._wanted_hz = 0.0
-        self._began_ms = self._commanded_ms = self._validity_ms = 0
-        self._motor.limit(-math.inf, math.inf)
-        self._motor.zero()
 
-    def _execute(self, command: BoardCommand) -> None:
-        match command.format:
-            case Format.VELOCITY:
-                self._take_velocity(command)
-                return
-            case Format.GREET:
-                self._sequence = command.sequence
-                version = self.protocol, self.firmware, self.tick_hz
-                head = command.sequence, *version, FULL_SCALE, self._reset_cause
-                self._send(BoardGreeting(*head, "emulated"))
-                return
-            case Format.HOME:
-                result, field = self._home(HomeSearch(*command.fields))
-            case Format.LIMITS:
-                result, field = self._take_limits(BoardLimits(*command.fields))
-            case _:
-                result, field = self._change(command.format), 0
-        if result is CommandResult.DONE:
-            self._sequence = command.sequence
-        self._send(CommandAnswer(command.sequence, command.format, result, field))
-
-    def _take_velocity(self, command: BoardCommand) -> None:
-        velocity, validity_ms = command.fields
-        if self._mode not in MOTIONS or self.limits is None or not 1 <= validity_ms <= 1000:
-            return
-        most = self.limits.highest_rate
-        self._wanted_hz = min(max(velocity / PER_STEP_RATE, -most), most)
-        self._mode, self._expired = BoardMode.RUNNING, False
-        self._sequence, self._validity_ms = command.sequence, validity_ms
-        self._commanded_ms = self._counter
-
-    def _change(self, command: Format) -> CommandResult:
-        """Execute a command without fields."""
-        match command:
-            case Format.ARM if self.limits is None:
-                return CommandResult.NO_LIMITS
-            case Format.ARM if self._mode is BoardMode.DISARMED:
-                self._mode = BoardMode.ARMED
-            case Format.DISARM:
-                self._switch_off(BoardMode.DISARMED, TripCause.NONE)
-            case Format.CLEAR if self._mode in (BoardMode.WITHDRAWN, BoardMode.FAULT):
-                self._switch_off(BoardMode.DISARMED, TripCause.NONE)
-            case Format.WITHDRAW if self._mode in (BoardMode.ARMED, *TRIPS):
-                self._withdraw(TripCause.HOST)
-            case _:
-                return CommandResult.WRONG_STATE
-        return CommandResult.DONE
-
-    def _take_limits(self, limits: BoardLimits) -> tuple[CommandResult, int]:
-        if self._mode is not BoardMode.DISARMED:
-            return CommandResult.WRONG_STATE, 0
-        bounds = (
-            (-FURTHEST, FURTHEST),
-            (limits.lowest + 1, FURTHEST),
-            (1_000, 100_000_000),
-            (10, self.tick_hz),
-            (0, limits.film_most - 1),
-            (0, FULL_SCALE + 1),
-            (1, FURTHEST),
-            (10, limits.highest_rate),
-            (10, 500),
-            (0, 31),
-        )
-        if wrong := _wrong_field(limits, bounds):
-            return CommandResult.OUT_OF_BOUNDS, wrong
-        self.limits = limits
-        return CommandResult.DONE, 0
-
-    def _home(self, search: HomeSearch) -> tuple[CommandResult, int]:
-        limits = self.limits
-        if self._mode not in (BoardMode.ARMED, *MOTIONS) or limits is None:
-            return CommandResult.WRONG_STATE, 0
-        least_rate = 10 if search.rate else 0
-        bounds = ((least_rate, limits.highest_rate), (0, FURTHEST), (1, FURTHEST), (1, 60_000))
-        if wrong := _wrong_field(search, bounds):
-            return CommandResult.OUT_OF_BOUNDS, wrong
-        if self._film_outside:
-            return CommandResult.FILM_OUTSIDE, 0
-        self._search = search
-        self._began_steps, self._began_ms = self._motor.position_steps, self._counter
-        if search.rate:
-            self._homed, self._mode = False, BoardMode.HOMING
-            self._motor.limit(-math.inf, math.inf)
-            self._motor.home(search.rate, max(10.0, LEAVE_SHARE * search.rate))
-        else:
-            self._motor.run(0.0)
-            self._motor.zero()
-            self._be_home(limits)
-        return CommandResult.DONE, 0
-
-    def _be_home(self, limits: BoardLimits) -> None:
-        self._homed, self._mode = True, BoardMode.READY
-        self._motor.limit(limits.lowest, limits.highest)
-
-    def _switch_off(self, mode: BoardMode, cause: TripCause) -> None:
-        self._motor.run(0.0)
-        self._homed = False
-        self._mode, self._cause = mode, cause
-
-    def _withdraw(self, cause: TripCause) -> None:
-        assert self.limits is not None
-        limits, position = self.limits, self._motor.position_steps
-        target = position - limits.withdrawal
-        if self._homed:
-            target = max(target, min(limits.lowest, position))
-        if self._mode is BoardMode.HOMING:
-            target = self._began_steps
-        self._target_steps = target
-        self._mode, self._cause = BoardMode.WITHDRAWING, cause
-
-    def _tick(self) -> None:
-        """Supervise, move on and send the state of a millisecond."""
-        self._counter = (self._counter + 1) % COUNTER_TURN
-        forces_n = self._motor.forces_n
-        force_n = forces_n[-1] if forces_n else self._motor.force_n
-        # A reading is the mean over the millisecond.
-        self._read_n = (self._force_n + force_n) / 2 + self._noise.gauss(0.0, self._noise_n)
-        self._force_n = force_n
-        self._supervise()
-        match self._mode:
-            case BoardMode.RUNNING:
-                self._motor.run(self._wanted_hz)
-            case BoardMode.HOMING:
-                self._seek_home()
-            case BoardMode.WITHDRAWING:
-                self._withdraw_on()
-        # A state takes 0.6 ms on the line, at 500 000 baud.
-        self._frames += self._on_line
-        self._on_line.clear()
-        self._send(self._state())
-
-    @property
-    def _film_outside(self) -> bool:
-        limits = self.limits
-        if limits is None:
-            return False
-        return not limits.film_least <= self._film_counts < limits.film_most
-
-    @property
-    def _faulty(self) -> bool:
-        """True while the carrier's fault pin is active."""
-        has_pin = self.limits is not None and self.limits.options & LimitOption.HAS_FAULT_PIN
-        return bool(has_pin) and self._motor.fault in ("overtemperature", "stall")
-
-    def _supervise(self) -> None:
-        if self._mode not in TRIPS or self.limits is None:
-            return
-        silent_ms = self._counter - self._commanded_ms
-        if self._film_outside:
-            self._withdraw(TripCause.FILM)
-        elif self._faulty:
-            self._withdraw(TripCause.FAULT_PIN)
-        elif self._mode is not BoardMode.RUNNING:
-            return
-        elif silent_ms > self.limits.watchdog_ms:
-            self._withdraw(TripCause.SILENCE)
-        elif self._motor.at_switch and self._motor.position_steps > self._search.opening:
-            self._withdraw(TripCause.HOME_SWITCH)
-        elif silent_ms > self._validity_ms and not self._expired:
-            self._expired, self._wanted_hz = True, 0.0
-
-    def _seek_home(self) -> None:
-        travelled = abs(self._motor.position_steps - self._began_steps)
-        if not self._motor.homing:
-            assert self.limits is not None
-            self._be_home(self.limits)
-        elif self._counter - self._began_ms > self._search.timeout_ms:
-            self._switch_off(BoardMode.FAULT, TripCause.HOMING_TIMEOUT)
-        elif travelled > self._search.distance and not self._motor.at_switch:
-            self._switch_off(BoardMode.FAULT, TripCause.NO_HOME)
-
-    def _withdraw_on(self) -> None:
-        assert self.limits is not None
-        left = self._target_steps - self._motor.position_steps
-        rate_hz = self.limits.withdrawal_rate
-        # A rate that a ramp reaches late must not lead beyond the target, and back, without end.
-        bounded_hz = min(rate_hz, abs(left) * 0.5e9 / TICK_NS)
-        arrived = not left or (left < 0 and self._motor.at_switch)
-        self._motor.run(0.0 if arrived else math.copysign(bounded_hz, left))
-        if arrived and not self._motor.rate_hz:
-            self._mode = BoardMode.WITHDRAWN
-
-    def _state(self) -> BoardState:
-        motor, limits = self._motor, self.limits
-        position = motor.position_steps
-        flags = {
-            StateFlag.HOMED: self._homed,
-            StateFlag.HOME_CLOSED: motor.at_switch,
-            StateFlag.AT_LOWEST: self._homed and limits and position <= limits.lowest,
-            StateFlag.AT_HIGHEST: self._homed and limits and position >= limits.highest,
-            StateFlag.FAULT_PIN: self._faulty,
-            StateFlag.FILM_OUTSIDE: self._film_outside,
-            StateFlag.HAS_LIMITS: limits is not None,
-            StateFlag.ON: self._is_on,
-            StateFlag.EXPIRED: self._mode is BoardMode.RUNNING and self._expired,
+def _mechanics(drive: StepdirScene, stepper: StepperScene, law: ContactLaw) -> dict[str, float]:
+    """Return the settings of motor, screw and what the tip presses; it begins half way to touch."""
+    settings = {
+        "lead_mm": stepper.step_m * STEPS_PER_TURN * 1e3,
+        "touch_mm": drive.touch_m * 1e3,
+        "start_mm": drive.touch_m * -0.5e3,
+        "thrust_n": THRUST_N,
+        "mass_kg": THRUST_SHARE * THRUST_N / stepper.max_acceleration_m_per_s2,
+    }
+    if isinstance(law, TissueContact):
+        tissue = law.tissue
+        return settings | {
+            "knee_n": tissue.knee_n,
+            "length_mm": tissue.length_m * 1e3,
+            "clearance_mm": CLEARANCE_M * 1e3,
         }
-        return BoardState(
-            counter=self._counter,
-            time_us=self._counter * 1_000 % COUNTER_TURN,
-            film=self._film_counts,
-            position=position,
-            velocity=round(motor.counter_hz * PER_STEP_RATE),
-            mode=self._mode,
-            cause=self._cause,
-            flags=StateFlag(sum(flag for flag, is_set in flags.items() if is_set)),
-            sequence=self._sequence,
-            rejected=self._reader.altered % 256,
-        )
-
-    def _send(self, report: BoardState | BoardGreeting | CommandAnswer) -> None:
-        self._on_line.append(encode_report(report))
+    return settings | {
+        "hertz": (law.position(1.0) - law.finger_m_per_n) ** -1.5,
+        "finger_n_per_m": 1 / law.finger_m_per_n,
+    }
 
 
-def _wrong_field(values: tuple[int, ...], bounds: tuple[tuple[float, float], ...]) -> int:
-    """Return the number, from 1, of the first value that is out of its bounds; 0 if none is."""
-    pairs = enumerate(zip(values, bounds, strict=True), 1)
-    return next((n for n, (value, (low, high)) in pairs if not low <= value <= high), 0)
+def amplifier(film: DriveFilmScene | None, noise_n: float) -> dict[str, float]:
+    """Return the settings of a film's amplifier; without a film it rests in the middle."""
+    if film is None:
+        return {"film_zero_v": 2.5, "film_v_per_n": 0.0, "film_noise_v": 0.0}
+    per_count_n = film.newtons_per_count or 1.0
+    zero = film.zero - film.preload_n / per_count_n
+    v_per_n = 1 / per_count_n / COUNTS_PER_V
+    return {
+        "film_zero_v": (zero + ROUNDED_COUNTS) / COUNTS_PER_V,
+        "film_v_per_n": v_per_n,
+        # A reading is the sum of conversions.
+        "film_noise_v": noise_n * v_per_n * CONVERSIONS**0.5,
+    }
 
 
 def serve_board(board: EmulatedBoard, port: PtyPort) -> Callable[[float], None]:

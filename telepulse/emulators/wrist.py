@@ -12,15 +12,15 @@ class TissueContact(ContactLaw):
     """Contact of a probe with tissue that begins beyond the place where the probe rests."""
 
     def __init__(self, scene: WristScene) -> None:
-        self._law = StiffeningLaw(scene.knee_n, scene.length_m)
+        self.tissue = StiffeningLaw(scene.knee_n, scene.length_m)
 
     def position(self, force_n: float) -> float:
         """Return the position in m for a force, from the place of rest."""
-        return math.inf if math.isinf(force_n) else CLEARANCE_M + self._law.depth_m(force_n)
+        return math.inf if math.isinf(force_n) else CLEARANCE_M + self.tissue.depth_m(force_n)
 
     def force(self, position_m: float) -> float:
         """Return the force in N at a position."""
-        return self._law.force_n(position_m - CLEARANCE_M)
+        return self.tissue.force_n(position_m - CLEARANCE_M)
 
 
 def read_wrist(sensors: WristSensors, forces_n: list[float]) -> list[list[float]]:

@@ -15,7 +15,7 @@ from pulse_drives.stepdir.frames import (
     encode_command,
 )
 from pulse_drives.stepdir.scene import PER_STEP_RATE
-from telepulse.emulators.simavr import Harness, Programs
+from tests.support.simavr import Harness, Programs
 
 
 class Display(Harness):

@@ -19,9 +19,9 @@ from numpy.typing import NDArray
 from protocol.config.scene_file import find_scene, load_document
 from pulse_drives.stepdir.frames import BoardLimits, CommandResult, Format
 from telepulse.emulators import LATE_MS
-from telepulse.emulators.simavr import Harness, Programs
 from tests.support.avr_boards import Display
 from tests.support.emulated_bench import BenchFailedError, EmulatedBench
+from tests.support.simavr import Harness, Programs
 from tests.support.waiting import until
 
 # The pulse, made by the sensing node or by the emulator of the wrist's board.

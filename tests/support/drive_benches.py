@@ -23,9 +23,9 @@ from pulse_sensors.drive_film import DriveFilmScene
 from telepulse.emulators import PtyPort
 from telepulse.emulators.cia402 import ALL_MODES, EmulatedCia402Node
 from telepulse.emulators.motor import TICK_NS
-from telepulse.emulators.stepdir import EmulatedBoard, serve_board
+from telepulse.emulators.stepdir import serve_board
 from telepulse.emulators.tmcl import EmulatedCanLine, EmulatedSerialLine, EmulatedTmclModule
-from tests.support.fault_injection import FaultyMotor
+from tests.support.fault_injection import FaultyBoard, FaultyMotor
 from tests.support.slcan import SlcanBus
 from tests.support.virtual_lines import virtual_line
 from tests.support.virtual_time import VirtualTime
@@ -77,7 +77,7 @@ class Bench:
 
     scene: AnyScene
     actuator: StepperScene
-    motor: FaultyMotor
+    motor: FaultyMotor | FaultyBoard
     emulator: Any = None
     line: Any = None
     bus: Any = None
@@ -125,8 +125,14 @@ def drive_scene(kind: str, place: str, **keys: Any) -> AnyScene:
     return tmcl_scene(**{"interface": "virtual", "channel": place, **keys})
 
 
-def emulated_motor(scene: AnyScene, actuator: StepperScene, now_ns: int) -> FaultyMotor:
-    return FaultyMotor(actuator, actuator.contact(LAYER), scene.touch_m, now_ns)
+def emulated_motor(
+    scene: AnyScene, actuator: StepperScene, now_ns: int, film: DriveFilmScene | None = None
+) -> FaultyMotor | FaultyBoard:
+    """Return the motor of a scene, or its display board, which has its own."""
+    law = actuator.contact(LAYER)
+    if isinstance(scene, StepdirScene):
+        return FaultyBoard(scene, actuator, law, film, now_ns)
+    return FaultyMotor(actuator, law, scene.touch_m, now_ns)
 
 
 @contextmanager
@@ -146,8 +152,8 @@ def virtual_bench(
     keys = {"homing_speed": "20 mm/s", "touch": "0.6 mm", **keys}
     scene = drive_scene(kind, "virtual" if kind in ON_SERIAL else "c", **keys)
     world, actuator = VirtualTime(), actuator or actuator_of(kind)
-    motor = emulated_motor(scene, actuator, world.now_ns)
-    with virtual_line(world, scene, motor, also, modes, film) as ends:
+    motor = emulated_motor(scene, actuator, world.now_ns, film)
+    with virtual_line(world, scene, motor, also, modes) as ends:
         bench = Bench(scene, actuator, motor, *ends, clock=world)
         world.every(TICK_NS, lambda: motor.advance(world.now_ns))
         yield bench
@@ -181,8 +187,8 @@ def real_bench(kind: str, **keys: Any) -> Iterator[Bench]:
         parts: list[Callable[[], object]] = [partial(time.sleep, 0.001), node.poll]
         close = node.close
     elif isinstance(scene, StepdirScene):
-        board = bench.emulator = EmulatedBoard(motor, None, time.perf_counter_ns())
-        parts = [partial(serve_board(board, port), 0.001)]
+        bench.emulator = motor
+        parts = [partial(serve_board(motor, port), 0.001)]
         close = port.close
     else:
         module = bench.emulator = EmulatedTmclModule(scene, motor)

@@ -17,9 +17,18 @@ import canopen
 from display_node.plant.contact import ContactLaw
 from display_node.plant.scene import StepperScene
 from protocol.config.quantities import parse_quantity, parse_ratio
+from pulse_drives.stepdir.frames import (
+    BoardGreeting,
+    BoardState,
+    board_reader,
+    decode_report,
+    encode_report,
+)
+from pulse_drives.stepdir.scene import StepdirScene
+from pulse_sensors.drive_film import DriveFilmScene
 from telepulse.emulators.cia402 import EmulatedCia402Node
 from telepulse.emulators.motor import TICK_NS, EmulatedMotor
-from telepulse.emulators.stepdir import EmulatedBoard
+from telepulse.emulators.stepdir import EmulatedBoard, amplifier
 from telepulse.emulators.tmcl import EmulatedTmclModule
 
 _RATIO = "ratio"
@@ -142,6 +151,11 @@ class FaultInjector:
         return force_n
 
     @property
+    def spoils_film(self) -> bool:
+        """True while the film's readings are false or late."""
+        return self._kind is not None and self._kind.value.startswith("film-")
+
+    @property
     def film_delay_ns(self) -> int:
         """Additional delay of the film's samples."""
         return round(self._size * 1e9) if self._kind is FaultKind.FILM_LATE else 0
@@ -217,15 +231,64 @@ class FaultyTmclModule(EmulatedTmclModule):
 
 
 class FaultyBoard(EmulatedBoard):
-    """A display board whose frames the injector of its motor spoils."""
+    """A display board with an injector of faults between it and its motor, film and host.
 
-    _motor: FaultyMotor
+    Its tip is where the count is. versions: fields of its greeting that are changed.
+    """
+
+    def __init__(
+        self,
+        drive: StepdirScene,
+        stepper: StepperScene,
+        law: ContactLaw,
+        film: DriveFilmScene | None,
+        now_ns: int,
+        noise_n: float = 0.0,
+    ) -> None:
+        super().__init__(drive, stepper, law, film, now_ns, noise_n, rigid=True)
+        self.injector = FaultInjector(stepper.step_m)
+        self.versions: dict[str, int] = {}
+        self._amplifier = amplifier(film, 0.0)
+        self._late_n: deque[float] = deque()
+        # Where the board began to count the shaft's steps.
+        self._counted_from: int | None = None
 
     def due_frames(self) -> list[bytes]:
-        injector = self._motor.injector
         for frame in super().due_frames():
-            injector.queue_answer(frame, self._now_ns)
-        return injector.due_answers(self._now_ns)
+            self.injector.queue_answer(self._as_read(frame), self._now_ns)
+        return self.injector.due_answers(self._now_ns)
+
+    def _pass_ms(self) -> None:
+        injector = self.injector
+        ratio = injector.motion_ratio
+        out = ratio if injector.executed_hz(-1.0) else 0.0
+        self._late_n.append(injector.film_n(self.force_n))
+        read_n = self._late_n[0]
+        while len(self._late_n) > injector.film_delay_ns // TICK_NS:
+            read_n = self._late_n.popleft()
+        if (ratio, out) != (1.0, 1.0):
+            self._sketch.set(turns_in=ratio, turns_out=out)
+        if injector.spoils_film:
+            film_v = self._amplifier["film_zero_v"] + self._amplifier["film_v_per_n"] * read_n
+            self._sketch.set(film_v=film_v, film_noise_v=0.0)
+        super()._pass_ms()
+
+    def _as_read(self, frame: bytes) -> bytes:
+        """Return a frame as the host reads it, with a false position or version."""
+        (body,) = board_reader().feed(b"\0" + frame) or (b"\0",)
+        match decode_report(body):
+            case BoardState() as state:
+                ratio, position, velocity = 1.0, state.position, state.velocity
+                if self.injector.counts_shaft:
+                    ratio = self.injector.motion_ratio
+                    self._counted_from = self._counted_from or position
+                    position = round(self._counted_from + ratio * (position - self._counted_from))
+                position = self.injector.position_steps(position, self._now_ns)
+                velocity = round(ratio * velocity)
+                return encode_report(state._replace(position=position, velocity=velocity))
+            case BoardGreeting() as greeting if self.versions:
+                return encode_report(greeting._replace(**self.versions))
+        return frame
 
 
 class _FaultyNetwork(canopen.Network):

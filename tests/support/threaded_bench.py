@@ -17,12 +17,13 @@ from display_node.scene import DisplayScene
 from protocol.host.realtime import Pacer
 from pulse_drives import Drive
 from pulse_drives.scene import DriveScene
+from pulse_drives.stepdir.scene import StepdirScene
 from pulse_sensors.drive_film import DriveFilmDecoder, DriveFilmScene
 from pulse_sensors.sensor import Sensor
 from pulse_sensors.serial_port import SerialScene
 from telepulse.emulators.drive_run import EmulatedFilm
 from telepulse.emulators.motor import MotorState
-from tests.support.fault_injection import FaultyMotor
+from tests.support.fault_injection import FaultyBoard, FaultyMotor
 from tests.support.sender import MS, Sender
 from tests.support.virtual_lines import PORT_BYTES, Pipe, virtual_line
 from tests.support.virtual_time import VirtualThread, VirtualTime
@@ -94,7 +95,12 @@ class ThreadedBench:
         stiffness = self.finger * actuator.fingertip_n_per_m
         finger = actuator.model_copy(update={"fingertip_n_per_m": stiffness})
         law = self.law or finger.contact(self.scene.layer.layer())
-        self.motor = FaultyMotor(actuator, law, self.drive_scene.touch_m, world.now_ns)
+        self.motor: FaultyMotor | FaultyBoard
+        if isinstance(self.drive_scene, StepdirScene):
+            film, noise_n = self.drive_film, self.scene.film.noise_n
+            self.motor = FaultyBoard(self.drive_scene, finger, law, film, world.now_ns, noise_n)
+        else:
+            self.motor = FaultyMotor(actuator, law, self.drive_scene.touch_m, world.now_ns)
         self.moments: list[MotorState] = []
         self.motor.trace = self.watch or self.moments.append
         self.film = FilmPort(world)
@@ -107,9 +113,7 @@ class ThreadedBench:
 
     def __enter__(self) -> "ThreadedBench":
         world = self.world
-        film = self.drive_film
-        line = virtual_line(world, self.drive_scene, self.motor, VIRTUAL, film=film)
-        self._patches.enter_context(line)
+        self._patches.enter_context(virtual_line(world, self.drive_scene, self.motor, VIRTUAL))
         world.every(MS, self._poll_motor)
         world.every(BATCH * MS, self._send_frame)
         return self

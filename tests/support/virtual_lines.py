@@ -12,8 +12,6 @@ import can
 
 from protocol.config.kinds import load_object
 from pulse_drives.scene import Cia402Scene, DriveScene, TmclScene
-from pulse_drives.stepdir.scene import StepdirScene
-from pulse_sensors.drive_film import DriveFilmScene
 from telepulse.emulators.cia402 import ALL_MODES, EmulatedCia402Node
 from telepulse.emulators.motor import TICK_NS
 from telepulse.emulators.stepdir import EmulatedBoard
@@ -261,27 +259,25 @@ class Notifier:
 def virtual_line(
     world: VirtualTime,
     scene: DriveScene,
-    motor: FaultyMotor,
+    motor: FaultyMotor | FaultyBoard,
     also: Sequence[str] = (),
     modes: Any = ALL_MODES,
-    film: DriveFilmScene | None = None,
 ) -> Iterator[tuple[Any, ...]]:
     """Run a drive's emulator in virtual time, on a line that its driver opens for a real one.
 
-    also: further modules that run in virtual time. film: on the line of a display board. Yields the
-    emulator; its port, or our end of the CAN bus of two; and a module's bus.
+    motor: a display board is its own emulator. also: further modules that run in virtual time.
+    Yields the emulator; its port, or our end of the CAN bus of two; and a module's bus.
     """
     load_object(scene.driver)  # so that its clock is replaced too
     with world.substituted((*VIRTUAL, *also)):
         if isinstance(scene, Cia402Scene):
             with _cia402_line(world, scene, motor, modes) as ends:
                 yield ends
-        elif isinstance(scene, StepdirScene):
-            board = FaultyBoard(motor, film, world.now_ns)
-            line = BoardPort(world, board)
+        elif isinstance(motor, FaultyBoard):
+            line = BoardPort(world, motor)
             world.every(TICK_NS, line.poll)
             with patch("serial.serial_for_url", line.open):
-                yield board, line
+                yield motor, line
         else:
             assert isinstance(scene, TmclScene)
             module = FaultyTmclModule(scene, motor)

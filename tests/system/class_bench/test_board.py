@@ -25,10 +25,10 @@ from pulse_drives.stepdir.frames import (
     TripCause,
 )
 from pulse_drives.stepdir.scene import PER_STEP_RATE
-from telepulse.emulators import simavr
-from telepulse.emulators.simavr import Harness, Programs
+from tests.support import simavr
 from tests.support.avr_boards import Display
 from tests.support.class_bench import TICK_HZ, given_steps
+from tests.support.simavr import Harness, Programs
 
 pytestmark = pytest.mark.skipif(simavr.missing() is not None, reason=str(simavr.missing()))
 

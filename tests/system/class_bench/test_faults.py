@@ -14,8 +14,7 @@ import numpy as np
 import pytest
 
 from display_node.verdict import LATE_TICKS
-from telepulse.emulators import simavr
-from telepulse.emulators.simavr import Programs
+from tests.support import simavr
 from tests.support.class_bench import (
     FAULTS,
     FOUND_AT_ONCE,
@@ -25,6 +24,7 @@ from tests.support.class_bench import (
     playing,
 )
 from tests.support.emulated_bench import BenchFailedError
+from tests.support.simavr import Programs
 
 pytestmark = pytest.mark.skipif(simavr.missing() is not None, reason=str(simavr.missing()))
 

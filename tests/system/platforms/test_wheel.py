@@ -23,4 +23,6 @@ def test_the_wheel_is_pure_and_has_every_package_with_its_data(tmp_path: Path) -
         "pulse_drives/cia402/cia402.eds",
         "telepulse/document.html",
         "telepulse/paper/page.md",
+        "telepulse/firmware/host/host.cpp",
+        "telepulse/firmware/telepulse_display/telepulse_display.ino",
     } <= {*names}

@@ -14,10 +14,11 @@ from pulse_sensors.binary_frames import FrameDecoder
 from pulse_sensors.samples import SampleBlock
 from pulse_sensors.sensor import open_sensor
 from pulse_sensors.serial_port import SerialScene
-from telepulse.emulators import simavr
+from telepulse.emulators import sketch
+from tests.support import simavr
 from tests.support.sample_blocks import forces, received
 
-SKETCH = simavr.FIRMWARE / "telepulse_sensor" / "telepulse_sensor.ino"
+SKETCH = sketch.FIRMWARE / "telepulse_sensor" / "telepulse_sensor.ino"
 BOARD = """
 #pragma once
 #include <cstdint>
@@ -39,18 +40,18 @@ MAIN = '#include "{sketch}"\nint main() {{ setup(); while (readings < 400) loop(
 def frames_of_sketch(folder: Path, source: str) -> bytes:
     """Compile a sketch's text for this machine with an emulated board, and return its output."""
     (folder / "Arduino.h").write_text(BOARD, encoding="utf-8")
-    sketch, main, program = folder / "sketch.ino", folder / "main.cpp", folder / "board"
-    sketch.write_text(source, encoding="utf-8")
-    main.write_text(MAIN.format(sketch=sketch), encoding="utf-8")
+    copy, main, program = folder / "sketch.ino", folder / "main.cpp", folder / "board"
+    copy.write_text(source, encoding="utf-8")
+    main.write_text(MAIN.format(sketch=copy), encoding="utf-8")
     paths = [f"-I{folder}", f"-I{SKETCH.parent}"]
-    simavr.run_compiler(folder, "g++", *simavr.WARNINGS, *paths, str(main), "-o", str(program))
+    sketch.run_compiler(folder, "g++", *simavr.WARNINGS, *paths, str(main), "-o", str(program))
     return subprocess.run([str(program)], capture_output=True, check=True, timeout=20).stdout
 
 
 def test_both_sketches_have_the_same_framing() -> None:
     # Each folder opens in Arduino's editor as it is, without a library to install.
     files = [
-        simavr.FIRMWARE / name / "telepulse_frames.h"
+        sketch.FIRMWARE / name / "telepulse_frames.h"
         for name in ("telepulse_display", "telepulse_sensor")
     ]
     assert len({file.read_bytes() for file in files}) == 1

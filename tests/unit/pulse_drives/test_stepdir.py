@@ -56,7 +56,7 @@ def stall(bench: Bench, ms: int) -> None:
 def test_a_board_of_another_version_is_refused(
     bench: Bench, protocol: int, firmware: int, words: str
 ) -> None:
-    bench.emulator.protocol, bench.emulator.firmware = protocol, firmware
+    bench.emulator.versions = {"protocol": protocol, "firmware": firmware}
     with pytest.raises(DriveError, match=words) as error:
         bench.drive.start()
     assert error.value.kind == "refused"
@@ -240,7 +240,7 @@ def test_the_board_takes_the_tip_off_the_finger_by_itself(bench: Bench, event: s
     assert bench.motor.force_n > 0.1
     match event:
         case "reset":
-            bench.emulator.reset()
+            bench.emulator.restart()
         case "unplugged":
             bench.line.unplugged = True
     stall(bench, 300)
@@ -253,7 +253,7 @@ def test_the_board_takes_the_tip_off_the_finger_by_itself(bench: Bench, event: s
 
 def test_a_board_that_was_reset_is_a_fault_and_can_be_started_again(bench: Bench) -> None:
     bench.start(RATE_HZ, 0.1e-3)
-    bench.emulator.reset()
+    bench.emulator.restart()
     bench.keep(RATE_HZ, lambda: bench.fault)
     assert bench.fault == "fault: it was reset"
     # Its withdrawal ends before the board is set up again.
@@ -315,7 +315,7 @@ def test_a_film_finds_its_board_again() -> None:
             film.poll()
             bench.line.unplugged = True
             bench.clock.sleep(0.5)
-            bench.emulator.reset()
+            bench.emulator.restart()
             bench.line.unplugged = False
             bench.clock.sleep(0.5)
             assert film.poll()
