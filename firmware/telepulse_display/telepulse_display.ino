@@ -4,6 +4,11 @@
 //
 // Uno or Nano with a CNC shield (axis X), and 32-bit boards: see board.h. No library is needed.
 
+#ifdef __AVR__
+// Arduino's -Os takes a quarter longer: too long for a velocity each millisecond at the highest rate.
+#pragma GCC optimize("O2")
+#endif
+
 #include "board.h"
 #include "film_trend.h"
 #include "frame_reader.h"
@@ -44,12 +49,14 @@ struct __attribute__((packed)) Search {
   uint16_t timeout_ms;
 };
 
-// From home on until withdrawn: the limits, and the position with its complement, which show where
-// the tip leaves the finger after a reset.
+// From home on until withdrawn: the limits, and the position at a count of steps, with a check of
+// both. They show where the tip leaves the finger after a reset.
 struct {
   Limits limits;
   uint16_t crc;
-  int32_t position, complement;
+  int32_t position;
+  uint16_t steps;
+  int32_t check;
 } kept KEPT_OVER_RESET;
 
 FrameReader reader;
@@ -89,9 +96,12 @@ void keep_limits() {
 
 void forget_limits() { kept.crc = ~crc_of_kept(); }
 
+int32_t check_of_position() { return ~kept.position ^ kept.steps; }
+
 void keep_position() {
   kept.position = stepper.position;
-  kept.complement = ~stepper.position;
+  kept.steps = stepper.counted_steps;
+  kept.check = check_of_position();
 }
 
 // Switch the motor off. Its position is then unknown.
@@ -143,7 +153,7 @@ void leave(int32_t target, int32_t from, Cause why) {
 void end_search(Cause why) {
   if (seeking && trend.fell()) {
     leave(stepper.position - (int32_t)limits.withdrawal, FURTHEST, why);
-  } else if (seeking ? trend.rose() : !trend.fell()) {
+  } else if (!seeking || trend.rose()) {
     leaving = false;
     retreat(began_at, why);
   } else {
@@ -214,6 +224,13 @@ void seek_home() {
 
 // ---- The board's own supervision ---------------------------------------------------------------
 
+bool switch_is_closed() { return pin_home() == !!(limits.options & NORMALLY_CLOSED); }
+
+void take_switch() {
+  home_closed = switch_is_closed();
+  home_changing = 0;
+}
+
 void read_inputs() {
   // By halves, a jump at any time is found within 1.5 ms.
   uint16_t halves[2];
@@ -222,9 +239,8 @@ void read_inputs() {
   uint16_t least = 2 * min(halves[0], halves[1]), most = 2 * max(halves[0], halves[1]);
   film_outside = has_limits && (least < limits.film_least || most >= limits.film_most);
   faulty = (limits.options & HAS_FAULT_PIN) && pin_fault() == !!(limits.options & FAULT_IS_HIGH);
-  bool closed = pin_home() == !!(limits.options & NORMALLY_CLOSED);
-  home_changing = closed == home_closed ? 0 : home_changing + 1;
-  if (home_changing == DEBOUNCE_MS) home_closed = closed;
+  home_changing = switch_is_closed() == home_closed ? 0 : home_changing + 1;
+  if (home_changing == DEBOUNCE_MS) take_switch();
 }
 
 void supervise() {
@@ -298,6 +314,8 @@ Result take_limits(const Limits &wanted, uint8_t &field) {
   if ((field = wrong_limit(wanted))) return OUT_OF_BOUNDS;
   limits = wanted;
   has_limits = true;
+  // By the new options.
+  take_switch();
   trend.scale(limits.film_least, limits.film_most, limits.options & FILM_FALLS);
   return DONE;
 }
@@ -415,14 +433,18 @@ void send_state(uint32_t now_us) {
 
 void setup() {
   board_begin(BAUD);
+  stepper.counted_steps = tick_steps;
   bool was_on = kept.crc == crc_of_kept();
   if (was_on && board_reset_cause() != RESET_POWER_UP && !wrong_limit(kept.limits)) {
     limits = kept.limits;
-    // A reset in the midst of writing it.
-    bool torn = kept.complement != ~kept.position;
-    switch_on(torn ? limits.highest : kept.position);
+    // The interrupt goes on where the program hangs. A reset in the midst of keep_position() leaves
+    // no position.
+    int32_t position = kept.position + (int16_t)(tick_steps - kept.steps);
+    switch_on(kept.check == check_of_position() ? position : limits.highest);
     withdraw(RESET);
+    return;
   }
+  forget_limits();
 }
 
 void loop() {
