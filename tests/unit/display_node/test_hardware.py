@@ -319,4 +319,4 @@ def test_without_a_film_a_silent_drive_is_named_as_such() -> None:
         bench.motor.injector.begin(lost, bench.world.now_ns)
         bench.run(200)
     (first, *_) = bench.faults
-    assert first.startswith("drive: no answer for ")
+    assert first.startswith("drive: no answer")
