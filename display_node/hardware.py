@@ -9,13 +9,13 @@ from display_node.plant.film_plausibility import FilmPlausibility, RisingForce
 from display_node.plant.scene import ActuatorScene, StepperScene
 from protocol.errors import DriveError, SceneError, SourceError
 from protocol.faults import Fault, FaultKind, Part, internal_fault
+from protocol.finger import TOUCH_N, FingerState, WithdrawalOutcome
 from protocol.tactile import ElasticLayer
 from protocol.ticks import LimitCounter
 from pulse_drives import Drive, build_drive
 from pulse_drives.drive import WITHDRAWN_WITHIN_S
 from pulse_drives.scene import DriveScene
 from pulse_drives.supervisor import FILM_IS_WRONG, GIVEN_UP
-from pulse_drives.withdrawal import TOUCH_N, FingerState, WithdrawalOutcome
 from pulse_sensors.sensor import Sensor
 
 FIRST_SAMPLE_WITHIN_S = 5.0

@@ -2,6 +2,7 @@
 
 import pytest
 
+from protocol.finger import FingerState, WithdrawalOutcome, describe_finger
 from pulse_drives.withdrawal import (
     FAST_M_PER_S,
     FILM_SILENT_NS,
@@ -9,10 +10,7 @@ from pulse_drives.withdrawal import (
     OVERDUE_NS,
     PATIENCE_NS,
     SLOW_M_PER_S,
-    FingerState,
     Withdrawal,
-    WithdrawalOutcome,
-    describe_finger,
 )
 
 UNDER_WAY, WITHDRAWN, RELIEVED, UNCONFIRMED, WRONG_WAY = WithdrawalOutcome
@@ -21,6 +19,7 @@ UNDER_WAY, WITHDRAWN, RELIEVED, UNCONFIRMED, WRONG_WAY = WithdrawalOutcome
 @pytest.mark.parametrize(
     ("state", "sentence"),
     [
+        (FingerState(), ""),
         (FingerState(0.245), "pressed with 245 mN"),
         (FingerState(0.003), "not pressed"),
         (FingerState(0.245, 0.0, "model"), "pressed with 245 mN (model)"),
