@@ -15,7 +15,6 @@ from typing import Any, TypeVar
 from protocol.errors import DriveError, SourceError
 from protocol.faults import Fault, FaultKind, Part, internal_fault
 from protocol.host.descriptors import DescriptorSet
-from protocol.host.descriptors import DescriptorSet
 from protocol.host.guard import GuardedThread
 from pulse_drives.scene import open_port
 from pulse_drives.start_advice import start_advice
