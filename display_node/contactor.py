@@ -171,7 +171,7 @@ class Contactor:
         newest_ns
             Time of the newest sample.
         alive
-            Whether the stream is not stale.
+            Whether the stream is not stale, and no fault is latched.
         full
             Whether the pulse was felt at full strength in the last tick.
 

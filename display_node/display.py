@@ -216,7 +216,7 @@ class Display:
         if elapsed_ticks > 1:
             for contactor in contactors:
                 contactor.loop.coast(elapsed_ticks - 1)
-        alive = self._playout.play(now_ns, fade.gain == 1.0)
+        alive = self._playout.play(now_ns, fade.gain == 1.0, at_rest=bool(fade.faults))
         for contactor in contactors:
             contactor.read_force(now_ns, fade)
         if self.press is not None:
@@ -322,10 +322,8 @@ class Display:
             loop=loop,
             press=PressFigures() if self.press is None else self.press.figures(),
             rejected=dict(self.receiver.rejected),
-            faults=[
-                *map(str, self.fade.faults),
-                *(f"film's sensor: {note}" for each in contactors for note in each.notes),
-            ],
+            faults=list(self.fade.faults),
+            notes=[note for each in contactors for note in each.notes],
         )
         played_s = delays.ticks * self._tick_ns * 1e-9
         figures = dict[str, Summary]()

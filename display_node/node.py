@@ -21,8 +21,10 @@ from display_node.telemetry.publisher import Publisher
 from protocol import sockets
 from protocol.faults import Part, internal_fault
 from protocol.histogram import Histogram
+from protocol.host.output import FAULT
 from protocol.host.realtime import Pacer
 from protocol.pieces import Pieces, complete
+from protocol.refusals import Reason
 from protocol.security.authenticator import Authenticator
 from protocol.security.link_keys import ClientKeys, ServerKeys
 from protocol.summary.fields import Lateness, Summary, TickTime
@@ -184,7 +186,7 @@ class DisplayNode:
         for hardware in self._benches:
             if hardware is not None:
                 hardware.begin_withdrawal()
-        logger.error(f"fault: {fault}: {fault.remedy}")
+        logger.error(f"fault: {fault}: {fault.remedy}", extra={FAULT: True})
         logger.debug("the loop has ended", exc_info=error)
 
     def _receive(self, until_ns: int) -> None:
@@ -223,7 +225,7 @@ class DisplayNode:
             self.stop()
         faults = self._display.fade.faults
         for fault in faults[self._named_faults :]:
-            logger.error(f"fault: {fault}: {fault.remedy}")
+            logger.error(f"fault: {fault}: {fault.remedy}", extra={FAULT: True})
         self._named_faults = len(faults)
         for reason in (self._display.receiver.other_version, self._display.receiver.false_report):
             if reason and reason not in self._warned:
@@ -292,13 +294,13 @@ class DisplayNode:
             waiting_for=self._waiting_for(),
         )
 
-    def _waiting_for(self) -> str | None:
+    def _waiting_for(self) -> list[Reason]:
         """Return what the display waits for while it has no stream to play."""
         state, description = self._display.state, self._display.receiver.description
         if state not in WITHOUT_SAMPLES:
-            return None
+            return []
         if state == "waiting" and description is not None and self._connection.refused is None:
-            return f"the first samples of {description.name!r}"
+            return [Reason(f"the first samples of {description.name!r}")]
         return self._connection.waiting_for(time.perf_counter_ns())
 
     def _finish(self) -> Summary:

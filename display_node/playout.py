@@ -60,10 +60,11 @@ class Playout:
             leads_ns = (contactor.sample_lead_ns for contactor in contactors)
             self._receiver.buffer.keep_accounts([self._sample_lead_ns - each for each in leads_ns])
 
-    def play(self, now_ns: int, full: bool) -> bool:
-        """Play the instant that is due on all contactors; return whether the stream is alive.
+    def play(self, now_ns: int, full: bool, at_rest: bool = False) -> bool:
+        """Play the instant that is due on all contactors; return whether the pulse is alive.
 
-        full: whether the pulse was felt at full strength in the last tick.
+        full: whether the pulse was felt at full strength in the last tick. at_rest: after a fault
+        no finger feels it, so that it counts neither as played nor as predicted.
         """
         receiver, contactors = self._receiver, self._contactors
         contactors[0].state.predicted_ns = NOT_PLAYED
@@ -87,7 +88,8 @@ class Playout:
         latest_ns = instant_ns + self._sample_lead_ns
         live = receiver.live(latest_ns, sensing_now_ns, self._stale_after_ns)
         buffer.advance(latest_ns, live and trusted)
-        alive, longest_ns = live, 0
+        felt = live and not at_rest
+        alive, longest_ns = felt, 0
         for sample_lead_ns, count, places, group in self._groups:
             sampled_ns = instant_ns + sample_lead_ns
             received = buffer.known(self._tick_ns, count, sampled_ns, places)
@@ -95,7 +97,7 @@ class Playout:
                 state = contactor.state
                 state.now_ns, state.sensing_now_ns = now_ns, sensing_now_ns
                 state.instant_ns, state.trusted = instant_ns, trusted
-                predicted_ns = contactor.play(wrist_n, sampled_ns, newest_ns, live, full)
+                predicted_ns = contactor.play(wrist_n, sampled_ns, newest_ns, felt, full)
                 if predicted_ns == NOT_PLAYED:
                     alive = False
                 elif predicted_ns > longest_ns:

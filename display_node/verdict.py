@@ -12,9 +12,9 @@ from typing import NamedTuple
 
 from rich.console import Console
 
-from display_node.fault_advice import FILM_NOTE, SENSING_NOTE, latched, name_faults
 from display_node.scoring.tracking_error import JND
-from protocol.cli_options import FAULT_STATUS, sum_up
+from protocol.cli_options import fault_status, sum_up
+from protocol.faults import texts_by_node
 from protocol.provenance import Provenance
 from protocol.refusals import CAUSE_MEANINGS
 from protocol.summary.fields import Limits, Summary
@@ -74,16 +74,14 @@ def conclude(
     """
     lines, valid = verdict(summary)
     sum_up(program, summary, title, console, json, provenance, lines, details)
-    if name_faults(program, summary.faults):
-        return FAULT_STATUS
-    return 0 if valid else NOT_VALID_STATUS
+    return fault_status(program, summary) or (0 if valid else NOT_VALID_STATUS)
 
 
 def _ruined(summary: Summary) -> str | None:
     """Return why a run is not valid; None for a valid one."""
     of_run = summary.availability
-    if faults := latched(summary.faults):
-        return f"the display stopped at the fault {faults[0]!r}"
+    if summary.faults:
+        return f"it stopped at the fault {str(summary.faults[0])!r}"
     if not of_run.felt:
         return f"no pulse was felt; {_why_nothing(summary)}"
     if (of_run.missed or 0.0) > MOST_MISSED:
@@ -97,11 +95,8 @@ def _ruined(summary: Summary) -> str | None:
 def _why_nothing(summary: Summary) -> str:
     """Return why a display felt no pulse at all."""
     refused = _unusual(summary.rejected)
-    if reason := summary.waiting_for:
-        # Of several addresses, each has a part.
-        nobody = all(part.startswith("nobody") for part in reason.split("; "))
-        remedy = "; start the sensing node there, or check the address" if nobody else ""
-        return f"{reason}{remedy}"
+    if reasons := summary.waiting_for:
+        return "; ".join(map(str, reasons))
     if refused and summary.clock.offset_ms is None:
         return _most(refused)
     if summary.clock.offset_ms is None:
@@ -109,6 +104,13 @@ def _why_nothing(summary: Summary) -> str:
     if not summary.samples.sent:
         return "the sensing node sent no samples: check its source"
     return "the stream ended, or the display was stopped, before the pulse was at full strength"
+
+
+def _in_time(summary: Summary, sentence: str) -> str:
+    """Return a sentence on the felt pulse, which a fault has ended."""
+    if summary.faults:
+        return f"Before the fault {sentence}"
+    return f"{sentence[0].upper()}{sentence[1:]}"
 
 
 def _felt(summary: Summary) -> Iterator[str]:
@@ -121,9 +123,10 @@ def _felt(summary: Summary) -> Iterator[str]:
     beats = f", at {rates[0]:.0f} beats a minute" if rates else ""
     around = sum(share or 0.0 for share in (of_run.waiting, of_run.starting, of_run.ended))
     felt_s, around_s = of_run.felt * of_run.seconds, around * of_run.seconds
-    yield (
-        f"The pulse was felt for {felt_s:.1f} of {of_run.seconds:.1f} s{beats}; start and end took"
-        f" {around_s:.1f} s."
+    yield _in_time(
+        summary,
+        f"the pulse was felt for {felt_s:.1f} of {of_run.seconds:.1f} s{beats}; start and end took"
+        f" {around_s:.1f} s.",
     )
 
 
@@ -135,11 +138,11 @@ def _error(summary: Summary) -> Iterator[str]:
     name, rmse_n, figures = worst
     of = f" at {name}, the worst contactor," if name else ""
     # One digit, where the figures have more: a finger notices none of them.
-    text = f"The force{of} was off by {1e3 * rmse_n:.1f} mN (force RMSE, aligned)"
+    text = f"the force{of} was off by {1e3 * rmse_n:.1f} mN (force RMSE, aligned)"
     if height_n := figures.beats.height_at_finger_n:
         share = _percent(rmse_n / height_n)
         text += f", {share} of the pulse's height; a finger notices {100 * JND:.0f} % or more"
-    yield f"{text}."
+    yield _in_time(summary, f"{text}.")
 
 
 def _delay(summary: Summary) -> Iterator[str]:
@@ -149,9 +152,10 @@ def _delay(summary: Summary) -> Iterator[str]:
         return
     ahead = ", thanks to prediction" if felt_ms < network.p50 else ""
     tail = "" if network.p99 is None else f" (99 % within {network.p99:.1f} ms)"
-    yield (
-        f"The finger felt the pulse {max(felt_ms, 0.0):.1f} ms after the wrist on average{ahead};"
-        f" the network took {network.p50:.1f} ms{tail}."
+    yield _in_time(
+        summary,
+        f"the finger felt the pulse {max(felt_ms, 0.0):.1f} ms after the wrist on average{ahead};"
+        f" the network took {network.p50:.1f} ms{tail}.",
     )
 
 
@@ -167,7 +171,8 @@ def _lost(summary: Summary) -> Iterator[str]:
         share = _percent((lost + late) / samples.sent)
         parts = (f"{lost} were lost" if lost else "", f"{late} came too late" if late else "")
         text = f"Of {samples.sent} samples, {' and '.join(filter(None, parts))} ({share})"
-        smooth = not summary.interruptions.count and not summary.compensation.corrections
+        stops = summary.faults or summary.interruptions.count
+        smooth = not stops and not summary.compensation.corrections
         text += "; the finger felt no gap." if smooth else "."
     if summary.press.lost:
         text += f" Of {summary.press.sent} set-points, {summary.press.lost} were lost."
@@ -194,16 +199,18 @@ def _wrong(summary: Summary) -> Iterator[str]:
             f"This computer was too busy: in the worst 5 s {_percent(worst.missed)} of the ticks"
             f" were missed; {DOCTOR}."
         )
-    for prefix, of in ((FILM_NOTE, "The film's sensor"), (SENSING_NOTE, "The sensing node")):
-        notes = [fault.removeprefix(prefix) for fault in summary.faults if fault.startswith(prefix)]
-        if notes:
-            yield f"{of}: {'; '.join(notes)}."
+    for of, texts in zip(
+        ("The film's sensor", "The sensing node"), texts_by_node(summary.notes), strict=True
+    ):
+        if texts:
+            yield f"{of}: {'; '.join(texts)}."
     for name, figures in summary.of_each_contactor().items():
         of = f" at {name}" if name else ""
         if figures.within_jnd is not None and figures.within_jnd < 1 - NOTICED:
-            yield (
-                f"The error{of} was large enough to notice for {_percent(1 - figures.within_jnd)}"
-                " of the time: --details shows prediction and limits."
+            yield _in_time(
+                summary,
+                f"the error{of} was large enough to notice for {_percent(1 - figures.within_jnd)}"
+                " of the time: --details shows prediction and limits.",
             )
         yield from _limits(figures.limited, of)
     for who, rejected in (

@@ -236,6 +236,13 @@ def sum_up(
             write_json(summary, json, provenance)
 
 
+def fault_status(program: str, summary: Summary) -> int:
+    """Name a run's latched faults on stderr, with remedies; return the exit status, 0 for none."""
+    for fault in summary.faults:
+        print(f"{program}: ended at the fault {str(fault)!r}: {fault.remedy}", file=sys.stderr)
+    return FAULT_STATUS if summary.faults else 0
+
+
 @contextmanager
 def apply_and_log_realtime(program: str, request: RealtimeRequest) -> Iterator[RealtimeGrant]:
     """Apply the settings as `apply_realtime` does; log those granted and those refused."""

@@ -1,14 +1,24 @@
 """Faults of a run: records that are latched, sent, stored and shown, and their remedies.
 
 A fault is detected as a record and becomes text only where a person reads it. No code reads that
-text.
+text. The JSON of a record has these fields under the same names, and a fault's remedy.
 """
 
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from enum import StrEnum
+from typing import Any, Self
 
 
-class Part(StrEnum):
+class _Name(StrEnum):
+    """Names of which a node of a later version may send others: these are read as unknown."""
+
+    @classmethod
+    def _missing_(cls, value: object) -> Self | None:
+        return cls("unknown") if isinstance(value, str) and value != "unknown" else None
+
+
+class Part(_Name):
     """The part of a node that a fault or a note is about."""
 
     DRIVE = "drive"
@@ -19,9 +29,10 @@ class Part(StrEnum):
     SENSOR = "sensor"
     LOOP = "loop"
     LINK = "link"
+    UNKNOWN = "unknown"
 
 
-class FaultKind(StrEnum):
+class FaultKind(_Name):
     """Kind of a fault, or of a drive's error; the value is its name in files and metrics."""
 
     # The line to a device.
@@ -70,28 +81,43 @@ class FaultKind(StrEnum):
     NOT_STARTED = "not started"
     CLOSED = "closed"
     ENDED = "ended"
+    # Of a node of another version.
+    UNKNOWN = "unknown"
 
+
+START_AGAIN = "then start the node again"
+#: Reasons to rest that are no faults.
+RESTING = frozenset({FaultKind.NOT_STARTED, FaultKind.CLOSED, FaultKind.ENDED})
 
 _LOOP = "this host stopped the loop: display-node --doctor names what helps"
-_FILM_AND_DRIVE = "film and drive contradict each other: telepulse calibrate, telepulse bench"
+_CONTRADICTION = "{part} and drive contradict each other: telepulse calibrate, telepulse bench"
+_TOO_MUCH = "check the {part} (telepulse calibrate) and the drive's direction (telepulse bench)"
 _POWER = "the tip may still press: switch the drive's power off, take the finger away"
 _PORT = "check the drive's cable and port"
-# Remedies of kinds that need one; what every fault needs is in `Fault.remedy`.
-_REMEDIES = {
-    FaultKind.UNPLUGGED: _PORT,
+_BUS = "check the drive's cable, its CAN adapter and the bus"
+_OTHER_DRIVE = "use a drive that fits the scene (docs/drives.md)"
+#: Kind of a fault -> what a person is to do; {part} is the fault's.
+REMEDIES = {
+    FaultKind.LIBRARY_MISSING: "install the library that the cause names",
     FaultKind.NO_SUCH_PORT: _PORT,
-    FaultKind.NOT_ALLOWED: _PORT,
-    FaultKind.BUSY: _PORT,
-    FaultKind.NO_SUCH_BUS: _PORT,
-    FaultKind.BUS_DOWN: _PORT,
+    FaultKind.NOT_ALLOWED: "let this user open the drive's port: sudo usermod -aG dialout $USER",
+    FaultKind.BUSY: "end the other program that uses the drive's port",
+    FaultKind.NO_SUCH_INTERFACE: _BUS,
+    FaultKind.NO_SUCH_BUS: _BUS,
+    FaultKind.BUS_DOWN: _BUS,
+    FaultKind.UNPLUGGED: _PORT,
     FaultKind.NO_ANSWER: "check the drive's power, cable, address and bit rate",
     FaultKind.GARBLED: "check the drive's cable, shield and bit rate",
     FaultKind.WRONG_DEVICE: "another device answers: check the drive's port and address",
     FaultKind.NO_POSITION: "the drive's answers come late: check its line, address and bit rate",
     FaultKind.REFUSED: "the drive rejects a setting of the scene: compare it with the drive's"
     " manual",
+    FaultKind.NOT_CIA402: _OTHER_DRIVE,
+    FaultKind.NO_SPEED_MODE: _OTHER_DRIVE,
+    FaultKind.NO_WATCHDOG: _OTHER_DRIVE,
     FaultKind.NOT_HOMED: "check the home switch and `homing` in the scene",
     FaultKind.NOT_ENABLED: "check the drive's enable input and supply voltage",
+    FaultKind.NOT_THERE: "check that the tip moves freely, then the motor's current and microsteps",
     FaultKind.DRIVE_FAULT: "the drive stopped itself: remove the cause, then switch its power off"
     " and on",
     FaultKind.LEFT_STATE: "another program or the drive itself has changed its state: end that"
@@ -102,20 +128,19 @@ _REMEDIES = {
     FaultKind.NO_COMMAND: _LOOP,
     FaultKind.OVERRUN: _LOOP,
     FaultKind.INTERNAL: "this is an error in a program, not of the bench: report it with this line",
-    FaultKind.NOT_A_NUMBER: "check the film's sensor and its calibration in the scene",
-    FaultKind.OVERFORCE: "check the film (telepulse calibrate) and the drive's direction"
-    " (telepulse bench)",
-    FaultKind.RISING: "check the film (telepulse calibrate) and the drive's direction"
-    " (telepulse bench)",
-    FaultKind.SILENT: "check the film's sensor and its cable",
-    FaultKind.LATE: "check the film's sensor, its cable and the latency in [display.film]:"
+    FaultKind.NOT_A_NUMBER: "check the {part}'s sensor and its calibration in the scene",
+    FaultKind.OVERFORCE: _TOO_MUCH,
+    FaultKind.RISING: _TOO_MUCH,
+    FaultKind.SILENT: "check the {part}'s sensor and its cable",
+    FaultKind.LATE: "check the {part}'s sensor, its cable and the latency in [display.film]:"
     " telepulse bench measures it",
-    FaultKind.TOO_LOW: _FILM_AND_DRIVE,
-    FaultKind.OFF_FINGER: _FILM_AND_DRIVE,
-    FaultKind.FROZEN: _FILM_AND_DRIVE,
+    FaultKind.TOO_LOW: _CONTRADICTION,
+    FaultKind.OFF_FINGER: _CONTRADICTION,
+    FaultKind.FROZEN: _CONTRADICTION,
     FaultKind.UNCONFIRMED: _POWER,
     FaultKind.TOWARDS_FINGER: _POWER,
     FaultKind.STILL_PRESSED: _POWER,
+    FaultKind.UNKNOWN: "see docs/drives.md",
 }
 
 
@@ -136,13 +161,34 @@ class Fault:
     contactor: str = ""
 
     def __str__(self) -> str:
-        return ": ".join(filter(None, (self.contactor, self.part.value, self.cause)))
+        return _line(self.contactor, self.part, self.cause)
+
+    @property
+    def identity(self) -> tuple[FaultKind, Part, str]:
+        """What stays the same while the fault lasts, whatever its figures."""
+        return self.kind, self.part, self.contactor
+
+    @property
+    def advice(self) -> str:
+        """What a person is to check or to do before the node is started again."""
+        advice = REMEDIES.get(self.kind, REMEDIES[FaultKind.UNKNOWN])
+        return advice.format(part=self.part.value)
 
     @property
     def remedy(self) -> str:
         """What a person is to do, in one line."""
-        remedy = _REMEDIES.get(self.kind, "see docs/drives.md")
-        return f"{remedy}; then start the node again"
+        return f"{self.advice}; {START_AGAIN}"
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the record for JSON and msgpack."""
+        return {
+            "kind": self.kind.value,
+            "part": self.part.value,
+            "contactor": self.contactor,
+            "cause": self.cause,
+            "at_ns": self.at_ns,
+            "remedy": self.remedy,
+        }
 
 
 @dataclass(frozen=True, slots=True)
@@ -156,7 +202,61 @@ class Note:
     contactor: str = ""
 
     def __str__(self) -> str:
-        return ": ".join(filter(None, (self.contactor, self.part.value, self.text)))
+        return _line(self.contactor, self.part, self.text)
+
+
+def _line(contactor: str, part: Part, text: str) -> str:
+    return ": ".join(filter(None, (contactor, "" if part is Part.UNKNOWN else part.value, text)))
+
+
+def faults_of(summary: Mapping[str, Any]) -> list[Fault]:
+    """Return the faults in a summary's JSON."""
+    return [
+        Fault(
+            FaultKind(each["kind"]),
+            Part(each["part"]),
+            each["cause"],
+            each["at_ns"],
+            each["contactor"],
+        )
+        for each in summary.get("faults", ())
+    ]
+
+
+def notes_of(summary: Mapping[str, Any]) -> list[Note]:
+    """Return the notes in a summary's JSON."""
+    return [
+        Note(Part(each["part"]), each["text"], each["contactor"])
+        for each in summary.get("notes", ())
+    ]
+
+
+def texts_by_node(notes: Iterable[Note]) -> tuple[list[str], list[str]]:
+    """Return the texts of notes on the films of a display, and of those on its sensing node."""
+    of_films, of_others = list[str](), list[str]()
+    for note in notes:
+        if note.part is Part.FILM:
+            of_films.append(f"{note.contactor}: {note.text}" if note.contactor else note.text)
+        else:
+            of_others.append(note.text)
+    return of_films, of_others
+
+
+# The earlier form: faults and notes were texts in one list, and a note began with one of
+# these.
+_OLD_NOTES = {"film's sensor: ": Part.FILM, "sensing node: ": Part.SENSOR}
+
+
+def records_of_texts(texts: Iterable[str]) -> tuple[list[Fault], list[Note]]:
+    """Return the records of the texts that a summary of an earlier version has as its faults."""
+    faults, notes = list[Fault](), list[Note]()
+    for text in texts:
+        prefix = next((prefix for prefix in _OLD_NOTES if text.startswith(prefix)), None)
+        if prefix is None:
+            faults.append(Fault(FaultKind.UNKNOWN, Part.UNKNOWN, text))
+        else:
+            notes.append(Note(_OLD_NOTES[prefix], text.removeprefix(prefix)))
+    return faults, notes
 
 
 def internal_fault(part: Part, thread: str, error: BaseException, at_ns: int) -> Fault:

@@ -10,6 +10,7 @@ refusal: its client's address, then `at_server`.
 """
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import NamedTuple
 
 # Of a connection, counted by either end.
@@ -22,44 +23,60 @@ REFUSED_KEY, REVOKED = "refused_key", "revoked"
 SERVER_LIST_UNREADABLE = "server_list_unreadable"
 
 
+@dataclass(frozen=True, slots=True)
+class Reason:
+    """What a display waits for at one address, or why it does not come."""
+
+    text: str
+    #: What it means, or what a person can do; a line without room for it has the text alone.
+    further: str = ""
+
+    def __str__(self) -> str:
+        return "; ".join(filter(None, (self.text, self.further)))
+
+
 class ConnectionWords(NamedTuple):
     """Words for a refused connection; a text without words belongs to the other end.
 
     meaning: of a count. at_server: after the client's address; {client} is the client's key, by
     `AllowList.describe`. at_client: after the server's address; {own} and {peer} are the public
-    keys of client and server. What a person can do comes after the first semicolon, so that a line
-    without room for it has the reason. without_keys: the same of a client that has no keys.
+    keys of client and server. without_keys: the same of a client that has no keys.
     """
 
     meaning: str
     at_server: str = ""
-    at_client: str = ""
-    without_keys: str = "is no node, or breaks off as soon as it is connected"
+    at_client: Reason = Reason("")
+    without_keys: Reason = Reason("is no node, or breaks off as soon as it is connected")
 
 
 CONNECTIONS = {
     NO_KEY: ConnectionWords(
         "connections without a key to a node with one, or the reverse: give both --key and --peer",
         "it has no key",
-        "has no keys; start it with --key, or this node with --insecure in place of --key",
-        "requires a key; give --key and --peer",
+        Reason(
+            "has no keys", "start it with --key, or this node with --insecure in place of --key"
+        ),
+        Reason("requires a key", "give --key and --peer"),
     ),
     NOT_AUTHENTIC: ConnectionWords(
         "bytes not encrypted for this node: the peer has a wrong public key of it (--peer), or"
         " they were altered on the way",
         "it has a wrong public key of this node, or its bytes were altered on the way",
-        "sends messages that {peer.name} has not encrypted; they are forged, or altered on the way",
+        Reason(
+            "sends messages that {peer.name} has not encrypted",
+            "they are forged, or altered on the way",
+        ),
     ),
     REPLAYED: ConnectionWords(
         "encrypted messages that came twice or out of order: something repeats them",
         "its messages came twice or in another order",
-        "sends messages twice or in another order",
+        Reason("sends messages twice or in another order"),
     ),
     HANDSHAKE: ConnectionWords(
         "connections that ended before they were authenticated: no node, a wrong --peer, or a"
         " network that breaks off",
         "it made no ZeroMQ connection",
-        "breaks off; it is not {peer.name}, whose public key --peer gives",
+        Reason("breaks off", "it is not {peer.name}, whose public key --peer gives"),
     ),
     UNKNOWN_KEY: ConnectionWords(
         "peers whose key is not on this node's allow-list: telepulse keys allow adds it",
@@ -81,20 +98,26 @@ CONNECTIONS = {
     ),
     REFUSED_KEY: ConnectionWords(
         "connections refused because the other node's allow-list lacks this node's key",
-        at_client="does not allow the key of {own.name}; there: telepulse keys allow"
-        " {own.file_name}",
+        at_client=Reason(
+            "does not allow the key of {own.name}", "there: telepulse keys allow {own.file_name}"
+        ),
     ),
     REVOKED: ConnectionWords(
         "the other node allowed this node's key before and has revoked it; to undo that, run"
         " telepulse keys allow there",
-        at_client="has revoked the key of {own.name}: this node was connected and is no longer"
-        " allowed; to undo that, there: telepulse keys allow {own.file_name}",
+        at_client=Reason(
+            "has revoked the key of {own.name}: this node was connected and is no longer allowed",
+            "to undo that, there: telepulse keys allow {own.file_name}",
+        ),
     ),
     SERVER_LIST_UNREADABLE: ConnectionWords(
         "connections refused while the other node's allow-list cannot be read: its log names the"
         " reason and the remedy",
-        at_client="cannot read its allow-list; it refuses every key until it can, and its log names"
-        " the reason: correct the list there, no restart is needed",
+        at_client=Reason(
+            "cannot read its allow-list",
+            "it refuses every key until it can, and its log names the reason: correct the list"
+            " there, no restart is needed",
+        ),
     ),
 }
 # Cause → meaning, in one line.

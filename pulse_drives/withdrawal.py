@@ -106,6 +106,8 @@ class Withdrawal:
         self._clear_m = clear_m
         self._unconfirmed_m = position_m - clear_m + MARGIN_M
         self._trusted, self._film_trusted = trusted, film_trusted
+        # Since when the position shows the tip off the finger; 0 while it does not.
+        self._clear_ns = 0
         # Last reading, and its time; None before any.
         self._film_ns: int | None = None
         self._peak_n = self._last_n = 0.0
@@ -146,6 +148,10 @@ class Withdrawal:
             return
         self._wrong_way = 0
         self.confirmed |= position_m < self._peak_m - CONFIRMED_M
+        if position_m > self._clear_m:
+            self._clear_ns = 0
+        elif not self._clear_ns:
+            self._clear_ns = received_ns
         if self._is_clear(received_ns):
             self._outcome = WithdrawalOutcome.WITHDRAWN
 
@@ -199,14 +205,17 @@ class Withdrawal:
             self.restart(now_ns, travel_m)
         self._sent_ns = now_ns
         travelled = self._counted_m - travel_m >= self._unconfirmed_m
-        if self._outcome is WithdrawalOutcome.UNDER_WAY and travelled:
+        if self._outcome is WithdrawalOutcome.UNDER_WAY and (travelled or self._clear_ns):
             # Wait `PATIENCE_NS` from the start, or after a confirmation from the newest position:
-            # reports lag behind the commands.
+            # reports lag behind the commands. Where the position shows the tip off the finger, the
+            # film has so long to show it, too.
             since_ns = max(self._counted_ns, self._received_ns if self.confirmed else 0)
+            since_ns = self._clear_ns or since_ns
             if not self._trusted or now_ns - since_ns >= PATIENCE_NS:
                 self._outcome = self._shown(now_ns)
         if self._outcome is WithdrawalOutcome.UNDER_WAY:
-            return -FAST_M_PER_S if self.confirmed else -SLOW_M_PER_S
+            fast = self.confirmed and not self._clear_ns
+            return -FAST_M_PER_S if fast else -SLOW_M_PER_S
         pressed = self._outcome is WithdrawalOutcome.UNCONFIRMED and self._last_n > PRESSED_N
         return -SLOW_M_PER_S if pressed else 0.0
 

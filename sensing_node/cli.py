@@ -126,8 +126,7 @@ def sense(
         with options.apply_and_log_realtime(PROGRAM, request) as grant:
             summary = options.with_realtime_settings(node.run(seconds), grant)
     options.sum_up(PROGRAM, summary, "sensing node", console, json, provenance)
-    if summary.press.probe == "fault":
-        raise SystemExit(options.FAULT_STATUS)
+    raise SystemExit(options.fault_status(PROGRAM, summary))
 
 
 def main() -> None:

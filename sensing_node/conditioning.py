@@ -132,16 +132,16 @@ class Conditioned(SampleSource):
             volts = self._adc.quantise(volts)
         return self._calibration.newtons(volts) + self._hold_down_n
 
-    def faults(self) -> list[str]:
-        """Return the faults of the source and of the chain, one line each."""
-        faults = self._source.faults()
+    def notes(self) -> list[str]:
+        """Return the notes on the source and on the chain, one line each."""
+        notes = self._source.notes()
         if self._clipped.ticks:
             clipped = f"{count_text(self._clipped.ticks, 'sample')} beyond the ADC's range"
             if len(self._pulses) > 1:
                 counts = zip(self._pulses, self._clipped_in.tolist(), strict=True)
                 clipped += ": " + ", ".join(f"{self.channels[n].name} {c}" for n, c in counts if c)
-            faults.append(clipped)
-        return faults
+            notes.append(clipped)
+        return notes
 
     def limits(self) -> Limits:
         """Return how often and for how long the ADC's range has bounded the samples."""

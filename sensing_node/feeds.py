@@ -9,9 +9,11 @@ from collections.abc import Iterable
 
 import numpy as np
 
+from protocol.faults import Fault, Note, Part
 from protocol.summary.fields import Limits
 from protocol.wire.description import StreamDescription
 from protocol.wire.messages import Frame
+from pulse_sensors.sample_plausibility import SampleCheck
 from pulse_sensors.samples import SampleBlock
 from sensing_node.press.live_probe import LiveProbe, SampleSensor
 from sensing_node.press.set_points import PressedProbe
@@ -85,8 +87,8 @@ class LiveFeed:
         """Count of the sensor's data that could not be used, by cause."""
         return self._sensor.rejected
 
-    def faults(self) -> list[str]:
-        """Return the faults of the sensor, one line each."""
+    def notes(self) -> list[str]:
+        """Return the faults of the sensor, which latch nothing, one line each."""
         return self._sensor.faults()
 
     def limits(self) -> Limits:
@@ -127,8 +129,8 @@ class ReplayFeed:
         """Return no causes: a recording has no data that could not be used."""
         return Counter()
 
-    def faults(self) -> list[str]:
-        """Return no faults: those of the recorded session are in its recording."""
+    def notes(self) -> list[str]:
+        """Return no notes: those of the recorded session are in its recording."""
         return []
 
     def limits(self) -> Limits:
@@ -165,6 +167,16 @@ class ReplayFeed:
 
 SourceOrFeed = SampleSource | LiveFeed | ReplayFeed
 """Origin of a session's samples: a source whose samples are known in advance, or a feed already."""
+
+
+def probe_faults(source: SourceOrFeed) -> list[Fault]:
+    """Return the latched faults of the probe that presses a source, if one does."""
+    return [] if source.pressed is None else list(source.pressed.probe.faults)
+
+
+def sensor_notes(source: SourceOrFeed, check: SampleCheck) -> list[Note]:
+    """Return what is doubtful in a source's samples, and latches nothing."""
+    return [Note(Part.SENSOR, text) for text in (*source.notes(), *check.faults())]
 
 
 def feed_of(source: SourceOrFeed, start_ns: int) -> PacedFeed | LiveFeed | ReplayFeed:

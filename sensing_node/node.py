@@ -19,7 +19,7 @@ from protocol.wire.messages import HEADER_BYTES, Bye, encode_control, encode_fra
 from protocol.wire.telemetry import STATUS, pack_status
 from pulse_sensors.sample_plausibility import SampleCheck
 from sensing_node.control_server import ControlServer, RequestBudget, Sender
-from sensing_node.feeds import Framer, SourceOrFeed, feed_of
+from sensing_node.feeds import Framer, SourceOrFeed, feed_of, probe_faults, sensor_notes
 from sensing_node.press.set_points import REASONS
 from sensing_node.scene import serve_set_points
 
@@ -315,5 +315,6 @@ class SensingNode:
             press=press,
             rejected=dict(rejected),
             rejected_readers={} if self._telemetry is None else dict(self._telemetry.rejected),
-            faults=[*self._source.faults(), *self._check.faults()],
+            faults=probe_faults(self._source),
+            notes=sensor_notes(self._source, self._check),
         )

@@ -150,7 +150,7 @@ def open_source(scene: SensingScene, folder: Path) -> Iterator[SourceOrFeed]:
             yield LiveFeed(sensor)
         return
     source = build_source(scene, folder)
-    for warning in source.faults():
+    for warning in source.notes():
         logger.warning(warning)
     yield source
 

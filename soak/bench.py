@@ -7,6 +7,7 @@ from contextlib import suppress
 from itertools import islice
 from pathlib import Path
 
+from protocol.faults import faults_of
 from soak.bench_truth import FingerClaim, Round
 from soak.schedule import BENCH_WATCHDOG_S, Trouble, troubles
 from tests.support.emulated_bench import BenchFailedError, EmulatedBench, playing
@@ -53,7 +54,7 @@ def _play(folder: Path, trouble: Trouble) -> Round:
         FingerClaim(read_ns, status.state, status.summary["finger"] or "")
         for read_ns, status in felt.statuses
     ]
-    faults, finger = summary.get("faults", []), summary.get("finger") or ""
+    faults, finger = faults_of(summary), summary.get("finger") or ""
     return Round(
         str(trouble), claims, display.returncode, faults, finger, motor.time_ns, motor.force_n
     )

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from display_node.fault_advice import latched
 from protocol.cli_options import FAULT_STATUS
+from protocol.faults import Fault
 from pulse_drives.withdrawal import TOUCH_N
 from soak.claims import pressed_n
 from soak.truth import FORCE_MORE_N, fits, judge_claims
@@ -44,7 +44,7 @@ class Round:
     trouble: str
     claims: Sequence[FingerClaim]
     status: int | None
-    faults: Sequence[str]
+    faults: Sequence[Fault]
     finger: str
     time_ns: NDArray[np.int64]
     force_n: NDArray[np.float64]
@@ -95,9 +95,9 @@ def finger_errors(claim: FingerClaim, of: Round) -> Iterator[str]:
 
 def end_errors(of: Round) -> Iterator[str]:
     """Yield the errors at a display's end, such as a finger that is left pressed."""
-    expected = FAULT_STATUS if latched(of.faults) else 0
+    expected = FAULT_STATUS if of.faults else 0
     if of.status != expected:
-        yield f"exit status {of.status} with the faults {list(of.faults)}"
+        yield f"exit status {of.status} with the faults {list(map(str, of.faults))}"
     if of.force_n[-1] > TOUCH_N:
         yield f"left pressed with {of.force_n[-1] * 1e3:.0f} mN"
         if pressed_n(of.finger) is None:

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from display_node.scene import DisplayScene
+from protocol.faults import faults_of
 from sensing_node.sources.synthetic import SyntheticScene
 from soak.accounts import Session, reckon, unaccounted
 from soak.core_time import NONE_EXCUSED, excuse
@@ -126,7 +127,7 @@ def _judge_accounts(run: Run, nodes: dict[str, list[SoakProcess]]) -> Iterator[C
         yield judge_account(role, reckonings)
     last = [node.summary for node in run.scenario.all_nodes if node.summary]
     yield judge_none("clock steps", [str(x["clock"]["steps"]) for x in last if x["clock"]["steps"]])
-    yield judge_none("faults latched", [fault for x in last for fault in x["faults"]])
+    yield judge_none("faults latched", [str(fault) for x in last for fault in faults_of(x)])
     yield judge_none("set-points unaccounted", unaccounted([x["press"] for x in last]))
     calm = next((node.summary for node in nodes[CALM_DISPLAY] if node.summary), None)
     rejected = calm["rejected"] | calm["rejected_readers"] if calm else {}

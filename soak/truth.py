@@ -5,8 +5,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from itertools import pairwise
 from typing import Any
 
-from display_node.fault_advice import latched
 from protocol.cli_options import FAULT_STATUS
+from protocol.faults import faults_of
 from pulse_drives.withdrawal import TOUCH_N
 from soak.claims import LineClaim, StatusClaim, pressed_n
 from soak.felt import FeltLog
@@ -62,9 +62,9 @@ def state_errors(claim: StatusClaim) -> Iterator[str]:
     # Before the last status a display may have received the end of the pulse.
     if claim.full and claim.state != "playing" and not claim.final:
         yield f"{claim.state}, and felt at full strength"
-    faults = latched(claim.summary["faults"])
+    faults = faults_of(claim.summary)
     if (claim.state == "fault") != bool(faults):
-        yield f"{claim.state}, with the faults {faults}"
+        yield f"{claim.state}, with the faults {list(map(str, faults))}"
 
 
 def finger_errors(claim: StatusClaim) -> Iterator[str]:
@@ -301,9 +301,9 @@ def judge_ends(
     """
     errors = []
     for role, status, summary, last in ends:
-        expected = FAULT_STATUS if latched(summary["faults"]) else 0
-        if status != expected:
-            errors.append(f"{role}: status {status} with the faults {summary['faults']}")
+        faults = faults_of(summary)
+        if status != (FAULT_STATUS if faults else 0):
+            errors.append(f"{role}: status {status} with the faults {list(map(str, faults))}")
         if last is not None and last.final:
             for key in ("finger", "faults", "samples"):
                 if summary[key] != last.summary[key]:

@@ -8,21 +8,20 @@ import json
 import logging
 import os
 import random
-import re
 from collections.abc import Sequence
 from contextlib import ExitStack, suppress
+from logging import WARNING
 from pathlib import Path
 from socket import AF_INET, SOCK_STREAM, socket
 from subprocess import PIPE
 from threading import Thread
 from typing import Any
 
-from pydantic import TypeAdapter
-
 from display_node.verdict import NOT_VALID_STATUS
 from protocol.errors import ProcessError
 from protocol.host.child_process import ChildProcess
-from protocol.summary.fields import Summary
+from protocol.host.output import LOG_AS_JSON, read_record
+from protocol.summary.fields import Summary, read_summary
 
 logger = logging.getLogger(__name__)
 
@@ -59,17 +58,40 @@ def prefer(pid: int) -> None:
         Path(f"/proc/{pid}/autogroup").write_text(f"{NICEST}", "utf-8")
 
 
-_SUMMARY = TypeAdapter(Summary)
-# Log lines of a process that its user should see. Faults are not: the end of the run names them.
-_WARNING = re.compile(
-    r"^\d\d:\d\d:\d\d\.\d{3} (WARNING|ERROR|CRITICAL) (?!fault: )(.*)$", re.MULTILINE
-)
+class LoggedProcess(ChildProcess):
+    """A process of this project whose warnings and errors are logged, under its name, as they come.
 
+    Latched faults are not: the end of the run names them. Its output is not read.
+    """
 
-def log_warnings(name: str, errors: str) -> None:
-    """Log the warnings and errors of a process's log, under the process's name."""
-    for level, text in _WARNING.findall(errors):
-        logger.log(logging.getLevelNamesMapping()[level], f"{name}: {text}")
+    def __init__(self, name: str, *arguments: str) -> None:
+        environment = {**os.environ, LOG_AS_JSON: "1"}
+        super().__init__(name, *arguments, stdout=PIPE, stderr=PIPE, env=environment)
+        # `communicate` reads only what is still there.
+        self._errors, self.stderr = self.stderr, None
+        self._printed: list[str] = []
+        self._reader = Thread(target=self._log, name=name, daemon=True)
+        self._reader.start()
+
+    def await_end(self, within_s: float, may_end_with: Sequence[int] = ()) -> str:
+        """See `ChildProcess.await_end`."""
+        super().await_end(within_s, may_end_with)
+        self._reader.join()
+        return "".join(self._printed)
+
+    def _log(self) -> None:
+        assert self._errors is not None
+        with self._errors as lines:
+            for line in lines:
+                record = read_record(line)
+                self._printed.append(line if record is None else f"{record.text}\n")
+                if record is not None and record.level >= WARNING and not record.names_fault:
+                    logger.log(record.level, f"{self.name}: {record.text}")
+
+    def _failure(self, what: str, errors: str | None = None) -> ProcessError:
+        self.kill()
+        self._reader.join()
+        return super()._failure(what, "".join(self._printed))
 
 
 class NodeProcess(ChildProcess):
@@ -94,34 +116,8 @@ class NodeProcess(ChildProcess):
         Raises ProcessError when it does not end in time, or fails; see `await_end`.
         """
         self.await_end(within_s, (NOT_VALID_STATUS, *may_end_with))
-        return _SUMMARY.validate_python(json.loads(self._summary.read_text(encoding="utf-8")))
+        return read_summary(json.loads(self._summary.read_text(encoding="utf-8")))
 
 
-class LoggedNode(NodeProcess):
-    """A `NodeProcess` whose warnings are logged as they come: a drive's asks for a free bench."""
-
-    def __init__(self, name: str, module: str, *arguments: str, summary: Path) -> None:
-        super().__init__(name, module, *arguments, summary=summary, stdout=PIPE, stderr=PIPE)
-        # `communicate` reads only what is still there.
-        self._errors, self.stderr = self.stderr, None
-        self._printed: list[str] = []
-        self._reader = Thread(target=self._log, name=name, daemon=True)
-        self._reader.start()
-
-    def await_end(self, within_s: float, may_end_with: Sequence[int] = ()) -> str:
-        """See `ChildProcess.await_end`."""
-        super().await_end(within_s, may_end_with)
-        self._reader.join()
-        return "".join(self._printed)
-
-    def _log(self) -> None:
-        assert self._errors is not None
-        with self._errors as lines:
-            for line in lines:
-                self._printed.append(line)
-                log_warnings(self.name, line)
-
-    def _failure(self, what: str, errors: str | None = None) -> ProcessError:
-        self.kill()
-        self._reader.join()
-        return super()._failure(what, "".join(self._printed))
+class LoggedNode(NodeProcess, LoggedProcess):
+    """A node's process that is logged: for example, a drive's asks for a free bench."""

@@ -308,6 +308,17 @@ def felt_noise(loop: LinearLoop, wander: float, noise: float) -> float:
     return math.sqrt(noise**2 * by_noise + wander**2 * loop.tick_s * by_wander)
 
 
+class UnstableLoopError(SceneError):
+    """A force loop is not stable enough; reason: how, in one line."""
+
+    def __init__(self, reason: str) -> None:
+        super().__init__(
+            f"[display] controller: {reason}: lower its gains, or take those that `telepulse tune`"
+            " proposes"
+        )
+        self.reason = reason
+
+
 def refuse_unstable(
     controller: ControllerScene,
     actuator: ActuatorScene,
@@ -316,13 +327,10 @@ def refuse_unstable(
     force_limit_n: float,
     tick_s: float,
 ) -> None:
-    """Raise SceneError for a loop that is not stable enough at some force up to the limit."""
+    """Raise UnstableLoopError for a loop that is not stable enough at a force up to the limit."""
     for share in FORCE_SHARES:
         force_n = share * force_limit_n
         loop = linear_loop(controller, actuator, layer, film, tick_s, force_n)
         reason = margins(loop, frequencies=400).unfit
         if reason is not None:
-            raise SceneError(
-                f"[display] controller: the force loop {reason} at {force_n:.2g} N: lower its"
-                " gains, or take those that `telepulse tune` proposes"
-            )
+            raise UnstableLoopError(f"the force loop {reason} at {force_n:.2g} N")

@@ -65,6 +65,5 @@ class Fade:
 
         One of the same kind, part and contactor as before, whose figures differ, is not repeated.
         """
-        same = (fault.kind, fault.part, fault.contactor)
-        if all((known.kind, known.part, known.contactor) != same for known in self.faults):
+        if all(known.identity != fault.identity for known in self.faults):
             self.faults.append(fault)

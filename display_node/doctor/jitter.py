@@ -104,8 +104,9 @@ def measure(
     The cases take turns, so that a change of the host's load affects all of them. The combination
     pins the loop only to an isolated processor: pinning to another one does not help.
     """
-    chosen = [name for name in held.granted if isolated or not name.startswith("cpu")]
-    wanted = {BARE: RealtimeRequest()} | {name: parse_realtime(name) for name in held.granted}
+    granted = {name: parse_realtime(name) for name in held.granted}
+    chosen = [name for name, request in granted.items() if isolated or not request.cpus]
+    wanted = {BARE: RealtimeRequest()} | granted
     if chosen:
         wanted[TOGETHER] = parse_realtime(",".join(chosen))
     each_s = seconds / (2 * len(wanted))

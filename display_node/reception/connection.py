@@ -13,6 +13,7 @@ from display_node.reception.reachability import Reachability
 from display_node.reception.timeouts import Timeouts, answer_timeout_ns
 from display_node.reception.turns import ControlTurns
 from protocol import sockets
+from protocol.refusals import Reason
 from protocol.security.handshakes import ClientLink, HandshakeMonitor, Refusal
 from protocol.security.link_keys import ClientKeys
 from protocol.summary.fields import DataConnections, Reconnections
@@ -179,14 +180,14 @@ class Connection:
             return self._connect_control(control.address, now_ns)
         return introduce or (control.silent(now_ns) and self._move_control(now_ns))
 
-    def waiting_for(self, now_ns: int) -> str:
-        """Return what is waited for at each address, or why it does not come, in one phrase.
+    def waiting_for(self, now_ns: int) -> list[Reason]:
+        """Return what is waited for at each address, or why it does not come.
 
         The addresses that refuse this display come first, as the first of them has the cause in
         `refused`.
         """
         refusing_first = sorted(self.routes, key=lambda route: self._refusal(route) is None)
-        return "; ".join(self._reason(route, now_ns) for route in refusing_first)
+        return [self._reason(route, now_ns) for route in refusing_first]
 
     @property
     def refused(self) -> str | None:
@@ -199,9 +200,9 @@ class Connection:
         for route in self.routes:
             route.reachability.close()
 
-    def _reason(self, route: Route, now_ns: int) -> str:
+    def _reason(self, route: Route, now_ns: int) -> Reason:
         if (refusal := self._refusal(route)) is not None:
-            return refusal.text
+            return refusal.reason
         established = route.paths[0].first.socket in self.established
         return route.reachability.reason(now_ns, established, route.lookup.failure)
 

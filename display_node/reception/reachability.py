@@ -8,6 +8,7 @@ import errno
 import socket
 
 from protocol.host.descriptors import await_writable
+from protocol.refusals import Reason
 
 # A probe that a sensing node accepts is a broken handshake in its account, so probes are rare.
 FIRST_NS, AGAIN_NS = 1_000_000_000, 5_000_000_000
@@ -20,7 +21,9 @@ FLICKER_NS = 1_000_000_000
 # Windows has numbers of its own.
 _PENDING = {errno.EINPROGRESS, errno.EWOULDBLOCK, errno.EALREADY, errno.EAGAIN, 10_035}
 _NO_ROUTE = {errno.ENETUNREACH, errno.EHOSTUNREACH, errno.ENETDOWN, 10_051, 10_065}
-_NOBODY, _UNROUTED, _SILENT = "nobody listens at", "no route to", "no answer from"
+# What a probe finds; the address follows.
+NOBODY = Reason("nobody listens at", "start the sensing node there, or check the address")
+UNROUTED, SILENT = Reason("no route to"), Reason("no answer from")
 
 
 class ConnectionRequest:
@@ -60,7 +63,7 @@ class Reachability:
         self._address = address
         self._probe: ConnectionRequest | None = None
         self._probe_due_ns: int | None = None
-        self._found = ""
+        self._found: Reason | None = None
         # ZeroMQ's attempts: at the begin of this wait, and so far.
         self._attempts_before = self._attempts = 0
         # Times of a host's first and of its last answer; None while none answers.
@@ -77,7 +80,7 @@ class Reachability:
         self._attempts = attempts
         if answered:
             self.close()
-            self._answered_ns, self._probe_due_ns, self._found = now_ns, None, ""
+            self._answered_ns, self._probe_due_ns, self._found = now_ns, None, None
             if self._answers_ns is None:
                 self._answers_ns = now_ns
             return
@@ -92,22 +95,23 @@ class Reachability:
             self._probe_due_ns = now_ns + AGAIN_NS
             self._probe = ConnectionRequest(place, now_ns)
 
-    def reason(self, now_ns: int, established: bool = False, unknown_host: str = "") -> str:
+    def reason(self, now_ns: int, established: bool = False, unknown_host: str = "") -> Reason:
         """Return what is waited for, or why it does not come.
 
         established: whether ZeroMQ's handshake has succeeded. unknown_host: why the look-up of the
         host's name failed, if it did.
         """
         if established:
-            return f"{self._address} is connected, but sends nothing"
+            return Reason(f"{self._address} is connected, but sends nothing")
         if self._answers_ns is not None and now_ns - self._answers_ns >= NO_NODE_NS:
-            return f"{self._address} answers, but is no node"
+            return Reason(f"{self._address} answers, but is no node")
         if unknown_host:
-            return unknown_host
+            return Reason(unknown_host)
+        if self._found is None:
+            return Reason(f"connecting to {self._address}")
         attempts = self._attempts - self._attempts_before
-        if self._found == _NOBODY and attempts > 1:
-            return f"nobody listens at {self._address}, refused {attempts} times"
-        return f"{self._found} {self._address}" if self._found else f"connecting to {self._address}"
+        often = f", refused {attempts} times" if self._found is NOBODY and attempts > 1 else ""
+        return Reason(f"{self._found.text} {self._address}{often}", self._found.further)
 
     def close(self) -> None:
         """Withdraw the probe."""
@@ -120,10 +124,10 @@ class Reachability:
         if error is None:
             if now_ns - probe.asked_ns < SILENT_NS:
                 return
-            self._found = _SILENT
+            self._found = SILENT
         elif error in _NO_ROUTE:
-            self._found = _UNROUTED
+            self._found = UNROUTED
         else:
             # An accepted request is ZeroMQ's to report.
-            self._found = _NOBODY if error else ""
+            self._found = NOBODY if error else None
         self.close()

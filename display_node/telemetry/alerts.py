@@ -1,33 +1,86 @@
 """Alerts for the person at a display, computed from one status message.
 
-Terminal, live page and recordings share them. Pure.
+Terminal, live page and recordings share them. An alert is a record; its texts are made where it is
+shown. Pure.
 """
 
-from collections.abc import Iterator, Mapping
-from typing import Any, NamedTuple
+from collections.abc import Hashable, Iterator, Mapping
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Any
 
-from display_node.fault_advice import FILM_NOTE, SENSING_NOTE, advise, latched
 from display_node.scoring.beat_statistics import pulse_alarm
 from display_node.scoring.deadlines import deadline_alarm
 from display_node.scoring.prediction_score import prediction_alarm
-from protocol.refusals import REVOKED
-from protocol.summary.fields import contactors_of
+from protocol.faults import START_AGAIN, Fault, faults_of, notes_of, texts_by_node
+from protocol.refusals import REVOKED, Reason
+from protocol.summary.fields import awaited_in, contactors_of
 
 # A display without telemetry for this long counts as silent.
 SILENT_AFTER_NS = 2_000_000_000
-NOT_CONNECTED, STIFFNESS = "not connected", "finger's stiffness"
-# States in which `waiting_for` has a text.
+# States in which `waiting_for` has reasons.
 WITHOUT_SAMPLES = ("waiting", "stale")
 # Ratios to the scene's fingertip stiffness. Those of human fingers are 0.3 to 3, and the estimate
 # is within 10 %, so a ratio beyond these bounds is not a finger's.
 LEAST_STIFFNESS, MOST_STIFFNESS = 0.25, 4.0
 
 
-class Alert(NamedTuple):
-    """An alert. `name` stays the same while it lasts; `text` may change, e.g. a counter in it."""
+class AlertKind(StrEnum):
+    """Kind of an alert; the value is its name for people."""
 
-    name: str
-    text: str
+    FAULT = "fault"
+    NO_TELEMETRY = "no telemetry"
+    FILM_SENSOR = "film's sensor"
+    SENSING_NODE = "sensing node"
+    REVOKED = "revoked"
+    NOT_CONNECTED = "not connected"
+    STALE = "stale"
+    STIFFNESS = "finger's stiffness"
+    PULSE = "pulse"
+    PREDICTION = "prediction"
+    DEADLINES = "deadline misses"
+    # These are found by a reader of the telemetry: live page or recorder.
+    LINK_CUT = "link cut"
+    REFUSED = "refused"
+    READER_REFUSED = "reader refused"
+    LIMITED = "limited"
+    LOSS = "loss"
+    CLOCK_STEP = "clock step"
+    MISSED = "missed"
+
+
+@dataclass(frozen=True, slots=True)
+class Alert:
+    """An alert."""
+
+    kind: AlertKind
+    #: What is wrong; of a fault, what to do. It may change while the alert lasts.
+    reason: str
+    #: What to do, and what is measured; left out where there is no room.
+    further: tuple[str, ...] = ()
+    #: The one of several contactors that it is about.
+    contactor: str = ""
+    fault: Fault | None = None
+
+    @property
+    def identity(self) -> Hashable:
+        """What stays the same while the alert lasts."""
+        return self.kind, self.contactor, self.fault and self.fault.identity
+
+    @property
+    def subject(self) -> str:
+        """What it is about, within its kind; empty where there is nothing to tell apart."""
+        return self.contactor if self.fault is None else str(self.fault)
+
+    @property
+    def name(self) -> str:
+        """Kind and subject."""
+        return f"{self.kind.value}: {self.subject}" if self.subject else self.kind.value
+
+    @property
+    def text(self) -> str:
+        """What is wrong and what to do, in full."""
+        return "; ".join(filter(None, (self.reason, *self.further)))
 
 
 def alerts(
@@ -35,66 +88,78 @@ def alerts(
 ) -> list[Alert]:
     """Return the alerts for a status, whose fields `state` and `summary` are.
 
-    Of several contactors, the alerts of one have its name after theirs: "pulse: cun". silent_ns:
-    time without telemetry from the display. After 2 s of it, only latched faults and the silence
-    are reported; for the last status of a display, only latched faults.
+    Once a fault is latched, nothing is felt: no alert speaks of the pulse. silent_ns: time without
+    telemetry from the display. After 2 s of it, only latched faults and the silence are reported;
+    for the last status of a display, only latched faults.
     """
-    faults = summary.get("faults", [])
+    faults = faults_of(summary)
     silent = silent_ns > SILENT_AFTER_NS and not is_last_status
     finger = "" if silent else finger_note(summary)
-    found = [Alert(f"fault: {fault}", f"{advise(fault)}{finger}") for fault in latched(faults)]
+    found = [
+        Alert(AlertKind.FAULT, each.advice, (START_AGAIN, finger), fault=each) for each in faults
+    ]
     if silent:
         known = finger_text(summary)
         before = f", before that: {known}" if known else ""
-        text = f"since {silent_ns * 1e-9:.0f} s; finger: unknown{before}"
-        found.append(Alert("no telemetry", text))
+        further = (f"finger: unknown{before}",)
+        found.append(Alert(AlertKind.NO_TELEMETRY, f"since {silent_ns * 1e-9:.0f} s", further))
     if silent or is_last_status:
         return found
-    for prefix in (FILM_NOTE, SENSING_NOTE):
-        notes = [fault.removeprefix(prefix) for fault in faults if fault.startswith(prefix)]
-        if notes:
-            found.append(Alert(prefix.removesuffix(": "), "; ".join(notes)))
+    found += _noted(summary)
+    if faults:
+        return found
     if state in WITHOUT_SAMPLES and (refused := summary.get("refused")):
-        name = "revoked" if refused == REVOKED else NOT_CONNECTED
-        found.append(Alert(name, summary.get("waiting_for") or ""))
+        kind = AlertKind.REVOKED if refused == REVOKED else AlertKind.NOT_CONNECTED
+        first, *others = awaited_in(summary) or [Reason("")]
+        found.append(Alert(kind, first.text, (first.further, *map(str, others))))
     if state == "stale":
-        found.append(Alert("stale", f"no samples to play{finger}"))
+        found.append(Alert(AlertKind.STALE, "no samples to play", (finger,)))
     for name, figures in contactors_of(summary).items():
-        of = f": {name}" if name else ""
-        found += [Alert(kind + of, text) for kind, text in _of_contactor(state, figures)]
+        found += _of_contactor(state, name, figures)
     # Late ticks are felt only while a pulse is played.
     plays = state in ("playing", "starting")
     late = deadline_alarm(summary.get("loop", {})) if plays else None
-    return found if late is None else [*found, Alert("deadline misses", late)]
+    return found if late is None else [*found, Alert(AlertKind.DEADLINES, late)]
 
 
-def _of_contactor(state: str, figures: Mapping[str, Any]) -> Iterator[Alert]:
+def _noted(summary: Mapping[str, Any]) -> Iterator[Alert]:
+    """Yield the alerts of the sensors: of the films, and of the sensing node."""
+    kinds = AlertKind.FILM_SENSOR, AlertKind.SENSING_NODE
+    for kind, texts in zip(kinds, texts_by_node(notes_of(summary)), strict=True):
+        if texts:
+            yield Alert(kind, texts[0], tuple(texts[1:]))
+
+
+def _of_contactor(state: str, name: str, figures: Mapping[str, Any]) -> Iterator[Alert]:
     """Yield the alerts of a contactor's figures."""
     stiffness = figures.get("finger_stiffness")
     if stiffness is not None and not LEAST_STIFFNESS <= stiffness <= MOST_STIFFNESS:
         film, motor = ("little", "less") if stiffness < 1 else ("much", "further")
         yield Alert(
-            STIFFNESS,
+            AlertKind.STIFFNESS,
             f"{stiffness:.2f} times the scene's fingertip, implausible for a finger: the film"
             f" reads too {film} (telepulse calibrate) or the motor moves {motor} than its step"
             " count says (telepulse bench)",
+            contactor=name,
         )
     alarms = {
-        "pulse": pulse_alarm(figures.get("beats", {})) if state == "playing" else None,
-        "prediction": prediction_alarm(figures.get("compensation", {})),
+        AlertKind.PULSE: pulse_alarm(figures.get("beats", {})) if state == "playing" else None,
+        AlertKind.PREDICTION: prediction_alarm(figures.get("compensation", {})),
     }
-    yield from (Alert(name, text) for name, text in alarms.items() if text is not None)
+    for kind, text in alarms.items():
+        if text is not None:
+            yield Alert(kind, text, contactor=name)
 
 
-def waiting_text(state: str, summary: Mapping[str, Any]) -> str:
-    """Return the text that belongs beside the state of a display that waits; empty without one.
+def waiting_texts(state: str, summary: Mapping[str, Any]) -> list[str]:
+    """Return what belongs beside the state of a display that waits, one text for each address.
 
     Beside the state it is what the display waits for. A refusal is an alert instead, which shows
     its reason and its remedy in full.
     """
     if state not in WITHOUT_SAMPLES or summary.get("refused"):
-        return ""
-    return summary.get("waiting_for") or ""
+        return []
+    return [reason.text for reason in awaited_in(summary)]
 
 
 def finger_text(summary: Mapping[str, Any]) -> str:
@@ -105,14 +170,14 @@ def finger_text(summary: Mapping[str, Any]) -> str:
 
 
 def finger_note(summary: Mapping[str, Any]) -> str:
-    """Return "; finger: …", or an empty string where the status has no state of the finger."""
+    """Return "finger: …", or an empty string where the status has no state of the finger."""
     finger = finger_text(summary)
-    return f"; finger: {finger}" if finger else ""
+    return f"finger: {finger}" if finger else ""
 
 
-def delay_note(delay_ms: float, trusted: bool, summary: Mapping[str, Any]) -> str:
-    """Return the present playout delay, with the predictor's trust where trust is used."""
-    trust = f", prediction {'' if trusted else 'not '}trusted"
+def delay_note(delay_ms: float, trusted: bool, summary: Mapping[str, Any]) -> tuple[str, str]:
+    """Return the present playout delay, and the predictor's trust where trust is used."""
+    trust = f"prediction {'' if trusted else 'not '}trusted"
     trust_is_used = summary.get("compensation", {}).get("trusted") is not None
     # An E of 0 is known to the clock's error only.
-    return f"{max(delay_ms, 0.0):.1f} ms{trust if trust_is_used else ''}"
+    return f"{max(delay_ms, 0.0):.1f} ms", trust if trust_is_used else ""

@@ -5,7 +5,7 @@ The line has whole items by importance, the alerts last. Pure.
 
 import math
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Hashable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -15,9 +15,10 @@ from display_node.scoring.heart_rate import heart_rate_per_min
 from display_node.telemetry.alerts import (
     WITHOUT_SAMPLES,
     Alert,
+    AlertKind,
     alerts,
     finger_text,
-    waiting_text,
+    waiting_texts,
 )
 from display_node.telemetry.status_age import StatusAge
 from protocol.errors import WireError
@@ -32,15 +33,17 @@ def compose(state: str, items: Sequence[str], alerts: Sequence[Alert]) -> str:
     """Return state, items and alerts in one line of at most `LINE_WIDTH` characters.
 
     Nothing is cut: an item that has no room is left out, the last ones first. Alerts come last: as
-    the first that has room of their texts, the texts to the first semicolon, where the remedy
-    begins, their names, and their number. Each is printed in full elsewhere: below the line in a
-    terminal, else once when it begins.
+    the first that has room of their texts, their names with the reasons, their names, and their
+    number. Each is printed in full elsewhere: below the line in a terminal, else once when it
+    begins.
     """
     state = state if len(state) <= LINE_WIDTH // 2 else "unknown state"
-    # An alert need not repeat the state.
-    names = [alert.name.removeprefix(f"{state}: ") for alert in alerts]
-    texts = [f"{name}: {alert.text}" for name, alert in zip(names, alerts, strict=True)]
-    reasons = [text.partition("; ")[0] for text in texts]
+    # A fault need not repeat the state.
+    names = [_printable(each.subject if each.kind.value == state else each.name) for each in alerts]
+    texts, reasons = (
+        [f"{name}: {_printable(text)}" for name, text in zip(names, parts, strict=True)]
+        for parts in ([each.text for each in alerts], [each.reason for each in alerts])
+    )
     last = _first_that_fits(
         ["; ".join(names), f"{len(alerts)} alerts"], LINE_WIDTH - len(f"{state}: ")
     )
@@ -101,8 +104,8 @@ class TerminalView:
         self.status: Status | None = None
         self.unreadable = 0
         self.mark: Mark | None = None
-        # Names of alerts that `new_alerts` has returned and that are still active.
-        self._named: set[str] = set()
+        # Identities of alerts that `new_alerts` has returned and that are still active.
+        self._named: set[Hashable] = set()
 
     def take(self, message: Sequence[bytes], now_ns: int = 0) -> list[Trace]:
         """Take a telemetry message that arrived at `now_ns`; return the traces in it."""
@@ -151,7 +154,11 @@ class TerminalView:
         if self.status is None:
             return "waiting for the display"
         state = self.status.state
-        found = [alert for alert in self._alerts(now_ns) if alert.name != state]
+        found = [
+            alert
+            for alert in self._alerts(now_ns)
+            if not (alert.kind is AlertKind.STALE and state == "stale")
+        ]
         items = self._line_items(state) if self._age_ns(now_ns) < CURRENT_NS else []
         return compose(self._state(now_ns), items, found)
 
@@ -168,10 +175,11 @@ class TerminalView:
                 # No force is played yet: the room is for the reason, which is an alert.
                 return []
             first = ["no samples to play"] if state == "stale" else []
-            reason = _printable(waiting_text(state, summary))
+            reasons = [_printable(text) for text in waiting_texts(state, summary)]
+            reason = "; ".join(reasons)
             if len(_line(state, [*first, reason], "")) > LINE_WIDTH:
                 # Of several addresses, the first one's.
-                reason, _, _ = reason.partition("; ")
+                reason = reasons[0]
             return [*first, reason, *resting]
         if state == "ended" or self.status.final:
             return [_account_text(summary)]
@@ -203,23 +211,22 @@ class TerminalView:
     def new_alerts(self, now_ns: int = 0) -> list[str]:
         """Return in full the alerts that were not active at the last call."""
         found = self._alerts(now_ns) if self.status is not None else []
-        before, self._named = self._named, {alert.name for alert in found}
-        return [f"{alert.name}: {alert.text}" for alert in found if alert.name not in before]
+        before, self._named = self._named, {alert.identity for alert in found}
+        return [_in_full(alert) for alert in found if alert.identity not in before]
 
     def live(self, now_ns: int = 0) -> Text:
         """Return the line at `now_ns`, dim where it is not current, and the alerts in full."""
         if self.status is None:
             return Text(self.line(now_ns))
         shown = Text(self.line(now_ns), "" if self._age_ns(now_ns) < CURRENT_NS else "dim")
-        for name, text in self._alerts(now_ns):
-            shown.append(f"\n{name}: {text}", "bold red")
+        for alert in self._alerts(now_ns):
+            shown.append(f"\n{_in_full(alert)}", "bold red")
         return shown
 
     def _alerts(self, now_ns: int) -> list[Alert]:
         assert self.status is not None
         status = self.status
-        found = alerts(status.state, status.summary, status.final, self._age_ns(now_ns))
-        return [Alert(_printable(name), _printable(text)) for name, text in found]
+        return alerts(status.state, status.summary, status.final, self._age_ns(now_ns))
 
     def _age_ns(self, now_ns: int) -> int:
         """Return the age of the newest status; 0 once the display has ended."""
@@ -266,6 +273,10 @@ def _account_text(summary: Mapping[str, Any]) -> str:
     """Return how many of the samples were lost or late."""
     sent = summary.get("samples", {}).get("sent")
     return f"{_missing_text(summary) or 'none lost'} of {sent} samples" if sent else ""
+
+
+def _in_full(alert: Alert) -> str:
+    return _printable(f"{alert.name}: {alert.text}")
 
 
 def _printable(text: str) -> str:

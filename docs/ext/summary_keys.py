@@ -2,6 +2,8 @@
 
 from typing import Any
 
+from protocol.faults import Fault, Note
+from protocol.refusals import Reason
 from protocol.summary.fields import OF_A_CONTACTOR, ErrorWindow, Summary
 from protocol.summary.figures import Surface, figures
 
@@ -11,6 +13,10 @@ _KINDS = {
     bool | None: "true or false",
     str | None: "text",
     list[str]: "list of texts",
+    list[Fault]: "list of maps: `kind` ([list](commands.md#faults)), `part`, `contactor`, `cause`,"
+    " `at_ns`, `remedy`",
+    list[Note]: "list of maps: `part`, `text`, `contactor`",
+    list[Reason]: "list of maps: `text`, `further`",
     list[ErrorWindow]: "list of maps: `from_s`, `to_s`, `playout_delay_ms`, `aligned_n`,"
     " `in_phase_n`",
     dict[str, int]: "map of name to count",
@@ -49,7 +55,7 @@ def _metric(figure: Any) -> str:
     if Surface.METRICS in figure.absent:
         return ""
     names = [f'{name}="{value}"' for name, value in figure.labels.items()]
-    labels = ",".join([*names, *([figure.label] if figure.label else [])])
+    labels = ",".join([*names, *([figure.label] if figure.label else []), *figure.keys])
     name = f"telepulse_{figure.metric}{'_total' if figure.counter else ''}"
     return f"`{name}{{{labels}}}`" if labels else f"`{name}`"
 

@@ -21,7 +21,7 @@ from importlib.metadata import entry_points
 from typing import Any, Self
 
 from protocol.errors import ProcessError, SidecarError, TelepulseError
-from protocol.host.output import OUR_LOGGERS
+from protocol.host.output import OUR_LOGGERS, JsonFormatter, read_record
 from protocol.host.process import lower_priority
 
 logger = logging.getLogger(__name__)
@@ -201,11 +201,8 @@ class Sidecar:
         """Log the process's records under its name; other lines, as libraries print, as info."""
         assert self._process.stdout is not None
         for line in self._process.stdout:
-            try:
-                record = json.loads(line)
-                level, text = logging.getLevelNamesMapping()[record["level"]], str(record["text"])
-            except (ValueError, TypeError, KeyError):
-                level, text = logging.INFO, line.rstrip()
+            record = read_record(line)
+            level, text = (logging.INFO, line.rstrip()) if record is None else record[:2]
             logger.log(level, f"{self._name}: {text}")
         status = self._process.wait()
         if not self._ending:
@@ -237,7 +234,9 @@ def run_as_sidecar() -> Iterator[Callable[[str], None]]:
     own priority, so that the node's loop comes first.
     """
     lower_priority()
-    logging.getLogger().addHandler(_NodeHandler())
+    handler = _NodeHandler()
+    handler.setFormatter(JsonFormatter())
+    logging.getLogger().addHandler(handler)
     for ours in OUR_LOGGERS:
         # All records are sent; the node drops those below its own level.
         logging.getLogger(ours).setLevel(logging.DEBUG)
@@ -251,8 +250,7 @@ def run_as_sidecar() -> Iterator[Callable[[str], None]]:
 class _NodeHandler(logging.Handler):
     def emit(self, record: logging.LogRecord) -> None:
         with suppress(OSError):  # the node may have gone
-            fields = {"level": record.levelname, "text": record.getMessage()}
-            print(json.dumps(fields), flush=True)
+            print(self.format(record), flush=True)
 
 
 def receive() -> dict[str, Any] | None:

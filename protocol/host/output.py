@@ -7,6 +7,7 @@ no drive is commanded and no signal is handled. So a node's output passes throug
 """
 
 import io
+import json
 import logging
 import os
 import queue
@@ -20,7 +21,7 @@ import traceback
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
-from typing import TextIO, cast
+from typing import NamedTuple, TextIO, cast
 
 from protocol.errors import OptionError, OutputError
 from protocol.host.descriptors import await_writable
@@ -36,6 +37,8 @@ OUR_LOGGERS = (
     "telepulse",
     "__main__",
 )
+# Attribute of a log record that names a latched fault: `extra={FAULT: True}`.
+FAULT = "fault"
 # Greatest number of queued characters: some seconds of a terminal panel, many summaries.
 MAX_QUEUED = 65_536
 # Longest waits for queued text at the end: without progress, and in all.
@@ -64,6 +67,37 @@ class LineFormatter(logging.Formatter):
         return f"{at}.{int(record.msecs):03d} {record.levelname} {printable}"
 
 
+# A program that reads this one's log sets it, to any text.
+LOG_AS_JSON = "TELEPULSE_LOG_AS_JSON"
+
+
+class JsonFormatter(logging.Formatter):
+    """Formatter of a record as one line of JSON, for a program that reads it (`read_record`)."""
+
+    def format(self, record: logging.LogRecord) -> str:
+        """Return the record's level and text, and whether it names a latched fault."""
+        fields = {"level": record.levelname, "text": record.getMessage()}
+        return json.dumps(fields | ({FAULT: True} if hasattr(record, FAULT) else {}))
+
+
+class LoggedRecord(NamedTuple):
+    """A record of another program's log; names_fault: it is about a latched fault."""
+
+    level: int
+    text: str
+    names_fault: bool
+
+
+def read_record(line: str) -> LoggedRecord | None:
+    """Return the record of a line of `JsonFormatter`; None for another line."""
+    try:
+        fields = json.loads(line)
+        level = logging.getLevelNamesMapping()[fields["level"]]
+        return LoggedRecord(level, str(fields["text"]), FAULT in fields)
+    except (ValueError, TypeError, KeyError):
+        return None
+
+
 class StderrHandler(logging.Handler):
     """Handler that writes records to the present `sys.stderr`."""
 
@@ -87,7 +121,7 @@ def configure_logging(level: str | None = None, quiet: bool = False) -> None:
     handler = next((each for each in root.handlers if isinstance(each, StderrHandler)), None)
     if handler is None:
         handler = StderrHandler()
-        handler.setFormatter(LineFormatter())
+        handler.setFormatter(JsonFormatter() if LOG_AS_JSON in os.environ else LineFormatter())
         root.addHandler(handler)
     # Some libraries set the level of their own logger when they are imported.
     handler.setLevel(number)

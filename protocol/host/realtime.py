@@ -167,12 +167,11 @@ def apply_realtime(request: RealtimeRequest) -> Iterator[RealtimeGrant]:
     priority that has to be given up is logged. Raises RealtimeError where a strict request is not
     granted.
     """
-    grant = RealtimeGrant()
+    grant, fifo = RealtimeGrant(), f"fifo={request.fifo}"
 
     def overrun() -> None:
         grant.granted = {
-            name + GIVEN_UP if name.startswith("fifo") else name: text
-            for name, text in grant.granted.items()
+            name + GIVEN_UP if name == fifo else name: text for name, text in grant.granted.items()
         }
         logger.warning(f"real-time: fifo is given up: {LONGEST_RUN_US // 1000} ms without a pause")
 
@@ -185,7 +184,7 @@ def apply_realtime(request: RealtimeRequest) -> Iterator[RealtimeGrant]:
     if request.cpus:
         settings[f"cpu={spans(request.cpus)}"] = pin(request.cpus)
     if request.fifo is not None:
-        settings[f"fifo={request.fifo}"] = schedule_fifo(request.fifo, overrun)
+        settings[fifo] = schedule_fifo(request.fifo, overrun)
     with ExitStack() as applied:
         for name, setting in settings.items():
             try:

@@ -19,6 +19,7 @@ from protocol.refusals import (
     REPLAYED,
     REVOKED,
     SERVER_LIST_UNREADABLE,
+    Reason,
 )
 from protocol.security import zap
 from protocol.security.link_keys import ClientKeys
@@ -90,13 +91,13 @@ class Refusal(NamedTuple):
     """Refusal of a client's connection.
 
     cause: of `CONNECTIONS`. address: of the server, as the user gave it. endpoint: the IP address
-    and port that were connected. text: the address, the reason, and what to do about it.
+    and port that were connected. reason: the address, the reason, and what to do about it.
     """
 
     cause: str
     address: str
     endpoint: str
-    text: str
+    reason: Reason
 
 
 @dataclass(eq=False)
@@ -207,11 +208,11 @@ class HandshakeMonitor:
             if self._breaks[socket] == REPEATED_BREAKS:
                 self.rejected[cause] += REPEATED_BREAKS - 1
         self.rejected[cause] += 1
-        link.refusal = Refusal(cause, address, endpoint, f"{address} {self._words(cause)}")
+        link.refusal = Refusal(cause, address, endpoint, self._reason(address, cause))
         # Data and control of a node fail for the same reason.
         if (cause, address) not in self._reported:
             self._reported.add((cause, address))
-            logger.warning(link.refusal.text)
+            logger.warning(str(link.refusal.reason))
 
     def _cause_of_refusal(self, event: int, value: int, address: str) -> str:
         if event != zmq.EVENT_HANDSHAKE_FAILED_AUTH:
@@ -220,8 +221,13 @@ class HandshakeMonitor:
             return SERVER_LIST_UNREADABLE
         return REVOKED if address in self._accepted_by else REFUSED_KEY
 
-    def _words(self, cause: str) -> str:
-        words = CONNECTIONS[cause]
-        if self._keys is None:
-            return words.without_keys
-        return words.at_client.format(own=self._keys.pair.public, peer=self._keys.server_key)
+    def _reason(self, address: str, cause: str) -> Reason:
+        words, keys = CONNECTIONS[cause], self._keys
+        if keys is None:
+            text, further = words.without_keys.text, words.without_keys.further
+        else:
+            text, further = (
+                part.format(own=keys.pair.public, peer=keys.server_key)
+                for part in (words.at_client.text, words.at_client.further)
+            )
+        return Reason(f"{address} {text}", further)

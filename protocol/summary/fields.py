@@ -6,9 +6,14 @@ Each field has an entry in `figures.toml`, which says what it means.
 import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from enum import StrEnum
 from typing import Any, Final
 
+from pydantic import TypeAdapter
+
 from protocol.config.quantities import Name
+from protocol.faults import Fault, Note, records_of_texts
+from protocol.refusals import Reason
 
 # No figure is larger: clocks at most 292 years apart are 1e13 ms.
 LARGEST: Final = 1e15
@@ -310,9 +315,10 @@ class Summary:
     rejected: dict[str, int] = field(default_factory=dict)
     rejected_readers: dict[str, int] = field(default_factory=dict)
     hardware: dict[str, int] = field(default_factory=dict)
-    faults: list[str] = field(default_factory=list)
+    faults: list[Fault] = field(default_factory=list)
+    notes: list[Note] = field(default_factory=list)
     refused: str | None = None
-    waiting_for: str | None = None
+    waiting_for: list[Reason] = field(default_factory=list)
     finger: str | None = None
     finger_stiffness: float | None = None
     contactors: dict[Name, "Summary"] = field(default_factory=dict)
@@ -356,9 +362,41 @@ def _plain(value: Any) -> Any:
         return {key: _plain(inner) for key, inner in value.items()}
     if isinstance(value, list):
         return [_plain(inner) for inner in value]
+    if isinstance(value, StrEnum):
+        return value.value
+    if isinstance(value, Fault):
+        return value.to_dict()
     if dataclasses.is_dataclass(value):
         return {key: _plain(getattr(value, key)) for key in value.__dataclass_fields__}
     return value
+
+
+_SUMMARY = TypeAdapter(Summary)
+
+
+def read_summary(plain: Any) -> Summary:
+    """Return a summary from its JSON, also from that of a version without records of faults.
+
+    Raises ValidationError.
+    """
+    if isinstance(plain, dict) and "notes" not in plain:
+        plain = _with_records(plain)
+    return _SUMMARY.validate_python(plain)
+
+
+def _with_records(plain: dict[str, Any]) -> dict[str, Any]:
+    """Return the summary of an earlier version, in which faults and what is awaited were texts."""
+    changed, texts, awaited = dict(plain), plain.get("faults"), plain.get("waiting_for")
+    if isinstance(texts, list) and all(isinstance(each, str) for each in texts):
+        changed["faults"], changed["notes"] = records_of_texts(texts)
+    if awaited is None or isinstance(awaited, str):
+        changed["waiting_for"] = [Reason(awaited)] if awaited else []
+    return changed
+
+
+def awaited_in(summary: Mapping[str, Any]) -> list[Reason]:
+    """Return what a display waits for, from a summary's JSON."""
+    return [Reason(each["text"], each["further"]) for each in summary.get("waiting_for", ())]
 
 
 # Keys of the figures that each contactor has.
@@ -392,3 +430,16 @@ def with_contactors(summary: Summary, contactors: Mapping[str, Summary]) -> Summ
     changes = {key: getattr(figures, key) for key in OF_A_CONTACTOR if key != "samples"}
     changes |= {"compensation": compensation, "availability": availability}
     return replace(summary, **changes)
+
+
+def with_sensing_node(display: Summary, sensing: Summary) -> Summary:
+    """Return a display's summary with the faults, notes and ADC's range of its sensing node.
+
+    What a fault of the sensing node is about is the probe at the wrist.
+    """
+    return replace(
+        display,
+        limited=replace(display.limited, adc=sensing.limited.adc),
+        faults=[*display.faults, *(replace(each, contactor="probe") for each in sensing.faults)],
+        notes=[*display.notes, *sensing.notes],
+    )

@@ -21,7 +21,10 @@ TABLE = Path(__file__).with_name("figures.toml")
 _METRIC = re.compile(r"(?P<name>\w*?)(?P<counter>_total)?(?:\{(?P<labels>.*)\})?")
 Entry = Mapping[str, Any]
 # Keys of an entry that become something else; the others are fields of `Figure` as they stand.
-READ = {"row", "noun", "unit", "form", "show", "headline", "metric", "left_out", "like"}
+READ = {
+    *("row", "of_felt", "noun", "keys", "unit", "form", "show", "headline", "metric"),
+    *("left_out", "like"),
+}
 
 
 class Surface(StrEnum):
@@ -49,6 +52,8 @@ class Figure:
     row: str = ""
     title: str = ""
     text: str = "{}"
+    of_felt: bool = False
+    after_fault: str = ""
     noun: tuple[str, ...] = ()
     unit: Unit | None = None
     separator: str = ", "
@@ -61,6 +66,7 @@ class Figure:
     counter: bool = False
     labels: Mapping[str, str] = field(default_factory=dict)
     label: str = ""
+    keys: tuple[str, ...] = ()
     help: str = ""
     absent: Mapping[Surface, str] = field(default_factory=dict)
 
@@ -147,7 +153,9 @@ class Reader(NamedTuple):
             kind,
             shared.phrase,
             row=entry.get("row", (shared.phrase or shared).row),
+            of_felt=entry.get("of_felt", shared.of_felt),
             noun=tuple(entry.get("noun", ())),
+            keys=tuple(entry.get("keys", ())),
             unit=unit,
             show=PHRASES[entry["show"]] if "show" in entry else None,
             headline=HEADLINES[entry["headline"]] if "headline" in entry else None,

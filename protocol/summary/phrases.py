@@ -4,8 +4,9 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, Final, NamedTuple
 
 from protocol.config.quantities import count_text
+from protocol.faults import faults_of, notes_of
 from protocol.refusals import explain_causes
-from protocol.summary.fields import STATES
+from protocol.summary.fields import STATES, awaited_in
 
 
 class Unit(NamedTuple):
@@ -140,12 +141,14 @@ PHRASES: Final[Mapping[str, Callable[[Any], str | None]]] = {
     "causes": lambda rejected: "\n".join(explain_causes(rejected)) or "nothing",
     "causes_if_any": lambda rejected: _joined(explain_causes(rejected), "\n"),
     "counts": lambda counts: _joined(f"{n} {name}" for name, n in sorted(counts.items())),
-    "faults": lambda faults: "; ".join(faults) or "none",
+    "faults": lambda faults: "; ".join(map(str, faults_of({"faults": faults}))) or "none",
     "first_copies": lambda first: _joined(f"{n} first over {name}" for name, n in first.items()),
     "interruptions": interruptions_text,
     "limits": lambda limits: _joined(limit_texts(limits), "; "),
     "list": _joined,
+    "notes": lambda notes: _joined(map(str, notes_of({"notes": notes})), "; "),
     "offset": _offset_text,
+    "reasons": lambda reasons: _joined(map(str, awaited_in({"waiting_for": reasons})), "; "),
     "text": lambda text: text or None,
     "windows": lambda windows: windows_text([windows]),
 }

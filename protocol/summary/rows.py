@@ -22,31 +22,42 @@ Json = Mapping[str, Any]
 TIMES: Final = {"played": "with a pulse"}
 
 
+BEFORE: Final = "before the fault"
+
+
 class RowPart(NamedTuple):
-    """A figure in its row: the formatted value, and what a share refers to."""
+    """A figure in its row: the formatted value, its template, and what a share refers to."""
 
     figure: Figure
     value: str
+    template: str = "{}"
     detail: str = ""
 
     @property
     def text(self) -> str:
         """The value in its template."""
-        return (self.figure.text if self.figure.phrase is None else "{}").replace("{}", self.value)
+        return self.template.replace("{}", self.value)
 
 
 class SummaryRow(NamedTuple):
-    """A row of the summary, with the parts that have a value; headline: text for a live page."""
+    """A row of the summary, with the parts that have a value.
+
+    headline: text for a live page. when: time of the figures, unless it is the whole run.
+    """
 
     name: str
     parts: tuple[RowPart, ...]
     headline: str = ""
+    when: str = ""
 
     @property
     def text(self) -> str:
         """All parts in one line."""
-        joined = (f"{part.figure.separator}{part.text}{part.detail}" for part in self.parts)
-        return "".join(joined).removeprefix(self.parts[0].figure.separator if self.parts else "")
+        texts = (
+            f"{part.figure.separator if number else ''}{part.text}{part.detail}"
+            for number, part in enumerate(self.parts)
+        )
+        return _after(self.when, "".join(texts))
 
     @property
     def large(self) -> str:
@@ -60,25 +71,38 @@ class SummaryRow(NamedTuple):
             return self.text.replace("\n", "; ")
         others = [f"{p.text}{p.detail}" for p in self.parts if p is not self._lead]
         detail = self._lead.detail.strip()
-        return ", ".join([detail, *others] if detail else others)
+        note = ", ".join([detail, *others] if detail else others)
+        return _after(self.when, note)
 
     @property
     def _lead(self) -> RowPart:
         return next((part for part in self.parts if part.figure.prominent), self.parts[0])
 
 
-def summary_rows(summary: Json, surface: Surface) -> list[SummaryRow]:
-    """Return the rows of a summary's JSON on a surface, without rows that have no value."""
+def _after(when: str, text: str) -> str:
+    return ": ".join(filter(None, (when, text)))
+
+
+def summary_rows(
+    summary: Json, surface: Surface, after_fault: bool | None = None
+) -> list[SummaryRow]:
+    """Return the rows of a summary's JSON on a surface, without rows that have no value.
+
+    after_fault: whether a fault was latched; None: as the summary has it. Then those of the felt
+    pulse say that they are of the time before.
+    """
+    after_fault = bool(summary.get("faults")) if after_fault is None else after_fault
     rows: dict[str, SummaryRow] = {}
     for figure in figures_on(surface):
         if figure.phrase is not None and figure.row in rows:
             continue
         whole = figure.phrase or figure
-        parts, headline = tuple(_parts(figure, summary)), ""
+        parts, headline = tuple(_parts(figure, summary, after_fault)), ""
         if whole.headline is not None and (parts or figure.phrase is not None):
             headline = whole.headline(whole.value(summary) or {})
         if parts or (headline and surface is Surface.PAGE):
-            row = rows.get(figure.row, SummaryRow(figure.row, (), headline))
+            when = BEFORE if after_fault and figure.of_felt else ""
+            row = rows.get(figure.row, SummaryRow(figure.row, (), headline, when))
             rows[figure.row] = row._replace(parts=row.parts + parts)
     return list(rows.values())
 
@@ -98,7 +122,7 @@ def cells(summary: Json, surface: Surface) -> dict[str, str]:
     return {each.name: found.get(each.name, "") for each in figures_on(surface)}
 
 
-def _parts(figure: Figure, summary: Json) -> Iterator[RowPart]:
+def _parts(figure: Figure, summary: Json, after_fault: bool) -> Iterator[RowPart]:
     """Yield the figure in its row, if it has a value."""
     whole = figure.phrase or figure
     value, detail = whole.value(summary), ""
@@ -117,7 +141,8 @@ def _parts(figure: Figure, summary: Json) -> Iterator[RowPart]:
         of_run = "" if share is None else f" ({100 * share:.1f} % of the run)"
         detail = f" of the time {TIMES.get(figure.share_of, figure.share_of)}{of_run}"
     if shown:
-        yield RowPart(figure, shown, detail)
+        template = (after_fault and figure.after_fault) or figure.text
+        yield RowPart(figure, shown, template if figure.phrase is None else "{}", detail)
 
 
 def row_texts(summary: Json, surface: Surface) -> list[tuple[str, str]]:
@@ -127,12 +152,12 @@ def row_texts(summary: Json, surface: Surface) -> list[tuple[str, str]]:
     display's own.
     """
     found = [(row.name, row.text) for row in summary_rows(summary, surface)]
-    contactors = summary.get("contactors", {})
+    contactors, after_fault = summary.get("contactors", {}), bool(summary.get("faults"))
     lines: dict[str, list[str]] = {}
     for name, figures in contactors.items():
         # One line for all contactors, below.
         alone = {**figures, "windows": []}
-        for row in summary_rows(alone, surface):
+        for row in summary_rows(alone, surface, after_fault):
             lines.setdefault(row.name, []).append(f"{name}: {row.text}")
     found = [(name, "\n".join([text, *lines.pop(name, [])])) for name, text in found]
     found += [(name, "\n".join(texts)) for name, texts in lines.items()]

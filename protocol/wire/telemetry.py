@@ -22,13 +22,12 @@ from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
 
 from protocol.config.quantities import Name
 from protocol.errors import WireError
-from protocol.summary.fields import LARGEST, Summary
+from protocol.summary.fields import LARGEST, Summary, read_summary
 from protocol.ticks import TickBlock
 from protocol.wire.messages import COUNT_RANGE, LARGEST_N, MAX_CHANNELS, MAX_FRAME_BYTES, TIME_RANGE
 
 STATUS = b"status"
 MAX_ITEMS = 256
-_SUMMARY = TypeAdapter(Summary)
 
 
 class PlaybackStatus(NamedTuple):
@@ -101,11 +100,14 @@ def read_status(data: bytes) -> Status:
     if len({each.contactor for each in playing}) < len(playing):
         raise WireError("malformed", "two contactors of a status have one name")
     try:
-        whole = _SUMMARY.validate_python(summary).to_dict()
+        known = read_summary(summary)
     except ValidationError as error:
         raise WireError("malformed", f"a status' summary: {error}") from None
+    whole = known.to_dict()
     if not _countable(whole):
         raise WireError("malformed", "a count of a status' summary is out of range")
+    if not all(fault.at_ns in TIME_RANGE for fault in known.faults):
+        raise WireError("malformed", "the time of a fault is out of range")
     return Status(state, stream, whole, final, session, displays, playing)
 
 

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from protocol.errors import SourceError
 from protocol.faults import Fault, FaultKind, Part, internal_fault
 from protocol.host.guard import GuardedThread
+from protocol.host.output import FAULT
 from protocol.wire.description import HOLD_DOWN, Channel
 from pulse_drives.drive import WITHDRAWN_WITHIN_S, Drive
 from pulse_drives.start_advice import advised
@@ -254,8 +255,8 @@ class LiveProbe(PressedProbe):
         return +(counts + self._sensor.rejected)
 
     def faults(self) -> list[str]:
-        """Return the faults of the sensors and of the probe, one line each."""
-        return [*self._sensor.faults(), *map(str, self.probe.faults)]
+        """Return the faults of the sensors, which latch nothing, one line each."""
+        return self._sensor.faults()
 
     def leave(self) -> None:
         """Take the probe off the wrist; one that may still press it then has a fault.
@@ -279,7 +280,7 @@ class LiveProbe(PressedProbe):
             cause = f"it may still press at the end, its withdrawal is {outcome.value}"
             fault = Fault(FaultKind.STILL_PRESSED, Part.PROBE, cause, self._clock())
             self.probe.fault(fault)
-            logger.error(f"{fault}: {fault.remedy}")
+            logger.error(f"{fault}: {fault.remedy}", extra={FAULT: True})
 
     def close(self) -> None:
         """Take the probe off the wrist, bring the drive to rest, and close drive and sensors."""
@@ -328,7 +329,9 @@ class LiveProbe(PressedProbe):
 
     def _log_faults(self) -> None:
         for fault in self.probe.faults[self._named :]:
-            logger.error(f"the probe leaves the wrist: {fault}: {fault.remedy}")
+            logger.error(
+                f"the probe leaves the wrist: {fault}: {fault.remedy}", extra={FAULT: True}
+            )
         self._named = len(self.probe.faults)
 
     def _read(self) -> Reading | None:

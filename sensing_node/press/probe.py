@@ -141,8 +141,7 @@ class Probe:
 
         One of the same kind and part as before is not repeated.
         """
-        same = (fault.kind, fault.part)
-        if all((known.kind, known.part) != same for known in self.faults):
+        if all(known.identity != fault.identity for known in self.faults):
             self.faults.append(fault)
 
     def step(

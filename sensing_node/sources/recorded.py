@@ -232,8 +232,8 @@ class RecordedSource(SampleSource):
         parts = [scale(values[places].astype(np.float64)) for values, scale in self._columns]
         return np.stack(parts, axis=1)
 
-    def faults(self) -> list[str]:
-        """See `SampleSource.faults`."""
+    def notes(self) -> list[str]:
+        """See `SampleSource.notes`."""
         return list(self.warnings)
 
 

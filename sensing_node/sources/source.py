@@ -52,7 +52,7 @@ class SampleSource(ABC):
         """Count of data that could not be used, by cause."""
         return Counter()
 
-    def faults(self) -> list[str]:
+    def notes(self) -> list[str]:
         """Return what is doubtful in the samples so far, one line each, for the summary."""
         return []
 

@@ -163,10 +163,6 @@ class ProbedTissue(SampleSource, PressedProbe):
         """See `SampleSource.pressed`."""
         return self
 
-    def faults(self) -> list[str]:
-        """See `SampleSource.faults`."""
-        return list(map(str, self.probe.faults))
-
     @property
     def depth_m(self) -> float:
         """Depth of the probe in the tissue; negative off the wrist."""

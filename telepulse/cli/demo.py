@@ -12,14 +12,12 @@ from contextlib import ExitStack
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from subprocess import PIPE
 from typing import Annotated
 
 import typer
 import zmq
 from rich.console import Console
 
-from display_node.fault_advice import SENSING_NOTE
 from display_node.telemetry.terminal import watch
 from display_node.verdict import conclude
 from protocol import sockets
@@ -40,17 +38,16 @@ from protocol.cli_options import (
 )
 from protocol.config.scene_file import find_scene
 from protocol.errors import ProcessError
-from protocol.host.child_process import ChildProcess
 from protocol.host.output import check_writable, configure_logging
 from protocol.host.process import lower_priority, stop_on_signals
-from protocol.summary.fields import PressFigures, Summary
+from protocol.summary.fields import PressFigures, Summary, with_sensing_node
 from protocol.wire.messages import decode_frame
 from protocol.wire.telemetry import Trace
 from sensing_node.scene import describe_stream, load_sensing, log_repetition, open_source
 from telepulse.cli.options import PROGRAM, LinkOption, SceneArgument, SeedOption, YesOption
 from telepulse.cli.progress import SimulationProgress
 from telepulse.cli.view import open_page
-from telepulse.processes import LoggedNode, free_addresses, log_warnings
+from telepulse.processes import LoggedNode, LoggedProcess, free_addresses
 from telepulse.scene import DEFAULT_SCENE, Scene, load_scene, scene_provenance
 from telepulse.simulation.link_scene import LinkScene, parse_link
 from telepulse.simulation.true_errors import TrueErrors
@@ -80,8 +77,8 @@ def simulate(
     """Run a scene in virtual time: the nodes' own modules, without sockets and without waiting.
 
     The same scene and seed give the same figures, several times faster than real time: --details
-    prints how many. A terminal shows the progress. Exit status 3: the display latched a fault; it
-    is named on stderr. Exit status 4: no pulse was felt.
+    prints how many. A terminal shows the progress. Exit status 3: a node latched a fault; it is
+    named on stderr. Exit status 4: no pulse was felt.
     """
     with one_line_errors(PROGRAM):
         configure_logging(log_level)
@@ -145,8 +142,8 @@ def demo(
     checked once as by `telepulse bench` before the pulse is played.
 
     Exit status: 0 at the end of the pulse, 1 when a check of the boards failed, 2 when an argument
-    cannot be used, 3 when the display latched a fault, with the reason on stderr, 4 when the run is
-    not valid: nothing was felt, or more than half of the ticks were missed.
+    cannot be used, 3 when a node latched a fault, with the reason on stderr, 4 when the run is not
+    valid: nothing was felt, or more than half of the ticks were missed.
     """
     console = plain_console(json=json)
     with one_line_errors(PROGRAM), ExitStack() as stack:
@@ -230,12 +227,10 @@ def run_demo(
         stack.callback(display.stop)
         link_process = None
         if impaired:
-            link_process = ChildProcess(
+            link_process = LoggedProcess(
                 *("link between the nodes", "-m", "telepulse", "link", *time_limit),
                 *("--connect", sensing_address, "--bind", display_address),
                 *("--link", scene.link.text()),
-                stdout=PIPE,
-                stderr=PIPE,
             )
             stack.callback(link_process.stop)
         context: sockets.Context = zmq.Context()
@@ -274,8 +269,8 @@ def run_demo(
         if link_process is not None:
             # A link process that has failed before keeps its exit status.
             link_process.terminate()
-            log_warnings(link_process.name, link_process.await_end(ENDS_WITHIN_S))
-        sensed = sensing.await_summary(ENDS_WITHIN_S)
+            link_process.await_end(ENDS_WITHIN_S)
+        sensed = sensing.await_summary(ENDS_WITHIN_S, may_end_with=[FAULT_STATUS])
         played = display.await_summary(ENDS_WITHIN_S, may_end_with=[FAULT_STATUS])
         return errors.finish(_compose(sensed, played, link_process is not None))
 
@@ -316,14 +311,12 @@ def _compose(sensing: Summary, display: Summary, over_a_link: bool) -> Summary:
     if (lacking := _unaccounted(sensing.press, display.press, over_a_link)) is not None:
         raise ProcessError(lacking)
     return replace(
-        display,
+        with_sensing_node(display, sensing),
         press=_account(sensing.press, display.press),
         rejected=dict(Counter(display.rejected) + Counter(sensing.rejected)),
         rejected_readers=dict(
             Counter(display.rejected_readers) + Counter(sensing.rejected_readers)
         ),
-        limited=replace(display.limited, adc=sensing.limited.adc),
-        faults=display.faults + [f"{SENSING_NOTE}{note}" for note in sensing.faults],
     )
 
 

@@ -128,10 +128,15 @@ def _samples(figure: Figure, summary: Mapping[str, Any]) -> Iterator[tuple[dict[
         for name, count in value.items():
             yield {figure.label: name}, count
     elif isinstance(value, str | list):
-        texts = [value] if value and isinstance(value, str) else list(value)
+        texts: list[Any] = [value] if value and isinstance(value, str) else list(value)
+        labels = [
+            {key: each[key] for key in figure.keys} if figure.keys else {figure.label: each}
+            for each in texts
+        ]
         # Without their numbers, each of which would be a new label.
-        for text in sorted({_NUMBER.sub("#", text) for text in texts}):
-            yield {figure.label: text}, 1
+        rows = {tuple((key, _NUMBER.sub("#", text)) for key, text in x.items()) for x in labels}
+        for row in sorted(rows):
+            yield dict(row), 1
     elif value is not None:
         yield dict(figure.labels), value * (figure.unit or COUNT).base
 

@@ -10,17 +10,15 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from display_node.control.linear_loop import linear_loop, margins
+from display_node.control.linear_loop import UnstableLoopError, linear_loop, margins
 from display_node.control.scene import SafetyScene
 from display_node.plant.second_order import SecondOrder
 from display_node.scene import DisplayScene
-from protocol.errors import SceneError
 from telepulse.document import Table
 from telepulse.paper import published
 from telepulse.paper.explicit_loop import close_loop, spectral_radius
 from telepulse.paper.published import GAINS, Gains
 from telepulse.paper.pulse_spectrum import beats, deviation_n
-from telepulse.paper.stepper import refusal_reason
 
 Array = NDArray[np.float64]
 RATES_HZ = (100.0, 200.0, 500.0, 1_000.0, 2_000.0, 5_000.0, 10_000.0)
@@ -94,8 +92,8 @@ def _run(name: str, filter_hz: float, rate_hz: float) -> RateResult:
     shipped_n, late_n, refused = math.inf, math.inf, None
     try:
         shipped_n, late_n = (_shipped_rmse_n(setup, wanted_n, late) for late in (False, True))
-    except SceneError as error:
-        refused = refusal_reason(error)
+    except UnstableLoopError as error:
+        refused = error.reason
     return RateResult(
         name,
         filter_hz,

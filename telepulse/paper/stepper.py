@@ -11,9 +11,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from display_node.control.linear_loop import UnstableLoopError
 from display_node.plant.scene import FilmTable, StepperScene
 from protocol.config.scene_file import find_scene
-from protocol.errors import SceneError
 from protocol.tactile import Adc, ElasticLayer
 from sensing_node.scene import build_source
 from sensing_node.sources.synthetic import SyntheticScene
@@ -116,8 +116,8 @@ def run_controllers(scene: Scene) -> list[BenchResult]:
 def _run(name: str, scene: Scene, actual: StepperScene | None = None) -> BenchResult:
     try:
         return BenchResult(name, run_scene(scene, actual).force_rmse_n)
-    except SceneError as error:
-        return BenchResult(name, None, refusal_reason(error))
+    except UnstableLoopError as error:
+        return BenchResult(name, None, error.reason)
 
 
 def _with(scene: Scene, **keys_of_display: object) -> Scene:
@@ -135,11 +135,6 @@ def _stepper(scene: Scene) -> StepperScene:
 def run_on_film(scene: Scene) -> TrackingRun:
     """Run a bench whose controller takes the film's reading for the force."""
     return run_scene(_with_controller(scene, {"observer": None, "feed_forward": False}))
-
-
-def refusal_reason(error: Exception) -> str:
-    """Return the reason in an error's text, without the leading key and the trailing advice."""
-    return str(error).removeprefix("[display] controller: ").split(": lower its")[0]
 
 
 class BenchDescription(NamedTuple):

@@ -5,17 +5,14 @@ from collections.abc import Sequence
 from operator import sub
 from typing import NamedTuple
 
-from pydantic import TypeAdapter
-
 from display_node.control.scene import SafetyScene
-from protocol.summary.fields import Summary
+from protocol.summary.fields import Summary, read_summary
 from protocol.wire.telemetry import PlaybackStatus
 from telepulse.columns import UNKNOWN_NS, Rows, SessionColumns, TickRow
 from telepulse.recording.mcap_reader import RecordingReader, in_tick_order, reading
 from telepulse.telemetry.decoder import Entry, Fields, PassiveReceiver
 from telepulse.telemetry.schema import EVENT, STATUS, TICK
 
-_SUMMARY = TypeAdapter(Summary)
 # Values over time, in the units of their names; counts are those since the last status.
 COUNTS = ("late", "lost", "misses")
 LATENESS = ("late_p99_us", "late_max_us")
@@ -134,7 +131,7 @@ class RecordingContents:
         self.events.append(event)
 
     def _status(self, unix_ns: int, fields: Fields) -> None:
-        before, new = self.summary or Summary(), _SUMMARY.validate_python(fields["summary"])
+        before, new = self.summary or Summary(), read_summary(fields["summary"])
         self.summary, self.final = new, fields["final"]
         if fields.get("playing"):
             playing = [PlaybackStatus(**each) for each in fields["playing"]]

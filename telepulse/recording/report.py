@@ -130,7 +130,7 @@ def in_short(findings: RunFindings) -> Iterable[str]:
     longest = "" if gap_ms is None else f"the longest gap was {gap_ms:.0f} ms; "
     broken = interruptions_text(own.to_dict()["interruptions"]) or "none"
     refused = ", ".join(explain_causes(own.rejected)) or "nothing"
-    faults = "; ".join(own.faults) or "none"
+    faults = "; ".join(map(str, own.faults)) or "none"
     yield (
         f"In the display's whole run{length}, {longest}interruptions: {broken}; refused: {refused};"
         f" faults: {faults}."

@@ -12,9 +12,8 @@ from dataclasses import replace
 from typing import Final
 
 from display_node.display import Display
-from display_node.fault_advice import SENSING_NOTE
 from display_node.hardware import Hardware
-from protocol.summary.fields import DataConnections, Summary
+from protocol.summary.fields import DataConnections, Summary, with_sensing_node
 from protocol.ticks import TickBlock, TickState
 from protocol.wire.messages import (
     Bye,
@@ -27,7 +26,7 @@ from protocol.wire.messages import (
 )
 from pulse_sensors.sample_plausibility import SampleCheck
 from sensing_node.control_server import ControlServer
-from sensing_node.feeds import Framer, PacedFeed
+from sensing_node.feeds import Framer, PacedFeed, probe_faults, sensor_notes
 from sensing_node.scene import build_source, describe_stream, serve_set_points
 from telepulse.scene import Scene
 from telepulse.simulation.link_model import MessageLink
@@ -145,20 +144,17 @@ class Simulation:
         """Score the remaining ticks, and return the summary."""
         self.display.finish_scores()
         display = self._errors.finish(self.display.summary())
-        notes = self.source.faults() + self._check.faults()
-        faults = display.faults + [f"{SENSING_NOTE}{note}" for note in notes]
-        limited = replace(display.limited, adc=self.source.limits().adc)
+        sensing = Summary(
+            limited=self.source.limits(),
+            faults=probe_faults(self.source),
+            notes=sensor_notes(self.source, self._check),
+        )
         clock = display.clock
         if clock.offset_ms is not None:
             # The true offset is known: report the error of the estimate.
             clock = replace(clock, offset_ms=clock.offset_ms - SENSING_CLOCK_AHEAD_NS * 1e-6)
-        return replace(
-            display,
-            clock=clock,
-            limited=limited,
-            faults=faults,
-            data_connections=DataConnections(self._paths),
-        )
+        whole = with_sensing_node(display, sensing)
+        return replace(whole, clock=clock, data_connections=DataConnections(self._paths))
 
     @property
     def lost_frames(self) -> int:

@@ -27,10 +27,16 @@ POLL_EVERY_NS = 100_000_000
 class TelemetryClient:
     """Client of everything that a display publishes, which can request marks.
 
+    names: of the reader and of what becomes of the telemetry, as `TelemetryDecoder` takes them.
     decoder: has the state of the telemetry and counts of missed messages. Raises AddressError.
     """
 
-    def __init__(self, address: str, keys: ClientKeys | None) -> None:
+    def __init__(
+        self,
+        address: str,
+        keys: ClientKeys | None,
+        names: tuple[str, str] = ("the recorder", "the recording"),
+    ) -> None:
         self._address = address
         self._context: sockets.Context = zmq.Context()
         self._handshakes = HandshakeMonitor(self._context, keys)
@@ -49,7 +55,7 @@ class TelemetryClient:
         # Time of arrival of the newest message.
         self._arrived_ns = 0
         self._requested: dict[int, str] = {}
-        self.decoder = TelemetryDecoder()
+        self.decoder = TelemetryDecoder(*names)
 
     def subscribe(
         self, topics: Sequence[bytes] = (PROVENANCE, TRACE, STATUS, MARK, CAPTURE)

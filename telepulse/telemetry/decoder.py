@@ -38,12 +38,14 @@ class Entry(NamedTuple):
 class TelemetryDecoder:
     """Decoder of the telemetry of one display, over any number of its runs.
 
+    reader, product: who reads the telemetry, and what becomes of it, as the events name them.
     now_ns: latest instant of the telemetry, on the display's clock. missed: counts by kind of
     messages that did not arrive or could not be read. ended: the display has sent its last status.
     provenance: of the display's run; None before it arrives. last_mark: newest mark of the run.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, reader: str = "the recorder", product: str = "the recording") -> None:
+        self._reader, self._product = reader, product
         self._run: int | None = None
         self._unix_offset_ns = self.now_ns = 0
         # Messages of each kind that arrived, plus those published before this decoder began.
@@ -100,7 +102,7 @@ class TelemetryDecoder:
         published = Counter(traces=captured.traces_published, statuses=captured.statuses_published)
         published["captured messages"] = captured.before
         if captured.run != self._run:
-            text = "another run of the display" if self.started else "the recording"
+            text = "another run of the display" if self.started else self._product
             self._run, self._arrived = captured.run, published
             self._unix_offset_ns = captured.wall_ns - captured.now_ns
             self._events, self.last_mark = EventDetector(), None
@@ -110,7 +112,7 @@ class TelemetryDecoder:
         if lost:
             self.missed.update(lost)
             text = ", ".join(f"{count} {name}" for name, count in lost.items())
-            yield self.event(Event("WARNING", "missed", f"the recorder missed {text}"))
+            yield self.event(Event("WARNING", "missed", f"{self._reader} missed {text}"))
         for message in captured.messages:
             self.now_ns = message.arrived_ns
             yield from self._message(message)

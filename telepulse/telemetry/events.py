@@ -1,23 +1,27 @@
 """Events of a display, detected from successive statuses and from frames. Pure."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Hashable, Iterator, Mapping
+from dataclasses import replace
 from typing import Any, NamedTuple
 
-from display_node.telemetry.alerts import NOT_CONNECTED, Alert, alerts
+from display_node.telemetry.alerts import Alert, AlertKind, alerts
 from protocol.refusals import REVOKED, explain_causes
 from protocol.summary.fields import contactors_of
 from protocol.summary.phrases import LIMIT_NAMES
 
 # A cut is reported after the time that a display waits for a sensing node.
 CUT_AFTER_NS = 1_000_000_000
-CUT, FAULT, INTERRUPTED = "link cut", "fault", "felt again"
+INTERRUPTED = "felt again"
 # Counts of the bench are an event when they grow by more than this within one status; superseded
 # commands are usual.
 MANY, USUAL = 20, "drive superseded"
-# Key of a summary → name of the event of each cause in it.
-REFUSALS = {"rejected": "refused", "rejected_readers": "reader refused"}
+# Key of a summary → kind of the event of each cause in it.
+REFUSALS = {"rejected": AlertKind.REFUSED, "rejected_readers": AlertKind.READER_REFUSED}
 # Alerts that other events report already: those of the state and of each cause of refusal.
-OTHER_EVENTS = {"stale", NOT_CONNECTED}
+OTHER_EVENTS = {AlertKind.STALE, AlertKind.NOT_CONNECTED}
+
+
+_CUT = Alert(AlertKind.LINK_CUT, "no frame")
 
 
 class Event(NamedTuple):
@@ -42,16 +46,16 @@ class EventDetector:
         self._joined = self._ended = False
         # When the last frame arrived; None before the first.
         self._frame_ns: int | None = None
-        # Begin of each condition that lasts, by its name.
-        self._began_ns: dict[str, int] = {}
+        # Each condition that lasts, and its begin, by its identity.
+        self._lasting_since: dict[Hashable, tuple[Alert, int]] = {}
         self._steps = 0
         # Number and length in s of the reported interruptions; None before the first status.
         self._interruptions: tuple[int, float] | None = None
         self._limited: set[str] = set()
         self._refused: set[tuple[str, str]] = set()
         # Counts of the bench at the last status, and the names of those that were reported.
-        self._hardware: dict[str, int] = {}
-        self._frequent: set[str] = set()
+        self._hardware: dict[tuple[str, str], int] = {}
+        self._frequent: set[tuple[str, str]] = set()
 
     def begin_session(self) -> None:
         """Note that the display joins a stream, whose frames are to arrive."""
@@ -65,7 +69,7 @@ class EventDetector:
     def arrive(self, now_ns: int) -> Iterator[Event]:
         """Note the arrival of a frame; yield the end of a cut."""
         self._frame_ns = now_ns
-        yield from self._over(CUT, now_ns)
+        yield from self._over(_CUT.identity, now_ns)
 
     def take(self, state: str, summary: Mapping[str, Any], now_ns: int) -> Iterator[Event]:
         """Yield the events since the last status; now_ns: time of this one, display's clock."""
@@ -78,7 +82,7 @@ class EventDetector:
             self._joined = True
             before_joining = summary["samples"].get("before_joining") or 0
             yield Event("INFO", "join", f"the pulse is felt; samples sent before: {before_joining}")
-        wrong = [alert for alert in alerts(state, summary) if alert.name not in OTHER_EVENTS]
+        wrong = [alert for alert in alerts(state, summary) if alert.kind not in OTHER_EVENTS]
         yield from self._lasting([*wrong, *self._cut(now_ns)], now_ns)
         yield from self._interrupted(summary.get("interruptions", {}))
         yield from self._counted(summary)
@@ -116,43 +120,49 @@ class EventDetector:
                 if figures["limited"][limit].get("times") and reached not in self._limited:
                     self._limited.add(reached)
                     yield Event("WARNING", "limited", reached)
-        for key, name in REFUSALS.items():
+        for key, kind in REFUSALS.items():
             refused = summary.get(key, {})
             for cause in sorted(refused.keys() - {REVOKED}):
-                if (name, cause) not in self._refused:
-                    self._refused.add((name, cause))
-                    yield Event("WARNING", name, *explain_causes({cause: refused[cause]}))
+                if (key, cause) not in self._refused:
+                    self._refused.add((key, cause))
+                    yield Event("WARNING", kind.value, *explain_causes({cause: refused[cause]}))
         hardware = {
-            f"{contactor}: {name}" if contactor else name: count
+            (contactor, name): count
             for contactor, figures in contactors_of(summary).items()
             for name, count in figures.get("hardware", {}).items()
+            if name != USUAL
         }
-        for name in sorted(hardware.keys() - self._frequent):
-            more = hardware[name] - self._hardware.get(name, 0)
-            if more > MANY and not name.endswith(USUAL):
-                self._frequent.add(name)
-                yield Event("WARNING", "hardware", f"{name}: {more} within one status")
+        for contactor, name in sorted(hardware.keys() - self._frequent):
+            more = hardware[contactor, name] - self._hardware.get((contactor, name), 0)
+            if more > MANY:
+                self._frequent.add((contactor, name))
+                of = f"{contactor}: " if contactor else ""
+                yield Event("WARNING", "hardware", f"{of}{name}: {more} within one status")
         self._hardware = hardware
 
     def _cut(self, now_ns: int) -> list[Alert]:
         if self._frame_ns is None or self._ended or now_ns - self._frame_ns <= CUT_AFTER_NS:
             return []
-        return [Alert(CUT, f"no frame for {(now_ns - self._frame_ns) * 1e-9:.1f} s")]
+        return [replace(_CUT, reason=f"no frame for {(now_ns - self._frame_ns) * 1e-9:.1f} s")]
 
     def _lasting(self, wrong: list[Alert], now_ns: int) -> Iterator[Event]:
-        names = {alert.name for alert in wrong}
-        for name in self._began_ns.keys() - names:
-            yield from self._over(name, now_ns)
-        for name, text in wrong:
-            if name not in self._began_ns:
+        present = {alert.identity for alert in wrong}
+        for identity in [each for each in self._lasting_since if each not in present]:
+            yield from self._over(identity, now_ns)
+        for alert in wrong:
+            if alert.identity not in self._lasting_since:
                 # A cut began with the last frame that arrived.
-                began_ns = self._frame_ns if name == CUT else now_ns
-                self._began_ns[name] = now_ns if began_ns is None else began_ns
-                kind, _, fault = name.partition(": ")
-                level = "ERROR" if kind == FAULT else "WARNING"
-                yield Event(level, kind, f"{fault}: {text}" if fault else text)
+                began_ns = self._frame_ns if alert.kind is AlertKind.LINK_CUT else now_ns
+                self._lasting_since[alert.identity] = (
+                    alert,
+                    now_ns if began_ns is None else began_ns,
+                )
+                level = "ERROR" if alert.kind is AlertKind.FAULT else "WARNING"
+                of = f"{alert.subject}: " if alert.subject else ""
+                yield Event(level, alert.kind.value, f"{of}{alert.text}")
 
-    def _over(self, name: str, now_ns: int) -> Iterator[Event]:
-        began_ns = self._began_ns.pop(name, None)
-        if began_ns is not None:
-            yield Event("INFO", name, f"over after {(now_ns - began_ns) * 1e-9:.1f} s")
+    def _over(self, identity: Hashable, now_ns: int) -> Iterator[Event]:
+        found = self._lasting_since.pop(identity, None)
+        if found is not None:
+            alert, began_ns = found
+            yield Event("INFO", alert.name, f"over after {(now_ns - began_ns) * 1e-9:.1f} s")

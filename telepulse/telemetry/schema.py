@@ -7,8 +7,10 @@ array's items are no arrays, and nothing may be null. So a field without a value
 import dataclasses
 import types
 import typing
+from enum import StrEnum
 from typing import Any
 
+from protocol.faults import Fault
 from protocol.summary.fields import Summary
 from protocol.wire.description import StreamDescription
 from protocol.wire.telemetry import PlaybackStatus
@@ -34,7 +36,11 @@ def _of(kind: Any) -> Schema:
         (kind,) = [part for part in typing.get_args(kind) if part is not types.NoneType]
     if dataclasses.is_dataclass(kind) or hasattr(kind, "_fields"):
         hints = typing.get_type_hints(kind)
-        return _object(**{name: _of(hint) for name, hint in hints.items()})
+        # A fault's JSON has its remedy as well.
+        derived = {"remedy": str} if kind is Fault else {}
+        return _object(**{name: _of(hint) for name, hint in (hints | derived).items()})
+    if isinstance(kind, type) and issubclass(kind, StrEnum):
+        return STRING
     origin, parts = typing.get_origin(kind), typing.get_args(kind)
     if origin in (list, tuple):
         return {"type": "array", "items": _of(parts[0])}

@@ -42,9 +42,9 @@ def check_source(
     _check_pieces(build(), taken)
     if len(taken) < count:
         require(not len(_take(source, 10)), "take returns samples after it had returned fewer")
-    faults = source.faults()
-    texts = isinstance(faults, list) and all(isinstance(each, str) for each in faults)
-    require(texts, f"faults returns {faults!r}, not a list of texts")
+    notes = source.notes()
+    texts = isinstance(notes, list) and all(isinstance(each, str) for each in notes)
+    require(texts, f"notes returns {notes!r}, not a list of texts")
     require(isinstance(source.limits(), Limits), "limits returns no Limits")
     ideal = table.ideal().build(context)
     same = (ideal.period_ns, ideal.channels) == (source.period_ns, source.channels)

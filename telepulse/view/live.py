@@ -244,8 +244,5 @@ class LiveState:
         elif name == "missed":
             self.telemetry_missed_ns = entry.t_ns
         text = entry.fields["message"]
-        if name != MARK_EVENT:
-            # The texts are those of recordings.
-            text = text.replace("the recorder", "this page").replace("the recording", "this page")
         kind = MARK if name == MARK_EVENT else KINDS.get(entry.fields["level"], INFORMATION)
         self.events.append((entry.t_ns, kind, f"{name}: {text}"))

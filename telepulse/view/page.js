@@ -75,18 +75,18 @@ function begin() {
 
 // An alarm that lasts keeps its element: it is announced once, however its text counts on.
 function showAlarms(list) {
-  const old = new Map([...at("alarms").children].map((item) => [item.dataset.name, item]));
-  for (const [index, [name, broken]] of list.entries()) {
+  const old = new Map([...at("alarms").children].map((item) => [item.dataset.identity, item]));
+  for (const [index, [identity, name, broken]] of list.entries()) {
     const text = unbroken(broken);
-    let item = old.get(name);
+    let item = old.get(identity);
     if (!item) {
       item = document.createElement("li");
-      item.dataset.name = name;
+      item.dataset.identity = identity;
       item.append(document.createElement("strong"), " – ", document.createElement("span"));
       item.firstChild.textContent = name;
       at("alarms").insertBefore(item, at("alarms").children[index] ?? null);
     }
-    old.delete(name);
+    old.delete(identity);
     if (item.lastChild.textContent !== text) item.lastChild.textContent = text;
   }
   for (const item of old.values()) item.remove();

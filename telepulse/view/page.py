@@ -314,7 +314,10 @@ class LivePage:
             "stream": live.stream,
             "state": [state, note, live.now_ns // 1_000_000 if live.display_ended else 0],
             "old": bool(text.age(live, silent_ns)),
-            "alarms": text.alarms(live, silent_ns),
+            # An alarm that lasts keeps its element, whatever its texts.
+            "alarms": [
+                (str(each.identity), each.name, each.text) for each in text.alarms(live, silent_ns)
+            ],
             "events": [
                 (t_ns // 1_000_000, *rest)
                 for t_ns, *rest in list(live.events)[: -LISTED_EVENTS - 1 : -1]

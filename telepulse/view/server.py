@@ -138,7 +138,7 @@ class PageServer:
         self._began_ns = time.perf_counter_ns()
         self._local = not beyond_loopback(address)
         self._age = StatusAge(self._local)
-        self._client = TelemetryClient(address, keys)
+        self._client = TelemetryClient(address, keys, ("this page", "this page"))
         self._client.subscribe()
         self._stopping = False
         self._end_ns = math.inf

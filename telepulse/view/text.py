@@ -10,10 +10,11 @@ from display_node.scoring.tracking_error import JND
 from display_node.telemetry.alerts import (
     SILENT_AFTER_NS,
     Alert,
+    AlertKind,
     alerts,
     delay_note,
     finger_note,
-    waiting_text,
+    waiting_texts,
 )
 from protocol.config.quantities import count_text
 from protocol.refusals import explain_causes
@@ -23,7 +24,7 @@ from protocol.summary.figures import figures as summary_figures
 from protocol.summary.phrases import NEWTONS, SHARE, limit_texts
 from protocol.summary.rows import summary_rows
 from telepulse.telemetry.decoder import Fields
-from telepulse.telemetry.events import CUT, CUT_AFTER_NS, REFUSALS
+from telepulse.telemetry.events import CUT_AFTER_NS, REFUSALS
 from telepulse.view.depth import DepthState, levels
 from telepulse.view.live import DELAY_NS, FELT_N, MAX_CONTACTORS, LiveState
 from telepulse.view.window_data import SECOND_NS, Scores, WindowScores
@@ -123,10 +124,10 @@ def state(live: LiveState, silent_ns: int = 0) -> tuple[str, str]:
     word = live.state or "waiting"
     old = age(live, silent_ns)
     note = old or STATES.get("final" if live.display_ended else live.state, "")
-    if not old and (reason := waiting_text(word, live.summary)):
+    if not old and (reason := "; ".join(waiting_texts(word, live.summary))):
         note = f"{note}: {reason}" if word == "stale" else reason
     if not old and (word not in ("playing", "starting") or live.display_ended):
-        note += finger_note(live.summary)
+        note = "; ".join(filter(None, (note, finger_note(live.summary))))
     return ("ended" if live.display_ended and word != "fault" else word), note
 
 
@@ -163,16 +164,16 @@ def figures(live: LiveState, data: WindowScores, silent_ns: int = 0) -> dict[str
     if not name:
         return shown
     of_contactor = {id: shown[id] for id in ("force", "heart", "aligned", "in_phase", "within")}
-    of_contactor |= _rows(_own(live, name))
+    of_contactor |= _rows(_own(live, name), bool(live.summary.get("faults")))
     return shown | {
         id: PageFigure(value, f"{name}: {note}" if note else name)
         for id, (value, note) in of_contactor.items()
     }
 
 
-def _rows(summary: Fields) -> dict[str, PageFigure]:
+def _rows(summary: Fields, after_fault: bool | None = None) -> dict[str, PageFigure]:
     """Return the rows of a summary's JSON, by the ids of their figures."""
-    rows = summary_rows(summary, Surface.PAGE)
+    rows = summary_rows(summary, Surface.PAGE, after_fault)
     return {row.name.replace(" ", "-"): PageFigure(row.large, row.note) for row in rows}
 
 
@@ -273,7 +274,7 @@ def _delay(live: LiveState) -> PageFigure:
     delays_ns = live.contactors[0].ticks.since(live.now_ns).values[:, DELAY_NS]
     if not len(delays_ns) or np.isnan(delays_ns[-1]):
         return PageFigure(NOTHING, DELAY)
-    delay, _, trust = delay_note(delays_ns[-1] * 1e-6, live.trusted, live.summary).partition(", ")
+    delay, trust = delay_note(delays_ns[-1] * 1e-6, live.trusted, live.summary)
     return PageFigure(delay, f"{DELAY}, {trust}" if trust else DELAY)
 
 
@@ -313,7 +314,7 @@ def alarms(live: LiveState, silent_ns: int) -> list[Alert]:
     if live.display_ended or silent_ns > SILENT_AFTER_NS:
         return found
     if live.frame_ns and not live.stream_ended and live.now_ns - live.frame_ns > CUT_AFTER_NS:
-        found.append(Alert(CUT, "no frame arrives from the sensing node"))
+        found.append(Alert(AlertKind.LINK_CUT, "no frame arrives from the sensing node"))
     return found + _counted(live)
 
 
@@ -321,22 +322,25 @@ def _counted(live: LiveState) -> list[Alert]:
     found = []
     recent = live.statuses.since(live.now_ns - SHOWN_NS).values
     if len(recent):
-        for (key, name), column in zip(REFUSALS.items(), (REFUSED, READERS_REFUSED), strict=True):
+        for (key, kind), column in zip(REFUSALS.items(), (REFUSED, READERS_REFUSED), strict=True):
             if refused := int(np.ptp(recent[:, column])):
                 causes = "; ".join(explain_causes(live.summary[key]))
-                found.append(Alert(name, f"{refused} in the last 5 s; of the whole run {causes}"))
+                further = (f"of the whole run {causes}",)
+                found.append(Alert(kind, f"{refused} in the last 5 s", further))
         if np.ptp(recent[:, LIMITED]) > 0:
             limits = [
                 f"{name}: {text}" if name else text
                 for name, figures in contactors_of(live.summary).items()
                 for text in limit_texts(figures["limited"])
             ]
-            found.append(Alert("limited", "; ".join(limits)))
+            found.append(Alert(AlertKind.LIMITED, "; ".join(limits)))
         missing = recent[-1, LOST] + recent[-1, LATE]
         if missing > MUCH_LOSS:
-            found.append(Alert("loss", f"{missing:.0f} % of the samples are lost or late"))
+            found.append(Alert(AlertKind.LOSS, f"{missing:.0f} % of the samples are lost or late"))
     if live.now_ns - live.stepped_ns < SHOWN_NS:
-        found.append(Alert("clock step", "a clock has jumped; its offset is estimated again"))
+        text = "a clock has jumped; its offset is estimated again"
+        found.append(Alert(AlertKind.CLOCK_STEP, text))
     if live.now_ns - live.telemetry_missed_ns < SHOWN_NS:
-        found.append(Alert("missed", "this page is too slow for the display's telemetry"))
+        text = "this page is too slow for the display's telemetry"
+        found.append(Alert(AlertKind.MISSED, text))
     return found

@@ -4,7 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from display_node.scene import DisplayScene
-from display_node.telemetry.alerts import STIFFNESS, alerts
+from display_node.telemetry.alerts import AlertKind, alerts
 from protocol.errors import TelepulseError
 from telepulse.emulators.motor import MotorState
 from tests.support.fault_injection import FaultKind, parse_fault
@@ -142,7 +142,7 @@ def run_fault(
                     break
             named, summary = "; ".join(bench.faults), bench.display.summary()
             shown = alerts(bench.display.state, summary.to_dict())
-            warned = "; ".join(f"{x.name} {x.text}" for x in shown if x.name == STIFFNESS)
+            warned = "; ".join(x.text for x in shown if x.kind is AlertKind.STIFFNESS)
             stiffness = summary.finger_stiffness if with_film else None
     fault_ns, end_ns = bench.fault_ns, felt[-1].time_ns
     last_ns = max((moment.time_ns for moment in felt if moment.force_n > TOUCH_N), default=0)

@@ -4,15 +4,15 @@ import dataclasses
 from itertools import count
 from typing import Any, get_type_hints
 
-from pydantic import TypeAdapter
-
-from protocol.summary.fields import ErrorWindow, Summary
+from protocol.faults import Fault, FaultKind, Note, Part
+from protocol.refusals import Reason
+from protocol.summary.fields import ErrorWindow, Summary, read_summary
 
 
 def full_summary() -> Summary:
     """Return a summary without a null, each number in it another."""
     values = _values(Summary, count(101))
-    return TypeAdapter(Summary).validate_python(values)
+    return read_summary(values)
 
 
 def _values(kind: Any, numbers: "count[int]") -> Any:
@@ -27,6 +27,11 @@ def _values(kind: Any, numbers: "count[int]") -> Any:
         str | None: lambda: f"text {next(numbers)}",
         list[str]: lambda: [f"word {next(numbers)}"],
         list[ErrorWindow]: lambda: [_values(ErrorWindow, numbers)],
+        list[Fault]: lambda: [
+            Fault(FaultKind.SILENT, Part.FILM, f"cause {next(numbers)}", next(numbers), "cun")
+        ],
+        list[Note]: lambda: [Note(Part.SENSOR, f"note {next(numbers)}", "cun")],
+        list[Reason]: lambda: [Reason(f"reason {next(numbers)}", f"remedy {next(numbers)}")],
         # Of an only contactor, whose figures are those at the top level.
         dict[str, Summary]: dict,
         dict[str, int]: lambda: {f"name {next(numbers)}": next(numbers)},

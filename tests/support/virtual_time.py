@@ -84,7 +84,9 @@ class VirtualEvent:
 
     def wait(self, timeout: float | None = None) -> bool:
         world = self._world
-        until_ns = None if timeout is None else world.now_ns + max(0, round(timeout * 1e9))
+        # A wait for the last fraction of a nanosecond must end, too.
+        wait_ns = 0 if not timeout or timeout < 0 else max(1, round(timeout * 1e9))
+        until_ns = None if timeout is None else world.now_ns + wait_ns
         while not self._is_set and (until_ns is None or world.now_ns < until_ns):
             thread = world.current
             if thread is None:

@@ -4,8 +4,10 @@ from dataclasses import replace
 
 import pytest
 
+from display_node.reception.reachability import NOBODY
 from display_node.verdict import MOST_LINES, verdict
-from protocol.refusals import CAUSE_MEANINGS
+from protocol.faults import Note, Part
+from protocol.refusals import CAUSE_MEANINGS, Reason
 from protocol.summary.fields import (
     Availability,
     BeatFigures,
@@ -19,6 +21,7 @@ from protocol.summary.fields import (
     SampleCounts,
     Summary,
 )
+from tests.support.given_faults import FILM_LOST, MISSED
 
 FINE = Summary(
     samples=SampleCounts(sent=15_000, played=9_000, predicted=6_000, late=0, lost=0),
@@ -53,9 +56,7 @@ def test_a_good_run_is_told_in_five_lines() -> None:
     )
 
 
-REFUSAL = (
-    "tcp://wrist:5555 does not allow the key of finger; there: telepulse keys allow finger.pub"
-)
+REFUSED = Reason("tcp://wrist:5555 does not allow it", "there: telepulse keys allow finger.pub")
 NOT_FELT = {"availability": Availability(9.0, felt=0.0, waiting=0.99)}
 
 
@@ -63,8 +64,8 @@ NOT_FELT = {"availability": Availability(9.0, felt=0.0, waiting=0.99)}
     ("change", "first"),
     [
         (
-            {"faults": ["force limit"]},
-            "the display stopped at the fault 'force limit'.",
+            {"faults": [FILM_LOST]},
+            "it stopped at the fault 'film: feedback lost'.",
         ),
         (
             {"availability": Availability(16.0, felt=0.1, waiting=0.02, missed=0.88)},
@@ -87,18 +88,18 @@ NOT_FELT = {"availability": Availability(9.0, felt=0.0, waiting=0.99)}
             " that it runs.",
         ),
         (
-            NOT_FELT | {"waiting_for": "nobody listens at tcp://wrist:5555, refused 12 times"},
-            "no pulse was felt; nobody listens at tcp://wrist:5555, refused 12 times;"
+            NOT_FELT | {"waiting_for": [Reason(f"{NOBODY.text} tcp://wrist:5555", NOBODY.further)]},
+            "no pulse was felt; nobody listens at tcp://wrist:5555;"
             " start the sensing node there, or check the address.",
         ),
         (
-            NOT_FELT | {"waiting_for": "nobody listens at tcp://a:5555; no route to tcp://b:5555"},
-            "no pulse was felt; nobody listens at tcp://a:5555; no route to tcp://b:5555.",
+            NOT_FELT | {"waiting_for": [Reason("no answer from a"), Reason("no route to b")]},
+            "no pulse was felt; no answer from a; no route to b.",
         ),
         (
             NOT_FELT
-            | {"rejected": {"refused_key": 7}, "refused": "refused_key", "waiting_for": REFUSAL},
-            f"no pulse was felt; {REFUSAL}.",
+            | {"rejected": {"refused_key": 7}, "refused": "refused_key", "waiting_for": [REFUSED]},
+            f"no pulse was felt; {REFUSED}.",
         ),
         (
             NOT_FELT | {"samples": SampleCounts(sent=0)},
@@ -111,7 +112,7 @@ NOT_FELT = {"availability": Availability(9.0, felt=0.0, waiting=0.99)}
     ],
     ids=[
         *("fault", "missed ticks", "no answer", "refused", "refused reader"),
-        *("nobody", "nobody at one"),
+        *("nobody", "two addresses"),
         "refused at the end",
         *("no samples", "too short"),
     ],
@@ -122,6 +123,31 @@ def test_a_ruined_run_says_so_in_its_first_line(change: dict[str, object], first
     assert lines[0].startswith(f"This run is not valid: {first}")
     assert "Nothing is wrong." not in lines
     assert len(lines) <= MOST_LINES
+
+
+def test_after_a_fault_the_felt_pulse_is_one_of_before() -> None:
+    stopped = replace(
+        FINE,
+        faults=[FILM_LOST],
+        samples=SampleCounts(sent=15_000, played=9_000, predicted=5_900, late=100, lost=0),
+        availability=replace(FINE.availability, felt=0.2, faulted=0.7),
+    )
+    first, felt, error, delay, lost = verdict(stopped).lines
+    assert first == "This run is not valid: it stopped at the fault 'film: feedback lost'."
+    assert felt.startswith("Before the fault the pulse was felt for 3.2 of 16.0 s")
+    assert error.startswith("Before the fault the force was off by 0.9 mN")
+    assert delay.startswith("Before the fault the finger felt the pulse 6.8 ms after the wrist")
+    assert lost == "Of 15000 samples, 100 came too late (0.7 %)."
+
+
+def test_notes_of_sensors_are_no_faults() -> None:
+    noted = replace(FINE, notes=[MISSED, Note(Part.SENSOR, "2 samples beyond 20 N")])
+    lines, valid = verdict(noted)
+    assert valid
+    assert lines[-2:] == (
+        "The film's sensor: 3 samples missing.",
+        "The sensing node: 2 samples beyond 20 N.",
+    )
 
 
 def test_refused_readers_are_told_apart_from_the_link() -> None:

@@ -148,11 +148,11 @@ def test_the_output_is_in_newtons_in_steps_of_the_adc(
 def test_samples_beyond_the_adcs_range_are_counted_and_reported() -> None:
     force_n = np.array([0.0, 0.9, 1.1, -1.1, 0.5])
     under_test = chain(force_n, sensitivity="1 V/N", adc_bits=16, adc_range="1 V")
-    assert under_test.faults() == GivenSource(force_n).faults() == []
+    assert under_test.notes() == GivenSource(force_n).notes() == []
     read_n = np.concatenate([under_test.take(3), under_test.take(2)]).ravel()
     assert under_test.limits().adc == Limited(1, pytest.approx(0.002), 0.4)
     assert GivenSource(force_n).limits() == chain(force_n).limits() == Limits()
-    assert under_test.faults() == ["2 samples beyond the ADC's range"]
+    assert under_test.notes() == ["2 samples beyond the ADC's range"]
     np.testing.assert_allclose(read_n, [0, 0.9, 1, -1, 0.5], atol=1e-4)
 
 

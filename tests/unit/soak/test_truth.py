@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from display_node.scoring.availability import InterruptionCounter
+from protocol.faults import Fault, FaultKind, Note, Part
 from protocol.summary.fields import Availability, Loop, SampleCounts, Summary
 from protocol.wire.telemetry import Trace
 from soak.claims import StatusClaim, no_figures
@@ -58,6 +59,9 @@ def test_felt_again_is_felt_for_good_and_gaps_count_at_both_ends() -> None:
     assert longest_gap_ns([], 100 * MS, 400 * MS) == 300 * MS
 
 
+OVERRUN = Fault(FaultKind.OVERRUN, Part.LOOP, "loop overrun")
+
+
 def summary(**changes: Any) -> dict[str, Any]:
     whole = Summary(
         samples=SampleCounts(100, 90, 7, 2, 1, 0),
@@ -83,12 +87,12 @@ def verdicts(*claims: StatusClaim) -> dict[str, bool | None]:
     [
         (claim(), ""),
         (claim("stale", full=False), ""),
-        (claim("fault", full=False, faults=["loop overrun"]), ""),
-        (claim(faults=["sensing node: 3 readings missed"]), ""),
+        (claim("fault", full=False, faults=[OVERRUN]), ""),
+        (claim(notes=[Note(Part.SENSOR, "3 readings missed")]), ""),
         (replace(claim("waiting"), final=True), ""),
         (claim("playing", full=False), "state"),
         (claim("stale", full=True), "state"),
-        (claim("stale", full=False, faults=["loop overrun"]), "state"),
+        (claim("stale", full=False, faults=[OVERRUN]), "state"),
         (claim("fault", full=False), "state"),
         (claim(finger="pressed with 247 mN (model, no drive)"), "finger"),
         (claim(finger="not pressed (model, no drive)"), "finger"),

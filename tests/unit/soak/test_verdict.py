@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from protocol.faults import Fault, FaultKind, Part
 from soak.accounts import Mark, Session, reckon
 from soak.bench_truth import FingerClaim, Round, judge_bench
 from soak.felt import Bounds
@@ -62,7 +63,13 @@ TRUE = Round(
         says(3_050, "not pressed, withdrawing", "fault"),
         says(3_400, "withdrawn", "fault"),
     ],
-    *(3, ["drive: no command: for 403 ms"], "withdrawn", TIMES_NS, FORCES_N),
+    *(
+        3,
+        [Fault(FaultKind.NO_COMMAND, Part.DRIVE, "no command for 403 ms")],
+        "withdrawn",
+        TIMES_NS,
+        FORCES_N,
+    ),
 )
 
 

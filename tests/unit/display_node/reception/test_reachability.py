@@ -36,7 +36,7 @@ def refused(reach: Reachability, place: str, begin_ns: int = 0, attempts: int = 
 
     def reason() -> str:
         reach.poll(begin_ns + FIRST_NS, place, False, attempts + 12)
-        return reach.reason(begin_ns + FIRST_NS)
+        return reach.reason(begin_ns + FIRST_NS).text
 
     until(lambda: "connecting" not in reason())
     return reason()
@@ -45,7 +45,7 @@ def refused(reach: Reachability, place: str, begin_ns: int = 0, attempts: int = 
 def test_at_a_port_without_a_listener_the_attempts_of_this_wait_are_counted(port: int) -> None:
     text = f"nobody listens at {HERE}, refused 12 times"
     reach = Reachability(HERE)
-    assert reach.reason(0) == f"connecting to {HERE}"
+    assert reach.reason(0).text == f"connecting to {HERE}"
     assert refused(reach, f"tcp://127.0.0.1:{port}") == text
     again = Reachability(HERE)
     again.poll(0, None, True, 100)
@@ -69,9 +69,9 @@ def test_a_host_that_does_not_answer_is_named_after_some_seconds(
     place = "tcp://127.0.0.1:9"
     for now_ns in (0, FIRST_NS, FIRST_NS + SILENT_NS - 1):
         reach.poll(now_ns, place, False, 3)
-        assert reach.reason(now_ns) == f"connecting to {HERE}"
+        assert reach.reason(now_ns).text == f"connecting to {HERE}"
     reach.poll(FIRST_NS + SILENT_NS, place, False, 3)
-    assert reach.reason(FIRST_NS + SILENT_NS) == f"no answer from {HERE}"
+    assert reach.reason(FIRST_NS + SILENT_NS).text == f"no answer from {HERE}"
     reach.close()
 
 
@@ -84,24 +84,26 @@ def test_a_network_without_a_route_is_named(error: str, monkeypatch: pytest.Monk
     reach = Reachability(HERE)
     for now_ns in (0, FIRST_NS, FIRST_NS + 1):
         reach.poll(now_ns, "tcp://127.0.0.1:9", False, 3)
-    assert reach.reason(FIRST_NS + 1) == f"no route to {HERE}"
+    assert reach.reason(FIRST_NS + 1).text == f"no route to {HERE}"
 
 
 def test_a_name_that_is_not_found_is_the_reason() -> None:
     reach = Reachability(HERE)
     reach.poll(0, None, False, 0)
-    assert reach.reason(S, unknown_host="it is not found") == "it is not found"
+    assert reach.reason(S, unknown_host="it is not found").text == "it is not found"
 
 
 def test_a_host_that_completes_no_handshake_is_no_node() -> None:
     reach = Reachability(HERE)
     reach.poll(0, None, True, 0)
-    assert reach.reason(NO_NODE_NS - 1) == f"connecting to {HERE}"
+    assert reach.reason(NO_NODE_NS - 1).text == f"connecting to {HERE}"
     # The connection is made anew meanwhile.
     reach.poll(FLICKER_NS - 1, None, False, 0)
     reach.poll(NO_NODE_NS, None, True, 0)
-    assert reach.reason(NO_NODE_NS) == f"{HERE} answers, but is no node"
-    assert reach.reason(NO_NODE_NS, established=True) == f"{HERE} is connected, but sends nothing"
+    assert reach.reason(NO_NODE_NS).text == f"{HERE} answers, but is no node"
+    assert (
+        reach.reason(NO_NODE_NS, established=True).text == f"{HERE} is connected, but sends nothing"
+    )
 
 
 def test_a_listener_is_probed_seldom() -> None:

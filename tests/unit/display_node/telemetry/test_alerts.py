@@ -1,13 +1,15 @@
 """Alerts of a status."""
 
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from typing import Any
 
 import pytest
 
-from display_node.fault_advice import FILM_NOTE
 from display_node.telemetry.alerts import alerts
+from protocol.faults import START_AGAIN, Fault, FaultKind, Note, Part
+from protocol.refusals import Reason
 from protocol.summary.fields import BeatFigures, Compensation, Deadlines, Loop, Summary
+from tests.support.given_faults import FILM_LOST, MISSED
 
 SECOND_NS = 1_000_000_000
 HOUR_NS = 3600 * SECOND_NS
@@ -16,8 +18,20 @@ Changes = dict[str, Any]
 
 def refused(cause: str, state: str = "waiting") -> Changes:
     """Return the figures of a display that is refused, of which it waits in two states."""
-    reason = REFUSAL if state in ("waiting", "stale") else None
-    return {"rejected": {cause: 4}, "refused": cause, "waiting_for": reason}
+    reasons = waiting_for(REFUSED) if state in ("waiting", "stale") else []
+    return {"rejected": {cause: 4}, "refused": cause, "waiting_for": reasons}
+
+
+def waiting_for(*reasons: Reason) -> list[dict[str, str]]:
+    return Summary(waiting_for=list(reasons)).to_dict()["waiting_for"]
+
+
+def faults(*found: Fault) -> Changes:
+    return {"faults": [each.to_dict() for each in found]}
+
+
+def notes(*found: Note) -> Changes:
+    return {"notes": Summary(notes=list(found)).to_dict()["notes"]}
 
 
 def late(loop: Loop) -> Changes:
@@ -43,11 +57,15 @@ STIFF = (
     "5.00 times the scene's fingertip, implausible for a finger: the film reads too much"
     " (telepulse calibrate) or the motor moves further than its step count says (telepulse bench)"
 )
-CHECK_FILM = "check the film's sensor and its cable; then start the display again"
+CHECK_FILM = f"check the film's sensor and its cable; {START_AGAIN}"
 STALE = {"stale": "no samples to play"}
-REFUSAL = (
-    "tcp://127.0.0.1:5556 does not allow the key of finger; there: telepulse keys allow finger.pub"
+REFUSED = Reason(
+    "tcp://127.0.0.1:5556 does not allow the key of finger",
+    "there: telepulse keys allow finger.pub",
 )
+REFUSAL = str(REFUSED)
+SAMPLES = waiting_for(Reason("samples"))
+GUANS = replace(FILM_LOST, contactor="guan")
 TROUBLED = Summary(
     beats=BeatFigures(quality=0.12, alarm=True),
     compensation=Compensation(noticed_5s=0.123, alarm=True),
@@ -61,22 +79,30 @@ ALERTS: list[tuple[str, Changes, dict[str, str]]] = [
     ("playing", {}, {}),
     (
         "fault",
-        {"faults": ["feedback lost"], "finger": "pressed with 245 mN"},
-        {"fault: feedback lost": f"{CHECK_FILM}; finger: pressed with 245 mN"},
+        faults(FILM_LOST) | {"finger": "pressed with 245 mN"},
+        {"fault: film: feedback lost": f"{CHECK_FILM}; finger: pressed with 245 mN"},
     ),
     (
         "fault",
-        {"faults": ["guan: feedback lost"]} | several(cun=Summary(finger="off"), guan=Summary()),
-        {"fault: guan: feedback lost": f"{CHECK_FILM}; finger: cun: off"},
+        faults(GUANS) | several(cun=Summary(finger="off"), guan=Summary()),
+        {"fault: guan: film: feedback lost": f"{CHECK_FILM}; finger: cun: off"},
     ),
-    ("playing", {"faults": [f"{FILM_NOTE}3 missing"]}, {FILM_NOTE.removesuffix(": "): "3 missing"}),
+    ("playing", notes(MISSED), {"film's sensor": "3 samples missing"}),
+    (
+        "playing",
+        notes(replace(MISSED, contactor="cun"), MISSED, Note(Part.SENSOR, "2 beyond 20 N")),
+        {
+            "film's sensor": "cun: 3 samples missing; 3 samples missing",
+            "sensing node": "2 beyond 20 N",
+        },
+    ),
     ("stale", {}, STALE),
     ("stale", refused("revoked"), {"revoked": REFUSAL, **STALE}),
     ("waiting", refused("revoked"), {"revoked": REFUSAL}),
     ("playing", refused("revoked", "playing"), {}),
     # Refused earlier, and allowed since then.
-    ("stale", refused("revoked") | {"refused": None, "waiting_for": "samples"}, STALE),
-    ("waiting", refused("refused_key") | {"refused": None, "waiting_for": "samples"}, {}),
+    ("stale", refused("revoked") | {"refused": None, "waiting_for": SAMPLES}, STALE),
+    ("waiting", refused("refused_key") | {"refused": None, "waiting_for": SAMPLES}, {}),
     ("waiting", refused("refused_key"), {"not connected": REFUSAL}),
     ("stale", refused("not_authentic"), {"not connected": REFUSAL, **STALE}),
     ("playing", refused("refused_key", "playing"), {}),
@@ -128,17 +154,46 @@ ALERTS: list[tuple[str, Changes, dict[str, str]]] = [
 def test_each_condition_has_its_alert_and_a_good_state_none(
     state: str, changes: Changes, expected: dict[str, str]
 ) -> None:
-    assert alerts(state, Summary().to_dict() | changes) == list(expected.items())
+    found = alerts(state, Summary().to_dict() | changes)
+    assert [(alert.name, alert.text) for alert in found] == list(expected.items())
 
 
 def test_of_a_silent_display_only_faults_and_silence_are_alerts_and_of_the_last_status_faults() -> (
     None
 ):
-    summary = Summary(faults=["feedback lost"], finger="force unknown since 3 s").to_dict()
+    summary = Summary(faults=[FILM_LOST], finger="force unknown since 3 s").to_dict()
     summary |= {"compensation": {"alarm": True}}
-    assert alerts("fault", summary, silent_ns=4 * SECOND_NS) == [
-        ("fault: feedback lost", CHECK_FILM),
+    found = alerts("fault", summary, silent_ns=4 * SECOND_NS)
+    assert [(alert.name, alert.text) for alert in found] == [
+        ("fault: film: feedback lost", CHECK_FILM),
         ("no telemetry", "since 4 s; finger: unknown, before that: force unknown since 3 s"),
     ]
     last = alerts("fault", summary, is_last_status=True, silent_ns=HOUR_NS)
-    assert [alert.name for alert in last] == ["fault: feedback lost"]
+    assert [alert.name for alert in last] == ["fault: film: feedback lost"]
+
+
+def test_after_a_fault_no_alert_speaks_of_the_pulse() -> None:
+    troubled = Summary(
+        faults=[FILM_LOST],
+        notes=[MISSED],
+        contactors={"guan": TROUBLED, "cun": Summary()},
+        loop=Loop(3000, 411, late=True),
+    )
+    for state in ("fault", "playing", "stale"):
+        found = alerts(state, troubled.to_dict())
+        assert [alert.name for alert in found] == ["fault: film: feedback lost", "film's sensor"]
+
+
+def test_an_alert_stays_the_same_while_its_texts_change() -> None:
+    def identity(found: Fault) -> object:
+        (alert,) = alerts("fault", Summary(faults=[found]).to_dict())
+        return alert.identity
+
+    lost = identity(FILM_LOST)
+    assert identity(replace(FILM_LOST, cause="feedback lost for 3 s", at_ns=7)) == lost
+    others = (
+        replace(FILM_LOST, contactor="guan"),
+        replace(FILM_LOST, part=Part.DRIVE),
+        replace(FILM_LOST, kind=FaultKind.LATE),
+    )
+    assert len({lost, *map(identity, others)}) == 4

@@ -13,6 +13,7 @@ from display_node.plant.feedback import Feedback
 from display_node.scene import DisplayScene
 from protocol.config.scene import load_section
 from protocol.errors import WireError
+from protocol.faults import FaultKind, faults_of
 from protocol.summary.fields import SampleCounts, Summary
 from protocol.ticks import TickState
 from protocol.wire.messages import LARGEST_N, TIME_RANGE
@@ -99,7 +100,8 @@ NO_STATUSES = (
 )
 NO_SUMMARIES = (
     *({"samples": None}, {"samples": {"late": "many"}}, {"loop": []}, {"rejected": {"crc": "x"}}),
-    *({"faults": "none"}, {"clock": {"offset_ms": {}}}),
+    *({"faults": "none"}, {"clock": {"offset_ms": {}}}, {"notes": [{}]}),
+    *({"notes": [], "faults": ["lost"]}, {"faults": ["lost", {}]}),
 )
 
 
@@ -145,6 +147,8 @@ def test_a_silent_film_is_a_fault_and_its_force_unknown() -> None:
     assert np.isnan(felt_n[2_100:]).all()
     display.finish_scores()
     status = read_status(display.pack_status(display.summary(), final=False))
-    assert (status.state, status.summary["faults"]) == ("fault", ["feedback lost"])
+    (fault,) = faults_of(status.summary)
+    assert (status.state, fault.kind) == ("fault", FaultKind.SILENT)
+    assert fault.at_ns == 2_040 * MS
     assert status.summary["force_rmse_n"]["aligned"] is not None
     assert status.summary["availability"]["faulted"] == pytest.approx(1 / 3, abs=0.02)

@@ -7,6 +7,8 @@ from hypothesis import strategies as st
 from rich.console import Console
 
 from display_node.telemetry.terminal_view import TerminalView
+from protocol.faults import Fault, FaultKind, Part
+from protocol.refusals import Reason
 from protocol.summary.fields import (
     Compensation,
     Loop,
@@ -18,7 +20,13 @@ from protocol.summary.fields import (
     Summary,
 )
 from protocol.wire.telemetry import STATUS, TRACE, Status, Trace, pack_status
-from tests.unit.display_node.telemetry.test_alerts import ALERTS, REFUSAL
+from tests.unit.display_node.telemetry.test_alerts import (
+    ALERTS,
+    REFUSAL,
+    REFUSED,
+    faults,
+    waiting_for,
+)
 
 BEAT_S = 0.8
 SUMMARY = Summary(
@@ -90,7 +98,7 @@ def test_a_refusal_is_in_the_line_and_in_full_below_it_also_in_a_narrow_terminal
     state: str, cause: str, line: str
 ) -> None:
     finger = "not pressed (model, no drive)" if state == "waiting" else None
-    under_test = view(state, 0, refused=cause, waiting_for=REFUSAL, finger=finger)
+    under_test = view(state, 0, refused=cause, waiting_for=waiting_for(REFUSED), finger=finger)
     assert under_test.line() == line
     assert REFUSAL in " ".join(printed(under_test, width=80).split())
     # Without a terminal: once.
@@ -99,9 +107,10 @@ def test_a_refusal_is_in_the_line_and_in_full_below_it_also_in_a_narrow_terminal
 
 def test_of_two_addresses_without_a_node_the_line_has_the_first_one_s_reason() -> None:
     first, second = (f"nobody listens at tcp://10.0.{n}.17:5555, refused 12 times" for n in (0, 1))
-    under_test = view("waiting", 0, waiting_for=f"{first}; {second}")
+    under_test = view("waiting", 0, waiting_for=waiting_for(Reason(first, "go"), Reason(second)))
     assert under_test.line() == f"waiting: {first}"
-    under_test = view("waiting", 0, waiting_for="connecting to tcp://a:1; connecting to tcp://b:1")
+    reasons = (Reason(f"connecting to tcp://{host}:1") for host in "ab")
+    under_test = view("waiting", 0, waiting_for=waiting_for(*reasons))
     assert under_test.line() == "waiting: connecting to tcp://a:1; connecting to tcp://b:1"
 
 
@@ -135,7 +144,8 @@ def test_unreadable_telemetry_is_counted_and_shown() -> None:
 
 @pytest.mark.parametrize("name", ["[red]evil[/red]", "\x1b[31mevil", "[/]"])
 def test_the_texts_of_a_status_cannot_draw_on_the_screen(name: str) -> None:
-    under_test = view(faults=[name], finger=name, rejected={name: 1})
+    fault = Fault(FaultKind.UNKNOWN, Part.FILM, name, 0, name)
+    under_test = view(**faults(fault), finger=name, rejected={name: 1})
     assert under_test.status is not None
     under_test.status = under_test.status._replace(state=name, stream=name)
     text = printed(under_test)
@@ -151,13 +161,14 @@ def test_the_texts_of_a_status_cannot_draw_on_the_screen(name: str) -> None:
     st.integers(0, 1 << 53),
 )
 def test_a_status_line_has_at_most_100_characters(
-    state: str, faults: list[str], finger: str, force_n: float, count: int
+    state: str, causes: list[str], finger: str, force_n: float, count: int
 ) -> None:
     under_test, ticks = TerminalView(), np.arange(2) * 10_000_000
     force = np.full(2, force_n)
     under_test.add_trace(Trace(ticks, ticks, force, force, np.ones(2, bool)))
     counts = SampleCounts(count, count, count, count, count, count)
-    summary = Summary(samples=counts, faults=faults, finger=finger).to_dict()
+    found = [Fault(FaultKind.SILENT, Part.FILM, cause, 0, cause[:9]) for cause in causes]
+    summary = Summary(samples=counts, faults=found, finger=finger).to_dict()
     under_test.status = Status(state, "stream", summary, False)
     for now_ns in (0, 10**17):
         assert len(under_test.line(now_ns)) <= 100

@@ -5,15 +5,16 @@ import io
 import json
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
-from pydantic import TypeAdapter
 from rich.console import Console
 
+from protocol.faults import Fault, FaultKind, Note, Part
 from protocol.summary import fields
-from protocol.summary.fields import Summary
+from protocol.summary.fields import Summary, read_summary
 from protocol.summary.figures import Figure, Surface, figures
 from protocol.summary.rows import cells, print_summary, write_json
 from protocol.wire.telemetry import Status
@@ -28,7 +29,7 @@ Json = dict[str, Any]
 
 def printed(summary: Json) -> str:
     console = Console(file=io.StringIO(), width=1_000, record=True)
-    print_summary(TypeAdapter(Summary).validate_python(summary), console)
+    print_summary(read_summary(summary), console)
     return console.export_text()
 
 
@@ -64,12 +65,18 @@ def changed(summary: Json, figure: Figure) -> Json:
     elif isinstance(value, dict):
         inner[name] = {"another name": 12}
     elif isinstance(value, list) and isinstance(value[0], dict):
-        inner[name] = [{key: number + 7 for key, number in value[0].items()}]
+        inner[name] = [{key: _other(found) for key, found in value[0].items()}]
     elif isinstance(value, list):
         inner[name] = ["another word"]
     else:
         inner[name] = "another text" if isinstance(value, str) else value + 7
     return other
+
+
+def _other(value: Any) -> Any:
+    if not isinstance(value, str):
+        return value + 7
+    return {"silent": "late", "film": "drive", "sensor": "drive"}.get(value, "another text")
 
 
 @pytest.mark.parametrize("surface", Surface)
@@ -104,7 +111,8 @@ def leaves(value: Any) -> list[Any]:
 def test_figures_that_do_not_apply_are_null() -> None:
     table = Summary().to_dict()
     assert table.pop("rejected") == table.pop("rejected_readers") == table.pop("hardware") == {}
-    assert table.pop("faults") == table.pop("windows") == table["loop"].pop("realtime") == []
+    assert table["loop"].pop("realtime") == []
+    assert [table.pop(key) for key in ("faults", "notes", "waiting_for", "windows")] == [[]] * 4
     delays, loop = (table["one_way_delay_ms"], table["playout_delay_ms"]), table["loop"]
     for quantiles in (*delays, loop["command_us"], loop["tick_us"], loop["late_us"]):
         assert quantiles.pop("beyond") == []
@@ -118,7 +126,7 @@ def test_figures_that_do_not_apply_are_null() -> None:
         full_summary(),
         Summary(speed=math.nan),
         Summary(loop=fields.Loop(tick_us=fields.TickTime(p50=math.inf))),
-        Summary(faults=["zu spät"]),
+        Summary(faults=[Fault(FaultKind.LATE, Part.FILM, "zu spät", 5, "cun")]),
     ],
 )
 def test_the_file_holds_the_summary(summary: Summary, tmp_path: Path) -> None:
@@ -135,4 +143,52 @@ def test_the_file_holds_the_summary(summary: Summary, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("text", ["2–3 mm off", "no [actuator]", "[/red] is no end", "[bold]"])
 def test_texts_are_printed_without_markup(text: str) -> None:
-    assert rows(printed_rows(Summary(faults=[text])))["faults"] == text
+    fault = Fault(FaultKind.UNKNOWN, Part.UNKNOWN, text)
+    assert rows(printed_rows(Summary(faults=[fault])))["faults"] == text
+
+
+def test_a_summary_with_faults_and_notes_is_read_as_it_was_written() -> None:
+    whole = full_summary()
+    assert read_summary(json.loads(json.dumps(whole.to_dict()))) == whole
+
+
+def test_the_texts_of_an_earlier_version_are_read_as_records() -> None:
+    old = Summary().to_dict()
+    del old["notes"]
+    old["faults"] = ["guan: feedback lost", "film's sensor: 3 missing", "sensing node: 2 too much"]
+    old["waiting_for"] = "nobody listens at tcp://wrist:5555"
+    found = read_summary(old)
+    assert found.faults == [Fault(FaultKind.UNKNOWN, Part.UNKNOWN, "guan: feedback lost")]
+    assert str(found.faults[0]) == "guan: feedback lost"
+    assert found.notes == [Note(Part.FILM, "3 missing"), Note(Part.SENSOR, "2 too much")]
+    assert [reason.text for reason in found.waiting_for] == [old["waiting_for"]]
+    # A recording leaves out what has no value.
+    assert read_summary({}) == read_summary({"faults": [], "waiting_for": None}) == Summary()
+
+
+def test_a_kind_of_a_later_version_is_unknown() -> None:
+    new = Fault(FaultKind.LATE, Part.FILM, "it is odd", 5, "cun").to_dict()
+    (fault,) = read_summary({"notes": [], "faults": [new | {"kind": "odd", "part": "x"}]}).faults
+    assert fault == Fault(FaultKind.UNKNOWN, Part.UNKNOWN, "it is odd", 5, "cun")
+
+
+def test_after_a_fault_the_rows_of_the_felt_pulse_are_of_before() -> None:
+    whole = full_summary()
+    assert "before the fault" not in printed_rows(replace(whole, faults=[]))
+    found = rows(printed_rows(whole))
+    of_felt = {name for name, text in found.items() if text.startswith("before the fault: ")}
+    assert of_felt == {
+        *(
+            "playout delay",
+            "covered delay",
+            "felt ahead",
+            "prediction trusted",
+            "prediction",
+            "force RMSE",
+        ),
+        *("strain RMSE", "within JND", "above 25 Hz"),
+    }
+    assert "predicted" in found["samples"]
+    assert "felt ahead" not in found["samples"]
+    several = replace(whole, contactors={"cun": whole})
+    assert "cun: before the fault: off by" in printed_rows(several)

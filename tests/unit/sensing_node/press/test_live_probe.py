@@ -10,6 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from protocol.errors import SourceError
+from protocol.faults import FaultKind
 from protocol.tissue import StiffeningLaw
 from protocol.wire.description import Channel
 from pulse_drives import build_drive
@@ -137,7 +138,7 @@ def test_set_points_are_followed_by_a_supervised_drive_without_swinging(
         assert bench.probe.depth_m == pytest.approx(
             StiffeningLaw(length_m=1.2e-3 / stiffness).depth_m(2.5), rel=0.2
         )
-        assert not bench.probe.faults()
+        assert not bench.probe.probe.faults
 
 
 def silence(bench: PressedBench) -> None:
@@ -168,7 +169,7 @@ def test_after_a_fault_the_probe_leaves_the_wrist(
         pressed_ms = len(bench.moments)
         happens(bench)
         bench.run(1_000, 1.5)
-    assert fault in bench.probe.faults()[0]
+    assert fault in str(bench.probe.probe.faults[0])
     assert bench.probe.state == "fault"
     assert bench.force_n[pressed_ms:].max() < LIMITS.force_limit_n * LIMITS.overforce
     # A motor that stops itself leaves the probe where it is.
@@ -181,14 +182,14 @@ def test_a_loop_that_hangs_leaves_the_withdrawal_to_the_drives_thread() -> None:
         bench.hang(1_000)
         assert bench.force_n[-1] == 0
         bench.run(20)
-    assert "loop: no command" in bench.probe.faults()[0]
+    assert bench.probe.probe.faults[0].kind is FaultKind.NO_COMMAND
 
 
 def test_a_load_cell_that_is_frozen_before_the_wrist_is_found_before_it_presses() -> None:
     with pressed() as bench:
         bench.board.cell_n = 0.01
         bench.run(2_000, 1.5)
-    assert "unchanged over" in bench.probe.faults()[0]
+    assert bench.probe.probe.faults[0].kind is FaultKind.FROZEN
     assert bench.force_n.max() == 0
 
 

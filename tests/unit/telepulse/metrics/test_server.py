@@ -16,6 +16,7 @@ from prometheus_client.parser import text_string_to_metric_families
 from prometheus_client.registry import Collector
 
 from protocol.errors import AddressError
+from protocol.faults import Fault, FaultKind, Note, Part
 from protocol.summary.fields import (
     BeatFigures,
     Clock,
@@ -78,7 +79,8 @@ def test_figures_come_in_base_units_and_counts_as_counters() -> None:
         clock=Clock(offset_ms=-2.0, skew_ppm=30.0),
         loop=Loop(5000, 4, late_us=Lateness(60.0, 100.0, 500.0, 900.0)),
         rejected={"late_hello": 2},
-        faults=["17 samples missing from /dev/ttyACM0"],
+        faults=[Fault(FaultKind.SILENT, Part.FILM, "silent for 40 ms", 7, "cun")],
+        notes=[Note(Part.FILM, "17 samples missing from /dev/ttyACM0", "cun")],
         finger="pressed with 245 mN, the drive does not answer",
     )
     found = scraped(families("display-node", node_state(summary), 3 * SECOND_NS))
@@ -97,7 +99,12 @@ def test_figures_come_in_base_units_and_counts_as_counters() -> None:
         ("state", {"telepulse_state": "playing"}, 1),
         ("state", {"telepulse_state": "stale"}, 0),
         ("finger", {"name": "pressed with # mN, the drive does not answer"}, 1),
-        ("fault", {"name": "# samples missing from /dev/ttyACM#"}, 1),
+        ("fault", {"kind": "silent", "part": "film", "contactor": "cun"}, 1),
+        (
+            "note",
+            {"part": "film", "contactor": "cun", "text": "# samples missing from /dev/ttyACM#"},
+            1,
+        ),
     ]:
         got = found["telepulse_" + name, tuple(sorted(labels.items()))]
         assert abs(got - value) < 1e-12, name

@@ -8,6 +8,7 @@ import pytest
 
 from display_node.prediction.scene import own_predictor
 from protocol.config.scene import validate
+from protocol.faults import Note, Part
 from protocol.summary.fields import Limited
 from protocol.wire.messages import Frame
 from sensing_node.feeds import Framer, PacedFeed
@@ -118,5 +119,6 @@ def test_a_simulation_shifts_by_the_chains_delay() -> None:
 
 def test_a_simulation_reports_samples_beyond_the_adcs_range() -> None:
     summary = Simulation(conditioned({"adc_bits": 16, "adc_range": "5 mV"}), 1).run(2)
-    assert summary.faults == ["sensing node: 2000 samples beyond the ADC's range"]
+    assert summary.faults == []
+    assert summary.notes == [Note(Part.SENSOR, "2000 samples beyond the ADC's range")]
     assert summary.limited.adc == Limited(1, 2.0, 1.0)

@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from display_node.fault_advice import FILM_NOTE, advise
 from display_node.scoring.beat_statistics import pulse_alarm
-from protocol.refusals import CAUSE_MEANINGS
+from protocol.faults import Fault, FaultKind, Note, Part
+from protocol.refusals import CAUSE_MEANINGS, Reason
 from protocol.summary.fields import (
     BeatFigures,
     Clock,
@@ -40,7 +40,7 @@ from tests.support.telemetry_publisher import (
     numbered_frame,
 )
 
-FAULTS = ["it broke"]
+FAULTS = [Fault(FaultKind.SILENT, Part.FILM, "it broke", 7)]
 PLAIN = {
     "boolean": (bool,),
     "string": (str,),
@@ -143,7 +143,7 @@ def test_each_event_comes_once() -> None:
         ("clock step", "a clock has jumped; jumps so far: 1"),
         ("refused", f"3 session: {CAUSE_MEANINGS['session']}"),
         ("state", "fault, was playing for 0.0 s"),
-        ("fault", f"it broke: {advise('it broke')}"),
+        ("fault", f"film: it broke: {FAULTS[0].remedy}"),
         ("clock step", "a clock has jumped; jumps so far: 2"),
         ("limited", "force limit reached"),
         ("end", "the display has ended"),
@@ -185,8 +185,8 @@ def test_a_lasting_condition_has_an_event_at_begin_and_end() -> None:
         state = "stale" if 10 <= number <= 60 else "playing"
         loop = late if 65 <= number < 90 else Loop(1000, 60, late=False)
         # A count that grows is no new event each time.
-        faults = [f"{FILM_NOTE}{number} samples missing"]
-        entries += telemetry.status(state, loop=loop, faults=faults)
+        notes = [Note(Part.FILM, f"{number} samples missing")]
+        entries += telemetry.status(state, loop=loop, notes=notes)
     assert events(entries) == [
         ("state", "playing"),
         ("join", "the pulse is felt; samples sent before: 0"),
@@ -237,7 +237,12 @@ def test_every_message_fits_its_schema() -> None:
         *telemetry.receive((CONTROL, clock_reply(1, 2))),
         *telemetry.ticks(TickState(1, 2, 3, 0.5, 0.5, True, 0.01, True), TickState(now_ns=2)),
         *telemetry.status(
-            "playing", samples=SampleCounts(5, 3, 1, 1, 0, 2), rejected={"session": 1}, faults=["x"]
+            "playing",
+            samples=SampleCounts(5, 3, 1, 1, 0, 2),
+            rejected={"session": 1},
+            faults=FAULTS,
+            notes=[Note(Part.FILM, "3 samples missing", "cun")],
+            waiting_for=[Reason("nobody listens at tcp://a:1", "start it")],
         ),
         *telemetry.status("stale", compensation=Compensation(0.5)),
         *telemetry.status("ended", windows=[ErrorWindow(0.0, 1.0, 43.0, 2e-3, None)], final=True),

@@ -10,6 +10,7 @@ import pytest
 from fuzz.telemetry_readers import AHEAD_NS, TelemetryReaders, preamble, status_message
 from protocol.summary.fields import Summary
 from protocol.ticks import TickState
+from tests.support.given_faults import FILM_LOST
 from tests.support.telemetry_publisher import MS, PLAYING, Message, trace_message
 
 
@@ -65,7 +66,7 @@ def test_a_force_that_becomes_unknown_is_a_gap_and_the_panel_goes_on(value: floa
     play(readers, range(0, 3_000))
     play(readers, range(3_000, 4_000), felt_n=value)
     line = readers.screen.line()
-    readers.take(*status_message("fault", faults=["feedback lost"]))
+    readers.take(*status_message("fault", faults=[FILM_LOST]))
     readers.draw()
     assert line.startswith("playing: felt unknown of ")
     assert "heart rate" not in line

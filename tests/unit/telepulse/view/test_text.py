@@ -3,13 +3,15 @@ from typing import Any
 
 import pytest
 
+from protocol.refusals import Reason
 from protocol.summary.fields import Deadlines, Limited, Limits, Loop, SampleCounts
 from protocol.summary.figures import figures as summary_figures
 from telepulse.telemetry.events import REFUSALS
 from telepulse.view.live import LiveState
 from telepulse.view.text import FIGURES, age, alarms, figures, state
 from telepulse.view.window_data import Scores, window_scores
-from tests.unit.display_node.telemetry.test_alerts import ALERTS, REFUSAL
+from tests.support.given_faults import FILM_LOST
+from tests.unit.display_node.telemetry.test_alerts import ALERTS, REFUSAL, REFUSED, waiting_for
 from tests.unit.telepulse.view.page_states import SECOND_NS, SimulatedDisplay
 
 LATE = Loop(3000, 411, late=True, last_5s=Deadlines(0.0822, 412.0))
@@ -24,6 +26,10 @@ def display() -> SimulatedDisplay:
 
 def names(display: SimulatedDisplay, silent_ns: int = 0) -> list[str]:
     return [alarm.name for alarm in alarms(display.live, silent_ns)]
+
+
+def texts(display: SimulatedDisplay) -> list[tuple[str, str]]:
+    return [(alarm.name, alarm.text) for alarm in alarms(display.live, 0)]
 
 
 def test_an_unknown_figure_is_a_dash() -> None:
@@ -77,11 +83,12 @@ def test_old_errors_have_the_time_at_which_their_window_ended(display: Simulated
 def test_a_refusal_is_an_alarm_and_another_reason_is_beside_the_state(
     display: SimulatedDisplay,
 ) -> None:
-    display.status("waiting", waiting_for="connecting to tcp://wrist:5555")
+    connecting = waiting_for(Reason("connecting to tcp://wrist:5555"))
+    display.status("waiting", waiting_for=connecting)
     assert state(display.live) == ("waiting", "connecting to tcp://wrist:5555")
-    display.status("waiting", waiting_for=REFUSAL, refused="refused_key")
+    display.status("waiting", waiting_for=waiting_for(REFUSED), refused="refused_key")
     assert state(display.live) == ("waiting", "for the sensing node")
-    assert ("not connected", REFUSAL) in alarms(display.live, 0)
+    assert ("not connected", REFUSAL) in texts(display)
 
 
 def test_the_last_state_is_marked_as_the_last(display: SimulatedDisplay) -> None:
@@ -90,7 +97,7 @@ def test_the_last_state_is_marked_as_the_last(display: SimulatedDisplay) -> None
     word, note = state(display.live)
     assert word == "ended"
     assert "last state" in note
-    display.status("fault", final=True, faults=["feedback lost"])
+    display.status("fault", final=True, faults=[FILM_LOST.to_dict()])
     assert state(display.live)[0] == "fault"
 
 
@@ -99,8 +106,9 @@ def test_each_alert_is_an_alarm_and_a_good_state_has_none(
     display: SimulatedDisplay, state: str, changes: dict[str, Any], expected: dict[str, str]
 ) -> None:
     display.status(state, **changes)
-    found = [alarm for alarm in alarms(display.live, 0) if alarm.name not in REFUSALS.values()]
-    assert found == list(expected.items())
+    assert [each for each in texts(display) if each[0] not in REFUSALS.values()] == list(
+        expected.items()
+    )
 
 
 def test_a_cut_link_is_an_alarm_until_frames_come_again(display: SimulatedDisplay) -> None:
